@@ -31,7 +31,7 @@ from svmdist.report.tables import (
     text_lines,
     write_parquet,
 )
-from svmdist.report.writers import WRITERS, Holds, Results, choose_writer, names_of
+from svmdist.report.writers import Holds, Results, choose_writer
 
 COLUMNS = (Column("name", TEXT, "name"), Column("value", LENGTH, "value [mm]"))
 LINES = (csv_lines, json_lines, json_document)
@@ -230,10 +230,3 @@ def test_the_format_follows_the_ending(
     else:
         with pytest.raises(UsageError, match=re.escape(refusal)):
             choose_writer(given, path, holds)
-
-
-def test_formats_are_declared_once() -> None:
-    """No two formats share an ending."""
-    endings = [ending for writer in WRITERS for ending in writer.endings]
-    assert len(endings) == len(set(endings))
-    assert names_of(Holds.TABLES) == ("table", "csv", "json")

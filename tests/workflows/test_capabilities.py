@@ -68,7 +68,6 @@ def test_a_recording_that_has_everything_serves_everything() -> None:
 
 
 def poorer(table: str) -> Profile:
-    """The profile without one of its tables."""
     return PROFILE.model_copy(update={table: None})
 
 

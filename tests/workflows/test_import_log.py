@@ -107,11 +107,8 @@ def test_stamps_of_names_poses_and_joints(tmp_path: Path) -> None:
     stamps = [(1_700_000_000 + number) * 10**9 + 500_000_000 for number in range(3)]
     observations = [one for one in recording.observations() if isinstance(one, Observation)]
     assert [one.stamp_ns for one in observations] == stamps
-    assert [one.joints.positions.tolist() for one in observations if one.joints] == [
-        [0.0, 0.2],
-        [0.1, 0.2],
-        [0.2, 0.2],
-    ]
+    joints = [one.joints.positions.tolist() for one in observations if one.joints]
+    assert joints == [[0.0, 0.2], [0.1, 0.2], [0.2, 0.2]]
     poses = recording.for_instrument("PSM2").pose_track()
     assert poses.parent == "PSM2_base"
     assert poses.stamps_ns.tolist() == stamps

@@ -14,7 +14,7 @@ from svmdist.recording.log import Recording, open_recording
 from svmdist.report.scores import score_columns
 from svmdist.report.tables import row_of
 from svmdist.results import Distance, Distances, FrameResult
-from svmdist.samples import DistanceSample, Sample, Status
+from svmdist.samples import Status
 from svmdist.workflows.references import Reference, TruthRules
 from svmdist.workflows.request import Request, prepare
 from svmdist.workflows.scores import Score, pool_scores, score_rows
@@ -26,7 +26,7 @@ from svmdist.workflows.validate import (
     validate,
 )
 from tests.measuring import flat
-from tests.synthetic import write_log
+from tests.synthetic import without, write_log
 
 SETUP = prepare(method="kinematic")
 ERROR_M = 2e-3
@@ -115,16 +115,10 @@ def test_overall_figures_do_not_depend_on_the_order_of_the_files(recording: Reco
     """Scores pooled in any order give the same figures and intervals, although the bootstrap draws neighbours."""
     rng = np.random.default_rng(5)
     score = scored(recording, rows_of(recording))
-    several = [
-        replace(
-            score,
-            recording=name,
-            pairs=replace(
-                score.pairs, estimate_m=score.pairs.truth_m + rng.normal(0.0, std_m, len(score.pairs))
-            ),
-        )
-        for name, std_m in (("b", 1e-3), ("c", 3e-3), ("a", 1e-4))
-    ]
+    several = []
+    for name, std_m in (("b", 1e-3), ("c", 3e-3), ("a", 1e-4)):
+        estimate_m = score.pairs.truth_m + rng.normal(0.0, std_m, len(score.pairs))
+        several.append(replace(score, recording=name, pairs=replace(score.pairs, estimate_m=estimate_m)))
     first, *others = (pool_scores([several[n] for n in order]) for order in ((0, 1, 2), (2, 1, 0), (1, 0, 2)))
     assert first.rmse_interval_m is not None
     assert first.rmse_interval_m.low < first.rmse_interval_m.high
@@ -161,9 +155,6 @@ def test_alarms_need_a_true_clearance(recording: Recording, tmp_path: Path) -> N
     with pytest.raises(UsageError, match="overlay measures in the plane"):
         validate([recording], Request(prepare(method="overlay"), alarms=rules))
 
-    def without_distance(topic: str, sample: Sample) -> Sample | None:
-        return None if isinstance(sample, DistanceSample) else sample
-
-    blind = write_log(tmp_path / "blind.mcap", frame_count=3, change=without_distance)
+    blind = write_log(tmp_path / "blind.mcap", frame_count=3, change=without("/ground_truth/distance"))
     with pytest.raises(RecordingError, match="no ground_truth to compare with"):
         validate([open_recording(blind, SETUP.profile)], Request(SETUP, alarms=rules))
