@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from svmdist.errors import OutputError
-from svmdist.files import atomic_file, read_regular, why, write_atomically
+from svmdist.files import read_regular, why, write_atomically
 
 
 def _cut_short(error: BaseException) -> Iterator[str]:
@@ -55,23 +54,6 @@ def test_a_pipe_is_written_in_place(tmp_path: Path) -> None:
     assert os.read(reader, 100) == b"through\n"
     os.close(reader)
     assert pipe.is_fifo()
-
-
-def test_what_cannot_be_written_is_named(tmp_path: Path) -> None:
-    """The message has the path that was asked for, not that of the file beside it."""
-    path = tmp_path / "nowhere" / "rows.csv"
-    with (
-        pytest.raises(OutputError, match=r"nowhere/rows\.csv: cannot write: No such file"),
-        atomic_file(path) as target,
-    ):
-        target.write_text("x")
-
-
-def test_what_a_killed_process_left_is_replaced(tmp_path: Path) -> None:
-    (tmp_path / ".rows.csv.part").write_text("half")
-    path = tmp_path / "rows.csv"
-    write_atomically(path, ["whole\n"])
-    assert (path.read_text(), list(tmp_path.iterdir())) == ("whole\n", [path])
 
 
 @pytest.mark.parametrize("length", [8, 200, 250, 255])

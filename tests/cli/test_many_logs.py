@@ -97,25 +97,6 @@ def test_a_log_that_is_named_twice_is_measured_once(cli: Cli, folder: Path) -> N
     assert twice.out == cli("estimate", folder, "-f", "csv").out
 
 
-@pytest.mark.slow
-def test_resume_takes_what_is_there(cli: Cli, with_bad: Path, tmp_path: Path) -> None:
-    """The same rows; of another method nothing is taken; a log that is mended is measured."""
-    results = tmp_path / "results"
-    asked = ("estimate", with_bad, "-f", "csv", "--resume", results)
-    first = cli(*asked, code=3)
-    assert len(list(results.glob("*.json"))) == 4  # all but junk
-    stamps = {path: path.stat().st_mtime_ns for path in results.iterdir()}
-    again = cli(*asked, code=3)
-    assert again.out == first.out
-    assert "svmdist: 4 of 5 logs are done" in again.err
-    assert {path: path.stat().st_mtime_ns for path in results.iterdir()} == stamps
-    (with_bad / "junk.mcap").write_bytes((with_bad / "log0.mcap").read_bytes())
-    third = cli(*asked, code=3)  # one is still cut
-    assert "svmdist: 4 of 5 logs are done" in third.err
-    assert len(third.rows) == len(first.rows) + 4
-    assert "svmdist: 0 of 5 logs are done" in cli(*asked, "--method", "kinematic", code=3).err
-
-
 def test_the_summary_ranks_logs_and_groups_them(cli: Cli, with_bad: Path, tmp_path: Path) -> None:
     """What failed first, then what was lost; groups by metadata, and all together, count every frame once."""
     summary = tmp_path / "summary.csv"
@@ -156,12 +137,3 @@ def test_a_report_ranks_the_logs(cli: Cli, with_bad: Path, tmp_path: Path) -> No
     page = report.read_text()
     assert page.index("sorted by severity, worst first") < page.index("junk") < page.index(">cut<")
     assert "distance-3" in page  # figures of four logs
-
-
-def test_fk_of_several_logs_names_them(cli: Cli, folder: Path) -> None:
-    rows = cli("fk", folder, "-f", "csv").rows
-    assert {row["recording"] for row in rows} == {"log0", "log1", "log2"}
-    alone = cli("fk", folder / "log1.mcap", "-f", "csv").rows
-    assert [row for row in rows if row["recording"] == "log1"] == [
-        {"recording": "log1"} | row for row in alone
-    ]

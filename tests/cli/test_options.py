@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import logging
 from pathlib import Path
 
@@ -10,7 +9,6 @@ import pytest
 
 from svmdist.cli import output
 from svmdist.cli.logs import named_logs
-from svmdist.cli.options import MeasureOptions, function_of
 from tests.conftest import Cli
 from tests.synthetic import write_log
 
@@ -54,17 +52,6 @@ def test_degrade_all_is_every_degradation_at_every_severity(cli: Cli, synthetic_
 )
 def test_every_measuring_command_takes_what_the_guide_says(cli: Cli, option: str, commands: str) -> None:
     assert all(option in cli(command, "--help").out for command in commands.split())
-
-
-def test_an_option_is_declared_in_one_place() -> None:
-    """The parameters of a command are the fields of its class: groups first, its own last."""
-
-    class Given(MeasureOptions):
-        own: int = 3
-
-    names = list(inspect.signature(function_of(Given)).parameters)
-    assert names[-3:] == ["own", "quiet", "verbose"]
-    assert {"method", "profile", "lag", "every", "alarm_below"} <= set(names)
 
 
 def test_progress_is_a_line_every_ten_seconds(caplog: pytest.LogCaptureFixture) -> None:

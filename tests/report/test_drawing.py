@@ -3,33 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
-from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from svmdist.camera import Camera
-from svmdist.drawing import COLOURS, Form, FrameDrawing, Label, Part, Shape, StatusLine
-from svmdist.errors import OutputError
+from svmdist.drawing import Form, FrameDrawing, Part
 from svmdist.estimation.alarms import AlarmState
 from svmdist.geometry import Capsules
 from svmdist.recording.log import open_recording
-from svmdist.recording.viewer_messages import image_annotations, scene_update
-from svmdist.report.panels import bgr, draw_on, masks_picture, write_picture
+from svmdist.recording.viewer_messages import scene_update
+from svmdist.report.panels import draw_on
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 from svmdist.vision.frame_context import seen_through
 from svmdist.workflows.frame_drawing import (
-    Segmented,
     _through_lens,
     distance_shapes,
-    drawn_frames,
     frame_drawing,
-    image_stamps_ns,
     in_words,
     segments,
     status_line,
@@ -38,7 +30,6 @@ from svmdist.workflows.frame_drawing import (
 from svmdist.workflows.replay import Replayed, replay
 from svmdist.workflows.request import Setup, prepare
 from tests.conftest import REPOSITORY
-from tests.synthetic import write_log
 
 K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])
 CAMERA = Camera(640, 480, K, np.zeros(5), frame_id="camera")
@@ -72,21 +63,6 @@ def test_a_penetration_runs_back_into_the_instrument(
     (segment,) = segments(deep)
     assert segment.end_m[2] == pytest.approx(end_z_m)
     assert bool(distance_shapes(deep, CAMERA)) is is_drawn
-
-
-def test_annotations_keep_forms_texts_and_stamps() -> None:
-    drawing = FrameDrawing(
-        1_500_000_000,
-        (Shape(Part.TAG, Form.LOOP, np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])),),
-        (Label(Part.DISTANCE, np.array([9.0, 8.0]), "10 mm"),),
-        (StatusLine("PSM1: ok", True),),
-    )
-    message = ImageAnnotations.FromString(image_annotations(drawing).data)
-    (shape,) = message.points
-    assert shape.type == PointsAnnotation.LINE_LOOP
-    assert [(point.x, point.y) for point in shape.points] == [(1.0, 2.0), (3.0, 4.0), (5.0, 6.0)]
-    assert [text.text for text in message.texts] == ["10 mm", "PSM1: ok"]
-    assert (message.timestamp.seconds, message.timestamp.nanos) == (1, 500_000_000)
 
 
 def test_a_scene_holds_capsules_and_deletes_what_is_gone() -> None:
@@ -223,25 +199,3 @@ def test_a_picture_changes_where_the_drawing_is_and_nowhere_else(sweep: tuple[Se
     assert len(rows) > 4 * 40  # four sides of a marker of 64 px or more
     places = np.column_stack([columns, rows])
     assert ((places >= low) & (places <= high)).all()
-
-
-def test_masks_are_drawn_on_the_chosen_frames(tmp_path: Path) -> None:
-    """Each with its number and seconds, enlarged below a legend; the frame itself stays as it was."""
-    setup = prepare(method=Segmented())
-    recording = open_recording(write_log(tmp_path / "a.mcap", frame_count=6), setup.profile)
-    assert len(image_stamps_ns(recording)) == 6
-    shown = list(drawn_frames(recording, setup, numbers=(1, 4)))
-    assert [one.number for one in shown] == [1, 4]
-    assert 0.0 < shown[0].seconds < shown[1].seconds
-    image = shown[0].replayed.image_bgr
-    assert image is not None
-    before = image.copy()
-    picture = masks_picture(shown[0], "a")
-    assert np.array_equal(image, before)
-    assert picture.shape[1] >= 900
-    contour = (picture == np.array(bgr(COLOURS[Part.TISSUE]))).all(2)
-    assert contour.sum() > 500
-    write_picture(tmp_path / "a.png", picture)
-    assert np.array_equal(cv2.imread(str(tmp_path / "a.png")), picture)
-    with pytest.raises(OutputError):
-        write_picture(tmp_path / "none" / "a.png", picture)

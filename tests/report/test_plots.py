@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.report.charts import pooled, rejected_spans
+from svmdist.report.charts import pooled
 from svmdist.report.plots import COLUMN_IN, PAGE_IN, SeriesPlot, draw, draw_compare, draw_series, save_figure
 from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
 from svmdist.workflows.references import Reference
@@ -118,19 +118,6 @@ def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval() -> None:
         assert np.nanmax(band.get_paths()[0].vertices[:, 1]) == pytest.approx(1.96, abs=1e-3)
         dotted = [line for line in upper.get_lines() if line.get_linestyle() == ":"]
         assert [line.get_ydata()[0] for line in dotted] == thresholds
-
-
-def test_time_plots_hold_estimate_truth_threshold_and_lost_spans() -> None:
-    series = make_series(60)
-    figure = draw_series([series], SeriesPlot.TIME, 0.005)
-    (axes,) = figure.axes
-    lines = drawn(axes)
-    np.testing.assert_allclose(lines["estimate"], series.estimate_m * 1e3)
-    np.testing.assert_allclose(lines["truth"], series.truth_m * 1e3)
-    assert set(lines["alarm below 5 mm"]) == {5.0}
-    assert axes.get_title(loc="left") == "log PSM1: fused, 55 of 60 frames"
-    assert len({line.get_linestyle() for line in axes.get_lines()}) == 3  # told apart without colour
-    assert rejected_spans(series) == [(0.95, 1.45)]
 
 
 def test_agreement_calibration_and_residuals() -> None:

@@ -17,7 +17,6 @@ from svmdist.report.rows import (
     ESTIMATE_KEYS,
     POSE_COLUMNS,
     POSE_KEYS,
-    estimate_fields,
     estimate_row,
     pose_rows,
     shown_columns,
@@ -66,18 +65,6 @@ def test_a_rejected_frame_has_empty_cells() -> None:
     row = estimate_row("a", FrameResult(5, Status.NO_TISSUE, instrument="PSM1"), "overlay", "corrected")
     filled = {"recording", "stamp_ns", "status", "method", "equations", "instrument"}
     assert {key for key in ESTIMATE_KEYS if row[key] is not None} == filled
-
-
-def test_the_message_has_the_numbers_of_the_row() -> None:
-    """What an annotated log holds is read from the same columns, by the names of its schema."""
-    fields = estimate_fields(MEASURED, "fused", AlarmState(False, None, None))
-    numbers = {name: value for name, value in fields.items() if isinstance(value, float)}
-    bounds_m = {
-        "clearance_low_m": pytest.approx(0.00204, abs=1e-7),
-        "clearance_high_m": pytest.approx(0.00596, abs=1e-7),
-    }
-    assert numbers == {"planar_m": 0.0123, "clearance_m": 0.004, "clearance_std_m": 1e-3, **bounds_m}
-    assert fields["alarm"] == 0
 
 
 def test_a_person_sees_what_fits() -> None:

@@ -12,13 +12,7 @@ import numpy as np
 import pytest
 
 from svmdist.report.scores import (
-    LOG_COLUMNS,
-    LogFigures,
-    blur_results,
     compare_results,
-    log_results,
-    pooled_log_figures,
-    ranked,
     remarks,
     score_columns,
     validation_document,
@@ -26,8 +20,6 @@ from svmdist.report.scores import (
     validation_tables,
 )
 from svmdist.report.tables import csv_lines, keys_of, render
-from svmdist.vision.degradations import Blur
-from svmdist.workflows.blur_bench import BlurRow, PrintedRow
 from svmdist.workflows.compare import Figures, Group, MethodScore
 from svmdist.workflows.references import Reference
 from svmdist.workflows.scores import Pairs, Score, score_pairs
@@ -142,49 +134,6 @@ def test_a_comparison_names_each_distance_once() -> None:
     assert [upper for upper, _ in headings[1:-1] if upper] == ["planar", "spatial", "clear."]
     assert [lower for _, lower in headings[1:5]] == ["R²", "RMSE", "p95", "∈95 %"]
     assert [table.rows[0][at] for at in (1, 3, 7, -1)] == ["50.0", "0.50", "–", "3"]
-
-
-def test_blur_rows_stand_beside_the_papers() -> None:
-    """Rows have Table I as published; without a value there is none."""
-    ours = BlurRow(Blur.GAUSSIAN, 5, 40, 6.5, 214.0, 900.0, 120.0, 100.0, 1.0, 3e-4, PrintedRow(7, 215))
-    clean = BlurRow(Blur.NONE, 1, 40, None, None, None, None, None, 0.0, None, None)
-    results = blur_results([ours, clean], 2)
-    assert results.keys[:3] == ("blur", "kernel_px", "keypoint_count")
-    first, second = results.rows
-    assert (first["blur"], first["paper_keypoint_count"], first["rmse_m"]) == ("gaussian", 7, 3e-4)
-    assert second["keypoint_count"] is None
-    shown = render(results.tables[0])
-    assert "40 frames of 2 recordings" in shown
-    assert "0.300" in shown
-
-
-FINE = LogFigures("fine", statuses={"ok": 10}, group="a")
-LOST = LogFigures("lost", statuses={"ok": 4, "no_tool": 5, "no_tissue": 1}, group="b")
-DARK = LogFigures("dark", statuses={"no_tool": 7}, group="b")
-CUT = LogFigures("cut", statuses={"ok": 3}, loss_count=2, group="a")
-FAILED = LogFigures("failed", failure="no such file")
-LOGS = [FINE, LOST, DARK, CUT, FAILED, LogFigures("empty")]
-
-
-def test_logs_are_sorted_by_severity() -> None:
-    """Failed logs, those without any measurement, then by the share of frames lost, then by losses."""
-    found = ranked(LOGS)
-    assert [one.recording for one in found] == ["failed", "dark", "empty", "lost", "cut", "fine"]
-    assert [one.state for one in found] == ["failed", *["nothing measured"] * 2, "ok", "loss", "ok"]
-    assert LOST.worst == ("no_tool", 5)
-
-
-def test_groups_and_all_logs_count_every_frame_once() -> None:
-    """In the order of the groups' names, then all; logs that failed are in no group."""
-    together = pooled_log_figures(LOGS)
-    assert [(one.recording, one.frame_count, one.measured_count) for one in together] == [
-        *(("a", 13, 13), ("b", 17, 4), ("overall", 30, 17))
-    ]
-    rows = list(log_results(LOGS).rows)
-    assert all(tuple(row) == keys_of(LOG_COLUMNS) for row in rows)
-    assert [row["rank"] for row in rows] == [*range(1, 7), None, None, None]
-    assert rows[0]["coverage"] is None
-    assert rows[-1]["reason"] == "1 of 6 logs failed"
 
 
 def test_summaries_are_written_in_markup(golden: Path, cli: Cli, tmp_path: Path) -> None:

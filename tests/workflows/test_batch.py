@@ -16,7 +16,6 @@ import pytest
 
 from svmdist.errors import SvmdistError, UsageError
 from svmdist.recording.observations import Window
-from svmdist.workflows import batch
 from svmdist.workflows.batch import ATTEMPTS, Job, LogFile, Outcome, collected_notes, log_notes, measure_logs
 from svmdist.workflows.request import LOG, Request, Setup
 from tests.conftest import REPOSITORY
@@ -115,13 +114,6 @@ def test_remarks_are_collected_and_said_once(caplog: pytest.LogCaptureFixture) -
     with caplog.at_level("INFO", "svmdist"):
         log_notes(outcomes)
     assert caplog.messages == ["shared (so in 4 logs)", "of 0", "of 1", "of 2", "of 3"]
-
-
-def test_what_a_profile_names_counts(tmp_path: Path) -> None:
-    """A file that a request names is part of it, by its size and time."""
-    job = job_in(tmp_path / "fates")
-    assert batch._fingerprint(job) == batch._fingerprint(job_in(tmp_path / "fates"))
-    assert len(list(batch._paths_in({"a": [Path("x"), {"b": Path("y")}], "c": 1}))) == 2
 
 
 class DaskCluster:

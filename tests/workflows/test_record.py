@@ -24,7 +24,6 @@ from tests.conftest import Cli, started
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.workflows import record as record_module
-from svmdist.workflows.compare import Group, group_of
 from svmdist.workflows.record import episode_paths, record
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="needs signals as POSIX has them")
@@ -64,13 +63,6 @@ def test_recording_is_complete_repeatable_and_never_replaced(tmp_path: Path, sma
     record(SCENARIO, small, path, force=True)
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_degraded_recording_is_compared_as_such(tmp_path: Path, small: Profile) -> None:
-    """What `record --degrade` stores in the log's metadata is the group that `compare` puts the log in."""
-    options = Options(degradations=(("smoke", 3), ("jpeg", 1)))
-    result = record(Scenario("approach", 2, 0.2, 5.0), small, tmp_path / "smoky.mcap", options=options)
-    assert group_of(open_recording(result.path, small)) == Group("approach", "smoke=3,jpeg=1")
 
 
 @pytest.mark.slow

@@ -21,7 +21,6 @@ from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample, Sample, Status
 from svmdist.vision.degradations import Degradation
 from svmdist.vision.find_instruments import AutoSegmenter
-from svmdist.workflows.estimate import estimate
 from svmdist.workflows.replay import (
     MultiInstrumentEstimator,
     Place,
@@ -166,17 +165,6 @@ def test_frames_without_images_are_no_frames(tmp_path: Path, setups: list[Setup]
     whole = write_log(tmp_path / "whole.mcap", frame_count=6)
     centroid = [setups[METHODS.index("centroid")]]
     assert outcomes(replayed(half, centroid, jobs=2)) == outcomes(replayed(whole, centroid, jobs=2))[::2]
-
-
-def test_estimate_is_replay_of_one_method(
-    log: Path, setups: list[Setup], alone: list[tuple[Replayed, ...]]
-) -> None:
-    """One result an image, in order, each the replay's."""
-    at = METHODS.index("fused")
-    results = list(estimate(open_recording(log, setups[at].profile), setups[at], jobs=2))
-    assert [flattened((result,)) for result in results] == [flattened(lane[at].results) for lane in alone]
-    stamps = [result.stamp_ns for result in results]
-    assert stamps == sorted(stamps)
 
 
 def test_what_a_segmenter_learns_from_is_spread_over_the_log(tmp_path: Path) -> None:
