@@ -22,7 +22,6 @@ CONSTANT_ERROR = PROFILE.kinematic_error.model_copy(
 
 
 def _with(part: StrictModel | None, **zeros: float) -> StrictModel:
-    assert part is not None
     return part.model_copy(update=zeros)
 
 

@@ -147,7 +147,7 @@ def convex(seed: int, size: float = 1.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize("size", [1e-4, 1.0, 10.0])
-def test_it_agrees_with_opencvs_moments(size: float) -> None:
+def test_it_agrees_with_opencvs_moments(size):
     """In single precision, in any unit, from any first corner, in both senses, and as OpenCV's contours."""
     for seed in range(20):
         moments = cv2.moments(convex(seed).astype(np.float32))
@@ -158,7 +158,7 @@ def test_it_agrees_with_opencvs_moments(size: float) -> None:
 
 
 @pytest.mark.parametrize("corners", [[[3, 4]], [[0, 0], [4, 2]], [[1, 1], [2, 2], [6, 6]], [[5, 5]] * 4])
-def test_without_area_it_is_the_mean_of_the_corners(corners: list[list[int]]) -> None:
+def test_without_area_it_is_the_mean_of_the_corners(corners):
     """A point, a segment and points on one line have no area to divide by."""
     np.testing.assert_allclose(polygon_centroid(np.array(corners)), np.mean(corners, axis=0))
 

@@ -161,19 +161,19 @@ def run(document: str, clone: Path, cli: Cli, done: set[str], *, short: bool) ->
     "document",
     [name if name in FIRST else pytest.param(name, marks=pytest.mark.slow) for name in PRINTED],
 )
-def test_printed_commands_run(document: str, clone: Path, cli: Cli, done: set[str]) -> None:
+def test_printed_commands_run(document, clone, cli, done):
     """As printed, but on few frames."""
     run(document, clone, cli, done, short=True)
 
 
 @pytest.mark.fault
 @pytest.mark.parametrize("document", PRINTED)
-def test_printed_commands_run_in_full(document: str, clone: Path, cli: Cli, done: set[str]) -> None:
+def test_printed_commands_run_in_full(document, clone, cli, done):
     """As printed, to the last frame."""
     run(document, clone, cli, done, short=False)
 
 
-def test_the_lists_of_what_is_not_run_are_no_longer_than_needed() -> None:
+def test_the_lists_of_what_is_not_run_are_no_longer_than_needed():
     """Each entry is a command that some document prints: one that is gone from the documents goes from the lists."""
     printed = [command for commands in PRINTED.values() for command in commands]
     others = {start for start in OTHER_PROGRAMS for command in printed if command.text.startswith(start)}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -43,7 +41,7 @@ def _pose_files() -> dict[str, str]:
 
 
 @pytest.mark.parametrize("form", _pose_files())
-def test_poses(tmp_path: Path, form: str) -> None:
+def test_poses(tmp_path, form):
     """Every form gives the same pose at the same time."""
     path = tmp_path / "poses.csv"
     path.write_text(_pose_files()[form])
@@ -52,7 +50,7 @@ def test_poses(tmp_path: Path, form: str) -> None:
     np.testing.assert_allclose(poses.T_parent_child[0], T, atol=1e-12)
 
 
-def test_joints(tmp_path: Path) -> None:
+def test_joints(tmp_path):
     """Names, units behind them, and names from elsewhere."""
     path = tmp_path / "joints.csv"
     path.write_text("stamp,yaw_deg,insertion_mm,roll\n0.5,90,100,0.25\n0.75,45,110,0.5\n")
@@ -66,7 +64,7 @@ def test_joints(tmp_path: Path) -> None:
     np.testing.assert_allclose(joints.positions, [[0.1, 0.2], [0.3, 0.4]])
 
 
-def test_times(tmp_path: Path) -> None:
+def test_times(tmp_path):
     """Times by row, by name in any order, and with names of columns."""
     path = tmp_path / "times.csv"
     for text in (
@@ -79,7 +77,7 @@ def test_times(tmp_path: Path) -> None:
         assert read_times(path, IMAGES.names) == [1_500_000_000, 2_500_000_000], text
 
 
-def test_stamps() -> None:
+def test_stamps():
     """Units by size or by name, to the last nanosecond; names of files; a rate."""
     assert parse_stamp_ns("1479250744123456789") == 1479250744123456789
     assert parse_stamp_ns("1479250744.123456789") == 1479250744123456789
@@ -109,7 +107,7 @@ def test_stamps() -> None:
         (" ".join(["1"] * 12) + "\n" + " ".join(["1"] * 12) + "\n", "no rotation"),
     ],
 )
-def test_wrong_poses(tmp_path: Path, text: str, said: str) -> None:
+def test_wrong_poses(tmp_path, text, said):
     """Each wrong table is one line with the file and, where it has one, the line."""
     path = tmp_path / "wrong.csv"
     path.write_text(text)
@@ -126,7 +124,7 @@ def test_wrong_poses(tmp_path: Path, text: str, said: str) -> None:
         ("stamp,yaw,yaw\n1,2,3\n", None, "the same joint"),
     ],
 )
-def test_wrong_joints(tmp_path: Path, text: str, names: list[str] | None, said: str) -> None:
+def test_wrong_joints(tmp_path, text, names, said):
     """Columns that do not tell their joints are refused."""
     path = tmp_path / "wrong.csv"
     path.write_text(text)
@@ -134,7 +132,7 @@ def test_wrong_joints(tmp_path: Path, text: str, names: list[str] | None, said: 
         read_joints(path, IMAGES, names)
 
 
-def test_a_table_is_a_regular_file_up_to_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_table_is_a_regular_file_up_to_a_limit(tmp_path, monkeypatch):
     monkeypatch.setattr(tables, "MAX_BYTES", 20)
     (tmp_path / "t.csv").write_text("stamp_ns,x\n" + "1,2\n" * 10)
     with pytest.raises(SourceError, match=r"t\.csv: cannot read: it has more than 20 bytes, the limit"):

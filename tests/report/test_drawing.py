@@ -43,7 +43,7 @@ RESULT = FrameResult(
 )
 
 
-def test_words_and_lines_of_a_distance() -> None:
+def test_words_and_lines_of_a_distance():
     """The clearance goes before the planar distance, and is drawn where the camera sees it, with its alarm."""
     assert (in_words(CLEARANCE), in_words(Distance(0.02))) == ("10.00 mm [8.04, 11.96]", "20.00 mm")
     alarmed = status_line(RESULT, "fused", AlarmState(alarm=True))
@@ -54,9 +54,7 @@ def test_words_and_lines_of_a_distance() -> None:
 
 
 @pytest.mark.parametrize(("start_z_m", "end_z_m", "is_drawn"), [(0.1, 0.098, True), (-0.1, -0.102, False)])
-def test_a_penetration_runs_back_into_the_instrument(
-    start_z_m: float, end_z_m: float, is_drawn: bool
-) -> None:
+def test_a_penetration_runs_back_into_the_instrument(start_z_m, end_z_m, is_drawn):
     """And what is behind the camera is not drawn."""
     clearance = Distance(-0.002, None, (0.0, 0.0, 1.0), (0.0, 0.0, start_z_m))
     deep = FrameResult(0, Status.OK, distances=Distances(clearance=clearance))
@@ -65,7 +63,7 @@ def test_a_penetration_runs_back_into_the_instrument(
     assert bool(distance_shapes(deep, CAMERA)) is is_drawn
 
 
-def test_a_scene_holds_capsules_and_deletes_what_is_gone() -> None:
+def test_a_scene_holds_capsules_and_deletes_what_is_gone():
     body = Capsules(np.zeros((1, 3)), np.array([[0.0, 0.03, 0.04]]), np.array([0.002]))
     drawing = FrameDrawing(3, bodies={"PSM1": body})
     message = SceneUpdate.FromString(scene_update(drawing, ["PSM1"], "camera").data)
@@ -103,16 +101,13 @@ def points_of(drawing: FrameDrawing, part: Part, instrument: str) -> np.ndarray:
     )
 
 
-def test_a_clearance_is_a_segment_of_its_length_that_starts_on_the_instrument(
-    duo: tuple[Setup, Replayed],
-) -> None:
+def test_a_clearance_is_a_segment_of_its_length_that_starts_on_the_instrument(duo):
     setup, replayed = duo
     drawing = frame_drawing(replayed, setup)
     for result, body in zip(replayed.results, drawing.bodies.values(), strict=True):
         name = f"{result.instrument} {Part.DISTANCE}"
         (segment,) = (one for one in drawing.segments if one.name == name)
         clearance = result.distances.clearance
-        assert clearance is not None
         length_m = np.linalg.norm(segment.end_m - segment.start_m)
         assert length_m == pytest.approx(abs(clearance.value_m), abs=1e-12)
         along = body.end_m - body.start_m
@@ -127,7 +122,7 @@ def test_a_clearance_is_a_segment_of_its_length_that_starts_on_the_instrument(
         np.testing.assert_allclose(line_px, expected_px, atol=1e-9)
 
 
-def test_what_was_found_of_each_instrument_is_drawn_where_it_is(duo: tuple[Setup, Replayed]) -> None:
+def test_what_was_found_of_each_instrument_is_drawn_where_it_is(duo):
     setup, replayed = duo
     drawing = frame_drawing(replayed, setup)
     assert [line.text.split(":")[0] for line in drawing.lines] == ["PSM1 fused", "PSM2 fused"]
@@ -137,7 +132,6 @@ def test_what_was_found_of_each_instrument_is_drawn_where_it_is(duo: tuple[Setup
         assert corners_px is not None
         np.testing.assert_allclose(points_of(drawing, Part.TAG, result.instrument), corners_px)
         region = frame.left.region
-        assert region is not None
         contours_px = points_of(drawing, Part.INSTRUMENT, result.instrument)
         low, high = region.hull.reshape(-1, 2).min(0), region.hull.reshape(-1, 2).max(0)
         np.testing.assert_allclose([contours_px.min(0), contours_px.max(0)], [low, high], atol=1.0)
@@ -150,12 +144,11 @@ def test_what_was_found_of_each_instrument_is_drawn_where_it_is(duo: tuple[Setup
     assert edge_count >= 1
 
 
-def test_the_markers_matches_are_those_that_overlay_counted(sweep: tuple[Setup, Replayed]) -> None:
+def test_the_markers_matches_are_those_that_overlay_counted(sweep):
     """And the line of a planar distance runs from tool to tissue."""
     setup, replayed = sweep
     found = virtual_marker(replayed.frames[0])
     image = replayed.results[0].image
-    assert found is not None
     counts = len(found.keypoints_px), len(found.matched_px), int(found.inliers.sum())
     assert counts == (image.keypoint_count, image.match_count, image.inlier_count)
     drawing = frame_drawing(replayed, setup)
@@ -163,7 +156,7 @@ def test_the_markers_matches_are_those_that_overlay_counted(sweep: tuple[Setup, 
     np.testing.assert_allclose(points_of(drawing, Part.DISTANCE, "PSM1"), [image.tool_px, image.tissue_px])
 
 
-def test_a_rejected_frame_says_why_and_has_no_distance(sweep: tuple[Setup, Replayed]) -> None:
+def test_a_rejected_frame_says_why_and_has_no_distance(sweep):
     setup, replayed = sweep
     rejected = FrameResult(5, Status.NO_TISSUE, detail="hidden", instrument="PSM1")
     drawing = frame_drawing(replace(replayed, results=(rejected,)), setup)
@@ -174,7 +167,7 @@ def test_a_rejected_frame_says_why_and_has_no_distance(sweep: tuple[Setup, Repla
     assert not unread.lines[0].measured
 
 
-def test_shapes_follow_the_lens(sweep: tuple[Setup, Replayed]) -> None:
+def test_shapes_follow_the_lens(sweep):
     setup, replayed = sweep
     shapes = [shape for shape in frame_drawing(replayed, setup).shapes if shape.form is Form.LOOP]
     camera = replayed.frames[0].scene.lens
@@ -187,7 +180,7 @@ def test_shapes_follow_the_lens(sweep: tuple[Setup, Replayed]) -> None:
         assert steps_px.max() < 20.0  # and what lies between is bent with it
 
 
-def test_a_picture_changes_where_the_drawing_is_and_nowhere_else(sweep: tuple[Setup, Replayed]) -> None:
+def test_a_picture_changes_where_the_drawing_is_and_nowhere_else(sweep):
     setup, replayed = sweep
     image = replayed.image_bgr
     assert image is not None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,7 +29,6 @@ from svmdist.samples import Status
 from svmdist.transforms import rotation_from_quaternion_xyzw, rotation_z
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.request import prepare
-from tests.conftest import Cli
 
 CONTRACT = """
 recording stamp_ns status distance_m tool_x_px tool_y_px tissue_x_px tissue_y_px tool_area_px tissue_area_px
@@ -49,7 +47,7 @@ MEASURED = FrameResult(
 )
 
 
-def test_the_columns_are_those_of_the_contract() -> None:
+def test_the_columns_are_those_of_the_contract():
     """In their order; a measured frame fills them in SI, and stamps keep their nanoseconds."""
     assert list(ESTIMATE_KEYS[:44]) == CONTRACT.split()
     alarm = AlarmState(True, 0.01, 0.4)
@@ -60,14 +58,14 @@ def test_the_columns_are_those_of_the_contract() -> None:
     assert (row["clearance_std_m"], row["alarm"], row["time_to_contact_s"]) == (1e-3, 1, 0.4)
 
 
-def test_a_rejected_frame_has_empty_cells() -> None:
+def test_a_rejected_frame_has_empty_cells():
     """A frame without tissue has a status and its stamp, and nothing that was not measured."""
     row = estimate_row("a", FrameResult(5, Status.NO_TISSUE, instrument="PSM1"), "overlay", "corrected")
     filled = {"recording", "stamp_ns", "status", "method", "equations", "instrument"}
     assert {key for key in ESTIMATE_KEYS if row[key] is not None} == filled
 
 
-def test_a_person_sees_what_fits() -> None:
+def test_a_person_sees_what_fits():
     """Distances in mm; a narrow terminal goes without pixels first, by rank, and keeps what the method is for."""
     results = (MEASURED, replace(MEASURED, status=Status.NO_INSTRUMENT, distances=Distances()))
     rows = [estimate_row("a", result, "overlay", "corrected") for result in results]
@@ -86,7 +84,7 @@ def test_a_person_sees_what_fits() -> None:
         assert essential <= {column.key for column in narrow}
 
 
-def test_poses_keep_every_nanosecond_and_bit() -> None:
+def test_poses_keep_every_nanosecond_and_bit():
     """Seconds with nine decimals, where a float would be rounded to 100 ns; then the numbers of the rows."""
     stamps_ns = np.array([1_700_000_000_000_000_001, 1_700_000_000_999_999_999], np.int64)
     T = np.eye(4)
@@ -100,7 +98,7 @@ def test_poses_keep_every_nanosecond_and_bit() -> None:
         assert [float(number) for number in numbers] == [row[key] for key in POSE_KEYS[1:]]
 
 
-def test_trajectories_are_the_tools_poses(golden: Path, cli: Cli) -> None:
+def test_trajectories_are_the_tools_poses(golden, cli):
     """`estimate -f tum` of a method in 3D, for one instrument; a planar method has no pose."""
     log = golden / "3d" / "contact.mcap"
     setup = prepare(method="fiducial")
@@ -108,7 +106,6 @@ def test_trajectories_are_the_tools_poses(golden: Path, cli: Cli) -> None:
     text = cli("estimate", log, "--method", "fiducial", "-f", "tum").out
     poses = np.array([line.split() for line in text.splitlines()[1:]], float)
     for pose, row in zip(poses, rows, strict=True):
-        assert row.tool is not None
         np.testing.assert_allclose(pose[1:4], row.tool.pose.position_m, atol=1e-9)
         R = rotation_from_quaternion_xyzw(pose[4:])
         np.testing.assert_allclose(R, row.tool.pose.T_camera_tool[:3, :3], atol=1e-7)
@@ -117,7 +114,7 @@ def test_trajectories_are_the_tools_poses(golden: Path, cli: Cli) -> None:
     assert "--instrument" in cli("estimate", duo, "--method", "fiducial", "-f", "tum", code=2).line
 
 
-def test_the_page_explains_every_column_once() -> None:
+def test_the_page_explains_every_column_once():
     """docs/metrics.md is made from the tables of columns."""
     of_rows, of_scores = (
         re.findall(r"`(\w+)`", " ".join(re.findall(r"^\| (`.+?) \|", part, re.MULTILINE)))

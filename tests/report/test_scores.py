@@ -6,7 +6,6 @@ import csv
 import io
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,7 +23,6 @@ from svmdist.workflows.compare import Figures, Group, MethodScore
 from svmdist.workflows.references import Reference
 from svmdist.workflows.scores import Pairs, Score, score_pairs
 from svmdist.workflows.validate import Validation
-from tests.conftest import Cli
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -58,14 +56,13 @@ def strict(document: object) -> dict[str, object]:
     return dict(json.loads(json.dumps(document, allow_nan=False)))
 
 
-def test_the_document_has_the_fields_of_its_schema() -> None:
+def test_the_document_has_the_fields_of_its_schema():
     """Every recording has all metrics of svmdist.validation/1, in SI, equal to the score's own."""
     made = validation("sweep", "random")
     document = strict(validation_document(made))
     assert document["schema"] == "svmdist.validation/1"
     row, other = document["recordings"]  # type: ignore[misc]
     statistics = made.scores[0].statistics
-    assert statistics is not None
     assert set(row) == {*keys_of(score_columns())}
     assert other["recording"] == "random"
     counts = [row[key] for key in ("sample_count", "rejected_count", "frame_count", "unpaired_count")]
@@ -77,7 +74,7 @@ def test_the_document_has_the_fields_of_its_schema() -> None:
 
 
 @pytest.mark.parametrize("changes", [{"constant": True}, {"count": 3}, {"count": 0}])
-def test_undefined_metrics_are_null(changes: dict[str, object]) -> None:
+def test_undefined_metrics_are_null(changes):
     """A still truth, few pairs and no pairs leave R², intervals or all metrics out, alike in CSV and JSON."""
     made = validation("a", **changes)
     (row, *_) = strict(validation_document(made))["recordings"]  # type: ignore[misc]
@@ -89,7 +86,7 @@ def test_undefined_metrics_are_null(changes: dict[str, object]) -> None:
     assert "nan" not in render(results.tables[0])
 
 
-def test_the_overall_score_is_against_the_strongest_reference() -> None:
+def test_the_overall_score_is_against_the_strongest_reference():
     """With both references `overall` is against the simulator's truth, and both are listed by reference."""
     both = tuple(score(reference=reference) for reference in (Reference.KINEMATICS, Reference.GROUND_TRUTH))
     document = validation_document(Validation(both, both, ()))
@@ -98,14 +95,13 @@ def test_the_overall_score_is_against_the_strongest_reference() -> None:
     assert validation_document(Validation(both, (), ()))["overall"] is None
 
 
-def test_the_table_shows_r_squared_with_rmse_sigma_and_n() -> None:
+def test_the_table_shows_r_squared_with_rmse_sigma_and_n():
     """R² never stands alone; names cannot drive a terminal. Remarks say what the table has no room for.
 
     Of a method in 3D nothing is said about the paper's plane.
     """
     made = validation("[/no]\x1b", fitted_on=True)
     statistics = made.scores[0].statistics
-    assert statistics is not None
     shown = render(validation_tables(made)[0])
     assert all(part in shown for part in ("in mm", "R²", "RMSE", "σ (of the truth)", "cov. %", "bias", " n "))
     row = next(line for line in shown.splitlines() if "[/no]\N{REPLACEMENT CHARACTER}" in line)
@@ -120,7 +116,7 @@ def test_the_table_shows_r_squared_with_rmse_sigma_and_n() -> None:
     assert not any("paper" in remark for remark in remarks(in_3d))
 
 
-def test_a_comparison_names_each_distance_once() -> None:
+def test_a_comparison_names_each_distance_once():
     """In SI in rows and in mm in tables; the distance over its first column, the method's time last, – for nothing."""
     truth_m = np.linspace(0.01, 0.02, 10)
     half_mm = score_pairs(Pairs(np.arange(10), truth_m + 5e-4, truth_m, np.full(10, np.nan)))
@@ -136,7 +132,7 @@ def test_a_comparison_names_each_distance_once() -> None:
     assert [table.rows[0][at] for at in (1, 3, 7, -1)] == ["50.0", "0.50", "–", "3"]
 
 
-def test_summaries_are_written_in_markup(golden: Path, cli: Cli, tmp_path: Path) -> None:
+def test_summaries_are_written_in_markup(golden, cli, tmp_path):
     """LaTeX and Markdown have the numbers of the JSON, in mm."""
     log = golden / "sweep.mcap"
     found = cli("validate", log, "-f", "json").json["recordings"][0]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 from pydantic import ValidationError
@@ -19,7 +18,7 @@ LABELS = {"recording": "a", "method": "overlay", "equations": "corrected", "refe
 OLD = {"r_squared": 0.99, "rmse_m": 1e-3, "p95_abs_error_m": None, "coverage": 1.0}
 
 
-def test_shipped_baselines_survive_the_round_trip(golden: Path, tmp_path: Path) -> None:
+def test_shipped_baselines_survive_the_round_trip(golden, tmp_path):
     """What is written again is the file that was read, to the byte: also one from before there were alarms."""
     for path in (golden / "baseline.json", golden / "3d" / "baseline.json"):
         save_baseline(load_baseline(path), tmp_path / "again.json")
@@ -28,7 +27,7 @@ def test_shipped_baselines_survive_the_round_trip(golden: Path, tmp_path: Path) 
         assert again["tolerances"] == before["tolerances"]
 
 
-def test_an_older_score_has_fewer_figures() -> None:
+def test_an_older_score_has_fewer_figures():
     """Metrics that came later may be missing; the first four may not, and a figure that nobody knows is refused."""
     assert StoredScore.model_validate(LABELS | OLD).figures == OLD
     for key in OLD:
@@ -43,7 +42,7 @@ def test_an_older_score_has_fewer_figures() -> None:
     ["", "{}", '{"schema": "svmdist.baseline/2"}', '{"schema": "svmdist.baseline/1", "scores": [{}]}'],
     ids=["empty", "no schema", "another schema", "no figures"],
 )
-def test_what_is_no_baseline_is_one_line(tmp_path: Path, text: str) -> None:
+def test_what_is_no_baseline_is_one_line(tmp_path, text):
     """The path, and that it is no baseline."""
     path = tmp_path / "b.json"
     path.write_text(text)

@@ -44,7 +44,7 @@ def log(
     return write_log(path, frame_count=frame_count, change=blacken, metadata=metadata)
 
 
-def test_figures_are_those_of_validate(tmp_path: Path, synthetic_calibration: Path) -> None:
+def test_figures_are_those_of_validate(tmp_path, synthetic_calibration):
     """Per group and overall, R² and RMSE equal what `validate` gives for the method alone, lost frames or none."""
     setups = [prepare(method=method, calibration=synthetic_calibration) for method in ("overlay", "centroid")]
     paths = [
@@ -62,8 +62,6 @@ def test_figures_are_those_of_validate(tmp_path: Path, synthetic_calibration: Pa
             group = {"whole": "sweep", "part": "occlusion", "overall": "all"}[score.recording]
             compared = scores[group, setup.method]
             assert compared.coverage == score.coverage
-            assert compared.planar is not None
-            assert score.statistics is not None
             assert compared.planar.statistics.rmse == pytest.approx(score.statistics.rmse, rel=1e-12)
             assert compared.planar.statistics.r_squared == pytest.approx(
                 score.statistics.r_squared, rel=1e-12
@@ -72,7 +70,7 @@ def test_figures_are_those_of_validate(tmp_path: Path, synthetic_calibration: Pa
             assert compared.ms_per_frame > 0.0
 
 
-def test_groups_are_scenarios_and_recorded_degradations(tmp_path: Path) -> None:
+def test_groups_are_scenarios_and_recorded_degradations(tmp_path):
     """What `record --degrade` wrote into a log is what it is compared as; each degradation also over scenarios."""
     smoked = Options(degradations=(("smoke", 3),))
     setup = prepare(method="kinematic")
@@ -100,7 +98,7 @@ def test_groups_are_scenarios_and_recorded_degradations(tmp_path: Path) -> None:
     assert max(map(len, shown.splitlines())) <= 100
 
 
-def test_degrading_at_replay_stands_beside_what_was_recorded(tmp_path: Path) -> None:
+def test_degrading_at_replay_stands_beside_what_was_recorded(tmp_path):
     """A condition adds a group; on a log that was recorded degraded its name follows the recorded one."""
     profile = load_profile()
     noisy = log(tmp_path / "noisy.mcap", "sweep", extras=Options(degradations=(("noise", 1), ("jpeg", 2))))
@@ -132,9 +130,7 @@ def figures(run: MethodScore) -> tuple[object, ...]:
 
 @pytest.mark.parametrize("jobs", [2, 3, 8])
 @pytest.mark.parametrize("conditions", [CONDITIONS[:1], CONDITIONS])
-def test_processes_and_threads_give_the_same(
-    recording: Recording, conditions: list[Condition], jobs: int
-) -> None:
+def test_processes_and_threads_give_the_same(recording, conditions, jobs):
     """In the order of conditions and methods, bit for bit; each image counts once for each of them."""
     alone = measure_runs(recording, SETUPS, conditions, jobs=1)
     counted: list[int] = []
@@ -145,7 +141,7 @@ def test_processes_and_threads_give_the_same(
     assert len(counted) == FRAMES * len(SETUPS) * len(conditions)
 
 
-def test_losses_are_listed_once_in_the_file_s_order(tmp_path: Path) -> None:
+def test_losses_are_listed_once_in_the_file_s_order(tmp_path):
     """One process reads right images too, another does not; what both lost stands between what one alone lost."""
     path = tmp_path / "lossy.mcap"
     scene, broken = make_scene(), {("right", 1), ("left", 2), ("right", 3)}
@@ -173,7 +169,7 @@ def test_losses_are_listed_once_in_the_file_s_order(tmp_path: Path) -> None:
     assert [loss.topic for loss in losses[0]] == ["/ECM/right/image", "/ECM/left/image", "/ECM/right/image"]
 
 
-def test_a_run_scores_what_the_method_gives(recording: Recording) -> None:
+def test_a_run_scores_what_the_method_gives(recording):
     """The RMSE of the estimates against the truth at their stamps, computed here once more."""
     setup = SETUPS[1]
     (run,) = measure_runs(recording, [setup], jobs=1)
@@ -184,14 +180,13 @@ def test_a_run_scores_what_the_method_gives(recording: Recording) -> None:
         for row, true_m in zip(rows, truth.planar_m, strict=True)
         if row.distances.planar
     ]
-    assert run.figures.planar is not None
     assert run.figures.planar.statistics.rmse == pytest.approx(np.sqrt(np.mean(np.square(errors))))
     pooled = pooled_figures([run.figures, run.figures])
     assert pooled.frame_count == 2 * FRAMES
     assert pooled.ms_per_frame == pytest.approx(run.figures.ms_per_frame)
 
 
-def test_a_log_without_truth_is_refused_before_the_work(tmp_path: Path) -> None:
+def test_a_log_without_truth_is_refused_before_the_work(tmp_path):
     path = write_log(tmp_path / "bare.mcap", change=without("/ground_truth/distance"))
     steps: list[int] = []
     with pytest.raises(RecordingError, match="ground_truth_distance"):

@@ -72,7 +72,7 @@ def validation(error_m: float = 1e-3) -> Validation:
     return Validation((score,), (replace(score, recording="overall"),), (), rules)
 
 
-def test_columns_stay() -> None:
+def test_columns_stay():
     """The columns of version 0.1, in their order: a column is neither renamed nor moved nor removed."""
     assert list(keys_of(score_columns())) == SCORE_COLUMNS.split()
     figure_columns = FIGURE_COLUMNS.split()
@@ -100,7 +100,7 @@ def added(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     return metric.key
 
 
-def test_a_new_metric_is_declared_once(added: str) -> None:
+def test_a_new_metric_is_declared_once(added):
     """It stands in all tables, CSV, JSON, baselines and the documentation; its columns are the last ones."""
     keys = [added, f"spatial_{added}", f"clearance_{added}"]
     expected = np.percentile(1e-3 * np.arange(20), 99)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from svmdist.profile import DEFAULT_PROFILE, profile_path
-from tests.conftest import Cli
 from tests.onnx_file import write_classifier
 
 # Scores of background, tissue (red), instrument (cyan) and shaft (dark), linear in RGB from 0 to 1.
@@ -36,7 +35,7 @@ def onnx_profile(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_estimate_takes_the_profile(cli: Cli, golden: Path, onnx_profile: Path) -> None:
+def test_estimate_takes_the_profile(cli, golden, onnx_profile):
     """The model is found beside the profile, and measures the golden log as the colours do."""
     calibration = profile_path(DEFAULT_PROFILE).with_name("psm13.calibration.toml")
     common = (golden / "contact.mcap", "--method", "centroid", "--calibration", calibration, "-f", "json")
@@ -47,9 +46,7 @@ def test_estimate_takes_the_profile(cli: Cli, golden: Path, onnx_profile: Path) 
     np.testing.assert_allclose(*np.array(pairs).T, atol=3e-4)
 
 
-def test_a_missing_model_is_one_line_before_the_log_is_opened(
-    cli: Cli, tmp_path: Path, onnx_profile: Path
-) -> None:
+def test_a_missing_model_is_one_line_before_the_log_is_opened(cli, tmp_path, onnx_profile):
     path = tmp_path / "moved.toml"
     path.write_text(onnx_profile.read_text("utf-8"), "utf-8")
     outcome = cli("estimate", "nothing.mcap", "--method", "shaft", "--profile", path, code=1)

@@ -97,13 +97,7 @@ def expected(native: Path, setup: Setup) -> tuple[list[FrameResult], Validation]
 
 
 @pytest.mark.parametrize("recorder", RECORDERS)
-def test_every_recorder_gives_the_same_distances(
-    tmp_path: Path,
-    entries: list[Entry],
-    setup: Setup,
-    expected: tuple[list[FrameResult], Validation],
-    recorder: str,
-) -> None:
+def test_every_recorder_gives_the_same_distances(tmp_path, entries, setup, expected, recorder):
     rows, validation = measured(RECORDERS[recorder](tmp_path, entries), setup)
     native_rows, native_validation = expected
     assert sum(row.measured for row in native_rows) > FRAME_COUNT // 2
@@ -116,8 +110,6 @@ def test_every_recorder_gives_the_same_distances(
         counts = [(one.sample_count, one.unpaired_count) for one in (score, native_score)]
         assert counts[0] == counts[1]
         assert score.pairs.truth_m == pytest.approx(native_score.pairs.truth_m, rel=0, abs=TOLERANCE_M)
-        assert score.statistics is not None
-        assert native_score.statistics is not None
         assert score.statistics.rmse == pytest.approx(native_score.statistics.rmse, rel=0, abs=TOLERANCE_M)
         assert score.statistics.rmse < 1e-3
         assert score.statistics.r_squared == pytest.approx(native_score.statistics.r_squared, abs=1e-9)

@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import pytest
@@ -54,14 +53,14 @@ def uneven(number: int) -> int:
 
 
 @pytest.mark.parametrize("workers", WORKERS)
-def test_results_come_in_the_items_order(workers: int) -> None:
+def test_results_come_in_the_items_order(workers):
     assert list(in_order(uneven, range(COUNT), workers)) == [number * number for number in range(COUNT)]
     assert list(in_order(uneven, [], workers)) == []
     assert list(in_order(uneven, [3], workers)) == [9]
 
 
 @pytest.mark.parametrize("workers", WORKERS)
-def test_few_items_are_taken_ahead_in_the_consumers_thread(workers: int) -> None:
+def test_few_items_are_taken_ahead_in_the_consumers_thread(workers):
     """Before the n-th result is used, no more than n and the look-ahead; one thread reads the file."""
     source = Counting(COUNT)
     ahead = LOOK_AHEAD * workers if workers > 1 else 0
@@ -75,7 +74,7 @@ def test_few_items_are_taken_ahead_in_the_consumers_thread(workers: int) -> None
 
 @pytest.mark.parametrize("workers", WORKERS)
 @pytest.mark.parametrize("in_source", [False, True], ids=["work", "source"])
-def test_an_exception_comes_at_its_place(workers: int, in_source: bool) -> None:
+def test_an_exception_comes_at_its_place(workers, in_source):
     """No result comes after it, and of the work, all before it: a file may end too early."""
 
     def source() -> Iterator[int]:
@@ -96,7 +95,7 @@ def test_an_exception_comes_at_its_place(workers: int, in_source: bool) -> None:
 
 
 @pytest.mark.parametrize("workers", WORKERS)
-def test_who_stops_early_stops_the_work(workers: int) -> None:
+def test_who_stops_early_stops_the_work(workers):
     """After closing nothing more is taken or begun, and no thread is left."""
     source, begun = Counting(1000), []
     before = threading.active_count()
@@ -115,7 +114,7 @@ def test_who_stops_early_stops_the_work(workers: int) -> None:
     assert threading.active_count() == before
 
 
-def test_opencv_has_its_threads_back() -> None:
+def test_opencv_has_its_threads_back():
     """One inside; as many as before outside, also after an exception."""
     before = cv2.getNumThreads()
     with one_opencv_thread():
@@ -146,7 +145,7 @@ def one_is_killed(part: int) -> int:
     return part
 
 
-def test_processes_give_every_part_once() -> None:
+def test_processes_give_every_part_once():
     """From other processes, no more of them than asked for; every step is counted once."""
     counted: list[int] = []
     parts = [8, 2, 0, 5, 1]
@@ -158,7 +157,7 @@ def test_processes_give_every_part_once() -> None:
         assert [part for part, _ in in_order(steps, parts, 2, pool)] == parts
 
 
-def test_an_error_ends_all_processes_at_once() -> None:
+def test_an_error_ends_all_processes_at_once():
     start_s = time.monotonic()
     with pytest.raises(RecordingError, match="broken"):
         list(each_in_processes(one_fails, [1, 0], 2))
@@ -167,7 +166,7 @@ def test_an_error_ends_all_processes_at_once() -> None:
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system kills otherwise")
-def test_a_killed_process_takes_only_its_own_item() -> None:
+def test_a_killed_process_takes_only_its_own_item():
     assert dict(each_in_processes(one_is_killed, [1, 0, 2, 3], 2, attempts=2, died=-1)) == dict(
         enumerate([1, -1, 2, 3])
     )
@@ -176,7 +175,7 @@ def test_a_killed_process_takes_only_its_own_item() -> None:
     assert not multiprocessing.active_children()
 
 
-def test_steps_go_on_from_one_pass_to_the_next(golden: Path) -> None:
+def test_steps_go_on_from_one_pass_to_the_next(golden):
     """The total is known where it is known of every log."""
     reported: list[tuple[int, int | None]] = []
     counter = Steps(lambda done, total: reported.append((done, total)), 4)

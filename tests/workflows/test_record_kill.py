@@ -90,9 +90,7 @@ def check_what_is_left(target: Path, produced: Produced) -> int:
     ("count", "max_s", "pause_s"),
     [(2, 0.6, 0.0), (2, 0.6, 0.0005), pytest.param(50, 2.0, 0.0, marks=pytest.mark.fault)],
 )
-def test_a_killed_writer_loses_less_than_a_second(
-    tmp_path: Path, count: int, max_s: float, pause_s: float
-) -> None:
+def test_a_killed_writer_loses_less_than_a_second(tmp_path, count, max_s, pause_s):
     """As fast as it can, and slowly, killed at random times."""
     rng = random.Random(count)
     for number in range(count):

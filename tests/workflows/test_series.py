@@ -29,21 +29,21 @@ SERIES = Series(
 )
 
 
-def test_with_truth_the_worst_frame_has_the_largest_error() -> None:
+def test_with_truth_the_worst_frame_has_the_largest_error():
     worst = worst_frames([SERIES], 4)
     assert [frame.number for frame in worst] == [3, 0, 1, 2]
     assert worst[0].in_words == "frame 3 at 0.30 s, PSM1: clearance error +3.00 mm, interval ±0.98 mm"
     assert worst[-1].in_words == "frame 2 at 0.20 s, PSM1: not measured: no_tissue (hidden)"
 
 
-def test_without_truth_the_worst_frame_has_the_widest_interval() -> None:
+def test_without_truth_the_worst_frame_has_the_widest_interval():
     blind = replace(SERIES, truth_m=np.full(4, np.nan), reference=None)
     worst = worst_frames([blind], 2)
     assert [frame.number for frame in worst] == [1, 0]
     assert worst[0].in_words.endswith("clearance interval ±3.92 mm")
 
 
-def test_of_two_instruments_an_image_counts_once_by_its_worse_one() -> None:
+def test_of_two_instruments_an_image_counts_once_by_its_worse_one():
     other = replace(SERIES, instrument="PSM2", estimate_m=SERIES.truth_m + np.array([0.0, 0.01, 0.0, 0.0]))
     worst = worst_frames([SERIES, other], 3)
     assert [(frame.number, frame.series.instrument) for frame in worst] == [
