@@ -85,8 +85,7 @@ EVERYTHING = Needs()
 LEFT_IMAGES = Needs(joints=False, transforms=False, right=False)
 
 
-@dataclass(frozen=True, slots=True)
-class RightCamera:
+class RightCamera(NamedTuple):
     """The topic of right images, their camera, and where it stands: `T_left_right`, shape (4, 4)."""
 
     topic: str
@@ -94,7 +93,9 @@ class RightCamera:
     T_left_right: Array
 
 
-def decoded(image: EncodedImage, losses: list[Loss], camera: Camera | None = None) -> ImageSample | Rejection:
+def decode_image(
+    image: EncodedImage, losses: list[Loss], camera: Camera | None = None
+) -> ImageSample | Rejection:
     """An image; where it cannot be decoded, or has not the camera's size, it is a rejection and joins the losses."""
     try:
         pixels = image.decode()
@@ -157,7 +158,7 @@ class EncodedObservation:
     def decode(self) -> Decoded:
         """Decode the images; a Rejection stands for a left image that cannot be, or has not its camera's size."""
         losses: list[Loss] = []
-        image = decoded(self.left, losses, self.camera)
+        image = decode_image(self.left, losses, self.camera)
         if isinstance(image, Rejection):
             return Decoded(image, tuple(losses), self.place)
         view = self._right_view(losses)
@@ -167,7 +168,7 @@ class EncodedObservation:
     def _right_view(self, losses: list[Loss]) -> RightView | None:
         if self.right is None or self.right_camera is None:
             return None
-        image = decoded(self.right, losses, self.right_camera.camera)
+        image = decode_image(self.right, losses, self.right_camera.camera)
         if isinstance(image, Rejection):
             return None
         delay_s = (image.stamp_ns - self.stamp_ns) * 1e-9

@@ -21,7 +21,13 @@ from svmdist.recording.log import KnownLag, Recording
 from svmdist.results import FrameResult
 from svmdist.tracks import SampledDistances
 from svmdist.transforms import Array, Stamps
-from svmdist.workflows.references import Reference, TruthRules, distance_truth, truth_follows_images
+from svmdist.workflows.references import (
+    ANY_TRUTH,
+    Reference,
+    TruthRules,
+    distance_truth,
+    truth_follows_images,
+)
 from svmdist.workflows.request import Setup
 
 BOOTSTRAP_SEED = 36
@@ -231,7 +237,7 @@ def truth_lag_ns(recording: Recording, setup: Setup, reference: Reference, lag: 
     """Time offset from a reference's stamps to the images': the lag, or 0 where the reference has the images' clock."""
     lag_ns = round(lag.lag_s * 1e9) if lag else 0
     if lag and lag_ns and reference is Reference.GROUND_TRUTH:
-        corrected = recording.with_lag(KnownLag(lag.lag_s), setup.profile)
+        corrected = replace(recording, lag=KnownLag(lag.lag_s))
         return 0 if truth_follows_images(corrected, setup.profile) else lag_ns
     return lag_ns
 
@@ -241,7 +247,7 @@ def score_rows(
     recording: Recording,
     setup: Setup,
     reference: Reference,
-    rules: TruthRules | None = None,
+    rules: TruthRules = ANY_TRUTH,
     lag: LagEstimate | None = None,
     alarms: AlarmRules | None = None,
 ) -> Score:
