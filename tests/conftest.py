@@ -1,7 +1,5 @@
 """What several test folders share: the command line, here and in a process of its own, and logs."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

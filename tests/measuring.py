@@ -1,7 +1,5 @@
 """A method with all that it needs around it: one observation in, one flat row out."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

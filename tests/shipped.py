@@ -1,7 +1,5 @@
 """The robot that ships, in the posture that its profile gives it: what many tests measure with."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from svmdist.kinematics import chain_of

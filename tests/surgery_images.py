@@ -1,7 +1,5 @@
 """Random pictures as endoscopes show them, drawn with their masks: tissue, instruments, light, blood, border, blur."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,7 +1,5 @@
 """The Python interface: what the documentation shows, and the columns of the command line."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

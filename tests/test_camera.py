@@ -1,7 +1,5 @@
 """The pinhole camera: projection, held against OpenCV, and the comparison of two cameras."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

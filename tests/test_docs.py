@@ -1,7 +1,5 @@
 """The documentation against the program: what it shows is what is measured, what it names exists."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A file that a command writes is whole, or what it was before; a file to read is a regular one within its limit."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """The golden logs: what they promise, held against what is measured on them now."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

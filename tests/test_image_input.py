@@ -1,7 +1,5 @@
 """Images that callers hand over: each wrong kind is told by what was found, each right one is brought to BGR."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 

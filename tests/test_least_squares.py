@@ -1,7 +1,5 @@
 """Robust statistics; and the minimiser finds known minima on vectors and rotations, and says where there is none."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

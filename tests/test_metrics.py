@@ -1,7 +1,5 @@
 """Identities of the error figures, what the bootstrap intervals promise, and alarms scored against truth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

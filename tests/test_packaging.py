@@ -1,7 +1,5 @@
 """What is published: the files of an sdist, the wheel that is made of it, and the page of the package."""
 
-from __future__ import annotations
-
 import email
 import os
 import re

@@ -1,7 +1,5 @@
 """Laws of interpolation: exact at the samples, between them, never outside, never across a long gap."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """The pictures that the segmentation network is trained on, with exact labels; public sets with masks."""
 
-from __future__ import annotations
-
 import json
 import sys
 

@@ -1,7 +1,5 @@
 """Laws of rigid transforms and of a polygon's centroid, against SciPy and OpenCV as independent references."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

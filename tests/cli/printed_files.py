@@ -1,7 +1,5 @@
 """The files that the documentation's commands take for the user's own, made of golden logs."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from itertools import islice

@@ -1,7 +1,5 @@
 """Logs in an S3 store that is served here, and in memory: the same rows as from a disk."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from pathlib import Path

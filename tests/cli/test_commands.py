@@ -1,7 +1,5 @@
 """What the commands print, where and in which form, and what they load for it."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

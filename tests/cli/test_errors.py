@@ -1,7 +1,5 @@
 """Wrong requests and wrong input: one line that says what to do, the exit code, no traceback and no file."""
 
-from __future__ import annotations
-
 import re
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """docs/guide.md as it stands, on a picture of an instrument that the simulator never drew."""
 
-from __future__ import annotations
-
 import csv
 import re
 from dataclasses import replace

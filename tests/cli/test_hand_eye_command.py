@@ -1,7 +1,5 @@
 """`svmdist hand-eye` on simulated logs whose own transform is off by centimetres, and what uses the result."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

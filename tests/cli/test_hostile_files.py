@@ -1,7 +1,5 @@
 """Files and paths that nobody would write by hand: each gets one line that names it, at once, and exit code 1 or 2."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable

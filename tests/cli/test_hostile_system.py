@@ -1,7 +1,5 @@
 """A system that runs out of something, or knows other letters: one line and exit code 1, or plain ASCII."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

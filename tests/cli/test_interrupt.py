@@ -1,7 +1,5 @@
 """Ctrl-C and kills: one line, exit code 130, no traceback, whatever the command is doing; and nothing is left."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Commands and options for logs that people have: lag, truth, topics, forward kinematics, info, import, profiles."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Many logs from the command line: folders, globs and URLs; one bad log; results that stay; groups and summaries."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Options that many commands have, remarks and progress, and how logs are named."""
 
-from __future__ import annotations
-
 import logging
 
 import pytest

@@ -4,8 +4,6 @@ Each document's commands run in their order, in a folder of their own. bash reso
 this process. To be quick, commands about logs take few frames (`SHORT`); `pytest -m fault` runs them as they are.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """`svmdist show`: the chosen images, each phase of the method as a panel."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Calibrations of ROS, OpenCV and Kalibr become the camera that they describe."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

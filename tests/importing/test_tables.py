@@ -1,7 +1,5 @@
 """Tables of times, poses and joints in the forms that other programs write."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

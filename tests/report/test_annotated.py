@@ -1,7 +1,5 @@
 """Annotated recordings hold what was copied and measured, and open in viewers; videos show each image at its time."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Drawings say what the results say, follow the lens, and are the same in pictures, messages and panels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

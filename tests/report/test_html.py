@@ -1,7 +1,5 @@
 """Reports: what they say, that they stand alone, and how they look and work in a browser."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re

@@ -1,7 +1,5 @@
 """Plots: what is drawn, in which format, told apart without colour, and names that are text."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

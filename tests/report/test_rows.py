@@ -1,7 +1,5 @@
 """Rows of estimates and poses: the contract of their columns, and the page that explains them."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

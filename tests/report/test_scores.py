@@ -1,7 +1,5 @@
 """Scores as rows, documents and tables, from small synthetic results."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

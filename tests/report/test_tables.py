@@ -1,7 +1,5 @@
 """Tables for a person and for machines: what is missing stays missing, text stays text."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -16,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from svmdist.errors import UsageError, printable
-from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Unit
+from svmdist.metrics import COUNT, LENGTH, TEXT, Unit
 from svmdist.report.tables import (
     PARQUET_ROWS,
     Column,
@@ -126,16 +124,6 @@ def test_rows_are_written_as_they_come(lines, first):
     texts = [next(made) for _ in range(first)]
     assert len(read) == 1
     assert "more" not in texts[-1]
-
-
-def test_values_are_shown_in_their_unit():
-    """Metres as millimetres and fractions as percent, with the unit's digits; plain tables line up."""
-    assert (COLUMNS[1].show(0.01234), Column("x", SHARE).show(0.9876)) == ("12.34", "98.8")
-    lines = list(text_lines(COLUMNS, [{"name": "a", "value": 0.0015}, {"name": "b" * 30, "value": None}]))
-    assert lines[0].split() == ["name", "value", "[mm]"]
-    assert set(lines[1].strip()) <= {"─", " "}
-    assert lines[2].index("1.50") + 4 == len(lines[1]) - 1
-    assert lines[3].startswith("b" * 30)
 
 
 def test_a_narrow_terminal_gets_whole_cells_in_parts():

@@ -1,7 +1,5 @@
 """The baseline's file: what is written is read again, older files load, and a damaged one is refused."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

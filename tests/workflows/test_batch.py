@@ -1,7 +1,5 @@
 """Many logs: outcomes do not depend on where they are measured, a bad one stops nothing, and results can stay."""
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess

@@ -1,7 +1,5 @@
 """What a recording can serve: the more it and the profile have, the more, and what lacks is named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -118,17 +116,6 @@ def test_the_reference_of_validation_is_truth_or_poses_of_tool_and_tissue():
         assert place.startswith("the tissue's place")
     served = without(*truthless, frames=(FRAMES.tool, FRAMES.tissue))
     assert "validate" not in lacking(capabilities(served, PROFILE))
-
-
-def test_estimate_names_the_methods_that_run():
-    """Where the default method lacks a calibration, the others that run are named; where none runs, it is said."""
-    uncalibrated = PROFILE.model_copy(update={"calibration": None})
-    (found,) = [one for one in capabilities(FULL, uncalibrated) if one.name == "estimate"]
-    assert found.served
-    others = "fiducial or shaft or stereo or kinematic or fused"
-    assert found.note.startswith(f"with --method {others}; the default method")
-    bare = uncalibrated.model_copy(update={"robot": None, "tissue": None, "fiducial": None})
-    assert "a method that log and profile serve" in lacking(capabilities(FULL, bare))["estimate"][0]
 
 
 def test_fiducial_needs_the_tag_in_an_image():

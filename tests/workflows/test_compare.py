@@ -1,7 +1,5 @@
 """Comparing methods: figures are those of validating each alone, by threads and processes alike; groups by metadata."""
 
-from __future__ import annotations
-
 from collections.abc import Container
 from dataclasses import replace
 from itertools import count

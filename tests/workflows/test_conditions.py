@@ -1,7 +1,5 @@
 """Conditions change images, by a frame's number and content alone, and nothing else of an observation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Import: what is in the files is in the log, byte by byte where that is possible."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

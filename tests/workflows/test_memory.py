@@ -1,7 +1,5 @@
 """Memory: one frame at a time, however long the log is; and of a joint state, its numbers."""
 
-from __future__ import annotations
-
 import gc
 import subprocess
 import sys

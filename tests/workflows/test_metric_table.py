@@ -1,7 +1,5 @@
 """The declared metrics: the columns that users rely on, and that a declaration alone brings a metric everywhere."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A first profile: it loads, finds what the log shows, and `estimate` runs with it."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A profile that segments by a network, from the command line to the distances."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Whoever recorded a log, the same scene gives the same distances and the same figures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

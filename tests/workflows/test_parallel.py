@@ -1,7 +1,5 @@
 """Threads and processes: results do not depend on their number, few items are held, and none is left behind."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -1,7 +1,5 @@
 """Comparing methods in other worlds than that of a log: each a group of its own, the clean one untouched."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +7,7 @@ import pytest
 
 from svmdist.errors import UsageError
 from svmdist.perturbations.chosen import Perturbations, parse_perturbations
-from svmdist.profile import Profile, load_profile
+from svmdist.profile import load_profile
 from svmdist.recording.log import Recording, open_recording
 from svmdist.samples import Observation
 from svmdist.vision.degradations import Degradation
@@ -111,9 +109,3 @@ def test_a_replay_refuses_what_must_be_recorded(monkeypatch):
     assert chosen.TABLE is table.TABLE
     with pytest.raises(UsageError, match="nowhere cannot be applied at replay: the choices are backlash"):
         PerturbedCondition(Perturbations((("nowhere", 1.0),)))
-
-
-def test_a_setup_is_told_wrongly_and_its_profile_stays():
-    setup = prepare(method="shaft")
-    said: Profile = setup.perturbed(parse_perturbations("shaft_radius=5"), 1).profile
-    assert said.instrument.shaft_radius_m == pytest.approx(1.05 * setup.profile.instrument.shaft_radius_m)

@@ -1,7 +1,5 @@
 """Rows to pairs, scores and alarms: what has no value is left out, and known rows give known counts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

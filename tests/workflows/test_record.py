@@ -1,7 +1,5 @@
 """A recorded scenario is one complete file, the same for any number of processes, and nothing is left beside it."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import random

@@ -5,8 +5,6 @@ and stamp are written straight to a second file, with no buffer in between. Noth
 hands when it was killed can be missing from that list, so that the loss is measured, not estimated.
 """
 
-from __future__ import annotations
-
 import random
 import signal
 import subprocess

@@ -3,8 +3,6 @@
 Equal means bit for bit: threads change who computes a detection, and nothing of how.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass, replace
 from itertools import count, islice

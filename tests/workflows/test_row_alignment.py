@@ -1,7 +1,5 @@
 """The offset between the rows of a log's pairs: found once, removed from every row of results, for any --jobs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

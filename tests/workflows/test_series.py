@@ -1,7 +1,5 @@
 """Series hold rows beside the truth, and know the worst frames."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A rendered log of two instruments: rows for each, names that hold, what is between; and one instrument as ever."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -70,23 +68,6 @@ def test_clearance_between_is_the_true_one(two, rows):
             -np.array(second.instrument_clearance_direction)
         )
         assert 0.01 < first.instrument_clearance_std_m < 0.2  # two arms of degrees and millimetres
-
-
-@pytest.mark.parametrize("method", ["overlay", "centroid", "shaft"])
-def test_methods_without_memory_measure_their_own_instrument(method, two):
-    """A measured row's place in the image is its own instrument's, nearer than the other's."""
-    setup = prepare(method=method)
-    recording = open_recording(two, setup.profile)
-    measured = [flat(row) for row in estimate(recording, setup) if row.measured]
-    assert {row.instrument for row in measured} == set(NAMES)
-    for row in measured:
-        gaps = {}
-        for name in NAMES:
-            tool = setup.profile.for_instrument(name).frames.tool
-            track = recording.transform_track("camera", tool, ground_truth=True)
-            place = recording.camera.project(track.at(np.array([row.stamp_ns])).values[:, :3, 3])[0]
-            gaps[name] = np.hypot(row.tool_x_px - place[0], row.tool_y_px - place[1])
-        assert min(gaps, key=lambda name: gaps[name]) == row.instrument, gaps
 
 
 def test_scores_are_per_instrument(two):

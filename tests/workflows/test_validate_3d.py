@@ -1,7 +1,5 @@
 """Scoring in 3D and of alarms: rows made from a log's own truth with known errors give the known figures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
