@@ -72,17 +72,14 @@ class Outcome:
 
     @property
     def rows(self) -> list[dict[str, str]]:
-        """The rows of CSV on stdout."""
         return list(csv.DictReader(self.out.splitlines()))
 
     @property
     def json(self) -> Any:
-        """The JSON document on stdout."""
         return json.loads(self.out)
 
     @property
     def line(self) -> str:
-        """The only line of stderr."""
         return one_line(self.err)
 
 
@@ -148,7 +145,6 @@ def started(*arguments: object, **options: Any) -> Iterator[subprocess.Popen[str
 
 
 def one_line(err: str) -> str:
-    """The only line of stderr."""
     lines = err.strip().splitlines()
     assert len(lines) == 1, err
     assert "Traceback" not in err
@@ -185,7 +181,6 @@ def calibrated(synthetic_log: Path, synthetic_calibration: Path) -> tuple[object
 
 @pytest.fixture(scope="session")
 def golden() -> Path:
-    """The folder of golden logs."""
     return RECORDINGS
 
 

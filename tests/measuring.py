@@ -22,11 +22,9 @@ class Measuring:
         self.estimator = make_estimator(method, self.arm, mapping)
 
     def result(self, observation: Observation) -> FrameResult:
-        """Measure one frame."""
         return self.estimator.estimate(frame_of(observation, self.arm, self.segmenter))
 
     def estimate(self, observation: Observation) -> Any:
-        """Measure one frame, as a flat row."""
         return flat(self.result(observation))
 
 

@@ -59,7 +59,7 @@ class Constant:
     def __init__(self) -> None:
         self.count = 0
 
-    def estimate(self, frame: Frame) -> FrameResult:  # noqa: D102
+    def estimate(self, frame: Frame) -> FrameResult:
         self.count += 1
         distances = Distances(planar=Distance(0.001 * self.count))
         return FrameResult(frame.stamp_ns, Status.OK, distances=distances)

@@ -129,7 +129,6 @@ ERRORS = [
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the requests name."""
     made = tmp_path_factory.mktemp("errors")
     write_log(made / "log.mcap", frame_count=6)
     write_log(made / "two.mcap", frame_count=1)

@@ -61,7 +61,6 @@ def test_a_still_tool_cannot_tell_a_lag(cli, tmp_path, synthetic_calibration):
 
 
 def tracked(topic: str, sample: Sample) -> Sample:
-    """Put tool and tissue among the transforms of the log."""
     if topic != "/tf" or not isinstance(sample, TransformsSample):
         return sample
     seconds = (sample.stamp_ns - START_NS) / 1e9
@@ -82,7 +81,6 @@ def write_with_poses(path: Path) -> Path:
 
 
 def scores(outcome: Outcome) -> dict[str, dict[str, object]]:
-    """The scores of a document by reference."""
     return {score["reference"]: score for score in outcome.json["recordings"]}
 
 

@@ -119,7 +119,6 @@ def done() -> set[str]:
 
 
 def run(document: str, clone: Path, cli: Cli, done: set[str], *, short: bool) -> None:
-    """Run the commands of a document in their order, and make sure that each ends well."""
     if document in WRITE_TO_RECORDINGS:
         shutil.copytree(REPOSITORY / "recordings", clone / "recordings")
         (clone / "svmdist").unlink()
@@ -167,7 +166,6 @@ def test_printed_commands_run(document, clone, cli, done):
 @pytest.mark.fault
 @pytest.mark.parametrize("document", PRINTED)
 def test_printed_commands_run_in_full(document, clone, cli, done):
-    """As printed, to the last frame."""
     run(document, clone, cli, done, short=False)
 
 

@@ -120,7 +120,6 @@ def test_pair_stands_where_it_says(tmp_path, form, unit_m):
     ],
 )
 def test_wrong_files(tmp_path, document, said):
-    """Each wrong file is one line that names it."""
     path = _write(tmp_path / "wrong.yaml", document)
     with pytest.raises(SourceError, match=r"wrong\.yaml") as caught:
         read_calibration(path)

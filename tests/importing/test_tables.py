@@ -106,7 +106,6 @@ def test_stamps():
     ],
 )
 def test_wrong_poses(tmp_path, text, said):
-    """Each wrong table is one line with the file and, where it has one, the line."""
     path = tmp_path / "wrong.csv"
     path.write_text(text)
     with pytest.raises(SourceError, match=r"wrong\.csv") as caught:
@@ -123,7 +122,6 @@ def test_wrong_poses(tmp_path, text, said):
     ],
 )
 def test_wrong_joints(tmp_path, text, names, said):
-    """Columns that do not tell their joints are refused."""
     path = tmp_path / "wrong.csv"
     path.write_text(text)
     with pytest.raises(SourceError, match=said):

@@ -41,7 +41,6 @@ def test_an_older_score_has_fewer_figures():
     ids=["empty", "no schema", "another schema", "no figures"],
 )
 def test_what_is_no_baseline_is_one_line(tmp_path, text):
-    """The path, and that it is no baseline."""
     path = tmp_path / "b.json"
     path.write_text(text)
     with pytest.raises(RecordingError, match=r"b\.json: not a baseline of schema svmdist\.baseline/1"):

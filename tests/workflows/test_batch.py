@@ -129,7 +129,6 @@ class DaskCluster:
         ]
 
     def close(self) -> None:
-        """Kill everything."""
         for process in [*self.workers, self.scheduler]:
             process.kill()
             process.wait()

@@ -44,7 +44,6 @@ def test_of_a_simulated_log(tmp_path):
 
 @pytest.mark.slow
 def test_of_two_instruments():
-    """Each arm with topics of its own is an instrument."""
     profile = _profile(REPOSITORY / "recordings" / "3d" / "duo.mcap")
     assert profile.instrument_names == ("PSM1", "PSM2")
     assert profile.other_instruments[0].frames.base == "PSM2_base"
