@@ -11,7 +11,7 @@ from benchmarks.masks import OUTLINES, PANEL_SIZE, filled, panels
 from tests.conftest import REPOSITORY
 from training import train
 from training.instruments import DISTAL, OTHER, SHAFT, TISSUE, Material, Part, draw
-from training.scene import VALIDATION_SEED, augmented, halved, iou, layers, render, rendered
+from training.scene import augmented, halved, iou, layers, render
 
 SIZE = (150, 200)
 WHITE = Material(np.full(3, 255.0, np.float32), np.ones(4), np.ones(3), 1.0, ())
@@ -48,14 +48,6 @@ def test_pictures_follow_from_the_seed_and_have_all_classes():
     assert 0.6 <= np.mean([bool((each >= DISTAL).any()) for each in labels]) < 1.0
     for seed in range(5):
         assert layers(np.random.default_rng(seed), SIZE, count=0)[1].max() <= TISSUE
-
-
-def test_pictures_on_disk_are_those_that_several_processes_draw(tmp_path):
-    made = rendered(VALIDATION_SEED, 3, tmp_path / "one")
-    several = rendered(VALIDATION_SEED, 3, tmp_path / "two", processes=2)
-    np.testing.assert_array_equal(made.images, several.images)
-    np.testing.assert_array_equal(made.labels, several.labels)
-    np.testing.assert_array_equal(made.images[2], render(VALIDATION_SEED + 2)[0])
 
 
 def test_what_is_flipped_keeps_its_labels():

@@ -7,19 +7,15 @@ import pytest
 
 from svmdist.estimation.methods import METHODS
 from svmdist.profile import Profile, load_profile
-from svmdist.recording.log import open_recording
 from svmdist.recording.source import Health
 from svmdist.recording.summary import RecordingSummary, TopicSummary
 from svmdist.recording.topics import Role
 from svmdist.workflows.capabilities import (
     Capability,
-    TagCheck,
     capabilities,
     instruments_in,
-    look_for_tag,
     method_capabilities,
 )
-from tests.conftest import REPOSITORY
 
 PROFILE = load_profile()
 assert PROFILE.robot is not None
@@ -116,18 +112,6 @@ def test_the_reference_of_validation_is_truth_or_poses_of_tool_and_tissue():
         assert place.startswith("the tissue's place")
     served = without(*truthless, frames=(FRAMES.tool, FRAMES.tissue))
     assert "validate" not in lacking(capabilities(served, PROFILE))
-
-
-def test_fiducial_needs_the_tag_in_an_image():
-    """Where no image was looked at, nothing is said."""
-    unseen, seen, unknown = (TagCheck("36h11 0", *counts) for counts in ((8, 0), (8, 1), (0, 0)))
-    assert "none of 8 images" in lacking(method_capabilities(FULL, PROFILE, unseen))["fiducial"][0]
-    assert lacking(method_capabilities(FULL, PROFILE, seen)) == {}
-    assert lacking(method_capabilities(FULL, PROFILE, unknown)) == {}
-    for log, found in (("3d/contact.mcap", True), ("sweep.mcap", False)):
-        check = look_for_tag(open_recording(REPOSITORY / "recordings" / log, PROFILE), PROFILE)
-        assert check.image_count >= 8
-        assert (check.found_count > 0) == found
 
 
 def test_a_log_of_another_arm_is_that_arms():

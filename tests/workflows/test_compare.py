@@ -17,8 +17,7 @@ from svmdist.report.tables import render
 from svmdist.samples import CameraSample, ImageSample, Sample
 from svmdist.simulation.scene import Options
 from svmdist.vision.degradations import Degradation
-from svmdist.workflows.compare import Group, MethodScore, compare, group_of, measure_runs, pooled_figures
-from svmdist.workflows.estimate import estimate
+from svmdist.workflows.compare import Group, MethodScore, compare, group_of, measure_runs
 from svmdist.workflows.references import Reference, TruthRules
 from svmdist.workflows.request import CLEAN, Condition, Request, prepare
 from svmdist.workflows.validate import validate
@@ -165,23 +164,6 @@ def test_losses_are_listed_once_in_the_file_s_order(tmp_path):
         losses.append(recording.health.losses)
     assert losses[1] == losses[0]
     assert [loss.topic for loss in losses[0]] == ["/ECM/right/image", "/ECM/left/image", "/ECM/right/image"]
-
-
-def test_a_run_scores_what_the_method_gives(recording):
-    """The RMSE of the estimates against the truth at their stamps, computed here once more."""
-    setup = SETUPS[1]
-    (run,) = measure_runs(recording, [setup], jobs=1)
-    rows = [row for row in estimate(recording, setup, jobs=1) if row.measured]
-    truth = recording.distance_track().at(np.array([row.stamp_ns for row in rows]))
-    errors = [
-        row.distances.planar.value_m - true_m
-        for row, true_m in zip(rows, truth.planar_m, strict=True)
-        if row.distances.planar
-    ]
-    assert run.figures.planar.statistics.rmse == pytest.approx(np.sqrt(np.mean(np.square(errors))))
-    pooled = pooled_figures([run.figures, run.figures])
-    assert pooled.frame_count == 2 * FRAMES
-    assert pooled.ms_per_frame == pytest.approx(run.figures.ms_per_frame)
 
 
 def test_a_log_without_truth_is_refused_before_the_work(tmp_path):

@@ -6,21 +6,15 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 
 import cv2
 import pytest
 
 from svmdist.errors import RecordingError
-from svmdist.profile import load_profile
-from svmdist.recording.log import open_recording
-from svmdist.recording.observations import Window
 from svmdist.workflows.parallel import (
     LOOK_AHEAD,
-    Steps,
     WorkerDiedError,
     each_in_processes,
-    image_total,
     in_order,
     one_opencv_thread,
     process_pool,
@@ -171,18 +165,3 @@ def test_a_killed_process_takes_only_its_own_item():
     with pytest.raises(WorkerDiedError, match=r"was killed.*--jobs"), process_pool(2) as pool:
         list(in_order(one_is_killed, [1, 0, 2, 3], 2, pool))
     assert not multiprocessing.active_children()
-
-
-def test_steps_go_on_from_one_pass_to_the_next(golden):
-    """The total is known where it is known of every log."""
-    reported: list[tuple[int, int | None]] = []
-    counter = Steps(lambda done, total: reported.append((done, total)), 4)
-    assert list(counter.of("ab")) == ["a", "b"]
-    counter.advance()
-    assert list(counter.of("c")) == ["c"]
-    assert reported == [(1, 4), (2, 4), (3, 4), (4, 4)]
-    recording = open_recording(golden / "sweep.mcap", load_profile())
-    assert image_total([recording], lambda one: 3 * len(one.instruments)) == 240
-    fewer = replace(recording, window=Window(every=3))
-    assert image_total([recording, fewer]) == 80 + 27
-    assert image_total([recording, replace(recording, window=Window(1.0))]) is None

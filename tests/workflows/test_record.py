@@ -11,7 +11,7 @@ import time
 import pytest
 from mcap.reader import make_reader
 
-from svmdist.errors import SimulationError, SvmdistError, UsageError
+from svmdist.errors import SvmdistError, UsageError
 from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.profile import Profile, load_profile
 from svmdist.recording.log import open_recording
@@ -101,15 +101,6 @@ def test_a_killed_worker_is_one_line_and_no_file(tmp_path, few_frames, small):
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
     assert multiprocessing.active_children() == []
-
-
-def test_an_error_while_drawing_ends_the_recording(tmp_path, small, monkeypatch):
-    def fail(*_: object) -> None:
-        raise SimulationError("no such thing")
-
-    monkeypatch.setattr("svmdist.simulation.plan.Arm.nominal_transforms", fail)
-    with pytest.raises(SimulationError, match="no such thing"):
-        record(Recipe(SCENARIO, small), tmp_path / "log.mcap", jobs=1)
 
 
 def test_names_of_episodes(tmp_path):
