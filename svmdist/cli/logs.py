@@ -110,7 +110,7 @@ class Run(Generic[Result]):
     """What a job makes of the logs of a command: `outcomes` are known when the rows are at their end.
 
     The arguments are those of `Job`. With `keeps`, `measure` is also asked for what pictures and pages are made of: it
-    gives that to its argument `keep`.
+    gives that to its argument `keep`. By `keys` of their metadata logs are grouped.
     """
 
     def __init__(
@@ -123,12 +123,14 @@ class Run(Generic[Result]):
         options: tuple[Any, ...] = (),
         *,
         keeps: bool = False,
+        keys: Sequence[str] = (),
     ) -> None:
         from svmdist.workflows.batch import Job
 
         self.given = given
         self._job = Job(measure, request, result_type, options)
         self._title = title
+        self._keys = keys
         self._kept: list[Any] = []
         self._more = {"keep": self._kept.append} if keeps else {}
         self.outcomes: list[tuple[LogFile, Outcome[Result]]] = []
@@ -181,27 +183,29 @@ class Run(Generic[Result]):
         """The results of the logs that have one."""
         return [result for _, _, result in self.measured]
 
-    def groups(self, keys: Sequence[str]) -> list[str]:
-        """The group of each log with a result, by its metadata."""
-        return [group_name(one.metadata, keys) for _, one, _ in self.measured] if keys else []
+    @property
+    def groups(self) -> list[str]:
+        """The group of each log with a result, where logs are grouped."""
+        return [group_name(one.metadata, self._keys) for _, one, _ in self.measured] if self._keys else []
 
-    def figures(self, keys: Sequence[str] = ()) -> list[LogFigures]:
+    @property
+    def _figures(self) -> list[LogFigures]:
         """How the frames of each log ended, by the `statuses` of its result."""
         from svmdist.report.scores import LogFigures
 
         return [
             LogFigures(
                 *(log.name, str(log.path), one.failure, getattr(one.result, "statuses", {}), len(one.losses)),
-                group=group_name(one.metadata, keys) if keys and one.failure is None else "",
+                group=group_name(one.metadata, self._keys) if self._keys and one.failure is None else "",
             )
             for log, one in self.outcomes
         ]
 
-    def ranking(self, keys: Sequence[str] = ()) -> Results:
+    def ranking(self) -> Results:
         """The figures of each log, sorted by severity, worst first, of groups and of all logs."""
         from svmdist.report.scores import log_results
 
-        return log_results(self.figures(keys))
+        return log_results(self._figures)
 
     def kept(self) -> list[Any]:
         """What the job kept of one log; of many, those with which most went wrong are measured again for it."""
@@ -210,7 +214,7 @@ class Run(Generic[Result]):
 
         if self.given.is_one or not self._more:
             return self._kept
-        usable = [one for one in ranked(self.figures()) if one.failure is None and one.frame_count]
+        usable = [one for one in ranked(self._figures) if one.failure is None and one.frame_count]
         names = {one.recording for one in usable[:MAX_REPORTED]}
         if len(usable) > MAX_REPORTED:
             shown = f"{MAX_REPORTED} of {len(usable)} logs"

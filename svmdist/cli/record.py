@@ -64,7 +64,9 @@ class Record(Options):
         "Names and units: docs/simulation.md.",
     )
     world: Literal["ideal", "real"] = option(
-        "--world", "ideal: log and profile are exact; real: all is off as on robots, by seed.", "ideal"
+        "--world",
+        "ideal: log and profile are exact; real: everything is off as on real robots, drawn by seed.",
+        "ideal",
     )
     jpeg: int | None = option(
         "--jpeg QUALITY",
