@@ -157,7 +157,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         from svmdist.report.rows import ESTIMATE_COLUMNS, shown_columns
         from svmdist.report.tables import text_lines
 
-        with output.rows_shown(self.output):
+        with output.no_progress(where=output.terminal_width(self.output) is not None):
             rows = run.rows()
             head = list(islice(rows, 2))  # so that a log that cannot be read leaves no header behind
             several = len({row.get("instrument") for row in head}) > 1 or any(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from urllib.parse import unquote
 
 from svmdist.cli.options import JOBS, Options, argument, option
-from svmdist.cli.output import LOG, ExitCode, progress_bar
+from svmdist.cli.output import LOG, ExitCode, progress_bar, with_name
 from svmdist.errors import RecordingError, UsageError
 from svmdist.files import LogPath, RemoteFile, is_url, listed_urls, why
 
@@ -159,7 +159,7 @@ class Run(Generic[Result]):
         self.outcomes = list(zip(given.logs, found, strict=True))
         log_notes(found)
         if not self.measured:
-            *others, last = [_reason(log, one) for log, one in self.outcomes]
+            *others, last = [with_name(one.failure or "", log.path, log.name) for log, one in self.outcomes]
             if not others:
                 raise RecordingError(last)
             for reason in (*others, last):
@@ -231,7 +231,7 @@ class Run(Generic[Result]):
         for log, one in self.outcomes:
             if one.failure is not None:
                 codes.append(ExitCode.LOSS)
-                LOG.error("left out: %s", _reason(log, one))
+                LOG.error("left out: %s", with_name(one.failure, log.path, log.name))
         return max(codes, default=ExitCode.CLEAN)
 
 
@@ -240,13 +240,6 @@ def log_losses(path: LogPath, health: Health) -> ExitCode:
     for line in health.describe():
         LOG.error("loss: %s: %s", path, line)
     return ExitCode.CLEAN if health.is_clean else ExitCode.LOSS
-
-
-def _reason(log: LogFile, one: Outcome[Any]) -> str:
-    """Why a log was left out, with its name."""
-    reason, path = one.failure or "", str(log.path)
-    is_named = any(name in reason for name in (path, log.name))
-    return reason if is_named else f"{path}: {reason}"
 
 
 def named_logs(files: Sequence[str | Path]) -> list[LogFile]:

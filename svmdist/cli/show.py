@@ -133,7 +133,9 @@ def _is_one_picture(path: Path, count: int) -> bool:
     if path.suffix.lower() != ".png":
         raise UsageError(f"{path}: pictures are PNG files: give a name in .png, or a folder")
     if count > 1:
-        raise UsageError(f"{path}: is one picture, not {count}: give --frame, --at, or a folder")
+        raise UsageError(
+            f"{path}: is one picture, and {count} are asked for: give --frame, --at, or a folder"
+        )
     return True
 
 
