@@ -39,7 +39,7 @@ COLOURS: dict[Part, Rgb] = {
     Part.DISTANCE: (255, 255, 255),
     Part.BETWEEN: (230, 159, 0),
 }
-"""Colours that are told apart with any colour vision (Okabe & Ito 2008); what is measured is white."""
+"""Colours that differ with any colour vision (Okabe & Ito 2008); what is measured is white."""
 ALARM_COLOUR: Rgb = (213, 94, 0)
 
 
@@ -53,7 +53,7 @@ class Form(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Points of the recorded image, shape (n, 2) in px, joined by `form`; `instrument` is whose they are."""
+    """Points of the recorded image, shape (n, 2) in px, joined by `form`; `instrument` is their instrument's name."""
 
     part: Part
     form: Form

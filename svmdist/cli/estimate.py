@@ -61,7 +61,7 @@ class PictureOptions(OutputOptions):
             else:
                 series = series_of(measured, request, result.reference if result else None)
                 below_m = request.alarms.below_m if request.alarms else None
-                plots.save_figure(self.save_plot, plots.draw_series, series, plots.SeriesPlot(kind), below_m)
+                plots.save_figure(self.save_plot, plots.draw_series, series, kind, below_m)
         if self.report:
             from svmdist.report.html import make_report, write_report
 

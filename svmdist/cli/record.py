@@ -99,7 +99,7 @@ class Record(Options):
         from svmdist.profile import load_profile
         from svmdist.simulation import scene
         from svmdist.simulation.motion import Scenario
-        from svmdist.workflows.record import Episodes, record
+        from svmdist.workflows.record import Episodes, Recipe, record
 
         if self.renderer != "tiny":
             raise UsageError(
@@ -123,24 +123,12 @@ class Record(Options):
             draw_world(world, self.seed, perturbations),
             world,
         )
+        recipe = Recipe(scenario, profile, options, self.noise, self.jpeg)
         if self.episodes is not None:
-            series = Episodes(
-                *(scenario, profile, options, perturbations),
-                *(self.noise, self.jpeg, self.force, self.skip_existing),
-            )
+            series = Episodes(recipe, perturbations, self.force, self.skip_existing)
             return _record_episodes(series, path, self.episodes, self.jobs)
         with progress_bar(f"{scenario.name}, seed {self.seed}", "frames") as advance:
-            result = record(
-                scenario,
-                profile,
-                path,
-                noise=self.noise,
-                options=options,
-                force=self.force,
-                jpeg_quality=self.jpeg,
-                jobs=self.jobs,
-                on_progress=advance,
-            )
+            result = record(recipe, path, force=self.force, jobs=self.jobs, on_progress=advance)
         counts = result.frame_count, result.message_count
         LOG.info("%s: %d frames, %d messages, %.2f MB", path, *counts, result.size_bytes / 1e6)
         return ExitCode.CLEAN
@@ -149,7 +137,7 @@ class Record(Options):
 def _record_episodes(episodes: Episodes, output: Path, count: int, jobs: int | None) -> ExitCode:
     from svmdist.workflows.record import episode_paths, record_episodes
 
-    scenario = episodes.scenario
+    scenario = episodes.recipe.scenario
     paths = episode_paths(output, scenario.name, scenario.seed, count)
     with progress_bar(f"{scenario.name}, {count} seeds", "recordings") as advance:
         found = record_episodes(episodes, paths, jobs, advance)

@@ -94,7 +94,7 @@ class Show(MethodOptions, InstrumentOption, LagOption):
 
     def _numbers(self, recording: Recording, request: Request) -> set[int]:
         """The numbers of the images to draw; raises UsageError."""
-        from svmdist.workflows.frame_drawing import image_stamps_ns, spread
+        from svmdist.workflows.frame_drawing import image_stamps_ns
 
         if self.worst is not None:
             return _worst(recording, request, self.worst, self.jobs)
@@ -106,7 +106,9 @@ class Show(MethodOptions, InstrumentOption, LagOption):
             return {self.frame}
         if at is not None:
             return {min(range(count), key=lambda n: abs((stamps_ns[n] - stamps_ns[0]) * 1e-9 - at))}
-        return set(spread(count, DEFAULT_COUNT))
+        if count <= DEFAULT_COUNT:
+            return set(range(count))
+        return {round(at * (count - 1) / (DEFAULT_COUNT - 1)) for at in range(DEFAULT_COUNT)}
 
     def _pictures(
         self, recording: Recording, request: Request, numbers: set[int]

@@ -24,17 +24,17 @@ from svmdist.samples import Image
 from svmdist.workflows.frame_drawing import DrawnFrame
 from svmdist.workflows.request import Setup
 
-ANNOTATIONS = "annotations"
-"""Below the image's topic: viewers that go by the names of topics lay it over the image."""
+ANNOTATIONS = (
+    "annotations"  # below the image's topic: viewers that go by the names of topics lay it over the image
+)
 SCENE_TOPIC, TF_TOPIC, LOG_TOPIC = "/svmdist/scene", "/svmdist/tf", "/svmdist/log"
-
-TIME_BASE = Fraction(1, 1000)
-"""Frames are shown at their stamps, to a millisecond: a log has no constant rate."""
+TIME_BASE = Fraction(
+    1, 1000
+)  # frames are shown at their stamps, to a millisecond: a log has no constant rate
 CODECS = ("libx264", "mpeg4")
 """The first that this build of FFmpeg has. H.264 plays everywhere; MPEG-4 is part of every build."""
 QUALITY = {"crf": "20", "preset": "veryfast"}
-LARGEST_STEP_MS = 10_000
-"""A pause of a log is shown no longer than this."""
+LARGEST_STEP_MS = 10_000  # a pause of a log is shown no longer than this
 
 
 def write_annotated(
@@ -67,10 +67,8 @@ def _annotations(
         yield image_topic, viewer_messages.image_annotations(drawing)
         for result in results:
             fields = estimate_fields(result, setup.method, frame.alarms.get(result.instrument))
-            yield (
-                f"/svmdist/{result.instrument}/distance",
-                viewer_messages.distance_estimate(fields, stamp_ns),
-            )
+            message = viewer_messages.distance_estimate(fields, stamp_ns)
+            yield f"/svmdist/{result.instrument}/distance", message
         poses = [
             (f"{result.instrument}_tool_estimate", result.tool.pose.T_camera_tool)
             for result in results

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import platform
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import distributions
@@ -54,7 +54,7 @@ COLOURS: dict[Role, tuple[str, str]] = {
     "limit": ("#d55e00", "dash"),
     "consistency": ("#cc79a7", "solid"),
 }
-"""Colours that are told apart with any colour vision, on white and on black (after Okabe & Ito 2008); and dashes."""
+"""Colours that differ with any colour vision, on white and on black (after Okabe & Ito 2008); and dashes."""
 
 
 @dataclass(frozen=True)
@@ -129,19 +129,14 @@ def _worst(
     on_progress: Progress | None,
 ) -> list[tuple[str, bytes]]:
     """The worst frames of all logs with their captions, worst first; they are measured once more, to draw them."""
-    logs = {one.recording.name: one.read for one in measured}
-    of_logs = ([one for one in series if one.recording == name] for name in logs)
-    found = [frame for of_log in of_logs for frame in worst_frames(of_log, WORST_COUNT)]
-    chosen = sorted(found, key=lambda frame: -frame.badness_m)[:WORST_COUNT]
-    wanted = {
-        name: {frame.number for frame in chosen if frame.series.recording == name}
-        for name in logs
-        if any(frame.series.recording == name for frame in chosen)
-    }
+    chosen = worst_frames(series, WORST_COUNT)
+    wanted = defaultdict[str, set[int]](set)
+    for frame in chosen:
+        wanted[frame.series.recording].add(frame.number)
     steps, pictures = Steps(on_progress, sum(max(numbers) + 1 for numbers in wanted.values())), {}
-    for name, numbers in wanted.items():
+    for name, log in ((one.recording.name, one) for one in measured if one.recording.name in wanted):
         for drawn in drawn_frames(
-            logs[name], request.setup, request.alarms, jobs=jobs, numbers=numbers, on_image=steps.advance
+            log.read, request.setup, request.alarms, jobs=jobs, numbers=wanted[name], on_image=steps.advance
         ):
             if drawn.replayed.image_bgr is not None:
                 pictures[name, drawn.number] = _jpeg(draw_on(drawn.replayed.image_bgr, drawn.drawing))

@@ -1,4 +1,4 @@
-"""A recording's summary and a fitted camera-to-base transform: lines for a person, rows and JSON."""
+"""A recording's summary and a fitted camera-to-base transform: readable lines, rows and JSON."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ LOG_COLUMNS = (
 
 
 def info_results(found: dict[str, Any]) -> Results:
-    """A recording by its document: its topics as rows, and what can be done with it in lines for a person."""
+    """A recording by its document: its topics as rows, and readable lines on what can be done with it."""
     return Results(TOPIC_COLUMNS, found["topics"], lambda width: _info_lines(found, width), document=found)
 
 
@@ -97,11 +97,7 @@ def info_document(
 
 def _served(found: Iterable[capabilities.Capability]) -> dict[str, dict[str, Any]]:
     return {
-        one.name: {
-            "served": one.served,
-            "missing": [*one.missing],
-            **({"note": one.note} if one.note else {}),
-        }
+        one.name: {"served": one.served, "missing": [*one.missing]} | ({"note": one.note} if one.note else {})
         for one in found
     }
 
@@ -175,7 +171,7 @@ HAND_EYE_COLUMNS = (
 
 
 def hand_eye_results(results: Sequence[HandEyeResult]) -> Results:
-    """A row per instrument, and for a person the transforms with what they rest on."""
+    """A row per instrument; as text, the transforms with what they rest on."""
     rows = [row_of(HAND_EYE_COLUMNS, result) for result in results]
     lines = [line for found in zip(results, rows, strict=True) for line in _hand_eye_lines(*found)]
     return Results(HAND_EYE_COLUMNS, rows, lambda _: lines, document=rows)

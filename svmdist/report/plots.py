@@ -1,13 +1,12 @@
-"""Plots for print: the paper's Fig. 6, charts of series, and methods side by side; told apart in greyscale too."""
+"""Plots for print: the paper's Fig. 6, charts of series, and methods side by side; they differ in greyscale too."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from enum import StrEnum
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib as mpl
 import numpy as np
@@ -110,37 +109,31 @@ def _draw_chart(axes: Axes, chart: Chart, title: str) -> None:
     axes.legend(loc="best", ncols=2 if chart.over_time else 1)
 
 
-class SeriesPlot(StrEnum):
-    """What is plotted of series."""
-
-    TIME = "time"
-    RESIDUALS = "residuals"
-    BLAND_ALTMAN = "bland-altman"
-    CALIBRATION = "calibration"
+SeriesPlot = Literal["time", "residuals", "bland-altman", "calibration"]
 
 
 def draw_series(series: Sequence[Series], kind: SeriesPlot, alarm_below_m: float | None = None) -> Figure:
     """A panel for each series over time, else one for all of each distance; raises OutputError without any."""
     panels: list[tuple[Chart, str]] = []
-    for one in series if kind is SeriesPlot.TIME else ():
+    for one in series if kind == "time" else ():
         name = plain_name(f"{one.recording} {one.instrument}")
         title = f"{name}: {one.method}, {int(one.measured.sum())} of {len(one)} frames"
         panels.append((charts.distance_over_time(one, alarm_below_m), title))
-    for group in () if kind is SeriesPlot.TIME else charts.with_errors(series):
+    for group in () if kind == "time" else charts.with_errors(series):
         of = f"{group[0].method}: {charts.distance_name(group[0])}"
-        if kind is SeriesPlot.RESIDUALS:
+        if kind == "residuals":
             panels.append((charts.errors_over(group, "time"), f"{of}, errors over time"))
             panels.append((charts.errors_over(group, "distance"), "over distance"))
-        elif kind is SeriesPlot.BLAND_ALTMAN:
+        elif kind == "bland-altman":
             panels.append((charts.agreement(group), of))
         elif np.isfinite(charts.pooled(group)[2]).any():
             panels.append((charts.calibration(group), f"{of}, interval"))
     if not panels:
-        lacking = "an interval" if kind is SeriesPlot.CALIBRATION else "a truth"
+        lacking = "an interval" if kind == "calibration" else "a truth"
         raise OutputError(f"--plot {kind}: nothing to draw: no frame has {lacking}")
-    across = 2 if kind is SeriesPlot.RESIDUALS else 1
-    rows, height_in = len(panels) // across, PANEL_IN if kind is SeriesPlot.TIME else 1.3 * PANEL_IN
-    width_in = COLUMN_IN if kind in (SeriesPlot.BLAND_ALTMAN, SeriesPlot.CALIBRATION) else PAGE_IN
+    across = 2 if kind == "residuals" else 1
+    rows, height_in = len(panels) // across, PANEL_IN if kind == "time" else 1.3 * PANEL_IN
+    width_in = COLUMN_IN if kind in ("bland-altman", "calibration") else PAGE_IN
     figure = Figure(figsize=(width_in, height_in * rows), layout="constrained")
     for at, (chart, title) in enumerate(panels):
         _draw_chart(figure.add_subplot(rows, across, at + 1), chart, title)

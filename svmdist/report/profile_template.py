@@ -38,11 +38,14 @@ def profile_text(draft: ProfileDraft) -> str:
     plane = draft.plane
     tissue = _block("unknown_plane")
     if plane is not None:
-        normal = ", ".join(f"{value:.4f}" for value in plane.normal)
-        stds = {
-            key: f"{getattr(plane, key):.2g}" for key in ("distance_std_m", "tilt_std_rad", "surface_std_m")
-        }
-        tissue = _block("plane", normal=normal, distance_m=f"{plane.distance_m:.4f}", **stds)
+        tissue = _block(
+            "plane",
+            normal=", ".join(f"{value:.4f}" for value in plane.plane_normal),
+            distance_m=f"{plane.plane_distance_m:.4f}",
+            distance_std_m=f"{plane.plane_distance_std_m:.2g}",
+            tilt_std_rad=f"{plane.plane_tilt_std_rad:.2g}",
+            surface_std_m=f"{plane.surface_std_m:.2g}",
+        )
     return _block(
         "profile",
         log=_plain(draft.log),

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class _Estimate:
     """What columns are read from: a result of a recording."""
 
     recording: str
@@ -32,12 +32,10 @@ class Estimate:
 
     @property
     def pose(self) -> ToolPose | None:
-        """The tool's pose in a frame that was measured."""
         return self.result.tool.pose if self.result.tool and self.result.measured else None
 
     @cached_property
     def quaternion_xyzw(self) -> Array | None:
-        """The tool's orientation in the camera frame."""
         return quaternion_xyzw_from_rotation(self.pose.T_camera_tool[:3, :3]) if self.pose else None
 
 
@@ -127,7 +125,7 @@ SHOWN = (
     "recording time_s status distance_m spatial_m clearance_m clearance_std_m tool_x_px tool_y_px tissue_x_px"
     " tissue_y_px tool_area_px tissue_area_px keypoint_count match_count inlier_count"
 )
-"""The columns for a person, in their order."""
+"""The columns of the readable table, in their order."""
 OF_SEVERAL = " instrument instrument_clearance_m instrument_clearance_std_m"
 """Shown too where a log has several instruments."""
 OF_ALARMS = " alarm closing_speed_m_s time_to_contact_s"
@@ -144,7 +142,7 @@ DISPENSABLE_IN_THE_PLANE = "instrument_clearance_m clearance_std_m clearance_m s
 def shown_columns(
     width: int | None, *, planar: bool = False, several: bool = False, alarms: bool = False
 ) -> Sequence[Column]:
-    """The columns for a person that fit a terminal of `width` characters; all for None."""
+    """The columns of the readable table that fit a terminal of `width` characters; all for None."""
     by_key = {column.key: column for column in ESTIMATE_COLUMNS}
     keys = SHOWN + (OF_SEVERAL if several else "") + (OF_ALARMS if alarms else "")
     columns = [by_key[key] for key in keys.split()]
@@ -159,12 +157,12 @@ def estimate_row(
     recording: str, result: FrameResult, method: str, equations: str, alarm: AlarmState | None = None
 ) -> Row:
     """The row of a result."""
-    return row_of(ESTIMATE_COLUMNS, Estimate(recording, result, method, equations, alarm))
+    return row_of(ESTIMATE_COLUMNS, _Estimate(recording, result, method, equations, alarm))
 
 
 def estimate_fields(result: FrameResult, method: str, alarm: AlarmState | None = None) -> Row:
     """A result as the fields of `svmdist.DistanceEstimate`, None for what does not exist."""
-    estimate = Estimate("", result, method, alarm=alarm)
+    estimate = _Estimate("", result, method, alarm=alarm)
     return {column.field: column.value(estimate) for column in ESTIMATE_COLUMNS if column.field}
 
 

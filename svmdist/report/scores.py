@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import groupby
 from operator import itemgetter
 from typing import Any
@@ -14,18 +14,10 @@ from svmdist.estimation.methods import PLANAR_METHODS
 from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Unit, coverage
 from svmdist.report.tables import Column, Row, Table, counted, finite, metric_column, row_of
 from svmdist.report.writers import Results
+from svmdist.workflows import metric_table
 from svmdist.workflows.blur_bench import BlurRow
 from svmdist.workflows.compare import MethodScore
-from svmdist.workflows.metric_table import (
-    Metric,
-    Output,
-    cells,
-    distance_metrics,
-    figure_metrics,
-    of_part,
-    score_metrics,
-    within,
-)
+from svmdist.workflows.metric_table import Metric, Output, cells, of_part, within
 from svmdist.workflows.scores import Score
 from svmdist.workflows.validate import PAPER_R_SQUARED, Validation
 
@@ -56,7 +48,7 @@ def score_columns() -> list[Column]:
     labels = [Column(key, TEXT, key) for key in ("recording", "method", "equations")]
     labels.append(Column("reference", TEXT, "against"))
     instrument = Column("instrument", TEXT, "instrument", lambda score: score.instrument or None)
-    return _in_order(labels, within(score_metrics(), Output.SCORES), [instrument])
+    return _in_order(labels, within(metric_table.score_metrics(), Output.SCORES), [instrument])
 
 
 def validation_results(validation: Validation) -> Results:
@@ -112,23 +104,23 @@ _INTERVALS = {
 
 
 def validation_tables(validation: Validation) -> list[Table]:
-    """The tables for a person: planar metrics, those in 3D where there are any, and alarms where asked for."""
+    """The readable tables: planar metrics, those in 3D where there are any, and alarms where asked for."""
     parts = (validation.scores, (*validation.groups, *validation.overall))
     first = validation.scores[0]
     how = f"{first.equations} equations" if first.method in PLANAR_METHODS else "planar distance"
     columns = [_NAME, _AGAINST]
-    for metric in within(score_metrics(), Output.SCORE_TABLE):
+    for metric in within(metric_table.score_metrics(), Output.SCORE_TABLE):
         # Lengths in mm, as the title says: a unit in every heading would not fit a terminal.
         columns += [metric_column(metric), *_INTERVALS.get(metric.key, [])]
     title = f"{first.method}, {how}; errors and σ (of the truth) in mm; 95 %: bootstrap interval"
     tables = [Table.of(title, columns, *([row_of(columns, score) for score in part] for part in parts))]
     if any(score.spatial or score.clearance for part in parts for score in part):
-        metrics = within(distance_metrics(), Output.DISTANCE_TABLE)
+        metrics = within(metric_table.distance_metrics(), Output.DISTANCE_TABLE)
         columns = [_NAME, _AGAINST, Column("distance", TEXT, "distance"), *map(metric_column, metrics)]
         title = "in 3D; errors and σ (of the truth) in mm; in 95 %: truths inside the stated interval"
         tables.append(Table.of(title, columns, *(_distance_rows(part, metrics) for part in parts)))
     if (rules := validation.alarm_rules) is not None:
-        alarms = within(score_metrics(), Output.ALARM_TABLE)
+        alarms = within(metric_table.score_metrics(), Output.ALARM_TABLE)
         alarms.sort(key=lambda metric: ["unsafe", "alarm_recall", metric.key].index(metric.key))
         columns = [_NAME, *map(metric_column, alarms)]
         title = (
@@ -178,7 +170,7 @@ def compare_columns() -> list[Column]:
         Column("degradation", TEXT, of="group.degradation"),
         Column("instrument", TEXT),
     ]
-    metrics = of_part(within(figure_metrics(), Output.FIGURES), "figures")
+    metrics = of_part(within(metric_table.figure_metrics(), Output.FIGURES), "figures")
     return _in_order(labels, metrics, after)
 
 
@@ -187,7 +179,7 @@ def compare_results(scores: Sequence[MethodScore]) -> Results:
     columns, tables = compare_columns(), []
     shown = [Column("method", TEXT, "method")]
     # The columns of a distance stand below its name, and the time is the last one.
-    metrics = within(figure_metrics(), Output.FIGURE_TABLE)
+    metrics = within(metric_table.figure_metrics(), Output.FIGURE_TABLE)
     metrics.sort(key=lambda metric: metric.key == "ms_per_frame")
     for name, of in groupby(metrics, lambda metric: metric.group.replace("clearance", "clear.")):
         for index, metric in enumerate(of):
@@ -238,7 +230,6 @@ class LogFigures:
     group: str = ""
     log_count: int = 1
     failed_count: int = 0
-    rank: int | None = None
 
     @property
     def frame_count(self) -> int:
@@ -268,7 +259,9 @@ class LogFigures:
 
 # fmt: off
 LOG_COLUMNS = (
-    *(Column(key, unit, key) for key, unit in (("rank", COUNT), ("recording", TEXT), ("state", TEXT))),
+    Column("rank", COUNT, "rank", lambda _: None),
+    Column("recording", TEXT, "recording"),
+    Column("state", TEXT, "state"),
     Column("frame_count", COUNT, "frames"),
     Column("measured_count", COUNT, "measured"),
     Column("coverage", SHARE, "coverage [%]",
@@ -291,7 +284,7 @@ def ranked(figures: Sequence[LogFigures]) -> list[LogFigures]:
     def severity(one: LogFigures) -> tuple[bool, float, int]:
         return one.failure is None, coverage(one.measured_count, one.frame_count), -one.loss_count
 
-    return [replace(one, rank=rank) for rank, one in enumerate(sorted(figures, key=severity), 1)]
+    return sorted(figures, key=severity)
 
 
 def pooled_log_figures(figures: Sequence[LogFigures]) -> list[LogFigures]:
@@ -312,6 +305,7 @@ def log_results(figures: Sequence[LogFigures]) -> Results:
     together = pooled_log_figures(figures)
     left_out = "" if len(together) > 1 else "group"
     columns = [column for column in LOG_COLUMNS if column.heading and column.key != left_out]
-    rows = [row_of(LOG_COLUMNS, one) for one in (*ranked(figures), *together)]
+    rows = [row_of(LOG_COLUMNS, one) | {"rank": rank} for rank, one in enumerate(ranked(figures), 1)]
+    rows += [row_of(LOG_COLUMNS, one) for one in together]
     tables = [Table.of("Logs, sorted by severity, worst first", columns, rows)]
     return Results(LOG_COLUMNS, rows, tables=tables)

@@ -1,18 +1,18 @@
-"""Columns and tables, and how their values are written: for a person, as CSV, JSON, Parquet, LaTeX and Markdown."""
+"""Columns and tables, and how their values are written: as text, CSV, JSON, Parquet, LaTeX and Markdown."""
 
 from __future__ import annotations
 
 import csv
-import io
 import json
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 from textwrap import wrap
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from svmdist.errors import printable
@@ -30,7 +30,7 @@ Row = Mapping[str, Cell]
 
 SURROGATES = re.compile("[\ud800-\udfff]")
 FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
-"""What a spreadsheet takes for the beginning of a formula."""
+"""How a formula begins in a spreadsheet."""
 PARQUET_ROWS = 1 << 14
 """Rows that are held at once."""
 
@@ -42,10 +42,10 @@ def _steps(path: str) -> list[str | int]:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: `key` in machine output, in SI; `heading` in a table for a person, in the unit that is shown.
+    """One column: `key` in machine output, in SI; `heading` in a readable table, in the unit shown there.
 
     `of` reads the value from the object that a row is made of: a function, or a path of attributes and indices; by
-    default the key. A column without a heading is for machines only, one that is not `stored` for a person only.
+    default the key. A column without a heading is for machines only, one that is not `stored` for readable tables only.
     `meaning` and `given_by` are for the documentation; columns with the same meaning stand in one line there. `field`
     is its name in `svmdist.DistanceEstimate`. `width` is the least one of a plain table, in characters.
     """
@@ -71,7 +71,7 @@ class Column:
         return float(source) if isinstance(source, float) else source
 
     def show(self, value: Cell) -> str:
-        """The value for a person; a number that does not exist is a dash."""
+        """The readable value; a number that does not exist is a dash."""
         value = finite(value)
         if self.is_text or isinstance(value, str):
             return printable("" if value is None else str(value))
@@ -102,7 +102,7 @@ def metric_column(metric: Metric, heading: str = "") -> Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A table for a person: texts below headings, flush left where `is_text`; rows of `overall` stand apart below."""
+    """A readable table: texts below headings, flush left where `is_text`; rows of `overall` stand apart below."""
 
     title: str
     headings: tuple[str, ...]
@@ -121,7 +121,7 @@ class Table:
 
 
 def table_lines(results: Results, width: int | None, colour: bool) -> Iterator[str]:
-    """The text for a person: the results' own, or their tables and notes, or their rows as they come."""
+    """The readable text: the results' own, or their tables and notes, or their rows as they come."""
     if results.text is not None:
         yield from results.text(width)
         return
@@ -219,13 +219,11 @@ def _text_widths(columns: Sequence[Column]) -> list[int]:
 
 def csv_lines(results: Results, *_: object) -> Iterator[str]:
     """Yield CSV, RFC 4180, header first; a value that does not exist is an empty cell."""
-    buffer = io.StringIO()
-    writer, keys = csv.writer(buffer, lineterminator="\n"), results.keys
-    for line in chain([keys], ([_csv_cell(row.get(key)) for key in keys] for row in results.rows)):
-        writer.writerow(line)
-        yield buffer.getvalue()
-        buffer.seek(0)
-        buffer.truncate()
+    echo: Any = SimpleNamespace(write=str)  # `writerow` returns what `write` does: the line itself
+    writer, keys = csv.writer(echo, lineterminator="\n"), results.keys
+    yield writer.writerow(keys)
+    for row in results.rows:
+        yield writer.writerow([_csv_cell(row.get(key)) for key in keys])
 
 
 def json_lines(results: Results, *_: object) -> Iterator[str]:

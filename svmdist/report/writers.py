@@ -23,7 +23,7 @@ class Holds(Flag):
 
     ROWS = auto()  # of any number, written as they come
     POSES = auto()  # rows with poses
-    TABLES = auto()  # for a person, with the rows behind them
+    TABLES = auto()  # readable ones, with the rows behind them
     FIGURES = auto()  # tables of metrics, which papers and pages want too
     FRAMES = auto()  # images with what was found and measured drawn on them
     REPORT = auto()

@@ -38,6 +38,7 @@ Row = Mapping[str, Any]
 ATTEMPTS = 2
 """A log whose process is killed is measured once more: it may have been another that took the memory."""
 MAX_STEM = 80
+MAX_REPEATED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,15 +151,15 @@ def collected_notes() -> Iterator[list[tuple[int, str]]]:
         LOG.setLevel(level)
 
 
-def log_notes(outcomes: Sequence[Outcome[Any]], most: int = 3) -> None:
-    """Log what was noted on logs; what is true of more than `most` is said once."""
+def log_notes(outcomes: Sequence[Outcome[Any]]) -> None:
+    """Log what was noted on logs; what is true of more than a few is said once."""
     counts = Counter(note for one in outcomes for note in dict.fromkeys(one.notes))
     for (level, text), count in counts.items():
-        if count > most:
+        if count > MAX_REPEATED:
             LOG.log(level, "%s (so in %d logs)", text, count)
     for one in outcomes:
         for level, text in one.notes:
-            if counts[level, text] <= most:
+            if counts[level, text] <= MAX_REPEATED:
                 LOG.log(level, "%s", text)
 
 
@@ -332,11 +333,7 @@ def _connected(address: str) -> Any:
         raise UsageError(
             "--scheduler needs the package distributed, which is not installed: pip install 'svmdist[cluster]'"
         ) from None
-    for name in (
-        "distributed",
-        "tornado.application",
-        "asyncio",
-    ):  # they print tracebacks of what is handled here
+    for name in ("distributed", "tornado.application", "asyncio"):  # they print what is handled here
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         client: Any = Client(address, timeout=f"{CONNECT_S}s", set_as_default=False)

@@ -147,8 +147,7 @@ def hand_eye(
 
     The method of the setup sees the tool, without any transform of the log. `against` is what the robot reports:
     kinematics of its joints, or poses; None takes the joints where log and profile have them. With joints, a second
-    pass measures again with the orientation of the wrist by the transform of the first pass. `on_progress` counts the
-    images of both. Raises RecordingError where the log lacks joints and poses.
+    pass measures with the wrist's orientation by the first one. Raises RecordingError without joints and poses.
     """
     setup = replace(setup, profile=setup.profile.model_copy(update={"hand_eye": None}))
     profile = setup.profile.for_instrument(instrument)
@@ -196,7 +195,7 @@ def reported_tool(
     Of joints, backlash is noise of each frame, and the other errors of the profile are shared by all frames.
     """
     count = len(stamps_ns)
-    axes = np.full((count, 3), np.nan)
+    T_base_tool, axes = np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan)
     if against == "pose":
         poses = recording.pose_track().at(stamps_ns)
         noise = np.repeat(profile.settings.hand_eye.pose_std_m**2 * np.eye(3)[None], count, 0)
@@ -207,7 +206,6 @@ def reported_tool(
     model = ErrorModel(chain, profile.kinematic_error)
     shaft, joints = shaft_of(chain), recording.joint_track()
     columns = list(model.constant_columns.values())
-    T_base_tool = np.full((count, 4, 4), np.nan)
     noise, shared = np.zeros((count, 3, 3)), np.zeros((count, 6, len(columns)))
     sampled = joints.at(stamps_ns)
     for at in np.flatnonzero(sampled.valid):

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import cv2
-import numpy as np
-
 from svmdist.estimation.methods import REGISTRY
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
@@ -15,6 +12,7 @@ from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs
 from svmdist.recording.summary import RecordingSummary
 from svmdist.recording.topics import Role
 from svmdist.samples import Observation, Rejection
+from svmdist.vision.frame_context import to_grey
 from svmdist.vision.tags import find_tags
 
 IMAGES = ("image", "camera_info")
@@ -62,10 +60,16 @@ def capabilities(
     """What this recording lacks for each command that reads recordings; `tags` is what `look_for_tag` found."""
     methods = method_capabilities(summary, profile, tags)
     profile = _seen_by_first(summary, profile)
-    return (
-        _estimate(_missing(IMAGES, summary, profile), methods),
-        *(Capability(name, _missing(needs, summary, profile)) for name, needs in COMMANDS.items()),
-    )
+    missing = {name: _missing(needs, summary, profile) for name, needs in COMMANDS.items()}
+    (default,) = (method for method in methods if method.name == DEFAULT_METHOD)
+    images, note = _missing(IMAGES, summary, profile), ""
+    if not images and not default.served:
+        lacks = f"the default method {DEFAULT_METHOD} lacks {'; '.join(default.missing)}"
+        if others := " or ".join(method.name for method in methods if method.served):
+            note = f"with --method {others}; {lacks}"
+        else:
+            images = (f"a method that log and profile serve ({lacks})",)
+    return (Capability("estimate", images, note), *(Capability(*of) for of in missing.items()))
 
 
 def method_capabilities(
@@ -88,8 +92,7 @@ def look_for_tag(recording: Recording, profile: Profile) -> TagCheck | None:
     count = next((info.message_count for info in recording.topics() if info.topic == topic), None) or 0
     looked = found = 0
     for observation in observations_of(recording, count // TAG_IMAGES, LEFT_IMAGES):
-        grey = cv2.cvtColor(observation.image_bgr, cv2.COLOR_BGR2GRAY)
-        tags = find_tags(np.asarray(grey, np.uint8), view.fiducial.family, profile.settings.tag)
+        tags = find_tags(to_grey(observation.image_bgr), view.fiducial.family, profile.settings.tag)
         looked += 1
         found += view.fiducial.id in tags
     return TagCheck(f"{view.fiducial.family} {view.fiducial.id}", looked, found)
@@ -120,29 +123,22 @@ def _seen_by_first(summary: RecordingSummary, profile: Profile) -> Profile:
     return profile if first == profile.instrument_name else profile.for_instrument(first)
 
 
-def _estimate(images: tuple[str, ...], methods: tuple[Capability, ...]) -> Capability:
-    (default,) = (method for method in methods if method.name == DEFAULT_METHOD)
-    if images or default.served:
-        return Capability("estimate", images)
-    lacks = f"the default method {DEFAULT_METHOD} lacks {'; '.join(default.missing)}"
-    if others := " or ".join(method.name for method in methods if method.served):
-        return Capability("estimate", (), f"with --method {others}; {lacks}")
-    return Capability("estimate", (f"a method that log and profile serve ({lacks})",))
-
-
 def _missing(
     needs: tuple[str, ...], summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None
 ) -> tuple[str, ...]:
     """What is missing of the needs of a command or a method, in words."""
     frames, of_profile = profile.frames, f"in profile {profile.name}"
 
-    def unless(condition: object, words: str) -> tuple[str, ...]:
-        return () if condition else (words,)
-
     def topics(*roles: str) -> tuple[str, ...]:
         return tuple(f"a topic for {role}" for role in roles if role not in summary.roles)
 
-    has_frames = {frames.camera, frames.base} <= set(summary.frames)
+    def unless(condition: object, words: str) -> tuple[str, ...]:
+        return () if condition else (words,)
+
+    has_base = profile.camera_to_base or {frames.camera, frames.base} <= set(summary.frames)
+    tag = ""
+    if tags is not None and tags.image_count and not tags.found_count:
+        tag = f"the tag {tags.name}: it is in none of {tags.image_count} images looked at"
     lacking = {
         **{role: topics(role) for role in Role},
         **{part: unless(getattr(profile, part), f"[{part}] {of_profile}") for part in PARTS},
@@ -150,13 +146,9 @@ def _missing(
         "joints": topics("joints") + _missing_chain(summary, profile),
         "reference": _missing_reference(summary, profile),
         "calibration": unless(profile.calibration, f"a calibration {of_profile} (--calibration)"),
-        "camera_to_base": unless(
-            profile.camera_to_base or has_frames, f"transforms from {frames.camera} to {frames.base}"
-        ),
+        "camera_to_base": unless(has_base, f"transforms from {frames.camera} to {frames.base}"),
         "shaft": unless(profile.segmentation.shaft, f"[segmentation.shaft] {of_profile}"),
-        "tag": ()
-        if tags is None or tags.found_count or not tags.image_count
-        else (f"the tag {tags.name}: it is in none of {tags.image_count} images looked at",),
+        "tag": unless(not tag, tag),
     }
     return tuple(words for need in needs for words in lacking[need])
 

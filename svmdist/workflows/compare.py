@@ -91,20 +91,12 @@ def compare(
     conditions: Sequence[LogCondition] = (CLEAN,),
     *,
     jobs: int | None = None,
-    on_progress: parallel.Progress | None = None,
 ) -> list[MethodScore]:
     """Run every setup on every recording under every condition; each process decodes an image once.
 
     Raises RecordingError where a recording has no ground-truth distances, and where there is no image.
     """
-    steps = parallel.Steps(
-        on_progress, parallel.image_total(recordings, lambda _: len(conditions) * len(setups))
-    )
-    runs = [
-        run
-        for recording in recordings
-        for run in measure_runs(recording, setups, conditions, jobs=jobs, advance=steps.advance)
-    ]
+    runs = [run for one in recordings for run in measure_runs(one, setups, conditions, jobs=jobs)]
     return compared(runs, [setup.method for setup in setups])
 
 

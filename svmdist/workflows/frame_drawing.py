@@ -95,13 +95,6 @@ def image_stamps_ns(recording: Recording) -> list[int]:
     return stamps
 
 
-def spread(count: int, wanted: int) -> Sequence[int]:
-    """At most `wanted` of the numbers below `count`, evenly apart, the first one among them."""
-    if count <= wanted:
-        return range(count)
-    return [round(at * (count - 1) / (wanted - 1)) for at in range(wanted)] if wanted > 1 else [0]
-
-
 def frame_drawing(
     replayed: Replayed, setup: Setup, alarms: Mapping[str, AlarmState] | None = None
 ) -> FrameDrawing:
@@ -143,20 +136,36 @@ def frame_drawing(
 
 
 def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup: Setup) -> Iterator[Shape]:
+    """The tissue, and of each instrument contours, distal marker, shaft, tag and virtual marker."""
     tissue = frames[0].scene.found.get("tissue")
     if tissue is not None:
         yield from _contours(frames[0].scene.left.masks.tissue, tissue.region, Part.TISSUE)
         yield Shape(Part.TISSUE, Form.LOOP, np.asarray(tissue.outline.curve_px, np.float64))
-    for frame, result in zip(frames, results, strict=True):
-        yield from _tool_shapes(frame, result.instrument)
-        found = virtual_marker(frame) if setup.method == "overlay" else None
-        if found is None:
+    for frame, name in ((frame, result.instrument) for frame, result in zip(frames, results, strict=True)):
+        left, found = frame.left, frame.left.found
+        organ, instrument = found.get("regions_as_recorded") or (None, None)
+        if organ is not None:
+            yield from _contours(left.masks_as_recorded.tissue, organ, Part.TISSUE)
+            yield Shape(Part.TISSUE, Form.POINTS, np.atleast_2d(organ.centroid_px))
+        if instrument is not None:
+            yield from _contours(left.masks_as_recorded.instrument, instrument, Part.INSTRUMENT, name)
+        if (region := found.get("region")) is not None:
+            yield from _contours(left.masks.instrument, region, Part.INSTRUMENT, name)
+        if (distal := found.get("distal_marker")) is not None:
+            yield _distal_marker(distal, name)
+        if (shaft := found.get("shaft")) is not None and (outline := found.get("shaft_region")) is not None:
+            yield from _shaft(frame, shaft, outline, name)
+        corners_px = left.tag_corners_px if "tags" in vars(frame.scene.left) else None
+        if corners_px is not None:
+            yield Shape(Part.TAG, Form.LOOP, np.asarray(corners_px, np.float64), name)
+        pasted = virtual_marker(frame) if setup.method == "overlay" else None
+        if pasted is None:
             continue
-        if found.corners_px is not None:
-            yield Shape(Part.MARKER, Form.LOOP, found.corners_px, result.instrument)
-        for part, chosen in ((Part.MATCH, ~found.inliers), (Part.INLIER, found.inliers)):
+        if pasted.corners_px is not None:
+            yield Shape(Part.MARKER, Form.LOOP, pasted.corners_px, name)
+        for part, chosen in ((Part.MATCH, ~pasted.inliers), (Part.INLIER, pasted.inliers)):
             if chosen.any():
-                yield Shape(part, Form.POINTS, found.matched_px[chosen], result.instrument)
+                yield Shape(part, Form.POINTS, pasted.matched_px[chosen], name)
 
 
 def _through_lens(shape: Shape, lens: Camera) -> Shape:
@@ -173,26 +182,6 @@ def _through_lens(shape: Shape, lens: Camera) -> Shape:
             pieces.append(np.linspace(start, end, count, endpoint=False))
         points_px = np.concatenate(pieces if is_closed else [*pieces, path_px[-1:]])
     return replace(shape, points_px=seen_through(lens, points_px))
-
-
-def _tool_shapes(frame: Frame, name: str) -> Iterator[Shape]:
-    """What belongs to one instrument: contours, distal marker, shaft, tag."""
-    found = frame.left.found
-    tissue, instrument = found.get("regions_as_recorded") or (None, None)
-    if tissue is not None:
-        yield from _contours(frame.left.masks_as_recorded.tissue, tissue, Part.TISSUE)
-        yield Shape(Part.TISSUE, Form.POINTS, np.atleast_2d(tissue.centroid_px))
-    if instrument is not None:
-        yield from _contours(frame.left.masks_as_recorded.instrument, instrument, Part.INSTRUMENT, name)
-    if (region := found.get("region")) is not None:
-        yield from _contours(frame.left.masks.instrument, region, Part.INSTRUMENT, name)
-    if (distal := found.get("distal_marker")) is not None:
-        yield _distal_marker(distal, name)
-    if (shaft := found.get("shaft")) is not None and (outline := found.get("shaft_region")) is not None:
-        yield from _shaft(frame, shaft, outline, name)
-    corners_px = frame.left.tag_corners_px if "tags" in vars(frame.scene.left) else None
-    if corners_px is not None:
-        yield Shape(Part.TAG, Form.LOOP, np.asarray(corners_px, np.float64), name)
 
 
 def _contours(mask: Image, region: Region, part: Part, name: str = "") -> Iterator[Shape]:

@@ -32,6 +32,7 @@ from svmdist.recording.images import ImageError, decode_file, read_file, still_s
 from svmdist.recording.writer import EncodedSample, RecordingWriter, encode_still
 from svmdist.samples import CameraSample, Image, ImageSample, JointSample, PoseSample, Sample
 
+LIMITS = Limits()
 SIDES = ("left", "right")
 FRAMES = ("camera", "camera_right")
 Picture = bytes | Image
@@ -102,22 +103,20 @@ def import_log(
     output: Path,
     *,
     force: bool = False,
-    limits: Limits | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> ImportResult:
     """Write a log of files; `on_progress` gets (images done, images in all).
 
     Raises UsageError, SourceError or OutputError, and leaves no file then.
     """
-    limits = limits or Limits()
     given = options.views
     stated = stated_cameras(options.calibration, given.count)
-    views = _open_views(given, limits)
+    views = _open_views(given)
     halved = 2 if given.side_by_side else 1
     sizes = [(view.size_px[0] // halved, view.size_px[1]) for view in views] * halved
     cameras = complete(stated, sizes, FRAMES[: given.count])
     tables = _table_messages(options, ImageTimes(views[0].names, views[0].stamps_ns))
-    images = [_image_messages(views, at, cameras, options, limits) for at in range(len(views))]
+    images = [_image_messages(views, at, cameras, options) for at in range(len(views))]
     total = sum(len(range(0, len(view.names), given.every)) for view in views)
     sources = (given.source, given.right, *options.poses.values(), *options.joints.values())
     metadata = {
@@ -146,18 +145,18 @@ def import_log(
 
 
 def _image_messages(
-    views: Sequence[View], at: int, cameras: Sequence[Camera], options: ImportOptions, limits: Limits
+    views: Sequence[View], at: int, cameras: Sequence[Camera], options: ImportOptions
 ) -> Iterator[Message]:
     view = views[at]
     for place, picture in view.read():
         stamp_ns, parts = view.stamps_ns[place], [picture]
         if options.views.side_by_side:
             name = view.names[place]
-            image = decode_file(picture, name, limits) if isinstance(picture, bytes) else picture
+            image = decode_file(picture, name, LIMITS) if isinstance(picture, bytes) else picture
             parts = [np.ascontiguousarray(half) for half in np.split(image, 2, axis=1)]
         for side, part in enumerate(parts, at):
             if isinstance(part, bytes):
-                message: Sample | EncodedSample = encode_still(stamp_ns, FRAMES[side], part, limits)
+                message: Sample | EncodedSample = encode_still(stamp_ns, FRAMES[side], part, LIMITS)
             else:
                 message = ImageSample(stamp_ns, FRAMES[side], part)
             yield stamp_ns, f"/ECM/{SIDES[side]}/camera_info", CameraSample(stamp_ns, cameras[side])
@@ -177,7 +176,7 @@ def _table_messages(options: ImportOptions, times: ImageTimes) -> list[list[Mess
     return found
 
 
-def _open_views(options: ViewOptions, limits: Limits) -> list[View]:
+def _open_views(options: ViewOptions) -> list[View]:
     """One view, or the left and the right one; a single view that is side by side has both."""
     if options.side_by_side and options.has_right_source:
         raise UsageError("--side-by-side has both views in one picture: it takes no second source")
@@ -193,18 +192,18 @@ def _open_views(options: ViewOptions, limits: Limits) -> list[View]:
                 f" {'a video' if source.is_dir() else 'is one'}: both views come in one form"
             )
     is_folder = options.source.is_dir()
-    views = _file_views(options, limits) if is_folder else _video_views(options, sources, limits)
+    views = _file_views(options) if is_folder else _video_views(options, sources)
     name, width_px = views[0].names[0], views[0].size_px[0]
     if options.side_by_side and width_px % 2:
         raise SourceError(f"{name}: {width_px} px wide: two views side by side have one width")
     return views
 
 
-def _file_views(options: ViewOptions, limits: Limits) -> list[View]:
+def _file_views(options: ViewOptions) -> list[View]:
     left = list_images(options.source, options.pattern)
     names = [path.name for path in left]
     if not options.has_right_source:
-        return [_file_view(left, _stamps(options, names), options.every, limits)]
+        return [_file_view(left, _stamps(options, names), options.every)]
     folder = options.right or options.source
     right = list_images(folder, options.right_pattern or (options.pattern if options.right else None))
     if set(right) & set(left):
@@ -218,17 +217,17 @@ def _file_views(options: ViewOptions, limits: Limits) -> list[View]:
     else:
         right = matching(left, right)
     return [
-        _file_view(left, stamps, options.every, limits),
-        _file_view(right, right_stamps, options.every, limits),
+        _file_view(left, stamps, options.every),
+        _file_view(right, right_stamps, options.every),
     ]
 
 
-def _file_view(paths: Sequence[Path], stamps_ns: list[int], every: int, limits: Limits) -> View:
+def _file_view(paths: Sequence[Path], stamps_ns: list[int], every: int) -> View:
     def picture_of(path: Path) -> tuple[Picture, tuple[int, int]]:
-        picture = read_file(path, limits)
+        picture = read_file(path, LIMITS)
         try:
             if isinstance(picture, bytes):
-                return picture, still_size(picture, limits)
+                return picture, still_size(picture, LIMITS)
         except ImageError as problem:
             raise SourceError(f"{path.name}: {problem}") from None
         return picture, (picture.shape[1], picture.shape[0])
@@ -246,14 +245,14 @@ def _file_view(paths: Sequence[Path], stamps_ns: list[int], every: int, limits: 
     return View([path.name for path in paths], stamps_ns, size_px, read)
 
 
-def _video_views(options: ViewOptions, sources: Sequence[Path], limits: Limits) -> list[View]:
+def _video_views(options: ViewOptions, sources: Sequence[Path]) -> list[View]:
     if options.pattern is not None or options.right_pattern is not None:
         raise UsageError(f"{options.source}: --pattern is for folders of images")
     videos = [Video(path) for path in sources]
     for path, video in zip(sources, videos, strict=True):
         width_px, height_px = video.size_px
-        if width_px * height_px > limits.image_pixels:
-            raise SourceError(f"{path}: {width_px}x{height_px} px, the limit is {limits.image_pixels} px")
+        if width_px * height_px > LIMITS.image_pixels:
+            raise SourceError(f"{path}: {width_px}x{height_px} px, the limit is {LIMITS.image_pixels} px")
         if len(video.times_ns) != len(videos[0].times_ns):
             raise SourceError(
                 f"{path}: {len(video.times_ns)} images; {sources[0]} has {len(videos[0].times_ns)}"

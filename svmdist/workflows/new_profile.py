@@ -15,12 +15,13 @@ import numpy as np
 from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.least_squares import scale_of
 from svmdist.profile import Profile, Robot, Topics, load_profile
+from svmdist.profile.robot import Tissue
 from svmdist.profile.segmentation import ColourRegion, HsvSegmentation
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import sanitize, sanitize_list
 from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role
-from svmdist.samples import Image, Vector
+from svmdist.samples import Image
 from svmdist.vision.colour import DistinctColour, find_distinct_colour
 from svmdist.vision.find_instruments import AutoSegmenter
 from svmdist.vision.frame_context import as_pinholes
@@ -60,17 +61,6 @@ class InstrumentDraft:
 
 
 @dataclass(frozen=True)
-class PlaneDraft:
-    """The tissue's plane with standard deviations, as both views show it."""
-
-    normal: Vector
-    distance_m: float
-    distance_std_m: float
-    tilt_std_rad: float
-    surface_std_m: float
-
-
-@dataclass(frozen=True)
 class ProfileDraft:
     """What a first profile is made of."""
 
@@ -82,7 +72,7 @@ class ProfileDraft:
     camera_frame: str
     instruments: tuple[InstrumentDraft, ...]
     mark: DistinctColour | None
-    plane: PlaneDraft | None
+    plane: Tissue | None
     has_camera_to_base: bool
     image_count: int
 
@@ -256,7 +246,7 @@ def _instruments_by_sides(images: Sequence[Image]) -> tuple[InstrumentDraft, ...
     )
 
 
-def _plane(planes: Sequence[StereoPlane]) -> PlaneDraft | None:
+def _plane(planes: Sequence[StereoPlane]) -> Tissue | None:
     """The median of the planes of several images, and their spread."""
     if len(planes) < MIN_PLANES:
         return None
@@ -268,13 +258,13 @@ def _plane(planes: Sequence[StereoPlane]) -> PlaneDraft | None:
         return None
     tilts_rad = np.arccos(np.clip(normals @ normal, -1.0, 1.0))
     distance_m = float(np.median(distances_m))
-    x, y, z = normal.tolist()
-    return PlaneDraft(
-        (x, y, z),
-        distance_m,
-        max(scale_of(distances_m - distance_m), LEAST_PLANE_STD_M),
-        max(scale_of(tilts_rad), LEAST_TILT_STD_RAD),
-        max(float(np.median([plane.surface_std_m for plane in planes])), LEAST_SURFACE_STD_M),
+    surface_std_m = float(np.median([plane.surface_std_m for plane in planes]))
+    return Tissue.model_construct(  # what is found is written down, plausible or not
+        plane_normal=tuple(normal.tolist()),
+        plane_distance_m=distance_m,
+        plane_distance_std_m=max(scale_of(distances_m - distance_m), LEAST_PLANE_STD_M),
+        plane_tilt_std_rad=max(scale_of(tilts_rad), LEAST_TILT_STD_RAD),
+        surface_std_m=max(surface_std_m, LEAST_SURFACE_STD_M),
     )
 
 
@@ -292,14 +282,10 @@ def _instrument(
         base = "base" if count == 1 and own not in frames and "base" in frames else own
     tools = (f"{name}_tool", f"{name}_ee", name, "tool")
     tool = next((frame for frame in tools if frame in frames and frame != base), name)
-    return InstrumentDraft(name, joints, pose, base, tool, _chain_of(joint_names), joint_names)
-
-
-def _chain_of(joint_names: Sequence[str]) -> str | None:
-    """The shipped profile with the longest chain whose joints are all among the log's."""
-    robots = {name: shipped_robot(name) for name in CHAIN_PROFILES}
-    fitting = [name for name, robot in robots.items() if not robot.missing_joints(joint_names)]
-    return max(fitting, key=lambda name: len(robots[name].joints), default=None)
+    robots = {profile: shipped_robot(profile) for profile in CHAIN_PROFILES}
+    fitting = [profile for profile, robot in robots.items() if not robot.missing_joints(joint_names)]
+    longest = max(fitting, key=lambda profile: len(robots[profile].joints), default=None)
+    return InstrumentDraft(name, joints, pose, base, tool, longest, joint_names)
 
 
 def shipped_robot(name: str) -> Robot:

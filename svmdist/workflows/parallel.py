@@ -16,6 +16,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from multiprocessing.util import get_temp_dir
 from typing import Any, TypeVar
 
@@ -96,17 +97,15 @@ def in_order(
 
 
 @contextmanager
-def process_pool(
-    workers: int, begin: Callable[..., object] | None = None, arguments: tuple[Any, ...] = ()
-) -> Iterator[ProcessPoolExecutor]:
+def process_pool(workers: int, begin: Callable[[], object] = object) -> Iterator[ProcessPoolExecutor]:
     """Give a pool of processes that end with the block: after their tasks, or at once where it is left by an error.
 
-    Each process calls `begin(*arguments)` first. Interrupts are this process's to handle; workers also end where this
-    process is killed. Raises WorkerDiedError where a worker is killed.
+    Each process calls `begin()` first. Interrupts are this process's to handle; workers also end where this process is
+    killed. Raises WorkerDiedError where a worker is killed.
     """
     with _pools() as make:
         try:
-            yield make(workers, begin, arguments)
+            yield make(workers, begin)
         except BrokenProcessPool:
             raise WorkerDiedError from None
 
@@ -135,7 +134,7 @@ def each_in_processes(
         while waiting or running:
             while waiting and len(running) < workers:
                 place, attempt = waiting.popleft()
-                pool = idle.pop() if idle else make(1, _count_in, (steps,))
+                pool = idle.pop() if idle else make(1, partial(_count_in, steps))
                 running[pool.submit(function, items[place])] = (pool, place, attempt)
             done, _ = wait(running, LOOK_S if on_step else None, return_when="FIRST_COMPLETED")
             if on_step and steps is not None:
@@ -200,8 +199,8 @@ def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
     pools: list[ProcessPoolExecutor] = []
     others = set(multiprocessing.active_children())
 
-    def make(workers: int, begin: Callable[..., object] | None, arguments: tuple[Any, ...]) -> Any:
-        prepared = dict(os.environ), get_temp_dir(), begin, arguments
+    def make(workers: int, begin: Callable[[], object]) -> Any:
+        prepared = dict(os.environ), get_temp_dir(), begin
         pools.append(ProcessPoolExecutor(workers, context, _begin, prepared))
         return pools[-1]
 
@@ -216,16 +215,13 @@ def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
             pool.shutdown(cancel_futures=True)
 
 
-def _begin(
-    environment: dict[str, str], folder: str, begin: Callable[..., object] | None, arguments: tuple[Any, ...]
-) -> None:
+def _begin(environment: dict[str, str], folder: str, begin: Callable[[], object]) -> None:
     """Prepare a worker: the process that began it handles interrupts, and takes it along where it is killed."""
     os.environ.update(environment)  # it may have changed since the server began that forks workers
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
     cv2.setNumThreads(1)
-    if begin is not None:
-        begin(*arguments)
+    begin()
 
 
 def _end_with_parent(folder: str) -> None:

@@ -46,61 +46,64 @@ class Recorded:
     failure: str | None = None
 
 
+@dataclass(frozen=True)
+class Recipe:
+    """What is simulated, and how images are stored: as PNG, without loss, or as JPEG of a quality from 1 to 100."""
+
+    scenario: Scenario
+    profile: Profile
+    options: Options = Options()  # noqa: RUF009  (it is frozen)
+    noise: float = 0.0
+    jpeg_quality: int | None = None
+
+    def metadata(self) -> dict[str, str]:
+        """What a recording states that it came from."""
+        scenario, quality = self.scenario, self.jpeg_quality
+        return {
+            "scenario": scenario.name,
+            "seed": str(scenario.seed),
+            "duration_s": f"{scenario.duration_s:g}",
+            "rate_hz": f"{scenario.rate_hz:g}",
+            "noise": f"{self.noise:g}",
+            "renderer": "tiny",
+            "profile": self.profile.name,
+            **{f"version_{name}": _version(name) for name in VERSIONED_PACKAGES},
+            **self.options.metadata(),
+            **({} if quality is None else {"jpeg_quality": str(quality)}),
+        }
+
+
 def record(
-    scenario: Scenario,
-    profile: Profile,
+    recipe: Recipe,
     output: Path,
     *,
-    noise: float = 0.0,
-    options: Options | None = None,
     force: bool = False,
-    jpeg_quality: int | None = None,
     jobs: int | None = None,
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Recorded:
     """Simulate a scenario and write it to `output`; `on_progress` is called with (images done, images in all).
 
-    Images are PNG, without loss, or JPEG of a quality from 1 to 100. At most `jobs` processes draw images, by default
-    as many as there are usable cores; the file is the same for any number. Raises UsageError where the file exists and
-    `force` is not set, OutputError, SimulationError, and WorkerDiedError, which leaves no file.
+    At most `jobs` processes draw images, by default as many as there are usable cores; the file is the same for any
+    number. Raises UsageError where the file exists and `force` is not set, OutputError, SimulationError, and
+    WorkerDiedError, which leaves no file.
     """
-    options = options or Options()
-    metadata = recorded_metadata(scenario, profile, noise, options, jpeg_quality)
     frame_count = message_count = 0
-    writer = RecordingWriter(output, metadata, force=force, jpeg_quality=jpeg_quality)
+    writer = RecordingWriter(output, recipe.metadata(), force=force, jpeg_quality=recipe.jpeg_quality)
     try:
         with writer:
-            plan = make_plan(scenario, profile, noise=noise, options=options)
-            with closing(encoded_samples(plan, jobs or parallel.usable_cores(), jpeg_quality)) as samples:
+            plan = make_plan(recipe.scenario, recipe.profile, noise=recipe.noise, options=recipe.options)
+            made = encoded_samples(plan, jobs or parallel.usable_cores(), recipe.jpeg_quality)
+            with closing(made) as samples:
                 for topic, sample in samples:
                     writer.write(topic, sample)
                     message_count += 1
                     if topic == plan.topics["image"]:
                         frame_count += 1
-                        if on_progress is not None:
-                            on_progress(frame_count, scenario.frame_count)
+                        on_progress(frame_count, recipe.scenario.frame_count)
     except parallel.WorkerDiedError:
         writer.part_path.unlink(missing_ok=True)
         raise
     return Recorded(output, frame_count, message_count, output.stat().st_size)
-
-
-def recorded_metadata(
-    scenario: Scenario, profile: Profile, noise: float, options: Options, jpeg_quality: int | None = None
-) -> dict[str, str]:
-    """What a recording states that it came from."""
-    return {
-        "scenario": scenario.name,
-        "seed": str(scenario.seed),
-        "duration_s": f"{scenario.duration_s:g}",
-        "rate_hz": f"{scenario.rate_hz:g}",
-        "noise": f"{noise:g}",
-        "renderer": "tiny",
-        "profile": profile.name,
-        **{f"version_{name}": _version(name) for name in VERSIONED_PACKAGES},
-        **options.metadata(),
-        **({} if jpeg_quality is None else {"jpeg_quality": str(jpeg_quality)}),
-    }
 
 
 def _version(package: str) -> str:
@@ -125,7 +128,7 @@ def encoded_samples(
             with Simulator(plan) as simulator:
                 yield from _encoded(simulator, plan.blocks, jpeg_quality)
             return
-        with parallel.process_pool(workers, _begin, (plan, jpeg_quality)) as pool:
+        with parallel.process_pool(workers, partial(_begin, plan, jpeg_quality)) as pool:
             for encoded in parallel.in_order(_work, _tasks(plan), workers, pool):
                 yield from encoded
 
@@ -179,14 +182,10 @@ SEED, NUMBER = "{seed}", "{episode}"
 
 @dataclass(frozen=True)
 class Episodes:
-    """What is recorded: a scenario, of which each episode has the next seed, and the world that is drawn by it."""
+    """What is recorded: a recipe, of which each episode has the next seed, and the world that is drawn by it."""
 
-    scenario: Scenario
-    profile: Profile
-    options: Options
+    recipe: Recipe
     perturbations: Perturbations
-    noise: float = 0.0
-    jpeg_quality: int | None = None
     force: bool = False
     skip_existing: bool = False
 
@@ -265,35 +264,26 @@ def _each_recorded(episodes: Episodes, paths: Sequence[Path], jobs: int) -> Gene
 def record_episode(episodes: Episodes, jobs: int, numbered: tuple[int, Path]) -> Recorded:
     """Record one episode, or leave it where it is there already. Raises UsageError for what no episode can have."""
     number, path = numbered
-    seed = episodes.scenario.seed + number
-    scenario = replace(episodes.scenario, seed=seed)
-    perturbations = draw_world(episodes.options.world, seed, episodes.perturbations)
-    options = replace(episodes.options, perturbations=perturbations)
+    scenario, options = episodes.recipe.scenario, episodes.recipe.options
+    scenario = replace(scenario, seed=scenario.seed + number)
+    world = draw_world(options.world, scenario.seed, episodes.perturbations)
+    recipe = replace(episodes.recipe, scenario=scenario, options=replace(options, perturbations=world))
     try:
         if episodes.skip_existing and path.exists():
-            return _there(episodes, scenario, options, path)
-        return record(
-            scenario,
-            episodes.profile,
-            path,
-            noise=episodes.noise,
-            options=options,
-            # A file that is to be left is not there; what an interrupted recording left of it goes.
-            force=episodes.force or episodes.skip_existing,
-            jpeg_quality=episodes.jpeg_quality,
-            jobs=jobs,
-        )
+            return _there(recipe, path)
+        # A file that is to be left is not there; what an interrupted recording left of it goes.
+        return record(recipe, path, force=episodes.force or episodes.skip_existing, jobs=jobs)
     except SvmdistError as problem:
         if isinstance(problem, UsageError) and number == 0 and not path.exists():
             raise  # all others would meet it too
         return Recorded(path, failure=str(problem))
 
 
-def _there(episodes: Episodes, scenario: Scenario, options: Options, path: Path) -> Recorded:
+def _there(recipe: Recipe, path: Path) -> Recorded:
     """An episode that is there already, unless the file is another recording."""
-    expected = recorded_metadata(scenario, episodes.profile, episodes.noise, options, episodes.jpeg_quality)
+    expected = recipe.metadata()
     try:
-        recording = open_recording(path, episodes.profile)
+        recording = open_recording(path, recipe.profile)
         found = recording.metadata
     except RecordingError as problem:
         return Recorded(path, failure=f"{problem}; --force replaces it")

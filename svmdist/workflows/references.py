@@ -64,6 +64,9 @@ class TruthRules:
         return (Reference.GROUND_TRUTH, Reference.KINEMATICS)
 
 
+ANY_TRUTH = TruthRules()
+
+
 def truth_rules(
     pairs: tuple[str, ...],
     profile: Profile,
@@ -91,14 +94,13 @@ def distance_truth(
     profile: Profile,
     reference: Reference,
     stamps_ns: NDArray[np.int64],
-    equations: Equations = "corrected",
-    rules: TruthRules | None = None,
+    equations: Equations,
+    rules: TruthRules,
 ) -> SampledDistances:
     """Distances between tool and tissue by a reference, interpolated to stamps; what it does not give is NaN.
 
     Raises RecordingError or KinematicsError where the log has no such reference.
     """
-    rules = rules or TruthRules()
     unknown_m = np.full(len(stamps_ns), np.nan)
     if reference is Reference.GROUND_TRUTH:
         return recording.distance_track().at(stamps_ns, rules.max_gap_ns)
@@ -124,10 +126,9 @@ def distance_truth(
 
 
 def tool_track(
-    recording: Recording, profile: Profile, reference: Reference, rules: TruthRules | None = None
+    recording: Recording, profile: Profile, reference: Reference, rules: TruthRules = ANY_TRUTH
 ) -> PoseAt:
     """`T_camera_tool` by a reference; raises RecordingError or KinematicsError where the log has no such one."""
-    rules = rules or TruthRules()
     frames, gap_ns = profile.frames, rules.max_gap_ns
     if reference in (Reference.GROUND_TRUTH, Reference.TF):
         is_truth = reference is Reference.GROUND_TRUTH

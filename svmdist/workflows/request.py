@@ -33,7 +33,7 @@ from svmdist.results import FrameResult
 from svmdist.samples import Image, Observation
 from svmdist.vision import degradations
 from svmdist.vision.segmentation import Segmenter, make_segmenter
-from svmdist.workflows.references import TruthRules
+from svmdist.workflows.references import ANY_TRUTH, TruthRules
 
 REPLAY_SEED = 36
 LEFT, RIGHT = 0, 1
@@ -126,8 +126,6 @@ def _changed(observation: Observation, change: Callable[[Image, int], Image]) ->
 
 Lag = float | Literal["auto"]
 """A lag in s, positive when the image stamps are late, or `auto` to estimate it."""
-
-ANY_TRUTH = TruthRules()
 
 LOG = logging.getLogger("svmdist")
 """What users are told beside the data: errors, then remarks (INFO), then choices and times (DEBUG)."""

@@ -21,7 +21,13 @@ from svmdist.recording.log import KnownLag, Recording
 from svmdist.results import FrameResult
 from svmdist.tracks import SampledDistances
 from svmdist.transforms import Array, Stamps
-from svmdist.workflows.references import Reference, TruthRules, distance_truth, truth_follows_images
+from svmdist.workflows.references import (
+    ANY_TRUTH,
+    Reference,
+    TruthRules,
+    distance_truth,
+    truth_follows_images,
+)
 from svmdist.workflows.request import Setup
 
 BOOTSTRAP_SEED = 36
@@ -241,7 +247,7 @@ def score_rows(
     recording: Recording,
     setup: Setup,
     reference: Reference,
-    rules: TruthRules | None = None,
+    rules: TruthRules = ANY_TRUTH,
     lag: LagEstimate | None = None,
     alarms: AlarmRules | None = None,
 ) -> Score:

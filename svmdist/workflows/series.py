@@ -101,15 +101,15 @@ class WorstFrame:
 
 
 def worst_frames(series: Sequence[Series], count: int) -> list[WorstFrame]:
-    """The worst frames of several instruments, each image once, the worst first."""
+    """The worst frames of several logs and instruments, each image once, the worst first."""
     frames = [
         WorstFrame(at, one, badness_m)
         for one in series
         for at, badness_m in enumerate(one.badness_m.tolist())
     ]
-    worst: dict[int, WorstFrame] = {}
+    worst: dict[tuple[str, int], WorstFrame] = {}
     for frame in sorted(frames, key=lambda frame: -frame.badness_m):
-        worst.setdefault(frame.number, frame)
+        worst.setdefault((frame.series.recording, frame.number), frame)
     return list(worst.values())[:count]
 
 

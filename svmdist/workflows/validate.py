@@ -20,7 +20,7 @@ from svmdist.files import read_regular, why, write_atomically
 from svmdist.recording.log import Recording
 from svmdist.workflows.estimate import Keep, Measured, estimate, given_lag, recording_lag, with_lag
 from svmdist.workflows.metric_table import FIRST_KEYS, Better, Tolerance, cells, stored_metrics
-from svmdist.workflows.parallel import Progress, Steps, image_total
+from svmdist.workflows.parallel import Steps
 from svmdist.workflows.references import KINEMATICS_PRINTED_NOTE, Reference
 from svmdist.workflows.request import Request
 from svmdist.workflows.scores import Readings, Score, pool_scores, require_clearance, score_rows
@@ -75,13 +75,7 @@ class Validation:
         return (self.primary or self.scores[0]).reference
 
 
-def validate(
-    recordings: Sequence[Recording],
-    request: Request,
-    jobs: int | None = None,
-    on_progress: Progress | None = None,
-    keep: Keep | None = None,
-) -> Validation:
+def validate(recordings: Sequence[Recording], request: Request, jobs: int | None = None) -> Validation:
     """Score recordings against each reference that they have, and alarms where the request has rules for them.
 
     Every instrument of a recording has its own scores. Recordings that the calibration was fitted on are scored and
@@ -89,8 +83,7 @@ def validate(
     no true clearance to score alarms against, and what `require_truth_for_alarms` raises.
     """
     require_truth_for_alarms(request)
-    steps = Steps(on_progress, image_total(recordings, lambda one: step_count(one, request)))
-    return combine([score_recording(one, request, jobs, steps, keep) for one in recordings], request)
+    return combine([score_recording(one, request, jobs) for one in recordings], request)
 
 
 def require_truth_for_alarms(request: Request) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -59,22 +58,18 @@ def test_known_quadratics_are_recovered(x, y):
     assert found.fit.max_error_m < 1e-12
 
 
-@pytest.mark.parametrize("count", [0, 1, MIN_SAMPLE_COUNT - 1])
-def test_too_few_samples_are_refused(count):
-    """Fewer than twelve samples raise an error with both counts, and twelve are enough."""
-    with pytest.raises(CalibrationError, match=f"at least {MIN_SAMPLE_COUNT} .* found {count}"):
-        fitted(count=count)
+def test_too_few_samples_and_too_small_a_span_are_refused():
+    """Fewer than twelve samples, or all within a quarter of the image along one axis; twelve are enough."""
+    for count in (0, 1, MIN_SAMPLE_COUNT - 1):
+        with pytest.raises(CalibrationError, match=f"at least {MIN_SAMPLE_COUNT} .* found {count}"):
+            fitted(count=count)
     assert fitted(count=MIN_SAMPLE_COUNT).fit.sample_count == MIN_SAMPLE_COUNT
-
-
-@pytest.mark.parametrize(("axis", "name", "size_px"), [(0, "x", 640), (1, "y", 480)])
-def test_too_small_a_span_is_refused(axis, name, size_px):
-    """Samples within a quarter of the image along one axis raise an error that names axis and sizes."""
     points = samples()
-    narrow = points.tool_px.copy()
-    narrow[:, axis] = np.linspace(200, 200 + 0.24 * size_px, len(narrow))
-    with pytest.raises(CalibrationError, match=f"along {name} it covers .* of {size_px} px"):
-        fit_calibration(CalibrationSamples(narrow, points.tool_m), CAMERA, "overlay", "svmdist", SOURCES)
+    for axis, (name, size_px) in enumerate((("x", 640), ("y", 480))):
+        narrow = points.tool_px.copy()
+        narrow[:, axis] = np.linspace(200, 200 + 0.24 * size_px, len(narrow))
+        with pytest.raises(CalibrationError, match=f"along {name} it covers .* of {size_px} px"):
+            fit_calibration(CalibrationSamples(narrow, points.tool_m), CAMERA, "overlay", "svmdist", SOURCES)
 
 
 def test_a_file_survives_the_round_trip(tmp_path):
@@ -106,14 +101,6 @@ def test_a_calibration_is_for_its_camera_only():
             calibration.require_camera(camera, "a.mcap")
 
 
-@pytest.fixture
-def text(tmp_path: Path) -> str:
-    """The text of a good calibration file."""
-    path = tmp_path / "good.toml"
-    save_calibration(fitted(), path)
-    return path.read_text("utf-8")
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -125,10 +112,12 @@ def text(tmp_path: Path) -> str:
         ('method = "overlay"', "", "missing key method"),
     ],
 )
-def test_a_bad_file_names_file_key_and_nearest_key(tmp_path, text, old, new, message):
+def test_a_bad_file_names_file_key_and_nearest_key(tmp_path, old, new, message):
     """Each mistake becomes one line with the file, the key, and for unknown keys the nearest valid one."""
-    assert old in text
     path = tmp_path / "bad.toml"
+    save_calibration(fitted(), path)
+    text = path.read_text("utf-8")
+    assert old in text
     path.write_text(text.replace(old, new, 1), "utf-8")
     with pytest.raises(CalibrationError, match=message) as caught:
         load_calibration(path)

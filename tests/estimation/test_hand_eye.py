@@ -10,9 +10,8 @@ import pytest
 from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye
 from svmdist.profile.settings import HandEyeSettings
 from svmdist.results import Failure
-from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, transform_points
+from svmdist.transforms import make_transform, rotation_of, rotation_vector, transform_points
 
-SETTINGS = HandEyeSettings()
 T_CAMERA_BASE = make_transform(rotation_of([2.8, 0.3, -0.5]), [0.05, -0.1, 0.2])
 STEP_NS = 10**9
 """A second between frames, more than errors last."""
@@ -46,16 +45,10 @@ def _places(rng: np.random.Generator, count: int = 60, noise_m: float = 0.0, sha
     )
 
 
-def _fitted(places: ToolPlaces, settings: HandEyeSettings = SETTINGS) -> HandEyeFit:
-    fit = fit_hand_eye(places, settings)
+def _fitted(places: ToolPlaces) -> HandEyeFit:
+    fit = fit_hand_eye(places, HandEyeSettings())
     assert isinstance(fit, HandEyeFit), fit
     return fit
-
-
-def _error(fit: HandEyeFit) -> Array:
-    T = fit.T_camera_base
-    turn = rotation_vector(T_CAMERA_BASE[:3, :3] @ T[:3, :3].T)
-    return np.concatenate([T_CAMERA_BASE[:3, 3] - T[:3, 3], turn])
 
 
 def test_exact_without_noise() -> None:
@@ -75,10 +68,8 @@ def test_outliers_are_left_out() -> None:
     fit = _fitted(replace(places, seen_m=seen_m))
     assert not fit.agrees[wild].any()
     assert fit.agrees[~wild].mean() > 0.95
-    assert (
-        np.linalg.norm(transform_points(fit.T_camera_base, places.nominal_m) - places.seen_m, axis=1).max()
-        < 5e-3
-    )
+    off_m = transform_points(fit.T_camera_base, places.nominal_m) - places.seen_m
+    assert np.linalg.norm(off_m, axis=1).max() < 5e-3
 
 
 @pytest.mark.parametrize("shared", [0, 2])
@@ -90,7 +81,8 @@ def test_errors_are_within_the_stated_ellipsoid(shared: int, monkeypatch: pytest
     distances = []
     for _ in range(100):
         fit = _fitted(_places(rng, 40, 5e-4, shared))
-        error = _error(fit)
+        turn = rotation_vector(T_CAMERA_BASE[:3, :3] @ fit.T_camera_base[:3, :3].T)
+        error = np.concatenate([T_CAMERA_BASE[:3, 3] - fit.T_camera_base[:3, 3], turn])
         distances.append(error @ np.linalg.solve(fit.covariance, error))
     inside = np.mean(np.array(distances) < 12.6)  # chi square of 6 degrees of freedom, 95 %
     assert inside >= 0.9
@@ -107,11 +99,11 @@ def test_errors_are_within_the_stated_ellipsoid(shared: int, monkeypatch: pytest
     ],
 )
 def test_too_little_motion_is_refused(scale: list[float], said: str) -> None:
-    """A still tool, a line, and nearly a line tell no rotation, and it is said."""
+    """A still tool, a line, and nearly a line determine no rotation."""
     places = _places(np.random.default_rng(6), 40, 3e-4)
     noise = places.seen_m - transform_points(T_CAMERA_BASE, places.nominal_m)
     nominal = places.nominal_m[0] + (places.nominal_m - places.nominal_m[0]) * scale
     seen = transform_points(T_CAMERA_BASE, nominal) + noise
-    fit = fit_hand_eye(replace(places, seen_m=seen, nominal_m=nominal), SETTINGS)
+    fit = fit_hand_eye(replace(places, seen_m=seen, nominal_m=nominal), HandEyeSettings())
     assert isinstance(fit, Failure)
     assert said in fit.reason

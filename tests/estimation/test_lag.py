@@ -10,11 +10,11 @@ PERIOD_NS = 100_000_000
 STAMPS_NS = np.arange(80, dtype=np.int64) * PERIOD_NS
 
 
-def _track(seconds: np.ndarray, amplitude_px: float = 90.0) -> np.ndarray:
+def _track(seconds: np.ndarray) -> np.ndarray:
     """A smooth, aperiodic motion in px, shape (n, 2)."""
     x = np.sin(1.7 * seconds) + 0.5 * np.sin(0.61 * seconds + 1.0)
     y = np.cos(2.3 * seconds + 0.4) + 0.4 * np.sin(0.83 * seconds)
-    return amplitude_px * np.stack([x, y], -1) + 250.0
+    return 90.0 * np.stack([x, y], -1) + 250.0
 
 
 def _predict(stamps_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -35,20 +36,13 @@ def made(method: str) -> Estimator:
 @pytest.fixture(scope="module")
 def seen(golden: Path) -> list[Observation]:
     """The first frames of a rendered log with both views, joints and transforms."""
-    found: list[Observation] = []
-    for one in open_recording(golden / "3d" / "contact.mcap", PROFILE).observations():
-        assert isinstance(one, Observation)
-        found.append(one)
-        if len(found) == 3:
-            break
-    return found
+    recording = open_recording(golden / "3d" / "contact.mcap", PROFILE)
+    return [one for one in islice(recording.observations(), 3) if isinstance(one, Observation)]
 
 
-def frames(seen: list[Observation]) -> Iterator[Frame]:
-    """Fresh frames, of which nothing is detected yet."""
-    arm, segmenter = Arm(PROFILE), make_segmenter(PROFILE.segmentation)
-    for one in seen:
-        yield frame_of(one, arm, segmenter)
+def fresh(seen: Observation) -> Frame:
+    """A frame of which nothing is detected yet."""
+    return frame_of(seen, Arm(PROFILE), make_segmenter(PROFILE.segmentation))
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -56,18 +50,10 @@ def test_what_is_not_needed_is_not_looked_at(method: str, seen: list[Observation
     """A method that says so does without joints, transforms, or the right view, and gives the same."""
     estimator, blind = made(method), made(method)
     for one in seen:
-        less = Observation(
-            one.stamp_ns,
-            one.image_bgr,
-            one.camera,
-            one.joints if estimator.needs.robot else None,
-            one.right if estimator.needs.right_view else None,
-            one.T_camera_base if estimator.needs.robot else None,
-            one.joint_track if estimator.needs.robot else None,
-        )
-        whole, partial = (
-            each.estimate(frame) for each, frame in zip((estimator, blind), frames([one, less]), strict=True)
-        )
+        needs = estimator.needs
+        less = one if needs.robot else replace(one, joints=None, T_camera_base=None, joint_track=None)
+        less = less if needs.right_view else replace(less, right=None)
+        whole, partial = estimator.estimate(fresh(one)), blind.estimate(fresh(less))
         assert whole.status == partial.status
         assert whole.distances == partial.distances
         assert whole.image == partial.image
@@ -78,8 +64,7 @@ def test_a_method_without_state_forgets(method: str, seen: list[Observation]) ->
     """A frame after others, in whatever order, gives what a fresh estimator gives, bit for bit."""
     used = made(method)
     for index in (2, 0, 1, 0):
-        old, new = (next(frames(seen[index : index + 1])) for _ in range(2))
-        first, second = used.estimate(old), made(method).estimate(new)
+        first, second = (each.estimate(fresh(seen[index])) for each in (used, made(method)))
         assert (first.status, first.image, first.distances) == (second.status, second.image, second.distances)
         if first.tool is not None and second.tool is not None:
             np.testing.assert_array_equal(first.tool.pose.T_camera_tool, second.tool.pose.T_camera_tool)
@@ -93,5 +78,5 @@ def test_a_profile_without_what_a_method_needs_is_refused(method: str, key: str)
 
 
 def test_an_observation_has_no_field_for_truth() -> None:
-    """No estimator can peek: neither an observation nor a frame's scene holds a distance or a true pose."""
+    """No estimator can peek."""
     assert not {name for name in Observation.__slots__ if "truth" in name or "distance" in name}

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ import trimesh
 
 from svmdist.camera import Camera
 from svmdist.estimation.dome import SMOOTH_FRACTION, DomeModel, fit_dome
-from svmdist.estimation.frame import Frame, frame_of
+from svmdist.estimation.frame import frame_of
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.surface import StereoSurface
@@ -24,7 +25,7 @@ from svmdist.geometry.distance import separation
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import DEFAULT_PROFILE, Dome, Profile, load_profile, profile_path
 from svmdist.recording.log import open_recording
-from svmdist.samples import Image, Observation
+from svmdist.samples import Observation
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import Array, rotation_z, transform_points
 from svmdist.vision.segmentation import make_segmenter
@@ -34,17 +35,7 @@ from tests.shipped import PROFILE
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 
 
-@dataclass
-class Drawn:
-    """Masks of a scene that is drawn as masks."""
-
-    tissue: Image
-    shaft: Image | None
-    instrument: Image
-    black: Image | None = None
-
-
-def drawn_masks(*, blood: bool = False) -> Drawn:
+def drawn_masks(*, blood: bool = False) -> SimpleNamespace:
     """An ellipse, and a dark shaft beside it, with patches of blood."""
     tissue, shaft = np.zeros((480, 640), np.uint8), np.zeros((480, 640), np.uint8)
     cv2.ellipse(tissue, (260, 240), (110, 80), 10, 0, 360, 255, -1)
@@ -54,10 +45,10 @@ def drawn_masks(*, blood: bool = False) -> Drawn:
         for centre in ((470, 178), (560, 135)):
             cv2.circle(tissue, centre, 15, 255, -1)
             cv2.circle(shaft, centre, 15, 0, -1)
-    return Drawn(tissue, shaft, np.zeros_like(tissue))
+    return SimpleNamespace(tissue=tissue, shaft=shaft, instrument=np.zeros_like(tissue), black=None)
 
 
-def centroid(masks: Drawn) -> np.ndarray:
+def centroid(masks: SimpleNamespace) -> Array:
     found = detect_tissue(masks, PROFILE, CAMERA)
     assert found is not None
     return found.outline.centroid_px
@@ -71,41 +62,30 @@ def test_blood_on_the_shaft_does_not_pull_the_outline() -> None:
     assert np.linalg.norm(centroid(bloody) - centroid(clean)) > 10.0
 
 
-def frames(golden: Path, profile: Profile, count: int) -> list[Frame]:
-    recording = open_recording(golden / "3d" / "contact.mcap", profile)
+def followed(golden: Path, profile: Profile):
+    """The tissue's place after six frames of a log, and what became of its height's measurements."""
     arm, segmenter = Arm(profile), make_segmenter(profile.segmentation)
-    seen = [each for each in recording.observations() if isinstance(each, Observation)][:count]
-    return [frame_of(each, arm, segmenter) for each in seen]
-
-
-def followed(golden: Path, profile: Profile, count: int = 6):
-    """The tissue's place, its covariance and that with the tool's pose after some frames, and the true place."""
-    arm = Arm(profile)
     tissue = FollowedTissue(arm)
     kalman = KinematicErrorFilter(arm.required_chain, profile.kinematic_error)
     results = []
-    for frame in frames(golden, profile, count):
+    recording = open_recording(golden / "3d" / "contact.mcap", profile)
+    for seen in islice(recording.observations(), 6):
+        assert isinstance(seen, Observation)
+        frame = frame_of(seen, arm, segmenter)
         assert isinstance(frame.robot, RobotState)
         known = tissue.see(frame)
         kalman.predict(frame.robot)
         results.append(tissue.measure_height(frame, kalman))
         assert known is not None
-    placed, coupling = tissue.placed(known, frame, kalman)
-    return placed, coupling, results
-
-
-def with_plane(distance_m: float) -> Profile:
-    assert PROFILE.tissue is not None
-    return PROFILE.model_copy(
-        update={"tissue": PROFILE.tissue.model_copy(update={"plane_distance_m": distance_m})}
-    )
+    return tissue.placed(known, frame, kalman)[0], results
 
 
 def test_stereo_brings_back_a_plane_that_the_profile_has_wrong(golden: Path) -> None:
     """Two millimetres off: a good part of it comes back, by a pair that is itself uncertain, and the rest is stated."""
     true_m = 0.112
     for wrong_m in (0.110, 0.112, 0.114):
-        placed, _, results = followed(golden, with_plane(wrong_m))
+        plane = PROFILE.tissue.model_copy(update={"plane_distance_m": wrong_m})
+        placed, results = followed(golden, PROFILE.model_copy(update={"tissue": plane}))
         assert all(result is not None and result.is_accepted for result in results)
         off_m = abs(float(placed.position_m[2]) - true_m)
         assert off_m < 0.75 * abs(wrong_m - true_m) + 4e-4
@@ -126,10 +106,10 @@ def shaped(*shape: float) -> DomeModel:
     return DOME.shaped(np.array([*shape, *DOME.shape[len(shape) :]]), DOME.covariance)
 
 
-def inner_points(count: int, seed: int = 3, gauge: float = 0.85) -> Array:
+def inner_points(count: int) -> Array:
     """Points inside the outline, in the tissue's frame, shape (n, 2)."""
-    rng = np.random.default_rng(seed)
-    radius = gauge * np.sqrt(rng.uniform(0.0, 1.0, count))
+    rng = np.random.default_rng(3)
+    radius = 0.85 * np.sqrt(rng.uniform(0.0, 1.0, count))
     return radius[:, None] * OUTLINE_M[rng.integers(0, len(ANGLE), count), :2]
 
 
@@ -161,13 +141,6 @@ def test_surface_deviation_is_that_of_drawn_shapes() -> None:
     assert np.std(found_m) == pytest.approx(0.5 * stated_m, rel=0.2)
 
 
-def cloud(dome: DomeModel, error_m: Array | float = 0.0, points_m: Array | None = None) -> StereoSurface:
-    flat_m = inner_points(800) if points_m is None else points_m
-    return StereoSurface(
-        transform_points(T, np.column_stack([flat_m, dome.height_m(flat_m) + error_m])), 3.6e-4
-    )
-
-
 def test_fitted_shapes_are_as_sure_as_they_say() -> None:
     """Over drawn shapes and smooth errors of the cloud the normalised squared error is five, as of five numbers."""
     rng = np.random.default_rng(11)
@@ -179,7 +152,8 @@ def test_fitted_shapes_are_as_sure_as_they_say() -> None:
     for _ in range(60):
         truth = DOME.shaped(rng.multivariate_normal(DOME.shape, DOME.covariance), DOME.covariance)
         error_m = smooth @ rng.normal(0.0, SMOOTH_FRACTION * 3.6e-4, basis.shape[1])
-        found = fit_dome(DOME, cloud(truth, error_m, flat_m))
+        cloud_m = transform_points(T, np.column_stack([flat_m, truth.height_m(flat_m) + error_m]))
+        found = fit_dome(DOME, StereoSurface(cloud_m, 3.6e-4))
         assert found is not None
         off = found.shape - truth.shape
         squares.append(off @ np.linalg.solve(found.covariance, off))

@@ -30,14 +30,16 @@ def random_capsules(rng: np.random.Generator, count: int) -> Capsules:
     return Capsules(rng.normal(0, 1, (count, 3)), rng.normal(0, 1, (count, 3)), rng.uniform(0.01, 0.2, count))
 
 
+def mesh_of(solid: trimesh.Trimesh) -> Mesh:
+    return Mesh(np.asarray(solid.vertices, np.float64), np.asarray(solid.faces, np.int64))
+
+
 def icosphere(radius: float = 1.0) -> Mesh:
-    mesh = trimesh.creation.icosphere(subdivisions=3, radius=radius)
-    return Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64))
+    return mesh_of(trimesh.creation.icosphere(subdivisions=3, radius=radius))
 
 
 def box(size: list[float]) -> Mesh:
-    mesh = trimesh.creation.box(size)
-    return Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int64))
+    return mesh_of(trimesh.creation.box(size))
 
 
 def assert_consistent(found: Separation) -> None:
@@ -98,15 +100,13 @@ def test_spheres_to_a_mesh_agree_with_trimesh() -> None:
         assert_consistent(found)
 
 
-def test_depth_of_a_needle_in_a_box_is_that_of_its_tip() -> None:
+def test_depth_in_a_box_is_that_of_the_tip_or_the_deepest_point() -> None:
+    """Of a needle that ends in it, of an axis that runs through it."""
     needle = capsule([0.1, 0.2, 0.4], [0.1, 0.2, 3.0], 0.01)
     found = separation(needle, box([2, 2, 1.4]))  # its top is at z = 0.7
     assert found.distance_m == pytest.approx(-0.31, abs=EXACT)
     np.testing.assert_allclose(found.direction, [0, 0, -1], atol=1e-6)
     assert_consistent(found)
-
-
-def test_depth_of_an_axis_that_runs_through_a_box_is_that_of_its_deepest_point() -> None:
     through = capsule([-3, 0.0, 0.2], [3, 0.0, 0.2], 0.05)
     assert separation(through, box([2, 2, 1])).distance_m == pytest.approx(-0.35, abs=EXACT)
 
@@ -150,14 +150,9 @@ def test_direction_is_the_gradient_outside_and_inside() -> None:
         np.testing.assert_allclose(gradient, -found.direction, atol=1e-3)
 
 
-def torus() -> Mesh:
-    mesh = trimesh.creation.torus(0.6, 0.25, 48, 24)
-    return Mesh(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64))
-
-
 def test_beside_a_concave_mesh_pruning_leaves_the_nearest_face() -> None:
     """Capsules about a torus, through its hole, and beside it: as every capsule against every triangle in turn."""
-    rng, mesh, outside = np.random.default_rng(12), torus(), 0
+    rng, mesh, outside = np.random.default_rng(12), mesh_of(trimesh.creation.torus(0.6, 0.25, 48, 24)), 0
     for _ in range(60):
         starts = rng.uniform(-1.0, 1.0, (6, 3)) * rng.choice([0.15, 1.5])
         capsules = Capsules(starts, starts + rng.normal(0.0, 0.15, (6, 3)), rng.uniform(0.01, 0.05, 6))
@@ -209,11 +204,8 @@ def test_the_nearest_point_of_a_large_cloud_is_found() -> None:
     assert found.distance_m <= sampled + EXACT
     assert sampled - found.distance_m < 1e-8  # (0.1 / 4000)² / 2 / 0.05
     assert_consistent(found)
-
-
-def test_a_cloud_without_points_is_refused() -> None:
     with pytest.raises(ValueError, match="without points"):
-        separation(capsule([0, 0, 0], [1, 0, 0], 0.1), Cloud(np.zeros((0, 3))))
+        separation(capsules, Cloud(np.zeros((0, 3))))
 
 
 def winding_number(points: Array, triangles: Array) -> Array:
@@ -248,7 +240,7 @@ def test_inside_is_where_a_mesh_winds_around(solid: trimesh.Trimesh) -> None:
     edges = solid.vertices[solid.edges_unique[rng.integers(0, len(solid.edges_unique), 100)]].mean(1)
     beside = [corners + rng.normal(0, 1e-6, corners.shape), edges + rng.normal(0, 1e-6, edges.shape)]
     points = np.vstack([rng.uniform(-1.1, 1.1, (300, 3)), *beside])
-    mesh = Mesh(np.asarray(solid.vertices, np.float64), np.asarray(solid.faces, np.int64))
+    mesh = mesh_of(solid)
     nearest, distance = signed_distances(points, mesh)
     every = point_to_triangle(points[:, None], mesh.triangles_m[None]).distance
     np.testing.assert_array_equal(np.abs(distance), every.min(1))

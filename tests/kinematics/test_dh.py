@@ -21,7 +21,8 @@ from svmdist.kinematics import (
     select_joints,
 )
 from svmdist.profile import Joint, load_profile
-from svmdist.transforms import make_transform, rotation_x, rotation_z
+from svmdist.transforms import make_transform, rotation_vector, rotation_x, rotation_z
+from tests.jacobian import check_jacobian
 
 LENGTHS = ("a_m", "alpha_rad", "d_m", "theta_rad")
 angles_rad = st.floats(-np.pi, np.pi)
@@ -47,36 +48,14 @@ THREE = DHChain(
 )
 
 
-def turn(R: np.ndarray) -> np.ndarray:
-    """A rotation as a transform, shape (4, 4)."""
-    return make_transform(R, np.zeros(3))
-
-
-def shift(x_m: float = 0.0, z_m: float = 0.0) -> np.ndarray:
-    """A translation along x and z as a transform, shape (4, 4)."""
-    return make_transform(np.eye(3), [x_m, 0.0, z_m])
-
-
 def elementary_product(row: Joint, value: float, convention: str) -> np.ndarray:
-    """The four elementary motions of one row, multiplied in the order that defines the convention."""
+    """The four elementary motions of one row, in the convention's order; along and about one axis commute."""
     theta = row.theta_rad + (value if row.type == "revolute" else 0.0)
     d = row.d_m + (value if row.type == "prismatic" else 0.0)
-    about_z, along_z = turn(rotation_z(theta)), shift(z_m=d)
-    about_x, along_x = turn(rotation_x(row.alpha_rad)), shift(x_m=row.a_m)
-    if convention == "standard":
-        return about_z @ along_z @ along_x @ about_x
-    return about_x @ along_x @ about_z @ along_z
-
-
-@settings(deadline=None, max_examples=100)
-@given(rows, angles_rad, st.sampled_from(["standard", "modified"]))
-def test_a_row_is_the_product_of_its_elementary_motions(row, value, convention):
-    """Each row's matrix equals the product of two rotations and two shifts within 1e-15."""
-    chain = DHChain((row,), convention)
-    q = [] if row.type == "fixed" else [value]
-    np.testing.assert_allclose(
-        link_transforms(chain, q)[0], elementary_product(row, value, convention), atol=1e-15
-    )
+    zero, along_x, along_z = np.zeros(3), np.array([row.a_m, 0.0, 0.0]), np.array([0.0, 0.0, d])
+    about_z = make_transform(rotation_z(theta), zero) @ make_transform(np.eye(3), along_z)
+    about_x = make_transform(rotation_x(row.alpha_rad), zero) @ make_transform(np.eye(3), along_x)
+    return about_z @ about_x if convention == "standard" else about_x @ about_z
 
 
 @settings(deadline=None, max_examples=30)
@@ -110,11 +89,51 @@ def test_many_joint_vectors_equal_one_at_a_time(convention):
     )
 
 
-def test_fixed_rows_take_no_joint_value():
-    """Names and limits list the joints that move, base first, without the fixed rows."""
+def test_joints_are_selected_by_name() -> None:
+    """In the chain's order, fixed rows without one; a log's other joints are dropped, its missing ones named."""
     assert THREE.joint_names == ("slide", "turn")
-    np.testing.assert_array_equal(THREE.lower, [0.0, -1.0])
-    np.testing.assert_array_equal(THREE.upper, [0.5, 2.0])
+    np.testing.assert_array_equal([THREE.lower, THREE.upper], [[0.0, -1.0], [0.5, 2.0]])
+    found = select_joints(THREE, ("turn", "camera", "slide"), [[1.0, 9.0, 2.0], [3.0, 9.0, 4.0]])
+    np.testing.assert_array_equal(found, [[2.0, 1.0], [4.0, 3.0]])
+    for names, message in (
+        (("turn", "elbow"), "needs the joints slide; the log has turn, elbow"),
+        ((), "needs the joints slide, turn; the log has none"),
+    ):
+        with pytest.raises(KinematicsError, match=message):
+            select_joints(THREE, names, np.zeros(len(names)))
+    # Logs of an older dVRK component have outer_yaw for yaw.
+    dvrk = chain_of(load_profile("dvrk-psm").robot)
+    older = ("jaw", *(f"outer_{name}" for name in dvrk.joint_names))
+    np.testing.assert_array_equal(select_joints(dvrk, older, np.arange(7.0)), np.arange(1.0, 7.0))
+
+
+@pytest.mark.parametrize("convention", ["standard", "modified"])
+@pytest.mark.parametrize("row", [None, "j3", "j4"])
+def test_the_jacobian_is_the_derivative(convention, row):
+    """To 1e-8, for the tool and for frames before it."""
+    rng = np.random.default_rng(3)
+    kinds = ("prismatic", "revolute", "fixed", "revolute", "prismatic", "revolute")
+    chain = DHChain(
+        tuple(
+            Joint(name=f"j{index}", type=kind, **dict(zip(LENGTHS, rng.uniform(-1.0, 1.0, 4), strict=True)))
+            for index, kind in enumerate(kinds)
+        ),
+        convention,
+        THREE.T_last_tool,
+    )
+
+    def pose(q):
+        frames = frame_transforms(chain, q)
+        return frames[-1] @ chain.T_last_tool if row is None else frames[row_index(chain, row)]
+
+    both = rng.uniform(-1.0, 1.0, (2, 5))
+    for q, J in zip(both, jacobian_of_frames(chain, frame_transforms(chain, both), row), strict=True):
+
+        def moved(step, q=q):
+            T = pose(q + step)
+            return np.append(T[:3, 3], rotation_vector(T[:3, :3] @ pose(q)[:3, :3].T))
+
+        check_jacobian(moved, J, absolute=1e-8)
 
 
 def test_quarter_turn_twists_are_exact():
@@ -131,101 +150,30 @@ def test_a_wrong_number_of_joints_is_an_error_with_both_counts(function, q):
         function(THREE, q)
 
 
-def test_select_joints_brings_a_logs_order_into_the_chains():
-    """Positions follow their names, whatever the log's order, and joints the chain lacks are dropped."""
-    found = select_joints(THREE, ("turn", "camera", "slide"), [[1.0, 9.0, 2.0], [3.0, 9.0, 4.0]])
-    np.testing.assert_array_equal(found, [[2.0, 1.0], [4.0, 3.0]])
-
-
-@pytest.mark.parametrize(
-    ("names", "message"),
-    [
-        (("turn", "elbow"), "needs the joints slide; the log has turn, elbow"),
-        ((), "needs the joints slide, turn; the log has none"),
-    ],
-)
-def test_select_joints_names_the_joints_that_are_missing(names, message):
-    """A log without a needed joint raises KinematicsError with the missing names and those there are."""
-    with pytest.raises(KinematicsError, match=message):
-        select_joints(THREE, names, np.zeros(len(names)))
-
-
-STEP = 1e-6
-
-
-@pytest.mark.parametrize("convention", ["standard", "modified"])
-@pytest.mark.parametrize("row", [None, "j3", "j4"])
-def test_the_jacobian_is_the_derivative(convention, row):
-    """Central differences of the pose agree with every column to 1e-8, for the tool and for frames before it."""
-    rng = np.random.default_rng(3)
-    kinds = ("prismatic", "revolute", "fixed", "revolute", "prismatic", "revolute")
-    chain = DHChain(
-        tuple(
-            Joint(name=f"j{index}", type=kind, **dict(zip(LENGTHS, rng.uniform(-1.0, 1.0, 4), strict=True)))
-            for index, kind in enumerate(kinds)
-        ),
-        convention,
-        THREE.T_last_tool,
-    )
-
-    def pose(q):
-        frames = frame_transforms(chain, q)
-        return (
-            frames[..., -1, :, :] @ chain.T_last_tool
-            if row is None
-            else frames[..., row_index(chain, row), :, :]
-        )
-
-    q = rng.uniform(-1.0, 1.0, (2, 5))
-    J = jacobian_of_frames(chain, frame_transforms(chain, q), row)
-    for column, change in enumerate(STEP * np.eye(5)):
-        dT = (pose(q + change) - pose(q - change)) / (2 * STEP)
-        W = dT[:, :3, :3] @ np.swapaxes(pose(q)[:, :3, :3], 1, 2)
-        np.testing.assert_allclose(J[:, :3, column], dT[:, :3, 3], atol=1e-8)
-        np.testing.assert_allclose(
-            J[:, 3:, column], np.stack([W[:, 2, 1], W[:, 0, 2], W[:, 1, 0]], -1), atol=1e-8
-        )
-
-
-def _screw(axis: int, angle_rad: float, length_m: float) -> np.ndarray:
-    """Turn about an axis of the current frame and shift along it, by SciPy's rotations."""
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_rotvec(angle_rad * np.eye(3)[axis]).as_matrix()
-    T[:3, 3] = length_m * np.eye(3)[axis]
-    return T
-
-
 def _published_psm(q: np.ndarray) -> np.ndarray:
     """The Classic PSM with a Large Needle Driver as a product of screws: along x by (α, a), then z by (θ, d).
 
     Written from the published table: Craig's convention is a screw about x followed by one about z.
     """
+
+    def screw(axis: int, angle_rad: float, length_m: float) -> np.ndarray:
+        """Turn about an axis of the current frame and shift along it, by SciPy's rotations."""
+        R = Rotation.from_rotvec(angle_rad * np.eye(3)[axis]).as_matrix()
+        return make_transform(R, length_m * np.eye(3)[axis])
+
     half = np.pi / 2
-    T = _screw(0, half, 0.0) @ _screw(2, half + q[0], 0.0)
-    T = T @ _screw(0, -half, 0.0) @ _screw(2, -half + q[1], 0.0)
-    T = T @ _screw(0, half, 0.0) @ _screw(2, 0.0, q[2] - 0.4318)
-    T = T @ _screw(0, 0.0, 0.0) @ _screw(2, q[3], 0.4162)
-    T = T @ _screw(0, -half, 0.0) @ _screw(2, -half + q[4], 0.0)
-    T = T @ _screw(0, -half, 0.0091) @ _screw(2, -half + q[5], 0.0)
-    tip = np.eye(4)
-    tip[:3, :3] = [[0, -1, 0], [0, 0, 1], [-1, 0, 0]]
-    return T @ tip
+    T = screw(0, half, 0.0) @ screw(2, half + q[0], 0.0)
+    T = T @ screw(0, -half, 0.0) @ screw(2, -half + q[1], 0.0)
+    T = T @ screw(0, half, 0.0) @ screw(2, 0.0, q[2] - 0.4318)
+    T = T @ screw(0, 0.0, 0.0) @ screw(2, q[3], 0.4162)
+    T = T @ screw(0, -half, 0.0) @ screw(2, -half + q[4], 0.0)
+    T = T @ screw(0, -half, 0.0091) @ screw(2, -half + q[5], 0.0)
+    return T @ make_transform([[0, -1, 0], [0, 0, 1], [-1, 0, 0]], np.zeros(3))
 
 
 def test_dvrk_chain_equals_an_independent_one():
     """Position and rotation agree to 1e-12 over 1,000 random joint vectors inside the limits."""
-    profile = load_profile("dvrk-psm")
-    assert profile.robot is not None
-    chain = chain_of(profile.robot)
+    chain = chain_of(load_profile("dvrk-psm").robot)
     q = np.random.default_rng(5).uniform(chain.lower, chain.upper, (1000, 6))
     expected = np.stack([_published_psm(row) for row in q])
     np.testing.assert_allclose(forward_kinematics(chain, q), expected, atol=1e-12)
-
-
-def test_joints_are_found_by_alias():
-    """Logs of the older component, with outer_yaw for yaw, are read by the same chain."""
-    profile = load_profile("dvrk-psm")
-    assert profile.robot is not None
-    chain = chain_of(profile.robot)
-    names = ("jaw", *(f"outer_{name}" for name in chain.joint_names))
-    np.testing.assert_array_equal(select_joints(chain, names, np.arange(7.0)), np.arange(1.0, 7.0))

@@ -5,15 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from svmdist import kinematics
 from svmdist.errors import KinematicsError
-from svmdist.kinematics import (
-    DHChain,
-    forward_kinematics,
-    frame_transforms,
-    joint_axis,
-    row_index,
-    solve_position,
-)
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Joint
 from svmdist.results import Failure
@@ -26,19 +19,10 @@ T_CAMERA_BASE = make_transform(rotation_of([0.4, -0.7, 0.2]), [0.1, -0.2, 0.9])
 JOINTS = JointSample(7, tuple(reversed(CHAIN.joint_names)), POSTURE[::-1])
 
 
-def state_of(joints: JointSample | None = JOINTS, T_camera_base=T_CAMERA_BASE) -> RobotState:
-    """The state by a sample; it must be there."""
-    state = RobotState.of(CHAIN, joints, T_camera_base, 7)
+def state_of(T_camera_base=T_CAMERA_BASE) -> RobotState:
+    state = RobotState.of(CHAIN, JOINTS, T_camera_base, 7)
     assert isinstance(state, RobotState)
     return state
-
-
-def test_joints_are_brought_into_the_chains_order() -> None:
-    """A sample in another order gives the posture, at the stamp that was asked for."""
-    state = state_of()
-    np.testing.assert_array_equal(state.q, POSTURE)
-    assert state.stamp_ns == 7
-    assert state.camera_failure is None
 
 
 def test_what_a_sample_lacks_is_told() -> None:
@@ -60,23 +44,25 @@ def test_a_state_without_the_camera_still_knows_its_base_frame() -> None:
 
 
 def test_poses_are_those_of_forward_kinematics() -> None:
-    """Frames, tool and axes equal the functions of `dh` within 1e-13, and are kept."""
+    """Of a sample in another order: frames, tool and axes equal the functions of `dh` within 1e-13, and are kept."""
     state, link = state_of(), CHAIN.rows[8].name
-    frames = frame_transforms(CHAIN, POSTURE)
+    np.testing.assert_array_equal(state.q, POSTURE)
+    assert (state.stamp_ns, state.camera_failure) == (7, None)
+    frames = kinematics.frame_transforms(CHAIN, POSTURE)
     np.testing.assert_allclose(state.frames, frames, atol=1e-13)
-    np.testing.assert_allclose(state.T_base_tool, forward_kinematics(CHAIN, POSTURE), atol=1e-13)
+    np.testing.assert_allclose(state.T_base_tool, kinematics.forward_kinematics(CHAIN, POSTURE), atol=1e-13)
     np.testing.assert_allclose(state.T_camera_tool, T_CAMERA_BASE @ state.T_base_tool, atol=1e-13)
     np.testing.assert_allclose(state.T_camera_link(link), T_CAMERA_BASE @ state.T_base_link(link), atol=1e-13)
-    np.testing.assert_allclose(state.T_base_link(link), frames[row_index(CHAIN, link)], atol=1e-13)
+    np.testing.assert_allclose(state.T_base_link(link), frames[kinematics.row_index(CHAIN, link)], atol=1e-13)
     np.testing.assert_allclose(state.T_camera_link(None), state.T_camera_tool, atol=1e-13)
     for row, (direction, point_m) in enumerate(state.joint_axes):
-        expected = joint_axis(CHAIN, frames, row)
+        expected = kinematics.joint_axis(CHAIN, frames, row)
         np.testing.assert_allclose(direction, expected[0], atol=1e-13)
         np.testing.assert_allclose(point_m, expected[1], atol=1e-13)
     assert state.frames is state.frames
 
 
-BOUNDED = DHChain(
+BOUNDED = kinematics.DHChain(
     (
         Joint(name="arm", type="revolute", lower=-1.0, upper=1.0),
         Joint(name="insertion", type="prismatic", lower=0.0, upper=0.24),
@@ -89,10 +75,7 @@ BOUNDED = DHChain(
 @pytest.mark.parametrize(
     ("positions", "said"),
     [
-        (
-            [0.5, 1000.0],
-            "joint insertion is at 1000 m, outside its limits 0 to 0.24 m and the tolerance 0.01 m",
-        ),
+        ([0.5, 1e3], "joint insertion is at 1000 m, outside its limits 0 to 0.24 m and the tolerance 0.01 m"),
         ([0.5, 1e8], "joint insertion is at 1e+08 m"),
         ([-1.2, 0.1], "joint arm is at -1.2 rad, outside its limits -1 to 1 rad and the tolerance 0.1 rad"),
         ([1.05, 0.245], None),
@@ -103,11 +86,8 @@ def test_joints_outside_their_limits_are_not_believed(positions: list[float], sa
     """Beyond the limits by more than the tolerance, the first such joint is named."""
     joints = JointSample(0, ("arm", "insertion"), np.array(positions))
     state = RobotState.of(BOUNDED, joints, T_CAMERA_BASE, 0)
-    if said is None:
-        assert isinstance(state, RobotState)
-    else:
-        assert isinstance(state, Failure)
-        assert state.reason.startswith(said)
+    assert isinstance(state, RobotState if said is None else Failure)
+    assert said is None or state.reason.startswith(said)
 
 
 def test_a_stray_sample_beside_the_image_is_left_out() -> None:
@@ -132,23 +112,22 @@ def test_solution_reaches_the_target_and_moves_only_free_joints() -> None:
     free = [CHAIN.joint_names.index(name) for name in FREE]
     wanted[:, free] += rng.uniform(-1.0, 1.0, (200, 3)) * (0.3, 0.2, 0.04)
     wanted[:, -4:] += rng.uniform(-0.1, 0.1, (200, 4))
-    targets_m = forward_kinematics(CHAIN, wanted)[:, :3, 3]
+    targets_m = kinematics.forward_kinematics(CHAIN, wanted)[:, :3, 3]
     start = wanted.copy()
     start[:, free] = POSTURE[free]
-    q = solve_position(CHAIN, start, targets_m, FREE)
-    np.testing.assert_allclose(forward_kinematics(CHAIN, q)[:, :3, 3], targets_m, atol=1e-9)
+    q = kinematics.solve_position(CHAIN, start, targets_m, FREE)
+    np.testing.assert_allclose(kinematics.forward_kinematics(CHAIN, q)[:, :3, 3], targets_m, atol=1e-9)
     np.testing.assert_allclose(q, wanted, atol=1e-6)
     fixed = [index for index in range(13) if index not in free]
     assert np.array_equal(q[:, fixed], start[:, fixed])
 
 
-def test_a_target_beyond_the_limits_is_an_error_that_names_the_joint() -> None:
-    target_m = forward_kinematics(CHAIN, POSTURE)[:3, 3] + [0.0, 0.0, -0.4]
+def test_a_target_beyond_the_limits_or_out_of_reach_is_an_error() -> None:
+    target_m = kinematics.forward_kinematics(CHAIN, POSTURE)[:3, 3] + [0.0, 0.0, -0.4]
     with pytest.raises(KinematicsError, match="outside its limits"):
-        solve_position(CHAIN, POSTURE[None], target_m[None], FREE)
-
-
-def test_a_target_out_of_reach_says_how_far_it_is() -> None:
-    arm = DHChain((Joint(name="a", type="revolute", a_m=0.5), Joint(name="b", type="revolute", a_m=0.5)))
+        kinematics.solve_position(CHAIN, POSTURE[None], target_m[None], FREE)
+    arm = kinematics.DHChain(
+        (Joint(name="a", type="revolute", a_m=0.5), Joint(name="b", type="revolute", a_m=0.5))
+    )
     with pytest.raises(KinematicsError, match=r"out of reach: .* m are left"):
-        solve_position(arm, np.array([[0.1, 0.2]]), np.array([[2.0, 0.0, 0.0]]), ("a", "b"))
+        kinematics.solve_position(arm, np.array([[0.1, 0.2]]), np.array([[2.0, 0.0, 0.0]]), ("a", "b"))

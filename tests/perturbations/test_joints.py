@@ -19,7 +19,7 @@ from svmdist.perturbations.joints import (
     late_stamps_ns,
     reported_late,
 )
-from svmdist.profile import Profile, load_profile
+from svmdist.profile import load_profile
 from svmdist.samples import JointSample
 from svmdist.transforms import Array
 
@@ -106,10 +106,8 @@ def test_drift_starts_at_zero_is_smooth_and_has_its_spread_after_8_s() -> None:
 def test_seed_and_arm_draw_apart() -> None:
     one = perturb("joint_noise=1,joint_drift=1", still(20))
     np.testing.assert_array_equal(one, perturb("joint_noise=1,joint_drift=1", still(20)))
-    for other in (
-        perturb("joint_noise=1,joint_drift=1", still(20), 2),
-        perturb("joint_noise=1,joint_drift=1", still(20), 1, 1),
-    ):
+    for seed, arm in ((2, 0), (1, 1)):
+        other = perturb("joint_noise=1,joint_drift=1", still(20), seed, arm)
         assert (one[1:, WRIST] != other[1:, WRIST]).all()
 
 
@@ -147,25 +145,20 @@ def test_a_lag_that_drifts_grows_with_time() -> None:
     np.testing.assert_allclose(ramp[1000] - late[1000], 0.025, rtol=0.01)
 
 
-def samples_of(q: Array) -> list[JointSample]:
-    return [JointSample(1000 + STEP_NS * index, NAMES, row) for index, row in enumerate(q)]
-
-
-def replayed(text: str, q: Array, profile: Profile = PROFILE) -> list[JointSample]:
-    joints = ReplayedWorld(parse_perturbations(text), profile, 1).joints_of(profile.instrument_name)
-    return [found for sample in samples_of(q) for found in joints.replayed(sample)]
+def replayed(chosen: Perturbations, q: Array, lag_ns: int = 0) -> list[JointSample]:
+    joints = ReplayedWorld(chosen, PROFILE, 1, lag_ns).joints_of("PSM1")
+    samples = [JointSample(1000 + STEP_NS * index, NAMES, row) for index, row in enumerate(q)]
+    return [found for sample in samples for found in joints.replayed(sample)]
 
 
 @pytest.mark.parametrize("lag_ns", [STEP_NS, -STEP_NS])
 def test_a_lag_that_is_taken_off_moves_stamps_alone(lag_ns: int) -> None:
     """No sample is added or lost, and it comes on top of what a perturbed world does."""
     q = np.cumsum(np.full((5, len(NAMES)), 0.01), axis=0)
-    plain = ReplayedWorld(Perturbations(), PROFILE, lag_ns=lag_ns).joints_of("PSM1")
-    found = [joint for sample in samples_of(q) for joint in plain.replayed(sample)]
+    found = replayed(Perturbations(), q, lag_ns)
     assert [joint.stamp_ns for joint in found] == [1000 + STEP_NS * at + lag_ns for at in range(5)]
     np.testing.assert_array_equal([joint.positions for joint in found], q)
-    both = ReplayedWorld(parse_perturbations("backlash=0.5"), PROFILE, 1, lag_ns).joints_of("PSM1")
-    moved = [joint for sample in samples_of(q) for joint in both.replayed(sample)]
-    for joint, expected in zip(moved, replayed("backlash=0.5", q), strict=True):
+    backlash = parse_perturbations("backlash=0.5")
+    for joint, expected in zip(replayed(backlash, q, lag_ns), replayed(backlash, q), strict=True):
         assert joint.stamp_ns == expected.stamp_ns + lag_ns
         np.testing.assert_array_equal(joint.positions, expected.positions)

@@ -11,16 +11,7 @@ from hypothesis import strategies as st
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import UsageError
-from svmdist.perturbations.calibration import (
-    TURN_DEG_PER_MM,
-    built_profile,
-    plane_tilt,
-    right_turn,
-    stated_camera,
-    stated_profile,
-    stated_right_camera,
-    zoomed_camera,
-)
+from svmdist.perturbations import calibration
 from svmdist.perturbations.chosen import parse_perturbations
 from svmdist.perturbations.images import perturbed_image, perturbed_right_view, zoomed_image
 from svmdist.profile import Profile, load_profile
@@ -32,30 +23,19 @@ PROFILE = load_profile()
 LEFT = Camera.from_horizontal_fov(640, 480, 1.0)
 
 
-def right_of(left: Camera, baseline_m: float = 0.005) -> Camera:
-    P = np.hstack([left.K, np.zeros((3, 1))])
-    P[0, 3] = -left.K[0, 0] * baseline_m
-    return replace(left, P=P)
-
-
-RIGHT = right_of(LEFT)
-
-
-def pair(text: str) -> np.ndarray:
-    chosen = parse_perturbations(text)
-    return stereo_transform(stated_camera(LEFT, chosen), stated_right_camera(RIGHT, chosen))
+RIGHT = replace(LEFT, P=LEFT.K @ np.column_stack([np.eye(3), [-0.005, 0.0, 0.0]]))
 
 
 def test_focal_length_and_principal_point_are_off_in_K_and_P_and_leave_the_pair() -> None:
     chosen = parse_perturbations("focal=1,principal_point=5")
-    left, right = stated_camera(LEFT, chosen), stated_right_camera(RIGHT, chosen)
+    left, right = calibration.stated_camera(LEFT, chosen), calibration.stated_right_camera(RIGHT, chosen)
     expected = LEFT.K * [[1.01, 1.0, 1.0], [1.0, 1.01, 1.0], [1.0] * 3] + 5.0 * np.eye(3, k=2)
     expected[1, 2] += 5.0
     np.testing.assert_allclose(left.K, expected)
     np.testing.assert_allclose(left.P, np.hstack([expected, np.zeros((3, 1))]))
     np.testing.assert_allclose(right.P[:, :3], expected)
-    np.testing.assert_allclose(pair("focal=1,principal_point=5"), pair("lag=1"), atol=1e-12)
-    assert stated_camera(LEFT, parse_perturbations("baseline=1")) is LEFT
+    np.testing.assert_allclose(stereo_transform(left, right), stereo_transform(LEFT, RIGHT), atol=1e-12)
+    assert calibration.stated_camera(LEFT, parse_perturbations("baseline=1")) is LEFT
 
 
 @pytest.mark.parametrize("zoom", [0.8, 1.1])
@@ -65,7 +45,9 @@ def test_a_zoomed_image_is_that_of_a_zoomed_camera(zoom: float) -> None:
     point_m = np.array([[0.01, -0.015, 0.1]])
     image = blob_image(scene.camera.project(point_m)[0])
     found = middle_px(perturbed_image(image, parse_perturbations(f"zoom={zoom}")))
-    np.testing.assert_allclose(found, zoomed_camera(scene.camera, zoom).project(point_m)[0], atol=0.1)
+    np.testing.assert_allclose(
+        found, calibration.zoomed_camera(scene.camera, zoom).project(point_m)[0], atol=0.1
+    )
     np.testing.assert_array_equal(zoomed_image(image, 1.0), image)
     assert perturbed_image(image, parse_perturbations("focal=1")) is image
 
@@ -79,12 +61,12 @@ EVERYTHING = (
 def test_a_turned_image_is_that_of_a_turned_camera(name: str) -> None:
     """A blob is where the turned camera projects its point, all three axes alike."""
     camera = make_scene(640, 480).camera
-    turn = right_turn(parse_perturbations(f"{name}=2"))
+    turn = calibration.right_turn(parse_perturbations(f"{name}=2"))
     point_m = np.array([[0.012, -0.015, 0.1]])
     image = blob_image(camera.project(point_m)[0])
     before = RightView(image, camera, np.eye(4))
     after = perturbed_right_view(before, parse_perturbations(f"{name}=2,zoom=1.05"))
-    expected = zoomed_camera(camera, 1.05).project(point_m @ turn)[0]
+    expected = calibration.zoomed_camera(camera, 1.05).project(point_m @ turn)[0]
     assert np.linalg.norm(expected - camera.project(point_m)[0]) > 2.0
     np.testing.assert_allclose(middle_px(after.image_bgr), expected, atol=0.1)
     assert perturbed_right_view(before, parse_perturbations("focal=1")).image_bgr is image
@@ -106,7 +88,7 @@ def middle_px(image: np.ndarray) -> np.ndarray:
 def test_what_is_said_of_what_is_built_is_the_profile(strengths: tuple[float, ...], seed: int) -> None:
     """Build from the profile and say what is not so: the profile again. That makes both directions one thing."""
     chosen = parse_perturbations(EVERYTHING.format(**dict(zip("ptswkgm", strengths, strict=True))))
-    said = stated_profile(built_profile(PROFILE, chosen, seed), chosen, seed)
+    said = calibration.stated_profile(calibration.built_profile(PROFILE, chosen, seed), chosen, seed)
     np.testing.assert_allclose(numbers(said), numbers(PROFILE), atol=1e-12)
 
 
@@ -120,7 +102,7 @@ def numbers(profile: Profile) -> np.ndarray:
 
 def test_each_name_changes_its_own_length() -> None:
     chosen = parse_perturbations(EVERYTHING.format(p=1, t=2, s=5, w=1, k=5, g=2, m=0.5))
-    said = stated_profile(PROFILE, chosen, 7)
+    said = calibration.stated_profile(PROFILE, chosen, 7)
     assert said.instrument.shaft_radius_m == pytest.approx(0.0042)
     assert said.instrument.knuckle_radius_m == pytest.approx(0.0018375)
     assert said.fiducial.size_m == pytest.approx(0.00714)
@@ -128,20 +110,17 @@ def test_each_name_changes_its_own_length() -> None:
     assert said.tissue.plane_distance_m == pytest.approx(0.113)
     tilt = np.arccos(-said.tissue.plane_normal[2])
     assert np.degrees(tilt) == pytest.approx(2.0)
-    assert np.degrees(rotation_angle(plane_tilt(chosen, 7), np.eye(3))) == pytest.approx(2.0)
+    assert np.degrees(rotation_angle(calibration.plane_tilt(chosen, 7), np.eye(3))) == pytest.approx(2.0)
     shift_m = np.subtract(said.fiducial.position_m, PROFILE.fiducial.position_m)
     assert np.linalg.norm(shift_m) == pytest.approx(0.0005)
     turned = rotation_angle(said.fiducial.T_link_tag[:3, :3], PROFILE.fiducial.T_link_tag[:3, :3])
-    assert np.degrees(turned) == pytest.approx(0.5 * TURN_DEG_PER_MM)
-    other = stated_profile(PROFILE, chosen, 8)
-    assert other.fiducial.position_m != said.fiducial.position_m
-    assert other.tissue.plane_normal != said.tissue.plane_normal
-
-
-def test_a_plane_stays_before_the_camera() -> None:
+    assert np.degrees(turned) == pytest.approx(0.5 * calibration.TURN_DEG_PER_MM)
     near = PROFILE.model_copy(update={"tissue": PROFILE.tissue.model_copy(update={"plane_distance_m": 0.01})})
     with pytest.raises(UsageError, match="10 mm behind the camera"):
-        stated_profile(near, parse_perturbations("plane=-20"), 1)
+        calibration.stated_profile(near, parse_perturbations("plane=-20"), 1)
+    other = calibration.stated_profile(PROFILE, chosen, 8)
+    assert other.fiducial.position_m != said.fiducial.position_m
+    assert other.tissue.plane_normal != said.tissue.plane_normal
 
 
 def test_other_instruments_are_built_alike() -> None:
@@ -149,8 +128,7 @@ def test_other_instruments_are_built_alike() -> None:
     (other,) = PROFILE.other_instruments
     own = other.model_copy(update={"instrument": PROFILE.instrument, "robot": PROFILE.robot})
     profile = PROFILE.model_copy(update={"other_instruments": (own,)})
-    view = stated_profile(profile, parse_perturbations("shaft_radius=5,wrist_length=1"), 1).for_instrument(
-        "PSM2"
-    )
+    chosen = parse_perturbations("shaft_radius=5,wrist_length=1")
+    view = calibration.stated_profile(profile, chosen, 1).for_instrument("PSM2")
     assert view.instrument.shaft_radius_m == pytest.approx(0.0042)
     assert max(joint.a_m for joint in view.robot.joints[-3:]) == pytest.approx(0.0101)

@@ -23,6 +23,7 @@ from svmdist.perturbations.table import TABLE, Normal, Place, Uniform
 from svmdist.profile import Profile, load_profile
 
 SEEDS = range(1000)
+REAL = [name for name, entry in TABLE.items() if entry.real is not None]
 
 
 @st.composite
@@ -70,15 +71,13 @@ def test_what_cannot_be_is_told(text: str, said: str) -> None:
 
 def test_a_real_world_has_all_that_are_real_and_what_is_given() -> None:
     drawn = draw_world(World.REAL, 3)
-    assert [name for name, _ in drawn.strengths] == [
-        n for n, entry in TABLE.items() if entry.real is not None
-    ]
+    assert [name for name, _ in drawn.strengths] == REAL
     assert draw_world(World.REAL, 3) == drawn != draw_world(World.REAL, 4)
     other = draw_world(World.REAL, 3, parse_perturbations("lag=30,zoom=1.1"))
     assert dict(other.strengths) == dict(drawn.strengths) | {"lag": 30.0, "zoom": 1.1}
 
 
-@pytest.mark.parametrize("name", [name for name, entry in TABLE.items() if entry.real is not None])
+@pytest.mark.parametrize("name", REAL)
 def test_real_strengths_follow_their_law(name: str) -> None:
     """Over 1,000 seeds: mean, spread and range; of several axes the deviation along each of them."""
     law = TABLE[name].real
@@ -99,29 +98,16 @@ def test_real_strengths_follow_their_law(name: str) -> None:
             raise AssertionError(law)
 
 
-def std_of(name: str) -> float:
-    law = TABLE[name].real
-    assert isinstance(law, Normal)
-    return law.std
-
-
 def stated(profile: Profile) -> dict[str, float]:
     """The deviations that a profile states, in the units of the table."""
     camera, robot = profile.camera_error, profile.kinematic_error
-    instrument, tag, tissue, simulation = (
-        profile.instrument,
-        profile.fiducial,
-        profile.tissue,
-        profile.simulation,
-    )
+    instrument, tag, tissue = profile.instrument, profile.fiducial, profile.tissue
     right_deg = float(np.degrees(camera.right_rotation_std_rad))
     return {
         "focal": 100.0 * camera.focal_std_fraction,
         "principal_point": camera.centre_std_px,
-        "baseline": 1e3 * camera.baseline_std_fraction * simulation.stereo_baseline_m,
-        "right_yaw": right_deg,
-        "right_pitch": right_deg,
-        "right_roll": right_deg,
+        "baseline": 1e3 * camera.baseline_std_fraction * profile.simulation.stereo_baseline_m,
+        **dict.fromkeys(("right_yaw", "right_pitch", "right_roll"), right_deg),
         "plane": 1e3 * tissue.plane_distance_std_m,
         "plane_tilt": float(np.degrees(tissue.plane_tilt_std_rad)),
         "shaft_radius": 100.0 * instrument.shaft_radius_std_fraction,
@@ -136,8 +122,9 @@ def stated(profile: Profile) -> dict[str, float]:
 @pytest.mark.parametrize("name", sorted(stated(load_profile())))
 def test_a_stated_deviation_is_that_of_real_worlds(name: str) -> None:
     """At least as large, at most three times."""
-    said = stated(load_profile())[name]
-    assert 0.999 * std_of(name) <= said <= 3.0 * std_of(name)
+    law = TABLE[name].real
+    assert isinstance(law, Normal)
+    assert 0.999 * law.std <= stated(load_profile())[name] <= 3.0 * law.std
 
 
 def test_every_source_is_in_the_list_of_sources() -> None:

@@ -10,7 +10,6 @@ import pytest
 from svmdist.profile import Profile, load_profile
 from svmdist.profile.hand_eye import (
     SHAFT_RADIUS,
-    TIME_OFFSET,
     ConstantEffect,
     HandEye,
     HandEyeError,
@@ -27,21 +26,6 @@ BY_RADIUS = np.array([[1e-3, 2e-3, 4e-3, 0.0, 0.01, 0.0]])
 BY_PITCH = np.array([[0.0, 1e-3, 0.0, 0.02, 0.0, -0.01]])
 
 
-def _hand_eye(profile: Profile, *effects: ConstantEffect) -> HandEye:
-    C = NOISE + sum(np.array(one.effects).T @ np.array(one.effects) for one in effects)
-    return HandEye.model_validate(
-        {
-            "instrument": profile.instrument_name,
-            "camera": profile.frames.camera,
-            "base": profile.frames.base,
-            "rotation": np.eye(3).tolist(),
-            "translation_m": [0.01, 0.02, 0.1],
-            "covariance": np.asarray(C).tolist(),
-            "constants": effects,
-        }
-    )
-
-
 @pytest.fixture
 def profile() -> Profile:
     """That of the simulated robot."""
@@ -53,13 +37,21 @@ def hand_eye(profile: Profile) -> HandEye:
     """A transform that a radius and a joint had a part in."""
     stated, assumed = stated_deviations(profile), profile.robot
     assert assumed is not None
-    joint = next(one.name for one in assumed.joints if one.type == "revolute")
-    return _hand_eye(
-        profile,
-        ConstantEffect(constant=SHAFT_RADIUS, deviation=stated[SHAFT_RADIUS], effects=BY_RADIUS.tolist()),
-        ConstantEffect(
-            constant=offset_of(joint), deviation=stated[offset_of(joint)], effects=BY_PITCH.tolist()
-        ),
+    joint = offset_of(next(one.name for one in assumed.joints if one.type == "revolute"))
+    effects = [
+        ConstantEffect(constant=name, deviation=stated[name], effects=effect.tolist())
+        for name, effect in ((SHAFT_RADIUS, BY_RADIUS), (joint, BY_PITCH))
+    ]
+    return HandEye.model_validate(
+        {
+            "instrument": profile.instrument_name,
+            "camera": profile.frames.camera,
+            "base": profile.frames.base,
+            "rotation": np.eye(3).tolist(),
+            "translation_m": [0.01, 0.02, 0.1],
+            "covariance": (NOISE + BY_RADIUS.T @ BY_RADIUS + BY_PITCH.T @ BY_PITCH).tolist(),
+            "constants": effects,
+        }
     )
 
 
@@ -73,6 +65,7 @@ def test_effects_are_carried_as_the_covariance_is(hand_eye: HandEye) -> None:
 
 
 def test_a_deviation_that_is_stated_anew_scales_its_effect(hand_eye: HandEye) -> None:
+    """An exact constant has no effect; one that the profile lacks stays in the covariance."""
     stated = {one.constant: one.deviation for one in hand_eye.constants}
     wider = hand_eye.with_deviations(stated | {SHAFT_RADIUS: 3.0 * stated[SHAFT_RADIUS]})
     expected = NOISE + 9.0 * BY_RADIUS.T @ BY_RADIUS + BY_PITCH.T @ BY_PITCH
@@ -80,16 +73,9 @@ def test_a_deviation_that_is_stated_anew_scales_its_effect(hand_eye: HandEye) ->
     np.testing.assert_allclose(
         wider.effects_at(np.array(hand_eye.translation_m))[SHAFT_RADIUS].T, 3.0 * BY_RADIUS
     )
-
-
-def test_an_exact_constant_has_no_effect(hand_eye: HandEye) -> None:
-    stated = {one.constant: one.deviation for one in hand_eye.constants} | {SHAFT_RADIUS: 0.0}
-    exact = hand_eye.with_deviations(stated)
+    exact = hand_eye.with_deviations(stated | {SHAFT_RADIUS: 0.0})
     assert [one.constant for one in exact.constants] == [hand_eye.constants[1].constant]
     np.testing.assert_allclose(exact.covariance, NOISE + BY_PITCH.T @ BY_PITCH, atol=1e-15)
-
-
-def test_a_constant_that_the_profile_lacks_stays_in_the_covariance(hand_eye: HandEye) -> None:
     alone = hand_eye.with_deviations({})
     assert alone.constants == ()
     np.testing.assert_allclose(alone.covariance, hand_eye.covariance)
@@ -118,14 +104,3 @@ def test_a_profile_states_its_own_deviations(profile: Profile, hand_eye: HandEye
         assert isinstance(found.kinematic_error, HandEyeError)
         effect = next(one for one in found.kinematic_error.hand_eye.constants if one.constant == SHAFT_RADIUS)
         assert effect.deviation == 0.04
-
-
-def test_names_cover_what_chains_have(profile: Profile) -> None:
-    """Every constant of the error state is one that a profile states."""
-    from svmdist.estimation.instrument.error_model import ErrorModel
-    from svmdist.kinematics import chain_of
-
-    assert profile.robot is not None
-    model = ErrorModel(chain_of(profile.robot), profile.kinematic_error)
-    assert set(model.constant_columns) <= set(stated_deviations(profile))
-    assert TIME_OFFSET in model.constant_columns

@@ -9,7 +9,6 @@ import pytest
 from pydantic import ValidationError
 
 from svmdist.errors import ProfileError
-from svmdist.profile import Limits
 from svmdist.profile.robot import ArmFrames, ArmTopics, OtherInstrument
 from svmdist.profile.segmentation import (
     OnnxSegmentation,
@@ -67,6 +66,12 @@ def test_values_are_read_in_their_units(tmp_path: Path) -> None:
         ('size = "2 MB"', ["size", "512 MiB"]),
         ("angle = nan", ["angle"]),
         ("angle = [", ["not a TOML file"]),
+        # A calibration given as a profile is no list of unknown keys.
+        (
+            "schema = 1\nmethod = 2\nname = 3",
+            ["not a document file: expected the keys", "found 'schema', 'method'"],
+        ),
+        ("".join(f"inner.k{number} = 1\n" for number in range(9)), ["and 4 more"]),
     ],
 )
 def test_a_mistake_names_file_and_key(tmp_path: Path, text: str, words: list[str]) -> None:
@@ -87,14 +92,6 @@ def test_an_instrument_is_known_by_its_topics() -> None:
         assert not other.is_in(set())
     with pytest.raises(ValidationError, match="joints or pose"):
         ArmTopics(ground_truth_distance="/d")
-
-
-def test_limits_are_bounded_themselves() -> None:
-    """No profile can ask for an image that OpenCV refuses, or for a limit that lets nothing through."""
-    assert Limits().image_pixels <= 1 << 26
-    for wrong in ({"image_pixels": (1 << 26) + 1}, {"image_pixels": 0}, {"record_bytes": 1}):
-        with pytest.raises(ValidationError):
-            Limits(**wrong)  # type: ignore[arg-type]
 
 
 def test_a_network_s_parts_and_scale() -> None:
@@ -118,21 +115,3 @@ def test_a_network_s_parts_and_scale() -> None:
 def test_a_network_that_cannot_work_is_refused(change: dict[str, Any], words: str) -> None:
     with pytest.raises(ValidationError, match=words):
         OnnxSegmentation.model_validate({**NETWORK, **change})
-
-
-def test_a_file_of_another_kind_is_told_as_such(tmp_path: Path) -> None:
-    """A calibration given as a profile is no list of unknown keys."""
-    (tmp_path / "other.toml").write_text("schema = 1\nmethod = 'overlay'\nsize = 1\nname = 'a'")
-    with pytest.raises(
-        ProfileError, match=r"not a document file: expected the keys .*; found 'schema', 'method'"
-    ):
-        parse_toml(tmp_path / "other.toml", Document, ProfileError)
-
-
-def test_many_faults_are_counted(tmp_path: Path) -> None:
-    """Five are listed."""
-    keys = "".join(f"inner.k{number} = 1\n" for number in range(9))
-    (tmp_path / "faulty.toml").write_text(keys)
-    with pytest.raises(ProfileError, match=r"and \d+ more$") as caught:
-        parse_toml(tmp_path / "faulty.toml", Document, ProfileError)
-    assert str(caught.value).count(";") == 5

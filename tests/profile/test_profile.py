@@ -33,39 +33,28 @@ min_area_px = 100
 
 
 def load_text(folder: Path, text: str) -> Profile:
-    """Load a profile from its text."""
     path = folder / "mine.toml"
     path.write_text(text, "utf-8")
     return load_profile(path)
 
 
-@pytest.mark.parametrize("name", shipped_profiles())
-def test_every_shipped_profile_loads(name):
-    """Each profile in the package is valid, carries its own name and opens by name and by path."""
-    profile = load_profile(name)
-    assert profile.name == name
-    assert load_profile(profile_path(name)) == profile
-
-
-def test_the_default_profile_is_the_papers():
-    """The default ships, and has the paper's gates (50, 100, 100), ratio 0.75, 3 px and a chain of 13 joints."""
+def test_shipped_profiles_load_and_the_default_is_the_papers():
+    """By name and by path; gates (50, 100, 100), ratio 0.75, 3 px and a posture inside the limits of 13 joints."""
+    for name in shipped_profiles():
+        profile = load_profile(name)
+        assert profile.name == name
+        assert load_profile(profile_path(name)) == profile
     assert DEFAULT_PROFILE in shipped_profiles()
     profile = load_profile()
     gates = (profile.segmentation.tissue, profile.segmentation.instrument, profile.marker.outline)
     assert [region.min_area_px for region in gates] == [50, 100, 100]
     assert (profile.features.ratio, profile.features.reprojection_px) == (0.75, 3.0)
     assert profile.robot is not None
-    assert len(profile.robot.joints) == 13
-
-
-def test_the_posture_names_the_joints_of_the_chain():
-    """The shipped posture has a value inside the limits for every joint, and no other joint."""
-    profile = load_profile()
-    assert profile.robot is not None
     assert profile.simulation is not None
-    posture = profile.simulation.posture
-    assert list(posture) == [joint.name for joint in profile.robot.joints]
-    assert all(joint.lower <= posture[joint.name] <= joint.upper for joint in profile.robot.joints)
+    joints, posture = profile.robot.joints, profile.simulation.posture
+    assert len(joints) == 13
+    assert list(posture) == [joint.name for joint in joints]
+    assert all(joint.lower <= posture[joint.name] <= joint.upper for joint in joints)
 
 
 def test_the_tags_are_those_of_opencv():
@@ -87,200 +76,6 @@ def test_a_profile_needs_only_colours(tmp_path):
     assert profile.features.ratio == 0.75
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        (
-            "min_area_px = 50",
-            "min_aera_px = 50",
-            r"unknown key segmentation\.tissue\.min_aera_px: did you mean min_area_px\?",
-        ),
-        ("[features]", "[feature]", r"unknown key feature: did you mean features\?"),
-        ("ratio = 0.75", "ratoi = 0.75", r"unknown key features\.ratoi: did you mean ratio\?"),
-        ("a_m = 0.09,", "a = 0.09,", r"unknown key robot\.joints\.0\.a: "),
-        (
-            "camera_height_m",
-            "camera_hight_m",
-            r"unknown key simulation\.camera_hight_m: did you mean camera_height_m\?",
-        ),
-        ("ratio = 0.75", "ratio = 1.5", r"features\.ratio: .*less than 1 \(found 1\.5\)"),
-        (
-            "hue = [170, 8]",
-            "hue = [170, 200]",
-            r"segmentation\.tissue\.hue\.1: .*less than or equal to 179 \(found 200\)",
-        ),
-        ("hue = [170, 8]", "hue = 170", r"segmentation\.tissue\.hue: .*tuple.* \(found 170\)"),
-        (
-            "saturation = [80, 255]",
-            "saturation = [255, 80]",
-            r"segmentation\.tissue: saturation = \[255, 80\] is empty",
-        ),
-        ("value = [60, 255]", "value = [255, 60]", r"segmentation\.tissue: value = \[255, 60\] is empty"),
-        ("size_px = 96", "size_px = 12", r"marker\.size_px: .*greater than or equal to 48 \(found 12\)"),
-        ("size_px = 96", "size_px = nan", r"marker\.size_px: .*finite"),
-        ("camera_height_m = 0.112", "camera_height_m = -1", r"simulation\.camera_height_m: .*greater than 0"),
-        ("camera_height_m = 0.112", "camera_height_m = inf", r"simulation\.camera_height_m: .*finite"),
-        (
-            "min_match_count = 10",
-            "min_match_count = 3",
-            r"features\.min_match_count: .*equal to 4 \(found 3\)",
-        ),
-        (
-            'convention = "standard"',
-            'convention = "craig"',
-            r"robot\.convention: .*'standard' or 'modified' \(found 'craig'\)",
-        ),
-        (
-            'type = "prismatic", a_m',
-            'type = "sliding", a_m',
-            r"robot\.joints\.0\.type: .*'prismatic'.* \(found 'sliding'\)",
-        ),
-        (
-            'alpha_rad = "-pi/2"',
-            'alpha_rad = "90 deg"',
-            r"alpha_rad: expected rad as a number or a multiple of pi",
-        ),
-        (
-            "lower = 0.0, upper = 0.8",
-            "lower = 0.8, upper = 0.8",
-            r"robot\.joints\.0: joint setup_1: lower limit 0\.8 is not below",
-        ),
-        ('name = "setup_2"', 'name = "setup_1"', r"robot: joint names must differ; given twice: setup_1"),
-        ('name = "psm13"', "", "missing key name"),
-        (
-            "outline_bgr = [0, 255, 0]",
-            "",
-            r"marker: outline_bgr is drawn and outline finds it .*give both.*green$",
-        ),
-        ("[0.0, 0.0, -1.0]", "[0.0, 0.0, 1.0]", r"tissue\.plane_normal: it points away from the camera"),
-        ("[0.0, 0.0, -1.0]", "[0.0, 0.0, -2.0]", r"tissue\.plane_normal: it must have length 1, found 2 "),
-        (
-            "plane_distance_m = 0.112",
-            "plane_distance_m = 112",
-            r"plane_distance_m: .*less than 10 \(found 112\)",
-        ),
-        (
-            "shaft_radius_m = 0.004",
-            "shaft_radius_m = 4",
-            r"instrument\.shaft_radius_m: .*less than 0\.1 \(found 4\)",
-        ),
-        ("id = 0", "id = 587", r"fiducial: family 36h11 has the tags 0 to 586, found 587$"),
-        ("fiducial_id = 1", "fiducial_id = 999", r"family 36h11 has the tags 0 to 586, found 999$"),
-        (
-            "[robot]",
-            "[robot]\ntool_rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]",
-            r"robot\.tool_rotation: it is not a rotation",
-        ),
-        (
-            'first_moving_joint = "yaw"',
-            'first_moving_joint = "yow"',
-            r"kinematic_error\.first_moving_joint: no joint named yow: did you mean yaw\?",
-        ),
-        (
-            'link = "roll"',
-            'link = "rol"',
-            r"fiducial\.link: no joint named rol: did you mean roll\?",
-        ),
-    ],
-)
-def test_a_mistake_names_file_key_and_what_was_expected(tmp_path, old, new, message):
-    """Each mistake gives one line that begins with the file and names the key and the value or nearest key."""
-    assert old in TEXT
-    with pytest.raises(ProfileError, match=message) as caught:
-        load_text(tmp_path, TEXT.replace(old, new, 1))
-    assert str(caught.value).startswith(f"{tmp_path / 'mine.toml'}: ")
-    assert "\n" not in str(caught.value)
-
-
-def test_several_mistakes_are_told_at_once(tmp_path):
-    """Two mistakes give one line with both, so that they can be mended together."""
-    with pytest.raises(ProfileError) as caught:
-        load_text(tmp_path, TEXT.replace("ratio = 0.75", "ratio = 2").replace("size_px = 96", "size = 96"))
-    assert "features.ratio: " in str(caught.value)
-    assert "unknown key marker.size: did you mean size_px?" in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("text", "angle_rad"),
-    [
-        ("pi", np.pi),
-        ("-pi", -np.pi),
-        ("pi/2", np.pi / 2),
-        ("-pi/2", -np.pi / 2),
-        ("2*pi/3", 2 * np.pi / 3),
-        ("-0.5 * pi / 4", -np.pi / 8),
-        (0.25, 0.25),
-        (-1, -1.0),
-    ],
-)
-def test_angles_are_numbers_or_multiples_of_pi(text, angle_rad):
-    """A multiple of pi is exact: 'pi/2' is the double that NumPy calls π/2."""
-    assert Joint(name="j", type="revolute", alpha_rad=text).alpha_rad == angle_rad
-
-
-@pytest.mark.parametrize("text", NO_ANGLES.split("|"))
-def test_other_text_is_no_angle(text):
-    """Anything else is refused rather than read as something that was not meant."""
-    with pytest.raises(ValueError, match="alpha_rad"):
-        Joint(name="j", type="revolute", alpha_rad=text)
-
-
-def test_a_rotation_of_the_tool_becomes_a_transform(tmp_path):
-    """tool_rotation stands in the upper left of T_last_tool, and its absence is the identity."""
-    text = TEXT.replace("[robot]", "[robot]\ntool_rotation = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]", 1)
-    robot = load_text(tmp_path, text).robot
-    plain = load_profile().robot
-    assert robot is not None
-    assert plain is not None
-    np.testing.assert_array_equal(
-        robot.T_last_tool, [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
-    )
-    if plain.tool_rotation is None:
-        np.testing.assert_array_equal(plain.T_last_tool, np.eye(4))
-
-
-@pytest.mark.parametrize(
-    ("name", "data", "message"),
-    [
-        ("none.toml", None, r"none\.toml: cannot read: No such file"),
-        ("", None, "cannot read: Is a directory"),
-        ("mine.toml", b'name = "x"\nhue = [1, = 2]\n', r"mine\.toml: not a TOML file: .*line 2, column 11"),
-        (
-            "mine.toml",
-            'name = "Ger\xe4t"'.encode("latin-1"),
-            r"mine\.toml: not a TOML file: byte 11 is not UTF-8",
-        ),
-    ],
-)
-def test_what_is_no_toml_file_says_why_and_where(tmp_path, name, data, message):
-    if data is not None:
-        (tmp_path / name).write_bytes(data)
-    with pytest.raises(ProfileError, match=message):
-        load_profile(tmp_path / name)
-
-
-def test_a_misspelt_name_lists_the_profiles():
-    with pytest.raises(
-        ProfileError, match=r"no profile named psm31: did you mean psm13\? .*path to a \.toml"
-    ):
-        load_profile("psm31")
-
-
-def test_limits_are_numbers_of_bytes_or_text_with_a_unit(tmp_path):
-    """A profile's [limits] override the defaults; text carries its unit, and nonsense is named."""
-    profile = load_text(tmp_path, MINIMAL + '[limits]\nchunk_bytes = "512 MiB"\nimage_pixels = 5\n')
-    assert (profile.limits.chunk_bytes, profile.limits.image_pixels) == (512 << 20, 5)
-    assert profile.limits.record_bytes == 256 << 20
-    for line, expected in (
-        ('chunk_bytes = "512 MB"', "limits.chunk_bytes: expected bytes"),
-        ("chunk_bytes = -1", "limits.chunk_bytes"),
-        ("image_pixels = 100000000000", "limits.image_pixels"),
-        ("chunk_byte = 1", "did you mean chunk_bytes"),
-    ):
-        with pytest.raises(ProfileError, match=expected):
-            load_text(tmp_path, MINIMAL + f"[limits]\n{line}\n")
-
-
 def test_each_instrument_sees_the_profile_its_own_way():
     """Topics, frames, tag and place are the other instrument's; all else is shared, and the first view is itself."""
     profile = load_profile()
@@ -296,22 +91,137 @@ def test_each_instrument_sees_the_profile_its_own_way():
         profile.for_instrument("PSM3")
 
 
+NO_ROTATION = "[robot]\ntool_rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]"
+MISTAKES = [
+    (
+        "min_area_px = 50",
+        "min_aera_px = 50",
+        r"key segmentation\.tissue\.min_aera_px: did you mean min_area_px\?",
+    ),
+    ("[features]", "[feature]", r"unknown key feature: did you mean features\?"),
+    ("ratio = 0.75", "ratoi = 0.75", r"unknown key features\.ratoi: did you mean ratio\?"),
+    ("a_m = 0.09,", "a = 0.09,", r"unknown key robot\.joints\.0\.a: "),
+    ("camera_height_m", "camera_hight_m", r"simulation\.camera_hight_m: did you mean camera_height_m\?"),
+    ("ratio = 0.75", "ratio = 1.5", r"features\.ratio: .*less than 1 \(found 1\.5\)"),
+    ("hue = [170, 8]", "hue = [170, 200]", r"tissue\.hue\.1: .*less than or equal to 179 \(found 200\)"),
+    ("hue = [170, 8]", "hue = 170", r"segmentation\.tissue\.hue: .*tuple.* \(found 170\)"),
+    ("saturation = [80, 255]", "saturation = [255, 80]", r"tissue: saturation = \[255, 80\] is empty"),
+    ("value = [60, 255]", "value = [255, 60]", r"segmentation\.tissue: value = \[255, 60\] is empty"),
+    ("size_px = 96", "size_px = 12", r"marker\.size_px: .*greater than or equal to 48 \(found 12\)"),
+    ("size_px = 96", "size_px = nan", r"marker\.size_px: .*finite"),
+    ("camera_height_m = 0.112", "camera_height_m = -1", r"simulation\.camera_height_m: .*greater than 0"),
+    ("camera_height_m = 0.112", "camera_height_m = inf", r"simulation\.camera_height_m: .*finite"),
+    ("min_match_count = 10", "min_match_count = 3", r"features\.min_match_count: .*equal to 4 \(found 3\)"),
+    ('convention = "standard"', 'convention = "craig"', r"convention: .*or 'modified' \(found 'craig'\)"),
+    (
+        'type = "prismatic", a_m',
+        'type = "sliding", a_m',
+        r"joints\.0\.type: .*'prismatic'.*\(found 'sliding'\)",
+    ),
+    (
+        'alpha_rad = "-pi/2"',
+        'alpha_rad = "90 deg"',
+        r"alpha_rad: expected rad as a number or a multiple of pi",
+    ),
+    ("lower = 0.0, upper = 0.8", "lower = 0.8, upper = 0.8", r"joint setup_1: lower limit 0\.8 is not below"),
+    ('name = "setup_2"', 'name = "setup_1"', r"robot: joint names must differ; given twice: setup_1"),
+    ('name = "psm13"', "", "missing key name"),
+    ("outline_bgr = [0, 255, 0]", "", r"marker: outline_bgr is drawn and outline finds it .*both.*green$"),
+    ("[0.0, 0.0, -1.0]", "[0.0, 0.0, 1.0]", r"tissue\.plane_normal: it points away from the camera"),
+    ("[0.0, 0.0, -1.0]", "[0.0, 0.0, -2.0]", r"tissue\.plane_normal: it must have length 1, found 2 "),
+    ("plane_distance_m = 0.112", "plane_distance_m = 112", r"distance_m: .*less than 10 \(found 112\)"),
+    (
+        "shaft_radius_m = 0.004",
+        "shaft_radius_m = 4",
+        r"instrument\.shaft_radius_m: .*less than 0\.1 \(found 4\)",
+    ),
+    ("id = 0", "id = 587", r"fiducial: family 36h11 has the tags 0 to 586, found 587$"),
+    ("fiducial_id = 1", "fiducial_id = 999", r"family 36h11 has the tags 0 to 586, found 999$"),
+    ("[robot]", NO_ROTATION, r"robot\.tool_rotation: it is not a rotation"),
+    (
+        'moving_joint = "yaw"',
+        'moving_joint = "yow"',
+        r"first_moving_joint: no joint named yow: did you mean yaw\?",
+    ),
+    ('link = "roll"', 'link = "rol"', r"fiducial\.link: no joint named rol: did you mean roll\?"),
+    ('name = "PSM2"', 'name = "PSM1"', "needs a name of its own; given twice: PSM1"),
+    ("/PSM2/measured_js", "/PSM1/measured_js", "needs a topic of its own; given twice: /PSM1/measured_js"),
+    ('tool = "PSM2_tool"', 'tool = "tool"', "needs a frame of its own; given twice: tool"),
+    ("fiducial_id = 1", "fiducial_id = 0", "needs a fiducial_id of its own; given twice: 0"),
+    ("fiducial_id = 1", "fiducal_id = 1", r"fiducal_id: did you mean fiducial_id\?"),
+    ('joints = "/PSM2/measured_js"\npose = "/PSM2/measured_cp"', "", "name joints or pose"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), MISTAKES)
+def test_a_mistake_names_file_key_and_what_was_expected(tmp_path, old, new, message):
+    """Each mistake gives one line that begins with the file and names the key and the value or nearest key."""
+    assert old in TEXT
+    with pytest.raises(ProfileError, match=message) as caught:
+        load_text(tmp_path, TEXT.replace(old, new, 1))
+    assert str(caught.value).startswith(f"{tmp_path / 'mine.toml'}: ")
+    assert "\n" not in str(caught.value)
+
+
+def test_several_mistakes_are_reported_at_once(tmp_path):
+    """Two mistakes give one line with both, so that they can be mended together."""
+    with pytest.raises(ProfileError) as caught:
+        load_text(tmp_path, TEXT.replace("ratio = 0.75", "ratio = 2").replace("size_px = 96", "size = 96"))
+    assert "features.ratio: " in str(caught.value)
+    assert "unknown key marker.size: did you mean size_px?" in str(caught.value)
+
+
+def test_angles_are_numbers_or_multiples_of_pi():
+    """A multiple of pi is exact: 'pi/2' is the double that NumPy calls π/2; no other text is an angle."""
+    angles = {"pi": np.pi, "-pi": -np.pi, "pi/2": np.pi / 2, "-pi/2": -np.pi / 2, "2*pi/3": 2 * np.pi / 3}
+    for text, angle_rad in (angles | {"-0.5 * pi / 4": -np.pi / 8, 0.25: 0.25, -1: -1.0}).items():
+        assert Joint(name="j", type="revolute", alpha_rad=text).alpha_rad == angle_rad
+    for text in NO_ANGLES.split("|"):
+        with pytest.raises(ValueError, match="alpha_rad"):
+            Joint(name="j", type="revolute", alpha_rad=text)
+
+
+def test_a_rotation_of_the_tool_becomes_a_transform(tmp_path):
+    """tool_rotation stands in the upper left of T_last_tool, and its absence is the identity."""
+    text = TEXT.replace("[robot]", "[robot]\ntool_rotation = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]", 1)
+    turned = [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    for robot, T in ((load_text(tmp_path, text).robot, turned), (load_profile().robot, np.eye(4))):
+        assert robot is not None
+        np.testing.assert_array_equal(robot.T_last_tool, T)
+
+
 @pytest.mark.parametrize(
-    ("old", "new", "message"),
+    ("name", "data", "message"),
     [
-        ('name = "PSM2"', 'name = "PSM1"', "needs a name of its own; given twice: PSM1"),
-        (
-            "/PSM2/measured_js",
-            "/PSM1/measured_js",
-            "needs a topic of its own; given twice: /PSM1/measured_js",
-        ),
-        ('tool = "PSM2_tool"', 'tool = "tool"', "needs a frame of its own; given twice: tool"),
-        ("fiducial_id = 1", "fiducial_id = 0", "needs a fiducial_id of its own; given twice: 0"),
-        ("fiducial_id = 1", "fiducal_id = 1", r"fiducal_id: did you mean fiducial_id\?"),
-        ('joints = "/PSM2/measured_js"\npose = "/PSM2/measured_cp"', "", "name joints or pose"),
+        ("none.toml", None, r"none\.toml: cannot read: No such file"),
+        ("", None, "cannot read: Is a directory"),
+        ("a.toml", b'name = "x"\nhue = [1, = 2]\n', r"a\.toml: not a TOML file: .*line 2, column 11"),
+        ("a.toml", 'name = "Ger\xe4t"'.encode("latin-1"), r"a\.toml: not a TOML file: byte 11 is not UTF-8"),
     ],
 )
-def test_instruments_that_cannot_be_told_apart_are_refused(tmp_path, old, new, message):
-    assert old in TEXT
+def test_what_is_no_toml_file_says_why_and_where(tmp_path, name, data, message):
+    if data is not None:
+        (tmp_path / name).write_bytes(data)
     with pytest.raises(ProfileError, match=message):
-        load_text(tmp_path, TEXT.replace(old, new, 1))
+        load_profile(tmp_path / name)
+    with pytest.raises(
+        ProfileError, match=r"no profile named psm31: did you mean psm13\? .*path to a \.toml"
+    ):
+        load_profile("psm31")
+
+
+def test_limits_are_numbers_of_bytes_or_text_with_a_unit(tmp_path):
+    """A profile's [limits] override the defaults; text carries its unit, and nonsense is named."""
+    profile = load_text(tmp_path, MINIMAL + '[limits]\nchunk_bytes = "512 MiB"\nimage_pixels = 5\n')
+    assert (profile.limits.chunk_bytes, profile.limits.image_pixels) == (512 << 20, 5)
+    assert profile.limits.record_bytes == 256 << 20
+    for line, expected in (
+        ('chunk_bytes = "512 MB"', "limits.chunk_bytes: expected bytes"),
+        ("chunk_bytes = -1", "limits.chunk_bytes"),
+        ("record_bytes = 1", "limits.record_bytes"),
+        ("image_pixels = 0", "limits.image_pixels"),
+        (f"image_pixels = {(1 << 26) + 1}", "limits.image_pixels"),  # OpenCV refuses more
+        ("chunk_byte = 1", "did you mean chunk_bytes"),
+    ):
+        with pytest.raises(ProfileError, match=expected):
+            load_text(tmp_path, MINIMAL + f"[limits]\n{line}\n")

@@ -10,18 +10,9 @@ from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
+from svmdist import samples
 from svmdist.camera import Camera
 from svmdist.recording.writer import RecordingWriter
-from svmdist.samples import (
-    CameraSample,
-    DistanceSample,
-    ImageSample,
-    JointSample,
-    PoseSample,
-    Sample,
-    TransformSample,
-    TransformsSample,
-)
 from svmdist.transforms import Array, make_transform, rotation_x, rotation_z
 
 CAMERA = Camera.from_horizontal_fov(32, 24, 1.0)
@@ -34,7 +25,7 @@ class Entry:
     """A sample and the topic it belongs on."""
 
     topic: str
-    sample: Sample
+    sample: samples.Sample
 
 
 def pose(number: int) -> Array:
@@ -49,19 +40,21 @@ def scene(frame_count: int = 5, *, stamp_offset_ns: int = 1_000_000_000) -> list
     for frame in range(frame_count):
         stamp_ns = stamp_offset_ns + frame * PERIOD_NS
         image = rng.integers(0, 256, (CAMERA.height_px, CAMERA.width_px, 3), np.uint8)
-        tf = TransformSample(stamp_ns, "camera", "tool", pose(frame))
+        tf = samples.TransformSample(stamp_ns, "camera", "tool", pose(frame))
         entries += [
-            Entry("/ECM/left/camera_info", CameraSample(stamp_ns, CAMERA)),
-            Entry("/ECM/left/image", ImageSample(stamp_ns, "camera", image)),
-            Entry("/PSM1/measured_cp", PoseSample(stamp_ns, "base", pose(frame))),
-            Entry("/tf", TransformsSample(stamp_ns, (tf,))),
-            Entry("/ground_truth/tf", TransformsSample(stamp_ns, (tf,))),
-            Entry("/ground_truth/distance", DistanceSample(stamp_ns, 0.1, 0.2, -0.001 * frame)),
+            Entry("/ECM/left/camera_info", samples.CameraSample(stamp_ns, CAMERA)),
+            Entry("/ECM/left/image", samples.ImageSample(stamp_ns, "camera", image)),
+            Entry("/PSM1/measured_cp", samples.PoseSample(stamp_ns, "base", pose(frame))),
+            Entry("/tf", samples.TransformsSample(stamp_ns, (tf,))),
+            Entry("/ground_truth/tf", samples.TransformsSample(stamp_ns, (tf,))),
+            Entry("/ground_truth/distance", samples.DistanceSample(stamp_ns, 0.1, 0.2, -0.001 * frame)),
         ]
         for step in range(4):
             joint_ns = stamp_ns + step * PERIOD_NS // 4
             positions = np.array([0.5 * frame + 0.125 * step, -1.0])
-            entries.append(Entry("/PSM1/measured_js", JointSample(joint_ns, ("yaw", "pitch"), positions)))
+            entries.append(
+                Entry("/PSM1/measured_js", samples.JointSample(joint_ns, ("yaw", "pitch"), positions))
+            )
     return entries
 
 

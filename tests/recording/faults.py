@@ -19,7 +19,7 @@ from svmdist.recording.source import LossKind
 
 HEAD = struct.Struct("<BQ")
 MAGIC_BYTES = 8
-CHUNK_OPCODE = 6
+MESSAGE_OPCODE, CHUNK_OPCODE = 5, 6
 COMPRESS = {"zstd": zstandard.compress, "lz4": lz4.frame.compress, "": bytes}
 EXTREMES = (0, 1, 7, 0xFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 1 << 40, (1 << 63) - 1, (1 << 64) - 1)
 
@@ -97,16 +97,20 @@ def expand(chunk_body: bytes) -> tuple[str, bytes]:
     return name, lz4.frame.decompress(data) if name == "lz4" else data
 
 
-def pack_chunk(
-    compression: str, content: bytes, size_bytes: int | None = None, crc: int | None = None
-) -> bytes:
-    """Make the body of a chunk, true in size and CRC unless told otherwise."""
-    data = COMPRESS[compression](content)
+def chunk_body(compression: str, data: bytes, size_bytes: int, crc: int = 0) -> bytes:
+    """Make the body of a chunk of compressed data, which declares a size."""
     name = compression.encode()
-    size_bytes = len(content) if size_bytes is None else size_bytes
-    crc = zlib.crc32(content) if crc is None else crc
     head = struct.pack("<QQQII", 0, 0, size_bytes, crc, len(name))
     return head + name + struct.pack("<Q", len(data)) + data
+
+
+def chunks(data: bytes) -> list[tuple[Part, int]]:
+    """The chunks of an intact file, and the number of messages in each."""
+    found = [part for part in split(data[:-MAGIC_BYTES]) if part.opcode == CHUNK_OPCODE]
+    return [
+        (part, sum(inner.opcode == MESSAGE_OPCODE for inner in split(expand(part.body)[1], 0)))
+        for part in found
+    ]
 
 
 def flip_bit(data: bytes, rng: random.Random) -> bytes:
@@ -190,5 +194,6 @@ def _mutate_inside(body: bytes, rng: random.Random) -> bytes:
     content = join(inner)
     if rng.random() < 0.1:
         content = mutate_body(content, rng)
-    size_bytes = rng.choice((None, None, None, *EXTREMES, 1 << 28))
-    return pack_chunk(rng.choice((compression, compression, "zstd", "lz4", "")), content, size_bytes)
+    size_bytes = rng.choice((*[len(content)] * 3, *EXTREMES, 1 << 28))
+    other = rng.choice((compression, compression, "zstd", "lz4", ""))
+    return chunk_body(other, COMPRESS[other](content), size_bytes, zlib.crc32(content))

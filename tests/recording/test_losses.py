@@ -12,10 +12,7 @@ from svmdist.recording.log import open_recording
 from svmdist.recording.source import MAX_LISTED_LOSSES, Health, Loss, LossKind
 
 from .builders import rewrite, scene, write_scene
-from .faults import Part, Reading, expand, join, read, split
-
-MAGIC_BYTES = 8
-MESSAGE, CHUNK, STATISTICS = 5, 6, 11
+from .faults import CHUNK_OPCODE, MAGIC_BYTES, Reading, chunks, join, read, split
 
 
 @pytest.fixture(scope="module")
@@ -41,25 +38,13 @@ def reading_of(data: bytes, folder: Path) -> Reading:
     return reading
 
 
-def chunks(data: bytes) -> list[Part]:
-    """The chunks of a file."""
-    return [part for part in split(data[:-MAGIC_BYTES]) if part.opcode == CHUNK]
-
-
-def message_count(chunk: Part) -> int:
-    """Messages in a chunk."""
-    return sum(part.opcode == MESSAGE for part in split(expand(chunk.body)[1], 0))
-
-
 def test_a_chunk_with_a_wrong_crc_is_dropped_whole_and_reading_goes_on(
     data: bytes, intact: Reading, tmp_path: Path
 ) -> None:
-    second = chunks(data)[1]
+    (_, start), (second, count) = chunks(data)[:2]
     place = second.offset + 9 + 24  # its CRC
     reading = reading_of(data[:place] + b"\1\2\3\4" + data[place + 4 :], tmp_path)
-    start = message_count(chunks(data)[0])
-    end = start + message_count(second)
-    assert reading.messages == intact.messages[:start] + intact.messages[end:]
+    assert reading.messages == intact.messages[:start] + intact.messages[start + count :]
     assert reading.kinds == {LossKind.CHUNK, LossKind.DATA_CRC, LossKind.STATISTICS, LossKind.RECORD}
     assert reading.metadata == {}  # outside of chunks, where the data section's CRC alone could vouch for it
 
@@ -68,56 +53,50 @@ def test_a_chunk_with_a_wrong_crc_is_dropped_whole_and_reading_goes_on(
 def test_what_follows_a_broken_length_is_a_loss(
     data: bytes, intact: Reading, tmp_path: Path, length: int
 ) -> None:
-    second = chunks(data)[1]
+    (_, count), (second, _) = chunks(data)[:2]
     place = second.offset + 1
     reading = reading_of(data[:place] + struct.pack("<Q", length) + data[place + 8 :], tmp_path)
-    assert reading.messages == intact.messages[: message_count(chunks(data)[0])]
+    assert reading.messages == intact.messages[:count]
     assert {LossKind.STRUCTURE, LossKind.STATISTICS} <= reading.kinds
 
 
 def test_a_chunk_that_claims_the_next_ones_is_read_and_they_are_losses(
     data: bytes, intact: Reading, tmp_path: Path
 ) -> None:
-    first, second, third, fourth = chunks(data)[:4]
+    parts, counts = zip(*chunks(data)[:4], strict=True)
+    _, second, _, fourth = parts
     broken = bytearray(data)
     struct.pack_into("<Q", broken, second.offset + 1, fourth.end - second.offset - 9)
     reading = reading_of(bytes(broken), tmp_path)
-    start = message_count(first) + message_count(second)
-    lost = message_count(third) + message_count(fourth)
-    assert reading.messages == intact.messages[:start] + intact.messages[start + lost :]
+    assert reading.messages == intact.messages[: sum(counts[:2])] + intact.messages[sum(counts) :]
     assert LossKind.STATISTICS in reading.kinds
 
 
 def test_a_chunk_with_fields_of_a_newer_version_is_read(data: bytes, intact: Reading, tmp_path: Path) -> None:
     """The specification lets records grow at their end: no chunk begins inside, and nothing is lost of the data."""
     parts = split(data[:-MAGIC_BYTES])
-    grown = [(part.opcode, part.body + b"new" if part.opcode == CHUNK else part.body) for part in parts]
-    path = tmp_path / "a.mcap"
-    path.write_bytes(b"\x89MCAP0\r\n" + join(grown) + b"\x89MCAP0\r\n")
-    reading = read(path)
-    assert reading is not None
-    assert reading.messages == intact.messages
+    grown = [(part.opcode, part.body + b"new" * (part.opcode == CHUNK_OPCODE)) for part in parts]
+    whole = data[:MAGIC_BYTES] + join(grown) + data[-MAGIC_BYTES:]
+    assert reading_of(whole, tmp_path).messages == intact.messages
 
 
 def test_a_summary_that_promises_more_is_a_loss(data: bytes, intact: Reading, tmp_path: Path) -> None:
     """A recording from which a whole chunk was cut out, its summary made right but for the statistics."""
-    parts = split(data[:-MAGIC_BYTES])
-    last = chunks(data)[-1]
-    kept = [(part.opcode, part.body) for part in parts if part.offset != last.offset]
-    kept = [
-        (opcode, body[:-4] + bytes(4) if opcode == 2 else body) for opcode, body in kept
-    ]  # no summary CRC
-    kept = [(opcode, bytes(4) if opcode == 15 else body) for opcode, body in kept]  # no data CRC
+    last, count = chunks(data)[-1]
+    kept = {part.offset: (part.opcode, part.body) for part in split(data[:-MAGIC_BYTES])}
+    del kept[last.offset]
+    without_crc = {2: lambda body: body[:-4] + bytes(4), 15: lambda _: bytes(4)}  # of summary and data
+    kept = [(opcode, without_crc.get(opcode, bytes)(body)) for opcode, body in kept.values()]
     reading = reading_of(data[:MAGIC_BYTES] + join(kept) + data[-MAGIC_BYTES:], tmp_path)
-    assert len(reading.messages) == len(intact.messages) - message_count(last)
+    assert len(reading.messages) == len(intact.messages) - count
     assert reading.kinds == {LossKind.STATISTICS}
 
 
 def test_a_cut_file_says_so_once_with_its_figures(data: bytes, tmp_path: Path, profile: Profile) -> None:
     path = tmp_path / "cut.mcap"
-    path.write_bytes(data[: chunks(data)[2].end])
+    path.write_bytes(data[: chunks(data)[2][0].end])
     recording = open_recording(path, profile)
-    expected = sum(message_count(chunk) for chunk in chunks(data)[:3])
+    expected = sum(count for _, count in chunks(data)[:3])
     for _ in range(3):
         list(recording.images())
     line = f"truncated at byte {path.stat().st_size}, {expected} messages recovered"

@@ -7,6 +7,8 @@ code, by coverage. `pytest -m fault` makes 25,000 mutants of them, the plain run
 from __future__ import annotations
 
 import random
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -23,7 +25,6 @@ from svmdist.recording.log import open_recording
 from svmdist.recording.messages import KINDS, DecodeError, Decoder
 from svmdist.recording.source import RawMessage
 from svmdist.recording.summary import inspect_recording
-from svmdist.samples import Sample
 
 from .faults import mutate_body
 
@@ -53,7 +54,7 @@ def far(data: bytes, _: Path) -> None:
         assert isinstance(recording.metadata, dict)
 
 
-def profile(data: bytes, folder: Path) -> None:
+def toml(data: bytes, folder: Path) -> None:
     """A profile; NumPy may not warn of its numbers either."""
     path = folder / "mutant.toml"
     path.write_bytes(data)
@@ -63,12 +64,11 @@ def profile(data: bytes, folder: Path) -> None:
             np.linalg.inv(loaded.tissue.T_tissue_mesh)
 
 
-def toml(data: bytes, folder: Path) -> None:
-    """A profile's text."""
-    path = folder / "mutant.toml"
-    path.write_bytes(data)
-    with suppress(ProfileError):
-        load_profile(path)
+def image(data: bytes, _: Path) -> None:
+    """A compressed image."""
+    with suppress(ImageError):
+        decoded = decode_still(data, LIMITS)
+        assert (decoded.dtype, decoded.ndim) == (np.uint8, 3)
 
 
 def mesh(data: bytes, folder: Path) -> None:
@@ -81,14 +81,6 @@ def mesh(data: bytes, folder: Path) -> None:
             read_closed_mesh(path, 1e-3)
 
 
-def image(data: bytes, _: Path) -> None:
-    """A compressed image."""
-    with suppress(ImageError):
-        decoded = decode_still(data, LIMITS)
-        assert decoded.dtype == np.uint8
-        assert decoded.ndim == 3
-
-
 def message(encoding: str) -> Callable[[bytes, Path], None]:
     """A message of an encoding, taken for each schema that it may have."""
 
@@ -96,8 +88,7 @@ def message(encoding: str) -> Callable[[bytes, Path], None]:
         for schema in KINDS[encoding]:
             raw = RawMessage("/t", schema, encoding, 1, data)
             with suppress(DecodeError):
-                found: Sample | object = Decoder(LIMITS).decode(raw)
-                pixels = getattr(found, "decode", None)
+                pixels = getattr(Decoder(LIMITS).decode(raw), "decode", None)
                 if pixels is not None:
                     with suppress(ImageError):
                         pixels()
@@ -110,7 +101,7 @@ TARGETS: dict[str, Callable[[bytes, Path], None]] = {
     "far": far,
     "bag1": log,
     "sqlite": log,
-    "profile": profile,
+    "profile": toml,
     "toml": toml,
     "mesh": mesh,
     "image": image,
@@ -140,7 +131,7 @@ def mutants(seeds: list[bytes], count: int, seed: int) -> list[bytes]:
 
 
 def check(target: str, data: bytes, folder: Path) -> None:
-    """Give a target an input; whatever is raised, or takes too long, names the input."""
+    """Whatever is raised, or takes too long, names the input."""
     started = time.process_time()
     try:
         TARGETS[target](data, folder)
@@ -177,9 +168,6 @@ def test_mutants_give_a_value_or_an_error_of_ours(tmp_path: Path, target: str, i
 @pytest.mark.parametrize("target", ["mcap", "bag1", "sqlite"])
 def test_mutants_of_logs_stay_small(tmp_path: Path, target: str) -> None:
     """With a limit of 1 GiB on the memory that the process may claim, none of the mutants lacks any."""
-    import subprocess
-    import sys
-
     script = (
         "import resource, sys\n"
         "from pathlib import Path\n"

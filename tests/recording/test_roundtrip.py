@@ -12,20 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from svmdist import samples
 from svmdist.profile import Limits, Profile
 from svmdist.recording.ground_truth_distance_pb2 import DESCRIPTOR, GroundTruthDistance
 from svmdist.recording.log import open_recording
 from svmdist.recording.messages import Decoder, EncodedImage, to_sample
 from svmdist.recording.source import RawMessage
 from svmdist.recording.writer import encode, message_class_of
-from svmdist.samples import (
-    ImageSample,
-    Observation,
-    PoseSample,
-    Sample,
-    TransformSample,
-    TransformsSample,
-)
 from svmdist.transforms import make_transform, rotation_from_quaternion_xyzw
 
 from .builders import CAMERA, Entry
@@ -36,7 +29,7 @@ names = st.text(st.characters(codec="utf-8"), min_size=1, max_size=20)
 lengths = st.floats(-1e3, 1e3)
 
 
-def there_and_back(sample: Sample) -> Any:
+def there_and_back(sample: samples.Sample) -> Any:
     """Encode and decode a sample."""
     schema = message_class_of(type(sample)).DESCRIPTOR.full_name
     raw = RawMessage("/t", schema, "protobuf", sample.stamp_ns, encode(sample).data)
@@ -52,11 +45,11 @@ def rigid(draw: st.DrawFn) -> np.ndarray:
 
 @given(stamps, names, names, rigid())
 def test_transforms_survive_to_rounding(stamp_ns: int, parent: str, child: str, T: np.ndarray) -> None:
-    one = TransformSample(stamp_ns, parent, child, T)
-    back = there_and_back(TransformsSample(stamp_ns, (one, one)))
+    one = samples.TransformSample(stamp_ns, parent, child, T)
+    back = there_and_back(samples.TransformsSample(stamp_ns, (one, one)))
     assert [(b.stamp_ns, b.parent, b.child) for b in back.transforms] == [(stamp_ns, parent, child)] * 2
     np.testing.assert_allclose(back.transforms[1].T_parent_child, T, rtol=0, atol=1e-14)
-    pose = there_and_back(PoseSample(stamp_ns, parent, T))
+    pose = there_and_back(samples.PoseSample(stamp_ns, parent, T))
     assert (pose.stamp_ns, pose.frame_id) == (stamp_ns, parent)
     np.testing.assert_allclose(pose.T_frame_pose, T, rtol=0, atol=1e-14)
 
@@ -65,9 +58,9 @@ def test_a_jpeg_image_survives_nearly() -> None:
     """Colour at full resolution: at the edge of a saturated red nothing bleeds by more than a few levels."""
     image = np.full((48, 64, 3), (60, 160, 60), np.uint8)
     image[:, 33:] = (40, 40, 220)
-    data = encode(ImageSample(5, "camera", image), jpeg_quality=95).data
+    data = encode(samples.ImageSample(5, "camera", image), jpeg_quality=95).data
     sample = Decoder(Limits()).decode(
-        RawMessage("/t", message_class_of(ImageSample).DESCRIPTOR.full_name, "protobuf", 5, data)
+        RawMessage("/t", message_class_of(samples.ImageSample).DESCRIPTOR.full_name, "protobuf", 5, data)
     )
     assert isinstance(sample, EncodedImage)
     assert np.abs(sample.decode().astype(int) - image).max() <= 12
@@ -76,10 +69,10 @@ def test_a_jpeg_image_survives_nearly() -> None:
 def test_a_recording_gives_everything_back(native: Path, entries: list[Entry], profile: Profile) -> None:
     recording = open_recording(native, profile)
     observations = list(recording.observations())
-    images = [entry.sample for entry in entries if isinstance(entry.sample, ImageSample)]
+    images = [entry.sample for entry in entries if isinstance(entry.sample, samples.ImageSample)]
     assert [o.stamp_ns for o in observations] == [image.stamp_ns for image in images]
     for frame, (observation, image) in enumerate(zip(observations, images, strict=True)):
-        assert isinstance(observation, Observation)
+        assert isinstance(observation, samples.Observation)
         np.testing.assert_array_equal(observation.image_bgr, image.image_bgr)
         assert observation.joints is not None
         np.testing.assert_array_equal(observation.joints.positions, [0.5 * frame, -1.0])

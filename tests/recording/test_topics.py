@@ -18,7 +18,7 @@ from svmdist.recording.log import open_recording
 from svmdist.recording.mcap import McapSource
 from svmdist.recording.rosbag import BagSource, FolderSource
 from svmdist.recording.source import TopicInfo
-from svmdist.recording.topics import NAMED, Role, TopicChoice, find_arms
+from svmdist.recording.topics import LoggedArm, Role, TopicChoice, find_arms
 
 from .builders import Entry, write_messages
 from .other_recorders import ros_messages, write_rosbag1, write_rosbag2
@@ -80,83 +80,74 @@ def test_a_file_out_of_a_compressed_bag_asks_for_its_folder(tmp_path: Path) -> N
 
 
 IMAGE, RAW = "foxglove.CompressedImage", "sensor_msgs/msg/Image"
-JOINTS, TRANSFORMS = "foxglove.JointStates", "foxglove.FrameTransforms"
-
-
-def info(topic: str, schema: str, message_encoding: str = "protobuf") -> TopicInfo:
-    """A topic of a log."""
-    return TopicInfo(topic, schema, message_encoding)
+JOINTS, TRANSFORMS, CAMERA = "foxglove.JointStates", "foxglove.FrameTransforms", "foxglove.CameraCalibration"
+Rows = tuple[tuple[str, str], ...]
 
 
 def choice(
-    *infos: TopicInfo,
-    wanted: Topics | None = None,
+    *rows: tuple[str, str],
+    wanted: dict[str, str] | None = None,
     overrides: Mapping[str, str] | None = None,
     claimed: frozenset[str] = frozenset(),
 ) -> TopicChoice:
-    """A choice among some topics of a log called a.mcap."""
-    return TopicChoice(infos, wanted or Topics(), overrides or {}, "a.mcap", claimed)
+    """A choice among topics of a log called a.mcap, each given with its schema."""
+    encodings = {RAW: "cdr", "std_msgs/msg/String": "cdr", "sensor_msgs/Image": "ros1"}
+    infos = [TopicInfo(topic, schema, encodings.get(schema, "protobuf")) for topic, schema in rows]
+    return TopicChoice(infos, Topics(**(wanted or {})), overrides or {}, "a.mcap", claimed)
 
 
-def test_the_only_topic_that_fits_is_taken_whatever_its_encoding() -> None:
-    """By its schema, in Foxglove's encoding and in those of ROS."""
-    assert choice(info("/a", IMAGE), info("/j", JOINTS)).require(Role.IMAGE) == "/a"
-    assert (
-        choice(info("/a", RAW, "cdr"), info("/x", "std_msgs/msg/String", "cdr")).require(Role.IMAGE) == "/a"
-    )
-    assert choice(info("/a", "sensor_msgs/Image", "ros1")).require(Role.IMAGE) == "/a"
-    with pytest.raises(RecordingError, match="choose one of /a, /b"):
-        choice(info("/a", IMAGE), info("/b", IMAGE)).require(Role.IMAGE)
+CAMERAS = (("/a", IMAGE), ("/b", IMAGE), ("/c", IMAGE))
+ARMS = (("/PSM1/js", JOINTS), ("/PSM2/js", JOINTS))
+TRUTH = {"ground_truth_tf": "/truth"}
+PSM2 = {"claimed": frozenset({"/PSM2/js"})}
 
 
-def test_the_callers_topic_comes_before_the_profiles_and_that_before_any_other() -> None:
-    infos = [info(topic, IMAGE) for topic in ("/a", "/b", "/c")]
-    wanted = Topics(image="/b")
-    assert choice(*infos, wanted=wanted, overrides={"image": "/c"}).require(Role.IMAGE) == "/c"
-    assert choice(*infos, wanted=wanted).require(Role.IMAGE) == "/b"
-    assert choice(infos[0], wanted=wanted).require(Role.IMAGE) == "/a"
+@pytest.mark.parametrize(
+    ("role", "rows", "given", "found"),
+    [
+        # The only one that fits, by its schema, in Foxglove's encoding and in those of ROS.
+        ("image", (("/a", IMAGE), ("/j", JOINTS)), {}, "/a"),
+        ("image", (("/a", RAW), ("/x", "std_msgs/msg/String")), {}, "/a"),
+        ("image", (("/a", "sensor_msgs/Image"),), {}, "/a"),
+        # The caller's before the profile's, and that before any other.
+        ("image", CAMERAS, {"wanted": {"image": "/b"}, "overrides": {"image": "/c"}}, "/c"),
+        ("image", CAMERAS, {"wanted": {"image": "/b"}}, "/b"),
+        ("image", CAMERAS[:1], {"wanted": {"image": "/b"}}, "/a"),
+        # Some roles take no topic by its schema: it must be named.
+        ("ground_truth_tf", (("/x", TRANSFORMS),), {}, None),
+        ("ground_truth_tf", (("/x", TRANSFORMS),), {"wanted": {"ground_truth_tf": "/x"}}, "/x"),
+        ("right_image", (("/x", IMAGE),), {}, None),
+        ("right_image", (("/x", IMAGE),), {"wanted": {"right_image": "/x"}}, "/x"),
+        ("right_camera_info", (("/x", CAMERA),), {}, None),
+        ("right_camera_info", (("/x", CAMERA),), {"wanted": {"right_camera_info": "/x"}}, "/x"),
+        # None of another role or of another arm.
+        ("tf", (("/truth", TRANSFORMS),), {"wanted": TRUTH}, None),
+        ("tf", (("/truth", TRANSFORMS), ("/tf", TRANSFORMS)), {"wanted": TRUTH}, "/tf"),
+        ("joints", ARMS, PSM2, "/PSM1/js"),
+        ("joints", ARMS[1:], PSM2, None),
+    ],
+)
+def test_a_role_has_the_topic_that_fits(role: str, rows: Rows, given: dict, found: str | None) -> None:
+    assert choice(*rows, **given).find(Role(role)) == found
 
 
-def test_where_none_fits_the_topics_are_listed() -> None:
-    """Names are sanitized, for they come from the file."""
-    with pytest.raises(
-        RecordingError, match=r"no topic with images for image; the topics are /j\\n \(no schema\)"
+def test_roles_without_a_topic_or_with_a_wrong_one_are_errors() -> None:
+    """The topics are listed, sanitized, for they come from the file; an override counts even where none is needed."""
+    given = {"overrides": {"image": "/j"}}
+    for rows, options, message in (
+        (CAMERAS[:2], {}, "choose one of /a, /b"),
+        ((("/j\n", ""),), {}, r"no topic with images for image; the topics are /j\\n \(no schema\)"),
+        ((), {}, "the recording has no topics"),
+        ((("/j", JOINTS),), given, "topic /j carries no images"),
     ):
-        choice(info("/j\n", "")).require(Role.IMAGE)
-    with pytest.raises(RecordingError, match="the recording has no topics"):
-        choice().require(Role.JOINTS)
-
-
-def test_an_override_that_does_not_fit_is_an_error_even_where_a_topic_is_optional() -> None:
-    topics = choice(info("/j", JOINTS), overrides={"image": "/j"})
-    for ask in (topics.require, topics.find):
-        with pytest.raises(RecordingError, match="topic /j carries no images"):
-            ask(Role.IMAGE)
+        with pytest.raises(RecordingError, match=message):
+            choice(*rows, **options).require(Role.IMAGE)
+    with pytest.raises(RecordingError, match="topic /j carries no images"):
+        choice(("/j", JOINTS), **given).find(Role.IMAGE)
     with pytest.raises(UsageError, match="no role imag for a topic: did you mean image"):
         choice(overrides={"imag": "/a"})
 
 
-@pytest.mark.parametrize("role", sorted(NAMED))
-def test_a_role_that_must_be_named_takes_no_topic_by_its_schema(role: Role) -> None:
-    schema = {
-        Role.GROUND_TRUTH_TF: TRANSFORMS,
-        Role.RIGHT_IMAGE: IMAGE,
-        Role.RIGHT_CAMERA_INFO: "foxglove.CameraCalibration",
-    }[role]
-    assert choice(info("/x", schema)).find(role) is None
-    assert choice(info("/x", schema), wanted=Topics(**{role: "/x"})).find(role) == "/x"
-
-
-def test_a_topic_of_another_role_or_of_another_arm_stands_in_for_none() -> None:
-    wanted = Topics(ground_truth_tf="/truth")
-    assert choice(info("/truth", TRANSFORMS), wanted=wanted).find(Role.TF) is None
-    assert choice(info("/truth", TRANSFORMS), info("/tf", TRANSFORMS), wanted=wanted).find(Role.TF) == "/tf"
-    arms = (info("/PSM1/js", JOINTS), info("/PSM2/js", JOINTS))
-    assert choice(*arms, claimed=frozenset({"/PSM2/js"})).find(Role.JOINTS) == "/PSM1/js"
-    assert choice(arms[1], claimed=frozenset({"/PSM2/js"})).find(Role.JOINTS) is None
-
-
-JOINTS, POSE, IMAGE = "foxglove.JointStates", "foxglove.PoseInFrame", "foxglove.CompressedImage"
 SECOND = OtherInstrument(
     name="PSM2",
     topics=ArmTopics(joints="/PSM2/measured_js"),
@@ -170,48 +161,37 @@ def two_arms(profile: Profile) -> Profile:
     return profile.model_copy(update={"other_instruments": (SECOND,), "fiducial": None})
 
 
-def source(folder: Path, *topics: tuple[str, str]) -> McapSource:
-    """A log with one empty message on each topic, given with its schema."""
+def arms_of(
+    folder: Path, profile: Profile, *topics: tuple[str, str], **overrides: str
+) -> tuple[LoggedArm, ...]:
+    """The arms in a log with one empty message on each topic, given with its schema."""
     rows = [(topic, schema, "protobuf", b"", 1) for topic, schema in topics]
-    path = write_messages(folder / "a.mcap", rows)
-    return McapSource(path, Limits())
-
-
-def test_the_profiles_own_instrument_is_always_there(tmp_path: Path, two_arms: Profile) -> None:
-    """Even in a log without any of its topics; the other one only where the log has its joints or pose."""
-    arms = find_arms(source(tmp_path, ("/image", IMAGE)), two_arms, {})
-    assert [arm.name for arm in arms] == [two_arms.instrument_name]
-    assert arms[0].choice.find(Role.JOINTS) is None
-    assert arms[0].choice.find(Role.IMAGE) == "/image"
+    return find_arms(McapSource(write_messages(folder / "a.mcap", rows), Limits()), profile, overrides)
 
 
 def test_each_arm_has_its_own_joints_and_frames_and_the_scenes_images(
     tmp_path: Path, two_arms: Profile
 ) -> None:
-    log = source(
-        tmp_path, ("/PSM1/measured_js", JOINTS), ("/PSM2/measured_js", JOINTS), ("/ECM/left/image", IMAGE)
-    )
-    first, second = find_arms(log, two_arms, {})
+    topics = (("/PSM1/measured_js", JOINTS), ("/PSM2/measured_js", JOINTS), ("/ECM/left/image", IMAGE))
+    first, second = arms_of(tmp_path, two_arms, *topics)
     assert (first.name, second.name) == (two_arms.instrument_name, "PSM2")
-    assert first.choice.require(Role.JOINTS) == "/PSM1/measured_js"
-    assert second.choice.require(Role.JOINTS) == "/PSM2/measured_js"
-    assert first.choice.require(Role.IMAGE) == second.choice.require(Role.IMAGE) == "/ECM/left/image"
+    for arm, (joints, _) in zip((first, second), topics, strict=False):
+        assert arm.choice.require(Role.JOINTS) == joints
+        assert arm.choice.require(Role.IMAGE) == "/ECM/left/image"
+        assert arm.frames.camera == two_arms.frames.camera
     assert (first.frames.base, first.frames.tool) == (two_arms.frames.base, two_arms.frames.tool)
     assert (second.frames.base, second.frames.tool) == ("PSM2_base", "PSM2_tool")
-    assert first.frames.camera == second.frames.camera
 
 
-def test_joints_of_one_arm_stand_in_for_no_others(tmp_path: Path, two_arms: Profile) -> None:
-    """The only joint states are the second arm's: the first one, whose topics the profile names, is not in the log."""
-    (only,) = find_arms(source(tmp_path, ("/PSM2/measured_js", JOINTS)), two_arms, {})
-    assert only.name == "PSM2"
-    assert only.choice.find(Role.JOINTS) == "/PSM2/measured_js"
-
-
-def test_the_callers_joints_are_the_first_arms(tmp_path: Path, two_arms: Profile) -> None:
-    """A topic that the caller gives to the first instrument is no sign of another one; an image is for all."""
-    log = source(tmp_path, ("/PSM2/measured_js", JOINTS), ("/a", IMAGE), ("/b", IMAGE))
-    (only,) = find_arms(log, two_arms, {"joints": "/PSM2/measured_js"})
-    assert only.choice.require(Role.JOINTS) == "/PSM2/measured_js"
-    for arm in find_arms(log, two_arms, {"image": "/b"}):
+def test_arms_are_known_by_their_joints(tmp_path: Path, two_arms: Profile) -> None:
+    """The first one stands for a log without any; only the second one's joints, or the caller's, make it another."""
+    (only,) = arms_of(tmp_path, two_arms, ("/image", IMAGE))
+    assert only.name == two_arms.instrument_name
+    assert (only.choice.find(Role.JOINTS), only.choice.find(Role.IMAGE)) == (None, "/image")
+    second = ("/PSM2/measured_js", JOINTS)
+    (only,) = arms_of(tmp_path, two_arms, second)
+    assert (only.name, only.choice.find(Role.JOINTS)) == ("PSM2", second[0])
+    (only,) = arms_of(tmp_path, two_arms, second, *CAMERAS[:2], joints=second[0])
+    assert (only.name, only.choice.require(Role.JOINTS)) == (two_arms.instrument_name, second[0])
+    for arm in arms_of(tmp_path, two_arms, second, *CAMERAS[:2], image="/b"):
         assert arm.choice.require(Role.IMAGE) == "/b"

@@ -45,10 +45,7 @@ def test_a_view_can_be_sent_to_another_process(tmp_path: Path, view: str) -> Non
     np.testing.assert_array_equal(theirs.joint_track().positions, mine.joint_track().positions)
     for one, two in zip(mine.observations(), theirs.observations(), strict=True):
         assert isinstance(one, Observation)
-        assert isinstance(two, Observation)
-        assert (one.stamp_ns, one.joints is None) == (two.stamp_ns, two.joints is None)
-        if one.joints is not None and two.joints is not None:
-            np.testing.assert_array_equal(one.joints.positions, two.joints.positions)
+        assert repr((two.stamp_ns, two.joints)) == repr((one.stamp_ns, one.joints))
 
 
 @pytest.fixture

@@ -22,10 +22,9 @@ FILL_A_DISK = """
 import resource, sys
 from pathlib import Path
 from svmdist.errors import OutputError
-from tests_builders import scene, write_scene
-limits = [int(text) for text in sys.argv[2:]]
+from tests.recording.builders import scene, write_scene
 entries = scene(40)
-for limit in limits:
+for limit in map(int, sys.argv[2:]):
     path = Path(sys.argv[1]) / f"{limit}.mcap"
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
     try:
@@ -38,10 +37,6 @@ for limit in limits:
     else:
         print("written")
 """
-
-
-def test_a_rerun_is_byte_identical(tmp_path: Path, entries: list[Entry], native: Path) -> None:
-    assert write_scene(tmp_path / "again.mcap", entries).read_bytes() == native.read_bytes()
 
 
 def test_chunks_hold_at_most_256_kib(tmp_path: Path) -> None:
@@ -58,7 +53,10 @@ def test_chunks_hold_at_most_256_kib(tmp_path: Path) -> None:
     assert max(index.uncompressed_size for index in summary.chunk_indexes) <= 256 * 1024
 
 
-def test_log_and_publish_times_are_the_stamps(native: Path, entries: list[Entry]) -> None:
+def test_a_rerun_is_byte_identical_and_log_times_are_the_stamps(
+    tmp_path: Path, native: Path, entries: list[Entry]
+) -> None:
+    assert write_scene(tmp_path / "again.mcap", entries).read_bytes() == native.read_bytes()
     with native.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         found = [
@@ -105,14 +103,8 @@ def test_an_interrupted_recording_keeps_its_part(tmp_path: Path, profile: Profil
 def test_a_full_disk_leaves_no_file_under_the_final_name(tmp_path: Path) -> None:
     full_bytes = write_scene(tmp_path / "full.mcap", scene(40)).stat().st_size
     limits = [full_bytes * step // 50 for step in range(50)]
-    script = tmp_path / "fill.py"
-    script.write_text(FILL_A_DISK.replace("tests_builders", "recording.builders"))
-    done = subprocess.run(
-        [sys.executable, script, tmp_path, *map(str, [*limits, full_bytes])],
-        env={"PYTHONPATH": str(Path(__file__).parents[1])},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = [sys.executable, "-c", FILL_A_DISK, tmp_path, *map(str, [*limits, full_bytes])]
+    root = Path(__file__).parents[2]
+    done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=False)
     assert done.stderr == ""
     assert done.stdout.split() == ["refused"] * 50 + ["written"]

@@ -248,8 +248,7 @@ def test_an_odd_size_and_a_clock_that_is_set_back_give_a_video(golden: Path, tmp
     setup = prepare()
     recording = open_recording(golden / "sweep.mcap", setup.profile)
     frames = list(drawn_frames(recording, setup, numbers=range(3)))
-    K = [[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]]
-    odd = SimpleNamespace(logged_camera=Camera(639, 479, K, np.zeros(5)))
+    odd = SimpleNamespace(logged_camera=Camera.from_horizontal_fov(639, 479, 1.0))
     write_video([*frames, *frames], tmp_path / "out.mp4", odd)  # type: ignore[arg-type]
     shown = decoded(tmp_path / "out.mp4")
     assert [pixels.shape for _, pixels in shown] == [(480, 640, 3)] * 6

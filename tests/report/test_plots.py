@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.report.charts import pooled, rejected_spans
-from svmdist.report.plots import COLUMN_IN, PAGE_IN, SeriesPlot, draw, draw_compare, draw_series, save_figure
+from svmdist.report.plots import COLUMN_IN, PAGE_IN, draw, draw_compare, draw_series, save_figure
 from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
 from svmdist.workflows.references import Reference
 from svmdist.workflows.scores import DistanceScore, Pairs, score_pairs
@@ -122,7 +122,7 @@ def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval() -> None:
 
 def test_time_plots_hold_estimate_truth_threshold_and_lost_spans() -> None:
     series = make_series(60)
-    figure = draw_series([series], SeriesPlot.TIME, 0.005)
+    figure = draw_series([series], "time", 0.005)
     (axes,) = figure.axes
     lines = drawn(axes)
     np.testing.assert_allclose(lines["estimate"], series.estimate_m * 1e3)
@@ -137,19 +137,19 @@ def test_agreement_calibration_and_residuals() -> None:
     """Bias and limits; shares of truths inside; a marker for each log. Without a truth there is nothing to draw."""
     series = make_series(300)
     _, error_mm, std_mm = pooled([series])
-    figure = draw_series([series], SeriesPlot.BLAND_ALTMAN)
+    figure = draw_series([series], "bland-altman")
     levels = [float(line.get_ydata()[0]) for line in figure.axes[0].get_lines()]
     bias, deviation = error_mm.mean(), error_mm.std(ddof=1)
     np.testing.assert_allclose(levels, [bias, bias - 1.96 * deviation, bias + 1.96 * deviation])
     assert figure.get_figwidth() == COLUMN_IN
-    held = drawn(draw_series([series], SeriesPlot.CALIBRATION).axes[0])["truths inside"]
+    held = drawn(draw_series([series], "calibration").axes[0])["truths inside"]
     assert held[0] == pytest.approx(100 * np.mean(np.abs(error_mm) <= 0.67449 * std_mm), abs=1e-6)
-    over_time, _ = draw_series([series, make_series(40, "other")], SeriesPlot.RESIDUALS).axes
+    over_time, _ = draw_series([series, make_series(40, "other")], "residuals").axes
     assert [text.get_text() for text in over_time.get_legend().get_texts()] == ["log PSM1", "other PSM1"]
     assert "fused" in over_time.get_title(loc="left")
     blind = replace(series, truth_m=np.full(300, np.nan))
     with pytest.raises(OutputError, match="no frame has a truth"):
-        draw_series([blind], SeriesPlot.RESIDUALS)
+        draw_series([blind], "residuals")
 
 
 def figures(error_mm: float, measured: int = 20, std_mm: float = np.nan, *, in_3d: bool = False) -> Figures:

@@ -10,9 +10,9 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
-from svmdist.errors import SimulationError, UsageError
 from svmdist.geometry import Mesh
 from svmdist.kinematics import forward_kinematics
+from svmdist.perturbations.chosen import UNPERTURBED
 from svmdist.profile import Profile
 from svmdist.simulation.motion import SCENARIOS, Scenario, Stage, cubic_spline, plan_motion
 from svmdist.simulation.scene import Options, Scene, make_scene, raised
@@ -97,10 +97,8 @@ def pressed(profile: Profile) -> Plan:
 def test_soft_tissue_touches_what_presses(pressed: Plan) -> None:
     """Over contact the truth goes down to 0, stays there and comes up again; before and in it, it is trimesh's."""
     scene, q = pressed.scene, pressed.arms[0].q
-    tissue, rigid = (
-        TissueClearance([scene]),
-        TissueClearance([replace(scene, perturbations=perturbed("").perturbations)]),
-    )
+    rigid_scene = replace(scene, perturbations=UNPERTURBED)
+    tissue, rigid = TissueClearance([scene]), TissueClearance([rigid_scene])
     frames = [int(block.begin) for block in pressed.blocks]
     truth_m, at_rest_m = (
         np.array([each.clearances_m([q[at]])[0] for at in frames]) for each in (tissue, rigid)
@@ -119,7 +117,7 @@ def test_beside_a_dent_and_too_deep(pressed: Plan) -> None:
     """An arm that hovers over what another presses in, and one that presses deeper than the tissue gives way."""
     scene, q = pressed.scene, pressed.state(int(pressed.blocks[20].begin)).q[0]
     insertion = list(scene.chain.joint_names).index("insertion")
-    rigid, hovering = replace(scene, perturbations=perturbed("").perturbations), q.copy()
+    rigid, hovering = replace(scene, perturbations=UNPERTURBED), q.copy()
     for _ in range(6):
         hovering[insertion] += clearance_m(rigid, hovering) - 0.0003
     assert clearance_m(rigid, hovering) == pytest.approx(0.0003, abs=TOLERANCE_M)
@@ -172,11 +170,6 @@ def test_motions_stay_in_their_boxes_and_are_smooth(name: str) -> None:
     np.testing.assert_allclose(cubic_spline(knots, np.linspace(0, 1, 7)), knots, atol=1e-12)
 
 
-def test_a_scenario_without_frames_is_an_error() -> None:
-    with pytest.raises(UsageError, match="hold no frame"):
-        Scenario("sweep", 0, 0.1, 1.0)
-
-
 @pytest.mark.parametrize("name", ["sweep", "contact", "random"])
 def test_pictures_cross_and_bodies_keep_apart(name: str, profile: Profile) -> None:
     """The distal markers come within their own diameter in the image, the surfaces never touch, as trimesh has it."""
@@ -198,13 +191,14 @@ def test_pictures_cross_and_bodies_keep_apart(name: str, profile: Profile) -> No
 
 def independent_between_m(first: Scene, q_first: Array, second: Scene, q_second: Array) -> float:
     """The nearest pairs of parts by samples of both, then the nearest samples to the other's triangles."""
-    meshes = [
-        [
+
+    def meshes_of(scene: Scene, q: Array) -> list[trimesh.Trimesh]:
+        return [
             trimesh.Trimesh(transform_points(T, part.mesh.vertices_m), part.mesh.faces, process=False)
             for part, T in zip(scene.parts, scene.part_poses(q), strict=True)
         ]
-        for scene, q in ((first, q_first), (second, q_second))
-    ]
+
+    meshes = [meshes_of(first, q_first), meshes_of(second, q_second)]
     clouds = [
         [np.vstack([mesh.vertices, trimesh.sample.sample_surface(mesh, 4000, seed=0)[0]]) for mesh in each]
         for each in meshes
@@ -216,9 +210,3 @@ def independent_between_m(first: Scene, q_first: Array, second: Scene, q_second:
         near = clouds[0][i][np.argsort(trees[j].query(clouds[0][i])[0])[:100]]
         smallest = min(smallest, trimesh.proximity.closest_point(meshes[1][j], near)[1].min())
     return float(smallest)
-
-
-def test_a_second_arm_needs_a_place(profile: Profile) -> None:
-    lonely = profile.model_copy(update={"other_instruments": ()})
-    with pytest.raises(SimulationError, match=r"places 1 of 2 arms: it needs \[\[other_instruments\]\]"):
-        make_plan(Scenario("sweep", 1, 0.1, 10.0), lonely, options=Options(arms=2))

@@ -10,26 +10,16 @@ from svmdist.camera import Camera
 from svmdist.perturbations.images import dimmed, light_left, perturbed_image, subsampled
 from svmdist.profile import ColourRegion, Profile
 from svmdist.samples import Image
-from svmdist.simulation.effects import (
-    FULL_LIGHT_M,
-    GAMMA,
-    LAMP_M,
-    NO_PART,
-    Lamp,
-    Lens,
-    Shader,
-    Surfaces,
-    distortion_coefficients,
-    shadow,
-)
+from svmdist.simulation import effects
 from svmdist.simulation.meshes import sphere
 from svmdist.simulation.organ import Organ
 from svmdist.simulation.scene import Options, Scene, make_scene
 from svmdist.transforms import Array, inverse, make_transform, transform_points
+from svmdist.vision.colour import colour_mask
+from svmdist.vision.frame_context import to_hsv
 from tests.simulation.conftest import chosen, perturbed, posed, withdrawn
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation import render
 from svmdist.simulation.motion import Scenario, make_trajectory
 from svmdist.simulation.plan import SceneState
 from svmdist.simulation.render import FAR_M, Renderer, metric_depth_m
@@ -55,12 +45,7 @@ def drawn(
 
 def seen_px(image: Image, region: ColourRegion) -> Array:
     """Columns and rows, shape (n, 2), of what has the colours of a region."""
-    hue, saturation, value = np.moveaxis(cv2.cvtColor(image, cv2.COLOR_BGR2HSV), -1, 0)
-    first, last = region.hue
-    in_hue = (hue >= first) & (hue <= last) if first <= last else (hue >= first) | (hue <= last)
-    (s0, s1), (v0, v1) = region.saturation, region.value
-    mask = in_hue & (saturation >= s0) & (saturation <= s1) & (value >= v0) & (value <= v1)
-    return np.column_stack(np.nonzero(mask))[:, ::-1]
+    return np.column_stack(np.nonzero(colour_mask(to_hsv(image), region)))[:, ::-1]
 
 
 def contour_m(centre_m: Array, radius_m: float) -> Array:
@@ -154,24 +139,6 @@ def test_the_tag_is_decoded_where_the_profile_says(profile: Profile) -> None:
     assert np.abs(np.mean(errors_px, axis=(0, 1))).max() < 0.15
 
 
-@pytest.mark.slow
-def test_what_is_drawn_apart_is_what_is_drawn_together(
-    profile: Profile, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Bit by bit: moving bodies before the tissue, against one picture of everything, also where they touch."""
-    scene = make_scene(profile, 1, Options(tag=True))
-    path, _ = make_trajectory(scene, Scenario("contact", 1), 0.0245, np.linspace(0.4, 0.6, 3))
-    apart: list[Image] = []
-    together: list[Image] = []
-    for images, tie in ((apart, render.DEPTH_TIE), (together, 1.0)):
-        monkeypatch.setattr(render, "DEPTH_TIE", tie)
-        with Renderer([scene]) as renderer:
-            for q in path:
-                images += [drawn(renderer, q), renderer.draw(1, 1)]
-            assert (renderer._whole is not None) == (tie == 1.0)
-    np.testing.assert_array_equal(apart, together)
-
-
 def test_images_do_not_depend_on_what_was_drawn_before(profile: Profile) -> None:
     """The same turns in another order, and some twice, with a retractor that comes and goes."""
     scene = make_scene(profile, 1)
@@ -210,8 +177,8 @@ def test_images_show_raised_and_dented_tissue_and_then_rest_again(profile: Profi
 @pytest.mark.parametrize("strength", [0.3, 1.0, 2.5])
 def test_the_lens_undoes_opencvs_distortion(scene: Scene, strength: float) -> None:
     """Where a pixel looks in the pinhole image, distorted again, is the pixel: to 0.001 px."""
-    camera, D = scene.camera, distortion_coefficients(strength)
-    lens = Lens.of(camera, D)
+    camera, D = scene.camera, effects.distortion_coefficients(strength)
+    lens = effects.Lens.of(camera, D)
     at_px = np.stack([lens.column_px, lens.row_px], -1)[::60, ::60].reshape(-1, 2).astype(np.float64)
     rays = (at_px - lens.wide.K[:2, 2]) / np.diag(lens.wide.K)[:2]
     rays = np.column_stack([rays, np.ones(len(rays))])
@@ -220,14 +187,16 @@ def test_the_lens_undoes_opencvs_distortion(scene: Scene, strength: float) -> No
     np.testing.assert_allclose(back[:, 0], np.stack([columns, rows], -1).reshape(-1, 2), atol=1e-3)
 
 
-def floor(depth_m: float = FLOOR_M) -> Surfaces:
+def floor(depth_m: float = FLOOR_M) -> effects.Surfaces:
     """A floor across the camera's axis, and nothing before it."""
     depths = np.full(SHAPE, depth_m, np.float32)
-    return Surfaces(CAMERA, depths, depths, np.ones(SHAPE, bool), np.full(SHAPE, NO_PART, np.int16), ())
+    return effects.Surfaces(
+        CAMERA, depths, depths, np.ones(SHAPE, bool), np.full(SHAPE, effects.NO_PART, np.int16), ()
+    )
 
 
-def shaded(text: str, surfaces: Surfaces, lamp: Lamp, level: int = 100) -> Array:
-    shader = Shader(chosen(text), 1)
+def shaded(text: str, surfaces: effects.Surfaces, lamp: effects.Lamp, level: int = 100) -> Array:
+    shader = effects.Shader(chosen(text), 1)
     shader._slopes[:] = 0.0  # a film without bumps
     image = np.full((*SHAPE, 3), level, np.uint8)
     return np.asarray(shader.shaded(image, surfaces, lamp, T_CAMERA_TISSUE)[..., 0], np.float64)
@@ -236,11 +205,11 @@ def shaded(text: str, surfaces: Surfaces, lamp: Lamp, level: int = 100) -> Array
 def test_light_falls_off_with_the_distance_squared() -> None:
     """In light, not in levels: those are light to the power of 1 / 2.2. Depth buffers are metric."""
     for depth_m in (0.06, 0.112):
-        seen = shaded("light=1", floor(depth_m), Lamp(LAMP_M, None))
+        seen = shaded("light=1", floor(depth_m), effects.Lamp(effects.LAMP_M, None))
         for row, column in ((120, 160), (10, 10), (200, 300)):
             ray = [*((np.array([column, row]) - CAMERA.K[:2, 2]) / np.diag(CAMERA.K)[:2]), 1.0]
-            light = (FULL_LIGHT_M / np.linalg.norm(depth_m * np.array(ray) - LAMP_M)) ** 2
-            assert seen[row, column] == pytest.approx(100.0 * light ** (1 / GAMMA), abs=0.6)
+            light = (effects.FULL_LIGHT_M / np.linalg.norm(depth_m * np.array(ray) - effects.LAMP_M)) ** 2
+            assert seen[row, column] == pytest.approx(100.0 * light ** (1 / effects.GAMMA), abs=0.6)
     buffer = np.array([0.0, 0.25, 1.0], np.float32)
     np.testing.assert_allclose(1 / metric_depth_m(buffer), 100.0 + buffer * (1 / FAR_M - 100.0), rtol=1e-6)
 
@@ -252,20 +221,20 @@ def test_a_shadow_lies_where_the_lamp_throws_it() -> None:
     x_m = (column - CAMERA.K[0, 2]) / CAMERA.K[0, 0] * at_m[2]
     y_m = (row - CAMERA.K[1, 2]) / CAMERA.K[1, 1] * at_m[2]
     is_there = (abs(x_m - at_m[0]) < half_m) & (abs(y_m - at_m[1]) < half_m)
-    lamp = Lamp(LAMP_M, np.where(is_there, at_m[2], FAR_M).astype(np.float32))
-    hidden = shadow(CAMERA, floor().points_m(floor().depth_m), lamp)
+    lamp = effects.Lamp(effects.LAMP_M, np.where(is_there, at_m[2], FAR_M).astype(np.float32))
+    hidden = effects.shadow(CAMERA, floor().points_m(floor().depth_m), lamp)
     rows, columns = np.nonzero(hidden > 0.5)
-    expected_m = LAMP_M + at_m / at_m[2] * FLOOR_M
+    expected_m = effects.LAMP_M + at_m / at_m[2] * FLOOR_M
     np.testing.assert_allclose([columns.mean(), rows.mean()], CAMERA.project(expected_m[None])[0], atol=0.6)
     dark = shaded("shadow=1", floor(), lamp)
-    assert dark[hidden > 0.999].max() == pytest.approx(100.0 * 0.25 ** (1 / GAMMA), abs=1.0)
+    assert dark[hidden > 0.999].max() == pytest.approx(100.0 * 0.25 ** (1 / effects.GAMMA), abs=1.0)
     assert (dark[hidden == 0.0] == 100.0).all()
 
 
 @pytest.mark.parametrize("eye_m", [0.0, 0.005])
 def test_a_highlight_is_where_a_mirror_shows_the_lamp(eye_m: float) -> None:
     """On a plane across the axis, half way between camera and lamp; it moves with the camera."""
-    lamp = Lamp(LAMP_M - [eye_m, 0.0, 0.0], None)
+    lamp = effects.Lamp(effects.LAMP_M - [eye_m, 0.0, 0.0], None)
     image = shaded("wet=1", floor(), lamp, level=0)
     rows, columns = np.nonzero(image > 0.5 * image.max())
     mirror_m = np.array([*0.5 * lamp.position_m[:2], FLOOR_M])

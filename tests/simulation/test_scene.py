@@ -10,10 +10,14 @@ from scipy.spatial import ConvexHull
 from svmdist.errors import SimulationError, UsageError
 from svmdist.profile import Profile
 from svmdist.simulation.instrument import make_plate
+from svmdist.simulation.motion import Scenario
 from svmdist.simulation.organ import LIMIT, make_organ
 from svmdist.simulation.scene import BREATHING_HZ, PULSE_HZ, Options, Scene, make_scene
 from svmdist.transforms import Array, polygon_centroid
 from tests.simulation.conftest import chosen, perturbed
+
+pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
+from svmdist.simulation.plan import make_plan
 
 T_S = np.arange(0.0, 40.0, 0.01)
 
@@ -114,6 +118,7 @@ def test_breath_and_pulse_have_their_amplitudes_and_frequencies(profile: Profile
     [
         ({"robot": None}, {}, r"it needs \[robot\], \[instrument\] and \[simulation\]"),
         ({"fiducial": None}, {"tag": True}, r"it needs \[fiducial\]"),
+        ({"other_instruments": ()}, {"arms": 2}, r"places 1 of 2 arms: it needs \[\[other_instruments\]\]"),
         ({}, {"degradations": (("smok", 3),)}, "did you mean smoke"),
         ({}, {"degradations": (("smoke", 6),)}, "1 to 5"),
     ],
@@ -122,13 +127,11 @@ def test_what_cannot_be_simulated_is_an_error(
     profile: Profile, update: dict, options: dict, said: str
 ) -> None:
     with pytest.raises((SimulationError, UsageError), match=said):
-        make_scene(profile.model_copy(update=update), 1, Options(**options))
+        make_plan(
+            Scenario("sweep", 1, 0.1, 10.0), profile.model_copy(update=update), options=Options(**options)
+        )
+    with pytest.raises(UsageError, match="hold no frame"):
+        Scenario("sweep", 0, 0.1, 1.0)
     unknown = profile.fiducial.model_copy(update={"id": 587})
     with pytest.raises(SimulationError, match="0 to 586"):
         make_plate(unknown)
-
-
-def test_metadata_names_what_is_set() -> None:
-    assert Options().metadata() == {}
-    options = Options(stereo=True, kinematic_error=1.0, degradations=(("smoke", 3), ("jpeg", 1)))
-    assert options.metadata() == {"stereo": "yes", "kinematic_error": "1", "degrade": "smoke=3,jpeg=1"}

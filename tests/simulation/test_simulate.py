@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from packaging.requirements import Requirement
 
+from svmdist import samples
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import SimulationError
 from svmdist.kinematics import forward_kinematics
@@ -21,17 +22,6 @@ from svmdist.perturbations.images import perturbed_image, perturbed_right_view
 from svmdist.perturbations.table import TABLE, Place
 from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
-from svmdist.samples import (
-    CameraSample,
-    DistanceSample,
-    ImageSample,
-    JointSample,
-    Observation,
-    PoseSample,
-    RightView,
-    Sample,
-    TransformsSample,
-)
 from svmdist.simulation.bullet import how_to_install, load_pybullet
 from svmdist.simulation.motion import Scenario
 from svmdist.simulation.plan import draw_nominal_kinematics
@@ -44,14 +34,14 @@ pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.plan import Plan, make_plan
 from svmdist.simulation.render import Renderer
 from svmdist.simulation.simulate import FIELD_NS, Sensors, Simulator
-from svmdist.workflows.record import record
+from svmdist.workflows.record import Recipe, record
 
 SHORT = Scenario("sweep", 2, 0.2, 10.0)
 QUICK = Scenario("random", 2, 8.0, 10.0)
 FULL = Options(stereo=True, tag=True, kinematic_error=1.0)
 REPORTED = "backlash=0.5,joint_drift=0.2,joint_noise=0.02,quantisation=0.02,lag=30"
 STATED = "focal=1,principal_point=2,baseline=0.2"
-Stream = list[tuple[str, Sample]]
+Stream = list[tuple[str, samples.Sample]]
 
 
 def stream(profile: Profile, text: str = "", scenario: Scenario = SHORT, **options: object) -> Stream:
@@ -63,7 +53,7 @@ def of(found: Stream, topic: str | None) -> list:
 
 
 def images(found: Stream) -> list[np.ndarray]:
-    return [sample.image_bgr for _, sample in found if isinstance(sample, ImageSample)]
+    return [sample.image_bgr for _, sample in found if isinstance(sample, samples.ImageSample)]
 
 
 def planned(profile: Profile, text: str, **options: object) -> Plan:
@@ -108,13 +98,13 @@ def test_the_plain_recording_is_that_of_the_golden_log(golden: Path, profile: Pr
     drawn = 0
     for _, sample in simulate(Scenario("sweep", 1), profile):
         match sample:
-            case ImageSample():
+            case samples.ImageSample():
                 np.testing.assert_array_equal(next(logged).image_bgr, sample.image_bgr)
                 drawn += 1
-            case JointSample():
+            case samples.JointSample():
                 index = np.searchsorted(nominal.stamps_ns, sample.stamp_ns)
                 np.testing.assert_array_equal(nominal.positions[index], sample.positions)
-            case DistanceSample():
+            case samples.DistanceSample():
                 index = np.searchsorted(truth.stamps_ns, sample.stamp_ns)
                 assert truth.spatial_m[index] == pytest.approx(sample.spatial_m, abs=1e-15)
                 assert truth.clearance_m[index] == pytest.approx(sample.clearance_m, abs=1e-5)
@@ -177,7 +167,7 @@ def test_options_leave_truth_and_left_camera_alone(plain: Stream, full: Stream, 
     np.testing.assert_allclose(true_tool, truth, atol=1e-12)
     chain = [item.T_parent_child for item in tf.transforms if item.child != "camera_right"]
     pose = of(full, topics.pose)[0]
-    assert isinstance(pose, PoseSample)
+    assert isinstance(pose, samples.PoseSample)
     np.testing.assert_allclose(np.linalg.multi_dot(chain[1:]), pose.T_frame_pose, atol=1e-12)
     left, right = (of(full, topic)[0].camera for topic in (topics.camera_info, topics.right_camera_info))
     T_left_right = stereo_transform(left, right)
@@ -214,7 +204,7 @@ def test_a_second_arm_has_topics_frames_and_errors_of_its_own(full: Stream, prof
         assert repr(of(two, topic)) == repr(of(full, topic))
     scene = make_scene(profile.for_instrument("PSM2"), SHORT.seed)
     tf, truth = of(two, topics.tf)[0], of(two, topics.ground_truth_tf)[0]
-    assert isinstance(tf, TransformsSample)
+    assert isinstance(tf, samples.TransformsSample)
     edges = {(one.parent, one.child): one.T_parent_child for one in tf.transforms}
     frame, T_base_tool = "PSM2_base", np.eye(4)
     while frame != "PSM2_tool":
@@ -233,22 +223,19 @@ def test_a_second_arm_has_topics_frames_and_errors_of_its_own(full: Stream, prof
     assert between.spatial_m == pytest.approx(expected_m, rel=1e-12)
 
 
-def camera_of(width_px: int, height_px: int) -> Camera:
-    return Camera.from_horizontal_fov(width_px, height_px, 1.0)
-
-
 def test_sensors_add_noise_then_degrade() -> None:
     """NumPy's own noise, rounded and saturated; both cameras look through the same smoke, with noise of their own."""
-    generator, sensors = np.random.default_rng([5, 11]), Sensors(camera_of(64, 48), 5, 2.0, Options())
+    camera = Camera.from_horizontal_fov(640, 480, 1.0)
+    generator, sensors = np.random.default_rng([5, 11]), Sensors(camera, 5, 2.0, Options())
     for frame, level in enumerate((0, 1, 127, 254, 255)):
-        image = np.full((48, 64, 3), level, np.uint8)
+        image = np.full((480, 640, 3), level, np.uint8)
         expected = np.clip(np.rint(image + generator.normal(0.0, 2.0, image.shape)), 0, 255).astype(np.uint8)
         np.testing.assert_array_equal(sensors.expose(0, image, *sensors.draw_noise(), frame), expected)
-    grey = np.full((120, 640, 3), 128, np.uint8)
+    grey = np.full((480, 640, 3), 128, np.uint8)
 
-    def frames(camera: int, *degradations: tuple[str, int], noise: float = 0.0) -> list[np.ndarray]:
-        sensors = Sensors(camera_of(640, 120), 1, noise, Options(stereo=True, degradations=degradations))
-        return [sensors.expose(camera, grey, sensors.draw_noise()[camera], frame) for frame in range(2)]
+    def frames(eye: int, *degradations: tuple[str, int], noise: float = 0.0) -> list[np.ndarray]:
+        sensors = Sensors(camera, 1, noise, Options(stereo=True, degradations=degradations))
+        return [sensors.expose(eye, grey, sensors.draw_noise()[eye], frame) for frame in range(2)]
 
     left, right = (frames(camera, ("smoke", 3)) for camera in (0, 1))
     np.testing.assert_array_equal(left[0], right[0])
@@ -281,13 +268,15 @@ def test_unstated_zoom_rotation_and_lens_are_drawn(plain: Stream, profile: Profi
     for other in ("zoom=1.1", text, "lens_untold=0.8"):
         found = stream(profile, other, stereo=True, tag=True)
         for one, expected in zip(of(found, topics.camera_info), of(plain, topics.camera_info), strict=True):
-            assert isinstance(one, CameraSample)
+            assert isinstance(one, samples.CameraSample)
             assert one.camera.same_optics(expected.camera)
         assert (images(found)[1] != images(plain)[1]).any()
         if other == text:
             np.testing.assert_array_equal(images(found)[0], images(plain)[0])
             right = planned(profile, "").scene.right_camera
-            made = perturbed_right_view(RightView(images(plain)[1], right, np.eye(4)), chosen(text)).image_bgr
+            made = perturbed_right_view(
+                samples.RightView(images(plain)[1], right, np.eye(4)), chosen(text)
+            ).image_bgr
             inside = (slice(20, -20), slice(20, -20))
             assert np.abs(images(found)[1][inside].astype(float) - made[inside]).mean() < 2.0
         if other == "lens_untold=0.8":
@@ -358,23 +347,26 @@ def test_a_log_of_a_perturbed_world_is_the_plain_log_perturbed_at_replay(
     """Joints at every image, cameras, and where the right one stands: recording and replay agree."""
     paths = [tmp_path / "plain.mcap", tmp_path / "perturbed.mcap"]
     for path, its in zip(paths, ("", text), strict=True):
-        record(SHORT, profile, path, options=perturbed(its, stereo=True, kinematic_error=1.0), jobs=1)
+        options = perturbed(its, stereo=True, kinematic_error=1.0)
+        record(Recipe(SHORT, profile, options), path, jobs=1)
     ideal, recorded = (open_recording(path, profile) for path in paths)
     replayed = ideal.perturbed(chosen(text), profile)
     for one, other in zip(recorded.observations(), replayed.observations(), strict=True):
-        assert isinstance(one, Observation)
-        assert isinstance(other, Observation)
+        assert isinstance(one, samples.Observation)
+        assert isinstance(other, samples.Observation)
         np.testing.assert_allclose(other.joints.positions, one.joints.positions, atol=1e-6)
         np.testing.assert_allclose(other.camera.K, one.camera.K, atol=1e-9)
         np.testing.assert_allclose(other.right.T_left_right, one.right.T_left_right, atol=1e-12)
         np.testing.assert_array_equal(other.image_bgr, one.image_bgr)
 
 
-def test_a_real_world_can_be_recorded_again_from_its_metadata() -> None:
+def test_metadata_name_what_is_set_so_that_a_world_can_be_recorded_again() -> None:
+    assert Options().metadata() == {}
+    options = Options(stereo=True, kinematic_error=1.0, degradations=(("smoke", 3), ("jpeg", 1)))
+    assert options.metadata() == {"stereo": "yes", "kinematic_error": "1", "degrade": "smoke=3,jpeg=1"}
     drawn = draw_world(World.REAL, SHORT.seed)
     metadata = Options(perturbations=drawn, world=World.REAL).metadata()
-    assert metadata["world"] == "real"
-    assert parse_perturbations(metadata["perturb"]) == drawn
+    assert (metadata["world"], parse_perturbations(metadata["perturb"])) == ("real", drawn)
     assert all(drawn.changes(place) for place in Place)
 
 

@@ -7,21 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.vision.marker import (
-    Matches,
-    fit_homography,
-    is_plausible,
-    paste_marker,
-    square_corners,
-    transfer,
-)
+from svmdist.vision import marker
 
 
 @settings(deadline=None, max_examples=60)
 @given(st.floats(-5, 165), st.floats(-5, 125), st.sampled_from([48, 49, 96]), st.sampled_from([20, 31]))
 def test_pasting_puts_the_middle_within_half_a_pixel(x, y, size_px, margin_px):
     """The marker's middle lies within half a pixel of the asked place, inside the image."""
-    marked = paste_marker(np.full((120, 160, 3), 90, np.uint8), np.array([x, y]), size_px, margin_px)
+    marked = marker.paste_marker(np.full((120, 160, 3), 90, np.uint8), np.array([x, y]), size_px, margin_px)
     middle = np.array(marked.origin_px) + margin_px + (size_px - 1) / 2
     # Places outside the image, which no centroid has, are brought back to its border.
     wanted = np.clip([x, y], [-0.5, -0.5], [159.5, 119.5])
@@ -42,12 +35,14 @@ def test_a_known_homography_is_recovered(H, outliers, tolerance_px):
     """
     rng = np.random.default_rng(1)
     template_px = rng.uniform(0, SIZE_PX, (80, 2))
-    frame_px = transfer(H, template_px)
+    frame_px = marker.transfer(H, template_px)
     frame_px[:outliers] = rng.uniform(0, 480, (outliers, 2))
-    found = fit_homography(Matches(template_px, frame_px), 3.0)
+    found = marker.fit_homography(marker.Matches(template_px, frame_px), 3.0)
     assert found is not None
-    corners = square_corners(SIZE_PX)
-    np.testing.assert_allclose(transfer(found.H, corners), transfer(H, corners), atol=tolerance_px)
+    corners = marker.square_corners(SIZE_PX)
+    np.testing.assert_allclose(
+        marker.transfer(found.H, corners), marker.transfer(H, corners), atol=tolerance_px
+    )
     assert found.H[2, 2] == 1.0
     assert np.all(found.inliers[outliers:])
     assert np.count_nonzero(found.inliers[:outliers]) <= 1
@@ -67,4 +62,4 @@ IMPLAUSIBLE = {
 @pytest.mark.parametrize("name", IMPLAUSIBLE)
 def test_flips_folds_and_other_sizes_are_refused(name: str) -> None:
     """A pasted marker can be neither mirrored nor folded nor far from its own size."""
-    assert not is_plausible(IMPLAUSIBLE[name], SIZE_PX)
+    assert not marker.is_plausible(IMPLAUSIBLE[name], SIZE_PX)

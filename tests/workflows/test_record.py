@@ -25,7 +25,7 @@ from tests.conftest import Cli, started
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.workflows import record as record_module
 from svmdist.workflows.compare import Group, group_of
-from svmdist.workflows.record import episode_paths, record
+from svmdist.workflows.record import Recipe, episode_paths, record
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="needs signals as POSIX has them")
 SCENARIO = Scenario("approach", 2, 0.4, 5.0)
@@ -50,7 +50,9 @@ def few_frames(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_recording_is_complete_repeatable_and_never_replaced(tmp_path: Path, small: Profile) -> None:
     path, progress = tmp_path / "approach.mcap", []
-    result = record(SCENARIO, small, path, on_progress=lambda done, total: progress.append((done, total)))
+    result = record(
+        Recipe(SCENARIO, small), path, on_progress=lambda done, total: progress.append((done, total))
+    )
     assert progress == [(1, 2), (2, 2)]
     assert (result.frame_count, result.size_bytes) == (2, path.stat().st_size)
     with open(path, "rb") as stream:
@@ -59,9 +61,9 @@ def test_recording_is_complete_repeatable_and_never_replaced(tmp_path: Path, sma
         metadata = next(item.metadata for item in reader.iter_metadata() if item.name == "svmdist")
     assert {"scenario": "approach", "seed": "2", "profile": "psm13"}.items() <= metadata.items()
     with pytest.raises(UsageError):
-        record(SCENARIO, small, path)
+        record(Recipe(SCENARIO, small), path)
     before = path.read_bytes()
-    record(SCENARIO, small, path, force=True)
+    record(Recipe(SCENARIO, small), path, force=True)
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 
@@ -69,7 +71,7 @@ def test_recording_is_complete_repeatable_and_never_replaced(tmp_path: Path, sma
 def test_a_degraded_recording_is_compared_as_such(tmp_path: Path, small: Profile) -> None:
     """What `record --degrade` stores in the log's metadata is the group that `compare` puts the log in."""
     options = Options(degradations=(("smoke", 3), ("jpeg", 1)))
-    result = record(Scenario("approach", 2, 0.2, 5.0), small, tmp_path / "smoky.mcap", options=options)
+    result = record(Recipe(Scenario("approach", 2, 0.2, 5.0), small, options), tmp_path / "smoky.mcap")
     assert group_of(open_recording(result.path, small)) == Group("approach", "smoke=3,jpeg=1")
 
 
@@ -95,7 +97,7 @@ def test_any_number_of_processes_makes_the_same_file(
     files = []
     for jobs in (1, 3):
         path = tmp_path / f"{jobs}.mcap"
-        record(scenario, small, path, noise=noise, options=options, jpeg_quality=jpeg_quality, jobs=jobs)
+        record(Recipe(scenario, small, options, noise, jpeg_quality), path, jobs=jobs)
         files.append(path.read_bytes())
     assert files[0] == files[1]
     assert multiprocessing.active_children() == []
@@ -113,7 +115,7 @@ def test_a_killed_worker_is_one_line_and_no_file(tmp_path: Path, few_frames: Non
 
     path = tmp_path / "log.mcap"
     with pytest.raises(SvmdistError, match=r"killed.*--jobs") as caught:
-        record(Scenario("sweep", 1, 20.0, 10.0), small, path, jobs=2, on_progress=kill_one)
+        record(Recipe(Scenario("sweep", 1, 20.0, 10.0), small), path, jobs=2, on_progress=kill_one)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
     assert multiprocessing.active_children() == []
@@ -127,7 +129,7 @@ def test_an_error_while_drawing_ends_the_recording(
 
     monkeypatch.setattr("svmdist.simulation.plan.Arm.nominal_transforms", fail)
     with pytest.raises(SimulationError, match="no such thing"):
-        record(SCENARIO, small, tmp_path / "log.mcap", jobs=1)
+        record(Recipe(SCENARIO, small), tmp_path / "log.mcap", jobs=1)
 
 
 def test_names_of_episodes(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from tests.measuring import Measuring, flat
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.motion import Scenario
 from svmdist.simulation.scene import Options
-from svmdist.workflows.record import record
+from svmdist.workflows.record import Recipe, record
 
 NAMES = ("PSM1", "PSM2")
 BETWEEN = "/ground_truth/PSM1/PSM2/distance"
@@ -33,7 +33,7 @@ BETWEEN = "/ground_truth/PSM1/PSM2/distance"
 def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four frames of two arms that hardly err."""
     path = tmp_path_factory.mktemp("two") / "two.mcap"
-    record(Scenario("sweep", 5, 0.4, 10.0), load_profile(), path, options=Options(arms=2))
+    record(Recipe(Scenario("sweep", 5, 0.4, 10.0), load_profile(), Options(arms=2)), path)
     return path
 
 
