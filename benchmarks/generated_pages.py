@@ -19,7 +19,8 @@ from svmdist.profile.toml import StrictModel
 from svmdist.report.rows import ESTIMATE_COLUMNS
 from svmdist.workflows.metric_table import Output, Tolerance, figure_metrics, score_metrics
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
 SETTINGS_HEAD = """# Settings
 
 What a user may have reason to change; the defaults serve most logs. `stereo.near_m` is the key `near_m` of a profile's
@@ -27,8 +28,7 @@ table `[settings.stereo]`. A value outside its bounds is an error. Settings that
 named in one line of warning, and ignored.
 
 """
-REASON = re.compile(r"(?<!\d): .*$")
-"""What follows a colon says why, which is for who reads the code."""
+REASON = re.compile(r"(?<!\d): .*$")  # what follows a colon says why, which is for who reads the code
 
 
 COLUMNS_HEAD = """# Columns and metrics
@@ -131,11 +131,7 @@ def table_row(cells: Sequence[str]) -> str:
 
 def with_table(page: str, name: str, table: str) -> str:
     """The page with what stands between the marks of this name replaced."""
-    begin, end = f"<!-- {name}:begin -->\n", f"<!-- {name}:end -->"
-    before, found, rest = page.partition(begin)
-    _, closed, after = rest.partition(end)
-    if not (found and closed):
-        raise ValueError(f"the page has no place for the table {name}")
+    before, begin, _, end, after = _parts(page, name)
     return f"{before}{begin}{table}{end}{after}"
 
 
@@ -146,7 +142,15 @@ def write_table(path: Path, name: str, table: str) -> None:
 
 def table_in(page: str, name: str) -> str:
     """What stands between the marks of this name."""
-    return page.partition(f"<!-- {name}:begin -->\n")[2].partition(f"<!-- {name}:end -->")[0]
+    return _parts(page, name)[2]
+
+
+def _parts(page: str, name: str) -> tuple[str, str, str, str, str]:
+    before, begin, rest = page.partition(f"<!-- {name}:begin -->\n")
+    table, end, after = rest.partition(f"<!-- {name}:end -->")
+    if not (begin and end):
+        raise ValueError(f"the page has no place for the table {name}")
+    return before, begin, table, end, after
 
 
 PAGES: dict[str, Callable[[str], str]] = {

@@ -10,15 +10,13 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import svmdist
-from benchmarks.generated_pages import DOCS, table, write_table
+from benchmarks.generated_pages import DOCS, ROOT, table, write_table
 
-ROOT = Path(__file__).resolve().parent.parent
 RESULTS = DOCS / "results.md"
 Record = dict[str, Any]
 METHODS = {

@@ -13,9 +13,11 @@ import tempfile
 from pathlib import Path
 
 import cv2
+import numpy as np
 
-ROOT = Path(__file__).resolve().parent.parent
-IMAGES = ROOT / "docs" / "images"
+from benchmarks.generated_pages import DOCS, ROOT
+
+IMAGES = DOCS / "images"
 JPEG_QUALITY = 88
 PICTURE = re.compile(
     r"^!\[[^\]]+\]\((?:docs/)?images/(\w[\w-]*\.(?:jpg|png))\)\n\n```console\n(.*?)^```$", re.M | re.S
@@ -24,7 +26,7 @@ PICTURE = re.compile(
 
 def printed_pictures() -> dict[str, list[str]]:
     """The commands of each picture, without `uv run`, in README.md and the pages of docs/."""
-    pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    pages = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
     found = (match for page in pages for match in PICTURE.finditer(page.read_text("utf-8")))
     return {match[1]: re.findall(r"^\$ uv run (.*)$", match[2], re.M) for match in found}
 
@@ -39,10 +41,9 @@ def make_picture(name: str, commands: list[str], folder: Path) -> None:
         (made,) = Path(scratch).glob("*.png")
         if name.endswith(".png"):
             (folder / name).write_bytes(made.read_bytes())
-            return
-        picture = cv2.imread(str(made))
-        assert picture is not None
-        cv2.imwrite(str(folder / name), picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        else:
+            picture = np.asarray(cv2.imread(str(made)))
+            cv2.imwrite(str(folder / name), picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
 
 
 def main() -> None:

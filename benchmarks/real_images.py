@@ -24,6 +24,7 @@ from scipy.io import loadmat
 from scipy.optimize import least_squares
 
 import svmdist
+from benchmarks import masks
 from benchmarks.generated_pages import DOCS, table, write_table
 from svmdist.estimation.hand_eye import rigid_fit
 from svmdist.kinematics import chain_of, forward_kinematics
@@ -47,9 +48,7 @@ THRUST_COLUMNS = (
     *("mm to the joint's middle, median", "p95", "in 95%"),
     *("mm after a rigid fit to the poses, median", "mean"),
 )
-SUPER_DEEP = Path(
-    "Surgical_Tool_Tracking/ForwardPassDeepLabCut/DaVinci-Ambar-2019-10-31/labeled-data/video_1"
-)
+SUPER_DEEP = Path("Surgical_Tool_Tracking", masks.SUPER_DEEP)
 LABELS = "CollectedData_Ambar.csv"
 WRISTS = {"left": "left_logobody_head_tip", "right": "right_logobody_head_tip"}
 """The label at the distal end of the wrist's body, where the jaws' joint begins, of each instrument."""
@@ -117,12 +116,11 @@ def thrust(folder: Path, out: Path) -> Iterator[str]:
     camera = ("--camera", f"{F_PX},{F_PX},{CX_PX},{CY_PX}", "--baseline", f"{FB_PX_M / F_PX}m")
     named = ("--poses", f"PSM2={poses_table(poses, out / 'poses.csv')}")
     log, profile = make_log(out / "thrust.mcap", *views, *camera, *named)
-    joints = f"PSM2={joints_table(poses, out / 'joints.csv')}"
-    jointed, robot = make_log(out / "thrust-joints.mcap", *views, *camera, *named, "--joints", joints)
-    found = out / "hand-eye.toml"
-    options = ("--profile", robot, "--method", "shaft", "--instrument", "PSM2", "--force", "-o", found)
-    run("hand-eye", jointed, *options)
-    robot.write_text(f'hand_eye = "{found.name}"\n' + robot.read_text("utf-8"), "utf-8")
+    joints = ("--joints", f"PSM2={joints_table(poses, out / 'joints.csv')}")
+    jointed, robot = make_log(out / "thrust-joints.mcap", *views, *camera, *named, *joints)
+    options = ("--profile", robot, "--method", "shaft", "--instrument", "PSM2", "--force")
+    run("hand-eye", jointed, *options, "-o", out / "hand-eye.toml")
+    robot.write_text('hand_eye = "hand-eye.toml"\n' + robot.read_text("utf-8"), "utf-8")
     joint_px, joint_m = red_joints(images)
     middle_m, face_m, face_std_m = joint_middles(joint_m, poses)
     table_rows = []
@@ -152,9 +150,8 @@ def thrust(folder: Path, out: Path) -> Iterator[str]:
 
 def red_joints(images: Path) -> tuple[Array, Array]:
     """Centroids of the red joint in the left images, (n, 2) in px, and its places, (n, 3) in m."""
-    left, right = (
-        np.array([red_centroid(images / f"{n}_{side}.jpg") for n in range(1, COUNT + 1)]) for side in "LR"
-    )
+    numbers = range(1, COUNT + 1)
+    left, right = (np.array([red_centroid(images / f"{n}_{side}.jpg") for n in numbers]) for side in "LR")
     z = FB_PX_M / (left[:, 0] - right[:, 0])
     rows = 0.5 * (left[:, 1] + right[:, 1])
     return left, np.column_stack([(left[:, 0] - CX_PX) * z / F_PX, (rows - CY_PX) * z / F_PX, z])
@@ -162,9 +159,7 @@ def red_joints(images: Path) -> tuple[Array, Array]:
 
 def red_centroid(path: Path) -> Array:
     """The middle of the largest red blob: redder than the paper by half of what the reddest pixels are."""
-    image = cv2.imread(str(path))
-    assert image is not None
-    smooth = cv2.GaussianBlur(image, (3, 3), 0).astype(np.float64)
+    smooth = cv2.GaussianBlur(np.asarray(cv2.imread(str(path))), (3, 3), 0).astype(np.float64)
     red = (smooth[..., 2] - smooth[..., 1]) / (smooth.sum(axis=2) + 30.0)
     red -= np.median(red)
     mask = (red > 0.45 * np.percentile(red, 99.97)).astype(np.uint8)
@@ -224,9 +219,7 @@ def joints_table(poses: Array, path: Path) -> Path:
 
         def residual(x: Array, T: Array = T) -> Array:
             found = forward_kinematics(chain, x)
-            return np.concatenate(
-                [(found[:3, 3] - T[:3, 3]) * 1e3, (found[:3, :3] - T[:3, :3]).ravel() * 100.0]
-            )
+            return np.concatenate([(found - T)[:3, 3] * 1e3, (found - T)[:3, :3].ravel() * 100.0])
 
         starts = [np.clip(q, limits[0] + 1e-6, limits[1] - 1e-6), *rng.uniform(limits[0], limits[1], (12, 6))]
         for start in starts:  # from the pose before, and where that fails from random ones
@@ -255,10 +248,8 @@ def super_deep(folder: Path, out: Path) -> Iterator[str]:
     off_px, swapped = [], 0
     for row in rows:
         found = wrists.get(round(row.stamp_ns / 1e9), {})
-        away_px = {
-            side: float(np.linalg.norm(np.array(row.image.tool_px) - px)) for side, px in found.items()
-        }
-        own = sides[row.instrument]
+        at, own = np.array(row.image.tool_px), sides[row.instrument]
+        away_px = {side: float(np.linalg.norm(at - px)) for side, px in found.items()}
         if own in away_px:
             off_px.append(away_px[own])
             swapped += min(away_px, key=lambda side: away_px[side]) != own
@@ -282,9 +273,9 @@ def labelled_wrists(folder: Path) -> dict[int, dict[str, Array]]:
         name = row[0].replace("\\", "/").rpartition("/")[2]
         cells = {(part, axis): value for part, axis, value in zip(parts, axes, row, strict=True)}
         for side, part in WRISTS.items():
-            if cells[part, "x"] and cells[part, "y"] and name in places:
-                px = np.array([float(cells[part, "x"]), float(cells[part, "y"])])
-                found.setdefault(places[name], {})[side] = px
+            px = [float(cells[part, axis] or np.nan) for axis in "xy"]
+            if name in places and np.isfinite(px).all():
+                found.setdefault(places[name], {})[side] = np.array(px)
     return found
 
 

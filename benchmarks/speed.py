@@ -17,7 +17,6 @@ from pathlib import Path
 
 from benchmarks.generated_pages import table_row
 
-ROOT = Path(__file__).resolve().parent.parent
 PAIRS = 5
 MANY = 1000
 # 600 PNG frames; 200 stereo pairs as JPEG with a tag; a log of four frames, to which there are a thousand links.
@@ -27,21 +26,14 @@ LOGS = {
     " --noise 2 --jpeg 92",
     "short.mcap": "--scenario random --seed 7 --rate 5 --duration 0.8 --jpeg 92",
 }
+FUSED = "svmdist estimate stereo.mcap --method fused -o a.csv"
+RECORD = "svmdist record --scenario random --duration 15 --force -o a.mcap"
 COMPARISONS = {
     "overlay : plain loop": ("svmdist estimate mono.mcap -o a.csv", "plain mono.mcap"),
     "overlay : reading and decoding": ("svmdist estimate mono.mcap -o a.csv", "plain mono.mcap decode"),
-    "fused : decoding both views": (
-        "svmdist estimate stereo.mcap --method fused -o a.csv",
-        "plain stereo.mcap decode",
-    ),
-    "compare, seven methods : fused alone": (
-        "svmdist compare stereo.mcap -o a.csv",
-        "svmdist estimate stereo.mcap --method fused -o b.csv",
-    ),
-    "record, one process : two": (
-        "svmdist record --scenario random --duration 15 --force -o a.mcap -j 1",
-        "svmdist record --scenario random --duration 15 --force -o a.mcap -j 2",
-    ),
+    "fused : decoding both views": (FUSED, "plain stereo.mcap decode"),
+    "compare, seven methods : fused alone": ("svmdist compare stereo.mcap -o b.csv", FUSED),
+    "record, one process : two": (f"{RECORD} -j 1", f"{RECORD} -j 2"),
     "1,000 logs, one process : two": (
         "svmdist estimate many -o a.csv -j 1",
         "svmdist estimate many -o b.csv -j 2",

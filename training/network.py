@@ -20,8 +20,7 @@ from training.scene import HEIGHT, MIDDLE, WIDTH, Pictures, augmented, halved
 from training.textures import Array
 
 CLASSES = 4
-CHANNELS = (16, 32, 64, 112, 160)
-"""Of the input's size over 2, 4, 8, 16 and 32."""
+CHANNELS = (16, 32, 64, 112, 160)  # of the input's size over 2, 4, 8, 16 and 32
 
 
 class InstrumentNet(nn.Module):

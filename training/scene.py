@@ -17,13 +17,11 @@ from training.textures import Array, Size, background, fractal, wandering
 
 WIDTH, HEIGHT = 256, 192
 """The network's input in px. Pictures of any aspect are stretched to it, as `method = "onnx"` does."""
-MIDDLE = 127.5
-"""Its pixels are (level - MIDDLE) / MIDDLE."""
+MIDDLE = 127.5  # its pixels are (level - MIDDLE) / MIDDLE
 ASPECTS = (4 / 3, 4 / 3, 5 / 4, 16 / 9, 16 / 9, 1.0, 1.5)
 BORDERS = ("none", "circle", "rectangle", "cut circle")
 BORDER_WEIGHTS = (0.45, 0.24, 0.14, 0.17)
-VALIDATION_SEED = 10_000_000
-"""Seeds from here on are never trained on."""
+VALIDATION_SEED = 10_000_000  # seeds from here on are never trained on
 
 
 def layers(rng: np.random.Generator, size: Size, count: int | None = None) -> tuple[Array, Array]:

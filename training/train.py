@@ -22,8 +22,7 @@ from svmdist.vision.network import network_input
 from training.scene import VALIDATION_SEED, rendered, union_ious
 
 MOST_BYTES = 4 << 20
-MOST_DIFFERENCE = 1e-3
-"""Of scores, which are of the order of 10, between PyTorch and OpenCV."""
+MOST_DIFFERENCE = 1e-3  # of scores, which are of the order of 10, between PyTorch and OpenCV
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,4 +1,4 @@
-"""What can be near: capsules for instruments; plane, mesh and cloud for tissue. All in m, in one frame."""
+"""Shapes, all in m and in one frame: capsules for instruments; plane, mesh and cloud for tissue; and rays."""
 
 from __future__ import annotations
 
@@ -15,10 +15,7 @@ from svmdist.transforms import Array, transform_points
 
 @dataclass(frozen=True, slots=True)
 class Capsules:
-    """Segments with a radius each: `start_m` and `end_m` have shape (n, 3), `radius_m` shape (n,).
-
-    A capsule whose ends coincide is a sphere.
-    """
+    """Segments, shape (n, 3) for each end, with a radius each, (n,); one whose ends coincide is a sphere."""
 
     start_m: Array
     end_m: Array
@@ -52,10 +49,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles: `vertices_m` of shape (v, 3) and `faces` (f, 3), counter-clockwise seen from outside.
-
-    What has an inside is closed: every edge is run once in each direction.
-    """
+    """Triangles: `vertices_m`, shape (v, 3), and `faces`, (f, 3), counter-clockwise seen from outside."""
 
     vertices_m: Array
     faces: NDArray[np.int64]

@@ -14,6 +14,7 @@ leading axes; points have shape (..., 3), in one frame, in m.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +22,16 @@ from numpy.typing import NDArray
 from svmdist.geometry import Capsules, Mesh, Plane, Surface
 from svmdist.transforms import Array
 
-CHUNK = 1 << 20
-"""Pairs of capsule and point that are held at once: about 100 MB of temporaries."""
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
+
+CHUNK = 1 << 20  # pairs of capsule and point that are held at once: about 100 MB of temporaries
 TOUCH_M = 1e-12
-ROUGH_M = 1e-6
-"""A distance by matrix products is right within this: its square loses 1e-16 of the square of the scene's size."""
-PARALLEL = 1e-14
-"""Squared sine of the angle below which two lines count as parallel: an end is a closest point then."""
-ZOOM_POINTS, ZOOM_ROUNDS = 33, 8
-"""The deepest point is searched on a grid that shrinks 16-fold a round: 0.3 m to 1e-10 m."""
+ROUGH_M = 1e-6  # error of a distance by matrix products: its square loses 1e-16 of the scene's size squared
+PARALLEL = (
+    1e-14  # squared sine of the angle below which two lines are parallel: an end is a closest point then
+)
+ZOOM_POINTS, ZOOM_ROUNDS = 33, 8  # grid for the deepest point, 16-fold finer a round: 0.3 m to 1e-10 m
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +39,8 @@ class Separation:
     """The shortest separation: `distance_m` (negative: penetration depth) along `direction`, shape (3,).
 
     `direction` is a unit vector from instrument to tissue: moving the instrument along it lessens the distance.
-    The points, shape (3,), satisfy `on_tissue_m = on_instrument_m + distance_m * direction`. `capsule` is
-    the index of the nearest one, `other_capsule` that of the other instrument's, where it is no tissue.
+    The points, shape (3,), satisfy `on_tissue_m = on_instrument_m + distance_m * direction`. `capsule` is the index
+    of the nearest one, `other_capsule` that of another instrument's.
     """
 
     distance_m: float
@@ -51,15 +53,9 @@ class Separation:
     def reversed(self) -> Separation:
         """The separation of two instruments as the other one has it."""
         if self.other_capsule is None:
-            raise ValueError("tissue has no capsules: no instrument stands there")
-        return Separation(
-            self.distance_m,
-            -self.direction,
-            self.on_tissue_m,
-            self.on_instrument_m,
-            self.other_capsule,
-            self.capsule,
-        )
+            raise ValueError("tissue has no capsules")
+        there, here = self.on_tissue_m, self.on_instrument_m
+        return Separation(self.distance_m, -self.direction, there, here, self.other_capsule, self.capsule)
 
 
 def separation(capsules: Capsules, surface: Surface) -> Separation:
@@ -72,7 +68,7 @@ def separation(capsules: Capsules, surface: Surface) -> Separation:
 
 
 def capsule_separation(instrument: Capsules, other: Capsules) -> Separation:
-    """Shortest separation between two sets of capsules; `other` stands in the tissue's place."""
+    """Shortest separation between two sets of capsules; `other` is in the tissue's place."""
     pair = segment_to_segment(
         instrument.start_m[:, None], instrument.end_m[:, None], other.start_m[None], other.end_m[None]
     )
@@ -139,9 +135,7 @@ def _to_mesh(capsules: Capsules, mesh: Mesh) -> Separation:
     return _outside(capsules, int(capsule[at]), pair.first[at], direction, float(gap[at]))
 
 
-def _near_faces(
-    axes: Capsules, mesh: Mesh, rough: Array, upper_m: Array
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _near_faces(axes: Capsules, mesh: Mesh, rough: Array, upper_m: Array) -> tuple[Indices, Indices]:
     """Pairs of axis and face that may be within `upper_m`, shape (n,); `rough`: distances to the centroids, (n, f).
 
     Let u point from an axis's closest point to a centroid, at distance D. No part of the axis lies beyond that point
@@ -157,7 +151,7 @@ def _near_faces(
     return row[near], face[near]
 
 
-def _reaching_inside(capsules: Capsules, mesh: Mesh, piercing: NDArray[np.intp]) -> NDArray[np.intp]:
+def _reaching_inside(capsules: Capsules, mesh: Mesh, piercing: Indices) -> Indices:
     """Indices of capsules whose axis has a part inside: those that pierce the surface, and those fully inside."""
     count = len(capsules)
     ends = _are_inside(np.concatenate([capsules.start_m, capsules.end_m]), mesh)
@@ -169,10 +163,9 @@ def _reaching_inside(capsules: Capsules, mesh: Mesh, piercing: NDArray[np.intp])
     return np.nonzero(inside)[0]
 
 
-def _are_inside(points: Array, mesh: Mesh) -> NDArray[np.bool_]:
-    inside: NDArray[np.bool_] = ((points > mesh.vertices_m.min(0)) & (points < mesh.vertices_m.max(0))).all(
-        -1
-    )
+def _are_inside(points: Array, mesh: Mesh) -> Mask:
+    low, high = mesh.vertices_m.min(0), mesh.vertices_m.max(0)
+    inside: Mask = ((points > low) & (points < high)).all(-1)
     if inside.any():
         inside[inside] = signed_distances(points[inside], mesh)[1] < 0.0
     return inside
@@ -253,8 +246,7 @@ def distances_to_axes(points: Array, capsules: Capsules) -> Array:
     return np.asarray(np.sqrt(np.maximum(distance2, 0.0, out=distance2), out=distance2))
 
 
-@dataclass(frozen=True, slots=True)
-class ClosestPair:
+class ClosestPair(NamedTuple):
     """Closest points of two features, shape (..., 3) each, and their distance, shape (...)."""
 
     first: Array
@@ -328,9 +320,7 @@ def _on_segment(point: Array, start: Array, end: Array) -> Array:
     return np.asarray(start + np.minimum(np.maximum(t, 0.0), 1.0)[..., None] * along)
 
 
-def _feet(
-    start_a: Array, end_a: Array, start_b: Array, end_b: Array
-) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _feet(start_a: Array, end_a: Array, start_b: Array, end_b: Array) -> tuple[Array, Array, Mask]:
     """The feet of two segments' common perpendicular, and whether both lie on their segments."""
     a, b, gap = end_a - start_a, end_b - start_b, start_b - start_a
     aa, bb, ab, a_gap, b_gap = dot(a, a), dot(b, b), dot(a, b), dot(a, gap), dot(b, gap)
@@ -343,7 +333,7 @@ def _feet(
     return start_a + s[..., None] * a, start_b + t[..., None] * b, inside
 
 
-def _foot_on_face(points: Array, triangle: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _foot_on_face(points: Array, triangle: Array) -> tuple[Array, Mask]:
     """Feet of points, shape (..., k, 3), on the triangles' planes, and whether they lie inside the triangles."""
     a = triangle[..., :1, :]
     edges = _following(triangle) - triangle
@@ -357,7 +347,7 @@ def _foot_on_face(points: Array, triangle: Array) -> tuple[Array, NDArray[np.boo
     return foot, (area2 > 0.0) & (sides >= 0.0).all(-1)
 
 
-def _crossing(start: Array, end: Array, triangle: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _crossing(start: Array, end: Array, triangle: Array) -> tuple[Array, Mask]:
     """Where segments cross the triangles' planes, and whether they do."""
     a = triangle[..., 0, :]
     normal = cross(triangle[..., 1, :] - a, triangle[..., 2, :] - a)
@@ -368,16 +358,12 @@ def _crossing(start: Array, end: Array, triangle: Array) -> tuple[Array, NDArray
     return start + t[..., None] * (end - start), crosses
 
 
-def _nearest(first: Array, second: Array, valid: NDArray[np.bool_]) -> ClosestPair:
+def _nearest(first: Array, second: Array, valid: Mask) -> ClosestPair:
     """The nearest of k candidates, shape (..., k, 3), of which the first ones may be invalid; the first of several."""
     apart = first - second
     distance2 = dot(apart, apart)
     distance2[..., : valid.shape[-1]][~valid] = np.inf
     best = np.argmin(distance2, -1)[..., None]
     distance = np.sqrt(np.take_along_axis(distance2, best, -1)[..., 0])
-    best = best[..., None]
-    return ClosestPair(
-        np.take_along_axis(first, best, -2)[..., 0, :],
-        np.take_along_axis(second, best, -2)[..., 0, :],
-        distance,
-    )
+    ends = (np.take_along_axis(points, best[..., None], -2)[..., 0, :] for points in (first, second))
+    return ClosestPair(*ends, distance)

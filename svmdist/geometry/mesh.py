@@ -16,15 +16,11 @@ from svmdist.transforms import Array
 
 Indices = NDArray[np.int64]
 
-MAX_TRIANGLES = 20_000
-"""A clearance looks at every triangle in every frame; an organ of 60 mm has edges of 0.7 mm then."""
+MAX_TRIANGLES = 20_000  # each is looked at in every frame; an organ of 60 mm has edges of 0.7 mm then
 MAX_FILE_BYTES = 64 << 20
-MIN_SIZE_M, MAX_SIZE_M = 1e-3, 1.0
-"""Across: what an endoscope sees. Beyond it, the unit is another one than the profile says."""
-MAX_COORDINATE = 1e9
-"""Of a corner, in whatever unit: its square is a number still."""
-FLAT = 1e-6
-"""Volume over the cube of the diagonal below which nothing is enclosed."""
+MIN_SIZE_M, MAX_SIZE_M = 1e-3, 1.0  # across; beyond it, the unit is another one than the profile says
+MAX_COORDINATE = 1e9  # of a corner, in whatever unit: its square is a number still
+FLAT = 1e-6  # volume over the cube of the diagonal below which nothing is enclosed
 STL_HEADER_BYTES = 84
 STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
@@ -57,7 +53,10 @@ def read_closed_mesh(path: Path, metres_per_unit: float) -> Mesh:
             f"{path}: {size_m * 1e3:.4g} mm across, where 1 mm to 1 m is expected: is tissue.mesh_unit right?"
         )
     _require_closed(path, faces, len(vertices_m))
-    volume_m3 = _volume(vertices_m[faces])
+    # By tetrahedra from the middle: positive where faces turn outwards.
+    triangles = vertices_m[faces]
+    a, b, c = np.moveaxis(triangles - triangles.mean((0, 1)), 1, 0)
+    volume_m3 = float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
     if abs(volume_m3) < FLAT * size_m**3:
         raise ProfileError(f"{path}: a degenerate mesh: it is flat and encloses nothing")
     return Mesh(vertices_m, faces if volume_m3 > 0.0 else faces[:, ::-1])
@@ -65,12 +64,10 @@ def read_closed_mesh(path: Path, metres_per_unit: float) -> Mesh:
 
 def _triangles(path: Path) -> Array:
     """The corners of every face as the file has them, shape (f, 3, 3)."""
-    readers = {".obj": _read_obj, ".stl": _read_stl}
-    reader = readers.get(path.suffix.lower())
+    reader = {".obj": _read_obj, ".stl": _read_stl}.get(path.suffix.lower())
     if reader is None:
-        raise ProfileError(
-            f"{path}: expected a mesh in a file .obj or .stl, found {path.suffix or 'no ending'}"
-        )
+        found = path.suffix or "no ending"
+        raise ProfileError(f"{path}: expected a mesh in a file .obj or .stl, found {found}")
     try:
         content = read_regular(path, MAX_FILE_BYTES)
     except OSError as problem:
@@ -97,9 +94,7 @@ def _read_obj(content: bytes) -> Array:
                 faces += [(corners[0], *pair) for pair in pairwise(corners[1:])]
         except (ValueError, IndexError):
             raise ValueError(f"line {number} is no {'vertex' if words[0] == 'v' else 'face'}") from None
-    if not faces:
-        return np.zeros((0, 3, 3))
-    return np.array(vertices, np.float64)[np.array(faces, np.int64)]
+    return np.array(vertices, np.float64).reshape(-1, 3)[np.array(faces, np.int64).reshape(-1, 3)]
 
 
 def _obj_index(word: str, count: int) -> int:
@@ -139,9 +134,3 @@ def _require_closed(path: Path, faces: Indices, vertex_count: int) -> None:
         raise ProfileError(
             f"{path}: an open mesh: {lonely} edges have one face only; close it, its underside too"
         )
-
-
-def _volume(triangles: Array) -> float:
-    """Signed volume of a closed mesh, by tetrahedra from its middle: positive where faces turn outwards."""
-    a, b, c = np.moveaxis(triangles - triangles.mean((0, 1)), 1, 0)
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)

@@ -14,7 +14,7 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.errors import UsageError
 from svmdist.perturbations.chosen import Perturbations, direction
-from svmdist.profile import Fiducial, Instrument, Profile, Robot, Tissue
+from svmdist.profile import Profile
 from svmdist.profile.robot import OtherInstrument
 from svmdist.profile.toml import StrictModel
 from svmdist.transforms import Array, rotation_of
@@ -92,75 +92,47 @@ def plane_tilt(perturbations: Perturbations, seed: int) -> Array:
 def _changed(profile: Profile, perturbations: Perturbations, seed: int, sign: int) -> Profile:
     """Change what is stated (`sign` 1) or what is built (-1)."""
 
+    def scaled(length_m: float, name: str) -> float:
+        return float(length_m * (1.0 + 1e-2 * perturbations[name]) ** sign)
+
     def tool(part: Profile | OtherInstrument) -> dict[str, object]:
-        return {
-            "robot": _robot(part.robot, perturbations, sign),
-            "instrument": _instrument(part.instrument, perturbations, sign),
-        }
+        robot, instrument = part.robot, part.instrument
+        if robot is not None and perturbations.has("wrist_length"):
+            joints = list(robot.joints)
+            # The wrist's length is the last one along a link's x axis: from its pitch to its yaw.
+            for index in [index for index, joint in enumerate(joints) if joint.a_m][-1:]:
+                a_m = joints[index].a_m + sign * 1e-3 * perturbations["wrist_length"]
+                joints[index] = _with(joints[index], a_m=a_m)
+            robot = _with(robot, joints=tuple(joints))
+        if instrument is not None and perturbations.has("shaft_radius", "knuckle_radius"):
+            shaft_m = scaled(instrument.shaft_radius_m, "shaft_radius")
+            knuckle_m = scaled(instrument.knuckle_radius_m, "knuckle_radius")
+            instrument = _with(instrument, shaft_radius_m=shaft_m, knuckle_radius_m=knuckle_m)
+        return {"robot": robot, "instrument": instrument}
 
-    return _with(
-        profile,
-        **tool(profile),
-        fiducial=_fiducial(profile.fiducial, perturbations, seed, sign),
-        tissue=_tissue(profile.tissue, perturbations, seed, sign),
-        other_instruments=tuple(_with(other, **tool(other)) for other in profile.other_instruments),
-    )
-
-
-def _scaled(length_m: float, percent: float, sign: int) -> float:
-    return float(length_m * (1.0 + 1e-2 * percent) ** sign)
-
-
-def _robot(robot: Robot | None, perturbations: Perturbations, sign: int) -> Robot | None:
-    """The wrist's length is the last one along a link's x axis: from its pitch to its yaw."""
-    if robot is None or not perturbations.has("wrist_length"):
-        return robot
-    joints = list(robot.joints)
-    last = max((index for index, joint in enumerate(joints) if joint.a_m), default=None)
-    if last is not None:
-        a_m = joints[last].a_m + sign * 1e-3 * perturbations["wrist_length"]
-        joints[last] = _with(joints[last], a_m=a_m)
-    return _with(robot, joints=tuple(joints))
-
-
-def _instrument(instrument: Instrument | None, perturbations: Perturbations, sign: int) -> Instrument | None:
-    if instrument is None or not perturbations.has("shaft_radius", "knuckle_radius"):
-        return instrument
-    return _with(
-        instrument,
-        shaft_radius_m=_scaled(instrument.shaft_radius_m, perturbations["shaft_radius"], sign),
-        knuckle_radius_m=_scaled(instrument.knuckle_radius_m, perturbations["knuckle_radius"], sign),
-    )
-
-
-def _fiducial(
-    fiducial: Fiducial | None, perturbations: Perturbations, seed: int, sign: int
-) -> Fiducial | None:
-    if fiducial is None or not perturbations.has("tag_size", "tag_mount"):
-        return fiducial
-    update: dict[str, object] = {"size_m": _scaled(fiducial.size_m, perturbations["tag_size"], sign)}
-    if perturbations.has("tag_mount"):
-        mount_mm = sign * perturbations["tag_mount"]
-        shift_m = 1e-3 * mount_mm * direction(seed, "tag_mount", 3)
-        turn = rotation_of(np.deg2rad(TURN_DEG_PER_MM) * mount_mm * direction(seed, "tag_mount turn", 3))
-        R = np.array(fiducial.rotation) @ turn
-        update["position_m"] = tuple((np.array(fiducial.position_m) + shift_m).tolist())
-        update["rotation"] = tuple(tuple(row) for row in R.tolist())
-    return _with(fiducial, **update)
-
-
-def _tissue(tissue: Tissue | None, perturbations: Perturbations, seed: int, sign: int) -> Tissue | None:
-    if tissue is None or not perturbations.has("plane", "plane_tilt"):
-        return tissue
-    distance_m = tissue.plane_distance_m + sign * 1e-3 * perturbations["plane"]
-    if distance_m <= 0.0:
-        raise UsageError(f"perturbation plane: the plane would be {-1e3 * distance_m:g} mm behind the camera")
-    R = plane_tilt(perturbations, seed)
-    normal = (R if sign > 0 else R.T) @ tissue.plane_normal
-    plane_normal = tuple((normal / np.linalg.norm(normal)).tolist())
-    return _with(tissue, plane_distance_m=distance_m, plane_normal=plane_normal)
+    fiducial, tissue = profile.fiducial, profile.tissue
+    if fiducial is not None and perturbations.has("tag_size", "tag_mount"):
+        fiducial = _with(fiducial, size_m=scaled(fiducial.size_m, "tag_size"))
+        if mount_mm := sign * perturbations["tag_mount"]:
+            shift_m = 1e-3 * mount_mm * direction(seed, "tag_mount", 3)
+            turn = rotation_of(np.deg2rad(TURN_DEG_PER_MM) * mount_mm * direction(seed, "tag_mount turn", 3))
+            position_m = tuple((np.array(fiducial.position_m) + shift_m).tolist())
+            R = tuple(tuple(row) for row in (np.array(fiducial.rotation) @ turn).tolist())
+            fiducial = _with(fiducial, position_m=position_m, rotation=R)
+    if tissue is not None and perturbations.has("plane", "plane_tilt"):
+        distance_m = tissue.plane_distance_m + sign * 1e-3 * perturbations["plane"]
+        if distance_m <= 0.0:
+            raise UsageError(
+                f"perturbation plane: the plane would be {-1e3 * distance_m:g} mm behind the camera"
+            )
+        R_stated = plane_tilt(perturbations, seed)
+        normal = (R_stated if sign > 0 else R_stated.T) @ tissue.plane_normal
+        plane_normal = tuple((normal / np.linalg.norm(normal)).tolist())
+        tissue = _with(tissue, plane_distance_m=distance_m, plane_normal=plane_normal)
+    others = tuple(_with(other, **tool(other)) for other in profile.other_instruments)
+    return _with(profile, **tool(profile), fiducial=fiducial, tissue=tissue, other_instruments=others)
 
 
 def _with(model: Model, **update: object) -> Model:
     """A copy of a part of a profile; the ranges of the table keep its values possible."""
-    return model.model_copy(update=dict(update))
+    return model.model_copy(update=update)

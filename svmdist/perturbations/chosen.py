@@ -38,16 +38,18 @@ class Perturbations:
                 raise UsageError(
                     f"perturbation {name}: from {entry.low:g} to {entry.high:g} {entry.unit}, found {strength:g}"
                 )
-        names = [name for name, _ in self.strengths]
-        doubles = sorted({name for name in names if names.count(name) > 1})
-        if doubles:
-            raise UsageError(f"perturbation {doubles[0]} is given twice")
+            if [other for other, _ in self.strengths].count(name) > 1:
+                raise UsageError(f"perturbation {name} is given twice")
 
     def __bool__(self) -> bool:
         return bool(self.strengths)
 
     def __str__(self) -> str:
-        return ",".join(f"{name}={_number(strength)}" for name, strength in self.strengths)
+        # The shortest text that reads as the same number.
+        texts = ((name, f"{strength:g}", strength) for name, strength in self.strengths)
+        return ",".join(
+            f"{name}={short if float(short) == full else repr(full)}" for name, short, full in texts
+        )
 
     def __getitem__(self, name: str) -> float:
         """The strength of an entry of the table, in its unit; neutral where it is not chosen."""
@@ -83,7 +85,14 @@ def draw_world(world: World, seed: int, given: Perturbations = UNPERTURBED) -> P
 
 def parse_perturbations(text: str) -> Perturbations:
     """Read NAME=STRENGTH, or several of them separated by commas; raises UsageError."""
-    return Perturbations(tuple(_parse_one(part) for part in text.split(",")))
+    strengths = []
+    for part in text.split(","):
+        name, _, number = part.strip().partition("=")
+        try:
+            strengths.append((find_perturbation(name).name, float(number)))
+        except ValueError:
+            raise UsageError(f"{part.strip()}: expected NAME=STRENGTH, as in focal=1") from None
+    return Perturbations(tuple(strengths))
 
 
 def direction(seed: int, name: str, axes: int) -> Array:
@@ -103,20 +112,6 @@ def require_at_replay(perturbations: Perturbations) -> None:
     for name, _ in perturbations.strengths:
         if not TABLE[name].at_replay:
             raise UsageError(f"perturbation {name} cannot be applied at replay: the choices are {possible}")
-
-
-def _parse_one(text: str) -> tuple[str, float]:
-    name, _, number = text.strip().partition("=")
-    try:
-        return find_perturbation(name).name, float(number)
-    except ValueError:
-        raise UsageError(f"{text.strip()}: expected NAME=STRENGTH, as in focal=1") from None
-
-
-def _number(strength: float) -> str:
-    """The shortest text that reads as the same number."""
-    short = f"{strength:g}"
-    return short if float(short) == strength else repr(strength)
 
 
 def _stream(seed: int, stream: int, name: str, *further: int) -> np.random.Generator:

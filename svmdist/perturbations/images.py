@@ -8,14 +8,12 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from svmdist.camera import Camera
 from svmdist.perturbations.calibration import right_turn
 from svmdist.perturbations.chosen import Perturbations
 from svmdist.samples import Image, RightView
 from svmdist.transforms import Array
 
-EDGE_PX = 1.5
-"""Half of the width in which the round border goes from light to black."""
+EDGE_PX = 1.5  # half of the width in which the round border goes from light to black
 
 
 def dimmed(image_bgr: Image, border: float, vignette: float) -> Image:
@@ -61,22 +59,17 @@ def perturbed_image(image_bgr: Image, perturbations: Perturbations) -> Image:
 
 
 def perturbed_right_view(right: RightView, perturbations: Perturbations) -> RightView:
-    """Apply the same to the right view, and what concerns the right camera alone."""
-    image_bgr = right.image_bgr
-    if perturbations.has("right_yaw", "right_pitch", "right_roll"):
-        image_bgr = turned_image(image_bgr, right.camera, right_turn(perturbations))
-    return replace(right, image_bgr=perturbed_image(image_bgr, perturbations))
+    """Apply the same to the right view, and what concerns the right camera alone; what comes into view is black.
 
-
-def turned_image(image_bgr: Image, camera: Camera, R_camera_turned: Array) -> Image:
-    """The image of a camera that is turned about its centre, by what it showed before; the border is black.
-
-    Pixels move by a homography, K Rᵀ K⁻¹ (Hartley & Zisserman, Multiple View Geometry, sec. 8.4). The lens' distortion
-    is taken to turn along.
+    Pixels of a camera that is turned about its centre move by a homography, K Rᵀ K⁻¹ (Hartley & Zisserman, Multiple
+    View Geometry, sec. 8.4). The lens' distortion is taken to turn along.
     """
-    H = camera.K @ R_camera_turned.T @ np.linalg.inv(camera.K)
-    size = (camera.width_px, camera.height_px)
-    return np.asarray(cv2.warpPerspective(image_bgr, H, size, flags=cv2.INTER_CUBIC), np.uint8)
+    image_bgr, camera = right.image_bgr, right.camera
+    if perturbations.has("right_yaw", "right_pitch", "right_roll"):
+        H = camera.K @ right_turn(perturbations).T @ np.linalg.inv(camera.K)
+        size = (camera.width_px, camera.height_px)
+        image_bgr = np.asarray(cv2.warpPerspective(image_bgr, H, size, flags=cv2.INTER_CUBIC), np.uint8)
+    return replace(right, image_bgr=perturbed_image(image_bgr, perturbations))
 
 
 def zoomed_image(image_bgr: Image, zoom: float) -> Image:

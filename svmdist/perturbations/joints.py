@@ -58,8 +58,7 @@ METRES_PER_DEG = 1e-4
 PROXIMAL_SHARE = 0.5
 """Backlash of yaw, pitch, insertion and roll, which have shorter cables, over that of the wrist."""
 DRIFT_S = 8.0
-DRIFT_PERIODS_S = np.array([16.0, 24.0, 36.0, 54.0])
-"""Slower than a task, and too many to look like a sine."""
+DRIFT_PERIODS_S = np.array([16.0, 24.0, 36.0, 54.0])  # slower than a task, and too many to look like a sine
 
 
 @dataclass(frozen=True)
@@ -159,52 +158,47 @@ class ReplayedWorld:
 
     def joints_of(self, instrument: str) -> ReplayedJoints | None:
         """The perturbed joints of an instrument; None where nothing changes."""
-        if not (self.perturbations.changes(Place.JOINTS) or self.perturbations.changes(Place.CLOCK)):
-            return ReplayedJoints(None, self.perturbations, self.lag_ns) if self.lag_ns else None
-        units = JointUnits.of(self.profile.for_instrument(instrument))
-        arm = self.profile.instrument_names.index(instrument)
-        perturber = JointPerturber(units, self.perturbations, self.seed, arm)
-        return ReplayedJoints(perturber, self.perturbations, self.lag_ns)
+        perturber = None
+        if self.perturbations.changes(Place.JOINTS) or self.perturbations.changes(Place.CLOCK):
+            units = JointUnits.of(self.profile.for_instrument(instrument))
+            arm = self.profile.instrument_names.index(instrument)
+            perturber = JointPerturber(units, self.perturbations, self.seed, arm)
+        return ReplayedJoints(self, perturber) if perturber or self.lag_ns else None
 
 
 class ReplayedJoints:
     """Perturbs one arm's joint samples in the order of the log, on the clock of its images."""
 
-    def __init__(
-        self, perturber: JointPerturber | None, perturbations: Perturbations, lag_ns: int = 0
-    ) -> None:
-        self._perturber, self._perturbations, self._lag_ns = perturber, perturbations, lag_ns
+    def __init__(self, world: ReplayedWorld, perturber: JointPerturber | None) -> None:
+        self._world, self._perturber = world, perturber
         self._first: JointSample | None = None
         self._started = False
 
     def replayed(self, sample: JointSample) -> Iterator[JointSample]:
         """Yield what is reported in place of a sample; in a perturbed world the first one comes with the second."""
         if self._perturber is None:
-            yield replace(sample, stamp_ns=later_ns(sample.stamp_ns, self._lag_ns))
-        elif self._started:
-            yield self._reported(sample)
+            yield replace(sample, stamp_ns=later_ns(sample.stamp_ns, self._world.lag_ns))
         elif self._first is None:
             self._first = sample
         else:
-            self._started = True
-            for earlier in self._before(self._first, sample):
-                yield self._reported(earlier)
-            yield self._reported(self._first)
-            yield self._reported(sample)
+            if not self._started:
+                self._started = True
+                for earlier in self._before(self._first, sample):
+                    yield self._reported(self._perturber, earlier, self._first.stamp_ns)
+                yield self._reported(self._perturber, self._first, self._first.stamp_ns)
+            yield self._reported(self._perturber, sample, self._first.stamp_ns)
 
     def _before(self, first: JointSample, second: JointSample) -> Iterator[JointSample]:
         """Samples before the first two, on the line through them, as many as the lag takes away: the robot moved."""
-        step_ns = second.stamp_ns - first.stamp_ns
-        lag_ns = int(late_stamps_ns(first.stamp_ns, self._perturbations, first.stamp_ns)) - first.stamp_ns
+        step_ns, perturbations = second.stamp_ns - first.stamp_ns, self._world.perturbations
+        lag_ns = int(late_stamps_ns(first.stamp_ns, perturbations, first.stamp_ns)) - first.stamp_ns
         if step_ns <= 0 or lag_ns <= 0 or first.names != second.names:
             return
         for count in range(-(-lag_ns // step_ns), 0, -1):
             positions = first.positions - count * (second.positions - first.positions)
             yield replace(first, stamp_ns=first.stamp_ns - count * step_ns, positions=positions)
 
-    def _reported(self, sample: JointSample) -> JointSample:
-        assert self._perturber is not None
-        assert self._first is not None  # it came before
-        stamp_ns = int(late_stamps_ns(sample.stamp_ns, self._perturbations, self._first.stamp_ns))
-        positions = self._perturber.of_log(sample.names, np.asarray(sample.positions, np.float64), stamp_ns)
-        return replace(sample, stamp_ns=later_ns(stamp_ns, self._lag_ns), positions=positions)
+    def _reported(self, perturber: JointPerturber, sample: JointSample, start_ns: int) -> JointSample:
+        stamp_ns = int(late_stamps_ns(sample.stamp_ns, self._world.perturbations, start_ns))
+        positions = perturber.of_log(sample.names, np.asarray(sample.positions, np.float64), stamp_ns)
+        return replace(sample, stamp_ns=later_ns(stamp_ns, self._world.lag_ns), positions=positions)

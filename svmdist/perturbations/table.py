@@ -6,6 +6,7 @@ The entries are data, in `table.toml`; the modules beside this one apply them.
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
@@ -86,19 +87,19 @@ class Perturbation:
     at_replay: bool = True
 
 
-def _entry(name: str, row: dict[str, Any]) -> Perturbation:
-    low, high = (float(limit) for limit in row["range"])
-    size, place = row.get("real"), Place(row["changes"])
-    real = None if size is None else Uniform(*size["uniform"]) if "uniform" in size else Normal(**size)
-    source, neutral = row.get("source", ""), float(row.get("neutral", 0.0))
-    at_replay = row.get("at_replay", place is not Place.IMAGES)
-    return Perturbation(name, row["unit"], place, row["meaning"], low, high, real, source, neutral, at_replay)
+def _read_table() -> Iterator[Perturbation]:
+    rows: dict[str, dict[str, Any]] = tomllib.loads(
+        files(__package__).joinpath("table.toml").read_text("utf-8")
+    )
+    for name, row in rows.items():
+        low, high = map(float, row.pop("range"))
+        size, place = row.pop("real", None), Place(row.pop("changes"))
+        real = None if size is None else Uniform(*size["uniform"]) if "uniform" in size else Normal(**size)
+        row.setdefault("at_replay", place is not Place.IMAGES)
+        yield Perturbation(name, place=place, low=low, high=high, real=real, **row)
 
 
-TABLE: dict[str, Perturbation] = {
-    name: _entry(name, row)
-    for name, row in tomllib.loads(files(__package__).joinpath("table.toml").read_text("utf-8")).items()
-}
+TABLE: dict[str, Perturbation] = {entry.name: entry for entry in _read_table()}
 
 
 def find_perturbation(name: str) -> Perturbation:

@@ -50,18 +50,15 @@ class ExposureSettings(StrictModel):
     """When an image counts as dim or veiled, and how far it is corrected."""
 
     dark_level: Level = 45.0  # level that the darkest things reach without a veil: a dark shaft has 20 to 40
-    fair_level: float = Field(default=110.0, gt=0.0, le=255.0)
-    """Where automatic exposure puts the middle of a scene at least; less is dim light."""
+    fair_level: float = Field(default=110.0, gt=0.0, le=255.0)  # of a scene's middle; less is dim
 
 
 class AutoSettings(StrictModel):
     """Segmentation without colours from the user, in a working image that is reduced."""
 
-    working_px: int = Field(default=320, ge=160, le=1280)
-    """Longer side of the working image: a shaft of 8 mm at 200 mm is 10 to 20 px wide there."""
+    working_px: int = Field(default=320, ge=160, le=1280)  # longer side of the working image
     network_weight: float = Field(default=1.0, ge=0.0, le=4.0)
-    """Weight of the log-odds of the network that ships beside those of learnt colours. 1: both count as independent.
-    0: the network is not run."""
+    """Weight of the shipped network's log-odds beside those of learnt colours; 0 does not run the network."""
     adapting_frames: int = Field(default=8, ge=1, le=64)
     """Images, evenly over a log, that colours are learnt from before the first row: so many, or up to twice as many."""
     least_area: float = Field(default=0.003, gt=0.0, lt=0.5)  # an instrument's least part of the picture
@@ -72,10 +69,9 @@ class OutlineSettings(StrictModel):
     """Completing a region's outline where an instrument hides it."""
 
     irregularity: Share = 0.2
-    """Standard deviation of the second harmonic over the radius: 0.2 is an ellipse of 3:2, as outlines of organs have
-    it; the k-th falls as 1 / k³."""
+    """Standard deviation of the second harmonic over the radius: 0.2 is an ellipse of 3:2; the k-th falls as 1 / k³."""
     min_visible_fraction: float = Field(default=0.25, gt=0.0, le=1.0)
-    """With less of the outline than this the prior alone would shape the curve; the hull is used as it is."""
+    """Visible part of the outline below which the hull is used: the prior alone would shape the curve."""
     border_std_px: NonNegative = 0.3  # standard deviation of an error that a whole side has in common
 
 
@@ -83,22 +79,18 @@ class MarkerSettings(StrictModel):
     """Judging the homography of the static virtual marker."""
 
     max_area_ratio: float = Field(default=4.0, gt=1.0)
-    """Change of the marker's area beyond which matches are wrong: the marker is pasted without scaling."""
+    """Change of the marker's area beyond which matches are wrong: it is pasted without scaling."""
 
 
 class ShaftSettings(StrictModel):
     """Finding a shaft, its edges and its end, and fitting its pose."""
 
-    min_contrast_levels: float = Field(
-        default=18.0, gt=0.0, lt=255.0
-    )  # contrast of a shaft: less is a shadow
-    end_model_std_m: float = Field(default=0.0002, ge=0.0, lt=0.1)
-    """Standard deviation of the dark part's end: a bevel, and glare on it, hide it."""
+    min_contrast_levels: float = Field(default=18.0, gt=0.0, lt=255.0)  # contrast to the background
+    end_model_std_m: float = Field(default=0.0002, ge=0.0, lt=0.1)  # standard deviation of the end
     unknown_bend_rad: float = Field(default=0.8, gt=0.0, lt=3.2)
     """Standard deviation of the wrist's bend about each axis without joints: any bend within 1.4 rad is as likely."""
     max_position_std_m: float = Field(default=0.008, gt=0.0, lt=1.0)
-    """A position less certain than this along any direction is no measurement: a shaft whose radius is known to 2 %
-    leaves 2 mm of depth, one that is seen as a stub twice that."""
+    """A position less certain than this along any direction is no measurement: a radius known to 2 % leaves 2 mm."""
 
 
 class DistalMarkerSettings(StrictModel):
@@ -106,21 +98,18 @@ class DistalMarkerSettings(StrictModel):
 
     min_saturation: Level = 50.0  # median below which a region is bare steel, even in coloured light
     visible_radius: float = Field(default=0.97, gt=0.5, le=1.5)
-    """Apparent radius over that of the whole sphere: jaws and fork hide a part, and the limb is in shade. Measured 0.96
-    ± 0.02 in 72 simulated frames."""
+    """Apparent radius over that of the whole sphere: 0.96 ± 0.02 in 72 simulated frames, for jaws and shade."""
     radius_std: Share = 0.04  # standard deviation of that ratio: twice the measured one, for light and blood
 
 
 class StereoSettings(StrictModel):
     """Matching the two views of a stereo pair."""
 
-    near_m: float = Field(default=0.04, gt=0.0, lt=10.0)
-    """The shortest working distance of an endoscope: it bounds the disparities."""
-    far_m: float = Field(default=0.25, gt=0.0, lt=10.0)  # the longest working distance
+    near_m: float = Field(default=0.04, gt=0.0, lt=10.0)  # an endoscope's shortest working distance
+    far_m: float = Field(default=0.25, gt=0.0, lt=10.0)  # an endoscope's longest working distance
     min_matches: int = Field(default=2000, ge=100)  # pixels of the tissue that must match: an organ's
     block_px: int = Field(default=9, ge=3, le=31)
-    """Side of the blocks of semi-global matching in the reduced views, an odd number: wet tissue shows its texture over
-    no less."""
+    """Side of the blocks of semi-global matching in the reduced views, an odd number: wet tissue needs as much."""
     row_pairs: int = Field(default=4, ge=0, le=100)
     """Pairs of a log's beginning that the offset between the rows of both views is found from; 0: no offset."""
     max_row_offset_px: float = Field(default=8.0, gt=0.0, le=100.0)  # the largest such offset
@@ -131,31 +120,24 @@ class TagSettings(StrictModel):
     """Detecting a fiducial tag."""
 
     min_side_px: float = Field(default=8.0, ge=4.0)
-    """Side of the smallest tag that is looked for: a cell of 1 px. Faster than OpenCV's own bound, and no tag of 12 px
-    or more is lost."""
+    """Side of the smallest tag that is looked for: a cell of 1 px; faster than OpenCV's own bound."""
     error_correction_rate: float = Field(default=1.0, ge=0.0, le=1.0)
-    """Share of the wrong bits that a code can correct that are accepted: of 116 synthetic tags 86 are found, 62 at
-    OpenCV's 0.6, and no other tag in 430 images."""
-    plate_ratio: float = Field(default=1.45, ge=1.0, le=4.0)
-    """Size of a tag's plate over that of its black square: a white margin of a cell or more, and blur."""
+    """Share of the wrong bits that a code can correct that are accepted: 86 of 116 tags are found, 62 with 0.6."""
+    plate_ratio: float = Field(default=1.45, ge=1.0, le=4.0)  # a tag's plate over its black square
 
 
 class FilterSettings(StrictModel):
     """The filter over kinematic errors, and when it withholds a distance."""
 
     gate_z: Positive = 3.09  # normal quantile of the gate, which rejects 1 in 1,000 true measurements
-    point_correlation_time_s: Positive = 30.0
-    """Of the bias of points and sizes: what hides a part of the distal marker is fixed to it."""
-    edge_correlation_time_s: Positive = 30.0
-    """Of the bias of shaft edges: shading changes as the shaft turns in the light, hardly in logs of 8 s."""
+    point_correlation_time_s: Positive = 30.0  # of the bias of points and sizes: what hides a marker is fixed
+    edge_correlation_time_s: Positive = 30.0  # of the bias of shaft edges: shading changes as the shaft turns
     depth_candidates_m: tuple[Positive, ...] = (0.05, 0.1, 0.2)
     """Depths at which an update also starts while the tool's depth is unknown: an endoscope's working range."""
     max_consistency: Positive = 4.0
-    """Mean normalised innovation per degree of freedom beyond which no distance is reported: 1 where models hold, 4 for
-    deviations that are wrong by a factor of two."""
+    """Mean normalised innovation per degree of freedom beyond which no distance is reported: 1 where models hold."""
     max_constant_deviations: Positive = 4.0
-    """Deviations of a calibration parameter from the profile's value beyond which no distance is reported: true ones
-    exceed it in one log of a thousand."""
+    """Standardised error of a calibration parameter beyond which no distance is reported: 1 log in 1,000 has one."""
     given_lag_std_s: NonNegative = 5e-3  # standard deviation after `--lag`, in place of `time_offset_std_s`
 
 
@@ -163,8 +145,7 @@ class FusedSettings(StrictModel):
     """How a detection's error splits into white noise and bias."""
 
     lasting_share: float = Field(default=0.5, ge=0.0, lt=1.0)
-    """Share of a tag's and an edge's variance that lasts from frame to frame: shading shifts an edge for as long as the
-    light falls on it so."""
+    """Correlated fraction of a tag's and an edge's variance: shading shifts an edge while the light stays."""
 
 
 class HandEyeSettings(StrictModel):
@@ -178,19 +159,15 @@ class HandEyeSettings(StrictModel):
 class AssociationSettings(StrictModel):
     """Assigning coloured regions and dark shafts to instruments."""
 
-    miss_cost: NonNegative = 3.0
-    """-log of the probability that an instrument shows no region: hidden or outside in one frame of twenty."""
-    acceleration_widths: Positive = 0.8
-    """Standard deviation of an instrument's acceleration, in image widths per s²: a brisk turn of the wrist."""
+    miss_cost: NonNegative = 3.0  # -log of the probability that an instrument shows no region: 1 in 20
+    acceleration_widths: Positive = 0.8  # standard deviation of the acceleration, in image widths per s²
 
 
 class TissueTrackingSettings(StrictModel):
     """Averaging the tissue's pose over frames."""
 
-    moved_count: Count = 5
-    """Poses in a row away from the remembered one that mean that the tissue has moved: one or two are wild."""
-    memory_count: float = Field(default=15.0, gt=1.0)
-    """Poses older than as many fade (by 1/15 a frame), so that tissue that creeps or breathes is followed."""
+    moved_count: Count = 5  # poses in a row away from the average that mean that the tissue has moved
+    memory_count: float = Field(default=15.0, gt=1.0)  # poses older than as many fade, by 1/15 a frame
 
 
 class Settings(StrictModel):

@@ -13,15 +13,7 @@ from svmdist.camera import Camera
 from svmdist.errors import RecordingError, did_you_mean
 from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Limits
-from svmdist.recording.messages import (
-    DecodeError,
-    Decoder,
-    EncodedImage,
-    Message,
-    RawTransform,
-    RawTransforms,
-    matrices,
-)
+from svmdist.recording import messages
 from svmdist.recording.source import Loss, LossKind, RawMessage, Source, sanitize, sanitize_list
 from svmdist.samples import CameraSample, DistanceSample, JointSample
 from svmdist.tracks import MAX_GAP_NS, Sampled, TransformTrack, sort_stamps
@@ -62,7 +54,7 @@ class Contents:
         """By topic, and by names of joints, frame of poses, or edge of transforms."""
         self.cameras: dict[str, Camera] = {}
 
-    def add(self, topic: str, message: Message) -> str | None:
+    def add(self, topic: str, message: messages.Message) -> str | None:
         """Take up a message; says why where it cannot be used."""
         match message:
             case CameraSample(camera=camera):
@@ -75,9 +67,9 @@ class Contents:
             case DistanceSample():
                 row = (message.planar_m, message.spatial_m, message.clearance_m)
                 self.rows[topic][None].add(message.stamp_ns, row)
-            case RawTransform():
+            case messages.RawTransform():
                 self.rows[topic][message.parent].add(message.stamp_ns, message.values)
-            case RawTransforms(transforms=transforms):
+            case messages.RawTransforms(transforms=transforms):
                 rows = self.rows[topic]
                 for one in transforms:
                     # As tf2 has the names: tf of old wrote /base.
@@ -142,7 +134,7 @@ class TransformTree:
             stamps_ns, values = rows.sorted(self._late_ns)
             if is_static:
                 stamps_ns, values = stamps_ns[:1], np.array([rows.values[-7:]])
-            T = matrices(values)
+            T = messages.matrices(values)
             T = T if is_forward else inverse(T)
             self._tracks[parent, child] = TransformTrack(parent, child, stamps_ns, T, is_static)
         return self._tracks[parent, child]
@@ -222,10 +214,10 @@ class LogFile:
         assert self._contents is not None
         return self._contents
 
-    def images(self, image_topics: Collection[str]) -> Iterator[EncodedImage]:
+    def images(self, image_topics: Collection[str]) -> Iterator[messages.EncodedImage]:
         """Yield the images of some topics in file order, not decoded; reads everything else too, if not yet read."""
         contents = Contents() if self._contents is None else None
-        decoder = Decoder(self.limits)
+        decoder = messages.Decoder(self.limits)
         for raw in self.source.messages(frozenset(image_topics) | (self.topics if contents else frozenset())):
             if raw.topic in image_topics:
                 yield decoder.image(raw)
@@ -238,7 +230,7 @@ class LogFile:
         if self._contents is not None:
             return self._contents.cameras.get(topic)
         if topic not in self._cameras:
-            found, decoder = Contents(), Decoder(self.limits)
+            found, decoder = Contents(), messages.Decoder(self.limits)
             for raw in self.source.messages({topic}):
                 self._collect(found, decoder, raw)
                 if found.cameras:
@@ -246,10 +238,10 @@ class LogFile:
             self._cameras[topic] = found.cameras.get(topic)
         return self._cameras[topic]
 
-    def _collect(self, contents: Contents, decoder: Decoder, raw: RawMessage) -> None:
+    def _collect(self, contents: Contents, decoder: messages.Decoder, raw: RawMessage) -> None:
         try:
             problem = contents.add(raw.topic, decoder.decode(raw))
-        except DecodeError as found:
+        except messages.DecodeError as found:
             problem = str(found)
         if problem is not None:
             self.source.health.add(Loss(LossKind.MESSAGE, problem, raw.offset, raw.topic))

@@ -15,24 +15,12 @@ from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import RecordingError, did_you_mean
 from svmdist.files import LogPath, RemoteFile, files_of, is_url, open_regular, why
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera
-from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
+from svmdist.perturbations.chosen import Perturbations
 from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Limits, Profile
+from svmdist.recording import observations as obs
 from svmdist.recording.contents import LogFile, Rows, TransformTree, replayed_rows
 from svmdist.recording.messages import EncodedImage, matrices
-from svmdist.recording.observations import (
-    ALL_IMAGES,
-    EVERYTHING,
-    ArmState,
-    Decoded,
-    EncodedObservation,
-    Needs,
-    Pairs,
-    RightCamera,
-    Window,
-    decoded,
-    joints_at,
-)
 from svmdist.recording.source import Health, Loss, LossKind, TopicInfo, sanitize, sanitize_list
 from svmdist.recording.topics import FixedTransform, LoggedArm, Role, find_arms, open_source
 from svmdist.samples import ImageSample, Observation, Rejection
@@ -97,10 +85,10 @@ class Recording:
     origin: Origin
     world: ReplayedWorld | None = None
     lag: KnownLag | None = None
-    """The time offset of the images that is known, and corrected; None where none is known."""
+    """The known time offset of the images: joints, poses and transforms are read at their stamps; truth keeps its."""
     alias: str | None = None
     """The name that it goes by; None for its file's."""
-    window: Window = ALL_IMAGES
+    window: obs.Window = obs.ALL_IMAGES
     """Which of its images are read; whatever else it has is read whole."""
 
     def __reduce__(self) -> tuple[Callable[..., Recording], tuple[object, ...]]:
@@ -119,13 +107,8 @@ class Recording:
         What is drawn, as noise is, is drawn by the seed that `record` wrote into the log, else by 0.
         """
         seed = self.metadata.get("seed", "")
-        world = ReplayedWorld(perturbations, profile, int(seed) if seed.isdecimal() else 0, self._lag_ns)
+        world = ReplayedWorld(perturbations, profile, int(seed) if seed.isdecimal() else 0)
         return replace(self, world=world)
-
-    def with_lag(self, lag: KnownLag, profile: Profile) -> Recording:
-        """The same log, but joints, poses and transforms at the stamps of its images; these and truth keep theirs."""
-        before = self.world or ReplayedWorld(UNPERTURBED, profile)
-        return replace(self, world=replace(before, lag_ns=lag.lag_ns), lag=lag)
 
     def with_bases(self, fixed: Mapping[str, FixedTransform]) -> Recording:
         """The same log with the camera-to-base transforms of some instruments, by name, in place of its own."""
@@ -228,7 +211,7 @@ class Recording:
         """Yield every image in file order, decoded; a Rejection stands for one that cannot be."""
         for image in self.file.images({self._require(Role.IMAGE)}):
             losses: list[Loss] = []
-            yield decoded(image, losses)
+            yield obs.decode_image(image, losses)
             for loss in losses:
                 self.health.add(loss)
 
@@ -245,8 +228,8 @@ class Recording:
         return (item if isinstance(item, Rejection) else item[0] for item in items)
 
     def encoded_observations(
-        self, names: Sequence[str], needs: Needs = EVERYTHING
-    ) -> Iterator[EncodedObservation]:
+        self, names: Sequence[str], needs: obs.Needs = obs.EVERYTHING
+    ) -> Iterator[obs.EncodedObservation]:
         """Yield for every image what estimators may see of each instrument, not decoded yet.
 
         What `needs` leaves out is None in the observations. One thread at a time goes through the iterator, any thread
@@ -257,7 +240,7 @@ class Recording:
         states = [self._arm_states(arm, needs) for arm in arms]
         return self.window.of(self._observations(states, topic, camera, right))
 
-    def record_losses(self, decoded: Decoded) -> tuple[Observation, ...] | Rejection:
+    def record_losses(self, decoded: obs.Decoded) -> tuple[Observation, ...] | Rejection:
         """Add what was lost in decoding to `health`, in file order whatever the order of calls; give the rest back."""
         for loss in decoded.losses:
             self.health.add(loss, decoded.place)
@@ -265,41 +248,41 @@ class Recording:
 
     def _observations(
         self,
-        states: Sequence[Callable[[int], ArmState]],
+        states: Sequence[Callable[[int], obs.ArmState]],
         topic: str,
         camera: Camera,
-        right: RightCamera | None,
-    ) -> Iterator[EncodedObservation]:
+        right: obs.RightCamera | None,
+    ) -> Iterator[obs.EncodedObservation]:
         tolerance_ns = round(self.file.limits.pair_tolerance_s * 1e9)
-        pairs = Pairs(None if right is None else right.topic, tolerance_ns, self._repeated)
+        pairs = obs.Pairs(None if right is None else right.topic, tolerance_ns, self._repeated)
         images = self.file.images({topic} if right is None else {topic, right.topic})
         for left, other in pairs.of(images):
             at_stamp = tuple(state(left.stamp_ns) for state in states)
-            yield EncodedObservation(left, other, at_stamp, camera, right, self.health.next_place())
+            yield obs.EncodedObservation(left, other, at_stamp, camera, right, self.health.next_place())
 
-    def _arm_states(self, arm: LoggedArm, needs: Needs) -> Callable[[int], ArmState]:
+    def _arm_states(self, arm: LoggedArm, needs: obs.Needs) -> Callable[[int], obs.ArmState]:
         """What an arm reported, as a function of a stamp."""
         joints = self._joints(arm) if needs.joints else None
         fixed, frames = arm.fixed, arm.frames
         tree = self._nominal_tree if needs.transforms and fixed is None else None
 
-        def at(stamp_ns: int) -> ArmState:
+        def at(stamp_ns: int) -> obs.ArmState:
             T_camera_base = None if fixed is None else fixed.T_camera_base
             if tree is not None and tree.links(frames.camera, frames.base):
                 found = tree.at(frames.camera, frames.base, np.array([stamp_ns], np.int64))
                 T_camera_base = found.values[0] if found.valid[0] else None
-            return ArmState(*joints_at(joints, stamp_ns), T_camera_base)
+            return obs.ArmState(*obs.joints_at(joints, stamp_ns), T_camera_base)
 
         return at
 
-    def _right_camera(self) -> RightCamera | None:
+    def _right_camera(self) -> obs.RightCamera | None:
         """The right camera of a stereo pair; None where the log has no pair."""
         topic = self.topic_of(Role.RIGHT_IMAGE)
         right = None if topic in (None, self.topic_of(Role.IMAGE)) else self.right_camera
         T_left_right = None if right is None else stereo_transform(self.camera, right)
         if topic is None or right is None or T_left_right is None:
             return None
-        return RightCamera(topic, right, T_left_right)
+        return obs.RightCamera(topic, right, T_left_right)
 
     def _repeated(self, image: EncodedImage) -> None:
         late = "repeats a stamp, or comes too far behind later ones; it is left out"
@@ -322,8 +305,9 @@ class Recording:
         for names, logged in self.file.contents.rows.get(topic or "", {}).items():
             assert isinstance(names, tuple)
             rows, late_ns = logged, self._lag_ns
-            if self.world is not None and self.world.perturbations != UNPERTURBED:
-                rows, late_ns = replayed_rows(self.world, arm.name, names, logged), 0
+            if self.world is not None:
+                world = replace(self.world, lag_ns=self._lag_ns)
+                rows, late_ns = replayed_rows(world, arm.name, names, logged), 0
             stamps_ns, positions = rows.sorted(late_ns)
             if repeated := len(rows.stamps_ns) - len(stamps_ns):
                 detail = f"{repeated} joint states repeat a stamp; the last one counts"
@@ -392,5 +376,5 @@ class Recording:
 
 def _reopened(origin: Origin, *view: Any) -> Recording:
     path, profile, limits, topics = origin
-    recording = open_recording(path, profile, limits=limits, topics=topics)
-    return Recording(recording.file, view[0], origin, *view[1:])
+    file = open_recording(path, profile, limits=limits, topics=topics).file
+    return Recording(file, view[0], origin, *view[1:])

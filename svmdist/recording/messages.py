@@ -17,22 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from google.protobuf.message import DecodeError as ProtobufError
 
+from svmdist import samples
 from svmdist.camera import KNOWN_DISTORTION, MAX_COEFFICIENTS, Camera
 from svmdist.profile import Limits
 from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
 from svmdist.recording.images import ImageError, VideoDecoder, decode_raw, decode_still
 from svmdist.recording.source import RawMessage, cut
-from svmdist.samples import (
-    CameraSample,
-    DistanceSample,
-    Image,
-    ImageSample,
-    JointSample,
-    PoseSample,
-    Sample,
-    TransformSample,
-    TransformsSample,
-)
 from svmdist.transforms import Array, make_transform, rotation_from_quaternion_xyzw
 
 MAX_STAMP_NS = (1 << 63) - 1
@@ -68,7 +58,7 @@ class EncodedImage:
 
     stamp_ns: int
     frame_id: str
-    decode: Callable[..., Image]
+    decode: Callable[..., samples.Image]
     """From a `Decoder` it takes nothing; from a converter, the limits."""
     video: tuple[str, bytes] | None = None
     """Format and data of a frame that is not decoded."""
@@ -97,7 +87,8 @@ class RawTransforms(NamedTuple):
     transforms: tuple[RawTransform, ...]
 
 
-Message = JointSample | CameraSample | DistanceSample | EncodedImage | RawTransform | RawTransforms
+Numbers = samples.JointSample | samples.CameraSample | samples.DistanceSample
+Message = Numbers | EncodedImage | RawTransform | RawTransforms
 
 
 def matrices(values: Array) -> Array:
@@ -105,20 +96,17 @@ def matrices(values: Array) -> Array:
     return make_transform(rotation_from_quaternion_xyzw(values[:, 3:]), values[:, :3])
 
 
-def to_sample(message: Message) -> Sample:
+def to_sample(message: Message) -> samples.Sample:
     """The same with matrices and pixels; ImageError where an image cannot be decoded."""
     match message:
         case EncodedImage():
-            return ImageSample(message.stamp_ns, message.frame_id, message.decode())
-        case RawTransform():
-            return PoseSample(message.stamp_ns, message.parent, matrices(np.array([message.values]))[0])
-        case RawTransforms(transforms=parts):
+            return samples.ImageSample(message.stamp_ns, message.frame_id, message.decode())
+        case RawTransform(stamp_ns, parent, values=values):
+            return samples.PoseSample(stamp_ns, parent, matrices(np.array([values]))[0])
+        case RawTransforms(stamp_ns, parts):
             T = matrices(np.array([one.values for one in parts]).reshape(-1, 7))
-            samples = [
-                TransformSample(one.stamp_ns, one.parent, one.child, each)
-                for one, each in zip(parts, T, strict=True)
-            ]
-            return TransformsSample(message.stamp_ns, tuple(samples))
+            transforms = (samples.TransformSample(*one[:3], each) for one, each in zip(parts, T, strict=True))
+            return samples.TransformsSample(stamp_ns, tuple(transforms))
     return message
 
 
@@ -219,7 +207,7 @@ def kind_of(schema: str, message_encoding: str) -> Kind | None:
 def broken_image(log_time_ns: int, reason: str) -> EncodedImage:
     """Make an image whose decoding fails, for a message that is broken before its pixels."""
 
-    def fail() -> Image:
+    def fail() -> samples.Image:
         raise ImageError(reason)
 
     return EncodedImage(min(log_time_ns, MAX_STAMP_NS), "", fail)
@@ -246,12 +234,12 @@ def _foxglove_video(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
     return replace(image, frame_id=frame_id, video=(message.format, message.data))
 
 
-def _foxglove_camera(message: Any, stamp_ns: int, frame_id: str) -> CameraSample:
+def _foxglove_camera(message: Any, stamp_ns: int, frame_id: str) -> samples.CameraSample:
     numbers = message.K, message.D, message.R, message.P
-    return CameraSample(stamp_ns, checked_camera(message, frame_id, numbers))
+    return samples.CameraSample(stamp_ns, checked_camera(message, frame_id, numbers))
 
 
-def _foxglove_joints(message: Any, stamp_ns: int, _: str) -> JointSample:
+def _foxglove_joints(message: Any, stamp_ns: int, _: str) -> samples.JointSample:
     """Joints without a position are left out."""
     joints = [joint for joint in message.joints if joint.HasField("position")]
     return checked_joints(stamp_ns, [joint.name for joint in joints], [joint.position for joint in joints])
@@ -279,10 +267,10 @@ def _foxglove_transforms(message: Any, log_time_ns: int, _: str) -> RawTransform
     return transforms_of(transforms, log_time_ns)
 
 
-def _distance(message: Any, stamp_ns: int, _: str) -> DistanceSample:
+def _distance(message: Any, stamp_ns: int, _: str) -> samples.DistanceSample:
     values = (message.planar_m, message.spatial_m, message.clearance_m)
     _check_numbers(values, "a distance")
-    return DistanceSample(stamp_ns, *values)
+    return samples.DistanceSample(stamp_ns, *values)
 
 
 # What Foxglove and ROS name alike
@@ -315,10 +303,9 @@ def _check_numbers(values: Sequence[float], what: str) -> None:
     # False for NaN and infinity too; ten times as fast as an array.
     if sum(map(abs, values)) <= MAX_MAGNITUDE:
         return
-    numbers = np.asarray(values, np.float64)
-    bad = ~(np.abs(numbers) <= MAX_MAGNITUDE)  # true for NaN too
-    if bad.any():
-        raise DecodeError(f"{what}: {numbers[bad][0]} is no usable number")
+    bad = next((value for value in values if not abs(value) <= MAX_MAGNITUDE), None)
+    if bad is not None:
+        raise DecodeError(f"{what}: {bad} is no usable number")
 
 
 def checked_transform(stamp_ns: int, parent: str, child: str, position: Any, rotation: Any) -> RawTransform:
@@ -333,11 +320,10 @@ def checked_transform(stamp_ns: int, parent: str, child: str, position: Any, rot
 
 def transforms_of(transforms: Sequence[RawTransform], log_time_ns: int) -> RawTransforms:
     """One message of transforms, with the stamp of the first one."""
-    first_ns = transforms[0].stamp_ns if transforms else checked_stamp(log_time_ns)
-    return RawTransforms(first_ns, tuple(transforms))
+    return RawTransforms(transforms[0].stamp_ns if transforms else log_time_ns, tuple(transforms))
 
 
-def checked_joints(stamp_ns: int, names: Sequence[str], positions: Sequence[float]) -> JointSample:
+def checked_joints(stamp_ns: int, names: Sequence[str], positions: Sequence[float]) -> samples.JointSample:
     """Build a sample; DecodeError for names that repeat and positions that are missing or not finite."""
     if len(names) != len(positions) or not names:
         raise DecodeError(f"{len(names)} joint names and {len(positions)} positions")
@@ -345,7 +331,7 @@ def checked_joints(stamp_ns: int, names: Sequence[str], positions: Sequence[floa
         raise DecodeError("joint names repeat")
     _check_numbers(positions, "joint positions")
     # Every message brings the same names: one string each serves all the samples that are kept.
-    return JointSample(stamp_ns, tuple(map(sys.intern, names)), np.array(positions, np.float64))
+    return samples.JointSample(stamp_ns, tuple(map(sys.intern, names)), np.array(positions, np.float64))
 
 
 def checked_camera(message: Any, frame_id: str, numbers: Sequence[Sequence[float]]) -> Camera:

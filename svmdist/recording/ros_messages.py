@@ -5,20 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from svmdist.recording.messages import (
-    NS,
-    Converter,
-    DecodeError,
-    Message,
-    RawTransform,
-    checked_camera,
-    checked_joints,
-    checked_stamp,
-    checked_transform,
-    raw_image,
-    still_image,
-    transforms_of,
-)
+from svmdist.recording import messages
 from svmdist.samples import CameraSample, JointSample
 
 
@@ -36,54 +23,58 @@ def _types(encoding: str) -> Any:
     return store
 
 
-def decode_ros(encoding: str, schema: str, data: bytes, log_time_ns: int) -> Message:
+def decode_ros(encoding: str, schema: str, data: bytes, log_time_ns: int) -> messages.Message:
     """Decode a message of ROS 1 (`ros1`) or ROS 2 (`cdr`), whose schema is named without `/msg/`."""
     package, _, name = ("tf2_msgs/TFMessage" if schema == "tf/tfMessage" else schema).partition("/")
     types = _types(encoding)
     if encoding == "cdr" and data[:2] not in (b"\0\0", b"\0\1"):
-        raise DecodeError(f"not plain CDR: it begins with {data[:2].hex(' ')}")
+        raise messages.DecodeError(f"not plain CDR: it begins with {data[:2].hex(' ')}")
     read = types.deserialize_cdr if encoding == "cdr" else types.deserialize_ros1
     try:
         message = read(data, f"{package}/msg/{name}")
     except Exception as problem:  # of the library: an error of its own, or of struct, NumPy and text
-        raise DecodeError(f"not a {schema}: {' '.join(str(problem).split())}") from None
+        raise messages.DecodeError(f"not a {schema}: {' '.join(str(problem).split())}") from None
     if name == "TFMessage":
         stamped = [_stamped(one, *_header(one, log_time_ns)) for one in message.transforms]
-        return transforms_of(stamped, log_time_ns)
+        return messages.transforms_of(stamped, log_time_ns)
     return CONVERTERS[name](message, *_header(message, log_time_ns))
 
 
 def _header(message: Any, log_time_ns: int) -> tuple[int, str]:
     """Stamp and frame of a header; a stamp of zero was never set, and the log time stands for it."""
     header = message.header
-    return checked_stamp(header.stamp.sec * NS + header.stamp.nanosec or log_time_ns), header.frame_id
+    return messages.checked_stamp(
+        header.stamp.sec * messages.NS + header.stamp.nanosec or log_time_ns
+    ), header.frame_id
 
 
 def _camera(message: Any, stamp_ns: int, frame_id: str) -> CameraSample:
     # ROS 1 writes these names large, ROS 2 small.
     numbers = [getattr(message, name) for name in ("KDRP" if hasattr(message, "K") else "kdrp")]
-    return CameraSample(stamp_ns, checked_camera(message, frame_id, [one.tolist() for one in numbers]))
+    return CameraSample(
+        stamp_ns, messages.checked_camera(message, frame_id, [one.tolist() for one in numbers])
+    )
 
 
 def _joints(message: Any, stamp_ns: int, _: str) -> JointSample:
-    return checked_joints(stamp_ns, message.name, message.position.tolist())
+    return messages.checked_joints(stamp_ns, message.name, message.position.tolist())
 
 
-def _stamped(message: Any, stamp_ns: int, parent: str) -> RawTransform:
+def _stamped(message: Any, stamp_ns: int, parent: str) -> messages.RawTransform:
     """A TransformStamped; as a topic of its own it is the pose of its child, as older CRTK publishes `*_cp`."""
     transform = message.transform
-    return checked_transform(
+    return messages.checked_transform(
         stamp_ns, parent, message.child_frame_id, transform.translation, transform.rotation
     )
 
 
-def _pose(message: Any, stamp_ns: int, parent: str) -> RawTransform:
-    return checked_transform(stamp_ns, parent, "", message.pose.position, message.pose.orientation)
+def _pose(message: Any, stamp_ns: int, parent: str) -> messages.RawTransform:
+    return messages.checked_transform(stamp_ns, parent, "", message.pose.position, message.pose.orientation)
 
 
-CONVERTERS: dict[str, Converter] = {
-    "Image": raw_image,
-    "CompressedImage": still_image,
+CONVERTERS: dict[str, messages.Converter] = {
+    "Image": messages.raw_image,
+    "CompressedImage": messages.still_image,
     "CameraInfo": _camera,
     "JointState": _joints,
     "PoseStamped": _pose,

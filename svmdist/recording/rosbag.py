@@ -144,8 +144,7 @@ class FolderSource:
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """Yield the messages of some topics, or of all, file by file."""
-        losses = 0
-        counts: Counter[str] = Counter()
+        losses, counts = 0, Counter[str]()
         for part in self._parts:
             before = losses
             for raw in part.messages(topics):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -111,8 +112,7 @@ class Health:
     @property
     def losses(self) -> tuple[Loss, ...]:
         """The losses in the order of their places."""
-        found = dict(self._losses)
-        return tuple(sorted(found, key=lambda loss: found[loss]))
+        return tuple(sorted(self._losses, key=self._losses.__getitem__))
 
     @property
     def is_clean(self) -> bool:
@@ -124,13 +124,11 @@ class Health:
         lines = [str(loss) for loss in self.losses]
         hidden = len(lines) - max_lines
         if hidden > 0 or self.unlisted_count:
-            more = f"{max(hidden, 0)} more" if not self.unlisted_count else "many more"
-            lines = [*lines[:max_lines], f"and {more} losses"]
+            lines[max_lines:] = [f"and {'many' if self.unlisted_count else hidden} more losses"]
         return tuple(lines)
 
 
-@dataclass(frozen=True, slots=True)
-class TopicInfo:
+class TopicInfo(NamedTuple):
     """A topic of a recording; `message_count` is None where the file does not say and was not read."""
 
     topic: str
@@ -172,13 +170,13 @@ class Source(Protocol):
 
 def merge_topics(infos: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
     """Join channels that share topic, schema and encoding: several publishers of one topic."""
-    merged: dict[tuple[str, str, str], int | None] = {}
+    counts: defaultdict[tuple[str, str, str], list[int | None]] = defaultdict(list)
     for info in infos:
-        key = (info.topic, info.schema, info.message_encoding)
-        known = merged.get(key, 0)
-        both = known is not None and info.message_count is not None
-        merged[key] = (known or 0) + (info.message_count or 0) if both else None
-    return tuple(TopicInfo(*key, total) for key, total in sorted(merged.items()))
+        counts[info[:3]].append(info.message_count)
+    return tuple(
+        TopicInfo(*key, None if None in found else sum(filter(None, found)))
+        for key, found in sorted(counts.items())
+    )
 
 
 def is_message_compressed(source: Source) -> bool:

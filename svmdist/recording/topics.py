@@ -71,38 +71,30 @@ NAMED = frozenset({Role.GROUND_TRUTH_TF, *RIGHT})
 """Roles whose topics must be named: any transforms could pass for truth, any image for the right one."""
 
 
+@dataclass(frozen=True)
 class TopicChoice:
     """The roles of one recording's topics; those in `claimed` are another arm's, and stand in for no topic."""
 
-    def __init__(
-        self,
-        infos: Sequence[TopicInfo],
-        wanted: Topics,
-        overrides: Mapping[str, str],
-        name: str,
-        claimed: frozenset[str] = frozenset(),
-    ) -> None:
-        for role in overrides:
+    infos: Sequence[TopicInfo]
+    wanted: Topics
+    overrides: Mapping[str, str]
+    name: str
+    claimed: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        for role in self.overrides:
             if role not in list(Role):
                 raise UsageError(f"no role {role} for a topic: {did_you_mean(role, list(Role))}")
-        self._infos = tuple(infos)
-        self._wanted = wanted
-        self._overrides = overrides
-        self._name = name
-        self._claimed = claimed
 
     def require(self, role: Role) -> str:
         """Name the topic of a role; RecordingError lists the candidates, or the topics there are."""
         kind = KINDS[role]
-        override = self._overrides.get(role)
-        if override is not None:
-            if override not in self._candidates(kind):
-                raise RecordingError(
-                    f"{self._name}: topic {sanitize(override)} carries no {kind}; {self._there_are()}"
-                )
-            return override
-        wanted: str | None = getattr(self._wanted, role)
-        candidates = self._candidates(kind)
+        override, candidates = self.overrides.get(role), self._candidates(kind)
+        if override is not None and override not in candidates:
+            raise RecordingError(
+                f"{self.name}: topic {sanitize(override)} carries no {kind}; {self._there_are()}"
+            )
+        wanted: str | None = override or getattr(self.wanted, role)
         if wanted in candidates:
             return str(wanted)
         fitting = [] if role in NAMED else self._unclaimed(role, candidates)
@@ -112,16 +104,16 @@ class TopicChoice:
         if fitting:
             choices = sanitize_list(fitting)
             raise RecordingError(
-                f"{self._name}: several topics carry {kind}{expected}; choose one of {choices}"
+                f"{self.name}: several topics carry {kind}{expected}; choose one of {choices}"
             )
-        raise RecordingError(f"{self._name}: no topic with {kind} for {role}{expected}; {self._there_are()}")
+        raise RecordingError(f"{self.name}: no topic with {kind} for {role}{expected}; {self._there_are()}")
 
     def find(self, role: Role) -> str | None:
         """Name the topic of a role; None where there is none, or no single one."""
         try:
             return self.require(role)
         except RecordingError:
-            if role in self._overrides:
+            if role in self.overrides:
                 raise
             return None
 
@@ -131,7 +123,7 @@ class TopicChoice:
 
     def _candidates(self, kind: Kind) -> list[str]:
         return sorted(
-            {info.topic for info in self._infos if kind_of(info.schema, info.message_encoding) is kind}
+            {info.topic for info in self.infos if kind_of(info.schema, info.message_encoding) is kind}
         )
 
     def _unclaimed(self, role: Role, candidates: Sequence[str]) -> list[str]:
@@ -140,15 +132,15 @@ class TopicChoice:
         A right image is one of a pair: where a log has no other, it is the image.
         """
         others = {
-            self._overrides.get(other) or getattr(self._wanted, other) for other in Role if other is not role
+            self.overrides.get(other) or getattr(self.wanted, other) for other in Role if other is not role
         }
-        others |= self._claimed
+        others |= self.claimed
         fitting = [topic for topic in candidates if topic not in others and not topic.endswith("tf_static")]
-        right = {getattr(self._wanted, other) for other in RIGHT}
+        right = {getattr(self.wanted, other) for other in RIGHT}
         return fitting or [topic for topic in candidates if topic in right and len(candidates) == 1]
 
     def _there_are(self) -> str:
-        listed = sanitize_list(f"{info.topic} ({info.schema or 'no schema'})" for info in self._infos)
+        listed = sanitize_list(f"{info.topic} ({info.schema or 'no schema'})" for info in self.infos)
         return f"the topics are {listed}" if listed else "the recording has no topics"
 
 

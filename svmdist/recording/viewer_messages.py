@@ -15,16 +15,7 @@ from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
-from svmdist.drawing import (
-    ALARM_COLOUR,
-    COLOURS,
-    Form,
-    FrameDrawing,
-    Part,
-    Rgb,
-    Segment,
-    Shape,
-)
+from svmdist import drawing as draw
 from svmdist.geometry import Capsules
 from svmdist.recording.distance_estimate_pb2 import DistanceEstimate
 from svmdist.recording.writer import EncodedSample, encode, serialised, set_stamp
@@ -32,33 +23,33 @@ from svmdist.samples import TransformSample, TransformsSample
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
 FORMS = {
-    Form.POINTS: PointsAnnotation.POINTS,
-    Form.LINE: PointsAnnotation.LINE_STRIP,
-    Form.LOOP: PointsAnnotation.LINE_LOOP,
+    draw.Form.POINTS: PointsAnnotation.POINTS,
+    draw.Form.LINE: PointsAnnotation.LINE_STRIP,
+    draw.Form.LOOP: PointsAnnotation.LINE_LOOP,
 }
-WHITE: Rgb = (255, 255, 255)
-GROUND: Rgb = (20, 20, 20)
+WHITE: draw.Rgb = (255, 255, 255)
+GROUND: draw.Rgb = (20, 20, 20)
 LINE_PX, POINT_PX, SMALL_POINT_PX, FONT_PX = 2.0, 6.0, 3.0, 14.0
 LINE_PIXELS, TEXT_PIXELS = 3.0, 14.0
 """Of lines and texts in space, in px of the screen."""
 SOLID, SHEER = 0.9, 0.5
 
 
-def image_annotations(drawing: FrameDrawing) -> EncodedSample:
+def image_annotations(drawing: draw.FrameDrawing) -> EncodedSample:
     """The shapes, labels and status lines of an image as `foxglove.ImageAnnotations`."""
     message = ImageAnnotations()
     for shape in drawing.shapes:
         _points(message.points.add(), shape, drawing.stamp_ns)
     for label in drawing.labels:
-        _text(message.texts.add(), label.text, label.place_px, COLOURS[label.part], drawing.stamp_ns)
+        _text(message.texts.add(), label.text, label.place_px, draw.COLOURS[label.part], drawing.stamp_ns)
     for row, line in enumerate(drawing.lines):
         place_px = np.array([4.0, (row + 1) * (FONT_PX + 6.0)])
-        colour = ALARM_COLOUR if line.alarm or not line.measured else WHITE
+        colour = draw.ALARM_COLOUR if line.alarm or not line.measured else WHITE
         _text(message.texts.add(), line.text, place_px, colour, drawing.stamp_ns)
     return _encoded(message, drawing.stamp_ns)
 
 
-def scene_update(drawing: FrameDrawing, instruments: Iterable[str], frame_id: str) -> EncodedSample:
+def scene_update(drawing: draw.FrameDrawing, instruments: Iterable[str], frame_id: str) -> EncodedSample:
     """Instruments, tissue and distances in space as `foxglove.SceneUpdate`; what is not there now is deleted."""
     message, stamp_ns = SceneUpdate(), drawing.stamp_ns
     for name, body in drawing.bodies.items():
@@ -66,14 +57,14 @@ def scene_update(drawing: FrameDrawing, instruments: Iterable[str], frame_id: st
     if drawing.tissue is not None:
         triangles = _entity(message, "tissue", frame_id, stamp_ns).triangles.add()
         triangles.pose.orientation.w = 1.0
-        _colour(triangles.color, COLOURS[Part.TISSUE], SHEER)
+        _colour(triangles.color, draw.COLOURS[draw.Part.TISSUE], SHEER)
         for corner in drawing.tissue.vertices_m.tolist():
             triangles.points.add(x=corner[0], y=corner[1], z=corner[2])
         triangles.indices.extend(drawing.tissue.faces.ravel().tolist())
     for segment in drawing.segments:
         _segment(_entity(message, segment.name, frame_id, stamp_ns), segment)
     known = {entity.id for entity in message.entities}
-    parts = ("instrument", Part.DISTANCE, Part.BETWEEN)
+    parts = ("instrument", draw.Part.DISTANCE, draw.Part.BETWEEN)
     possible = {"tissue", *(f"{name} {part}" for name in instruments for part in parts)}
     for name in sorted(possible - known):
         deletion = message.deletions.add(type=SceneEntityDeletion.MATCHING_ID, id=name)
@@ -104,19 +95,19 @@ def _encoded(message: Any, stamp_ns: int) -> EncodedSample:
     return EncodedSample(stamp_ns, type(message), serialised(message, stamp_ns if has_stamp else None))
 
 
-def _points(target: Any, shape: Shape, stamp_ns: int) -> None:
+def _points(target: Any, shape: draw.Shape, stamp_ns: int) -> None:
     target.type = FORMS[shape.form]
     for x, y in shape.points_px.tolist():
         target.points.add(x=x, y=y)
-    _colour(target.outline_color, COLOURS[shape.part])
+    _colour(target.outline_color, draw.COLOURS[shape.part])
     target.thickness = LINE_PX
-    if shape.form is Form.POINTS:
-        target.thickness = SMALL_POINT_PX if shape.part in (Part.INLIER, Part.MATCH) else POINT_PX
-        _colour(target.fill_color, COLOURS[shape.part])
+    if shape.form is draw.Form.POINTS:
+        target.thickness = SMALL_POINT_PX if shape.part in (draw.Part.INLIER, draw.Part.MATCH) else POINT_PX
+        _colour(target.fill_color, draw.COLOURS[shape.part])
     set_stamp(target, stamp_ns)
 
 
-def _text(target: Any, text: str, place_px: Array, colour: Rgb, stamp_ns: int) -> None:
+def _text(target: Any, text: str, place_px: Array, colour: draw.Rgb, stamp_ns: int) -> None:
     target.position.x, target.position.y = place_px.tolist()
     target.text, target.font_size = text, FONT_PX
     _colour(target.text_color, colour)
@@ -132,7 +123,7 @@ def _entity(message: Any, name: str, frame_id: str, stamp_ns: int) -> SceneEntit
 
 def _capsules(entity: Any, body: Capsules) -> None:
     """Each capsule as a cylinder with a sphere at both ends."""
-    colour = COLOURS[Part.INSTRUMENT]
+    colour = draw.COLOURS[draw.Part.INSTRUMENT]
     for start_m, end_m, radius_m in zip(body.start_m, body.end_m, body.radius_m, strict=True):
         for centre_m in (start_m, end_m):
             sphere = entity.spheres.add()
@@ -150,16 +141,16 @@ def _capsules(entity: Any, body: Capsules) -> None:
             _colour(cylinder.color, colour, SOLID)
 
 
-def _segment(entity: Any, segment: Segment) -> None:
+def _segment(entity: Any, segment: draw.Segment) -> None:
     line = entity.lines.add(type=LinePrimitive.LINE_STRIP, thickness=LINE_PIXELS, scale_invariant=True)
     line.pose.orientation.w = 1.0
     for end_m in (segment.start_m, segment.end_m):
         line.points.add(x=end_m[0], y=end_m[1], z=end_m[2])
-    _colour(line.color, COLOURS[segment.part])
+    _colour(line.color, draw.COLOURS[segment.part])
     text = entity.texts.add(billboard=True, font_size=TEXT_PIXELS, scale_invariant=True, text=segment.text)
     text.pose.orientation.w = 1.0
     _place(text.pose.position, 0.5 * (segment.start_m + segment.end_m))
-    _colour(text.color, COLOURS[segment.part])
+    _colour(text.color, draw.COLOURS[segment.part])
 
 
 def _along_z(direction: Array) -> Array:
@@ -169,7 +160,7 @@ def _along_z(direction: Array) -> Array:
     return np.stack([side, np.cross(direction, side), direction], -1)
 
 
-def _colour(target: Color, colour: Rgb, alpha: float = 1.0) -> None:
+def _colour(target: Color, colour: draw.Rgb, alpha: float = 1.0) -> None:
     target.r, target.g, target.b = (level / 255.0 for level in colour)
     target.a = alpha
 

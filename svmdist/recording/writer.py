@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
 
+from svmdist import samples
 from svmdist.camera import Camera
 from svmdist.errors import OutputError, UsageError
 from svmdist.files import why
@@ -29,16 +31,6 @@ from svmdist.profile import Limits
 from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
 from svmdist.recording.images import still_format, still_size
 from svmdist.recording.source import METADATA_NAME
-from svmdist.samples import (
-    CameraSample,
-    DistanceSample,
-    ImageSample,
-    JointSample,
-    PoseSample,
-    Sample,
-    TransformsSample,
-    require_bgr,
-)
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
 PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 6)
@@ -46,12 +38,12 @@ PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 6)
 JPEG_OPTIONS = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 """Colour at full resolution: segmentation by hue depends on it."""
 MESSAGE_CLASSES: dict[type, Any] = {
-    ImageSample: CompressedImage,
-    CameraSample: CameraCalibration,
-    JointSample: JointStates,
-    PoseSample: PoseInFrame,
-    TransformsSample: FrameTransforms,
-    DistanceSample: GroundTruthDistance,
+    samples.ImageSample: CompressedImage,
+    samples.CameraSample: CameraCalibration,
+    samples.JointSample: JointStates,
+    samples.PoseSample: PoseInFrame,
+    samples.TransformsSample: FrameTransforms,
+    samples.DistanceSample: GroundTruthDistance,
 }
 
 
@@ -65,35 +57,29 @@ class EncodedSample:
 
 
 def message_class_of(sample_type: type) -> Any:
-    """The protobuf class that a type of sample, or such a class itself, is written as; ValueError for any other."""
-    message_class = sample_type if issubclass(sample_type, Message) else MESSAGE_CLASSES.get(sample_type)
-    if message_class is None:
-        names = ", ".join(known.__name__ for known in MESSAGE_CLASSES)
-        raise ValueError(f"cannot record a {sample_type.__name__}; the choices are {names}")
-    return message_class
+    """The protobuf class that a type of sample, or such a class itself, is written as."""
+    return sample_type if issubclass(sample_type, Message) else MESSAGE_CLASSES[sample_type]
 
 
 def _descriptor_set(file: Any) -> bytes:
     """A protobuf file with those that it imports, each behind its own, as an MCAP schema has them."""
-    files: dict[str, Any] = {}
+    descriptors = FileDescriptorSet()
 
     def collect(file: Any) -> None:
         for dependency in file.dependencies:
             collect(dependency)
-        files.setdefault(file.name, file)
+        if file.name not in {one.name for one in descriptors.file}:
+            file.CopyToProto(descriptors.file.add())
 
     collect(file)
-    descriptors = FileDescriptorSet()
-    for one in files.values():
-        one.CopyToProto(descriptors.file.add())
     return descriptors.SerializeToString(deterministic=True)
 
 
 def encode_still(stamp_ns: int, frame_id: str, data: bytes, limits: Limits) -> EncodedSample:
-    """Wrap a PNG or JPEG as it is, without decoding it; ImageError for any other format, or where its header is bad."""
+    """Wrap a PNG or JPEG as it is, without decoding it; ImageError for any other, or one with a bad header."""
     still_size(data, limits)
     message = CompressedImage(frame_id=frame_id, data=data, format=still_format(data) or "")
-    return EncodedSample(stamp_ns, ImageSample, serialised(message, stamp_ns))
+    return EncodedSample(stamp_ns, samples.ImageSample, serialised(message, stamp_ns))
 
 
 def serialised(message: Message, stamp_ns: int | None = None) -> bytes:
@@ -108,7 +94,7 @@ def set_stamp(message: Any, stamp_ns: int) -> None:
     message.timestamp.seconds, message.timestamp.nanos = divmod(stamp_ns, 1_000_000_000)
 
 
-def encode(sample: Sample, jpeg_quality: int | None = None) -> EncodedSample:
+def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSample:
     """Serialise a sample as its message type; ValueError when an image is not (height, width, 3) uint8.
 
     Images become PNG, which loses nothing, or JPEG of a quality from 1 to 100 with colour at full resolution.
@@ -116,33 +102,33 @@ def encode(sample: Sample, jpeg_quality: int | None = None) -> EncodedSample:
     message: Any = message_class_of(type(sample))()
     stamp_ns: int | None = sample.stamp_ns
     match sample:
-        case ImageSample():
+        case samples.ImageSample():
             message.frame_id = sample.frame_id
             message.data, message.format = _compressed(sample, jpeg_quality)
-        case CameraSample(camera=camera):
+        case samples.CameraSample(camera=camera):
             _fill_camera(message, camera)
-        case JointSample():
+        case samples.JointSample():
             for name, value in zip(sample.names, np.asarray(sample.positions).tolist(), strict=True):
                 message.joints.add(name=name, position=value)
-        case PoseSample():
+        case samples.PoseSample():
             message.frame_id = sample.frame_id
             pose = message.pose
             _fill([(pose.position, pose.orientation)], [sample.T_frame_pose])
-        case TransformsSample():
+        case samples.TransformsSample():
             for one in sample.transforms:
                 part = message.transforms.add(parent_frame_id=one.parent, child_frame_id=one.child)
                 set_stamp(part, one.stamp_ns)
             targets = [(part.translation, part.rotation) for part in message.transforms]
             _fill(targets, [one.T_parent_child for one in sample.transforms])
             stamp_ns = None  # each transform has its own
-        case DistanceSample():
+        case samples.DistanceSample():
             message.planar_m, message.spatial_m = sample.planar_m, sample.spatial_m
             message.clearance_m = sample.clearance_m
     return EncodedSample(sample.stamp_ns, type(sample), serialised(message, stamp_ns))
 
 
-def _compressed(sample: ImageSample, jpeg_quality: int | None) -> tuple[bytes, str]:
-    require_bgr(sample.image_bgr)
+def _compressed(sample: samples.ImageSample, jpeg_quality: int | None) -> tuple[bytes, str]:
+    samples.require_bgr(sample.image_bgr)
     if jpeg_quality is None:
         return cv2.imencode(".png", sample.image_bgr, PNG_OPTIONS)[1].tobytes(), "png"
     options = (cv2.IMWRITE_JPEG_QUALITY, jpeg_quality, *JPEG_OPTIONS)
@@ -163,12 +149,10 @@ def _fill_camera(message: Any, camera: Camera) -> None:
 
 def _fill(targets: Sequence[tuple[Any, Any]], transforms: Sequence[Array]) -> None:
     """Set pairs of a position and a quaternion."""
-    if not transforms:
-        return
-    stack = np.array(transforms)
-    quaternions_xyzw = quaternion_xyzw_from_rotation(stack[:, :3, :3]).tolist()
+    T = np.array(transforms).reshape(-1, 4, 4)
+    quaternions_xyzw = quaternion_xyzw_from_rotation(T[:, :3, :3]).tolist()
     for (position, orientation), t_m, quaternion in zip(
-        targets, stack[:, :3, 3].tolist(), quaternions_xyzw, strict=True
+        targets, T[:, :3, 3].tolist(), quaternions_xyzw, strict=True
     ):
         position.x, position.y, position.z = t_m
         orientation.x, orientation.y, orientation.z, orientation.w = quaternion
@@ -179,8 +163,8 @@ CHUNK_BYTES = 240 * 1024
 CHUNK_SPAN_NS = 250_000_000
 """A chunk spans at most a quarter of a second of log time: what a killed recorder loses. It is log time
 and not the wall clock that ends a chunk, for a rerun shall be byte-identical."""
-RECORD_HEAD_BYTES = 9
-MESSAGE_HEAD_BYTES = 22
+MESSAGE_HEAD_BYTES = 9 + 22
+"""Of a record, and of a message in it."""
 
 
 class RecordingWriter:
@@ -191,9 +175,7 @@ class RecordingWriter:
 
     An exception inside the block keeps the `.part` file, which holds everything written so far, and renames
     nothing; a `.part` without any message is removed. Chunks hold at most 256 KiB, or one message that is
-    larger. `metadata` becomes the record `svmdist`. Images are written as PNG, or as
-    JPEG of a quality from 1 to 100.
-
+    larger. `metadata` becomes the record `svmdist`; images become PNG, or JPEG of a quality from 1 to 100.
     Raises UsageError when the file exists and `force` is not set, OutputError when it cannot be written.
     """
 
@@ -208,7 +190,7 @@ class RecordingWriter:
         self._file: IO[bytes] | None = None
         self._channels: dict[str, tuple[int, type]] = {}
         self._schemas: dict[type, int] = {}
-        self._sequences: dict[int, int] = {}
+        self._sequences = Counter[int]()
         self._chunk_bytes = 0
         self._chunk_start_ns: int | None = None
 
@@ -239,27 +221,24 @@ class RecordingWriter:
             raise self._failure(problem) from problem
         return self
 
-    def write(self, topic: str, sample: Sample | EncodedSample) -> None:
+    def write(self, topic: str, sample: samples.Sample | EncodedSample) -> None:
         """Append a sample, which may be encoded already; its stamp becomes the log time and the publish time.
 
-        Raises OutputError when the file cannot be written, ValueError when the topic already carries
-        another type of sample.
+        Raises OutputError when the file cannot be written, ValueError for a topic that carries another type.
         """
         if not isinstance(sample, EncodedSample):
             sample = encode(sample, self._jpeg_quality)
-        needed_bytes = RECORD_HEAD_BYTES + MESSAGE_HEAD_BYTES + len(sample.data)
+        stamp_ns, needed_bytes = sample.stamp_ns, MESSAGE_HEAD_BYTES + len(sample.data)
         try:
-            self._end_chunk_before(sample.stamp_ns, needed_bytes)
+            self._end_chunk_before(stamp_ns, needed_bytes)
             channel_id = self._channel(topic, sample.sample_type)
-            self._sequences[channel_id] = self._sequences.get(channel_id, -1) + 1
-            self._writer.add_message(
-                channel_id, sample.stamp_ns, sample.data, sample.stamp_ns, self._sequences[channel_id]
-            )
+            self._writer.add_message(channel_id, stamp_ns, sample.data, stamp_ns, self._sequences[channel_id])
         except OSError as problem:
             raise self._failure(problem) from problem
+        self._sequences[channel_id] += 1
         self._chunk_bytes += needed_bytes
         if self._chunk_start_ns is None:
-            self._chunk_start_ns = sample.stamp_ns
+            self._chunk_start_ns = stamp_ns
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -51,8 +51,7 @@ def require_pybullet() -> None:
 def load_pybullet() -> Any:
     """Import PyBullet, or raise SimulationError that says why it is missing and what to do."""
     try:
-        # The banner with the build time goes to standard error.
-        with quiet(1), quiet(2):
+        with quiet(1), quiet(2):  # the banner with the build time goes to standard error
             return importlib.import_module("pybullet")
     except ImportError as problem:
         advice = how_to_install(sys.version_info[:2], sys.platform, platform.machine())
@@ -93,14 +92,8 @@ class BulletWorld:
         quaternion = quaternion_xyzw_from_rotation(T_world_body[:3, :3]).tolist()
         self.call("resetBasePositionAndOrientation", body, position, quaternion)
 
-    def close(self) -> None:
-        """Disconnect; a second call does nothing."""
-        if self._id >= 0:
-            self.pb.disconnect(physicsClientId=self._id)
-            self._id = -1
-
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_problem: object) -> None:
-        self.close()
+        self.pb.disconnect(physicsClientId=self._id)

@@ -25,8 +25,7 @@ SPACING_M = 0.0004
 REACH_M = 0.07
 """A shaft comes in from above, and the organ is 62 mm long at most: what is farther behind the link's origin is never
 the nearest."""
-CELLS_M = (1.0, 0.004, 0.001, 0.00025)
-"""Sides of the cells that group samples, each a multiple of the next."""
+CELLS_M = (1.0, 0.004, 0.001, 0.00025)  # sides of the cells that group samples, each a multiple of the next
 
 BULLET_SCALE = 1000.0
 """Bullet is tuned for objects of about one metre: it counts in millimetres, with collision margins of zero."""

@@ -26,15 +26,12 @@ LENS_ITERATIONS = 12
 
 LAMP_M = np.array([0.0025, -0.005, 0.0])
 """The lamp in the left camera's frame: between both lenses of a stereo endoscope, at the upper rim of its tip."""
-FULL_LIGHT_M = 0.100
-"""The automatic exposure is right at this distance from the lamp."""
-GAMMA = 2.2
-"""Cameras give light to the power of 1 / 2.2: a quarter of the light is half of the level."""
+FULL_LIGHT_M = 0.100  # the automatic exposure is right at this distance from the lamp
+GAMMA = 2.2  # cameras give light to the power of 1 / 2.2: a quarter of the light is half of the level
 UMBRA = 0.75
 """Share of the lamp's light in the middle of a complete shadow; the rest comes by way of other tissue."""
 BIAS_M = 0.001
-PENUMBRA_PX = 2.5
-"""A lamp of 2 mm, 24 mm of air under the instrument: 0.5 mm of half-shade."""
+PENUMBRA_PX = 2.5  # a lamp of 2 mm, 24 mm of air under the instrument: 0.5 mm of half-shade
 SHININESS = 350.0
 """Exponent of Blinn's highlight: half its strength 3.6° off the mirror's direction, as a film of water is."""
 HIGHLIGHT = 260.0

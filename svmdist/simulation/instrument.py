@@ -29,10 +29,8 @@ BLUE_RGBA = (0.16, 0.27, 0.52, 1.0)
 RING_LENGTH_M, RING_RADIUS_M = 0.0018, 0.00235
 """A ring about the fork's tines that shows about as many pixels as the coloured sphere: 9 mm² from the side."""
 THICKNESS_M = 0.0006
-CELL_PX = 48
-"""Texture pixels to a cell of the tag: some ten for each pixel of the image."""
-WHITE, BLACK = 225, 22
-"""Printed paper; white stays below saturation under the scene's light."""
+CELL_PX = 48  # texture pixels to a cell of the tag: some ten for each pixel of the image
+WHITE, BLACK = 225, 22  # printed paper; white stays below saturation under the scene's light
 
 Rgba = tuple[float, float, float, float]
 

@@ -20,8 +20,7 @@ from svmdist.transforms import Array, transform_points
 SIDE_COUNT = 64
 FLOOR_HALF_M = 0.16
 TEXTURE_PX = 1024
-TEXTURE_SPAN_M = 0.07
-"""The tissue's texture covers a square of this side about the tissue frame's origin."""
+TEXTURE_SPAN_M = 0.07  # the tissue's texture covers a square of this side about the tissue frame's origin
 
 
 @dataclass(frozen=True)

@@ -27,15 +27,13 @@ FIELD_M = (0.0455, 0.0335)
 RETRACTOR_HEIGHT_M = 0.06
 CLEARANCE_TOLERANCE_M = 1e-6
 
-APART_M = 0.003
-"""The bodies of two instruments keep this far apart."""
+APART_M = 0.003  # the bodies of two instruments keep this far apart
 LIFTS_M = np.arange(0.010, 0.0361, 0.002)
 """Heights above the first instrument's working height: the lowest that keeps the bodies apart is taken."""
 CHECKED_COUNT = 120
-CROSSING_FIELD_M = (0.040, 0.029)
+CROSSING_FIELD_M = np.array([0.040, 0.029])
 """Half of where the distal marker may be, seen in the first instrument's working plane: inside of the image."""
-CROSSING_PERIOD_S = 2.7
-"""Between two crossings, on average: an 8 s recording has three of them."""
+CROSSING_PERIOD_S = 2.7  # between two crossings, on average: an 8 s recording has three of them
 _PATH_STREAM = 16
 
 
@@ -311,7 +309,11 @@ def make_other_arms(
         # Seen through the working plane, the path is an offset from the first instrument's.
         depth_m = camera_m - plane_m
         wanted_m = p_world_m[:, :2] * (depth_m / (camera_m - p_world_m[:, 2:]))
-        wanted_m = _kept_within(wanted_m + _offsets(rng, progress, duration_s, bearing), CROSSING_FIELD_M)
+        wanted_m += _offsets(rng, progress, duration_s, bearing)
+        # The same inside of 70 % of the field, bent smoothly to stay within it outside.
+        free_m, rest_m = 0.7 * CROSSING_FIELD_M, CROSSING_FIELD_M - 0.7 * CROSSING_FIELD_M
+        bent_m = rest_m * np.tanh(np.maximum(np.abs(wanted_m) - free_m, 0.0) / rest_m)
+        wanted_m = np.sign(wanted_m) * (np.minimum(np.abs(wanted_m), free_m) + bent_m)
         rise_m = 0.001 * wander(rng, progress, 2.0)
         wrist_rad = gentle_wrist(rng, progress)
         wrist_rad[:, 3] += scene.jaw_opening_rad(progress * duration_s, number)
@@ -349,13 +351,3 @@ def _offsets(rng: np.random.Generator, progress: Array, duration_s: float, beari
         if index < crossing_count:
             knots.append(rng.uniform(-0.0012, 0.0012, 2))  # within a marker's radius
     return cubic_spline(np.array(knots), progress)
-
-
-def _kept_within(xy_m: Array, half_m: tuple[float, float]) -> Array:
-    """The same inside of 70 % of a range, bent smoothly to stay within it outside; shape (n, 2)."""
-    free_m = 0.7 * np.array(half_m)
-    rest_m = half_m - free_m
-    beyond_m = np.maximum(np.abs(xy_m) - free_m, 0.0)
-    return np.asarray(
-        np.sign(xy_m) * (np.minimum(np.abs(xy_m), free_m) + rest_m * np.tanh(beyond_m / rest_m))
-    )

@@ -23,16 +23,14 @@ HEIGHT_M = 0.008
 DOME_EXPONENTS, ELLIPSOID_EXPONENTS = np.array([2.3, 0.62]), np.array([2.0, 0.5])
 """Height (1 - r^2.3)^0.62 over the normalised radius r; of an ellipsoid (1 - r²)^0.5."""
 RING_COUNT, SIDE_COUNT = 44, 160
-FINE_RING_COUNT, FINE_SIDE_COUNT = 72, 200
-"""Of an organ with lobes or dents: edges of about 0.6 mm."""
+FINE_RING_COUNT, FINE_SIDE_COUNT = 72, 200  # of an organ with lobes or dents: edges of about 0.6 mm
 
 SHAPE_STREAM = 102
 OUTLINE_ORDERS = (3, 4, 5, 6)
 OUTLINE_SHARE = 0.2
 """Of the strength of `tissue_shape`: waves of 6 % of the outline's radius at a strength of 0.3."""
 WAVE_COUNT = 10
-WAVELENGTHS_M = (0.014, 0.032)
-"""Half of the organ to the whole of it: lobes."""
+WAVELENGTHS_M = (0.014, 0.032)  # half of the organ to the whole of it: lobes
 
 REACH_M = 0.012
 """A push is felt as far as this, half of it at 3.7 mm. Below a blunt punch on a deep half-space half of the depth is

@@ -31,6 +31,15 @@ from svmdist.transforms import Array, make_transform
 START_NS = 1_700_000_000_000_000_000
 """The stamp of the first sample. No clock is read, so that a rerun gives the same log."""
 CAMERA_INFO_PERIOD_NS = 1_000_000_000
+TOPICS = {
+    "image": "/ECM/left/image",
+    "camera_info": "/ECM/left/camera_info",
+    "right_image": "/ECM/right/image",
+    "right_camera_info": "/ECM/right/camera_info",
+    "tf": "/tf",
+    "ground_truth_tf": "/ground_truth/tf",
+}
+"""Topics by role as a dVRK has them, where the profile leaves one open; those of an arm have its name."""
 _ENCODER_STREAM, _JOINT_STREAM, _CAMERA_BASE_STREAM = 10, 12, 13
 
 
@@ -221,7 +230,11 @@ def make_plan(
         exact = q + nominal.joint_offsets
         exact[:, -1] -= its.jaw_opening_rad(path_s, number)
         reported = _reported(exact, stamps, with_joints, view, options.perturbations, seed, number)
-        arms.append(Arm(view, its, complete_topics(view, distance), q, nominal, reported, prefix))
+        name = view.instrument_name
+        defaults = TOPICS | {"joints": f"/{name}/measured_js", "pose": f"/{name}/measured_cp"}
+        defaults["ground_truth_distance"] = distance
+        topics = {role: getattr(view.topics, role) or topic for role, topic in defaults.items()}
+        arms.append(Arm(view, its, topics, q, nominal, reported, prefix))
     return Plan(
         profile=profile,
         scene=scene,
@@ -259,23 +272,6 @@ def _reported(
     samples = [perturber.perturbed(row, stamp) for row, stamp in zip(late, at_ns.tolist(), strict=True)]
     seconds, at_s = 1e-9 * (stamps_ns - at_ns[0]), 1e-9 * (at_ns - at_ns[0])
     return np.column_stack([np.interp(seconds, at_s, joint) for joint in np.array(samples).T])
-
-
-def complete_topics(profile: Profile, distance: str = "/ground_truth/distance") -> dict[str, str]:
-    """Topics by role: the profile's, or those of a dVRK where it leaves one open."""
-    name = profile.instrument_name
-    defaults = {
-        "image": "/ECM/left/image",
-        "camera_info": "/ECM/left/camera_info",
-        "right_image": "/ECM/right/image",
-        "right_camera_info": "/ECM/right/camera_info",
-        "joints": f"/{name}/measured_js",
-        "pose": f"/{name}/measured_cp",
-        "tf": "/tf",
-        "ground_truth_tf": "/ground_truth/tf",
-        "ground_truth_distance": distance,
-    }
-    return {role: getattr(profile.topics, role) or topic for role, topic in defaults.items()}
 
 
 def _stamps(count: int, rate_hz: float) -> NDArray[np.int64]:

@@ -46,13 +46,7 @@ LIGHT_DIRECTION = (0.35, 0.45, 1.0)
 AMBIENT, DIFFUSE, SPECULAR = 0.52, 0.5, 0.12
 _AWAY: Array = np.eye(4)
 _AWAY[2, 3] = 1.0  # behind the camera
-_STILL_BODIES = -2
-"""In place of the numbers that tissue and floor have in a world of their own."""
-
-
-def view_matrix(T_world_camera: Array) -> list[float]:
-    """OpenGL's view matrix, 16 numbers column by column, of a camera at `T_world_camera`, shape (4, 4)."""
-    return [float(value) for value in (R4_OPENGL_OPENCV @ inverse(T_world_camera)).T.ravel()]
+_STILL_BODIES = -2  # in place of the numbers that tissue and floor have in a world of their own
 
 
 def projection_matrix(camera: Camera) -> list[float]:
@@ -99,7 +93,7 @@ class DrawnWorld(BulletWorld):
         self._turn = 0
         self._scene = scene = scenes[0]
         self._scenes = scenes if moving else []
-        self._parts: list[int] = []
+        self._parts: list[int] = []  # bodies, which stand at poses `T_world_part`
         self._T_world_part: Array = np.zeros((0, 4, 4))
         self._tissue = self._tissue_texture = self._floor = self._retractor = -1
         self._dented: tuple[Organ, int] | None = None
@@ -148,10 +142,7 @@ class DrawnWorld(BulletWorld):
         self.place(self._floor, T_raised)
 
     def parts(self, picture: Picture) -> tuple[NDArray[np.int16], Array, NDArray[np.bool_]]:
-        """The instruments' part at each pixel, int16 (h, w): numbers of poses `T_world_part`, shape (n, 4, 4).
-
-        The third tells where the picture shows tissue or floor, shape (h, w).
-        """
+        """The part at each pixel, (h, w), all `T_world_part`, (n, 4, 4), and where tissue or floor is, (h, w)."""
         part = np.full(picture.bodies.shape, NO_PART, np.int16)
         for number, body in enumerate(self._parts):
             part[picture.bodies == body] = number
@@ -164,7 +155,11 @@ class DrawnWorld(BulletWorld):
         TinyRenderer draws the same scene in two ways, by turns, which differ by one level in single pixels. The
         picture of an even turn is therefore always an even one here, whatever was drawn before.
         """
-        view, projection = view_matrix(T_world_camera), projection_matrix(camera)
+        # OpenGL's matrices have 16 numbers, column by column.
+        view, projection = (
+            (R4_OPENGL_OPENCV @ inverse(T_world_camera)).T.ravel().tolist(),
+            projection_matrix(camera),
+        )
         if (self._turn - turn) % 2:
             self._draw(1, 1, view, projection)
         width, height = camera.width_px, camera.height_px
@@ -224,11 +219,10 @@ class DrawnWorld(BulletWorld):
         self.call("changeVisualShape", body, -1, textureUniqueId=texture)
         return texture
 
-    def close(self) -> None:
-        """Leave the world; a second call does nothing."""
-        super().close()
-        while self._files:
-            os.close(self._files.pop())
+    def __exit__(self, *problem: object) -> None:
+        super().__exit__(*problem)
+        for file in self._files:
+            os.close(file)
 
 
 class Renderer(ExitStack):

@@ -26,10 +26,8 @@ from svmdist.vision.degradations import require_degradation
 
 TISSUE_SHIFT_M = 0.0015
 """By seed, the organ stands this far from the camera's axis at most, along x and along y."""
-BREATHING_HZ = 0.25
-"""15 breaths a minute, as a ventilator is set."""
-PULSE_HZ = 1.2
-"""72 beats a minute."""
+BREATHING_HZ = 0.25  # 15 breaths a minute, as a ventilator is set
+PULSE_HZ = 1.2  # 72 beats a minute
 JAW_HZ = 0.3
 _MOTION_STREAM, _JAW_STREAM = 101, 104
 

@@ -30,8 +30,7 @@ from svmdist.simulation.scene import Options, raised
 from svmdist.transforms import Array, inverse
 from svmdist.vision.degradations import Degradation, degrade, image_seed
 
-FIELD_NS = 1e9 / 60.0
-"""Between both fields of an interlaced frame (59.94 fields a second, ITU-R BT.601)."""
+FIELD_NS = 1e9 / 60.0  # between both fields of an interlaced frame (59.94 fields a second, ITU-R BT.601)
 _NOISE_STREAMS = (11, 14)
 _DEGRADATION_STREAM = 15
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -80,7 +80,7 @@ def with_lag(
     if request.lag is None or not found.told:
         return recording, found
     std_s = 0.0 if found.std_s is None else float(np.hypot(found.std_s, FOUND_LAG_STD_S))
-    return recording.with_lag(KnownLag(found.lag_s, std_s), profile), found
+    return replace(recording, lag=KnownLag(found.lag_s, std_s)), found
 
 
 def given_lag(lag: Lag | None) -> LagEstimate:

@@ -237,7 +237,7 @@ def truth_lag_ns(recording: Recording, setup: Setup, reference: Reference, lag: 
     """Time offset from a reference's stamps to the images': the lag, or 0 where the reference has the images' clock."""
     lag_ns = round(lag.lag_s * 1e9) if lag else 0
     if lag and lag_ns and reference is Reference.GROUND_TRUTH:
-        corrected = recording.with_lag(KnownLag(lag.lag_s), setup.profile)
+        corrected = replace(recording, lag=KnownLag(lag.lag_s))
         return 0 if truth_follows_images(corrected, setup.profile) else lag_ns
     return lag_ns
 
