@@ -104,7 +104,7 @@ def test_a_length_moves_the_tool_along_its_own_axis(name: str) -> None:
     for index in range(kinematics.row_index(chain, fiducial.link) + 1, len(chain.rows)):
         if chain.rows[index].a_m != 0.0:
             rows = list(chain.rows)
-            rows[index] = replace(rows[index], a_m=rows[index].a_m + 1e-6)
+            rows[index] = rows[index].model_copy(update={"a_m": rows[index].a_m + 1e-6})
             moved_m = (tool_m(replace(chain, rows=tuple(rows))) - tool_m(chain)) / 1e-6 * 4e-4
             expected += np.outer(moved_m, moved_m)
     assert np.trace(expected) > 0.0
