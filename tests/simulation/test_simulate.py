@@ -104,8 +104,9 @@ def test_the_plain_recording_is_that_of_the_golden_log(golden: Path, profile: Pr
                 np.testing.assert_array_equal(nominal.positions[index], sample.positions)
             case samples.DistanceSample():
                 index = np.searchsorted(truth.stamps_ns, sample.stamp_ns)
-                assert truth.spatial_m[index] == pytest.approx(sample.spatial_m, abs=1e-15)
-                assert truth.clearance_m[index] == pytest.approx(sample.clearance_m, abs=1e-5)
+                _, spatial_m, clearance_m = truth.distances_m[index]
+                assert spatial_m == pytest.approx(sample.spatial_m, abs=1e-15)
+                assert clearance_m == pytest.approx(sample.clearance_m, abs=1e-5)
         if drawn == 2:
             break
 
