@@ -376,5 +376,5 @@ class Recording:
 
 def _reopened(origin: Origin, *view: Any) -> Recording:
     path, profile, limits, topics = origin
-    recording = open_recording(path, profile, limits=limits, topics=topics)
-    return Recording(recording.file, view[0], origin, *view[1:])
+    file = open_recording(path, profile, limits=limits, topics=topics).file
+    return Recording(file, view[0], origin, *view[1:])

@@ -115,15 +115,11 @@ class McapSource:
         else:
             for _ in one_pass.records(None):
                 pass
-        return merge_topics(
-            TopicInfo(
-                channel.topic,
-                one_pass.schemas.get(channel.schema_id, none).name,
-                channel.message_encoding,
-                counts[key] if is_counted else None,
-            )
-            for key, channel in one_pass.channels.items()
-        )
+        found = []
+        for key, channel in one_pass.channels.items():
+            schema, count = one_pass.schemas.get(channel.schema_id, none), counts[key] if is_counted else None
+            found.append(TopicInfo(channel.topic, schema.name, channel.message_encoding, count))
+        return merge_topics(found)
 
 
 class _Pass:

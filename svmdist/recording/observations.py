@@ -6,6 +6,7 @@ import math
 from bisect import insort
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ JOINT_TRACK_NS = 200_000_000
 LOOK_AHEAD_NS = 3_000_000_000
 """How long, in log time, an image waits for the right image at its stamp."""
 MAX_WAITING_BYTES = 64 << 20
+STAMP = attrgetter("stamp_ns")
 MAX_SWAPPED_IMAGES = 4
 """As many images wait for one that is stamped before them: two chunks of a log that changed places hold no more."""
 
@@ -150,11 +152,6 @@ class EncodedObservation:
         """The image's stamp."""
         return self.left.stamp_ns
 
-    @property
-    def size_bytes(self) -> int:
-        """How much the encoded images hold in memory."""
-        return self.left.size_bytes + (0 if self.right is None else self.right.size_bytes)
-
     def decode(self) -> Decoded:
         """Decode the images; a Rejection stands for a left image that cannot be, or has not its camera's size."""
         losses: list[Loss] = []
@@ -168,11 +165,11 @@ class EncodedObservation:
     def _right_view(self, losses: list[Loss]) -> RightView | None:
         if self.right is None or self.right_camera is None:
             return None
-        image = decode_image(self.right, losses, self.right_camera.camera)
+        _, camera, T_left_right = self.right_camera
+        image = decode_image(self.right, losses, camera)
         if isinstance(image, Rejection):
             return None
-        delay_s = (image.stamp_ns - self.stamp_ns) * 1e-9
-        return RightView(image.image_bgr, self.right_camera.camera, self.right_camera.T_left_right, delay_s)
+        return RightView(image.image_bgr, camera, T_left_right, (image.stamp_ns - self.stamp_ns) * 1e-9)
 
 
 class Pairs:
@@ -197,14 +194,14 @@ class Pairs:
         """Yield each left image with its right one; images come in file order."""
         for image in images:
             if image.topic == self._right_topic:
-                insort(self._right, image, key=_stamp)
+                insort(self._right, image, key=STAMP)
                 self._newest_right_ns = max(self._newest_right_ns, image.stamp_ns)
                 while len(self._right) > 1 and _size(self._right) > MAX_WAITING_BYTES:
                     del self._right[0]
-            elif image.stamp_ns <= self._last_ns or image.stamp_ns in map(_stamp, self._left):
+            elif image.stamp_ns <= self._last_ns or image.stamp_ns in map(STAMP, self._left):
                 self._on_repeat(image)
             else:
-                insort(self._left, image, key=_stamp)
+                insort(self._left, image, key=STAMP)
             while self._left and self._is_ready():
                 yield self._next()
         while self._left:
@@ -227,10 +224,6 @@ class Pairs:
             return left, None
         self._right.remove(nearest)
         return left, nearest
-
-
-def _stamp(image: EncodedImage) -> int:
-    return image.stamp_ns
 
 
 def _size(images: list[EncodedImage]) -> int:

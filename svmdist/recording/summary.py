@@ -82,9 +82,7 @@ def _summary(info: TopicInfo, logged_ns: array[int], undecodable_count: int) -> 
     is_gap = (before >= 4) & (gaps_ns * before.astype(float) > GAP_FACTOR * (newest_ns - oldest_ns))
     span_s = 0.0 if start_ns is None or end_ns is None else (end_ns - start_ns) / 1e9
     return TopicSummary(
-        info.topic,
-        info.schema,
-        info.message_encoding,
+        *info[:3],
         None if kind is None else str(kind),
         count,
         (count - 1) / span_s if span_s > 0 else None,
@@ -117,7 +115,7 @@ def inspect_recording(
     frames: set[str] = set()
     joint_names: dict[str, tuple[str, ...]] = {}
     for raw in recording.file.source.messages():
-        infos.setdefault(raw.topic, TopicInfo(raw.topic, raw.schema, raw.message_encoding))
+        infos.setdefault(raw.topic, TopicInfo(*raw[:3]))
         stamp_ns = raw.log_time_ns
         if kind_of(raw.schema, raw.message_encoding) is not None:
             try:

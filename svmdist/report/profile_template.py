@@ -73,18 +73,11 @@ def _topics(instrument: InstrumentDraft) -> dict[str, str]:
 
 def _by_colour(mark: DistinctColour, draft: ProfileDraft) -> str:
     pixels = draft.size_px[0] * draft.size_px[1]
-    return _block(
-        "colour",
-        image_count=draft.image_count,
-        area_px=f"{mark.area_px:.0f}",
-        low=mark.hue[0],
-        high=mark.hue[1],
-        saturation=list(mark.saturation),
-        value=list(mark.value),
-        tissue_px=max(50, pixels // 450),
-        marker_px=max(5, round(mark.area_px / 8)),
-        shaft_px=max(50, pixels // 600),
-    )
+    areas = {"tissue_px": max(50, pixels // 450), "shaft_px": max(50, pixels // 600)}
+    areas["marker_px"] = max(5, round(mark.area_px / 8))
+    ranges = {"hue": list(mark.hue), "saturation": list(mark.saturation), "value": list(mark.value)}
+    found = {"image_count": draft.image_count, "area_px": f"{mark.area_px:.0f}"}
+    return _block("colour", low=mark.hue[0], high=mark.hue[1], **found, **ranges, **areas)
 
 
 def _chain(table: str, instrument: InstrumentDraft) -> Iterator[str]:

@@ -46,9 +46,7 @@ def test_closing_speed_and_contact() -> None:
     assert state.closing_speed_m_s == pytest.approx(0.010, rel=1e-6)
     assert state.time_to_contact_s == pytest.approx(0.5, rel=1e-6)
 
-
-def test_an_opening_gap_has_no_contact() -> None:
-    """Speed is negative and there is no time to contact; in contact it is zero."""
+    # Of an opening gap speed is negative, without a time to contact; in contact that is zero.
     watch = AlarmWatch(AlarmRules(0.005))
     for seconds in (0.0, 0.1, 0.2):
         state = watch.watch(row(seconds, 0.004 + 0.01 * seconds))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,27 +18,12 @@ from svmdist.estimation.instrument.measurement_kinds import (
     PoseMeasurement,
     SizeMeasurement,
 )
-from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, Rim
-from svmdist.estimation.instrument.shaft_model import (
-    BentTool,
-    Residual,
-    ShaftModel,
-    ShaftState,
-    contour_residual,
-    marker_residuals,
-    prior_residual,
-    rim_residual,
-    tip_residual,
-)
 from svmdist.estimation.instrument.tag_pose import nudged
 from svmdist.kinematics import DHChain, forward_kinematics, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Joint, KinematicError
-from svmdist.profile.settings import ShaftSettings
 from svmdist.tracks import JointTrack
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, rotation_x
-from svmdist.vision.lines import TangentPlane
-from svmdist.vision.silhouette import WristPoint
 from tests.jacobian import check_jacobian
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
@@ -158,40 +142,3 @@ def test_links_are_moved_and_turned_about_the_anchor(
             return np.concatenate([stepped[:3, 3], rotation_vector(stepped[:3, :3] @ T[:3, :3].T)])
 
         check_jacobian(pose, link.derivative, absolute=1e-8)
-
-
-CAMERA = Camera(640, 480, IDEAL.K, np.array([-0.12, 0.03, 1e-3, -5e-4, 0.0]))
-WRIST = make_transform(rotation_of(np.array([0.2, -0.1, 0.4])), [0.001, -0.002, 0.009])
-SIZES_M = (0.004, 0.006, 0.00175, 0.0, 0.003, 0.001, 0.009)
-MODEL = ShaftModel(WRIST, 0.02, rotation_of(np.array([0.3, 0.9, -0.2])), 0.05, *SIZES_M)
-PLANE = TangentPlane(np.array([0.6, 0.0, 0.8]), np.diag([0.0, 1e-6, 4e-6]))
-MARKER = DistalMarker(np.array([310.0, 250.0]), 0.5, 11.0, 0.2)
-TIP = WristPoint(np.array([310.0, 250.0]), 4.0, np.array([330.0, 265.0]))
-RIM = Rim(np.array([300.0, 240.0]), np.array([0.6, 0.8]), 0.4)
-
-
-OUTLINE_RIM = replace(RIM, is_outline=True)
-RESIDUALS: dict[str, Callable[[ShaftState], Residual]] = {
-    "contour": lambda state: contour_residual(Contour(PLANE, 1), PLANE.whitening, state, MODEL.radius_m),
-    "rim": lambda state: rim_residual(RIM, state, MODEL, CAMERA, ShaftSettings()),
-    "outline's end": lambda state: rim_residual(OUTLINE_RIM, state, MODEL, CAMERA, ShaftSettings()),
-    "tip": lambda state: tip_residual(TIP, BentTool.of(state, MODEL), MODEL, CAMERA),
-    "marker": lambda state: marker_residuals(MARKER, BentTool.of(state, MODEL), MODEL, CAMERA)[0],
-    "size": lambda state: marker_residuals(MARKER, BentTool.of(state, MODEL), MODEL, CAMERA)[1],
-    "prior": lambda state: prior_residual(state, np.eye(4), MODEL),
-}
-
-
-@pytest.mark.parametrize("name", RESIDUALS)
-def test_derivatives_are_those_of_central_differences(name: str) -> None:
-    """Within 1e-6 of the largest: truncation and rounding of differences over 1e-6 m and rad leave less."""
-    rng, residual = np.random.default_rng(4), RESIDUALS[name]
-    for _ in range(8):
-        turn, place_m = rng.normal(0.0, 0.8, 3), [*rng.normal(0.0, 0.01, 2), 0.09]
-        state = ShaftState(make_transform(rotation_of(turn), place_m), rng.normal(0.0, 0.3, 2))
-        # A residual falls where what is predicted grows.
-        check_jacobian(
-            lambda step, state=state: -residual(state.retracted(step)).whitened,
-            residual(state).derivative,
-            relative=1e-6,
-        )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,21 +13,15 @@ import trimesh
 
 from svmdist.camera import Camera
 from svmdist.estimation.dome import SMOOTH_FRACTION, DomeModel, fit_dome
-from svmdist.estimation.frame import frame_of
-from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
-from svmdist.estimation.scene import Arm
 from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import detect_tissue, tissue_frame
-from svmdist.estimation.tissue_tracking import FollowedTissue
 from svmdist.geometry import Capsules
 from svmdist.geometry.distance import separation
-from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import DEFAULT_PROFILE, Dome, Profile, load_profile, profile_path
 from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import Array, rotation_z, transform_points
-from svmdist.vision.segmentation import make_segmenter
 from tests.measuring import Measuring
 from tests.shipped import PROFILE
 
@@ -60,36 +53,6 @@ def test_blood_on_the_shaft_does_not_pull_the_outline() -> None:
     np.testing.assert_allclose(centroid(bloody), centroid(clean), atol=0.05)
     bloody.shaft = None
     assert np.linalg.norm(centroid(bloody) - centroid(clean)) > 10.0
-
-
-def followed(golden: Path, profile: Profile):
-    """The tissue's place after six frames of a log, and what became of its height's measurements."""
-    arm, segmenter = Arm(profile), make_segmenter(profile.segmentation)
-    tissue = FollowedTissue(arm)
-    kalman = KinematicErrorFilter(arm.required_chain, profile.kinematic_error)
-    results = []
-    recording = open_recording(golden / "3d" / "contact.mcap", profile)
-    for seen in islice(recording.observations(), 6):
-        assert isinstance(seen, Observation)
-        frame = frame_of(seen, arm, segmenter)
-        assert isinstance(frame.robot, RobotState)
-        known = tissue.see(frame)
-        kalman.predict(frame.robot)
-        results.append(tissue.measure_height(frame, kalman))
-        assert known is not None
-    return tissue.placed(known, frame, kalman)[0], results
-
-
-def test_stereo_brings_back_a_plane_that_the_profile_has_wrong(golden: Path) -> None:
-    """Two millimetres off: a good part of it comes back, by a pair that is itself uncertain, and the rest is stated."""
-    true_m = 0.112
-    for wrong_m in (0.110, 0.112, 0.114):
-        plane = PROFILE.tissue.model_copy(update={"plane_distance_m": wrong_m})
-        placed, results = followed(golden, PROFILE.model_copy(update={"tissue": plane}))
-        assert all(result is not None and result.is_accepted for result in results)
-        off_m = abs(float(placed.position_m[2]) - true_m)
-        assert off_m < 0.75 * abs(wrong_m - true_m) + 4e-4
-        assert off_m < 2.0 * np.sqrt(placed.covariance[2, 2])
 
 
 RULE = Dome(height_m=0.008, gauge_exponent=2.3, height_exponent=0.62, height_std_m=1.5e-4, apex_std_m=2e-3)

@@ -121,14 +121,3 @@ def test_each_name_changes_its_own_length() -> None:
     other = calibration.stated_profile(PROFILE, chosen, 8)
     assert other.fiducial.position_m != said.fiducial.position_m
     assert other.tissue.plane_normal != said.tissue.plane_normal
-
-
-def test_other_instruments_are_built_alike() -> None:
-    """A second arm with an instrument of its own is wrong about it, too."""
-    (other,) = PROFILE.other_instruments
-    own = other.model_copy(update={"instrument": PROFILE.instrument, "robot": PROFILE.robot})
-    profile = PROFILE.model_copy(update={"other_instruments": (own,)})
-    chosen = parse_perturbations("shaft_radius=5,wrist_length=1")
-    view = calibration.stated_profile(profile, chosen, 1).for_instrument("PSM2")
-    assert view.instrument.shaft_radius_m == pytest.approx(0.0042)
-    assert max(joint.a_m for joint in view.robot.joints[-3:]) == pytest.approx(0.0101)

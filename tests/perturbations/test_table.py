@@ -19,7 +19,7 @@ from svmdist.perturbations.chosen import (
     draw_world,
     parse_perturbations,
 )
-from svmdist.perturbations.table import TABLE, Normal, Place, Uniform
+from svmdist.perturbations.table import TABLE, Normal, Uniform
 from svmdist.profile import Profile, load_profile
 
 SEEDS = range(1000)
@@ -36,18 +36,6 @@ def choices(draw: st.DrawFn) -> Perturbations:
 def test_a_choice_reads_back_from_its_text(chosen: Perturbations) -> None:
     """Bit by bit: the metadata of a recording are enough to make it again."""
     assert (parse_perturbations(str(chosen)) if chosen else UNPERTURBED) == chosen
-
-
-def test_what_is_not_chosen_is_neutral() -> None:
-    chosen = Perturbations((("focal", 1.0), ("lag", 0.0)))
-    assert chosen["focal"] == 1.0
-    assert chosen["baseline"] == 0.0
-    assert chosen["zoom"] == 1.0
-    assert chosen.has("focal", "lag")
-    assert not chosen.has("lag", "zoom")
-    assert chosen.changes(Place.CALIBRATION)
-    assert not chosen.changes(Place.CLOCK)
-    assert not any(UNPERTURBED.changes(place) for place in Place)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from svmdist.profile import Profile, load_profile
+from svmdist.profile import load_profile
 from svmdist.profile.hand_eye import (
     SHAFT_RADIUS,
     ConstantEffect,
@@ -21,21 +21,16 @@ from svmdist.profile.hand_eye import (
 )
 from svmdist.transforms import skew
 
+PROFILE = load_profile("psm13")
 NOISE = 1e-6 * np.diag([1.0, 2.0, 3.0, 0.4, 0.5, 0.6])
 BY_RADIUS = np.array([[1e-3, 2e-3, 4e-3, 0.0, 0.01, 0.0]])
 BY_PITCH = np.array([[0.0, 1e-3, 0.0, 0.02, 0.0, -0.01]])
 
 
 @pytest.fixture
-def profile() -> Profile:
-    """That of the simulated robot."""
-    return load_profile("psm13")
-
-
-@pytest.fixture
-def hand_eye(profile: Profile) -> HandEye:
+def hand_eye() -> HandEye:
     """A transform that a radius and a joint had a part in."""
-    stated, assumed = stated_deviations(profile), profile.robot
+    stated, assumed = stated_deviations(PROFILE), PROFILE.robot
     assert assumed is not None
     joint = offset_of(next(one.name for one in assumed.joints if one.type == "revolute"))
     effects = [
@@ -44,9 +39,9 @@ def hand_eye(profile: Profile) -> HandEye:
     ]
     return HandEye.model_validate(
         {
-            "instrument": profile.instrument_name,
-            "camera": profile.frames.camera,
-            "base": profile.frames.base,
+            "instrument": PROFILE.instrument_name,
+            "camera": PROFILE.frames.camera,
+            "base": PROFILE.frames.base,
             "rotation": np.eye(3).tolist(),
             "translation_m": [0.01, 0.02, 0.1],
             "covariance": (NOISE + BY_RADIUS.T @ BY_RADIUS + BY_PITCH.T @ BY_PITCH).tolist(),
@@ -92,14 +87,14 @@ def test_the_file_keeps_them_and_files_without_them_are_read(hand_eye: HandEye, 
     assert load_hand_eye(path).transforms[0].constants == ()
 
 
-def test_a_profile_states_its_own_deviations(profile: Profile, hand_eye: HandEye) -> None:
+def test_a_profile_states_its_own_deviations(hand_eye: HandEye) -> None:
     """The instrument's profile has the file's effects in its own deviations, and does not restate them twice."""
-    assert profile.instrument is not None
-    wide = profile.instrument.model_copy(update={"shaft_radius_std_fraction": 0.04})
+    assert PROFILE.instrument is not None
+    wide = PROFILE.instrument.model_copy(update={"shaft_radius_std_fraction": 0.04})
     file = HandEyeFile(format="svmdist.hand-eye/1", transforms=(hand_eye,))
-    own = profile.model_copy(update={"instrument": wide, "hand_eye": file})
-    once = own.for_instrument(profile.instrument_name)
-    again = once.for_instrument(profile.instrument_name)
+    own = PROFILE.model_copy(update={"instrument": wide, "hand_eye": file})
+    once = own.for_instrument(PROFILE.instrument_name)
+    again = once.for_instrument(PROFILE.instrument_name)
     for found in (once, again):
         assert isinstance(found.kinematic_error, HandEyeError)
         effect = next(one for one in found.kinematic_error.hand_eye.constants if one.constant == SHAFT_RADIUS)

@@ -9,7 +9,6 @@ import pytest
 from pydantic import ValidationError
 
 from svmdist.errors import ProfileError
-from svmdist.profile.robot import ArmFrames, ArmTopics, OtherInstrument
 from svmdist.profile.segmentation import (
     OnnxSegmentation,
 )
@@ -79,19 +78,6 @@ def test_a_mistake_names_file_and_key(tmp_path: Path, text: str, words: list[str
         parsed(tmp_path, text)
     for word in ["document.toml", *words]:
         assert word in str(caught.value)
-
-
-def test_an_instrument_is_known_by_its_topics() -> None:
-    """Joints or pose, either is enough; a distance alone is nobody's."""
-    for named in ({"joints": "/j"}, {"pose": "/p"}, {"joints": "/j", "pose": "/p"}):
-        topics = ArmTopics(**named)
-        other = OtherInstrument(name="PSM2", topics=topics, frames=ArmFrames(base="b", tool="t"))
-        assert topics.model_dump(exclude_none=True) == named
-        assert other.is_in({"/other", *list(named.values())[:1]})
-        assert not other.is_in({"/other"})
-        assert not other.is_in(set())
-    with pytest.raises(ValidationError, match="joints or pose"):
-        ArmTopics(ground_truth_distance="/d")
 
 
 def test_a_network_s_parts_and_scale() -> None:

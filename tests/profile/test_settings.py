@@ -4,31 +4,19 @@ from __future__ import annotations
 
 import logging
 
-import cv2
-import numpy as np
 import pytest
 from pydantic import ValidationError
 
 from svmdist.errors import ProfileError
-from svmdist.estimation.instrument.shaft_detection import detect_distal_marker
-from svmdist.estimation.tissue import TissuePose
-from svmdist.estimation.tissue_tracking import TissueTracker
-from svmdist.geometry import Plane
 from svmdist.profile import DEFAULT_PROFILE, SHIPPED, load_profile, profile_path
 from svmdist.profile.settings import (
-    DistalMarkerSettings,
     FusedSettings,
-    MarkerSettings,
     OutlineSettings,
     Settings,
-    TissueTrackingSettings,
     former_keys,
 )
 from svmdist.recording.log import open_recording
 from svmdist.samples import Status
-from svmdist.vision.colour import colour_mask
-from svmdist.vision.frame_context import to_hsv
-from svmdist.vision.marker import is_plausible
 from svmdist.vision.regions import find_region
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.request import Setup, prepare
@@ -68,15 +56,6 @@ def test_keys_of_older_profiles_are_ignored_with_a_warning(tmp_path, caplog) -> 
         assert known is None or not keys & set(type(known.default).model_fields)
 
 
-@pytest.mark.parametrize("limit", [2.0, 4.0])
-def test_a_homography_may_change_the_area_by_the_setting(limit: float) -> None:
-    """Just below the limit it is plausible, larger or smaller; just above it is not."""
-    settings = MarkerSettings(max_area_ratio=limit)
-    for ratio, plausible in ((0.97 * limit, True), (1.03 * limit, False)):
-        for scale in (np.sqrt(ratio), 1.0 / np.sqrt(ratio)):
-            assert is_plausible(np.diag([scale, scale, 1.0]), 96, settings) is plausible
-
-
 def test_the_marker_s_outline_is_found_by_the_profile_s_settings(golden, monkeypatch) -> None:
     """`overlay` looks for the drawn outline with `[settings.outline]`, as for tissue and instrument."""
     outline, used = OutlineSettings(min_visible_fraction=0.5), []
@@ -91,34 +70,6 @@ def test_the_marker_s_outline_is_found_by_the_profile_s_settings(golden, monkeyp
     setup = prepare(profile, calibration=SHIPPED / "psm13.calibration.toml")
     assert next(iter(estimate(open_recording(golden / "sweep.mcap", profile), setup))).status is Status.OK
     assert set(used) == {outline}
-
-
-def test_a_marker_must_be_as_saturated_as_the_setting_says() -> None:
-    """A cyan disc on red: found by default, bare steel where more saturation is asked for than it has."""
-    image = np.full((96, 128, 3), (60, 60, 190), np.uint8)
-    cv2.circle(image, (64, 48), 12, (178, 158, 40), -1)
-    hsv, rule = to_hsv(cv2.GaussianBlur(image, (0, 0), 1.0)), load_profile().segmentation.instrument
-    mask = colour_mask(hsv, rule)
-    region = find_region(mask, rule)
-    found = detect_distal_marker(hsv, mask, region)
-    assert found is not None
-    assert found.radius_px == pytest.approx(12.0 / DistalMarkerSettings().visible_radius, abs=0.5)
-    halved = detect_distal_marker(hsv, mask, region, DistalMarkerSettings(visible_radius=0.75))
-    assert halved is not None
-    assert halved.radius_px == pytest.approx(found.radius_px * 0.97 / 0.75)
-    assert detect_distal_marker(hsv, mask, region, DistalMarkerSettings(min_saturation=230.0)) is None
-
-
-@pytest.mark.parametrize("moved_count", [1, 3])
-def test_the_tissue_has_moved_after_as_many_poses(moved_count: int) -> None:
-    plane = Plane(np.array([0.0, 0.0, -1.0]), -0.1)
-    there, moved = (TissuePose(np.array([x_m, 0.0, 0.1]), 1e-8 * np.eye(3), plane) for x_m in (0.0, 0.01))
-    tracker = TissueTracker(TissueTrackingSettings(moved_count=moved_count))
-    tracker.add(there)
-    *before, last = (tracker.add(moved) for _ in range(moved_count))
-    assert all(pose is None or pose.position_m[0] < 0.009 for pose in before)
-    assert last is not None
-    assert last.position_m[0] == pytest.approx(0.01)
 
 
 @pytest.mark.slow

@@ -21,8 +21,6 @@ from svmdist.samples import Observation
 from .builders import COMPRESSIONS, rewrite, scene, write_scene
 from .faults import Reading, chunks, flip_bit, is_subsequence, mutate, read
 
-GOLDEN_LOGS = sorted((Path(__file__).parents[2] / "recordings").glob("*.mcap"))
-
 
 @dataclass(frozen=True)
 class Intact:
@@ -74,21 +72,6 @@ def test_truncation_of_a_small_log(small: Intact, tmp_path: Path, step: int) -> 
     near_ends = [end + beside for end, _ in ends for beside in (-1, 0, 1)]
     for size_bytes in [*range(40), *range(40, len(small.data), step), *near_ends, len(small.data) - 1]:
         check_cut(small, ends, size_bytes, tmp_path / "cut.mcap")
-
-
-@pytest.mark.fault
-@pytest.mark.skipif(not GOLDEN_LOGS, reason="no golden logs in recordings/")
-@pytest.mark.parametrize("compression", sorted(COMPRESSIONS))
-def test_truncation_of_a_golden_log(tmp_path: Path, compression: str) -> None:
-    rng = random.Random(8)
-    path = rewrite(GOLDEN_LOGS[0], tmp_path / "golden.mcap", compression, chunk_size=200_000)
-    reading = read(path)
-    assert reading is not None
-    assert reading.is_clean
-    intact = Intact(path.read_bytes(), reading)
-    ends = chunk_ends(intact.data)
-    for _ in range(1000):
-        check_cut(intact, ends, rng.randrange(len(intact.data)), tmp_path / "cut.mcap")
 
 
 def flipped(intact: Intact, path: Path, count: int, seed: int) -> Iterator[Reading]:

@@ -55,31 +55,32 @@ def observations(path: Path, profile: Profile, **topics: str) -> list[samples.Ob
     return [item for item in found if isinstance(item, samples.Observation)]
 
 
-@pytest.mark.parametrize(("shift_ns", "late"), [(0, 0), (400_000, 1), (-500_000, 23), (600_000, 0)])
+@pytest.mark.parametrize(
+    ("shift_ns", "late", "camera"),
+    [
+        *((shift_ns, late, right_camera()) for shift_ns, late in ((0, 0), (400_000, 1), (-500_000, 23))),
+        (600_000, 0, right_camera()),
+        (0, 0, None),
+        (0, 0, replace(right_camera(), P=CAMERA.P)),
+    ],
+    ids=["together", "later", "much later", "apart", "no camera", "no baseline"],
+)
 def test_right_images_find_their_left_ones(
-    tmp_path: Path, profile: Profile, shift_ns: int, late: int
+    tmp_path: Path, profile: Profile, shift_ns: int, late: int, camera: Camera | None
 ) -> None:
-    """Within half a millisecond, and up to seconds later in the file; one that is off by more is none."""
-    path = write_scene(tmp_path / "pair.mcap", with_right(scene(), shift_ns, late))
+    """Within half a millisecond, and up to seconds later in the file, of a calibration that has a baseline."""
+    first, *entries = with_right(scene(), shift_ns, late)
+    info = [] if camera is None else [Entry(RIGHT_INFO, samples.CameraSample(first.sample.stamp_ns, camera))]
+    path = write_scene(tmp_path / "pair.mcap", info + entries)
+    is_pair = shift_ns < 500_000 and camera is not None and camera.P is not CAMERA.P
     for item in observations(path, profile):
-        assert (item.right is None) == (shift_ns > 500_000)
+        assert (item.right is not None) == is_pair
         if item.right is None:
             continue
         np.testing.assert_array_equal(item.right.image_bgr, 255 - item.image_bgr)
         np.testing.assert_allclose(item.right.T_left_right[:3, 3], [BASELINE_M, 0.0, 0.0], atol=1e-15)
         np.testing.assert_array_equal(item.right.T_left_right[:3, :3], np.eye(3))
         assert item.right.camera.frame_id == "camera_right"
-
-
-def test_a_pair_without_baseline_is_no_pair(tmp_path: Path, profile: Profile) -> None:
-    """Without a right calibration, or one whose P tells no baseline, there is no right view."""
-    entries = with_right(scene())
-    no_info = write_scene(tmp_path / "a.mcap", [item for item in entries if item.topic != RIGHT_INFO])
-    mono = replace(right_camera(), P=CAMERA.P)
-    entries[0] = Entry(RIGHT_INFO, samples.CameraSample(entries[0].sample.stamp_ns, mono))
-    no_baseline = write_scene(tmp_path / "b.mcap", entries)
-    for path in (no_info, no_baseline):
-        assert [item.right for item in observations(path, profile)] == [None] * 5
 
 
 def test_the_right_topics_leave_the_left_ones_to_be_found(tmp_path: Path, profile: Profile) -> None:

@@ -19,7 +19,6 @@ from svmdist.files import RemoteFile
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.mcap import McapSource
-from svmdist.recording.source import LossKind
 from tests.recording.builders import rewrite, write_messages
 from tests.recording.faults import flip_bit, is_subsequence
 from tests.synthetic import make_scene, write_log
@@ -108,24 +107,6 @@ def test_only_what_is_asked_for_is_fetched(tmp_path: Path) -> None:
     assert sum(1 for _ in source.messages({"/joints"})) == 400
     fetched, size = FETCHED[str(path)], path.stat().st_size
     assert 0 < fetched < size / 3, (fetched, size)
-
-
-def test_a_chunk_that_is_damaged_is_a_loss(log: Path) -> None:
-    """As it is on a disk, at the same place."""
-    summary = McapSource(log, Limits()).summary
-    assert summary is not None
-    chunk = summary.chunk_indexes[1]
-    data = bytearray(log.read_bytes())
-    data[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 0xFF
-    log.write_bytes(data)
-    near, far = McapSource(log, Limits()), McapSource(RemoteFile(f"counted://{log}"), Limits())
-    assert everything(far) == everything(near)
-    dropped, also = (
-        [loss for loss in each.health.losses if loss.kind is LossKind.CHUNK] for each in (near, far)
-    )
-    assert dropped
-    assert dropped == also
-    assert any(loss.kind is LossKind.STATISTICS for loss in far.health.losses)
 
 
 @pytest.mark.parametrize(("harm", "said"), [("gone", "the store is gone"), ("short", "bytes came of")])

@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-import zstandard
 from rosbags.rosbag2 import StoragePlugin
 
 from svmdist.errors import RecordingError, UsageError
@@ -69,14 +68,6 @@ def test_what_is_no_recording_is_one_clear_line(tmp_path: Path, name: str) -> No
         open_recording(path, PROFILE)
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
-
-
-def test_a_file_out_of_a_compressed_bag_asks_for_its_folder(tmp_path: Path) -> None:
-    """CDR begins with a zero byte, so that the magic of zstd cannot be a message."""
-    compressed = zstandard.compress(bytes(100))
-    path = write_messages(tmp_path / "a.mcap", [("/js", "sensor_msgs/msg/JointState", "cdr", compressed, 1)])
-    with pytest.raises(RecordingError, match="compressed one by one; open the folder"):
-        open_recording(path, PROFILE)
 
 
 IMAGE, RAW = "foxglove.CompressedImage", "sensor_msgs/msg/Image"

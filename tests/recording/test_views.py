@@ -11,16 +11,14 @@ import numpy as np
 import pytest
 
 from svmdist.perturbations.chosen import Perturbations
-from svmdist.profile import Profile, load_profile
+from svmdist.profile import load_profile
 from svmdist.recording import mcap
 from svmdist.recording.log import KnownLag, Recording, open_recording
-from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs, Window
+from svmdist.recording.observations import Window
 from svmdist.samples import Observation
 from svmdist.workflows.request import Request, prepare
 from svmdist.workflows.validate import validate
 from tests.synthetic import make_scene, write_log
-
-from .builders import scene, write_scene
 
 VIEWS = {
     "as opened": lambda log, profile: log,
@@ -48,36 +46,16 @@ def test_a_view_can_be_sent_to_another_process(tmp_path: Path, view: str) -> Non
         assert repr((two.stamp_ns, two.joints)) == repr((one.stamp_ns, one.joints))
 
 
-@pytest.fixture
-def expanded(monkeypatch: pytest.MonkeyPatch) -> Counter[int]:
-    """How often each chunk was expanded, by its first time: so often it was read."""
-    counts: Counter[int] = Counter()
+def test_validate_reads_a_log_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a planar method each chunk is expanded once, but for the first one, in which the camera is."""
+    expanded: Counter[int] = Counter()
     whole = mcap._expanded
 
     def counted(chunk: mcap.Chunk, *args: object, **options: bool) -> mcap.Chunk:
-        counts[chunk.message_start_time] += 1
+        expanded[chunk.message_start_time] += 1
         return whole(chunk, *args, **options)  # type: ignore[arg-type]
 
     monkeypatch.setattr(mcap, "_expanded", counted)
-    return counts
-
-
-@pytest.mark.parametrize(("needs", "passes"), [(LEFT_IMAGES, 1), (EVERYTHING, 2)])
-def test_everything_but_images_is_read_once(
-    tmp_path: Path, profile: Profile, expanded: Counter[int], needs: Needs, passes: int
-) -> None:
-    """One pass where only images are asked for, one more where joints go with them; none for what comes later."""
-    recording = open_recording(write_scene(tmp_path / "a.mcap", scene(20)), profile)
-    list(recording.encoded_observations(recording.instruments, needs))
-    for track in (recording.joint_track, recording.pose_track, recording.distance_track):
-        track()
-    recording.transform_track("camera", "tool", ground_truth=True)
-    assert len(expanded) >= 3
-    assert expanded.total() <= passes * len(expanded) + 1  # and the chunk in which the camera is
-
-
-def test_validate_reads_a_log_once(tmp_path: Path, expanded: Counter[int]) -> None:
-    """With a planar method, but for the first chunk, in which the camera is."""
     path = write_log(tmp_path / "a.mcap", make_scene(), 20)
     setup = prepare()
     validate([open_recording(path, setup.profile)], Request(setup), jobs=1)

@@ -20,7 +20,6 @@ from svmdist.vision.frame_context import to_hsv
 from tests.simulation.conftest import chosen, perturbed, posed, withdrawn
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
-from svmdist.simulation.motion import Scenario, make_trajectory
 from svmdist.simulation.plan import SceneState
 from svmdist.simulation.render import FAR_M, Renderer, metric_depth_m
 
@@ -83,23 +82,6 @@ def test_balls_are_seen_where_opencv_projects_them(profile: Profile, camera: int
     assert np.abs(errors).max() < 0.2
 
 
-def test_silhouettes_are_centred(scene: Scene) -> None:
-    """A sphere at 40 places: no offset above 0.05 px, no scatter above that of pixels."""
-    radius_m, rng, errors = 0.00175, np.random.default_rng(0), []
-    with Renderer([scene]) as renderer:
-        ball = renderer._moving._add_mesh(sphere(radius_m))
-        renderer.pose(SceneState((withdrawn(scene),), None, 0.0))
-        for turn in range(40):
-            centre_m = rng.uniform([-0.045, -0.033, 0.02], [0.03, 0.033, 0.03])
-            renderer._moving.place(ball, make_transform(np.eye(3), centre_m))
-            rows, columns = np.nonzero(renderer._picture(renderer._moving, 0, turn).bodies == ball)
-            centre_m = transform_points(inverse(scene.T_world_camera), centre_m[None])[0]
-            expected_px = scene.camera.project(contour_m(centre_m, radius_m)).mean(axis=0)
-            errors.append([columns.mean(), rows.mean()] - expected_px)
-    assert np.abs(np.mean(errors, axis=0)).max() < 0.05
-    assert np.std(errors, axis=0).max() < 0.1
-
-
 def test_colours_separate_and_bodies_are_where_they_stand(scene: Scene, profile: Profile) -> None:
     """Tissue and distal marker are found whole, by colour alone, and the right camera sees the baseline's disparity."""
     tissue, marker = profile.segmentation.tissue, profile.segmentation.instrument
@@ -137,20 +119,6 @@ def test_the_tag_is_decoded_where_the_profile_says(profile: Profile) -> None:
             errors_px.append(corners[0][0] - expected_px)
     assert np.abs(errors_px).max() < 1.0
     assert np.abs(np.mean(errors_px, axis=(0, 1))).max() < 0.15
-
-
-def test_images_do_not_depend_on_what_was_drawn_before(profile: Profile) -> None:
-    """The same turns in another order, and some twice, with a retractor that comes and goes."""
-    scene = make_scene(profile, 1)
-    path, poses = make_trajectory(scene, Scenario("occlusion", 1), 0.0245, np.linspace(0.0, 0.2, 4))
-    forth: list[Image] = []
-    with Renderer([scene]) as renderer:
-        for turn, (q, T) in enumerate(zip(path, poses, strict=True)):
-            forth.append(drawn(renderer, q, turn, 0, T))
-    with Renderer([scene]) as renderer:
-        for turn in (3, 1, 0, 2, 2):
-            image = drawn(renderer, path[turn], turn, 0, poses[turn])
-            np.testing.assert_array_equal(image, forth[turn])
 
 
 def test_images_show_raised_and_dented_tissue_and_then_rest_again(profile: Profile) -> None:
