@@ -16,7 +16,7 @@ from svmdist.transforms import Array
 
 
 def median(values: Array) -> float:
-    """The median of values, shape (n,), as NumPy's, which takes four times as long on a few hundred; NaN of none."""
+    """The median of values, shape (n,), four times as fast as NumPy's on a few hundred; NaN of none."""
     if not len(values):
         return float("nan")
     ordered = np.sort(values)

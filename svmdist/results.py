@@ -27,14 +27,15 @@ class ToolPose:
     """`T_camera_tool`, shape (4, 4), and the covariance of its error (δp, δθ), shape (6, 6), in the camera frame.
 
     p_true = p + δp in m, R_true = exp([δθ]) R in rad. The tool's x axis points along the jaws; `axis` is the shaft's
-    direction, from the base to the tip, a unit vector of shape (3,) in the camera frame. `axis_std_rad` is its standard
-    deviation, the worse of two directions across it; None: as the tool's own rotation.
+    direction, from the base to the tip, a unit vector of shape (3,) in the camera frame.
     """
 
     T_camera_tool: Array
     covariance: Array
     axis: Array
-    axis_std_rad: float | None = None
+    axis_std_rad: float | None = (
+        None  # the worse of two directions across it; None: as the tool's own rotation
+    )
 
     @property
     def position_m(self) -> Array:
@@ -66,23 +67,19 @@ def across_std_rad(covariance: Array, axis: Array) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ToolEstimate:
-    """The instrument as a method in 3D found it: the tool's pose, and the joints that bend its wrist.
-
-    `joints` is None where they are not known. `has_plate` says that the fiducial's plate was seen on the instrument.
-    """
+    """The instrument as a method in 3D found it: the tool's pose, and the joints that bend its wrist, where known."""
 
     pose: ToolPose
     joints: JointSample | None = None
-    has_plate: bool = False
+    has_plate: bool = False  # whether the fiducial's plate is on the instrument
 
 
 @dataclass(frozen=True, slots=True)
 class Distance:
     """A distance in m, with its standard deviation where the method gives one.
 
-    Where surfaces seem to overlap, `std_m` has the overlap in it, and `without_overlap_std_m` has not.
-    `direction`, a unit vector of the camera frame, points along the shortest separation, away from the instrument, and
-    `start_m` is the point of the instrument where the separation begins, in m in the camera frame.
+    Where surfaces seem to overlap, `std_m` has the overlap in it, and `without_overlap_std_m` has not. In the camera
+    frame, `direction`, a unit vector, points from the instrument along the separation, which begins at `start_m`.
     """
 
     value_m: float

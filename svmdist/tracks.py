@@ -59,11 +59,9 @@ def bracket(stamps_ns: Stamps, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> B
 
 
 def sort_stamps(stamps_ns: Stamps) -> NDArray[np.intp]:
-    """Give the order that sorts stamps and keeps of equal ones the last: indices into `stamps_ns`."""
+    """Indices that sort stamps and keep of equal ones the last."""
     order = np.argsort(stamps_ns, kind="stable")
-    if len(order) == 0:
-        return order
-    return np.asarray(order[np.append(np.diff(stamps_ns[order]) != 0, True)])
+    return np.asarray(order[np.append(np.diff(stamps_ns[order]) != 0, True)[: len(order)]])
 
 
 @dataclass(frozen=True)

@@ -168,17 +168,14 @@ def rotation_from_quaternion_xyzw(quaternion_xyzw: ArrayLike) -> Array:
 def quaternion_xyzw_from_rotation(R: Array) -> Array:
     """Unit quaternions in the order x, y, z, w with w >= 0, shape (..., 4), from rotations (..., 3, 3).
 
-    The largest of the four squared components is the pivot (Shepperd 1978): accurate at every angle, unlike the
-    trace, which loses all digits near half a turn.
+    The largest of the four squared components is the pivot (Shepperd 1978): accurate near half a turn, too.
     """
     R = np.asarray(R, np.float64)
     m00, m11, m22 = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
-    a = R[..., 2, 1] - R[..., 1, 2]
-    b = R[..., 0, 2] - R[..., 2, 0]
-    c = R[..., 1, 0] - R[..., 0, 1]
-    xy = R[..., 1, 0] + R[..., 0, 1]
-    xz = R[..., 0, 2] + R[..., 2, 0]
-    yz = R[..., 2, 1] + R[..., 1, 2]
+    m01, m02, m12 = R[..., 0, 1], R[..., 0, 2], R[..., 1, 2]
+    m10, m20, m21 = R[..., 1, 0], R[..., 2, 0], R[..., 2, 1]
+    a, b, c = m21 - m12, m02 - m20, m10 - m01
+    xy, xz, yz = m10 + m01, m02 + m20, m21 + m12
     rows = (
         (1 + m00 - m11 - m22, xy, xz, a),
         (xy, 1 - m00 + m11 - m22, yz, b),

@@ -1,7 +1,5 @@
 """What several test folders share: the command line, here and in a process of its own, and logs."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os
@@ -40,6 +38,24 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
         config.option.numprocesses = 0
 
 
+FAST_FOLDERS = {"tests", "geometry", "importing", "kinematics", "profile", "recording", "report", "vision"}
+NOT_FAST_FILES = {
+    *("annotated", "api", "auto", "distance", "drawing", "faults", "golden", "network", "packaging", "plots"),
+    *("remote", "training"),
+}
+NOT_FAST_FIXTURES = {"cli", "golden", "golden_rows"}
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark as fast what needs no command, golden log or process, and was measured to end in half a minute together."""
+    for item in items:
+        is_heavy = item.path.stem.removeprefix("test_") in NOT_FAST_FILES
+        is_heavy |= any(item.get_closest_marker(name) for name in ("slow", "fault"))
+        is_heavy |= bool(NOT_FAST_FIXTURES & {*getattr(item, "fixturenames", ())})
+        if item.path.parent.name in FAST_FOLDERS and not is_heavy:
+            item.add_marker(pytest.mark.fast)
+
+
 def pytest_make_parametrize_id(val: object, argname: str) -> str | None:
     """The parameter's name in place of what a file holds: bytes and several lines may change with the clock."""
     is_content = isinstance(val, bytes) or (isinstance(val, str) and not val.isprintable())
@@ -56,17 +72,14 @@ class Outcome:
 
     @property
     def rows(self) -> list[dict[str, str]]:
-        """The rows of CSV on stdout."""
         return list(csv.DictReader(self.out.splitlines()))
 
     @property
     def json(self) -> Any:
-        """The JSON document on stdout."""
         return json.loads(self.out)
 
     @property
     def line(self) -> str:
-        """The only line of stderr."""
         return one_line(self.err)
 
 
@@ -132,7 +145,6 @@ def started(*arguments: object, **options: Any) -> Iterator[subprocess.Popen[str
 
 
 def one_line(err: str) -> str:
-    """The only line of stderr."""
     lines = err.strip().splitlines()
     assert len(lines) == 1, err
     assert "Traceback" not in err
@@ -169,7 +181,6 @@ def calibrated(synthetic_log: Path, synthetic_calibration: Path) -> tuple[object
 
 @pytest.fixture(scope="session")
 def golden() -> Path:
-    """The folder of golden logs."""
     return RECORDINGS
 
 

@@ -6,8 +6,6 @@ Inputs that reach new code join the corpus in `tests/data/corpus`: keep those th
 to the working folder, and belongs there too, when it is mended. atheris has wheels for Linux and macOS.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from pathlib import Path

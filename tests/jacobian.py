@@ -1,7 +1,5 @@
 """One check of derivatives, against central differences."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

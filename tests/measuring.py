@@ -1,7 +1,5 @@
 """A method with all that it needs around it: one observation in, one flat row out."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,11 +22,9 @@ class Measuring:
         self.estimator = make_estimator(method, self.arm, mapping)
 
     def result(self, observation: Observation) -> FrameResult:
-        """Measure one frame."""
         return self.estimator.estimate(frame_of(observation, self.arm, self.segmenter))
 
     def estimate(self, observation: Observation) -> Any:
-        """Measure one frame, as a flat row."""
         return flat(self.result(observation))
 
 

@@ -1,7 +1,5 @@
 """ONNX files written field by field (protobuf, onnx.proto3), so that tests of networks need no further package."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Nothing of the simulation is in them: a cylinder, a thinner one and a sphere are
 the pixels' parts, over a flat background, in the frame of whatever endoscope.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

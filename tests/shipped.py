@@ -1,7 +1,5 @@
 """The robot that ships, in the posture that its profile gives it: what many tests measure with."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from svmdist.kinematics import chain_of
@@ -22,7 +20,6 @@ CONSTANT_ERROR = PROFILE.kinematic_error.model_copy(
 
 
 def _with(part: StrictModel | None, **zeros: float) -> StrictModel:
-    assert part is not None
     return part.model_copy(update=zeros)
 
 

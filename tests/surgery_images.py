@@ -1,7 +1,5 @@
 """Random pictures as endoscopes show them, drawn with their masks: tissue, instruments, light, blood, border, blur."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2
@@ -131,32 +129,15 @@ def _instrument(rng: np.random.Generator, scene: Canvas, entry: Array, tip: Arra
     end = tip - along * half * rng.uniform(3.0, 4.5)
     wrist = end + along * half * 2.0
     taper = rng.uniform(0.8, 1.0)
-    shaft = np.array(
-        [
-            entry + normal * half,
-            end + normal * half * taper,
-            end - normal * half * taper,
-            entry - normal * half,
-        ]
-    )
+    across_px = normal * half
+    shaft = np.array([entry + across_px, end + taper * across_px, end - taper * across_px, entry - across_px])
     neck = np.array(
-        [
-            end + 0.7 * normal * half,
-            wrist + 0.5 * normal * half,
-            wrist - 0.5 * normal * half,
-            end - 0.7 * normal * half,
-        ]
+        [end + 0.7 * across_px, wrist + 0.5 * across_px, wrist - 0.5 * across_px, end - 0.7 * across_px]
     )
     opening = rng.uniform(0.1, 0.5)
     jaws = [
-        np.array(
-            [
-                wrist + 0.45 * sign * normal * half,
-                tip + sign * opening * normal * half,
-                wrist - 0.05 * sign * normal * half,
-            ]
-        )
-        for sign in (1.0, -1.0)
+        np.array([wrist + 0.45 * side, tip + opening * side, wrist - 0.05 * side])
+        for side in (across_px, -across_px)
     ]
     y, x = np.mgrid[:height, :width].astype(np.float32)
     across = ((x - entry[0]) * normal[0] + (y - entry[1]) * normal[1]) / half

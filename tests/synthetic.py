@@ -4,8 +4,6 @@ They stand in for recordings where a test needs a log but no simulator: their ge
 the shipped chain, and a frame costs a millisecond.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,9 +1,6 @@
 """The pinhole camera: projection, held against OpenCV, and the comparison of two cameras."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -11,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.camera import Camera, DistortionModel
+from svmdist.camera import Camera
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 
@@ -71,7 +68,7 @@ def test_the_projections_derivative(distortion, skew_px):
 
 @pytest.mark.parametrize("model", ["plumb_bob", "rational_polynomial", "fisheye"])
 @pytest.mark.parametrize("count", range(17))
-def test_every_length_of_distortion_projects_or_is_refused(model: DistortionModel, count: int) -> None:
+def test_every_length_of_distortion_projects_or_is_refused(model, count):
     """What the camera takes, OpenCV takes as well: nothing is left for its first use to find."""
     K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])
     if count > 14 or (model == "fisheye" and count > 4):
@@ -99,7 +96,7 @@ def test_every_length_of_distortion_projects_or_is_refused(model: DistortionMode
         ({"width_px": 0}, "0x480"),
     ],
 )
-def test_what_is_no_camera_is_refused_where_it_is_made(change: dict[str, Any], said: str) -> None:
+def test_what_is_no_camera_is_refused_where_it_is_made(change, said):
     fields = {"width_px": 640, "height_px": 480, "K": np.diag([500.0, 500.0, 1.0])} | change
     with pytest.raises(ValueError, match=said):
         Camera(**fields)

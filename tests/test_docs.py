@@ -1,7 +1,5 @@
 """The documentation against the program: what it shows is what is measured, what it names exists."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -44,7 +42,7 @@ def _share(cell: str) -> float:
     return int(part) / int(whole)
 
 
-def test_planar_figures_are_those_of_the_baseline() -> None:
+def test_planar_figures_are_those_of_the_baseline():
     """The rows of `overlay`, within the tolerance of the baseline, which holds what is measured to it."""
     stored = _baseline(".")
     rows = {row[0].split()[0]: row for row in _rows("golden-planar")}
@@ -57,7 +55,7 @@ def test_planar_figures_are_those_of_the_baseline() -> None:
 
 
 @pytest.mark.parametrize("folder", ["3d", "real"])
-def test_figures_in_3d_are_those_of_the_baseline(folder: str) -> None:
+def test_figures_in_3d_are_those_of_the_baseline(folder):
     """The rows of `fused`, within the tolerance of the baseline, and no more false alarms."""
     stored = {name: score for name, score in _baseline(folder).items() if not name.startswith("overall")}
     rows = {
@@ -75,7 +73,7 @@ def test_figures_in_3d_are_those_of_the_baseline(folder: str) -> None:
 
 
 @pytest.mark.parametrize("name", PAGES)
-def test_generated_parts_are_made_from_the_code(name: str) -> None:
+def test_generated_parts_are_made_from_the_code(name):
     """After a change of columns, metrics, settings or perturbations: `uv run python -m benchmarks.generated_pages`."""
     text = (DOCS / name).read_text("utf-8")
     assert text == PAGES[name](text)
@@ -90,7 +88,7 @@ def _anchors(document: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=_name)
-def test_what_a_document_names_exists(document: Path) -> None:
+def test_what_a_document_names_exists(document):
     """Every relative link names a file and a heading in it, and every path of a module a module."""
     text = document.read_text("utf-8")
     for target, anchor in re.findall(r"\]\(([^)#]*)(?:#([^)]*))?\)", text):
@@ -102,7 +100,7 @@ def test_what_a_document_names_exists(document: Path) -> None:
         assert (REPOSITORY / path).exists() or (REPOSITORY / "svmdist" / path).exists(), path
 
 
-def test_documentation_stays_short_and_every_page_is_in_the_navigation() -> None:
+def test_documentation_stays_short_and_every_page_is_in_the_navigation():
     """README and docs/ have a limit of words; mkdocs.yml and the list of decisions name every page."""
     pages = {path.relative_to(DOCS).as_posix(): path for path in DOCS.rglob("*.md")}
     texts = [path.read_text("utf-8") for path in (REPOSITORY / "README.md", *pages.values())]
@@ -119,7 +117,7 @@ def test_documentation_stays_short_and_every_page_is_in_the_navigation() -> None
     assert listed == [(title, Path(page).name) for title, page in zip(titles, decisions, strict=True)]
 
 
-def test_every_picture_stands_above_the_commands_that_make_it() -> None:
+def test_every_picture_stands_above_the_commands_that_make_it():
     """No picture is left over, none is shown twice, and none without commands."""
     shown = [
         name
@@ -130,20 +128,18 @@ def test_every_picture_stands_above_the_commands_that_make_it() -> None:
     assert {path.name for path in IMAGES.iterdir()} == set(shown)
 
 
-def test_a_picture_is_what_its_command_makes_now(tmp_path: Path) -> None:
+def test_a_picture_is_what_its_command_makes_now(tmp_path):
     """The picture of `overlay` as remade: the same panels, but for the digits."""
     import cv2
     import numpy as np
 
     make_picture("overlay.jpg", printed_pictures()["overlay.jpg"], tmp_path)
     kept, made = (cv2.imread(str(folder / "overlay.jpg")) for folder in (IMAGES, tmp_path))
-    assert kept is not None
-    assert made is not None
     assert kept.shape == made.shape
     assert np.abs(kept.astype(np.int16) - made).mean() < 1.0
 
 
-def test_the_architecture_names_every_package() -> None:
+def test_the_architecture_names_every_package():
     text = (DOCS / "architecture.md").read_text("utf-8").partition("svmdist/\n")[2].partition("```")[0]
     folders = {path.parent.name for path in (REPOSITORY / "svmdist").glob("*/__init__.py")} | {
         "profiles",
@@ -152,7 +148,7 @@ def test_the_architecture_names_every_package() -> None:
     assert set(re.findall(r"^  (\w+)/ ", text, re.MULTILINE)) == folders
 
 
-def test_every_command_is_in_the_readme() -> None:
+def test_every_command_is_in_the_readme():
     """Each subcommand has a row in the README's table, and the README names no other."""
     import typer
 
@@ -172,7 +168,7 @@ def _named_in(document: str) -> set[str]:
     return {*in_text, *re.findall(r"(\w+) =", examples), *".".join(tables).split(".")}
 
 
-def test_every_status_and_profile_key_is_explained() -> None:
+def test_every_status_and_profile_key_is_explained():
     """docs/output.md names each status, and docs/profile.md each key that somebody writes for a scene of his own."""
     from svmdist import profile as p
     from svmdist.samples import Status

@@ -1,7 +1,5 @@
 """Images that callers hand over: each wrong kind is told by what was found, each right one is brought to BGR."""
 
-from __future__ import annotations
-
 import re
 from types import SimpleNamespace
 
@@ -27,7 +25,7 @@ ALPHA = np.full((48, 64, 1), 255, np.uint8)
         ("rgba8", np.concatenate([BGR[..., ::-1], ALPHA], 2)),
     ],
 )
-def test_colours_are_brought_to_bgr_in_an_array_of_their_own(encoding: str, image: np.ndarray) -> None:
+def test_colours_are_brought_to_bgr_in_an_array_of_their_own(encoding, image):
     found = bgr_image(image, encoding, CAMERA)
     np.testing.assert_array_equal(found, BGR)
     assert found.flags.c_contiguous
@@ -35,7 +33,7 @@ def test_colours_are_brought_to_bgr_in_an_array_of_their_own(encoding: str, imag
 
 
 @pytest.mark.parametrize("shape", [(48, 64), (48, 64, 1)])
-def test_grey_is_all_three(shape: tuple[int, ...]) -> None:
+def test_grey_is_all_three(shape):
     grey = BGR[..., 0].reshape(shape)
     found = bgr_image(grey, "mono8", CAMERA)
     np.testing.assert_array_equal(found, np.repeat(BGR[..., :1], 3, axis=2))
@@ -65,7 +63,7 @@ def pillow() -> object:
         (BGR[None], "bgr8", "found (1, 48, 64, 3)"),
     ],
 )
-def test_a_wrong_image_is_told(image: object, encoding: str, said: str) -> None:
+def test_a_wrong_image_is_told(image, encoding, said):
     with pytest.raises(WrongImageError, match=re.escape(said)) as caught:
         bgr_image(image, encoding, CAMERA)
     assert isinstance(caught.value, SvmdistError)
@@ -73,7 +71,7 @@ def test_a_wrong_image_is_told(image: object, encoding: str, said: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_without_a_camera_any_size_will_do() -> None:
+def test_without_a_camera_any_size_will_do():
     """The covered lens of a black image, too, shows nothing, which is measured as such."""
     require_bgr(np.zeros_like(BGR[:7, :9]))
     with pytest.raises(UsageError, match=r"no encoding rgb: .*rgb8"):

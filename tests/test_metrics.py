@@ -1,7 +1,5 @@
 """Identities of the error figures, what the bootstrap intervals promise, and alarms scored against truth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -41,7 +39,6 @@ def test_the_squared_rmse_is_bias_squared_plus_variance(pair):
     """RMSE² = bias² + var(error) within 1e-12, and the other figures are ordered as they must be."""
     estimate, truth = pair
     found = error_statistics(estimate, truth)
-    assert found is not None
     assert found.rmse**2 == pytest.approx(found.bias**2 + np.var(estimate - truth), abs=1e-12)
     assert abs(found.bias) <= found.mae + 1e-12
     assert found.mae <= found.rmse + 1e-12
@@ -56,7 +53,6 @@ def test_figures_of_a_worked_example():
     """Errors of +1, -1, +3, -1 have bias 0.5, MAE 1.5, RMSE sqrt(3), median 1 and maximum 3."""
     truth = np.array([0.0, 1.0, 2.0, 3.0])
     found = error_statistics(truth + np.array([1.0, -1.0, 3.0, -1.0]), truth)
-    assert found is not None
     figures = (found.count, found.bias, found.mae, found.median_abs_error, found.max_abs_error)
     assert figures == (4, 0.5, 1.5, 1, 3)
     assert found.rmse == pytest.approx(np.sqrt(3.0))
@@ -76,7 +72,6 @@ def test_no_pairs_have_no_figures_and_shapes_must_agree():
     """No pairs give None, one pair an RMSE without R², and arrays of two lengths raise."""
     assert error_statistics([], []) is None
     single = error_statistics([1.5], [1.0])
-    assert single is not None
     assert (single.rmse, single.r_squared, single.pearson_r) == (0.5, None, None)
     with pytest.raises(ValueError, match="same shape"):
         error_statistics([1.0, 2.0], [1.0])
@@ -99,8 +94,6 @@ def test_the_intervals_hold_the_true_figures_most_of_the_time():
     for seed in range(200):
         estimate, truth = noisy_ramp(seed)
         rmse, r2 = bootstrap_intervals(estimate, truth, seed=seed + 1000, resamples=200)
-        assert rmse is not None
-        assert r2 is not None
         held += rmse.low <= 1e-3 <= rmse.high
         assert rmse.low <= float(np.sqrt(np.mean((estimate - truth) ** 2))) <= rmse.high
         assert r2.low < r2.high <= 1.0
@@ -114,8 +107,6 @@ def test_blocks_widen_the_interval_of_errors_that_drift():
     drift = np.repeat(rng.normal(scale=1e-3, size=20), 20)
     single, _ = bootstrap_intervals(truth + drift, truth, seed=1, block=1)
     blocks, _ = bootstrap_intervals(truth + drift, truth, seed=1, block=20)
-    assert single is not None
-    assert blocks is not None
     assert blocks.high - blocks.low > 1.5 * (single.high - single.low)
 
 
@@ -132,7 +123,7 @@ def test_few_pairs_have_no_interval():
 TRUTH_M = np.array([9, 8, 6, 4, 3, 4, 6, 8, 9, 9]) / 1e3
 
 
-def test_counts_and_lead() -> None:
+def test_counts_and_lead():
     """Alarmed one frame early and once for nothing: precision 3/5, recall 1, lead 0.1 s, one false alarm."""
     alarms = [0, 0, 1, 1, 1, 1, 0, 0, 1, 0]
     got = alarm_statistics(np.arange(10) / 10, alarms, TRUTH_M, 0.005)
@@ -144,7 +135,7 @@ def test_counts_and_lead() -> None:
     assert got.lead_times_s == (pytest.approx(0.1),)
 
 
-def test_nothing_unsafe_or_nothing_at_all() -> None:
+def test_nothing_unsafe_or_nothing_at_all():
     """Without unsafe frames there is no recall; without frames there is nothing."""
     safe = alarm_statistics([0.0, 1.0], [False, False], [0.1, 0.1], 0.005)
     assert safe.recall is None
@@ -157,7 +148,7 @@ def test_nothing_unsafe_or_nothing_at_all() -> None:
         alarm_statistics([0.0], [True, False], [0.1], 0.005)
 
 
-def test_an_alarm_that_never_ends_leads_each_event_only_from_the_last() -> None:
+def test_an_alarm_that_never_ends_leads_each_event_only_from_the_last():
     """The lead of a second event is counted over the safe frames before it, not through the first event."""
     truth_m = np.array([9, 4, 4, 9, 9, 4, 9]) / 1e3
     got = alarm_statistics(np.arange(7.0), np.ones(7), truth_m, 0.005)
@@ -167,7 +158,7 @@ def test_an_alarm_that_never_ends_leads_each_event_only_from_the_last() -> None:
     assert got.false_alarms_per_minute == 0.0
 
 
-def test_pooling_adds_counts_and_durations() -> None:
+def test_pooling_adds_counts_and_durations():
     """Two recordings together: shares by frames, rates by time, no event across the seam."""
     a = alarm_statistics(np.arange(10) / 10, np.zeros(10), TRUTH_M, 0.005)
     b = alarm_statistics([50.0, 50.1], [True, True], [0.004, 0.004], 0.005)

@@ -1,7 +1,5 @@
 """What is published: the files of an sdist, the wheel that is made of it, and the page of the package."""
 
-from __future__ import annotations
-
 import email
 import os
 import re
@@ -19,16 +17,8 @@ from tests.conftest import REPOSITORY
 
 URL = "https://example.org/somebody/svmdist"
 TOP = {
-    "CHANGELOG.md",
-    "LICENSE",
-    "PKG-INFO",
-    "README.md",
-    "SECURITY.md",
-    "docs",
-    "hatch_build.py",
-    "pyproject.toml",
-    "schemas",
-    "svmdist",
+    *("CHANGELOG.md", "LICENSE", "PKG-INFO", "README.md", "SECURITY.md", "docs", "hatch_build.py"),
+    *("pyproject.toml", "schemas", "svmdist"),
 }
 SUFFIXES = {
     "docs": {".md", ".jpg", ".png", ".svg", ".json", ".css"},
@@ -70,7 +60,7 @@ def links(text: str) -> list[str]:
     return re.findall(r"\]\(([^)]+)\)", text)
 
 
-def test_an_sdist_has_what_it_needs_and_nothing_else(sdist: Path) -> None:
+def test_an_sdist_has_what_it_needs_and_nothing_else(sdist):
     """The package, its schemas and its documentation: no recording, test, tool, cache or stray file."""
     found = {path.name for path in sdist.iterdir()} - {".gitignore"}
     assert found == TOP
@@ -86,7 +76,7 @@ def test_an_sdist_has_what_it_needs_and_nothing_else(sdist: Path) -> None:
     assert sum(sizes.values()) - sum(networks.values()) < 6e6
 
 
-def test_the_wheel_of_an_sdist_is_the_wheel_of_the_tree(sdist: Path, tmp_path: Path) -> None:
+def test_the_wheel_of_an_sdist_is_the_wheel_of_the_tree(sdist, tmp_path):
     """The same files either way, profiles and schemas among them; metadata that was given to the sdist stays."""
     names = []
     for number, source in enumerate((REPOSITORY, sdist)):
@@ -97,7 +87,7 @@ def test_the_wheel_of_an_sdist_is_the_wheel_of_the_tree(sdist: Path, tmp_path: P
     assert any(name.startswith("svmdist/schemas/") for name in names[0])
 
 
-def test_the_package_page_has_no_relative_link(sdist: Path, tmp_path: Path) -> None:
+def test_the_package_page_has_no_relative_link(sdist, tmp_path):
     """Without the repository's address the page is text alone; with it, every link and picture is absolute."""
     readme = (REPOSITORY / "README.md").read_text("utf-8")
     plain = page(sdist)
@@ -121,7 +111,7 @@ def test_the_package_page_has_no_relative_link(sdist: Path, tmp_path: Path) -> N
     assert links(metadata.get_payload()) == targets
 
 
-def test_every_extra_is_explained() -> None:
+def test_every_extra_is_explained():
     """The README has a row for each extra, and for no other."""
     table = (REPOSITORY / "README.md").read_text("utf-8").partition("| extra |")[2].partition("\n\n")[0]
     assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == set(PROJECT["optional-dependencies"])

@@ -1,7 +1,5 @@
 """Laws of interpolation: exact at the samples, between them, never outside, never across a long gap."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,7 +13,7 @@ stamp_lists = st.lists(st.integers(0, 10**12), min_size=1, max_size=30, unique=T
 
 
 @given(stamp_lists, st.lists(st.integers(0, 10**12), max_size=30), st.integers(0, 10**11))
-def test_a_stamp_is_valid_between_samples_that_are_near(stamps: list[int], at: list[int], gap: int) -> None:
+def test_a_stamp_is_valid_between_samples_that_are_near(stamps, at, gap):
     found = bracket(np.array(stamps), np.array(at, np.int64), gap)
     for stamp, valid, left, right, fraction in zip(
         at, found.valid, found.left, found.right, found.fraction, strict=True
@@ -29,7 +27,7 @@ def test_a_stamp_is_valid_between_samples_that_are_near(stamps: list[int], at: l
             assert 0.0 <= fraction <= 1.0
 
 
-def test_lines_are_interpolated_exactly_and_gaps_are_refused() -> None:
+def test_lines_are_interpolated_exactly_and_gaps_are_refused():
     stamps = np.array([0, 10, 20, 500])
     track = JointTrack(stamps, ("a",), stamps[:, None] * 0.5)
     sampled = track.at(np.array([-1, 0, 5, 17, 300, 500, 501]), 100)
@@ -39,7 +37,7 @@ def test_lines_are_interpolated_exactly_and_gaps_are_refused() -> None:
 
 
 @pytest.mark.parametrize("start_ns", [0, 1_700_000_000_000_000_000])
-def test_interpolated_transforms_equal_scipys(start_ns: int) -> None:
+def test_interpolated_transforms_equal_scipys(start_ns):
     """Between stamps, rotation follows Slerp and translation a straight line, also at stamps of today.
 
     Nanoseconds since 1970 need 61 bits, more than a double holds: only differences may be floats.
@@ -60,7 +58,7 @@ def test_interpolated_transforms_equal_scipys(start_ns: int) -> None:
         np.testing.assert_allclose(found.values[:9, axis, 3], expected, atol=1e-14)
 
 
-def test_a_static_transform_holds_always_and_a_single_sample_only_at_its_stamp() -> None:
+def test_a_static_transform_holds_always_and_a_single_sample_only_at_its_stamp():
     T = make_transform(rotation_z(0.3), [1, 2, 3])[None]
     static = TransformTrack("a", "b", np.array([5]), T, is_static=True).at(np.array([0, 10**15]))
     assert static.valid.all()
@@ -69,7 +67,7 @@ def test_a_static_transform_holds_always_and_a_single_sample_only_at_its_stamp()
     assert single.valid.tolist() == [False, True, False]
 
 
-def test_sorting_keeps_the_last_of_equal_stamps() -> None:
+def test_sorting_keeps_the_last_of_equal_stamps():
     assert sort_stamps(np.array([3, 1, 3, 2, 1])).tolist() == [4, 3, 2]
 
 

@@ -1,10 +1,7 @@
 """The pictures that the segmentation network is trained on, with exact labels; public sets with masks."""
 
-from __future__ import annotations
-
 import json
 import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,7 +11,7 @@ from benchmarks.masks import OUTLINES, PANEL_SIZE, filled, panels
 from tests.conftest import REPOSITORY
 from training import train
 from training.instruments import DISTAL, OTHER, SHAFT, TISSUE, Material, Part, draw
-from training.scene import VALIDATION_SEED, augmented, halved, iou, layers, render, rendered
+from training.scene import augmented, halved, iou, layers, render
 
 SIZE = (150, 200)
 WHITE = Material(np.full(3, 255.0, np.float32), np.ones(4), np.ones(3), 1.0, ())
@@ -22,7 +19,7 @@ WHITE = Material(np.full(3, 255.0, np.float32), np.ones(4), np.ones(3), 1.0, ())
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 1.1, 2.5])
-def test_a_part_is_labelled_where_it_covers_half_of_a_pixel(angle: float) -> None:
+def test_a_part_is_labelled_where_it_covers_half_of_a_pixel(angle):
     """Against its outline's geometry: centres inside are labelled, and none farther out than rounding allows."""
     middle, along = np.array([100.3, 74.8]), np.array([np.cos(angle), np.sin(angle)])
     part = Part(middle - 50 * along, middle + 40 * along, 12.0, 8.0, SHAFT, WHITE)
@@ -41,7 +38,7 @@ def test_a_part_is_labelled_where_it_covers_half_of_a_pixel(angle: float) -> Non
     assert labelled.sum() == pytest.approx(90.0 * (12.0 + 8.0), rel=0.01)
 
 
-def test_pictures_follow_from_the_seed_and_have_all_classes() -> None:
+def test_pictures_follow_from_the_seed_and_have_all_classes():
     """Also pictures without instruments; what is black outside of the picture is no tissue."""
     pictures = [render(seed) for seed in range(40)]
     for one, two in zip(pictures[7], render(7), strict=True):
@@ -53,15 +50,7 @@ def test_pictures_follow_from_the_seed_and_have_all_classes() -> None:
         assert layers(np.random.default_rng(seed), SIZE, count=0)[1].max() <= TISSUE
 
 
-def test_pictures_on_disk_are_those_that_several_processes_draw(tmp_path: Path) -> None:
-    made = rendered(VALIDATION_SEED, 3, tmp_path / "one")
-    several = rendered(VALIDATION_SEED, 3, tmp_path / "two", processes=2)
-    np.testing.assert_array_equal(made.images, several.images)
-    np.testing.assert_array_equal(made.labels, several.labels)
-    np.testing.assert_array_equal(made.images[2], render(VALIDATION_SEED + 2)[0])
-
-
-def test_what_is_flipped_keeps_its_labels() -> None:
+def test_what_is_flipped_keeps_its_labels():
     """A picture whose brightness is its label: after flips each pixel still has its own."""
     labels = np.random.default_rng(0).integers(0, 4, (8, 6, 10)).astype(np.uint8)
     images = np.repeat(40 + 50 * labels[..., None], 3, -1)
@@ -72,7 +61,7 @@ def test_what_is_flipped_keeps_its_labels() -> None:
     np.testing.assert_array_equal(small[0, 0, 0], images[0, :2, :2].mean((0, 1)).astype(np.uint8))
 
 
-def test_masks_of_public_sets(tmp_path: Path) -> None:
+def test_masks_of_public_sets(tmp_path):
     """Outlines are filled with the pixels on them; a panel's mask has both instruments' colours."""
     square = filled([[[2.0, 3.0], [8.0, 3.0], [8.0, 9.0], [2.0, 9.0]]], (12, 12))
     assert square.sum() == 49
@@ -91,9 +80,7 @@ def test_masks_of_public_sets(tmp_path: Path) -> None:
     assert iou(mask, mask[::-1]) < iou(mask, mask) == 1.0
 
 
-def test_training_without_pytorch_is_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_training_without_pytorch_is_one_line(tmp_path, monkeypatch, capsys):
     """PyTorch is no dependency: who lacks it is told what to install, and nothing is drawn or written."""
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.delitem(sys.modules, "training.network", raising=False)

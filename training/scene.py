@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from training.instruments import DISTAL, OTHER, TISSUE, cords, draw, instrument
+from training.instruments import OTHER, TISSUE, cords, draw, instrument
 from training.textures import Array, Size, background, fractal, wandering
 
 WIDTH, HEIGHT = 256, 192
@@ -187,9 +187,3 @@ def iou(found: Array, truth: Array) -> float:
     """Intersection over union of two masks of one shape; 1 of two that are empty."""
     either = int((found | truth).sum())
     return float((found & truth).sum()) / either if either else 1.0
-
-
-def union_ious(found: Array, labels: Array) -> Array:
-    """The IoU of the union of instruments in each picture that has one."""
-    pairs = zip(found >= DISTAL, labels >= DISTAL, strict=True)
-    return np.array([iou(one, two) for one, two in pairs if two.any()], np.float64)

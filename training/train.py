@@ -19,7 +19,8 @@ import numpy as np
 from svmdist.profile import OnnxSegmentation
 from svmdist.profile.segmentation import INSTRUMENTS
 from svmdist.vision.network import network_input
-from training.scene import VALIDATION_SEED, rendered, union_ious
+from training.instruments import DISTAL
+from training.scene import VALIDATION_SEED, iou, rendered
 
 MOST_BYTES = 4 << 20
 MOST_DIFFERENCE = 1e-3  # of scores, which are of the order of 10, between PyTorch and OpenCV
@@ -38,15 +39,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         from training.network import STAGES, export, predicted, scores_of, train
     except ModuleNotFoundError as missing:
-        print(
-            f"{missing.name} is not installed: pip install torch==2.13.0 onnx, beside svmdist",
-            file=sys.stderr,
-        )
+        advice = "pip install torch==2.13.0 onnx, beside svmdist"
+        print(f"{missing.name} is not installed: {advice}", file=sys.stderr)
         return 1
     held_out = rendered(VALIDATION_SEED, given.validation, given.cache, given.processes)
     pictures = rendered(given.seed * given.pictures, given.pictures, given.cache, given.processes)
     net = train(pictures, STAGES, given.seed)
-    ious = union_ious(predicted(net, held_out.images), held_out.labels)
+    pairs = zip(predicted(net, held_out.images) >= DISTAL, held_out.labels >= DISTAL, strict=True)
+    ious = np.array([iou(found, truth) for found, truth in pairs if truth.any()])
     print(f"IoU of instruments on {len(ious)} pictures: mean {ious.mean():.3f}, median {np.median(ious):.3f}")
     given.model.parent.mkdir(parents=True, exist_ok=True)
     export(net, given.model)

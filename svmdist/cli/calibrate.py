@@ -106,7 +106,7 @@ class HandEye(options.ProfileOptions, options.InstrumentOption, options.LagOptio
         from svmdist.profile.hand_eye import save_hand_eye
         from svmdist.report.info import hand_eye_file, hand_eye_results
         from svmdist.results import Failure
-        from svmdist.workflows.calibrate import HandEyeResult, hand_eye
+        from svmdist.workflows.calibrate import hand_eye
         from svmdist.workflows.request import Request, prepare
 
         file, path = self.file, self.output
@@ -120,14 +120,14 @@ class HandEye(options.ProfileOptions, options.InstrumentOption, options.LagOptio
             request = Request(setup, topics, window, self.instruments(setup.profile), lag)
             recording = request.open(file, file.stem)
             seen = corrected(recording, request, self.jobs)
-            found = {}
+            results = []
             for name in request.instruments or recording.instruments:
                 with output.progress_bar(f"{method} finds {name}", "images") as advance:
-                    found[name] = hand_eye(seen, setup, name, self.against, self.jobs, advance)
-            failures += [
-                f"{method}, {name}: {one.reason}" for name, one in found.items() if isinstance(one, Failure)
-            ]
-            results = [one for one in found.values() if isinstance(one, HandEyeResult)]
+                    found = hand_eye(seen, setup, name, self.against, self.jobs, advance)
+                if isinstance(found, Failure):
+                    failures.append(f"{method}, {name}: {found.reason}")
+                else:
+                    results.append(found)
             if results:
                 break
         else:
@@ -137,9 +137,7 @@ class HandEye(options.ProfileOptions, options.InstrumentOption, options.LagOptio
             LOG.info("note: %s", failure)
         if path is not None:
             save_hand_eye(path, hand_eye_file(results, recording))
-            LOG.info(
-                '%s: %d transforms; in a profile beside it: hand_eye = "%s"', path, len(results), path.name
-            )
+            LOG.info('%s: %d transforms; in a profile: hand_eye = "%s"', path, len(results), path.name)
         return log_losses(recording.path, recording.health)
 
 

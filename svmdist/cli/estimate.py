@@ -48,36 +48,28 @@ class PictureOptions(OutputOptions):
             choose_writer(None, self.report, Holds.REPORT)
 
     def draw(
-        self,
-        run: Run[Any],
-        request: Request,
-        kind: str,
-        result: Validation | None = None,
-        keys: tuple[str, ...] = (),
+        self, run: Run[Any], request: Request, result: Validation | None = None, kind: str = "time"
     ) -> None:
         """Draw the plot and the report of what was measured, and validated."""
-        from svmdist.report import plots
-        from svmdist.workflows.series import series_of
-
         measured = run.kept()
-        if self.save_plot and result and kind == "fig6":
-            plots.save_figure(self.save_plot, plots.draw, result)
-        elif self.save_plot:
-            series = series_of(measured, request, result.reference if result else None)
-            below_m = request.alarms.below_m if request.alarms else None
-            plots.save_figure(self.save_plot, plots.draw_series, series, kind, below_m)
+        if self.save_plot:
+            from svmdist.report import plots
+            from svmdist.workflows.series import series_of
+
+            if result and kind == "fig6":
+                plots.save_figure(self.save_plot, plots.draw, result)
+            else:
+                series = series_of(measured, request, result.reference if result else None)
+                below_m = request.alarms.below_m if request.alarms else None
+                plots.save_figure(self.save_plot, plots.draw_series, series, kind, below_m)
         if self.report:
             from svmdist.report.html import make_report, write_report
 
+            command = shlex.join(["svmdist", *sys.argv[1:]])
+            jobs, logs = run.given.jobs, None if run.given.is_one else run.ranking()
             with output.progress_bar("drawing the worst frames", "images") as advance:
                 page = make_report(
-                    measured,
-                    request,
-                    shlex.join(["svmdist", *sys.argv[1:]]),
-                    result,
-                    jobs=run.given.jobs,
-                    logs=None if run.given.is_one else run.ranking(keys),
-                    on_progress=advance,
+                    measured, request, command, result, jobs=jobs, logs=logs, on_progress=advance
                 )
             write_report(page, self.report)
 
@@ -134,16 +126,16 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         if writer.holds is Holds.FRAMES:
             return self._write_drawn(request, writer)
         draws = self.report is not None or self.save_plot is not None
-        run = Run(self, measure_rows, request, EstimateResult, "measuring", keeps=draws)
+        run = Run(self, measure_rows, request, EstimateResult, "measuring", keeps=draws, keys=keys)
         if writer.holds is Holds.REPORT:
             run.finish()
         else:
             self._write_rows(run, request, writer)
         if self.summary is not None:
-            output.write_results(run.ranking(keys), summary_writer, self.summary)
+            output.write_results(run.ranking(), summary_writer, self.summary)
         code = _log_tally([result.tally for result in run.results])
         if draws:
-            self.draw(run, request, "time", keys=keys)
+            self.draw(run, request)
         return run.exit_code() or code
 
     def _require_one_kind(self, writer: Writer) -> None:
@@ -165,7 +157,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         from svmdist.report.rows import ESTIMATE_COLUMNS, shown_columns
         from svmdist.report.tables import text_lines
 
-        with output.rows_shown(self.output):
+        with output.no_progress(where=output.terminal_width(self.output) is not None):
             rows = run.rows()
             head = list(islice(rows, 2))  # so that a log that cannot be read leaves no header behind
             several = len({row.get("instrument") for row in head}) > 1 or any(

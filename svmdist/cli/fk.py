@@ -58,7 +58,7 @@ class Fk(LogOptions, ReadOptions, WindowOptions, OutputOptions):
         request = Request(Setup.reading(self.profile, self.hand_eye), topics, self.window)
         run = Run(self, pose_rows_of, request, int, "computing", (self.in_camera, several))
         columns = (*POSE_COLUMNS, Column("recording", TEXT)) if several else POSE_COLUMNS
-        with output.rows_shown(self.output):
+        with output.no_progress(where=output.terminal_width(self.output) is not None):
             rows = run.rows()
             head = list(islice(rows, 1))  # so that a log that cannot be read leaves no header behind
             output.write_results(Results(columns, chain(head, rows)), writer, self.output)

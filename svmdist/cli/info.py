@@ -50,11 +50,9 @@ class Info(LogOptions, ReadOptions, OutputOptions):
         writer = self.writer(self.paths, Holds.TABLES)
         request = Request(Setup.reading(self.profile, self.hand_eye), self.topics)
         run = Run(self, inspect_log, request, dict[str, Any], "inspecting", (writer.name != "csv",))
-        documents = run.finish()
-        names = [log.name for log, _, _ in run.measured]
-        several = list(zip(names, documents, strict=True))
-        results = info_results(documents[0]) if self.is_one else logs_results(several)
-        write_results(results, writer, self.output)
+        run.finish()
+        found = [(log.name, document) for log, _, document in run.measured]
+        write_results(info_results(found[0][1]) if self.is_one else logs_results(found), writer, self.output)
         return run.exit_code()
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from urllib.parse import unquote
 
 from svmdist.cli.options import JOBS, Options, argument, option
-from svmdist.cli.output import LOG, ExitCode, progress_bar
+from svmdist.cli.output import LOG, ExitCode, progress_bar, with_name
 from svmdist.errors import RecordingError, UsageError
 from svmdist.files import LogPath, RemoteFile, is_url, listed_urls, why
 
@@ -110,7 +110,7 @@ class Run(Generic[Result]):
     """What a job makes of the logs of a command: `outcomes` are known when the rows are at their end.
 
     The arguments are those of `Job`. With `keeps`, `measure` is also asked for what pictures and pages are made of: it
-    gives that to its argument `keep`.
+    gives that to its argument `keep`. By `keys` of their metadata logs are grouped.
     """
 
     def __init__(
@@ -123,12 +123,14 @@ class Run(Generic[Result]):
         options: tuple[Any, ...] = (),
         *,
         keeps: bool = False,
+        keys: Sequence[str] = (),
     ) -> None:
         from svmdist.workflows.batch import Job
 
         self.given = given
         self._job = Job(measure, request, result_type, options)
         self._title = title
+        self._keys = keys
         self._kept: list[Any] = []
         self._more = {"keep": self._kept.append} if keeps else {}
         self.outcomes: list[tuple[LogFile, Outcome[Result]]] = []
@@ -157,7 +159,7 @@ class Run(Generic[Result]):
         self.outcomes = list(zip(given.logs, found, strict=True))
         log_notes(found)
         if not self.measured:
-            *others, last = [_reason(log, one) for log, one in self.outcomes]
+            *others, last = [with_name(one.failure or "", log.path, log.name) for log, one in self.outcomes]
             if not others:
                 raise RecordingError(last)
             for reason in (*others, last):
@@ -181,27 +183,29 @@ class Run(Generic[Result]):
         """The results of the logs that have one."""
         return [result for _, _, result in self.measured]
 
-    def groups(self, keys: Sequence[str]) -> list[str]:
-        """The group of each log with a result, by its metadata."""
-        return [group_name(one.metadata, keys) for _, one, _ in self.measured] if keys else []
+    @property
+    def groups(self) -> list[str]:
+        """The group of each log with a result, where logs are grouped."""
+        return [group_name(one.metadata, self._keys) for _, one, _ in self.measured] if self._keys else []
 
-    def figures(self, keys: Sequence[str] = ()) -> list[LogFigures]:
+    @property
+    def _figures(self) -> list[LogFigures]:
         """How the frames of each log ended, by the `statuses` of its result."""
         from svmdist.report.scores import LogFigures
 
         return [
             LogFigures(
                 *(log.name, str(log.path), one.failure, getattr(one.result, "statuses", {}), len(one.losses)),
-                group=group_name(one.metadata, keys) if keys and one.failure is None else "",
+                group=group_name(one.metadata, self._keys) if self._keys and one.failure is None else "",
             )
             for log, one in self.outcomes
         ]
 
-    def ranking(self, keys: Sequence[str] = ()) -> Results:
+    def ranking(self) -> Results:
         """The figures of each log, sorted by severity, worst first, of groups and of all logs."""
         from svmdist.report.scores import log_results
 
-        return log_results(self.figures(keys))
+        return log_results(self._figures)
 
     def kept(self) -> list[Any]:
         """What the job kept of one log; of many, those with which most went wrong are measured again for it."""
@@ -210,7 +214,7 @@ class Run(Generic[Result]):
 
         if self.given.is_one or not self._more:
             return self._kept
-        usable = [one for one in ranked(self.figures()) if one.failure is None and one.frame_count]
+        usable = [one for one in ranked(self._figures) if one.failure is None and one.frame_count]
         names = {one.recording for one in usable[:MAX_REPORTED]}
         if len(usable) > MAX_REPORTED:
             shown = f"{MAX_REPORTED} of {len(usable)} logs"
@@ -227,7 +231,7 @@ class Run(Generic[Result]):
         for log, one in self.outcomes:
             if one.failure is not None:
                 codes.append(ExitCode.LOSS)
-                LOG.error("left out: %s", _reason(log, one))
+                LOG.error("left out: %s", with_name(one.failure, log.path, log.name))
         return max(codes, default=ExitCode.CLEAN)
 
 
@@ -236,13 +240,6 @@ def log_losses(path: LogPath, health: Health) -> ExitCode:
     for line in health.describe():
         LOG.error("loss: %s: %s", path, line)
     return ExitCode.CLEAN if health.is_clean else ExitCode.LOSS
-
-
-def _reason(log: LogFile, one: Outcome[Any]) -> str:
-    """Why a log was left out, with its name."""
-    reason, path = one.failure or "", str(log.path)
-    is_named = any(name in reason for name in (path, log.name))
-    return reason if is_named else f"{path}: {reason}"
 
 
 def named_logs(files: Sequence[str | Path]) -> list[LogFile]:

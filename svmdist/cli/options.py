@@ -78,7 +78,6 @@ def function_of(command: type[Options]) -> Callable[..., None]:
             for name, default in defaults.items()
         ]
     )
-    run.__annotations__ = {name: hints[name] for name in defaults}
     return run
 
 

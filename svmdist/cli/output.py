@@ -11,7 +11,7 @@ import stat
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from enum import IntEnum
 from itertools import chain
 from pathlib import Path
@@ -70,6 +70,11 @@ def with_notes(message: str, error: BaseException) -> str:
     return "; ".join([message, *getattr(error, "__notes__", [])])
 
 
+def with_name(reason: str, *names: object) -> str:
+    """Why something failed, with its first name where the reason has none of them."""
+    return reason if any(str(name) in reason for name in names) else f"{names[0]}: {reason}"
+
+
 class _Progress:
     """Whether progress is shown: by the command itself, not by workers, and not within what is shown already."""
 
@@ -77,18 +82,13 @@ class _Progress:
 
 
 @contextmanager
-def no_progress() -> Iterator[None]:
-    """Show none: what happens inside shows by itself how far it is."""
-    before, _Progress.is_wanted = _Progress.is_wanted, False
+def no_progress(*, where: bool = True) -> Iterator[None]:
+    """Show none where what happens inside shows by itself how far it is."""
+    before, _Progress.is_wanted = _Progress.is_wanted, _Progress.is_wanted and not where
     try:
         yield
     finally:
         _Progress.is_wanted = before
-
-
-def rows_shown(output: Path | None) -> AbstractContextManager[None]:
-    """Show no progress where rows go to a terminal: they show by themselves how far the command is."""
-    return nullcontext() if terminal_width(output) is None else no_progress()
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from svmdist.cli.options import FORCE, PROFILE, Options, option, parse_degradations, parse_perturbations
-from svmdist.cli.output import LOG, ExitCode, progress_bar, require_output
+from svmdist.cli.output import LOG, ExitCode, progress_bar, require_output, with_name
 from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
@@ -64,7 +64,9 @@ class Record(Options):
         "Names and units: docs/simulation.md.",
     )
     world: Literal["ideal", "real"] = option(
-        "--world", "ideal: log and profile are exact; real: all is off as on robots, by seed.", "ideal"
+        "--world",
+        "ideal: log and profile are exact; real: everything is off as on real robots, drawn by seed.",
+        "ideal",
     )
     jpeg: int | None = option(
         "--jpeg QUALITY",
@@ -108,7 +110,7 @@ class Record(Options):
         path = self.output or Path("" if self.episodes else f"{self.scenario}-{self.seed}.mcap")
         if self.episodes is None:
             require_output(path)
-        together = [",".join(self.perturb)] if self.perturb else []
+        together = [",".join(self.perturb)] if self.perturb else None
         (perturbations,) = parse_perturbations(together) or (UNPERTURBED,)
         scenario = Scenario(self.scenario, self.seed, self.duration, self.rate)
         profile, world = load_profile(self.profile), World(self.world)
@@ -148,8 +150,7 @@ def _record_episodes(episodes: Episodes, output: Path, count: int, jobs: int | N
     )
     for one in found:
         if one.failure:
-            reason = one.failure if str(one.path) in one.failure else f"{one.path}: {one.failure}"
-            LOG.error("not recorded: %s", reason)
-    if not made:
-        return ExitCode.UNUSABLE
-    return ExitCode.CLEAN if len(made) == count else ExitCode.LOSS
+            LOG.error("not recorded: %s", with_name(one.failure, one.path))
+    if len(made) == count:
+        return ExitCode.CLEAN
+    return ExitCode.LOSS if made else ExitCode.UNUSABLE

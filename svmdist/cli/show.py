@@ -27,9 +27,7 @@ if TYPE_CHECKING:
 
 DEFAULT_COUNT = 6
 """Pictures where none is asked for: enough to see a log from its beginning to its end."""
-PICTURE_ENDINGS = frozenset(
-    {".png", ".jpg", ".jpeg", ".svg", ".pdf", ".gif", ".bmp", ".tif", ".tiff", ".webp"}
-)
+PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".svg", ".pdf", ".gif", ".bmp", ".tif", ".tiff", ".webp")
 """Names that mean a picture, and not a folder."""
 
 
@@ -71,9 +69,7 @@ class Show(MethodOptions, InstrumentOption, LagOption):
         if sum(choice is not None for choice in (self.frame, self.at, self.worst)) > 1:
             raise UsageError("--frame, --at and --worst choose images: give one of them")
         if self.masks and self.worst is not None:
-            raise UsageError(
-                "--worst needs what a method measured, and --masks shows what was segmented before it"
-            )
+            raise UsageError("--worst needs what a method measured, which --masks does not show")
         lag, folder = self.given_lag, self.output
         method = Segmented() if self.masks else self.method
         setup = prepare(self.profile, method, "corrected", self.calibration, self.hand_eye)
@@ -86,14 +82,13 @@ class Show(MethodOptions, InstrumentOption, LagOption):
             (folder.parent if is_one else folder).mkdir(parents=True, exist_ok=True)
         except OSError as problem:
             raise OutputError(f"{folder}: cannot make the folder: {problem.strerror or problem}") from None
-        drawn = 0
+        left = len(numbers)
         for number, picture in self._pictures(seen, request, numbers):
             path = folder if is_one else folder / f"{recording.name}-{number:05d}.png"
             write_picture(path, picture)
             output.write_lines([f"{path}\n"], None)
-            drawn += 1
-        if drawn < len(numbers):
-            left = len(numbers) - drawn
+            left -= 1
+        if left:
             LOG.info("%d of %d images cannot be read, and are not drawn", left, len(numbers))
         return log_losses(recording.path, recording.health)
 
@@ -107,9 +102,7 @@ class Show(MethodOptions, InstrumentOption, LagOption):
         count, at = len(stamps_ns), self.at
         if self.frame is not None:
             if self.frame >= count:
-                raise UsageError(
-                    f"--frame {self.frame}: {self.file.name} has {count} images, 0 to {count - 1}"
-                )
+                raise UsageError(f"--frame {self.frame}: {self.file} has {count} images, 0 to {count - 1}")
             return {self.frame}
         if at is not None:
             return {min(range(count), key=lambda n: abs((stamps_ns[n] - stamps_ns[0]) * 1e-9 - at))}
@@ -123,21 +116,16 @@ class Show(MethodOptions, InstrumentOption, LagOption):
         from svmdist.report.panels import masks_picture, phases_picture
         from svmdist.workflows.frame_drawing import drawn_frames
 
-        method = request.setup.method
+        setup, wanted = request.setup, request.instruments
         with output.steps(f"drawing {recording.name}", "images", max(numbers) + 1) as steps:
             for shown in drawn_frames(
-                recording,
-                request.setup,
-                wanted=request.instruments,
-                jobs=self.jobs,
-                numbers=numbers,
-                on_image=steps.advance,
+                recording, setup, wanted=wanted, jobs=self.jobs, numbers=numbers, on_image=steps.advance
             ):
                 where = f"{recording.name}  frame {shown.number}"
                 if self.masks:
                     yield shown.number, masks_picture(shown, f"{where}  {shown.seconds:.2f} s  masks")
                 else:
-                    yield shown.number, phases_picture(shown, f"{where}  method {method}", method)
+                    yield shown.number, phases_picture(shown, f"{where}  method {setup.method}", setup.method)
 
 
 def _is_one_picture(path: Path, count: int) -> bool:
@@ -159,9 +147,8 @@ def _worst(recording: Recording, request: Request, count: int, jobs: int | None)
     from svmdist.workflows.series import series_of, worst_frames
 
     instruments = request.instruments or recording.instruments
-    with output.steps(
-        f"measuring {recording.name}", "rows", recording.image_count(), len(instruments)
-    ) as steps:
+    images = recording.image_count()
+    with output.steps(f"measuring {recording.name}", "rows", images, len(instruments)) as steps:
         rows = list(steps.of(estimate(recording, request.setup, request.instruments, jobs)))
     found = Measured(recording, recording, tuple(rows), None)
     worst = worst_frames(series_of([found], request), count)

@@ -78,12 +78,12 @@ class Validate(GoldenLogOptions, MeasureOptions, GroupOption, PictureOptions):
         validate.require_truth_for_alarms(request)
         kind = self.plot or "fig6"
         keeps = self.report is not None or (self.save_plot is not None and kind != "fig6")
-        run = Run(self, score_log, request, validate.Scored, "validating", keeps=keeps)
-        result = validate.combine(run.finish(), request, run.groups(keys))
+        run = Run(self, score_log, request, validate.Scored, "validating", keeps=keeps, keys=keys)
+        result = validate.combine(run.finish(), request, run.groups)
         for note in result.notes:
             LOG.info("note: %s", note)
         output.write_results(validation_results(result), writer, self.output)
-        self.draw(run, request, kind, result, keys)
+        self.draw(run, request, result, kind)
         code = run.exit_code()
         if self.write_baseline:
             validate.save_baseline(validate.make_baseline(result), self.write_baseline)

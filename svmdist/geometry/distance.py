@@ -5,7 +5,7 @@ mesh), the depth of its deepest point counts below zero, and the radius on top: 
 a jump, and its derivative along `direction` is -1 on both sides.
 
 Of a mesh only faces with a centroid near enough are looked at: no farther than the nearest centroid and the face's own
-reach. Angle-weighted pseudonormals tell inside from outside (Bærentzen and Aanæs 2005).
+reach. Angle-weighted pseudonormals give the sign (Bærentzen and Aanæs 2005).
 Closest points are those of C. Ericson, *Real-Time Collision Detection*, sec. 5.1: each pair of features is solved and
 the nearest taken, which has no branches and loses no digits where features are parallel. Everything broadcasts over
 leading axes; points have shape (..., 3), in one frame, in m.
@@ -365,5 +365,5 @@ def _nearest(first: Array, second: Array, valid: Mask) -> ClosestPair:
     distance2[..., : valid.shape[-1]][~valid] = np.inf
     best = np.argmin(distance2, -1)[..., None]
     distance = np.sqrt(np.take_along_axis(distance2, best, -1)[..., 0])
-    ends = (np.take_along_axis(points, best[..., None], -2)[..., 0, :] for points in (first, second))
-    return ClosestPair(*ends, distance)
+    first, second = (np.take_along_axis(ends, best[..., None], -2)[..., 0, :] for ends in (first, second))
+    return ClosestPair(first, second, distance)

@@ -8,13 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from svmdist.errors import KinematicsError
-from svmdist.kinematics import (
-    DHChain,
-    frame_transforms,
-    joint_axis,
-    row_index,
-    select_joints,
-)
+from svmdist.kinematics import DHChain, frame_transforms, joint_axis, row_index, select_joints
 from svmdist.results import Failure
 from svmdist.samples import JointSample
 from svmdist.tracks import JointTrack
@@ -60,8 +54,8 @@ class RobotState:
             return Failure(str(problem))
         within = chain.are_within_limits(selected)
         if not within[0].all():
-            return _outside(chain, selected[0], int(np.argmin(within[0])))
-        usable = within[1:].all(axis=1)  # one stray sample beside the image shall not stop it
+            return _limit_failure(chain, selected[0], int(np.argmin(within[0])))
+        usable = within[1:].all(axis=1)  # one stray sample beside the image does no harm
         around = JointTrack(track.stamps_ns[usable], chain.joint_names, selected[1:][usable])
         return cls(chain, stamp_ns, selected[0], T_camera_base, around if usable.any() else None)
 
@@ -129,7 +123,7 @@ class RobotState:
         return self.T_camera_base
 
 
-def _outside(chain: DHChain, q: Array, joint: int) -> Failure:
+def _limit_failure(chain: DHChain, q: Array, joint: int) -> Failure:
     unit = "rad" if chain.is_revolute[joint] else "m"
     lower, upper = (limits[joint] for limits in (chain.lower, chain.upper))
     return Failure(

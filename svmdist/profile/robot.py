@@ -72,8 +72,7 @@ class Robot(StrictModel):
     convention: Literal["standard", "modified"] = "standard"
     joints: tuple[Joint, ...] = Field(min_length=1)
     tool_rotation: Rotation | None = None
-    limit_tolerance_rad: Angle = Field(default=0.5, ge=0.0)
-    """How far beyond its limits a revolute joint may be reported: encoders have offsets, and limits are rounded."""
+    limit_tolerance_rad: Angle = Field(default=0.5, ge=0.0)  # beyond a joint's limits: encoders have offsets
     limit_tolerance_m: NonNegative = 0.05  # frames whose joints are farther out have the status `no_joints`
 
     @model_validator(mode="after")
@@ -107,12 +106,10 @@ class KinematicError(StrictModel):
     camera_base_std_rad: Angle = float(np.deg2rad(2.0))
     camera_base_std_m: NonNegative = 5e-3
     first_moving_joint: str | None = None
-    """The joints before this one hold still while the instrument works: their errors are one with the
-    camera-to-base transform's. None: every joint moves."""
+    """Errors of joints before it are part of the camera-to-base transform's; None: every joint moves."""
     drift_rad_per_sqrt_s: NonNegative = 1e-4
     drift_m_per_sqrt_s: NonNegative = 1e-5
-    play_std_rad: Angle = float(np.deg2rad(0.4))
-    """Joint errors that change with the motion: backlash, cables that stretch, friction, encoder noise."""
+    play_std_rad: Angle = float(np.deg2rad(0.4))  # changing with the motion: backlash, friction, noise
     play_std_m: NonNegative = 1e-4
     play_time_s: Positive = 0.5  # correlation time of these errors: about that between a joint's reversals
     length_std_m: NonNegative = 5e-4  # of the chain's lengths behind the first moving joint
@@ -129,9 +126,7 @@ class CameraError(StrictModel):
     focal_std_fraction: NonNegative = 4e-3  # of the focal lengths: the same error in both cameras
     centre_std_px: NonNegative = 1.5  # of the principal point along each axis
     baseline_std_fraction: NonNegative = 0.01  # of the distance between both cameras
-    right_rotation_std_rad: Angle = float(
-        np.deg2rad(0.03)
-    )  # of the right camera to the left, about each axis
+    right_rotation_std_rad: Angle = float(np.deg2rad(0.03))  # of the right camera, about each axis
 
 
 class Instrument(StrictModel):
@@ -140,11 +135,9 @@ class Instrument(StrictModel):
     shaft_radius_m: SmallLength
     shaft_radius_std_fraction: Fraction = 0.02  # of the radius itself
     shaft_length_m: Length
-    shaft_end_m: SmallLength | None = None
-    """From the wrist's hinge back to where the dark shaft visibly ends; None: 2.2 radii of the wrist."""
+    shaft_end_m: SmallLength | None = None  # from the wrist's hinge back; None: 2.2 radii of the wrist
     outline_end_m: float | None = Field(default=None, gt=-0.1, lt=0.1)
-    """From the wrist's hinge on to where the outline stops being as wide as the shaft, negative behind it; None: 0.9
-    radii of the shaft, and less certain."""
+    """From the wrist's hinge on to where the outline is narrower than the shaft; None: 0.9 radii, less certain."""
     wrist_radius_m: SmallLength
     knuckle_radius_m: SmallLength
     knuckle_radius_std_fraction: Fraction = 0.03  # of the distal marker's radius itself
@@ -158,8 +151,7 @@ class Instrument(StrictModel):
 class Fiducial(StrictModel):
     """A tag on a plate that a link of the instrument carries.
 
-    The tag's frame is OpenCV's: origin in the middle of the black square, x to the right and y up as one
-    reads the tag, z out of the plate towards the reader.
+    The tag's frame is OpenCV's: origin in the middle of the black square, x right, y up, z towards the reader.
     """
 
     family: Literal["16h5", "25h9", "36h10", "36h11"] = "36h11"
@@ -187,8 +179,7 @@ class Fiducial(StrictModel):
 class Dome(StrictModel):
     """A dome over the tissue's outline: height h (1 - g^a)^b at normalised radius g, 0 at the apex, 1 on the outline.
 
-    The defaults make half an ellipsoid. The outline comes from the image; the apex stands over its middle. The
-    exponents' standard deviations say that no two organs are alike; `fused` estimates the shape with both cameras.
+    The defaults make half an ellipsoid. The outline comes from the image; the apex is over its middle.
     """
 
     height_m: SmallLength
@@ -201,13 +192,10 @@ class Dome(StrictModel):
 
 
 class Tissue(StrictModel):
-    """The plane that the tissue lies on, measured in the camera frame, and its shape above that plane.
+    """The plane that the tissue lies on, `plane_normal` · p = -`plane_distance_m` in the camera frame, and its shape.
 
-    The plane holds the points with `plane_normal` · p = -`plane_distance_m`: its normal points to the camera's
-    side. Without a dome or a mesh the plane itself is the surface.
-
-    The tissue's frame: origin where the completed outline's centroid lies on the plane, z along the plane's normal,
-    x the camera's x axis laid onto the plane, y to the left of x as the camera sees it: upwards in the image.
+    Without a dome or a mesh the plane itself is the surface. The tissue's frame: origin where the completed outline's
+    centroid lies on the plane, z along the normal, towards the camera, x the camera's x axis projected onto the plane.
     """
 
     plane_normal: Vector = (0.0, 0.0, -1.0)

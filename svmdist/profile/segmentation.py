@@ -33,11 +33,9 @@ class AreaGate(StrictModel):
 
     min_area_px: int = Field(ge=1)
     components: Literal["all", "largest"] = "all"
-    """`all`: every connected part above the gate belongs to the region, since an instrument that crosses
-    an organ cuts its region in two. `largest`: one part only."""
+    """Connected parts above the gate that count: an instrument that crosses an organ cuts its region in two."""
     occlusion: Literal["none", "hull", "outline"] = "none"
-    """Where the centroid is taken when an instrument hides a part: of the visible pixels (`none`), of their
-    convex hull (`hull`), or of a smooth outline fitted to its visible part (`outline`)."""
+    """What the centroid is of: the visible pixels, their convex hull, or a smooth outline fitted to them."""
 
 
 class ColourRegion(AreaGate):
@@ -87,9 +85,8 @@ class OnnxSegmentation(StrictModel):
     model: NeighbourFile
     """The ONNX file; a relative path starts from the profile's folder. `svmdist:instruments` is the network that ships,
     for which all that follows has a default."""
-    width_px: int = Field(ge=8, le=4096)
+    width_px: int = Field(ge=8, le=4096)  # of the network's input; the image is stretched to it
     height_px: int = Field(ge=8, le=4096)
-    """Size of the network's input; the image is stretched to it."""
     channels: Literal["rgb", "bgr"] = "rgb"
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """What is subtracted from each channel, in the order of `channels`, of pixels from 0 to 255."""

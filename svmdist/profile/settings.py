@@ -33,7 +33,7 @@ def without_former_keys(table: dict[str, Any], name: str = "") -> dict[str, Any]
         inner = f"{name}.{key}" if name else key
         if key in former_keys().get(name, ()):
             LOG.warning("%s is no longer a setting; ignored", inner)
-        elif not isinstance(value, dict):
+        elif not isinstance(value, dict) or inner.count(".") > 1:  # no former table is deeper
             kept[key] = value
         elif (rest := without_former_keys(value, inner)) or inner not in former_keys():
             kept[key] = rest

@@ -170,14 +170,13 @@ class InstrumentClearance(BulletWorld):
     def __init__(self, first: Scene, second: Scene) -> None:
         super().__init__()
         self._scenes = (first, second)
-        self._bodies = [[self._body(part.mesh) for part in scene.parts] for scene in self._scenes]
-
-    def _body(self, mesh: Mesh) -> int:
-        vertices = (mesh.vertices_m * BULLET_SCALE).tolist()
-        shape = self.call("createCollisionShape", self.pb.GEOM_MESH, vertices=vertices)
-        body = int(self.call("createMultiBody", 0, shape))
-        self.call("changeDynamics", body, -1, collisionMargin=0.0)
-        return body
+        self._bodies: tuple[list[int], list[int]] = [], []
+        for scene, bodies in zip(self._scenes, self._bodies, strict=True):
+            for part in scene.parts:
+                vertices = (part.mesh.vertices_m * BULLET_SCALE).tolist()
+                shape = self.call("createCollisionShape", self.pb.GEOM_MESH, vertices=vertices)
+                bodies.append(int(self.call("createMultiBody", 0, shape)))
+                self.call("changeDynamics", bodies[-1], -1, collisionMargin=0.0)
 
     def clearance_m(self, q_first: Array, q_second: Array) -> float:
         """The clearance at joints of shape (n_joints,) each, 0.2 m at most."""

@@ -132,8 +132,8 @@ class Shader:
     """Adds light and dirt to images, by the perturbations light, shadow, wet and blood; the seed sets where."""
 
     def __init__(self, perturbations: Perturbations, seed: int) -> None:
-        names = ("light", "shadow", "wet", "blood")
-        self._light, self._shadow, self._wet, self._blood = (perturbations[name] for name in names)
+        self._light, self._shadow = perturbations["light"], perturbations["shadow"]
+        self._wet, self._blood = perturbations["wet"], perturbations["blood"]
         rng = np.random.default_rng([seed, _BUMP_STREAM])
         cells = rng.normal(0.0, 1.0, (BUMP_CELLS, BUMP_CELLS))
         tiled = cv2.resize(np.tile(cells, (3, 3)), (3 * BUMP_PX, 3 * BUMP_PX), interpolation=cv2.INTER_CUBIC)

@@ -152,8 +152,12 @@ class Organ:
             push = deep_m > TOLERANCE_M
             if not push.any():
                 break
-            xy_m, by_m = _deepest(points_m[push, :2], deep_m[push])
-            down_m += self._pushed_m(xy_m, by_m, FINE_REACH_M if sweep else REACH_M)
+            xy_m, by_m = points_m[push, :2], deep_m[push]
+            column, row = np.floor(xy_m / CELL_M).astype(np.int64).T
+            order = np.lexsort((by_m, row, column))
+            is_last = np.append((np.diff(column[order]) != 0) | (np.diff(row[order]) != 0), True)
+            deepest = order[is_last]
+            down_m += self._pushed_m(xy_m[deepest], by_m[deepest], FINE_REACH_M if sweep else REACH_M)
             down_m = np.minimum(down_m, rest_m - least_m)
         vertices_m = self.mesh.vertices_m.copy()
         vertices_m[:, 2] -= down_m
@@ -176,14 +180,6 @@ class Organ:
             share = square * square * (5.0 - 4.0 * left)
             pushed_m[near] = np.maximum(pushed_m[near], (share * push_m).max(axis=1))
         return pushed_m
-
-
-def _deepest(xy_m: Array, deep_m: Array) -> tuple[Array, Array]:
-    """Of points, shape (n, 2), which are so deep, shape (n,), the deepest of each cell, cell by cell."""
-    column, row = np.floor(xy_m / CELL_M).astype(np.int64).T
-    order = np.lexsort((deep_m, row, column))
-    is_last = np.append((np.diff(column[order]) != 0) | (np.diff(row[order]) != 0), True)
-    return xy_m[order[is_last]], deep_m[order[is_last]]
 
 
 def make_organ(rng: np.random.Generator, seed: int = 0, perturbations: Perturbations = UNPERTURBED) -> Organ:

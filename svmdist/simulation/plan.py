@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from svmdist.kinematics import DHChain, chain_of, forward_kinematics, link_transforms
 from svmdist.perturbations.calibration import built_profile
-from svmdist.perturbations.chosen import Perturbations
 from svmdist.perturbations.joints import JointPerturber, JointUnits, reported_late
 from svmdist.perturbations.table import Place
 from svmdist.profile import Profile
@@ -202,7 +201,8 @@ def make_plan(
     SimulationError where PyBullet is missing and needed, or the profile cannot be simulated.
     """
     options, seed = options or Options(), scenario.seed
-    built = built_profile(profile, options.perturbations, seed)
+    perturbations = options.perturbations
+    built = built_profile(profile, perturbations, seed)
     scene = make_scene(built, seed, options)
     settings = built.simulation
     assert settings is not None  # make_scene has checked it
@@ -229,7 +229,16 @@ def make_plan(
         )
         exact = q + nominal.joint_offsets
         exact[:, -1] -= its.jaw_opening_rad(path_s, number)
-        reported = _reported(exact, stamps, with_joints, view, options.perturbations, seed, number)
+        reported = exact
+        if perturbations.changes(Place.JOINTS) or perturbations.changes(Place.CLOCK):
+            late = reported_late(exact[with_joints], joints, perturbations)
+            perturber = JointPerturber(JointUnits.of(view), perturbations, seed, number)
+            samples = [
+                perturber.perturbed(row, stamp) for row, stamp in zip(late, joints.tolist(), strict=True)
+            ]
+            # Interpolated between samples, where only transforms are written.
+            seconds, at_s = 1e-9 * (stamps - joints[0]), 1e-9 * (joints - joints[0])
+            reported = np.column_stack([np.interp(seconds, at_s, joint) for joint in np.array(samples).T])
         name = view.instrument_name
         defaults = TOPICS | {"joints": f"/{name}/measured_js", "pose": f"/{name}/measured_cp"}
         defaults["ground_truth_distance"] = distance
@@ -249,29 +258,6 @@ def make_plan(
         T_world_retractor=T_world_retractor,
         tissue_offset_m=scene.tissue_offset_m(np.asarray((stamps - START_NS) * 1e-9, np.float64)),
     )
-
-
-def _reported(
-    q: Array,
-    stamps_ns: NDArray[np.int64],
-    is_sample: NDArray[np.bool_],
-    profile: Profile,
-    perturbations: Perturbations,
-    seed: int,
-    arm: int,
-) -> Array:
-    """What is reported of joints `q`, (n, n_joints), at stamps (n,), of which `is_sample` (n,) are the encoders'.
-
-    Reports are interpolated between samples, where only transforms are written. Without perturbations it is `q`.
-    """
-    if not (perturbations.changes(Place.JOINTS) or perturbations.changes(Place.CLOCK)):
-        return q
-    at_ns = stamps_ns[is_sample]
-    late = reported_late(q[is_sample], at_ns, perturbations)
-    perturber = JointPerturber(JointUnits.of(profile), perturbations, seed, arm)
-    samples = [perturber.perturbed(row, stamp) for row, stamp in zip(late, at_ns.tolist(), strict=True)]
-    seconds, at_s = 1e-9 * (stamps_ns - at_ns[0]), 1e-9 * (at_ns - at_ns[0])
-    return np.column_stack([np.interp(seconds, at_s, joint) for joint in np.array(samples).T])
 
 
 def _stamps(count: int, rate_hz: float) -> NDArray[np.int64]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Literal
@@ -20,16 +21,7 @@ from svmdist.geometry import pixel_rays
 from svmdist.kinematics import chain_of, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
-from svmdist.profile.hand_eye import (
-    BASELINE,
-    FOCAL_LENGTH,
-    PRINCIPAL_POINT,
-    SHAFT_RADIUS,
-    TAG_SIZE,
-    ConstantEffect,
-    HandEye,
-    stated_deviations,
-)
+from svmdist.profile import hand_eye as hand_eye_file
 from svmdist.recording.log import Recording
 from svmdist.recording.topics import FixedTransform
 from svmdist.results import Failure, FrameResult
@@ -98,7 +90,11 @@ def fit_parts(parts: Sequence[CalibrationPart], method: str) -> plane_mapping.Ca
 
 
 Against = Literal["kinematics", "pose"]
-SEEN_SIZES = {"fiducial": TAG_SIZE, "stereo": BASELINE, "shaft": SHAFT_RADIUS}
+SEEN_SIZES = {
+    "fiducial": hand_eye_file.TAG_SIZE,
+    "stereo": hand_eye_file.BASELINE,
+    "shaft": hand_eye_file.SHAFT_RADIUS,
+}
 """Methods that find the tool by images alone, the most accurate first, and the size that determines their depth."""
 SEEING_METHODS = tuple(SEEN_SIZES)
 NEAR_NS = 200_000_000
@@ -113,7 +109,7 @@ class HandEyeResult:
     direction; `from_log` the difference of the log's own transform: rotation in rad and translation of the tool in m.
     """
 
-    hand_eye: HandEye
+    hand_eye: hand_eye_file.HandEye
     fit: HandEyeFit
     tool_std_m: float
     from_log: tuple[float, float] | None
@@ -258,15 +254,15 @@ def _fit(
     # The effect of each calibration parameter on the fit, for estimators that use it; without exact ones.
     counts = dict.fromkeys(reported.names, 1) | {name: errors.shape[2] for name, errors in camera.items()}
     names = [name for name, count in counts.items() for _ in range(count)]
-    std = stated_deviations(profile)
+    std = hand_eye_file.stated_deviations(profile)
     effects = tuple(
-        ConstantEffect(
+        hand_eye_file.ConstantEffect(
             constant=name, deviation=std[name], effects=fit.effects[:, [n == name for n in names]].T.tolist()
         )
         for name in counts
         if std.get(name, 0.0) > 0.0
     )
-    hand_eye_of_fit = HandEye.model_validate(
+    hand_eye_of_fit = hand_eye_file.HandEye.model_validate(
         {
             "instrument": profile.instrument_name,
             "camera": profile.frames.camera,
@@ -284,7 +280,12 @@ def _fit(
     )
     middle_m = seen_m[fit.agrees].mean(0)
     covariance_m2 = hand_eye_of_fit.covariance_at(middle_m)[:3, :3]
-    from_log = _from_log(recording, profile, fit.T_camera_base, middle_m)
+    from_log = None
+    with suppress(RecordingError, IndexError):  # the log has no such transform
+        T_log = recording.transform_track(profile.frames.camera, profile.frames.base).T_parent_child[0]
+        nominal = inverse(fit.T_camera_base) @ np.append(middle_m, 1.0)
+        rotation_rad = float(rotation_angle(T_log[:3, :3], fit.T_camera_base[:3, :3]))
+        from_log = rotation_rad, float(np.linalg.norm((T_log @ nominal)[:3] - middle_m))
     return HandEyeResult(
         hand_eye_of_fit, fit, float(np.sqrt(np.linalg.eigvalsh(covariance_m2)[-1])), from_log
     )
@@ -296,31 +297,15 @@ def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float
     A size or baseline that is too small scales positions towards the camera, a focal length their depth. A principal
     point rotates positions about the camera; its effect on directions is negligible.
     """
-    std = stated_deviations(profile)
-    rotation_rad = std[PRINCIPAL_POINT] / focal_px
+    std = hand_eye_file.stated_deviations(profile)
+    rotation_rad = std[hand_eye_file.PRINCIPAL_POINT] / focal_px
     rotations = np.array([[0.0, rotation_rad, 0.0], [-rotation_rad, 0.0, 0.0]])
     offsets = {
         SEEN_SIZES[method]: [-std.get(SEEN_SIZES[method], 0.0) * seen_m],
-        FOCAL_LENGTH: [-std[FOCAL_LENGTH] * seen_m * [0.0, 0.0, 1.0]],
-        PRINCIPAL_POINT: [np.cross(rotation, seen_m) for rotation in rotations],
+        hand_eye_file.FOCAL_LENGTH: [-std[hand_eye_file.FOCAL_LENGTH] * seen_m * [0.0, 0.0, 1.0]],
+        hand_eye_file.PRINCIPAL_POINT: [np.cross(rotation, seen_m) for rotation in rotations],
     }
     return {
         name: np.stack([np.hstack([offset_m, np.zeros_like(offset_m)]) for offset_m in of_name], -1)
         for name, of_name in offsets.items()
     }
-
-
-def _from_log(
-    recording: Recording, profile: Profile, T_camera_base: Array, middle_m: Array
-) -> tuple[float, float] | None:
-    """Rotation in rad, and translation of the tool in m, from a fitted transform to the log's own."""
-    try:
-        track = recording.transform_track(profile.frames.camera, profile.frames.base)
-    except RecordingError:
-        return None
-    if len(track.stamps_ns) == 0:
-        return None
-    T_log = track.T_parent_child[0]
-    nominal = inverse(T_camera_base) @ np.append(middle_m, 1.0)
-    rotation_rad = float(rotation_angle(T_log[:3, :3], T_camera_base[:3, :3]))
-    return rotation_rad, float(np.linalg.norm((T_log @ nominal)[:3] - middle_m))

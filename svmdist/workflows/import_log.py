@@ -6,6 +6,7 @@ A PNG or JPEG is stored as it is. Other formats, frames of a video and halves of
 from __future__ import annotations
 
 import heapq
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -17,16 +18,9 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import SourceError, SvmdistError, UsageError
+from svmdist.importing import tables as table_files
 from svmdist.importing.calibration import CalibrationOptions, complete, stated_cameras
 from svmdist.importing.images import Video, list_images, matching
-from svmdist.importing.tables import (
-    ImageTimes,
-    read_joints,
-    read_poses,
-    read_times,
-    require_rising,
-    stamps_from_names,
-)
 from svmdist.profile import Limits
 from svmdist.recording.images import ImageError, decode_file, read_file, still_size
 from svmdist.recording.writer import EncodedSample, RecordingWriter, encode_still
@@ -103,7 +97,7 @@ def import_log(
     output: Path,
     *,
     force: bool = False,
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> ImportResult:
     """Write a log of files; `on_progress` gets (images done, images in all).
 
@@ -115,7 +109,7 @@ def import_log(
     halved = 2 if given.side_by_side else 1
     sizes = [(view.size_px[0] // halved, view.size_px[1]) for view in views] * halved
     cameras = complete(stated, sizes, FRAMES[: given.count])
-    tables = _table_messages(options, ImageTimes(views[0].names, views[0].stamps_ns))
+    tables = _table_messages(options, table_files.ImageTimes(views[0].names, views[0].stamps_ns))
     images = [_image_messages(views, at, cameras, options) for at in range(len(views))]
     total = sum(len(range(0, len(view.names), given.every)) for view in views)
     sources = (given.source, given.right, *options.poses.values(), *options.joints.values())
@@ -124,24 +118,22 @@ def import_log(
         "side_by_side": "yes" if given.side_by_side else "no",
         "version_svmdist": version("svmdist"),
     }
-    counts: dict[str, int] = {}
-    done = 0
+    counts: Counter[str] = Counter()
     writer = RecordingWriter(output, metadata, force=force, jpeg_quality=options.jpeg_quality)
     try:
         with writer:
             for _, topic, sample in heapq.merge(*images, *tables, key=lambda message: message[0]):
                 writer.write(topic, sample)
-                counts[topic] = counts.get(topic, 0) + 1
-                if topic.endswith("/image") and on_progress is not None:
-                    done += 1
-                    on_progress(done // halved, total)
+                counts[topic] += 1
+                if topic.endswith("/image"):
+                    on_progress(sum(counts[f"/ECM/{side}/image"] for side in SIDES) // halved, total)
     except SvmdistError:
-        with suppress(OSError):
-            if writer.opened:
+        if writer.opened:
+            with suppress(OSError):
                 writer.part_path.unlink(missing_ok=True)
         raise
     has_baseline = None if given.count == 1 else bool(np.any(np.asarray(cameras[1].P)[:2, 3]))
-    return ImportResult(output, counts, output.stat().st_size, has_baseline)
+    return ImportResult(output, dict(counts), output.stat().st_size, has_baseline)
 
 
 def _image_messages(
@@ -163,14 +155,14 @@ def _image_messages(
             yield stamp_ns, f"/ECM/{SIDES[side]}/image", message
 
 
-def _table_messages(options: ImportOptions, times: ImageTimes) -> list[list[Message]]:
+def _table_messages(options: ImportOptions, times: table_files.ImageTimes) -> list[list[Message]]:
     found: list[list[Message]] = []
     for name, path in options.poses.items():
-        poses = read_poses(path, times, options.calibration.unit_m, f"{name}_base")
+        poses = table_files.read_poses(path, times, options.calibration.unit_m, f"{name}_base")
         rows = zip(poses.stamps_ns.tolist(), poses.T_parent_child, strict=True)
         found.append([(ns, f"/{name}/measured_cp", PoseSample(ns, poses.parent, T)) for ns, T in rows])
     for name, path in options.joints.items():
-        joints = read_joints(path, times, options.joint_names)
+        joints = table_files.read_joints(path, times, options.joint_names)
         rows = zip(joints.stamps_ns.tolist(), joints.positions, strict=True)
         found.append([(ns, f"/{name}/measured_js", JointSample(ns, joints.names, q)) for ns, q in rows])
     return found
@@ -210,9 +202,9 @@ def _file_views(options: ViewOptions) -> list[View]:
         raise UsageError("both views have the same images: tell them apart by --pattern and --right-pattern")
     right_names = [path.name for path in right]
     stamps = right_stamps = _stamps(options, names)
-    own = stamps_from_names(right_names)
+    own = table_files.stamps_from_names(right_names)
     if options.rate_hz is None and options.times is None and own:
-        require_rising(own, right_names, str(folder))  # the names of both views have times
+        table_files.require_rising(own, right_names, str(folder))  # the names of both views have times
         right_stamps = own
     else:
         right = matching(left, right)
@@ -267,10 +259,14 @@ def _stamps(options: ViewOptions, names: list[str], times_ns: Sequence[int] | No
         return [options.start_ns + round(number * 1e9 / options.rate_hz) for number in range(len(names))]
     if options.times is None and times_ns is not None:
         return [options.start_ns + time_ns for time_ns in times_ns]
-    stamps = read_times(options.times, names) if options.times else stamps_from_names(names)
+    stamps = (
+        table_files.read_times(options.times, names)
+        if options.times
+        else table_files.stamps_from_names(names)
+    )
     if stamps is None:
         raise UsageError(
             f"the name {names[0]} tells no time (in s or ns since 1970): give --rate HZ or --times FILE"
         )
-    require_rising(stamps, names, str(options.times or options.source))
+    table_files.require_rising(stamps, names, str(options.times or options.source))
     return stamps

@@ -21,13 +21,7 @@ from svmdist.recording.log import KnownLag, Recording
 from svmdist.results import FrameResult
 from svmdist.tracks import SampledDistances
 from svmdist.transforms import Array, Stamps
-from svmdist.workflows.references import (
-    ANY_TRUTH,
-    Reference,
-    TruthRules,
-    distance_truth,
-    truth_follows_images,
-)
+from svmdist.workflows import references
 from svmdist.workflows.request import Setup
 
 BOOTSTRAP_SEED = 36
@@ -175,7 +169,7 @@ class Score:
     recording: str
     method: str
     equations: Equations
-    reference: Reference
+    reference: references.Reference
     frame_count: int
     rejected: Mapping[str, int]
     pairs: Pairs = field(repr=False)
@@ -233,12 +227,14 @@ class Score:
         return metrics.coverage(self.frame_count - self.rejected_count, self.frame_count)
 
 
-def truth_lag_ns(recording: Recording, setup: Setup, reference: Reference, lag: LagEstimate | None) -> int:
+def truth_lag_ns(
+    recording: Recording, setup: Setup, reference: references.Reference, lag: LagEstimate | None
+) -> int:
     """Time offset from a reference's stamps to the images': the lag, or 0 where the reference has the images' clock."""
     lag_ns = round(lag.lag_s * 1e9) if lag else 0
-    if lag and lag_ns and reference is Reference.GROUND_TRUTH:
+    if lag and lag_ns and reference is references.Reference.GROUND_TRUTH:
         corrected = replace(recording, lag=KnownLag(lag.lag_s))
-        return 0 if truth_follows_images(corrected, setup.profile) else lag_ns
+        return 0 if references.truth_follows_images(corrected, setup.profile) else lag_ns
     return lag_ns
 
 
@@ -246,22 +242,22 @@ def score_rows(
     rows: Sequence[FrameResult],
     recording: Recording,
     setup: Setup,
-    reference: Reference,
-    rules: TruthRules = ANY_TRUTH,
+    reference: references.Reference,
+    rules: references.TruthRules = references.ANY_TRUTH,
     lag: LagEstimate | None = None,
     alarms: AlarmRules | None = None,
 ) -> Score:
     """Score the estimates of one recording, shape (n_frames,), against one reference."""
 
     def truth_at(at_ns: Stamps) -> SampledDistances:
-        return distance_truth(recording, setup.profile, reference, at_ns, setup.equations, rules)
+        return references.distance_truth(recording, setup.profile, reference, at_ns, setup.equations, rules)
 
     readings = Readings(rows)
     lag_ns = truth_lag_ns(recording, setup, reference, lag)
     stamps_ns = readings.stamps_ns - lag_ns
     truth = truth_at(stamps_ns)
     planar, spatial, clearance = (readings.pairs(distance, truth, stamps_ns) for distance in DISTANCES)
-    is_truth = reference is Reference.GROUND_TRUTH
+    is_truth = reference is references.Reference.GROUND_TRUTH
     unshifted = readings.pairs("planar", truth_at(readings.stamps_ns)) if lag_ns else planar
     return Score(
         recording.name,

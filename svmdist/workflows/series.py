@@ -87,7 +87,7 @@ class WorstFrame:
 
     @property
     def in_words(self) -> str:
-        """What is bad about it, for a person."""
+        """What is bad about it, human-readable."""
         series, at = self.series, self.at
         where = f"frame {self.number} at {series.seconds[at]:.2f} s, {series.instrument}"
         if not series.measured[at]:
@@ -95,21 +95,17 @@ class WorstFrame:
             return f"{where}: not measured: {series.status[at]}{detail}"
         interval = f"interval ±{series.half_m[at] * 1e3:.2f} mm" if np.isfinite(series.half_m[at]) else ""
         if np.isfinite(series.error_m[at]):
-            error = f"{where}: {series.distance} error {series.error_m[at] * 1e3:+.2f} mm"
-            return f"{error}, {interval}" if interval else error
+            error = f"error {series.error_m[at] * 1e3:+.2f} mm"
+            return f"{where}: {series.distance} {', '.join(filter(None, (error, interval)))}"
         return f"{where}: {series.distance} {interval or f'{series.estimate_m[at] * 1e3:.2f} mm'}"
 
 
 def worst_frames(series: Sequence[Series], count: int) -> list[WorstFrame]:
-    """The worst frames of several logs and instruments, each image once, the worst first."""
-    frames = [
-        WorstFrame(at, one, badness_m)
-        for one in series
-        for at, badness_m in enumerate(one.badness_m.tolist())
-    ]
-    worst: dict[tuple[str, int], WorstFrame] = {}
+    """The worst frames of several instruments, each image once, the worst first."""
+    frames = [WorstFrame(at, one, bad_m) for one in series for at, bad_m in enumerate(one.badness_m.tolist())]
+    worst: dict[int, WorstFrame] = {}
     for frame in sorted(frames, key=lambda frame: -frame.badness_m):
-        worst.setdefault((frame.series.recording, frame.number), frame)
+        worst.setdefault(frame.number, frame)
     return list(worst.values())[:count]
 
 

@@ -15,7 +15,6 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.estimation.methods import PLANAR_METHODS
 from svmdist.files import read_regular, why, write_atomically
 from svmdist.recording.log import Recording
 from svmdist.workflows.estimate import Keep, Measured, estimate, given_lag, recording_lag, with_lag
@@ -99,7 +98,7 @@ def require_truth_for_alarms(request: Request) -> None:
 
 def step_count(recording: Recording, request: Request) -> int:
     """Steps per image: a row of each instrument, and one more where the lag is estimated first."""
-    finds_lag = request.lag == "auto" and request.setup.method not in PLANAR_METHODS
+    finds_lag = request.lag == "auto" and not request.setup.is_planar
     return len(request.instruments or recording.instruments) + finds_lag
 
 
@@ -136,11 +135,11 @@ def score_recording(
 ) -> Scored:
     """Score every wanted instrument. Scores are named after the recording, and after any instrument but the first."""
     steps = steps or Steps(None, None)
-    setup, rules, lag, wanted = request.setup, request.rules, request.lag, request.instruments
+    setup, rules, lag = request.setup, request.rules, request.lag
     notes = setup.degeneracies(recording.camera)
-    planar = setup.method in PLANAR_METHODS  # it needs no joints, and its own rows show the lag
+    planar = setup.is_planar  # it needs no joints, and its own rows show the lag
     read, found = (recording, given_lag(lag)) if planar else with_lag(recording, request, jobs, steps.advance)
-    every = list(steps.of(estimate(read, setup, wanted, jobs)))
+    every = list(steps.of(estimate(read, setup, request.instruments, jobs)))
     if not every:
         raise RecordingError(f"{recording.name}: there is no image to measure")
     scores, missing = [], []

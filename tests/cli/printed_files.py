@@ -1,7 +1,5 @@
 """The files that the documentation's commands take for the user's own, made of golden logs."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from itertools import islice
@@ -28,10 +26,8 @@ IN_ENDOSCOPE_FRAME = {"tool": "tracker", "tissue": "tissue"}
 def golden_pairs() -> tuple[Camera, list[tuple[Image, Image]]]:
     """The camera, and both views of some frames from the middle of a golden log."""
     recording = open_recording(RECORDINGS / "3d" / "contact.mcap", load_profile())
-    pairs = []
-    for observation in islice(recording.observations(), 20, 20 + FRAME_COUNT):
-        assert observation.right is not None
-        pairs.append((observation.image_bgr, observation.right.image_bgr))
+    observations = islice(recording.observations(), 20, 20 + FRAME_COUNT)
+    pairs = [(one.image_bgr, one.right.image_bgr) for one in observations]
     return recording.camera, pairs
 
 
@@ -64,8 +60,6 @@ def write_log(path: Path, source: Path, seconds: float = 60.0) -> None:
         channels: dict[str, int] = {}
         reader = make_reader(golden)
         summary = reader.get_summary()
-        assert summary is not None
-        assert summary.statistics is not None
         end_ns = summary.statistics.message_start_time + round(seconds * 1e9)
         for schema, channel, message in reader.iter_messages():
             if message.log_time > end_ns:
@@ -79,7 +73,6 @@ def write_log(path: Path, source: Path, seconds: float = 60.0) -> None:
             elif topic.startswith("/ground_truth"):
                 continue
             if topic not in channels:
-                assert schema is not None
                 number = writer.register_schema(schema.name, schema.encoding, schema.data)
                 channels[topic] = writer.register_channel(topic, channel.message_encoding, number)
             writer.add_message(channels[topic], message.log_time, data, message.publish_time)

@@ -1,14 +1,11 @@
 """Logs in an S3 store that is served here, and in memory: the same rows as from a disk."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.conftest import Cli
 from tests.synthetic import write_log
 
 pytest.importorskip("s3fs", reason="the extra cloud is not installed")
@@ -51,7 +48,7 @@ def bucket(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     fsspec.filesystem("s3").clear_instance_cache()
 
 
-def test_s3_gives_the_rows_of_a_disk(cli: Cli, bucket: str, folder: Path, tmp_path: Path) -> None:
+def test_s3_gives_the_rows_of_a_disk(cli, bucket, folder, tmp_path):
     """By one process and by two; what fails there is one line; what is done is known by what the store says of it."""
     expected = cli("estimate", folder, "-f", "csv").out
     results = tmp_path / "results"
@@ -67,7 +64,7 @@ def test_s3_gives_the_rows_of_a_disk(cli: Cli, bucket: str, folder: Path, tmp_pa
     assert nothing.err == f"svmdist: {bucket}/*.bag: no log matches\n"
 
 
-def test_memory_gives_the_rows_of_a_disk(cli: Cli, folder: Path) -> None:
+def test_memory_gives_the_rows_of_a_disk(cli, folder):
     """A process's memory is its own: these logs are measured in this one."""
     import fsspec
 

@@ -1,7 +1,5 @@
 """What the commands print, where and in which form, and what they load for it."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -9,14 +7,13 @@ import shutil
 import subprocess
 import sys
 import tomllib
-from pathlib import Path
 
 import pytest
 
 from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
 from svmdist.report.rows import ESTIMATE_KEYS
-from tests.conftest import Cli, ended
+from tests.conftest import ended
 from tests.synthetic import write_log
 
 CONTRACT = (
@@ -26,7 +23,7 @@ CONTRACT = (
 Arguments = tuple[object, ...]
 
 
-def test_all_forms_of_rows_agree(cli: Cli, tmp_path: Path, calibrated: Arguments) -> None:
+def test_all_forms_of_rows_agree(cli, tmp_path, calibrated):
     """A row for each frame; the ending chooses the form as -f does; stdout holds data only, or nothing; - is stdout."""
     made = cli("estimate", *calibrated, "-f", "csv")
     rows = cli("estimate", *calibrated, "-f", "json").json
@@ -43,9 +40,7 @@ def test_all_forms_of_rows_agree(cli: Cli, tmp_path: Path, calibrated: Arguments
         assert path.read_text() == cli("estimate", *calibrated, "-f", form, "-o", "-").out
 
 
-def test_an_annotated_recording_is_replaced_only_by_force(
-    cli: Cli, tmp_path: Path, synthetic_log: Path
-) -> None:
+def test_an_annotated_recording_is_replaced_only_by_force(cli, tmp_path, synthetic_log):
     output = tmp_path / "out.mcap"
     cli("estimate", synthetic_log, "-o", output)
     topics = {info.topic: info.message_count for info in open_recording(output, load_profile()).topics()}
@@ -54,14 +49,14 @@ def test_an_annotated_recording_is_replaced_only_by_force(
     cli("estimate", synthetic_log, "-o", output, "--force")
 
 
-def test_printed_equations_warn(cli: Cli, synthetic_log: Path) -> None:
+def test_printed_equations_warn(cli, synthetic_log):
     """The printed reading runs, says where it degenerates, and is stored with the rows."""
     outcome = cli("estimate", synthetic_log, "--equations", "printed", "-f", "json")
     assert {row["equations"] for row in outcome.json} == {"printed"}
     assert "eqs. (3), (4) as printed" in outcome.err
 
 
-def test_calibrate_writes_its_sources(cli: Cli, tmp_path: Path, synthetic_log: Path) -> None:
+def test_calibrate_writes_its_sources(cli, tmp_path, synthetic_log):
     """The file names method, camera and the hash of its source; it is not replaced without --force."""
     output = tmp_path / "mine.toml"
     assert "residual RMSE" in cli("calibrate", synthetic_log, "-o", output).err
@@ -72,7 +67,7 @@ def test_calibrate_writes_its_sources(cli: Cli, tmp_path: Path, synthetic_log: P
     cli("calibrate", synthetic_log, "-o", output, "--force")
 
 
-def test_validate_document(cli: Cli, calibrated: Arguments) -> None:
+def test_validate_document(cli, calibrated):
     """The JSON document has its schema, a score per reference, and leaves what it was fitted on out of overall."""
     document = cli("validate", *calibrated, "-f", "json").json
     assert document["schema"] == "svmdist.validation/1"
@@ -87,7 +82,7 @@ def test_validate_document(cli: Cli, calibrated: Arguments) -> None:
     assert document["paper"]["r_squared"] == 0.78
 
 
-def test_a_baseline_catches_a_regression(cli: Cli, tmp_path: Path, calibrated: Arguments) -> None:
+def test_a_baseline_catches_a_regression(cli, tmp_path, calibrated):
     """It passes on the same figures, and exits with 4 where one got worse; with nothing to compare it is an error."""
     baseline = tmp_path / "baseline.json"
     cli("validate", *calibrated, "--write-baseline", baseline)
@@ -101,7 +96,7 @@ def test_a_baseline_catches_a_regression(cli: Cli, tmp_path: Path, calibrated: A
     assert "synthetic against ground_truth" in worse.err
 
 
-def test_blur_bench_rows(cli: Cli, tmp_path: Path, synthetic_calibration: Path) -> None:
+def test_blur_bench_rows(cli, tmp_path, synthetic_calibration):
     """Every blur of Table I has a row, with a clean one, and the kernels are those asked for."""
     log = write_log(tmp_path / "short.mcap", frame_count=10)
     options = ("--calibration", synthetic_calibration, "-f", "json", "--kernel", "gaussian=7")
@@ -119,7 +114,7 @@ def test_blur_bench_rows(cli: Cli, tmp_path: Path, synthetic_calibration: Path) 
         assert row["rmse_m"] < 5e-4
 
 
-def test_version_and_a_command_that_there_is_not(cli: Cli) -> None:
+def test_version_and_a_command_that_there_is_not(cli):
     assert cli("--version").out.startswith("svmdist 0.")
     assert "No such command 'frobnicate'" in cli("frobnicate", code=2).err
 
@@ -141,7 +136,7 @@ sys.stderr.write("loaded: " + " ".join(sys.modules))
     ("arguments", "needed"),
     [("--help", 0), *((f"estimate LOG -f {form}", 4) for form in ("table", "csv", "json"))],
 )
-def test_a_command_loads_what_it_uses_and_no_more(tmp_path: Path, arguments: str, needed: int) -> None:
+def test_a_command_loads_what_it_uses_and_no_more(tmp_path, arguments, needed):
     """Importing is most of what a short log costs; rows are written as they come, and the log is MCAP with zstd."""
     log = write_log(tmp_path / "a.mcap", frame_count=1)
     command = [sys.executable, "-c", SAY_LOADED, *arguments.replace("LOG", str(log)).split()]
@@ -150,7 +145,7 @@ def test_a_command_loads_what_it_uses_and_no_more(tmp_path: Path, arguments: str
     assert done.stdout
 
 
-def test_a_closed_pipe_is_quiet(synthetic_log: Path) -> None:
+def test_a_closed_pipe_is_quiet(synthetic_log):
     """`svmdist estimate … | head -1` ends without a complaint."""
     estimate = f"{sys.executable} -m svmdist estimate {synthetic_log} -f csv"
     command = f"{estimate} | head -1; echo ${{PIPESTATUS[0]}}"
@@ -160,7 +155,7 @@ def test_a_closed_pipe_is_quiet(synthetic_log: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
-def test_a_shell_completes_with_the_script_that_is_shown(tmp_path: Path) -> None:
+def test_a_shell_completes_with_the_script_that_is_shown(tmp_path):
     """bash reads the script, and its function asks a command of that name."""
     command = tmp_path / "svmdist"
     command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m svmdist "$@"\n')

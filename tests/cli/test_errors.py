@@ -1,7 +1,5 @@
 """Wrong requests and wrong input: one line that says what to do, the exit code, no traceback and no file."""
 
-from __future__ import annotations
-
 import re
 import sys
 from dataclasses import replace
@@ -15,7 +13,7 @@ from svmdist.cli.options import parse_length_m
 from svmdist.errors import UsageError
 from svmdist.profile import SHIPPED
 from svmdist.samples import JointSample, Sample
-from tests.conftest import REPOSITORY, Cli
+from tests.conftest import REPOSITORY
 from tests.synthetic import make_scene, without, write_log
 
 PSM13 = (SHIPPED / "psm13.toml").read_text("utf-8")
@@ -131,7 +129,6 @@ ERRORS = [
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the requests name."""
     made = tmp_path_factory.mktemp("errors")
     write_log(made / "log.mcap", frame_count=6)
     write_log(made / "two.mcap", frame_count=1)
@@ -151,9 +148,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(("request_", "code", "said"), ERRORS, ids=[request for request, *_ in ERRORS])
-def test_a_wrong_request_is_one_line(
-    cli: Cli, folder: Path, monkeypatch: pytest.MonkeyPatch, request_: str, code: int, said: str
-) -> None:
+def test_a_wrong_request_is_one_line(cli, folder, monkeypatch, request_, code, said):
     monkeypatch.chdir(folder)
     before = {path: path.stat().st_mtime_ns for path in folder.iterdir()}
     outcome = cli(*request_.split(" "), code=code)
@@ -163,7 +158,7 @@ def test_a_wrong_request_is_one_line(
     assert {path: path.stat().st_mtime_ns for path in folder.iterdir()} == before
 
 
-def test_lengths_have_a_unit() -> None:
+def test_lengths_have_a_unit():
     for text in ("5mm", "5 mm", "0.5cm", "0.005m"):
         assert parse_length_m("--alarm-below", text) == pytest.approx(0.005)
     for text in ("5", "mm", "-5mm", "0mm", "nanmm", "5in", "1e9m", ""):
@@ -175,7 +170,7 @@ def test_lengths_have_a_unit() -> None:
     ("method", "said"),
     [("fused", "no_joints (no joints near the image)"), ("stereo", "no_stereo (no right view)")],
 )
-def test_a_method_says_what_the_log_lacks(cli: Cli, tmp_path: Path, method: str, said: str) -> None:
+def test_a_method_says_what_the_log_lacks(cli, tmp_path, method, said):
     """Frames without what a method needs are rows with a reason and its detail, and the last line has both."""
     path = write_log(tmp_path / "still.mcap", frame_count=3, change=without("PSM1"))
     outcome = cli("estimate", path, "--method", method, "-f", "csv", code=1)  # nothing was measured
@@ -184,7 +179,7 @@ def test_a_method_says_what_the_log_lacks(cli: Cli, tmp_path: Path, method: str,
 
 
 @pytest.mark.parametrize("place_m", [1000.0, 1e8, -1e8])
-def test_joints_where_no_joint_can_be(cli: Cli, tmp_path: Path, place_m: float) -> None:
+def test_joints_where_no_joint_can_be(cli, tmp_path, place_m):
     """An instrument that is a kilometre in is not believed: no row is `ok`, and the joint is named."""
 
     def far_away(_: str, sample: Sample) -> Sample:
@@ -200,9 +195,7 @@ def test_joints_where_no_joint_can_be(cli: Cli, tmp_path: Path, place_m: float) 
         assert line.startswith("svmdist: 0 of 3 frames measured (0.0%); 3 no_joints (joint insertion is at ")
 
 
-def test_of_a_file_that_is_cut_the_readable_frames_are_measured(
-    cli: Cli, tmp_path: Path, synthetic_log: Path
-) -> None:
+def test_of_a_file_that_is_cut_the_readable_frames_are_measured(cli, tmp_path, synthetic_log):
     """The loss is said and the exit code is 3."""
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(synthetic_log.read_bytes()[: synthetic_log.stat().st_size // 2])
@@ -215,7 +208,7 @@ def test_of_a_file_that_is_cut_the_readable_frames_are_measured(
     assert not cli("info", cut, "-f", "json", code=3).json["is_clean"]
 
 
-def test_a_profile_limits_what_a_log_may_ask(cli: Cli, tmp_path: Path, synthetic_log: Path) -> None:
+def test_a_profile_limits_what_a_log_may_ask(cli, tmp_path, synthetic_log):
     """What is above `[limits]` of the profile is a loss."""
     profile = tmp_path / "strict.toml"
     profile.write_text(PSM13 + "\n[limits]\nimage_pixels = 1000\n")
@@ -226,7 +219,7 @@ def test_a_profile_limits_what_a_log_may_ask(cli: Cli, tmp_path: Path, synthetic
     assert outcome.out.count("corrupt_image") == 40
 
 
-def test_record_without_pybullet_says_why(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_record_without_pybullet_says_why(cli, tmp_path, monkeypatch):
     """Where PyBullet is missing, `record` says why and what to do, and leaves no file."""
     monkeypatch.setitem(sys.modules, "pybullet", None)
     outcome = cli("record", "--duration", "0.5", "-o", tmp_path / "sweep.mcap", code=1)

@@ -1,7 +1,5 @@
 """docs/guide.md as it stands, on a picture of an instrument that the simulator never drew."""
 
-from __future__ import annotations
-
 import csv
 import re
 from dataclasses import replace
@@ -13,7 +11,7 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.samples import CameraSample, ImageSample
-from tests.conftest import REPOSITORY, Cli
+from tests.conftest import REPOSITORY
 from tests.recording.builders import Entry
 from tests.recording.other_recorders import ros_messages, write_ros2_mcap
 from tests.shaft_images import PALE_BGR, RED_BGR, ShaftImage, entering_from
@@ -43,7 +41,7 @@ def my_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_the_guides_profile_by_colours_measures(cli: Cli, my_folder: Path) -> None:
+def test_the_guides_profile_by_colours_measures(cli, my_folder):
     """The profile as it stands: the tool is found within 0.5 mm, and the intervals hold."""
     profile = ("--profile", "colours.toml")
     options = ["--method", "shaft", "--alarm-below", "5mm", "-f", "csv", "-o", "mine.csv"]

@@ -1,7 +1,5 @@
 """`svmdist hand-eye` on simulated logs whose own transform is off by centimetres, and what uses the result."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +9,7 @@ from svmdist.profile import load_profile
 from svmdist.profile.hand_eye import load_hand_eye
 from svmdist.recording.log import open_recording
 from svmdist.transforms import rotation_vector
-from tests.conftest import REPOSITORY, Cli
+from tests.conftest import REPOSITORY
 
 LOG = REPOSITORY / "recordings" / "real" / "random.mcap"
 EXACT = REPOSITORY / "recordings" / "sweep.mcap"
@@ -35,17 +33,16 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_true_transform_is_in_the_stated_ellipsoid(fitted: Path) -> None:
+def test_the_true_transform_is_in_the_stated_ellipsoid(fitted):
     """With joints that err by a degree and a log whose transform is centimetres off, 95 % holds the true one."""
     stated = load_hand_eye(fitted).of("PSM1")
-    assert stated is not None
     true = open_recording(EXACT, load_profile()).transform_track("camera", "base").T_parent_child[0]
     T = stated.T_camera_base
     error = np.concatenate([true[:3, 3] - T[:3, 3], rotation_vector(true[:3, :3] @ T[:3, :3].T)])
     assert error @ np.linalg.solve(np.array(stated.covariance), error) < 12.6
 
 
-def test_methods_use_it(cli: Cli, fitted: Path) -> None:
+def test_methods_use_it(cli, fitted):
     """`kinematic` errs by millimetres in place of centimetres, and its interval still holds the truth."""
     errors = []
     command = ("validate", LOG, "--method", "kinematic", "--truth", "ground_truth", "-f", "json")
@@ -57,10 +54,9 @@ def test_methods_use_it(cli: Cli, fitted: Path) -> None:
     assert errors[1] < 0.5 * errors[0]
 
 
-def test_fk_in_the_camera(cli: Cli, fitted: Path) -> None:
+def test_fk_in_the_camera(cli, fitted):
     """Poses in the camera's frame are the base's poses under the fitted transform."""
     stated = load_hand_eye(fitted).of("PSM1")
-    assert stated is not None
     rows = [cli("fk", LOG, *options).rows for options in ((), ("--in-camera", "--hand-eye", fitted))]
     assert len(rows[0]) == len(rows[1]) > 0
     places = [np.array([[float(row[f"{axis}_m"]) for axis in "xyz"] for row in part]) for part in rows]
@@ -68,20 +64,19 @@ def test_fk_in_the_camera(cli: Cli, fitted: Path) -> None:
     np.testing.assert_allclose(places[0] @ T[:3, :3].T + T[:3, 3], places[1], atol=1e-9)
 
 
-def test_a_profile_names_the_file(cli: Cli, fitted: Path) -> None:
+def test_a_profile_names_the_file(cli, fitted):
     """A profile beside the file names it, and `info` needs no transforms of the log any more."""
     text = (REPOSITORY / "svmdist" / "profiles" / "psm13.toml").read_text("utf-8")
     mine = fitted.parent / "mine.toml"
     mine.write_text(f'hand_eye = "{fitted.name}"\n' + text, "utf-8")
     profile = load_profile(mine)
-    assert profile.camera_to_base is not None
     assert profile.for_instrument("PSM2").camera_to_base is None
     tf = open_recording(LOG, profile).transform_track("camera", "base")
     np.testing.assert_allclose(tf.T_parent_child[0], profile.camera_to_base.T_camera_base)
     cli("info", LOG, "--profile", mine)
 
 
-def test_table_and_formats(cli: Cli, tmp_path: Path) -> None:
+def test_table_and_formats(cli, tmp_path):
     """The command prints the transform, its deviations and how far the log's own is off; the file is not replaced."""
     path = tmp_path / "he.toml"
     outcome = cli("hand-eye", LOG, "--method", "fiducial", "-o", path)
@@ -104,7 +99,7 @@ def test_table_and_formats(cli: Cli, tmp_path: Path) -> None:
         ("translation_m = [", "translation_m = [[", "not a TOML file"),
     ],
 )
-def test_wrong_files(cli: Cli, fitted: Path, tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_wrong_files(cli, fitted, tmp_path, old, new, said):
     """A file of other frames, and one that is broken, are one line."""
     path = tmp_path / "other.toml"
     path.write_text(fitted.read_text("utf-8").replace(old, new), "utf-8")

@@ -1,7 +1,5 @@
 """Files and paths that nobody would write by hand: each gets one line that names it, at once, and exit code 1 or 2."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable
@@ -10,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.profile import SHIPPED
-from tests.conftest import Cli, ended
+from tests.conftest import ended
 
 PSM13 = (SHIPPED / "psm13.toml").read_text("utf-8")
 DEEP, DEEP_TABLES, DIGITS = "[" * 10_000 + "]" * 10_000, "{b=" * 10_000 + "1" + "}" * 10_000, "9" * 5_000
@@ -36,12 +34,14 @@ def changed(path: Path, first: str, last: str, new: str) -> Path:
     return profile
 
 
-def as_profile(path: Path) -> list[object]:
-    return ["info", "x.mcap", "--profile", path.rename(path.with_suffix(".toml"))]
-
-
-def as_calibration(path: Path) -> list[object]:
-    return ["estimate", "x.mcap", "--calibration", path]
+NETWORK = """[segmentation]
+method = "onnx"
+model = "{path}"
+width_px = 64
+height_px = 64
+tissue = {{ class_ids = [1], min_area_px = 9 }}
+instrument = {{ class_ids = [2], min_area_px = 9 }}
+"""
 
 
 def as_mesh(path: Path) -> list[object]:
@@ -51,25 +51,8 @@ def as_mesh(path: Path) -> list[object]:
 
 
 def as_network(path: Path) -> list[object]:
-    network = f"""[segmentation]
-method = "onnx"
-model = "{path}"
-width_px = 64
-height_px = 64
-tissue = {{ class_ids = [1], min_area_px = 9 }}
-instrument = {{ class_ids = [2], min_area_px = 9 }}
-"""
-    profile = changed(path, "[segmentation.tissue]", "[marker]", network)
+    profile = changed(path, "[segmentation.tissue]", "[marker]", NETWORK.format(path=path))
     return ["estimate", "x.mcap", "--method", "fused", "--profile", profile]
-
-
-def as_recording(path: Path) -> list[object]:
-    return ["estimate", path]
-
-
-def as_metadata(path: Path) -> list[object]:
-    path.rename(path.with_name("metadata.yaml"))
-    return ["info", path.parent]
 
 
 def as_member(path: Path) -> list[object]:
@@ -79,14 +62,21 @@ def as_member(path: Path) -> list[object]:
     return ["info", path.parent]
 
 
+USES: dict[str, Callable[[Path], list[object]]] = {
+    "profile": lambda path: ["info", "x.mcap", "--profile", path.rename(path.with_suffix(".toml"))],
+    "calibration": lambda path: ["estimate", "x.mcap", "--calibration", path],
+    "mesh": as_mesh,
+    "network": as_network,
+    "recording": lambda path: ["estimate", path],
+    "metadata": lambda path: ["info", path.rename(path.with_name("metadata.yaml")).parent],
+    "file of a bag": as_member,
+}
+
+
 @LINUX
 @pytest.mark.parametrize("kind", ["pipe", "zeros"])
-@pytest.mark.parametrize(
-    "use", [as_profile, as_calibration, as_mesh, as_network, as_recording, as_metadata, as_member]
-)
-def test_what_is_no_regular_file_is_not_waited_for(
-    tmp_path: Path, kind: str, use: Callable[[Path], list[object]]
-) -> None:
+@pytest.mark.parametrize("use", USES.values(), ids=USES)
+def test_what_is_no_regular_file_is_not_waited_for(tmp_path, kind, use):
     """A pipe would be waited for without end, and a device fill the memory."""
     done = ended(*use(named(tmp_path, kind, "it")), cwd=tmp_path)
     assert done.returncode == 1
@@ -105,7 +95,7 @@ def test_what_is_no_regular_file_is_not_waited_for(
     ],
     ids=["lists", "tables", "digits", "dotted"],
 )
-def test_a_profile_without_measure(cli: Cli, tmp_path: Path, text: str, said: str) -> None:
+def test_a_profile_without_measure(cli, tmp_path, text, said):
     path = tmp_path / "mine.toml"
     path.write_text(text)
     line = cli("info", "x.mcap", "--profile", path, code=1).line
@@ -123,9 +113,7 @@ def test_a_profile_without_measure(cli: Cli, tmp_path: Path, text: str, said: st
         ("position_m = [0.0, 0.0085, 0.0046]", "position_m = [0.0, -1e308, 0.0]", "fiducial.position_m"),
     ],
 )
-def test_numbers_of_a_profile_are_bounded(
-    cli: Cli, tmp_path: Path, before: str, after: str, said: str
-) -> None:
+def test_numbers_of_a_profile_are_bounded(cli, tmp_path, before, after, said):
     """What would overflow when it is squared is refused where it stands, not warned of by NumPy later."""
     path = tmp_path / "mine.toml"
     text = PSM13.replace(before, after, 1) if before in PSM13 else PSM13 + f"[camera_error]\n{after}\n"
@@ -137,7 +125,7 @@ def test_numbers_of_a_profile_are_bounded(
 
 @pytest.mark.parametrize("length", [254, 255, 256, 300])
 @pytest.mark.parametrize("command", ["info", "profile", "output", "record"])
-def test_long_names(cli: Cli, tmp_path: Path, synthetic_log: Path, command: str, length: int) -> None:
+def test_long_names(cli, tmp_path, synthetic_log, command, length):
     """A name that the file system does not know how to keep is one line; the longest that it keeps is written."""
     path = tmp_path / ("n" * (length - 5) + ".toml")
     arguments: dict[str, list[object]] = {

@@ -1,7 +1,5 @@
 """A system that runs out of something, or knows other letters: one line and exit code 1, or plain ASCII."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource
@@ -22,7 +20,7 @@ MIB = 1 << 20
     [["info"], ["info", "-f", "json"], ["estimate"], ["estimate", "-f", "csv"], ["fk", "-f", "csv"]],
     ids=" ".join,
 )
-def test_a_full_stdout(synthetic_log: Path, arguments: list[str]) -> None:
+def test_a_full_stdout(synthetic_log, arguments):
     """What cannot be written is an error, whoever notices it: the write, the flush, or Python at its end."""
     command, *options = arguments
     with Path("/dev/full").open("w") as full:
@@ -36,7 +34,7 @@ def limited(what: int, amount: int) -> Callable[[], None]:
     return lambda: resource.setrlimit(what, (amount, amount))
 
 
-def test_a_limit_of_file_sizes(tmp_path: Path, synthetic_log: Path) -> None:
+def test_a_limit_of_file_sizes(tmp_path, synthetic_log):
     """`ulimit -f`: stdout in a file, and files of its own."""
     command = ["estimate", synthetic_log, "-f", "csv"]
     limit = limited(resource.RLIMIT_FSIZE, 2048)
@@ -50,7 +48,7 @@ def test_a_limit_of_file_sizes(tmp_path: Path, synthetic_log: Path) -> None:
 
 
 @pytest.mark.parametrize("memory_mib", [150, 250, 350, 450, 600])
-def test_a_limit_of_memory(synthetic_log: Path, memory_mib: int) -> None:
+def test_a_limit_of_memory(synthetic_log, memory_mib):
     """`ulimit -v`: it works, or says in a line that memory is what it lacks; libraries may add lines of their own."""
     limit = limited(resource.RLIMIT_AS, memory_mib * MIB)
     command = ["estimate", synthetic_log, "-f", "csv", "-j", "1"]
@@ -63,7 +61,7 @@ def test_a_limit_of_memory(synthetic_log: Path, memory_mib: int) -> None:
 
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252"])
 @pytest.mark.parametrize("form", ["table", "csv", "json", "jsonl"])
-def test_other_encodings(tmp_path: Path, synthetic_log: Path, encoding: str, form: str) -> None:
+def test_other_encodings(tmp_path, synthetic_log, encoding, form):
     """Tables fall back to ASCII, and JSON stays what it is, whatever stdout is encoded in."""
     log = tmp_path / "größe–Ω.mcap"
     log.write_bytes(synthetic_log.read_bytes())
@@ -83,7 +81,7 @@ def test_other_encodings(tmp_path: Path, synthetic_log: Path, encoding: str, for
 
 @pytest.mark.parametrize("command", ["info", "estimate"])
 @pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
-def test_a_name_that_is_not_utf8(tmp_path: Path, synthetic_log: Path, command: str, encoding: str) -> None:
+def test_a_name_that_is_not_utf8(tmp_path, synthetic_log, command, encoding):
     """Bytes of a file's name that are no text are shown as unknown characters."""
     log = Path(os.fsdecode(os.fsencode(tmp_path) + b"/a\xff\xfe.mcap"))
     log.write_bytes(synthetic_log.read_bytes())

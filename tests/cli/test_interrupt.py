@@ -1,7 +1,5 @@
 """Ctrl-C and kills: one line, exit code 130, no traceback, whatever the command is doing; and nothing is left."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -15,7 +13,7 @@ import pytest
 from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample
-from tests.conftest import REPOSITORY, Cli, started
+from tests.conftest import REPOSITORY, started
 
 INTERRUPTED, TERMINATED = "svmdist: interrupted", "svmdist: terminated"
 
@@ -28,7 +26,7 @@ INTERRUPTED, TERMINATED = "svmdist: interrupted", "svmdist: terminated"
         "record -o r.mcap",
     ],
 )
-def test_every_command(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request_: str) -> None:
+def test_every_command(cli, tmp_path, monkeypatch, request_):
     """An interrupt in the middle of the work of each command ends it so, and leaves no file."""
 
     def interrupted(*_: object, **__: object) -> NoReturn:
@@ -48,9 +46,7 @@ def test_every_command(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ids=["INT", "TERM", "HUP"],
 )
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_while_a_log_is_recorded(
-    tmp_path: Path, number: signal.Signals, code: int, said: str, jobs: int
-) -> None:
+def test_while_a_log_is_recorded(tmp_path, number, code, said, jobs):
     """A real signal between two frames: no log under its name, and what there is stays in its `.part`, readable."""
     pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
     path, part = tmp_path / "r.mcap", tmp_path / "r.mcap.part"
@@ -69,7 +65,7 @@ def test_while_a_log_is_recorded(
     assert any(isinstance(image, ImageSample) for image in open_recording(part, load_profile()).images())
 
 
-def test_with_a_progress_bar_on_a_terminal(golden: Path) -> None:
+def test_with_a_progress_bar_on_a_terminal(golden):
     """The bar is taken off the terminal, the cursor comes back, and the line stands alone.
 
     All methods on all logs take a minute, of which the interrupt leaves the first moment.
@@ -132,7 +128,7 @@ def left_by(folder: Path, command: str, after_s: float | None, number: int = 0) 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signals")
 @pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS)
-def test_nothing_is_left_in_the_temporary_folder(tmp_path: Path, command: str) -> None:
+def test_nothing_is_left_in_the_temporary_folder(tmp_path, command):
     """A killed command leaves at most its `.part` beside the target, which the next one removes."""
     *_, output = command.split()
     kept = {output, f"{output}.part"} if command.startswith("record") else {output}

@@ -1,7 +1,5 @@
 """Commands and options for logs that people have: lag, truth, topics, forward kinematics, info, import, profiles."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +14,7 @@ from svmdist.recording.messages import Decoder, to_sample
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import ImageSample, JointSample, PoseSample, Sample, TransformSample, TransformsSample
 from svmdist.transforms import make_transform, quaternion_xyzw_from_rotation
-from tests.conftest import Cli, Outcome
+from tests.conftest import Outcome
 from tests.recording.builders import Entry
 from tests.recording.other_recorders import ros_messages, write_ros2_mcap
 from tests.synthetic import START_NS, TISSUE_M, make_scene, samples, without, write_log
@@ -26,9 +24,7 @@ SCENE = make_scene()
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "lag_s"), [("sweep", -2.5), ("random", 0.4)])
-def test_an_injected_lag_is_recovered(
-    cli: Cli, tmp_path: Path, golden: Path, name: str, lag_s: float
-) -> None:
+def test_an_injected_lag_is_recovered(cli, tmp_path, golden, name, lag_s):
     """`--lag auto` finds within 5 ms by how much the image stamps are late, and undoes the harm."""
     decoder, log = Decoder(Limits()), []
     for raw in open_recording(golden / f"{name}.mcap", load_profile()).file.source.messages():
@@ -46,7 +42,7 @@ def test_an_injected_lag_is_recovered(
         assert score["r_squared_uncorrected"] < 0.9 < score["r_squared"]
 
 
-def test_a_still_tool_cannot_tell_a_lag(cli: Cli, tmp_path: Path, synthetic_calibration: Path) -> None:
+def test_a_still_tool_cannot_tell_a_lag(cli, tmp_path, synthetic_calibration):
     """Where nothing moves, the note says so and 0 is used."""
     first: dict[str, Sample] = {}
 
@@ -65,7 +61,6 @@ def test_a_still_tool_cannot_tell_a_lag(cli: Cli, tmp_path: Path, synthetic_cali
 
 
 def tracked(topic: str, sample: Sample) -> Sample:
-    """Put tool and tissue among the transforms of the log."""
     if topic != "/tf" or not isinstance(sample, TransformsSample):
         return sample
     seconds = (sample.stamp_ns - START_NS) / 1e9
@@ -86,11 +81,10 @@ def write_with_poses(path: Path) -> Path:
 
 
 def scores(outcome: Outcome) -> dict[str, dict[str, object]]:
-    """The scores of a document by reference."""
     return {score["reference"]: score for score in outcome.json["recordings"]}
 
 
-def test_the_choices_of_truth_agree(cli: Cli, tmp_path: Path, synthetic_calibration: Path) -> None:
+def test_the_choices_of_truth_agree(cli, tmp_path, synthetic_calibration):
     """Ground truth, a tf pair, a pose topic and kinematics of one exact scene give one figure."""
     path = write_with_poses(tmp_path / "a.mcap")
     common = ("validate", path, "--calibration", synthetic_calibration, "-f", "json")
@@ -107,7 +101,7 @@ def test_the_choices_of_truth_agree(cli: Cli, tmp_path: Path, synthetic_calibrat
         assert score["sample_count"] == expected["sample_count"]
 
 
-def test_truth_is_not_carried_across_long_gaps(cli: Cli, tmp_path: Path, synthetic_calibration: Path) -> None:
+def test_truth_is_not_carried_across_long_gaps(cli, tmp_path, synthetic_calibration):
     """Frames in a gap of 0.35 s are unpaired by default, and paired when --max-gap allows it."""
 
     def with_gap(topic: str, sample: Sample) -> Sample | None:
@@ -121,7 +115,7 @@ def test_truth_is_not_carried_across_long_gaps(cli: Cli, tmp_path: Path, synthet
         assert found["ground_truth"]["unpaired_count"] == unpaired_count
 
 
-def test_topics_are_chosen_and_candidates_listed(cli: Cli, tmp_path: Path) -> None:
+def test_topics_are_chosen_and_candidates_listed(cli, tmp_path):
     """With two image topics the error lists both, and --topic chooses."""
     entries = []
     for topic, sample in samples(SCENE, 4):
@@ -134,7 +128,7 @@ def test_topics_are_chosen_and_candidates_listed(cli: Cli, tmp_path: Path) -> No
     assert len(cli("estimate", path, "-f", "csv", "--topic", "image=/left/image_raw").rows) == 4
 
 
-def test_fk_prints_a_pose_for_each_joint_state(cli: Cli, tmp_path: Path) -> None:
+def test_fk_prints_a_pose_for_each_joint_state(cli, tmp_path):
     """CSV, JSON and TUM hold the same poses, which are the chain's; the pose topic agrees with them."""
     path = write_with_poses(tmp_path / "a.mcap")
     as_csv = cli("fk", path)
@@ -156,7 +150,7 @@ def test_fk_prints_a_pose_for_each_joint_state(cli: Cli, tmp_path: Path) -> None
     assert float(as_csv.err.split("position RMSE ")[1].split(" mm")[0]) < 1e-9
 
 
-def test_info_tells_what_a_log_can_serve(cli: Cli, tmp_path: Path, synthetic_log: Path) -> None:
+def test_info_tells_what_a_log_can_serve(cli, tmp_path, synthetic_log):
     """Table, CSV and JSON name the topics with counts and rates, the frames, and the commands."""
     table = cli("info", synthetic_log)
     for expected in ("/ECM/left/image", "10.0", "100.0", "tissue", "blur-bench", "640x480"):
@@ -183,7 +177,7 @@ def test_info_tells_what_a_log_can_serve(cli: Cli, tmp_path: Path, synthetic_log
     assert lacking["commands"]["fk"]["served"]
 
 
-def test_info_counts_gaps_and_disorder(cli: Cli, tmp_path: Path) -> None:
+def test_info_counts_gaps_and_disorder(cli, tmp_path):
     """A hole and a stamp out of order are counted in their topic."""
 
     def disturbed(topic: str, sample: Sample) -> Sample | None:
@@ -208,9 +202,7 @@ def test_info_counts_gaps_and_disorder(cli: Cli, tmp_path: Path) -> None:
     ],
     ids=["one view", "two"],
 )
-def test_images_are_imported(
-    cli: Cli, tmp_path: Path, options: tuple[str, ...], baseline: bool, camera: str
-) -> None:
+def test_images_are_imported(cli, tmp_path, options, baseline, camera):
     """The log has images and a camera, and says where it is from; what two views without a baseline lack is said."""
     images, log = tmp_path / "endoscope", tmp_path / "out.mcap"
     images.mkdir()
@@ -225,7 +217,7 @@ def test_images_are_imported(
 
 
 @pytest.mark.slow
-def test_a_new_profile_measures(cli: Cli, tmp_path: Path, golden: Path) -> None:
+def test_a_new_profile_measures(cli, tmp_path, golden):
     """`info` finds every method served, and `fused` measures with the profile as it was written."""
     log, mine = golden / "3d" / "contact.mcap", tmp_path / "mine.toml"
     outcome = cli("profile", "new", log, "-o", mine)

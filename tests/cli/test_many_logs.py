@@ -1,13 +1,10 @@
 """Many logs from the command line: folders, globs and URLs; one bad log; results that stay; groups and summaries."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 
 import pytest
 
-from tests.conftest import Cli
 from tests.synthetic import write_log
 
 SCENARIOS = ("sweep", "sweep", "approach")
@@ -49,9 +46,7 @@ COMMANDS = [
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
-def test_every_command_gives_the_same_for_any_number_of_processes(
-    cli: Cli, folder: Path, command: tuple[str, ...]
-) -> None:
+def test_every_command_gives_the_same_for_any_number_of_processes(cli, folder, command):
     """But for the processor time. A folder, a glob and the files themselves are the same logs."""
     files = [str(path) for path in sorted(folder.glob("*.mcap"))]
     asked = [(1, [str(folder)]), (2, [f"{folder}/*.mcap"])]
@@ -70,7 +65,7 @@ def test_every_command_gives_the_same_for_any_number_of_processes(
     assert found[0][0]
 
 
-def test_a_bad_log_is_told_at_the_end_and_stops_nothing(cli: Cli, with_bad: Path, folder: Path) -> None:
+def test_a_bad_log_is_told_at_the_end_and_stops_nothing(cli, with_bad, folder):
     """Exit code 3, with the rows of all others; a log that is cut gives what it has."""
     outcome = cli("estimate", with_bad, "-f", "csv", "--jobs", "2", code=3)
     first, *_, last = outcome.err.splitlines()
@@ -82,7 +77,7 @@ def test_a_bad_log_is_told_at_the_end_and_stops_nothing(cli: Cli, with_bad: Path
     assert 0 < len([row for row in outcome.rows if row["recording"] == "cut"]) < 6
 
 
-def test_where_nothing_can_be_measured_the_code_is_1(cli: Cli, tmp_path: Path) -> None:
+def test_where_nothing_can_be_measured_the_code_is_1(cli, tmp_path):
     for name in ("a.mcap", "b.mcap"):
         (tmp_path / name).write_text("junk")
     outcome = cli("validate", tmp_path, code=1)
@@ -92,31 +87,12 @@ def test_where_nothing_can_be_measured_the_code_is_1(cli: Cli, tmp_path: Path) -
     assert cli("validate", tmp_path / "a.mcap", "--resume", tmp_path / "results", code=1).line
 
 
-def test_a_log_that_is_named_twice_is_measured_once(cli: Cli, folder: Path) -> None:
+def test_a_log_that_is_named_twice_is_measured_once(cli, folder):
     twice = cli("estimate", folder, folder / "log1.mcap", "-f", "csv")
     assert twice.out == cli("estimate", folder, "-f", "csv").out
 
 
-@pytest.mark.slow
-def test_resume_takes_what_is_there(cli: Cli, with_bad: Path, tmp_path: Path) -> None:
-    """The same rows; of another method nothing is taken; a log that is mended is measured."""
-    results = tmp_path / "results"
-    asked = ("estimate", with_bad, "-f", "csv", "--resume", results)
-    first = cli(*asked, code=3)
-    assert len(list(results.glob("*.json"))) == 4  # all but junk
-    stamps = {path: path.stat().st_mtime_ns for path in results.iterdir()}
-    again = cli(*asked, code=3)
-    assert again.out == first.out
-    assert "svmdist: 4 of 5 logs are done" in again.err
-    assert {path: path.stat().st_mtime_ns for path in results.iterdir()} == stamps
-    (with_bad / "junk.mcap").write_bytes((with_bad / "log0.mcap").read_bytes())
-    third = cli(*asked, code=3)  # one is still cut
-    assert "svmdist: 4 of 5 logs are done" in third.err
-    assert len(third.rows) == len(first.rows) + 4
-    assert "svmdist: 0 of 5 logs are done" in cli(*asked, "--method", "kinematic", code=3).err
-
-
-def test_the_summary_ranks_logs_and_groups_them(cli: Cli, with_bad: Path, tmp_path: Path) -> None:
+def test_the_summary_ranks_logs_and_groups_them(cli, with_bad, tmp_path):
     """What failed first, then what was lost; groups by metadata, and all together, count every frame once."""
     summary = tmp_path / "summary.csv"
     options = ("--summary", summary, "--group", "scenario")
@@ -133,7 +109,7 @@ def test_the_summary_ranks_logs_and_groups_them(cli: Cli, with_bad: Path, tmp_pa
 
 
 @pytest.mark.slow
-def test_groups_of_validate_and_compare(cli: Cli, folder: Path) -> None:
+def test_groups_of_validate_and_compare(cli, folder):
     scores = cli("validate", folder, "-f", "csv", "--group", "scenario").rows
     frames = {(row["recording"], row["reference"]): int(row["frame_count"]) for row in scores}
     for reference in {row["reference"] for row in scores}:
@@ -149,19 +125,10 @@ def test_groups_of_validate_and_compare(cli: Cli, folder: Path) -> None:
     ]
 
 
-def test_a_report_ranks_the_logs(cli: Cli, with_bad: Path, tmp_path: Path) -> None:
+def test_a_report_ranks_the_logs(cli, with_bad, tmp_path):
     pytest.importorskip("plotly", reason="the extra report is not installed")
     report = tmp_path / "a.html"
     cli("estimate", with_bad, "-o", report, code=3)
     page = report.read_text()
     assert page.index("sorted by severity, worst first") < page.index("junk") < page.index(">cut<")
     assert "distance-3" in page  # figures of four logs
-
-
-def test_fk_of_several_logs_names_them(cli: Cli, folder: Path) -> None:
-    rows = cli("fk", folder, "-f", "csv").rows
-    assert {row["recording"] for row in rows} == {"log0", "log1", "log2"}
-    alone = cli("fk", folder / "log1.mcap", "-f", "csv").rows
-    assert [row for row in rows if row["recording"] == "log1"] == [
-        {"recording": "log1"} | row for row in alone
-    ]

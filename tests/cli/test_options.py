@@ -1,21 +1,15 @@
 """Options that many commands have, remarks and progress, and how logs are named."""
 
-from __future__ import annotations
-
-import inspect
 import logging
-from pathlib import Path
 
 import pytest
 
 from svmdist.cli import output
 from svmdist.cli.logs import named_logs
-from svmdist.cli.options import MeasureOptions, function_of
-from tests.conftest import Cli
 from tests.synthetic import write_log
 
 
-def test_quiet_and_verbose_are_options_and_not_values(cli: Cli, synthetic_log: Path, tmp_path: Path) -> None:
+def test_quiet_and_verbose_are_options_and_not_values(cli, synthetic_log, tmp_path):
     """Before and behind the command's name; where they are the value of an option, they are that."""
     command = ("estimate", synthetic_log, "--method", "kinematic", "-f", "csv")
     assert "frames measured" in cli(*command).err
@@ -26,7 +20,7 @@ def test_quiet_and_verbose_are_options_and_not_values(cli: Cli, synthetic_log: P
     assert "1 of 1 frames" in cli("estimate", "--method", "kinematic", "-f", "csv", "--", named).err
 
 
-def test_frames_keep_their_number_in_the_log(cli: Cli, golden: Path, tmp_path: Path) -> None:
+def test_frames_keep_their_number_in_the_log(cli, golden, tmp_path):
     """The worst frame of a window is the one that `show` draws by its number, and times are those of the log."""
     pytest.importorskip("plotly", reason="the extra report is not installed")
     log, report = golden / "sweep.mcap", tmp_path / "a.html"
@@ -40,7 +34,7 @@ def test_frames_keep_their_number_in_the_log(cli: Cli, golden: Path, tmp_path: P
 
 
 @pytest.mark.slow
-def test_degrade_all_is_every_degradation_at_every_severity(cli: Cli, synthetic_log: Path) -> None:
+def test_degrade_all_is_every_degradation_at_every_severity(cli, synthetic_log):
     found = cli("compare", synthetic_log, "--method", "kinematic", "--degrade", "all", "-f", "csv")
     assert len({row["degradation"] for row in found.rows} - {"", "all"}) == 7 * 5
 
@@ -52,22 +46,11 @@ def test_degrade_all_is_every_degradation_at_every_severity(cli: Cli, synthetic_
         ("--lag", "estimate validate compare show hand-eye"),
     ],
 )
-def test_every_measuring_command_takes_what_the_guide_says(cli: Cli, option: str, commands: str) -> None:
+def test_every_measuring_command_takes_what_the_guide_says(cli, option, commands):
     assert all(option in cli(command, "--help").out for command in commands.split())
 
 
-def test_an_option_is_declared_in_one_place() -> None:
-    """The parameters of a command are the fields of its class: groups first, its own last."""
-
-    class Given(MeasureOptions):
-        own: int = 3
-
-    names = list(inspect.signature(function_of(Given)).parameters)
-    assert names[-3:] == ["own", "quiet", "verbose"]
-    assert {"method", "profile", "lag", "every", "alarm_below"} <= set(names)
-
-
-def test_progress_is_a_line_every_ten_seconds(caplog: pytest.LogCaptureFixture) -> None:
+def test_progress_is_a_line_every_ten_seconds(caplog):
     times = iter([0.0, 1.0, 10.0, 15.0, 20.5])
     advance = output._lines("measuring", "rows", lambda: next(times))
     with caplog.at_level(logging.INFO, "svmdist"):
@@ -76,7 +59,7 @@ def test_progress_is_a_line_every_ten_seconds(caplog: pytest.LogCaptureFixture) 
     assert caplog.messages == ["measuring: 10 of 40 rows, 1.0 rows/s", "measuring: 20 rows, 1.0 rows/s"]
 
 
-def test_logs_are_named_by_files_folders_and_globs(tmp_path: Path) -> None:
+def test_logs_are_named_by_files_folders_and_globs(tmp_path):
     """Each once, under a name of its own."""
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()

@@ -4,8 +4,6 @@ Each document's commands run in their order, in a folder of their own. bash reso
 this process. To be quick, commands about logs take few frames (`SHORT`); `pytest -m fault` runs them as they are.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil
@@ -121,7 +119,6 @@ def done() -> set[str]:
 
 
 def run(document: str, clone: Path, cli: Cli, done: set[str], *, short: bool) -> None:
-    """Run the commands of a document in their order, and make sure that each ends well."""
     if document in WRITE_TO_RECORDINGS:
         shutil.copytree(REPOSITORY / "recordings", clone / "recordings")
         (clone / "svmdist").unlink()
@@ -161,19 +158,18 @@ def run(document: str, clone: Path, cli: Cli, done: set[str], *, short: bool) ->
     "document",
     [name if name in FIRST else pytest.param(name, marks=pytest.mark.slow) for name in PRINTED],
 )
-def test_printed_commands_run(document: str, clone: Path, cli: Cli, done: set[str]) -> None:
+def test_printed_commands_run(document, clone, cli, done):
     """As printed, but on few frames."""
     run(document, clone, cli, done, short=True)
 
 
 @pytest.mark.fault
 @pytest.mark.parametrize("document", PRINTED)
-def test_printed_commands_run_in_full(document: str, clone: Path, cli: Cli, done: set[str]) -> None:
-    """As printed, to the last frame."""
+def test_printed_commands_run_in_full(document, clone, cli, done):
     run(document, clone, cli, done, short=False)
 
 
-def test_the_lists_of_what_is_not_run_are_no_longer_than_needed() -> None:
+def test_the_lists_of_what_is_not_run_are_no_longer_than_needed():
     """Each entry is a command that some document prints: one that is gone from the documents goes from the lists."""
     printed = [command for commands in PRINTED.values() for command in commands]
     others = {start for start in OTHER_PROGRAMS for command in printed if command.text.startswith(start)}

@@ -1,9 +1,5 @@
 """`svmdist show`: the chosen images, each phase of the method as a panel."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import cv2
 import numpy as np
 
@@ -12,21 +8,17 @@ from svmdist.recording.log import open_recording
 from svmdist.report.panels import bgr, phases_picture
 from svmdist.workflows.frame_drawing import drawn_frames
 from svmdist.workflows.request import prepare
-from tests.conftest import Cli
 
 
 def has_colour(picture: np.ndarray, part: Part) -> int:
     return int((picture == np.array(bgr(COLOURS[part]))).all(2).sum())
 
 
-def test_the_phases_of_overlay_are_five_panels_of_the_images_size(
-    golden: Path, cli: Cli, tmp_path: Path
-) -> None:
+def test_the_phases_of_overlay_are_five_panels_of_the_images_size(golden, cli, tmp_path):
     log = golden / "sweep.mcap"
     shown = cli("show", log, "--frame", 3, "-o", tmp_path).out
     assert shown == f"{tmp_path / 'sweep-00003.png'}\n"
     picture = cv2.imread(str(tmp_path / "sweep-00003.png"))
-    assert picture is not None
     assert picture.shape[1] == 3 * 644
     assert 2 * 480 < picture.shape[0] < 2 * 480 + 200
     left, middle, right = (picture[:600, x : x + 640] for x in (0, 644, 1288))
@@ -38,7 +30,7 @@ def test_the_phases_of_overlay_are_five_panels_of_the_images_size(
     assert has_colour(matches, Part.INLIER) > 1000
 
 
-def test_every_method_has_panels_for_what_it_found(golden: Path) -> None:
+def test_every_method_has_panels_for_what_it_found(golden):
     for method, part in (("fiducial", Part.TAG), ("shaft", Part.SHAFT), ("fused", Part.MARKER)):
         setup = prepare(method=method)
         recording = open_recording(golden / "3d" / "duo.mcap", setup.profile)
@@ -46,26 +38,25 @@ def test_every_method_has_panels_for_what_it_found(golden: Path) -> None:
         assert has_colour(phases_picture(frame, "duo", method), part) > 50
 
 
-def test_at_takes_the_nearest_image_and_worst_the_worst(golden: Path, cli: Cli, tmp_path: Path) -> None:
+def test_at_takes_the_nearest_image_and_worst_the_worst(golden, cli, tmp_path):
     log = golden / "sweep.mcap"
     assert cli("show", log, "--at", 0.52, "-o", tmp_path).out.endswith("sweep-00005.png\n")
     worst = cli("show", log, "--worst", 2, "-o", tmp_path)
     assert len(worst.out.splitlines()) == worst.err.count("planar error") == 2
 
 
-def test_one_picture_may_have_a_name(golden: Path, cli: Cli, tmp_path: Path) -> None:
+def test_one_picture_may_have_a_name(golden, cli, tmp_path):
     """A name in .png is a file, and never a folder."""
     named = tmp_path / "made" / "seen.png"
     assert cli("show", golden / "sweep.mcap", "--frame", 3, "-o", named).out == f"{named}\n"
     assert cv2.imread(str(named)) is not None
 
 
-def test_masks_are_a_picture_of_the_chosen_image(cli: Cli, synthetic_log: Path, tmp_path: Path) -> None:
+def test_masks_are_a_picture_of_the_chosen_image(cli, synthetic_log, tmp_path):
     """The file's name has the image's number; the picture holds the image and a caption."""
     path = tmp_path / "synthetic-00003.png"
     shown = cli("show", synthetic_log, "--masks", "--frame", "3", "-o", tmp_path).out
     assert shown == f"{path}\n"
     picture = cv2.imread(str(path))
-    assert picture is not None
     assert picture.shape[1] >= 900
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 10

@@ -16,11 +16,10 @@ from svmdist.kinematics import DHChain
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import KinematicError, load_profile
 from svmdist.samples import JointSample, Observation, Status
-from svmdist.transforms import Array, inverse, make_transform, rotation_x, rotation_z
+from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_x, rotation_z
 from svmdist.vision.tag_overlay import TagPattern
 from svmdist.vision.tags import find_tags, square_corners_m
 from tests.measuring import Measuring
-from tests.rotations import rotation_y
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
 SIZE_M = 0.007
@@ -33,7 +32,7 @@ def tilted(rng: np.random.Generator, tilt: tuple[float, float], depth_m: float) 
     """A pose that shows the tag's face: half a turn about x, a tilt, a turn in the image."""
     about = rng.uniform(0, 2 * np.pi)
     R = rotation_z(rng.uniform(-np.pi, np.pi)) @ rotation_x(np.pi)
-    R = R @ rotation_z(about) @ rotation_y(rng.uniform(*tilt)) @ rotation_z(-about)
+    R = R @ rotation_z(about) @ rotation_of([0.0, rng.uniform(*tilt), 0.0]) @ rotation_z(-about)
     return make_transform(R, [*(depth_m * rng.uniform(-0.25, 0.25, 2)), depth_m])
 
 
@@ -116,7 +115,7 @@ def observation(joints: bool = True, tag: bool = True) -> tuple[Observation, Arr
     """A drawn scene: the red organ, the tag over it; and the true pose of the tool."""
     fiducial = PROFILE.fiducial
     assert fiducial is not None
-    T = make_transform(rotation_x(np.pi + 0.5) @ rotation_y(0.2), [0.02, 0.01, 0.085])
+    T = make_transform(rotation_x(np.pi + 0.5) @ rotation_of([0.0, 0.2, 0.0]), [0.02, 0.01, 0.085])
     grey = draw(T, 2.0, 3) if tag else np.full((480, 640), 110, np.uint8)
     image = np.repeat(grey[..., None], 3, axis=2)
     ys, xs = np.mgrid[:480, :640]

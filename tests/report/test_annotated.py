@@ -1,7 +1,5 @@
 """Annotated recordings hold what was copied and measured, and open in viewers; videos show each image at its time."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -30,7 +28,7 @@ from svmdist.results import FrameResult
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.frame_drawing import DrawnFrame, drawn_frames
 from svmdist.workflows.request import Setup, prepare
-from tests.conftest import REPOSITORY, Cli
+from tests.conftest import REPOSITORY
 
 Annotated = tuple[Recording, list[DrawnFrame], Setup]
 DUO = REPOSITORY / "recordings" / "3d" / "duo.mcap"
@@ -72,7 +70,7 @@ def stamp_ns(message: Any) -> int:
     return int(message.timestamp.seconds * 1_000_000_000 + message.timestamp.nanos)
 
 
-def test_every_message_of_the_log_is_copied_and_the_images_bit_for_bit(annotated: Annotated) -> None:
+def test_every_message_of_the_log_is_copied_and_the_images_bit_for_bit(annotated):
     copy, _, setup = annotated
     original = open_recording(DUO, setup.profile)
     counts = Counter(raw.topic for raw in copy.file.source.messages())
@@ -87,7 +85,7 @@ def test_every_message_of_the_log_is_copied_and_the_images_bit_for_bit(annotated
             assert after[topic] == messages, topic
 
 
-def test_no_frame_of_the_copy_has_two_parents(annotated: Annotated) -> None:
+def test_no_frame_of_the_copy_has_two_parents(annotated):
     parents = defaultdict(set)
     for topic in ("/tf", "/ground_truth/tf", "/svmdist/tf"):
         for message in messages_of(annotated[0], topic, FrameTransforms):
@@ -98,7 +96,7 @@ def test_no_frame_of_the_copy_has_two_parents(annotated: Annotated) -> None:
 
 
 @pytest.mark.slow
-def test_the_numbers_are_those_of_estimate(annotated: Annotated) -> None:
+def test_the_numbers_are_those_of_estimate(annotated):
     copy, _, setup = annotated
     rows = list(estimate(open_recording(DUO, setup.profile), setup))
     for name in ("PSM1", "PSM2"):
@@ -108,7 +106,6 @@ def test_the_numbers_are_those_of_estimate(annotated: Annotated) -> None:
         for message, row in zip(messages, own, strict=True):
             assert (message.status, message.method, message.instrument) == (str(row.status), "fused", name)
             clearance = row.distances.clearance
-            assert clearance is not None
             assert clearance.std_m is not None
             assert (message.clearance_m, message.clearance_std_m) == (clearance.value_m, clearance.std_m)
             half_m = 1.959964 * clearance.std_m
@@ -116,7 +113,7 @@ def test_the_numbers_are_those_of_estimate(annotated: Annotated) -> None:
             assert not message.HasField("alarm")  # none was asked for
 
 
-def test_annotations_transforms_and_scene_say_the_same_as_the_results(annotated: Annotated) -> None:
+def test_annotations_transforms_and_scene_say_the_same_as_the_results(annotated):
     copy, frames, _ = annotated
     camera = copy.camera
     drawings = messages_of(copy, "/ECM/left/image/annotations", ImageAnnotations)
@@ -127,8 +124,6 @@ def test_annotations_transforms_and_scene_say_the_same_as_the_results(annotated:
         entities = {entity.id: entity for entity in scene.entities}
         for result, pose in zip(frame.replayed.results, poses.transforms, strict=True):
             clearance, tool = result.distances.clearance, result.tool
-            assert clearance is not None
-            assert tool is not None
             assert f"{result.instrument} fused: clearance {clearance.value_m * 1e3:.2f} mm" in texts
             assert pose.child_frame_id == f"{result.instrument}_tool_estimate"
             place = np.array([pose.translation.x, pose.translation.y, pose.translation.z])
@@ -143,7 +138,7 @@ def test_annotations_transforms_and_scene_say_the_same_as_the_results(annotated:
         assert np.mean(inside) > 0.9
 
 
-def test_the_log_says_why_a_frame_was_not_measured(tmp_path: Path) -> None:
+def test_the_log_says_why_a_frame_was_not_measured(tmp_path):
     """The golden log in which the tissue or the instrument is hidden for a while."""
     setup = prepare()
     recording = open_recording(REPOSITORY / "recordings" / "occlusion.mcap", setup.profile)
@@ -161,12 +156,11 @@ def test_the_log_says_why_a_frame_was_not_measured(tmp_path: Path) -> None:
         assert str(result.status) in line.message
 
 
-def test_the_layout_names_topics_that_are_written(annotated: Annotated) -> None:
+def test_the_layout_names_topics_that_are_written(annotated):
     layout = json.loads((REPOSITORY / "docs" / "foxglove-layout.json").read_text())
     topics = {info.topic for info in annotated[0].topics()}
     named = set(re.findall(r'"(/[\w/]+)', json.dumps(layout)))
-    assert named <= topics
-    assert {"/ECM/left/image/annotations", "/svmdist/scene", "/svmdist/log"} <= named
+    assert {"/ECM/left/image/annotations", "/svmdist/scene", "/svmdist/log"} <= named <= topics
     fields = {
         path["value"].partition(".")[2]
         for panel in layout["configById"].values()
@@ -175,7 +169,7 @@ def test_the_layout_names_topics_that_are_written(annotated: Annotated) -> None:
     assert fields <= {field.name for field in DistanceEstimate.DESCRIPTOR.fields}
 
 
-def test_rerun_shows_image_camera_transforms_and_text(annotated: Annotated, tmp_path: Path) -> None:
+def test_rerun_shows_image_camera_transforms_and_text(annotated, tmp_path):
     """Rerun's own importer, as `rerun FILE` runs it."""
     pytest.importorskip("rerun", reason="rerun-sdk has no wheel for this platform")
     # A home of its own: the program writes its settings there, and says what it would collect at first.
@@ -223,7 +217,7 @@ def decoded(path: Path) -> list[tuple[float, np.ndarray]]:
         ]
 
 
-def test_every_image_is_shown_at_its_stamp_with_its_drawing(golden: Path, tmp_path: Path) -> None:
+def test_every_image_is_shown_at_its_stamp_with_its_drawing(golden, tmp_path):
     setup = prepare()
     recording = open_recording(golden / "occlusion.mcap", setup.profile)
     frames = list(drawn_frames(recording, setup, numbers=range(12)))
@@ -236,7 +230,6 @@ def test_every_image_is_shown_at_its_stamp_with_its_drawing(golden: Path, tmp_pa
         atol=2e-3,
     )
     for frame, (_, pixels) in zip(frames, shown, strict=True):
-        assert frame.replayed.image_bgr is not None
         expected = draw_on(frame.replayed.image_bgr, frame.drawing).astype(float)
         bare = frame.replayed.image_bgr.astype(float)
         assert np.abs(pixels - expected).mean() < 6.0
@@ -244,7 +237,7 @@ def test_every_image_is_shown_at_its_stamp_with_its_drawing(golden: Path, tmp_pa
     assert any(shape.part is Part.DISTANCE for frame in frames for shape in frame.drawing.shapes)
 
 
-def test_an_odd_size_and_a_clock_that_is_set_back_give_a_video(golden: Path, tmp_path: Path) -> None:
+def test_an_odd_size_and_a_clock_that_is_set_back_give_a_video(golden, tmp_path):
     setup = prepare()
     recording = open_recording(golden / "sweep.mcap", setup.profile)
     frames = list(drawn_frames(recording, setup, numbers=range(3)))
@@ -255,9 +248,7 @@ def test_an_odd_size_and_a_clock_that_is_set_back_give_a_video(golden: Path, tmp
     assert (np.diff([seconds for seconds, _ in shown]) > 0).all()
 
 
-def test_estimate_writes_a_video_by_its_ending(
-    golden: Path, cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_estimate_writes_a_video_by_its_ending(golden, cli, tmp_path, monkeypatch):
     """And says without PyAV what to install."""
     outcome = cli("estimate", golden / "sweep.mcap", "--method", "centroid", "-o", tmp_path / "out.mp4")
     assert "80 of 80 frames measured" in outcome.err

@@ -1,35 +1,25 @@
 """Drawings say what the results say, follow the lens, and are the same in pictures, messages and panels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
-from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
-from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from svmdist.camera import Camera
-from svmdist.drawing import COLOURS, Form, FrameDrawing, Label, Part, Shape, StatusLine
-from svmdist.errors import OutputError
+from svmdist.drawing import Form, FrameDrawing, Part
 from svmdist.estimation.alarms import AlarmState
 from svmdist.geometry import Capsules
 from svmdist.recording.log import open_recording
-from svmdist.recording.viewer_messages import image_annotations, scene_update
-from svmdist.report.panels import bgr, draw_on, masks_picture, write_picture
+from svmdist.recording.viewer_messages import scene_update
+from svmdist.report.panels import draw_on
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 from svmdist.vision.frame_context import seen_through
 from svmdist.workflows.frame_drawing import (
-    Segmented,
     _through_lens,
     distance_shapes,
-    drawn_frames,
     frame_drawing,
-    image_stamps_ns,
     in_words,
     segments,
     status_line,
@@ -38,7 +28,6 @@ from svmdist.workflows.frame_drawing import (
 from svmdist.workflows.replay import Replayed, replay
 from svmdist.workflows.request import Setup, prepare
 from tests.conftest import REPOSITORY
-from tests.synthetic import write_log
 
 K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])
 CAMERA = Camera(640, 480, K, np.zeros(5), frame_id="camera")
@@ -52,7 +41,7 @@ RESULT = FrameResult(
 )
 
 
-def test_words_and_lines_of_a_distance() -> None:
+def test_words_and_lines_of_a_distance():
     """The clearance goes before the planar distance, and is drawn where the camera sees it, with its alarm."""
     assert (in_words(CLEARANCE), in_words(Distance(0.02))) == ("10.00 mm [8.04, 11.96]", "20.00 mm")
     alarmed = status_line(RESULT, "fused", AlarmState(alarm=True))
@@ -63,9 +52,7 @@ def test_words_and_lines_of_a_distance() -> None:
 
 
 @pytest.mark.parametrize(("start_z_m", "end_z_m", "is_drawn"), [(0.1, 0.098, True), (-0.1, -0.102, False)])
-def test_a_penetration_runs_back_into_the_instrument(
-    start_z_m: float, end_z_m: float, is_drawn: bool
-) -> None:
+def test_a_penetration_runs_back_into_the_instrument(start_z_m, end_z_m, is_drawn):
     """And what is behind the camera is not drawn."""
     clearance = Distance(-0.002, None, (0.0, 0.0, 1.0), (0.0, 0.0, start_z_m))
     deep = FrameResult(0, Status.OK, distances=Distances(clearance=clearance))
@@ -74,22 +61,7 @@ def test_a_penetration_runs_back_into_the_instrument(
     assert bool(distance_shapes(deep, CAMERA)) is is_drawn
 
 
-def test_annotations_keep_forms_texts_and_stamps() -> None:
-    drawing = FrameDrawing(
-        1_500_000_000,
-        (Shape(Part.TAG, Form.LOOP, np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])),),
-        (Label(Part.DISTANCE, np.array([9.0, 8.0]), "10 mm"),),
-        (StatusLine("PSM1: ok", True),),
-    )
-    message = ImageAnnotations.FromString(image_annotations(drawing).data)
-    (shape,) = message.points
-    assert shape.type == PointsAnnotation.LINE_LOOP
-    assert [(point.x, point.y) for point in shape.points] == [(1.0, 2.0), (3.0, 4.0), (5.0, 6.0)]
-    assert [text.text for text in message.texts] == ["10 mm", "PSM1: ok"]
-    assert (message.timestamp.seconds, message.timestamp.nanos) == (1, 500_000_000)
-
-
-def test_a_scene_holds_capsules_and_deletes_what_is_gone() -> None:
+def test_a_scene_holds_capsules_and_deletes_what_is_gone():
     body = Capsules(np.zeros((1, 3)), np.array([[0.0, 0.03, 0.04]]), np.array([0.002]))
     drawing = FrameDrawing(3, bodies={"PSM1": body})
     message = SceneUpdate.FromString(scene_update(drawing, ["PSM1"], "camera").data)
@@ -127,16 +99,13 @@ def points_of(drawing: FrameDrawing, part: Part, instrument: str) -> np.ndarray:
     )
 
 
-def test_a_clearance_is_a_segment_of_its_length_that_starts_on_the_instrument(
-    duo: tuple[Setup, Replayed],
-) -> None:
+def test_a_clearance_is_a_segment_of_its_length_that_starts_on_the_instrument(duo):
     setup, replayed = duo
     drawing = frame_drawing(replayed, setup)
     for result, body in zip(replayed.results, drawing.bodies.values(), strict=True):
         name = f"{result.instrument} {Part.DISTANCE}"
         (segment,) = (one for one in drawing.segments if one.name == name)
         clearance = result.distances.clearance
-        assert clearance is not None
         length_m = np.linalg.norm(segment.end_m - segment.start_m)
         assert length_m == pytest.approx(abs(clearance.value_m), abs=1e-12)
         along = body.end_m - body.start_m
@@ -151,7 +120,7 @@ def test_a_clearance_is_a_segment_of_its_length_that_starts_on_the_instrument(
         np.testing.assert_allclose(line_px, expected_px, atol=1e-9)
 
 
-def test_what_was_found_of_each_instrument_is_drawn_where_it_is(duo: tuple[Setup, Replayed]) -> None:
+def test_what_was_found_of_each_instrument_is_drawn_where_it_is(duo):
     setup, replayed = duo
     drawing = frame_drawing(replayed, setup)
     assert [line.text.split(":")[0] for line in drawing.lines] == ["PSM1 fused", "PSM2 fused"]
@@ -161,7 +130,6 @@ def test_what_was_found_of_each_instrument_is_drawn_where_it_is(duo: tuple[Setup
         assert corners_px is not None
         np.testing.assert_allclose(points_of(drawing, Part.TAG, result.instrument), corners_px)
         region = frame.left.region
-        assert region is not None
         contours_px = points_of(drawing, Part.INSTRUMENT, result.instrument)
         low, high = region.hull.reshape(-1, 2).min(0), region.hull.reshape(-1, 2).max(0)
         np.testing.assert_allclose([contours_px.min(0), contours_px.max(0)], [low, high], atol=1.0)
@@ -174,12 +142,11 @@ def test_what_was_found_of_each_instrument_is_drawn_where_it_is(duo: tuple[Setup
     assert edge_count >= 1
 
 
-def test_the_markers_matches_are_those_that_overlay_counted(sweep: tuple[Setup, Replayed]) -> None:
+def test_the_markers_matches_are_those_that_overlay_counted(sweep):
     """And the line of a planar distance runs from tool to tissue."""
     setup, replayed = sweep
     found = virtual_marker(replayed.frames[0])
     image = replayed.results[0].image
-    assert found is not None
     counts = len(found.keypoints_px), len(found.matched_px), int(found.inliers.sum())
     assert counts == (image.keypoint_count, image.match_count, image.inlier_count)
     drawing = frame_drawing(replayed, setup)
@@ -187,7 +154,7 @@ def test_the_markers_matches_are_those_that_overlay_counted(sweep: tuple[Setup, 
     np.testing.assert_allclose(points_of(drawing, Part.DISTANCE, "PSM1"), [image.tool_px, image.tissue_px])
 
 
-def test_a_rejected_frame_says_why_and_has_no_distance(sweep: tuple[Setup, Replayed]) -> None:
+def test_a_rejected_frame_says_why_and_has_no_distance(sweep):
     setup, replayed = sweep
     rejected = FrameResult(5, Status.NO_TISSUE, detail="hidden", instrument="PSM1")
     drawing = frame_drawing(replace(replayed, results=(rejected,)), setup)
@@ -198,7 +165,7 @@ def test_a_rejected_frame_says_why_and_has_no_distance(sweep: tuple[Setup, Repla
     assert not unread.lines[0].measured
 
 
-def test_shapes_follow_the_lens(sweep: tuple[Setup, Replayed]) -> None:
+def test_shapes_follow_the_lens(sweep):
     setup, replayed = sweep
     shapes = [shape for shape in frame_drawing(replayed, setup).shapes if shape.form is Form.LOOP]
     camera = replayed.frames[0].scene.lens
@@ -211,7 +178,7 @@ def test_shapes_follow_the_lens(sweep: tuple[Setup, Replayed]) -> None:
         assert steps_px.max() < 20.0  # and what lies between is bent with it
 
 
-def test_a_picture_changes_where_the_drawing_is_and_nowhere_else(sweep: tuple[Setup, Replayed]) -> None:
+def test_a_picture_changes_where_the_drawing_is_and_nowhere_else(sweep):
     setup, replayed = sweep
     image = replayed.image_bgr
     assert image is not None
@@ -223,25 +190,3 @@ def test_a_picture_changes_where_the_drawing_is_and_nowhere_else(sweep: tuple[Se
     assert len(rows) > 4 * 40  # four sides of a marker of 64 px or more
     places = np.column_stack([columns, rows])
     assert ((places >= low) & (places <= high)).all()
-
-
-def test_masks_are_drawn_on_the_chosen_frames(tmp_path: Path) -> None:
-    """Each with its number and seconds, enlarged below a legend; the frame itself stays as it was."""
-    setup = prepare(method=Segmented())
-    recording = open_recording(write_log(tmp_path / "a.mcap", frame_count=6), setup.profile)
-    assert len(image_stamps_ns(recording)) == 6
-    shown = list(drawn_frames(recording, setup, numbers=(1, 4)))
-    assert [one.number for one in shown] == [1, 4]
-    assert 0.0 < shown[0].seconds < shown[1].seconds
-    image = shown[0].replayed.image_bgr
-    assert image is not None
-    before = image.copy()
-    picture = masks_picture(shown[0], "a")
-    assert np.array_equal(image, before)
-    assert picture.shape[1] >= 900
-    contour = (picture == np.array(bgr(COLOURS[Part.TISSUE]))).all(2)
-    assert contour.sum() > 500
-    write_picture(tmp_path / "a.png", picture)
-    assert np.array_equal(cv2.imread(str(tmp_path / "a.png")), picture)
-    with pytest.raises(OutputError):
-        write_picture(tmp_path / "none" / "a.png", picture)

@@ -1,14 +1,11 @@
 """Reports: what they say, that they stand alone, and how they look and work in a browser."""
 
-from __future__ import annotations
-
 import base64
 import json
 import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,7 +23,6 @@ from svmdist.report.html import WORST_COUNT, Report, page, plotly_figure, write_
 from svmdist.report.tables import Table
 from svmdist.workflows.references import Reference
 from svmdist.workflows.series import Series
-from tests.conftest import Cli
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = ("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
@@ -64,7 +60,6 @@ def make_report(*series: Series) -> Report:
 def figures_of(text: str) -> dict[str, Any]:
     """The plots in a page, by name."""
     found = re.search(r'<script type="application/json" id="figures-data">(.*?)</script>', text, re.DOTALL)
-    assert found is not None
     loaded: dict[str, Any] = json.loads(found[1])
     return {name: one["figure"] for name, one in loaded.items()}
 
@@ -81,7 +76,7 @@ def _array(value: Any) -> Any:
     return value
 
 
-def test_the_page_needs_no_network_and_takes_no_text_for_markup() -> None:
+def test_the_page_needs_no_network_and_takes_no_text_for_markup():
     text = page(make_report(make_series(100)))
     own = re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)  # plotly itself names hosts of maps
     assert not re.search(r"(?:src|href)=[\"']?(?:https?:)?//", own)
@@ -90,7 +85,7 @@ def test_the_page_needs_no_network_and_takes_no_text_for_markup() -> None:
     assert "A report of &lt;svmdist&gt;\N{REPLACEMENT CHARACTER}" in own
 
 
-def test_plots_hold_the_numbers_of_the_series() -> None:
+def test_plots_hold_the_numbers_of_the_series():
     series = make_series(100)
     found = figures_of(page(make_report(series)))
     assert list(found) == [
@@ -118,7 +113,7 @@ def polygons(curve: dict[str, Any]) -> list[list[tuple[float, float]]]:
     return [one for one in found if one]
 
 
-def test_the_interval_is_an_area_for_each_run_of_measured_frames() -> None:
+def test_the_interval_is_an_area_for_each_run_of_measured_frames():
     """It spans nothing that was not measured; a frame that stands alone has a width, and a dash for its value."""
     series = make_series(2100)
     estimate_m, std_m = series.estimate_m.copy(), series.std_m.copy()
@@ -138,14 +133,14 @@ def test_the_interval_is_an_area_for_each_run_of_measured_frames() -> None:
 
 
 @pytest.mark.parametrize(("every", "bytes_a_frame"), [(None, 120), (3, 160), (2, 260)])
-def test_a_frame_adds_a_bounded_number_of_bytes(every: int | None, bytes_a_frame: int) -> None:
+def test_a_frame_adds_a_bounded_number_of_bytes(every, bytes_a_frame):
     """10,000 frames are 1.2 MB beside plotly's 4.8, or 2.6 MB where every other frame is not measured."""
     sizes = [len(page(make_report(make_series(count, every=every)))) for count in (4000, 8000)]
     assert (sizes[1] - sizes[0]) / 4000 < bytes_a_frame
     assert sizes[0] < 4000 * bytes_a_frame + 5.6e6
 
 
-def test_the_texts_say_what_the_plots_show() -> None:
+def test_the_texts_say_what_the_plots_show():
     series = make_series(1000)
     error_mm = series.error_m[np.isfinite(series.error_m)] * 1e3
     assert f"RMSE {np.sqrt(np.mean(error_mm**2)):.2f} mm" in error_over_time(series).text
@@ -156,9 +151,7 @@ def test_the_texts_say_what_the_plots_show() -> None:
     np.testing.assert_allclose(held, [100 * level for level in LEVELS], atol=4.0)
 
 
-def test_validate_writes_a_report_with_its_plots_and_worst_frames(
-    golden: Path, cli: Cli, tmp_path: Path
-) -> None:
+def test_validate_writes_a_report_with_its_plots_and_worst_frames(golden, cli, tmp_path):
     output, log = tmp_path / "report.html", golden / "occlusion.mcap"
     options = ("--truth", "ground_truth", "--lag", "auto", "-f", "json", "--report", output)
     outcome = cli("validate", log, *options)
@@ -171,9 +164,7 @@ def test_validate_writes_a_report_with_its_plots_and_worst_frames(
     assert np.isfinite(estimate).sum() == score["frame_count"] - sum(score["rejected"].values())
 
 
-def test_estimate_writes_the_report_beside_the_rows_or_in_their_place(
-    golden: Path, cli: Cli, tmp_path: Path
-) -> None:
+def test_estimate_writes_the_report_beside_the_rows_or_in_their_place(golden, cli, tmp_path):
     log = golden / "sweep.mcap"
     beside = cli("estimate", log, "-f", "csv", "--report", tmp_path / "a.html")
     assert beside.out.startswith("recording,")
@@ -198,9 +189,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("every", "scheme"), [(None, "light"), (3, "dark")])
-def test_ten_thousand_frames_are_shown_in_a_browser(
-    browser: Any, tmp_path: Path, every: int | None, scheme: str
-) -> None:
+def test_ten_thousand_frames_are_shown_in_a_browser(browser, tmp_path, every, scheme):
     """Below 10 MB and 3 s of processor time, on a phone too; plots hover, zoom together, and follow the colours."""
     path = tmp_path / "report.html"
     write_report(make_report(make_series(10_000, every=every)), path)

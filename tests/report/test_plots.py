@@ -1,10 +1,7 @@
 """Plots: what is drawn, in which format, told apart without colour, and names that are text."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import matplotlib as mpl
@@ -15,13 +12,12 @@ from matplotlib.axes import Axes
 
 from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.report.charts import pooled, rejected_spans
+from svmdist.report.charts import pooled
 from svmdist.report.plots import COLUMN_IN, PAGE_IN, draw, draw_compare, draw_series, save_figure
 from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
 from svmdist.workflows.references import Reference
 from svmdist.workflows.scores import DistanceScore, Pairs, score_pairs
 from svmdist.workflows.validate import Validation
-from tests.conftest import Cli
 from tests.report.test_html import make_series
 from tests.report.test_scores import score, validation
 
@@ -34,7 +30,7 @@ def drawn(axes: Axes) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize(
     ("suffix", "magic"), [("png", b"\x89PNG"), ("svg", b"<?xml"), ("PNG", b"\x89PNG"), ("pdf", b"%PDF")]
 )
-def test_the_plot_is_written_in_the_format_of_its_suffix(tmp_path: Path, suffix: str, magic: bytes) -> None:
+def test_the_plot_is_written_in_the_format_of_its_suffix(tmp_path, suffix, magic):
     """Two runs on the same data write the same bytes, and no global setting is left."""
     salt = mpl.rcParams["svg.hashsalt"]
     paths = [tmp_path / f"{name}.{suffix}" for name in ("first", "second")]
@@ -54,7 +50,7 @@ def test_the_plot_is_written_in_the_format_of_its_suffix(tmp_path: Path, suffix:
         ("no folder/plot.png", r"plot\.png: cannot write: No such file"),
     ],
 )
-def test_what_cannot_be_drawn_is_one_line(tmp_path: Path, name: str, reason: str) -> None:
+def test_what_cannot_be_drawn_is_one_line(tmp_path, name, reason):
     """And nothing is written."""
     with pytest.raises(OutputError, match=reason):
         save_figure(tmp_path / name, draw, validation("sweep"))
@@ -62,7 +58,7 @@ def test_what_cannot_be_drawn_is_one_line(tmp_path: Path, name: str, reason: str
 
 
 @pytest.mark.parametrize("name", ["[red]x", "a$b$c", "$\\frac{", "a\x1bb", "a_b^100%", "測定"])
-def test_names_in_titles_are_text(tmp_path: Path, name: str) -> None:
+def test_names_in_titles_are_text(tmp_path, name):
     """No name starts a formula, breaks the drawing or carries a control character into the file."""
     path = tmp_path / "plot.svg"
     with mpl.rc_context({"svg.fonttype": "none"}):
@@ -73,7 +69,7 @@ def test_names_in_titles_are_text(tmp_path: Path, name: str) -> None:
     assert name.replace("\x1b", "\N{REPLACEMENT CHARACTER}") in title
 
 
-def test_each_recording_has_two_panels_against_one_reference(tmp_path: Path) -> None:
+def test_each_recording_has_two_panels_against_one_reference(tmp_path):
     """Curve above error, of the strongest reference; few frames, or none, are drawn without a warning."""
     figure = draw(validation("a", "b", "c"))
     titles = [axes.get_title(loc="left").partition("\n")[0] for axes in figure.axes[::2]]
@@ -90,7 +86,7 @@ def test_each_recording_has_two_panels_against_one_reference(tmp_path: Path) -> 
         save_figure(tmp_path / f"{count}.png", draw, validation("sweep", count=count))
 
 
-def test_curves_are_broken_where_frames_are_missing() -> None:
+def test_curves_are_broken_where_frames_are_missing():
     """Ten lost frames leave a gap: no line spans what was not measured, and error = estimate - truth."""
     upper, lower = draw(Validation((score(),), (), ())).axes
     truth, estimate = drawn(upper).values()
@@ -99,7 +95,7 @@ def test_curves_are_broken_where_frames_are_missing() -> None:
     assert np.nanmax(truth) == pytest.approx(40.0, abs=0.1)  # 0.04 m in mm
 
 
-def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval() -> None:
+def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval():
     """Clearance before spatial distance before the planar one; the band is 1.96 deviations wide on either side."""
     planar = score()
     stated = replace(
@@ -120,20 +116,7 @@ def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval() -> None:
         assert [line.get_ydata()[0] for line in dotted] == thresholds
 
 
-def test_time_plots_hold_estimate_truth_threshold_and_lost_spans() -> None:
-    series = make_series(60)
-    figure = draw_series([series], "time", 0.005)
-    (axes,) = figure.axes
-    lines = drawn(axes)
-    np.testing.assert_allclose(lines["estimate"], series.estimate_m * 1e3)
-    np.testing.assert_allclose(lines["truth"], series.truth_m * 1e3)
-    assert set(lines["alarm below 5 mm"]) == {5.0}
-    assert axes.get_title(loc="left") == "log PSM1: fused, 55 of 60 frames"
-    assert len({line.get_linestyle() for line in axes.get_lines()}) == 3  # told apart without colour
-    assert rejected_spans(series) == [(0.95, 1.45)]
-
-
-def test_agreement_calibration_and_residuals() -> None:
+def test_agreement_calibration_and_residuals():
     """Bias and limits; shares of truths inside; a marker for each log. Without a truth there is nothing to draw."""
     series = make_series(300)
     _, error_mm, std_mm = pooled([series])
@@ -169,7 +152,7 @@ def dots(axes: Axes) -> dict[tuple[str, str], float]:
     }
 
 
-def test_methods_stand_side_by_side_with_their_figures() -> None:
+def test_methods_stand_side_by_side_with_their_figures():
     """A grey marker for each group; a planar method has no clearance."""
     groups = [Group("sweep"), Group("contact"), Group(ALL, ALL)]
     scores = [MethodScore(group, "overlay", figures(0.5 + at, 15)) for at, group in enumerate(groups)]
@@ -194,7 +177,7 @@ def test_methods_stand_side_by_side_with_their_figures() -> None:
     assert draw_compare(far).axes[1].get_xscale() == "log"
 
 
-def test_commands_draw_what_they_print(cli: Cli, tmp_path: Path, golden: Path) -> None:
+def test_commands_draw_what_they_print(cli, tmp_path, golden):
     """The SVG's methods, and the PNG's size, of a real log; another ending is refused before the work."""
     log = golden / "sweep.mcap"
     outcome = cli(
@@ -207,5 +190,4 @@ def test_commands_draw_what_they_print(cli: Cli, tmp_path: Path, golden: Path) -
     cli("validate", log, "--plot", "residuals", "--save-plot", tmp_path / "v.png")
     for name in ("e.png", "v.png"):
         picture = cv2.imread(str(tmp_path / name))
-        assert picture is not None
         assert picture.shape[1] == pytest.approx(PAGE_IN * 300, abs=2)

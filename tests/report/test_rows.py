@@ -1,10 +1,7 @@
 """Rows of estimates and poses: the contract of their columns, and the page that explains them."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +14,6 @@ from svmdist.report.rows import (
     ESTIMATE_KEYS,
     POSE_COLUMNS,
     POSE_KEYS,
-    estimate_fields,
     estimate_row,
     pose_rows,
     shown_columns,
@@ -31,7 +27,6 @@ from svmdist.samples import Status
 from svmdist.transforms import rotation_from_quaternion_xyzw, rotation_z
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.request import prepare
-from tests.conftest import Cli
 
 CONTRACT = """
 recording stamp_ns status distance_m tool_x_px tool_y_px tissue_x_px tissue_y_px tool_area_px tissue_area_px
@@ -50,7 +45,7 @@ MEASURED = FrameResult(
 )
 
 
-def test_the_columns_are_those_of_the_contract() -> None:
+def test_the_columns_are_those_of_the_contract():
     """In their order; a measured frame fills them in SI, and stamps keep their nanoseconds."""
     assert list(ESTIMATE_KEYS[:44]) == CONTRACT.split()
     alarm = AlarmState(True, 0.01, 0.4)
@@ -61,26 +56,14 @@ def test_the_columns_are_those_of_the_contract() -> None:
     assert (row["clearance_std_m"], row["alarm"], row["time_to_contact_s"]) == (1e-3, 1, 0.4)
 
 
-def test_a_rejected_frame_has_empty_cells() -> None:
+def test_a_rejected_frame_has_empty_cells():
     """A frame without tissue has a status and its stamp, and nothing that was not measured."""
     row = estimate_row("a", FrameResult(5, Status.NO_TISSUE, instrument="PSM1"), "overlay", "corrected")
     filled = {"recording", "stamp_ns", "status", "method", "equations", "instrument"}
     assert {key for key in ESTIMATE_KEYS if row[key] is not None} == filled
 
 
-def test_the_message_has_the_numbers_of_the_row() -> None:
-    """What an annotated log holds is read from the same columns, by the names of its schema."""
-    fields = estimate_fields(MEASURED, "fused", AlarmState(False, None, None))
-    numbers = {name: value for name, value in fields.items() if isinstance(value, float)}
-    bounds_m = {
-        "clearance_low_m": pytest.approx(0.00204, abs=1e-7),
-        "clearance_high_m": pytest.approx(0.00596, abs=1e-7),
-    }
-    assert numbers == {"planar_m": 0.0123, "clearance_m": 0.004, "clearance_std_m": 1e-3, **bounds_m}
-    assert fields["alarm"] == 0
-
-
-def test_a_person_sees_what_fits() -> None:
+def test_a_person_sees_what_fits():
     """Distances in mm; a narrow terminal goes without pixels first, by rank, and keeps what the method is for."""
     results = (MEASURED, replace(MEASURED, status=Status.NO_INSTRUMENT, distances=Distances()))
     rows = [estimate_row("a", result, "overlay", "corrected") for result in results]
@@ -99,7 +82,7 @@ def test_a_person_sees_what_fits() -> None:
         assert essential <= {column.key for column in narrow}
 
 
-def test_poses_keep_every_nanosecond_and_bit() -> None:
+def test_poses_keep_every_nanosecond_and_bit():
     """Seconds with nine decimals, where a float would be rounded to 100 ns; then the numbers of the rows."""
     stamps_ns = np.array([1_700_000_000_000_000_001, 1_700_000_000_999_999_999], np.int64)
     T = np.eye(4)
@@ -113,7 +96,7 @@ def test_poses_keep_every_nanosecond_and_bit() -> None:
         assert [float(number) for number in numbers] == [row[key] for key in POSE_KEYS[1:]]
 
 
-def test_trajectories_are_the_tools_poses(golden: Path, cli: Cli) -> None:
+def test_trajectories_are_the_tools_poses(golden, cli):
     """`estimate -f tum` of a method in 3D, for one instrument; a planar method has no pose."""
     log = golden / "3d" / "contact.mcap"
     setup = prepare(method="fiducial")
@@ -121,7 +104,6 @@ def test_trajectories_are_the_tools_poses(golden: Path, cli: Cli) -> None:
     text = cli("estimate", log, "--method", "fiducial", "-f", "tum").out
     poses = np.array([line.split() for line in text.splitlines()[1:]], float)
     for pose, row in zip(poses, rows, strict=True):
-        assert row.tool is not None
         np.testing.assert_allclose(pose[1:4], row.tool.pose.position_m, atol=1e-9)
         R = rotation_from_quaternion_xyzw(pose[4:])
         np.testing.assert_allclose(R, row.tool.pose.T_camera_tool[:3, :3], atol=1e-7)
@@ -130,7 +112,7 @@ def test_trajectories_are_the_tools_poses(golden: Path, cli: Cli) -> None:
     assert "--instrument" in cli("estimate", duo, "--method", "fiducial", "-f", "tum", code=2).line
 
 
-def test_the_page_explains_every_column_once() -> None:
+def test_the_page_explains_every_column_once():
     """docs/metrics.md is made from the tables of columns."""
     of_rows, of_scores = (
         re.findall(r"`(\w+)`", " ".join(re.findall(r"^\| (`.+?) \|", part, re.MULTILINE)))

@@ -1,24 +1,15 @@
 """Scores as rows, documents and tables, from small synthetic results."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from svmdist.report.scores import (
-    LOG_COLUMNS,
-    LogFigures,
-    blur_results,
     compare_results,
-    log_results,
-    pooled_log_figures,
-    ranked,
     remarks,
     score_columns,
     validation_document,
@@ -26,13 +17,10 @@ from svmdist.report.scores import (
     validation_tables,
 )
 from svmdist.report.tables import csv_lines, keys_of, render
-from svmdist.vision.degradations import Blur
-from svmdist.workflows.blur_bench import BlurRow, PrintedRow
 from svmdist.workflows.compare import Figures, Group, MethodScore
 from svmdist.workflows.references import Reference
 from svmdist.workflows.scores import Pairs, Score, score_pairs
 from svmdist.workflows.validate import Validation
-from tests.conftest import Cli
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -66,14 +54,13 @@ def strict(document: object) -> dict[str, object]:
     return dict(json.loads(json.dumps(document, allow_nan=False)))
 
 
-def test_the_document_has_the_fields_of_its_schema() -> None:
+def test_the_document_has_the_fields_of_its_schema():
     """Every recording has all metrics of svmdist.validation/1, in SI, equal to the score's own."""
     made = validation("sweep", "random")
     document = strict(validation_document(made))
     assert document["schema"] == "svmdist.validation/1"
     row, other = document["recordings"]  # type: ignore[misc]
     statistics = made.scores[0].statistics
-    assert statistics is not None
     assert set(row) == {*keys_of(score_columns())}
     assert other["recording"] == "random"
     counts = [row[key] for key in ("sample_count", "rejected_count", "frame_count", "unpaired_count")]
@@ -85,7 +72,7 @@ def test_the_document_has_the_fields_of_its_schema() -> None:
 
 
 @pytest.mark.parametrize("changes", [{"constant": True}, {"count": 3}, {"count": 0}])
-def test_undefined_metrics_are_null(changes: dict[str, object]) -> None:
+def test_undefined_metrics_are_null(changes):
     """A still truth, few pairs and no pairs leave R², intervals or all metrics out, alike in CSV and JSON."""
     made = validation("a", **changes)
     (row, *_) = strict(validation_document(made))["recordings"]  # type: ignore[misc]
@@ -97,7 +84,7 @@ def test_undefined_metrics_are_null(changes: dict[str, object]) -> None:
     assert "nan" not in render(results.tables[0])
 
 
-def test_the_overall_score_is_against_the_strongest_reference() -> None:
+def test_the_overall_score_is_against_the_strongest_reference():
     """With both references `overall` is against the simulator's truth, and both are listed by reference."""
     both = tuple(score(reference=reference) for reference in (Reference.KINEMATICS, Reference.GROUND_TRUTH))
     document = validation_document(Validation(both, both, ()))
@@ -106,14 +93,13 @@ def test_the_overall_score_is_against_the_strongest_reference() -> None:
     assert validation_document(Validation(both, (), ()))["overall"] is None
 
 
-def test_the_table_shows_r_squared_with_rmse_sigma_and_n() -> None:
+def test_the_table_shows_r_squared_with_rmse_sigma_and_n():
     """R² never stands alone; names cannot drive a terminal. Remarks say what the table has no room for.
 
     Of a method in 3D nothing is said about the paper's plane.
     """
     made = validation("[/no]\x1b", fitted_on=True)
     statistics = made.scores[0].statistics
-    assert statistics is not None
     shown = render(validation_tables(made)[0])
     assert all(part in shown for part in ("in mm", "R²", "RMSE", "σ (of the truth)", "cov. %", "bias", " n "))
     row = next(line for line in shown.splitlines() if "[/no]\N{REPLACEMENT CHARACTER}" in line)
@@ -128,7 +114,7 @@ def test_the_table_shows_r_squared_with_rmse_sigma_and_n() -> None:
     assert not any("paper" in remark for remark in remarks(in_3d))
 
 
-def test_a_comparison_names_each_distance_once() -> None:
+def test_a_comparison_names_each_distance_once():
     """In SI in rows and in mm in tables; the distance over its first column, the method's time last, – for nothing."""
     truth_m = np.linspace(0.01, 0.02, 10)
     half_mm = score_pairs(Pairs(np.arange(10), truth_m + 5e-4, truth_m, np.full(10, np.nan)))
@@ -144,50 +130,7 @@ def test_a_comparison_names_each_distance_once() -> None:
     assert [table.rows[0][at] for at in (1, 3, 7, -1)] == ["50.0", "0.50", "–", "3"]
 
 
-def test_blur_rows_stand_beside_the_papers() -> None:
-    """Rows have Table I as published; without a value there is none."""
-    ours = BlurRow(Blur.GAUSSIAN, 5, 40, 6.5, 214.0, 900.0, 120.0, 100.0, 1.0, 3e-4, PrintedRow(7, 215))
-    clean = BlurRow(Blur.NONE, 1, 40, None, None, None, None, None, 0.0, None, None)
-    results = blur_results([ours, clean], 2)
-    assert results.keys[:3] == ("blur", "kernel_px", "keypoint_count")
-    first, second = results.rows
-    assert (first["blur"], first["paper_keypoint_count"], first["rmse_m"]) == ("gaussian", 7, 3e-4)
-    assert second["keypoint_count"] is None
-    shown = render(results.tables[0])
-    assert "40 frames of 2 recordings" in shown
-    assert "0.300" in shown
-
-
-FINE = LogFigures("fine", statuses={"ok": 10}, group="a")
-LOST = LogFigures("lost", statuses={"ok": 4, "no_tool": 5, "no_tissue": 1}, group="b")
-DARK = LogFigures("dark", statuses={"no_tool": 7}, group="b")
-CUT = LogFigures("cut", statuses={"ok": 3}, loss_count=2, group="a")
-FAILED = LogFigures("failed", failure="no such file")
-LOGS = [FINE, LOST, DARK, CUT, FAILED, LogFigures("empty")]
-
-
-def test_logs_are_sorted_by_severity() -> None:
-    """Failed logs, those without any measurement, then by the share of frames lost, then by losses."""
-    found = ranked(LOGS)
-    assert [one.recording for one in found] == ["failed", "dark", "empty", "lost", "cut", "fine"]
-    assert [one.state for one in found] == ["failed", *["nothing measured"] * 2, "ok", "loss", "ok"]
-    assert LOST.worst == ("no_tool", 5)
-
-
-def test_groups_and_all_logs_count_every_frame_once() -> None:
-    """In the order of the groups' names, then all; logs that failed are in no group."""
-    together = pooled_log_figures(LOGS)
-    assert [(one.recording, one.frame_count, one.measured_count) for one in together] == [
-        *(("a", 13, 13), ("b", 17, 4), ("overall", 30, 17))
-    ]
-    rows = list(log_results(LOGS).rows)
-    assert all(tuple(row) == keys_of(LOG_COLUMNS) for row in rows)
-    assert [row["rank"] for row in rows] == [*range(1, 7), None, None, None]
-    assert rows[0]["coverage"] is None
-    assert rows[-1]["reason"] == "1 of 6 logs failed"
-
-
-def test_summaries_are_written_in_markup(golden: Path, cli: Cli, tmp_path: Path) -> None:
+def test_summaries_are_written_in_markup(golden, cli, tmp_path):
     """LaTeX and Markdown have the numbers of the JSON, in mm."""
     log = golden / "sweep.mcap"
     found = cli("validate", log, "-f", "json").json["recordings"][0]

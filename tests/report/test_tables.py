@@ -1,13 +1,11 @@
 """Tables for a person and for machines: what is missing stays missing, text stays text."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from svmdist.errors import UsageError, printable
-from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Unit
+from svmdist.metrics import COUNT, LENGTH, TEXT, Unit
 from svmdist.report.tables import (
     PARQUET_ROWS,
     Column,
@@ -31,7 +29,7 @@ from svmdist.report.tables import (
     text_lines,
     write_parquet,
 )
-from svmdist.report.writers import WRITERS, Holds, Results, choose_writer, names_of
+from svmdist.report.writers import Holds, Results, choose_writer
 
 COLUMNS = (Column("name", TEXT, "name"), Column("value", LENGTH, "value [mm]"))
 LINES = (csv_lines, json_lines, json_document)
@@ -51,7 +49,7 @@ def shown(name: str, title: str = "") -> str:
 @pytest.mark.parametrize(
     "name", ["[red]x", "[/nope]", "[link=http://x]y[/link]", ":warning:", "\\[x]", "a$b$_c"]
 )
-def test_markup_in_a_name_is_text(name: str) -> None:
+def test_markup_in_a_name_is_text(name):
     """Names that look like rich's markup come out as they are in rows and titles, and crash nothing."""
     assert shown(name, f"log {name}").count(name) == 3
     assert in_csv({"name": name, "value": 1})[1] == [name, "1"]
@@ -61,7 +59,7 @@ def test_markup_in_a_name_is_text(name: str) -> None:
 @pytest.mark.parametrize(
     "code", ["\x1b[31m", "\x07", "\x9b", "\u202e", "\u2028", "\r", "\n", "\x00", "\ud800"]
 )
-def test_characters_that_drive_a_terminal_are_replaced(code: str) -> None:
+def test_characters_that_drive_a_terminal_are_replaced(code):
     """ESC, bell, line breaks and bidirectional overrides never reach a terminal, the letters around them do."""
     name = f"a{code}b"
     for text in (shown(name, name), "".join(csv_lines(Results(COLUMNS, [{"name": name}]))), printable(name)):
@@ -74,7 +72,7 @@ def test_characters_that_drive_a_terminal_are_replaced(code: str) -> None:
     st.text(max_size=30)
     | st.sampled_from(["=1+1", "+1", "-1", "@SUM(A1)", "=cmd|' /C calc'!A0", "\t=1", "\r=1"])
 )
-def test_any_name_keeps_its_place_in_a_csv(name: str) -> None:
+def test_any_name_keeps_its_place_in_a_csv(name):
     """Two rows of two cells, and no spreadsheet takes the name for a formula; a negative number stays one."""
     header, (cell, value) = in_csv({"name": name, "value": -0.5})
     assert (header, value) == (["name", "value"], "-0.5")
@@ -83,7 +81,7 @@ def test_any_name_keeps_its_place_in_a_csv(name: str) -> None:
 
 
 @pytest.mark.parametrize("missing", [None, math.nan, math.inf, -math.inf])
-def test_what_does_not_exist_is_empty(missing: float | None) -> None:
+def test_what_does_not_exist_is_empty(missing):
     """An empty cell in CSV, null in JSON, a dash for a person; never the text NaN."""
     row = {"name": "a", "value": missing}
     assert in_csv(row) == in_csv({"name": "a"}) == [["name", "value"], ["a", ""]]
@@ -96,7 +94,7 @@ def test_what_does_not_exist_is_empty(missing: float | None) -> None:
 
 
 @pytest.mark.parametrize("value", [0.1, 1 / 3, 1e-300, 123456789.123456789, np.float64(0.1), 7])
-def test_numbers_survive_the_round_trip(value: float) -> None:
+def test_numbers_survive_the_round_trip(value):
     """A number read back from CSV or JSON equals the one written, bit for bit, also where NumPy made it."""
     row = {"name": "a", "value": value}
     assert float(in_csv(row)[1][1]) == value
@@ -104,7 +102,7 @@ def test_numbers_survive_the_round_trip(value: float) -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 500])
-def test_a_json_array_is_valid_for_any_number_of_rows(count: int) -> None:
+def test_a_json_array_is_valid_for_any_number_of_rows(count):
     rows = [{"name": f"row {index}", "value": index / 7} for index in range(count)]
     text = "".join(json_document(Results(COLUMNS, iter(rows))))
     assert json.loads(text) == rows
@@ -113,7 +111,7 @@ def test_a_json_array_is_valid_for_any_number_of_rows(count: int) -> None:
 
 
 @pytest.mark.parametrize(("lines", "first"), [*zip(LINES, (2, 1, 1), strict=True)])
-def test_rows_are_written_as_they_come(lines: Callable[..., Iterator[str]], first: int) -> None:
+def test_rows_are_written_as_they_come(lines, first):
     """No form holds the rows: after the first row's line, only that row was read."""
     read = []
 
@@ -128,17 +126,7 @@ def test_rows_are_written_as_they_come(lines: Callable[..., Iterator[str]], firs
     assert "more" not in texts[-1]
 
 
-def test_values_are_shown_in_their_unit() -> None:
-    """Metres as millimetres and fractions as percent, with the unit's digits; plain tables line up."""
-    assert (COLUMNS[1].show(0.01234), Column("x", SHARE).show(0.9876)) == ("12.34", "98.8")
-    lines = list(text_lines(COLUMNS, [{"name": "a", "value": 0.0015}, {"name": "b" * 30, "value": None}]))
-    assert lines[0].split() == ["name", "value", "[mm]"]
-    assert set(lines[1].strip()) <= {"─", " "}
-    assert lines[2].index("1.50") + 4 == len(lines[1]) - 1
-    assert lines[3].startswith("b" * 30)
-
-
-def test_a_narrow_terminal_gets_whole_cells_in_parts() -> None:
+def test_a_narrow_terminal_gets_whole_cells_in_parts():
     """No cell is broken: columns under one heading stay together, and each part tells its rows apart."""
     unit = Unit("m", "mm", 1e3, 4)
     headings = ("group a\nRMSE", "\np95", "\np95")
@@ -160,7 +148,7 @@ MARKED = Table.of(
 )
 
 
-def test_markup_is_escaped_and_aligned() -> None:
+def test_markup_is_escaped_and_aligned():
     """LaTeX and Markdown show every cell as it is."""
     text = "".join(latex(Results((), (), tables=[MARKED], notes=["a note"])))
     caption, head = r"\caption{R\textsuperscript{2} \& more}", r"\begin{tabular}{lr}"
@@ -176,7 +164,7 @@ def in_parquet(path: Path) -> list[dict[str, object]]:
     return list(table.read_table(path).to_pylist())
 
 
-def test_parquet_has_the_values_in_pieces(tmp_path: Path) -> None:
+def test_parquet_has_the_values_in_pieces(tmp_path):
     """Of a stream that is never held whole; a number that is not finite does not exist; no row leaves the columns."""
     columns = (*COLUMNS, Column("count", COUNT), Column("shown", heading="x", stored=False))
     given = [("a", 0.1 + 0.2, True), (None, math.nan, None), ("\udcff", 3, None)]
@@ -220,9 +208,7 @@ def _broken() -> Iterator[Row]:
         ("parquet", None, Holds.ROWS, "", "is no text: give a file with -o FILE.parquet"),
     ],
 )
-def test_the_format_follows_the_ending(
-    given: str | None, output: str | None, holds: Holds, chosen: str, refusal: str
-) -> None:
+def test_the_format_follows_the_ending(given, output, holds, chosen, refusal):
     """Unless one is named; text is a table where the command has one. Others are refused with the choices."""
     path = Path(output) if output else None
     if chosen:
@@ -230,10 +216,3 @@ def test_the_format_follows_the_ending(
     else:
         with pytest.raises(UsageError, match=re.escape(refusal)):
             choose_writer(given, path, holds)
-
-
-def test_formats_are_declared_once() -> None:
-    """No two formats share an ending."""
-    endings = [ending for writer in WRITERS for ending in writer.endings]
-    assert len(endings) == len(set(endings))
-    assert names_of(Holds.TABLES) == ("table", "csv", "json")

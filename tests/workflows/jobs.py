@@ -1,7 +1,5 @@
 """A job for batches of logs: it counts images, and goes wrong as a file says."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -1,7 +1,5 @@
 """Many logs: outcomes do not depend on where they are measured, a bad one stops nothing, and results can stay."""
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess
@@ -16,7 +14,6 @@ import pytest
 
 from svmdist.errors import SvmdistError, UsageError
 from svmdist.recording.observations import Window
-from svmdist.workflows import batch
 from svmdist.workflows.batch import ATTEMPTS, Job, LogFile, Outcome, collected_notes, log_notes, measure_logs
 from svmdist.workflows.request import LOG, Request, Setup
 from tests.conftest import REPOSITORY
@@ -55,7 +52,7 @@ def seen(outcomes: list[Outcome[Counted]]) -> list[Any]:
     ]
 
 
-def test_outcomes_are_the_same_for_any_number_of_jobs(logs: list[LogFile], tmp_path: Path) -> None:
+def test_outcomes_are_the_same_for_any_number_of_jobs(logs, tmp_path):
     """In the order of the logs, with rows and remarks; what breaks is told by its reason, a fault by its place."""
     job = job_in(tmp_path / "fates", log1="broken", log2="fault")
     alone = seen(measure_logs(job, logs, jobs=1))
@@ -68,14 +65,14 @@ def test_outcomes_are_the_same_for_any_number_of_jobs(logs: list[LogFile], tmp_p
     assert [text for _, text in alone[0][3]][-1] == "only of log0"
 
 
-def test_what_every_log_would_meet_ends_the_work(logs: list[LogFile], tmp_path: Path) -> None:
+def test_what_every_log_would_meet_ends_the_work(logs, tmp_path):
     for jobs in (1, 2):
         with pytest.raises(UsageError, match="wrong for all"):
             measure_logs(job_in(tmp_path / "fates", log1="usage"), logs, jobs=jobs)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="kills processes as POSIX does")
-def test_a_process_that_is_killed_costs_only_its_log(logs: list[LogFile], tmp_path: Path) -> None:
+def test_a_process_that_is_killed_costs_only_its_log(logs, tmp_path):
     """That is tried once more, and then left out; the others come as they do alone."""
     job = job_in(tmp_path / "fates", log2="killed")
     outcomes = measure_logs(job, logs, jobs=2)
@@ -84,7 +81,7 @@ def test_a_process_that_is_killed_costs_only_its_log(logs: list[LogFile], tmp_pa
     assert attempts(tmp_path / "fates", "log2") == ATTEMPTS
 
 
-def test_results_stay_in_a_folder(logs: list[LogFile], tmp_path: Path) -> None:
+def test_results_stay_in_a_folder(logs, tmp_path):
     """They are reused for the same log, request and version; failures, changed logs and broken files are not."""
     fates, results = tmp_path / "fates", tmp_path / "results"
     first = measure_logs(job_in(fates, log1="broken"), logs, jobs=1, folder=results)
@@ -104,7 +101,7 @@ def test_results_stay_in_a_folder(logs: list[LogFile], tmp_path: Path) -> None:
     assert attempts(fates, "log3") == 2
 
 
-def test_remarks_are_collected_and_said_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_remarks_are_collected_and_said_once(caplog):
     """What many logs share is said once with their number; levels are kept."""
     with collected_notes() as notes:
         LOG.info("shared")
@@ -115,13 +112,6 @@ def test_remarks_are_collected_and_said_once(caplog: pytest.LogCaptureFixture) -
     with caplog.at_level("INFO", "svmdist"):
         log_notes(outcomes)
     assert caplog.messages == ["shared (so in 4 logs)", "of 0", "of 1", "of 2", "of 3"]
-
-
-def test_what_a_profile_names_counts(tmp_path: Path) -> None:
-    """A file that a request names is part of it, by its size and time."""
-    job = job_in(tmp_path / "fates")
-    assert batch._fingerprint(job) == batch._fingerprint(job_in(tmp_path / "fates"))
-    assert len(list(batch._paths_in({"a": [Path("x"), {"b": Path("y")}], "c": 1}))) == 2
 
 
 class DaskCluster:
@@ -139,7 +129,6 @@ class DaskCluster:
         ]
 
     def close(self) -> None:
-        """Kill everything."""
         for process in [*self.workers, self.scheduler]:
             process.kill()
             process.wait()
@@ -164,7 +153,7 @@ def cluster(tmp_path: Path) -> Iterator[DaskCluster]:
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="kills processes as POSIX does")
 @pytest.mark.filterwarnings("default")  # of Dask's own
-def test_a_cluster_gives_the_same(cluster: DaskCluster, logs: list[LogFile], tmp_path: Path) -> None:
+def test_a_cluster_gives_the_same(cluster, logs, tmp_path):
     """Also where a worker is killed on the way; a scheduler that is lost is one line, and results stay."""
     calm = seen(measure_logs(job_in(tmp_path / "calm", log1="broken"), logs, jobs=1))
     fates = tmp_path / "fates"

@@ -1,7 +1,5 @@
 """What a recording can serve: the more it and the profile have, the more, and what lacks is named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,19 +7,15 @@ import pytest
 
 from svmdist.estimation.methods import METHODS
 from svmdist.profile import Profile, load_profile
-from svmdist.recording.log import open_recording
 from svmdist.recording.source import Health
 from svmdist.recording.summary import RecordingSummary, TopicSummary
 from svmdist.recording.topics import Role
 from svmdist.workflows.capabilities import (
     Capability,
-    TagCheck,
     capabilities,
     instruments_in,
-    look_for_tag,
     method_capabilities,
 )
-from tests.conftest import REPOSITORY
 
 PROFILE = load_profile()
 assert PROFILE.robot is not None
@@ -60,7 +54,7 @@ def lacking(found: tuple[Capability, ...]) -> dict[str, tuple[str, ...]]:
     return {one.name: one.missing for one in found if not one.served}
 
 
-def test_a_recording_that_has_everything_serves_everything() -> None:
+def test_a_recording_that_has_everything_serves_everything():
     """Every method is listed, in order; those that need a calibration of the profile find it."""
     assert lacking(capabilities(FULL, PROFILE)) == {}
     assert tuple(one.name for one in method_capabilities(FULL, PROFILE)) == tuple(METHODS)
@@ -68,7 +62,6 @@ def test_a_recording_that_has_everything_serves_everything() -> None:
 
 
 def poorer(table: str) -> Profile:
-    """The profile without one of its tables."""
     return PROFILE.model_copy(update={table: None})
 
 
@@ -98,9 +91,7 @@ ONE_JOINT_LESS = replace(FULL, joint_names={f"/{Role.JOINTS}": JOINTS[1:]})
         (FULL, poorer("robot"), IN_3D, f"[robot] in profile {PROFILE.name}"),
     ],
 )
-def test_each_part_of_log_and_profile_is_needed_by_its_own_methods(
-    summary: RecordingSummary, profile: Profile, methods: set[str], words: str
-) -> None:
+def test_each_part_of_log_and_profile_is_needed_by_its_own_methods(summary, profile, methods, words):
     """Without images, of the commands only `fk` remains."""
     found = lacking(method_capabilities(summary, profile))
     assert set(found) == methods
@@ -110,7 +101,7 @@ def test_each_part_of_log_and_profile_is_needed_by_its_own_methods(
         assert set(lacking(capabilities(summary, profile))) == commands
 
 
-def test_the_reference_of_validation_is_truth_or_poses_of_tool_and_tissue() -> None:
+def test_the_reference_of_validation_is_truth_or_poses_of_tool_and_tissue():
     """Any of the tool's sources will do; each side that is missing is named."""
     truthless = ("ground_truth_distance", "ground_truth_tf", "pose", "joints")
     both = lacking(capabilities(without(*truthless, frames=()), PROFILE))["validate"]
@@ -123,31 +114,7 @@ def test_the_reference_of_validation_is_truth_or_poses_of_tool_and_tissue() -> N
     assert "validate" not in lacking(capabilities(served, PROFILE))
 
 
-def test_estimate_names_the_methods_that_run() -> None:
-    """Where the default method lacks a calibration, the others that run are named; where none runs, it is said."""
-    uncalibrated = PROFILE.model_copy(update={"calibration": None})
-    (found,) = [one for one in capabilities(FULL, uncalibrated) if one.name == "estimate"]
-    assert found.served
-    others = "fiducial or shaft or stereo or kinematic or fused"
-    assert found.note.startswith(f"with --method {others}; the default method")
-    bare = uncalibrated.model_copy(update={"robot": None, "tissue": None, "fiducial": None})
-    assert "a method that log and profile serve" in lacking(capabilities(FULL, bare))["estimate"][0]
-
-
-def test_fiducial_needs_the_tag_in_an_image() -> None:
-    """Where no image was looked at, nothing is said."""
-    unseen, seen, unknown = (TagCheck("36h11 0", *counts) for counts in ((8, 0), (8, 1), (0, 0)))
-    assert "none of 8 images" in lacking(method_capabilities(FULL, PROFILE, unseen))["fiducial"][0]
-    assert lacking(method_capabilities(FULL, PROFILE, seen)) == {}
-    assert lacking(method_capabilities(FULL, PROFILE, unknown)) == {}
-    for log, found in (("3d/contact.mcap", True), ("sweep.mcap", False)):
-        check = look_for_tag(open_recording(REPOSITORY / "recordings" / log, PROFILE), PROFILE)
-        assert check is not None
-        assert check.image_count >= 8
-        assert (check.found_count > 0) == found
-
-
-def test_a_log_of_another_arm_is_that_arms() -> None:
+def test_a_log_of_another_arm_is_that_arms():
     """A profile of three arms serves a log of the second one: neither joints nor frames of the first are needed."""
     dvrk = load_profile("dvrk-psm")
     names = tuple(joint.name for joint in dvrk.robot.joints)

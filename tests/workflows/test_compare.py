@@ -1,27 +1,27 @@
-"""Comparing methods: the same figures as validating each alone, a clock that is only read, groups by metadata."""
-
-from __future__ import annotations
+"""Comparing methods: figures are those of validating each alone, by threads and processes alike; groups by metadata."""
 
 from collections.abc import Container
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from svmdist.errors import RecordingError
 from svmdist.profile import load_profile
-from svmdist.recording.log import open_recording
-from svmdist.recording.writer import RecordingWriter
+from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.writer import RecordingWriter, encode
 from svmdist.report.scores import compare_results
 from svmdist.report.tables import render
-from svmdist.samples import ImageSample
+from svmdist.samples import CameraSample, ImageSample, Sample
 from svmdist.simulation.scene import Options
 from svmdist.vision.degradations import Degradation
-from svmdist.workflows.compare import Group, compare, group_of
+from svmdist.workflows.compare import Group, MethodScore, compare, group_of, measure_runs
 from svmdist.workflows.references import Reference, TruthRules
 from svmdist.workflows.request import CLEAN, Condition, Request, prepare
 from svmdist.workflows.validate import validate
-from tests.synthetic import make_scene, samples
+from tests.synthetic import START_NS, make_scene, samples, without, write_log
 
 SMOKE = Condition(Degradation.SMOKE, 3)
 PLAIN = Options()
@@ -32,14 +32,16 @@ def log(
 ) -> Path:
     """A drawn log with the metadata that `record` writes for these extras; lost frames are black."""
     frames = count()
-    with RecordingWriter(path, {"scenario": scenario} | extras.metadata()) as writer:
-        for topic, sample in samples(make_scene(), frame_count):
-            is_lost = isinstance(sample, ImageSample) and next(frames) in lost
-            writer.write(topic, replace(sample, image_bgr=0 * sample.image_bgr) if is_lost else sample)
-    return path
+
+    def blacken(_: str, sample: Sample) -> Sample:
+        is_lost = isinstance(sample, ImageSample) and next(frames) in lost
+        return replace(sample, image_bgr=0 * sample.image_bgr) if is_lost else sample
+
+    metadata = {"scenario": scenario} | extras.metadata()
+    return write_log(path, frame_count=frame_count, change=blacken, metadata=metadata)
 
 
-def test_figures_are_those_of_validate(tmp_path: Path, synthetic_calibration: Path) -> None:
+def test_figures_are_those_of_validate(tmp_path, synthetic_calibration):
     """Per group and overall, R² and RMSE equal what `validate` gives for the method alone, lost frames or none."""
     setups = [prepare(method=method, calibration=synthetic_calibration) for method in ("overlay", "centroid")]
     paths = [
@@ -57,8 +59,6 @@ def test_figures_are_those_of_validate(tmp_path: Path, synthetic_calibration: Pa
             group = {"whole": "sweep", "part": "occlusion", "overall": "all"}[score.recording]
             compared = scores[group, setup.method]
             assert compared.coverage == score.coverage
-            assert compared.planar is not None
-            assert score.statistics is not None
             assert compared.planar.statistics.rmse == pytest.approx(score.statistics.rmse, rel=1e-12)
             assert compared.planar.statistics.r_squared == pytest.approx(
                 score.statistics.r_squared, rel=1e-12
@@ -67,7 +67,7 @@ def test_figures_are_those_of_validate(tmp_path: Path, synthetic_calibration: Pa
             assert compared.ms_per_frame > 0.0
 
 
-def test_groups_are_scenarios_and_recorded_degradations(tmp_path: Path) -> None:
+def test_groups_are_scenarios_and_recorded_degradations(tmp_path):
     """What `record --degrade` wrote into a log is what it is compared as; each degradation also over scenarios."""
     smoked = Options(degradations=(("smoke", 3),))
     setup = prepare(method="kinematic")
@@ -79,19 +79,13 @@ def test_groups_are_scenarios_and_recorded_degradations(tmp_path: Path) -> None:
     ]
     assert group_of(recordings[1]) == Group("sweep", "smoke=3")
     scores = compare(recordings, [setup])
-    counts = {str(score.group): score.figures.frame_count for score in scores}
-    assert counts == {
-        "sweep": 4,
-        "sweep smoke=3": 4,
-        "contact smoke=3": 8,
-        "all clean": 4,
-        "all smoke=3": 12,
-        "all": 16,
-    }
+    counts = [(str(score.group), score.figures.frame_count) for score in scores]
+    groups = ["sweep", "sweep smoke=3", "contact smoke=3", "all clean", "all smoke=3", "all"]
+    assert counts == list(zip(groups, [4, 4, 8, 4, 12, 16], strict=True))
     results = compare_results(scores)
     rows = list(results.rows)
     assert all(set(row) == set(results.keys) for row in rows)
-    assert [(row["scenario"], row["degradation"]) for row in rows][:2] == [
+    assert [(row["scenario"], row["degradation"]) for row in rows[:2]] == [
         ("sweep", ""),
         ("sweep", "smoke=3"),
     ]
@@ -101,10 +95,80 @@ def test_groups_are_scenarios_and_recorded_degradations(tmp_path: Path) -> None:
     assert max(map(len, shown.splitlines())) <= 100
 
 
-def test_degrading_at_replay_stands_beside_what_was_recorded(tmp_path: Path) -> None:
+def test_degrading_at_replay_stands_beside_what_was_recorded(tmp_path):
     """A condition adds a group; on a log that was recorded degraded its name follows the recorded one."""
     profile = load_profile()
     noisy = log(tmp_path / "noisy.mcap", "sweep", extras=Options(degradations=(("noise", 1), ("jpeg", 2))))
     recording = open_recording(noisy, profile)
     assert str(group_of(recording, CLEAN)) == "sweep noise=1,jpeg=2"
     assert str(group_of(recording, SMOKE)) == "sweep noise=1,jpeg=2,smoke=3"
+
+
+SETUPS = [prepare(method=method) for method in ("fused", "centroid", "fiducial", "kinematic")]
+CONDITIONS = [CLEAN, Condition(Degradation.NOISE, 2)]
+FRAMES = 6
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    path = write_log(tmp_path_factory.mktemp("runs") / "a.mcap", frame_count=FRAMES)
+    return open_recording(path, SETUPS[0].profile)
+
+
+def figures(run: MethodScore) -> tuple[object, ...]:
+    """What a run says, without its time: whose it is, and every pair of estimate and truth."""
+    of = run.figures
+    pairs = [
+        score and (score.pairs.estimate_m.tobytes(), score.pairs.truth_m.tobytes(), score.statistics.rmse)
+        for score in (of.planar, of.spatial, of.clearance)
+    ]
+    return (run.group, run.method, run.instrument, of.frame_count, of.measured_count, *pairs)
+
+
+@pytest.mark.parametrize("jobs", [2, 3, 8])
+@pytest.mark.parametrize("conditions", [CONDITIONS[:1], CONDITIONS])
+def test_processes_and_threads_give_the_same(recording, conditions, jobs):
+    """In the order of conditions and methods, bit for bit; each image counts once for each of them."""
+    alone = measure_runs(recording, SETUPS, conditions, jobs=1)
+    counted: list[int] = []
+    shared = measure_runs(recording, SETUPS, conditions, jobs=jobs, advance=lambda: counted.append(1))
+    assert [figures(run) for run in shared] == [figures(run) for run in alone]
+    assert [run.method for run in alone] == [setup.method for setup in SETUPS] * len(conditions)
+    assert all(run.figures.seconds > 0.0 for run in shared)
+    assert len(counted) == FRAMES * len(SETUPS) * len(conditions)
+
+
+def test_losses_are_listed_once_in_the_file_s_order(tmp_path):
+    """One process reads right images too, another does not; what both lost stands between what one alone lost."""
+    path = tmp_path / "lossy.mcap"
+    scene, broken = make_scene(), {("right", 1), ("left", 2), ("right", 3)}
+    P = np.hstack([scene.camera.K, scene.camera.K @ [[-0.005], [0.0], [0.0]]])
+    right_camera = replace(scene.camera, P=P, frame_id="camera_right")
+    with RecordingWriter(path, {"scenario": "synthetic"}) as writer:
+        writer.write("/ECM/right/camera_info", CameraSample(START_NS, right_camera))
+        frame = -1
+        for topic, sample in samples(scene, 5):
+            if not isinstance(sample, ImageSample):
+                writer.write(topic, sample)
+                continue
+            frame += 1
+            right = replace(sample, frame_id="camera_right")
+            for side, to, image in (("left", topic, sample), ("right", "/ECM/right/image", right)):
+                encoded = encode(image)
+                data = encoded.data.replace(b"IHDR", b"XXXX") if (side, frame) in broken else encoded.data
+                writer.write(to, replace(encoded, data=data))
+    losses = []
+    for jobs in (1, 2):
+        recording = open_recording(path, SETUPS[0].profile)
+        measure_runs(recording, SETUPS[:2], jobs=jobs)
+        losses.append(recording.health.losses)
+    assert losses[1] == losses[0]
+    assert [loss.topic for loss in losses[0]] == ["/ECM/right/image", "/ECM/left/image", "/ECM/right/image"]
+
+
+def test_a_log_without_truth_is_refused_before_the_work(tmp_path):
+    path = write_log(tmp_path / "bare.mcap", change=without("/ground_truth/distance"))
+    steps: list[int] = []
+    with pytest.raises(RecordingError, match="ground_truth_distance"):
+        measure_runs(open_recording(path, SETUPS[0].profile), SETUPS, advance=lambda: steps.append(1))
+    assert not steps

@@ -1,9 +1,6 @@
 """Import: what is in the files is in the log, byte by byte where that is possible."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -40,7 +37,7 @@ def _messages(path: Path, topic: str) -> list[bytes]:
     return [message_class(raw.schema).FromString(raw.data).data for raw in raws]
 
 
-def test_two_views_pass_through(tmp_path: Path) -> None:
+def test_two_views_pass_through(tmp_path):
     """Files of both views are in the log as they are, paired by number, with stamps and a baseline."""
     for number in (1, 2, 10):
         cv2.imwrite(str(tmp_path / f"{number}_L.jpg"), _picture(number))
@@ -58,12 +55,11 @@ def test_two_views_pass_through(tmp_path: Path) -> None:
     assert all(one.right is not None for one in observations)
     assert recording.right_camera is not None
     T_left_right = stereo_transform(recording.camera, recording.right_camera)
-    assert T_left_right is not None
     assert T_left_right[0, 3] == pytest.approx(0.005, abs=1e-12)
     assert recording.health.is_clean
 
 
-def test_side_by_side(tmp_path: Path) -> None:
+def test_side_by_side(tmp_path):
     """Each half is a view, without loss."""
     both = [_picture(number, 128) for number in range(2)]
     for number, image in enumerate(both):
@@ -78,7 +74,7 @@ def test_side_by_side(tmp_path: Path) -> None:
         np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(data, np.uint8), 1), image[:, 64:])
 
 
-def test_other_formats_are_decoded(tmp_path: Path) -> None:
+def test_other_formats_are_decoded(tmp_path):
     """BMP, TIFF and grey images become PNG with the same pixels."""
     pixels = [_picture(1), _picture(2), np.repeat(_picture(3)[..., :1], 3, axis=2)]
     for name, image in zip(("a1.bmp", "a2.tiff", "a3.pgm"), pixels, strict=True):
@@ -88,7 +84,7 @@ def test_other_formats_are_decoded(tmp_path: Path) -> None:
         np.testing.assert_array_equal(found.image_bgr, expected)
 
 
-def test_stamps_of_names_poses_and_joints(tmp_path: Path) -> None:
+def test_stamps_of_names_poses_and_joints(tmp_path):
     """Stamps come from names; tables of poses and joints meet the images, each instrument under its name."""
     for number in range(3):
         cv2.imwrite(str(tmp_path / f"{1_700_000_000 + number}.500000000.png"), _picture(number))
@@ -107,18 +103,15 @@ def test_stamps_of_names_poses_and_joints(tmp_path: Path) -> None:
     stamps = [(1_700_000_000 + number) * 10**9 + 500_000_000 for number in range(3)]
     observations = [one for one in recording.observations() if isinstance(one, Observation)]
     assert [one.stamp_ns for one in observations] == stamps
-    assert [one.joints.positions.tolist() for one in observations if one.joints] == [
-        [0.0, 0.2],
-        [0.1, 0.2],
-        [0.2, 0.2],
-    ]
+    joints = [one.joints.positions.tolist() for one in observations if one.joints]
+    assert joints == [[0.0, 0.2], [0.1, 0.2], [0.2, 0.2]]
     poses = recording.for_instrument("PSM2").pose_track()
     assert poses.parent == "PSM2_base"
     assert poses.stamps_ns.tolist() == stamps
     np.testing.assert_allclose(poses.T_parent_child[:, 0, 3], [0.0, 0.01, 0.02])
 
 
-def test_own_stamps_of_both_views(tmp_path: Path) -> None:
+def test_own_stamps_of_both_views(tmp_path):
     """Where the names of both views tell times, each image keeps its own."""
     for side, offset in (("left", 0), ("right", 200_000)):
         (tmp_path / side).mkdir()
@@ -134,7 +127,7 @@ def test_own_stamps_of_both_views(tmp_path: Path) -> None:
     assert stamps["/ECM/right/image"] == [stamp + 200_000 for stamp in stamps["/ECM/left/image"]]
 
 
-def test_video(tmp_path: Path) -> None:
+def test_video(tmp_path):
     """A video's images and times are in the log; lossless video without a bit of difference."""
     av = pytest.importorskip("av")
     images = [_picture(number) for number in range(5)]
@@ -180,9 +173,7 @@ def _write(path: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize(("files", "views", "calibration", "said"), WRONG.values(), ids=WRONG)
-def test_wrong_files(
-    tmp_path: Path, files: tuple[str, ...], views: dict[str, Any], calibration: CalibrationOptions, said: str
-) -> None:
+def test_wrong_files(tmp_path, files, views, calibration, said):
     """What does not fit is one line that names it, and leaves no log behind."""
     folder, output = tmp_path / "images", tmp_path / "out.mcap"
     folder.mkdir()

@@ -1,7 +1,5 @@
 """Memory: one frame at a time, however long the log is; and of a joint state, its numbers."""
 
-from __future__ import annotations
-
 import gc
 import subprocess
 import sys
@@ -35,7 +33,7 @@ def _peak_bytes(path: Path) -> int:
 
 
 @pytest.mark.slow
-def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
+def test_memory_does_not_grow_with_the_log(tmp_path):
     """Eight times the frames, and a peak that is no more than one frame higher.
 
     The least of three: what the collector frees late is no part of it, and comes at any time.
@@ -60,7 +58,7 @@ print(next(int(line.split()[1]) for line in open("/proc/self/status") if line.st
 
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads its peak memory from /proc")
-def test_a_joint_state_takes_few_bytes(tmp_path: Path) -> None:
+def test_a_joint_state_takes_few_bytes(tmp_path):
     """A joint state is kept as its numbers, and poses are computed block by block: 300 bytes each at most."""
     path, count = tmp_path / "joints.mcap", 300_000
     with RecordingWriter(path, {}) as writer:

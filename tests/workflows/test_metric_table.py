@@ -1,6 +1,4 @@
-"""The declared metrics: the columns that users rely on, and that a declaration alone brings a metric everywhere."""
-
-from __future__ import annotations
+"""The columns that users rely on, metrics that are declared once, and the baseline's file."""
 
 import json
 from collections.abc import Iterator
@@ -8,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from benchmarks.generated_pages import metrics_page
+from svmdist.errors import RecordingError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.metrics import alarm_statistics
 from svmdist.report.scores import (
@@ -33,7 +33,12 @@ from svmdist.workflows.metric_table import (
 )
 from svmdist.workflows.references import Reference
 from svmdist.workflows.scores import Pairs, Score, score_pairs
-from svmdist.workflows.validate import Validation
+from svmdist.workflows.validate import (
+    StoredScore,
+    Validation,
+    load_baseline,
+    save_baseline,
+)
 
 SCORE_COLUMNS = """
 recording method equations reference sample_count rejected_count coverage r_squared rmse_m mae_m median_abs_error_m
@@ -72,7 +77,7 @@ def validation(error_m: float = 1e-3) -> Validation:
     return Validation((score,), (replace(score, recording="overall"),), (), rules)
 
 
-def test_columns_stay() -> None:
+def test_columns_stay():
     """The columns of version 0.1, in their order: a column is neither renamed nor moved nor removed."""
     assert list(keys_of(score_columns())) == SCORE_COLUMNS.split()
     figure_columns = FIGURE_COLUMNS.split()
@@ -100,7 +105,7 @@ def added(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     return metric.key
 
 
-def test_a_new_metric_is_declared_once(added: str) -> None:
+def test_a_new_metric_is_declared_once(added):
     """It stands in all tables, CSV, JSON, baselines and the documentation; its columns are the last ones."""
     keys = [added, f"spatial_{added}", f"clearance_{added}"]
     expected = np.percentile(1e-3 * np.arange(20), 99)
@@ -125,3 +130,38 @@ def test_a_new_metric_is_declared_once(added: str) -> None:
     assert compared.keys[-4:] == ("instrument", *keys)
     assert [{*row} for row in compared.rows] == [{*compared.keys}]
     assert render(compared.tables[0]).count("p99") == 3
+
+
+LABELS = {"recording": "a", "method": "overlay", "equations": "corrected", "reference": "ground_truth"}
+OLD = {"r_squared": 0.99, "rmse_m": 1e-3, "p95_abs_error_m": None, "coverage": 1.0}
+
+
+def test_shipped_baselines_survive_the_round_trip(golden, tmp_path):
+    """What is written again is the file that was read, to the byte: also one from before there were alarms."""
+    for path in (golden / "baseline.json", golden / "3d" / "baseline.json"):
+        save_baseline(load_baseline(path), tmp_path / "again.json")
+        again, before = (json.loads(file.read_text()) for file in (tmp_path / "again.json", path))
+        assert again["scores"] == before["scores"]
+        assert again["tolerances"] == before["tolerances"]
+
+
+def test_an_older_score_has_fewer_figures():
+    """Metrics that came later may be missing; the first four may not, and a figure that nobody knows is refused."""
+    assert StoredScore.model_validate(LABELS | OLD).figures == OLD
+    for key in OLD:
+        with pytest.raises(ValidationError, match=f"there is no {key}"):
+            StoredScore.model_validate(LABELS | {name: value for name, value in OLD.items() if name != key})
+    with pytest.raises(ValidationError, match="there is no metric speed"):
+        StoredScore.model_validate(LABELS | OLD | {"speed": 1.0})
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{}", '{"schema": "svmdist.baseline/2"}', '{"schema": "svmdist.baseline/1", "scores": [{}]}'],
+    ids=["empty", "no schema", "another schema", "no figures"],
+)
+def test_what_is_no_baseline_is_one_line(tmp_path, text):
+    path = tmp_path / "b.json"
+    path.write_text(text)
+    with pytest.raises(RecordingError, match=r"b\.json: not a baseline of schema svmdist\.baseline/1"):
+        load_baseline(path)

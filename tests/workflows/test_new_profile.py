@@ -1,7 +1,5 @@
 """A first profile: it loads, finds what the log shows, and `estimate` runs with it."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 
@@ -20,7 +18,6 @@ from svmdist.vision.colour import find_distinct_colour
 from svmdist.vision.stereo import fit_plane
 from svmdist.workflows.new_profile import draft_profile, find_roles, shipped_robot
 from tests.conftest import REPOSITORY
-from tests.synthetic import write_log
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 
@@ -31,7 +28,7 @@ def _profile(path: Path, **topics: str) -> Profile:
 
 
 @pytest.mark.slow
-def test_of_a_simulated_log(tmp_path: Path) -> None:
+def test_of_a_simulated_log(tmp_path):
     """Topics, frames, the chain, the marker's colour and the plane of a log with everything."""
     profile = _profile(REPOSITORY / "recordings" / "3d" / "contact.mcap")
     shipped = load_profile("psm13")
@@ -39,25 +36,21 @@ def test_of_a_simulated_log(tmp_path: Path) -> None:
         assert getattr(profile.topics, role) == getattr(shipped.topics, role), role
     assert (profile.frames.camera, profile.frames.base, profile.frames.tool) == ("camera", "base", "tool")
     assert profile.robot == shipped_robot("psm13")
-    assert profile.tissue is not None
-    assert shipped.tissue is not None
     # An organ of 8 mm stands on the simulator's floor, which is what most of the image shows.
     assert abs(profile.tissue.plane_distance_m - shipped.tissue.plane_distance_m) < 8e-3
     assert np.degrees(np.arccos(-profile.tissue.plane_normal[2])) < 5.0
-    assert profile.instrument is not None
     assert profile.instrument.shaft_radius_m == 0.004
 
 
 @pytest.mark.slow
-def test_of_two_instruments() -> None:
-    """Each arm with topics of its own is an instrument."""
+def test_of_two_instruments():
     profile = _profile(REPOSITORY / "recordings" / "3d" / "duo.mcap")
     assert profile.instrument_names == ("PSM1", "PSM2")
     assert profile.other_instruments[0].frames.base == "PSM2_base"
     assert profile.other_instruments[0].topics.joints == "/PSM2/measured_js"
 
 
-def test_names_of_a_log_cannot_break_the_file(tmp_path: Path) -> None:
+def test_names_of_a_log_cannot_break_the_file(tmp_path):
     """Quotes, line ends and controls in topics stay inside their strings."""
     topic = '/evil"\n[limits]\x7f/image'
     with RecordingWriter(tmp_path / "evil.mcap", {}) as writer:
@@ -70,23 +63,22 @@ def test_names_of_a_log_cannot_break_the_file(tmp_path: Path) -> None:
     assert profile.instrument_name == "PSM3"
 
 
-def test_choices_are_the_users(tmp_path: Path) -> None:
-    """Several cameras are listed; a log without images or calibration says what is missing."""
-    path = write_log(tmp_path / "a.mcap", frame_count=2)
-    with RecordingWriter(tmp_path / "two.mcap", {}) as writer:
-        for topic in ("/room", "/scope"):
-            writer.write(f"{topic}/image", ImageSample(1, "camera", np.zeros((48, 64, 3), np.uint8)))
-            writer.write(f"{topic}/camera_info", CameraSample(1, CAMERA))
+def test_choices_are_the_users(tmp_path):
+    """Several cameras are listed; a log without calibrations says what is missing."""
+    image = np.zeros((48, 64, 3), np.uint8)
+    for name, topics in {"two": ("/room", "/scope"), "bare": ("/scope",)}.items():
+        with RecordingWriter(tmp_path / f"{name}.mcap", {}) as writer:
+            for topic in topics:
+                writer.write(f"{topic}/image", ImageSample(1, "camera", image))
+                if name == "two":
+                    writer.write(f"{topic}/camera_info", CameraSample(1, CAMERA))
     with pytest.raises(RecordingError, match="--topic image=TOPIC: /room/image, /scope/image"):
         draft_profile(tmp_path / "two.mcap", "mine", {})
+    with pytest.raises(RecordingError, match="no topic with camera calibrations"):
+        draft_profile(tmp_path / "bare.mcap", "mine", {})
     chosen = find_roles(inspect_recording(tmp_path / "two.mcap", load_profile()), {"image": "/scope/image"})
     assert chosen.topics["camera_info"] == "/scope/camera_info"
     assert chosen.other_images == ("/room/image",)
-    with RecordingWriter(tmp_path / "bare.mcap", {}) as writer:
-        writer.write("/scope/image", ImageSample(1, "camera", np.zeros((48, 64, 3), np.uint8)))
-    with pytest.raises(RecordingError, match="no topic with camera calibrations"):
-        draft_profile(tmp_path / "bare.mcap", "mine", {})
-    assert draft_profile(path, "mine", {}).topics["image"] == "/ECM/left/image"
 
 
 def _textured(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
@@ -95,7 +87,7 @@ def _textured(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("row_offset_px", [0, 1])
-def test_plane_of_a_pair(row_offset_px: int) -> None:
+def test_plane_of_a_pair(row_offset_px):
     """A drawn plane is found within 1° and 1 % of its distance, also where rows are off by a pixel."""
     K, baseline_m = CAMERA.K, 0.005
     normal = np.array([0.15, -0.35, -0.92])
@@ -113,7 +105,6 @@ def test_plane_of_a_pair(row_offset_px: int) -> None:
     right = np.roll(right, -row_offset_px, 0)
     pair = [cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for image in (left, right)]
     plane = fit_plane(pair[0], pair[1], K, baseline_m)
-    assert plane is not None
     assert np.degrees(np.arccos(np.clip(plane.normal @ normal, -1, 1))) < 1.0
     assert plane.distance_m == pytest.approx(distance_m, rel=0.01)
     assert plane.row_offset_px == row_offset_px
@@ -127,11 +118,10 @@ def _scene(places: list[tuple[int, int]], bgr: tuple[int, int, int]) -> np.ndarr
     return image
 
 
-def test_distinct_colours() -> None:
+def test_distinct_colours():
     """A mark that moves and whose hue is its own is found; one that stands still or is of the tissue's hue is not."""
     moving = [_scene([(60 + 15 * n, 100)], (200, 180, 20)) for n in range(6)]
     found = find_distinct_colour(moving)
-    assert found is not None
     hue = int(cv2.cvtColor(np.uint8([[(200, 180, 20)]]), cv2.COLOR_BGR2HSV)[0, 0, 0])  # type: ignore[arg-type]
     assert found.hue[0] <= hue <= found.hue[1]
     assert find_distinct_colour([_scene([(60, 100)], (200, 180, 20))] * 6) is None
@@ -141,7 +131,7 @@ def test_distinct_colours() -> None:
     assert find_distinct_colour(two, 2) is not None
 
 
-def test_instruments_by_the_side_they_come_in_from(tmp_path: Path) -> None:
+def test_instruments_by_the_side_they_come_in_from(tmp_path):
     """Where nothing but images tells of two instruments, they are named by their sides; estimate accepts it."""
     with RecordingWriter(tmp_path / "two.mcap", {}) as writer:
         for number in range(6):

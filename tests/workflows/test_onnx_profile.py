@@ -1,15 +1,11 @@
 """A profile that segments by a network, from the command line to the distances."""
 
-from __future__ import annotations
-
-import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from svmdist.cli.main import run
 from svmdist.profile import DEFAULT_PROFILE, profile_path
 from tests.onnx_file import write_classifier
 
@@ -37,42 +33,20 @@ def onnx_profile(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def estimate(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *arguments: object
-) -> tuple[int, str, str]:
-    """Run `svmdist estimate` from another folder than the profile's."""
-    monkeypatch.setattr("sys.argv", ["svmdist", "estimate", *map(str, arguments)])
-    with pytest.raises(SystemExit) as caught:
-        run()
-    captured = capsys.readouterr()
-    return int(caught.value.code or 0), captured.out, captured.err
-
-
-def test_estimate_takes_the_profile(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], golden: Path, onnx_profile: Path
-) -> None:
-    """`estimate --profile` finds the model beside the profile and measures the golden log as the colours do."""
+def test_estimate_takes_the_profile(cli, golden, onnx_profile):
+    """The model is found beside the profile, and measures the golden log as the colours do."""
     calibration = profile_path(DEFAULT_PROFILE).with_name("psm13.calibration.toml")
-    common = (golden / "contact.mcap", "--method", "centroid", "--calibration", calibration, "-f", "jsonl")
-    rows = []
-    for profile in (DEFAULT_PROFILE, onnx_profile):
-        code, out, err = estimate(monkeypatch, capsys, *common, "--profile", profile)
-        assert code == 0, err
-        rows.append([json.loads(line) for line in out.splitlines()])
+    common = (golden / "contact.mcap", "--method", "centroid", "--calibration", calibration, "-f", "json")
+    rows = [cli("estimate", *common, "--profile", name).json for name in (DEFAULT_PROFILE, onnx_profile)]
     assert [row["status"] for row in rows[0]] == [row["status"] for row in rows[1]]
     pairs = [(a["distance_m"], b["distance_m"]) for a, b in zip(*rows, strict=True) if a["status"] == "ok"]
     assert len(pairs) > 60
     np.testing.assert_allclose(*np.array(pairs).T, atol=3e-4)
 
 
-def test_a_missing_model_is_one_line_before_the_log_is_opened(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, onnx_profile: Path
-) -> None:
+def test_a_missing_model_is_one_line_before_the_log_is_opened(cli, tmp_path, onnx_profile):
     path = tmp_path / "moved.toml"
     path.write_text(onnx_profile.read_text("utf-8"), "utf-8")
-    code, out, err = estimate(monkeypatch, capsys, "nothing.mcap", "--method", "shaft", "--profile", path)
-    assert (code, out) == (1, "")
-    assert (
-        err
-        == f"svmdist: {tmp_path / 'models' / 'colours.onnx'}: cannot read the network: No such file or directory\n"
-    )
+    outcome = cli("estimate", "nothing.mcap", "--method", "shaft", "--profile", path, code=1)
+    model = tmp_path / "models" / "colours.onnx"
+    assert outcome.line == f"svmdist: {model}: cannot read the network: No such file or directory"

@@ -1,34 +1,24 @@
 """Threads and processes: results do not depend on their number, few items are held, and none is left behind."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import pytest
 
 from svmdist.errors import RecordingError
-from svmdist.profile import load_profile
-from svmdist.recording.log import open_recording
-from svmdist.recording.observations import Window
 from svmdist.workflows.parallel import (
     LOOK_AHEAD,
-    Steps,
     WorkerDiedError,
     each_in_processes,
-    image_total,
     in_order,
     one_opencv_thread,
     process_pool,
     step,
-    usable_cores,
 )
 
 WORKERS = (1, 2, 3, 8)
@@ -38,10 +28,8 @@ COUNT = 40
 class Counting:
     """Items from a source that counts how many were taken, and in which thread."""
 
-    def __init__(self, count: int = COUNT) -> None:
-        self.count = count
-        self.taken = 0
-        self.threads: set[int] = set()
+    def __init__(self, count: int) -> None:
+        self.count, self.taken, self.threads = count, 0, set()
 
     def __iter__(self) -> Iterator[int]:
         for number in range(self.count):
@@ -57,62 +45,49 @@ def uneven(number: int) -> int:
 
 
 @pytest.mark.parametrize("workers", WORKERS)
-def test_results_come_in_the_items_order(workers: int) -> None:
+def test_results_come_in_the_items_order(workers):
     assert list(in_order(uneven, range(COUNT), workers)) == [number * number for number in range(COUNT)]
     assert list(in_order(uneven, [], workers)) == []
     assert list(in_order(uneven, [3], workers)) == [9]
 
 
 @pytest.mark.parametrize("workers", WORKERS)
-def test_few_items_are_taken_ahead(workers: int) -> None:
-    """Before the n-th result is used, no more than n and the look-ahead of all threads were taken; one runs in step."""
-    source = Counting()
+def test_few_items_are_taken_ahead_in_the_consumers_thread(workers):
+    """Before the n-th result is used, no more than n and the look-ahead; one thread reads the file."""
+    source = Counting(COUNT)
     ahead = LOOK_AHEAD * workers if workers > 1 else 0
     for number, _ in enumerate(in_order(uneven, source, workers), start=1):
         assert source.taken <= number + ahead
     assert source.taken == COUNT
-
-
-@pytest.mark.parametrize("workers", WORKERS)
-def test_items_are_taken_in_the_consumers_thread(workers: int) -> None:
-    """A file is read by one thread, whichever work on what it holds."""
-    source = Counting()
-    worked = set(in_order(lambda _: threading.get_ident(), source, workers))
     assert source.threads == {threading.get_ident()}
+    worked = set(in_order(lambda _: threading.get_ident(), range(COUNT), workers))
     assert (threading.get_ident() in worked) == (workers == 1)
 
 
 @pytest.mark.parametrize("workers", WORKERS)
-def test_an_exception_comes_at_its_place(workers: int) -> None:
-    """The results before it are all given, none after it."""
-
-    def breaking(number: int) -> int:
-        if number == 5:
-            raise ValueError("the fifth")
-        return uneven(number)
-
-    given: list[int] = []
-    with pytest.raises(ValueError, match="the fifth"):
-        given.extend(in_order(breaking, range(COUNT), workers))
-    assert given == [number * number for number in range(5)]
-
-
-@pytest.mark.parametrize("workers", WORKERS)
-def test_an_exception_of_the_source_is_raised_too(workers: int) -> None:
-    """As a file that ends too early: whatever was given before is right."""
+@pytest.mark.parametrize("in_source", [False, True], ids=["work", "source"])
+def test_an_exception_comes_at_its_place(workers, in_source):
+    """No result comes after it, and of the work, all before it: a file may end too early."""
 
     def source() -> Iterator[int]:
         yield from range(12)
         raise OSError("cut off")
 
+    def breaking(number: int) -> int:
+        if number == 5:
+            raise OSError("cut off")
+        return uneven(number)
+
     given: list[int] = []
     with pytest.raises(OSError, match="cut off"):
-        given.extend(in_order(uneven, source(), workers))
-    assert given == [number * number for number in range(len(given))]
+        given.extend(
+            in_order(uneven, source(), workers) if in_source else in_order(breaking, range(COUNT), workers)
+        )
+    assert given == [number * number for number in range(len(given) if in_source else 5)]
 
 
 @pytest.mark.parametrize("workers", WORKERS)
-def test_who_stops_early_stops_the_work(workers: int) -> None:
+def test_who_stops_early_stops_the_work(workers):
     """After closing nothing more is taken or begun, and no thread is left."""
     source, begun = Counting(1000), []
     before = threading.active_count()
@@ -131,7 +106,7 @@ def test_who_stops_early_stops_the_work(workers: int) -> None:
     assert threading.active_count() == before
 
 
-def test_opencv_has_its_threads_back() -> None:
+def test_opencv_has_its_threads_back():
     """One inside; as many as before outside, also after an exception."""
     before = cv2.getNumThreads()
     with one_opencv_thread():
@@ -140,10 +115,6 @@ def test_opencv_has_its_threads_back() -> None:
     with pytest.raises(ValueError, match="within"), one_opencv_thread():
         raise ValueError("within")
     assert cv2.getNumThreads() == before
-
-
-def test_there_is_a_core() -> None:
-    assert usable_cores() >= 1
 
 
 def steps(part: int) -> tuple[int, int]:
@@ -166,7 +137,7 @@ def one_is_killed(part: int) -> int:
     return part
 
 
-def test_processes_give_every_part_once() -> None:
+def test_processes_give_every_part_once():
     """From other processes, no more of them than asked for; every step is counted once."""
     counted: list[int] = []
     parts = [8, 2, 0, 5, 1]
@@ -178,7 +149,7 @@ def test_processes_give_every_part_once() -> None:
         assert [part for part, _ in in_order(steps, parts, 2, pool)] == parts
 
 
-def test_an_error_ends_all_processes_at_once() -> None:
+def test_an_error_ends_all_processes_at_once():
     start_s = time.monotonic()
     with pytest.raises(RecordingError, match="broken"):
         list(each_in_processes(one_fails, [1, 0], 2))
@@ -187,25 +158,10 @@ def test_an_error_ends_all_processes_at_once() -> None:
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system kills otherwise")
-def test_a_killed_process_takes_only_its_own_item() -> None:
+def test_a_killed_process_takes_only_its_own_item():
     assert dict(each_in_processes(one_is_killed, [1, 0, 2, 3], 2, attempts=2, died=-1)) == dict(
         enumerate([1, -1, 2, 3])
     )
     with pytest.raises(WorkerDiedError, match=r"was killed.*--jobs"), process_pool(2) as pool:
         list(in_order(one_is_killed, [1, 0, 2, 3], 2, pool))
     assert not multiprocessing.active_children()
-
-
-def test_steps_go_on_from_one_pass_to_the_next(golden: Path) -> None:
-    """The total is known where it is known of every log."""
-    reported: list[tuple[int, int | None]] = []
-    counter = Steps(lambda done, total: reported.append((done, total)), 4)
-    assert list(counter.of("ab")) == ["a", "b"]
-    counter.advance()
-    assert list(counter.of("c")) == ["c"]
-    assert reported == [(1, 4), (2, 4), (3, 4), (4, 4)]
-    recording = open_recording(golden / "sweep.mcap", load_profile())
-    assert image_total([recording], lambda one: 3 * len(one.instruments)) == 240
-    fewer = replace(recording, window=Window(every=3))
-    assert image_total([recording, fewer]) == 80 + 27
-    assert image_total([recording, replace(recording, window=Window(1.0))]) is None

@@ -1,6 +1,6 @@
-"""Rows to pairs, scores and alarms: what has no value is left out, and known rows give known counts."""
+"""Rows to pairs, scores, alarms and series: what has no value is left out, and known rows give known figures."""
 
-from __future__ import annotations
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 from svmdist.tracks import SampledDistances
+from svmdist.workflows.references import Reference
 from svmdist.workflows.scores import (
     DISTANCES,
     Pairs,
@@ -19,6 +20,7 @@ from svmdist.workflows.scores import (
     score_alarms,
     score_pairs,
 )
+from svmdist.workflows.series import Series, worst_frames
 
 
 def result_of(
@@ -42,7 +44,7 @@ TRUTH = SampledDistances(
 )
 
 
-def test_only_measured_rows_with_a_truth_make_pairs() -> None:
+def test_only_measured_rows_with_a_truth_make_pairs():
     """A rejected row, one without the distance and one without a truth are left out; numbers are as they were."""
     readings = Readings(ROWS)
     planar, spatial, clearance = (readings.pairs(distance, TRUTH) for distance in DISTANCES)
@@ -57,7 +59,7 @@ def test_only_measured_rows_with_a_truth_make_pairs() -> None:
     assert (len(readings), readings.stamps_ns.tolist()) == (4, [10, 20, 30, 40])
 
 
-def test_no_rows_make_no_pairs() -> None:
+def test_no_rows_make_no_pairs():
     """Without rows there are arrays of length 0, and no score."""
     none = SampledDistances(*np.empty((3, 0)), np.empty(0, np.bool_))
     pairs = Readings().pairs("spatial", none)
@@ -66,7 +68,7 @@ def test_no_rows_make_no_pairs() -> None:
     assert pooled_score([None, score_pairs(pairs)]) is None
 
 
-def test_pooling_counts_every_pair_the_same() -> None:
+def test_pooling_counts_every_pair_the_same():
     """The bias of parts together is the mean over all pairs, not the mean of means."""
 
     def off_by(error_m: float, count: int) -> Pairs:
@@ -75,7 +77,6 @@ def test_pooling_counts_every_pair_the_same() -> None:
 
     parts = [off_by(0.3, 1), off_by(0.0, 3)]
     together = pooled_score([score_pairs(part) for part in parts])
-    assert together is not None
     assert together.statistics.bias == pytest.approx(0.3 / 4)
     assert together.interval_coverage == 0.75  # 0.3 lies outside ±1.96 x 0.1
     assert len(pooled(parts)) == 4
@@ -94,20 +95,54 @@ def true_clearance(*clearance_m: float) -> SampledDistances:
     return SampledDistances(values, values, values, np.ones(len(values), np.bool_))
 
 
-@pytest.mark.parametrize("order", [[0, 1, 2, 3, 4], [4, 2, 0, 3, 1]], ids=["sorted", "shuffled"])
-def test_alarms_are_counted_whatever_their_order(order: list[int]) -> None:
-    """Below 5 mm two frames are alarmed, one of them rightly; the unsafe frame without a clearance is missed."""
-    true = true_clearance(*np.array([0.010, 0.006, 0.003, 0.003, 0.010])[order])
-    found = score_alarms([WITH_ALARMS[at] for at in order], true, STAMPS_NS[order], AlarmRules(0.005))
-    assert (found.frame_count, found.unsafe_count, found.unjudged_count) == (5, 2, 1)
-    assert (found.true_alarm_count, found.false_alarm_count) == (1, 1)
-    assert (found.event_count, found.lead_times_s, found.duration_s) == (1, (-1.0,), 4.0)
-
-
-def test_frames_without_a_true_clearance_are_left_out() -> None:
+def test_frames_without_a_true_clearance_are_left_out():
     """They count nowhere; where they are all frames, that is an error."""
     true = true_clearance(np.nan, 0.003, np.nan, np.nan, 0.010)
     found = score_alarms(WITH_ALARMS, true, STAMPS_NS, AlarmRules(0.005))
     assert (found.frame_count, found.unsafe_count, found.true_alarm_count) == (2, 1, 1)
     with pytest.raises(RecordingError, match="no frame with a true clearance"):
         score_alarms(WITH_ALARMS, true_clearance(*[np.nan] * 5), STAMPS_NS, AlarmRules(0.005))
+
+
+SERIES = Series(
+    "log",
+    "PSM1",
+    "fused",
+    "clearance",
+    np.arange(4),
+    np.arange(4) * 100_000_000,
+    np.arange(4) * 0.1,
+    ("ok", "ok", "no_tissue", "ok"),
+    ("", "", "hidden", ""),
+    np.array([0.010, 0.020, np.nan, 0.030]),
+    np.array([0.001, 0.002, np.nan, 0.0005]),
+    np.array([0.011, 0.0195, 0.02, 0.027]),
+    np.zeros((4, 2)),
+    np.ones(4),
+    Reference.GROUND_TRUTH,
+)
+
+
+def test_with_truth_the_worst_frame_has_the_largest_error():
+    worst = worst_frames([SERIES], 4)
+    assert [frame.number for frame in worst] == [3, 0, 1, 2]
+    assert worst[0].in_words == "frame 3 at 0.30 s, PSM1: clearance error +3.00 mm, interval ±0.98 mm"
+    assert worst[-1].in_words == "frame 2 at 0.20 s, PSM1: not measured: no_tissue (hidden)"
+
+
+def test_without_truth_the_worst_frame_has_the_widest_interval():
+    blind = replace(SERIES, truth_m=np.full(4, np.nan), reference=None)
+    worst = worst_frames([blind], 2)
+    assert [frame.number for frame in worst] == [1, 0]
+    assert worst[0].in_words.endswith("clearance interval ±3.92 mm")
+
+
+def test_of_two_instruments_an_image_counts_once_by_its_worse_one():
+    other = replace(SERIES, instrument="PSM2", estimate_m=SERIES.truth_m + np.array([0.0, 0.01, 0.0, 0.0]))
+    worst = worst_frames([SERIES, other], 3)
+    assert [(frame.number, frame.series.instrument) for frame in worst] == [
+        (1, "PSM2"),
+        (3, "PSM1"),
+        (0, "PSM1"),
+    ]
+    assert worst[0].badness_m == pytest.approx(0.01)

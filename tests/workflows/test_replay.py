@@ -3,8 +3,6 @@
 Equal means bit for bit: threads change who computes a detection, and nothing of how.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass, replace
 from itertools import count, islice
@@ -21,7 +19,6 @@ from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample, Sample, Status
 from svmdist.vision.degradations import Degradation
 from svmdist.vision.find_instruments import AutoSegmenter
-from svmdist.workflows.estimate import estimate
 from svmdist.workflows.replay import (
     MultiInstrumentEstimator,
     Place,
@@ -79,7 +76,7 @@ def alone(log: Path, setups: list[Setup]) -> list[tuple[Replayed, ...]]:
     return replayed(log, setups, conditions=(CLEAN, NOISE), jobs=1)
 
 
-def test_every_image_has_a_result_of_every_lane(alone: list[tuple[Replayed, ...]]) -> None:
+def test_every_image_has_a_result_of_every_lane(alone):
     """Conditions first, then methods; and some frames of these drawings are measured."""
     assert len(alone) == FRAMES
     assert {len(lane) for lane in alone} == {2 * len(METHODS)}
@@ -90,16 +87,12 @@ def test_every_image_has_a_result_of_every_lane(alone: list[tuple[Replayed, ...]
 
 
 @pytest.mark.parametrize("jobs", [2, 4])
-def test_threads_change_nothing(
-    log: Path, setups: list[Setup], alone: list[tuple[Replayed, ...]], jobs: int
-) -> None:
+def test_threads_change_nothing(log, setups, alone, jobs):
     assert outcomes(replayed(log, setups, conditions=(CLEAN, NOISE), jobs=jobs)) == outcomes(alone)
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_company_changes_nothing(
-    log: Path, setups: list[Setup], alone: list[tuple[Replayed, ...]], method: str
-) -> None:
+def test_company_changes_nothing(log, setups, alone, method):
     """A method by itself, and under one condition alone, gives what it gives beside all others under both."""
     at = METHODS.index(method)
     for index, condition in enumerate((CLEAN, NOISE)):
@@ -108,7 +101,7 @@ def test_company_changes_nothing(
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_a_golden_log_s_methods_with_memory(golden: Path, jobs: int) -> None:
+def test_a_golden_log_s_methods_with_memory(golden, jobs):
     """The first frames of a rendered log: `fused` and `stereo` remember, and give the same beside each other."""
     both = [prepare(method=method) for method in ("fused", "stereo")]
     recording = golden / "3d" / "contact.mcap"
@@ -119,7 +112,7 @@ def test_a_golden_log_s_methods_with_memory(golden: Path, jobs: int) -> None:
         assert all(lane[at].results[0].measured for lane in together)
 
 
-def test_methods_without_state_do_not_care_for_order(log: Path, setups: list[Setup]) -> None:
+def test_methods_without_state_do_not_care_for_order(log, setups):
     """One estimator fed with shuffled frames gives every frame the result that it has in order."""
     frames = [lane[0].frames for lane in replayed(log, setups, jobs=1)]
     shuffled = np.random.default_rng(1).permutation(len(frames))
@@ -135,7 +128,7 @@ def test_methods_without_state_do_not_care_for_order(log: Path, setups: list[Set
     assert checked >= 3
 
 
-def test_an_image_that_cannot_be_used_is_a_result_of_every_lane(tmp_path: Path, setups: list[Setup]) -> None:
+def test_an_image_that_cannot_be_used_is_a_result_of_every_lane(tmp_path, setups):
     """By any number of threads; without memory every other frame is measured as if it were whole."""
 
     def cut(_topic: str, sample: Sample) -> Sample | None:
@@ -155,7 +148,7 @@ def test_an_image_that_cannot_be_used_is_a_result_of_every_lane(tmp_path: Path, 
     assert outcomes(replayed(path, chosen, jobs=2)) == outcomes(lanes)
 
 
-def test_frames_without_images_are_no_frames(tmp_path: Path, setups: list[Setup]) -> None:
+def test_frames_without_images_are_no_frames(tmp_path, setups):
     """Dropping images drops their results, and changes no stateless other."""
     images = count()
 
@@ -168,18 +161,7 @@ def test_frames_without_images_are_no_frames(tmp_path: Path, setups: list[Setup]
     assert outcomes(replayed(half, centroid, jobs=2)) == outcomes(replayed(whole, centroid, jobs=2))[::2]
 
 
-def test_estimate_is_replay_of_one_method(
-    log: Path, setups: list[Setup], alone: list[tuple[Replayed, ...]]
-) -> None:
-    """One result an image, in order, each the replay's."""
-    at = METHODS.index("fused")
-    results = list(estimate(open_recording(log, setups[at].profile), setups[at], jobs=2))
-    assert [flattened((result,)) for result in results] == [flattened(lane[at].results) for lane in alone]
-    stamps = [result.stamp_ns for result in results]
-    assert stamps == sorted(stamps)
-
-
-def test_what_a_segmenter_learns_from_is_spread_over_the_log(tmp_path: Path) -> None:
+def test_what_a_segmenter_learns_from_is_spread_over_the_log(tmp_path):
     """Evenly from the first image, at least as many as wanted and at most twice as many."""
     recording = open_recording(write_log(tmp_path / "a.mcap", frame_count=23), prepare().profile)
     for wanted in (1, 3, 8, 40):
@@ -189,7 +171,7 @@ def test_what_a_segmenter_learns_from_is_spread_over_the_log(tmp_path: Path) -> 
         assert min(wanted, 23) <= len(numbers) <= 2 * wanted
 
 
-def test_each_condition_has_its_own_segmenter(log: Path) -> None:
+def test_each_condition_has_its_own_segmenter(log):
     """Colours are learnt under the condition they are used in; methods that do not learn are shared."""
     automatic = prepare().profile.model_copy(update={"segmentation": AutoSegmentation(method="auto")})
     recording = open_recording(log, automatic)

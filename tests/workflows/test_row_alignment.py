@@ -1,7 +1,5 @@
 """The offset between the rows of a log's pairs: found once, removed from every row of results, for any --jobs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,20 +47,17 @@ def log(path: Path, rows_px: float, apart_ns: int = 0) -> Path:
 
 
 @pytest.mark.parametrize("rows_px", [-2.5, 0.0, 1.5])
-def test_the_offset_of_a_log_is_found(
-    tmp_path: Path, rows_px: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_offset_of_a_log_is_found(tmp_path, rows_px, monkeypatch):
     """To a tenth of a pixel; none, or less than half a pixel, is left alone."""
     recording = open_recording(log(tmp_path / "pair.mcap", rows_px), PROFILE)
     monkeypatch.setattr("svmdist.workflows.replay.ROW_STRIDE", 2)
     found = row_offset(recording, PROFILE)
-    assert found is not None
     assert found.px == pytest.approx(rows_px, abs=0.1)
     removed_px = row_offset_to_remove_px(recording, PROFILE)
     assert removed_px == (found.px if rows_px else 0.0)
 
 
-def test_every_scene_has_it_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_scene_has_it_removed(tmp_path, monkeypatch):
     """Whatever the number of threads, the right view that detectors see is where the left one's rows are."""
     path = log(tmp_path / "pair.mcap", 2.0)
     seen: dict[int, list[np.ndarray]] = {}
@@ -71,7 +66,6 @@ def test_every_scene_has_it_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     class Kept(Scene):
         def __init__(self, *args, **options) -> None:  # type: ignore[no-untyped-def]
             super().__init__(*args, **options)
-            assert self.observation.right is not None
             kept.append((self.observation.stamp_ns, self.observation.right.image_bgr))
 
     monkeypatch.setattr(replay, "Scene", Kept)
@@ -91,12 +85,11 @@ def test_every_scene_has_it_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert np.sqrt(np.mean((seen[1][0][inner].astype(float) - level[inner]) ** 2)) < 2.0
 
 
-def test_views_of_different_times_are_paired_as_the_profile_allows(tmp_path: Path) -> None:
+def test_views_of_different_times_are_paired_as_the_profile_allows(tmp_path):
     """Four milliseconds are too many by default, and not where the profile says so; the delay is told."""
     path = log(tmp_path / "apart.mcap", 0.0, apart_ns=4_000_000)
     assert all(one.right is None for one in open_recording(path, PROFILE).observations())  # type: ignore[union-attr]
     limits = PROFILE.limits.model_copy(update={"pair_tolerance_s": 5e-3})
     allowing = PROFILE.model_copy(update={"limits": limits})
     for one in open_recording(path, allowing).observations():
-        assert one.right is not None  # type: ignore[union-attr]
         assert one.right.delay_s == pytest.approx(4e-3)  # type: ignore[union-attr]
