@@ -48,14 +48,12 @@ class Import(Options):
     camera: str | None = option("--camera FX,FY,CX,CY", "The camera in px, in place of a file.")
     right_camera: str | None = option("--right-camera FX,FY,CX,CY", "The right one. Default: the left one.")
     distortion: str | None = option("--distortion K1,K2,P1,P2[,K3…]", "With --camera. Default: none.")
-    distortion_model: str = option(
-        "--distortion-model NAME", "plumb_bob, rational_polynomial, fisheye.", "plumb_bob"
-    )
+    distortion_model: str = option("--distortion-model NAME", "Or rational_polynomial, fisheye.", "plumb_bob")
     baseline: str | None = option(
         "--baseline LENGTH", "Distance of the cameras of a rectified pair, as in 5.2mm; overrides a file's."
     )
     unit: Literal["m", "cm", "mm"] = option(
-        "--unit UNIT", "Unit of lengths in calibration and poses: m, cm or mm.", "m"
+        "--unit UNIT", "Of lengths in calibration and poses: m, cm, mm.", "m"
     )
     rate: float | None = option(
         "--rate HZ", "Images per second, where neither names nor video tell the time.", min=1e-3, max=1e4

@@ -37,9 +37,6 @@ class Output(Flag):
     FIGURE_TABLE = auto()
 
 
-NOWHERE = Output(0)
-
-
 class Tolerance(BaseModel):
     """How much worse a figure may get: the larger of an absolute and a relative allowance."""
 
@@ -56,9 +53,8 @@ class Tolerance(BaseModel):
 class Metric:
     """One metric of a score, or of a part of it; `key` is its name in CSV, JSON and baselines.
 
-    A baseline stores it where it has a `tolerance`, which needs `better`. Of a metric of the three distances (`group`),
-    those `in_3d` are of the spatial distance and the clearance. `is_late` moves its columns behind all others, where
-    new columns belong.
+    A baseline stores it where it has a `tolerance`, which needs `better`. `in_3d` is of the spatial distance and the
+    clearance. `is_late` moves its columns behind all others, where new columns belong.
     """
 
     key: str
@@ -69,7 +65,7 @@ class Metric:
     title: str = ""
     outputs: Output = Output.SCORES
     tolerance: Tolerance | None = None
-    outputs_in_3d: Output = NOWHERE
+    outputs_in_3d: Output = Output(0)  # noqa: RUF009  (it is a constant)
     tolerance_in_3d: Tolerance | None = None
     narrow_title: str = ""
     source: str = ""
@@ -245,7 +241,6 @@ REPLAYS = (
 )
 """What `compare` and the degradation grid tell beside the distances."""
 # fmt: on
-
 
 FIRST_KEYS = ("r_squared", "rmse_m", "p95_abs_error_m", "coverage")
 """The metrics that every baseline stores; those declared later are missing in older ones."""
