@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -254,11 +254,9 @@ def corrected(recording: Recording, request: Request, jobs: int | None) -> Recor
 
 def _log_tally(tallies: Sequence[Tally]) -> ExitCode:
     """Log how many frames were measured, and the other statuses with their commonest details; whether any was."""
-    counts = {
-        status: sum((Counter(one.get(status, {})) for one in tallies), Counter[str]())
-        for one in tallies
-        for status in one
-    }
+    counts = defaultdict[str, Counter[str]](Counter)
+    for status, details in (item for one in tallies for item in one.items()):
+        counts[status].update(details)
     total = sum(details.total() for details in counts.values())
     measured = counts.pop("ok", Counter()).total()
     if total == 0:

@@ -29,8 +29,7 @@ Result = TypeVar("Result")
 
 LOG_ENDINGS = (".mcap", ".bag")
 GLOB = re.compile(r"[*?\[]")
-MAX_REPORTED = 12
-"""The most logs whose frames are held at once, and fill a page."""
+MAX_REPORTED = 12  # the most logs whose frames are held at once, and fill a page
 
 
 class LogOptions(Options):
@@ -41,8 +40,7 @@ class LogOptions(Options):
     )
     jobs: int | None = JOBS
     scheduler: str | None = option(
-        "--scheduler tcp://HOST:PORT",
-        "Measure on this Dask cluster; its workers read the same paths or URLs.",
+        "--scheduler tcp://HOST:PORT", "Measure on this Dask cluster; workers read the same paths or URLs."
     )
     resume: Path | None = option(
         "--resume FOLDER", "Keep results in this folder; reuse those of the same log, options and version."
@@ -204,7 +202,7 @@ class Run(Generic[Result]):
         return figures
 
     def ranking(self) -> Results:
-        """The figures of each log, sorted by severity, worst first, of groups and of all logs."""
+        """The figures of each log, worst first, of groups and of all logs."""
         from svmdist.report.scores import log_results
 
         return log_results(self._figures)

@@ -18,8 +18,7 @@ from svmdist.cli.output import LOG, ExitCode, abandon, adapt_streams, print_log,
 from svmdist.errors import SvmdistError, Terminated, UsageError, did_you_mean
 
 NO_MEMORY = "there is not enough memory; try fewer --jobs"
-CV_NO_MEMORY = -4
-"""OpenCV's code of an allocation that failed."""
+CV_NO_MEMORY = -4  # OpenCV's code of an allocation that failed
 LIBRARY_NOT_LOADED = re.compile(r"(?i)failed to map segment|cannot allocate memory|cannot open shared object")
 
 

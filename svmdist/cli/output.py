@@ -121,11 +121,8 @@ def _bar(title: str, unit: str) -> Iterator[Advance]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True, markup=False, emoji=False, highlight=False)
-    name, rest = (
-        TextColumn("{task.description}", markup=False),
-        ("{task.fields[rate]}", TimeRemainingColumn()),
-    )
-    columns = name, BarColumn(), MofNCompleteColumn(), *rest
+    name, rate = TextColumn("{task.description}", markup=False), "{task.fields[rate]}"
+    columns = name, BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn()
     try:
         with Progress(*columns, console=console, transient=True) as progress:
             task = progress.add_task(title, total=None, rate="")

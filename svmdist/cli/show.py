@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from svmdist.samples import Image
     from svmdist.workflows.request import Request
 
-DEFAULT_COUNT = 6
-"""Pictures where none is asked for: enough to see a log from its beginning to its end."""
+DEFAULT_COUNT = 6  # pictures where none is asked for: enough to see a log from its beginning to its end
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".svg", ".pdf", ".gif", ".bmp", ".tif", ".tiff", ".webp")
 """Names that mean a picture, and not a folder."""
 

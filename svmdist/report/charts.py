@@ -13,10 +13,8 @@ from svmdist.metrics import interval_coverage
 from svmdist.transforms import Array
 from svmdist.workflows.series import Series
 
-LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
-"""Levels of intervals whose calibration is shown."""
-MAX_GAP_IN_STEPS = 3.0
-"""A curve is broken where frames are missing for longer than this many frame periods."""
+LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)  # levels of intervals whose calibration is shown
+MAX_GAP_IN_STEPS = 3.0  # a curve is broken where frames are missing for longer than this many frame periods
 
 Form = Literal["line", "dots", "bars", "band", "spans"]
 """How a curve's points are drawn; a band is between `low` and `y`, spans have the full height from `x` to `y`."""

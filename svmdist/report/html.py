@@ -41,8 +41,7 @@ from svmdist.workflows.validate import Validation
 WORST_COUNT = 10
 JPEG_QUALITY, MAX_WIDTH_PX = 80, 960
 PACKAGES = ("svmdist", "numpy", "opencv-python-headless", "mcap", "protobuf", "plotly")
-MAX_MARKERS = 2000
-"""More points than these are drawn as a line, or thinned out evenly where they are no line."""
+MAX_MARKERS = 2000  # more points than these are drawn as a line, or thinned out evenly where they are no line
 COLOURS: dict[Role, tuple[str, str]] = {
     "estimate": ("#3a86c8", "solid"),
     "error": ("#3a86c8", "solid"),

@@ -22,8 +22,7 @@ FONT = cv2.FONT_HERSHEY_SIMPLEX
 WHITE: Rgb = (255, 255, 255)
 DARK = (20, 20, 20)
 SUBPIXEL_BITS = 4
-LIMIT_PX = 20_000.0
-"""OpenCV's drawing wraps around far outside of the image."""
+LIMIT_PX = 20_000.0  # OpenCV's drawing wraps around far outside of the image
 SMALL = (Part.INLIER, Part.MATCH)
 COLUMNS = 3
 TINT = 0.45

@@ -33,8 +33,7 @@ from svmdist.workflows.validate import Validation
 COLUMN_IN, PAGE_IN, PANEL_IN, SCORE_IN = 3.5, 7.16, 2.2, 2.8
 """Widths of a column and of a page in print, and heights of a panel and of a recording's two panels, in inches."""
 DPI = 300
-MARKERS = "osD^v<>Ph*Xd"
-"""Markers that differ at a size of 4 points, in the order in which they are taken."""
+MARKERS = "osD^v<>Ph*Xd"  # markers that differ at a size of 4 points, in the order in which they are taken
 STYLES: dict[Role, dict[str, Any]] = {
     "estimate": {"color": "#1f5fa8", "linewidth": 1.0, "marker": ".", "markersize": 3},
     "error": {"color": "0.25", "linewidth": 0.9, "marker": ".", "markersize": 2},
@@ -197,8 +196,7 @@ NAMES = {"": "planar distance", "spatial_": "spatial distance", "clearance_": "c
 """The distances, by what the keys of their metrics begin with."""
 LINE_IN, HEAD_IN = 0.19, 0.75
 """Height of a method's line, and of what a row of panels needs besides, in inches."""
-WIDE = 20.0
-"""Errors that differ by more than this factor are drawn on a logarithmic axis."""
+WIDE = 20.0  # errors that differ by more than this factor are drawn on a logarithmic axis
 
 
 def draw_compare(scores: Sequence[MethodScore]) -> Figure:

@@ -100,10 +100,7 @@ def measured(
 
 
 def outcome_of(job: Job[Result], threads: int, log: LogFile) -> Outcome[Result]:
-    """Measure a log, and keep its rows and remarks; whatever goes wrong with this log alone is its outcome.
-
-    Raises UsageError and ProfileError, which every log would meet.
-    """
+    """Measure a log, and keep its rows and remarks; what goes wrong with every log is raised, else its outcome."""
     packer, packed = zlib.compressobj(1), b""
     steps = measured(job, log, threads)
     with collected_notes() as notes, one_opencv_thread():
@@ -153,10 +150,9 @@ def log_notes(outcomes: Sequence[Outcome[Any]]) -> None:
     for (level, text), count in counts.items():
         if count > MAX_REPEATED:
             LOG.log(level, "%s (so in %d logs)", text, count)
-    for one in outcomes:
-        for level, text in one.notes:
-            if counts[level, text] <= MAX_REPEATED:
-                LOG.log(level, "%s", text)
+    for level, text in (note for one in outcomes for note in one.notes):
+        if counts[level, text] <= MAX_REPEATED:
+            LOG.log(level, "%s", text)
 
 
 def measure_logs(
@@ -269,10 +265,9 @@ RETRIES = 1
 def measured_on_cluster(
     measure: Callable[[LogFile], Outcome[Result]], logs: Sequence[LogFile], address: str
 ) -> Iterator[tuple[int, Outcome[Result]]]:
-    """Yield (place, outcome) of logs as they end.
+    """Yield (place, outcome) of logs as they end; workers read them by the same paths and URLs.
 
-    Workers read the logs by the paths and URLs that they have here, and run the same svmdist. Raises SvmdistError where
-    the scheduler does not answer, or is lost.
+    Raises SvmdistError where the scheduler does not answer or is lost, or a worker has another svmdist.
     """
     client = _connected(address)
     from distributed import KilledWorker, as_completed

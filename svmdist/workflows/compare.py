@@ -17,8 +17,7 @@ from svmdist.workflows.replay import replay
 from svmdist.workflows.request import CLEAN, LogCondition, PerturbedCondition, Setup
 from svmdist.workflows.scores import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
 
-GroupBy = Callable[[Mapping[str, str]], str]
-"""Names the group of a recording by its metadata."""
+GroupBy = Callable[[Mapping[str, str]], str]  # names the group of a recording by its metadata
 
 ALL = "all"
 CHUNKS_PER_PROCESS = 2
@@ -133,8 +132,7 @@ def measure_runs(
 
 Part = tuple[Sequence[int], Sequence[int]]
 """What one process measures: the places of its conditions and of its setups."""
-Found = dict[tuple[int, int, str], Figures]
-"""By the places of condition and setup, and by instrument."""
+Found = dict[tuple[int, int, str], Figures]  # by the places of condition and setup, and by instrument
 
 
 def _parts(setups: Sequence[Setup], condition_count: int, jobs: int) -> list[Part]:
@@ -170,9 +168,8 @@ class _Work:
         places, setups_at = part
         images = [at for at in places if not isinstance(self.conditions[at], PerturbedCondition)]
         passes = [images, *([at] for at in places if at not in images)]
-        return {
-            key: found for at in passes if at for key, found in self._one_pass(at, setups_at, advance).items()
-        }
+        found = (self._one_pass(at, setups_at, advance) for at in passes if at)
+        return {key: figures for of_pass in found for key, figures in of_pass.items()}
 
     def _one_pass(self, at: Sequence[int], setups_at: Sequence[int], advance: Callable[[], None]) -> Found:
         conditions = [self.conditions[place] for place in at]

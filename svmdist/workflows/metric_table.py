@@ -87,12 +87,8 @@ def of_distance(metrics: Iterable[Metric], distance: str) -> list[Metric]:
     """Metrics of a distance as metrics of scores and figures, which have an attribute of its name."""
     named = [replace(metric, group=distance) for metric in metrics]
     if distance != "planar":
-        named = [
-            replace(
-                one, key=f"{distance}_{one.key}", outputs=one.outputs_in_3d, tolerance=one.tolerance_in_3d
-            )
-            for one in named
-        ]
+        named = [replace(one, outputs=one.outputs_in_3d, tolerance=one.tolerance_in_3d) for one in named]
+        named = [replace(one, key=f"{distance}_{one.key}") for one in named]
     return of_part(named, distance)
 
 
@@ -169,10 +165,7 @@ INTERVALS = (
 )
 """Whether the stated standard deviations of a distance are honest."""
 
-FRAMES = (
-    FRAME_COUNT,
-    Metric("unpaired_count", COUNT, lambda s: s.unpaired_count, "Measured frames without a truth."),
-)
+UNPAIRED = Metric("unpaired_count", COUNT, lambda s: s.unpaired_count, "Measured frames without a truth.")
 
 def bounds(key: str, unit: Unit) -> list[Metric]:
     """Metrics of a bootstrap interval of a metric, which is a part of scores."""
@@ -251,7 +244,7 @@ def score_metrics() -> list[Metric]:
     return [
         *COUNTS,
         *of_distance(ERRORS, "planar"),
-        *FRAMES,
+        *(FRAME_COUNT, UNPAIRED),
         *bounds("rmse_m", LENGTH),
         *bounds("r_squared", RATIO),
         *MARKS,

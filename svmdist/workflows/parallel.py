@@ -30,11 +30,9 @@ Result = TypeVar("Result")
 Progress = Callable[[int, int | None], None]
 """Is called with how much is done, and how much there is where that is known."""
 
-LOOK_AHEAD = 2
-"""Results per worker that may wait: enough for a slow frame, and few images in memory."""
+LOOK_AHEAD = 2  # results per worker that may wait: enough for a slow frame, and few images in memory
 LARGEST_KEPT_BYTES = 24 << 20
-LOOK_S = 0.2
-"""Seconds between two looks at the progress of other processes."""
+LOOK_S = 0.2  # seconds between two looks at the progress of other processes
 PRELOADED = ["svmdist.workflows.replay"]
 """Imported once, by the server that forks workers: a worker then starts in milliseconds."""
 
@@ -156,8 +154,7 @@ def each_in_processes(
                     yield place, result
 
 
-_steps: Any = None
-"""In a worker: the counter of steps that all processes share."""
+_steps: Any = None  # in a worker: the counter of steps that all processes share
 
 
 def _count_in(steps: Any) -> None:

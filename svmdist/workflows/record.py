@@ -147,8 +147,7 @@ def _tasks(plan: Plan) -> Iterator[Task]:
             sensors.draw_noise()
 
 
-_recorded: tuple[Plan, int | None] | None = None
-"""In a worker: what it records, and the quality of JPEG."""
+_recorded: tuple[Plan, int | None] | None = None  # in a worker: what it records, and the quality of JPEG
 
 
 def _begin(plan: Plan, jpeg_quality: int | None) -> None:

@@ -94,8 +94,7 @@ class PerturbedCondition:
         )
 
 
-LogCondition = Condition | PerturbedCondition
-"""What a log can be compared under."""
+LogCondition = Condition | PerturbedCondition  # what a log can be compared under
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +111,7 @@ class BlurCondition:
         )
 
 
-ReplayCondition = LogCondition | BlurCondition
-"""What is done to the images of a log before they are measured."""
+ReplayCondition = LogCondition | BlurCondition  # what is done to the images of a log before they are measured
 
 
 def _changed(observation: Observation, change: Callable[[Image, int], Image]) -> Observation:
@@ -123,8 +121,7 @@ def _changed(observation: Observation, change: Callable[[Image, int], Image]) ->
     return replace(observation, image_bgr=change(observation.image_bgr, LEFT), right=right)
 
 
-Lag = float | Literal["auto"]
-"""A lag in s, positive when the image stamps are late, or `auto` to estimate it."""
+Lag = float | Literal["auto"]  # a lag in s, positive when the image stamps are late, or `auto` to estimate it
 
 LOG = logging.getLogger("svmdist")
 """What users are told beside the data: errors, then remarks (INFO), then choices and times (DEBUG)."""

@@ -67,8 +67,7 @@ class Readings:
         """Take the tool's pixel and each distance from a row; NaN where it has none."""
         self._stamps_ns.append(row.stamp_ns)
         numbers = [*(row.image.tool_px or (np.nan, np.nan))]
-        for name in DISTANCES:
-            found = getattr(row.distances, name)
+        for found in (getattr(row.distances, name) for name in DISTANCES):
             std_m = np.nan if found is None or found.std_m is None else found.std_m
             numbers += [np.nan if found is None else found.value_m, std_m]
         if not row.measured:
@@ -128,7 +127,7 @@ def require_clearance(method: str, profile: Profile | None = None) -> None:
     if method in PLANAR_METHODS:
         choices = ", ".join(SPATIAL_METHODS)
         raise UsageError(
-            f"alarms need a clearance, and {method} measures in the plane: the choices are {choices}"
+            f"alarms need a clearance; {method} measures in the plane: the choices are {choices}"
         )
     if profile is not None and profile.instrument is None:
         raise ProfileError(

@@ -24,8 +24,7 @@ from svmdist.workflows.references import KINEMATICS_PRINTED_NOTE, Reference
 from svmdist.workflows.request import Request
 from svmdist.workflows.scores import Readings, Score, pool_scores, require_clearance, score_rows
 
-PAPER_R_SQUARED = 0.78
-"""The paper's own figure (sec. IV); its scene differs from every scene here."""
+PAPER_R_SQUARED = 0.78  # the paper's own figure (sec. IV); its scene differs from every scene here
 
 
 @dataclass(frozen=True)
@@ -251,15 +250,10 @@ def find_regressions(validation: Validation, baseline: Baseline, *, complete: bo
     found = {score.key: score for score in map(_stored, (*validation.scores, *validation.overall))}
     setups = {(score.method, score.equations) for score in found.values()}
     asked = {score.recording for score in validation.scores}
-    compared = [
-        stored
-        for stored in baseline.scores
-        if (stored.method, stored.equations) in setups and (complete or stored.recording in asked)
-    ]
+    known = [stored for stored in baseline.scores if (stored.method, stored.equations) in setups]
+    compared = [stored for stored in known if complete or stored.recording in asked]
     if not compared:
-        raise RecordingError(
-            "the baseline holds no figure of these recordings, this method and these equations"
-        )
+        raise RecordingError("the baseline holds no figure of these recordings, method and equations")
     regressions = []
     for stored in compared:
         now = found[stored.key].figures if stored.key in found else {}
