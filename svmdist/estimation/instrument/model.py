@@ -9,7 +9,6 @@ import numpy as np
 
 from svmdist.errors import KinematicsError
 from svmdist.geometry import Capsules, join
-from svmdist.geometry.distance import cross
 from svmdist.kinematics import (
     DHChain,
     WristRows,
@@ -23,7 +22,7 @@ from svmdist.kinematics import (
 from svmdist.profile import Fiducial, Instrument, Profile
 from svmdist.results import ToolPose
 from svmdist.samples import JointSample
-from svmdist.transforms import Array, inverse
+from svmdist.transforms import Array, cross, inverse
 
 
 @dataclass(frozen=True, slots=True)
