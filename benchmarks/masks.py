@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.generated_pages import table_row
-from svmdist.profile import OnnxSegmentation
-from svmdist.profile.segmentation import INSTRUMENTS
+from svmdist.profile.segmentation import INSTRUMENTS, OnnxSegmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.vision.find_instruments import AutoSegmenter

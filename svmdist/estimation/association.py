@@ -20,7 +20,7 @@ from svmdist.estimation.frame import Frame, OtherMasks
 from svmdist.estimation.region_tracking import CONTEST, MAX_REGIONS, Identity, RegionTracker, assignments
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import EntrySide
+from svmdist.profile.robot import EntrySide
 from svmdist.results import Failure
 from svmdist.samples import Image, Observation
 from svmdist.transforms import Array, inverse

@@ -18,7 +18,7 @@ from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import TissuePose, ray_on_plane_biases, require_tissue, tissue_plane
 from svmdist.geometry import Plane
 from svmdist.least_squares import median
-from svmdist.profile import Tissue
+from svmdist.profile.robot import Tissue
 from svmdist.profile.settings import TissueTrackingSettings
 from svmdist.samples import RightView
 from svmdist.transforms import Array, inverse

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.profile import ColourRegion, HsvSegmentation
+from svmdist.profile.segmentation import ColourRegion, HsvSegmentation
 from svmdist.profile.settings import ExposureSettings
 from svmdist.samples import Image
 

@@ -20,7 +20,8 @@ import numpy as np
 
 from svmdist.estimation.frame import Frame, Needs, prefetch
 from svmdist.estimation.scene import Arm, Scene
-from svmdist.profile import AutoSegmentation, Profile
+from svmdist.profile import Profile
+from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import Decoded, EncodedObservation
 from svmdist.recording.observations import Needs as ReadNeeds

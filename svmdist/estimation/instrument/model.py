@@ -19,7 +19,8 @@ from svmdist.kinematics import (
     select_joints,
     wrist_rows,
 )
-from svmdist.profile import Fiducial, Instrument, Profile
+from svmdist.profile import Profile
+from svmdist.profile.robot import Fiducial, Instrument
 from svmdist.results import ToolPose
 from svmdist.samples import JointSample
 from svmdist.transforms import Array, cross, inverse
