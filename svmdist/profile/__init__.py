@@ -196,9 +196,9 @@ class Profile(StrictModel):
         views = [self.for_instrument(name) for name in dict.fromkeys(self.instrument_names)]
         tags = [view.fiducial for view in views if view.fiducial is not None]
         for tag in tags:
-            count, _ = parts.TAGS[tag.family]
-            if tag.id >= count:
-                raise ValueError(f"fiducial: family {tag.family} has the tags 0 to {count - 1}, not {tag.id}")
+            last = parts.TAGS[tag.family][0] - 1
+            if tag.id > last:
+                raise ValueError(f"fiducial: family {tag.family} has the tags 0 to {last}, found {tag.id}")
         unknown = [other.name for other in self.other_instruments if other.topics is None]
         if unknown and not isinstance(self.segmentation, AutoSegmentation):
             needed = "which needs [segmentation] method = 'auto'"
