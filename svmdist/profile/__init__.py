@@ -77,9 +77,8 @@ class Marker(StrictModel):
     @model_validator(mode="after")
     def _one_colour(self) -> Marker:
         if len(self.model_fields_set & {"outline", "outline_bgr"}) == 1:
-            raise ValueError(
-                "outline_bgr is drawn and outline finds it: give both, or neither for pure green"
-            )
+            found = "outline_bgr is drawn and outline finds it again"
+            raise ValueError(f"{found}: give both of them, or neither for pure green")
         return self
 
 
