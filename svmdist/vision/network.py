@@ -108,7 +108,7 @@ class OnnxSegmenter:
         if tried.ndim == 4 and tried.shape[1] > 1:
             self._require_classes(tried.shape[1])
 
-    def masks(self, bgr: Image, hsv: Image | None = None, /) -> ClassMasks:  # noqa: ARG002
+    def masks(self, bgr: Image, /) -> ClassMasks:
         """The masks of an image, shape (h, w, 3) in BGR as recorded."""
         return ClassMasks(bgr, self.labels(bgr), self._rules)
 

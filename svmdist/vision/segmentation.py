@@ -27,8 +27,8 @@ class Segmenter(Protocol):
     def uses_colours(self) -> bool:
         """Whether it takes the image as HSV; a network takes BGR as recorded, as it did in its training."""
 
-    def masks(self, bgr: Image, hsv: Image | None, /) -> Masks:
-        """The masks of an image, shape (h, w, 3) in BGR as recorded; `hsv` is it as HSV, for one that uses colours."""
+    def masks(self, image: Image, /) -> Masks:
+        """The masks of an image, shape (h, w, 3), as HSV for one that uses colours, else as BGR."""
 
 
 @runtime_checkable
