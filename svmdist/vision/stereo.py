@@ -307,12 +307,12 @@ def _robust_plane(rays: Array, values: Array, rng: np.random.Generator) -> Array
         three = rng.choice(len(values), 3, replace=False)
         if abs(np.linalg.det(rays[three])) < 1e-6:
             continue
-        q = np.linalg.solve(rays[three], values[three])
+        q = np.asarray(np.linalg.solve(rays[three], values[three]), np.float64)
         cost = float(np.minimum(np.abs(rays @ q - values), 2 * INLIER_PX).sum())
         if cost < least:
             best, least = q, cost
     for _ in range(10):
         weights = (1.0 + ((rays @ best - values) / INLIER_PX) ** 2) ** -2
         weighted = rays * weights[:, None]
-        best = np.linalg.solve(weighted.T @ rays, weighted.T @ values)
+        best = np.asarray(np.linalg.solve(weighted.T @ rays, weighted.T @ values), np.float64)
     return best
