@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from svmdist.profile import ColourRegion, HsvSegmentation
 from svmdist.profile.settings import ExposureSettings
@@ -227,7 +226,8 @@ def find_distinct_colour(images: Sequence[Image], mark_count: int = 1) -> Distin
 def _marks(images: Sequence[Image], hue: int, mark_count: int) -> DistinctColour | None:
     areas, places, pixels = [], [], []
     for hsv in images:
-        mask = _near(hsv, hue)
+        off = np.abs((hsv[..., 0].astype(np.int16) - hue + 90) % 180 - 90)
+        mask = (off <= HALF_WIDTH) & (hsv[..., 1] >= MIN_SATURATION) & (hsv[..., 2] >= MIN_VALUE)
         _, labels, statistics, centres = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
         order = 1 + np.argsort(statistics[1:, cv2.CC_STAT_AREA])[::-1][:mark_count]
         if len(order) < mark_count:
@@ -248,8 +248,3 @@ def _marks(images: Sequence[Image], hue: int, mark_count: int) -> DistinctColour
     saturation, value = ((max(0, round(float(np.percentile(one, 2)) - 20)), 255) for one in others)
     hue_range = (round(low - 3) % 180, round(high + 3) % 180)
     return DistinctColour(hue_range, saturation, value, float(np.median(areas)))
-
-
-def _near(hsv: Image, hue: int) -> NDArray[np.bool_]:
-    off = np.abs((hsv[..., 0].astype(np.int16) - hue + 90) % 180 - 90)
-    return np.asarray((off <= HALF_WIDTH) & (hsv[..., 1] >= MIN_SATURATION) & (hsv[..., 2] >= MIN_VALUE))

@@ -19,32 +19,24 @@ SLOPE_SIGMA_PER_BLUR = 0.8  # a blurred edge is sought at this scale over its ow
 MIN_CHROMA = 25.0  # levels between inside and outside below which there is no border to find
 MIN_AGREEING_FRACTION = 0.5  # of rays on the border's circle: with less the circle is a guess
 
-DEFAULT = ShaftSettings()
+RoughEdge = tuple[Array, Array, Array]  # both ends in px, and a vector from dark to bright, (2,) each
 STEP_PX = 0.5  # between samples across the edge: half a pixel loses nothing of what the pixels hold
 BLUR_PLACES, BLUR_STRIPS = 8, 7  # a blur is the median over places, each the mean of neighbouring profiles
 
 
 def edge_points(
-    brightness: Image,
-    start_px: Array,
-    end_px: Array,
-    outward: Array,
-    reach_px: float,
-    settings: ShaftSettings = DEFAULT,
-    blur_px: float = 0.0,
+    brightness: Image, rough: RoughEdge, reach_px: float, settings: ShaftSettings, blur_px: float = 0.0
 ) -> Array:
-    """Points of a dark-to-bright edge near the segment from `start_px` to `end_px`, shape (n, 2) in px.
+    """Points of an edge, shape (n, 2) in px, near a rough one in an image of shape (h, w).
 
-    `outward` (2,) points from dark to bright. Profiles stand 1 px apart and reach `reach_px` to both sides; one whose
-    edge is lower than the settings' contrast, or which ends before the edge does, gives no point. `blur_px` is the
-    standard deviation of the edge's own blur.
+    Profiles stand 1 px apart and reach `reach_px` to both sides; one whose edge is lower than the settings' contrast,
+    or which ends before the edge does, gives no point. `blur_px` is the standard deviation of the edge's own blur.
     """
-    length_px = float(np.linalg.norm(end_px - start_px))
+    length_px = float(np.linalg.norm(rough[1] - rough[0]))
     if length_px < 2.0:
         return np.zeros((0, 2))
     sigma_px = slope_sigma_px(blur_px)
-    at = np.arange(0.5, length_px, 1.0)
-    feet_px, across = _feet(start_px, end_px, outward, at)
+    feet_px, across = _feet(rough, np.arange(0.5, length_px, 1.0))
     profiles, offsets, inside = profiles_across(brightness, feet_px, across, reach_px + 3.0 * sigma_px)
     slope = profiles @ slope_filter(len(offsets), sigma_px)
     slope = np.where((np.abs(offsets) <= reach_px) & inside, slope, -np.inf)
@@ -68,21 +60,14 @@ def peak_shift_px(before: Array, top: Array, after: Array, good: NDArray[np.bool
     return np.where(good, np.clip(shift, -1.0, 1.0) * STEP_PX, np.nan)
 
 
-def edge_blur_px(
-    brightness: Image,
-    start_px: Array,
-    end_px: Array,
-    outward: Array,
-    reach_px: float,
-    settings: ShaftSettings = DEFAULT,
-) -> float:
+def edge_blur_px(brightness: Image, rough: RoughEdge, reach_px: float, settings: ShaftSettings) -> float:
     """An edge's blur: the deviation in px of the Gaussian as wide at half its height as the edge's slope."""
-    length_px = float(np.linalg.norm(end_px - start_px))
+    length_px = float(np.linalg.norm(rough[1] - rough[0]))
     if length_px < 2.0 * BLUR_STRIPS:
         return 0.0
     middles = np.linspace(0.5 * BLUR_STRIPS, length_px - 0.5 * BLUR_STRIPS, BLUR_PLACES)
     at = (middles[:, None] + np.arange(BLUR_STRIPS) - BLUR_STRIPS // 2).ravel()
-    feet_px, across = _feet(start_px, end_px, outward, at)
+    feet_px, across = _feet(rough, at)
     profiles, offsets, inside = profiles_across(brightness, feet_px, across, reach_px + 3.0 * SLOPE_SIGMA_PX)
     whole = inside.all(1).reshape(BLUR_PLACES, BLUR_STRIPS).all(1)
     mean = profiles.reshape(BLUR_PLACES, BLUR_STRIPS, -1).mean(1)[whole]
@@ -108,7 +93,8 @@ def slope_sigma_px(blur_px: float) -> float:
     return max(SLOPE_SIGMA_PX, SLOPE_SIGMA_PER_BLUR * blur_px)
 
 
-def _feet(start_px: Array, end_px: Array, outward: Array, at: Array) -> tuple[Array, Array]:
+def _feet(rough: RoughEdge, at: Array) -> tuple[Array, Array]:
+    start_px, end_px, outward = rough
     along = (end_px - start_px) / np.linalg.norm(end_px - start_px)
     across = np.array([-along[1], along[0]])
     return start_px + at[:, None] * along, across if across @ outward > 0 else -across

@@ -136,9 +136,6 @@ def _maps(
     return np.asarray(maps[0]), np.asarray(maps[1])
 
 
-DEFAULT_EXPOSURE, DEFAULT_TAG = ExposureSettings(), TagSettings()
-
-
 class FrameContext:
     """One camera image, shape (h, w, 3) in BGR, and what is derived from it.
 
@@ -150,14 +147,11 @@ class FrameContext:
         self,
         bgr: Image,
         segmenter: Segmenter,
-        settings: ExposureSettings = DEFAULT_EXPOSURE,
-        tag_family: str | None = None,
-        tag_settings: TagSettings = DEFAULT_TAG,
+        exposure: ExposureSettings,
+        tags: tuple[str, TagSettings] | None,
     ) -> None:
-        self.bgr_as_recorded = bgr
-        self._segmenter = segmenter
-        self._settings = settings
-        self._tag_rules = tag_family, tag_settings
+        self.bgr_as_recorded, self._segmenter = bgr, segmenter
+        self._exposure_settings, self._tag_rules = exposure, tags
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -168,7 +162,7 @@ class FrameContext:
     @cached_property
     def exposure(self) -> Exposure:
         """The map that normalises this image's exposure."""
-        return exposure_of(self.bgr_as_recorded, self._settings)
+        return exposure_of(self.bgr_as_recorded, self._exposure_settings)
 
     @cached_property
     def bgr(self) -> Image:
@@ -200,25 +194,17 @@ class FrameContext:
         """Corners, shape (4, 2) in px, of every tag of the family, by number; none where no family is given."""
         from svmdist.vision.tags import find_tags  # its detectors take a while to import
 
-        family, settings = self._tag_rules
-        return {} if family is None else find_tags(self.grey, family, settings)
+        return {} if self._tag_rules is None else find_tags(self.grey, *self._tag_rules)
 
     @cached_property
     def masks(self) -> Masks:
-        """What is what in the image, at normalised exposure."""
-        if "masks_as_recorded" in self.__dict__ and self._is_one_segmentation:
-            return self.masks_as_recorded
-        return self._segmenter.masks(self.hsv if self._segmenter.uses_colours else self.bgr_as_recorded)
+        """What is what in the image, at normalised exposure where that makes a difference."""
+        if self._segmenter.uses_colours and not self.exposure.is_plain:
+            return self._segmenter.masks(self.hsv)
+        return self.masks_as_recorded
 
     @cached_property
     def masks_as_recorded(self) -> Masks:
         """What is what in the image as it is."""
-        if "masks" in self.__dict__ and self._is_one_segmentation:
-            return self.masks
         image = self.hsv_as_recorded if self._segmenter.uses_colours else self.bgr_as_recorded
         return self._segmenter.masks(image)
-
-    @property
-    def _is_one_segmentation(self) -> bool:
-        """Whether exposure makes no difference to the masks."""
-        return not self._segmenter.uses_colours or self.exposure.is_plain

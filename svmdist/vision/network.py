@@ -203,9 +203,8 @@ def _read(path: Path) -> cv2.dnn.Net:
     except OSError as problem:
         raise ProfileError(f"{path}: cannot read the network: {why(problem)}") from None
     if size > MAX_FILE_BYTES:
-        raise ProfileError(
-            f"{path}: cannot read the network: {size >> 20} MiB; an ONNX file has at most 2 GiB"
-        )
+        found = f"{size >> 20} MiB; an ONNX file holds at most 2 GiB"
+        raise ProfileError(f"{path}: cannot read the network: {found}")
     try:
         with _quiet():
             net = cv2.dnn.readNetFromONNX(str(path))

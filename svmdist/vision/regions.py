@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -238,7 +237,14 @@ def find_region(mask: Image, rule: AreaGate, settings: OutlineSettings = DEFAULT
     elif rule.occlusion == "hull":
         centroid_px = polygon_centroid(hull)
     else:
-        centroid_px = _pixel_centroid(parts)
+        # Mean of the coordinates of the parts' pixels: eqs. (1), (2).
+        total, weighted = 0.0, np.zeros(2)
+        for part in parts:
+            moments = cv2.moments(part.pixels, binaryImage=True)
+            x, y, count = *part.corner_px, moments["m00"]
+            total += count
+            weighted += np.array([moments["m10"] + x * count, moments["m01"] + y * count])
+        centroid_px = weighted / total
     return Region(sum(part.area_px for part in parts), centroid_px, hull, len(parts))
 
 
@@ -257,14 +263,3 @@ def _parts(mask: Image, rule: AreaGate) -> list[_Part]:
             pixels = np.asarray(cv2.bitwise_and(inside, pixels), np.uint8)
         parts.append(_Part(np.asarray(contour, np.int32), pixels, (x, y), int(cv2.countNonZero(pixels))))
     return parts
-
-
-def _pixel_centroid(parts: Sequence[_Part]) -> Array:
-    """Mean of the coordinates of the parts' pixels, shape (2,) as x, y: eqs. (1), (2)."""
-    total, weighted = 0.0, np.zeros(2)
-    for part in parts:
-        moments = cv2.moments(part.pixels, binaryImage=True)
-        x, y = part.corner_px
-        total += moments["m00"]
-        weighted += np.array([moments["m10"] + x * moments["m00"], moments["m01"] + y * moments["m00"]])
-    return weighted / total
