@@ -116,8 +116,7 @@ def degrade(image_bgr: Image, name: Degradation | str, severity: int, seed: int)
         case Degradation.MOTION_BLUR:
             return _filtered(image_bgr, _line(MOTION_LENGTH_PX[level] * scale, rng.uniform(0.0, np.pi)))
         case Degradation.NOISE:
-            degraded = np.asarray(image_bgr, np.float64)
-            degraded += rng.normal(0.0, NOISE_LEVELS[level], image_bgr.shape)
+            degraded = image_bgr + rng.normal(0.0, NOISE_LEVELS[level], image_bgr.shape)
         case Degradation.LOW_LIGHT:
             light, photon_count = LOW_LIGHT[level]
             photons = rng.poisson(image_bgr * (light * photon_count / 255.0))

@@ -16,8 +16,9 @@ from svmdist.vision.colour import Exposure, Masks, apply_exposure, exposure_of, 
 from svmdist.vision.segmentation import Segmenter
 
 COMB_RATIO = 3.0  # combed pixels over those that differ from the same field's rows: fine texture does both
-# Side of the blocks in which these are counted, at 640 columns: smaller than an instrument's tip
-BLOCK_PX = 9
+BLOCK_PX = (
+    9  # side of the blocks in which these are counted, at 640 columns: smaller than an instrument's tip
+)
 MIN_FRACTION = 0.12  # of a block's pixels that are combed, where its odd rows are mended
 MIN_PIXELS = 60  # combed pixels in a whole image, at 640 columns, below which nothing is looked at further
 
@@ -100,12 +101,9 @@ def _is_rectified(left: Camera, right: RightView) -> bool:
     """Whether both are ideal, parallel and, but for the columns of their principal points, alike."""
     off = left.K - right.camera.K
     off[0, 2] = 0.0
+    is_ideal = not (left.has_distortion or right.camera.has_distortion)
     is_parallel = np.allclose(right.T_left_right[:3, :3], np.eye(3), atol=1e-6)
-    return (
-        not (left.has_distortion or right.camera.has_distortion)
-        and is_parallel
-        and bool(np.abs(off).max() <= 1e-3)
-    )
+    return is_ideal and is_parallel and bool(np.abs(off).max() <= 1e-3)
 
 
 def _beside(left: Camera, right: RightView) -> RightView:

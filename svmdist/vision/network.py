@@ -20,33 +20,13 @@ from svmdist.vision.colour import Masks, field_of_view
 
 MARGIN = 0.02  # from the border, over the image's width, where a part may end: networks are coarse
 LEAST_AREA = 0.003  # an instrument's least part of the picture, as of `auto`
-
-
-def parts_from_border(mask: Image, black: Image) -> Image:
-    """Connected parts of `mask` that reach the picture's border; `black`, (h, w), is what may be border around it."""
-    picture = field_of_view(black)
-    height, width = mask.shape
-    reach = max(2, round(MARGIN * width))
-    # A frame of nothing around the image, so that the image's own edge is border too.
-    framed = cv2.copyMakeBorder(picture, reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=0)
-    kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    inner = cv2.erode(framed, kernel, borderValue=0)[reach : reach + height, reach : reach + width]
-    count, parts, statistics, _ = cv2.connectedComponentsWithStats(mask & picture)
-    least = LEAST_AREA * cv2.countNonZero(picture)
-    kept = np.zeros(count, np.uint8)
-    kept[np.unique(parts[inner == 0])] = 255
-    kept[statistics[:, cv2.CC_STAT_AREA] < least] = 0
-    kept[0] = 0
-    return np.asarray(kept[parts], np.uint8)
-
+BLACK_LEVEL = 24  # of 255, in every channel: video codes black as 16, and noise of a few levels lies on it
+# OpenCV's convolutions give the largest float in place of infinity and of what is no number
+FINITE = float(np.finfo(np.float32).max)
+MAX_FILE_BYTES = 2 << 30  # protobuf, which ONNX is written in, ends at 2 GiB
 
 Labels = NDArray[np.int32]
 Tensor = NDArray[np.generic]
-
-BLACK_LEVEL = 24  # of 255, in every channel: video codes black as 16, and noise of a few levels lies on it
-FINITE = float(np.finfo(np.float32).max)
-"""OpenCV's convolutions give the largest float in place of infinity and of what is no number."""
-MAX_FILE_BYTES = 2 << 30  # protobuf, which ONNX is written in, ends at 2 GiB
 
 
 class ClassMasks(Masks):
@@ -82,10 +62,23 @@ class ClassMasks(Masks):
 
     @cached_property
     def _from_border(self) -> Image | None:
+        """Connected parts of the instrument that reach the picture's border; None where all parts are kept."""
         if not self._rules.from_border:
             return None
         union = np.maximum(self._of(self._rules.instrument), self._of(self._rules.shaft))
-        return parts_from_border(union, self.black)
+        picture = field_of_view(self.black)
+        height, width = union.shape
+        reach = max(2, round(MARGIN * width))
+        # A frame of nothing around the image, so that the image's own edge is border too.
+        framed = cv2.copyMakeBorder(picture, reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=0)
+        kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+        inner = cv2.erode(framed, kernel, borderValue=0)[reach : reach + height, reach : reach + width]
+        count, parts, statistics, _ = cv2.connectedComponentsWithStats(union & picture)
+        kept = np.zeros(count, np.uint8)
+        kept[np.unique(parts[inner == 0])] = 255
+        kept[statistics[:, cv2.CC_STAT_AREA] < LEAST_AREA * cv2.countNonZero(picture)] = 0
+        kept[0] = 0
+        return np.asarray(kept[parts], np.uint8)
 
     def _of(self, region: ClassRegion | None) -> Image:
         if region is None:

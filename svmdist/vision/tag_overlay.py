@@ -84,7 +84,6 @@ NORMAL_AT = np.linspace(-6.0, 6.0, 12001)
 NORMAL_INTEGRAL = np.array([0.5 + 0.5 * math.erf(u / math.sqrt(2.0)) for u in NORMAL_AT])
 """The normal distribution's integral, right within 1e-7 between its entries."""
 
-
 GREY = 100.0  # levels that count as one in a step of brightness or contrast: its elements are then alike
 RIDGE = 1e-9 * np.eye(9)
 FADE_CELLS = 0.2  # from the rim over which pixels count less: the loss does not jump when they leave

@@ -29,7 +29,7 @@ LINE_STEPS, HUBER, MIN_SCALE_PX = 3, 1.5, 0.05
 def refine_corners(image_grey: Image, corners_px: Array, cell_count: int) -> Array:
     """Corners (4, 2) of a roughly found black square of so many cells, moved to where its edges meet."""
     found_px = refined_px = corners_px
-    # A slanting tag is narrow in one direction: what is a cell wide across a side is told by the sides next to it.
+    # A slanting tag is narrow in one direction: what is a cell wide across a side follows from the sides next to it.
     side_px = np.linalg.norm(np.roll(found_px, -1, 0) - found_px, axis=1)
     cell_px = 0.5 * (np.roll(side_px, 1) + np.roll(side_px, -1)) / cell_count
     reach_px = np.maximum(CORNER_WINDOW_CELLS * cell_px, MIN_EDGE_REACH_PX)
