@@ -17,8 +17,7 @@ from svmdist.profile.settings import OutlineSettings
 from svmdist.results import Distance, Distances, FrameResult, as_pixel
 from svmdist.samples import Image, Status
 from svmdist.transforms import Array
-from svmdist.vision.colour import colour_mask
-from svmdist.vision.frame_context import to_grey, to_hsv
+from svmdist.vision.colour import colour_mask, to_grey, to_hsv
 from svmdist.vision.marker import (
     EDGE_MARGIN_PX,
     Features,

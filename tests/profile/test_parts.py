@@ -9,9 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from svmdist.errors import ProfileError
-from svmdist.profile.segmentation import (
-    OnnxSegmentation,
-)
+from svmdist.profile.segmentation import OnnxSegmentation
 from svmdist.profile.toml import Angle, NeighbourFile, Size, StrictModel, parse_toml
 
 MIB = 1 << 20

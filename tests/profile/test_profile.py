@@ -9,14 +9,7 @@ import numpy as np
 import pytest
 
 from svmdist.errors import ProfileError, UsageError
-from svmdist.profile import (
-    DEFAULT_PROFILE,
-    Joint,
-    Profile,
-    load_profile,
-    profile_path,
-    shipped_profiles,
-)
+from svmdist.profile import DEFAULT_PROFILE, Joint, Profile, load_profile, profile_path, shipped_profiles
 from svmdist.profile.robot import TAGS
 
 TEXT = profile_path(DEFAULT_PROFILE).read_text("utf-8")

@@ -9,12 +9,7 @@ from pydantic import ValidationError
 
 from svmdist.errors import ProfileError
 from svmdist.profile import DEFAULT_PROFILE, SHIPPED, load_profile, profile_path
-from svmdist.profile.settings import (
-    FusedSettings,
-    OutlineSettings,
-    Settings,
-    former_keys,
-)
+from svmdist.profile.settings import FusedSettings, OutlineSettings, Settings, former_keys
 from svmdist.recording.log import open_recording
 from svmdist.samples import Status
 from svmdist.vision.regions import find_region

@@ -6,12 +6,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from svmdist.transforms import Array
-from svmdist.vision.lines import (
-    TangentPlane,
-    axis_of_cylinder,
-)
-
-NONE = np.zeros((3, 3))
+from svmdist.vision.lines import TangentPlane, axis_of_cylinder
 
 
 def silhouette_normals(p: Array, d: Array, radius_m: float) -> tuple[Array, Array]:
@@ -38,8 +33,8 @@ def test_axis_comes_back_from_its_silhouette_to_1e_9():
         p = np.cross(d, rng.normal(size=3))
         p *= rng.uniform(0.03, 0.3) / np.linalg.norm(p)
         radius_m = rng.uniform(0.001, 0.01)
-        first, second = silhouette_normals(p, d, radius_m)
-        axis = axis_of_cylinder(TangentPlane(first, NONE), TangentPlane(second, NONE), radius_m)
+        normals = silhouette_normals(p, d, radius_m)
+        axis = axis_of_cylinder(*(TangentPlane(n, np.zeros((3, 3))) for n in normals), radius_m)
         assert axis is not None
         np.testing.assert_allclose(axis.point_m, p, atol=1e-9)
         np.testing.assert_allclose(axis.direction * np.sign(axis.direction @ d), d, atol=1e-9)
