@@ -131,7 +131,7 @@ SETS: dict[str, tuple[str, str, Callable[[Path], Masked]]] = {
 
 def instruments_of(segmenter: Segmenter, bgr: Image) -> Mask:
     """Shafts, wrists and jaws of all instruments, shape (h, w)."""
-    masks = segmenter.masks(bgr, None)
+    masks = segmenter.masks(bgr)
     return (masks.instrument > 0) if masks.shaft is None else ((masks.instrument | masks.shaft) > 0)
 
 

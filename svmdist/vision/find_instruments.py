@@ -331,6 +331,6 @@ class AutoSegmenter:
         working = [WorkingImage.of(image, self._settings, network_hint) for image in images]
         return AutoSegmenter(self._settings, learnt_appearance(working))
 
-    def masks(self, bgr: Image, hsv: Image | None = None, /) -> AutoMasks:  # noqa: ARG002
+    def masks(self, bgr: Image, /) -> AutoMasks:
         """The masks of an image, shape (h, w, 3) in BGR as recorded."""
         return AutoMasks(bgr, self._appearance, self._settings)

@@ -25,7 +25,8 @@ from svmdist.results import Distance, FrameResult
 from svmdist.samples import Image, Status
 from svmdist.transforms import Array
 from svmdist.vision import marker
-from svmdist.vision.frame_context import seen_through, to_grey
+from svmdist.vision.colour import to_grey
+from svmdist.vision.frame_context import seen_through
 from svmdist.vision.regions import Region
 from svmdist.vision.shaft_segmentation import ShaftRegion
 from svmdist.workflows.replay import Replayed, replay

@@ -233,7 +233,7 @@ def _instruments_by_sides(images: Sequence[Image]) -> tuple[InstrumentDraft, ...
     for image in images:
         height_px, width_px = image.shape[:2]
         here = set()
-        for one in segmenter.masks(image, None).seen or ():
+        for one in segmenter.masks(image).seen or ():
             x, y = one.entry_px / [width_px, height_px] - 0.5
             here.add(("left" if x < 0 else "right") if abs(x) > abs(y) else ("above" if y < 0 else "below"))
         sides.update(here)

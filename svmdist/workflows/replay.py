@@ -28,7 +28,8 @@ from svmdist.recording.observations import Needs as ReadNeeds
 from svmdist.results import Failure, FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection
 from svmdist.transforms import Array
-from svmdist.vision.frame_context import as_pinholes, seen_through, to_grey, with_first_fields
+from svmdist.vision.colour import to_grey
+from svmdist.vision.frame_context import as_pinholes, seen_through, with_first_fields
 from svmdist.vision.segmentation import LearningSegmenter, Segmenter
 from svmdist.vision.stereo import RowOffset, agreed_offset, rectified_pair, row_differences
 from svmdist.workflows.parallel import in_order, one_opencv_thread, usable_cores

@@ -16,8 +16,7 @@ from svmdist.simulation.meshes import sphere
 from svmdist.simulation.organ import Organ
 from svmdist.simulation.scene import Options, Scene, make_scene
 from svmdist.transforms import Array, inverse, make_transform, transform_points
-from svmdist.vision.colour import colour_mask
-from svmdist.vision.frame_context import to_hsv
+from svmdist.vision.colour import colour_mask, to_hsv
 from tests.simulation.conftest import chosen, perturbed, posed, withdrawn
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
