@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.generated_pages import table_row
-from svmdist.profile import OnnxSegmentation
-from svmdist.profile.segmentation import INSTRUMENTS
+from svmdist.profile.segmentation import INSTRUMENTS, OnnxSegmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.vision.find_instruments import AutoSegmenter
@@ -131,7 +130,7 @@ SETS: dict[str, tuple[str, str, Callable[[Path], Masked]]] = {
 
 def instruments_of(segmenter: Segmenter, bgr: Image) -> Mask:
     """Shafts, wrists and jaws of all instruments, shape (h, w)."""
-    masks = segmenter.masks(bgr, None)
+    masks = segmenter.masks(bgr)
     return (masks.instrument > 0) if masks.shaft is None else ((masks.instrument | masks.shaft) > 0)
 
 

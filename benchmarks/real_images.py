@@ -305,7 +305,7 @@ def tags(folder: Path, _: Path) -> Iterator[str]:
             known += 1
             true_px = np.array(numbers, float).reshape(4, 2) - 0.5
             side_px = np.linalg.norm(true_px - np.roll(true_px, 1, 0), axis=1).mean()
-            alike = [tag.corners_px for tag in found if tag.number == int(line.split(",")[0])]
+            alike = [c for tag, c in found if tag == int(line.split(",")[0])]
             near = [c for c in alike if np.linalg.norm(np.mean(c - true_px, 0)) <= 0.3 * side_px]
             # Whichever corner is the first.
             orders = [np.roll(c, k, 0) for one in near for c, k in product((one, one[::-1]), range(4))]
