@@ -127,13 +127,10 @@ def bootstrap_intervals(
     return rmse, _interval(r2) if len(r2) else None
 
 
-def interval_coverage(
-    estimate: ArrayLike, truth: ArrayLike, std: ArrayLike, level: float = 0.95
-) -> float | None:
+def interval_coverage(estimate: Array, truth: Array, std: Array, level: float = 0.95) -> float | None:
     """Share of truths inside estimate ± z std, which should equal the level; None for no pairs."""
-    f, y, s = (np.asarray(values, np.float64) for values in (estimate, truth, std))
-    z = NormalDist().inv_cdf(0.5 + level / 2.0)  # 1.96 at 0.95
-    return float(np.mean(np.abs(f - y) <= z * s)) if len(f) else None
+    z = NormalDist().inv_cdf(0.5 + level / 2.0)
+    return float(np.mean(np.abs(estimate - truth) <= z * std)) if len(estimate) else None
 
 
 def coverage(measured: int, frames: int) -> float:
@@ -230,13 +227,15 @@ def alarm_statistics(
     unsafe = c < below_m
     events = [index for index in range(1, len(t)) if unsafe[index] and not unsafe[index - 1]]
     leads = [_lead_time_s(t, a, unsafe, event) for event in events]
+    begins = a & ~np.concatenate([[False], a[:-1]])
+    episode = np.cumsum(begins)
     return AlarmStatistics(
         frame_count=len(t),
         unsafe_count=int(np.count_nonzero(unsafe)),
         true_alarm_count=int(np.count_nonzero(a & unsafe)),
         false_alarm_count=int(np.count_nonzero(a & ~unsafe)),
         unjudged_count=int(np.count_nonzero(~known)),
-        false_alarm_episode_count=_false_episode_count(a, unsafe),
+        false_alarm_episode_count=int(np.count_nonzero(begins)) - len(np.unique(episode[a & unsafe])),
         duration_s=float(t[-1] - t[0]) if len(t) else 0.0,
         event_count=len(events),
         lead_times_s=tuple(lead for lead in leads if lead is not None),
@@ -254,13 +253,6 @@ def pooled_alarms(parts: Sequence[AlarmStatistics]) -> AlarmStatistics:
 
 def _share(count: float, of: float) -> float | None:
     return count / of if of else None
-
-
-def _false_episode_count(alarms: Mask, unsafe: Mask) -> int:
-    """Unbroken stretches of alarms without an unsafe frame."""
-    begins = alarms & ~np.concatenate([[False], alarms[:-1]])
-    episode = np.cumsum(begins)
-    return int(np.count_nonzero(begins)) - len(np.unique(episode[alarms & unsafe]))
 
 
 def _lead_time_s(t: Array, alarms: Mask, unsafe: Mask, event: int) -> float | None:
