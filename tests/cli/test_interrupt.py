@@ -103,8 +103,8 @@ COMMANDS = {
     "report": f"validate {GOLDEN}/sweep.mcap --report report.html",
     "calibration": f"calibrate {GOLDEN}/calibration.mcap -o c.toml",
     "kinematics": f"fk {GOLDEN}/sweep.mcap -o fk.csv",
-    "recording": "record --rate 10 -j 2 --duration 2.6 -o log.mcap",
-    "episodes": "record --rate 10 -j 2 --duration 1 --episodes 2 -o folder",
+    "recording": "record --force --rate 10 -j 2 --duration 2.6 -o log.mcap",
+    "episodes": "record --force --rate 10 -j 2 --duration 1 --episodes 2 -o folder",
 }
 
 
