@@ -23,22 +23,10 @@ from svmdist.report.scores import (
 from svmdist.report.tables import csv_lines, keys_of, render
 from svmdist.workflows import metric_table
 from svmdist.workflows.compare import Figures, Group, MethodScore
-from svmdist.workflows.metric_table import (
-    EVERYWHERE,
-    IN_3D,
-    LENGTH,
-    Better,
-    Metric,
-    Tolerance,
-)
+from svmdist.workflows.metric_table import EVERYWHERE, IN_3D, LENGTH, Better, Metric, Tolerance
 from svmdist.workflows.references import Reference
 from svmdist.workflows.scores import Pairs, Score, score_pairs
-from svmdist.workflows.validate import (
-    StoredScore,
-    Validation,
-    load_baseline,
-    save_baseline,
-)
+from svmdist.workflows.validate import StoredScore, Validation, load_baseline, save_baseline
 
 SCORE_COLUMNS = """
 recording method equations reference sample_count rejected_count coverage r_squared rmse_m mae_m median_abs_error_m
