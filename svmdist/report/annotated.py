@@ -44,9 +44,9 @@ def write_annotated(
 
     Raises UsageError where the file exists and `force` is not set.
     """
-    path, profile, limits, topics = recording.origin
+    path, profile, topics = recording.origin
     # A pass of its own over the recording opened anew, so that losses are counted once.
-    copies = copied_messages(open_recording(path, profile, limits=limits, topics=topics))
+    copies = copied_messages(open_recording(path, profile, topics=topics))
     metadata = {**recording.metadata, "annotated_by": f"svmdist estimate --method {setup.method}"}
     with RecordingWriter(output, metadata, force=force) as writer:
         annotations = _annotations(recording, frames, setup)

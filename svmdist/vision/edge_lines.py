@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -18,11 +18,11 @@ EDGE_REACH_FRACTION = 0.012  # how far from a rough side the image's edge is sea
 EDGE_REACH_WIDTHS = 0.3
 EDGE_TURN_WIDTHS = 0.35  # of an edge's ends in opposite directions, over the shaft's width
 SEARCH_SCALE_WIDTHS = 0.04  # of the slope that is sought first: texture of tissue is finer
-# A slope of so many times the neighbourhood's median counts half as much as the largest one
-TEXTURE_FACTOR = 1.5
+TEXTURE_FACTOR = (
+    1.5  # a slope of so many times the neighbourhood's median counts half as much as the largest one
+)
 FULL_CONTRAST_LEVELS = 16.0  # counts half as much as the largest step: straightness matters, not strength
-# The least step of colour at a point of an edge, levels of 255: compression leaves less
-MIN_CONTRAST_LEVELS = 12.0
+MIN_CONTRAST_LEVELS = 12.0  # least step of colour at an edge's point, of 255: compression leaves less
 MIN_FOUND = 0.7  # of the profiles that show an edge, on the line: texture shows most beside it
 MIN_SEEN = 0.3  # of all profiles across an edge: a dark shaft before dark tissue has none for a while
 MIN_SUPPORT = 0.4  # mean response below which there is no edge of an instrument
@@ -44,34 +44,14 @@ class Profiles:
     seen: NDArray[np.bool_]
     sigma_px: float
 
-    def first(self, count: int) -> Profiles:
-        """Those of the segment's first part."""
-        return Profiles(self.slopes[:, :count], self.offsets, self.seen[:count], self.sigma_px)
 
-
-@dataclass(frozen=True, slots=True)
-class LineAcross:
-    """A line across profiles: offset in the side's middle, more at its end, px, support, and the part it goes along."""
-
-    offset_px: float
-    slant_px: float
-    support: float
-    part: float
-
-    def at(self, where: Array) -> Array:
-        """Its offsets at fractions of the side, shape (n,)."""
-        return self.offset_px + self.slant_px * (2.0 * where - 1.0)
-
-
-def profiles_across(
+def _profiles_across(
     bgr: Image, feet_px: Array, across: Array, half_px: float, sigma_px: float, picture: Image | None
 ) -> Profiles:
     """The profiles of an image, shape (h, w, 3), through points, shape (n, 2), along a unit vector `across`, (2,)."""
-    half_px += 3.0 * sigma_px
-    half_px = np.ceil(half_px / STEP_PX) * STEP_PX
+    half_px = np.ceil((half_px + 3.0 * sigma_px) / STEP_PX) * STEP_PX
     offsets = np.arange(-half_px, half_px + STEP_PX / 2, STEP_PX)
-    x = feet_px[:, 0, None] + offsets * across[0]
-    y = feet_px[:, 1, None] + offsets * across[1]
+    x, y = (feet_px[:, axis, None] + offsets * across[axis] for axis in (0, 1))
     height, width = bgr.shape[:2]
     seen = (x >= 0) & (y >= 0) & (x <= width - 1) & (y <= height - 1)
     if picture is not None:
@@ -89,8 +69,13 @@ def profiles_across(
     return Profiles(np.asarray(slopes, np.float64), offsets, seen, sigma_px)
 
 
-def straightest(profiles: Profiles, where: Array, reach_px: float, turn_px: float) -> LineAcross | None:
-    """The most distinct line near a segment, by the common change of colour of neighbouring profiles; or None."""
+def _straightest(
+    profiles: Profiles, where: Array, reach_px: float, turn_px: float
+) -> tuple[float, float, float] | None:
+    """The most distinct line near a side, by the common change of colour of neighbouring profiles at fractions (n,).
+
+    Its offset in the side's middle and how much more it is at its end, px, and the part of the side it goes along.
+    """
     slopes, offsets, seen, sigma_px = profiles.slopes, profiles.offsets, profiles.seen, profiles.sigma_px
     count = len(where) // BLOCK
     if count < 2:
@@ -98,11 +83,8 @@ def straightest(profiles: Profiles, where: Array, reach_px: float, turn_px: floa
     common = slopes[:, : count * BLOCK].reshape(3, count, BLOCK, -1).mean(2)
     strength = np.sqrt(np.sum(common * common, 0))
     # A step of height c, smoothed, has slope c / (σ √(2π)); what is common in the neighbourhood is no step.
-    half = max(
-        FULL_CONTRAST_LEVELS / (np.sqrt(2.0 * np.pi) * 1.4 * sigma_px),
-        TEXTURE_FACTOR * float(np.median(strength)),
-    )
-    blocks = strength / (strength + half)
+    full = FULL_CONTRAST_LEVELS / (np.sqrt(2.0 * np.pi) * 1.4 * sigma_px)
+    blocks = strength / (strength + max(full, TEXTURE_FACTOR * float(np.median(strength))))
     blocks[~seen[: count * BLOCK].reshape(count, BLOCK, -1).all(1)] = 0.0
     middle = where[: count * BLOCK].reshape(count, BLOCK).mean(1)
     step_px = max(STEP_PX, 0.5 * sigma_px)
@@ -116,14 +98,13 @@ def straightest(profiles: Profiles, where: Array, reach_px: float, turn_px: floa
     last = np.argmax(gain, axis=1)
     total = np.take_along_axis(gain, last[:, None], 1)[:, 0]  # (slants, offsets)
     slant, offset = np.unravel_index(int(np.argmax(total)), total.shape)
-    best, reached = float(total[slant, offset]), int(last[slant, offset]) + 1
-    if not best > 0.0:
+    if not total[slant, offset] > 0.0:
         return None
-    place = float(offsets[candidates[offset]])
-    return LineAcross(place, float(slants[slant]), best / reached + MIN_SUPPORT, float(reached / count))
+    place, part = offsets[candidates[offset]], (last[slant, offset] + 1) / count
+    return float(place), float(slants[slant]), float(part)
 
 
-def points_near(profiles: Profiles, place: Array, reach_px: float) -> Array:
+def _points_near(profiles: Profiles, place: Array, reach_px: float) -> Array:
     """Sub-pixel offset of each profile's edge near a line at offsets `place`, shape (n,); NaN where there is none."""
     slopes, offsets, seen = profiles.slopes, profiles.offsets, profiles.seen
     rows = np.arange(len(place))
@@ -148,16 +129,17 @@ def points_near(profiles: Profiles, place: Array, reach_px: float) -> Array:
 
 
 SPACING_PX = 1.5  # between profiles
-PEAK_REACH_PX, REFINEMENTS = 2.0, 2
-"""From a line to a profile's own edge, at least; and how often the line is looked at anew."""
+PEAK_REACH_PX = 2.0  # from a line to a profile's own edge, at least
+REFINEMENTS = 2  # how often the line is looked at anew
 WINDOW = 3.0
 """Where a profile's own edge is sought, over how far it may be off: of texture a third is that near, of an edge all."""
 REFINED_PER_SCALE = 1.5  # how far from the rough line the fine one is sought, over the rough one's scale
 MIN_POINTS = 8
 START_PART = 0.8  # of an edge that was found roughly, what is surely shaft: the rest may be wrist already
 END_STEPS = 3
-# Against a line by a profile that shows no edge, where one beside the line counts `end_share`
-UNSEEN_SHARE = 0.15
+UNSEEN_SHARE = (
+    0.15  # against a line by a profile without an edge, where one beside the line counts `END_SHARE`
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,8 +158,12 @@ class EdgeLine:
     @property
     def direction(self) -> Array:
         """Unit vector towards the tip, shape (2,)."""
-        along = self.end_px - self.start_px
-        return np.asarray(along / np.linalg.norm(along))
+        return np.asarray((self.end_px - self.start_px) / self.length_px)
+
+    @property
+    def length_px(self) -> float:
+        """Distance of both ends."""
+        return float(np.linalg.norm(self.end_px - self.start_px))
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,17 +202,16 @@ def edge_line(bgr: Image, rough: Array, width_px: float, picture: Image | None =
     line = None if segment is None else _first_line(bgr, segment, width_px, picture)
     if segment is None or line is None:
         return None
-    at, sigma_px = segment.at, SLOPE_SIGMA_PX
+    at, across = segment.at, segment.across
     straight_px = max(STRAIGHT_PX, STRAIGHT_WIDTHS * width_px)
     reach_px = max(PEAK_REACH_PX, WINDOW * straight_px)
     off_px = np.full(len(at), np.nan)
     # Its points are sought about the line through them, which may lie beyond what was looked at before, farther on.
     for _ in range(REFINEMENTS):
         place = line[0] + line[1] * at
-        profiles = profiles_across(
-            bgr, segment.points(at, place), segment.across, reach_px, sigma_px, picture
-        )
-        off_px = place + points_near(profiles, np.zeros(len(at)), reach_px)
+        feet_px = segment.points(at, place)
+        profiles = _profiles_across(bgr, feet_px, across, reach_px, SLOPE_SIGMA_PX, picture)
+        off_px = place + _points_near(profiles, np.zeros(len(at)), reach_px)
         line = _ending_line(at, off_px, line[2], straight_px)
         if line is None:
             return None
@@ -240,8 +225,8 @@ def edge_line(bgr: Image, rough: Array, width_px: float, picture: Image | None =
         return None
     ends_at = np.array([0.0, end_at])
     first, last = segment.points(ends_at, offset_px + slope * ends_at)
-    ends = bool(end_at < at[-1] - 2.0 * SPACING_PX)
-    return EdgeLine(first, last, segment.points(at[used], off_px[used]), ends)
+    ends = end_at < at[-1] - 2.0 * SPACING_PX
+    return EdgeLine(first, last, segment.points(at[used], off_px[used]), bool(ends))
 
 
 def _first_line(bgr: Image, segment: _Segment, width_px: float, picture: Image | None) -> _Line | None:
@@ -253,19 +238,23 @@ def _first_line(bgr: Image, segment: _Segment, width_px: float, picture: Image |
     reach_px = max(EDGE_REACH_FRACTION * bgr.shape[1], EDGE_REACH_WIDTHS * width_px)
     turn_px = max(reach_px, EDGE_TURN_WIDTHS * width_px)
     feet_px = segment.points(at[:side], np.zeros(side))
-    profiles = profiles_across(bgr, feet_px, across, reach_px + turn_px, coarse_px, picture)
-    rough = straightest(profiles, where[:side], reach_px, turn_px)
+    profiles = _profiles_across(bgr, feet_px, across, reach_px + turn_px, coarse_px, picture)
+    rough = _straightest(profiles, where[:side], reach_px, turn_px)
     if rough is None:
         return None
-    place, reach_px = rough.at(where), REFINED_PER_SCALE * coarse_px
-    feet_px = segment.points(at, place)
-    profiles = profiles_across(bgr, feet_px, across, 2.0 * reach_px, SLOPE_SIGMA_PX, picture)
-    fine = straightest(profiles.first(side), where[:side], reach_px, reach_px)
+    place, reach_px = rough[0] + rough[1] * (2.0 * where - 1.0), REFINED_PER_SCALE * coarse_px
+    profiles = _profiles_across(
+        bgr, segment.points(at, place), across, 2.0 * reach_px, SLOPE_SIGMA_PX, picture
+    )
+    first = replace(profiles, slopes=profiles.slopes[:, :side], seen=profiles.seen[:side])
+    fine = _straightest(first, where[:side], reach_px, reach_px)
     if fine is None:
         return None
-    off_px = place + points_near(profiles, fine.at(where), max(PEAK_REACH_PX, coarse_px))
+    offset_px, slant_px, part = fine
+    near_px = offset_px + slant_px * (2.0 * where - 1.0)
+    off_px = place + _points_near(profiles, near_px, max(PEAK_REACH_PX, coarse_px))
     straight_px = max(STRAIGHT_PX, STRAIGHT_WIDTHS * width_px)
-    return _ending_line(at, off_px, fine.part * segment.length_px, straight_px)
+    return _ending_line(at, off_px, part * segment.length_px, straight_px)
 
 
 def _ending_line(at: Array, off_px: Array, length_px: float, straight_px: float) -> _Line | None:

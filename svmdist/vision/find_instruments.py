@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.profile import OnnxSegmentation
-from svmdist.profile.segmentation import INSTRUMENTS, PREFIX
+from svmdist.profile.segmentation import INSTRUMENTS, SHIPPED, OnnxSegmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.instrument_bars import Bar, Zones, bars_in, sharpened
-from svmdist.vision.instrument_evidence import JudgedBar, belonging, judged, with_missed_parts
+from svmdist.vision.instrument_bars import Bar, Zones, bars_in, sharpened, unit
+from svmdist.vision.instrument_evidence import belonging, judged, with_missed_parts
 from svmdist.vision.network import OnnxSegmenter
 from svmdist.vision.working_image import (
     SQUARE_3,
     SQUARE_5,
+    SQUARE_9,
     Appearance,
     Example,
     Floats,
@@ -29,93 +29,83 @@ from svmdist.vision.working_image import (
     tissue_of,
 )
 
-MOST_AREA = 0.45  # what is larger is background that shares the instrument's colour
 LEAST_EVIDENCE = 0.2  # evidence, from 0 to 1, of two straight edges: what has less is tissue
-# Evidence that the surest bar of an image must have for anything to be learnt from it
-TEACHING_EVIDENCE = 0.44
+TEACHING_EVIDENCE = 0.44  # of the surest bar of an image from which anything is to be learnt
 SURE_EVIDENCE = 0.4  # evidence from which on a bar's colours are learnt
-
 PERCENTILES = (4, 8, 13, 19, 26, 34)
 """Of each channel in the picture: thresholds under which instruments are sought. They cover 3 to 40 % of a picture."""
 RATIO_LEVELS = (0.0, 1.0, 2.0)
 """Of the log ratio: at higher ones a shaft parts from a shadow beside it, at lower ones all of it is there."""
 ROUND_7 = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
-SQUARE_9 = np.ones((9, 9), np.uint8)
 
-
-@dataclass(frozen=True)
-class Found:
-    """An instrument in a working image: its bar from the border inwards, its mask, shape (h, w), and the evidence."""
-
-    bar: Bar
-    mask: NDArray[np.bool_]
-    evidence: float
+Found = tuple[Bar, NDArray[np.bool_]]
+"""An instrument in a working image: its bar from the border inwards, and its mask, shape (h, w)."""
 
 
 def learnt_appearance(images: Sequence[WorkingImage]) -> Appearance | None:
     """What instruments look like in images of one log; None where none of them shows one for sure."""
     bars = [search_bars(image) for image in images]
-    first = learnt_from(
-        example for image, sought in zip(images, bars, strict=True) if (example := _of_bars(image, sought))
-    )
+    sure = [_of_bars(image, sought) for image, sought in zip(images, bars, strict=True) if sought]
+    first = learnt_from([example for example in sure if example is not None])
     if first is None:
         return None
     examples = []
     for image, sought in zip(images, bars, strict=True):
         found = find_instruments(image, first, sought)
         if found:
-            mask = np.asarray(np.any([one.mask for one in found], axis=0), np.uint8) * 255
-            inside, near = cv2.erode(mask, SQUARE_3), cv2.dilate(mask, SQUARE_9)
-            beside = np.asarray(cv2.subtract(image.core, near), np.uint8)
-            examples.append(Example(image, np.asarray(inside, np.uint8), beside))
+            mask = np.asarray(np.any([mask for _, mask in found], axis=0), np.uint8)
+            inside, near = cv2.erode(mask, SQUARE_3) > 0, cv2.dilate(mask, SQUARE_9) > 0
+            examples.append((image.colours[inside], image.colours[(image.core > 0) & ~near]))
     return learnt_from(examples) or first
 
 
-def search_bars(image: WorkingImage) -> list[JudgedBar]:
+def search_bars(image: WorkingImage) -> list[Bar]:
     """Bars of an image of which nothing is known, the surest first: none overlaps a surer one by much."""
-    sought: list[JudgedBar] = []
+    sought: list[Bar] = []
     for channel in image.channels:
         values = channel[image.core > 0]
         for level in np.percentile(values, PERCENTILES) if len(values) else ():
             low = np.asarray(255 * ((channel < level) & (image.core > 0)), np.uint8)
             low = np.asarray(cv2.morphologyEx(low, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
             sought += _judged_bars(low, image, 1)
-    return _apart(sought, image)
+    taken = np.zeros_like(image.core)
+    kept: list[Bar] = []
+    for bar in sorted(sought, key=lambda bar: -bar.evidence):
+        strip = bar.filled(taken)
+        if cv2.countNonZero(strip & taken) <= 0.3 * cv2.countNonZero(strip):
+            taken |= strip
+            kept.append(bar)
+    return kept[: image.settings.most_instruments + 1]
 
 
 def find_instruments(
-    image: WorkingImage, appearance: Appearance | None, sought: Sequence[JudgedBar] = ()
+    image: WorkingImage, appearance: Appearance | None, sought: Sequence[Bar] = ()
 ) -> list[Found]:
     """The instruments of an image, the surest first. `sought` are bars that are known without their colours."""
     ratio = image.hint if appearance is None else appearance.of(image) + image.hint
-    settings = image.settings
-    likely = _above(ratio, 0.0, image)
-    bars = [
-        one
-        for level in RATIO_LEVELS
-        for one in _judged_bars(_above(ratio, level, image) if level else likely, image, 3, ratio)
-    ]
-    bars += [one for one in sought if one.evidence > SURE_EVIDENCE]
-    bars.sort(key=lambda one: -one.evidence)
-    bars = [JudgedBar(sharpened(one.bar, image), one.evidence) for one in bars]
+    levels = {level: _above(ratio, level, image) for level in RATIO_LEVELS}
+    likely = levels[0.0]
+    bars = [bar for mask in levels.values() for bar in _judged_bars(mask, image, 3, ratio)]
+    bars += [bar for bar in sought if bar.evidence > SURE_EVIDENCE]
     taken = np.zeros(image.core.shape, bool)
     found: list[Found] = []
-    for one in bars:
-        zones = Zones.of(one.bar, image)
+    for rough in sorted(bars, key=lambda bar: -bar.evidence):
+        bar = sharpened(rough, image)
+        zones = Zones.of(bar, image)
         size = max(int(np.count_nonzero(zones.middle)), 1)
         if np.count_nonzero(zones.middle & taken) > 0.3 * size:
             continue
         if np.count_nonzero(zones.middle & (likely > 0)) < 0.6 * size:
             continue
         mask = belonging(zones, likely, ratio, image)
-        if np.count_nonzero(mask & ~taken) < settings.least_area * image.area_px:
+        if np.count_nonzero(mask & ~taken) < image.settings.least_area * image.area_px:
             continue
         taken |= mask
-        found.append(Found(one.bar, mask, one.evidence))
-        if len(found) >= settings.most_instruments:
+        found.append((bar, mask))
+        if len(found) >= image.settings.most_instruments:
             break
-    masks = with_missed_parts([one.mask for one in found], ratio, image)
-    return [replace(one, mask=mask) for one, mask in zip(found, masks, strict=True)]
+    masks = with_missed_parts([mask for _, mask in found], ratio, image)
+    return [(bar, mask) for (bar, _), mask in zip(found, masks, strict=True)]
 
 
 def _above(ratio: Floats, level: float, image: WorkingImage) -> Image:
@@ -125,41 +115,25 @@ def _above(ratio: Floats, level: float, image: WorkingImage) -> Image:
     return np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, ROUND_7), np.uint8) & image.core
 
 
-def _judged_bars(
-    mask: Image, image: WorkingImage, most_bars: int, ratio: Floats | None = None
-) -> list[JudgedBar]:
-    every = (judged(bar, part, image, ratio) for bar, part in bars_in(mask, image, MOST_AREA, most_bars))
-    return [one for one in every if one is not None and one.evidence > LEAST_EVIDENCE]
+def _judged_bars(mask: Image, image: WorkingImage, most_bars: int, ratio: Floats | None = None) -> list[Bar]:
+    every = (judged(bar, part, image, ratio) for bar, part in bars_in(mask, image, most_bars))
+    return [bar for bar in every if bar is not None and bar.evidence > LEAST_EVIDENCE]
 
 
-def _apart(sought: list[JudgedBar], image: WorkingImage) -> list[JudgedBar]:
-    shape = image.core.shape[0], image.core.shape[1]
-    taken = np.zeros(shape, np.uint8)
-    kept: list[JudgedBar] = []
-    for one in sorted(sought, key=lambda one: -one.evidence):
-        strip = one.bar.filled(shape)
-        if cv2.countNonZero(strip & taken) <= 0.3 * cv2.countNonZero(strip):
-            taken |= strip
-            kept.append(one)
-    return kept[: image.settings.most_instruments + 1]
-
-
-def _of_bars(image: WorkingImage, sought: Sequence[JudgedBar]) -> Example | None:
+def _of_bars(image: WorkingImage, sought: Sequence[Bar]) -> Example | None:
     """What the sure bars of an image teach; what is near to any bar may be either, and teaches nothing."""
-    if not sought or sought[0].evidence < TEACHING_EVIDENCE:
+    if sought[0].evidence < TEACHING_EVIDENCE:
         return None
-    shape = image.core.shape[0], image.core.shape[1]
     least = min(0.6 * sought[0].evidence, SURE_EVIDENCE)
-    inside, near = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
-    for one in sought:
-        strip = one.bar.filled(shape)
-        reach: NDArray[np.uint8] = SQUARE_5
-        if one.evidence >= least:
+    inside, near = np.zeros_like(image.core), np.zeros_like(image.core)
+    for bar in sought:
+        strip, reach = bar.filled(near), SQUARE_5
+        if bar.evidence >= least:
             inside |= np.asarray(cv2.erode(strip, SQUARE_3), np.uint8)
-            size = int(2.0 * one.bar.width_px) | 1
+            size = int(2.0 * bar.width_px) | 1
             reach = np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
         near |= np.asarray(cv2.dilate(strip, reach), np.uint8)
-    return Example(image, inside, np.asarray(cv2.subtract(image.core, near), np.uint8))
+    return image.colours[inside > 0], image.colours[(image.core > 0) & (near == 0)]
 
 
 OFF_SIDE = 0.1
@@ -194,8 +168,7 @@ class SeenInstrument:
     @property
     def axis(self) -> Array:
         """Unit vector from the border inwards, shape (2,)."""
-        along = self.end_px - self.entry_px
-        return np.asarray(along / max(float(np.linalg.norm(along)), 1e-9))
+        return unit(self.end_px - self.entry_px)
 
     @property
     def width_px(self) -> float:
@@ -203,37 +176,33 @@ class SeenInstrument:
         return float(np.linalg.norm(self.sides[0, 1] - self.sides[1, 1]))
 
 
-def seen_instrument(found: Found, image: WorkingImage, size: tuple[int, int]) -> SeenInstrument:
-    """An instrument of a working image in the pixels of the image of `size` = (h, w) that it was made of."""
-    sides, end_px, tip_px = outline_geometry(found.mask, found.bar.sides)
-    mask = _enlarged(found.mask, size)
-    sides, end_px, tip_px = (_in_full(points, image.scale) for points in (sides, end_px, tip_px))
-    axis = end_px - sides[:, 0].mean(axis=0)
-    axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
+def seen_instrument(found: Found, scale: float, size: tuple[int, int]) -> SeenInstrument:
+    """An instrument of a working image of a scale in the pixels of the image of `size` = (h, w) that it was made of."""
+    bar, rough_mask = found
+    mask = _enlarged(rough_mask.astype(np.uint8) * 255, size)
+    # The middle of a pixel is a whole number, in either image.
+    rough = _outline_geometry(rough_mask, bar.sides)
+    sides, end_px, tip_px = (np.asarray((points + 0.5) / scale - 0.5) for points in rough)
     x, y = np.arange(size[1], dtype=np.float32)[None, :], np.arange(size[0], dtype=np.float32)[:, None]
-    end, along = end_px.astype(np.float32), axis.astype(np.float32)
+    end, along = end_px.astype(np.float32), unit(end_px - sides[:, 0].mean(axis=0)).astype(np.float32)
     shaft = np.where((x - end[0]) * along[0] + (y - end[1]) * along[1] < 0, mask, 0).astype(np.uint8)
     distal = np.asarray(cv2.subtract(mask, shaft), np.uint8)
-    return SeenInstrument(mask, shaft, distal, sides, end_px, tip_px, found.evidence)
+    return SeenInstrument(mask, shaft, distal, sides, end_px, tip_px, bar.evidence)
 
 
-def outline_geometry(mask: NDArray[np.bool_], sides: Array) -> tuple[Array, Array, Array]:
+def _outline_geometry(mask: NDArray[np.bool_], sides: Array) -> tuple[Array, Array, Array]:
     """Both sides from where they begin to where the outline leaves them, shape (2, 2, 2), the end and the tip, (2,)."""
     start = sides[:, 0].mean(axis=0)
-    axis = sides[:, 1].mean(axis=0) - start
-    axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
+    axis = unit(sides[:, 1].mean(axis=0) - start)
     normal = np.array([-axis[1], axis[0]])
     y, x = np.nonzero(mask)
     points = np.stack([x, y], axis=1) - start
     along, across = points @ axis, points @ normal
-    tip = start + float(along.max(initial=0.0)) * axis
-    if len(along):
-        far = along > along.max() - 2.0
-        tip = start + axis * along.max() + normal * float(np.median(across[far]))
+    tip = start + axis * along.max() + normal * float(np.median(across[along > along.max() - 2.0]))
     first, last = int(np.floor(along.min(initial=0.0))), int(np.ceil(along.max(initial=0.0)))
     steps = np.arange(first, last + 1)
     low, high = np.full(len(steps), np.inf), np.full(len(steps), -np.inf)
-    at = np.clip(np.rint(along).astype(int) - first, 0, len(steps) - 1)
+    at = np.rint(along).astype(int) - first
     np.minimum.at(low, at, across - 0.5)
     np.maximum.at(high, at, across + 0.5)
     lines = np.stack([_offsets(side, start, axis, normal, steps) for side in sides])
@@ -263,21 +232,16 @@ def _last_of_run(steps: NDArray[np.int_], good: NDArray[np.bool_], longest_gap: 
     """The last good step before a gap that is longer than allowed; the gaps before the first good one do not count."""
     places = steps[good]
     if not len(places):
-        return float(steps[-1]) if len(steps) else 0.0
+        return float(steps[-1])
     gaps = np.flatnonzero(np.diff(places) > longest_gap)
     # A gap near the border is where the outline joins what else is dark there.
     gaps = gaps[places[gaps] > 0]
     return float(places[gaps[0]] if len(gaps) else places[-1])
 
 
-def _enlarged(mask: NDArray[np.bool_], size: tuple[int, int]) -> Image:
-    large = cv2.resize(np.asarray(mask, np.uint8) * 255, (size[1], size[0]), interpolation=cv2.INTER_LINEAR)
+def _enlarged(mask: Image, size: tuple[int, int]) -> Image:
+    large = cv2.resize(mask, size[::-1], interpolation=cv2.INTER_LINEAR)
     return np.asarray(cv2.threshold(large, 127, 255, cv2.THRESH_BINARY)[1], np.uint8)
-
-
-def _in_full(points: Array, scale: float) -> Array:
-    """Pixels of the working image as those of the one it was made of: the middle of a pixel is a whole number."""
-    return np.asarray((points + 0.5) / scale - 0.5)
 
 
 DEFAULT = AutoSettings()
@@ -297,7 +261,7 @@ def network_hint(bgr: Image) -> Floats:
 
 @lru_cache(maxsize=1)
 def _network() -> OnnxSegmenter:
-    return OnnxSegmenter(OnnxSegmentation.model_validate({"method": "onnx", "model": f"{PREFIX}instruments"}))
+    return OnnxSegmenter(OnnxSegmentation.model_validate({"method": "onnx", "model": SHIPPED}))
 
 
 class AutoMasks:
@@ -316,17 +280,18 @@ class AutoMasks:
         else:
             appearance, sought = self._appearance, []
         found = find_instruments(self._image, appearance, sought)
-        return tuple(seen_instrument(one, self._image, self._size) for one in found)
+        return tuple(seen_instrument(one, self._image.scale, self._size) for one in found)
 
     @cached_property
     def picture(self) -> Image:
         """What of the image is picture: not the black border around it."""
-        return self._enlarged(self._image.picture)
+        return _enlarged(self._image.picture, self._size)
 
     @cached_property
     def tissue(self) -> Image:
         """What of the picture is no instrument, or the red part of that where it is distinct."""
-        return self._enlarged(tissue_of(self._image)) & ~self._union([one.mask for one in self.seen])
+        tissue = _enlarged(tissue_of(self._image), self._size)
+        return tissue & ~self._union([one.mask for one in self.seen])
 
     @cached_property
     def instrument(self) -> Image:
@@ -344,14 +309,7 @@ class AutoMasks:
         return np.asarray(cv2.bitwise_not(self.picture), np.uint8)
 
     def _union(self, masks: Sequence[Image]) -> Image:
-        union = np.zeros(self._size, np.uint8)
-        for mask in masks:
-            cv2.bitwise_or(union, mask, union)
-        return union
-
-    def _enlarged(self, mask: Image) -> Image:
-        large = cv2.resize(mask, (self._size[1], self._size[0]), interpolation=cv2.INTER_LINEAR)
-        return np.asarray(cv2.threshold(large, 127, 255, cv2.THRESH_BINARY)[1], np.uint8)
+        return np.asarray(np.bitwise_or.reduce([np.zeros(self._size, np.uint8), *masks]))
 
 
 class AutoSegmenter:
@@ -373,6 +331,6 @@ class AutoSegmenter:
         working = [WorkingImage.of(image, self._settings, network_hint) for image in images]
         return AutoSegmenter(self._settings, learnt_appearance(working))
 
-    def masks(self, bgr: Image, hsv: Image | None = None, /) -> AutoMasks:  # noqa: ARG002
+    def masks(self, bgr: Image, /) -> AutoMasks:
         """The masks of an image, shape (h, w, 3) in BGR as recorded."""
         return AutoMasks(bgr, self._appearance, self._settings)

@@ -13,6 +13,7 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.working_image import SQUARE_5, WorkingImage
 
+MOST_AREA = 0.45  # what is larger is background that shares the instrument's colour
 COLOUR_STEP = 0.12  # a difference of logarithms of two channels' ratio that is seen as a step of colour
 BRIGHTNESS_STEP = 0.25  # the same of brightness, which shading changes more
 LINE_WITHIN_PX = 1.3  # of points off a straight edge's line: rounding and the working image's blur
@@ -33,17 +34,22 @@ MOST_LINES = 14  # different lines of one outline that are paired
 SAMPLES = 24  # places along a side at which colours are compared
 
 
+def unit(along: Array) -> Array:
+    """A vector at length 1; zeros stay."""
+    return np.asarray(along / max(float(np.linalg.norm(along)), 1e-9))
+
+
 @dataclass(frozen=True)
 class Bar:
     """A strip between two straight sides of an outline.
 
-    `sides`, shape (2, 2, 2), holds both sides' ends as (x, y), in the same direction along the axis. `support` (2,)
-    counts the outline's points on each, of `outline_px` away from the picture's border.
+    `sides`, shape (2, 2, 2), holds both sides' ends as (x, y), in the same direction along the axis; `support` (2,)
+    counts the outline's points on each. `evidence`, from 0 to 1, says how sure it is that they are an instrument's.
     """
 
     sides: Array
-    support: tuple[float, float]
-    outline_px: int
+    support: NDArray[np.int_]
+    evidence: float = 0.0
 
     @property
     def middles(self) -> Array:
@@ -53,8 +59,7 @@ class Bar:
     @property
     def axis(self) -> Array:
         """Unit vector along it, shape (2,)."""
-        along = self.middles[1] - self.middles[0]
-        return np.asarray(along / max(float(np.linalg.norm(along)), 1e-9))
+        return unit(self.middles[1] - self.middles[0])
 
     @property
     def width_px(self) -> float:
@@ -67,29 +72,19 @@ class Bar:
         """Length of the shorter side."""
         return float(np.linalg.norm(self.sides[:, 1] - self.sides[:, 0], axis=1).min())
 
-    @property
-    def corners(self) -> NDArray[np.int32]:
-        """Its corners in order around it, shape (4, 2)."""
-        first, second = self.sides
-        return np.rint([first[0], first[1], second[1], second[0]]).astype(np.int32)
-
-    def turned(self) -> Bar:
-        """The same with its ends exchanged."""
-        return Bar(np.ascontiguousarray(self.sides[:, ::-1]), self.support, self.outline_px)
-
-    def filled(self, shape: tuple[int, int]) -> Image:
-        """Mask of the strip, shape (h, w)."""
-        mask = np.zeros(shape, np.uint8)
-        cv2.fillConvexPoly(mask, self.corners, 255)
+    def filled(self, like: Image) -> Image:
+        """Mask of the strip, of the shape of another, (h, w)."""
+        mask, (first, second) = np.zeros_like(like), self.sides
+        corners = np.rint([first[0], first[1], second[1], second[0]]).astype(np.int32)
+        cv2.fillConvexPoly(mask, corners, 255)
         return mask
 
     def inward(self, side: int) -> Array:
         """Unit normal of a side towards the other one, shape (2,)."""
         start, end = self.sides[side]
-        along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
-        normal = np.array([-along[1], along[0]])
-        towards = float(normal @ (self.sides[1 - side].mean(axis=0) - start))
-        return normal if towards >= 0.0 else -normal
+        x, y = unit(end - start)
+        normal = np.array([-y, x])
+        return normal if float(normal @ (self.sides[1 - side].mean(axis=0) - start)) >= 0.0 else -normal
 
     def places(self, side: int, inside_px: float) -> Array:
         """Points beside a side, `inside_px` towards the other one, shape (n, 2)."""
@@ -98,39 +93,32 @@ class Bar:
         return np.asarray(start + share * (end - start) + inside_px * self.inward(side))
 
 
-def bars_in(
-    mask: Image, image: WorkingImage, most_area: float, most_bars: int
-) -> Iterator[tuple[Bar, Image]]:
+def bars_in(mask: Image, image: WorkingImage, most_bars: int) -> Iterator[tuple[Bar, Image]]:
     """Bars on the outlines of a mask's parts that reach the picture's border, each with its part, shape (h, w)."""
-    settings = image.settings
     count, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
     for label in range(1, count):
         x, y, width, height, size = (int(value) for value in stats[label])
-        if not settings.least_area * image.area_px <= size <= most_area * image.area_px:
+        if not image.settings.least_area * image.area_px <= size <= MOST_AREA * image.area_px:
             continue
         box = np.s_[y : y + height, x : x + width]
         own = labels[box] == label
         if np.count_nonzero(own & (image.rim[box] > 0)) < 4:
             continue
-        contours, _ = cv2.findContours(
-            own.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE, offset=(x, y)
-        )
+        part = np.zeros_like(mask)
+        part[box] = 255 * own
+        contours, _ = cv2.findContours(part, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         contour = max(contours, key=len).reshape(-1, 2)
         free = image.inner[contour[:, 1], contour[:, 0]]
-        part = None
         for _ in range(most_bars):
-            bar = best_bar(contour, free, mask.shape[1])
+            bar = _best_bar(contour, free, mask.shape[1])
             if bar is None:
                 break
-            if part is None:
-                part = np.zeros_like(mask)
-                part[box] = 255 * own
             yield bar, part
-            used = cv2.dilate(bar.filled((mask.shape[0], mask.shape[1])), SQUARE_5)
+            used = cv2.dilate(bar.filled(mask), SQUARE_5)
             free = free & (used[contour[:, 1], contour[:, 0]] == 0)
 
 
-def best_bar(contour: NDArray[np.int32], free: NDArray[np.bool_], width_px: int) -> Bar | None:
+def _best_bar(contour: NDArray[np.int32], free: NDArray[np.bool_], width_px: int) -> Bar | None:
     """The pair of opposite lines with the most points of a closed contour, shape (n, 2), on the lesser of both."""
     points = contour.astype(np.float64)
     if len(points) < 24 or np.count_nonzero(free) < 16:
@@ -165,7 +153,7 @@ def best_bar(contour: NDArray[np.int32], free: NDArray[np.bool_], width_px: int)
         return None
     _, first, second, axis = best
     sides = np.stack([_line_of(points_free[near[:, line]], axis) for line in (first, second)])
-    return Bar(sides, (float(support[first]), float(support[second])), len(points_free))
+    return Bar(sides, support[[first, second]])
 
 
 def _different_lines(starts: Array, along: Array, normals: Array, support: NDArray[np.int_]) -> list[int]:
@@ -229,8 +217,7 @@ LEAST_AGREEING = 0.5  # part of the places whose edges must lie on one line; els
 def sharpened(bar: Bar, image: WorkingImage) -> Bar:
     """The bar with each side on the line of the steepest change of colour near it."""
     reach_px = min(2.0 + 0.1 * bar.width_px, 0.3 * bar.width_px)
-    sides = np.stack([_sharpened_side(bar, side, reach_px, image) for side in (0, 1)])
-    return replace(bar, sides=sides)
+    return replace(bar, sides=np.stack([_sharpened_side(bar, side, reach_px, image) for side in (0, 1)]))
 
 
 def _sharpened_side(bar: Bar, side: int, reach_px: float, image: WorkingImage) -> Array:
@@ -239,8 +226,8 @@ def _sharpened_side(bar: Bar, side: int, reach_px: float, image: WorkingImage) -
     offsets = np.arange(-reach_px, reach_px + 0.5 * STEP_PX, STEP_PX)
     along = np.linspace(0.04, 0.96, PLACES)[:, None] * (end - start) + start
     wide = np.concatenate([offsets - HALF_STEP_PX, offsets + HALF_STEP_PX])
-    places = along[:, None] + wide[None, :, None] * normal
-    x, y = np.ascontiguousarray(places[..., 0], np.float32), np.ascontiguousarray(places[..., 1], np.float32)
+    places = (along[:, None] + wide[None, :, None] * normal).astype(np.float32)
+    x, y = cv2.split(places)
     colours = np.asarray(cv2.remap(image.colours, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
     scale = np.array([COLOUR_STEP, COLOUR_STEP, BRIGHTNESS_STEP])
     change = np.linalg.norm((colours[:, len(offsets) :] - colours[:, : len(offsets)]) / scale, axis=2)
@@ -289,13 +276,11 @@ class Zones:
         along = (x - inner[0]) * axis[0] + (y - inner[1]) * axis[1]
         across = np.abs((y - inner[1]) * axis[0] - (x - inner[0]) * axis[1])
         end_width = float(np.linalg.norm(bar.sides[0, 1] - bar.sides[1, 1]))
-        length = float(np.linalg.norm(bar.middles[1] - bar.middles[0]))
         before = along < 0.0
         strip = before & (depth > -0.08 * bar.width_px - 1.0)
-        middle = before & (depth > 0.5) & (along > -length)
-        beyond = (along >= -0.3 * end_width) & (along < DISTAL_WIDTHS * end_width)
-        reach = DISTAL_HALF_WIDTHS * end_width + 0.1 * np.maximum(along, 0.0)
-        distal = beyond & (across < reach)
+        middle = before & (depth > 0.5) & (along > -float(np.linalg.norm(bar.middles[1] - bar.middles[0])))
+        distal = (along >= -0.3 * end_width) & (along < DISTAL_WIDTHS * end_width)
+        distal &= across < DISTAL_HALF_WIDTHS * end_width + 0.1 * np.maximum(along, 0.0)
         narrow = distal & (across < 0.6 * end_width) & (along < 0.6 * DISTAL_WIDTHS * end_width)
         beside = before & (depth > -BESIDE_WIDTHS * bar.width_px)
         return cls(strip, middle, distal, narrow, beside)

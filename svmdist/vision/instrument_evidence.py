@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import TypeVar
 
 import cv2
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.instrument_bars import BRIGHTNESS_STEP, COLOUR_STEP, Bar, Zones
-from svmdist.vision.working_image import SQUARE_3, SQUARE_5, Floats, WorkingImage
+from svmdist.vision.working_image import SQUARE_3, SQUARE_5, SQUARE_9, Floats, WorkingImage
 
 LEAST_LENGTH_WIDTHS = 0.8  # of both sides, over the width: less is any blob that has been cut off
 LEAST_LENGTH_PX = 12.0  # the same in px: shorter edges of tissue are straight by chance
@@ -30,16 +30,8 @@ YELLOW_FROM = 0.3  # log(G/B) of something yellow: beside purple tissue steel is
 Value = TypeVar("Value", bound=np.uint8 | np.float32)
 
 
-@dataclass(frozen=True)
-class JudgedBar:
-    """A bar that runs from the picture's border inwards, and the evidence, from 0 to 1, that it is an instrument's."""
-
-    bar: Bar
-    evidence: float
-
-
-def judged(bar: Bar, part: Image, image: WorkingImage, ratio: Floats | None = None) -> JudgedBar | None:
-    """Judge a bar on the outline of a part, shape (h, w); None where it is no instrument's.
+def judged(bar: Bar, part: Image, image: WorkingImage, ratio: Floats | None = None) -> Bar | None:
+    """A bar on the outline of a part, shape (h, w), from the border inwards with its evidence; None of no instrument.
 
     `ratio`, shape (h, w), is how much each pixel's colour speaks for an instrument, where that is known.
 
@@ -47,14 +39,13 @@ def judged(bar: Bar, part: Image, image: WorkingImage, ratio: Floats | None = No
     or brightness changes at once, where a shadow's fade; and it is less red than what is on either side, or darker
     and no redder.
     """
-    settings = image.settings
     if bar.length_px < max(LEAST_LENGTH_WIDTHS * bar.width_px, LEAST_LENGTH_PX):
         return None
     inwards = _from_border(bar, part, image)
     if inwards is None:
         return None
     sides = [_steps(inwards, side, image, ratio) for side in (0, 1)]
-    if sides[0] is None or sides[1] is None:
+    if None in sides:
         return None
     steps = np.array(sides)
     fraction, cooler, darker, likelier = (float(value) for value in steps.min(0)[:4])
@@ -67,13 +58,12 @@ def judged(bar: Bar, part: Image, image: WorkingImage, ratio: Floats | None = No
     if fraction < LEAST_STEP_FRACTION or not (is_cooler or is_darker or is_known):
         return None
     lengths = np.linalg.norm(inwards.sides[:, 1] - inwards.sides[:, 0], axis=1)
-    straight = min(1.0, float((np.array(inwards.support) / np.maximum(lengths, 1.0)).min()))
+    straight = min(1.0, float((inwards.support / np.maximum(lengths, 1.0)).min()))
     straight *= min(1.0, inwards.length_px / (1.2 * inwards.width_px))
-    long = min(1.0, inwards.length_px / (0.25 * settings.working_px)) ** 0.5
+    long = min(1.0, inwards.length_px / (0.25 * image.settings.working_px)) ** 0.5
     mean_cooler = max(0.5 * float(steps[0, 1] + steps[1, 1]), -MOST_WARMER)
-    likelier = max(likelier, 0.0)
-    distinct = min(1.0, 0.4 + 2.0 * min(mean_cooler, 0.3) + 0.4 * max(darker, 0.0) + 0.1 * likelier)
-    return JudgedBar(inwards, float(fraction * straight * long * max(distinct, 0.0)))
+    distinct = 0.4 + 2.0 * min(mean_cooler, 0.3) + 0.4 * max(darker, 0.0) + 0.1 * max(likelier, 0.0)
+    return replace(inwards, evidence=float(fraction * straight * long * np.clip(distinct, 0.0, 1.0)))
 
 
 def _from_border(bar: Bar, part: Image, image: WorkingImage) -> Bar | None:
@@ -83,8 +73,9 @@ def _from_border(bar: Bar, part: Image, image: WorkingImage) -> Bar | None:
     behind = _way_out(bar.middles[1], bar.axis, part, image, longest_px)
     if before is None and behind is None:
         return None
-    is_first = behind is None or (before is not None and before <= behind)
-    return bar if is_first else bar.turned()
+    if behind is None or (before is not None and before <= behind):
+        return bar
+    return replace(bar, sides=np.ascontiguousarray(bar.sides[:, ::-1]))
 
 
 def _way_out(start: Array, along: Array, part: Image, image: WorkingImage, longest_px: float) -> float | None:
@@ -109,22 +100,15 @@ def _steps(bar: Bar, side: int, image: WorkingImage, ratio: Floats | None) -> li
         return None
     own = _values(image.colours, inside[seen])
     step = _values(image.colours, outside[seen]) - own
-    scaled = step / np.array([COLOUR_STEP, COLOUR_STEP, BRIGHTNESS_STEP])
-    steps = np.linalg.norm(scaled, axis=1) > 1.0
+    steps = np.linalg.norm(step / [COLOUR_STEP, COLOUR_STEP, BRIGHTNESS_STEP], axis=1) > 1.0
     likelier = 0.0
     if ratio is not None:
         rise = _values(ratio, inside[seen]) - _values(ratio, outside[seen])
         steps |= rise > LEAST_RATIO_STEP
         likelier = float(np.median(rise))
-    return [
-        float(np.mean(steps)),
-        float(np.median(step[:, 0] + 0.5 * step[:, 1])),
-        float(np.median(step[:, 2])),
-        likelier,
-        float(np.median(np.hypot(own[:, 0], own[:, 1]))),
-        -float(np.median(step[:, 1])),
-        float(np.median(own[:, 1])),
-    ]
+    cooler, darker, yellower = step[:, 0] + 0.5 * step[:, 1], step[:, 2], -step[:, 1]
+    medians = [np.median(part) for part in (cooler, darker, np.hypot(*own[:, :2].T), yellower, own[:, 1])]
+    return [float(value) for value in (np.mean(steps), *medians[:2], likelier, *medians[2:])]
 
 
 def _values(field: NDArray[Value], places: NDArray[np.int_]) -> NDArray[Value]:
@@ -147,25 +131,22 @@ MOST_ELSEWHERE = 0.05
 """Of the instruments' pixels: with more that looks like them apart from them, likeness says little."""
 LEAST_MISSED_PART = 0.2
 """Of an instrument's pixels: smaller parts beside it are shadows and reflections, which parts of a shaft are not."""
-SQUARE_9 = np.ones((9, 9), np.uint8)
 
 
 def belonging(zones: Zones, likely: Image, ratio: Floats, image: WorkingImage) -> NDArray[np.bool_]:
     """What of the likely pixels belongs to the instrument of these zones: what hangs together with its bar."""
-    likely = likely | _unlike_nearby(zones, ratio, image)
-    sure = ratio > RATIO_SURE
-    distal = zones.distal & (likely > 0)
-    if _is_cut_off(distal, zones, likely):
-        distal = zones.narrow & (likely > 0)
-    beside = _ending_there(zones.beside & sure & (image.core > 0) & ~zones.strip, zones, likely)
-    mine = distal | (zones.strip & (likely > 0)) | beside | zones.middle
+    is_likely = (likely | _unlike_nearby(zones, ratio, image)) > 0
+    distal = zones.distal & is_likely
+    if _is_cut_off(distal, zones, is_likely):
+        distal = zones.narrow & is_likely
+    beside = zones.beside & (ratio > RATIO_SURE) & (image.core > 0) & ~zones.strip
+    mine = distal | (zones.strip & is_likely) | _ending_there(beside, zones, is_likely) | zones.middle
     _, labels = cv2.connectedComponents(mine.astype(np.uint8))
-    names = np.unique(labels[zones.middle])
-    mask = np.isin(labels, names[names > 0]) & (image.core > 0)
+    mask = np.isin(labels, np.unique(labels[zones.middle])) & (image.core > 0)
     mask = _without_holes(mask, 0.003 * image.area_px)
     # Where the optics fade, colours tell nothing; the instrument goes on to the border of the picture.
     outside = zones.strip & (image.picture > 0) & (image.core == 0)
-    return np.asarray(mask | (outside & (cv2.dilate(mask.astype(np.uint8), SQUARE_5) > 0)))
+    return np.asarray(mask | (outside & _grown(mask, SQUARE_5)))
 
 
 def with_missed_parts(
@@ -176,8 +157,7 @@ def with_missed_parts(
     rest = np.asarray(((ratio > RATIO_SURE) & image.inner & ~mask).astype(np.uint8))
     rest = np.asarray(cv2.morphologyEx(rest, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(rest)
-    near_each = [cv2.dilate(one.astype(np.uint8), SQUARE_5) > 0 for one in masks]
-    touching = [np.bincount(labels[near], minlength=count) > 0 for near in near_each]
+    touching = [np.bincount(labels[_grown(one, SQUARE_5)], minlength=count) > 0 for one in masks]
     size = stats[:, cv2.CC_STAT_AREA]
     parts = range(1, count)
     apart = sum(int(size[part]) for part in parts if not any(near[part] for near in touching))
@@ -193,38 +173,38 @@ def with_missed_parts(
 
 def _unlike_nearby(zones: Zones, ratio: Floats, image: WorkingImage) -> Image:
     """What in the distal zone has not the colours around it, (h, w): wrists are reddish by tissue's reflection."""
-    near = cv2.dilate(zones.distal.astype(np.uint8), SQUARE_9) > 0
+    near = _grown(zones.distal, SQUARE_9)
     around = near & ~zones.distal & ~zones.strip & (image.core > 0) & (ratio < 0.0)
     inside = zones.distal & (image.core > 0) & (ratio > -RATIO_DOUBT)
+    mask = np.zeros_like(image.core)
     if np.count_nonzero(around) < 50 or not inside.any():
-        return np.zeros_like(image.core)
+        return mask
     sample = image.colours[around].astype(np.float64)
     centre = np.median(sample, axis=0)
     spread = np.cov(sample.T) + np.diag([0.03, 0.03, 0.1]) ** 2
     off = image.colours[inside] - centre
-    far = np.einsum("ni,ij,nj->n", off, np.linalg.inv(spread), off) > FAR_D2
-    mask = np.zeros_like(image.core)
-    mask[inside] = 255 * far
+    mask[inside] = 255 * (np.einsum("ni,ij,nj->n", off, np.linalg.inv(spread), off) > FAR_D2)
     return np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
 
 
-def _ending_there(beside: NDArray[np.bool_], zones: Zones, likely: Image) -> NDArray[np.bool_]:
+def _ending_there(beside: NDArray[np.bool_], zones: Zones, is_likely: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The parts beside a bar that end within what a shaft takes up; what goes on is a thing beside the shaft."""
     count, labels, _, _ = cv2.connectedComponentsWithStats(beside.astype(np.uint8))
-    if count < 2:
-        return beside
-    outside = (likely > 0) & ~zones.beside & ~zones.distal
-    near = cv2.dilate(outside.astype(np.uint8), SQUARE_3) > 0
+    near = _grown(is_likely & ~zones.beside & ~zones.distal, SQUARE_3)
     goes_on = np.bincount(labels[near & beside], minlength=count) > MOST_GOING_ON_PX
     goes_on[0] = True
     return np.asarray(~goes_on[labels])
 
 
-def _is_cut_off(distal: NDArray[np.bool_], zones: Zones, likely: Image) -> bool:
+def _is_cut_off(distal: NDArray[np.bool_], zones: Zones, is_likely: NDArray[np.bool_]) -> bool:
     """Whether what looks like wrist and jaws goes on beyond what those can reach: then it is a thing behind them."""
-    around = (cv2.dilate(zones.distal.astype(np.uint8), SQUARE_3) > 0) & ~zones.distal & ~zones.beside
-    beyond = around & (likely > 0) & (cv2.dilate(distal.astype(np.uint8), SQUARE_3) > 0)
+    around = _grown(zones.distal, SQUARE_3) & ~zones.distal & ~zones.beside
+    beyond = around & is_likely & _grown(distal, SQUARE_3)
     return int(np.count_nonzero(beyond)) > MOST_CUT_FRACTION * int(np.count_nonzero(around))
+
+
+def _grown(mask: NDArray[np.bool_], kernel: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), kernel) > 0)
 
 
 def _without_holes(mask: NDArray[np.bool_], most_px: float) -> NDArray[np.bool_]:

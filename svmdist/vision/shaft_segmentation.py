@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.profile import AreaGate
+from svmdist.profile.segmentation import AreaGate
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.colour import field_of_view
@@ -33,18 +32,20 @@ class Side:
     @property
     def direction(self) -> Array:
         """Unit vector towards the tip, shape (2,)."""
-        along = self.end_px - self.start_px
-        return np.asarray(along / np.linalg.norm(along))
+        return np.asarray((self.end_px - self.start_px) / self.length_px)
+
+    @property
+    def length_px(self) -> float:
+        """Distance of both ends."""
+        return float(np.linalg.norm(self.end_px - self.start_px))
 
 
 @dataclass(frozen=True, slots=True)
 class ShaftRegion:
-    """The dark shaft of an image: its mask, shape (h, w), its sides, and its end.
+    """The dark shaft of an image: its mask (h, w), contour lines and end, and what the endoscope shows, shape (h, w).
 
-    `first` and `second` are its contour lines; `end_px` (2,) is the middle of the distal end, None where the shaft
-    runs through the whole image, when the sides' directions do not tell base from tip. `end_is_free` is False
-    where something is mounted there, so that it is not the shaft's rim. `field_of_view`
-    (h, w) is the mask of what the endoscope shows.
+    `end_px` (2,) is the middle of the distal end, None where the shaft runs through the whole image, when the sides do
+    not tell base from tip. `end_is_free` is False where something is mounted there, so that it is not the shaft's rim.
     """
 
     mask: Image
@@ -57,9 +58,8 @@ class ShaftRegion:
     @property
     def is_stub(self) -> bool:
         """Whether less of the shaft's length is to be seen than it is wide, by a quarter more."""
-        lengths_px = [np.linalg.norm(side.end_px - side.start_px) for side in (self.first, self.second)]
         width_px = float(np.linalg.norm(self.first.start_px - self.second.start_px))
-        return bool(min(lengths_px) < 2.0 * width_px)
+        return min(self.first.length_px, self.second.length_px) < 2.0 * width_px
 
     @property
     def middle_px(self) -> Array:
@@ -72,7 +72,7 @@ def find_shaft(
     shaft: Image, rule: AreaGate, covered: Image | None = None, black: Image | None = None
 ) -> ShaftRegion | None:
     """Find the shaft in its mask (h, w), less `covered`; `black` may be border; None where none comes in."""
-    height, width = shaft.shape
+    width = shaft.shape[1]
     dark = np.asarray(cv2.medianBlur(shaft, 3), np.uint8)
     view = field_of_view(dark if black is None else np.asarray(dark | black))
     if covered is not None:
@@ -80,27 +80,26 @@ def find_shaft(
     rim_px = max(2, round(VIEW_BORDER_FRACTION * width))
     speck_px = max(1, round(SPECK_WIDTH_FRACTION * width / 2))
     gap_px = round(GLARE_WIDTH_FRACTION * width / 2)
-    # Masks are opened and closed in a box about what is dark, which has room for the closing.
-    box = _Box.about(cv2.boundingRect(cv2.bitwise_and(dark, view)), 2 * gap_px + 2, width, height)
-    wide = _Box.about(box.rectangle, rim_px + 2, width, height)
-    core = _eroded(view[wide.window], rim_px)
-    at_border = np.asarray(cv2.subtract(core, _eroded(core, 2)), np.uint8)[box.inside(wide)]
-    core = core[box.inside(wide)]
-    mask = np.asarray(cv2.bitwise_and(dark[box.window], core), np.uint8)
+    # Masks are opened and closed in a box about what is dark, which has room for the closing and the border.
+    box = _window_about(dark & view, max(2 * gap_px, rim_px + 2) + 2)
+    core = _eroded(view[box], rim_px)
+    at_border = cv2.subtract(core, _eroded(core, 2))
+    mask = np.asarray(cv2.bitwise_and(dark[box], core), np.uint8)
     mask = _closed(np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, _disc(speck_px)), np.uint8), gap_px)
     mask = np.asarray(cv2.bitwise_and(mask, core), np.uint8)
     if covered is not None:
-        mask = np.asarray(cv2.subtract(mask, covered[box.window]), np.uint8)
+        mask = np.asarray(cv2.subtract(mask, covered[box]), np.uint8)
+    corner = box[1].start, box[0].start
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     for contour in sorted(contours, key=cv2.contourArea, reverse=True):
         if cv2.contourArea(contour) < rule.min_area_px:
             return None
         points = np.asarray(contour.reshape(-1, 2), np.int32)
         inside = at_border[points[:, 1], points[:, 0]] == 0
-        sides = _sides_of(points + np.array([box.left, box.top], np.int32), inside)
+        sides = _sides_of(points + np.array(corner, np.int32), inside)
         if sides is not None:
             shape = np.zeros_like(shaft)
-            cv2.drawContours(shape, [contour], -1, 255, cv2.FILLED, offset=(box.left, box.top))
+            cv2.drawContours(shape, [contour], -1, 255, cv2.FILLED, offset=corner)
             return ShaftRegion(shape, *sides, _is_free(sides, covered), view)
     return None
 
@@ -123,12 +122,9 @@ def _sides_of(
         first, second = _fitted_side(arcs[0]), _fitted_side(arcs[1][::-1])
         return (first, second, None) if _are_sides(first, second) else None
     split = _split(arcs[0])
-    if split is None:
+    if split is None or not _are_sides(*split):
         return None
-    first, second = split
-    if not _are_sides(first, second):
-        return None
-    return first, second, 0.5 * (first.end_px + second.end_px)
+    return *split, 0.5 * (split[0].end_px + split[1].end_px)
 
 
 def _is_free(sides: tuple[Side, Side, Array | None], covered: Image | None) -> bool:
@@ -198,8 +194,7 @@ def _fitted_side(points: Array) -> Side:
 
 
 def _are_sides(first: Side, second: Side) -> bool:
-    lengths = [float(np.linalg.norm(side.end_px - side.start_px)) for side in (first, second)]
-    if min(lengths) < MIN_SIDE_PX:
+    if min(first.length_px, second.length_px) < MIN_SIDE_PX:
         return False
     return bool(first.direction @ second.direction > np.cos(MAX_TAPER_RAD))
 
@@ -210,46 +205,19 @@ def _disc(radius_px: int) -> NDArray[np.uint8]:
 
 
 def _eroded(mask: Image, radius_px: int) -> Image:
-    disc = _disc(radius_px)
-    return np.asarray(cv2.erode(mask, disc, borderType=cv2.BORDER_CONSTANT, borderValue=0), np.uint8)
+    return np.asarray(cv2.erode(mask, _disc(radius_px), borderValue=0), np.uint8)
 
 
 def _closed(mask: Image, radius_px: int) -> Image:
     """A mask whose gaps of twice a radius are closed; the work is done in a box about it."""
-    box = _Box.about(cv2.boundingRect(mask), 2 * radius_px + 2, mask.shape[1], mask.shape[0])
+    box = _window_about(mask, 2 * radius_px + 2)
     closed = np.zeros_like(mask)
-    closed[box.window] = cv2.morphologyEx(mask[box.window], cv2.MORPH_CLOSE, _disc(radius_px))
+    closed[box] = cv2.morphologyEx(mask[box], cv2.MORPH_CLOSE, _disc(radius_px))
     return closed
 
 
-@dataclass(frozen=True, slots=True)
-class _Box:
-    """A part of an image: rows `top` to `bottom`, columns `left` to `right`, the last ones excluded."""
-
-    left: int
-    top: int
-    right: int
-    bottom: int
-
-    @classmethod
-    def about(cls, rectangle: Sequence[int], margin_px: int, width: int, height: int) -> _Box:
-        """A rectangle (x, y, width, height) with a margin, as far as the image goes."""
-        x, y, w, h = rectangle
-        return cls(
-            max(x - margin_px, 0),
-            max(y - margin_px, 0),
-            min(x + w + margin_px, width),
-            min(y + h + margin_px, height),
-        )
-
-    @property
-    def rectangle(self) -> tuple[int, int, int, int]:
-        return self.left, self.top, self.right - self.left, self.bottom - self.top
-
-    @property
-    def window(self) -> tuple[slice, slice]:
-        return slice(self.top, self.bottom), slice(self.left, self.right)
-
-    def inside(self, wide: _Box) -> tuple[slice, slice]:
-        top, left = self.top - wide.top, self.left - wide.left
-        return slice(top, top + self.bottom - self.top), slice(left, left + self.right - self.left)
+def _window_about(mask: Image, margin_px: int) -> tuple[slice, slice]:
+    """Rows and columns of a mask's bounding box with a margin, as far as the image goes."""
+    x, y, width, height = cv2.boundingRect(mask)
+    rows = slice(max(y - margin_px, 0), min(y + height + margin_px, mask.shape[0]))
+    return rows, slice(max(x - margin_px, 0), min(x + width + margin_px, mask.shape[1]))

@@ -22,22 +22,20 @@ WRIST_STD = 0.12  # of the tool's origin, over the outline's length beyond the e
 MIN_WRIST_WIDTHS = 0.5  # an outline that ends closer behind the cylinder's end shows no wrist
 MIN_WRIST_SHARE = 0.5  # of a straight wrist: less is another tip, or points at the camera by over 60°
 FLANK_STDS = 4.0  # from the colours on both sides: one pixel of paper in a thousand is so far
-# The least scatter of lightness, levels of 255: light falls off over a wrist's length
-FLANK_LIGHT_LEVELS = 8.0
+FLANK_LIGHT_LEVELS = 8.0  # the least scatter of lightness: light falls off over a wrist's length
 FLANK_COLOUR_LEVELS = 3.0  # the least scatter of Lab's a and b: compression leaves as much
 MAX_FLANK_OUTLIERS = 0.05  # with more of a flank so far off, fat or vessels lie beside the wrist
 
 WIDTH_CELLS = 24  # of the patch that is looked at, across the shaft: its cost is the same for every image
-BEHIND, BESIDE = 0.75, 2.0
-"""How far the patch reaches behind the end and to each side of the axis, over the shaft's width."""
-FLANK = 0.75
-"""What is farther from the axis than this, over the width, is background beside a wrist for the most part."""
+BEHIND, BESIDE = (
+    0.75,
+    2.0,
+)  # how far the patch reaches behind the end and beside the axis, over the shaft's width
+FLANK = 0.75  # what is farther from the axis, over the width, is background beside a wrist for the most part
 MAD = 1.4826
 MIN_CELLS = 12
-FROM_ONE_END = 1.0 / np.sqrt(3.0)
-"""How far what may be anywhere in a range is from one end of it, root mean square, over its length."""
-# Of the outline's distances from the shaft's end: its tip, without a speck that hangs on it
-FAR_PERCENTILE = 99.0
+FROM_ONE_END = 1.0 / np.sqrt(3.0)  # from what may be anywhere in a range to its one end, RMS, over its length
+FAR_PERCENTILE = 99.0  # of the outline's distances from the shaft's end: its tip, without a speck on it
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,15 +55,14 @@ class WristPoint:
     tip_px: Array
 
 
-def wrist_point(
+def _wrist_point(
     bgr: Image, mask: Image, end_px: Array, along: Array, width_px: float, shape: WristShape
 ) -> WristPoint | None:
     """Where the tool's origin is beyond a shaft's end, in an image, shape (h, w, 3); None where no wrist is seen.
 
     `mask`, shape (h, w), is what is roughly known of the instrument; `along` (2,) is the shaft's direction to the tip.
     The origin is the shape's part of the way from the end to the outline's tip, as the crow flies, in the middle of
-    the outline. Of an outline that is shorter than a straight wrist it may be farther on; one
-    that is much shorter tells nothing.
+    the outline. Of an outline shorter than a straight wrist it may be farther on; one much shorter tells nothing.
     """
     cell_px = width_px / WIDTH_CELLS
     farthest = WRIST_REACH * shape.length_widths
@@ -82,18 +79,14 @@ def wrist_point(
     ahead, off_axis = u[:, None] / width_px, np.abs(v)[None, :] / width_px
     shaft = (ahead < 0.0) & (off_axis < 0.5)
     different = _unlike_flanks(patch, seen & ~known & (off_axis > FLANK), v)
-    if different is None:
-        different = np.zeros(known.shape, np.bool_)
     near = np.hypot(ahead, off_axis) < farthest
     body = ((different | known) & seen & near & (ahead >= 0.0)) | shaft
-    outline = _attached(body, shaft)
-    beyond = outline & (ahead > 0.0)
+    beyond = _attached(body, shaft) & (ahead > 0.0)
     if np.count_nonzero(beyond) < MIN_CELLS:
         return None
     offset = np.stack(np.nonzero(beyond), -1) * cell_px + [u[0], v[0]]
     distance = np.linalg.norm(offset, axis=1)
-    reach_px = float(np.percentile(distance, FAR_PERCENTILE))
-    expected_px = shape.length_widths * width_px
+    reach_px, expected_px = float(np.percentile(distance, FAR_PERCENTILE)), shape.length_widths * width_px
     if reach_px < max(MIN_WRIST_WIDTHS * width_px, MIN_WRIST_SHARE * expected_px):
         return None  # another tip than the profile's, or one that is mostly missed
     ring = np.abs(distance - shape.tool_fraction * reach_px) < 0.5 * WRIST_STD * reach_px
@@ -109,22 +102,22 @@ def wrist_point(
     return WristPoint(pixel, float(np.hypot(WRIST_STD * reach_px, FROM_ONE_END * beyond_px)), tip_px)
 
 
-def _unlike_flanks(patch: Image, flanks: NDArray[np.bool_], v: Array) -> NDArray[np.bool_] | None:
-    """What of a patch, shape (m, n, 3), looks like neither flank; None without a flank of one colour."""
+def _unlike_flanks(patch: Image, flanks: NDArray[np.bool_], v: Array) -> NDArray[np.bool_]:
+    """What of a patch, shape (m, n, 3), looks like neither flank; nothing without a flank of one colour."""
     lab = cv2.cvtColor(patch, cv2.COLOR_BGR2LAB).astype(np.float32)
     floor = np.array([FLANK_LIGHT_LEVELS, FLANK_COLOUR_LEVELS, FLANK_COLOUR_LEVELS])
-    unlike: NDArray[np.bool_] | None = None
-    for side in (v < 0.0, v > 0.0):
-        pixels = lab[flanks & side[None, :]]
+    unlike: list[NDArray[np.bool_]] = []
+    for side in (flanks & (v < 0.0), flanks & (v > 0.0)):
+        pixels = lab[side]
         if len(pixels) < 4 * MIN_CELLS:
             continue
         middle = np.median(pixels, axis=0)
         scatter = np.maximum(MAD * np.median(np.abs(pixels - middle), axis=0), floor)
         away = np.sqrt(np.sum(((lab - middle) / scatter) ** 2, axis=2)) > FLANK_STDS
-        if np.mean(away[flanks & side[None, :]]) > MAX_FLANK_OUTLIERS:
-            return None  # several things are there, and a wrist would be one more
-        unlike = away if unlike is None else unlike & away
-    return unlike
+        if np.mean(away[side]) > MAX_FLANK_OUTLIERS:
+            return np.zeros_like(flanks)  # several things are there, and a wrist would be one more
+        unlike.append(away)
+    return np.asarray(np.all(unlike, axis=0)) if unlike else np.zeros_like(flanks)
 
 
 def _attached(body: NDArray[np.bool_], shaft: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -132,13 +125,10 @@ def _attached(body: NDArray[np.bool_], shaft: NDArray[np.bool_]) -> NDArray[np.b
     closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
     _, labels = cv2.connectedComponents(closed, connectivity=8)
     own = labels[shaft & (closed > 0)]
-    if not len(own):
-        return np.zeros(body.shape, np.bool_)
-    return np.asarray(labels == np.bincount(own).argmax())
+    return np.asarray(labels == np.bincount(own).argmax()) if len(own) else np.zeros_like(body)
 
 
-# Deviation of an end over the distance of both ends: those of a uniform distribution between them
-ENDS_APART = 0.3
+ENDS_APART = 0.3  # of an end over the distance of both: deviation of a uniform distribution between them
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,8 +153,7 @@ class Silhouette:
     @property
     def middle_px(self) -> Array:
         """A point between both edges, shape (2,)."""
-        points = [point for edge in self.edges for point in (edge.start_px, edge.end_px)]
-        return np.asarray(np.mean(points, axis=0))
+        return np.asarray(np.mean([(edge.start_px, edge.end_px) for edge in self.edges], axis=(0, 1)))
 
     @property
     def width_px(self) -> float:
@@ -174,8 +163,7 @@ class Silhouette:
     @property
     def is_stub(self) -> bool:
         """Whether less of the shaft's length is seen than it is wide, by a quarter more."""
-        lengths_px = [float(np.linalg.norm(edge.end_px - edge.start_px)) for edge in self.edges]
-        return min(lengths_px) < 1.25 * self.width_px
+        return min(edge.length_px for edge in self.edges) < 1.25 * self.width_px
 
 
 def find_silhouette(
@@ -183,9 +171,11 @@ def find_silhouette(
 ) -> Silhouette | None:
     """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without two straight edges."""
     first, second = (edge_line(bgr, side, seen.width_px, picture) for side in seen.sides)
-    if first is None or second is None or not _are_a_pair(first, second):
+    if first is None or second is None or first.direction @ second.direction < np.cos(MAX_TAPER_RAD):
         return None
     width_px = _width_px(first, second)
+    if not min(first.length_px, second.length_px) > MIN_SIDE_PER_WIDTH * width_px > 0.0:
+        return None
     along = first.direction + second.direction
     along /= np.linalg.norm(along)
     if not (first.ends or second.ends):
@@ -199,16 +189,8 @@ def find_silhouette(
     middle_px = 0.5 * (first.end_px + second.end_px)
     end_px = middle_px + (place - float(middle_px @ along)) * along
     std_px = MIN_END_STD_WIDTHS * width_px + ENDS_APART * (apart_px if len(places) == 2 else width_px)
-    point = wrist_point(bgr, seen.mask, end_px, along, width_px, wrist)
+    point = _wrist_point(bgr, seen.mask, end_px, along, width_px, wrist)
     return Silhouette((first, second), end_px, std_px, point)
-
-
-def _are_a_pair(first: EdgeLine, second: EdgeLine) -> bool:
-    if first.direction @ second.direction < np.cos(MAX_TAPER_RAD):
-        return False
-    width_px = _width_px(first, second)
-    lengths_px = [float(np.linalg.norm(edge.end_px - edge.start_px)) for edge in (first, second)]
-    return min(lengths_px) > MIN_SIDE_PER_WIDTH * width_px > 0.0
 
 
 def _width_px(first: EdgeLine, second: EdgeLine) -> float:

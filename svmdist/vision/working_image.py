@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,6 +26,7 @@ Hint = Callable[[Image], Floats]  # gives log odds of instrument, shape (h, w), 
 
 SQUARE_3 = np.ones((3, 3), np.uint8)
 SQUARE_5 = np.ones((5, 5), np.uint8)
+SQUARE_9 = np.ones((9, 9), np.uint8)
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ class WorkingImage:
     @cached_property
     def colours(self) -> Floats:
         """log(R/G), log(G/B) and the mean of all three logarithms, shape (h, w, 3): light scales only the last."""
-        return colour_logs(self._softened, LEVEL_OFFSET)
+        return self._logs(LEVEL_OFFSET)
 
     @cached_property
     def warmth(self) -> Floats:
@@ -88,20 +89,16 @@ class WorkingImage:
     @cached_property
     def channels(self) -> tuple[Floats, ...]:
         """What instruments may be low in, shape (h, w) each: warmth, twice, chroma, light, and darkness."""
-        keen = colour_logs(self._softened, 0.5 * LEVEL_OFFSET)
-        blunt = colour_logs(self._softened, 3.0 * LEVEL_OFFSET)
-        light = self.colours[..., 2]
-        return (
-            keen[..., 0] + 0.5 * keen[..., 1],
-            blunt[..., 0] + 0.5 * blunt[..., 1],
-            np.hypot(blunt[..., 0], blunt[..., 1]),
-            light,
-            -light,
-        )
+        keen, blunt = (self._logs(factor * LEVEL_OFFSET) for factor in (0.5, 3.0))
+        chroma, light = np.hypot(blunt[..., 0], blunt[..., 1]), self.colours[..., 2]
+        return *(logs[..., 0] + 0.5 * logs[..., 1] for logs in (keen, blunt)), chroma, light, -light
 
-    @cached_property
-    def _softened(self) -> Image:
-        return np.asarray(cv2.GaussianBlur(self.bgr, (0, 0), 0.8), np.uint8)
+    def _logs(self, offset: float) -> Floats:
+        """log(R/G), log(G/B) and the mean logarithm of the softened image with `offset` levels added to each."""
+        softened = cv2.GaussianBlur(self.bgr, (0, 0), 0.8)
+        table = np.log(np.arange(256, dtype=np.float32) + np.float32(offset))
+        blue, green, red = (np.asarray(cv2.LUT(level, table), np.float32) for level in cv2.split(softened))
+        return np.asarray(cv2.merge([red - green, green - blue, (red + green + blue) / 3.0]), np.float32)
 
 
 def picture_of(bgr: Image) -> Image:
@@ -110,18 +107,11 @@ def picture_of(bgr: Image) -> Image:
     floor = float(np.percentile(value, 0.5))
     level = max(floor + BORDER_LEVELS, BORDER_FLOOR_LEVEL)
     above = value[value > level]
+    whole = np.full_like(value, 255)
     if not len(above) or floor > BORDER_FRACTION * float(np.median(above)):
-        return np.full_like(value, 255)
-    black = value <= level
-    view = field_of_view(np.asarray(255 * black, np.uint8))
-    return view if view.any() else np.full_like(view, 255)
-
-
-def colour_logs(bgr: Image, offset: float) -> Floats:
-    """log(R/G), log(G/B) and the mean logarithm of an image, shape (h, w, 3), with `offset` levels added to each."""
-    table = np.log(np.arange(256, dtype=np.float32) + np.float32(offset))
-    blue, green, red = (np.asarray(cv2.LUT(channel, table), np.float32) for channel in cv2.split(bgr))
-    return np.asarray(cv2.merge([red - green, green - blue, (red + green + blue) / 3.0]), np.float32)
+        return whole
+    view = field_of_view(np.asarray(255 * (value <= level), np.uint8))
+    return view if view.any() else whole
 
 
 BINS = (20, 20, 12)
@@ -147,28 +137,17 @@ class Appearance:
         return np.asarray(cv2.GaussianBlur(ratio, (0, 0), 1.2), np.float32)
 
 
-@dataclass(frozen=True)
-class Example:
-    """An image with masks, shape (h, w), of what is instrument and of what is background for sure."""
-
-    image: WorkingImage
-    instrument: Image
-    background: Image
+Example = tuple[Floats, Floats]
+"""Colours, shape (n, 3) each, of what is instrument and of what is background for sure."""
 
 
-def learnt_from(examples: Iterable[Example]) -> Appearance | None:
+def learnt_from(examples: Sequence[Example]) -> Appearance | None:
     """Learn from examples, all alike in weight for each pixel; None where they show no instrument or no background."""
-    inside, outside = np.zeros(BINS, np.float64), np.zeros(BINS, np.float64)
-    ratios: list[Floats] = []
-    for example in examples:
-        colours = example.image.colours
-        own = colours[example.instrument > 0]
-        inside += _counts(own)
-        outside += _counts(colours[example.background > 0])
-        ratios.append(np.asarray(own[:, :2], np.float32))
+    inside = sum((_counts(own) for own, _ in examples), np.zeros(BINS))
+    outside = sum((_counts(other) for _, other in examples), np.zeros(BINS))
     if not inside.any() or not outside.any():
         return None
-    neutral = np.median(np.vstack(ratios), axis=0)
+    neutral = np.median(np.vstack([own[:, :2] for own, _ in examples]), axis=0)
     instrument = (1.0 - ACHROMATIC_SHARE) * _smooth(inside) + ACHROMATIC_SHARE * _achromatic(neutral)
     unknown = UNKNOWN_SHARE / float(np.prod(BINS))
     ratio = np.log((instrument + unknown) / (_smooth(outside) + unknown))
@@ -176,8 +155,8 @@ def learnt_from(examples: Iterable[Example]) -> Appearance | None:
 
 
 def _bins_of(colours: Floats) -> NDArray[np.int32]:
-    scaled = (colours - LOWEST) * (np.array(BINS, np.float32) / (HIGHEST - LOWEST))
-    at = np.clip(scaled, 0, np.array(BINS, np.float32) - 1).astype(np.int32)
+    bins = np.array(BINS, np.float32)
+    at = np.clip((colours - LOWEST) * (bins / (HIGHEST - LOWEST)), 0, bins - 1).astype(np.int32)
     return np.asarray((at[..., 0] * BINS[1] + at[..., 1]) * BINS[2] + at[..., 2], np.int32)
 
 
@@ -185,16 +164,15 @@ def _counts(colours: Floats) -> NDArray[np.float64]:
     return np.bincount(_bins_of(colours), minlength=int(np.prod(BINS))).reshape(BINS).astype(np.float64)
 
 
+TAPS = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)
+
+
 def _smooth(counts: NDArray[np.float64]) -> NDArray[np.float64]:
     """Counts as probabilities, shape `BINS`, each shared with its neighbours: noise is wider than a bin."""
-    for axis in range(3):
+    for axis, length in enumerate(BINS):
         padded = np.pad(counts, [(2, 2) if other == axis else (0, 0) for other in range(3)])
-        length = counts.shape[axis]
-        taps = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)
-        counts = sum(
-            (tap * np.take(padded, range(at, at + length), axis=axis) for at, tap in enumerate(taps)),
-            np.zeros_like(counts),
-        )
+        shifted = [np.take(padded, range(at, at + length), axis=axis) for at in range(5)]
+        counts = sum((tap * part for tap, part in zip(TAPS, shifted, strict=True)), np.zeros(BINS))
     return np.asarray(counts / counts.sum())
 
 

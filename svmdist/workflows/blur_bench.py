@@ -12,8 +12,8 @@ from svmdist.errors import RecordingError
 from svmdist.estimation.frame import Frame
 from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
+from svmdist.vision.colour import to_grey
 from svmdist.vision.degradations import Blur
-from svmdist.vision.frame_context import to_grey
 from svmdist.vision.marker import EDGE_MARGIN_PX, detect_orb, paste_marker
 from svmdist.vision.regions import find_region
 from svmdist.workflows.replay import replay

@@ -34,7 +34,9 @@ from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Setup
 
 PIXELS_AS_THEY_ARE = plane_mapping.PlaneMapping(
-    "corrected", plane_mapping.Quadratic(0.0, 1.0, 0.0), plane_mapping.Quadratic(0.0, 1.0, 0.0)
+    "corrected",
+    plane_mapping.Quadratic(quadratic_per_cm=0.0, linear=1.0, constant_cm=0.0),
+    plane_mapping.Quadratic(quadratic_per_cm=0.0, linear=1.0, constant_cm=0.0),
 )
 """The estimator needs a mapping; calibration reads its pixels only."""
 

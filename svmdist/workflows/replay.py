@@ -20,14 +20,16 @@ import numpy as np
 
 from svmdist.estimation.frame import Frame, Needs, prefetch
 from svmdist.estimation.scene import Arm, Scene
-from svmdist.profile import AutoSegmentation, Profile
+from svmdist.profile import Profile
+from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import Decoded, EncodedObservation
 from svmdist.recording.observations import Needs as ReadNeeds
 from svmdist.results import Failure, FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection
 from svmdist.transforms import Array
-from svmdist.vision.frame_context import as_pinholes, seen_through, to_grey, with_first_fields
+from svmdist.vision.colour import to_grey
+from svmdist.vision.frame_context import as_pinholes, seen_through, with_first_fields
 from svmdist.vision.segmentation import LearningSegmenter, Segmenter
 from svmdist.vision.stereo import RowOffset, agreed_offset, rectified_pair, row_differences
 from svmdist.workflows.parallel import in_order, one_opencv_thread, usable_cores
@@ -293,7 +295,8 @@ class _Replay:
         place, decoded, conditions = prepared
         found = self._recording.record_losses(decoded)
         if isinstance(found, Rejection):
-            lost = tuple(replace(FrameResult.of_rejection(found, name), **place) for name in self._wanted)
+            unread = FrameResult(found.stamp_ns, found.status, detail=found.detail)
+            lost = tuple(replace(unread, instrument=name, **place) for name in self._wanted)
             for lanes in self._lanes:
                 yield from (Replayed(lost, (0.0,) * len(lost)) for _ in lanes)
             return
