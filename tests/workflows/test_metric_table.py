@@ -106,7 +106,7 @@ def test_a_new_metric_is_declared_once(added):
         assert f"{expected * 1e3:.2f}" in shown
     assert f"| `{keys[0]}`, `{keys[1]}`, `{keys[2]}` | 1e-05 m |" in metrics_page("")
     distance = score_pairs(pairs())
-    figures = Figures(20, 20, distance, distance, distance, 3.0)
+    figures = Figures(20, 20, 3.0, distance, distance, distance)
     compared = scores.compare_results([MethodScore(Group("sweep"), "fused", figures)])
     assert compared.keys[-4:] == ("instrument", *keys)
     assert [{*row} for row in compared.rows] == [{*compared.keys}]
