@@ -6,14 +6,23 @@ They are drawn once to two files, which training then reads as often as it likes
 from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from training.instruments import OTHER, TISSUE, cords, draw, instrument
-from training.textures import Array, Size, background, fractal, wandering
+from training.instruments import (
+    OTHER,
+    TISSUE,
+    Array,
+    Size,
+    background,
+    cords,
+    draw,
+    fractal,
+    instrument,
+    wandering,
+)
 
 WIDTH, HEIGHT = 256, 192
 """The network's input in px. Pictures of any aspect are stretched to it, as `method = "onnx"` does."""
@@ -43,9 +52,8 @@ def layers(rng: np.random.Generator, size: Size, count: int | None = None) -> tu
             for part in parts:
                 cv2.fillConvexPoly(outline, np.rint(part.corners).astype(np.int32), 255)
             aside = [rng.normal(0.0, 1.2) * half, rng.normal(0.3, 1.2) * half]
-            moved = cv2.warpAffine(
-                outline, np.column_stack([np.eye(2), aside]).astype(np.float32), size[::-1]
-            )
+            shift = np.column_stack([np.eye(2), aside]).astype(np.float32)
+            moved = cv2.warpAffine(outline, shift, size[::-1])
             soft = cv2.GaussianBlur(moved, (0, 0), rng.uniform(0.5, 1.0 + 0.6 * half)).astype(np.float32)
             scene *= 1.0 - rng.uniform(0.1, 0.75) * soft[..., None] / 255.0
         draw(scene, labels, parts)
@@ -72,8 +80,7 @@ def render(seed: int) -> tuple[Array, Array]:
     if rng.random() < 0.15:  # recorded small, and enlarged
         less = rng.uniform(0.4, 0.9)
         image = cv2.resize(image, None, fx=less, fy=less, interpolation=cv2.INTER_AREA)
-    shrinks = image.shape[1] >= WIDTH and image.shape[0] >= HEIGHT
-    how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    how = cv2.INTER_AREA if image.shape[1] >= WIDTH and image.shape[0] >= HEIGHT else cv2.INTER_LINEAR
     shown = cv2.resize(image, (WIDTH, HEIGHT), interpolation=how)
     return shown, cv2.resize(labels, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST_EXACT)
 
@@ -140,16 +147,8 @@ def _film(rng: np.random.Generator, scene: Array, picture: Array) -> Array:
     return image
 
 
-@dataclass(frozen=True)
-class Pictures:
-    """`images`, shape (n, h, w, 3) in BGR, and `labels`, shape (n, h, w); both uint8."""
-
-    images: Array
-    labels: Array
-
-
-def rendered(first_seed: int, count: int, folder: Path, processes: int = 1) -> Pictures:
-    """The pictures of `count` seeds from `first_seed` on; drawn where `folder` does not have them."""
+def rendered(first_seed: int, count: int, folder: Path, processes: int = 1) -> tuple[Array, Array]:
+    """Pictures (n, h, w, 3) in BGR and labels (n, h, w) of `count` seeds, drawn where `folder` does not have them."""
     folder.mkdir(parents=True, exist_ok=True)
     images_path, labels_path = (folder / f"{first_seed}-{count}-{kind}.npy" for kind in ("images", "labels"))
     if not labels_path.exists():
@@ -162,7 +161,7 @@ def rendered(first_seed: int, count: int, folder: Path, processes: int = 1) -> P
                 images[number], labels[number] = image, label
         images.flush()
         np.save(labels_path, labels)  # last: it says that both are complete
-    return Pictures(np.load(images_path, mmap_mode="r"), np.load(labels_path, mmap_mode="r"))
+    return np.load(images_path, mmap_mode="r"), np.load(labels_path, mmap_mode="r")
 
 
 def augmented(rng: np.random.Generator, images: Array, labels: Array) -> tuple[Array, Array]:
