@@ -11,18 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from training.instruments import (
-    OTHER,
-    TISSUE,
-    Array,
-    Size,
-    background,
-    cords,
-    draw,
-    fractal,
-    instrument,
-    wandering,
-)
+from training import instruments
+from training.instruments import OTHER, TISSUE, Array, Size, fractal
 
 WIDTH, HEIGHT = 256, 192
 """The network's input in px. Pictures of any aspect are stretched to it, as `method = "onnx"` does."""
@@ -38,14 +28,14 @@ def layers(rng: np.random.Generator, size: Size, count: int | None = None) -> tu
 
     Gives the picture, shape (h, w, 3), before light and camera, and the class of each pixel, shape (h, w).
     """
-    scene, is_tissue = background(rng, size)
+    scene, is_tissue = instruments.background(rng, size)
     count = int(rng.choice(4, p=[0.1, 0.42, 0.38, 0.1])) if count is None else count
     if rng.random() < 0.35:
-        draw(scene, np.zeros(size, np.uint8), cords(rng, size))
+        instruments.draw(scene, np.zeros(size, np.uint8), instruments.cords(rng, size))
     labels = np.where(is_tissue, TISSUE, OTHER).astype(np.uint8)
     around = np.asarray(scene.mean((0, 1)), np.float32)
     for _ in range(count):
-        parts = instrument(rng, size, around)
+        parts = instruments.instrument(rng, size, around)
         if rng.random() < 0.6:  # its shadow on what is behind it, beside it, soft or hard
             half = parts[0].end_half
             outline = np.zeros(size, np.uint8)
@@ -56,7 +46,7 @@ def layers(rng: np.random.Generator, size: Size, count: int | None = None) -> tu
             moved = cv2.warpAffine(outline, shift, size[::-1])
             soft = cv2.GaussianBlur(moved, (0, 0), rng.uniform(0.5, 1.0 + 0.6 * half)).astype(np.float32)
             scene *= 1.0 - rng.uniform(0.1, 0.75) * soft[..., None] / 255.0
-        draw(scene, labels, parts)
+        instruments.draw(scene, labels, parts)
         if rng.random() < 0.45:  # blood, or what is like it, on instruments: they stay what they are
             spots = fractal(rng, size, rng.uniform(6.0, 25.0), 3) - rng.uniform(0.3, 1.8)
             share = np.clip(4.0 * spots, 0.0, 1.0) * (labels > TISSUE) * rng.uniform(0.4, 1.0)
@@ -64,7 +54,7 @@ def layers(rng: np.random.Generator, size: Size, count: int | None = None) -> tu
             scene += (share[..., None] * (blood - scene)).astype(np.float32)
     if rng.random() < 0.3:  # a suture or a needle: thin, of any colour, and no instrument
         colour = rng.uniform(0, 255, 3).tolist()
-        cv2.polylines(scene, [wandering(rng, size, 0.3)], False, colour, 1, cv2.LINE_AA)
+        cv2.polylines(scene, [instruments.wandering(rng, size, 0.3)], False, colour, 1, cv2.LINE_AA)
     return scene, labels
 
 
