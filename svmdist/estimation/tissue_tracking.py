@@ -14,7 +14,6 @@ from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorF
 from svmdist.estimation.instrument.measurement import Deviations, SharedBias
 from svmdist.estimation.instrument.state import Linearised
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import TissuePose, ray_on_plane_biases, require_tissue, tissue_plane
 from svmdist.least_squares import median
 from svmdist.profile import Tissue
@@ -165,37 +164,6 @@ class TissueHeight:
             SharedBias("tissue motion", self.motion_std_m * column, self.motion_time_s),
         )
 
-    def in_m(self, plane: float, motion: float) -> float:
-        """The height in m of both biases, in units of their deviations."""
-        return self.constant_std_m * plane + self.motion_std_m * motion
-
-
-def measured_height(
-    surface: StereoSurface,
-    dome: DomeModel,
-    height: TissueHeight,
-    camera: Camera,
-    right: RightView,
-    deviations: Deviations,
-) -> tuple[Linearised, float] | None:
-    """The height over the dome where the profile has it, as a measurement, and in m; None where too little is seen."""
-    points_m = dome.to_tissue_frame(surface.points_m)
-    inner = dome.polar.normalised_radius(points_m[:, :2]) < INNER_RADIUS
-    if np.count_nonzero(inner) < MIN_POINTS:
-        return None
-    over_m = float(median(points_m[inner, 2] - dome.height_m(points_m[inner, :2])))
-    at_m = np.median(surface.points_m[inner], 0)
-    # Disparity to depth to height along the plane's normal: a larger disparity is nearer to the camera.
-    along_normal = abs(float(dome.T_camera_tissue[2, 2]))
-    stereo_biases = (bias.scaled(along_normal) for bias in depth_biases(at_m, camera, right, deviations))
-    by_shape = dome.derivative(points_m[inner, :2]).mean(0)
-    dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
-    lasting_m = np.hypot(LASTING_HEIGHT_SHARE * surface.std_m, dome_std_m)
-    own = SharedBias(OUTLINE, np.array([[lasting_m]]), HEIGHT_CORRELATION_TIME_S)
-    noise_m2 = (1.0 - LASTING_HEIGHT_SHARE**2) * surface.std_m**2
-    biases = (own, *height.biases(np.ones(1)), *stereo_biases)
-    return Linearised(np.array([over_m]), np.zeros((1, 0)), biases, np.array([[noise_m2]])), over_m
-
 
 def depth_biases(
     p_camera_m: Array, camera: Camera, right: RightView, deviations: Deviations
@@ -232,13 +200,25 @@ class FollowedTissue:
         known, right, height = self._known, frame.scene.observation.right, self._height
         if known is None or known.dome is None or right is None or height is None:
             return None
-        surface = frame.scene.stereo_surface
+        surface, dome = frame.scene.stereo_surface, known.dome
         if surface is None:
             return None
-        found = measured_height(surface, known.dome, height, frame.left.camera, right, self._deviations)
-        if found is None:
+        points_m = dome.to_tissue_frame(surface.points_m)
+        inner = dome.polar.normalised_radius(points_m[:, :2]) < INNER_RADIUS
+        if np.count_nonzero(inner) < MIN_POINTS:
             return None
-        part, over_m = found
+        over_m = float(median(points_m[inner, 2] - dome.height_m(points_m[inner, :2])))
+        at_m = np.median(surface.points_m[inner], 0)
+        # Disparity to depth to height along the plane's normal: a larger disparity is nearer to the camera.
+        along_normal = abs(float(dome.T_camera_tissue[2, 2]))
+        of_cameras = depth_biases(at_m, frame.left.camera, right, self._deviations)
+        by_shape = dome.derivative(points_m[inner, :2]).mean(0)
+        dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
+        lasting_m = np.hypot(LASTING_HEIGHT_SHARE * surface.std_m, dome_std_m)
+        own = SharedBias(OUTLINE, np.array([[lasting_m]]), HEIGHT_CORRELATION_TIME_S)
+        noise_m2 = (1.0 - LASTING_HEIGHT_SHARE**2) * surface.std_m**2
+        biases = (own, *height.biases(np.ones(1)), *(bias.scaled(along_normal) for bias in of_cameras))
+        part = Linearised(np.array([over_m]), np.zeros((1, 0)), biases, np.array([[noise_m2]]))
         result = kalman.update_scene(OUTLINE, part)
         tissue = frame.scene.tissue
         if not (
@@ -247,9 +227,9 @@ class FollowedTissue:
             return result
         # Apex and height by the surface, which is put down onto the dome: how high all of it is, is no shape.
         down = replace(surface, points_m=surface.points_m - over_m * self._plane.normal)
-        dome = fit_dome(tissue.pose.dome, down)
-        if dome is not None:
-            self._tracker.add_shape(dome)
+        fitted = fit_dome(tissue.pose.dome, down)
+        if fitted is not None:
+            self._tracker.add_shape(fitted)
         return result
 
     def placed(
@@ -258,7 +238,8 @@ class FollowedTissue:
         """The tissue at the height found, with all its errors, and their covariance with the tool's pose, (6, 3)."""
         height = self._height
         assert height is not None  # a tissue is known
-        height_m = height.in_m(kalman.constant("tissue plane"), kalman.constant("tissue motion"))
+        plane_m = height.constant_std_m * kalman.constant("tissue plane")
+        height_m = plane_m + height.motion_std_m * kalman.constant("tissue motion")
         plane = replace(self._plane, offset_m=self._plane.offset_m + height_m)
         placed = known.scaled(plane.offset_m / self._plane.offset_m)
         place_m, of_camera = placed.position_m, self._deviations.camera
