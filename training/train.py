@@ -16,8 +16,7 @@ from tempfile import gettempdir
 import cv2
 import numpy as np
 
-from svmdist.profile import OnnxSegmentation
-from svmdist.profile.segmentation import INSTRUMENTS
+from svmdist.profile.segmentation import INSTRUMENTS, OnnxSegmentation
 from svmdist.vision.network import network_input
 from training.instruments import DISTAL
 from training.scene import VALIDATION_SEED, iou, rendered

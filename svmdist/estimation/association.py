@@ -20,7 +20,7 @@ from svmdist.estimation.region_tracking import (
     ranked_assignments,
 )
 from svmdist.estimation.scene import Arm, Scene
-from svmdist.profile import EntrySide
+from svmdist.profile.robot import EntrySide
 from svmdist.samples import Image, Observation
 from svmdist.transforms import Array, inverse
 from svmdist.vision.find_instruments import SeenInstrument

@@ -15,7 +15,8 @@ from svmdist.estimation.instrument.model import NECK_PER_RADIUS, WRIST_LENGTH_PE
 from svmdist.estimation.region_tracking import Blob, Gaussian, NominalPlace
 from svmdist.estimation.scene import Arm
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import AreaGate, Instrument
+from svmdist.profile.robot import Instrument
+from svmdist.profile.segmentation import AreaGate
 from svmdist.results import Failure, ToolPose
 from svmdist.samples import Image
 from svmdist.transforms import Array

@@ -10,7 +10,6 @@ import numpy as np
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.tissue import TissuePose
-from svmdist.estimation.tissue_tracking import TissueTracker
 from svmdist.geometry.distance import Separation, capsule_separation, separation
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose, as_pixel, as_vector
 from svmdist.samples import Status
@@ -27,12 +26,6 @@ def with_tissue(frame: Frame) -> FrameResult:
     if tissue.pose is None:
         return result.rejected(Status.NO_TISSUE, "the tissue's ray does not meet the profile's plane")
     return result.rejected(Status.OK)
-
-
-def tracked_tissue(frame: Frame, tracker: TissueTracker) -> TissuePose | None:
-    """The tissue after this frame, which may hide it."""
-    tissue = frame.scene.tissue
-    return tracker.add(None if tissue is None else tissue.pose)
 
 
 INDEPENDENT = np.zeros((6, 3))

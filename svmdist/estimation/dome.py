@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from svmdist.estimation.surface import DEGREE, StereoSurface
 from svmdist.geometry import Mesh
 from svmdist.least_squares import median, scale_of
-from svmdist.profile import Dome
+from svmdist.profile.robot import Dome
 from svmdist.transforms import Array, inverse, transform_points
 
 INNER_RADIUS = 0.9  # of the dome, normalised: beyond it the rim is too steep for a surface of low order

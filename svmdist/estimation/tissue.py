@@ -13,8 +13,9 @@ from svmdist.estimation.dome import DomeModel
 from svmdist.estimation.instrument.measurement import EXACT, SharedBias
 from svmdist.geometry import Mesh, Plane, Surface, meet_plane, pixel_rays
 from svmdist.geometry.mesh import read_closed_mesh
-from svmdist.profile import CameraError, Profile, Tissue
+from svmdist.profile import Profile
 from svmdist.profile.hand_eye import FOCAL_LENGTH, PRINCIPAL_POINT
+from svmdist.profile.robot import CameraError, Tissue
 from svmdist.samples import Image
 from svmdist.transforms import Array, make_transform
 from svmdist.vision.colour import Masks

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,9 +14,15 @@ from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorF
 from svmdist.estimation.instrument.measurement import Deviations, SharedBias
 from svmdist.estimation.instrument.state import Linearised
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.tissue import TissuePose, ray_on_plane_biases, require_tissue, tissue_plane
+from svmdist.estimation.tissue import (
+    TissueDetection,
+    TissuePose,
+    ray_on_plane_biases,
+    require_tissue,
+    tissue_plane,
+)
 from svmdist.least_squares import median
-from svmdist.profile import Tissue
+from svmdist.profile.robot import Tissue
 from svmdist.profile.settings import TissueTrackingSettings
 from svmdist.samples import RightView
 from svmdist.transforms import Array, inverse
@@ -44,16 +50,13 @@ class CorrelatedMean:
     degrees_of_freedom: int
     settings: TissueTrackingSettings = DEFAULT
     count: float = 0.0
-    _information: Array | None = None
-    _weighted: Array | None = None
+    _information: Array = field(default_factory=lambda: np.zeros(()))
+    _weighted: Array = field(default_factory=lambda: np.zeros(()))
     _squares: float = 0.0
 
     def add(self, value: Array, covariance: Array) -> None:
         """Take up a measurement; earlier ones fade."""
-        size = len(value)
-        weight = np.asarray(np.linalg.inv(covariance + TINY_M2 * np.eye(size)), np.float64)
-        if self._information is None or self._weighted is None:
-            self._information, self._weighted = np.zeros((size, size)), np.zeros(size)
+        weight = np.asarray(np.linalg.inv(covariance + TINY_M2 * np.eye(len(value))), np.float64)
         fade = 1.0 - 1.0 / self.settings.memory_count
         self._information = fade * self._information + weight
         self._weighted = fade * self._weighted + weight @ value
@@ -62,7 +65,7 @@ class CorrelatedMean:
 
     def now(self) -> tuple[Array, Array] | None:
         """Mean and covariance; None before the first measurement."""
-        if self._information is None or self._weighted is None:
+        if self.count == 0.0:
             return None
         spread = np.linalg.inv(self._information)
         mean = np.asarray(spread @ self._weighted, np.float64)
@@ -94,8 +97,9 @@ class TissueTracker:
         """Take up a dome as stereo shows it."""
         self._shape.add(dome.shape, dome.covariance)
 
-    def add(self, pose: TissuePose | None) -> TissuePose | None:
+    def add(self, seen: TissueDetection | None) -> TissuePose | None:
         """Take up a frame's pose, if it has one; gives the tissue as known then."""
+        pose = None if seen is None else seen.pose
         if pose is None:
             return self.now()
         if not self._agrees(pose):
@@ -184,21 +188,17 @@ class FollowedTissue:
         self._plane = tissue_plane(self._tissue)
         self._deviations = arm.deviations
         self._tracker = TissueTracker(arm.profile.settings.tissue)
-        self._height: TissueHeight | None = None
         self._known: TissuePose | None = None
 
     def see(self, frame: Frame) -> TissuePose | None:
         """The tissue on the profile's plane after this frame, which may hide it."""
-        tissue = frame.scene.tissue
-        known = self._known = self._tracker.add(None if tissue is None else tissue.pose)
-        if known is not None:
-            self._height = TissueHeight.of(self._tissue, known.position_m)
-        return known
+        self._known = self._tracker.add(frame.scene.tissue)
+        return self._known
 
     def measure_height(self, frame: Frame, kalman: KinematicErrorFilter) -> GatingResult | None:
         """Tell the filter how high stereo shows the tissue; None where it does not show it."""
-        known, right, height = self._known, frame.scene.observation.right, self._height
-        if known is None or known.dome is None or right is None or height is None:
+        known, right = self._known, frame.scene.observation.right
+        if known is None or known.dome is None or right is None:
             return None
         surface, dome = frame.scene.stereo_surface, known.dome
         if surface is None:
@@ -217,6 +217,7 @@ class FollowedTissue:
         lasting_m = np.hypot(LASTING_HEIGHT_SHARE * surface.std_m, dome_std_m)
         own = SharedBias(OUTLINE, np.array([[lasting_m]]), HEIGHT_CORRELATION_TIME_S)
         noise_m2 = (1.0 - LASTING_HEIGHT_SHARE**2) * surface.std_m**2
+        height = TissueHeight.of(self._tissue, known.position_m)
         biases = (own, *height.biases(np.ones(1)), *(bias.scaled(along_normal) for bias in of_cameras))
         part = Linearised(np.array([over_m]), np.zeros((1, 0)), biases, np.array([[noise_m2]]))
         result = kalman.update_scene(OUTLINE, part)
@@ -236,8 +237,7 @@ class FollowedTissue:
         self, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter
     ) -> tuple[TissuePose, Array]:
         """The tissue at the height found, with all its errors, and their covariance with the tool's pose, (6, 3)."""
-        height = self._height
-        assert height is not None  # a tissue is known
+        height = TissueHeight.of(self._tissue, known.position_m)
         plane_m = height.constant_std_m * kalman.constant("tissue plane")
         height_m = plane_m + height.motion_std_m * kalman.constant("tissue motion")
         plane = replace(self._plane, offset_m=self._plane.offset_m + height_m)

@@ -20,15 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.geometry import Capsules, Mesh, Plane, Surface
-from svmdist.transforms import Array
+from svmdist.tracks import Mask
+from svmdist.transforms import Array, cross
 
-Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 CHUNK = 1 << 20  # pairs of capsule and point that are held at once: about 100 MB of temporaries
 TOUCH_M = 1e-12
 ROUGH_M = 1e-6  # error of a distance by matrix products: its square loses 1e-16 of the scene's size squared
-PARALLEL = 1e-14  # squared sine of the angle below which lines are parallel: an end is a closest point then
+PARALLEL = 1e-14  # squared sine of the angle of parallel lines, of which an end is a closest point
 ZOOM_POINTS, ZOOM_ROUNDS = 33, 8  # grid for the deepest point, 16-fold finer a round: 0.3 m to 1e-10 m
 
 
@@ -185,11 +185,9 @@ def _deepest(capsules: Capsules, index: int, mesh: Mesh) -> Separation:
     return _outside(capsules, index, points[at], _unit_or_any(inward), distance_m)
 
 
-def _outside(
-    capsules: Capsules, index: int, on_axis: Array, direction: Array, distance_m: float
-) -> Separation:
+def _outside(capsules: Capsules, index: int, on_axis: Array, direction: Array, gap_m: float) -> Separation:
     on_instrument = on_axis + capsules.radius_m[index] * direction
-    return Separation(distance_m, direction, on_instrument, on_instrument + distance_m * direction, index)
+    return Separation(gap_m, direction, on_instrument, on_instrument + gap_m * direction, index)
 
 
 def _unit_or_any(vector: Array) -> Array:
@@ -309,11 +307,6 @@ def segment_to_triangle(start: Array, end: Array, triangle: Array) -> ClosestPai
 def dot(a: Array, b: Array) -> Array:
     """Scalar products along the last axis."""
     return np.asarray(np.einsum("...i,...i->...", a, b))
-
-
-def cross(a: Array, b: Array) -> Array:
-    """Vector products along the last axis; `numpy.cross` without its checks, which cost more than the product."""
-    return np.asarray(a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]])
 
 
 def _lengths(vectors: Array) -> Array:

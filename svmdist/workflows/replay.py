@@ -20,7 +20,8 @@ import numpy as np
 
 from svmdist.estimation.frame import Frame, Needs, prefetch
 from svmdist.estimation.scene import Arm, Scene
-from svmdist.profile import AutoSegmentation, Profile
+from svmdist.profile import Profile
+from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import Decoded, EncodedObservation
 from svmdist.recording.observations import Needs as ReadNeeds
@@ -294,7 +295,8 @@ class _Replay:
         place, decoded, conditions = prepared
         found = self._recording.record_losses(decoded)
         if isinstance(found, Rejection):
-            lost = tuple(replace(FrameResult.of_rejection(found, name), **place) for name in self._wanted)
+            unread = FrameResult(found.stamp_ns, found.status, detail=found.detail)
+            lost = tuple(replace(unread, instrument=name, **place) for name in self._wanted)
             for lanes in self._lanes:
                 yield from (Replayed(lost, (0.0,) * len(lost)) for _ in lanes)
             return

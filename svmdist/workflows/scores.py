@@ -19,7 +19,7 @@ from svmdist.estimation.plane_mapping import Equations
 from svmdist.profile import Profile
 from svmdist.recording.log import KnownLag, Recording
 from svmdist.results import FrameResult
-from svmdist.tracks import SampledDistances
+from svmdist.tracks import Sampled
 from svmdist.transforms import Array, Stamps
 from svmdist.workflows import references
 from svmdist.workflows.request import Setup
@@ -96,10 +96,10 @@ class Readings:
     def _columns(self, place: int) -> Array:
         return np.array(self._numbers, np.float64).reshape(-1, 1 + len(DISTANCES), 2)[:, place].T
 
-    def pairs(self, name: str, truth: SampledDistances, stamps_ns: Stamps | None = None) -> Pairs:
+    def pairs(self, name: str, truth: Sampled, stamps_ns: Stamps | None = None) -> Pairs:
         """Pair a distance with its truth at the rows' stamps, or at others, shape (n,); pairs without a value go."""
         estimate_m, std_m = self.distance(name)
-        truth_m: Array = getattr(truth, f"{name}_m")
+        truth_m = truth.values[:, DISTANCES.index(name)]
         kept = truth.valid & np.isfinite(truth_m) & np.isfinite(estimate_m)
         at_ns = self.stamps_ns if stamps_ns is None else stamps_ns
         return Pairs(at_ns[kept], estimate_m[kept], truth_m[kept], std_m[kept])
@@ -140,13 +140,14 @@ def require_clearance(method: str, profile: Profile | None = None) -> None:
 
 
 def score_alarms(
-    rows: Sequence[FrameResult], truth: SampledDistances, stamps_ns: Stamps, rules: AlarmRules
+    rows: Sequence[FrameResult], truth: Sampled, stamps_ns: Stamps, rules: AlarmRules
 ) -> metrics.AlarmStatistics:
     """Score the alarms that all rows of a recording raise, measured or not, with the truth at their stamps.
 
     Frames whose true clearance is not known are left out; raises RecordingError where those are all frames.
     """
-    known = truth.valid & np.isfinite(truth.clearance_m)
+    clearance_m = truth.values[:, DISTANCES.index("clearance")]
+    known = truth.valid & np.isfinite(clearance_m)
     if not known.any():
         raise RecordingError("there is no frame with a true clearance to score alarms against")
     watch, order = AlarmWatch(rules), np.argsort(stamps_ns, kind="stable")
@@ -154,7 +155,7 @@ def score_alarms(
     kept = order[known[order]].tolist()
     seconds = (stamps_ns[kept] - stamps_ns[order[0]]) / 1e9
     alarms, judged = [states[at] is True for at in kept], [states[at] is not None for at in kept]
-    return metrics.alarm_statistics(seconds, alarms, truth.clearance_m[kept], rules.below_m, judged)
+    return metrics.alarm_statistics(seconds, alarms, clearance_m[kept], rules.below_m, judged)
 
 
 @dataclass(frozen=True)
@@ -249,7 +250,7 @@ def score_rows(
 ) -> Score:
     """Score the estimates of one recording, shape (n_frames,), against one reference."""
 
-    def truth_at(at_ns: Stamps) -> SampledDistances:
+    def truth_at(at_ns: Stamps) -> Sampled:
         return references.distance_truth(recording, setup.profile, reference, at_ns, setup.equations, rules)
 
     readings = Readings(rows)

@@ -16,7 +16,7 @@ from svmdist.transforms import Array
 from svmdist.workflows.estimate import Measured
 from svmdist.workflows.references import Reference, TruthRules, distance_truth
 from svmdist.workflows.request import Request, Setup
-from svmdist.workflows.scores import Readings, truth_lag_ns
+from svmdist.workflows.scores import DISTANCES, Readings, truth_lag_ns
 
 PREFERRED = ("clearance", "spatial", "planar")
 
@@ -141,7 +141,8 @@ def _series(
     truths = {name: np.full(len(rows), np.nan) for name in PREFERRED}
     try:
         truth = distance_truth(recording, setup.profile, asked, at_ns, setup.equations, rules)
-        truths = {name: np.where(truth.valid, getattr(truth, f"{name}_m"), np.nan) for name in PREFERRED}
+        true_m = np.where(truth.valid[:, None], truth.values, np.nan)
+        truths = dict(zip(DISTANCES, true_m.T, strict=True))
     except (RecordingError, KinematicsError):
         if reference is not None:
             raise

@@ -9,7 +9,8 @@ from svmdist.camera import Camera
 from svmdist.estimation.frame import frame_of
 from svmdist.estimation.instrument.shaft_fit import ShaftFit
 from svmdist.estimation.scene import Arm
-from svmdist.profile import AutoSegmentation, Profile, load_profile
+from svmdist.profile import Profile, load_profile
+from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.results import Failure
 from svmdist.samples import Observation
 from svmdist.vision.segmentation import make_segmenter

@@ -17,7 +17,8 @@ from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import detect_tissue, tissue_frame
 from svmdist.geometry import Capsules
 from svmdist.geometry.distance import separation
-from svmdist.profile import DEFAULT_PROFILE, Dome, Profile, load_profile, profile_path
+from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
+from svmdist.profile.robot import Dome
 from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.simulation.scene import Scene, make_scene

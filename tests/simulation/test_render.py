@@ -8,7 +8,8 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.perturbations.images import dimmed, light_left, perturbed_image, subsampled
-from svmdist.profile import ColourRegion, Profile
+from svmdist.profile import Profile
+from svmdist.profile.segmentation import ColourRegion
 from svmdist.samples import Image
 from svmdist.simulation import effects
 from svmdist.simulation.meshes import sphere

@@ -68,6 +68,18 @@ def full(profile: Profile) -> Stream:
     return list(simulate(SHORT, profile, noise=1.0, options=FULL))
 
 
+def test_a_dent_shows_frame_after_frame_and_goes(profile: Profile) -> None:
+    """Where nothing else moves the tissue: after the touch an image is that of tissue that was never pressed."""
+    plan = make_plan(Scenario("contact", 3, 2.0, 10.0), profile, options=perturbed("dent=1"))
+    with Simulator(plan) as simulator:
+        for frame in (9, 10, 14):
+            block = plan.blocks[frame]
+            (image,) = images(list(simulator.samples(block, (None,))))
+            with Renderer([plan.scene]) as at_rest:
+                at_rest.pose(plan.state(block.begin))
+                assert (image != at_rest.draw(0, frame)).any() == (frame != 14)
+
+
 def test_every_topic_is_there_in_order_and_truth_with_every_image(profile: Profile) -> None:
     """Joints at 100 Hz about all images; eq. (35) and its 3D companion follow from the true transforms, exactly."""
     found, topics = stream(profile, scenario=Scenario("sweep", 1, 1.2, 3.0)), profile.topics

@@ -10,7 +10,8 @@ import pytest
 
 from benchmarks.masks import instruments_of
 from svmdist.errors import ProfileError
-from svmdist.profile import ClassRegion, OnnxSegmentation, load_profile
+from svmdist.profile import load_profile
+from svmdist.profile.segmentation import ClassRegion, OnnxSegmentation
 from svmdist.vision.network import OnnxSegmenter
 from tests.onnx_file import node, tensor, value_info, write_classifier, write_model
 from tests.surgery_images import surgery_image

@@ -9,7 +9,7 @@ from svmdist.errors import RecordingError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
-from svmdist.tracks import SampledDistances
+from svmdist.tracks import Sampled
 from svmdist.workflows.references import Reference
 from svmdist.workflows.scores import (
     DISTANCES,
@@ -36,10 +36,8 @@ ROWS = [
     result_of(30, Status.OK, planar=Distance(2.0)),
     result_of(40, Status.OK, planar=Distance(3.0), clearance=Distance(0.5)),
 ]
-TRUTH = SampledDistances(
-    np.array([1.1, 2.0, 2.1, 3.1]),
-    np.array([1.4, 2.0, 2.0, 3.0]),
-    np.array([np.nan, 0.3, 0.3, 0.4]),
+TRUTH = Sampled(
+    np.array([[1.1, 1.4, np.nan], [2.0, 2.0, 0.3], [2.1, 2.0, 0.3], [3.1, 3.0, 0.4]]),
     np.array([True, True, True, False]),
 )
 
@@ -61,7 +59,7 @@ def test_only_measured_rows_with_a_truth_make_pairs():
 
 def test_no_rows_make_no_pairs():
     """Without rows there are arrays of length 0, and no score."""
-    none = SampledDistances(*np.empty((3, 0)), np.empty(0, np.bool_))
+    none = Sampled(np.empty((0, 3)), np.empty(0, np.bool_))
     pairs = Readings().pairs("spatial", none)
     assert len(pairs) == 0
     assert score_pairs(pairs) is None
@@ -89,10 +87,10 @@ WITH_ALARMS = [
 ]
 
 
-def true_clearance(*clearance_m: float) -> SampledDistances:
+def true_clearance(*clearance_m: float) -> Sampled:
     """True clearances at the stamps."""
     values = np.array(clearance_m)
-    return SampledDistances(values, values, values, np.ones(len(values), np.bool_))
+    return Sampled(np.stack([values] * 3, -1), np.ones(len(values), np.bool_))
 
 
 def test_frames_without_a_true_clearance_are_left_out():

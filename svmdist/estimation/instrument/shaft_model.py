@@ -13,7 +13,7 @@ from svmdist.estimation.instrument.model import NECK_PER_RADIUS
 from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, Rim, ShaftDetection
 from svmdist.kinematics import DHChain, frame_transforms, joint_axis, rows_behind_insertion
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import Instrument, KinematicError
+from svmdist.profile.robot import Instrument, KinematicError
 from svmdist.profile.settings import ShaftSettings
 from svmdist.results import Failure
 from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_vector, skew
