@@ -224,7 +224,7 @@ def detect_stereo_surface(
     pair: RectifiedPair,
     hull: NDArray[np.int32],
     masks: tuple[Image, Image],
-    settings: StereoSettings = DEFAULT,
+    settings: StereoSettings,
 ) -> StereoSurface | None:
     """The tissue's surface inside its hull in the left image, under the instrument too; None if the views disagree."""
     if pair.R_rows_left is not None:

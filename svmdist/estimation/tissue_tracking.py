@@ -35,7 +35,6 @@ GATE_Z = 3.09
 LASTING_HEIGHT_SHARE = 0.98
 HEIGHT_CORRELATION_TIME_S = 30.0  # how long that lasts: longer than the logs of 8 s that it was seen in
 
-DEFAULT = TissueTrackingSettings()
 TINY_M2 = 1e-14  # added to covariances of poses that lie on one plane, so that they have an inverse
 
 
@@ -48,7 +47,7 @@ class CorrelatedMean:
     """
 
     degrees_of_freedom: int
-    settings: TissueTrackingSettings = DEFAULT
+    settings: TissueTrackingSettings
     count: float = 0.0
     _information: Array = field(default_factory=lambda: np.zeros(()))
     _weighted: Array = field(default_factory=lambda: np.zeros(()))
@@ -79,7 +78,7 @@ class CorrelatedMean:
 class TissueTracker:
     """The tissue's pose, which a wild detection does not enter, and its dome's shape, where frames show it."""
 
-    def __init__(self, settings: TissueTrackingSettings = DEFAULT) -> None:
+    def __init__(self, settings: TissueTrackingSettings) -> None:
         self._settings = settings
         self._outlier_count = 0
         self._frame_count = 0
