@@ -1,7 +1,5 @@
 """Alarms by probability, closing speed by a robust slope."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Association: instruments keep their names through crossings, by kinematics, continuity and the side of entry."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Distances to tissue and between instruments, and the standard deviations that hold them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

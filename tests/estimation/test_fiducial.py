@@ -1,7 +1,5 @@
 """The tag's pose on images made from a known pose, and the tool behind it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

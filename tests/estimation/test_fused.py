@@ -1,7 +1,5 @@
 """Nominal kinematics, and nominal kinematics corrected by the image."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

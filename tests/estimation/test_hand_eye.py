@@ -1,7 +1,5 @@
 """The camera-to-base transform from places of the tool: exact without noise, robust, and as certain as it says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The instrument's capsules against the meshes that the simulation draws, and the wrist on other chains."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from svmdist.estimation.instrument.model import Rods, wrist_in_tool

@@ -1,7 +1,5 @@
 """Derivatives against central differences: measurements, corrected links, residuals of the shaft."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

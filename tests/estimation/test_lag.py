@@ -1,7 +1,5 @@
 """The lag between images and kinematics, on made-up tracks whose lag is known."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from svmdist.estimation.lag import estimate_lag

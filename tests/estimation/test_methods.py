@@ -1,7 +1,5 @@
 """Every method behind the one interface: honest about what it needs and remembers; a frame is looked at once."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The method shaft on pictures that the simulator never drew: any side, size, frame and background."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

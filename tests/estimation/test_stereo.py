@@ -1,7 +1,5 @@
 """The method stereo on drawn pairs: what both views show is enough, and no more is claimed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

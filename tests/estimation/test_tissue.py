@@ -1,7 +1,5 @@
 """The tissue: where it lies, its surface by outline, stereo or mesh, and how sure that is."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Separations against SciPy, trimesh and every pair in turn; inside and outside of meshes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

@@ -1,7 +1,5 @@
 """Meshes from files: the solids that trimesh reads, distances that trimesh finds, and every fault in a line."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

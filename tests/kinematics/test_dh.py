@@ -1,7 +1,5 @@
 """DH chains, held against an explicit product of elementary matrices."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

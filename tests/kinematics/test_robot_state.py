@@ -1,7 +1,5 @@
 """The robot's state, its poses and what a sample lacks; and inverse kinematics."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What a robot reports of its joints: hysteresis within its dead band, drift, noise, steps, and a late clock."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is said of cameras, instrument, tag and plane: off by the strength, and back again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

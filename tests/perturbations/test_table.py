@@ -1,7 +1,5 @@
 """The table and the choice from it: text round trips, real worlds follow their laws, profiles state deviations."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

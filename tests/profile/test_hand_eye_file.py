@@ -1,7 +1,5 @@
 """A hand-eye file's transform with what constants did to it: carried to a place, and restated by a profile."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

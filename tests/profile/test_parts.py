@@ -1,7 +1,5 @@
 """The parts of a profile by themselves: topics and limits, other instruments, and rules of segmentation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Settings: a profile sets them, each acts where it says, keys of older profiles are ignored with a warning."""
 
-from __future__ import annotations
-
 import logging
 
 import pytest

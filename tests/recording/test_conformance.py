@@ -3,8 +3,6 @@
 They stand in `tests/data/mcap-conformance.tar.xz`, under the licence beside it (MIT).
 """
 
-from __future__ import annotations
-
 import json
 import tarfile
 from pathlib import Path

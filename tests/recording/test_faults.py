@@ -1,7 +1,5 @@
 """Damage of every kind: cut files, flipped bits, structural mutants. Nothing wrong, nothing lost in silence."""
 
-from __future__ import annotations
-
 import random
 import resource
 import time

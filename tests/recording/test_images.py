@@ -1,7 +1,5 @@
 """Images: whole and true to the pixel in every layout, or refused."""
 
-from __future__ import annotations
-
 import random
 
 import cv2

@@ -1,7 +1,5 @@
 """Single faults, one by one: what exactly is lost, what is still read, and what the report says."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

@@ -4,8 +4,6 @@ A corpus of small inputs stands in `tests/data/corpus`, a folder a parser; `test
 code, by coverage. `pytest -m fault` makes 25,000 mutants of them, the plain run a few hundred.
 """
 
-from __future__ import annotations
-
 import random
 import subprocess
 import sys

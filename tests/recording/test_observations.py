@@ -1,7 +1,5 @@
 """Observations: right images, the believed base, any order in the file, and decoding in threads."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Logs of other recorders hold the same scene; broken ones end in a result, a counted loss or a clear error."""
 
-from __future__ import annotations
-
 import random
 import sqlite3
 import time

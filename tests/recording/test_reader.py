@@ -1,7 +1,5 @@
 """The facade: clear errors at the door, broken frames as rejections, topics by role, joints at image stamps."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage

@@ -1,7 +1,5 @@
 """Logs behind URLs: the same samples as from a disk, by the index where there is one, and one line where it fails."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterator
 from functools import partial

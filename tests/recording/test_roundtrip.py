@@ -1,7 +1,5 @@
 """What is written is read again, to the last bit where the encoding allows it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Opening: which reader serves a file, which topic plays a role, and which instruments a recording has."""
 
-from __future__ import annotations
-
 import gzip
 import os
 from collections.abc import Mapping

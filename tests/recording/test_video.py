@@ -1,7 +1,5 @@
 """Video: every frame in order, and after a loss nothing until the next key frame."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

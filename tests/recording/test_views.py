@@ -1,7 +1,5 @@
 """Views of a recording can be sent to other processes, and few passes over the file serve them all."""
 
-from __future__ import annotations
-
 import pickle
 from collections import Counter
 from dataclasses import replace

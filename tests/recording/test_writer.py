@@ -1,7 +1,5 @@
 """The writer: byte-identical, never replacing, readable when interrupted, honest about a full disk."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Clearances and paths against independent computations on the same meshes, by trimesh and SciPy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

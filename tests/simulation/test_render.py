@@ -1,7 +1,5 @@
 """What is drawn lies where the camera model says, whatever was drawn before, and looks as geometry and optics say."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The scene of a seed: bodies as they are described, and options that move nothing else."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh

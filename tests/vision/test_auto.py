@@ -1,7 +1,5 @@
 """Instruments in random pictures: found where there are any, none in bare tissue, whatever border and light."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Degradations: the paper's blurs, and those that get worse with severity and depend on nothing but the seed."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Rectified stereo: disparity surfaces and row offsets, on pairs warped from one texture."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

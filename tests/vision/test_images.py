@@ -1,7 +1,5 @@
 """Forms of an image: first field, undistorted, rectified, by colour."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

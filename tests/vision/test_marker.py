@@ -1,7 +1,5 @@
 """The paper's marker: where it is pasted, and the homography that its matches give."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

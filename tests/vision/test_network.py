@@ -1,7 +1,5 @@
 """Segmentation by a network: masks against an independent computation, faults of a profile, the network that ships."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

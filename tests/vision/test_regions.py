@@ -1,7 +1,5 @@
 """Regions: gates, pixel counts and centroids against NumPy; outlines of partly hidden objects."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
