@@ -26,9 +26,7 @@ FILES_KEPT = 4
 URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 CLOUD_EXTRA = "pip install 'svmdist[cloud]'"
 BAD_CHARACTER = "the path has a character that no path can have"
-NAME_BYTES = 255 - len(
-    "..part"
-)  # of a name, for its temporary one: nearly every file system allows 255 bytes
+NAME_BYTES = 255 - len("..part")  # nearly every file system allows 255 bytes for a name
 ASCII = str.maketrans(
     dict(zip("─–—−µ×’“”\N{REPLACEMENT CHARACTER}", '----ux\'""?', strict=True))
     | {"…": "...", "±": "+-", "°": " deg", "²": "2", "³": "3", "≥": ">=", "≤": "<=", "→": "->"}
@@ -74,8 +72,8 @@ def plain_errors() -> Iterator[None]:
         reason = f"{problem}: URLs need a package that is missing: {CLOUD_EXTRA}"
         raise OSError(errno.ENOSYS, reason) from None
     except Exception as problem:
-        said = getattr(problem, "strerror", None) or problem
-        raise OSError(errno.EIO, " ".join(str(said).split())[:300] or type(problem).__name__) from None
+        reason = getattr(problem, "strerror", None) or str(problem)
+        raise OSError(errno.EIO, " ".join(reason.split())[:300] or type(problem).__name__) from None
 
 
 def filesystem_of(url: str) -> tuple[Any, str]:
@@ -264,8 +262,5 @@ def atomic_file(path: Path) -> Iterator[Path]:
 
 def write_atomically(path: Path, lines: Iterable[str]) -> None:
     """Write text atomically, in UTF-8 and with its own line ends; raises OutputError where that fails."""
-    with (
-        atomic_file(path) as target,
-        target.open("w", encoding="utf-8", errors=FALLBACK, newline="") as file,
-    ):
+    with atomic_file(path) as part, part.open("w", encoding="utf-8", errors=FALLBACK, newline="") as file:
         file.writelines(lines)

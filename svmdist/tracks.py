@@ -22,9 +22,7 @@ from svmdist.transforms import (
 Mask = NDArray[np.bool_]
 
 MAX_GAP_NS = 100_000_000  # longest gap to interpolate across: ten samples of the slowest useful joint states
-RATE_WINDOW_NS = (
-    40_000_000  # rates are those of the samples within: eight at 100 Hz average encoder noise out
-)
+RATE_WINDOW_NS = 40_000_000  # a rate is over the samples within: eight at 100 Hz average encoder noise out
 
 
 @dataclass(frozen=True)
@@ -152,24 +150,12 @@ class TransformTrack:
 
 
 @dataclass(frozen=True)
-class SampledDistances:
-    """Interpolated distances in m, shape (m,) each, and which of them are valid; the others are NaN."""
-
-    planar_m: Array
-    spatial_m: Array
-    clearance_m: Array
-    valid: Mask
-
-
-@dataclass(frozen=True)
 class DistanceTrack:
     """The true planar distance, spatial distance and clearance over time, shape (n, 3), in m."""
 
     stamps_ns: Stamps
     distances_m: Array
 
-    def at(self, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> SampledDistances:
-        """Interpolate linearly."""
-        sampled = _interpolate_rows(self.distances_m, bracket(self.stamps_ns, at_ns, max_gap_ns))
-        planar_m, spatial_m, clearance_m = sampled.values.T
-        return SampledDistances(planar_m, spatial_m, clearance_m, sampled.valid)
+    def at(self, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> Sampled:
+        """Interpolate linearly; the values have shape (m, 3)."""
+        return _interpolate_rows(self.distances_m, bracket(self.stamps_ns, at_ns, max_gap_ns))

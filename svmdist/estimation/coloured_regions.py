@@ -15,7 +15,8 @@ from svmdist.estimation.instrument.model import NECK_PER_RADIUS, WRIST_LENGTH_PE
 from svmdist.estimation.region_tracking import Blob, Gaussian, NominalPlace
 from svmdist.estimation.scene import Arm
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import AreaGate, Instrument
+from svmdist.profile.robot import Instrument
+from svmdist.profile.segmentation import AreaGate
 from svmdist.results import Failure, ToolPose
 from svmdist.samples import Image
 from svmdist.transforms import Array
@@ -64,21 +65,17 @@ class ColouredRegions:
         names, blobs = tuple(label for label, _ in whole), tuple(blob for _, blob in whole)
         return cls(mask, np.asarray(labels, np.int32), blobs, names, fragments)
 
-    @property
-    def _square(self) -> Image:
-        return np.ones((GROWN_PX, GROWN_PX), np.uint8)
-
     def without(self, index: int | None) -> Image:
         """Mask of everything coloured but one region and the fragments about it; of everything for None."""
-        grown = np.asarray(cv2.dilate(self.mask, self._square), np.uint8)
-        if index is None:
-            return grown
-        blob, own = self.blobs[index], [self.names[index]]
-        for label, fragment in self.fragments:
-            if np.linalg.norm(fragment.centre_px - blob.centre_px) < FRAGMENT_REACH * blob.radius_px:
-                own.append(label)
-        mine = np.where(np.isin(self.labels, own), self.mask, 0).astype(np.uint8)
-        rest = cv2.dilate(cv2.subtract(self.mask, mine), self._square)
+        mine = np.zeros_like(self.mask)
+        if index is not None:
+            blob, own = self.blobs[index], [self.names[index]]
+            for label, fragment in self.fragments:
+                if np.linalg.norm(fragment.centre_px - blob.centre_px) < FRAGMENT_REACH * blob.radius_px:
+                    own.append(label)
+            mine[np.isin(self.labels, own)] = 255
+            mine &= self.mask
+        rest = cv2.dilate(cv2.subtract(self.mask, mine), np.ones((GROWN_PX, GROWN_PX), np.uint8))
         return np.asarray(cv2.subtract(rest, mine), np.uint8)
 
 
@@ -107,8 +104,7 @@ class DarkPixels:
         if np.count_nonzero(seen) < MIN_RAY_FRACTION * RAY_COUNT:
             return 0.0
         dark = float(np.mean(self.mask[y[seen], x[seen]] > 0))
-        likely, unlikely = LIKELY_DARK, UNLIKELY_DARK
-        yes, no = np.log(likely / unlikely), np.log((1 - likely) / (1 - unlikely))
+        yes, no = np.log(LIKELY_DARK / UNLIKELY_DARK), np.log((1 - LIKELY_DARK) / (1 - UNLIKELY_DARK))
         return float(dark * yes + (1.0 - dark) * no)
 
     def by_axis(self, axes: Sequence[ShaftAxis | None]) -> NDArray[np.int8]:
@@ -139,12 +135,8 @@ class NominalInstrument:
 
     def moved(self, T_other_camera: Array) -> NominalInstrument:
         """The same in the frame of another camera beside this one; covariances stay as they are."""
-        pose = replace(
-            self.pose,
-            T_camera_tool=T_other_camera @ self.pose.T_camera_tool,
-            axis=T_other_camera[:3, :3] @ self.pose.axis,
-        )
-        return replace(self, pose=pose)
+        T, axis = T_other_camera @ self.pose.T_camera_tool, T_other_camera[:3, :3] @ self.pose.axis
+        return replace(self, pose=replace(self.pose, T_camera_tool=T, axis=axis))
 
     def place(self, camera: Camera) -> NominalPlace:
         """Where the tool is in the image by nominal kinematics, to first order."""

@@ -18,7 +18,7 @@ from svmdist.estimation.tissue import require_tissue
 from svmdist.estimation.tissue_tracking import TissueTracker
 from svmdist.kinematics import row_index
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import Fiducial, KinematicError
+from svmdist.profile.robot import Fiducial, KinematicError
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import Status
 from svmdist.transforms import Array, inverse, skew

@@ -12,13 +12,12 @@ from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.plane_mapping import PlaneMapping, planar_distance_m
 from svmdist.estimation.scene import Arm
 from svmdist.profile import Features as FeatureRules
-from svmdist.profile import Marker
-from svmdist.profile.settings import MarkerSettings, OutlineSettings
-from svmdist.results import Distance, Distances, FrameResult, ImageFindings, as_pixel
+from svmdist.profile import Marker, Profile
+from svmdist.profile.settings import OutlineSettings
+from svmdist.results import Distance, Distances, FrameResult, as_pixel
 from svmdist.samples import Image, Status
 from svmdist.transforms import Array
-from svmdist.vision.colour import colour_mask
-from svmdist.vision.frame_context import to_grey, to_hsv
+from svmdist.vision.colour import colour_mask, to_grey, to_hsv
 from svmdist.vision.marker import (
     EDGE_MARGIN_PX,
     Features,
@@ -41,13 +40,13 @@ def locate(frame: Frame) -> tuple[FrameResult, Region | None, Region | None]:
     status = Status.OK
     if tissue is None or instrument is None:
         status = Status.NO_TISSUE if tissue is None else Status.NO_INSTRUMENT
-    found = ImageFindings(
-        tool_px=as_pixel(instrument.centroid_px) if instrument else None,
-        tissue_px=as_pixel(tissue.centroid_px) if tissue else None,
-        tool_area_px=instrument.area_px if instrument else None,
-        tissue_area_px=tissue.area_px if tissue else None,
-    )
-    return FrameResult(frame.stamp_ns, status, found), tissue, instrument
+    result = FrameResult(frame.stamp_ns, status)
+    if tissue is not None:
+        result = result.with_image(tissue_px=as_pixel(tissue.centroid_px), tissue_area_px=tissue.area_px)
+    if instrument is not None:
+        tool_px, area_px = as_pixel(instrument.centroid_px), instrument.area_px
+        result = result.with_image(tool_px=tool_px, tool_area_px=area_px)
+    return result, tissue, instrument
 
 
 def in_plane(result: FrameResult, tool_px: Array, tissue_px: Array, mapping: PlaneMapping) -> FrameResult:
@@ -76,8 +75,7 @@ class MarkerDetection:
 
 def template_features(marker: Marker, rules: FeatureRules) -> Features:
     """ORB features of the marker itself, in px of the marker."""
-    template = padded_template(marker.size_px, EDGE_MARGIN_PX)
-    features = detect_orb(template, rules.feature_count)
+    features = detect_orb(padded_template(marker.size_px, EDGE_MARGIN_PX), rules.feature_count)
     return replace(features, points_px=features.points_px - EDGE_MARGIN_PX)
 
 
@@ -86,27 +84,20 @@ def mark(image_bgr: Image, centre_px: Array, marker: Marker) -> MarkedWindow:
     return paste_marker(image_bgr, centre_px, marker.size_px, EDGE_MARGIN_PX)
 
 
-def detect_marker(
-    marked: MarkedWindow,
-    template: Features,
-    marker: Marker,
-    rules: FeatureRules,
-    settings: MarkerSettings,
-    outline: OutlineSettings,
-) -> MarkerDetection:
+def detect_marker(marked: MarkedWindow, template: Features, profile: Profile) -> MarkerDetection:
     """Find the marker in its window, draw its outline, and take the outline's centroid by colour."""
-    grey = to_grey(marked.window_bgr)
-    features = detect_orb(grey, rules.feature_count)
+    marker, rules, settings = profile.marker, profile.features, profile.settings
+    features = detect_orb(to_grey(marked.window_bgr), rules.feature_count)
     if len(features) == 0:
         return MarkerDetection(Status.NO_FEATURES, 0)
     matches = match_features(template, features, rules.ratio)
     if len(matches) < rules.min_match_count:
         return MarkerDetection(Status.TOO_FEW_MATCHES, len(features), len(matches))
     homography = fit_homography(matches, rules.reprojection_px)
-    if homography is None or not is_plausible(homography.H, marker.size_px, settings):
+    if homography is None or not is_plausible(homography.H, marker.size_px, settings.marker):
         return MarkerDetection(Status.NO_HOMOGRAPHY, len(features), len(matches))
     corners_px = transfer(homography.H, square_corners(marker.size_px))
-    region = third_contour(marked.window_bgr, corners_px, marker, outline)
+    region = third_contour(marked.window_bgr, corners_px, marker, settings.outline)
     origin_px = np.array(marked.origin_px, np.float64)
     return MarkerDetection(
         Status.NO_OUTLINE if region is None else Status.OK,
@@ -128,18 +119,13 @@ def third_contour(
     high = np.clip(np.ceil(corners_px.max(0)) + reach_px + 1, 1, [width, height])
     (x0, y0), (x1, y1) = low.astype(int), high.astype(int)
     box_bgr = window_bgr[y0:y1, x0:x1].copy()
-    draw_outline(box_bgr, corners_px - low, marker)
+    fixed = np.round((corners_px - low) * (1 << SUBPIXEL_BITS)).astype(np.int32)
+    colour, width_px = marker.outline_bgr, marker.outline_width_px
+    cv2.polylines(box_bgr, [fixed], True, colour, width_px, cv2.LINE_8, SUBPIXEL_BITS)
     region = find_region(colour_mask(to_hsv(box_bgr), marker.outline), marker.outline, settings)
     if region is None:
         return None
     return replace(region, centroid_px=region.centroid_px + low, hull=region.hull + low.astype(np.int32))
-
-
-def draw_outline(image_bgr: Image, corners_px: Array, marker: Marker) -> None:
-    """Draw the polyline of the outline into an image, in place, at sub-pixel corners of shape (4, 2)."""
-    fixed = np.round(corners_px * (1 << SUBPIXEL_BITS)).astype(np.int32)
-    colour, width_px = marker.outline_bgr, marker.outline_width_px
-    cv2.polylines(image_bgr, [fixed], True, colour, width_px, cv2.LINE_8, SUBPIXEL_BITS)
 
 
 class OverlayEstimator:
@@ -150,12 +136,9 @@ class OverlayEstimator:
     keeps_state = False
 
     def __init__(self, arm: Arm, mapping: PlaneMapping) -> None:
-        profile = arm.profile
-        self._marker = profile.marker
-        self._rules = profile.features
-        self._settings = profile.settings.marker, profile.settings.outline
+        self._profile = arm.profile
         self._mapping = mapping
-        self._template = template_features(profile.marker, profile.features)
+        self._template = template_features(arm.profile.marker, arm.profile.features)
 
     def estimate(self, frame: Frame) -> FrameResult:
         """Measure one frame; a frame that cannot be measured says why."""
@@ -163,15 +146,12 @@ class OverlayEstimator:
         result, tissue, instrument = locate(frame)
         if tissue is None or instrument is None:
             return result
-        marked = mark(frame.left.context.bgr_as_recorded, instrument.centroid_px, self._marker)
+        marked = mark(frame.left.context.bgr_as_recorded, instrument.centroid_px, self._profile.marker)
 
         # Second phase: features, matches, homography, outline.  Final phase: third contour.
-        found = detect_marker(marked, self._template, self._marker, self._rules, *self._settings)
-        result = result.with_image(
-            keypoint_count=found.keypoint_count,
-            match_count=found.match_count,
-            inlier_count=found.inlier_count,
-        )
+        found = detect_marker(marked, self._template, self._profile)
+        counts = {"match_count": found.match_count, "inlier_count": found.inlier_count}
+        result = result.with_image(keypoint_count=found.keypoint_count, **counts)
         if found.status is not Status.OK or found.centroid_px is None:
             return result.rejected(found.status)
 

@@ -99,8 +99,8 @@ class Scene:
         self.observation = observation = as_pinholes(observation, row_offset_px)
         self._profile = profile
         right, settings = observation.right, profile.settings
-        family = None if profile.fiducial is None else profile.fiducial.family
-        rules = segmenter, settings.exposure, family, settings.tag
+        tags = None if profile.fiducial is None else (profile.fiducial.family, settings.tag)
+        rules = segmenter, settings.exposure, tags
         self.left = FrameContext(observation.image_bgr, *rules)
         self.right = None if right is None else FrameContext(right.image_bgr, *rules)
 

@@ -16,9 +16,8 @@ from svmdist.estimation.instrument.state import Linearised
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import TissuePose, ray_on_plane_biases, require_tissue, tissue_plane
-from svmdist.geometry import Plane
 from svmdist.least_squares import median
-from svmdist.profile import Tissue
+from svmdist.profile.robot import Tissue
 from svmdist.profile.settings import TissueTrackingSettings
 from svmdist.samples import RightView
 from svmdist.transforms import Array, inverse
@@ -109,8 +108,8 @@ class TissueTracker:
             self._shape = CorrelatedMean(SHAPE_SIZE, self._settings)
         self._outlier_count = 0
         self._frame_count += 1
-        self._place.add(pose.position_m, pose.own_covariance)
-        if self._best is None or np.trace(pose.own_covariance) <= np.trace(self._best.own_covariance):
+        self._place.add(pose.position_m, pose.outline_covariance)
+        if self._best is None or np.trace(pose.outline_covariance) <= np.trace(self._best.outline_covariance):
             self._best = pose
         return self.now()
 
@@ -121,10 +120,9 @@ class TissueTracker:
             return None
         # Outlines differ from frame to frame and are averaged; the plane is as uncertain in all of them.
         position_m, of_outline = place
-        covariance = of_outline + self._best.covariance - self._best.own_covariance
-        known = replace(
-            self._best, position_m=position_m, covariance=covariance, outline_covariance=of_outline
-        )
+        covariance = of_outline + self._best.covariance - self._best.outline_covariance
+        known = replace(self._best, position_m=position_m)
+        known = replace(known, covariance=covariance, outline_covariance=of_outline)
         shape = self._shape.now()
         return known if shape is None or known.dome is None else known.with_dome(known.dome.shaped(*shape))
 
@@ -134,7 +132,7 @@ class TissueTracker:
             return True
         position_m, covariance = place
         offset_m = pose.position_m - position_m
-        nis = offset_m @ np.linalg.solve(pose.own_covariance + covariance + TINY_M2 * np.eye(3), offset_m)
+        nis = offset_m @ np.linalg.solve(pose.outline_covariance + covariance + TINY_M2 * np.eye(3), offset_m)
         return bool(nis <= chi_square_bound(3, GATE_Z))
 
 
@@ -182,7 +180,7 @@ def measured_height(
 ) -> tuple[Linearised, float] | None:
     """The height over the dome where the profile has it, as a measurement, and in m; None where too little is seen."""
     points_m = dome.to_tissue_frame(surface.points_m)
-    inner = dome.normalised_radius(points_m[:, :2], dome.shape[:2]) < INNER_RADIUS
+    inner = dome.polar.normalised_radius(points_m[:, :2]) < INNER_RADIUS
     if np.count_nonzero(inner) < MIN_POINTS:
         return None
     over_m = float(median(points_m[inner, 2] - dome.height_m(points_m[inner, :2])))
@@ -209,16 +207,6 @@ def depth_biases(
     return tuple(bias.scaled(p_camera_m[2] / disparity_px) for bias in biases)
 
 
-def by_constants(
-    position_m: Array, plane: Plane, height: TissueHeight, camera: Camera, deviations: Deviations
-) -> tuple[SharedBias, ...]:
-    """What height, focal length and principal point do to the place where the outline's ray meets the plane, (3, k)."""
-    return (
-        *height.biases(position_m / plane.offset_m),
-        *ray_on_plane_biases(position_m, plane, camera, deviations.camera),
-    )
-
-
 class FollowedTissue:
     """The tissue between frames: a place that is averaged, a shape, and a height that the filter's state holds."""
 
@@ -242,16 +230,26 @@ class FollowedTissue:
     def measure_height(self, frame: Frame, kalman: KinematicErrorFilter) -> GatingResult | None:
         """Tell the filter how high stereo shows the tissue; None where it does not show it."""
         known, right, height = self._known, frame.scene.observation.right, self._height
-        surface = None if known is None or known.dome is None or right is None else frame.scene.stereo_surface
-        if known is None or known.dome is None or surface is None or right is None or height is None:
+        if known is None or known.dome is None or right is None or height is None:
+            return None
+        surface = frame.scene.stereo_surface
+        if surface is None:
             return None
         found = measured_height(surface, known.dome, height, frame.left.camera, right, self._deviations)
         if found is None:
             return None
         part, over_m = found
         result = kalman.update_scene(OUTLINE, part)
-        if result.is_accepted and self._tracker.wants_shape and frame.scene.tissue is not None:
-            self._fit_shape(frame, over_m)
+        tissue = frame.scene.tissue
+        if not (
+            result.is_accepted and self._tracker.wants_shape and tissue and tissue.pose and tissue.pose.dome
+        ):
+            return result
+        # Apex and height by the surface, which is put down onto the dome: how high all of it is, is no shape.
+        down = replace(surface, points_m=surface.points_m - over_m * self._plane.normal)
+        dome = fit_dome(tissue.pose.dome, down)
+        if dome is not None:
+            self._tracker.add_shape(dome)
         return result
 
     def placed(
@@ -261,19 +259,9 @@ class FollowedTissue:
         height = self._height
         assert height is not None  # a tissue is known
         height_m = height.in_m(kalman.constant("tissue plane"), kalman.constant("tissue motion"))
-        offset_m = self._plane.offset_m + height_m
-        placed = known.scaled(offset_m / self._plane.offset_m)
-        plane = replace(self._plane, offset_m=offset_m)
-        biases = by_constants(placed.position_m, plane, height, frame.left.camera, self._deviations)
-        covariance, coupling = kalman.coupled(biases)
-        return replace(placed, covariance=placed.own_covariance + covariance), coupling
-
-    def _fit_shape(self, frame: Frame, over_m: float) -> None:
-        """Apex and height of the dome by the surface, which is put down onto it: how high all of it is, is no shape."""
-        surface, tissue = frame.scene.stereo_surface, frame.scene.tissue
-        if surface is None or tissue is None or tissue.pose is None or tissue.pose.dome is None:
-            return
-        down = replace(surface, points_m=surface.points_m - over_m * self._plane.normal)
-        dome = fit_dome(tissue.pose.dome, down)
-        if dome is not None:
-            self._tracker.add_shape(dome)
+        plane = replace(self._plane, offset_m=self._plane.offset_m + height_m)
+        placed = known.scaled(plane.offset_m / self._plane.offset_m)
+        place_m, of_camera = placed.position_m, self._deviations.camera
+        by_ray = ray_on_plane_biases(place_m, plane, frame.left.camera, of_camera)
+        covariance, coupling = kalman.coupled((*height.biases(place_m / plane.offset_m), *by_ray))
+        return replace(placed, covariance=placed.outline_covariance + covariance), coupling

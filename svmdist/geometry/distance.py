@@ -20,17 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.geometry import Capsules, Mesh, Plane, Surface
-from svmdist.transforms import Array
+from svmdist.tracks import Mask
+from svmdist.transforms import Array, cross
 
-Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 CHUNK = 1 << 20  # pairs of capsule and point that are held at once: about 100 MB of temporaries
 TOUCH_M = 1e-12
 ROUGH_M = 1e-6  # error of a distance by matrix products: its square loses 1e-16 of the scene's size squared
-PARALLEL = (
-    1e-14  # squared sine of the angle below which two lines are parallel: an end is a closest point then
-)
+PARALLEL = 1e-14  # squared sine of the angle of parallel lines, of which an end is a closest point
 ZOOM_POINTS, ZOOM_ROUNDS = 33, 8  # grid for the deepest point, 16-fold finer a round: 0.3 m to 1e-10 m
 
 
@@ -100,9 +98,8 @@ def _to_points(capsules: Capsules, points_m: Array) -> Separation:
         part = points_m[begin : begin + step]
         rough = distances_to_axes(part, capsules) - capsules.radius_m[:, None]
         i, j = np.nonzero(rough <= rough.min() + 2.0 * ROUGH_M)
-        gap = (
-            point_to_segment(part[j], capsules.start_m[i], capsules.end_m[i]).distance - capsules.radius_m[i]
-        )
+        axis_m = point_to_segment(part[j], capsules.start_m[i], capsules.end_m[i]).distance
+        gap = axis_m - capsules.radius_m[i]
         at = int(np.argmin(gap))
         best = min(best, (float(gap[at]), int(i[at]), begin + int(j[at])))
     gap_m, index, at = best
@@ -188,11 +185,9 @@ def _deepest(capsules: Capsules, index: int, mesh: Mesh) -> Separation:
     return _outside(capsules, index, points[at], _unit_or_any(inward), distance_m)
 
 
-def _outside(
-    capsules: Capsules, index: int, on_axis: Array, direction: Array, distance_m: float
-) -> Separation:
+def _outside(capsules: Capsules, index: int, on_axis: Array, direction: Array, gap_m: float) -> Separation:
     on_instrument = on_axis + capsules.radius_m[index] * direction
-    return Separation(distance_m, direction, on_instrument, on_instrument + distance_m * direction, index)
+    return Separation(gap_m, direction, on_instrument, on_instrument + gap_m * direction, index)
 
 
 def _unit_or_any(vector: Array) -> Array:
@@ -234,8 +229,7 @@ def distances_to_axes(points: Array, capsules: Capsules) -> Array:
     points, start = points - middle, capsules.start_m - middle
     along = capsules.end_m - capsules.start_m
     length2 = dot(along, along)
-    t = along @ points.T
-    from_start = t - dot(start, along)[:, None]
+    from_start = along @ points.T - dot(start, along)[:, None]
     t = from_start / np.where(length2 > 0.0, length2, 1.0)[:, None]
     np.minimum(np.maximum(t, 0.0, out=t), 1.0, out=t)
     distance2 = start @ points.T
@@ -298,11 +292,6 @@ def segment_to_triangle(start: Array, end: Array, triangle: Array) -> ClosestPai
 def dot(a: Array, b: Array) -> Array:
     """Scalar products along the last axis."""
     return np.asarray(np.einsum("...i,...i->...", a, b))
-
-
-def cross(a: Array, b: Array) -> Array:
-    """Vector products along the last axis; `numpy.cross` without its checks, which cost more than the product."""
-    return np.asarray(a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]])
 
 
 def _lengths(vectors: Array) -> Array:

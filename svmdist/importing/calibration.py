@@ -32,6 +32,9 @@ PAIR_D_KEYS = (("D1", "distCoeffs1"), ("D2", "distCoeffs2"))
 FORMS = "camera_info of ROS (camera_matrix or K), OpenCV (camera_matrix, or M1, D1, M2, D2, R, T), Kalibr (cam0, cam1)"
 PLAUSIBLE_BASELINE_M = (2e-4, 1.0)
 """An endoscope's is about 5 mm; beyond these bounds the unit is another one."""
+Document = dict[str, Any]
+Keys = Sequence[str]
+Size = tuple[int, int] | None
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class StatedCamera:
     K: Array
     D: Array = field(default_factory=lambda: np.zeros(0))
     model: str = "plumb_bob"
-    size_px: tuple[int, int] | None = None
+    size_px: Size = None
     R: Array | None = None
     P: Array | None = None
 
@@ -71,9 +74,7 @@ def stated_cameras(options: CalibrationOptions, view_count: int) -> tuple[Stated
             found = (found[0], read_calibration(right_file, options.unit_m)[-1])
     elif left_K is not None:
         if right_file is not None:
-            raise UsageError(
-                "--right-calibration goes with --calibration; beside --camera it is --right-camera"
-            )
+            raise UsageError("--right-calibration goes with --calibration; with --camera: --right-camera")
         D = np.array(options.distortion, np.float64)
         try:
             model = _model_of(options.distortion_model, D.size)
@@ -83,15 +84,13 @@ def stated_cameras(options: CalibrationOptions, view_count: int) -> tuple[Stated
         found = tuple(StatedCamera(_intrinsic_matrix(*K), D, model) for K in views)
     else:
         raise UsageError("a camera needs a calibration: --calibration FILE, or --camera FX,FY,CX,CY")
-    if view_count == 1:
-        return found[:1]
-    if len(found) == 1 and options.baseline_m is None:
+    if view_count == 1 or (options.baseline_m is None and len(found) > 1):
+        return found[:view_count]
+    if options.baseline_m is None:
         raise SourceError(
             f"{left_file}: has one camera, and there are two views: give --right-calibration, or --baseline for"
             " a rectified pair of equal cameras"
         )
-    if options.baseline_m is None:
-        return found
     left, right = (replace(camera, R=None, P=None) for camera in (found[0], found[-1]))
     shift = np.array([[-right.K[0, 0] * options.baseline_m], [0.0], [0.0]])
     return left, replace(right, P=np.hstack([right.K, shift]))
@@ -113,7 +112,7 @@ def complete(
                 f"the principal point ({camera.K[0, 2]:g}, {camera.K[1, 2]:g}) is outside of the images of"
                 f" {width_px}x{height_px} px"
             )
-        P = np.hstack([camera.K, np.zeros((3, 1))]) if camera.P is None else camera.P
+        P = camera.K @ np.eye(3, 4) if camera.P is None else camera.P
         R = np.eye(3) if camera.R is None else camera.R
         model = cast(DistortionModel, camera.model)
         cameras.append(Camera(width_px, height_px, camera.K, camera.D, R, P, frame_id, model))
@@ -163,21 +162,20 @@ def read_calibration(path: Path, unit_m: float = 1.0) -> tuple[StatedCamera, ...
         raise SourceError(f"{path}: cannot read: {why(problem)}") from None
     except (yaml.YAMLError, ValueError, AssertionError, RecursionError) as problem:
         raise SourceError(f"{path}: not a YAML file: {' '.join(str(problem).split())}") from None
-    if not isinstance(document, dict):
-        raise SourceError(
-            f"{path}: expected a YAML mapping of a calibration, found {type(document).__name__}"
-        )
     try:
+        if not isinstance(document, dict):
+            raise ValueError(f"expected a YAML mapping of a calibration, found {type(document).__name__}")
         return _cameras_in({str(key): value for key, value in document.items()}, unit_m)
     except ValueError as problem:
         raise SourceError(f"{path}: {problem}") from None
 
 
-def _cameras_in(document: dict[str, Any], unit_m: float) -> tuple[StatedCamera, ...]:
-    """The cameras of a document of any form; ValueError for another one."""
+def _cameras_in(document: Document, unit_m: float) -> tuple[StatedCamera, ...]:
     if "cam0" in document:
         return _kalibr(document, unit_m)
-    size_px = _size(document)
+    size = [_numbers(document, keys, None) for keys in (WIDTH_KEYS, HEIGHT_KEYS)]
+    width_px, height_px = (0 if number is None or number.size != 1 else int(number[0]) for number in size)
+    size_px = (width_px, height_px) if width_px > 0 and height_px > 0 else None
     for keys in PAIR_K_KEYS:
         if set(keys) <= set(document):
             of_each = zip(keys, PAIR_D_KEYS, strict=True)
@@ -186,7 +184,7 @@ def _cameras_in(document: dict[str, Any], unit_m: float) -> tuple[StatedCamera, 
             if R is None or t is None or t.size != 3:
                 raise ValueError("a pair needs R (3 x 3) and T (3): where the right camera stands")
             return _rectified(left, right, R, t * unit_m)
-    if not any(key in document for key in K_KEYS):
+    if not set(K_KEYS) & set(document):
         found = ", ".join(sorted(document)[:8]) or "nothing"
         raise ValueError(f"no calibration that is known; expected {FORMS}; found the keys {found}")
     model = str(document.get("distortion_model", document.get("camera_model", "")))
@@ -196,12 +194,10 @@ def _cameras_in(document: dict[str, Any], unit_m: float) -> tuple[StatedCamera, 
     return (replace(camera, R=_numbers(document, ("rectification_matrix", "R", "r"), (3, 3)), P=P),)
 
 
-def _kalibr(document: dict[str, Any], unit_m: float) -> tuple[StatedCamera, ...]:
+def _kalibr(document: Document, unit_m: float) -> tuple[StatedCamera, ...]:
     cameras = []
-    for name in ("cam0", "cam1"):
-        entry = document.get(name)
-        if entry is None:
-            continue
+    for name in ("cam0", "cam1") if document.get("cam1") is not None else ("cam0",):
+        entry = document[name]
         if not isinstance(entry, dict):
             raise ValueError(f"{name} is no mapping")
         if entry.get("camera_model", "pinhole") != "pinhole":
@@ -211,8 +207,7 @@ def _kalibr(document: dict[str, Any], unit_m: float) -> tuple[StatedCamera, ...]
             raise ValueError(f"{name}: expected intrinsics of 4 numbers, fu, fv, pu, pv")
         size = _numbers(entry, ("resolution",), None)
         size_px = None if size is None or size.size != 2 else (int(size[0]), int(size[1]))
-        entry = {**entry, "K": _intrinsic_matrix(*intrinsics)}
-        model = str(entry.get("distortion_model", ""))
+        model, entry["K"] = str(entry.get("distortion_model", "")), _intrinsic_matrix(*intrinsics)
         cameras.append(_camera(entry, ("K",), ("distortion_coeffs",), model, size_px))
     if len(cameras) == 1:
         return tuple(cameras)
@@ -222,13 +217,7 @@ def _kalibr(document: dict[str, Any], unit_m: float) -> tuple[StatedCamera, ...]
     return _rectified(cameras[0], cameras[1], T_cam1_cam0[:3, :3], T_cam1_cam0[:3, 3] * unit_m)
 
 
-def _camera(
-    document: dict[str, Any],
-    K_keys: Sequence[str],
-    D_keys: Sequence[str],
-    model: str,
-    size_px: tuple[int, int] | None,
-) -> StatedCamera:
+def _camera(document: Document, K_keys: Keys, D_keys: Keys, model: str, size_px: Size) -> StatedCamera:
     K, D = _numbers(document, K_keys, (3, 3)), _numbers(document, D_keys, None)
     D = np.zeros(0) if D is None else D
     if K is None or not (K[0, 0] > 0 and K[1, 1] > 0):
@@ -248,8 +237,8 @@ def _rectified(
     R1, R2, P1, P2, *_ = cv2.stereoRectify(
         left.K, np.zeros(5), right.K, np.zeros(5), size_px, R_right_left, np.reshape(t_m, (3, 1))
     )
-    found = ((left, R1, P1), (right, R2, P2))
-    return tuple(replace(camera, R=np.asarray(R), P=np.asarray(P)) for camera, R, P in found)
+    left = replace(left, R=np.asarray(R1), P=np.asarray(P1))
+    return left, replace(right, R=np.asarray(R2), P=np.asarray(P2))
 
 
 def _intrinsic_matrix(fx: float, fy: float, cx: float, cy: float) -> Array:
@@ -257,7 +246,6 @@ def _intrinsic_matrix(fx: float, fy: float, cx: float, cy: float) -> Array:
 
 
 def _model_of(name: str, count: int) -> str:
-    """The model of a name and a number of coefficients; ValueError for an unknown one."""
     known = KNOWN_DISTORTION.get(name.lower())
     if known is None:
         raise ValueError(f"distortion model {name!r}: {did_you_mean(name, filter(None, KNOWN_DISTORTION))}")
@@ -268,10 +256,10 @@ def _model_of(name: str, count: int) -> str:
     return "rational_polynomial" if known == "plumb_bob" and count > 5 else known
 
 
-def _numbers(document: dict[str, Any], keys: Sequence[str], shape: tuple[int, int] | None) -> Array | None:
+def _numbers(document: Document, keys: Keys, shape: tuple[int, int] | None) -> Array | None:
     """The value of the first of some keys as numbers, of a shape or flat; None where it is missing or empty."""
-    key = next((key for key in keys if key in document), None)
-    value = None if key is None else document[key]
+    key = next((key for key in keys if key in document), "")
+    value = document.get(key)
     if isinstance(value, dict):
         value = value.get("data")
     if value is None:
@@ -287,10 +275,3 @@ def _numbers(document: dict[str, Any], keys: Sequence[str], shape: tuple[int, in
     if numbers.size not in (0, shape[0] * shape[1]):
         raise ValueError(f"{key}: expected {shape[0]} x {shape[1]} numbers, found {numbers.size}")
     return numbers.reshape(shape) if numbers.size else None
-
-
-def _size(document: dict[str, Any]) -> tuple[int, int] | None:
-    """Width and height in px; None where there are none, or zeros."""
-    size = [_numbers(document, keys, None) for keys in (WIDTH_KEYS, HEIGHT_KEYS)]
-    width_px, height_px = (0 if number is None or number.size != 1 else int(number[0]) for number in size)
-    return (width_px, height_px) if width_px > 0 and height_px > 0 else None

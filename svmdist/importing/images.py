@@ -18,7 +18,7 @@ DIGITS = re.compile(r"(\d+)")
 
 
 def list_images(folder: Path, pattern: str | None = None) -> list[Path]:
-    """The images of a folder, by a pattern such as `*_L.jpg`, in natural order; SourceError where there is none."""
+    """The images of a folder, by a pattern such as `*_L.jpg`, in natural order."""
     try:
         every = sorted((path for path in folder.iterdir() if path.is_file()), key=_natural_key)
     except OSError as problem:
@@ -27,19 +27,13 @@ def list_images(folder: Path, pattern: str | None = None) -> list[Path]:
     if not images:
         found = f"{len(every)} other files" if every else "nothing"
         raise SourceError(f"{folder}: no images ({', '.join(sorted(SUFFIXES))}); found {found}")
-    chosen = [path for path in images if pattern is None or path.match(pattern)]
-    if not chosen:
-        raise SourceError(
-            f"{folder}: none of {len(images)} images is a {pattern}; the first is {images[0].name}"
-        )
-    return chosen
+    if chosen := [path for path in images if pattern is None or path.match(pattern)]:
+        return chosen
+    raise SourceError(f"{folder}: none of {len(images)} images is a {pattern}; the first is {images[0].name}")
 
 
 def matching(left: Sequence[Path], right: Sequence[Path]) -> list[Path]:
-    """The right view's files in the order of the left one's, by the last numbers in their names.
-
-    SourceError names the first file without a counterpart.
-    """
+    """The right view's files in the order of the left one's, by the last numbers in their names."""
     keys = {_number(path): path for path in right}
     if len(keys) < len(right):
         raise SourceError(f"{right[0].parent}: right images whose names have the same last number")
@@ -75,10 +69,7 @@ def _natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
 
 
 class Video:
-    """The first video stream of a file: its size, and the time in ns of every image after the first one.
-
-    SourceError in one line where there is none that can be read.
-    """
+    """The first video stream of a file: its size, and the time in ns of every image after the first one."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -104,13 +95,12 @@ class Video:
 
     @contextmanager
     def _stream(self) -> Iterator[tuple[Any, Any]]:
-        path = self._path
         try:
-            with self._av.open(f"file:{path}") as container:  # whatever protocol its name looks like
+            with self._av.open(f"file:{self._path}") as container:  # whatever protocol its name looks like
                 stream = next(iter(container.streams.video), None)
                 if stream is None:
-                    raise SourceError(f"{path}: has no video")
+                    raise SourceError(f"{self._path}: has no video")
                 yield container, stream
         except self._av.error.FFmpegError as problem:
             reason = " ".join(str(problem.strerror or problem).split())
-            raise SourceError(f"{path}: neither an image nor a video that can be read: {reason}") from None
+            raise SourceError(f"{self._path}: no image and no video that can be read: {reason}") from None

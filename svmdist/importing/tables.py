@@ -25,19 +25,17 @@ from svmdist.transforms import Array, Stamps, make_transform, rotation_from_quat
 
 MAX_BYTES = 1 << 28
 MAX_STAMP_NS = (1 << 63) - 1
-DECIMAL_STAMP = re.compile(r"(?<!\d)(\d{9,11})[._](\d{3,9})(?!\d)")
-"""Seconds since 1970 and their fraction."""
+DECIMAL_STAMP = re.compile(r"(?<!\d)(\d{9,11})[._](\d{3,9})(?!\d)")  # seconds since 1970 and their fraction
 WHOLE_STAMP = re.compile(r"(?<!\d)(\d{13,19})(?!\d)")
-BRACKETS = re.compile(r"\s*\[(.*)\]\s*$")
-"""A unit in brackets behind a name, as in `timestamp [ns]`."""
+BRACKETS = re.compile(r"\s*\[(.*)\]\s*$")  # a unit behind a name, as in `timestamp [ns]`
 UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 LENGTHS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 JOINT_UNITS = {"deg": np.pi / 180.0, "rad": 1.0, "mm": 1e-3, "m": 1.0}
 STAMP_NAMES = frozenset({"stamp", "timestamp", "time", "t", "stamps", "secs", "header.stamp"})
 IMAGE_NAMES = frozenset({"image", "frame", "file", "filename", "name", "image_name", "index"})
+# What names of columns have before the axis.
 POSITION = r"(p|t|pos_|position[_.]?|p_rs_r_|pose\.position\.|translation_)?"
 QUATERNION = r"(q_?|quat_|orientation[_.]|q_rs_|pose\.orientation\.|rotation_|quaternion_)"
-"""What names of columns have before the axis."""
 ROTATION_TOLERANCE = 1e-2
 """Of a quaternion's length and of R Rᵀ - I: rounded numbers are accepted, other quantities are not."""
 
@@ -51,10 +49,7 @@ class ImageTimes:
 
 
 def parse_stamp_ns(text: str, unit: str | None = None) -> int:
-    """A stamp in ns; without a unit (s, ms, us, ns) it follows from the size, for times since 1970.
-
-    Raises ValueError for text that is not a number, and for a stamp that is negative or beyond 64 bits.
-    """
+    """A stamp in ns, or ValueError; without a unit (s, ms, us, ns) it follows from the size, for times since 1970."""
     try:
         value = Decimal(text)
     except InvalidOperation:
@@ -86,8 +81,7 @@ def stamps_from_names(names: Sequence[str]) -> list[int] | None:
 
 def require_rising(stamps_ns: Sequence[int], names: Sequence[str], what: str) -> None:
     """Raise SourceError where a stamp is not after the one before it."""
-    rows = list(zip(stamps_ns, names, strict=True))
-    for (before_ns, before), (stamp_ns, name) in pairwise(rows):
+    for (before_ns, before), (stamp_ns, name) in pairwise(zip(stamps_ns, names, strict=True)):
         if stamp_ns <= before_ns:
             raise SourceError(
                 f"{what}: the time of {name} ({stamp_ns} ns) is not after that of {before} ({before_ns} ns)"
@@ -101,8 +95,7 @@ def read_times(path: Path, names: Sequence[str]) -> list[int]:
     stamp, image = table.special
     if stamp is None:
         stamp = next((at for at in columns if at != image and _is_number(table.rows[0][at])), None)
-        if image is None:
-            image = next((at for at in columns if at != stamp), None)
+        image = next((at for at in columns if at != stamp), None) if image is None else image
     if stamp is None:
         raise SourceError(f"{path}: no column of times; expected a name such as stamp_ns or timestamp")
     stamps = table.stamps_ns(stamp)
@@ -111,16 +104,15 @@ def read_times(path: Path, names: Sequence[str]) -> list[int]:
             raise SourceError(f"{path}: {len(stamps)} times for {len(names)} images")
         return stamps
     found = dict(zip(table.places(image, names), stamps, strict=True))
-    for place, name in enumerate(names):
-        if place not in found:
-            raise SourceError(f"{path}: no time for the image {name}")
+    if missing := [name for place, name in enumerate(names) if place not in found]:
+        raise SourceError(f"{path}: no time for the image {missing[0]}")
     return [found[place] for place in range(len(names))]
 
 
 def read_poses(path: Path, images: ImageTimes, unit_m: float, frame_id: str) -> TransformTrack:
     """Poses of a table: columns by name, or `[time] x y z qx qy qz qw` (TUM), or 12 or 16 numbers of a matrix.
 
-    `unit_m` is the unit of lengths whose column has none. Raises SourceError.
+    `unit_m` is the unit of lengths whose column has none.
     """
     table = read_table(path)
     stamps_ns, others = _row_stamps(table, images, {7, 12, 16})
@@ -141,8 +133,16 @@ def read_poses(path: Path, images: ImageTimes, unit_m: float, frame_id: str) -> 
             )
     else:
         split = [_split_unit(name, LENGTHS_M) for name in table.names]
-        position = [_column(table, split, POSITION, axis) for axis in "xyz"]
-        quaternion = [_column(table, split, QUATERNION, axis) for axis in "xyzw"]
+
+        def column_of(prefix: str, axis: str) -> int:
+            for column, (name, _) in enumerate(split):
+                if re.fullmatch(prefix + axis, name.lower()):
+                    return column
+            wanted = axis if prefix == POSITION else f"q{axis}"
+            raise SourceError(f"{path}: no column {wanted}; the columns are {', '.join(table.names or ())}")
+
+        position = [column_of(POSITION, axis) for axis in "xyz"]
+        quaternion = [column_of(QUATERNION, axis) for axis in "xyzw"]
         scale = [LENGTHS_M.get(split[column][1], unit_m) for column in position]
     positions_m, quaternions = table.numbers(position) * scale, table.numbers(quaternion)
     lengths = np.linalg.norm(quaternions, axis=1)
@@ -193,7 +193,7 @@ class Table:
         return stamp, image
 
     def fail(self, row: int, reason: str) -> SourceError:
-        """Make the error for a row."""
+        """The error for a row."""
         return SourceError(f"{self.path}: line {row + self.first_line}: {reason}")
 
     def numbers(self, columns: Sequence[int]) -> Array:
@@ -230,7 +230,7 @@ class Table:
 
 
 def read_table(path: Path) -> Table:
-    """Read a table; SourceError in one line."""
+    """The table in a file; SourceError where it has none."""
     try:
         text = read_regular(path, MAX_BYTES).decode("utf-8-sig")
     except OSError as problem:
@@ -287,7 +287,6 @@ def _split_unit(name: str, units: Collection[str]) -> tuple[str, str]:
 
 
 def _row_stamps(table: Table, images: ImageTimes, plain_widths: set[int]) -> tuple[Stamps, list[int]]:
-    """The stamp of each row in ns, and the columns with other values."""
     stamp, image = table.special
     columns = range(len(table.rows[0]))
     if table.names is None and len(columns) - 1 in plain_widths:
@@ -310,12 +309,3 @@ def _row_stamps(table: Table, images: ImageTimes, plain_widths: set[int]) -> tup
             f" for {len(images.stamps_ns)} images"
         )
     return np.array(stamps, np.int64), [column for column in columns if column not in (stamp, image)]
-
-
-def _column(table: Table, split: Sequence[tuple[str, str]], prefix: str, axis: str) -> int:
-    """The column of an axis of a position or a quaternion, by its name."""
-    for column, (name, _) in enumerate(split):
-        if re.fullmatch(prefix + axis, name.lower()):
-            return column
-    wanted = axis if prefix == POSITION else f"q{axis}"
-    raise SourceError(f"{table.path}: no column {wanted}; the columns are {', '.join(table.names or ())}")

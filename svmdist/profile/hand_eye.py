@@ -22,17 +22,8 @@ if TYPE_CHECKING:
 FORMAT: Literal["svmdist.hand-eye/1"] = "svmdist.hand-eye/1"
 FOCAL_LENGTH, PRINCIPAL_POINT, BASELINE = "focal length", "principal point", "baseline"
 SHAFT_RADIUS, TAG_SIZE, TIME_OFFSET = "shaft radius", "tag size", "time offset"
+OFFSET, LENGTH = "offset of {}", "length {}"  # of a joint by its name; of the chain, counted from 1
 Six = tuple[float, float, float, float, float, float]
-
-
-def offset_of(joint: str) -> str:
-    """The name of a joint's constant offset."""
-    return f"offset of {joint}"
-
-
-def length_of(index: int) -> str:
-    """The name of a chain's length, counted from 0 in the order of its rows."""
-    return f"length {index + 1}"
 
 
 class ConstantEffect(StrictModel):
@@ -158,9 +149,9 @@ def stated_deviations(profile: Profile) -> dict[str, float]:
     joints = () if profile.robot is None else profile.robot.joints
     for index, joint in enumerate(joints):
         slides = joint.type == "prismatic"
-        found[offset_of(joint.name)] = kinematic.joint_std_m if slides else kinematic.joint_std_rad
+        found[OFFSET.format(joint.name)] = kinematic.joint_std_m if slides else kinematic.joint_std_rad
         # A row has two lengths at most.
-        found |= {length_of(place): kinematic.length_std_m for place in (2 * index, 2 * index + 1)}
+        found |= {LENGTH.format(number): kinematic.length_std_m for number in (2 * index + 1, 2 * index + 2)}
     return found
 
 

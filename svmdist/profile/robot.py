@@ -60,9 +60,8 @@ class Joint(StrictModel):
     @model_validator(mode="after")
     def _ordered(self) -> Joint:
         if self.type != "fixed" and self.lower >= self.upper:
-            raise ValueError(
-                f"joint {self.name}: lower limit {self.lower} is not below upper limit {self.upper}"
-            )
+            bounds = f"lower limit {self.lower} is not below upper limit {self.upper}"
+            raise ValueError(f"joint {self.name}: {bounds}")
         return self
 
 
@@ -78,8 +77,7 @@ class Robot(StrictModel):
     @model_validator(mode="after")
     def _sound(self) -> Robot:
         names = [name for joint in self.joints for name in (joint.name, *joint.aliases)]
-        doubles = sorted({name for name in names if names.count(name) > 1})
-        if doubles:
+        if doubles := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"joint names must differ; given twice: {', '.join(doubles)}")
         return self
 

@@ -43,12 +43,7 @@ def decode_still(data: bytes | memoryview, limits: Limits) -> Image:
     width_px, height_px = still_size(data, limits)
     if data.startswith(PNG_MAGIC):
         return _decode_by_opencv(data, (width_px, height_px))
-    return _decode_jpeg(data, width_px, height_px)
-
-
-def _decode_jpeg(data: bytes, width_px: int, height_px: int) -> Image:
-    """Decode a JPEG strictly, to OpenCV's pixels: OpenCV itself fills what is damaged with grey, without a word."""
-    try:
+    try:  # strictly, to OpenCV's pixels: OpenCV itself fills what is damaged with grey, without a word
         if _jpeg_header(data)[2] in {"CMYK", "YCCK"}:
             simplejpeg.decode_jpeg(data, "CMYK", strict=True)  # whether it is whole; OpenCV knows its colours
             return _decode_by_opencv(data, (width_px, height_px))
@@ -79,19 +74,16 @@ def still_size(data: bytes, limits: Limits) -> tuple[int, int]:
     """Width and height of a PNG or JPEG in px, by its header; ImageError as from `decode_still`."""
     if len(data) > limits.image_bytes:
         raise ImageError(f"{len(data)} bytes, the limit is {limits.image_bytes}")
-    match still_format(data):
-        case "png":
-            width_px, height_px = _check_png(data)
-        case "jpeg":
-            width_px, height_px, _ = _jpeg_header(data)
-        case None:
-            raise ImageError(f"expected a PNG or JPEG, found {data[:8].hex(' ') or 'nothing'}")
+    found = still_format(data)
+    if found is None:
+        raise ImageError(f"expected a PNG or JPEG, found {data[:8].hex(' ') or 'nothing'}")
+    width_px, height_px = _check_png(data) if found == "png" else _jpeg_header(data)[:2]
     check_dimensions(width_px, height_px, limits)
     return width_px, height_px
 
 
 def check_dimensions(width_px: int, height_px: int, limits: Limits) -> None:
-    """Refuse an empty image and one of too many pixels with ImageError."""
+    """ImageError for an empty image and one of too many pixels."""
     if width_px < 1 or height_px < 1:
         raise ImageError(f"an image of {width_px}x{height_px} px is empty")
     if width_px * height_px > limits.image_pixels:
@@ -100,8 +92,7 @@ def check_dimensions(width_px: int, height_px: int, limits: Limits) -> None:
 
 def _check_png(data: bytes) -> tuple[int, int]:
     """Verify the CRC of every chunk, up to the end: OpenCV decodes truncated and corrupt PNGs without a word."""
-    view = memoryview(data)
-    position = len(PNG_MAGIC)
+    view, position = memoryview(data), len(PNG_MAGIC)
     size_px: tuple[int, int] | None = None
     while position + 12 <= len(view):
         (length,) = struct.unpack_from(">I", view, position)
@@ -113,8 +104,8 @@ def _check_png(data: bytes) -> tuple[int, int]:
         if zlib.crc32(view[position + 4 : end - 4]) != crc:
             raise ImageError(f"the CRC of PNG chunk {kind!r} is wrong")
         if kind == b"IHDR" and size_px is None and length == 13:
-            width_px, height_px, bit_depth = struct.unpack_from(">IIB", view, position + 8)
-            size_px = width_px, height_px
+            *size, bit_depth = struct.unpack_from(">IIB", view, position + 8)
+            size_px = size[0], size[1]
             if bit_depth > 8:
                 raise ImageError(f"a PNG of {bit_depth} bits; 8 are expected")
         elif size_px is None:
@@ -190,7 +181,6 @@ def decode_raw(
 
 NAL_UNIT = re.compile(rb"\x00\x00\x01(.)", re.DOTALL)
 IDR_SLICE = 5
-NEEDED_FOR = "an image in H.264"
 
 
 class VideoDecoder:
@@ -219,16 +209,14 @@ class VideoDecoder:
             raise ImageError(f"video format {cut(video_format)!r} is not known; h264 is expected")
         if len(data) > self._limits.image_bytes:
             raise ImageError(f"{len(data)} bytes, the limit is {self._limits.image_bytes}")
+        if needs_key_frame and not any(one[1][0] & 0x1F == IDR_SLICE for one in NAL_UNIT.finditer(data)):
+            raise ImageError("no key frame yet, which this frame refers to")
+        av = optional_package("av", "video", "an image in H.264", RecordingError)
         if needs_key_frame:
-            if not any(match[1][0] & 0x1F == IDR_SLICE for match in NAL_UNIT.finditer(data)):
-                raise ImageError("no key frame yet, which this frame refers to")
-            self._codec = self._open()
-        image = self._decode(data)
-        self._needs_key_frame = False
-        return image
-
-    def _decode(self, data: bytes) -> Image:
-        av = optional_package("av", "video", NEEDED_FOR, RecordingError)
+            self._codec = codec = av.CodecContext.create("h264", "r")
+            codec.thread_count = 1  # threads hold frames back
+            codec.flags |= av.codec.context.Flags.low_delay
+            codec.options = {"max_pixels": str(self._limits.image_pixels), "err_detect": "explode"}
         packet = av.Packet(data)
         packet.pts = self._count
         packet.time_base = Fraction(1, 1000)
@@ -240,24 +228,32 @@ class VideoDecoder:
         if len(frames) != 1 or frames[0].is_corrupt or frames[0].pts != packet.pts:
             raise ImageError(f"the message holds {len(frames)} whole frames, one is expected")
         check_dimensions(frames[0].width, frames[0].height, self._limits)
+        self._needs_key_frame = False
         return np.asarray(frames[0].to_ndarray(format="bgr24"), np.uint8)
-
-    def _open(self) -> Any:
-        av = optional_package("av", "video", NEEDED_FOR, RecordingError)
-        codec = av.CodecContext.create("h264", "r")
-        codec.thread_count = 1  # threads hold frames back
-        codec.flags |= av.codec.context.Flags.low_delay
-        codec.options = {"max_pixels": str(self._limits.image_pixels), "err_detect": "explode"}
-        return codec
 
 
 def read_file(path: Path, limits: Limits) -> bytes | Image:
-    """The bytes of a PNG or JPEG, or the pixels of another format; SourceError in one line where it is not an image."""
+    """The bytes of a PNG or JPEG, or the pixels of another format; SourceError where it is not an image.
+
+    BMP, TIFF, WebP and PNM are decoded by OpenCV, which refuses images of too many pixels.
+    """
     try:
         data = read_regular(path, limits.image_bytes)
+        if still_format(data):
+            return data
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        if image is None:
+            raise ImageError(f"not an image that can be decoded ({data[:8].hex(' ') or 'an empty file'})")
+        if image.dtype != np.uint8:
+            raise ImageError(f"an image of {8 * image.dtype.itemsize} bits; 8 are expected")
+        check_dimensions(image.shape[1], image.shape[0], limits)
     except OSError as problem:
         raise SourceError(f"{path}: cannot read: {why(problem)}") from None
-    return data if still_format(data) else _decode_other(data, path, limits)
+    except (cv2.error, ImageError) as problem:
+        raise SourceError(f"{path}: {' '.join(str(problem).split())}") from None
+    return np.asarray(
+        cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image[..., :3], np.uint8
+    )
 
 
 def decode_file(data: bytes, name: str, limits: Limits) -> Image:
@@ -266,20 +262,3 @@ def decode_file(data: bytes, name: str, limits: Limits) -> Image:
         return decode_still(data, limits)
     except ImageError as problem:
         raise SourceError(f"{name}: {problem}") from None
-
-
-def _decode_other(data: bytes, path: Path, limits: Limits) -> Image:
-    """BMP, TIFF, WebP or PNM by OpenCV, which refuses images of too many pixels."""
-    try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-        if image is None:
-            found = data[:8].hex(" ") or "an empty file"
-            raise ImageError(f"not an image that can be decoded ({found})")
-        if image.dtype != np.uint8:
-            raise ImageError(f"an image of {8 * image.dtype.itemsize} bits; 8 are expected")
-        check_dimensions(image.shape[1], image.shape[0], limits)
-    except (cv2.error, ImageError) as problem:
-        raise SourceError(f"{path}: {' '.join(str(problem).split())}") from None
-    if image.ndim == 2:
-        return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
-    return np.asarray(image[..., :3], np.uint8)

@@ -17,7 +17,7 @@ from svmdist.files import LogPath, RemoteFile, files_of, is_url, open_regular, w
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera
 from svmdist.perturbations.chosen import Perturbations
 from svmdist.perturbations.joints import ReplayedWorld
-from svmdist.profile import Limits, Profile
+from svmdist.profile import Profile
 from svmdist.recording import observations as obs
 from svmdist.recording.contents import LogFile, Rows, TransformTree, replayed_rows
 from svmdist.recording.messages import EncodedImage, matrices
@@ -29,25 +29,20 @@ from svmdist.transforms import inverse
 
 
 def open_recording(
-    path: LogPath | str,
-    profile: Profile,
-    *,
-    limits: Limits | None = None,
-    topics: Mapping[str, str] | None = None,
+    path: LogPath | str, profile: Profile, *, topics: Mapping[str, str] | None = None
 ) -> Recording:
     """Open a recording; `topics` overrides the profile's, by role: `{"image": "/left/image_raw"}`.
 
-    `limits` replaces the profile's.
-    Raises RecordingError in one line for a file that is missing, empty, or not a recording, and UsageError
-    for an unknown role. What is lost later while reading is counted in `health`.
+    Raises RecordingError for a file that is missing, empty, or not a recording, and UsageError for an unknown role.
+    What is lost later while reading is counted in `health`.
     """
     if isinstance(path, str):
         path = RemoteFile(path) if is_url(path) else Path(path)
-    origin = Origin(path, profile, limits or profile.limits, dict(topics or {}))
-    source = open_source(path, origin.limits)
+    origin = Origin(path, profile, dict(topics or {}))
+    source = open_source(path, profile.limits)
     arms = find_arms(source, profile, origin.topics)
     beside_images = frozenset(topic for arm in arms for topic in arm.topics_beside_images())
-    return Recording(LogFile(source, origin.limits, beside_images), arms, origin)
+    return Recording(LogFile(source, profile.limits, beside_images), arms, origin)
 
 
 class Origin(NamedTuple):
@@ -55,7 +50,6 @@ class Origin(NamedTuple):
 
     path: LogPath
     profile: Profile
-    limits: Limits
     topics: dict[str, str]
 
 
@@ -95,17 +89,12 @@ class Recording:
         """Another process opens the same file anew."""
         return _reopened, (self.origin, self.arms, self.world, self.lag, self.alias, self.window)
 
-    # Views of the same log
-
     def for_instrument(self, name: str) -> Recording:
         """The same log as one of its instruments sees it; RecordingError lists those that there are."""
         return replace(self, arms=(self._arm(name),))
 
     def perturbed(self, perturbations: Perturbations, profile: Profile) -> Recording:
-        """The same log in a perturbed world: joints, their stamps, and what it says of its cameras are others.
-
-        What is drawn, as noise is, is drawn by the seed that `record` wrote into the log, else by 0.
-        """
+        """The same log in a perturbed world, of other joints, stamps and cameras, drawn by the log's seed or 0."""
         seed = self.metadata.get("seed", "")
         world = ReplayedWorld(perturbations, profile, int(seed) if seed.isdecimal() else 0)
         return replace(self, world=world)
@@ -114,16 +103,14 @@ class Recording:
         """The same log with the camera-to-base transforms of some instruments, by name, in place of its own."""
         return replace(self, arms=tuple(replace(a, fixed=fixed.get(a.name, a.fixed)) for a in self.arms))
 
-    # What the log says of itself
-
     @property
     def instruments(self) -> tuple[str, ...]:
-        """Names of the instruments in the log: the profile's own, and the others that have a topic in it."""
+        """The profile's own instrument, and the others that have a topic in the log."""
         return tuple(arm.name for arm in self.arms)
 
     @property
     def world_seed(self) -> int:
-        """The seed of what is drawn of a perturbed world; 0 for the log as it is."""
+        """Of what is drawn of a perturbed world; 0 for the log as it is."""
         return 0 if self.world is None else self.world.seed
 
     @property
@@ -162,10 +149,8 @@ class Recording:
 
     def size_bytes(self) -> int:
         """Size of the file, or of all files of a folder."""
-        return sum(
-            file.size_bytes() if isinstance(file, RemoteFile) else file.stat().st_size
-            for file in files_of(self.path)
-        )
+        files = files_of(self.path)
+        return sum(one.size_bytes() if isinstance(one, RemoteFile) else one.stat().st_size for one in files)
 
     def sha256(self) -> str:
         """Hash the file, or the files of a folder in the order of their names, as hexadecimal digits."""
@@ -188,8 +173,7 @@ class Recording:
     @cached_property
     def logged_camera(self) -> Camera:
         """The first camera calibration as the file has it; RecordingError where there is none."""
-        topic = self._require(Role.CAMERA_INFO)
-        camera = self.file.camera(topic)
+        camera = self.file.camera(self._require(Role.CAMERA_INFO))
         if camera is None:
             raise self._unusable("camera calibration", Role.CAMERA_INFO)
         return camera
@@ -205,8 +189,6 @@ class Recording:
             return camera
         return stated_right_camera(camera, self.world.perturbations)
 
-    # Images, and what belongs to each
-
     def images(self) -> Iterator[ImageSample | Rejection]:
         """Yield every image in file order, decoded; a Rejection stands for one that cannot be."""
         for image in self.file.images({self._require(Role.IMAGE)}):
@@ -220,11 +202,10 @@ class Recording:
 
         Joints and the nominal camera-to-base transform are interpolated to the image's stamp between samples
         at most 0.1 s apart. The right image is the one within `[limits] pair_tolerance_s`, where the cameras form a
-        stereo pair. Each is None where the log has none. Raises RecordingError at once where the log has no
-        images or no camera.
+        stereo pair. Each is None where the log has none. RecordingError at once where the log has no images or camera.
         """
-        found = self.encoded_observations(self.instruments[:1])
-        items = (self.record_losses(one.decode()) for one in found)
+        encoded = self.encoded_observations(self.instruments[:1])
+        items = (self.record_losses(one.decode()) for one in encoded)
         return (item if isinstance(item, Rejection) else item[0] for item in items)
 
     def encoded_observations(
@@ -238,7 +219,7 @@ class Recording:
         arms, topic, camera = [self._arm(name) for name in names], self._require(Role.IMAGE), self.camera
         right = self._right_camera() if needs.right else None
         states = [self._arm_states(arm, needs) for arm in arms]
-        return self.window.of(self._observations(states, topic, camera, right))
+        return self.window.of(self._observations(states, topic, camera, right, needs.rest))
 
     def record_losses(self, decoded: obs.Decoded) -> tuple[Observation, ...] | Rejection:
         """Add what was lost in decoding to `health`, in file order whatever the order of calls; give the rest back."""
@@ -252,10 +233,16 @@ class Recording:
         topic: str,
         camera: Camera,
         right: obs.RightCamera | None,
+        rest: bool,
     ) -> Iterator[obs.EncodedObservation]:
+        def repeated(image: EncodedImage) -> None:
+            late = "repeats a stamp, or comes too far behind later ones; it is left out"
+            detail = f"an image of {image.stamp_ns} ns {late}"
+            self.health.add(Loss(LossKind.MESSAGE, detail, image.offset, image.topic))
+
         tolerance_ns = round(self.file.limits.pair_tolerance_s * 1e9)
-        pairs = obs.Pairs(None if right is None else right.topic, tolerance_ns, self._repeated)
-        images = self.file.images({topic} if right is None else {topic, right.topic})
+        pairs = obs.Pairs(None if right is None else right.topic, tolerance_ns, repeated)
+        images = self.file.images({topic} if right is None else {topic, right.topic}, rest=rest)
         for left, other in pairs.of(images):
             at_stamp = tuple(state(left.stamp_ns) for state in states)
             yield obs.EncodedObservation(left, other, at_stamp, camera, right, self.health.next_place())
@@ -283,13 +270,6 @@ class Recording:
         if topic is None or right is None or T_left_right is None:
             return None
         return obs.RightCamera(topic, right, T_left_right)
-
-    def _repeated(self, image: EncodedImage) -> None:
-        late = "repeats a stamp, or comes too far behind later ones; it is left out"
-        detail = f"an image of {image.stamp_ns} ns {late}"
-        self.health.add(Loss(LossKind.MESSAGE, detail, image.offset, image.topic))
-
-    # Everything else, over time
 
     def joint_track(self) -> JointTrack:
         """All joint states; RecordingError where there are none."""
@@ -326,34 +306,33 @@ class Recording:
                 T = (T if parent == arm.frames.camera else inverse(T))[None]
                 return TransformTrack(parent, child, np.zeros(1, np.int64), T, is_static=True)
         if ground_truth:
-            truth = self.file.contents.tree({self._require(Role.GROUND_TRUTH_TF): False})
-            return truth.track(parent, child)
+            topics = {self._require(Role.GROUND_TRUTH_TF): False}
+            return self.file.contents.tree(topics).track(parent, child)
         if not self.arms[0].choice.static_transforms():
             self._require(Role.TF)
         return self._nominal_tree.track(parent, child)
 
     @cached_property
     def _nominal_tree(self) -> TransformTree:
-        choice = self.arms[0].choice
-        moving = choice.find(Role.TF)
-        topics = dict.fromkeys(choice.static_transforms(), True)
-        return self.file.contents.tree(({moving: False} if moving else {}) | topics, self._lag_ns)
+        moving = self.topic_of(Role.TF)
+        topics = {moving: False} if moving else {}
+        topics |= dict.fromkeys(self.arms[0].choice.static_transforms(), True)
+        return self.file.contents.tree(topics, self._lag_ns)
 
     def pose_track(self) -> TransformTrack:
         """All poses, at the stamps of the images' clock; RecordingError unless they are in one frame."""
         known = self.file.contents.rows[self._require(Role.POSE)]
         frames = sorted(map(str, known))
-        if len(frames) > 1:
-            raise self._unusable(f"poses, in several frames ({sanitize_list(frames)}),", Role.POSE)
-        for rows in known.values():
-            stamps_ns, values = rows.sorted(self._lag_ns)
-            return TransformTrack(frames[0], "", stamps_ns, matrices(values))
-        raise self._unusable("poses", Role.POSE)
+        if len(frames) != 1:
+            several = f", in several frames ({sanitize_list(frames)})," if frames else ""
+            raise self._unusable(f"poses{several}", Role.POSE)
+        stamps_ns, values = next(iter(known.values())).sorted(self._lag_ns)
+        return TransformTrack(frames[0], "", stamps_ns, matrices(values))
 
     def distance_track(self) -> DistanceTrack:
         """All true distances."""
-        rows_of = self.file.contents.rows[self._require(Role.GROUND_TRUTH_DISTANCE)]
-        stamps_ns, rows = rows_of.get(None, Rows()).sorted()
+        topic = self._require(Role.GROUND_TRUTH_DISTANCE)
+        stamps_ns, rows = self.file.contents.rows[topic].get(None, Rows()).sorted()
         return DistanceTrack(stamps_ns, rows.reshape(-1, 3))
 
     @property
@@ -361,9 +340,8 @@ class Recording:
         return 0 if self.lag is None else self.lag.lag_ns
 
     def _arm(self, name: str) -> LoggedArm:
-        for arm in self.arms:
-            if arm.name == name:
-                return arm
+        if named := [arm for arm in self.arms if arm.name == name]:
+            return named[0]
         known = did_you_mean(name, self.instruments)
         raise RecordingError(f"{self.path.name}: no topic of an instrument {sanitize(name)}: {known}")
 
@@ -375,6 +353,5 @@ class Recording:
 
 
 def _reopened(origin: Origin, *view: Any) -> Recording:
-    path, profile, limits, topics = origin
-    file = open_recording(path, profile, limits=limits, topics=topics).file
+    file = open_recording(origin.path, origin.profile, topics=origin.topics).file
     return Recording(file, view[0], origin, *view[1:])

@@ -28,16 +28,10 @@ from mcap.summary import Summary
 from svmdist.errors import RecordingError
 from svmdist.files import LogPath, RemoteFile, open_regular, why
 from svmdist.profile import Limits
-from svmdist.recording.source import (
-    METADATA_NAME,
-    Health,
-    Loss,
-    LossKind,
-    RawMessage,
-    TopicInfo,
-    merge_topics,
-)
+from svmdist.recording.source import Health, Loss, LossKind, RawMessage, TopicInfo, merge_topics
 
+METADATA_NAME = "svmdist"
+"""The metadata record that says what a recording came from."""
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 TAIL = struct.Struct("<BQQQI8s")
@@ -97,10 +91,9 @@ class McapSource:
                 if zlib.crc32(file.read(size_bytes - len(MAGIC) - 4 - start)) != crc:
                     return None
                 file.seek(0)
-                try:
+                with suppress(Exception):  # right by its CRC, and still not MCAP
                     return SeekingReader(file).get_summary()
-                except Exception:  # right by its CRC, and still not MCAP
-                    return None
+                return None
         except OSError as problem:
             raise RecordingError(f"{self.path}: cannot read: {why(problem)}") from None
 
@@ -205,7 +198,11 @@ class _Pass:
             return
         if head[:1] == bytes([Opcode.CHUNK]):
             file.seek(offset + HEAD.size)
-            yield from ((offset, one) for one in _prefix(file.read(self._limits.record_bytes), self._limits))
+            body = file.read(self._limits.record_bytes)
+            with suppress(Exception):  # it ends early, wherever that is, and no CRC covers its records
+                chunk = _expanded(Chunk.read(ReadDataStream(BytesIO(body))), self._limits, is_whole=False)
+                records = StreamReader(BytesIO(chunk.data), skip_magic=True).records
+                yield from ((offset, one) for one in records)
         self._lose(LossKind.TRUNCATED, f"{self.counts.total()} messages recovered", size_bytes)
 
     def _indexed(
@@ -291,8 +288,7 @@ class _Pass:
             detail = f"the statistics declare {total} messages, {found.total()} were read"
             self._lose(LossKind.STATISTICS, detail)
         elif declared and declared != found:
-            detail = "the statistics declare other counts of messages by channel than were read"
-            self._lose(LossKind.STATISTICS, detail)
+            self._lose(LossKind.STATISTICS, "the statistics declare other counts by channel than were read")
 
     def _lose(self, kind: LossKind, detail: str, offset: int | None = None) -> None:
         self.loss_count += 1
@@ -309,7 +305,7 @@ def _tail(file: BinaryIO, size_bytes: int) -> tuple[Any, ...] | None:
 
 
 def _expanded(chunk: Chunk, limits: Limits, *, is_whole: bool = True) -> Chunk:
-    """The chunk without compression; ValueError unless it has exactly the size that it declares, where it is whole."""
+    """The chunk without compression; ValueError where it is whole and not of exactly the size that it declares."""
     size_bytes = chunk.uncompressed_size
     if size_bytes > limits.chunk_bytes:
         raise ValueError(f"{size_bytes} bytes declared, the limit is {limits.chunk_bytes}")
@@ -329,10 +325,3 @@ def _expanded(chunk: Chunk, limits: Limits, *, is_whole: bool = True) -> Chunk:
     if is_whole and len(data) != size_bytes:
         raise ValueError(f"{size_bytes} bytes declared, found {len(data)}")
     return replace(chunk, compression="", data=data)
-
-
-def _prefix(body: bytes, limits: Limits) -> Iterator[McapRecord]:
-    """The records that are whole in a chunk inside of which a file was cut off; no CRC covers them."""
-    with suppress(Exception):  # it ends early, wherever that is
-        chunk = _expanded(Chunk.read(ReadDataStream(BytesIO(body))), limits, is_whole=False)
-        yield from StreamReader(BytesIO(chunk.data), skip_magic=True).records

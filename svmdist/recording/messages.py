@@ -52,8 +52,7 @@ class Kind(StrEnum):
 class EncodedImage:
     """An image message whose pixels are decoded only when asked for, by any thread; `decode` raises ImageError.
 
-    Frames of a video refer to those before them: a `Decoder` decodes them at once, in file order. Where and when it
-    was logged, `Decoder.image` says.
+    Frames of a video refer to those before them: a `Decoder` decodes them at once, in file order.
     """
 
     stamp_ns: int
@@ -69,10 +68,7 @@ class EncodedImage:
 
 
 class RawTransform(NamedTuple):
-    """A transform, or the pose of something in `parent`, without its matrix, which few of the many in a log need.
-
-    `values` are the translation in m and the quaternion in the order x, y, z, w.
-    """
+    """A transform, or the pose of something in `parent`: translation in m, and quaternion as x, y, z, w."""
 
     stamp_ns: int
     parent: str
@@ -119,10 +115,7 @@ class Decoder:
         self._failure_count = 0
 
     def decode(self, raw: RawMessage, *, with_video: bool = True) -> Message:
-        """Turn a message into a sample; DecodeError where it is too large, malformed, or holds impossible values.
-
-        Without `with_video`, frames of videos have no pixels.
-        """
+        """Turn a message into a sample, of a video with or without pixels; DecodeError where it is malformed."""
         try:
             found = self._converted(raw)
         except DecodeError:
@@ -149,18 +142,16 @@ class Decoder:
             found = broken_image(raw.log_time_ns, str(problem))
         if not isinstance(found, EncodedImage):
             found = broken_image(raw.log_time_ns, "no image")
-        size_bytes = len(raw.data)
+        logged_ns, size_bytes = raw.log_time_ns, len(raw.data)
         return replace(
-            found, topic=raw.topic, log_time_ns=raw.log_time_ns, size_bytes=size_bytes, offset=raw.offset
+            found, topic=raw.topic, log_time_ns=logged_ns, size_bytes=size_bytes, offset=raw.offset
         )
 
     def _converted(self, raw: RawMessage) -> Message:
         checked_stamp(raw.log_time_ns)
         schema, kind, parser, converter = _reader(raw.message_encoding, raw.schema)
         if kind is None:
-            raise DecodeError(
-                f"schema {raw.schema!r} in {raw.message_encoding!r} is not one that svmdist reads"
-            )
+            raise DecodeError(f"schema {raw.schema!r} in {raw.message_encoding!r} is not known")
         limit = self._limits.message_bytes
         if kind is Kind.IMAGE:
             is_raw = schema in {"foxglove.RawImage", "sensor_msgs/Image"}
@@ -175,8 +166,9 @@ class Decoder:
             message = parser(raw.data)
         except (ProtobufError, RecursionError, UnicodeDecodeError, ValueError) as problem:
             raise DecodeError(f"not a {schema}: {problem}") from None
-        has_stamp = kind is not Kind.TRANSFORMS  # whose parts have each its own
-        stamp_ns = _stamp_of(message, raw.log_time_ns) if has_stamp else raw.log_time_ns
+        stamp_ns = raw.log_time_ns
+        if kind is not Kind.TRANSFORMS:  # whose parts have each its own
+            stamp_ns = _stamp_of(message, stamp_ns)
         found: Message = converter(message, stamp_ns, getattr(message, "frame_id", ""))
         return found
 
@@ -218,15 +210,10 @@ def _short(schema: str) -> str:
     return schema.replace("/msg/", "/", 1)
 
 
-# Foxglove's messages, and svmdist's own
-
-
 def _stamp_of(message: Any, log_time_ns: int) -> int:
     """The message's own stamp in ns, or the log time where it has none."""
-    if not message.HasField("timestamp"):
-        return checked_stamp(log_time_ns)
-    timestamp = message.timestamp
-    return checked_stamp(timestamp.seconds * NS + timestamp.nanos)
+    own_ns = message.timestamp.seconds * NS + message.timestamp.nanos
+    return checked_stamp(own_ns if message.HasField("timestamp") else log_time_ns)
 
 
 def _foxglove_video(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
@@ -235,8 +222,8 @@ def _foxglove_video(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
 
 
 def _foxglove_camera(message: Any, stamp_ns: int, frame_id: str) -> samples.CameraSample:
-    numbers = message.K, message.D, message.R, message.P
-    return samples.CameraSample(stamp_ns, checked_camera(message, frame_id, numbers))
+    camera = checked_camera(message, frame_id, (message.K, message.D, message.R, message.P))
+    return samples.CameraSample(stamp_ns, camera)
 
 
 def _foxglove_joints(message: Any, stamp_ns: int, _: str) -> samples.JointSample:
@@ -254,16 +241,11 @@ def _foxglove_pose(message: Any, stamp_ns: int, frame_id: str) -> RawTransform:
 def _foxglove_transforms(message: Any, log_time_ns: int, _: str) -> RawTransforms:
     """Of a FrameTransform or FrameTransforms. An unset rotation means none; four zeros that are set are an error."""
     parts = message.transforms if hasattr(message, "transforms") else [message]
-    transforms = [
-        checked_transform(
-            _stamp_of(part, log_time_ns),
-            part.parent_frame_id,
-            part.child_frame_id,
-            part.translation,
-            part.rotation if part.HasField("rotation") else None,
-        )
-        for part in parts
-    ]
+    transforms = []
+    for part in parts:
+        q = part.rotation if part.HasField("rotation") else None
+        frames = part.parent_frame_id, part.child_frame_id
+        transforms.append(checked_transform(_stamp_of(part, log_time_ns), *frames, part.translation, q))
     return transforms_of(transforms, log_time_ns)
 
 
@@ -273,12 +255,9 @@ def _distance(message: Any, stamp_ns: int, _: str) -> samples.DistanceSample:
     return samples.DistanceSample(stamp_ns, *values)
 
 
-# What Foxglove and ROS name alike
-
-
 def raw_image(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
     """An uncompressed image."""
-    size_px = (message.width, message.height)
+    size_px = message.width, message.height
     decode = partial(decode_raw, message.encoding, size_px, message.step, message.data)
     return EncodedImage(stamp_ns, frame_id, decode)
 
@@ -286,9 +265,6 @@ def raw_image(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
 def still_image(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
     """A compressed image; its `format` is ignored, for its data say what they are."""
     return EncodedImage(stamp_ns, frame_id, partial(decode_still, message.data))
-
-
-# Checks that all encodings share
 
 
 def checked_stamp(stamp_ns: int) -> int:
@@ -300,16 +276,14 @@ def checked_stamp(stamp_ns: int) -> int:
 
 def _check_numbers(values: Sequence[float], what: str) -> None:
     """Refuse numbers that are not finite or absurdly large."""
-    # False for NaN and infinity too; ten times as fast as an array.
-    if sum(map(abs, values)) <= MAX_MAGNITUDE:
-        return
-    bad = next((value for value in values if not abs(value) <= MAX_MAGNITUDE), None)
-    if bad is not None:
-        raise DecodeError(f"{what}: {bad} is no usable number")
+    # The sum is ten times as fast as an array, and False for NaN and infinity too.
+    if not sum(map(abs, values)) <= MAX_MAGNITUDE:
+        for bad in (value for value in values if not abs(value) <= MAX_MAGNITUDE):
+            raise DecodeError(f"{what}: {bad} is no usable number")
 
 
 def checked_transform(stamp_ns: int, parent: str, child: str, position: Any, rotation: Any) -> RawTransform:
-    """Take over a transform; DecodeError for values that are not finite or name no rotation."""
+    """A transform; DecodeError for values that are not finite or name no rotation."""
     q = (0.0, 0.0, 0.0, 1.0) if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w)
     values = (position.x, position.y, position.z, *q)
     _check_numbers(values, "a transform")
@@ -324,7 +298,7 @@ def transforms_of(transforms: Sequence[RawTransform], log_time_ns: int) -> RawTr
 
 
 def checked_joints(stamp_ns: int, names: Sequence[str], positions: Sequence[float]) -> samples.JointSample:
-    """Build a sample; DecodeError for names that repeat and positions that are missing or not finite."""
+    """A sample; DecodeError for names that repeat and positions that are missing or not finite."""
     if len(names) != len(positions) or not names:
         raise DecodeError(f"{len(names)} joint names and {len(positions)} positions")
     if len(set(names)) != len(names):
@@ -335,7 +309,7 @@ def checked_joints(stamp_ns: int, names: Sequence[str], positions: Sequence[floa
 
 
 def checked_camera(message: Any, frame_id: str, numbers: Sequence[Sequence[float]]) -> Camera:
-    """Build a camera; DecodeError for a matrix of another size, an uncalibrated camera or an unknown distortion."""
+    """A camera; DecodeError for a matrix of another size, an uncalibrated camera or an unknown distortion."""
     K, D, R, P = numbers
     if len(K) != 9 or len(R) not in {0, 9} or len(P) not in {0, 12} or len(D) > MAX_COEFFICIENTS:
         raise DecodeError(f"K, R, P, D have {len(K)}, {len(R)}, {len(P)}, {len(D)} elements")

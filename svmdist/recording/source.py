@@ -15,11 +15,7 @@ MAX_NAME_LENGTH = 300
 MAX_LISTED_NAMES = 40
 MAX_LISTED_LOSSES = 1000
 """Reports about a file with a million broken chunks must not fill the memory."""
-METADATA_FILE = "metadata.yaml"
-"""What makes a folder a rosbag2 recording."""
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-METADATA_NAME = "svmdist"
-"""The metadata record that says what a recording came from."""
+METADATA_FILE = "metadata.yaml"  # makes a folder a rosbag2 recording
 
 
 def cut(text: str) -> str:
@@ -33,10 +29,7 @@ def sanitize(name: str) -> str:
     >>> sanitize("/left\x1b[31m")
     '/left\\x1b[31m'
     """
-    shown = cut(name)
-    if shown.isprintable():
-        return shown
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in shown)
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in cut(name))
 
 
 def sanitize_list(names: Iterable[str]) -> str:
@@ -86,7 +79,7 @@ class Health:
     """
 
     unlisted_count: int = 0
-    """Losses found beyond the listed ones; a lower bound of distinct ones, and 0 only where there are none."""
+    """Losses beyond the listed ones: a lower bound, and 0 only where there are none."""
     _losses: dict[Loss, int] = field(default_factory=dict)
     _places: Iterator[int] = field(default_factory=count)
 
@@ -177,11 +170,3 @@ def merge_topics(infos: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
         TopicInfo(*key, None if None in found else sum(filter(None, found)))
         for key, found in sorted(counts.items())
     )
-
-
-def is_message_compressed(source: Source) -> bool:
-    """Whether the messages of a single file were compressed one by one, as only the folder of a bag knows."""
-    topics = {info.topic for info in source.topics() if info.message_encoding == "cdr"}
-    first = next(iter(source.messages(topics)), None) if topics else None
-    # CDR begins with a zero byte, so these four cannot be a message.
-    return first is not None and first.data[:4] == ZSTD_MAGIC

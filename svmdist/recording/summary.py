@@ -11,18 +11,11 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.files import LogPath
-from svmdist.profile import Limits, Profile
+from svmdist.profile import Profile
+from svmdist.recording import messages
 from svmdist.recording.images import ImageError
 from svmdist.recording.log import Recording, open_recording
-from svmdist.recording.messages import (
-    MAX_STAMP_NS,
-    DecodeError,
-    Decoder,
-    RawTransforms,
-    kind_of,
-    message_class,
-    to_sample,
-)
+from svmdist.recording.messages import DecodeError, Decoder, kind_of
 from svmdist.recording.source import Health, TopicInfo
 from svmdist.recording.topics import Role
 from svmdist.recording.writer import EncodedSample
@@ -96,18 +89,11 @@ def _summary(info: TopicInfo, logged_ns: array[int], undecodable_count: int) -> 
 
 
 def inspect_recording(
-    path: LogPath | str,
-    profile: Profile,
-    *,
-    limits: Limits | None = None,
-    topics: Mapping[str, str] | None = None,
+    path: LogPath | str, profile: Profile, *, topics: Mapping[str, str] | None = None
 ) -> RecordingSummary:
-    """Read a whole recording once and summarise it; pixels are not decoded.
-
-    Raises RecordingError where the path is not a recording; a topic that svmdist cannot read is still counted.
-    """
-    recording = open_recording(path, profile, limits=limits, topics=topics)
-    decoder = Decoder(recording.file.limits)
+    """Read a whole recording once and summarise it, without pixels; a topic that svmdist cannot read is counted."""
+    recording = open_recording(path, profile, topics=topics)
+    decoder = Decoder(profile.limits)
     infos: dict[str, TopicInfo] = {}
     stamps_ns: defaultdict[str, array[int]] = defaultdict(lambda: array("q"))
     undecodable: Counter[str] = Counter()
@@ -129,21 +115,18 @@ def inspect_recording(
                         cameras.setdefault(raw.topic, camera)
                     case JointSample(names=names):
                         joint_names.setdefault(raw.topic, names)
-                    case RawTransforms(transforms=transforms) if len(frames) < MAX_NAMES:
+                    case messages.RawTransforms(transforms=transforms) if len(frames) < MAX_NAMES:
                         frames.update(name for one in transforms for name in (one.parent, one.child))
-                    case _:
-                        pass
-        stamps_ns[raw.topic].append(min(stamp_ns, MAX_STAMP_NS))
+        stamps_ns[raw.topic].append(min(stamp_ns, messages.MAX_STAMP_NS))
     for info in recording.topics():
         infos.setdefault(info.topic, info)
     listed = tuple(_summary(infos[name], stamps_ns[name], undecodable[name]) for name in sorted(infos))
-    starts = [topic.start_ns for topic in listed if topic.start_ns is not None]
-    ends = [topic.end_ns for topic in listed if topic.end_ns is not None]
+    ends_ns = [at for logged in stamps_ns.values() if logged for at in (min(logged), max(logged))]
     return RecordingSummary(
         recording.path,
         recording.size_bytes(),
         recording.metadata,
-        (max(ends) - min(starts)) / 1e9 if starts else 0.0,
+        (max(ends_ns) - min(ends_ns)) / 1e9 if ends_ns else 0.0,
         listed,
         {str(role): name for role in Role if (name := recording.topic_of(role)) is not None},
         cameras,
@@ -160,10 +143,8 @@ TRUE_SUFFIX = "_ground_truth"
 def copied_messages(recording: Recording) -> Iterator[tuple[str, Sample | EncodedSample]]:
     """Yield (topic, message) of every topic that svmdist understands, in file order.
 
-    Foxglove's messages in protobuf are copied as they are; others, those of ROS for instance, are written as
-    Foxglove's. Images that were compressed by ROS become PNG. The child frames of the true transforms
-    are renamed, see `TRUE_SUFFIX`. What cannot be decoded is left out; `Recording.health` counts it in the pass that
-    measures.
+    Foxglove's messages in protobuf are copied; others become Foxglove's, and their images PNG. True child frames get
+    `TRUE_SUFFIX`. What cannot be decoded is left out; `Recording.health` counts it in the pass that measures.
     """
     decoder = Decoder(recording.file.limits)
     truth = recording.topic_of(Role.GROUND_TRUTH_TF)
@@ -171,10 +152,10 @@ def copied_messages(recording: Recording) -> Iterator[tuple[str, Sample | Encode
         if kind_of(raw.schema, raw.message_encoding) is None:
             continue
         if raw.message_encoding == "protobuf" and raw.topic != truth:
-            yield raw.topic, EncodedSample(raw.log_time_ns, message_class(raw.schema), raw.data)
+            yield raw.topic, EncodedSample(raw.log_time_ns, messages.message_class(raw.schema), raw.data)
             continue
         try:
-            sample = to_sample(decoder.decode(raw))
+            sample = messages.to_sample(decoder.decode(raw))
         except (DecodeError, ImageError):
             continue
         if raw.topic == truth and isinstance(sample, TransformsSample):

@@ -14,20 +14,14 @@ from svmdist.profile.robot import ARM_TOPICS
 from svmdist.recording.mcap import MAGIC as MCAP_MAGIC
 from svmdist.recording.mcap import McapSource
 from svmdist.recording.messages import Kind, kind_of
-from svmdist.recording.source import (
-    METADATA_FILE,
-    Source,
-    TopicInfo,
-    is_message_compressed,
-    sanitize,
-    sanitize_list,
-)
+from svmdist.recording.source import METADATA_FILE, Source, TopicInfo, sanitize, sanitize_list
 from svmdist.transforms import Array
 
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 LOOKS_LIKE = {
     b"#ROSBAG V1": "a ROS bag of version 1, from before 2010",
     b"\x1f\x8b": "gzip-compressed",
-    b"\x28\xb5\x2f\xfd": "zstd-compressed",
+    ZSTD_MAGIC: "zstd-compressed",
     b"\x04\x22\x4d\x18": "lz4-compressed",
     b"BZh": "bzip2-compressed",
     b"\xfd7zXZ": "xz-compressed",
@@ -65,7 +59,6 @@ KINDS = {
     Role.GROUND_TRUTH_TF: Kind.TRANSFORMS,
     Role.GROUND_TRUTH_DISTANCE: Kind.DISTANCE,
 }
-
 RIGHT = (Role.RIGHT_IMAGE, Role.RIGHT_CAMERA_INFO)
 NAMED = frozenset({Role.GROUND_TRUTH_TF, *RIGHT})
 """Roles whose topics must be named: any transforms could pass for truth, any image for the right one."""
@@ -90,10 +83,10 @@ class TopicChoice:
         """Name the topic of a role; RecordingError lists the candidates, or the topics there are."""
         kind = KINDS[role]
         override, candidates = self.overrides.get(role), self._candidates(kind)
+        listed = sanitize_list(f"{info.topic} ({info.schema or 'no schema'})" for info in self.infos)
+        there_are = f"the topics are {listed}" if listed else "the recording has no topics"
         if override is not None and override not in candidates:
-            raise RecordingError(
-                f"{self.name}: topic {sanitize(override)} carries no {kind}; {self._there_are()}"
-            )
+            raise RecordingError(f"{self.name}: topic {sanitize(override)} carries no {kind}; {there_are}")
         wanted: str | None = override or getattr(self.wanted, role)
         if wanted in candidates:
             return str(wanted)
@@ -102,11 +95,9 @@ class TopicChoice:
             return fitting[0]
         expected = f" (the profile expects {wanted})" if wanted else ""
         if fitting:
-            choices = sanitize_list(fitting)
-            raise RecordingError(
-                f"{self.name}: several topics carry {kind}{expected}; choose one of {choices}"
-            )
-        raise RecordingError(f"{self.name}: no topic with {kind} for {role}{expected}; {self._there_are()}")
+            several = f"several topics carry {kind}{expected}; choose one of {sanitize_list(fitting)}"
+            raise RecordingError(f"{self.name}: {several}")
+        raise RecordingError(f"{self.name}: no topic with {kind} for {role}{expected}; {there_are}")
 
     def find(self, role: Role) -> str | None:
         """Name the topic of a role; None where there is none, or no single one."""
@@ -122,26 +113,18 @@ class TopicChoice:
         return tuple(topic for topic in self._candidates(Kind.TRANSFORMS) if topic.endswith("tf_static"))
 
     def _candidates(self, kind: Kind) -> list[str]:
-        return sorted(
-            {info.topic for info in self.infos if kind_of(info.schema, info.message_encoding) is kind}
-        )
+        return sorted({one.topic for one in self.infos if kind_of(one.schema, one.message_encoding) is kind})
 
     def _unclaimed(self, role: Role, candidates: Sequence[str]) -> list[str]:
         """Leave out topics that are known to play another role or are another arm's, and static transforms.
 
         A right image is one of a pair: where a log has no other, it is the image.
         """
-        others = {
-            self.overrides.get(other) or getattr(self.wanted, other) for other in Role if other is not role
-        }
-        others |= self.claimed
+        roles = set(Role) - {role}
+        others = self.claimed | {self.overrides.get(other) or getattr(self.wanted, other) for other in roles}
         fitting = [topic for topic in candidates if topic not in others and not topic.endswith("tf_static")]
         right = {getattr(self.wanted, other) for other in RIGHT}
         return fitting or [topic for topic in candidates if topic in right and len(candidates) == 1]
-
-    def _there_are(self) -> str:
-        listed = sanitize_list(f"{info.topic} ({info.schema or 'no schema'})" for info in self.infos)
-        return f"the topics are {listed}" if listed else "the recording has no topics"
 
 
 @dataclass(frozen=True)
@@ -159,7 +142,7 @@ class LoggedArm:
     choice: TopicChoice
     frames: Frames
     fixed: FixedTransform | None = None
-    """Where the base stands in place of what the log's transforms say; None: they say it."""
+    """Where the base stands; None for what the log's transforms say."""
 
     def topics_beside_images(self) -> set[str]:
         """The topics that play a role for it, but for images."""
@@ -174,9 +157,8 @@ def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) ->
     """The profile's own instrument, and every other one whose joints or pose the recording has.
 
     The own one is left out where the profile names its joints or pose, the recording has neither, and another one is
-    there: a profile of a robot's three arms serves a log of one.
-
-    `overrides` choose topics by role: those of an arm are the first one's, and what they name is no other's.
+    there: a profile of a robot's three arms serves a log of one. `overrides` choose topics by role: those of an arm
+    are the first one's, and what they name is no other's.
     """
     infos = source.topics()
     there = {info.topic for info in infos} - {overrides[role] for role in ARM_TOPICS if role in overrides}
@@ -233,13 +215,13 @@ def _open_file(path: LogPath, start: bytes, limits: Limits) -> Source:
     elif not start:
         raise RecordingError(f"{path}: is empty; expected {WHAT_IS_EXPECTED}")
     elif MCAP_MAGIC.startswith(start):
-        raise RecordingError(
-            f"{path}: truncated at byte {len(start)}, inside the first bytes of an MCAP file"
-        )
+        raise RecordingError(f"{path}: truncated at byte {len(start)}, inside the magic of an MCAP file")
     else:
         found = next((what for magic, what in LOOKS_LIKE.items() if start.startswith(magic)), None)
         raise RecordingError(f"{path}: is {found or 'not a recording'}; expected {WHAT_IS_EXPECTED}")
-    if is_message_compressed(source):
+    topics = {info.topic for info in source.topics() if info.message_encoding == "cdr"}
+    first = next(iter(source.messages(topics)), None) if topics else None
+    if first is not None and first.data.startswith(ZSTD_MAGIC):  # CDR begins with a zero byte
         raise RecordingError(
             f"{path}: a rosbag2 file whose messages are compressed one by one;"
             f" open the folder that holds it and its {METADATA_FILE}"

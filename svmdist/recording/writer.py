@@ -30,7 +30,7 @@ from svmdist.files import why
 from svmdist.profile import Limits
 from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
 from svmdist.recording.images import still_format, still_size
-from svmdist.recording.source import METADATA_NAME
+from svmdist.recording.mcap import METADATA_NAME
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
 PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 6)
@@ -76,7 +76,7 @@ def _descriptor_set(file: Any) -> bytes:
 
 
 def encode_still(stamp_ns: int, frame_id: str, data: bytes, limits: Limits) -> EncodedSample:
-    """Wrap a PNG or JPEG as it is, without decoding it; ImageError for any other, or one with a bad header."""
+    """Wrap a PNG or JPEG without decoding it; ImageError for any other, or one with a bad header."""
     still_size(data, limits)
     message = CompressedImage(frame_id=frame_id, data=data, format=still_format(data) or "")
     return EncodedSample(stamp_ns, samples.ImageSample, serialised(message, stamp_ns))
@@ -95,16 +95,16 @@ def set_stamp(message: Any, stamp_ns: int) -> None:
 
 
 def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSample:
-    """Serialise a sample as its message type; ValueError when an image is not (height, width, 3) uint8.
-
-    Images become PNG, which loses nothing, or JPEG of a quality from 1 to 100 with colour at full resolution.
-    """
+    """Serialise a sample as its message type, images as PNG or JPEG; ValueError for one not (h, w, 3) of uint8."""
     message: Any = message_class_of(type(sample))()
     stamp_ns: int | None = sample.stamp_ns
     match sample:
         case samples.ImageSample():
             message.frame_id = sample.frame_id
-            message.data, message.format = _compressed(sample, jpeg_quality)
+            samples.require_bgr(sample.image_bgr)
+            options = (cv2.IMWRITE_JPEG_QUALITY, jpeg_quality, *JPEG_OPTIONS) if jpeg_quality else PNG_OPTIONS
+            message.format = "jpeg" if jpeg_quality else "png"
+            message.data = cv2.imencode(f".{message.format}", sample.image_bgr, options)[1].tobytes()
         case samples.CameraSample(camera=camera):
             _fill_camera(message, camera)
         case samples.JointSample():
@@ -112,8 +112,7 @@ def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSa
                 message.joints.add(name=name, position=value)
         case samples.PoseSample():
             message.frame_id = sample.frame_id
-            pose = message.pose
-            _fill([(pose.position, pose.orientation)], [sample.T_frame_pose])
+            _fill([(message.pose.position, message.pose.orientation)], [sample.T_frame_pose])
         case samples.TransformsSample():
             for one in sample.transforms:
                 part = message.transforms.add(parent_frame_id=one.parent, child_frame_id=one.child)
@@ -125,14 +124,6 @@ def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSa
             message.planar_m, message.spatial_m = sample.planar_m, sample.spatial_m
             message.clearance_m = sample.clearance_m
     return EncodedSample(sample.stamp_ns, type(sample), serialised(message, stamp_ns))
-
-
-def _compressed(sample: samples.ImageSample, jpeg_quality: int | None) -> tuple[bytes, str]:
-    samples.require_bgr(sample.image_bgr)
-    if jpeg_quality is None:
-        return cv2.imencode(".png", sample.image_bgr, PNG_OPTIONS)[1].tobytes(), "png"
-    options = (cv2.IMWRITE_JPEG_QUALITY, jpeg_quality, *JPEG_OPTIONS)
-    return cv2.imencode(".jpg", sample.image_bgr, options)[1].tobytes(), "jpeg"
 
 
 def _fill_camera(message: Any, camera: Camera) -> None:
@@ -150,21 +141,17 @@ def _fill_camera(message: Any, camera: Camera) -> None:
 def _fill(targets: Sequence[tuple[Any, Any]], transforms: Sequence[Array]) -> None:
     """Set pairs of a position and a quaternion."""
     T = np.array(transforms).reshape(-1, 4, 4)
-    quaternions_xyzw = quaternion_xyzw_from_rotation(T[:, :3, :3]).tolist()
-    for (position, orientation), t_m, quaternion in zip(
-        targets, T[:, :3, 3].tolist(), quaternions_xyzw, strict=True
-    ):
+    values = T[:, :3, 3].tolist(), quaternion_xyzw_from_rotation(T[:, :3, :3]).tolist()
+    for (position, q), t_m, q_xyzw in zip(targets, *values, strict=True):
         position.x, position.y, position.z = t_m
-        orientation.x, orientation.y, orientation.z, orientation.w = quaternion
+        q.x, q.y, q.z, q.w = q_xyzw
 
 
 CHUNK_BYTES = 240 * 1024
 """Leaves room in 256 KiB for the schemas and channels that a chunk may have to declare."""
 CHUNK_SPAN_NS = 250_000_000
-"""A chunk spans at most a quarter of a second of log time: what a killed recorder loses. It is log time
-and not the wall clock that ends a chunk, for a rerun shall be byte-identical."""
-MESSAGE_HEAD_BYTES = 9 + 22
-"""Of a record, and of a message in it."""
+"""What a killed recorder loses; in log time and not wall time, for a rerun shall be byte-identical."""
+MESSAGE_HEAD_BYTES = 9 + 22  # of a record, and of a message in it
 
 
 class RecordingWriter:
@@ -173,9 +160,9 @@ class RecordingWriter:
     >>> with RecordingWriter(path, {"scenario": "sweep"}) as writer:      # doctest: +SKIP
     ...     writer.write("/tf", sample)
 
-    An exception inside the block keeps the `.part` file, which holds everything written so far, and renames
-    nothing; a `.part` without any message is removed. Chunks hold at most 256 KiB, or one message that is
-    larger. `metadata` becomes the record `svmdist`; images become PNG, or JPEG of a quality from 1 to 100.
+    An exception inside the block keeps the `.part` file, with everything written so far, unless it has no message.
+    Chunks hold at most 256 KiB, or one message that is larger. `metadata` becomes the record `svmdist`; images become
+    PNG, or JPEG of a quality from 1 to 100, with colour at full resolution.
     Raises UsageError when the file exists and `force` is not set, OutputError when it cannot be written.
     """
 
@@ -184,9 +171,7 @@ class RecordingWriter:
     ) -> None:
         self.path = Path(path)
         self.part_path = self.path.with_name(self.path.name + ".part")
-        self._metadata = dict(metadata)
-        self._force = force
-        self._jpeg_quality = jpeg_quality
+        self._metadata, self._force, self._jpeg_quality = dict(metadata), force, jpeg_quality
         self._file: IO[bytes] | None = None
         self._channels: dict[str, tuple[int, type]] = {}
         self._schemas: dict[type, int] = {}
@@ -274,15 +259,14 @@ class RecordingWriter:
         too_long = abs(stamp_ns - self._chunk_start_ns) >= CHUNK_SPAN_NS
         if too_long or self._chunk_bytes + needed_bytes > CHUNK_BYTES:
             self._writer.flush()
-            self._chunk_bytes = 0
-            self._chunk_start_ns = None
+            self._chunk_bytes, self._chunk_start_ns = 0, None
 
     def _channel(self, topic: str, sample_type: type) -> int:
         if topic in self._channels:
             channel_id, known_type = self._channels[topic]
-            if known_type is not sample_type:
-                raise ValueError(f"{topic} carries {known_type.__name__}, not {sample_type.__name__}")
-            return channel_id
+            if known_type is sample_type:
+                return channel_id
+            raise ValueError(f"{topic} carries {known_type.__name__}, not {sample_type.__name__}")
         if sample_type not in self._schemas:
             declared = message_class_of(sample_type).DESCRIPTOR
             self._schemas[sample_type] = self._writer.register_schema(

@@ -136,9 +136,9 @@ class DrawnWorld(BulletWorld):
             self._dented = organ, self._add_mesh(organ.mesh)
             self.call("changeVisualShape", self._dented[1], -1, textureUniqueId=self._tissue_texture)
         T_raised = raised(state.offset_m)
-        self.place(self._tissue, _AWAY if self._dented else T_raised @ self._scene.T_world_tissue)
         if self._dented:
-            self.place(self._dented[1], T_raised @ self._scene.T_world_tissue)
+            self.place(self._tissue, _AWAY)
+        self.place(self._dented[1] if self._dented else self._tissue, T_raised @ self._scene.T_world_tissue)
         self.place(self._floor, T_raised)
 
     def parts(self, picture: Picture) -> tuple[NDArray[np.int16], Array, NDArray[np.bool_]]:
@@ -156,20 +156,15 @@ class DrawnWorld(BulletWorld):
         picture of an even turn is therefore always an even one here, whatever was drawn before.
         """
         # OpenGL's matrices have 16 numbers, column by column.
-        view, projection = (
-            (R4_OPENGL_OPENCV @ inverse(T_world_camera)).T.ravel().tolist(),
-            projection_matrix(camera),
-        )
+        view = (R4_OPENGL_OPENCV @ inverse(T_world_camera)).T.ravel().tolist()
+        projection = projection_matrix(camera)
         if (self._turn - turn) % 2:
             self._draw(1, 1, view, projection)
         width, height = camera.width_px, camera.height_px
         _, _, rgba, depth, bodies = self._draw(width, height, view, projection)
         image = cv2.cvtColor(np.asarray(rgba, np.uint8).reshape(height, width, 4), cv2.COLOR_RGBA2BGR)
-        return Picture(
-            np.asarray(image, np.uint8),
-            np.asarray(depth, np.float32).reshape(height, width),
-            np.asarray(bodies).reshape(height, width),
-        )
+        depths = np.asarray(depth, np.float32).reshape(height, width)
+        return Picture(np.asarray(image, np.uint8), depths, np.asarray(bodies).reshape(height, width))
 
     def _draw(self, width: int, height: int, view: list[float], projection: list[float]) -> Any:
         self._turn += 1

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from svmdist.profile import ColourRegion, HsvSegmentation
+from svmdist.profile.segmentation import ColourRegion, HsvSegmentation
 from svmdist.profile.settings import ExposureSettings
 from svmdist.samples import Image
 
@@ -72,12 +71,12 @@ class HsvMasks(Masks):
 
     @cached_property
     def instrument(self) -> Image:
-        """Pixels of the colour of the instrument's distal part."""
+        """Pixels of the instrument's colour."""
         return _mask(self._channels, self._rules.instrument)
 
     @cached_property
     def shaft(self) -> Image | None:
-        """Pixels as dark as the shaft; None where the profile knows no shaft."""
+        """Pixels as dark as the shaft."""
         return None if self._rules.shaft is None else _mask(self._channels, self._rules.shaft)
 
 
@@ -89,11 +88,19 @@ class HsvSegmenter:
     def __init__(self, rules: HsvSegmentation) -> None:
         self._rules = rules
 
-    def masks(self, bgr: Image, hsv: Image | None, /) -> HsvMasks:  # noqa: ARG002
-        """The masks of an image as HSV, shape (h, w, 3); raises ValueError without it."""
-        if hsv is None:
-            raise ValueError("segmentation by colour needs the image as HSV")
-        return HsvMasks(hsv, self._rules)
+    def masks(self, image: Image, /) -> HsvMasks:
+        """The masks of an image as HSV, shape (h, w, 3)."""
+        return HsvMasks(image, self._rules)
+
+
+def to_hsv(bgr: Image) -> Image:
+    """Convert BGR, shape (h, w, 3), to OpenCV's 8-bit HSV: H in 0–179 (half degrees), S and V in 0–255."""
+    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2HSV), np.uint8)
+
+
+def to_grey(bgr: Image) -> Image:
+    """Convert BGR, shape (h, w, 3), to grey, shape (h, w)."""
+    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
 
 
 def colour_mask(image_hsv: Image, region: ColourRegion) -> Image:
@@ -156,8 +163,9 @@ class Exposure:
 
 def exposure_of(bgr: Image, settings: ExposureSettings) -> Exposure:
     """The map that normalises the exposure of an image, shape (h, w, 3)."""
-    step = SAMPLING_PX
-    value = brightest_channel(np.ascontiguousarray(bgr[::step, ::step]))
+    # NumPy's maximum along the short axis takes twenty times as long.
+    blue, green, red = cv2.split(np.ascontiguousarray(bgr[::SAMPLING_PX, ::SAMPLING_PX]))
+    value = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
     bright = percentiles(value, (90.0,))[0]
     view = field_of_view(np.asarray(255 * (value <= BORDER_FRACTION * bright), np.uint8))
     if not view.any():
@@ -177,12 +185,6 @@ def apply_exposure(bgr: Image, exposure: Exposure) -> Image:
     return np.asarray(cv2.LUT(bgr, np.clip(np.rint(levels), 0, 255).astype(np.uint8)), np.uint8)
 
 
-def brightest_channel(bgr: Image) -> Image:
-    """HSV's value, shape (h, w): NumPy's maximum along the short axis takes twenty times as long."""
-    blue, green, red = cv2.split(bgr)
-    return np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
-
-
 def percentiles(values: Image, wanted: Sequence[float], mask: Image | None = None) -> list[float]:
     """Percentiles of 8-bit values, shape (h, w), under a mask: NumPy's linear ones, counted and not sorted."""
     counts = cv2.calcHist([values], [0], mask, [256], [0, 256]).ravel()
@@ -195,8 +197,7 @@ def percentiles(values: Image, wanted: Sequence[float], mask: Image | None = Non
 HUES = range(0, 180, 10)
 HALF_WIDTH = 10  # A mark's hue varies by this much with light and shade
 MIN_SATURATION, MIN_VALUE = 100, 60
-SMALLEST, LARGEST = 1e-4, 1e-2
-"""Share of the image that one mark may cover: a joint's ring or cap, neither a speck nor tissue."""
+SMALLEST, LARGEST = 1e-4, 1e-2  # share of the image that a joint's ring or cap covers: no speck, no tissue
 MIN_SHARE = 0.8  # how much of a hue's pixels must belong to the marks: else something else has the hue
 MIN_FRAMES = 0.8
 MIN_MOTION = 0.01  # what instruments carry moves, over the image's width
@@ -216,7 +217,7 @@ def find_distinct_colour(images: Sequence[Image], mark_count: int = 1) -> Distin
     """The colour of the largest distinct marks of `mark_count` instruments in a log's BGR images; None without."""
     if len(images) < 3:
         return None
-    hsv = [np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2HSV), np.uint8) for image in images]
+    hsv = [to_hsv(image) for image in images]
     candidates = [_marks(hsv, hue, mark_count) for hue in HUES]
     found = [candidate for candidate in candidates if candidate is not None]
     return max(found, key=lambda candidate: candidate.area_px, default=None)
@@ -224,37 +225,26 @@ def find_distinct_colour(images: Sequence[Image], mark_count: int = 1) -> Distin
 
 def _marks(images: Sequence[Image], hue: int, mark_count: int) -> DistinctColour | None:
     areas, places, pixels = [], [], []
-    good = 0
     for hsv in images:
-        mask = _near(hsv, hue)
+        off = np.abs((hsv[..., 0].astype(np.int16) - hue + 90) % 180 - 90)
+        mask = (off <= HALF_WIDTH) & (hsv[..., 1] >= MIN_SATURATION) & (hsv[..., 2] >= MIN_VALUE)
         _, labels, statistics, centres = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
         order = 1 + np.argsort(statistics[1:, cv2.CC_STAT_AREA])[::-1][:mark_count]
-        total = int(mask.sum())
-        if total == 0 or len(order) < mark_count:
+        if len(order) < mark_count:
             continue
         sizes = statistics[order, cv2.CC_STAT_AREA]
         fits = SMALLEST * mask.size <= sizes.min() and sizes.max() <= LARGEST * mask.size
-        if fits and sizes.sum() >= MIN_SHARE * total:
-            good += 1
+        if fits and sizes.sum() >= MIN_SHARE * mask.sum():
             areas.append(float(sizes.mean()))
             places.append(centres[order][np.argsort(centres[order, 0])].ravel())
             pixels.append(hsv[np.isin(labels, order)])
-    if good < MIN_FRAMES * len(images):
+    if len(areas) < MIN_FRAMES * len(images):
         return None
     motion_px = float(np.linalg.norm(np.std(places, axis=0))) / np.sqrt(mark_count)
     if motion_px < MIN_MOTION * images[0].shape[1]:
         return None
-    values = np.concatenate(pixels).astype(np.float64)
-    turned = (values[:, 0] - hue + 90.0) % 180.0
-    low, high = np.percentile(turned, [2, 98]) - 90.0 + hue
-    return DistinctColour(
-        (round(low - 3) % 180, round(high + 3) % 180),
-        (max(0, round(float(np.percentile(values[:, 1], 2)) - 20)), 255),
-        (max(0, round(float(np.percentile(values[:, 2], 2)) - 20)), 255),
-        float(np.median(areas)),
-    )
-
-
-def _near(hsv: Image, hue: int) -> NDArray[np.bool_]:
-    off = np.abs((hsv[..., 0].astype(np.int16) - hue + 90) % 180 - 90)
-    return np.asarray((off <= HALF_WIDTH) & (hsv[..., 1] >= MIN_SATURATION) & (hsv[..., 2] >= MIN_VALUE))
+    hues, *others = np.concatenate(pixels).astype(np.float64).T
+    low, high = np.percentile((hues - hue + 90.0) % 180.0, [2, 98]) - 90.0 + hue
+    saturation, value = ((max(0, round(float(np.percentile(one, 2)) - 20)), 255) for one in others)
+    hue_range = (round(low - 3) % 180, round(high + 3) % 180)
+    return DistinctColour(hue_range, saturation, value, float(np.median(areas)))

@@ -26,11 +26,8 @@ class Blur(StrEnum):
 def apply_blur(image_bgr: Image, blur: Blur, kernel_px: int) -> Image:
     """Degrade an image, shape (h, w, 3), with a kernel of `kernel_px` (odd) pixels.
 
-    Erosion and dilation use a square kernel; Gaussian has OpenCV's sigma for the kernel,
-    0.3 ((k - 1) / 2 - 1) + 0.8 px; bilateral has sigma 75 in colour and k in space.
+    Erosion and dilation use a square kernel; bilateral has sigma 75 in colour and k in space.
     """
-    if kernel_px < 1 or kernel_px % 2 == 0:
-        raise ValueError(f"a kernel has an odd size of at least 1 px, found {kernel_px}")
     square = np.ones((kernel_px, kernel_px), np.uint8)
     match blur:
         case Blur.NONE:
@@ -40,7 +37,7 @@ def apply_blur(image_bgr: Image, blur: Blur, kernel_px: int) -> Image:
         case Blur.DILATION:
             return np.asarray(cv2.dilate(image_bgr, square), np.uint8)
         case Blur.GAUSSIAN:
-            # Stated, not left to OpenCV: it takes narrower binomial kernels up to 7 px.
+            # OpenCV's own for wide kernels; up to 7 px it would take narrower binomial ones.
             sigma_px = 0.3 * ((kernel_px - 1) / 2 - 1) + 0.8
             return np.asarray(cv2.GaussianBlur(image_bgr, (kernel_px, kernel_px), sigma_px), np.uint8)
         case Blur.MEDIAN:
@@ -69,8 +66,7 @@ PER_SENSOR = frozenset({Degradation.NOISE, Degradation.LOW_LIGHT})
 """These differ between the two cameras of a pair; the others come from the scene and its motion."""
 
 DEFOCUS_RADIUS_PX = (1.0, 1.7, 2.7, 4.0, 6.0)
-"""Radius of the disc a point becomes. A fixed-focus endoscope is sharp from some 3 to 15 cm; closer than
-that, the disc grows to several pixels."""
+"""Radius of the disc a point becomes: a fixed-focus endoscope is sharp from some 3 to 15 cm, and less so closer."""
 
 MOTION_LENGTH_PX = (3.0, 6.0, 10.0, 15.0, 22.0)
 """Length of the path across the image during an exposure of 1/60 s. A tool at 90 mm moves 1 px for every 10 mm/s:
@@ -87,12 +83,10 @@ SPECULAR_COUNT = (4, 8, 14, 22, 34)
 """Glints of 3 to 12 px on wet surfaces; those of a severity are among those of the next."""
 
 SMOKE_DENSITY = (0.15, 0.3, 0.45, 0.6, 0.75)
-"""The share of the light that the plume's densest part scatters; cautery smoke is white and has structure
-of a fifth of the image and finer (image formation of haze, Koschmieder 1924)."""
+"""The share of the light that the plume's densest part scatters; cautery smoke is white and has structure of a fifth of
+the image and finer (image formation of haze, Koschmieder 1924)."""
 SMOKE_BGR = (208.0, 204.0, 200.0)
-
-# OpenCV's scale to 100: recorders use 80 and more, streams fall to 25 and below
-JPEG_QUALITY = (60, 40, 25, 14, 7)
+JPEG_QUALITY = (60, 40, 25, 14, 7)  # of 100: recorders use 80 and more, streams fall to 25 and below
 
 
 def require_degradation(name: str, severity: int) -> Degradation:
@@ -111,23 +105,18 @@ def image_seed(kind: Degradation, camera: int, *path: int) -> int:
 
 
 def degrade(image_bgr: Image, name: Degradation | str, severity: int, seed: int) -> Image:
-    """Degrade an image, shape (h, w, 3), alike for a seed; ValueError for an unknown name or severity."""
-    kind = Degradation(name)
-    if severity not in SEVERITIES:
-        raise ValueError(f"a severity is a whole number from 1 to 5, found {severity}")
+    """Degrade an image, shape (h, w, 3), alike for a seed, by a name and severity as `require_degradation` checks."""
     rng = np.random.default_rng(seed)
     level = severity - 1
     scale = image_bgr.shape[1] / REFERENCE_WIDTH_PX
     degraded: Array
-    match kind:
+    match Degradation(name):
         case Degradation.DEFOCUS:
             return _filtered(image_bgr, _disc(DEFOCUS_RADIUS_PX[level] * scale))
         case Degradation.MOTION_BLUR:
-            angle_rad = rng.uniform(0.0, np.pi)
-            return _filtered(image_bgr, _line(MOTION_LENGTH_PX[level] * scale, angle_rad))
+            return _filtered(image_bgr, _line(MOTION_LENGTH_PX[level] * scale, rng.uniform(0.0, np.pi)))
         case Degradation.NOISE:
-            degraded = np.asarray(image_bgr, np.float64)
-            degraded += rng.normal(0.0, NOISE_LEVELS[level], image_bgr.shape)
+            degraded = image_bgr + rng.normal(0.0, NOISE_LEVELS[level], image_bgr.shape)
         case Degradation.LOW_LIGHT:
             light, photon_count = LOW_LIGHT[level]
             photons = rng.poisson(image_bgr * (light * photon_count / 255.0))

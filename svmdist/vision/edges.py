@@ -16,41 +16,30 @@ from svmdist.transforms import Array
 
 SLOPE_SIGMA_PX = 1.2  # of the derivative of Gaussian: as wide as usual optics blur
 SLOPE_SIGMA_PER_BLUR = 0.8  # a blurred edge is sought at this scale over its own
-# Levels of chroma between inside and outside of the border below which there is no border to find
-MIN_CHROMA = 25.0
+MIN_CHROMA = 25.0  # levels between inside and outside below which there is no border to find
 MIN_AGREEING_FRACTION = 0.5  # of rays on the border's circle: with less the circle is a guess
 
-DEFAULT = ShaftSettings()
+RoughEdge = tuple[Array, Array, Array]  # both ends in px, and a vector from dark to bright, (2,) each
 STEP_PX = 0.5  # between samples across the edge: half a pixel loses nothing of what the pixels hold
-# An edge's blur is the median over so many places, each the mean of so many neighbouring profiles
-BLUR_PLACES, BLUR_STRIPS = 8, 7
+BLUR_PLACES, BLUR_STRIPS = 8, 7  # a blur is the median over places, each the mean of neighbouring profiles
 
 
 def edge_points(
-    brightness: Image,
-    start_px: Array,
-    end_px: Array,
-    outward: Array,
-    reach_px: float,
-    settings: ShaftSettings = DEFAULT,
-    blur_px: float = 0.0,
+    brightness: Image, rough: RoughEdge, reach_px: float, settings: ShaftSettings, blur_px: float = 0.0
 ) -> Array:
-    """Points of a dark-to-bright edge near the segment from `start_px` to `end_px`, shape (n, 2) in px.
+    """Points of an edge, shape (n, 2) in px, near a rough one in an image of shape (h, w).
 
-    `brightness` has shape (h, w); `outward` (2,) points from dark to bright. Profiles stand 1 px apart and
-    reach `reach_px` to both sides; a profile whose edge is lower than the settings' contrast, or which
-    ends before the edge does, gives no point. `blur_px` is the standard deviation of the edge's own blur.
+    Profiles stand 1 px apart and reach `reach_px` to both sides; one whose edge is lower than the settings' contrast,
+    or which ends before the edge does, gives no point. `blur_px` is the standard deviation of the edge's own blur.
     """
-    length_px = float(np.linalg.norm(end_px - start_px))
+    length_px = float(np.linalg.norm(rough[1] - rough[0]))
     if length_px < 2.0:
         return np.zeros((0, 2))
     sigma_px = slope_sigma_px(blur_px)
-    at = np.arange(0.5, length_px, 1.0)
-    feet_px, across = _feet(start_px, end_px, outward, at)
+    feet_px, across = _feet(rough, np.arange(0.5, length_px, 1.0))
     profiles, offsets, inside = profiles_across(brightness, feet_px, across, reach_px + 3.0 * sigma_px)
     slope = profiles @ slope_filter(len(offsets), sigma_px)
-    searched = (np.abs(offsets) <= reach_px) & inside
-    slope = np.where(searched, slope, -np.inf)
+    slope = np.where((np.abs(offsets) <= reach_px) & inside, slope, -np.inf)
     peak = np.argmax(slope, axis=1)
     rows = np.arange(len(peak))
     good = (peak > 0) & (peak < len(offsets) - 1)
@@ -71,26 +60,18 @@ def peak_shift_px(before: Array, top: Array, after: Array, good: NDArray[np.bool
     return np.where(good, np.clip(shift, -1.0, 1.0) * STEP_PX, np.nan)
 
 
-def edge_blur_px(
-    brightness: Image,
-    start_px: Array,
-    end_px: Array,
-    outward: Array,
-    reach_px: float,
-    settings: ShaftSettings = DEFAULT,
-) -> float:
+def edge_blur_px(brightness: Image, rough: RoughEdge, reach_px: float, settings: ShaftSettings) -> float:
     """An edge's blur: the deviation in px of the Gaussian as wide at half its height as the edge's slope."""
-    length_px = float(np.linalg.norm(end_px - start_px))
+    length_px = float(np.linalg.norm(rough[1] - rough[0]))
     if length_px < 2.0 * BLUR_STRIPS:
         return 0.0
-    sigma_px = SLOPE_SIGMA_PX
     middles = np.linspace(0.5 * BLUR_STRIPS, length_px - 0.5 * BLUR_STRIPS, BLUR_PLACES)
     at = (middles[:, None] + np.arange(BLUR_STRIPS) - BLUR_STRIPS // 2).ravel()
-    feet_px, across = _feet(start_px, end_px, outward, at)
-    profiles, offsets, inside = profiles_across(brightness, feet_px, across, reach_px + 3.0 * sigma_px)
+    feet_px, across = _feet(rough, at)
+    profiles, offsets, inside = profiles_across(brightness, feet_px, across, reach_px + 3.0 * SLOPE_SIGMA_PX)
     whole = inside.all(1).reshape(BLUR_PLACES, BLUR_STRIPS).all(1)
     mean = profiles.reshape(BLUR_PLACES, BLUR_STRIPS, -1).mean(1)[whole]
-    slope = (mean @ slope_filter(len(offsets), sigma_px))[:, np.abs(offsets) <= reach_px]
+    slope = (mean @ slope_filter(len(offsets), SLOPE_SIGMA_PX))[:, np.abs(offsets) <= reach_px]
     rows, columns = np.arange(len(slope)), np.arange(slope.shape[1])
     peak = np.argmax(slope, axis=1)
     top = slope[rows, peak]
@@ -104,7 +85,7 @@ def edge_blur_px(
     widths_px = ((np.argmax(after, axis=1) - last_before - 1) * STEP_PX)[found]
     # A Gaussian's width at half its height is √(8 ln 2) of its deviation.
     edge_sigma_px = float(np.median(widths_px)) / np.sqrt(8.0 * np.log(2.0))
-    return float(np.sqrt(max(0.0, edge_sigma_px**2 - sigma_px**2)))
+    return float(np.sqrt(max(0.0, edge_sigma_px**2 - SLOPE_SIGMA_PX**2)))
 
 
 def slope_sigma_px(blur_px: float) -> float:
@@ -112,7 +93,8 @@ def slope_sigma_px(blur_px: float) -> float:
     return max(SLOPE_SIGMA_PX, SLOPE_SIGMA_PER_BLUR * blur_px)
 
 
-def _feet(start_px: Array, end_px: Array, outward: Array, at: Array) -> tuple[Array, Array]:
+def _feet(rough: RoughEdge, at: Array) -> tuple[Array, Array]:
+    start_px, end_px, outward = rough
     along = (end_px - start_px) / np.linalg.norm(end_px - start_px)
     across = np.array([-along[1], along[0]])
     return start_px + at[:, None] * along, across if across @ outward > 0 else -across
@@ -154,8 +136,7 @@ def slope_filter(count: int, sigma_px: float) -> Array:
 
 SHADE_FROM_PX, SHADE_FROM_BLUR, SHADE_LENGTH_PX = 1.0, 2.0, 6.0
 """Shades beside an edge are read from so far off it, two deviations of its blur, over such a length."""
-# Of the slope's scale: a larger shift by shading is no small one, and its first order is not enough
-MAX_SHIFT = 0.25
+MAX_SHIFT = 0.25  # by shading, over the slope's scale: beyond, the first order is not enough
 
 
 def shading_shift_px(brightness: Image, points_px: Array, outward: Array, blur_px: float = 0.0) -> float:
@@ -199,21 +180,19 @@ def _line_through(x: Array, y: Array) -> tuple[float, float]:
 
 RAYS = 64
 STEP_PX_DISC = 0.25
+# Where the strength within and without is read, over the radius: clear of the border's blur
 INSIDE, OUTSIDE = (0.4, 0.7), (1.25, 1.7)
-"""Where the strength within and without is read, over the radius: clear of the border's blur."""
-FIT_STEPS = 6
-HUBER = 1.5
+FIT_STEPS, HUBER = 6, 1.5
 
 
 @dataclass(frozen=True, slots=True)
 class Disc:
-    """Centre (2,) and radius in px, the deviation of the border's points, the border's blur, and how many agree."""
+    """Centre (2,) and radius in px, the deviation of the border's points, and the border's blur."""
 
     centre_px: Array
     radius_px: float
     scatter_px: float
     blur_px: float
-    agreeing: float
 
 
 def fit_disc(image_hsv: Image, mask: Image, centre_px: Array, radius_px: float) -> Disc | None:
@@ -238,9 +217,8 @@ def fit_disc(image_hsv: Image, mask: Image, centre_px: Array, radius_px: float) 
     directions = np.stack([np.cos(angles), np.sin(angles)], -1)
     reach_px = np.arange(0.0, OUTSIDE[1] * radius_px, STEP_PX_DISC)
     places = (centre_px + reach_px[None, :, None] * directions[:, None, :]).astype(np.float32)
-    places_x, places_y = places[..., 0], places[..., 1]
-    values = cv2.remap(strength, places_x, places_y, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-    values = np.asarray(values, np.float64)
+    ways = cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE
+    values = np.asarray(cv2.remap(strength, places[..., 0], places[..., 1], *ways), np.float64)
     within = (reach_px >= INSIDE[0] * radius_px) & (reach_px <= INSIDE[1] * radius_px)
     # Along each ray: one side of a sphere is in shade.
     high = np.asarray(np.median(values[:, within], axis=1), np.float64)
@@ -271,7 +249,6 @@ def _crossing(values: Array, reach_px: Array, level: Array) -> Array:
 def _circle(points_px: Array, centre_px: Array, blur_px: float, origin_px: Array) -> Disc | None:
     """The circle through most points, shape (n, 2), by Gauss-Newton with Huber's weights."""
     radius_px = median(np.linalg.norm(points_px - centre_px, axis=1))
-    weight, scale_px = np.ones(len(points_px)), 0.1
     for _ in range(FIT_STEPS):
         offset = points_px - centre_px
         distance_px = np.linalg.norm(offset, axis=1)
@@ -281,9 +258,9 @@ def _circle(points_px: Array, centre_px: Array, blur_px: float, origin_px: Array
         J = np.column_stack([offset / distance_px[:, None], np.ones(len(offset))])
         step = np.linalg.solve(J.T @ (weight[:, None] * J) + 1e-9 * np.eye(3), J.T @ (weight * residual_px))
         centre_px, radius_px = centre_px + step[:2], radius_px + float(step[2])
-    agreeing = float(np.count_nonzero(np.abs(residual_px) < 3.0 * scale_px)) / RAYS
-    if not radius_px > 1.0 or agreeing < MIN_AGREEING_FRACTION:
+    agreeing = np.count_nonzero(np.abs(residual_px) < 3.0 * scale_px)
+    if not radius_px > 1.0 or agreeing < MIN_AGREEING_FRACTION * RAYS:
         return None
     # Blur of deviation σ draws the level of one half inwards by σ² / 2R on a border of radius R.
     whole_px = radius_px + blur_px**2 / (2.0 * radius_px)
-    return Disc(centre_px + origin_px, whole_px, scale_px, blur_px, agreeing)
+    return Disc(centre_px + origin_px, whole_px, scale_px, blur_px)

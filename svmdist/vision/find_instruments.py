@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.profile import OnnxSegmentation
-from svmdist.profile.segmentation import INSTRUMENTS, PREFIX
+from svmdist.profile.segmentation import INSTRUMENTS, SHIPPED, OnnxSegmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
@@ -262,7 +261,7 @@ def network_hint(bgr: Image) -> Floats:
 
 @lru_cache(maxsize=1)
 def _network() -> OnnxSegmenter:
-    return OnnxSegmenter(OnnxSegmentation.model_validate({"method": "onnx", "model": f"{PREFIX}instruments"}))
+    return OnnxSegmenter(OnnxSegmentation.model_validate({"method": "onnx", "model": SHIPPED}))
 
 
 class AutoMasks:
@@ -332,6 +331,6 @@ class AutoSegmenter:
         working = [WorkingImage.of(image, self._settings, network_hint) for image in images]
         return AutoSegmenter(self._settings, learnt_appearance(working))
 
-    def masks(self, bgr: Image, hsv: Image | None = None, /) -> AutoMasks:  # noqa: ARG002
+    def masks(self, bgr: Image, /) -> AutoMasks:
         """The masks of an image, shape (h, w, 3) in BGR as recorded."""
         return AutoMasks(bgr, self._appearance, self._settings)

@@ -12,19 +12,19 @@ from svmdist.camera import Camera, fisheye_coefficients
 from svmdist.profile.settings import ExposureSettings, InterlaceSettings, TagSettings
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform
-from svmdist.vision.colour import Exposure, Masks, apply_exposure, exposure_of
+from svmdist.vision.colour import Exposure, Masks, apply_exposure, exposure_of, to_grey, to_hsv
 from svmdist.vision.segmentation import Segmenter
 
 COMB_RATIO = 3.0  # combed pixels over those that differ from the same field's rows: fine texture does both
-# Side of the blocks in which these are counted, at 640 columns: smaller than an instrument's tip
-BLOCK_PX = 9
+BLOCK_PX = (
+    9  # side of the blocks in which these are counted, at 640 columns: smaller than an instrument's tip
+)
 MIN_FRACTION = 0.12  # of a block's pixels that are combed, where its odd rows are mended
 MIN_PIXELS = 60  # combed pixels in a whole image, at 640 columns, below which nothing is looked at further
 
 DEFAULT = InterlaceSettings()
 COLUMNS = 640  # sizes in px are for images of so many columns
-REACH = 3
-"""Blocks about a combed one that are mended with it: of one moving body some parts have too little contrast to tell."""
+REACH = 3  # blocks about a combed one that are mended with it: part of what moves has too little contrast
 
 
 def with_first_fields(observation: Observation, settings: InterlaceSettings = DEFAULT) -> Observation:
@@ -32,11 +32,12 @@ def with_first_fields(observation: Observation, settings: InterlaceSettings = DE
     left, right = first_field(observation.image_bgr, settings), observation.right
     if left is not observation.image_bgr:
         observation = replace(observation, image_bgr=left)
-    if right is not None:
-        other = first_field(right.image_bgr, settings)
-        if other is not right.image_bgr:
-            observation = replace(observation, right=replace(right, image_bgr=other))
-    return observation
+    if right is None:
+        return observation
+    image = first_field(right.image_bgr, settings)
+    if image is right.image_bgr:
+        return observation
+    return replace(observation, right=replace(right, image_bgr=image))
 
 
 def first_field(bgr: Image, settings: InterlaceSettings = DEFAULT) -> Image:
@@ -82,15 +83,10 @@ def as_pinholes(observation: Observation, row_offset_px: float = 0.0) -> Observa
         observation = replace(observation, right=right)
     if row_offset_px == 0.0:
         return observation
-    raised = _raised(right.image_bgr, row_offset_px)
-    return replace(observation, right=replace(right, image_bgr=raised))
-
-
-def _raised(image: Image, rows_px: float) -> Image:
-    height, width = image.shape[:2]
-    moved = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, -rows_px]])
-    raised = cv2.warpAffine(image, moved, (width, height), None, cv2.INTER_CUBIC, cv2.BORDER_CONSTANT)
-    return np.asarray(raised, np.uint8)
+    height, width = right.image_bgr.shape[:2]
+    up = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, -row_offset_px]])
+    raised = cv2.warpAffine(right.image_bgr, up, (width, height), flags=cv2.INTER_CUBIC)
+    return replace(observation, right=replace(right, image_bgr=np.asarray(raised, np.uint8)))
 
 
 def seen_through(camera: Camera, pinhole_px: Array) -> Array:
@@ -102,14 +98,12 @@ def seen_through(camera: Camera, pinhole_px: Array) -> Array:
 
 
 def _is_rectified(left: Camera, right: RightView) -> bool:
-    same_K = np.allclose(np.delete(left.K - right.camera.K, 2, axis=1), 0.0, atol=1e-3)
-    return (
-        not left.has_distortion
-        and not right.camera.has_distortion
-        and bool(same_K)
-        and abs(left.K[1, 2] - right.camera.K[1, 2]) <= 1e-3
-        and np.allclose(right.T_left_right[:3, :3], np.eye(3), atol=1e-6)
-    )
+    """Whether both are ideal, parallel and, but for the columns of their principal points, alike."""
+    off = left.K - right.camera.K
+    off[0, 2] = 0.0
+    is_ideal = not (left.has_distortion or right.camera.has_distortion)
+    is_parallel = np.allclose(right.T_left_right[:3, :3], np.eye(3), atol=1e-6)
+    return is_ideal and is_parallel and bool(np.abs(off).max() <= 1e-3)
 
 
 def _beside(left: Camera, right: RightView) -> RightView:
@@ -121,56 +115,41 @@ def _beside(left: Camera, right: RightView) -> RightView:
 
 
 def _mapped(image: Image, camera: Camera, R_ideal_camera: Array, ideal: Camera) -> Image:
-    across, down = _maps(
-        camera.K.tobytes(),
-        camera.D.tobytes(),
-        camera.distortion_model,
-        R_ideal_camera.tobytes(),
-        ideal.K.tobytes(),
-        (ideal.width_px, ideal.height_px),
-    )
+    matrices = (one.tobytes() for one in (camera.K, camera.D, R_ideal_camera, ideal.K))
+    across, down = _maps(*matrices, camera.distortion_model, (ideal.width_px, ideal.height_px))
     return np.asarray(cv2.remap(image, across, down, cv2.INTER_LINEAR), np.uint8)
 
 
 @lru_cache(maxsize=8)
 def _maps(
-    K: bytes, D: bytes, model: str, R_ideal_camera: bytes, K_ideal: bytes, size_px: tuple[int, int]
+    K: bytes, D: bytes, R_ideal_camera: bytes, K_ideal: bytes, model: str, size_px: tuple[int, int]
 ) -> tuple[Array, Array]:
     """Where each pixel of an ideal camera is in the image, as fixed-point maps; computed once for a camera."""
     K_from, R, K_to = (np.frombuffer(data).reshape(3, 3) for data in (K, R_ideal_camera, K_ideal))
-    coefficients = np.frombuffer(D)
+    D_from, rest = np.frombuffer(D), (R, K_to, size_px, cv2.CV_16SC2)
     if model == "fisheye":
-        maps = cv2.fisheye.initUndistortRectifyMap(
-            K_from, fisheye_coefficients(coefficients), R, K_to, size_px, cv2.CV_16SC2
-        )
+        maps = cv2.fisheye.initUndistortRectifyMap(K_from, fisheye_coefficients(D_from), *rest)
     else:
-        maps = cv2.initUndistortRectifyMap(K_from, coefficients, R, K_to, size_px, cv2.CV_16SC2)
+        maps = cv2.initUndistortRectifyMap(K_from, D_from, *rest)
     return np.asarray(maps[0]), np.asarray(maps[1])
-
-
-DEFAULT_EXPOSURE, DEFAULT_TAG = ExposureSettings(), TagSettings()
 
 
 class FrameContext:
     """One camera image, shape (h, w, 3) in BGR, and what is derived from it.
 
     Forms without a suffix are at normalised exposure; `_as_recorded` ones are of the image as it is, which the
-    paper's methods segment. Nothing that it keeps refers back to it: its images are freed with its last user, and do
-    not wait for the collector.
+    paper's methods segment. Nothing that it keeps refers back to it: its images are freed with its last user.
     """
 
     def __init__(
         self,
         bgr: Image,
         segmenter: Segmenter,
-        settings: ExposureSettings = DEFAULT_EXPOSURE,
-        tag_family: str | None = None,
-        tag_settings: TagSettings = DEFAULT_TAG,
+        exposure: ExposureSettings,
+        tags: tuple[str, TagSettings] | None,
     ) -> None:
-        self.bgr_as_recorded = bgr
-        self._segmenter = segmenter
-        self._settings = settings
-        self._tag_rules = tag_family, tag_settings
+        self.bgr_as_recorded, self._segmenter = bgr, segmenter
+        self._exposure_settings, self._tag_rules = exposure, tags
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -181,7 +160,7 @@ class FrameContext:
     @cached_property
     def exposure(self) -> Exposure:
         """The map that normalises this image's exposure."""
-        return exposure_of(self.bgr_as_recorded, self._settings)
+        return exposure_of(self.bgr_as_recorded, self._exposure_settings)
 
     @cached_property
     def bgr(self) -> Image:
@@ -213,35 +192,17 @@ class FrameContext:
         """Corners, shape (4, 2) in px, of every tag of the family, by number; none where no family is given."""
         from svmdist.vision.tags import find_tags  # its detectors take a while to import
 
-        family, settings = self._tag_rules
-        return {} if family is None else find_tags(self.grey, family, settings)
+        return {} if self._tag_rules is None else find_tags(self.grey, *self._tag_rules)
 
     @cached_property
     def masks(self) -> Masks:
-        """What is what in the image, at normalised exposure."""
-        if "masks_as_recorded" in self.__dict__ and self._is_one_segmentation:
-            return self.masks_as_recorded
-        return self._segmenter.masks(self.bgr_as_recorded, self.hsv if self._segmenter.uses_colours else None)
+        """What is what in the image, at normalised exposure where that makes a difference."""
+        if self._segmenter.uses_colours and not self.exposure.is_plain:
+            return self._segmenter.masks(self.hsv)
+        return self.masks_as_recorded
 
     @cached_property
     def masks_as_recorded(self) -> Masks:
         """What is what in the image as it is."""
-        if "masks" in self.__dict__ and self._is_one_segmentation:
-            return self.masks
-        hsv = self.hsv_as_recorded if self._segmenter.uses_colours else None
-        return self._segmenter.masks(self.bgr_as_recorded, hsv)
-
-    @property
-    def _is_one_segmentation(self) -> bool:
-        """Whether exposure makes no difference to the masks."""
-        return not self._segmenter.uses_colours or self.exposure.is_plain
-
-
-def to_hsv(bgr: Image) -> Image:
-    """Convert BGR, shape (h, w, 3), to OpenCV's 8-bit HSV: H in 0–179 (half degrees), S and V in 0–255."""
-    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2HSV), np.uint8)
-
-
-def to_grey(bgr: Image) -> Image:
-    """Convert BGR, shape (h, w, 3), to grey, shape (h, w)."""
-    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2GRAY), np.uint8)
+        image = self.hsv_as_recorded if self._segmenter.uses_colours else self.bgr_as_recorded
+        return self._segmenter.masks(image)

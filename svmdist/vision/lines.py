@@ -13,12 +13,9 @@ from svmdist.camera import Camera
 from svmdist.least_squares import huber_weights, scale_of
 from svmdist.transforms import Array, cross, skew
 
-# Neighbouring edge points share pixels: points closer than this along the edge err alike
-POINT_CORRELATION_PX = 2.0
+POINT_CORRELATION_PX = 2.0  # neighbouring edge points share pixels: those closer along the edge err alike
 MIN_POINT_STD_PX = 0.05  # what pixel grid and interpolation leave even without noise
-
-HUBER = 1.5
-"""Deviations beyond which a point counts singly, at 95 % efficiency on normal errors about 1.35 (Huber 1964)."""
+HUBER = 1.5  # deviations beyond which a point counts singly; 95 % efficient at about 1.35 (Huber 1964)
 FIT_STEPS, TRIALS, SEED = 6, 120, 7
 
 
@@ -26,15 +23,14 @@ FIT_STEPS, TRIALS, SEED = 6, 120, 7
 class Line:
     """The points with `normal` · p = `offset`, in the unit of the points that were fitted.
 
-    `normal` (2,) has length 1; `covariance` (2, 2) belongs to (turn in rad about `centre`, shift along the
-    normal); `centre` (2,) is the points' middle, and `count` how many there were.
+    `normal` (2,) has length 1; `covariance` (2, 2) belongs to (turn in rad about `centre`, the points' middle (2,),
+    shift along the normal).
     """
 
     normal: Array
     offset: float
     centre: Array
     covariance: Array
-    count: int
 
     @property
     def direction(self) -> Array:
@@ -51,11 +47,9 @@ def undistorted(camera: Camera, points_px: Array) -> Array:
         y = (points_px[:, 1] - cy) / fy
         return np.stack([(points_px[:, 0] - cx - skew * y) / fx, y], -1)
     criteria = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
-    points = np.ascontiguousarray(points_px, np.float64).reshape(-1, 1, 2)
-    points = np.asarray(
-        cv2.undistortPoints(points, camera.K, camera.D, None, None, None, criteria), np.float64
-    )
-    return points.reshape(-1, 2)
+    bent = np.ascontiguousarray(points_px, np.float64).reshape(-1, 1, 2)
+    straight = cv2.undistortPoints(bent, camera.K, camera.D, None, None, None, criteria)
+    return np.asarray(straight, np.float64).reshape(-1, 2)
 
 
 def fit_line(
@@ -68,9 +62,9 @@ def fit_line(
 ) -> Line | None:
     """The line through most of the points, shape (n, 2): RANSAC, then total least squares with Huber's weights.
 
-    `unit` is the size of a pixel in the unit of the points. None where fewer than `min_count` points agree
-    within `inlier_px`, or less than half of them. `systematic_px` is an error that the points share: it shifts
-    the line, and may shift its two ends differently. Points closer than `correlation_px` err alike.
+    `unit` is the size of a pixel in the unit of the points. None where fewer than `min_count` points agree within
+    `inlier_px`, or less than half of them. `systematic_px` is an error that the points share, at each end of the line
+    another. Points closer than `correlation_px` err alike.
     """
     chosen = _consensus(points, inlier_px * unit)
     if np.count_nonzero(chosen) < max(min_count, len(points) // 2):
@@ -80,7 +74,9 @@ def fit_line(
     floor = MIN_POINT_STD_PX * unit
     for _ in range(FIT_STEPS):
         centre = weight @ points / weight.sum()
-        direction = _main_direction(points - centre, weight)
+        x, y = (points - centre).T
+        angle = 0.5 * np.arctan2(2.0 * (weight * x) @ y, (weight * x) @ x - (weight * y) @ y)
+        direction = np.array([np.cos(angle), np.sin(angle)])
         normal = np.array([-direction[1], direction[0]])
         residual = (points - centre) @ normal
         scale = max(scale_of(residual), floor)
@@ -93,13 +89,7 @@ def fit_line(
     shared = (systematic_px * unit) ** 2
     turn = (variance / weight.sum() + shared) / max(float(weight @ position**2 / weight.sum()), 1e-30)
     shift = variance / weight.sum() + shared
-    return Line(normal, float(normal @ centre), centre, np.diag([turn, shift]), len(points))
-
-
-def _main_direction(offsets: Array, weight: Array) -> Array:
-    x, y = offsets.T
-    twice = np.arctan2(2.0 * (weight * x) @ y, (weight * x) @ x - (weight * y) @ y)
-    return np.array([np.cos(0.5 * twice), np.sin(0.5 * twice)])
+    return Line(normal, float(normal @ centre), centre, np.diag([turn, shift]))
 
 
 def _consensus(points: Array, tolerance: float) -> NDArray[np.bool_]:
@@ -127,8 +117,7 @@ def _trials(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return first, (first + rng.integers(1, count, TRIALS)) % count
 
 
-# Of the angle between the two planes: a radius below 0.25 % of the distance has no measurable width
-MIN_SINE = 5e-3
+MIN_SINE = 5e-3  # of two planes' angle: a radius below 0.25 % of the distance has no measurable width
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,28 +174,21 @@ def axis_of_cylinder(first: TangentPlane, second: TangentPlane, radius_m: float)
     return CylinderAxis(p, d, covariance)
 
 
-def tangent_normal(point_m: Array, direction: Array, radius_m: float, side: int) -> Array:
-    """Unit normals, shape (..., 3), of the planes that touch cylinders: the inverse of `axis_of_cylinder`.
-
-    `point_m` (..., 3) is any point of the axis. `side` is +1 for the plane to the right of the axis as it runs
-    through the image, y being down, and -1 for the left. Where the camera is inside the cylinder there is none: NaN.
-    """
-    foot = point_m - direction * np.sum(point_m * direction, -1, keepdims=True)
-    distance_m = np.sqrt(np.sum(foot * foot, -1, keepdims=True))
-    sine = radius_m / np.where(distance_m > radius_m, distance_m, np.nan)
-    towards, left = foot / distance_m, cross(direction, foot) / distance_m
-    return np.asarray(sine * towards + side * np.sqrt(1.0 - sine**2) * left)
-
-
-def tangent_normal_with_derivatives(
+def tangent_normal(
     point_m: Array, direction: Array, radius_m: float, side: int
 ) -> tuple[Array, Array, Array]:
-    """`tangent_normal` of one cylinder, (3,), and its derivatives by the point and by the direction, (3, 3) each.
+    """Unit normal (3,) of a plane that touches a cylinder, and its derivatives by point and direction, (3, 3) each.
 
+    `point_m` (3,) is any point of the axis. `side` is +1 for the plane to the right of the axis as it runs through
+    the image, y being down, and -1 for the left. Where the camera is inside the cylinder there is none: NaN.
     The normal obeys n · n = 1, n · d = 0 and n · p = r. With e = n x d the differentials of these give
     dn = -(n · dd) d + e ((n · dd) (d · p) - n · dp) / (e · p).
     """
-    normal = tangent_normal(point_m, direction, radius_m, side)
+    foot = point_m - direction * np.sum(point_m * direction)
+    distance_m = np.sqrt(np.sum(foot * foot))
+    sine = radius_m / distance_m if distance_m > radius_m else np.nan
+    towards, left = foot / distance_m, cross(direction, foot) / distance_m
+    normal = sine * towards + side * np.sqrt(1.0 - sine * sine) * left
     e = cross(normal, direction)
     beside = e / float(e @ point_m)
     by_direction = np.outer(float(direction @ point_m) * beside - direction, normal)

@@ -16,29 +16,25 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 
 REFIT_THRESHOLDS_PX = (1.5, 1.0, 0.7, 0.5, 0.3)  # the fine pyramid levels agree best and should decide
-# Fewer matches than this are not fitted again: five times the four that determine a homography
-REFIT_MIN_COUNT = 20
+REFIT_MIN_COUNT = 20  # fewer matches are not fitted again: five times those that determine a homography
 
 CELL_COUNT = 12  # cells along a side: margin, frame, eight of data, frame, margin
 
 DATA_ROWS = (0b00100011, 0b11010100, 0b10110111, 0b00111001, 0b11100100, 0b00011011, 0b01011000, 0b11100100)
-"""Eight rows of eight cells, 1 is white. Found by random search: half the cells are white, no run along a
-row or column is longer than three cells, each quarter turn changes 32 cells, and windows of 4 x 4 cells,
-about an ORB patch, differ from one another under every quarter turn."""
-
-
+"""Eight rows of eight cells, 1 is white. Found by random search: half the cells are white, no run along a row or column
+is longer than three cells, each quarter turn changes 32 cells, and windows of 4 x 4 cells, about an ORB patch, differ
+from one another under every quarter turn."""
 EDGE_SOFTNESS_PX = 1.0
-"""Standard deviation of the blur that softens the cells' edges. Perfectly sharp corners give neighbouring
-pixels the same FAST score, and its non-maximum suppression then drops them all at full resolution."""
+"""Standard deviation of a blur of the cells' edges. Perfectly sharp corners give neighbouring pixels the same FAST
+score, and its non-maximum suppression then drops them all at full resolution."""
 
 
 @dataclass(frozen=True, slots=True)
 class MarkedWindow:
     """The part of an image about the marker, with the marker pasted in its middle.
 
-    The window is wider than the marker by the same margin on every side, so that a marker at the image's border is
-    neither cut nor too close to the edge for ORB. `origin_px` is the window's top left pixel (x, y) in the image, and
-    may lie outside of it.
+    Its margin, alike on every side, keeps a marker at the image's border uncut and far enough from the edge for ORB.
+    `origin_px` is the window's top left pixel (x, y) in the image, and may lie outside of it.
     """
 
     window_bgr: Image
@@ -50,9 +46,7 @@ def marker_pattern(size_px: int) -> Image:
     """The marker as a grey image, shape (size_px, size_px), read-only."""
     cells = np.full((CELL_COUNT, CELL_COUNT), 255, np.uint8)
     cells[1:-1, 1:-1] = 0
-    for row, bits in enumerate(DATA_ROWS):
-        for column in range(8):
-            cells[row + 2, column + 2] = 255 if bits >> (7 - column) & 1 else 0
+    cells[2:-2, 2:-2] = 255 * np.unpackbits(np.array(DATA_ROWS, np.uint8)[:, None], axis=1)
     index = np.arange(size_px) * CELL_COUNT // size_px
     pattern = np.asarray(cv2.GaussianBlur(cells[np.ix_(index, index)], (0, 0), EDGE_SOFTNESS_PX), np.uint8)
     pattern.setflags(write=False)
@@ -84,11 +78,7 @@ def padded_template(size_px: int, margin_px: int) -> Image:
 
 
 EDGE_MARGIN_PX = 31  # ORB finds no keypoint closer to the border of a pyramid level than its `edgeThreshold`
-
-SCALE_FACTOR = 1.2
-# ORB's pyramid as in Rublee 2011, sec. 6.1: eight levels, each 1.2 times as coarse as the one before
-MAX_LEVELS = 8
-
+SCALE_FACTOR, MAX_LEVELS = 1.2, 8  # of ORB's pyramid, as in Rublee 2011, sec. 6.1
 DESCRIPTOR_BYTES = 32  # eqs. (13)–(16): n = 256 binary tests make 32 bytes, not "32 dimensions"
 
 
@@ -101,6 +91,9 @@ class Features:
 
     def __len__(self) -> int:
         return len(self.points_px)
+
+
+NO_FEATURES = Features(np.zeros((0, 2)), np.zeros((0, DESCRIPTOR_BYTES), np.uint8))
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +111,7 @@ def detect_orb(image_grey: Image, feature_count: int, mask: Image | None = None)
     """ORB features (Rublee 2011) of a grey image, shape (h, w), inside a mask; none of a featureless image."""
     side_px = min(image_grey.shape)
     if side_px <= 2 * EDGE_MARGIN_PX:  # all margin; OpenCV fails on the smallest of these
-        return _no_features()
+        return NO_FEATURES
     # Coarser levels are all margin.
     levels = 1 + int(math.log(side_px / (2 * EDGE_MARGIN_PX + 1), SCALE_FACTOR))
     orb = cv2.ORB_create(  # type: ignore[attr-defined]
@@ -130,7 +123,7 @@ def detect_orb(image_grey: Image, feature_count: int, mask: Image | None = None)
     )
     keypoints, descriptors = orb.detectAndCompute(image_grey, mask)
     if descriptors is None or not keypoints:
-        return _no_features()
+        return NO_FEATURES
     points_px = np.asarray(cv2.KeyPoint.convert(keypoints), np.float64)
     return Features(points_px, np.asarray(descriptors, np.uint8))
 
@@ -148,16 +141,11 @@ def match_features(template: Features, frame: Features, ratio: float) -> Matches
     return Matches(template.points_px[kept], frame.points_px[nearest[kept, 0]])
 
 
-def _no_features() -> Features:
-    return Features(np.zeros((0, 2)), np.zeros((0, DESCRIPTOR_BYTES), np.uint8))
-
-
 DEFAULT = MarkerSettings()
 
 SEED = 20  # fixed seed of the sampler: with it, and without threads, USAC gives the same bits everywhere
-
+# Gauss–Newton from a fit that is good to a fraction of a pixel: two or three steps reach rounding
 REFIT_STEPS = Steps(max_steps=10, settled=1e-9, damping=1e-9)
-"""Gauss–Newton from a fit that is good to a fraction of a pixel: two or three steps reach rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +183,7 @@ def fit_homography(matches: Matches, reprojection_px: float) -> Homography | Non
 
 def _refit(H: Array, matches: Matches) -> tuple[Array, Array]:
     """Refit by least squares on the matches within shrinking thresholds, while they are many and agree."""
-    error_px = transfer_error(H, matches.template_px, matches.frame_px)
+    error_px = _transfer_error(H, matches)
     fitted_on: NDArray[np.bool_] | None = None
     for threshold_px in REFIT_THRESHOLDS_PX:
         close = error_px <= threshold_px
@@ -203,20 +191,19 @@ def _refit(H: Array, matches: Matches) -> tuple[Array, Array]:
             break
         if fitted_on is not None and np.array_equal(close, fitted_on):
             continue  # the same matches give the same homography
-        fitted = least_squares_homography(H, matches.template_px[close], matches.frame_px[close])
+        fitted = _least_squares_homography(H, matches.template_px[close], matches.frame_px[close])
         if fitted is None:
             break
         H, fitted_on = fitted, close
-        error_px = transfer_error(H, matches.template_px, matches.frame_px)
+        error_px = _transfer_error(H, matches)
     return H, error_px
 
 
-def least_squares_homography(start: Array, template_px: Array, frame_px: Array) -> Array | None:
-    """The homography, shape (3, 3), that minimises the squared transfer errors of points of shape (n, 2).
+def _least_squares_homography(start: Array, template_px: Array, frame_px: Array) -> Array | None:
+    """The homography, shape (3, 3), of least squared transfer errors of points of shape (n, 2); None without one near.
 
     Gauss–Newton from a start that is near (Hartley and Zisserman 2004, sec. 4.2.2). Both sets of points are normalised
-    (sec. 4.4.4), without which the normal equations would lose half of the digits. None where there is no minimum
-    near the start.
+    (sec. 4.4.4), without which the normal equations would lose half of the digits.
     """
     template, frame = _normalised(template_px), _normalised(frame_px)
     if template is None or frame is None:
@@ -225,9 +212,8 @@ def least_squares_homography(start: Array, template_px: Array, frame_px: Array) 
     start = _inverse_similarity(to_frame_px) @ start @ to_template_px
     if abs(start[2, 2]) < 1e-12:
         return None
-    found = minimise(
-        (start / start[2, 2]).ravel()[:8], lambda h: _normal_equations(h, p, q), np.add, REFIT_STEPS
-    )
+    h = (start / start[2, 2]).ravel()[:8]
+    found = minimise(h, lambda h: _normal_equations(h, p, q), np.add, REFIT_STEPS)
     if found is None:
         return None
     fitted = np.append(found.state, 1.0).reshape(3, 3)
@@ -277,9 +263,9 @@ def transfer(H: Array, points_px: Array) -> Array:
         return np.asarray(mapped[:, :2] / mapped[:, 2:])
 
 
-def transfer_error(H: Array, template_px: Array, frame_px: Array) -> Array:
+def _transfer_error(H: Array, matches: Matches) -> Array:
     """Δd of eq. (18), shape (n,) in px: distance of each match from where the homography puts it."""
-    off_px = frame_px - transfer(H, template_px)
+    off_px = matches.frame_px - transfer(H, matches.template_px)
     error_px = np.hypot(off_px[:, 0], off_px[:, 1])
     return np.where(np.isfinite(error_px), error_px, np.inf)
 
@@ -289,8 +275,8 @@ def is_plausible(H: Array, size_px: int, settings: MarkerSettings = DEFAULT) -> 
     corners = transfer(H, square_corners(size_px))
     if not np.all(np.isfinite(corners)):
         return False
-    edges = np.concatenate([corners[1:], corners[:1]]) - corners
-    following = np.concatenate([edges[1:], edges[:1]])
+    edges = np.roll(corners, -1, 0) - corners
+    following = np.roll(edges, -1, 0)
     cross = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
     area_ratio = cv2.contourArea(corners.astype(np.float32)) / (size_px - 1) ** 2
     return bool(np.all(cross > 0)) and 1.0 / settings.max_area_ratio < area_ratio < settings.max_area_ratio

@@ -14,40 +14,19 @@ from numpy.typing import NDArray
 
 from svmdist.errors import ProfileError, did_you_mean
 from svmdist.files import open_regular, why
-from svmdist.profile import ClassRegion, OnnxSegmentation
+from svmdist.profile.segmentation import ClassRegion, OnnxSegmentation
 from svmdist.samples import Image
 from svmdist.vision.colour import Masks, field_of_view
 
-MARGIN = 0.02
-"""How far from the border a part may end, over the image's width: optics fade there, and networks are coarse."""
+MARGIN = 0.02  # from the border, over the image's width, where a part may end: networks are coarse
 LEAST_AREA = 0.003  # an instrument's least part of the picture, as of `auto`
-
-
-def parts_from_border(mask: Image, black: Image) -> Image:
-    """Connected parts of `mask` that reach the picture's border; `black`, (h, w), is what may be border around it."""
-    picture = field_of_view(black)
-    height, width = mask.shape
-    reach = max(2, round(MARGIN * width))
-    # A frame of nothing around the image, so that the image's own edge is border too.
-    framed = cv2.copyMakeBorder(picture, reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=0)
-    kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    inner = cv2.erode(framed, kernel, borderValue=0)[reach : reach + height, reach : reach + width]
-    count, parts, statistics, _ = cv2.connectedComponentsWithStats(mask & picture)
-    least = LEAST_AREA * cv2.countNonZero(picture)
-    kept = np.zeros(count, np.uint8)
-    kept[np.unique(parts[inner == 0])] = 255
-    kept[statistics[:, cv2.CC_STAT_AREA] < least] = 0
-    kept[0] = 0
-    return np.asarray(kept[parts], np.uint8)
-
+BLACK_LEVEL = 24  # of 255, in every channel: video codes black as 16, and noise of a few levels lies on it
+# OpenCV's convolutions give the largest float in place of infinity and of what is no number
+FINITE = float(np.finfo(np.float32).max)
+MAX_FILE_BYTES = 2 << 30  # protobuf, which ONNX is written in, ends at 2 GiB
 
 Labels = NDArray[np.int32]
 Tensor = NDArray[np.generic]
-
-BLACK_LEVEL = 24  # of 255, in every channel: video codes black as 16, and noise of a few levels lies on it
-FINITE = float(np.finfo(np.float32).max)
-"""OpenCV's convolutions give the largest float in place of infinity and of what is no number."""
-MAX_FILE_BYTES = 2 << 30  # protobuf, which ONNX is written in, ends at 2 GiB
 
 
 class ClassMasks(Masks):
@@ -60,7 +39,7 @@ class ClassMasks(Masks):
 
     @cached_property
     def tissue(self) -> Image:
-        """Pixels of the tissue's classes, 255, and others, 0; shape (h, w)."""
+        """Pixels of the tissue's classes."""
         return self._of(self._rules.tissue)
 
     @cached_property
@@ -70,7 +49,7 @@ class ClassMasks(Masks):
 
     @cached_property
     def shaft(self) -> Image | None:
-        """Pixels of the shaft's classes; None where the profile knows none."""
+        """Pixels of the shaft's classes."""
         return None if self._rules.shaft is None else self._kept(self._of(self._rules.shaft))
 
     @cached_property
@@ -83,10 +62,23 @@ class ClassMasks(Masks):
 
     @cached_property
     def _from_border(self) -> Image | None:
+        """Connected parts of the instrument that reach the picture's border; None where all parts are kept."""
         if not self._rules.from_border:
             return None
         union = np.maximum(self._of(self._rules.instrument), self._of(self._rules.shaft))
-        return parts_from_border(union, self.black)
+        picture = field_of_view(self.black)
+        height, width = union.shape
+        reach = max(2, round(MARGIN * width))
+        # A frame of nothing around the image, so that the image's own edge is border too.
+        framed = cv2.copyMakeBorder(picture, reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=0)
+        kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+        inner = cv2.erode(framed, kernel, borderValue=0)[reach : reach + height, reach : reach + width]
+        count, parts, statistics, _ = cv2.connectedComponentsWithStats(union & picture)
+        kept = np.zeros(count, np.uint8)
+        kept[np.unique(parts[inner == 0])] = 255
+        kept[statistics[:, cv2.CC_STAT_AREA] < LEAST_AREA * cv2.countNonZero(picture)] = 0
+        kept[0] = 0
+        return np.asarray(kept[parts], np.uint8)
 
     def _of(self, region: ClassRegion | None) -> Image:
         if region is None:
@@ -105,33 +97,36 @@ class OnnxSegmenter:
         self._lock = Lock()  # a network holds its input and output while it runs
         self._output = _output_name(self._net, rules)
         tried = self._run(np.zeros((rules.height_px, rules.width_px, 3), np.uint8))
-        if tried.ndim == 4 and tried.shape[1] > 1:
-            self._require_classes(tried.shape[1])
+        if not _has_scores(tried):
+            return
+        count = tried.shape[1]
+        for name, region in rules.parts.items():
+            beyond = [number for number in region.class_ids if number >= count]
+            if beyond:
+                raise ProfileError(
+                    f"{rules.model}: segmentation.{name}.class_ids asks for class {beyond[0]}, and the network"
+                    f" tells {count} classes, 0 to {count - 1}"
+                )
 
-    def masks(self, bgr: Image, hsv: Image | None = None, /) -> ClassMasks:  # noqa: ARG002
+    def masks(self, bgr: Image, /) -> ClassMasks:
         """The masks of an image, shape (h, w, 3) in BGR as recorded."""
-        return ClassMasks(bgr, self.labels(bgr), self._rules)
-
-    def labels(self, image_bgr: Image) -> Labels:
-        """The class of every pixel, shape (h, w), of an image, shape (h, w, 3) in BGR."""
-        height, width = image_bgr.shape[:2]
-        output = self._run(image_bgr)
-        if output.ndim == 4 and output.shape[1] > 1:
-            return best_class(np.asarray(output[0], np.float32), (width, height))
-        labels = np.asarray(output.reshape(output.shape[-2:]), np.int32)
-        enlarged = cv2.resize(labels, (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
-        return np.asarray(enlarged, np.int32)
+        height, width = bgr.shape[:2]
+        output = self._run(bgr)
+        if _has_scores(output):
+            labels = _best_class(np.asarray(output[0], np.float32), (width, height))
+        else:
+            labels = np.asarray(output.reshape(output.shape[-2:]), np.int32)
+            enlarged = cv2.resize(labels, (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
+            labels = np.asarray(enlarged, np.int32)
+        return ClassMasks(bgr, labels, self._rules)
 
     def scores(self, image_bgr: Image) -> NDArray[np.float32]:
-        """The classes' scores, (C, h', w'), of a BGR image; raises ProfileError for a network that gives labels."""
-        output = self._run(image_bgr)
-        if output.ndim != 4 or output.shape[1] < 2:
-            raise ProfileError(f"{self._rules.model}: the network gives labels, and no scores of classes")
-        return np.asarray(output[0], np.float32)
+        """The classes' scores, (C, h', w'), of a BGR image, by a network that gives scores."""
+        return np.asarray(self._run(image_bgr)[0], np.float32)
 
     def _run(self, image_bgr: Image) -> Tensor:
         """The network's output, checked: (1, C, h', w') scores, or (1, 1, h', w') or (1, h', w') labels."""
-        rules = self._rules
+        rules, where = self._rules, f"{self._rules.model}: output {self._output}"
         blob = network_input(image_bgr, rules)
         try:
             with self._lock, _quiet():
@@ -141,28 +136,21 @@ class OnnxSegmenter:
             raise ProfileError(f"{rules.model}: {_why_not_run(problem, rules)}") from None
         if output.ndim not in (3, 4) or output.shape[0] != 1 or 0 in output.shape:
             raise ProfileError(
-                f"{rules.model}: output {self._output} has shape {_shape(output)}; expected class scores"
-                " (1, C, h, w), or labels (1, 1, h, w) or (1, h, w)"
+                f"{where} has shape {output.shape}; expected class scores (1, C, h, w), or labels (1, 1, h, w) or"
+                " (1, h, w)"
             )
         if not (np.abs(output) < FINITE).all():
+            raise ProfileError(f"{where} is not finite: are mean and scale right?")
+        if not _has_scores(output) and not np.array_equal(output, np.round(output)):
             raise ProfileError(
-                f"{rules.model}: output {self._output} is not finite: are mean and scale right?"
-            )
-        if (output.ndim == 3 or output.shape[1] == 1) and not np.array_equal(output, np.round(output)):
-            raise ProfileError(
-                f"{rules.model}: output {self._output} of shape {_shape(output)} has one channel, so that it should"
-                " hold whole class numbers, and holds fractions; class scores need two channels or more"
+                f"{where} of shape {output.shape} has one channel, so that it should hold whole class numbers, and"
+                " holds fractions; class scores need two channels or more"
             )
         return output
 
-    def _require_classes(self, count: int) -> None:
-        for name, region in self._rules.parts.items():
-            beyond = [number for number in region.class_ids if number >= count]
-            if beyond:
-                raise ProfileError(
-                    f"{self._rules.model}: segmentation.{name}.class_ids asks for class {beyond[0]}, and the network"
-                    f" tells {count} classes, 0 to {count - 1}"
-                )
+
+def _has_scores(output: Tensor) -> bool:
+    return output.ndim == 4 and output.shape[1] > 1
 
 
 def network_input(image_bgr: Image, rules: OnnxSegmentation) -> NDArray[np.float32]:
@@ -179,12 +167,11 @@ def network_input(image_bgr: Image, rules: OnnxSegmentation) -> NDArray[np.float
     return np.ascontiguousarray(scaled.transpose(2, 0, 1)[None])
 
 
-def best_class(scores: NDArray[np.float32], size: tuple[int, int]) -> Labels:
-    """The class of the highest score, shape (h, w), of scores of shape (C, h', w'), at `size` = (w, h).
+def _best_class(scores: NDArray[np.float32], size: tuple[int, int]) -> Labels:
+    """The class of the highest score, (h, w), of scores (C, h', w'), at `size` = (w, h); the first one of a tie.
 
-    Scores are interpolated before the highest is taken: the border between two classes then runs where their scores
-    are equal, between the network's pixels, where enlarged labels would have steps as large as those.
-    The first class wins a tie. One class is enlarged at a time: twenty at once would be 160 MB of an HD image.
+    Interpolated scores put the border between classes where they are equal, not at steps of the network's pixels.
+    One class is enlarged at a time: twenty at once would be 160 MB of an HD image.
     """
     best = _enlarged(scores[0], size)
     labels = np.zeros(best.shape, np.int32)
@@ -209,9 +196,8 @@ def _read(path: Path) -> cv2.dnn.Net:
     except OSError as problem:
         raise ProfileError(f"{path}: cannot read the network: {why(problem)}") from None
     if size > MAX_FILE_BYTES:
-        raise ProfileError(
-            f"{path}: cannot read the network: {size >> 20} MiB; an ONNX file holds at most 2 GiB"
-        )
+        found = f"{size >> 20} MiB; an ONNX file holds at most 2 GiB"
+        raise ProfileError(f"{path}: cannot read the network: {found}")
     try:
         with _quiet():
             net = cv2.dnn.readNetFromONNX(str(path))
@@ -219,9 +205,8 @@ def _read(path: Path) -> cv2.dnn.Net:
         raise ProfileError(f"{path}: not enough memory to load the network") from None
     except cv2.error as problem:
         if "create layer" in str(problem) or "handleNode" in str(problem):
-            raise ProfileError(
-                f"{path}: OpenCV {cv2.__version__} cannot run this network: {_first_words(problem)}"
-            ) from None
+            why_not = f"OpenCV {cv2.__version__} cannot run this network: {_first_words(problem)}"
+            raise ProfileError(f"{path}: {why_not}") from None
         raise ProfileError(f"{path}: not an ONNX model that OpenCV {cv2.__version__} can read") from None
     if net.empty():
         raise ProfileError(f"{path}: an ONNX model without a network in it")
@@ -232,14 +217,12 @@ def _output_name(net: cv2.dnn.Net, rules: OnnxSegmentation) -> str:
     names = [str(name) for name in net.getUnconnectedOutLayersNames()]
     if rules.output is not None:
         if rules.output not in names:
-            raise ProfileError(
-                f"{rules.model}: no output {rules.output}: {did_you_mean(rules.output, names)}"
-            )
+            hint = did_you_mean(rules.output, names)
+            raise ProfileError(f"{rules.model}: no output {rules.output}: {hint}")
         return rules.output
     if len(names) != 1:
-        raise ProfileError(
-            f"{rules.model}: the network has {len(names)} outputs; name one in segmentation.output: {', '.join(names)}"
-        )
+        found = f"the network has {len(names)} outputs"
+        raise ProfileError(f"{rules.model}: {found}; name one in segmentation.output: {', '.join(names)}")
     return names[0]
 
 
@@ -248,9 +231,8 @@ def _why_not_run(problem: Exception, rules: OnnxSegmentation) -> str:
     no_memory = isinstance(problem, MemoryError) or getattr(problem, "code", 0) == cv2.Error.StsNoMem
     if no_memory or "bad_alloc" in str(problem):
         return f"not enough memory to run the network on {size}"
-    return (
-        f"the network does not run on one {rules.channels.upper()} image of {size}: {_first_words(problem)}"
-    )
+    image = f"one {rules.channels.upper()} image of {size}"
+    return f"the network does not run on {image}: {_first_words(problem)}"
 
 
 def _first_words(problem: Exception) -> str:
@@ -258,13 +240,9 @@ def _first_words(problem: Exception) -> str:
     return text if len(text) <= 160 else f"{text[:157]}..."
 
 
-def _shape(output: Tensor) -> str:
-    return f"({', '.join(str(length) for length in output.shape)})"
-
-
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """OpenCV's own log lines are kept off stderr: what is wrong is told once, by the error."""
+    """Keep OpenCV's own log lines off stderr: the error says what is wrong, once."""
     before = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:

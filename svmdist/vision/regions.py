@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.least_squares import huber_weights, median, scale_of
-from svmdist.profile import AreaGate
+from svmdist.profile.segmentation import AreaGate
 from svmdist.profile.settings import OutlineSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array, polygon_centroid
@@ -19,7 +17,8 @@ from svmdist.transforms import Array, polygon_centroid
 SPECK_FRACTION = 0.02  # of the largest part; specks of colour elsewhere would pull the convex hull
 SAMPLE_STEP_PX = 2.0  # distance of the hull's samples; whole pixels tell no finer ones apart
 MAX_SAMPLE_COUNT = 480  # upper bound of the samples of one hull: longer hulls are sampled at a larger step
-GAP_REACH_PX = 2.0  # a sample of the hull further than this from any visible pixel bridges a gap
+GAP_DISC = cv2.circle(np.zeros((5, 5), np.uint8), (2, 2), 2, 1, cv2.FILLED)
+"""A sample of the hull further than 2 px from any visible pixel bridges a gap."""
 # Tested stretch c √R: a chord of a circle is c² / 8 = 2.5 px off its middle
 STRAIGHT_LENGTH_PER_ROOT_PX = 4.5
 # Of the chord: flatter than a circle of three times the radius, so an instrument's edge
@@ -43,14 +42,12 @@ CENTRE_SETTLED_PX = 0.01
 class CompletedOutline:
     """A whole outline: its centroid, shape (2,), with covariance (2, 2), and its curve, shape (n, 2), all in px.
 
-    `visible_fraction` is the part of the hull that is outline; `fitted` is False where that is too little, and
-    curve and centroid are those of the hull.
+    `fitted` is False where too little of the hull is outline, and curve and centroid are the hull's.
     """
 
     centroid_px: Array
     covariance_px2: Array
     curve_px: Array
-    visible_fraction: float
     fitted: bool
 
 
@@ -63,12 +60,10 @@ def complete_outline(
     centroid_px = polygon_centroid(corners)
     radius_px = float(np.sqrt(cv2.contourArea(hull) / np.pi))
     visible = _is_outline(points_px, step_px, mask, radius_px)
-    visible_count = int(np.count_nonzero(visible))
-    fraction = visible_count / len(points_px)
-    if visible_count < 4 * HARMONICS + 2 or fraction < settings.min_visible_fraction:
-        spread_px = HIDDEN_STD * radius_px
-        return CompletedOutline(centroid_px, spread_px**2 * np.eye(2), corners, fraction, False)
-    return _fit(points_px[visible], centroid_px, step_px, fraction, settings)
+    visible_count = np.count_nonzero(visible)
+    if visible_count < 4 * HARMONICS + 2 or visible_count / len(points_px) < settings.min_visible_fraction:
+        return CompletedOutline(centroid_px, (HIDDEN_STD * radius_px) ** 2 * np.eye(2), corners, False)
+    return _fit(points_px[visible], centroid_px, step_px, settings)
 
 
 def _sample(corners: Array) -> tuple[Array, float]:
@@ -79,8 +74,7 @@ def _sample(corners: Array) -> tuple[Array, float]:
     count = int(min(max(along[-1] / SAMPLE_STEP_PX, 3), MAX_SAMPLE_COUNT))
     step_px = float(along[-1]) / count
     at = step_px * np.arange(count)
-    points = np.stack([np.interp(at, along, closed[:, 0]), np.interp(at, along, closed[:, 1])], -1)
-    return points, step_px
+    return np.stack([np.interp(at, along, values) for values in closed.T], -1), step_px
 
 
 def _is_outline(
@@ -90,30 +84,23 @@ def _is_outline(
     height, width = mask.shape
     column, row = np.rint(points_px.T).astype(np.intp)
     left, top = column.min(), row.min()  # all that matters lies inside the hull's bounding box
-    near = cv2.dilate(mask[top : row.max() + 1, left : column.max() + 1], _disc(GAP_REACH_PX))
+    near = cv2.dilate(mask[top : row.max() + 1, left : column.max() + 1], GAP_DISC)
     hidden = near[row - top, column - left] == 0
-    length = round(STRAIGHT_LENGTH_PER_ROOT_PX * np.sqrt(radius_px) / step_px)
-    hidden |= _is_straight(points_px, length, STRAIGHT_WITHIN_PX)
+    hidden |= _is_straight(points_px, round(STRAIGHT_LENGTH_PER_ROOT_PX * np.sqrt(radius_px) / step_px))
     shoulder = min(SHOULDER_SAMPLES, (len(hidden) - 1) // 2)
     outline = ~_any_of(hidden, shoulder, shoulder)
     outline &= (column >= BORDER_PX) & (column < width - BORDER_PX)
     return np.asarray(outline & (row >= BORDER_PX) & (row < height - BORDER_PX))
 
 
-@lru_cache(maxsize=4)
-def _disc(radius_px: float) -> NDArray[np.uint8]:
-    offset = np.arange(-int(radius_px), int(radius_px) + 1)
-    return np.asarray(offset**2 + offset[:, None] ** 2 <= radius_px**2).astype(np.uint8)
-
-
-def _is_straight(points_px: Array, length: int, within_px: float) -> NDArray[np.bool_]:
+def _is_straight(points_px: Array, length: int) -> NDArray[np.bool_]:
     """Which points, shape (n,), of a closed curve lie on a stretch of `length` samples that stays at its chord."""
     count = len(points_px)
     if length < 3 or length >= count // 2:
         return np.zeros(count, np.bool_)
     x, y = np.concatenate([points_px, points_px[:length]]).T
     chord_x, chord_y = x[length:] - x[:count], y[length:] - y[:count]
-    bound = within_px * np.hypot(chord_x, chord_y)
+    bound = STRAIGHT_WITHIN_PX * np.hypot(chord_x, chord_y)
     # Most stretches leave their chord in the middle; only those that do not are looked at in full.
     middle = slice(length // 2, length // 2 + count)
     off = chord_x * (y[middle] - y[:count]) - chord_y * (x[middle] - x[:count])
@@ -133,19 +120,18 @@ def _any_of(flags: NDArray[np.bool_], before: int, after: int) -> NDArray[np.boo
     return np.asarray(counts[before + after + 1 :] > counts[: len(flags)])
 
 
-def _fit(
-    points_px: Array, start_px: Array, step_px: float, visible_fraction: float, settings: OutlineSettings
-) -> CompletedOutline:
+def _fit(points_px: Array, centre_px: Array, step_px: float, settings: OutlineSettings) -> CompletedOutline:
     """Fit r(θ) about a centre, move the centre to the curve's centroid, and repeat until it rests."""
     x, y = np.ascontiguousarray(points_px.T)
-    centre_px = start_px
     correlation = max(1.0, CORRELATION_SAMPLES * SAMPLE_STEP_PX / step_px)
-    prior = _relative_prior_std(HARMONICS, settings.irregularity)
+    # Standard deviation of each coefficient over the radius; size and place are free.
+    order = np.repeat(np.arange(1, HARMONICS + 1), 2)
+    prior = np.append(1.0, np.where(order == 1, 1.0, settings.irregularity * (2.0 / order) ** 3))
     weight = np.ones(len(x))
     for _ in range(MAX_ITERATIONS):
         offset = (x - centre_px[0]) + 1j * (y - centre_px[1])
         radius_px = np.abs(offset)
-        terms = _series(offset / radius_px, HARMONICS)
+        terms = _series(offset / radius_px)
         prior_information = np.diag((median(radius_px) * prior) ** -2.0)
         std_px = MASK_STD_PX
         for _ in range(2):  # the deviation and the weights follow from the residual, and it from them
@@ -166,10 +152,29 @@ def _fit(
     shift_px[:5] = settings.border_std_px / np.sqrt(3.0)
     follows = posterior @ information  # how the fit follows a shift of the visible border
     covariance = posterior + (follows * shift_px**2) @ follows.T
-    unit, series = _circle(HARMONICS)
-    on_curve = (coefficients @ series) * unit
+    on_curve = (coefficients @ CIRCLE_SERIES) * CIRCLE
     curve_px = np.stack([on_curve.real, on_curve.imag], -1) + fitted_about_px
-    return CompletedOutline(centre_px, J @ covariance @ J.T, curve_px, visible_fraction, True)
+    return CompletedOutline(centre_px, J @ covariance @ J.T, curve_px, True)
+
+
+def _series(unit: NDArray[np.complex128]) -> Array:
+    """The terms 1, cos θ, sin θ, cos 2θ, …, shape (2 HARMONICS + 1, n), of points e^(iθ), shape (n,)."""
+    terms = np.empty((2 * HARMONICS + 1, len(unit)))
+    terms[0] = 1.0
+    power = unit
+    for order in range(1, HARMONICS + 1):
+        terms[2 * order - 1] = power.real
+        terms[2 * order] = power.imag
+        power = power * unit
+    return terms
+
+
+CIRCLE = np.exp(1j * np.linspace(-np.pi, np.pi, CURVE_POINTS, endpoint=False))
+CIRCLE_SERIES = _series(CIRCLE)
+CORNERS = np.exp(2j * np.pi * np.arange(3 * HARMONICS + 2) / (3 * HARMONICS + 2))
+NEXT_CORNERS = CORNERS * np.exp(2j * np.pi / CURVE_POINTS)
+"""As many corners of the curve as the mean of degree 3 HARMONICS + 1 needs, and the corner next to each."""
+CORNER_SERIES, NEXT_SERIES = _series(CORNERS), _series(NEXT_CORNERS)
 
 
 def _centroid(coefficients: Array) -> tuple[Array, Array]:
@@ -178,70 +183,30 @@ def _centroid(coefficients: Array) -> tuple[Array, Array]:
     It is Σ r r' (r u + r' u') / (3 Σ r r') over neighbouring corners r u and r' u'. Both sums are of trigonometric
     polynomials, of degree 3 k + 1 where r has k harmonics, and have the same mean over a few corners as over all.
     """
-    harmonics = len(coefficients) // 2
-    unit, series, next_unit, next_series = _few_corners(harmonics)
-    radius, next_radius = coefficients @ series, coefficients @ next_series
+    radius, next_radius = coefficients @ CORNER_SERIES, coefficients @ NEXT_SERIES
     product = radius * next_radius
     twice_area = product.sum()
-    middle = radius * unit + next_radius * next_unit
+    middle = radius * CORNERS + next_radius * NEXT_CORNERS
     centroid = (product @ middle) / (3.0 * twice_area)
     # Of d(product) and of d(middle), by the quotient rule.
     by_product = (middle / 3.0 - centroid) / twice_area
     third = product / (3.0 * twice_area)
-    jacobian = series @ (next_radius * by_product + third * unit)
-    jacobian += next_series @ (radius * by_product + third * next_unit)
+    jacobian = CORNER_SERIES @ (next_radius * by_product + third * CORNERS)
+    jacobian += NEXT_SERIES @ (radius * by_product + third * NEXT_CORNERS)
     return np.array([centroid.real, centroid.imag]), np.stack([jacobian.real, jacobian.imag])
-
-
-def _series(unit: NDArray[np.complex128], harmonics: int) -> Array:
-    """The terms 1, cos θ, sin θ, cos 2θ, …, shape (2 harmonics + 1, n), of points e^(iθ), shape (n,)."""
-    terms = np.empty((2 * harmonics + 1, len(unit)))
-    terms[0] = 1.0
-    power = unit
-    for order in range(1, harmonics + 1):
-        terms[2 * order - 1] = power.real
-        terms[2 * order] = power.imag
-        power = power * unit
-    return terms
-
-
-@lru_cache(maxsize=4)
-def _circle(harmonics: int) -> tuple[NDArray[np.complex128], Array]:
-    unit = np.exp(1j * np.linspace(-np.pi, np.pi, CURVE_POINTS, endpoint=False))
-    return unit, _series(unit, harmonics)
-
-
-@lru_cache(maxsize=4)
-def _few_corners(harmonics: int) -> tuple[NDArray[np.complex128], Array, NDArray[np.complex128], Array]:
-    """As many corners as the mean of degree 3 harmonics + 1 needs, evenly spread, and the corner next to each."""
-    unit = np.exp(2j * np.pi * np.arange(3 * harmonics + 2) / (3 * harmonics + 2))
-    next_unit = unit * np.exp(2j * np.pi / CURVE_POINTS)
-    return unit, _series(unit, harmonics), next_unit, _series(next_unit, harmonics)
-
-
-@lru_cache(maxsize=4)
-def _relative_prior_std(harmonics: int, irregularity: float) -> Array:
-    """Standard deviation of each coefficient over the radius, shape (2 harmonics + 1,); size and place are free."""
-    order = np.repeat(np.arange(1, harmonics + 1), 2)
-    std = np.concatenate([[1.0], np.where(order == 1, 1.0, irregularity * (2.0 / order) ** 3)])
-    std.setflags(write=False)
-    return std
 
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """One segmented object, of one or several connected parts.
+    """One segmented object: how many pixels it has, its centroid (2,), and the convex hull of all its parts.
 
-    `area_px` counts pixels, `polygon_area_px2` is the area inside the outer contours (the audit asks for
-    both); `centroid_px` has shape (2,); `hull` is the convex hull, shape (n, 1, 2) of int32, of all `part_count` parts.
+    `hull` has shape (n, 1, 2), of int32.
     """
 
     area_px: int
-    polygon_area_px2: float
     centroid_px: Array
     hull: NDArray[np.int32]
-    hull_area_px2: float
-    part_count: int = 1
+    part_count: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,9 +222,9 @@ class _Part:
 def find_region(mask: Image, rule: AreaGate, settings: OutlineSettings = DEFAULT) -> Region | None:
     """Find the region of a mask, shape (h, w), that passes the rule's area gate; None where there is none."""
     parts = _parts(mask, rule)
-    if not parts:
+    largest = max(parts, key=lambda part: part.area_px, default=None)
+    if largest is None:
         return None
-    largest = max(parts, key=lambda part: part.area_px)
     if rule.components == "largest":
         parts = [largest]
     least_px = SPECK_FRACTION * largest.area_px
@@ -272,15 +237,15 @@ def find_region(mask: Image, rule: AreaGate, settings: OutlineSettings = DEFAULT
     elif rule.occlusion == "hull":
         centroid_px = polygon_centroid(hull)
     else:
-        centroid_px = _pixel_centroid(parts)
-    return Region(
-        area_px=sum(part.area_px for part in parts),
-        polygon_area_px2=float(sum(cv2.contourArea(part.contour) for part in parts)),
-        centroid_px=centroid_px,
-        hull=hull,
-        hull_area_px2=float(cv2.contourArea(hull)),
-        part_count=len(parts),
-    )
+        # Mean of the coordinates of the parts' pixels: eqs. (1), (2).
+        total, weighted = 0.0, np.zeros(2)
+        for part in parts:
+            moments = cv2.moments(part.pixels, binaryImage=True)
+            x, y, count = *part.corner_px, moments["m00"]
+            total += count
+            weighted += np.array([moments["m10"] + x * count, moments["m01"] + y * count])
+        centroid_px = weighted / total
+    return Region(sum(part.area_px for part in parts), centroid_px, hull, len(parts))
 
 
 def _parts(mask: Image, rule: AreaGate) -> list[_Part]:
@@ -298,14 +263,3 @@ def _parts(mask: Image, rule: AreaGate) -> list[_Part]:
             pixels = np.asarray(cv2.bitwise_and(inside, pixels), np.uint8)
         parts.append(_Part(np.asarray(contour, np.int32), pixels, (x, y), int(cv2.countNonZero(pixels))))
     return parts
-
-
-def _pixel_centroid(parts: Sequence[_Part]) -> Array:
-    """Mean of the coordinates of the parts' pixels, shape (2,) as x, y: eqs. (1), (2)."""
-    total, weighted = 0.0, np.zeros(2)
-    for part in parts:
-        moments = cv2.moments(part.pixels, binaryImage=True)
-        x, y = part.corner_px
-        total += moments["m00"]
-        weighted += np.array([moments["m10"] + x * moments["m00"], moments["m01"] + y * moments["m00"]])
-    return weighted / total

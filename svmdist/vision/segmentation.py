@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import cv2
 import numpy as np
 
-from svmdist.profile import AutoSegmentation, HsvSegmentation, Segmentation
+from svmdist.profile.segmentation import AutoSegmentation, HsvSegmentation, Segmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.vision.colour import HsvSegmenter, Masks
@@ -27,8 +27,8 @@ class Segmenter(Protocol):
     def uses_colours(self) -> bool:
         """Whether it takes the image as HSV; a network takes BGR as recorded, as it did in its training."""
 
-    def masks(self, bgr: Image, hsv: Image | None, /) -> Masks:
-        """The masks of an image, shape (h, w, 3) in BGR as recorded; `hsv` is it as HSV, for one that uses colours."""
+    def masks(self, image: Image, /) -> Masks:
+        """The masks of an image, shape (h, w, 3), as HSV for one that uses colours, else as BGR."""
 
 
 @runtime_checkable
@@ -71,12 +71,12 @@ class InstrumentMasks:
     @cached_property
     def instrument(self) -> Image:
         """Its own distal part."""
-        return _without(self._masks.instrument, self._others)
+        return self._own(self._masks.instrument)
 
     @cached_property
     def shaft(self) -> Image | None:
         """Its own shaft."""
-        return None if self._masks.shaft is None else _without(self._masks.shaft, self._others)
+        return None if self._masks.shaft is None else self._own(self._masks.shaft)
 
     @property
     def picture(self) -> Image | None:
@@ -86,8 +86,10 @@ class InstrumentMasks:
     @cached_property
     def seen(self) -> tuple[SeenInstrument, ...] | None:
         """Those of which most is its own."""
-        seen = self._masks.seen
-        return None if seen is None else tuple(one for one in seen if _is_own(one.mask, self._others))
+        if self._masks.seen is None:
+            return None
+        count = cv2.countNonZero
+        return tuple(one for one in self._masks.seen if 2 * count(self._own(one.mask)) > count(one.mask))
 
     @cached_property
     def black(self) -> Image | None:
@@ -95,10 +97,5 @@ class InstrumentMasks:
         shaft, black = self._masks.shaft, self._masks.black
         return shaft if black is None or shaft is None else np.asarray(cv2.bitwise_or(shaft, black), np.uint8)
 
-
-def _without(mask: Image, others: Image) -> Image:
-    return np.asarray(cv2.bitwise_and(mask, cv2.bitwise_not(others)), np.uint8)
-
-
-def _is_own(mask: Image, others: Image) -> bool:
-    return 2 * cv2.countNonZero(cv2.bitwise_and(mask, others)) < cv2.countNonZero(mask)
+    def _own(self, mask: Image) -> Image:
+        return np.asarray(cv2.bitwise_and(mask, cv2.bitwise_not(self._others)), np.uint8)

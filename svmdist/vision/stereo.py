@@ -14,16 +14,15 @@ from svmdist.profile.settings import StereoSettings
 from svmdist.results import Failure
 from svmdist.samples import Image, RightView
 from svmdist.transforms import Array
+from svmdist.vision.colour import to_grey
 
 MATCHED_DISPARITIES = 32  # views are reduced to so many: matching places the surface within a pixel or two
 MIN_ROW_POINTS = 40  # points in all these pairs that must agree on an offset
 
 MAX_OFF_AXIS = 0.02
-"""A right camera this far above, below, before or behind the left one, over the baseline, counts as beside it: rows of
-both views then differ by half a pixel at a disparity of 25 px. Further off, both views are turned."""
-MAX_TURN = 0.7
-"""Sine of the angle between the baseline and the left camera's x axis beyond which it is no pair of a left and a right
-view: turned by 45 degrees they would share little of what they show."""
+"""How far off the left camera's x axis, over the baseline, a right camera counts as beside it: rows then differ by half
+a pixel at a disparity of 25 px. Further off, both views are turned."""
+MAX_TURN = 0.7  # the same beyond which it is no such pair: turned by 45 degrees, views share little
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +48,6 @@ class RectifiedPair:
 
     def to_rows(self, pixel: Array, *, right: bool = False) -> Array:
         """A pixel (2,) of a view where rows correspond."""
-        if self.R_rows_left is None:
-            return pixel
         x, y, w = self.homography(right=right) @ np.array([pixel[0], pixel[1], 1.0])
         return np.array([x / w, y / w])
 
@@ -93,12 +90,10 @@ class RectifiedPair:
 
 
 def rectified_pair(left: Camera, right: RightView) -> RectifiedPair | Failure:
-    """The pair's geometry; or what is wrong with it."""
-    T, K, K_right = right.T_left_right, left.K, right.camera.K
+    """The geometry of a pair of parallel ideal cameras, as `as_pinholes` gives; or what is wrong with it."""
+    T, K = right.T_left_right, left.K
     if T[0, 3] <= 0.0:
         return Failure("the right camera is not to the right of the left one: are the topics swapped?")
-    if not np.allclose(T[:3, :3], np.eye(3), atol=1e-6):
-        return Failure("the pair is not rectified: the right camera is turned")
     R_rows_left, baseline_m = None, float(np.linalg.norm(T[:3, 3]))
     if np.linalg.norm(T[1:3, 3]) > MAX_TURN * baseline_m:
         return Failure("the right camera is not beside the left one: it is above, below, before or behind it")
@@ -107,32 +102,25 @@ def rectified_pair(left: Camera, right: RightView) -> RectifiedPair | Failure:
         y = np.cross([0.0, 0.0, 1.0], x)
         y /= np.linalg.norm(y)
         R_rows_left = np.stack([x, y, np.cross(x, y)])
-    same_focal = np.allclose(np.delete(K - K_right, 2, axis=1), 0.0, atol=1e-3)
-    if not same_focal or abs(K[1, 2] - K_right[1, 2]) > 1e-3:
-        return Failure("the pair is not rectified: focal lengths or rows of the principal points differ")
-    if left.has_distortion or right.camera.has_distortion:
-        return Failure("the pair is not rectified: the images are distorted")
     along_m = float(T[0, 3]) if R_rows_left is None else baseline_m
-    return RectifiedPair(K, along_m, float(K[0, 2] - K_right[0, 2]), R_rows_left)
+    return RectifiedPair(K, along_m, float(K[0, 2] - right.camera.K[0, 2]), R_rows_left)
 
 
 DEFAULT = StereoSettings()
+# Of SIFT: wet tissue and paper have little contrast, and a point on an edge has no place along it
 POINTS, CONTRAST, EDGE = 1000, 0.015, 8.0
-"""Of SIFT: wet tissue and paper have little contrast, and a point on an edge has no place along it."""
 RATIO = 0.8  # of the distances to the nearest and the next descriptor (Lowe 2004)
 PEAK_PX = 1.5  # differences of rows this near to the most frequent one are of points that do correspond
-MIN_PEAK_SHARE = 0.3
-"""Of all matches, those at the most frequent difference. Of differences that mean nothing it is a fifth."""
+MIN_PEAK_SHARE = 0.3  # of all matches, at the most frequent difference; without meaning it is a fifth
 LEAST_STD_PX = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class RowOffset:
-    """Row in the right view less that in the left one, in px, its standard deviation, and how many points tell it."""
+    """Row in the right view less that in the left one, in px, and its standard deviation."""
 
     px: float
     std_px: float
-    count: int
 
 
 def row_differences(
@@ -140,17 +128,15 @@ def row_differences(
 ) -> Array:
     """Row in the right view less that in the left one, (n,) in px, of points that look alike (SIFT, Lowe 2004)."""
     sift = cv2.SIFT.create(POINTS, 3, CONTRAST, EDGE)
-    (at_left, left), (at_right, right) = (
-        sift.detectAndCompute(image, None) for image in (left_grey, right_grey)
-    )
+    at_left, left = sift.detectAndCompute(left_grey, None)
+    at_right, right = sift.detectAndCompute(right_grey, None)
     if left is None or right is None or len(at_right) < 2:
         return np.zeros(0)
     left_px, right_px = (np.array([point.pt for point in points]) for points in (at_left, at_right))
     disparity_px = left_px[:, None, 0] - right_px[None, :, 0]
     rows_px = right_px[None, :, 1] - left_px[:, None, 1]
-    allowed = (
-        (disparity_px > min_px) & (disparity_px < max_px) & (np.abs(rows_px) <= settings.max_row_offset_px)
-    )
+    allowed = (disparity_px > min_px) & (disparity_px < max_px)
+    allowed &= np.abs(rows_px) <= settings.max_row_offset_px
     square = np.sum(left**2, 1)[:, None] + np.sum(right**2, 1)[None] - 2.0 * left @ right.T
     square = np.where(allowed, np.maximum(square, 0.0), np.inf)
     nearest, back = np.argmin(square, 1), np.argmin(square, 0)
@@ -174,19 +160,18 @@ def agreed_offset(differences_px: Array) -> RowOffset | None:
     middle_px = median(peak)
     # Points of one texture err alike: a tenth of them count.
     std_px = float(np.hypot(LEAST_STD_PX, scale_of(peak - middle_px) / np.sqrt(0.1 * len(peak))))
-    return RowOffset(middle_px, std_px, len(peak))
+    return RowOffset(middle_px, std_px)
 
 
-SPECKLE_PX2 = 100
-"""Patches of matches up to this area, in pixels of the original image, that stand alone are mistakes."""
+SPECKLE_PX2 = 100  # patches of matches that stand alone up to this area in the image as recorded are mistakes
 
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """Disparities on a grid of pixels of the left image: columns (w,), rows (h,), both in px, values (h, w) in px.
+    """Disparities on a grid of pixels of the left image: columns (w,), rows (h,), values (h, w), all in px.
 
-    A value stands for a cell of `step_px` squared about its pixel; `is_core`, shape (h, w), says which cells lie in
-    the region. Values are NaN outside it and where nothing matched.
+    A value stands for a cell of `step_px` squared about its pixel; it is NaN outside the region, which `is_core`,
+    shape (h, w), holds, and where nothing matched.
     """
 
     columns_px: Array
@@ -212,31 +197,26 @@ def match_region(
         return None
     window = np.s_[y : y + step * shape[0], left_px : left_px + step * shape[1]]
     left, right = (_reduced(image[window], step) for image in (left_grey, right_grey))
-    speckle_px2 = max(1, SPECKLE_PX2 // step**2)
     disparity_px = np.full(left.shape, np.nan)
     if left.shape[1] >= _least_width_px(low, high, settings.block_px):
-        disparity_px = step * _matched(left, right, low, high, settings.block_px, 64, 2, 3, speckle_px2)
+        rules = (64, 2, 3, max(1, SPECKLE_PX2 // step**2))
+        disparity_px = step * _matched(left, right, low, high, settings.block_px, rules)
     middle = (step - 1) // 2
     is_core = core[window][middle::step, middle::step] > 0
-    columns_px, rows_px = (
-        first + step * np.arange(count, dtype=np.float64) + 0.5 * (step - 1)
-        for first, count in ((left_px, shape[1]), (y, shape[0]))
-    )
+    columns_px = left_px + step * np.arange(shape[1], dtype=np.float64) + 0.5 * (step - 1)
+    rows_px = y + step * np.arange(shape[0], dtype=np.float64) + 0.5 * (step - 1)
     return Matches(columns_px, rows_px, np.where(is_core, disparity_px, np.nan), is_core, step)
 
 
 def _matched(
-    left_grey: Image,
-    right_grey: Image,
-    min_px: int,
-    max_px: int,
-    block_px: int,
-    smoothness: int,
-    max_difference_px: int,
-    uniqueness: int,
-    speckle_px2: int,
+    left: Image, right: Image, min_px: int, max_px: int, block_px: int, rules: tuple[int, int, int, int]
 ) -> Array:
-    """Disparity of every left pixel by semi-global matching, shape (h, w) in px; NaN where there is none."""
+    """Disparity of every left pixel by semi-global matching, shape (h, w) in px; NaN where there is none.
+
+    The rules are the smoothness over the block's area, the largest difference in px of a match from right to left,
+    by how many percent the best match is better, and the area in px² of patches that are left out.
+    """
+    smoothness, max_difference_px, uniqueness, speckle_px2 = rules
     matcher = cv2.StereoSGBM.create(
         minDisparity=min_px,
         numDisparities=16 * int(np.ceil((max_px - min_px) / 16)),
@@ -249,7 +229,7 @@ def _matched(
         speckleRange=2,
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
-    fixed_point = np.asarray(matcher.compute(left_grey, right_grey), np.float64)
+    fixed_point = np.asarray(matcher.compute(left, right), np.float64)
     return np.where(fixed_point >= 16 * min_px, fixed_point / 16.0, np.nan)
 
 
@@ -286,29 +266,24 @@ class StereoPlane:
 def fit_plane(left_bgr: Image, right_bgr: Image, K: Array, baseline_m: float) -> StereoPlane | None:
     """The plane of a rectified pair, by RANSAC and Geman and McClure's loss on disparities; None where none fits."""
     step = max(1, round(left_bgr.shape[1] / WIDTH_PX))
-    left, right = (
-        _reduced(np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8), step)
-        for image in (left_bgr, right_bgr)
-    )
+    left, right = _reduced(to_grey(left_bgr), step), _reduced(to_grey(right_bgr), step)
     fb_px_m = float(K[0, 0]) / step * baseline_m
     low = max(1, int(fb_px_m / FURTHEST_M))
     high = min(int(np.ceil(fb_px_m / NEAREST_M)), low + MAX_DISPARITIES, left.shape[1] // 2)
     if high - low < 3:
         return None
-    found = [
-        (_matched(left, np.roll(right, offset, 0), low, high, 7, 32, 1, 10, 100), offset)
-        for offset in ROW_OFFSETS_PX
-    ]
-    disparity_px, offset = max(found, key=lambda one: int(np.isfinite(one[0]).sum()))
+    raised = [np.roll(right, offset, 0) for offset in ROW_OFFSETS_PX]
+    found = [_matched(left, one, low, high, 7, (32, 1, 10, 100)) for one in raised]
+    best = int(np.argmax([np.isfinite(one).sum() for one in found]))
+    disparity_px = found[best]
     rows, columns = np.nonzero(np.isfinite(disparity_px))
     if len(rows) < MIN_MATCHED_FRACTION * disparity_px.size:
         return None
     rng = np.random.default_rng(0)
     kept = rng.choice(len(rows), min(len(rows), SAMPLE_COUNT), replace=False)
     rows, columns = rows[kept], columns[kept]
-    rays = np.column_stack(
-        [(columns * step - K[0, 2]) / K[0, 0], (rows * step - K[1, 2]) / K[1, 1], np.ones(len(rows))]
-    )
+    x, y = (columns * step - K[0, 2]) / K[0, 0], (rows * step - K[1, 2]) / K[1, 1]
+    rays = np.column_stack([x, y, np.ones(len(rows))])
     values = disparity_px[rows, columns]
     q = _robust_plane(rays, values, rng)
     off_px = rays @ q - values
@@ -319,7 +294,7 @@ def fit_plane(left_bgr: Image, right_bgr: Image, K: Array, baseline_m: float) ->
     distance_m = fb_px_m / normal_length
     # A residual of disparity over the depth's slope, at the scene's middle: δz = z² δd / (f b).
     surface_std_m = distance_m**2 / fb_px_m * float(np.std(off_px[on_it]))
-    return StereoPlane(-q / normal_length, distance_m, surface_std_m, offset * step)
+    return StereoPlane(-q / normal_length, distance_m, surface_std_m, ROW_OFFSETS_PX[best] * step)
 
 
 def _robust_plane(rays: Array, values: Array, rng: np.random.Generator) -> Array:
@@ -330,7 +305,7 @@ def _robust_plane(rays: Array, values: Array, rng: np.random.Generator) -> Array
         three = rng.choice(len(values), 3, replace=False)
         if abs(np.linalg.det(rays[three])) < 1e-6:
             continue
-        q: Array = np.asarray(np.linalg.solve(rays[three], values[three]), np.float64)
+        q = np.asarray(np.linalg.solve(rays[three], values[three]), np.float64)
         cost = float(np.minimum(np.abs(rays @ q - values), 2 * INLIER_PX).sum())
         if cost < least:
             best, least = q, cost

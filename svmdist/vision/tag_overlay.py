@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -26,8 +24,8 @@ CELL_SAMPLES = 16  # texture samples per cell: three for each pixel of a tag tha
 PAD_CELLS = 2  # of white around the black square. What is further off is as white as its rim
 SHEET_COLUMNS = 64
 BLUR_RATIO = 1.01
-"""Textures are made for blurs at powers of this ratio and kept. Between them the brightness follows the derivative by
-the blur, which is right within 1e-5 of the contrast."""
+"""Textures are made and kept for blurs at powers of this ratio. Between them brightness follows the derivative by the
+blur, which is right within 1e-5 of the contrast."""
 KEPT_TEXTURES = 48  # of 0.6 MB each: tags from 30 to 60 px wide at one blur of the image need no more
 SMALLEST_BLUR_CELLS = 0.3 / CELL_SAMPLES
 
@@ -62,7 +60,14 @@ class TagPattern:
 
     def _make_texture(self, level: int) -> NDArray[np.float32]:
         """Brightness and its three derivatives, shape (h, w, 4), under one of the blurs that textures are made for."""
-        along, by_place, by_blur = self._profiles(BLUR_RATIO**level)
+        blur_cells = BLUR_RATIO**level
+        samples = (self.cell_count + 2 * PAD_CELLS) * CELL_SAMPLES
+        place = (np.arange(samples) + 0.5) / CELL_SAMPLES - PAD_CELLS
+        u = (place[:, None] - np.arange(self.cell_count + 1)) / blur_cells
+        density = np.exp(-0.5 * u * u) / (math.sqrt(2.0 * math.pi) * blur_cells)
+        steps = (np.interp(u, NORMAL_AT, NORMAL_INTEGRAL), density, -u * density)
+        # How much of each sample is each cell's, and its derivatives, (samples, cells) each.
+        along, by_place, by_blur = ((s[:, :-1] - s[:, 1:]).astype(np.float32) for s in steps)
         # A blurred cell is the product of a profile along the rows and one along the columns; y points up.
         ink = self._ink
         across = ink @ along.T
@@ -74,29 +79,15 @@ class TagPattern:
         )
         return np.asarray(cv2.merge(planes), np.float32)
 
-    def _profiles(self, blur_cells: float) -> Iterator[NDArray[np.float32]]:
-        """How much of each sample is each cell's, and derivatives by place and blur, (samples, cells) each."""
-        samples = (self.cell_count + 2 * PAD_CELLS) * CELL_SAMPLES
-        place = (np.arange(samples) + 0.5) / CELL_SAMPLES - PAD_CELLS
-        u = (place[:, None] - np.arange(self.cell_count + 1)) / blur_cells
-        integral = np.interp(u, NORMAL_AT, NORMAL_INTEGRAL)
-        density = np.exp(-0.5 * u * u) / (math.sqrt(2.0 * math.pi) * blur_cells)
-        steps = (integral, density, -u * density)
-        return ((s[:, :-1] - s[:, 1:]).astype(np.float32) for s in steps)
-
 
 NORMAL_AT = np.linspace(-6.0, 6.0, 12001)
 NORMAL_INTEGRAL = np.array([0.5 + 0.5 * math.erf(u / math.sqrt(2.0)) for u in NORMAL_AT])
 """The normal distribution's integral, right within 1e-7 between its entries."""
 
-
-GREY = 100.0
-"""Grey levels that count as one in a step of brightness or contrast: the elements of a step are then alike in size."""
+GREY = 100.0  # levels that count as one in a step of brightness or contrast: its elements are then alike
 RIDGE = 1e-9 * np.eye(9)
-FADE_CELLS = 0.2
-"""Pixels count the less the nearer they are to the rim of what is compared: the loss does not jump when they leave."""
-TINY_LEVEL = 1e-6
-"""Grey levels; keeps what is divided by a standard deviation finite on an image that the pattern fits exactly."""
+FADE_CELLS = 0.2  # from the rim over which pixels count less: the loss does not jump when they leave
+TINY_LEVEL = 1e-6  # in grey levels; keeps weights finite on an image that the pattern fits exactly
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,8 +138,7 @@ class LaidPattern(NormalEquations):
     """The pattern laid over n pixels: residual (n,), its derivatives (9, n), weights (n,).
 
     The derivatives are by the pose in the tag's frame, in tag sides and rad, by the blur in px, and by offset and
-    contrast in GREY. `xy_cells` are the pixels' feet, shape (2, n), and `slope` is the pattern's there, shape (n,) by x
-    and by y. What only the last step of a minimisation is asked for is computed then.
+    contrast in GREY. `xy_cells` are the pixels' feet, (2, n), and `slope` is the pattern's there by x and by y, (n,).
     """
 
     overlay: Overlay
@@ -165,12 +155,6 @@ class LaidPattern(NormalEquations):
         return _std_on_edges(self.residual, *self.slope)
 
     @property
-    def cell(self) -> NDArray[np.int64]:
-        """The cluster of each pixel, (n,): of a cell's size about the cells' corners, where no edge divides it."""
-        column, row = (self.xy_cells + 0.5 * self.clusters_across).astype(np.int64)
-        return np.asarray(row * self.clusters_across + column)
-
-    @property
     def misfit(self) -> float:
         """The root mean square of the residual, with its weights, over the contrast."""
         return math.sqrt(self.variance) / self.overlay.contrast
@@ -184,20 +168,13 @@ class LaidPattern(NormalEquations):
         """Covariance of the parameters (9, 9), by clusters of pixels (White 1980; Liang and Zeger 1986)."""
         inverse = np.linalg.inv(self.information)
         weighted = self.weight * self.residual
-        cell = self.cell
+        # Clusters have a cell's size and lie about the cells' corners, where no edge divides them.
+        column, row = (self.xy_cells + 0.5 * self.clusters_across).astype(np.int64)
+        cell = row * self.clusters_across + column
         scores = np.stack([np.bincount(cell, weighted * d) for d in self.derivatives])
         count = int(np.count_nonzero(np.bincount(cell)))
         spread = scores @ scores.T * (count / max(count - 9, 1))
         return np.asarray(cluster_inflation * (inverse @ spread @ inverse) + self.variance * inverse)
-
-
-class _PixelsOnTag(NamedTuple):
-    """Pixels on the tag: brightness (n,) and the share by which each counts (n,)."""
-
-    brightness: Array
-    share: Array
-    slope: Array
-    xy_cells: Array
 
 
 def start_overlay(
@@ -207,15 +184,16 @@ def start_overlay(
     on_tag = _pixels_on_tag(pixels, T_camera_tag, pattern)
     if on_tag is None:
         return None
+    recorded, xy_cells, _, _ = on_tag
     px_per_cell = _px_per_cell(pixels, T_camera_tag, pattern)
-    brightness = on_tag.brightness - on_tag.brightness.mean()
+    brightness = recorded - recorded.mean()
     starts = []
     for blur_px in BLUR_STARTS_PX:
-        model, by_x, by_y, _ = pattern.sample(on_tag.xy_cells, blur_px / px_per_cell)
+        model, by_x, by_y, _ = pattern.sample(xy_cells, blur_px / px_per_cell)
         centred = model - model.mean()
         contrast = float(centred @ brightness) / max(float(centred @ centred), 1e-12)
         residual = brightness - contrast * centred
-        offset = float(on_tag.brightness.mean() - contrast * model.mean())
+        offset = float(recorded.mean() - contrast * model.mean())
         std = _std_on_edges(residual, by_x, by_y)
         starts.append((float(residual @ residual), std, Overlay(T_camera_tag, blur_px, offset, contrast)))
     _, std, overlay = min(starts, key=lambda start: start[0])
@@ -228,26 +206,27 @@ def lay_pattern(pixels: TagPixels, overlay: Overlay, pattern: TagPattern, loss: 
     on_tag = _pixels_on_tag(pixels, T, pattern)
     if on_tag is None or not contrast >= MIN_CONTRAST:
         return None
+    recorded, xy_cells, slope, share = on_tag
     px_per_cell = _px_per_cell(pixels, T, pattern)
-    model, by_x, by_y, by_blur = pattern.sample(on_tag.xy_cells, overlay.blur_px / px_per_cell)
-    residual = on_tag.brightness - overlay.offset - contrast * model
+    model, by_x, by_y, by_blur = pattern.sample(xy_cells, overlay.blur_px / px_per_cell)
+    residual = recorded - overlay.offset - contrast * model
 
     # A ray meets the plane z = 0 at (x, y). A tag that moves by m = δp + δθ x (x, y, 0) moves the foot, in its own
     # frame, by slope · m_z - (m_x, m_y).
-    x, y = on_tag.xy_cells / pattern.cell_count
+    x, y = xy_cells / pattern.cell_count
     per_side = contrast * pattern.cell_count
     J = np.empty((9, len(residual)))
     J[0], J[1] = -per_side * by_x, -per_side * by_y
-    J[2] = -(J[0] * on_tag.slope[0] + J[1] * on_tag.slope[1])
+    J[2] = -(J[0] * slope[0] + J[1] * slope[1])
     J[3], J[4], J[5] = y * J[2], -x * J[2], x * J[1] - y * J[0]
     J[6], J[7], J[8] = contrast / px_per_cell * by_blur, GREY, GREY * model
 
-    weight, cost = loss(residual, on_tag.share)
+    weight, cost = loss(residual, share)
     weighted = weight * J
     # The ridge keeps the blur's row regular where an image is sharper than any blur is seen.
     information = weighted @ J.T + RIDGE
     clusters_across = pattern.cell_count + 3 + 2 * int(MARGIN_CELLS)
-    laid = (overlay, residual, J, weight, on_tag.xy_cells, (by_x, by_y), clusters_across)
+    laid = (overlay, residual, J, weight, xy_cells, (by_x, by_y), clusters_across)
     return LaidPattern(cost, weighted @ residual, information, *laid)
 
 
@@ -256,8 +235,13 @@ def _std_on_edges(residual: Array, by_x: Array, by_y: Array) -> float:
     return scale_of(residual[steepness > EDGE_SLOPE**2 * steepness.max()]) + TINY_LEVEL
 
 
-def _pixels_on_tag(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) -> _PixelsOnTag | None:
-    """The pixels on the tag and some of its margin; None where they are too few, or the tag is behind the camera."""
+def _pixels_on_tag(
+    pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern
+) -> tuple[Array, Array, Array, Array] | None:
+    """Brightness (n,), feet (2, n), their slope by depth (2, n) and shares (n,) of pixels on the tag and its margin.
+
+    None where they are too few, or the tag is behind the camera.
+    """
     if T_camera_tag[2, 3] <= 0.0:
         return None
     R_tag_camera = T_camera_tag[:3, :3].T
@@ -272,7 +256,7 @@ def _pixels_on_tag(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) 
     share = np.minimum(1.0, inward_cells[inside] / FADE_CELLS)
     xy_cells = np.stack([x[inside], y[inside]])
     slope = (xy_cells + t_cells[:2, None]) / t_cells[2]
-    return _PixelsOnTag(pixels.brightness[inside], share, slope, xy_cells)
+    return pixels.brightness[inside], xy_cells, slope, share
 
 
 def _px_per_cell(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) -> float:

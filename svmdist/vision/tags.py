@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from threading import get_ident
 
@@ -29,8 +28,8 @@ LINE_STEPS, HUBER, MIN_SCALE_PX = 3, 1.5, 0.05
 
 def refine_corners(image_grey: Image, corners_px: Array, cell_count: int) -> Array:
     """Corners (4, 2) of a roughly found black square of so many cells, moved to where its edges meet."""
-    found_px = refined_px = np.asarray(corners_px, np.float64)
-    # A slanting tag is narrow in one direction: what is a cell wide across a side is told by the sides next to it.
+    found_px = refined_px = corners_px
+    # A slanting tag is narrow in one direction: what is a cell wide across a side follows from the sides next to it.
     side_px = np.linalg.norm(np.roll(found_px, -1, 0) - found_px, axis=1)
     cell_px = 0.5 * (np.roll(side_px, 1) + np.roll(side_px, -1)) / cell_count
     reach_px = np.maximum(CORNER_WINDOW_CELLS * cell_px, MIN_EDGE_REACH_PX)
@@ -82,8 +81,7 @@ def _edge_lines(image_grey: Image, corners_px: Array, reach_px: Array) -> Array 
     weight = np.minimum(weight, np.median(weight, 1, keepdims=True))
     if np.any(weight.sum(1) < 1.0):
         return None
-    points_px = feet_px + middle_px[..., None] * outward[:, None]
-    return _lines(points_px, weight)
+    return _lines(feet_px + middle_px[..., None] * outward[:, None], weight)
 
 
 def _lines(points_px: Array, weight: Array) -> Array:
@@ -113,42 +111,28 @@ DICTIONARIES = {
     "36h10": cv2.aruco.DICT_APRILTAG_36h10,
     "36h11": cv2.aruco.DICT_APRILTAG_36h11,
 }
+# A code of 4 x 4 cells is too short to correct as many bits: every sixth image without one showed some tag of 16h5
 LONG_CODE_CELLS, SHORT_CODE_RATE = 5, 0.6
-"""A code of 4 x 4 cells is too short to correct as many bits: every sixth image without one showed some tag of 16h5."""
-
-
-@dataclass(frozen=True, slots=True)
-class FoundTag:
-    """A tag's number and its corners, shape (4, 2) in px: upper left, upper right, lower right, lower left as read."""
-
-    number: int
-    corners_px: Array
 
 
 def find_tags(image_grey: Image, family: str, settings: TagSettings = DEFAULT) -> dict[int, Array]:
     """Corners, (4, 2) in px, of a family's tags by number: upper left first, clockwise as one reads; the largest."""
-    found: dict[int, Array] = {}
-    for tag in find_every_tag(image_grey, family, settings):
-        known = found.get(tag.number)
-        if known is None or _area_px2(tag.corners_px) > _area_px2(known):
-            found[tag.number] = tag.corners_px
-    return found
+    found = find_every_tag(image_grey, family, settings)
+    return dict(sorted(found, key=lambda tag: cv2.contourArea(tag[1].astype(np.float32))))
 
 
-def find_every_tag(image_grey: Image, family: str, settings: TagSettings = DEFAULT) -> list[FoundTag]:
-    """Every tag of a family in an image, shape (h, w), also where several have one number."""
+def find_every_tag(
+    image_grey: Image, family: str, settings: TagSettings = DEFAULT
+) -> list[tuple[int, Array]]:
+    """Numbers and corners of all tags of a family, also where several have one number."""
     # OpenCV takes the smallest perimeter relative to the image's longer side.
     min_perimeter = 4.0 * settings.min_side_px / max(image_grey.shape)
-    rules = settings.error_correction_rate, min_perimeter
-    detector = _detector(family, *rules, get_ident())
+    detector = _detector(family, settings.error_correction_rate, min_perimeter, get_ident())
     corners, ids, _ = detector.detectMarkers(image_grey)
     cell_count = detector.getDictionary().markerSize + 2
-    rough = [np.asarray(seen, np.float64).reshape(4, 2) for seen in corners]
-    numbers = [] if ids is None else [int(number) for number in ids.ravel()]
-    return [
-        FoundTag(number, refine_corners(image_grey, corners_px, cell_count))
-        for number, corners_px in zip(numbers, rough, strict=True)
-    ]
+    rough = (np.asarray(seen, np.float64).reshape(4, 2) for seen in corners)
+    refined = [refine_corners(image_grey, corners_px, cell_count) for corners_px in rough]
+    return list(zip(() if ids is None else map(int, ids.ravel()), refined, strict=True))
 
 
 @lru_cache(maxsize=32)
@@ -168,10 +152,6 @@ def _detector(
     return cv2.aruco.ArucoDetector(dictionary, parameters)
 
 
-def _area_px2(corners_px: Array) -> float:
-    return float(cv2.contourArea(corners_px.astype(np.float32)))
-
-
 def square_corners_m(size_m: float) -> Array:
     """The tag's corners in its frame, shape (4, 3), in the order of `find_tags`."""
     h = size_m / 2.0
@@ -180,10 +160,9 @@ def square_corners_m(size_m: float) -> Array:
 
 def pose_candidates(corners_px: Array, size_m: float, K: Array, D: Array) -> list[Array]:
     """Both poses that four corners allow, shape (4, 4) each, the better one first (Collins and Bartoli 2014)."""
-    flags, square_m = cv2.SOLVEPNP_IPPE_SQUARE, square_corners_m(size_m)
-    D_or_none = D if len(D) else None
+    seen = (np.ascontiguousarray(corners_px), K, D if len(D) else None)
     _, rotations, translations, _ = cv2.solvePnPGeneric(
-        square_m, np.ascontiguousarray(corners_px), K, D_or_none, flags=flags
+        square_corners_m(size_m), *seen, flags=cv2.SOLVEPNP_IPPE_SQUARE
     )
     poses = []
     for rotation, translation in zip(rotations, translations, strict=True):

@@ -12,7 +12,7 @@ from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs
 from svmdist.recording.summary import RecordingSummary
 from svmdist.recording.topics import Role
 from svmdist.samples import Observation, Rejection
-from svmdist.vision.frame_context import to_grey
+from svmdist.vision.colour import to_grey
 from svmdist.vision.tags import find_tags
 
 IMAGES = ("image", "camera_info")

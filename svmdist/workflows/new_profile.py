@@ -14,8 +14,8 @@ import numpy as np
 
 from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.least_squares import scale_of
-from svmdist.profile import Profile, Robot, Topics, load_profile
-from svmdist.profile.robot import Tissue
+from svmdist.profile import Profile, Topics, load_profile
+from svmdist.profile.robot import Robot, Tissue
 from svmdist.profile.segmentation import ColourRegion, HsvSegmentation
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import sanitize, sanitize_list
@@ -233,7 +233,7 @@ def _instruments_by_sides(images: Sequence[Image]) -> tuple[InstrumentDraft, ...
     for image in images:
         height_px, width_px = image.shape[:2]
         here = set()
-        for one in segmenter.masks(image, None).seen or ():
+        for one in segmenter.masks(image).seen or ():
             x, y = one.entry_px / [width_px, height_px] - 0.5
             here.add(("left" if x < 0 else "right") if abs(x) > abs(y) else ("above" if y < 0 else "below"))
         sides.update(here)

@@ -14,7 +14,8 @@ from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
 from svmdist.estimation.one_view import tool_from_tag
 from svmdist.kinematics import DHChain
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import KinematicError, load_profile
+from svmdist.profile import load_profile
+from svmdist.profile.robot import KinematicError
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_x, rotation_z
 from svmdist.vision.tag_overlay import TagPattern

@@ -21,7 +21,7 @@ from svmdist.estimation.instrument.measurement_kinds import (
 from svmdist.estimation.instrument.tag_pose import nudged
 from svmdist.kinematics import DHChain, forward_kinematics, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import Joint, KinematicError
+from svmdist.profile.robot import Joint, KinematicError
 from svmdist.tracks import JointTrack
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, rotation_x
 from tests.jacobian import check_jacobian

@@ -17,7 +17,8 @@ from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import detect_tissue, tissue_frame
 from svmdist.geometry import Capsules
 from svmdist.geometry.distance import separation
-from svmdist.profile import DEFAULT_PROFILE, Dome, Profile, load_profile, profile_path
+from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
+from svmdist.profile.robot import Dome
 from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.simulation.scene import Scene, make_scene
@@ -79,7 +80,7 @@ def inner_points(count: int) -> Array:
 def test_heights_are_those_of_the_mesh() -> None:
     """The height over the plane and the mesh's, by rays of trimesh, agree to its chords; the mesh is closed."""
     dome = shaped(3e-3, -2e-3, 8.3e-3)
-    mesh = dome.mesh()
+    mesh = dome.mesh
     solid = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
     assert solid.is_watertight
     assert solid.volume > 0.0
@@ -97,10 +98,10 @@ def test_surface_deviation_is_that_of_drawn_shapes() -> None:
     rng = np.random.default_rng(5)
     middle = T @ np.array([0.012, 0.006, 0.02, 1.0])
     ball = Capsules(middle[None, :3], middle[None, :3], np.array([1e-3]))
-    gap = separation(ball, DOME.mesh())
+    gap = separation(ball, DOME.mesh)
     stated_m = np.sqrt(DOME.variance_m2(gap.on_tissue_m, gap.direction))
     draws = rng.multivariate_normal(DOME.shape, 0.25 * DOME.covariance, 200)
-    found_m = [separation(ball, shaped(*draw).mesh()).distance_m for draw in draws]
+    found_m = [separation(ball, shaped(*draw).mesh).distance_m for draw in draws]
     assert np.std(found_m) == pytest.approx(0.5 * stated_m, rel=0.2)
 
 

@@ -20,7 +20,8 @@ from svmdist.kinematics import (
     row_index,
     select_joints,
 )
-from svmdist.profile import Joint, load_profile
+from svmdist.profile import load_profile
+from svmdist.profile.robot import Joint
 from svmdist.transforms import make_transform, rotation_vector, rotation_x, rotation_z
 from tests.jacobian import check_jacobian
 

@@ -8,7 +8,7 @@ import pytest
 from svmdist import kinematics
 from svmdist.errors import KinematicsError
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import Joint
+from svmdist.profile.robot import Joint
 from svmdist.results import Failure
 from svmdist.samples import JointSample
 from svmdist.tracks import JointTrack

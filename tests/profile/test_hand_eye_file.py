@@ -9,13 +9,13 @@ import pytest
 
 from svmdist.profile import load_profile
 from svmdist.profile.hand_eye import (
+    OFFSET,
     SHAFT_RADIUS,
     ConstantEffect,
     HandEye,
     HandEyeError,
     HandEyeFile,
     load_hand_eye,
-    offset_of,
     save_hand_eye,
     stated_deviations,
 )
@@ -32,7 +32,7 @@ def hand_eye() -> HandEye:
     """A transform that a radius and a joint had a part in."""
     stated, assumed = stated_deviations(PROFILE), PROFILE.robot
     assert assumed is not None
-    joint = offset_of(next(one.name for one in assumed.joints if one.type == "revolute"))
+    joint = OFFSET.format(next(one.name for one in assumed.joints if one.type == "revolute"))
     effects = [
         ConstantEffect(constant=name, deviation=stated[name], effects=effect.tolist())
         for name, effect in ((SHAFT_RADIUS, BY_RADIUS), (joint, BY_PITCH))

@@ -8,15 +8,15 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.perturbations.images import dimmed, light_left, perturbed_image, subsampled
-from svmdist.profile import ColourRegion, Profile
+from svmdist.profile import Profile
+from svmdist.profile.segmentation import ColourRegion
 from svmdist.samples import Image
 from svmdist.simulation import effects
 from svmdist.simulation.meshes import sphere
 from svmdist.simulation.organ import Organ
 from svmdist.simulation.scene import Options, Scene, make_scene
 from svmdist.transforms import Array, inverse, make_transform, transform_points
-from svmdist.vision.colour import colour_mask
-from svmdist.vision.frame_context import to_hsv
+from svmdist.vision.colour import colour_mask, to_hsv
 from tests.simulation.conftest import chosen, perturbed, posed, withdrawn
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from svmdist.camera import Camera
-from svmdist.profile import ColourRegion
+from svmdist.profile.segmentation import ColourRegion
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.colour import colour_mask

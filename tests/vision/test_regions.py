@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from svmdist.profile import ColourRegion
+from svmdist.profile.segmentation import ColourRegion
 from svmdist.transforms import polygon_centroid
 from svmdist.vision.regions import _centroid, complete_outline, find_region
 from tests.jacobian import check_jacobian

@@ -14,8 +14,8 @@ from svmdist.estimation.instrument.corrected_links import (
 )
 from svmdist.kinematics import DHChain, shaft_of
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import KinematicError
 from svmdist.profile.hand_eye import HandEyeError
+from svmdist.profile.robot import KinematicError
 from svmdist.results import ToolPose
 from svmdist.transforms import Array, skew
 

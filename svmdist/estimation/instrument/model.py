@@ -9,7 +9,6 @@ import numpy as np
 
 from svmdist.errors import KinematicsError
 from svmdist.geometry import Capsules, join
-from svmdist.geometry.distance import cross
 from svmdist.kinematics import (
     DHChain,
     WristRows,
@@ -20,10 +19,11 @@ from svmdist.kinematics import (
     select_joints,
     wrist_rows,
 )
-from svmdist.profile import Fiducial, Instrument, Profile
+from svmdist.profile import Profile
+from svmdist.profile.robot import Fiducial, Instrument
 from svmdist.results import ToolPose
 from svmdist.samples import JointSample
-from svmdist.transforms import Array, inverse
+from svmdist.transforms import Array, cross, inverse
 
 
 @dataclass(frozen=True, slots=True)

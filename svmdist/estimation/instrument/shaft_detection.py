@@ -165,7 +165,7 @@ def detect_shaft(
     towards_tip /= np.linalg.norm(towards_tip)
     sides = (region.first, region.second)
     reach_px = BLUR_REACH_FRACTION * brightness.shape[1]
-    blurs_px = [edge_blur_px(brightness, *_trimmed(side, region), reach_px, settings) for side in sides]
+    blurs_px = [edge_blur_px(brightness, _trimmed(side, region), reach_px, settings) for side in sides]
     contours: list[Contour] = []
     for side, blur_px, other_px in zip(sides, blurs_px, blurs_px[::-1], strict=True):
         # Both edges of a shaft are as sharp as each other; a shadow beside it ends in a penumbra.
@@ -242,11 +242,12 @@ def _contour(
     settings: ShaftSettings,
 ) -> Contour | None:
     along = side.end_px - side.start_px
-    start_px, end_px, outward = _trimmed(side, region)
+    rough = _trimmed(side, region)
+    outward = rough[2]
     width_px = brightness.shape[1]
     # A threshold may cut a blurred edge two of its deviations off its middle.
     reach_px = max(MIN_EDGE_REACH_PX, EDGE_REACH_FRACTION * width_px) + 2.0 * blur_px
-    points_px = edge_points(brightness, start_px, end_px, outward, reach_px, settings, blur_px)
+    points_px = edge_points(brightness, rough, reach_px, settings, blur_px)
     # Around a point the endoscope shows something.
     column, row = np.round(points_px).astype(np.intp).T
     points_px = points_px[region.field_of_view[row, column] > 0]
@@ -273,8 +274,8 @@ def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array, settings: S
     half_width_px = 0.5 * float(np.linalg.norm(region.first.end_px - region.second.end_px))
     across = np.array([-towards_tip[1], towards_tip[0]]) * (END_STRIP_FRACTION * half_width_px)
     reach_px = END_REACH_HALF_WIDTHS * half_width_px
-    start_px, end_px = region.end_px - across, region.end_px + across
-    points_px = edge_points(brightness, start_px, end_px, towards_tip, reach_px, settings)
+    rough = (region.end_px - across, region.end_px + across, towards_tip)
+    points_px = edge_points(brightness, rough, reach_px, settings)
     if len(points_px) < MIN_END_POINTS:
         return None
     ahead_px = (points_px - region.end_px) @ towards_tip

@@ -13,11 +13,11 @@ from svmdist.estimation.instrument.model import NECK_PER_RADIUS
 from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, Rim, ShaftDetection
 from svmdist.kinematics import DHChain, frame_transforms, joint_axis, rows_behind_insertion
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import Instrument, KinematicError
+from svmdist.profile.robot import Instrument, KinematicError
 from svmdist.profile.settings import ShaftSettings
 from svmdist.results import Failure
 from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_vector, skew
-from svmdist.vision.lines import apparent_radius_px, tangent_normal_with_derivatives
+from svmdist.vision.lines import apparent_radius_px, tangent_normal
 from svmdist.vision.silhouette import WristPoint, WristShape
 
 OUTLINE_END_STD_RADII = 0.25  # of the cylinder's end in an outline: clevises differ, a bent wrist hides them
@@ -190,7 +190,7 @@ def contour_residual(
 ) -> Residual:
     """The plane that touches the shaft along one side; `whitening`, shape (2, 3), is the plane's own."""
     hinge_m, d, radius_m = state.T[:3, 3], state.T[:3, 2], np.array(model.radius_m)
-    normal, by_point, by_direction = tangent_normal_with_derivatives(hinge_m, d, model.radius_m, contour.side)
+    normal, by_point, by_direction = tangent_normal(hinge_m, d, model.radius_m, contour.side)
     derivative = np.zeros((2, 8))
     derivative[:, :3] = whitening @ by_point
     derivative[:, 3:6] = -whitening @ by_direction @ skew(d)
