@@ -17,10 +17,7 @@ from svmdist.transforms import Array
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """The unit of a value, the one a person is shown, and how: the value times `factor` with so many digits.
-
-    Without digits the value is shown as it is: a count or a text.
-    """
+    """The unit of a value, the one a person is shown, and how: times `factor` with so many digits, or as it is."""
 
     name: str = ""
     shown: str = ""
@@ -44,11 +41,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class ErrorStatistics:
-    """Error figures of n pairs, in the unit of the input.
-
-    R² and Pearson's r are None where they are undefined: with fewer than two pairs, or a reference (for
-    r also an estimate) that does not vary.
-    """
+    """Error figures of n pairs, in the unit of the input; R² and Pearson's r are None where they are undefined."""
 
     count: int
     r_squared: float | None
@@ -135,10 +128,7 @@ def bootstrap_intervals(
 
 
 def interval_coverage(estimate: Array, truth: Array, std: Array, level: float = 0.95) -> float | None:
-    """Share of truths inside the normal interval estimate ± z std of a level; None for no pairs.
-
-    It should equal the level: below it the deviations are too small, above it too large.
-    """
+    """Share of truths, which should be the level, inside the normal interval estimate ± z std; None for no pairs."""
     z = NormalDist().inv_cdf(0.5 + level / 2.0)
     return float(np.mean(np.abs(estimate - truth) <= z * std)) if len(estimate) else None
 

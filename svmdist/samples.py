@@ -1,8 +1,4 @@
-"""What is read from a recording: samples, and observations made of them.
-
-An `Observation` has no field for ground truth, so that no estimator can use it; truth travels on its own, as
-`DistanceSample` and `TransformSample`.
-"""
+"""What is read from a recording: samples, and observations made of them, which have no field for ground truth."""
 
 from __future__ import annotations
 

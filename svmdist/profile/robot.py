@@ -8,16 +8,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from svmdist.profile.toml import (
-    Angle,
-    Fraction,
-    Length,
-    NeighbourFile,
-    NonNegative,
-    Positive,
-    SmallLength,
-    StrictModel,
-)
+from svmdist.profile import toml
+from svmdist.profile.toml import Angle, Fraction, Length, NonNegative, Positive, SmallLength, StrictModel
 from svmdist.transforms import Array, make_transform, rotation_z
 
 Vector = tuple[float, float, float]
@@ -203,7 +195,7 @@ class Tissue(StrictModel):
     motion_std_m: NonNegative = 1e-3  # of the tissue's motion along the plane's normal: breath and pulse
     motion_time_s: Positive = 0.5  # correlation time of that motion: a breath of 4 s turns within as long
     dome: Dome | None = None
-    mesh: NeighbourFile | None = None
+    mesh: toml.NeighbourFile | None = None
     """A closed surface in a file .obj or .stl, in place of a dome; a relative path starts from the profile's folder."""
     mesh_unit: Literal["m", "cm", "mm"] = "m"  # of the file's numbers; the formats do not say
     mesh_position_m: Vector = (0.0, 0.0, 0.0)  # the mesh's origin in the tissue's frame
