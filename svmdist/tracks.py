@@ -111,10 +111,7 @@ class JointTrack:
 
 @dataclass(frozen=True)
 class TransformTrack:
-    """`T_parent_child` over time, shape (n, 4, 4); a static one holds one sample that is valid always.
-
-    A pose is one of what has no frame of its own: `child` is empty.
-    """
+    """`T_parent_child` over time, shape (n, 4, 4); a static one is always valid, and that of a pose has no `child`."""
 
     parent: str
     child: str

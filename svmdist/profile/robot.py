@@ -108,10 +108,7 @@ class KinematicError(StrictModel):
 
 
 class CameraError(StrictModel):
-    """Standard deviations of the cameras' calibration; fractions are of the values themselves.
-
-    The defaults are those of repeated calibrations of an endoscope with a chessboard; its focus moves between them.
-    """
+    """Standard deviations of the cameras' calibration; the defaults are of repeated ones of an endoscope."""
 
     focal_std_fraction: NonNegative = 4e-3  # of the focal lengths: the same error in both cameras
     centre_std_px: NonNegative = 1.5  # of the principal point along each axis
@@ -139,10 +136,7 @@ class Instrument(StrictModel):
 
 
 class Fiducial(StrictModel):
-    """A tag on a plate that a link of the instrument carries.
-
-    The tag's frame is OpenCV's: origin in the middle of the black square, x right, y up, z towards the reader.
-    """
+    """A tag on the instrument's plate; its frame: origin in the tag's middle, x right, y up, z towards the reader."""
 
     family: Literal["16h5", "25h9", "36h10", "36h11"] = "36h11"
     id: int = Field(default=0, ge=0)

@@ -21,9 +21,7 @@ from svmdist.transforms import Array, inverse
 
 SPACING_M = 0.0004
 """Longest side of the triangles between samples: no point of a part is farther than 0.23 mm from a sample."""
-REACH_M = (
-    0.07  # the organ is 62 mm long at most: what is farther behind the link's origin is never the nearest
-)
+REACH_M = 0.07  # the organ is 62 mm long at most: what is farther behind a link's origin is not the nearest
 CELLS_M = (1.0, 0.004, 0.001, 0.00025)  # sides of the cells that group samples, each a multiple of the next
 
 BULLET_SCALE = 1000.0
