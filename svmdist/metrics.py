@@ -17,7 +17,7 @@ from svmdist.transforms import Array
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """The unit of a value, the one a person is shown, and how: times `factor` with so many digits, or as it is."""
+    """Unit of a value, and how a person is shown it: times `factor` with so many digits; as it is without digits."""
 
     name: str = ""
     shown: str = ""
@@ -41,7 +41,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class ErrorStatistics:
-    """Error figures of n pairs, in the unit of the input; R² and Pearson's r are None where they are undefined."""
+    """Error figures of n pairs in the unit of the input; R² and r are None where a side does not vary."""
 
     count: int
     r_squared: float | None
@@ -128,7 +128,7 @@ def bootstrap_intervals(
 
 
 def interval_coverage(estimate: Array, truth: Array, std: Array, level: float = 0.95) -> float | None:
-    """Share of truths, which should be the level, inside the normal interval estimate ± z std; None for no pairs."""
+    """Share of truths inside estimate ± z std, which should equal the level; None for no pairs."""
     z = NormalDist().inv_cdf(0.5 + level / 2.0)
     return float(np.mean(np.abs(estimate - truth) <= z * std)) if len(estimate) else None
 
@@ -221,9 +221,9 @@ def alarm_statistics(
     t, c = np.asarray(stamps_s, np.float64), np.asarray(clearance_m, np.float64)
     a = np.asarray(alarms, np.bool_)
     known = np.ones(a.shape, np.bool_) if judged is None else np.asarray(judged, np.bool_)
-    if not t.shape == a.shape == c.shape == known.shape or t.ndim != 1:
-        shapes = f"{t.shape}, {a.shape}, {c.shape} and {known.shape}"
-        raise ValueError(f"expected arrays of the same shape (n,), found {shapes}")
+    shapes = t.shape, a.shape, c.shape, known.shape
+    if len(set(shapes)) > 1 or t.ndim != 1:
+        raise ValueError(f"expected arrays of the same shape (n,), found {', '.join(map(str, shapes))}")
     unsafe = c < below_m
     events = [index for index in range(1, len(t)) if unsafe[index] and not unsafe[index - 1]]
     leads = [_lead_time_s(t, a, unsafe, event) for event in events]

@@ -14,7 +14,7 @@ from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.results import Failure
 from svmdist.samples import Observation
 from svmdist.vision.segmentation import make_segmenter
-from tests.shaft_images import PALE_BGR, RED_BGR, WRIST_M, ShaftImage, entering_from
+from tests.pictures import PALE_BGR, RED_BGR, WRIST_M, ShaftImage, entering_from
 
 PROFILE = load_profile().model_copy(update={"fiducial": None})
 SMALL = Camera.from_horizontal_fov(640, 480, np.pi / 3)
@@ -55,8 +55,13 @@ def check(drawn: ShaftImage, fit: ShaftFit, axis_rad: float, across_m: float, de
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize(
     ("camera", "scene"),
-    [(SMALL, PALE), (SMALL, RED), (LARGE, RED | {"border": "pillars"}), (LARGE, RED | {"border": "disc"})],
-    ids=["pale", "red", "pillars", "disc"],
+    [
+        (SMALL, PALE),
+        (SMALL, RED),
+        (LARGE, RED | {"border": "rectangle"}),
+        (LARGE, RED | {"border": "circle"}),
+    ],
+    ids=["pale", "red", "rectangle", "circle"],
 )
 def test_from_any_side_over_pale_and_red_and_with_black_borders(camera: Camera, scene: dict, side: str):
     drawn = picture(camera, side, **scene)

@@ -16,7 +16,7 @@ from svmdist.samples import Image, Observation, RightView, Status
 from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.frame_context import as_pinholes
 from tests.measuring import Measuring
-from tests.shaft_images import RED_BGR, ShaftImage, entering_from
+from tests.pictures import RED_BGR, ShaftImage, entering_from
 from tests.synthetic import make_scene
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)

@@ -9,7 +9,7 @@ import pytest
 from svmdist.samples import Image
 from svmdist.vision.find_instruments import AutoSegmenter
 from svmdist.vision.working_image import picture_of
-from tests.surgery_images import BORDERS, surgery_image
+from tests.pictures import BORDERS, surgery_image
 from training.scene import iou
 
 
