@@ -50,8 +50,7 @@ class Separation:
 
     def reversed(self) -> Separation:
         """The separation of two instruments as the other one has it."""
-        if self.other_capsule is None:
-            raise ValueError("tissue has no capsules")
+        assert self.other_capsule is not None, "tissue has no capsules"
         there, here = self.on_tissue_m, self.on_instrument_m
         return Separation(self.distance_m, -self.direction, there, here, self.other_capsule, self.capsule)
 
@@ -77,13 +76,12 @@ def capsule_separation(instrument: Capsules, other: Capsules) -> Separation:
         direction = (second - first) / distance
     else:  # the axes cross: apart is along their common perpendicular
         along = instrument.end_m[i] - instrument.start_m[i]
-        direction = _unit_or_any(np.cross(along, other.end_m[j] - other.start_m[j]))
+        direction = _unit_or_any(cross(along, other.end_m[j] - other.start_m[j]))
     return replace(_outside(instrument, int(i), first, direction, float(gap[i, j])), other_capsule=int(j))
 
 
 def _to_plane(capsules: Capsules, plane: Plane) -> Separation:
-    """A linear height is least at an end of the segment."""
-    ends = np.stack([capsules.start_m, capsules.end_m])  # (2, n, 3)
+    ends = np.stack([capsules.start_m, capsules.end_m])  # (2, n, 3): the height is least at an end
     height_m = ends @ plane.normal - plane.offset_m - capsules.radius_m
     side, index = np.unravel_index(np.argmin(height_m), height_m.shape)
     return _outside(capsules, int(index), ends[side, index], -plane.normal, float(height_m[side, index]))
@@ -126,7 +124,7 @@ def _to_mesh(capsules: Capsules, mesh: Mesh) -> Separation:
     at = int(np.argmin(gap))
     if pair.distance[at] <= TOUCH_M:  # an end touches from outside
         a, b, c = corners[at]
-        direction = -_unit_or_any(np.cross(b - a, c - a))
+        direction = -_unit_or_any(cross(b - a, c - a))
     else:
         direction = (pair.second[at] - pair.first[at]) / pair.distance[at]
     return _outside(capsules, int(capsule[at]), pair.first[at], direction, float(gap[at]))
