@@ -8,10 +8,10 @@ from __future__ import annotations
 import ast
 import inspect
 import re
-import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from svmdist.perturbations.table import TABLE
 from svmdist.profile.settings import Settings
@@ -29,7 +29,6 @@ named in one line of warning, and ignored.
 
 """
 REASON = re.compile(r"(?<!\d): .*$")  # what follows a colon says why, which is for who reads the code
-
 
 COLUMNS_HEAD = """# Columns and metrics
 
@@ -63,9 +62,7 @@ def by_meaning(second: str, rows: Sequence[tuple[str, str, str]]) -> str:
     keys: dict[tuple[str, str], list[str]] = {}
     for key, *cells in rows:
         keys.setdefault((cells[0], cells[1]), []).append(f"`{key}`")
-    return table(
-        ("columns", second, "meaning"), [(", ".join(names), *cells) for cells, names in keys.items()]
-    )
+    return table(("columns", second, "meaning"), [(", ".join(keys[cells]), *cells) for cells in keys])
 
 
 def tolerance(of: Tolerance | None, unit: str) -> str:
@@ -78,10 +75,9 @@ def tolerance(of: Tolerance | None, unit: str) -> str:
 
 def settings_page(_: str) -> str:
     """One row per setting."""
-    groups = ((name, getattr(Settings(), name)) for name in Settings.model_fields)
     rows = (
         (f"`{name}.{key}`", str(getattr(group, key)), REASON.sub(".", text, 1))
-        for name, group in groups
+        for name, group in Settings()
         for key, text in meanings(type(group)).items()
     )
     return SETTINGS_HEAD + table(("setting", "default", "meaning"), rows)
@@ -89,7 +85,7 @@ def settings_page(_: str) -> str:
 
 def meanings(group: type[StrictModel]) -> dict[str, str]:
     """The docstring below each field of a group, else the comment beside it, read from its source."""
-    source = textwrap.dedent(inspect.getsource(group))
+    source = inspect.getsource(group)
     (definition,) = ast.parse(source).body
     assert isinstance(definition, ast.ClassDef)
     found = {}
@@ -107,15 +103,10 @@ def meanings(group: type[StrictModel]) -> dict[str, str]:
 
 def simulation_page(page: str) -> str:
     """The page of the simulation with its table of perturbations."""
-    rows = (
-        (
-            f"`{entry.name}`" + ("" if entry.at_replay else r"\*"),
-            entry.unit,
-            entry.meaning,
-            "–" if entry.real is None else str(entry.real),
-        )
-        for entry in TABLE.values()
-    )
+    rows = [
+        (f"`{one.name}`" + r"\*" * (not one.at_replay), one.unit, one.meaning, str(one.real or "–"))
+        for one in TABLE.values()
+    ]
     return with_table(page, "perturbations", table(("name", "unit", "meaning", "`--world real`"), rows))
 
 
@@ -131,8 +122,8 @@ def table_row(cells: Sequence[str]) -> str:
 
 def with_table(page: str, name: str, table: str) -> str:
     """The page with what stands between the marks of this name replaced."""
-    before, begin, _, end, after = _parts(page, name)
-    return f"{before}{begin}{table}{end}{after}"
+    begin = f"<!-- {name}:begin -->\n"
+    return page.replace(begin + table_in(page, name), begin + table)
 
 
 def write_table(path: Path, name: str, table: str) -> None:
@@ -142,15 +133,18 @@ def write_table(path: Path, name: str, table: str) -> None:
 
 def table_in(page: str, name: str) -> str:
     """What stands between the marks of this name."""
-    return _parts(page, name)[2]
-
-
-def _parts(page: str, name: str) -> tuple[str, str, str, str, str]:
-    before, begin, rest = page.partition(f"<!-- {name}:begin -->\n")
-    table, end, after = rest.partition(f"<!-- {name}:end -->")
-    if not (begin and end):
+    found = re.search(rf"<!-- {name}:begin -->\n(.*?)<!-- {name}:end -->", page, re.DOTALL)
+    if found is None:
         raise ValueError(f"the page has no place for the table {name}")
-    return before, begin, table, end, after
+    return found[1]
+
+
+def named(what: str, names: Sequence[str], choices: dict[str, Any]) -> Iterable[str]:
+    """The names that a command line gives, all choices without any; ends the program for an unknown one."""
+    for name in names:
+        if name not in choices:
+            raise SystemExit(f"no {what} {name}: the choices are {', '.join(choices)}")
+    return names or choices
 
 
 PAGES: dict[str, Callable[[str], str]] = {
@@ -161,12 +155,7 @@ PAGES: dict[str, Callable[[str], str]] = {
 """How each page is made from its present text."""
 
 
-def main() -> None:
-    """Write all pages anew."""
-    for name, make in PAGES.items():
-        path = DOCS / name
-        path.write_text(make(path.read_text("utf-8") if path.exists() else ""), "utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    for place, make in PAGES.items():
+        page = DOCS / place
+        page.write_text(make(page.read_text("utf-8") if page.exists() else ""), "utf-8")

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import svmdist
-from benchmarks.generated_pages import DOCS, ROOT, table, write_table
+from benchmarks.generated_pages import DOCS, ROOT, named, table, write_table
 
 RESULTS = DOCS / "results.md"
 Record = dict[str, Any]
@@ -55,14 +55,12 @@ def percent(share: float | None, digits: int = 0) -> str:
 def pooled(records: Sequence[Record]) -> Record:
     """The figures of several instruments together."""
     counts = np.array([record["measured_count"] for record in records], float)
-    together: Record = {
-        key: sum(record[key] for record in records) for key in ("measured_count", "frame_count")
-    }
+    together = {key: sum(record[key] for record in records) for key in ("measured_count", "frame_count")}
+    total = together["measured_count"]
     for name in ("spatial", "clearance"):
         for key, power in ((f"{name}_rmse_m", 2), (f"{name}_interval_coverage", 1)):
             values = np.array([record[key] or 0.0 for record in records])
-            mean = counts @ values**power / counts.sum() if counts.any() else None
-            together[key] = None if mean is None else float(mean ** (1 / power))
+            together[key] = float((counts @ values**power / total) ** (1 / power)) if total else None
     return together
 
 
@@ -81,16 +79,12 @@ def all_methods(logs: str) -> dict[str, list[str]]:
     return {name: cells_in_3d(pooled([one for one in records if one["method"] == name])) for name in METHODS}
 
 
-def real() -> None:
-    """All methods in worlds that differ from the profile."""
+def methods() -> None:
+    """All methods in worlds that differ from the profile, and in one that agrees with it."""
     found = all_methods("recordings/real/*.mcap")
     rows = [[f"`{name}`", *METHODS[name], *cells] for name, cells in found.items()]
-    made = table(("`--method`", "tool from", "tissue from", *FIGURES), rows)
-    write_table(ROOT / "README.md", "golden-real", made)
-
-
-def ideal() -> None:
-    """All methods in a world that agrees with the profile."""
+    headings = ("`--method`", "tool from", "tissue from", *FIGURES)
+    write_table(ROOT / "README.md", "golden-real", table(headings, rows))
     rows = [[f"`{name}`", *cells] for name, cells in all_methods("recordings/3d/*.mcap").items()]
     write_table(RESULTS, "golden-3d", table(("method", *FIGURES), rows))
 
@@ -117,12 +111,11 @@ def fused() -> None:
 def between_instruments() -> list[str]:
     """The clearance between both instruments of `3d/duo`."""
     path, topic = ROOT / "recordings" / "3d" / "duo.mcap", "/ground_truth/PSM1/PSM2/distance"
-    rows = [
-        row for row in svmdist.estimate(svmdist.open_recording(path), "fused") if row.instrument == "PSM1"
-    ]
+    every = svmdist.estimate(svmdist.open_recording(path), "fused")
+    rows = [row for row in every if row.instrument == "PSM1"]
     found = [(row.stamp_ns, row.distances.to_instrument) for row in rows if row.distances.to_instrument]
     track = svmdist.open_recording(path, topics={"ground_truth_distance": topic}).distance_track()
-    true_m = track.at(np.array([stamp_ns for stamp_ns, _ in found], np.int64)).clearance_m
+    true_m = track.at(np.array([stamp_ns for stamp_ns, _ in found], np.int64)).values[:, 2]
     error_m = np.array([distance.value_m for _, distance in found]) - true_m
     inside = np.abs(error_m) <= 1.96 * np.array([distance.std_m for _, distance in found], float)
     rmse_m = float(np.sqrt(np.mean(error_m**2)))
@@ -134,14 +127,14 @@ def planar() -> None:
     document = measured("validate")
     scores = [score for score in document["recordings"] if score["reference"] == "ground_truth"]
     overall = document["overall_by_reference"]
-    named = {score["recording"] + " (fitted on)" * score["fitted_on"]: score for score in scores}
-    named["**overall**"] = overall["ground_truth"]
+    logs = {score["recording"] + " (fitted on)" * score["fitted_on"]: score for score in scores}
+    logs["**overall**"] = overall["ground_truth"]
     others = {
         "`overlay` against DH kinematics, as in the paper": overall["kinematics"],
         "`--method centroid`, without the marker": measured("validate --method centroid")["overall"],
         "`--equations printed`": measured("validate --equations printed")["overall"],
     }
-    for name, first, records in (("golden-planar", "log", named), ("golden-overall", "condition", others)):
+    for name, first, records in (("golden-planar", "log", logs), ("golden-overall", "condition", others)):
         rows = [[label, *cells_in_plane(score)] for label, score in records.items()]
         write_table(RESULTS, name, table((first, *PLANAR), rows))
 
@@ -161,7 +154,7 @@ def cells_in_plane(score: Record) -> list[str]:
 
 def blur() -> None:
     """Table I of the paper beside ours."""
-    names = ("sweep", "approach", "contact", "occlusion", "random")
+    logs = "recordings/{sweep,approach,contact,occlusion,random}.mcap"
     rows = [
         [
             record["blur"],
@@ -172,21 +165,14 @@ def blur() -> None:
             str(record["paper_contour_area_px"] or "–"),
             millimetres(record["rmse_m"]),
         ]
-        for record in measured("blur-bench " + " ".join(f"recordings/{name}.mcap" for name in names))
+        for record in measured(f"blur-bench {logs}")
     ]
     write_table(RESULTS, "golden-blur", table(("blur", *BLUR), rows))
 
 
-PARTS: dict[str, Callable[[], None]] = {make.__name__: make for make in (real, ideal, fused, planar, blur)}
-
-
-def main(names: Sequence[str]) -> None:
-    """Make all parts anew, or those that are named."""
-    for name in names or PARTS:
-        if name not in PARTS:
-            raise SystemExit(f"no part {name}: the choices are {', '.join(PARTS)}")
-        PARTS[name]()
+PARTS: dict[str, Callable[[], None]] = {make.__name__: make for make in (methods, fused, planar, blur)}
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    for part in named("part", sys.argv[1:], PARTS):
+        PARTS[part]()

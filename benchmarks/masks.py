@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -19,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.generated_pages import table_row
-from svmdist.profile import OnnxSegmentation
-from svmdist.profile.segmentation import INSTRUMENTS
+from svmdist.profile.segmentation import INSTRUMENTS, OnnxSegmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.vision.find_instruments import AutoSegmenter
@@ -32,7 +32,7 @@ from training.scene import VALIDATION_SEED, iou, render
 Mask = NDArray[np.bool_]
 Masked = Iterator[tuple[Image, Mask]]
 """Images in BGR, shape (h, w, 3), and where their instruments are, shape (h, w)."""
-OUTLINES = Path(__file__).resolve().parent / "outlines.json"
+OUTLINES = Path(__file__).with_name("outlines.json")
 PANEL_SIZE = (240, 427)
 """(h, w) of each of a panel's three pictures: the image, its classes, what some network made of it."""
 GRASPER_BGR, HOOK_BGR = (233, 180, 86), (139, 139, 0)
@@ -40,8 +40,7 @@ SUPER_DEEP = "ForwardPassDeepLabCut/DaVinci-Ambar-2019-10-31/labeled-data/video_
 
 
 def _read(path: Path) -> Image:
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if image is None:
+    if (image := cv2.imread(str(path), cv2.IMREAD_COLOR)) is None:
         raise SystemExit(f"{path}: expected an image")
     return np.asarray(image, np.uint8)
 
@@ -94,8 +93,7 @@ def panels(root: Path) -> Masked:
 
 def _figure(root: Path) -> Masked:
     figure = _read(root / "images/grid-1-41.png")
-    parts = (figure[195:377, 34:263, 2] > 127).astype(np.uint8)
-    # Black lines part the instruments.
+    parts = (figure[195:377, 34:263, 2] > 127).astype(np.uint8)  # by black lines, which are closed here
     whole = cv2.morphologyEx(parts, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
     yield np.ascontiguousarray(figure[2:184, 34:263]), whole > 0
 
@@ -148,47 +146,35 @@ def _segmenters(images: Sequence[Image]) -> dict[str, Segmenter]:
     return found
 
 
-def measure(sets: Sequence[Sequence[tuple[Image, Mask]]]) -> dict[str, str]:
+def print_row(name: str, shows: str, sets: Sequence[Sequence[tuple[Image, Mask]]]) -> None:
     """Mean and range of the IoU, and what is called an instrument where there is none, by method."""
-    ious: dict[str, list[float]] = {}
-    wrong: dict[str, list[float]] = {}
+    ious, wrong = defaultdict[str, list[float]](list), defaultdict[str, list[float]](list)
     for images in sets:
-        for name, segmenter in _segmenters([bgr for bgr, _ in images]).items():
+        for method, segmenter in _segmenters([bgr for bgr, _ in images]).items():
             for bgr, truth in images:
                 found = instruments_of(segmenter, bgr)
                 into, value = (ious, iou(found, truth)) if truth.any() else (wrong, float(found.mean()))
-                into.setdefault(name, []).append(value)
-    return {
-        name: f"{np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f})"
-        + (f"; {100 * float(np.mean(wrong[name])):.1f}%" if name in wrong else "")
-        for name, values in ious.items()
-    }
+                into[method].append(value)
+    cells = (
+        f"{method}: {np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f})"
+        + (f"; {100 * float(np.mean(wrong[method])):.1f}%" if method in wrong else "")
+        for method, values in ious.items()
+    )
+    print(table_row((name, shows, str(sum(map(len, sets))), *cells)))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure the sets that are there, and print their table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--renders", type=int, default=0, help="how many drawn pictures to measure on")
-    given = parser.parse_args(arguments)
+    given = parser.parse_args()
     cv2.setNumThreads(1)
     for name, (repository, shows, read) in SETS.items():
         root = given.folder / repository.split("/")[1]
         if root.is_dir():
-            images = list(read(root))
-            _print_row(name, shows, len(images), [images])
+            print_row(name, shows, [list(read(root))])
         else:
             print(f"{name}: not in {given.folder}; it is {repository}", file=sys.stderr)
     if given.renders:
-        pictures = [render(VALIDATION_SEED + number) for number in range(given.renders)]
-        drawn = [[(bgr, labels >= DISTAL)] for bgr, labels in pictures]
-        _print_row("drawn", "", given.renders, drawn)
-
-
-def _print_row(name: str, shows: str, count: int, sets: Sequence[Sequence[tuple[Image, Mask]]]) -> None:
-    cells = (f"{method}: {cell}" for method, cell in measure(sets).items())
-    print(table_row((name, shows, str(count), *cells)))
-
-
-if __name__ == "__main__":
-    main()
+        pictures = map(render, range(VALIDATION_SEED, VALIDATION_SEED + given.renders))
+        print_row("drawn", "", [[(bgr, labels >= DISTAL)] for bgr, labels in pictures])

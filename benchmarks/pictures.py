@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.generated_pages import DOCS, ROOT
+from benchmarks.generated_pages import DOCS, ROOT, named
 
 IMAGES = DOCS / "images"
 JPEG_QUALITY = 88
@@ -46,16 +46,9 @@ def make_picture(name: str, commands: list[str], folder: Path) -> None:
             cv2.imwrite(str(folder / name), picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
 
 
-def main() -> None:
-    """Remake all pictures, or those that are named."""
-    pictures = printed_pictures()
-    by_stem = {Path(name).stem: name for name in pictures}
-    for stem in sys.argv[1:] or by_stem:
-        if stem not in by_stem:
-            raise SystemExit(f"no picture {stem}: the choices are {', '.join(by_stem)}")
-        print(by_stem[stem], *pictures[by_stem[stem]], sep="\n  ", file=sys.stderr)
-        make_picture(by_stem[stem], pictures[by_stem[stem]], IMAGES)
-
-
 if __name__ == "__main__":
-    main()
+    by_stem = {Path(name).stem: (name, commands) for name, commands in printed_pictures().items()}
+    for stem in named("picture", sys.argv[1:], by_stem):
+        name, commands = by_stem[stem]
+        print(name, *commands, sep="\n  ", file=sys.stderr)
+        make_picture(name, commands, IMAGES)

@@ -7,7 +7,6 @@ and decodes the images, in one thread.
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -34,14 +33,6 @@ def middle_of(hsv: Any, boxes: tuple[Any, ...], gate_px: int) -> tuple[float, fl
         return None
     moments = cv2.moments(largest)
     return moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]
-
-
-def marker() -> Any:
-    """A tag with a white rim, to be pasted."""
-    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-    cells = cv2.aruco.generateImageMarker(dictionary, 7, SIDE_PX - 16)
-    rimmed = cv2.copyMakeBorder(cells, 8, 8, 8, 8, cv2.BORDER_CONSTANT, value=255)
-    return cv2.cvtColor(rimmed, cv2.COLOR_GRAY2BGR)
 
 
 def is_measured(image: Any, pattern: Any, template: Any) -> bool:
@@ -72,22 +63,20 @@ def is_measured(image: Any, pattern: Any, template: Any) -> bool:
     return middle_of(cv2.cvtColor(canvas, cv2.COLOR_BGR2HSV), GREEN, 100) is not None
 
 
-def main(path: Path, *, only_decode: bool) -> None:
-    """Run over a log."""
+if __name__ == "__main__":
     cv2.setNumThreads(1)
-    pattern = marker()
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    cells = cv2.aruco.generateImageMarker(dictionary, 7, SIDE_PX - 16)
+    rimmed = cv2.copyMakeBorder(cells, 8, 8, 8, 8, cv2.BORDER_CONSTANT, value=255)
+    pattern = cv2.cvtColor(rimmed, cv2.COLOR_GRAY2BGR)
     pads = (PAD_PX, PAD_PX, PAD_PX, PAD_PX)
     padded = cv2.copyMakeBorder(pattern, *pads, cv2.BORDER_CONSTANT, value=(120, 80, 40))
     template = ORB.detectAndCompute(padded, None)
     frames = measured = 0
-    with path.open("rb") as stream:
-        for _, _, message in make_reader(stream).iter_messages(topics=["/ECM/left/image"]):
+    with open(sys.argv[1], "rb") as stream:
+        for _schema, _channel, message in make_reader(stream).iter_messages(topics=["/ECM/left/image"]):
             data = CompressedImage.FromString(message.data).data
             image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
             frames += 1
-            measured += not only_decode and is_measured(image, pattern, template)
+            measured += "decode" not in sys.argv[2:] and is_measured(image, pattern, template)
     print(f"{measured} of {frames} frames measured")
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]), only_decode="decode" in sys.argv[2:])

@@ -30,8 +30,7 @@ from svmdist.estimation.hand_eye import rigid_fit
 from svmdist.kinematics import chain_of, forward_kinematics
 from svmdist.profile import Profile, load_profile
 from svmdist.results import FrameResult
-from svmdist.transforms import Array, rotation_of, rotation_vector
-from svmdist.transforms import quaternion_xyzw_from_rotation as quaternion_of
+from svmdist.transforms import Array, quaternion_xyzw_from_rotation, rotation_of, rotation_vector
 from svmdist.vision.tags import find_every_tag
 
 CHI_95, CHI_5_STD = 7.81, 31.8
@@ -49,6 +48,10 @@ THRUST_COLUMNS = (
     *("mm after a rigid fit to the poses, median", "mean"),
 )
 SUPER_DEEP = Path("Surgical_Tool_Tracking", masks.SUPER_DEEP)
+SUPER_DEEP_COLUMNS = (
+    *("method", "rows, left", "rows, right", "both", "px to the wrist, median", "p95"),
+    "rows under the other name",
+)
 LABELS = "CollectedData_Ambar.csv"
 WRISTS = {"left": "left_logobody_head_tip", "right": "right_logobody_head_tip"}
 """The label at the distal end of the wrist's body, where the jaws' joint begins, of each instrument."""
@@ -57,17 +60,17 @@ TAGS = Path("apriltag", "test", "data")
 
 
 def run(*arguments: object) -> None:
-    """Run a command of svmdist that must succeed."""
+    """A command of svmdist, which must succeed."""
     subprocess.run([sys.executable, "-m", "svmdist", *map(str, arguments), "-q"], check=True)
 
 
 def make_log(path: Path, *arguments: object) -> tuple[Path, Path]:
     """A log by `import`, and its profile by `profile new`."""
+    profile = path.with_suffix(".toml")
     path.parent.mkdir(parents=True, exist_ok=True)
     run("import", *arguments, "--force", "-o", path)
-    path.with_suffix(".toml").unlink(missing_ok=True)
-    run("profile", "new", path, "-o", path.with_suffix(".toml"))
-    return path, path.with_suffix(".toml")
+    run("profile", "new", path, "--force", "-o", profile)
+    return path, profile
 
 
 def rows_of(log: Path, profile: Path | Profile, method: str) -> tuple[list[FrameResult], int]:
@@ -86,16 +89,18 @@ def share(values: Any) -> str:
     return f"{100.0 * float(np.mean(values)):.0f}%" if len(values) else "–"
 
 
-def normalised(rows: Sequence[FrameResult], errors_m: Array, reference: Array) -> Array:
-    """Squared errors (n, 3) over the rows' covariance and the reference's own, (n, 3, 3) in m²."""
-    S = np.array([row.tool.pose.position_covariance for row in rows if row.tool]) + reference
+def normalised(rows: Sequence[FrameResult], errors_m: Array, places_m: Array, face_std_m: float) -> Array:
+    """Squared errors (n, 3) over the covariance of rows and of the reference, which is less known along its rays."""
+    rays = places_m / np.linalg.norm(places_m, axis=1, keepdims=True)
+    along = rays[:, :, None] * rays[:, None, :]
+    S = ACROSS_STD_M**2 * (np.eye(3) - along) + (ALONG_STD_M**2 + face_std_m**2) * along
+    S += np.array([row.tool.pose.position_covariance for row in rows if row.tool])
     return np.asarray(np.einsum("ni,ni->n", errors_m, np.linalg.solve(S, errors_m[..., None])[..., 0]))
 
 
 def after_rigid_fit(places_m: Array, reference_m: Array) -> Array:
     """Distances in m of places (n, 3) from a reference in another frame, after a rigid fit of least distances."""
-    weights = np.ones(len(places_m))
-    off_m = np.zeros(len(places_m))
+    weights, off_m = np.ones(len(places_m)), np.zeros(len(places_m))
     for _ in range(10):
         T = rigid_fit(places_m, reference_m, weights)
         off_m = np.linalg.norm((reference_m @ T[:3, :3].T + T[:3, 3]) - places_m, axis=1)
@@ -133,7 +138,7 @@ def thrust(folder: Path, out: Path) -> Iterator[str]:
         for reference_m, std_m in ((joint_m, 0.0), (middle_m, face_std_m)):
             errors_m = places_m - reference_m[at]
             off_mm = 1e3 * np.linalg.norm(errors_m, axis=1)
-            square = normalised(rows, errors_m, noise(joint_m[at], std_m))
+            square = normalised(rows, errors_m, joint_m[at], std_m)
             cells += [number(off_mm), number(off_mm, 95.0), share(square < CHI_95)]
             cells += [share(square > CHI_5_STD)] if reference_m is joint_m else []
         fitted_mm = 1e3 * after_rigid_fit(places_m, poses[at, :3, 3])
@@ -176,12 +181,12 @@ def joint_middles(face_m: Array, poses: Array) -> tuple[Array, float, float]:
     A point of the tool that is off the poses' own turns with the tool: seen = R (p + R_pose o) + t, with o unknown.
     """
     T = rigid_fit(face_m, poses[:, :3, 3])
-    start = np.concatenate([rotation_vector(T[:3, :3]), T[:3, 3], np.zeros(3)])
 
     def residual(x: Array) -> Array:
         places = (poses[:, :3, 3] + poses[:, :3, :3] @ x[6:]) @ rotation_of(x[:3]).T + x[3:6]
         return np.asarray((places - face_m) / ACROSS_STD_M).ravel()
 
+    start = [*rotation_vector(T[:3, :3]), *T[:3, 3], 0.0, 0.0, 0.0]
     solved = least_squares(residual, start, loss="soft_l1")
     turned = rotation_of(solved.x[:3]) @ poses[:, :3, :3]
     offset = turned @ solved.x[6:]
@@ -191,18 +196,12 @@ def joint_middles(face_m: Array, poses: Array) -> tuple[Array, float, float]:
     return face_m - offset, -float(np.mean(np.sum(offset * rays, 1))), float(np.sqrt(towards @ C @ towards))
 
 
-def noise(places_m: Array, face_std_m: float) -> Array:
-    """Covariance of the reference, (n, 3, 3): more along the line of sight than across it."""
-    rays = places_m / np.linalg.norm(places_m, axis=1, keepdims=True)
-    along = rays[:, :, None] * rays[:, None, :]
-    return np.asarray(ACROSS_STD_M**2 * (np.eye(3) - along) + (ALONG_STD_M**2 + face_std_m**2) * along)
-
-
 def poses_table(poses: Array, path: Path) -> Path:
     """A row for each image, as `svmdist import --poses` reads it."""
-    rows = np.column_stack([poses[:, :3, 3], quaternion_of(poses[:, :3, :3])]).tolist()
-    lines = (f"{n}_L.jpg," + ",".join(f"{value:.12g}" for value in row) for n, row in enumerate(rows, 1))
-    path.write_text("\n".join(["image,x_m,y_m,z_m,qx,qy,qz,qw", *lines]) + "\n", "utf-8")
+    q_xyzw = quaternion_xyzw_from_rotation(poses[:, :3, :3])
+    rows = np.column_stack([np.arange(COUNT) + 1, poses[:, :3, 3], q_xyzw])
+    head = "image,x_m,y_m,z_m,qx,qy,qz,qw"
+    np.savetxt(path, rows, ["%d_L.jpg"] + ["%.12g"] * 7, ",", header=head, comments="")
     return path
 
 
@@ -214,7 +213,7 @@ def joints_table(poses: Array, path: Path) -> Path:
     limits = np.array([[-1.6, -0.94, 0.0, -4.6, -1.6, -1.6], [1.6, 0.94, 0.26, 4.6, 1.6, 1.6]])
     rng = np.random.default_rng(0)
     q = np.array([0.0, 0.0, 0.17, 0.0, 0.0, 0.0])
-    lines = ["timestamp," + ",".join(chain.joint_names)]
+    rows: list[list[float]] = []
     for at, T in enumerate(poses):
 
         def residual(x: Array, T: Array = T) -> Array:
@@ -226,9 +225,9 @@ def joints_table(poses: Array, path: Path) -> Path:
             q = np.asarray(least_squares(residual, start, bounds=limits).x)
             if np.abs(residual(q)).max() < 1e-3:
                 break
-        cells = ",".join(f"{value:.12g}" for value in q)
-        lines += [f"{at + offset_s:.3f},{cells}" for offset_s in LOOK_UP_S if at + offset_s >= 0]
-    path.write_text("\n".join(lines) + "\n", "utf-8")
+        rows += [[at + offset_s, *q] for offset_s in LOOK_UP_S if at + offset_s >= 0]
+    head = ",".join(("timestamp", *chain.joint_names))
+    np.savetxt(path, rows, ["%.3f"] + ["%.12g"] * len(q), ",", header=head, comments="")
     return path
 
 
@@ -253,17 +252,15 @@ def super_deep(folder: Path, out: Path) -> Iterator[str]:
         if own in away_px:
             off_px.append(away_px[own])
             swapped += min(away_px, key=lambda side: away_px[side]) != own
-    columns = ("method", "rows, left", "rows, right", "both", "px to the wrist, median", "p95")
     counts = (frames["left"], frames["right"], frames["left"] & frames["right"])
     cells = (f"{len(stamps)} of {total // len(sides)}" for stamps in counts)
     both = (number(off_px, digits=1), number(off_px, 95.0, digits=1))
-    made = [("`shaft`", *cells, *both, f"{swapped} of {len(off_px)}")]
     yield "### SuPer Deep: two da Vinci instruments over tissue, 20 frames of 720x576\n\n"
-    yield table((*columns, "rows under the other name"), made) + "\n"
+    yield table(SUPER_DEEP_COLUMNS, [("`shaft`", *cells, *both, f"{swapped} of {len(off_px)}")]) + "\n"
 
 
 def labelled_wrists(folder: Path) -> dict[int, dict[str, Array]]:
-    """Labelled wrists by the image's place in the log, in px of the left view; frames without labels are left out."""
+    """Wrists by the image's place in the log, in px of the left view; frames without labels are left out."""
     images = sorted(folder.glob("img*.png"), key=lambda path: int("".join(filter(str.isdigit, path.stem))))
     places = {path.name: place for place, path in enumerate(images)}
     with (folder / LABELS).open(newline="", encoding="utf-8") as file:
@@ -288,8 +285,8 @@ def recode(folder: Path, out: Path) -> Iterator[str]:
     rows, total = rows_of(log, profile, "shaft")
     std_mm = [1e3 * row.tool.pose.position_std_m for row in rows if row.tool]
     yield "### ReCoDE: a dVRK instrument with two balls on its shaft, 50 images of 800x600\n\n"
-    cells = ("`shaft`", f"{len(rows)} of {total}", number(std_mm, digits=1))
-    yield table(("method", "rows", "standard deviation of the tool [mm], median"), [cells])
+    columns = ("method", "rows", "standard deviation of the tool [mm], median")
+    yield table(columns, [("`shaft`", f"{len(rows)} of {total}", number(std_mm, digits=1))])
 
 
 def tags(folder: Path, _: Path) -> Iterator[str]:
@@ -323,13 +320,12 @@ def tags(folder: Path, _: Path) -> Iterator[str]:
 SETS = {THRUST: thrust, SUPER_DEEP: super_deep, RECODE: recode, TAGS: tags}
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure the sets that are there, print their tables, and write the page where that is asked for."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--out", type=Path, default=Path("real-images"))
     parser.add_argument("--write", action="store_true")
-    given = parser.parse_args(arguments)
+    given = parser.parse_args()
     text = ""
     for place, measure in SETS.items():
         if (given.folder / place).is_dir():
@@ -339,7 +335,3 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(text)
     if given.write and text:
         write_table(DOCS / "real-data.md", "real-images", text)
-
-
-if __name__ == "__main__":
-    main()

@@ -13,10 +13,10 @@ import numpy as np
 
 from benchmarks.generated_pages import DOCS, table, write_table
 from svmdist.perturbations.chosen import parse_perturbations
-from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.log import open_recording
 from svmdist.workflows.compare import MethodScore, measure_runs
-from svmdist.workflows.request import CLEAN, LogCondition, PerturbedCondition, prepare
-from svmdist.workflows.scores import Pairs, pooled_score
+from svmdist.workflows.request import CLEAN, PerturbedCondition, prepare
+from svmdist.workflows.scores import pooled_score
 
 METHODS = ("fiducial", "shaft", "stereo", "fused")
 WORLDS = (
@@ -28,60 +28,43 @@ FAR_STDS = 5.0
 """So many standard deviations off is not bad luck: one frame in two million, if the deviations are right."""
 
 
-def measure(recordings: Sequence[Recording], methods: Sequence[str] = METHODS) -> list[MethodScore]:
-    """All methods on all logs in all worlds."""
-    setups = [prepare(method=method) for method in methods]
-    worlds: list[LogCondition] = [PerturbedCondition(parse_perturbations(text)) for text in WORLDS]
-    runs: list[MethodScore] = []
-    for recording in recordings:
-        runs += measure_runs(recording, setups, [CLEAN, *([] if "perturb" in recording.metadata else worlds)])
-    return runs
-
-
 def robustness_table(runs: Sequence[MethodScore]) -> str:
     """One row per world, one column per method."""
     members: dict[str, dict[str, list[MethodScore]]] = {}
     for run in runs:
         members.setdefault(run.group.degradation, {}).setdefault(run.method, []).append(run)
-    methods = list(dict.fromkeys(run.method for run in runs))
-    rows = [
-        [f"`{world}`" if world else "nothing", *(_cell(by_method.get(method, [])) for method in methods)]
+    rows = (
+        [f"`{world}`" if world else "nothing", *(cell(by_method[method]) for method in METHODS)]
         for world, by_method in members.items()
-    ]
-    return table(("what differs", *(f"`{method}`" for method in methods)), rows)
-
-
-def far_share(pairs: Pairs) -> float:
-    """The share of pairs that are off by more than FAR_STDS standard deviations."""
-    known = np.isfinite(pairs.std_m)
-    off_m = np.abs(pairs.estimate_m - pairs.truth_m)
-    return float(np.mean(off_m[known] > FAR_STDS * pairs.std_m[known])) if known.any() else 0.0
-
-
-def _cell(runs: Sequence[MethodScore]) -> str:
-    """RMSE in mm, the share of truths inside the 95 % interval, and the frames that are far off or not measured."""
-    missing = 1.0 - sum(run.figures.measured_count for run in runs) / sum(
-        run.figures.frame_count for run in runs
     )
+    return table(("what differs", *(f"`{method}`" for method in METHODS)), rows)
+
+
+def cell(runs: Sequence[MethodScore]) -> str:
+    """RMSE in mm, the share of truths inside the 95 % interval, and the frames that are far off or not measured."""
+    count = sum(run.figures.frame_count for run in runs)
+    missing = 1.0 - sum(run.figures.measured_count for run in runs) / count
     text = "–"
     if score := pooled_score([run.figures.spatial for run in runs]):
         text = f"{1e3 * score.statistics.rmse:.2f} ({100 * (score.interval_coverage or 0.0):.0f})"
-        if (far := 100 * far_share(score.pairs)) >= 0.5:
-            text += f", {far:.0f}% far off"
+        off_m = np.abs(score.pairs.estimate_m - score.pairs.truth_m)
+        known = np.isfinite(score.pairs.std_m)
+        far = 100 * np.mean(off_m[known] > FAR_STDS * score.pairs.std_m[known]) if known.any() else 0.0
+        text += f", {far:.0f}% far off" if far >= 0.5 else ""
     return text + (f", {100 * missing:.0f}% not measured" if missing >= 0.005 else "")
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Print the table, and write it into the page where that is asked for."""
-    paths = [argument for argument in arguments if argument != "--write"]
+if __name__ == "__main__":
+    paths = [argument for argument in sys.argv[1:] if argument != "--write"]
     if not paths:
         sys.exit(__doc__)
-    profile = prepare(method=METHODS[0]).profile
-    made = robustness_table(measure([open_recording(path, profile) for path in paths]))
+    setups = [prepare(method=method) for method in METHODS]
+    worlds = [PerturbedCondition(parse_perturbations(text)) for text in WORLDS]
+    runs: list[MethodScore] = []
+    for path in paths:
+        recording = open_recording(path, setups[0].profile)
+        runs += measure_runs(recording, setups, [CLEAN, *([] if "perturb" in recording.metadata else worlds)])
+    made = robustness_table(runs)
     print(made)
-    if "--write" in arguments:
+    if "--write" in sys.argv:
         write_table(DOCS / "results.md", "robustness", made)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

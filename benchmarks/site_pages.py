@@ -36,22 +36,16 @@ def on_files(files: Any, config: Any) -> Any:
 
 def on_page_markdown(markdown: str, page: Any, files: Any, **_: Any) -> str:
     """Make the links of a page lead to pages of the site."""
-    return site_links(markdown, page.file.src_uri, {file.src_uri for file in files})
-
-
-def site_links(markdown: str, place: str, pages: set[str]) -> str:
-    """The text of the page at a place on the site, with its links as the site has them."""
+    place, pages = page.file.src_uri, {file.src_uri for file in files}
     of_page = {site: source for source, site in OUTSIDE.items()}
     folder = posixpath.dirname(of_page.get(place, f"docs/{place}"))
 
     def linked(link: re.Match[str]) -> str:
         mark, text, target, anchor = link.groups()
-        in_repository = posixpath.normpath(posixpath.join(folder, target))
-        on_site = (
-            OUTSIDE.get(in_repository) or FOLDERS.get(in_repository) or in_repository.removeprefix("docs/")
-        )
+        source = posixpath.normpath(posixpath.join(folder, target))
+        on_site = OUTSIDE.get(source) or FOLDERS.get(source) or source.removeprefix("docs/")
         if on_site not in pages:
-            return text if (ROOT / in_repository).exists() else link[0]
+            return text if (ROOT / source).exists() else link[0]
         relative = posixpath.relpath(on_site, posixpath.dirname(place) or ".")
         return f"{mark}[{text}]({relative}{anchor or ''})"
 

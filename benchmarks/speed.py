@@ -12,7 +12,6 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.generated_pages import table_row
@@ -48,17 +47,6 @@ PROGRAMS = {
 }
 
 
-def make_logs(folder: Path) -> None:
-    """Make what is not there yet."""
-    for name, options in LOGS.items():
-        if not (folder / name).exists():
-            run(f"svmdist record {options} -o {name}", folder)
-    if not (folder / "many").exists():
-        (folder / "many").mkdir()
-        for number in range(MANY):
-            os.link(folder / "short.mcap", folder / "many" / f"log-{number:04d}.mcap")
-
-
 def run(command: str, folder: Path) -> tuple[float, float]:
     """Time by the clock and processor time of a command that must succeed, in s."""
     program, *arguments = shlex.split(command)
@@ -69,21 +57,23 @@ def run(command: str, folder: Path) -> tuple[float, float]:
     return time.perf_counter() - start_s, processor_s
 
 
-def main(folder: Path, names: Sequence[str]) -> None:
-    """Run the comparisons whose names contain one of the given ones; all without any."""
-    folder.mkdir(parents=True, exist_ok=True)
-    make_logs(folder)
+if __name__ == "__main__":
+    if len(sys.argv) < 2:
+        sys.exit(__doc__)
+    place, names = Path(sys.argv[1]), sys.argv[2:]
+    place.mkdir(parents=True, exist_ok=True)
+    for log, options in LOGS.items():
+        if not (place / log).exists():
+            run(f"svmdist record {options} -o {log}", place)
+    if not (place / "many").exists():
+        (place / "many").mkdir()
+        for number in range(MANY):
+            os.link(place / "short.mcap", place / "many" / f"log-{number:04d}.mcap")
     print("| comparison | ratio of wall time | of processor time |\n|---|---|---|")
     for name, (first, second) in COMPARISONS.items():
         if names and not any(part in name for part in names):
             continue
-        run(first, folder), run(second, folder)  # what is compiled and cached on first use
-        pairs = [(run(first, folder), run(second, folder)) for _ in range(PAIRS)]
+        run(first, place), run(second, place)  # what is compiled and cached on first use
+        pairs = [(run(first, place), run(second, place)) for _ in range(PAIRS)]
         wall, processor = (statistics.median(a[at] / b[at] for a, b in pairs) for at in (0, 1))
         print(table_row((name, f"{wall:.2f}", f"{processor:.2f}")), end="", flush=True)
-
-
-if __name__ == "__main__":
-    if len(sys.argv) < 2:
-        sys.exit(__doc__)
-    main(Path(sys.argv[1]), sys.argv[2:])

@@ -65,9 +65,8 @@ class Camera:
             raise ValueError(f"D has {len(self.D)} coefficients, and fisheye has 4")
         fx, fy = self.K[0, 0], self.K[1, 1]
         if not (0.0 < fx <= MAX_FOCAL_PX and 0.0 < fy <= MAX_FOCAL_PX):
-            raise ValueError(
-                f"the camera is not calibrated: fx = {fx}, fy = {fy} px; expected 0 to {MAX_FOCAL_PX:g}"
-            )
+            found = f"fx = {fx}, fy = {fy} px; expected 0 to {MAX_FOCAL_PX:g}"
+            raise ValueError(f"the camera is not calibrated: {found}")
         if not (np.abs(self.D) <= MAX_COEFFICIENT).all():
             raise ValueError(f"D has a coefficient beyond ±{MAX_COEFFICIENT:g}")
         if min(self.width_px, self.height_px) < 1:
@@ -106,7 +105,13 @@ class Camera:
         """Project points of the camera frame, shape (n, 3) in m and in front of it, to px, shape (n, 2)."""
         p = np.atleast_2d(np.asarray(p_camera_m, np.float64))
         if self.distortion_model == "fisheye" or len(self.D) > 5:
-            return _projected_by_opencv(p, self)
+            import cv2  # of few lenses: a camera is there without OpenCV
+
+            is_fisheye = self.distortion_model == "fisheye"
+            project = cv2.fisheye.projectPoints if is_fisheye else cv2.projectPoints
+            D = fisheye_coefficients(self.D) if is_fisheye else self.D
+            pixels, _ = project(p[:, None], np.zeros(3), np.zeros(3), self.K, D)
+            return np.asarray(pixels, np.float64).reshape(-1, 2)
         xy = p[:, :2] / p[:, 2:]
         if self._distortion is not None:
             xy = _distorted(xy, self._distortion)
@@ -144,17 +149,6 @@ def fisheye_coefficients(D: Array) -> Array:
     return np.resize(np.append(D, np.zeros(4)), 4)
 
 
-def _projected_by_opencv(p_m: Array, camera: Camera) -> Array:
-    """Pixels of points, shape (n, 3), by a lens that is not the plain model's."""
-    import cv2  # of few lenses: a camera is there without OpenCV
-
-    is_fisheye = camera.distortion_model == "fisheye"
-    project = cv2.fisheye.projectPoints if is_fisheye else cv2.projectPoints
-    D = fisheye_coefficients(camera.D) if is_fisheye else camera.D
-    pixels, _ = project(p_m[:, None], np.zeros(3), np.zeros(3), camera.K, D)
-    return np.asarray(pixels, np.float64).reshape(-1, 2)
-
-
 def _distorted(xy: Array, coefficients: tuple[float, ...]) -> Array:
     """Points of the plane z = 1, shape (..., 2), where the lens shows them."""
     k1, k2, p1, p2, k3 = coefficients
@@ -182,8 +176,7 @@ def _distortion_slope(xy: Array, coefficients: tuple[float, ...]) -> Array:
 def stereo_transform(left: Camera, right: Camera) -> Array | None:
     """The right camera's pose in the left one's frame, `T_left_right`, shape (4, 4); None without a baseline.
 
-    As ROS has it: the right camera's `P[:, 3]` is K' times its position in the rectified frame that both share, and
-    `R_rectified_camera` maps each camera into that frame.
+    As ROS has it: `P[:, 3]` is K' times the position in the rectified frame that both share.
     """
     if right.P is None or not right.P[:2, 3].any():
         return None

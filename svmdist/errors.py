@@ -1,7 +1,4 @@
-"""The errors that svmdist raises on purpose: one base class, one subclass per thing a caller can do about it.
-
-Every message is one line that says what was expected, what was found and what the choices are.
-"""
+"""The errors that svmdist raises on purpose, a class for each thing a caller can do about it: messages of one line."""
 
 from __future__ import annotations
 
@@ -9,8 +6,7 @@ import unicodedata
 from collections.abc import Iterable
 from typing import Any
 
-UNSAFE = {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}
-"""Categories of characters: control, such as ESC; format, such as the bidirectional overrides; line breaks."""
+UNSAFE = {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}  # control, format, surrogates, private, line breaks
 
 
 class SvmdistError(Exception):
@@ -91,7 +87,4 @@ def optional_package(name: str, extra: str, what: str, error: type[SvmdistError]
 
 def printable(text: str) -> str:
     """Text with U+FFFD for control, format and surrogate characters, which could drive a terminal."""
-    return "".join(
-        "\N{REPLACEMENT CHARACTER}" if unicodedata.category(character) in UNSAFE else character
-        for character in text
-    )
+    return "".join("\N{REPLACEMENT CHARACTER}" if unicodedata.category(c) in UNSAFE else c for c in text)

@@ -12,7 +12,7 @@ import stat
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
@@ -26,9 +26,7 @@ FILES_KEPT = 4
 URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 CLOUD_EXTRA = "pip install 'svmdist[cloud]'"
 BAD_CHARACTER = "the path has a character that no path can have"
-NAME_BYTES = 255 - len(
-    "..part"
-)  # of a name, for its temporary one: nearly every file system allows 255 bytes
+NAME_BYTES = 255 - len("..part")  # nearly every file system allows 255 bytes for a name
 ASCII = str.maketrans(
     dict(zip("─–—−µ×’“”\N{REPLACEMENT CHARACTER}", '----ux\'""?', strict=True))
     | {"…": "...", "±": "+-", "°": " deg", "²": "2", "³": "3", "≥": ">=", "≤": "<=", "→": "->"}
@@ -74,8 +72,8 @@ def plain_errors() -> Iterator[None]:
         reason = f"{problem}: URLs need a package that is missing: {CLOUD_EXTRA}"
         raise OSError(errno.ENOSYS, reason) from None
     except Exception as problem:
-        said = getattr(problem, "strerror", None) or problem
-        raise OSError(errno.EIO, " ".join(str(said).split())[:300] or type(problem).__name__) from None
+        reason = getattr(problem, "strerror", None) or str(problem)
+        raise OSError(errno.EIO, " ".join(reason.split())[:300] or type(problem).__name__) from None
 
 
 def filesystem_of(url: str) -> tuple[Any, str]:
@@ -191,11 +189,8 @@ def listed_urls(url: str, endings: tuple[str, ...], *, is_glob: bool) -> list[Re
 
 
 def open_regular(path: LogPath) -> BinaryIO:
-    """Open a regular file, or one behind a URL, to read; OSError with a reason where it is none, or cannot be opened.
-
-    It is opened without waiting and checked when it is open: a pipe may have no writer, a device may never end, and a
-    path can lead elsewhere a moment later.
-    """
+    """Open a regular file, or one behind a URL, to read; OSError with a reason where that cannot be done."""
+    # Without waiting, and checked when open: a pipe may have no writer, and a path can lead elsewhere a moment later.
     if isinstance(path, RemoteFile):
         return path.open()
     try:
@@ -234,16 +229,14 @@ def files_of(path: LogPath) -> list[LogPath]:
 def atomic_file(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path`, renamed to `path` when the block ends, and removed when it fails.
 
-    A device, a pipe, and a file in a folder that accepts no new files are written in place. Raises OutputError where
-    the file cannot be written.
+    A device, a pipe, and a file in a folder without new files are written in place. Raises OutputError.
     """
     try:
         mode = None
         try:
             target = Path(os.path.realpath(path))  # a link stays a link
-            mode = os.stat(target).st_mode
-        except FileNotFoundError:
-            pass
+            with suppress(FileNotFoundError):
+                mode = os.stat(target).st_mode
         except ValueError:
             raise OSError(errno.EINVAL, BAD_CHARACTER) from None
         if (mode is not None and not stat.S_ISREG(mode)) or not os.access(target.parent, os.W_OK):
@@ -264,8 +257,5 @@ def atomic_file(path: Path) -> Iterator[Path]:
 
 def write_atomically(path: Path, lines: Iterable[str]) -> None:
     """Write text atomically, in UTF-8 and with its own line ends; raises OutputError where that fails."""
-    with (
-        atomic_file(path) as target,
-        target.open("w", encoding="utf-8", errors=FALLBACK, newline="") as file,
-    ):
+    with atomic_file(path) as part, part.open("w", encoding="utf-8", errors=FALLBACK, newline="") as file:
         file.writelines(lines)

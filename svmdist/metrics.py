@@ -17,10 +17,7 @@ from svmdist.transforms import Array
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """The unit of a value, the one a person is shown, and how: the value times `factor` with so many digits.
-
-    Without digits the value is shown as it is: a count or a text.
-    """
+    """Unit of a value, and how a person is shown it: times `factor` with so many digits; as it is without digits."""
 
     name: str = ""
     shown: str = ""
@@ -44,11 +41,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class ErrorStatistics:
-    """Error figures of n pairs, in the unit of the input.
-
-    R² and Pearson's r are None where they are undefined: with fewer than two pairs, or a reference (for
-    r also an estimate) that does not vary.
-    """
+    """Error figures of n pairs in the unit of the input; R² and r are None where a side does not vary."""
 
     count: int
     r_squared: float | None
@@ -134,22 +127,10 @@ def bootstrap_intervals(
     return rmse, _interval(r2) if len(r2) else None
 
 
-def interval_coverage(
-    estimate: ArrayLike, truth: ArrayLike, std: ArrayLike, level: float = 0.95
-) -> float | None:
-    """Share of truths inside the normal interval estimate ± z std of a level; None for no pairs.
-
-    It should equal the level: below it the deviations are too small, above it too large.
-    """
-    f, y, s = (np.asarray(values, np.float64) for values in (estimate, truth, std))
-    if len(f) == 0:
-        return None
-    return float(np.mean(np.abs(f - y) <= deviations_at(level) * s))
-
-
-def deviations_at(level: float) -> float:
-    """How many standard deviations a normal interval of a level reaches to either side: 1.96 at 0.95."""
-    return NormalDist().inv_cdf(0.5 + level / 2.0)
+def interval_coverage(estimate: Array, truth: Array, std: Array, level: float = 0.95) -> float | None:
+    """Share of truths inside estimate ± z std, which should equal the level; None for no pairs."""
+    z = NormalDist().inv_cdf(0.5 + level / 2.0)
+    return float(np.mean(np.abs(estimate - truth) <= z * std)) if len(estimate) else None
 
 
 def coverage(measured: int, frames: int) -> float:
@@ -240,20 +221,21 @@ def alarm_statistics(
     t, c = np.asarray(stamps_s, np.float64), np.asarray(clearance_m, np.float64)
     a = np.asarray(alarms, np.bool_)
     known = np.ones(a.shape, np.bool_) if judged is None else np.asarray(judged, np.bool_)
-    if not t.shape == a.shape == c.shape == known.shape or t.ndim != 1:
-        raise ValueError(
-            f"expected arrays of the same shape (n,), found {t.shape}, {a.shape}, {c.shape} and {known.shape}"
-        )
+    shapes = t.shape, a.shape, c.shape, known.shape
+    if len(set(shapes)) > 1 or t.ndim != 1:
+        raise ValueError(f"expected arrays of the same shape (n,), found {', '.join(map(str, shapes))}")
     unsafe = c < below_m
     events = [index for index in range(1, len(t)) if unsafe[index] and not unsafe[index - 1]]
     leads = [_lead_time_s(t, a, unsafe, event) for event in events]
+    begins = a & ~np.concatenate([[False], a[:-1]])
+    episode = np.cumsum(begins)
     return AlarmStatistics(
         frame_count=len(t),
         unsafe_count=int(np.count_nonzero(unsafe)),
         true_alarm_count=int(np.count_nonzero(a & unsafe)),
         false_alarm_count=int(np.count_nonzero(a & ~unsafe)),
         unjudged_count=int(np.count_nonzero(~known)),
-        false_alarm_episode_count=_false_episode_count(a, unsafe),
+        false_alarm_episode_count=int(np.count_nonzero(begins)) - len(np.unique(episode[a & unsafe])),
         duration_s=float(t[-1] - t[0]) if len(t) else 0.0,
         event_count=len(events),
         lead_times_s=tuple(lead for lead in leads if lead is not None),
@@ -271,13 +253,6 @@ def pooled_alarms(parts: Sequence[AlarmStatistics]) -> AlarmStatistics:
 
 def _share(count: float, of: float) -> float | None:
     return count / of if of else None
-
-
-def _false_episode_count(alarms: Mask, unsafe: Mask) -> int:
-    """Unbroken stretches of alarms without an unsafe frame."""
-    begins = alarms & ~np.concatenate([[False], alarms[:-1]])
-    episode = np.cumsum(begins)
-    return int(np.count_nonzero(begins)) - len(np.unique(episode[alarms & unsafe]))
 
 
 def _lead_time_s(t: Array, alarms: Mask, unsafe: Mask, event: int) -> float | None:

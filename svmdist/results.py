@@ -7,7 +7,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from svmdist.samples import JointSample, Rejection, Status, Vector
+from svmdist.samples import JointSample, Status, Vector
 from svmdist.transforms import Array
 
 Pixel = tuple[float, float]
@@ -33,9 +33,7 @@ class ToolPose:
     T_camera_tool: Array
     covariance: Array
     axis: Array
-    axis_std_rad: float | None = (
-        None  # the worse of two directions across it; None: as the tool's own rotation
-    )
+    axis_std_rad: float | None = None  # the worse of two directions across it; None: by the covariance
 
     @property
     def position_m(self) -> Array:
@@ -91,8 +89,9 @@ class Distance:
     @property
     def interval_m(self) -> tuple[float, float] | None:
         """The bounds of the 95 % interval; None without a standard deviation."""
-        half_m = Z_95 * self.std_m if self.std_m is not None else None
-        return None if half_m is None else (self.value_m - half_m, self.value_m + half_m)
+        if self.std_m is None:
+            return None
+        return self.value_m - Z_95 * self.std_m, self.value_m + Z_95 * self.std_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,9 +132,7 @@ class FrameResult:
     distances: Distances = Distances()
     detail: str = ""
     instrument: str = ""
-    consistency: float | None = (
-        None  # squared innovations over their expectation, where a method watches them
-    )
+    consistency: float | None = None  # squared innovations over their expectation
     doubt: str = ""  # why it is not sure which instrument this is; the detail says so too
     number: int = 0  # of the image in its log, from 0
     seconds: float = 0.0  # since the first image of the log
@@ -153,19 +150,9 @@ class FrameResult:
         """The same of an instrument that may be another one: its detail says so."""
         return replace(self, doubt=doubt, detail=f"{self.detail}; {doubt}" if self.detail else doubt)
 
-    def untrusted(self, detail: str) -> FrameResult:
-        """The same where measurements contradict each other: without distances."""
-        return replace(self, status=Status.INCONSISTENT, detail=detail, distances=Distances())
-
     def with_image(self, **found: object) -> FrameResult:
         """The same with more of what was found in the image."""
         return replace(self, image=replace(self.image, **found))  # type: ignore[arg-type]
-
-    @staticmethod
-    def of_rejection(rejection: Rejection, instrument: str = "") -> FrameResult:
-        """The result of a frame that could not be read."""
-        stamp_ns, status, detail = rejection.stamp_ns, rejection.status, rejection.detail
-        return FrameResult(stamp_ns, status, detail=detail, instrument=instrument)
 
 
 def as_pixel(point_px: Array) -> Pixel:

@@ -162,14 +162,11 @@ def synthetic_calibration(synthetic_log: Path) -> Path:
     """A calibration fitted on the synthetic log."""
     from svmdist.estimation.plane_mapping import save_calibration
     from svmdist.profile import load_profile
-    from svmdist.recording.log import open_recording
     from svmdist.workflows.calibrate import collect_part, fit_parts
+    from svmdist.workflows.request import Request, Setup
 
-    profile = load_profile()
-    path = synthetic_log.with_suffix(".calibration.toml")
-    save_calibration(
-        fit_parts([collect_part(open_recording(synthetic_log, profile), profile, "overlay")], "overlay"), path
-    )
+    request, path = Request(Setup(load_profile(), "overlay")), synthetic_log.with_suffix(".calibration.toml")
+    save_calibration(fit_parts([collect_part(request.open(synthetic_log, "log"), request)], "overlay"), path)
     return path
 
 

@@ -12,6 +12,7 @@ from filelock import FileLock
 import svmdist
 from svmdist.results import FrameResult
 from svmdist.transforms import Array
+from svmdist.workflows.scores import DISTANCES
 
 RECORDINGS = Path(__file__).resolve().parent.parent / "recordings"
 PLANAR = ("calibration", "sweep", "approach", "contact", "occlusion", "random")
@@ -48,7 +49,7 @@ class GoldenRows:
         truth = recording.distance_track().at(np.array([row.stamp_ns for row in measured], np.int64))
         assert truth.valid.all()
         found = [getattr(row.distances, distance) for row in measured]
-        true_m = getattr(truth, f"{distance}_m")
+        true_m = truth.values[:, DISTANCES.index(distance)]
         return Errors(
             np.array([one.value_m for one in found]) - true_m,
             np.array([np.nan if one.std_m is None else one.std_m for one in found]),

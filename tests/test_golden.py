@@ -15,7 +15,8 @@ from svmdist.profile import load_profile, profile_path
 from svmdist.recording.log import open_recording
 from svmdist.workflows.calibrate import collect_part, fit_parts
 from svmdist.workflows.estimate import predictor
-from svmdist.workflows.references import Reference, tool_track
+from svmdist.workflows.references import ANY_TRUTH, Reference, tool_track
+from svmdist.workflows.request import Request, Setup
 from svmdist.workflows.scores import Score
 from svmdist.workflows.validate import Validation, find_regressions, load_baseline
 from tests.golden import IN_3D, PLANAR, REAL, RECORDINGS, GoldenRows
@@ -95,10 +96,9 @@ def test_the_shipped_calibration_is_reproduced():
     profile = load_profile()
     assert profile.calibration is not None
     shipped = load_calibration(profile_path("psm13").parent / profile.calibration)
-    fitted = fit_parts(
-        [collect_part(open_recording(RECORDINGS / "calibration.mcap", profile), profile, "overlay")],
-        "overlay",
-    )
+    request = Request(Setup(profile, "overlay"))
+    recording = open_recording(RECORDINGS / "calibration.mcap", profile)
+    fitted = fit_parts([collect_part(recording, request)], "overlay")
     assert shipped.sources == fitted.sources
     assert shipped.camera == fitted.camera
     for axis in ("x", "y"):
@@ -113,7 +113,7 @@ def test_an_injected_time_offset_is_recovered(golden_rows, log):
     rows = [row for row in golden_rows(log, "overlay").rows if row.measured]
     profile = load_profile()
     recording = open_recording(RECORDINGS / f"{log}.mcap", profile)
-    predicted = predictor(tool_track(recording, profile, Reference.KINEMATICS), recording.camera)
+    predicted = predictor(tool_track(recording, profile, Reference.KINEMATICS, ANY_TRUTH), recording.camera)
     stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
     tool_px = np.array([row.image.tool_px for row in rows], np.float64)
     for offset_s in (-2.5, -0.3137, 0.012, 2.5):

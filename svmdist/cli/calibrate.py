@@ -15,9 +15,6 @@ from svmdist.report.writers import Holds, choose_writer
 
 if TYPE_CHECKING:
     from svmdist.profile import Profile
-    from svmdist.recording.log import Recording
-    from svmdist.workflows.calibrate import CalibrationPart
-    from svmdist.workflows.request import Request
 
 
 class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
@@ -35,21 +32,19 @@ class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
     """
 
     output: Path = option("--output -o FILE.toml", "Calibration file to write.", ...)
-    method: Literal["overlay", "centroid"] = option(
-        "--method", "The planar method that will use the mapping.", "overlay"
-    )
+    method: Literal["overlay", "centroid"] = option("--method", "Planar method that will use it.", "overlay")
     force: bool = FORCE
 
     def _run(self) -> ExitCode:
         from svmdist.estimation.plane_mapping import save_calibration
         from svmdist.profile import load_profile
-        from svmdist.workflows.calibrate import CalibrationPart, fit_parts
+        from svmdist.workflows.calibrate import CalibrationPart, collect_part, fit_parts
         from svmdist.workflows.request import Request, Setup
 
         output.require_output(self.output, self.paths, is_new=not self.force)
         setup = Setup(load_profile(self.profile, self.hand_eye), self.method)
         request = Request(setup, self.topics, self.window)
-        run = Run(self, collect_log, request, CalibrationPart, "measuring")
+        run = Run(self, collect_part, request, CalibrationPart, "measuring", "images")
         calibration = fit_parts(run.finish(), self.method)
         save_calibration(calibration, self.output)
         fit = calibration.fit
@@ -62,14 +57,6 @@ class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
             *fit.span_y_px,
         )
         return run.exit_code()
-
-
-def collect_log(recording: Recording, request: Request, threads: int) -> CalibrationPart:
-    """Measure one recording for a calibration, with progress."""
-    from svmdist.workflows.calibrate import collect_part
-
-    with output.steps("calibrating", "images", recording.image_count()) as steps:
-        return collect_part(recording, request.setup.profile, request.setup.method, threads, steps)
 
 
 class HandEye(options.ProfileOptions, options.InstrumentOption, options.LagOption, options.WindowOptions):
@@ -149,8 +136,7 @@ def _served(file: Path, profile: Profile, topics: dict[str, str]) -> list[str]:
 
     summary = inspect_recording(file, profile, topics=topics)
     found = {one.name: one for one in method_capabilities(summary, profile)}
-    served = [name for name in SEEING_METHODS if found[name].served]
-    if not served:
-        lacking = "; ".join(f"{name} lacks {', '.join(found[name].missing)}" for name in SEEING_METHODS)
-        raise RecordingError(f"{file}: no method can see the tool: {lacking}")
-    return served
+    if served := [name for name in SEEING_METHODS if found[name].served]:
+        return served
+    lacking = "; ".join(f"{name} lacks {', '.join(found[name].missing)}" for name in SEEING_METHODS)
+    raise RecordingError(f"{file}: no method can see the tool: {lacking}")

@@ -18,7 +18,6 @@ from svmdist.report.writers import Holds
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.vision.degradations import Blur
-    from svmdist.workflows.blur_bench import BlurTally
     from svmdist.workflows.compare import MethodScore
     from svmdist.workflows.request import LogCondition, Request, Setup
 
@@ -68,17 +67,13 @@ class Compare(GoldenLogOptions, CalibrationOption, LagOption, WindowOptions, Gro
         output.require_plot(self.save_plot, self.paths, self.plot)
         keys, lag, conditions = self.group_keys, self.given_lag, self.conditions
         methods = list(dict.fromkeys(map(str, self.method or MethodChoice)))
+        calibrations = {"overlay": self.calibration, "centroid": self.calibration}
         setups = tuple(
-            prepare(
-                self.profile,
-                method,
-                calibration=self.calibration if method in ("overlay", "centroid") else None,
-                hand_eye=self.hand_eye,
-            )
+            prepare(self.profile, method, "corrected", calibrations.get(method), self.hand_eye)
             for method in methods
         )
         request = Request(setups[0], self.topics, self.window, lag=lag, conditions=tuple(conditions))
-        run = Run(self, compare_log, request, list[MethodScore], "comparing", (setups, keys))
+        run = Run(self, compare_log, request, list[MethodScore], "comparing", options=(setups, keys))
         scores = compared([one for runs in run.finish() for one in runs], methods)
         output.write_results(compare_results(scores), writer, self.output)
         if self.save_plot:
@@ -96,10 +91,8 @@ class Compare(GoldenLogOptions, CalibrationOption, LagOption, WindowOptions, Gro
         conditions: list[LogCondition] = [CLEAN]
         for text in self.degrade or []:
             grid = [(str(name), severity) for name in Degradation for severity in SEVERITIES]
-            chosen = grid if text == "all" else options.parse_degradations([text])
-            conditions += [
-                Condition(require_degradation(name, severity), severity) for name, severity in chosen
-            ]
+            for name, severity in grid if text == "all" else options.parse_degradations([text]):
+                conditions.append(Condition(require_degradation(name, severity), severity))
         conditions += [PerturbedCondition(world) for world in options.parse_perturbations(self.perturb)]
         return list(dict.fromkeys(conditions))
 
@@ -131,21 +124,21 @@ class BlurBench(GoldenLogOptions, CalibrationOption, WindowOptions, OutputOption
     """
 
     kernel: list[str] | None = option(
-        "--kernel BLUR=PX", "Kernel size of one blur, an odd number; may be repeated."
+        "--kernel BLUR=PX", "Kernel size of a blur, an odd number; may be repeated."
     )
     form: str | None = options.format_option(Holds.FIGURES)
 
     def _run(self) -> ExitCode:
         from svmdist.report.scores import blur_results
         from svmdist.vision.degradations import Blur
-        from svmdist.workflows.blur_bench import BlurTally, blur_rows
+        from svmdist.workflows.blur_bench import BlurTally, blur_rows, blur_tallies
         from svmdist.workflows.request import Request, prepare
 
         writer = self.writer(self.paths, Holds.FIGURES)
         kernels_px = self._kernels_px()
         setup = prepare(self.profile, calibration=self.calibration, hand_eye=self.hand_eye)
         request = Request(setup, self.topics, self.window)
-        run = Run(self, blur_log, request, dict[Blur, BlurTally], "measuring", (kernels_px,))
+        run = Run(self, blur_tallies, request, dict[Blur, BlurTally], "Table I", "images", (kernels_px,))
         tallies = run.finish()
         output.write_results(blur_results(blur_rows(tallies, kernels_px), len(tallies)), writer, self.output)
         return run.exit_code()
@@ -165,13 +158,3 @@ class BlurBench(GoldenLogOptions, CalibrationOption, WindowOptions, OutputOption
                 raise UsageError(f"--kernel {text}: expected an odd size from 1 to 101 px, as in {name}=5")
             kernels_px[Blur(name)] = int(size)
         return kernels_px
-
-
-def blur_log(
-    recording: Recording, request: Request, threads: int, kernels_px: dict[Blur, int]
-) -> dict[Blur, BlurTally]:
-    """Measure a log under every blur, with progress."""
-    from svmdist.workflows.blur_bench import blur_tallies
-
-    with output.steps("Table I", "images", recording.image_count()) as steps:
-        return blur_tallies(recording, request.setup, kernels_px, threads, steps.advance)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -47,9 +47,7 @@ class PictureOptions(OutputOptions):
                 raise UsageError(f"--report {self.report}: a report is a page: give it the ending .html")
             choose_writer(None, self.report, Holds.REPORT)
 
-    def draw(
-        self, run: Run[Any], request: Request, result: Validation | None = None, kind: str = "time"
-    ) -> None:
+    def draw(self, run: Run[Any], request: Request, result: Validation | None = None, kind: str = "") -> None:
         """Draw the plot and the report of what was measured, and validated."""
         measured = run.kept()
         if self.save_plot:
@@ -61,16 +59,14 @@ class PictureOptions(OutputOptions):
             else:
                 series = series_of(measured, request, result.reference if result else None)
                 below_m = request.alarms.below_m if request.alarms else None
-                plots.save_figure(self.save_plot, plots.draw_series, series, kind, below_m)
+                plots.save_figure(self.save_plot, plots.draw_series, series, kind or "time", below_m)
         if self.report:
             from svmdist.report.html import make_report, write_report
 
             command = shlex.join(["svmdist", *sys.argv[1:]])
             jobs, logs = run.given.jobs, None if run.given.is_one else run.ranking()
             with output.progress_bar("drawing the worst frames", "images") as advance:
-                page = make_report(
-                    measured, request, command, result, jobs=jobs, logs=logs, on_progress=advance
-                )
+                page = make_report(measured, request, command, result, jobs, logs, advance)
             write_report(page, self.report)
 
 
@@ -96,9 +92,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
     """
 
     form: str | None = format_option(Holds.ROWS)
-    force: bool = option(
-        "--force", "Replace a recording that exists. Other files are replaced anyway.", False
-    )
+    force: bool = option("--force", "Replace a recording that exists; other files are anyway.", False)
     summary: Path | None = option(
         "--summary FILE",
         "Write the figures of each log, sorted by severity, worst first, of groups and of all logs to this file"
@@ -114,15 +108,13 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         self.require_pictures(self.paths)
         if keys and self.summary is None:
             raise UsageError(
-                f"--group {self.group}: groups the figures of logs: say where they go with --summary FILE"
+                f"--group {self.group}: groups the figures of logs: give --summary FILE for them"
             )
         output.require_output(self.summary, self.paths)
         summary_writer = choose_writer(None, self.summary, Holds.FIGURES)
         request = self.request()
         if writer.name == "tum" and request.setup.is_planar:
-            raise UsageError(
-                f"--format tum writes the tool's pose, and {self.method} knows none: choose a method in 3D"
-            )
+            raise UsageError(f"--format tum writes the tool's pose: choose a method in 3D, not {self.method}")
         if writer.holds is Holds.FRAMES:
             return self._write_drawn(request, writer)
         draws = self.report is not None or self.save_plot is not None
@@ -149,9 +141,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
             if not self.is_one or self.summary is not None:
                 raise UsageError(f"--scheduler, --resume and --summary go with rows: write {name} by itself")
         elif writer.holds is Holds.REPORT and self.report is not None:
-            raise UsageError(
-                f"--report {self.report} and -o {name}: both are the report; leave out one of them"
-            )
+            raise UsageError(f"--report {self.report} and -o {name}: both are the report; leave out one")
 
     def _write_rows(self, run: Run[EstimateResult], request: Request, writer: Writer) -> None:
         from svmdist.report.rows import ESTIMATE_COLUMNS, shown_columns
@@ -233,7 +223,7 @@ def measure_rows(
     tally: Tally = {}
     kept = []
     with output.steps("measuring", "rows", recording.image_count(), len(wanted)) as steps:
-        for row in steps.of(estimate(seen, setup, request.instruments, threads)):
+        for row in steps.of(estimate(seen, setup, request.instruments, threads, rest=keep is not None)):
             _count(tally, row)
             if keep is not None:
                 kept.append(row)
@@ -263,15 +253,10 @@ def corrected(recording: Recording, request: Request, jobs: int | None) -> Recor
 
 
 def _log_tally(tallies: Sequence[Tally]) -> ExitCode:
-    """Log how many frames were measured, and of each other status how many have it and its commonest detail.
-
-    The exit code tells whether any was measured.
-    """
-    counts = {
-        status: sum((Counter(one.get(status, {})) for one in tallies), Counter[str]())
-        for one in tallies
-        for status in one
-    }
+    """Log how many frames were measured, and the other statuses with their commonest details; whether any was."""
+    counts = defaultdict[str, Counter[str]](Counter)
+    for status, details in (item for one in tallies for item in one.items()):
+        counts[status].update(details)
     total = sum(details.total() for details in counts.values())
     measured = counts.pop("ok", Counter()).total()
     if total == 0:

@@ -36,9 +36,7 @@ class Fk(LogOptions, ReadOptions, WindowOptions, OutputOptions):
     """
 
     joints: str | None = option("--joints TOPIC", "Topic of the joint states.")
-    in_camera: bool = option(
-        "--in-camera", "In the camera's frame, by the transform of hand-eye or of the log.", False
-    )
+    in_camera: bool = option("--in-camera", "In the camera's frame, by hand-eye or the log.", False)
     form: str | None = format_option(Holds.POSES, "; tum is the format of evo")
     start: float = option("--start SECONDS", "Seconds after the first joint state to begin at.", 0.0, min=0.0)
     end: float | None = option("--end SECONDS", "Seconds after the first joint state to end at.", min=0.0)
@@ -56,7 +54,7 @@ class Fk(LogOptions, ReadOptions, WindowOptions, OutputOptions):
             raise UsageError(f"--format tum writes one trajectory, and {len(self.logs)} logs are given")
         topics = self.topics | ({"joints": self.joints} if self.joints else {})
         request = Request(Setup.reading(self.profile, self.hand_eye), topics, self.window)
-        run = Run(self, pose_rows_of, request, int, "computing", (self.in_camera, several))
+        run = Run(self, pose_rows_of, request, int, "computing", options=(self.in_camera, several))
         columns = (*POSE_COLUMNS, Column("recording", TEXT)) if several else POSE_COLUMNS
         with output.no_progress(where=output.terminal_width(self.output) is not None):
             rows = run.rows()

@@ -34,28 +34,25 @@ class Import(Options):
     output: Path | None = option("--output -o FILE.mcap", "Log to write. Default: SOURCE.mcap.")
     pattern: str | None = option("--pattern GLOB", "Which images of the folder, as in '*_L.jpg'.")
     right_pattern: str | None = option(
-        "--right-pattern GLOB",
-        "Images of the right view, as in '*_R.jpg'; without RIGHT, of the same folder.",
+        "--right-pattern GLOB", "Images of the right view, as in '*_R.jpg'; without RIGHT, of that folder."
     )
     side_by_side: bool = option(
         "--side-by-side", "Each picture has the left view on its left half, the right one beside.", False
     )
     calibration: Path | None = option(
         "--calibration FILE.yaml",
-        "Calibration of ROS (camera_info), OpenCV or Kalibr, of one camera or a pair.",
+        "Calibration of ROS (camera_info), OpenCV or Kalibr, of a camera or a pair.",
     )
     right_calibration: Path | None = option("--right-calibration FILE.yaml", "The right camera's own.")
     camera: str | None = option("--camera FX,FY,CX,CY", "The camera in px, in place of a file.")
     right_camera: str | None = option("--right-camera FX,FY,CX,CY", "The right one. Default: the left one.")
     distortion: str | None = option("--distortion K1,K2,P1,P2[,K3…]", "With --camera. Default: none.")
-    distortion_model: str = option(
-        "--distortion-model NAME", "plumb_bob, rational_polynomial, fisheye.", "plumb_bob"
-    )
+    distortion_model: str = option("--distortion-model NAME", "Or rational_polynomial, fisheye.", "plumb_bob")
     baseline: str | None = option(
         "--baseline LENGTH", "Distance of the cameras of a rectified pair, as in 5.2mm; overrides a file's."
     )
     unit: Literal["m", "cm", "mm"] = option(
-        "--unit UNIT", "Unit of lengths in calibration and poses: m, cm or mm.", "m"
+        "--unit UNIT", "Of lengths in calibration and poses: m, cm, mm.", "m"
     )
     rate: float | None = option(
         "--rate HZ", "Images per second, where neither names nor video tell the time.", min=1e-3, max=1e4
@@ -63,8 +60,7 @@ class Import(Options):
     start: str = option("--start SECONDS", "Time of the first image, with --rate or a video.", "0")
     times: Path | None = option("--times FILE.csv", "Times of the images, with or without their names.")
     poses: list[str] | None = option(
-        "--poses [NAME=]FILE.csv",
-        "Tool poses in the robot's base, of instrument NAME (PSM1); may be repeated.",
+        "--poses [NAME=]FILE.csv", "Tool poses in the base of instrument NAME (PSM1); may be repeated."
     )
     joints: list[str] | None = option("--joints [NAME=]FILE.csv", "Joint positions; may be repeated.")
     joint_names: str | None = option("--joint-names NAME,…", "Of the columns of --joints that have none.")
@@ -126,7 +122,7 @@ def _numbers(name: str, text: str) -> tuple[float, ...]:
 
 
 def _intrinsics(name: str, text: str | None) -> tuple[float, ...] | None:
-    numbers = _numbers(name, text) if text is not None else None
+    numbers = None if text is None else _numbers(name, text)
     if numbers is not None and (len(numbers) != 4 or min(numbers[:2]) <= 0):
         raise UsageError(f"{name} {text}: expected FX,FY,CX,CY in px, as in 572.2,572.2,378.8,239.3")
     return numbers

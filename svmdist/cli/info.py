@@ -7,16 +7,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from svmdist.cli import options
 from svmdist.cli.logs import LogOptions, Run
-from svmdist.cli.options import (
-    FORCE,
-    OutputOptions,
-    ReadOptions,
-    TopicOption,
-    argument,
-    format_option,
-    option,
-)
+from svmdist.cli.options import FORCE, argument, option
 from svmdist.cli.output import LOG, ExitCode, require_output, write_lines, write_results
 from svmdist.errors import RecordingError
 from svmdist.report.writers import Holds
@@ -26,7 +19,7 @@ if TYPE_CHECKING:
     from svmdist.workflows.request import Request
 
 
-class Info(LogOptions, ReadOptions, OutputOptions):
+class Info(LogOptions, options.ReadOptions, options.OutputOptions):
     """Show topics, rates, cameras, frames and health.
 
     It also lists the commands and methods that the recording can serve, and what is missing for the others. Of several
@@ -41,7 +34,7 @@ class Info(LogOptions, ReadOptions, OutputOptions):
         svmdist info log.mcap -f json
     """
 
-    form: str | None = format_option(Holds.TABLES)
+    form: str | None = options.format_option(Holds.TABLES)
 
     def _run(self) -> ExitCode:
         from svmdist.report.info import info_results, logs_results
@@ -49,7 +42,7 @@ class Info(LogOptions, ReadOptions, OutputOptions):
 
         writer = self.writer(self.paths, Holds.TABLES)
         request = Request(Setup.reading(self.profile, self.hand_eye), self.topics)
-        run = Run(self, inspect_log, request, dict[str, Any], "inspecting", (writer.name != "csv",))
+        run = Run(self, inspect_log, request, dict[str, Any], "inspecting", options=(writer.name != "csv",))
         run.finish()
         found = [(log.name, document) for log, _, document in run.measured]
         write_results(info_results(found[0][1]) if self.is_one else logs_results(found), writer, self.output)
@@ -71,7 +64,7 @@ def inspect_log(recording: Recording, request: Request, _threads: int, looks_for
     return info_document(summary, profile, tags)
 
 
-class New(TopicOption):
+class New(options.TopicOption):
     """Write a commented profile from a log.
 
     It has the log's topics, frames and instruments, a chain that fits its joints, sizes of a da Vinci instrument,
@@ -86,7 +79,7 @@ class New(TopicOption):
 
     file: Path = argument(..., "FILE", "Log to look at.")
     name: str | None = option("--name NAME", "Name of the profile. Default: that of the log.")
-    output: Path | None = OutputOptions.output
+    output: Path | None = options.OutputOptions.output
     force: bool = FORCE
 
     def _run(self) -> None:

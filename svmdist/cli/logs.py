@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from functools import cached_property
 from glob import glob
 from pathlib import Path
@@ -29,8 +29,7 @@ Result = TypeVar("Result")
 
 LOG_ENDINGS = (".mcap", ".bag")
 GLOB = re.compile(r"[*?\[]")
-MAX_REPORTED = 12
-"""The most logs whose frames are held at once, and fill a page."""
+MAX_REPORTED = 12  # the most logs whose frames are held at once, and fill a page
 
 
 class LogOptions(Options):
@@ -41,8 +40,7 @@ class LogOptions(Options):
     )
     jobs: int | None = JOBS
     scheduler: str | None = option(
-        "--scheduler tcp://HOST:PORT",
-        "Measure on this Dask cluster; its workers read the same paths or URLs.",
+        "--scheduler tcp://HOST:PORT", "Measure on this Dask cluster; workers read the same paths or URLs."
     )
     resume: Path | None = option(
         "--resume FOLDER", "Keep results in this folder; reuse those of the same log, options and version."
@@ -61,13 +59,6 @@ class LogOptions(Options):
     def paths(self) -> list[LogPath]:
         """Where they are."""
         return [log.path for log in self.logs]
-
-    @property
-    def threads(self) -> int:
-        """How many frames of a log are worked on at a time."""
-        from svmdist.workflows.parallel import usable_cores
-
-        return self.jobs or usable_cores()
 
     @property
     def is_one(self) -> bool:
@@ -109,8 +100,8 @@ def group_name(metadata: dict[str, str], keys: Sequence[str]) -> str:
 class Run(Generic[Result]):
     """What a job makes of the logs of a command: `outcomes` are known when the rows are at their end.
 
-    The arguments are those of `Job`. With `keeps`, `measure` is also asked for what pictures and pages are made of: it
-    gives that to its argument `keep`. By `keys` of their metadata logs are grouped.
+    The arguments are those of `Job`. With a `unit`, `measure` is given `steps`, which are shown. With `keeps`, it gives
+    its argument `keep` what pictures and pages are made of. By `keys` of their metadata logs are grouped.
     """
 
     def __init__(
@@ -120,8 +111,8 @@ class Run(Generic[Result]):
         request: Request,
         result_type: type[Result],
         title: str,
+        unit: str = "",
         options: tuple[Any, ...] = (),
-        *,
         keeps: bool = False,
         keys: Sequence[str] = (),
     ) -> None:
@@ -129,10 +120,9 @@ class Run(Generic[Result]):
 
         self.given = given
         self._job = Job(measure, request, result_type, options)
-        self._title = title
-        self._keys = keys
+        self._title, self._unit, self._keys = title, unit, keys
         self._kept: list[Any] = []
-        self._more = {"keep": self._kept.append} if keeps else {}
+        self._more: dict[str, Any] = {"keep": self._kept.append} if keeps else {}
         self.outcomes: list[tuple[LogFile, Outcome[Result]]] = []
 
     def rows(self) -> Iterator[Row]:
@@ -140,11 +130,11 @@ class Run(Generic[Result]):
 
         Of one log the rows come as they are measured. Raises RecordingError where no log could be measured.
         """
-        from svmdist.workflows.batch import log_notes, measure_logs, measured
+        from svmdist.workflows.batch import log_notes, measure_logs
 
         given = self.given
         if given.is_one:
-            outcome = yield from measured(self._job, given.logs[0], given.threads, **self._more)
+            outcome = yield from self._measured(given.logs[0])
             self.outcomes = [(given.logs[0], outcome)]
             return
         with progress_bar(self._title, "logs") as advance:
@@ -167,6 +157,17 @@ class Run(Generic[Result]):
             raise RecordingError("no recording could be used")
         for _, one, _ in self.measured:
             yield from one.rows()
+
+    def _measured(self, log: LogFile) -> Generator[Row, None, Outcome[Result]]:
+        """Measure a log in this process, with progress."""
+        from svmdist.workflows.batch import measured
+        from svmdist.workflows.parallel import Steps, usable_cores
+
+        threads, more = self.given.jobs or usable_cores(), self._more
+        if not self._unit:  # it shows progress by itself
+            return (yield from measured(self._job, log, threads, **more))
+        with progress_bar(self._title, self._unit) as advance:
+            return (yield from measured(self._job, log, threads, **more, steps=Steps(advance)))
 
     def finish(self) -> list[Result]:
         """Measure the logs with a job that has no rows: its results."""
@@ -193,16 +194,15 @@ class Run(Generic[Result]):
         """How the frames of each log ended, by the `statuses` of its result."""
         from svmdist.report.scores import LogFigures
 
-        return [
-            LogFigures(
-                *(log.name, str(log.path), one.failure, getattr(one.result, "statuses", {}), len(one.losses)),
-                group=group_name(one.metadata, self._keys) if self._keys and one.failure is None else "",
-            )
-            for log, one in self.outcomes
-        ]
+        figures = []
+        for log, one in self.outcomes:
+            statuses = getattr(one.result, "statuses", {})
+            group = group_name(one.metadata, self._keys) if self._keys and one.failure is None else ""
+            figures.append(LogFigures(log.name, str(log.path), one.failure, statuses, len(one.losses), group))
+        return figures
 
     def ranking(self) -> Results:
-        """The figures of each log, sorted by severity, worst first, of groups and of all logs."""
+        """The figures of each log, worst first, of groups and of all logs."""
         from svmdist.report.scores import log_results
 
         return log_results(self._figures)
@@ -210,7 +210,7 @@ class Run(Generic[Result]):
     def kept(self) -> list[Any]:
         """What the job kept of one log; of many, those with which most went wrong are measured again for it."""
         from svmdist.report.scores import ranked
-        from svmdist.workflows.batch import collected_notes, measured
+        from svmdist.workflows.batch import collected_notes
 
         if self.given.is_one or not self._more:
             return self._kept
@@ -222,7 +222,7 @@ class Run(Generic[Result]):
         with collected_notes():
             for log in self.given.logs:
                 if log.name in names:
-                    deque(measured(self._job, log, self.given.threads, **self._more), maxlen=0)
+                    deque(self._measured(log), maxlen=0)
         return self._kept
 
     def exit_code(self) -> ExitCode:

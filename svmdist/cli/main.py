@@ -18,11 +18,8 @@ from svmdist.cli.output import LOG, ExitCode, abandon, adapt_streams, print_log,
 from svmdist.errors import SvmdistError, Terminated, UsageError, did_you_mean
 
 NO_MEMORY = "there is not enough memory; try fewer --jobs"
-CV_NO_MEMORY = -4
-"""OpenCV's code of an allocation that failed."""
-LIBRARY_NOT_LOADED = re.compile(
-    r"failed to map segment|cannot allocate memory|cannot open shared object", re.IGNORECASE
-)
+CV_NO_MEMORY = -4  # OpenCV's code of an allocation that failed
+LIBRARY_NOT_LOADED = re.compile(r"(?i)failed to map segment|cannot allocate memory|cannot open shared object")
 
 
 @contextmanager
@@ -137,10 +134,7 @@ def run() -> None:
 
 
 def missing_resource(error: BaseException) -> str | None:
-    """What of the machine was exhausted when this was raised, in a line; None where it was something else.
-
-    Every allocation, file and thread anywhere can be the one too many: there is no deeper place than this to look.
-    """
+    """What of the machine was exhausted when this was raised, anywhere, in a line; None for something else."""
     match error:
         case MemoryError():
             return NO_MEMORY

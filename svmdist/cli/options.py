@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from svmdist.cli.output import require_output
+from svmdist.cli.output import LOG, require_output
 from svmdist.errors import UsageError, did_you_mean
 from svmdist.report.writers import Holds, Writer, choose_writer, names_of
 
@@ -56,10 +56,8 @@ def argument(default: Any, metavar: str, text: str) -> Any:
 
 def function_of(command: type[Options]) -> Callable[..., None]:
     """A function with a parameter for each option of a command, as Typer reads it."""
-    defaults = {name: getattr(command, name) for name in _names(command)} | {
-        "quiet": QUIET,
-        "verbose": VERBOSE,
-    }
+    defaults = {name: getattr(command, name) for name in _names(command)}
+    defaults |= {"quiet": QUIET, "verbose": VERBOSE}
     hints = typing.get_type_hints(command) | {"quiet": bool, "verbose": bool}
 
     def run(**values: Any) -> None:
@@ -68,16 +66,13 @@ def function_of(command: type[Options]) -> Callable[..., None]:
         try:
             raise typer.Exit(command(**values)._run() or 0)
         finally:
-            logging.getLogger("svmdist").debug(
-                "%s took %.1f s", name_of(command), time.perf_counter() - begin_s
-            )
+            LOG.debug("%s took %.1f s", name_of(command), time.perf_counter() - begin_s)
 
-    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [
-            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hints[name])
-            for name, default in defaults.items()
-        ]
-    )
+    parameters = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hints[name])
+        for name, default in defaults.items()
+    ]
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return run
 
 
@@ -99,7 +94,7 @@ VERBOSE = option("--verbose -v", "Also print which topics are read, and the time
 def choose_verbosity(*, quiet: bool, verbose: bool) -> None:
     """Choose what is logged: errors only, or everything; else it stays as it is."""
     if quiet or verbose:
-        logging.getLogger("svmdist").setLevel(logging.ERROR if quiet else logging.DEBUG)
+        LOG.setLevel(logging.ERROR if quiet else logging.DEBUG)
 
 
 FORCE = option("--force", "Replace the file if it exists.", False)

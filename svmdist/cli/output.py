@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger("svmdist")
 """What users are told beside the data: errors, then remarks (INFO), then choices and times (DEBUG)."""
+Advance = Callable[[int, int | None], None]
 LINE_EVERY_S = 10.0
 """Between two lines of progress where stderr is no terminal: a job's log shows that it goes on."""
 
@@ -92,7 +93,7 @@ def no_progress(*, where: bool = True) -> Iterator[None]:
 
 
 @contextmanager
-def progress_bar(title: str, unit: str) -> Iterator[Callable[[int, int | None], None]]:
+def progress_bar(title: str, unit: str) -> Iterator[Advance]:
     """Give a function of (done, total or None), which shows a bar on a terminal, else a line every ten seconds."""
     if not _Progress.is_wanted or not LOG.isEnabledFor(logging.INFO):
         yield lambda _done, _total: None
@@ -115,16 +116,15 @@ def steps(title: str, unit: str, count: int | None, each: int = 1) -> Iterator[S
 
 
 @contextmanager
-def _bar(title: str, unit: str) -> Iterator[Callable[[int, int | None], None]]:
+def _bar(title: str, unit: str) -> Iterator[Advance]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True, markup=False, emoji=False, highlight=False)
-    columns = TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn()
+    name, rate = TextColumn("{task.description}", markup=False), "{task.fields[rate]}"
+    columns = name, BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn()
     try:
-        with Progress(
-            *columns, "{task.fields[rate]}", TimeRemainingColumn(), console=console, transient=True
-        ) as progress:
+        with Progress(*columns, console=console, transient=True) as progress:
             task = progress.add_task(title, total=None, rate="")
 
             def advance(done: int, total: int | None) -> None:
@@ -138,9 +138,7 @@ def _bar(title: str, unit: str) -> Iterator[Callable[[int, int | None], None]]:
         console.show_cursor(True)
 
 
-def _lines(
-    title: str, unit: str, clock: Callable[[], float] = time.monotonic
-) -> Callable[[int, int | None], None]:
+def _lines(title: str, unit: str, clock: Callable[[], float] = time.monotonic) -> Advance:
     start_s = clock()
     next_s = start_s + LINE_EVERY_S
 
@@ -156,10 +154,7 @@ def _lines(
 
 
 def write_lines(lines: Iterable[str], output: Path | None, *, is_json: bool = False) -> None:
-    """Write lines to stdout as they come, or atomically to a file, in UTF-8; raises OutputError.
-
-    Where stdout has another encoding, JSON is written in ASCII: whoever reads it need not know which.
-    """
+    """Write lines to stdout as they come, with JSON in ASCII unless that is UTF-8, or to a file; raises OutputError."""
     if output is not None:
         write_atomically(output, lines)
         return

@@ -29,7 +29,7 @@ class Record(Options):
         "--scenario", "Motion of the instrument.", "sweep"
     )
     seed: int = option(
-        "--seed N", "Seed of everything random; the same seed gives the same content.", 1, min=0
+        "--seed N", "Seed of everything random; the same one gives the same content.", 1, min=0
     )
     duration: float = option("--duration SECONDS", "Duration of the recording.", 8.0, min=0.2, max=3600.0)
     rate: float = option("--rate HZ", "Images per second.", 10.0, min=0.5, max=60.0)
@@ -102,9 +102,7 @@ class Record(Options):
         from svmdist.workflows.record import Episodes, Recipe, record
 
         if self.renderer != "tiny":
-            raise UsageError(
-                f"--renderer {self.renderer}: images are drawn by tiny only; leave the option out"
-            )
+            raise UsageError(f"--renderer {self.renderer}: images are drawn by tiny; leave the option out")
         if self.skip_existing and (self.episodes is None or self.force):
             raise UsageError("--skip-existing goes with --episodes, and without --force")
         path = self.output or Path("" if self.episodes else f"{self.scenario}-{self.seed}.mcap")

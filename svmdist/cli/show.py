@@ -6,17 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from svmdist.cli import output
+from svmdist.cli import options, output
 from svmdist.cli.estimate import corrected
 from svmdist.cli.logs import log_losses
-from svmdist.cli.options import (
-    JOBS,
-    InstrumentOption,
-    LagOption,
-    MethodOptions,
-    argument,
-    option,
-)
+from svmdist.cli.options import JOBS, argument, option
 from svmdist.cli.output import LOG, ExitCode
 from svmdist.errors import OutputError, UsageError
 
@@ -25,13 +18,12 @@ if TYPE_CHECKING:
     from svmdist.samples import Image
     from svmdist.workflows.request import Request
 
-DEFAULT_COUNT = 6
-"""Pictures where none is asked for: enough to see a log from its beginning to its end."""
+DEFAULT_COUNT = 6  # pictures where none is asked for: enough to see a log from its beginning to its end
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".svg", ".pdf", ".gif", ".bmp", ".tif", ".tiff", ".webp")
 """Names that mean a picture, and not a folder."""
 
 
-class Show(MethodOptions, InstrumentOption, LagOption):
+class Show(options.MethodOptions, options.InstrumentOption, options.LagOption):
     """Show images with what was found in them.
 
     The pictures are PNG files. Each phase of the method is a panel: segmentation, contours, marker, matches and
@@ -110,18 +102,14 @@ class Show(MethodOptions, InstrumentOption, LagOption):
             return set(range(count))
         return {round(at * (count - 1) / (DEFAULT_COUNT - 1)) for at in range(DEFAULT_COUNT)}
 
-    def _pictures(
-        self, recording: Recording, request: Request, numbers: set[int]
-    ) -> Iterator[tuple[int, Image]]:
+    def _pictures(self, log: Recording, request: Request, numbers: set[int]) -> Iterator[tuple[int, Image]]:
         from svmdist.report.panels import masks_picture, phases_picture
         from svmdist.workflows.frame_drawing import drawn_frames
 
-        setup, wanted = request.setup, request.instruments
-        with output.steps(f"drawing {recording.name}", "images", max(numbers) + 1) as steps:
-            for shown in drawn_frames(
-                recording, setup, wanted=wanted, jobs=self.jobs, numbers=numbers, on_image=steps.advance
-            ):
-                where = f"{recording.name}  frame {shown.number}"
+        setup, given = request.setup, (None, request.instruments, self.jobs, numbers)
+        with output.steps(f"drawing {log.name}", "images", max(numbers) + 1) as steps:
+            for shown in drawn_frames(log, setup, *given, steps.advance):
+                where = f"{log.name}  frame {shown.number}"
                 if self.masks:
                     yield shown.number, masks_picture(shown, f"{where}  {shown.seconds:.2f} s  masks")
                 else:
@@ -130,9 +118,10 @@ class Show(MethodOptions, InstrumentOption, LagOption):
 
 def _is_one_picture(path: Path, count: int) -> bool:
     """Whether the path names a picture, not a folder; raises UsageError where it cannot hold what is asked for."""
-    if path.suffix.lower() not in PICTURE_ENDINGS or path.is_dir():
+    ending = path.suffix.lower()
+    if ending not in PICTURE_ENDINGS or path.is_dir():
         return False
-    if path.suffix.lower() != ".png":
+    if ending != ".png":
         raise UsageError(f"{path}: pictures are PNG files: give a name in .png, or a folder")
     if count > 1:
         raise UsageError(
@@ -150,8 +139,7 @@ def _worst(recording: Recording, request: Request, count: int, jobs: int | None)
     images = recording.image_count()
     with output.steps(f"measuring {recording.name}", "rows", images, len(instruments)) as steps:
         rows = list(steps.of(estimate(recording, request.setup, request.instruments, jobs)))
-    found = Measured(recording, recording, tuple(rows), None)
-    worst = worst_frames(series_of([found], request), count)
+    worst = worst_frames(series_of([Measured(recording, recording, tuple(rows), None)], request), count)
     for one in worst:
         LOG.info("%s", one.in_words)
     return {one.number for one in worst}

@@ -15,10 +15,7 @@ from svmdist.cli.output import LOG, ExitCode
 from svmdist.report.writers import Holds
 
 if TYPE_CHECKING:
-    from svmdist.recording.log import Recording
-    from svmdist.workflows.estimate import Keep
     from svmdist.workflows.request import Request
-    from svmdist.workflows.validate import Scored
 
 TruthChoice = StrEnum("TruthChoice", "ground_truth tf pose kinematics")
 PlotKind = Literal["fig6", "time", "residuals", "bland-altman", "calibration"]
@@ -53,7 +50,7 @@ class Validate(GoldenLogOptions, MeasureOptions, GroupOption, PictureOptions):
         "Transform that is the truth of the tool or the tissue, as in camera:tool; may be given twice.",
     )
     max_gap: float = option(
-        "--max-gap SECONDS", "Longest gap in the truth to interpolate across.", 0.1, min=0.0, max=60.0
+        "--max-gap SECONDS", "Longest gap in the truth to interpolate.", 0.1, min=0.0, max=60.0
     )
     baseline: Path | None = option("--baseline FILE", "Exit with 4 if a metric is worse than in this file.")
     write_baseline: Path | None = option("--write-baseline FILE", "Store the metrics in this file.")
@@ -78,7 +75,8 @@ class Validate(GoldenLogOptions, MeasureOptions, GroupOption, PictureOptions):
         validate.require_truth_for_alarms(request)
         kind = self.plot or "fig6"
         keeps = self.report is not None or (self.save_plot is not None and kind != "fig6")
-        run = Run(self, score_log, request, validate.Scored, "validating", keeps=keeps, keys=keys)
+        measure, kind_of = validate.score_recording, validate.Scored
+        run = Run(self, measure, request, kind_of, "validating", "rows", (), keeps, keys)
         result = validate.combine(run.finish(), request, run.groups)
         for note in result.notes:
             LOG.info("note: %s", note)
@@ -104,12 +102,3 @@ class Validate(GoldenLogOptions, MeasureOptions, GroupOption, PictureOptions):
         references = tuple(Reference(str(choice)) for choice in dict.fromkeys(self.truth or [])) or None
         pairs, max_gap_ns = tuple(self.truth_tf or ()), round(self.max_gap * 1e9)
         return replace(request, rules=truth_rules(pairs, request.setup.profile, references, max_gap_ns))
-
-
-def score_log(recording: Recording, request: Request, threads: int, keep: Keep | None = None) -> Scored:
-    """Score one recording, with progress."""
-    from svmdist.workflows.validate import score_recording, step_count
-
-    title, each = f"validating {request.setup.method}", step_count(recording, request)
-    with output.steps(title, "rows", recording.image_count(), each) as steps:
-        return score_recording(recording, request, threads, steps, keep)

@@ -9,19 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.coloured_regions import (
-    ColouredRegions,
-    DarkPixels,
-    NominalInstrument,
-    ShaftAxis,
-    nominal_instrument,
-)
+from svmdist.estimation import coloured_regions
+from svmdist.estimation.coloured_regions import NominalInstrument, ShaftAxis
 from svmdist.estimation.frame import Frame, OtherMasks
-from svmdist.estimation.region_tracking import CONTEST, MAX_REGIONS, Identity, RegionTracker, assignments
+from svmdist.estimation.region_tracking import (
+    CONTEST,
+    MAX_REGIONS,
+    Identity,
+    RegionTracker,
+    ranked_assignments,
+)
 from svmdist.estimation.scene import Arm, Scene
-from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import EntrySide
-from svmdist.results import Failure
+from svmdist.profile.robot import EntrySide
 from svmdist.samples import Image, Observation
 from svmdist.transforms import Array, inverse
 from svmdist.vision.find_instruments import SeenInstrument
@@ -71,38 +70,29 @@ class EntryTracker:
     ) -> None:
         self._names = tuple(names)
         self._size = np.array([size[1], size[0]], np.float64)
-        self._tracks = [_Track(place) for place in expected_places(sides)]
+        self._tracks = [_Track(_side(side, at, len(sides))) for at, side in enumerate(sides)]
 
     def update(self, stamp_ns: int, seen: Sequence[SeenInstrument]) -> tuple[NamedInstrument, ...]:
         """Name the seen instruments of the next image; an entry for each name."""
         seen = seen[:MAX_REGIONS]
-        entries = np.array([one.entry_px / self._size for one in seen]).reshape(-1, 2)
-        ends = np.array([one.end_px / self._size for one in seen]).reshape(-1, 2)
-        places = list(zip(entries, ends, strict=True))
+        places = [(one.entry_px / self._size, one.end_px / self._size) for one in seen]
         cost = np.array([[self._cost(track, stamp_ns, *place) for place in places] for track in self._tracks])
-        cost = cost.reshape(len(self._tracks), len(seen))
         # What is surer an instrument is the likelier one where one name has a choice.
-        cost = cost - np.log(np.array([max(one.evidence, 1e-3) for one in seen]).reshape(1, -1))
-        hypotheses = sorted(
-            ((self._total(hypothesis, cost), hypothesis) for hypothesis in assignments(*cost.shape)),
-            key=lambda item: (item[0], [-1 if at is None else at for at in item[1]]),
-        )
-        best_cost, best = hypotheses[0]
+        cost = cost - np.log(np.array([max(one.evidence, 1e-3) for one in seen]))
+        hypotheses = ranked_assignments(cost, UNNAMED_COST, UNSEEN_COST)
         named = []
-        for place, at in enumerate(best):
-            doubt = "" if at is None else self._doubt(place, at, best_cost, hypotheses)
+        for place, at in enumerate(hypotheses[0][1]):
+            doubt = "" if at is None else self._doubt(place, hypotheses)
             named.append(NamedInstrument(at, doubt))
             if at is not None and not doubt:
                 track = self._tracks[place]
-                track.entry, track.end, track.stamp_ns = entries[at], ends[at], stamp_ns
+                (track.entry, track.end), track.stamp_ns = places[at], stamp_ns
         return tuple(named)
 
     def _cost(self, track: _Track, stamp_ns: int, entry: Array, end: Array) -> float:
         """-log likelihood of a seen instrument under a track, up to a constant that all tracks share."""
         if track.entry is None or track.end is None:
-            if track.side is None:
-                return 2.0 * math.log(SIDE_STD)
-            off = entry - track.side
+            off = np.zeros(2) if track.side is None else entry - track.side
             return 0.5 * float(off @ off) / SIDE_STD**2 + 2.0 * math.log(SIDE_STD)
         passed_s = max(0.0, (stamp_ns - track.stamp_ns) / 1e9)
         entry_std = min(ENTRY_STD + ENTRY_SPEED * passed_s, SIDE_STD)
@@ -113,22 +103,10 @@ class EntryTracker:
         of_end = 0.5 * float(from_end @ from_end) / end_std**2 + 2.0 * math.log(end_std / SIDE_STD)
         return of_entry + of_end
 
-    def _total(self, hypothesis: Sequence[int | None], cost: Array) -> float:
-        """-log likelihood of naming all at once: each one that goes unnamed, or unseen, costs."""
-        unnamed = cost.shape[1] - sum(at is not None for at in hypothesis)
-        total: float = UNNAMED_COST * unnamed
-        for place, at in enumerate(hypothesis):
-            total += UNSEEN_COST if at is None else float(cost[place, at])
-        return float(total)
-
-    def _doubt(
-        self,
-        place: int,
-        at: int,
-        best_cost: float,
-        hypotheses: Sequence[tuple[float, tuple[int | None, ...]]],
-    ) -> str:
+    def _doubt(self, place: int, hypotheses: Sequence[tuple[float, tuple[int | None, ...]]]) -> str:
         """Why a name is in doubt: another naming of this instrument, or of this name, is nearly as likely."""
+        best_cost, best = hypotheses[0]
+        at = best[place]
         for cost, other in hypotheses[1:]:
             if cost - best_cost > CONTEST:
                 return ""
@@ -142,19 +120,14 @@ class EntryTracker:
         return ""
 
 
-def expected_places(sides: Sequence[EntrySide | None]) -> list[Array | None]:
-    """Where instruments are expected to come in, shape (2,) each over the picture's size."""
-    count = len(sides)
-    places: list[Array | None] = []
-    for at, side in enumerate(sides):
-        if side is not None:
-            places.append(np.array(SIDES[side]))
-        elif count > 1:
-            angle = np.pi * (1.0 - at / (count - 1))
-            places.append(np.array([0.5 + 0.5 * np.cos(angle), 0.5 - 0.5 * np.sin(angle)]))
-        else:
-            places.append(None)
-    return places
+def _side(side: EntrySide | None, at: int, count: int) -> Array | None:
+    """Where an instrument is expected to come in, shape (2,) over the picture's size: in order, from left to right."""
+    if side is not None:
+        return np.array(SIDES[side])
+    if count == 1:
+        return None
+    angle = np.pi * (1.0 - at / (count - 1))
+    return np.array([0.5 + 0.5 * np.cos(angle), 0.5 - 0.5 * np.sin(angle)])
 
 
 class Association:
@@ -170,36 +143,27 @@ class Association:
     def frames(self, scene: Scene, observations: Sequence[Observation]) -> list[Frame]:
         """The frame of each instrument, with the others' pixels marked; `observations` are one per instrument."""
         robots = [arm.state_at(seen) for arm, seen in zip(self._arms, observations, strict=True)]
-        nominal = [nominal_instrument(arm, robot) for arm, robot in zip(self._arms, robots, strict=True)]
+        nominal = [
+            coloured_regions.nominal_instrument(arm, robot)
+            for arm, robot in zip(self._arms, robots, strict=True)
+        ]
+        others: list[OtherMasks] = [(None, None)] * len(self._arms)
+        doubts = [""] * len(self._arms)
         if scene.left.masks.seen is not None and not any(nominal):
-            return self._by_entries(scene, observations, robots)
-        others: Sequence[OtherMasks] = [(None, None)]
-        if len(self._arms) > 1:
+            others, doubts = self._by_entries(scene)
+        elif len(self._arms) > 1:
             others = self._others(scene, nominal)
-        return self._frames(scene, observations, robots, others)
-
-    def _frames(
-        self,
-        scene: Scene,
-        observations: Sequence[Observation],
-        robots: Sequence[RobotState | Failure],
-        others: Sequence[OtherMasks],
-        doubts: Sequence[str] | None = None,
-    ) -> list[Frame]:
-        each = zip(self._arms, observations, robots, others, doubts or [""] * len(others), strict=True)
+        each = zip(self._arms, observations, robots, others, doubts, strict=True)
         return [Frame.of(scene, *one) for one in each]
 
-    def _by_entries(
-        self, scene: Scene, observations: Sequence[Observation], robots: Sequence[RobotState | Failure]
-    ) -> list[Frame]:
+    def _by_entries(self, scene: Scene) -> tuple[list[OtherMasks], list[str]]:
         """Where no robot tells where its instrument is: by the sides they come in from."""
         left, doubts = self._named("left", scene.observation.stamp_ns, scene.left)
         right: list[Image | None] = [None] * len(self._arms)
         if scene.right is not None:
             right, right_doubts = self._named("right", scene.observation.stamp_ns, scene.right)
             doubts = [doubt or other for doubt, other in zip(doubts, right_doubts, strict=True)]
-        others = list(zip(left, right, strict=True))
-        return self._frames(scene, observations, robots, others, doubts)
+        return list(zip(left, right, strict=True)), doubts
 
     def _named(self, name: str, stamp_ns: int, context: FrameContext) -> tuple[list[Image | None], list[str]]:
         """For each instrument the mask, shape (h, w), of the others seen, and why its name is in doubt."""
@@ -212,9 +176,7 @@ class Association:
         doubts = []
         for named in self._entries[name].update(stamp_ns, seen):
             rest = [one.mask for at, one in enumerate(seen) if at != named.seen]
-            others = np.zeros(context.shape, np.uint8)
-            for mask in rest:
-                others |= mask
+            others = np.bitwise_or.reduce([np.zeros(context.shape, np.uint8), *rest])
             if named.seen is not None:
                 others &= ~seen[named.seen].mask
             masks.append(others if rest else None)
@@ -242,9 +204,9 @@ class Association:
         """For each instrument the mask, shape (h, w), of coloured and dark pixels that are not its own."""
         height, width = context.shape
         tracker = self._trackers.setdefault(name, RegionTracker(len(nominal), width, height, self._settings))
-        regions = ColouredRegions.of(context.masks.instrument, self._gate)
+        regions = coloured_regions.ColouredRegions.of(context.masks.instrument, self._gate)
         shafts = context.masks.shaft
-        dark = None if shafts is None else DarkPixels.of(shafts, context.masks.black)
+        dark = None if shafts is None else coloured_regions.DarkPixels.of(shafts, context.masks.black)
 
         # Whose the regions are, by where they are expected and by whose shaft is behind them.
         evidence = np.zeros((len(nominal), len(regions.blobs)))
@@ -266,16 +228,17 @@ class Association:
         return masks
 
     def _axis(
-        self, tool: NominalInstrument | None, identity: Identity, regions: ColouredRegions, camera: Camera
+        self,
+        tool: NominalInstrument | None,
+        identity: Identity,
+        regions: coloured_regions.ColouredRegions,
+        camera: Camera,
     ) -> ShaftAxis | None:
-        if tool is None:
-            return None
-        if identity.blob is not None:
+        expected, radius_px = identity.expected, identity.radius_px
+        if tool is not None and identity.blob is not None:
             blob = regions.blobs[identity.blob]
             return tool.shaft_from(blob.centre_px, blob.radius_px, camera)
-        expected = identity.expected
-        if expected is None or identity.radius_px is None:
+        if tool is None or expected is None or radius_px is None:
             return None
-        if expected.std_px > PLACED_FRACTION * camera.width_px:
-            return None
-        return tool.shaft_from(expected.mean, identity.radius_px, camera)
+        is_placed = expected.std_px <= PLACED_FRACTION * camera.width_px
+        return tool.shaft_from(expected.mean, radius_px, camera) if is_placed else None

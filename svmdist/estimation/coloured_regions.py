@@ -15,7 +15,8 @@ from svmdist.estimation.instrument.model import NECK_PER_RADIUS, WRIST_LENGTH_PE
 from svmdist.estimation.region_tracking import Blob, Gaussian, NominalPlace
 from svmdist.estimation.scene import Arm
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import AreaGate, Instrument
+from svmdist.profile.robot import Instrument
+from svmdist.profile.segmentation import AreaGate
 from svmdist.results import Failure, ToolPose
 from svmdist.samples import Image
 from svmdist.transforms import Array
@@ -49,9 +50,9 @@ class ColouredRegions:
 
     mask: Image
     labels: NDArray[np.int32]
-    blobs: tuple[Blob, ...]
-    names: tuple[int, ...]
-    fragments: tuple[tuple[int, Blob], ...]
+    blobs: Sequence[Blob]
+    names: Sequence[int]
+    fragments: Sequence[tuple[int, Blob]]
 
     @classmethod
     def of(cls, mask: Image, rule: AreaGate) -> ColouredRegions:
@@ -59,26 +60,22 @@ class ColouredRegions:
         count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
         areas = stats[:, cv2.CC_STAT_AREA]
         parts = [(at, Blob(np.asarray(centres[at]), float(areas[at]))) for at in range(1, count)]
-        whole = [(label, blob) for label, blob in parts if blob.area_px > rule.min_area_px]
-        fragments = tuple((label, blob) for label, blob in parts if blob.area_px <= rule.min_area_px)
-        names, blobs = tuple(label for label, _ in whole), tuple(blob for _, blob in whole)
-        return cls(mask, np.asarray(labels, np.int32), blobs, names, fragments)
-
-    @property
-    def _square(self) -> Image:
-        return np.ones((GROWN_PX, GROWN_PX), np.uint8)
+        whole = [part for part in parts if part[1].area_px > rule.min_area_px]
+        fragments = [part for part in parts if part[1].area_px <= rule.min_area_px]
+        blobs = [blob for _, blob in whole]
+        return cls(mask, np.asarray(labels, np.int32), blobs, [label for label, _ in whole], fragments)
 
     def without(self, index: int | None) -> Image:
         """Mask of everything coloured but one region and the fragments about it; of everything for None."""
-        grown = np.asarray(cv2.dilate(self.mask, self._square), np.uint8)
-        if index is None:
-            return grown
-        blob, own = self.blobs[index], [self.names[index]]
-        for label, fragment in self.fragments:
-            if np.linalg.norm(fragment.centre_px - blob.centre_px) < FRAGMENT_REACH * blob.radius_px:
-                own.append(label)
-        mine = np.where(np.isin(self.labels, own), self.mask, 0).astype(np.uint8)
-        rest = cv2.dilate(cv2.subtract(self.mask, mine), self._square)
+        mine = np.zeros_like(self.mask)
+        if index is not None:
+            centre_px, reach_px = self.blobs[index].centre_px, FRAGMENT_REACH * self.blobs[index].radius_px
+            near = [
+                at for at, part in self.fragments if np.linalg.norm(part.centre_px - centre_px) < reach_px
+            ]
+            mine[np.isin(self.labels, [self.names[index], *near])] = 255
+            mine &= self.mask
+        rest = cv2.dilate(cv2.subtract(self.mask, mine), np.ones((GROWN_PX, GROWN_PX), np.uint8))
         return np.asarray(cv2.subtract(rest, mine), np.uint8)
 
 
@@ -107,8 +104,7 @@ class DarkPixels:
         if np.count_nonzero(seen) < MIN_RAY_FRACTION * RAY_COUNT:
             return 0.0
         dark = float(np.mean(self.mask[y[seen], x[seen]] > 0))
-        likely, unlikely = LIKELY_DARK, UNLIKELY_DARK
-        yes, no = np.log(likely / unlikely), np.log((1 - likely) / (1 - unlikely))
+        yes, no = np.log(LIKELY_DARK / UNLIKELY_DARK), np.log((1 - LIKELY_DARK) / (1 - UNLIKELY_DARK))
         return float(dark * yes + (1.0 - dark) * no)
 
     def by_axis(self, axes: Sequence[ShaftAxis | None]) -> NDArray[np.int8]:
@@ -139,12 +135,8 @@ class NominalInstrument:
 
     def moved(self, T_other_camera: Array) -> NominalInstrument:
         """The same in the frame of another camera beside this one; covariances stay as they are."""
-        pose = replace(
-            self.pose,
-            T_camera_tool=T_other_camera @ self.pose.T_camera_tool,
-            axis=T_other_camera[:3, :3] @ self.pose.axis,
-        )
-        return replace(self, pose=pose)
+        T, axis = T_other_camera @ self.pose.T_camera_tool, T_other_camera[:3, :3] @ self.pose.axis
+        return replace(self, pose=replace(self.pose, T_camera_tool=T, axis=axis))
 
     def place(self, camera: Camera) -> NominalPlace:
         """Where the tool is in the image by nominal kinematics, to first order."""

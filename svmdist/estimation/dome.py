@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from svmdist.estimation.surface import DEGREE, StereoSurface
 from svmdist.geometry import Mesh
 from svmdist.least_squares import median, scale_of
-from svmdist.profile import Dome
+from svmdist.profile.robot import Dome
 from svmdist.transforms import Array, inverse, transform_points
 
 INNER_RADIUS = 0.9  # of the dome, normalised: beyond it the rim is too steep for a surface of low order
@@ -69,9 +69,8 @@ class PolarOutline:
     def _between(self, from_apex: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array, Array]:
         """The corners before and after vectors from the apex, the angle between them, and the vector's share of it."""
         toward = np.arctan2(from_apex[:, 1], from_apex[:, 0])
-        count = len(self.angle_rad)
-        at = np.searchsorted(self.angle_rad, toward, side="right") - 1
-        before, after = at % count, (at + 1) % count
+        after = np.searchsorted(self.angle_rad, toward, side="right") % len(self.angle_rad)
+        before = (after - 1) % len(self.angle_rad)
         span = (self.angle_rad[after] - self.angle_rad[before]) % FULL_TURN
         ahead = (toward - self.angle_rad[before]) % FULL_TURN
         share = np.where(span > 0.0, ahead / np.where(span > 0.0, span, 1.0), 0.0)
@@ -126,25 +125,17 @@ class DomeModel:
         shape = self.shape * np.array([factor, factor, 1.0, 1.0, 1.0])
         return replace(self, T_camera_tissue=T, outline_m=factor * self.outline_m, shape=shape)
 
-    def mesh(self) -> Mesh:
-        """The closed surface in the camera frame, made once."""
-        return self._mesh
-
     def to_tissue_frame(self, points_m: Array) -> Array:
         """Points of the camera frame, shape (n, 3), in the tissue's frame."""
         return transform_points(inverse(self.T_camera_tissue), points_m)
 
-    def normalised_radius(self, points_m: Array, apex_m: Array) -> Array:
-        """0 at the apex, shape (2,), 1 on the outline, for points in the tissue's frame, shape (n, 2): shape (n,)."""
-        return PolarOutline.about(apex_m, self.outline_m).normalised_radius(points_m)
-
     def height_m(self, points_m: Array) -> Array:
         """Height over the plane at points in the tissue's frame, shape (n, 2)."""
-        return np.asarray(self.shape[2] * self._profile(self._polar.normalised_radius(points_m)))
+        return np.asarray(self.shape[2] * self._profile(self.polar.normalised_radius(points_m)))
 
     def derivative(self, points_m: Array) -> Array:
         """Of the height (0 beyond the outline) at points, shape (n, 2), by the shape: shape (n, 5)."""
-        radius, by_apex = self._polar.with_derivative(points_m)
+        radius, by_apex = self.polar.with_derivative(points_m)
         height_m, a, b = self.shape[2:]
         power = radius**a
         inside = power < 1.0
@@ -153,19 +144,13 @@ class DomeModel:
         profile = np.where(inside, rest**b, 0.0)
         by_power = np.where(inside, -b * rest ** (b - 1.0), 0.0)
         by_radius = by_power * a * radius ** (a - 1.0)
-        return np.column_stack(
-            [
-                height_m * by_radius[:, None] * by_apex,
-                profile,
-                height_m * by_power * power * log_radius,
-                height_m * profile * np.log(rest),
-            ]
-        )
+        by_gauge, by_exponent = height_m * by_power * power * log_radius, height_m * profile * np.log(rest)
+        return np.column_stack([height_m * by_radius[:, None] * by_apex, profile, by_gauge, by_exponent])
 
     def variance_m2(self, point_m: Array, direction: Array) -> float:
         """By how much the surface at a point of the camera frame, (3,), may move along a unit vector, (3,)."""
         flat_m = self.to_tissue_frame(point_m[None])[:, :2]
-        radius = float(self._polar.normalised_radius(flat_m)[0])
+        radius = float(self.polar.normalised_radius(flat_m)[0])
         if radius > STEEP_RADIUS:
             apex_m = self.shape[:2]
             flat_m = apex_m + (flat_m - apex_m) * STEEP_RADIUS / radius
@@ -174,14 +159,23 @@ class DomeModel:
         return along**2 * float(J @ self.covariance @ J)
 
     @cached_property
-    def _polar(self) -> PolarOutline:
+    def polar(self) -> PolarOutline:
+        """The outline about the apex, in the tissue's frame."""
         return PolarOutline.about(self.shape[:2], self.outline_m)
 
     @cached_property
-    def _mesh(self) -> Mesh:
-        corners = np.linspace(0, len(self.outline_m), SIDES, endpoint=False).astype(int)
-        vertices_m = _dome_vertices(self.outline_m[corners], self.shape, self._profile(_ring_radii()))
-        return Mesh(vertices_m, _unit_dome().faces).transformed(self.T_camera_tissue)
+    def mesh(self) -> Mesh:
+        """The closed surface in the camera frame: apex, rings of `SIDES` vertices outwards, the floor's middle."""
+        outline_m = self.outline_m[np.linspace(0, len(self.outline_m), SIDES, endpoint=False).astype(int)]
+        x, y = outline_m.T
+        if 0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y) < 0.0:  # clockwise
+            outline_m = outline_m[::-1]
+        apex_m, height_m = self.shape[:2], float(self.shape[2])
+        radius = np.sin(np.linspace(0.0, np.pi / 2.0, RINGS + 1)[1:])
+        rings = (apex_m + radius[:, None, None] * (outline_m - apex_m)).reshape(-1, 2)
+        z_m = np.repeat(height_m * self._profile(radius), SIDES)
+        vertices_m = np.vstack([[*apex_m, height_m], np.column_stack([rings, z_m]), [*apex_m, 0.0]])
+        return Mesh(vertices_m, _faces()).transformed(self.T_camera_tissue)
 
     def _profile(self, radius: Array) -> Array:
         a, b = self.shape[3:]
@@ -189,29 +183,8 @@ class DomeModel:
         return np.asarray(inside**b)
 
 
-def _ring_radii() -> Array:
-    return np.sin(np.linspace(0.0, np.pi / 2.0, RINGS + 1)[1:])
-
-
-def _dome_vertices(outline_m: Array, shape: Array, profile: Array) -> Array:
-    """Apex, rings of `SIDES` vertices from the apex outwards, and the floor's middle: shape (v, 3)."""
-    if _signed_area(outline_m) < 0.0:
-        outline_m = outline_m[::-1]
-    apex_m, height_m = shape[:2], float(shape[2])
-    rings = (apex_m + _ring_radii()[:, None, None] * (outline_m - apex_m)).reshape(-1, 2)
-    z_m = np.repeat(height_m * profile, SIDES)
-    return np.vstack([[*apex_m, height_m], np.column_stack([rings, z_m]), [*apex_m, 0.0]])
-
-
 @lru_cache(maxsize=1)
-def _unit_dome() -> Mesh:
-    angle = np.arange(SIDES) * (2.0 * np.pi / SIDES)
-    profile = np.sqrt((1.0 - _ring_radii() ** 2).clip(0.0))
-    circle = np.stack([np.cos(angle), np.sin(angle)], -1)
-    return Mesh(_dome_vertices(circle, np.array([0.0, 0.0, 0.3]), profile), _fan_rings_and_floor())
-
-
-def _fan_rings_and_floor() -> NDArray[np.int64]:
+def _faces() -> NDArray[np.int64]:
     side = np.arange(SIDES)
     after = (side + 1) % SIDES
     last = 1 + (RINGS - 1) * SIDES
@@ -224,11 +197,6 @@ def _fan_rings_and_floor() -> NDArray[np.int64]:
         faces.append(np.stack([inner + side, outer + side, outer + after], -1))
         faces.append(np.stack([inner + side, outer + after, inner + after], -1))
     return np.concatenate(faces).astype(np.int64)
-
-
-def _signed_area(polygon_m: Array) -> float:
-    x, y = polygon_m.T
-    return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
 MIN_POINTS = 100
@@ -247,7 +215,8 @@ def fit_dome(dome: DomeModel, surface: StereoSurface) -> DomeModel | None:
     of which the smooth part looks like another shape. What has no deviation stays as it is.
     """
     points_m = dome.to_tissue_frame(surface.points_m)
-    inner = dome.normalised_radius(points_m[:, :2], np.zeros(2)) < INNER_RADIUS
+    polar = PolarOutline.about(np.zeros(2), dome.outline_m)
+    inner = polar.normalised_radius(points_m[:, :2]) < INNER_RADIUS
     flat_m, height_m = points_m[inner, :2], points_m[inner, 2]
     free = np.flatnonzero(np.diag(dome.covariance) > 0.0)
     if len(flat_m) < MIN_POINTS or len(free) == 0:

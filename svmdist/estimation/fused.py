@@ -27,7 +27,7 @@ from svmdist.estimation.instrument.two_views import ROW_TOLERANCE_PX
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue_tracking import FollowedTissue
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
+from svmdist.results import Distances, Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import JointSample, Status
 from svmdist.transforms import inverse
 from svmdist.vision.edges import Disc
@@ -310,7 +310,7 @@ class FusedEstimator:
         placed, coupling = self._followed.placed(tissue, frame, self._filter)
         found = measured(result, frame, tool, placed, coupling)
         doubt = consistency.doubt if found.measured else ""
-        return found.untrusted(doubt) if doubt else found
+        return replace(found.rejected(Status.INCONSISTENT, doubt), distances=Distances()) if doubt else found
 
 
 def _detail(gating: Sequence[GatingResult], height: GatingResult | None) -> str:

@@ -77,7 +77,7 @@ class HandEyeFit:
 
 
 def fit_hand_eye(places: ToolPlaces, settings: HandEyeSettings) -> HandEyeFit | Failure:
-    """Fit the transform robustly; a Failure says why it cannot be told."""
+    """Fit the transform robustly; a Failure says why it cannot be found."""
     count = len(places)
     if count < settings.min_count:
         return Failure(f"the tool was seen and known in {count} frames; {settings.min_count} are needed")
@@ -87,15 +87,15 @@ def fit_hand_eye(places: ToolPlaces, settings: HandEyeSettings) -> HandEyeFit | 
     T = _start(places)
     if T is None:
         return Failure("the tool moved along a line only: move it in all directions")
-    agrees = _agrees(places, T)
+    agrees = _normalised(places, T) <= GATE
     for _ in range(10):
         T = _refined(places, T, agrees)
-        now = _agrees(places, T)
+        now = _normalised(places, T) <= GATE
         if (now == agrees).all():
             break
         agrees = now
     number = int(agrees.sum())
-    if number < settings.min_count or number < MIN_FRACTION * count:
+    if number < max(settings.min_count, MIN_FRACTION * count):
         said = f"{number} of {count} places of the tool agree with the robot's motion"
         return Failure(f"{said}: is it the same instrument, at the same time (--lag)?")
     covariance, effects, ratio = _covariance(places, T, agrees)
@@ -105,16 +105,6 @@ def fit_hand_eye(places: ToolPlaces, settings: HandEyeSettings) -> HandEyeFit | 
         return Failure(f"{said}: move the tool further, in all directions")
     residuals_m = np.linalg.norm(_residuals(places, T), axis=1)
     return HandEyeFit(T, covariance, agrees, residuals_m, effects, ratio)
-
-
-def rigid_fit(seen_m: Array, nominal_m: Array, weights: Array | None = None) -> Array:
-    """The transform T with seen = T nominal in least squares, of points (n, 3) each (Kabsch 1976)."""
-    w = np.ones(len(seen_m)) if weights is None else weights
-    w = w / w.sum()
-    a0, b0 = w @ seen_m, w @ nominal_m
-    u, _, vt = np.linalg.svd(((seen_m - a0) * w[:, None]).T @ (nominal_m - b0))
-    R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return make_transform(R, a0 - R @ b0)
 
 
 def _start(places: ToolPlaces) -> Array | None:
@@ -127,7 +117,12 @@ def _start(places: ToolPlaces) -> Array | None:
         area_m2 = np.linalg.norm(np.cross(corner[1] - corner[0], corner[2] - corner[0]))
         if area_m2 < CLOUD_STD_M**2:
             continue
-        T = rigid_fit(places.seen_m[three], corner)
+        # Least squares of points, by singular values (Kabsch 1976).
+        seen_m, w = places.seen_m[three], np.ones(3) / 3.0
+        a0, b0 = w @ seen_m, w @ corner
+        u, _, vt = np.linalg.svd(((seen_m - a0) * w[:, None]).T @ (corner - b0))
+        R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        T = make_transform(R, a0 - R @ b0)
         cost = float(np.minimum(_normalised(places, T), GATE).sum())
         if cost < least:
             best, least = T, cost
@@ -159,31 +154,26 @@ def _normalised(places: ToolPlaces, T: Array) -> Array:
     return np.asarray(np.einsum("ni,ni->n", r, np.linalg.solve(S, r[..., None])[..., 0]))
 
 
-def _agrees(places: ToolPlaces, T: Array) -> NDArray[np.bool_]:
-    return np.asarray(_normalised(places, T) <= GATE)
-
-
 def _rows(
     places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], *, robust: bool = True
 ) -> tuple[Array, Array, Array]:
     """Whitened residuals (k,), derivatives (k, 6) and shared errors (k, m) of agreeing frames: places, then axes."""
     R = T[:3, :3]
-    r = _residuals(places, T)[agrees]
-    S = _place_covariance(places, T)[agrees]
-    shared = _shared(places, T)[agrees]
-    whiten = np.linalg.inv(np.linalg.cholesky(S))
-    J = np.concatenate(
-        [np.broadcast_to(np.eye(3), (len(r), 3, 3)), -skew((places.nominal_m[agrees]) @ R.T)], axis=2
-    )
+    r, shared = _residuals(places, T)[agrees], _shared(places, T)[agrees]
+    whiten = np.linalg.inv(np.linalg.cholesky(_place_covariance(places, T)[agrees]))
+    by_shift, by_turn = np.broadcast_to(np.eye(3), (len(r), 3, 3)), -skew(places.nominal_m[agrees] @ R.T)
+    J = np.concatenate([by_shift, by_turn], axis=2)
     blocks = [(whiten @ r[..., None], whiten @ J, whiten @ shared[:, :3])]
     known = np.isfinite(places.axis_std_rad[agrees])
     if known.any():
         predicted = places.nominal_axes[agrees][known] @ R.T
-        across = _across(predicted, places.seen_m[agrees][known])
+        # Unit vectors across each axis, as rows, (n, 2, 3): across the line of sight, and towards it.
+        aside = np.cross(predicted, places.seen_m[agrees][known])
+        aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
+        across = np.stack([aside, np.cross(predicted, aside)], 1)
         floors = [AXIS_FLOOR_RAD, AXIS_TILT_FLOOR_RAD]
         std = np.hypot(places.axis_std_rad[agrees][known][:, None], floors)[..., None]
-        seen = places.axes[agrees][known]
-        e = across @ (seen - predicted)[..., None]
+        e = across @ (places.axes[agrees][known] - predicted)[..., None]
         Ja = np.concatenate([np.zeros((len(e), 2, 3)), -across @ skew(predicted)], axis=2)
         blocks.append((e / std, Ja / std, across @ shared[known][:, 3:] / std))
     parts = []
@@ -192,14 +182,9 @@ def _rows(
         if robust:
             length = np.linalg.norm(residual, axis=1, keepdims=True)
             weight = np.sqrt(np.minimum(1.0, HUBER / np.maximum(length, 1e-12)))
-        parts.append(
-            (
-                (weight * residual).ravel(),
-                (weight * derivative).reshape(-1, 6),
-                (weight * common).reshape(residual.size, shared.shape[2]),
-            )
-        )
-    residual, J, H = (np.concatenate([part[k] for part in parts]) for k in range(3))
+        weighted = (weight * residual).ravel(), (weight * derivative).reshape(-1, 6)
+        parts.append((*weighted, (weight * common).reshape(residual.size, shared.shape[2])))
+    residual, J, H = (np.concatenate(each) for each in zip(*parts, strict=True))
     return residual, J, H
 
 
@@ -208,7 +193,7 @@ def _refined(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_]) -> Array:
         return T
     for _ in range(MAX_STEPS):
         residual, J, _ = _rows(places, T, agrees)
-        # Scaled, for metres and radians differ; least norm where a direction is not told.
+        # Least norm where a direction is not observable.
         step = np.linalg.lstsq(J, residual, rcond=1e-9)[0]
         T = make_transform(rotation_of(step[3:]) @ T[:3, :3], T[:3, 3] + step[:3])
         if np.abs(step).max() < 1e-10:
@@ -217,9 +202,7 @@ def _refined(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_]) -> Array:
 
 
 def _covariance(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_]) -> tuple[Array, Array, float]:
-    """Covariance of (δt, δφ), the part in it of each shared error, (6, m), and the ratio.
-
-    The ratio is the mean squared residual over what is expected of it.
+    """Covariance, effects and ratio as in `HandEyeFit`.
 
     Noise counts as much more as residuals are larger than expected (Birge 1932), and as neighbours repeat each other,
     by what the residuals show or the settings say: errors of detections and play of joints last for some frames, where
@@ -239,10 +222,3 @@ def _covariance(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_]) -> tupl
     # What was seen is off by H c, so the fit is off by as much, and its correction is the opposite.
     effects = -gain @ J.T @ H
     return noise * gain + effects @ effects.T, effects, ratio
-
-
-def _across(axes: Array, seen_m: Array) -> Array:
-    """Two unit vectors across each axis, as rows, (n, 2, 3) of (n, 3): across the line of sight, and towards it."""
-    aside = np.cross(axes, seen_m)
-    aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
-    return np.stack([aside, np.cross(axes, aside)], 1)

@@ -19,7 +19,6 @@ from svmdist.transforms import Array
 Predict = Callable[[NDArray[np.int64]], tuple[Array, NDArray[np.bool_]]]
 """Stamps, shape (n,), to the tool's predicted pixels, shape (n, 2), and which of them are known, (n,)."""
 
-
 MAX_LAG_S, COARSE_STEP_S = 3.0, 0.01  # a hand-held tool hardly turns within 10 ms: no minimum is stepped over
 MIN_PAIRS = 12
 MIN_MOTION_PX = 4.0  # deviation of the predicted track below which noise could pass for motion
@@ -52,81 +51,71 @@ class LagEstimate:
 def estimate_lag(stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict) -> LagEstimate:
     """Estimate the lag from where the tool was seen, shape (n, 2) in px, at image stamps, shape (n,)."""
     if len(stamps_ns) < MIN_PAIRS:
-        return _untold(f"{len(stamps_ns)} measured frames; {MIN_PAIRS} are needed")
+        return _unknown(f"{len(stamps_ns)} measured frames; {MIN_PAIRS} are needed")
     motion_px = float(np.sqrt(np.mean(np.var(seen_px, axis=0))))
     if motion_px < MIN_MOTION_PX:
-        return _untold(f"the tool moves by {motion_px:.1f} px in the image; {MIN_MOTION_PX:g} px are needed")
-    objective = _Objective(stamps_ns, seen_px, predict)
+        return _unknown(f"the tool moves by {motion_px:.1f} px in the image; {MIN_MOTION_PX:g} px are needed")
+    fit = _ProfiledFit(stamps_ns, seen_px, predict)
     lags_s = np.arange(-MAX_LAG_S, MAX_LAG_S + COARSE_STEP_S / 2, COARSE_STEP_S)
-    costs = np.array([objective(lag_s) for lag_s in lags_s])
+    costs = np.array([fit.cost(lag_s) for lag_s in lags_s])
     if not np.isfinite(costs).any():
-        return _untold("images and kinematics do not overlap in time")
-    best = int(np.nanargmin(np.where(np.isfinite(costs), costs, np.nan)))
-    lag_s = _refine(objective, float(lags_s[best]), COARSE_STEP_S)
-    cost = objective(lag_s)
-    rivals = costs[np.abs(lags_s - lag_s) > RIVAL_DISTANCE_S]
-    rival = float(np.min(rivals, initial=np.inf))
-    confidence = 1.0 - cost / rival if np.isfinite(rival) and rival > 0 else 0.0
-    std_s = objective.std_s(lag_s)
+        return _unknown("images and kinematics do not overlap in time")
+    # Golden-section search between the neighbours of the coarse minimum, down to 0.05 ms.
+    ratio, coarse_s = (np.sqrt(5.0) - 1.0) / 2.0, float(lags_s[np.argmin(costs)])
+    low, high = coarse_s - COARSE_STEP_S, coarse_s + COARSE_STEP_S
+    while high - low > 5e-5:
+        left, right = high - ratio * (high - low), low + ratio * (high - low)
+        low, high = (low, right) if fit.cost(left) <= fit.cost(right) else (left, high)
+    lag_s = float((low + high) / 2.0)
+    rival = float(np.min(costs[np.abs(lags_s - lag_s) > RIVAL_DISTANCE_S], initial=np.inf))
+    confidence = 1.0 - fit.cost(lag_s) / rival if np.isfinite(rival) and rival > 0 else 0.0
+    std_s = fit.std_s(lag_s)
     if std_s is None or std_s > MAX_STD_S:
-        return _untold("the motion is too slow to tell the lag")
+        return _unknown("the motion is too slow to tell the lag")
     if confidence < MIN_CONFIDENCE:
-        return _untold(f"another lag explains the images nearly as well (confidence {confidence:.2f})")
+        return _unknown(f"another lag explains the images nearly as well (confidence {confidence:.2f})")
     return LagEstimate(lag_s, std_s, confidence)
 
 
-class _Objective:
-    """Mean squared error in px² per measured coordinate of the best map at a lag, prior included."""
+@dataclass(frozen=True)
+class _ProfiledFit:
+    """The best map at a lag: its mean squared error in px² per measured coordinate, prior included."""
 
-    def __init__(self, stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict) -> None:
-        self._stamps_ns, self._seen_px, self._predict = stamps_ns, seen_px, predict
-        self._min_pairs = max(MIN_PAIRS, len(stamps_ns) // 4)
+    stamps_ns: NDArray[np.int64]
+    seen_px: Array
+    predict: Predict
 
-    def __call__(self, lag_s: float) -> float:
-        fit = self._fit(lag_s)
+    def cost(self, lag_s: float) -> float:
+        fit = self._at(lag_s)
         return fit[0] if fit else np.inf
 
     def std_s(self, lag_s: float) -> float | None:
         """Standard deviation of the lag: noise over speed, as in any least-squares fit of a shift."""
         step_s = 0.01
-        here, ahead, behind = self._fit(lag_s), self._fit(lag_s + step_s), self._fit(lag_s - step_s)
+        here, ahead, behind = self._at(lag_s), self._at(lag_s + step_s), self._at(lag_s - step_s)
         if not (here and ahead and behind):
             return None
-        mean_cost, count = here[0], here[1]
+        mean_cost, count = here
         # J(τ + h) ≈ J + v² h² with v the mean speed that the map cannot take up.
         curvature = (ahead[0] + behind[0] - 2.0 * mean_cost) / step_s**2 / 2.0
         return float(np.sqrt(mean_cost / (curvature * 2 * count))) if curvature > 0 else None
 
-    def _fit(self, lag_s: float) -> tuple[float, int] | None:
-        predicted, known = self._predict(self._stamps_ns - round(lag_s * 1e9))
-        if np.count_nonzero(known) < self._min_pairs:
+    def _at(self, lag_s: float) -> tuple[float, int] | None:
+        predicted, known = self.predict(self.stamps_ns - round(lag_s * 1e9))
+        count = int(np.count_nonzero(known))
+        if count < max(MIN_PAIRS, len(self.stamps_ns) // 4):
             return None
-        p, s = predicted[known], self._seen_px[known]
+        p, s = predicted[known], self.seen_px[known]
         p, s = p - p.mean(0), s - s.mean(0)
-        count = len(p)
-        motion = float(np.sqrt(np.mean(p**2)))
-        if motion < MIN_MOTION_PX:
+        if np.sqrt(np.mean(p**2)) < MIN_MOTION_PX:
             return None
         weight = (PIXEL_STD / MAP_STD) ** 2
         change = np.linalg.solve(p.T @ p + weight * np.eye(2), p.T @ (s - p))
         residual = s - p - p @ change
         cost = float(np.sum(residual**2) + weight * np.sum(change**2)) / (2 * count)
         # Frames drop out at the ends of the search; less motion left must not pass for a better fit.
-        return cost * float(np.mean(self._seen_px.var(0))) / float(np.mean(s**2)), count
+        return cost * float(np.mean(self.seen_px.var(0))) / float(np.mean(s**2)), count
 
 
-def _refine(objective: _Objective, start_s: float, step_s: float) -> float:
-    """Golden-section search between the neighbours of the coarse minimum, down to 0.05 ms."""
-    ratio = (np.sqrt(5.0) - 1.0) / 2.0
-    low, high = start_s - step_s, start_s + step_s
-    while high - low > 5e-5:
-        left, right = high - ratio * (high - low), low + ratio * (high - low)
-        if objective(left) <= objective(right):
-            high = right
-        else:
-            low = left
-    return float((low + high) / 2.0)
-
-
-def _untold(reason: str) -> LagEstimate:
+def _unknown(reason: str) -> LagEstimate:
     return LagEstimate(0.0, None, 0.0, reason)

@@ -14,50 +14,25 @@ from svmdist.results import FrameResult
 
 
 class Estimator(Protocol):
-    """What every method is: a name, the detections that it takes, and one frame to one result."""
+    """What every method is.
 
-    @property
-    def name(self) -> str:
-        """The method's name on the command line and in results."""
+    Its name; the detections that it always asks for, so that they may be computed ahead; and whether a result depends
+    on earlier frames: without state, frames may be measured in any order.
+    """
 
-    @property
-    def needs(self) -> Needs:
-        """Detections that it always asks for, so that they may be computed ahead."""
-
-    @property
-    def keeps_state(self) -> bool:
-        """Whether a result depends on earlier frames; without state, frames may be measured in any order."""
+    name: str
+    needs: Needs
+    keeps_state: bool
 
     def estimate(self, frame: Frame) -> FrameResult:
         """Measure one frame. A frame that cannot be measured is an outcome, not an exception."""
 
 
-Input = Literal[
-    "calibration",
-    "camera_to_base",
-    "fiducial",
-    "instrument",
-    "joints",
-    "right_image",
-    "robot",
-    "shaft",
-    "tag",
-    "tissue",
-]
+Topic = Literal["camera_to_base", "joints", "right_image", "robot"]
+Input = Topic | Literal["calibration", "fiducial", "instrument", "shaft", "tag", "tissue"]
 """What a method may need besides left images: topics of the log, tables of the profile, and the tag in the images."""
-
-Phase = Literal[
-    "segmentation",
-    "contours",
-    "marker",
-    "matches",
-    "outline and distance",
-    "edges",
-    "tip",
-    "tag",
-    "surface",
-    "distance",
-]
+PaperPhase = Literal["segmentation", "contours", "marker", "matches", "outline and distance"]
+Phase = PaperPhase | Literal["edges", "tip", "tag", "surface", "distance"]
 """A picture of one step of a method."""
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -13,8 +13,8 @@ from svmdist.estimation.plane_mapping import PlaneMapping, planar_distance_m
 from svmdist.estimation.scene import Arm
 from svmdist.profile import Features as FeatureRules
 from svmdist.profile import Marker
-from svmdist.profile.settings import MarkerSettings, OutlineSettings
-from svmdist.results import Distance, Distances, FrameResult, ImageFindings, as_pixel
+from svmdist.profile.settings import OutlineSettings
+from svmdist.results import Distance, Distances, FrameResult, as_pixel
 from svmdist.samples import Image, Status
 from svmdist.transforms import Array
 from svmdist.vision.colour import colour_mask, to_grey, to_hsv
@@ -40,13 +40,13 @@ def locate(frame: Frame) -> tuple[FrameResult, Region | None, Region | None]:
     status = Status.OK
     if tissue is None or instrument is None:
         status = Status.NO_TISSUE if tissue is None else Status.NO_INSTRUMENT
-    found = ImageFindings(
-        tool_px=as_pixel(instrument.centroid_px) if instrument else None,
-        tissue_px=as_pixel(tissue.centroid_px) if tissue else None,
-        tool_area_px=instrument.area_px if instrument else None,
-        tissue_area_px=tissue.area_px if tissue else None,
-    )
-    return FrameResult(frame.stamp_ns, status, found), tissue, instrument
+    result = FrameResult(frame.stamp_ns, status)
+    if tissue is not None:
+        result = result.with_image(tissue_px=as_pixel(tissue.centroid_px), tissue_area_px=tissue.area_px)
+    if instrument is not None:
+        tool_px, area_px = as_pixel(instrument.centroid_px), instrument.area_px
+        result = result.with_image(tool_px=tool_px, tool_area_px=area_px)
+    return result, tissue, instrument
 
 
 def in_plane(result: FrameResult, tool_px: Array, tissue_px: Array, mapping: PlaneMapping) -> FrameResult:
@@ -61,60 +61,15 @@ def in_plane(result: FrameResult, tool_px: Array, tissue_px: Array, mapping: Pla
 SUBPIXEL_BITS = 4  # OpenCV draws at 1/16 px with this shift
 
 
-@dataclass(frozen=True, slots=True)
-class MarkerDetection:
-    """The search's status, counts and places, `corners_px` (4, 2) and `centroid_px` (2,); None where not reached."""
-
-    status: Status
-    keypoint_count: int
-    match_count: int | None = None
-    inlier_count: int | None = None
-    corners_px: Array | None = None
-    centroid_px: Array | None = None
-
-
 def template_features(marker: Marker, rules: FeatureRules) -> Features:
     """ORB features of the marker itself, in px of the marker."""
-    template = padded_template(marker.size_px, EDGE_MARGIN_PX)
-    features = detect_orb(template, rules.feature_count)
+    features = detect_orb(padded_template(marker.size_px, EDGE_MARGIN_PX), rules.feature_count)
     return replace(features, points_px=features.points_px - EDGE_MARGIN_PX)
 
 
 def mark(image_bgr: Image, centre_px: Array, marker: Marker) -> MarkedWindow:
     """Paste the marker about `centre_px`, (2,), in a window with the margin in which ORB finds no keypoint."""
     return paste_marker(image_bgr, centre_px, marker.size_px, EDGE_MARGIN_PX)
-
-
-def detect_marker(
-    marked: MarkedWindow,
-    template: Features,
-    marker: Marker,
-    rules: FeatureRules,
-    settings: MarkerSettings,
-    outline: OutlineSettings,
-) -> MarkerDetection:
-    """Find the marker in its window, draw its outline, and take the outline's centroid by colour."""
-    grey = to_grey(marked.window_bgr)
-    features = detect_orb(grey, rules.feature_count)
-    if len(features) == 0:
-        return MarkerDetection(Status.NO_FEATURES, 0)
-    matches = match_features(template, features, rules.ratio)
-    if len(matches) < rules.min_match_count:
-        return MarkerDetection(Status.TOO_FEW_MATCHES, len(features), len(matches))
-    homography = fit_homography(matches, rules.reprojection_px)
-    if homography is None or not is_plausible(homography.H, marker.size_px, settings):
-        return MarkerDetection(Status.NO_HOMOGRAPHY, len(features), len(matches))
-    corners_px = transfer(homography.H, square_corners(marker.size_px))
-    region = third_contour(marked.window_bgr, corners_px, marker, outline)
-    origin_px = np.array(marked.origin_px, np.float64)
-    return MarkerDetection(
-        Status.NO_OUTLINE if region is None else Status.OK,
-        len(features),
-        len(matches),
-        int(np.count_nonzero(homography.inliers)),
-        corners_px + origin_px,
-        None if region is None else region.centroid_px + origin_px,
-    )
 
 
 def third_contour(
@@ -127,18 +82,13 @@ def third_contour(
     high = np.clip(np.ceil(corners_px.max(0)) + reach_px + 1, 1, [width, height])
     (x0, y0), (x1, y1) = low.astype(int), high.astype(int)
     box_bgr = window_bgr[y0:y1, x0:x1].copy()
-    draw_outline(box_bgr, corners_px - low, marker)
+    fixed = np.round((corners_px - low) * (1 << SUBPIXEL_BITS)).astype(np.int32)
+    colour, width_px = marker.outline_bgr, marker.outline_width_px
+    cv2.polylines(box_bgr, [fixed], True, colour, width_px, cv2.LINE_8, SUBPIXEL_BITS)
     region = find_region(colour_mask(to_hsv(box_bgr), marker.outline), marker.outline, settings)
     if region is None:
         return None
     return replace(region, centroid_px=region.centroid_px + low, hull=region.hull + low.astype(np.int32))
-
-
-def draw_outline(image_bgr: Image, corners_px: Array, marker: Marker) -> None:
-    """Draw the polyline of the outline into an image, in place, at sub-pixel corners of shape (4, 2)."""
-    fixed = np.round(corners_px * (1 << SUBPIXEL_BITS)).astype(np.int32)
-    colour, width_px = marker.outline_bgr, marker.outline_width_px
-    cv2.polylines(image_bgr, [fixed], True, colour, width_px, cv2.LINE_8, SUBPIXEL_BITS)
 
 
 class OverlayEstimator:
@@ -149,12 +99,9 @@ class OverlayEstimator:
     keeps_state = False
 
     def __init__(self, arm: Arm, mapping: PlaneMapping) -> None:
-        profile = arm.profile
-        self._marker = profile.marker
-        self._rules = profile.features
-        self._settings = profile.settings.marker, profile.settings.outline
+        self._profile = arm.profile
         self._mapping = mapping
-        self._template = template_features(profile.marker, profile.features)
+        self._template = template_features(arm.profile.marker, arm.profile.features)
 
     def estimate(self, frame: Frame) -> FrameResult:
         """Measure one frame; a frame that cannot be measured says why."""
@@ -162,20 +109,30 @@ class OverlayEstimator:
         result, tissue, instrument = locate(frame)
         if tissue is None or instrument is None:
             return result
-        marked = mark(frame.left.context.bgr_as_recorded, instrument.centroid_px, self._marker)
+        marker, rules, settings = self._profile.marker, self._profile.features, self._profile.settings
+        marked = mark(frame.left.context.bgr_as_recorded, instrument.centroid_px, marker)
 
-        # Second phase: features, matches, homography, outline.  Final phase: third contour.
-        found = detect_marker(marked, self._template, self._marker, self._rules, *self._settings)
-        result = result.with_image(
-            keypoint_count=found.keypoint_count,
-            match_count=found.match_count,
-            inlier_count=found.inlier_count,
-        )
-        if found.status is not Status.OK or found.centroid_px is None:
-            return result.rejected(found.status)
+        # Second phase: features, matches, homography, outline.
+        features = detect_orb(to_grey(marked.window_bgr), rules.feature_count)
+        result = result.with_image(keypoint_count=len(features))
+        if len(features) == 0:
+            return result.rejected(Status.NO_FEATURES)
+        matches = match_features(self._template, features, rules.ratio)
+        result = result.with_image(match_count=len(matches))
+        if len(matches) < rules.min_match_count:
+            return result.rejected(Status.TOO_FEW_MATCHES)
+        homography = fit_homography(matches, rules.reprojection_px)
+        if homography is None or not is_plausible(homography.H, marker.size_px, settings.marker):
+            return result.rejected(Status.NO_HOMOGRAPHY)
+        result = result.with_image(inlier_count=int(np.count_nonzero(homography.inliers)))
+        corners_px = transfer(homography.H, square_corners(marker.size_px))
 
-        # Both places to the plane, and the distance between them.
-        return in_plane(result, found.centroid_px, tissue.centroid_px, self._mapping)
+        # Final phase: third contour, both places to the plane, and the distance between them.
+        outline = third_contour(marked.window_bgr, corners_px, marker, settings.outline)
+        if outline is None:
+            return result.rejected(Status.NO_OUTLINE)
+        tool_px = outline.centroid_px + np.array(marked.origin_px, np.float64)
+        return in_plane(result, tool_px, tissue.centroid_px, self._mapping)
 
 
 class CentroidEstimator:

@@ -19,41 +19,34 @@ from svmdist.transforms import Array
 Equations = Literal["corrected", "printed"]
 
 CM_PER_PIXEL = 0.0254  # one pixel at 100 dpi: 2.54 cm / 100, which eqs. (3) and (4) give as 0.0245 cm
+MIN_SAMPLE_COUNT = 12  # four per coefficient: fewer leave the residuals without meaning
 PUBLISHED_TISSUE_M = (0.099, 0.043)  # of eqs. (33) and (34): they can only be the tissue's x and y in m
 
 
-@dataclass(frozen=True, slots=True)
-class Quadratic:
-    """q S² + l S + c: from screen to plane along one axis, both in cm."""
+class Quadratic(StrictModel):
+    """q S² + l S + c: from screen to plane along one axis, both in cm; as it stands in a calibration file."""
 
     quadratic_per_cm: float
     linear: float
     constant_cm: float
 
-    def __call__(self, screen_cm: Array | float) -> Array | float:
+    def __call__(self, screen_cm: Array) -> Array:
         """Evaluate at screen coordinates in cm."""
         return (self.quadratic_per_cm * screen_cm + self.linear) * screen_cm + self.constant_cm
 
-    def turning_point_cm(self) -> float:
-        """The screen coordinate in cm where the mapping turns around; infinite for a straight line."""
-        if self.quadratic_per_cm == 0.0:
-            return float("inf")
-        return -self.linear / (2.0 * self.quadratic_per_cm)
 
-
-PUBLISHED_X = Quadratic(-0.0036, 0.7938, -0.0403)
+PUBLISHED_X = Quadratic(quadratic_per_cm=-0.0036, linear=0.7938, constant_cm=-0.0403)
 """eq. (5), and (23). Its slope near S = 0 fits the authors' camera; units are unstated, cm is assumed."""
-
-PUBLISHED_Y = Quadratic(-0.0068, 0.0395, -0.4439)
+PUBLISHED_Y = Quadratic(quadratic_per_cm=-0.0068, linear=0.0395, constant_cm=-0.4439)
 """eq. (6), and (24). Not monotone over the screen: with corrected S it turns around at row 114."""
 
 
-def screen_cm_as_published(pixel: Array | float) -> Array | float:
+def screen_cm_as_published(pixel: Array | float) -> Array:
     """eqs. (3) and (4) as published: S = (1 - T * 2.54) / 100, from +0.01 to -16.2 over 640 px."""
     return (1.0 - np.asarray(pixel) * 2.54) / 100.0
 
 
-def screen_cm_corrected(pixel: Array | float) -> Array | float:
+def screen_cm_corrected(pixel: Array | float) -> Array:
     """eqs. (3) and (4) corrected: S = 0.0254 T cm, one pixel at 100 dpi."""
     return CM_PER_PIXEL * np.asarray(pixel)
 
@@ -84,9 +77,7 @@ class PlaneMapping:
     def to_plane_m(self, point_px: Array) -> Array:
         """Map pixels, shape (..., 2), to plane coordinates in m, shape (..., 2)."""
         screen = screen_cm_as_published if self.equations == "printed" else screen_cm_corrected
-        x_cm = self.x(screen(point_px[..., 0]))
-        y_cm = self.y(screen(point_px[..., 1]))
-        return np.stack([x_cm, y_cm], -1) / 100.0
+        return np.stack([self.x(screen(point_px[..., 0])), self.y(screen(point_px[..., 1]))], -1) / 100.0
 
 
 PUBLISHED_MAPPING = PlaneMapping("printed", PUBLISHED_X, PUBLISHED_Y)
@@ -107,8 +98,9 @@ def degeneracies(mapping: PlaneMapping, width_px: int, height_px: int) -> list[s
             f"eqs. (3), (4) as printed: S runs from {high:+.2f} to {low:+.1f} cm over {width_px} px;"
             " a pixel is 0.0254 cm there, not 0.0245"
         )
-    for name, quadratic, size_px in (("(5), (23)", mapping.x, width_px), ("(6), (24)", mapping.y, height_px)):
-        turning_cm = quadratic.turning_point_cm()
+    for name, axis, size_px in (("(5), (23)", mapping.x, width_px), ("(6), (24)", mapping.y, height_px)):
+        q = axis.quadratic_per_cm
+        turning_cm = -axis.linear / (2.0 * q) if q else float("inf")
         row = turning_cm / CM_PER_PIXEL
         if mapping.equations == "printed":
             row = (1.0 - turning_cm * 100.0) / 2.54
@@ -118,21 +110,6 @@ def degeneracies(mapping: PlaneMapping, width_px: int, height_px: int) -> list[s
                 " are mapped to the same place"
             )
     return warnings
-
-
-MIN_SAMPLE_COUNT = 12  # four per coefficient: fewer leave the residuals without meaning
-
-
-class QuadraticModel(StrictModel):
-    """`Quadratic` as it stands in the file."""
-
-    quadratic_per_cm: float
-    linear: float
-    constant_cm: float
-
-    def to_quadratic(self) -> Quadratic:
-        """The quadratic to evaluate."""
-        return Quadratic(self.quadratic_per_cm, self.linear, self.constant_cm)
 
 
 class CameraModel(StrictModel):
@@ -152,17 +129,12 @@ class CameraModel(StrictModel):
         return cls(
             width_px=camera.width_px,
             height_px=camera.height_px,
-            fx_px=float(camera.K[0, 0]),
-            fy_px=float(camera.K[1, 1]),
-            cx_px=float(camera.K[0, 2]),
-            cy_px=float(camera.K[1, 2]),
-            distortion=tuple(float(value) for value in camera.D),
+            fx_px=camera.K[0, 0],
+            fy_px=camera.K[1, 1],
+            cx_px=camera.K[0, 2],
+            cy_px=camera.K[1, 2],
+            distortion=tuple(camera.D.tolist()),
         )
-
-    def to_camera(self) -> Camera:
-        """The camera described."""
-        K = np.array([[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
-        return Camera(self.width_px, self.height_px, K, np.array(self.distortion))
 
 
 class Fit(StrictModel):
@@ -190,19 +162,21 @@ class Calibration(StrictModel):
     method: str
     created_by: str
     camera: CameraModel
-    x: QuadraticModel
-    y: QuadraticModel
+    x: Quadratic
+    y: Quadratic
     fit: Fit
     sources: tuple[SourceFile, ...] = Field(min_length=1)
 
     @property
     def mapping(self) -> PlaneMapping:
         """The corrected mapping with this calibration's quadratics."""
-        return PlaneMapping("corrected", self.x.to_quadratic(), self.y.to_quadratic())
+        return PlaneMapping("corrected", self.x, self.y)
 
     def require_camera(self, camera: Camera, recording_name: str) -> None:
         """Raise CalibrationError unless a recording's camera is the calibrated one, to 0.01 px."""
-        mine = self.camera.to_camera()
+        own = self.camera
+        K = np.array([[own.fx_px, 0.0, own.cx_px], [0.0, own.fy_px, own.cy_px], [0.0, 0.0, 1.0]])
+        mine = Camera(own.width_px, own.height_px, K, np.array(own.distortion))
         if not mine.same_optics(camera, tolerance_px=0.01):
             raise CalibrationError(
                 f"{recording_name}: the calibration is for another camera: expected {_describe(mine)},"
@@ -225,16 +199,16 @@ def fit_calibration(
     if not (np.all(np.isfinite(camera.K)) and camera.K[0, 0] > 0 and camera.K[1, 1] > 0):
         found = f"fx_px = {camera.K[0, 0]:g}, fy_px = {camera.K[1, 1]:g}"
         raise CalibrationError(f"expected a camera with intrinsics to calibrate: found {found}")
-    count = len(samples.tool_px)
-    if count < MIN_SAMPLE_COUNT:
+    tool_px = samples.tool_px
+    if len(tool_px) < MIN_SAMPLE_COUNT:
         expected = f"expected at least {MIN_SAMPLE_COUNT} measured frames to calibrate"
-        raise CalibrationError(f"{expected}, found {count}")
-    for axis, size_px in ((0, camera.width_px), (1, camera.height_px)):
-        span = float(np.ptp(samples.tool_px[:, axis]))
-        if span < 0.25 * size_px:
+        raise CalibrationError(f"{expected}, found {len(tool_px)}")
+    low_px, high_px = tool_px.min(0).tolist(), tool_px.max(0).tolist()
+    for axis, size_px in enumerate((camera.width_px, camera.height_px)):
+        if high_px[axis] - low_px[axis] < 0.25 * size_px:
             raise CalibrationError(
                 f"the tool must cover at least a quarter of the image: along {'xy'[axis]} it covers"
-                f" {span:.0f} of {size_px} px"
+                f" {high_px[axis] - low_px[axis]:.0f} of {size_px} px"
             )
     x, residual_x = _fit_axis(samples, 0)
     y, residual_y = _fit_axis(samples, 1)
@@ -246,12 +220,12 @@ def fit_calibration(
         x=x,
         y=y,
         fit=Fit(
-            sample_count=count,
+            sample_count=len(tool_px),
             rmse_x_m=_stored(np.sqrt(np.mean(residual_x**2))),
             rmse_y_m=_stored(np.sqrt(np.mean(residual_y**2))),
             max_error_m=_stored(np.max(np.hypot(residual_x, residual_y))),
-            span_x_px=(float(samples.tool_px[:, 0].min()), float(samples.tool_px[:, 0].max())),
-            span_y_px=(float(samples.tool_px[:, 1].min()), float(samples.tool_px[:, 1].max())),
+            span_x_px=(low_px[0], high_px[0]),
+            span_y_px=(low_px[1], high_px[1]),
         ),
         sources=sources,
     )
@@ -267,8 +241,8 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
     write_atomically(path, [tomli_w.dumps(calibration.model_dump(mode="json", by_alias=True))])
 
 
-def _fit_axis(samples: CalibrationSamples, axis: int) -> tuple[QuadraticModel, Array]:
-    screen_cm = np.asarray(screen_cm_corrected(samples.tool_px[:, axis]))
+def _fit_axis(samples: CalibrationSamples, axis: int) -> tuple[Quadratic, Array]:
+    screen_cm = screen_cm_corrected(samples.tool_px[:, axis])
     truth_cm = samples.tool_m[:, axis] * 100.0
     # Fitted about the middle of the samples: S and S² are nearly parallel over an image otherwise.
     middle_cm = float(screen_cm.mean())
@@ -279,13 +253,12 @@ def _fit_axis(samples: CalibrationSamples, axis: int) -> tuple[QuadraticModel, A
             f" at {len(np.unique(screen_cm))}"
         )
     constant, linear, q = fitted
-    model = QuadraticModel(
+    model = Quadratic(
         quadratic_per_cm=_stored(q),
         linear=_stored(linear - 2.0 * q * middle_cm),
         constant_cm=_stored(constant - linear * middle_cm + q * middle_cm**2),
     )
-    predicted_cm = np.asarray(model.to_quadratic()(screen_cm))
-    return model, (predicted_cm - truth_cm) / 100.0
+    return model, (model(screen_cm) - truth_cm) / 100.0
 
 
 def _stored(value: float) -> float:

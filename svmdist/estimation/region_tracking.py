@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -51,39 +51,22 @@ class SteadyMotion:
         self._x: Array | None = None
         self._P = np.zeros((4, 4))
         self._stamp_ns = 0
-        self._now_ns = 0
 
     def predict(self, stamp_ns: int) -> Gaussian | None:
         """Go on to a stamp; None before the first region."""
-        self._now_ns = stamp_ns
+        dt = max(0.0, (stamp_ns - self._stamp_ns) / 1e9)
+        self._stamp_ns = stamp_ns
         if self._x is None:
             return None
-        dt = max(0.0, (stamp_ns - self._stamp_ns) / 1e9)
         F = np.eye(4)
         F[0, 2] = F[1, 3] = dt
         G = np.vstack([0.5 * dt * dt * np.eye(2), dt * np.eye(2)])
-        self._x = F @ self._x
-        self._P = F @ self._P @ F.T + self._acceleration**2 * G @ G.T
-        self._stamp_ns = stamp_ns
+        self._x, self._P = F @ self._x, F @ self._P @ F.T + self._acceleration**2 * G @ G.T
         return Gaussian(self._x[:2], self._P[:2, :2])
 
-    def update(self, pixel: Array, std_px: float) -> None:
-        """Take up a region, shape (2,)."""
-        self._update(np.asarray(pixel, np.float64), std_px**2 * np.eye(2))
-
-    def follow(self, place: Gaussian) -> None:
-        """Take up a place that another prediction gives, for it knows better."""
-        self._update(place.mean, place.covariance)
-
-    def _update(self, pixel: Array, R: Array) -> None:
-        if self._x is None:
-            self._x = np.array([*pixel, 0.0, 0.0])
-            self._P = np.zeros((4, 4))
-            self._P[:2, :2], self._P[2:, 2:] = R, self._first_speed**2 * np.eye(2)
-            self._stamp_ns = self._now_ns
-            return
-        H = np.eye(2, 4)
-        self._x, self._P = _corrected(self._x, self._P, H, pixel - H @ self._x, R)
+    def update(self, place: Gaussian) -> None:
+        """Take up a region, or a place that a better prediction gives."""
+        self._x, self._P = _updated(self._x, self._P, place, self._first_speed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,64 +83,61 @@ class NominalMotion:
 
     A robot that is wrong about where its camera stands still knows its own motion. What it gets wrong about how
     that looks, by a wrong depth, place and turn, is linear to first order: offset (2,) and M (2, 3), in px of image
-    for px of motion, are the eight states of a Kalman filter. The relation outlives occlusions.
+    for px of motion, are the eight states of a Kalman filter. The relation outlives occlusions. `origin` is where the
+    tool was nominally when it was last seen.
     """
 
     def __init__(self, width_px: int) -> None:
         self._drift = DRIFT_WIDTHS * width_px
-        self._x = np.zeros(8)
-        self._P: Array | None = None
-        self._origin: NominalPlace | None = None
+        self._x: Array | None = None
+        self._P = np.zeros((8, 8))
+        self.origin: NominalPlace | None = None
         self._now: NominalPlace | None = None
         self._stamp_ns = 0
-
-    @property
-    def has_update(self) -> bool:
-        """Whether a region was ever seen, so that the prediction is more than nominal kinematics."""
-        return self._P is not None
 
     def predict(self, stamp_ns: int, nominal: NominalPlace | None) -> Gaussian | None:
         """Where the region should be, for a nominal place; before the first region, the nominal place itself."""
         self._now = nominal
         if nominal is None:
             return None
-        if self._P is None:
-            self._stamp_ns = stamp_ns
-            return nominal.place
         dt = max(0.0, (stamp_ns - self._stamp_ns) / 1e9)
         self._stamp_ns = stamp_ns
+        if self._x is None:
+            return nominal.place
         self._P = self._P + dt * np.diag([self._drift**2] * 2 + [LINEAR_DRIFT**2] * 6)
         H = self._H(nominal)
         return Gaussian(nominal.place.mean + H @ self._x, H @ self._P @ H.T)
 
-    def update(self, pixel: Array, std_px: float) -> None:
-        """Take up a region, shape (2,), seen when the nominal place was the one last given."""
+    def update(self, place: Gaussian) -> None:
+        """Take up a region, seen when the nominal place was the one last given."""
         if self._now is None:
             return
-        offset, R = pixel - self._now.place.mean, std_px**2 * np.eye(2)
-        if self._P is None:
-            self._origin = self._now
-            self._x = np.concatenate([offset, np.zeros(6)])
-            self._P = np.diag([std_px**2] * 2 + [LINEAR_STD**2] * 6)
-            return
-        # From here on motion counts from this place: what is unsure of M shows in what comes, not in what was.
-        moved = np.eye(8)
-        moved[:2] = self._H(self._now)
-        self._x, self._P, self._origin = moved @ self._x, moved @ self._P @ moved.T, self._now
-        H = np.eye(2, 8)
-        self._x, self._P = _corrected(self._x, self._P, H, offset - H @ self._x, R)
+        if self._x is not None:
+            # From here on motion counts from this place: what is unsure of M shows in what comes, not in what was.
+            moved = np.eye(8)
+            moved[:2] = self._H(self._now)
+            self._x, self._P = moved @ self._x, moved @ self._P @ moved.T
+        offset = Gaussian(place.mean - self._now.place.mean, place.covariance)
+        self._x, self._P = _updated(self._x, self._P, offset, LINEAR_STD)
+        self.origin = self._now
 
     def _H(self, nominal: NominalPlace) -> Array:
-        origin = self._origin or nominal
+        origin = self.origin or nominal
         motion_px = (nominal.position_m - origin.position_m) * origin.px_per_m
         return np.hstack([np.eye(2), np.kron(np.eye(2), motion_px[None])])
 
 
-def _corrected(x: Array, P: Array, H: Array, innovation: Array, R: Array) -> tuple[Array, Array]:
-    """The Kalman update in Joseph's form, which keeps P positive."""
+def _updated(x: Array | None, P: Array, seen: Gaussian, first_std: float) -> tuple[Array, Array]:
+    """The Kalman update of the first two states, in Joseph's form, which keeps P positive; the first sets the state."""
+    size, R = len(P), seen.covariance
+    if x is None:
+        P = np.diag([0.0] * 2 + [first_std**2] * (size - 2))
+        P[:2, :2] = R
+        return np.concatenate([seen.mean, np.zeros(size - 2)]), P
+    H = np.eye(2, size)
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    A = np.eye(len(x)) - K @ H
-    return x + K @ innovation, A @ P @ A.T + K @ R @ K.T
+    A = np.eye(size) - K @ H
+    return x + K @ (seen.mean - H @ x), A @ P @ A.T + K @ R @ K.T
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,35 +155,33 @@ class Blob:
 
 @dataclass
 class _Track:
-    """One instrument over time. `area_px` is that of its region alone, None before it was seen."""
+    """One instrument over time; `alone` is its region when last seen, with its area by itself, None before."""
 
     steady: SteadyMotion
     nominal: NominalMotion
-    area_px: float | None = None
-
-    @property
-    def radius_px(self) -> float | None:
-        """Radius of the disc of the same area."""
-        return None if self.area_px is None else float(np.sqrt(self.area_px / np.pi))
+    alone: Blob | None = None
 
     def predict(self, stamp_ns: int, place: NominalPlace | None) -> Gaussian | None:
         """Where the region should be; None where nothing tells."""
         steady, nominal = self.steady.predict(stamp_ns), self.nominal.predict(stamp_ns, place)
         return steady if nominal is None else nominal
 
-    def update(self, blob: Blob) -> None:
+    def update(self, blob: Blob | None, expected: Gaussian | None) -> None:
+        """Take up a region; without one, nominal motion that was ever corrected moves the other prediction along."""
+        if blob is None:
+            if expected is not None and self.nominal.origin is not None:
+                self.steady.update(expected)
+            return
         std_px = max(MIN_STD_PX, SPREAD_FRACTION * blob.radius_px)
-        if self.area_px is not None and blob.area_px < 0.7 * self.area_px:
-            std_px += 0.5 * float(np.sqrt(self.area_px / np.pi))  # half is hidden: its middle is elsewhere
+        if self.alone is None:
+            self.alone = blob
+        elif blob.area_px < 0.7 * self.alone.area_px:
+            std_px += 0.5 * self.alone.radius_px  # half is hidden: its middle is elsewhere
         else:
-            self.area_px = blob.area_px if self.area_px is None else 0.8 * self.area_px + 0.2 * blob.area_px
-        self.steady.update(blob.centre_px, std_px)
-        self.nominal.update(blob.centre_px, std_px)
-
-    def coast(self, expected: Gaussian | None) -> None:
-        """Nothing was detected: the nominal motion moves the other prediction along."""
-        if expected is not None and self.nominal.has_update:
-            self.steady.follow(expected)
+            self.alone = Blob(blob.centre_px, 0.8 * self.alone.area_px + 0.2 * blob.area_px)
+        place = Gaussian(blob.centre_px, std_px**2 * np.eye(2))
+        self.steady.update(place)
+        self.nominal.update(place)
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,23 +215,20 @@ class RegionTracker:
     ) -> tuple[Identity, ...]:
         """Name the regions of the next image.
 
-        `places` are those of the tools by nominal kinematics, as uncertain as they are. `evidence`, shape
-        (n_instruments, n_blobs), is the log-likelihood of what else is seen around each region, were it that
-        instrument's.
+        `places` are those of the tools by nominal kinematics. `evidence`, shape (n_instruments, n_blobs), is the
+        log-likelihood of what else is seen around each region, were it that instrument's.
         """
         order = sorted(range(len(blobs)), key=lambda at: -blobs[at].area_px)[:MAX_REGIONS]
         seen = [blobs[at] for at in order]
-        said = np.zeros((len(self._tracks), len(blobs))) if evidence is None else np.asarray(evidence)
         expected = [t.predict(stamp_ns, b) for t, b in zip(self._tracks, places, strict=True)]
-        cost = self._costs(expected, seen) - said[:, order]
-        found = self._assign(expected, seen, cost)
+        cost = self._costs(expected, seen)
+        if evidence is not None:
+            cost -= evidence[:, order]
         identities = []
-        for track, at, where in zip(self._tracks, found, expected, strict=True):
-            if at is None:
-                track.coast(where)
-            else:
-                track.update(seen[at])
-            identities.append(Identity(None if at is None else order[at], where, track.radius_px))
+        for track, at, where in zip(self._tracks, self._assign(expected, seen, cost), expected, strict=True):
+            track.update(None if at is None else seen[at], where)
+            radius_px = track.alone.radius_px if track.alone else None
+            identities.append(Identity(None if at is None else order[at], where, radius_px))
         return tuple(identities)
 
     def _costs(self, expected: Sequence[Gaussian | None], blobs: Sequence[Blob]) -> Array:
@@ -276,9 +251,10 @@ class RegionTracker:
     def _assign(
         self, expected: Sequence[Gaussian | None], blobs: Sequence[Blob], cost: Array
     ) -> list[int | None]:
-        hypotheses = [(self._total(h, cost), h) for h in assignments(*cost.shape)]
-        best_cost, best = min(hypotheses, key=lambda item: item[0])
+        hypotheses = ranked_assignments(cost, self._extra_region_cost, self._settings.miss_cost)
+        best_cost, best = hypotheses[0]
         found = list(best)
+        missed = [j for j, a in enumerate(best) if a is None and not self._is_uncertain(expected[j])]
         for i, a in enumerate(best):
             if a is None:
                 continue
@@ -287,46 +263,39 @@ class RegionTracker:
                 others = [c for c, h in hypotheses if h[i] != a and (h[i] is not None or a in h)]
                 if min(others, default=np.inf) - best_cost < MARGIN:
                     found[i] = None
-            elif self._is_contested(i, a, best, expected, blobs, cost):
+            elif any(
+                self._may_hold(blobs[a], self._tracks[i], expected[j], cost[j, a] - cost[i, a])
+                for j in missed
+            ):
                 found[i] = None
         return found
 
-    def _is_contested(
-        self,
-        i: int,
-        a: int,
-        best: Sequence[int | None],
-        expected: Sequence[Gaussian | None],
-        blobs: Sequence[Blob],
-        cost: Array,
-    ) -> bool:
-        """Whether a region may as well be, or hold, that of an instrument which has none."""
-        for j, (taken, where) in enumerate(zip(best, expected, strict=True)):
-            if j == i or taken is not None or where is None or self._is_uncertain(where):
-                continue
-            if float(cost[j, a] - cost[i, a]) < CONTEST:
-                return True
-            area_px = self._tracks[i].area_px
-            reach_px = 2.0 * blobs[a].radius_px + 3.0 * where.std_px
-            near = float(np.linalg.norm(where.mean - blobs[a].centre_px)) < reach_px
-            if near and area_px is not None and bool(blobs[a].area_px > MERGED_AREA * area_px):
-                return True
-        return False
-
-    def _total(self, hypothesis: Sequence[int | None], cost: Array) -> float:
-        total: float = self._extra_region_cost * (cost.shape[1] - sum(a is not None for a in hypothesis))
-        for i, a in enumerate(hypothesis):
-            total += self._settings.miss_cost if a is None else float(cost[i, a])
-        return total
+    def _may_hold(self, blob: Blob, track: _Track, missed: Gaussian | None, excess: float) -> bool:
+        """Whether a track's region may as well be, or hold, that of an instrument which has none."""
+        if missed is None or track.alone is None:
+            return excess < CONTEST
+        reach_px = 2.0 * blob.radius_px + 3.0 * missed.std_px
+        near = float(np.linalg.norm(missed.mean - blob.centre_px)) < reach_px
+        return excess < CONTEST or (near and blob.area_px > MERGED_AREA * track.alone.area_px)
 
     def _is_uncertain(self, where: Gaussian | None) -> bool:
         return where is None or where.std_px > UNCERTAIN_FRACTION * self._width_px
 
 
-def assignments(track_count: int, blob_count: int) -> Iterator[tuple[int | None, ...]]:
-    """Every way to give each track one region or none, no region twice."""
-    choices: list[int | None] = [None, *range(blob_count)]
-    for hypothesis in product(choices, repeat=track_count):
-        taken = [a for a in hypothesis if a is not None]
+def ranked_assignments(
+    cost: Array, unnamed_cost: float, miss_cost: float
+) -> list[tuple[float, tuple[int | None, ...]]]:
+    """Every way to give each track one region or none, no region twice, by -log likelihood, the likeliest first.
+
+    `cost`, shape (n_tracks, n_regions), is that of each pair; a region without a track costs, as does a track without.
+    """
+    track_count, region_count = cost.shape
+    found = []
+    for assignment in product([None, *range(region_count)], repeat=track_count):
+        taken = [a for a in assignment if a is not None]
         if len(taken) == len(set(taken)):
-            yield hypothesis
+            total = unnamed_cost * (region_count - len(taken))
+            for i, a in enumerate(assignment):
+                total += miss_cost if a is None else float(cost[i, a])
+            found.append((total, assignment))
+    return sorted(found, key=lambda item: item[0])

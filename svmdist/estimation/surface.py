@@ -22,6 +22,7 @@ SURFACE_STD_PX = 0.12  # of an aligned low-order surface: measured 0.36 mm at 10
 CLEAN_MISMATCH_PX = 0.36  # in those measurements; JPEG and noise shift pixels and surface in proportion
 
 DEFAULT = StereoSettings()
+GRID_STEP_PX = 5  # of the points that a surface is made of
 DEGREE = 3
 SCALE_PX = 100.0
 TERMS = tuple((i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i))  # powers of u and v
@@ -42,16 +43,13 @@ class DisparitySurface:
     """Disparity in px as a polynomial of the left image's pixels about `centre_px`, and how well it aligns.
 
     `mismatch_px` is the robust spread of the images' difference along it over the slope of the image (rms, along x): by
-    how much a pixel seems shifted. `matched_fraction` is the share of the region's pixels that semi-global matching
-    found a disparity for.
+    how much a pixel seems shifted. `agreeing_fraction` of the matches lie within two of matching's pixels of it.
     """
 
     coefficients: Array
     centre_px: Array
     mismatch_px: float
-    matched_fraction: float
-    # The share of the matches that lie within two of matching's pixels of the surface
-    agreeing_fraction: float = 1.0
+    agreeing_fraction: float
 
     def at(self, points_px: Array) -> Array:
         """Disparity in px, shape (n,), at pixels of the left image, shape (n, 2)."""
@@ -81,7 +79,7 @@ def fit_surface(
     points_px = np.stack([matches.columns_px[columns], matches.rows_px[rows]], -1)
     centre_px = points_px.mean(0)
     few = slice(None, None, max(1, count // MAX_START_SAMPLES))
-    start = _fit_robustly(_basis(points_px[few], centre_px), matches.disparity_px[is_matched][few])
+    B, seen_px = _basis(points_px[few], centre_px), matches.disparity_px[is_matched][few]
     thinned = slice(None, None, max(1, int(np.ceil(np.sqrt(count / MAX_SAMPLES)))))
     coefficients, mismatch_px = _align(
         left_grey,
@@ -91,12 +89,10 @@ def fit_surface(
         np.floor(matches.rows_px[thinned]).astype(np.intp),
         is_matched[thinned, thinned],
         centre_px,
-        start,
+        _fit_robustly(B, seen_px),
     )
-    matched_fraction = count / max(int(np.count_nonzero(matches.is_core)), 1)
-    error_px = matches.disparity_px[is_matched][few] - _basis(points_px[few], centre_px) @ coefficients
-    agreeing = float(np.mean(np.abs(error_px) < 2.0 * matches.step_px))
-    return DisparitySurface(coefficients, centre_px, mismatch_px, matched_fraction, agreeing)
+    agreeing = float(np.mean(np.abs(seen_px - B @ coefficients) < 2.0 * matches.step_px))
+    return DisparitySurface(coefficients, centre_px, mismatch_px, agreeing)
 
 
 def _basis(points_px: Array, centre_px: Array) -> Array:
@@ -134,11 +130,12 @@ def _align(
         for px, middle in ((columns, centre_px[0]), (rows, centre_px[1]))
     )
     # left(u) = right(u - d), so that the right image's slope there is the left one's over 1 - d'.
-    slope = slope / np.maximum(1.0 - _slope_along_u(coefficients, u, v), 0.5)
+    by_u = _matrix(TERMS, coefficients)[1:] * np.arange(1, DEGREE + 1)[:, None] / SCALE_PX
+    slope = slope / np.maximum(1.0 - _values(by_u, u, v), 0.5)
     at_columns, at_rows = np.meshgrid(columns.astype(np.float32), (rows - first_row).astype(np.float32))
-    residual, slope_rms = np.inf, 1.0
+    residual, slope_rms, damping = np.inf, 1.0, 1e-5 * int(np.count_nonzero(is_used))
     for _ in range(ALIGN_STEPS):
-        at = (at_columns - _values(coefficients, u, v)).astype(np.float32)
+        at = (at_columns - _values(_matrix(TERMS, coefficients), u, v)).astype(np.float32)
         value = cv2.remap(right, at, at_rows, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, np.nan)
         error: Array = np.asarray(value, np.float64) - left
         usable = is_used & np.isfinite(error)
@@ -150,9 +147,14 @@ def _align(
         error = np.asarray(np.where(usable, error - field, 0.0), np.float64)
         slope_rms = float(np.sqrt(np.mean(slope[usable] ** 2)))
         weight = np.asarray(usable * slope / (1.0 + (error / (2.0 * residual + 0.5)) ** 2), np.float64)
-        step = _step(weight * slope, weight * error, u, v, 1e-5 * int(np.count_nonzero(is_used)))
+        # Least squares by moments of the grid's coordinates.
+        i, j = np.transpose(TERMS)
+        moments = u.T @ (weight * slope).T @ v
+        pull = (u[:, : DEGREE + 1].T @ (weight * error).T @ v[:, : DEGREE + 1])[i, j]
+        normal = moments[i[:, None] + i, j[:, None] + j] + damping * np.eye(len(TERMS))
+        step = np.asarray(np.linalg.solve(normal, pull), np.float64)
         coefficients = coefficients + step
-        if np.abs(_values(step, u, v))[is_used].max() < SETTLED_PX:
+        if np.abs(_values(_matrix(TERMS, step), u, v))[is_used].max() < SETTLED_PX:
             break
     return coefficients, float(residual) / max(slope_rms, 1e-6)
 
@@ -163,15 +165,12 @@ def _brightness_field(error: Array, usable: NDArray[np.bool_], u: Array, v: Arra
     few = slice(None, None, SCALE_STRIDE)
     rows, columns = rows[few], columns[few]
     B = np.stack([u[columns, i] * v[rows, j] for i, j in BRIGHTNESS_TERMS], -1)
-    seen = error[rows, columns]
-    seen = seen - median(seen)
+    raw = error[rows, columns]
+    seen = raw - median(raw)
     weight = 1.0 / (1.0 + (seen / (2.0 * scale_of(seen) + 0.5)) ** 2)
     weighted = B * weight[:, None]
-    raw = error[rows, columns]
     terms = np.linalg.solve(weighted.T @ B + RIDGE * np.eye(len(BRIGHTNESS_TERMS)), weighted.T @ raw)
-    C = np.zeros((3, 3))
-    C[tuple(np.transpose(BRIGHTNESS_TERMS))] = terms
-    return np.asarray(v[:, :3] @ C.T @ u[:, :3].T), np.asarray(raw - B @ terms)
+    return _values(_matrix(BRIGHTNESS_TERMS, terms), u, v), np.asarray(raw - B @ terms)
 
 
 def _smoothed_with_slope(
@@ -194,36 +193,21 @@ def _smoothed_where_seen(
     margin = max(int(4 * SMOOTHING_PX) + 2, MARGIN_PX)
     top, bottom = max(int(rows[0]) - margin, 0), int(rows[-1]) + margin + 1
     smooth = cv2.GaussianBlur(grey[top:bottom], (0, 0), SMOOTHING_PX).astype(np.float32)
-    inside = cv2.erode(region[top:bottom], np.ones((MARGIN_PX, MARGIN_PX), np.uint8))
-    smooth[inside == 0] = np.nan
+    smooth[cv2.erode(region[top:bottom], np.ones((MARGIN_PX, MARGIN_PX), np.uint8)) == 0] = np.nan
     return np.asarray(smooth, np.float32), top
 
 
-def _values(coefficients: Array, u: Array, v: Array) -> Array:
-    """The polynomial on a grid, shape (h, w); `u` and `v` hold powers of its coordinates, shape (w, k) and (h, k)."""
-    C = np.zeros((DEGREE + 1, DEGREE + 1))
-    C[tuple(np.transpose(TERMS))] = coefficients
-    return np.asarray(v[:, : DEGREE + 1] @ C.T @ u[:, : DEGREE + 1].T)
+def _matrix(terms: tuple[tuple[int, int], ...], coefficients: Array) -> Array:
+    """Coefficients by their powers of u and v."""
+    size = 1 + max(i for i, _ in terms)
+    C = np.zeros((size, size))
+    C[tuple(np.transpose(terms))] = coefficients
+    return C
 
 
-def _slope_along_u(coefficients: Array, u: Array, v: Array) -> Array:
-    """The polynomial's derivative along x on a grid, shape (h, w), in px per px."""
-    C = np.zeros((DEGREE + 1, DEGREE + 1))
-    C[tuple(np.transpose(TERMS))] = coefficients
-    by_u = C[1:] * np.arange(1, DEGREE + 1)[:, None] / SCALE_PX
-    return np.asarray(v[:, : DEGREE + 1] @ by_u.T @ u[:, :DEGREE].T)
-
-
-def _step(weight: Array, pull: Array, u: Array, v: Array, damping: float) -> Array:
-    """The step of least squares, shape (n,), from weights and weighted errors on a grid, shape (h, w) each."""
-    moments = u.T @ weight.T @ v
-    i, j = np.transpose(TERMS)
-    normal = moments[i[:, None] + i, j[:, None] + j]
-    gradient = (u[:, : DEGREE + 1].T @ pull.T @ v[:, : DEGREE + 1])[i, j]
-    return np.asarray(np.linalg.solve(normal + damping * np.eye(len(TERMS)), gradient), np.float64)
-
-
-GRID_STEP_PX = 5
+def _values(C: Array, u: Array, v: Array) -> Array:
+    """A polynomial on a grid, shape (h, w); `u` and `v` hold powers of its coordinates, shape (w, k) and (h, k)."""
+    return np.asarray(v[:, : C.shape[1]] @ C.T @ u[:, : C.shape[0]].T)
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,56 +224,32 @@ def detect_stereo_surface(
     pair: RectifiedPair,
     hull: NDArray[np.int32],
     masks: tuple[Image, Image],
-    settings: StereoSettings = DEFAULT,
+    settings: StereoSettings,
 ) -> StereoSurface | None:
     """The tissue's surface inside its hull in the left image, under the instrument too; None if the views disagree."""
     if pair.R_rows_left is not None:
-        left_grey, right_grey, masks, hull = _turned(left_grey, right_grey, pair, hull, masks)
-    limits_m = (settings.far_m, settings.near_m)
-    far_px, near_px = (pair.disparity_at(depth_m) + pair.offset_px for depth_m in limits_m)
+        # As cameras turned to the baseline would have them.
+        H_left, H_right = pair.homography(), pair.homography(right=True)
+        left_grey, right_grey = _turned(left_grey, H_left), _turned(right_grey, H_right)
+        masks = (_turned(masks[0], H_left, cv2.INTER_NEAREST), _turned(masks[1], H_right, cv2.INTER_NEAREST))
+        turned_px = cv2.perspectiveTransform(hull.reshape(-1, 1, 2).astype(np.float64), H_left)
+        hull = np.round(turned_px).astype(np.int32)
+    far_px, near_px = (pair.disparity_at(at_m) + pair.offset_px for at_m in (settings.far_m, settings.near_m))
     bounds = (int(np.floor(far_px)), int(np.ceil(near_px)))
     surface = fit_surface(left_grey, right_grey, *masks, *bounds, settings)
     if surface is None or surface.agreeing_fraction < MIN_AGREEING_MATCHES:
         return None
-    points_m = _cloud(surface, hull, pair, masks[0].shape, settings.far_m)
+    inside = np.zeros_like(masks[0])
+    cv2.fillConvexPoly(inside, hull, 255)
+    rows, columns = np.nonzero(inside[::GRID_STEP_PX, ::GRID_STEP_PX])
+    points_px = np.stack([columns, rows], -1).astype(np.float64) * GRID_STEP_PX
+    disparity_px = surface.at(points_px) - pair.offset_px
+    points_m = pair.points(points_px, np.maximum(disparity_px, pair.disparity_at(settings.far_m)))
     depth_m = float(np.median(points_m[:, 2]))
     std_px = SURFACE_STD_PX * max(1.0, surface.mismatch_px / CLEAN_MISMATCH_PX)
     return StereoSurface(points_m, depth_m / pair.disparity_at(depth_m) * std_px)
 
 
-def _turned(
-    left_grey: Image,
-    right_grey: Image,
-    pair: RectifiedPair,
-    hull: NDArray[np.int32],
-    masks: tuple[Image, Image],
-) -> tuple[Image, Image, tuple[Image, Image], NDArray[np.int32]]:
-    """Both views, their masks and the hull as cameras turned to the baseline would have them."""
-    height, width = left_grey.shape
-    at_left, at_right = pair.homography(), pair.homography(right=True)
-
-    def warped(image: Image, H: Array, how: int) -> Image:
-        return np.asarray(cv2.warpPerspective(image, H, (width, height), None, how), np.uint8)
-
-    turned_px = cv2.perspectiveTransform(hull.reshape(-1, 1, 2).astype(np.float64), at_left)
-    return (
-        warped(left_grey, at_left, cv2.INTER_LINEAR),
-        warped(right_grey, at_right, cv2.INTER_LINEAR),
-        (warped(masks[0], at_left, cv2.INTER_NEAREST), warped(masks[1], at_right, cv2.INTER_NEAREST)),
-        np.round(turned_px).astype(np.int32),
-    )
-
-
-def _cloud(
-    surface: DisparitySurface,
-    hull: NDArray[np.int32],
-    pair: RectifiedPair,
-    shape: tuple[int, ...],
-    far_m: float,
-) -> Array:
-    inside = np.zeros(shape[:2], np.uint8)
-    cv2.fillConvexPoly(inside, np.asarray(hull, np.int32), 255)
-    rows, columns = np.nonzero(inside[::GRID_STEP_PX, ::GRID_STEP_PX])
-    points_px = np.stack([columns, rows], -1).astype(np.float64) * GRID_STEP_PX
-    disparity_px = surface.at(points_px) - pair.offset_px
-    return pair.points(points_px, np.maximum(disparity_px, pair.disparity_at(far_m)))
+def _turned(image: Image, H: Array, how: int = cv2.INTER_LINEAR) -> Image:
+    height, width = image.shape
+    return np.asarray(cv2.warpPerspective(image, H, (width, height), None, how), np.uint8)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -13,9 +13,9 @@ from svmdist.estimation.dome import DomeModel
 from svmdist.estimation.instrument.measurement import EXACT, SharedBias
 from svmdist.geometry import Mesh, Plane, Surface, meet_plane, pixel_rays
 from svmdist.geometry.mesh import read_closed_mesh
-from svmdist.profile import AreaGate, CameraError, Profile, Tissue
+from svmdist.profile import Profile
 from svmdist.profile.hand_eye import FOCAL_LENGTH, PRINCIPAL_POINT
-from svmdist.profile.settings import OutlineSettings
+from svmdist.profile.robot import CameraError, Tissue
 from svmdist.samples import Image
 from svmdist.transforms import Array, make_transform
 from svmdist.vision.colour import Masks
@@ -23,6 +23,7 @@ from svmdist.vision.regions import CompletedOutline, Region, complete_outline, f
 
 # Parts below this fraction of the tissue may be blood on an instrument, as red as tissue
 BLOOD_FRACTION = 0.1
+RING_PX = 3  # what lies this close to a part surrounds it
 BLOOD_RING_FRACTION = 0.5  # share of dark shaft around such a part above which it is blood
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
@@ -43,28 +44,22 @@ class TissuePose:
     surface: Surface
     surface_std_m: float = 0.0
     dome: DomeModel | None = None
-    outline_covariance: Array | None = None
-
-    @property
-    def own_covariance(self) -> Array:
-        """The outline's own part of the covariance, shape (3, 3); all of it where that is not known."""
-        return self.covariance if self.outline_covariance is None else self.outline_covariance
+    outline_covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
 
     def scaled(self, factor: float) -> TissuePose:
         """The same on a parallel plane that is by this factor as far: all of it goes along the camera's rays."""
-        dome = None if self.dome is None else self.dome.scaled(factor)
-        surface: Surface = self.surface
-        if dome is not None:
-            surface = dome.mesh()
-        elif isinstance(surface, Plane):
+        position_m, surface = factor * self.position_m, self.surface
+        if self.dome is not None:
+            return replace(self, position_m=position_m).with_dome(self.dome.scaled(factor))
+        if isinstance(surface, Plane):
             surface = Plane(surface.normal, surface.offset_m * factor)
         elif isinstance(surface, Mesh):
             surface = surface.transformed(make_transform(np.eye(3), (factor - 1.0) * self.position_m))
-        return replace(self, position_m=factor * self.position_m, surface=surface, dome=dome)
+        return replace(self, position_m=position_m, surface=surface)
 
     def with_dome(self, dome: DomeModel) -> TissuePose:
         """The same place under a dome of another shape."""
-        return replace(self, surface=dome.mesh(), dome=dome)
+        return replace(self, surface=dome.mesh, dome=dome)
 
     def surface_variance_m2(self, point_m: Array, direction: Array) -> float:
         """By how much the surface may stand off at one of its points, shape (3,), along a unit vector, shape (3,)."""
@@ -80,7 +75,9 @@ def require_tissue(profile: Profile) -> Tissue:
             " tissue lies on (plane_normal, plane_distance_m)"
         )
     if profile.tissue.mesh is not None:
-        tissue_mesh(profile.tissue)  # read once, and told of before the first frame if it cannot be
+        read_closed_mesh(
+            profile.tissue.mesh, METRES_PER_UNIT[profile.tissue.mesh_unit]
+        )  # read once, before the first frame
     return profile.tissue
 
 
@@ -92,16 +89,33 @@ def tissue_pose(
     position_m = meet_plane(pixel_rays(camera, outline.centroid_px), plane)[0]
     if not np.all(np.isfinite(position_m)):
         return None
-    of_outline, covariance = _position_covariance(position_m, outline, camera, plane, tissue)
-    covariance = covariance + _of_camera(position_m, camera, plane, error)
-    dome = _dome(position_m, outline, camera, plane, tissue)
-    if dome is not None:
-        return TissuePose(position_m, covariance, dome.mesh(), tissue.surface_std_m, dome, of_outline)
+    # The outline's pixels, and the plane's distance and tilt, to first order: X = offset / (n · r) r.
+    steps_px = np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
+    on_plane = meet_plane(pixel_rays(camera, outline.centroid_px + steps_px), plane)
+    J_px = np.stack([on_plane[0] - on_plane[1], on_plane[2] - on_plane[3]], -1)
+    of_outline = J_px @ outline.covariance_px2 @ J_px.T
+    ray = position_m / position_m[2]
+    along = ray / float(plane.normal @ ray)  # dX by the offset
+    variance_m2 = tissue.plane_distance_std_m**2 + tissue.motion_std_m**2
+    covariance = of_outline + variance_m2 * np.outer(along, along)
+    # A tilt about the foot of the camera's perpendicular moves the plane at X by tilt · (X - foot).
+    from_foot = position_m - plane.offset_m * plane.normal
+    arm2_m2 = float(from_foot @ from_foot) * tissue.plane_tilt_std_rad**2
+    covariance = covariance + arm2_m2 * np.outer(along, along)
+    # What focal length and principal point do to where the outline's ray meets the plane.
+    biases = ray_on_plane_biases(position_m, plane, camera, error)
+    J = np.concatenate([bias.jacobian for bias in biases], -1)
+    covariance = covariance + J @ J.T
+    T_camera_tissue, dome = tissue_frame(position_m, plane.normal), None
     surface: Surface = plane
-    if tissue.mesh is not None:
-        T_camera_mesh = tissue_frame(position_m, plane.normal) @ tissue.T_tissue_mesh
-        surface = tissue_mesh(tissue).transformed(T_camera_mesh)
-    return TissuePose(position_m, covariance, surface, tissue.surface_std_m, None, of_outline)
+    outline_m = meet_plane(pixel_rays(camera, outline.curve_px), plane)
+    if tissue.dome is not None and np.all(np.isfinite(outline_m)) and len(outline_m) >= 3:
+        dome = DomeModel.over(outline_m, T_camera_tissue, tissue.dome)
+        surface = dome.mesh
+    elif tissue.mesh is not None:
+        mesh = read_closed_mesh(tissue.mesh, METRES_PER_UNIT[tissue.mesh_unit])
+        surface = mesh.transformed(T_camera_tissue @ tissue.T_tissue_mesh)
+    return TissuePose(position_m, covariance, surface, tissue.surface_std_m, dome, of_outline)
 
 
 def tissue_plane(tissue: Tissue) -> Plane:
@@ -117,30 +131,6 @@ def tissue_frame(origin_m: Array, normal: Array) -> Array:
     return make_transform(np.stack([x, np.cross(normal, x), normal], -1), origin_m)
 
 
-def tissue_mesh(tissue: Tissue) -> Mesh:
-    """The profile's mesh in its own frame, in m; raises ProfileError where its file cannot be used."""
-    if tissue.mesh is None:
-        raise ProfileError("the profile has no tissue.mesh")
-    return read_closed_mesh(tissue.mesh, METRES_PER_UNIT[tissue.mesh_unit])
-
-
-def _dome(
-    position_m: Array, outline: CompletedOutline, camera: Camera, plane: Plane, tissue: Tissue
-) -> DomeModel | None:
-    if tissue.dome is None:
-        return None
-    outline_m = meet_plane(pixel_rays(camera, outline.curve_px), plane)
-    if not np.all(np.isfinite(outline_m)) or len(outline_m) < 3:
-        return None
-    return DomeModel.over(outline_m, tissue_frame(position_m, plane.normal), tissue.dome)
-
-
-def _of_camera(position_m: Array, camera: Camera, plane: Plane, error: CameraError) -> Array:
-    """What focal length and principal point do to where the outline's ray meets the plane, as a covariance (3, 3)."""
-    J = np.concatenate([bias.jacobian for bias in ray_on_plane_biases(position_m, plane, camera, error)], -1)
-    return np.asarray(J @ J.T)
-
-
 def ray_on_plane_biases(
     position_m: Array, plane: Plane, camera: Camera, error: CameraError
 ) -> tuple[SharedBias, SharedBias]:
@@ -151,29 +141,6 @@ def ray_on_plane_biases(
     focal = -error.focal_std_fraction * by_ray @ (ray * np.array([1.0, 1.0, 0.0]))
     centre = -error.centre_std_px * by_ray[:, :2] / np.diag(camera.K)[:2]
     return SharedBias(FOCAL_LENGTH, focal[:, None]), SharedBias(PRINCIPAL_POINT, centre)
-
-
-def _position_covariance(
-    position_m: Array, outline: CompletedOutline, camera: Camera, plane: Plane, tissue: Tissue
-) -> tuple[Array, Array]:
-    """Of the outline's pixels alone, and with the plane's distance and tilt, to first order: X = offset / (n · r) r."""
-    ray = position_m / position_m[2]
-    slope = float(plane.normal @ ray)
-    steps_px = np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
-    nudged = pixel_rays(camera, outline.centroid_px + steps_px)
-    on_plane = meet_plane(nudged, plane)
-    J_px = np.stack([on_plane[0] - on_plane[1], on_plane[2] - on_plane[3]], -1)
-    of_outline = J_px @ outline.covariance_px2 @ J_px.T
-    along = ray / slope  # dX by the offset
-    variance_m2 = tissue.plane_distance_std_m**2 + tissue.motion_std_m**2
-    covariance = of_outline + variance_m2 * np.outer(along, along)
-    # A tilt about the foot of the camera's perpendicular moves the plane at X by tilt · (X - foot).
-    from_foot = position_m - plane.offset_m * plane.normal
-    arm2_m2 = float(from_foot @ from_foot) * tissue.plane_tilt_std_rad**2
-    return np.asarray(of_outline), np.asarray(covariance + arm2_m2 * np.outer(along, along))
-
-
-RING_PX = 3  # what lies this close to a part surrounds it
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,19 +166,12 @@ def detect_tissue(masks: Masks, profile: Profile, camera: Camera) -> TissueDetec
         return None
     outline = complete_outline(mask, region.hull, settings)
     if region.part_count > 1:
-        outline = _with_doubt(outline, mask, rule, settings)
+        # As uncertain as the centroid depends on whether the smaller parts belong to it.
+        largest = find_region(mask, rule.model_copy(update={"components": "largest"}), settings)
+        if largest is not None:
+            off_px = complete_outline(mask, largest.hull, settings).centroid_px - outline.centroid_px
+            outline = replace(outline, covariance_px2=outline.covariance_px2 + np.outer(off_px, off_px))
     return TissueDetection(region, outline, tissue_pose(outline, camera, tissue, profile.camera_error))
-
-
-def _with_doubt(
-    outline: CompletedOutline, mask: Image, rule: AreaGate, settings: OutlineSettings
-) -> CompletedOutline:
-    """The outline, as uncertain as its centroid depends on whether the smaller parts belong to it."""
-    largest = find_region(mask, rule.model_copy(update={"components": "largest"}), settings)
-    if largest is None:
-        return outline
-    off_px = complete_outline(mask, largest.hull, settings).centroid_px - outline.centroid_px
-    return replace(outline, covariance_px2=outline.covariance_px2 + np.outer(off_px, off_px))
 
 
 def _without_blood(mask: Image, shaft: Image, area_px: int) -> Image:

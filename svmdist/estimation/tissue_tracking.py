@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,11 +14,15 @@ from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorF
 from svmdist.estimation.instrument.measurement import Deviations, SharedBias
 from svmdist.estimation.instrument.state import Linearised
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.surface import StereoSurface
-from svmdist.estimation.tissue import TissuePose, ray_on_plane_biases, require_tissue, tissue_plane
-from svmdist.geometry import Plane
+from svmdist.estimation.tissue import (
+    TissueDetection,
+    TissuePose,
+    ray_on_plane_biases,
+    require_tissue,
+    tissue_plane,
+)
 from svmdist.least_squares import median
-from svmdist.profile import Tissue
+from svmdist.profile.robot import Tissue
 from svmdist.profile.settings import TissueTrackingSettings
 from svmdist.samples import RightView
 from svmdist.transforms import Array, inverse
@@ -31,7 +35,6 @@ GATE_Z = 3.09
 LASTING_HEIGHT_SHARE = 0.98
 HEIGHT_CORRELATION_TIME_S = 30.0  # how long that lasts: longer than the logs of 8 s that it was seen in
 
-DEFAULT = TissueTrackingSettings()
 TINY_M2 = 1e-14  # added to covariances of poses that lie on one plane, so that they have an inverse
 
 
@@ -44,18 +47,15 @@ class CorrelatedMean:
     """
 
     degrees_of_freedom: int
-    settings: TissueTrackingSettings = DEFAULT
+    settings: TissueTrackingSettings
     count: float = 0.0
-    _information: Array | None = None
-    _weighted: Array | None = None
+    _information: Array = field(default_factory=lambda: np.zeros(()))
+    _weighted: Array = field(default_factory=lambda: np.zeros(()))
     _squares: float = 0.0
 
     def add(self, value: Array, covariance: Array) -> None:
         """Take up a measurement; earlier ones fade."""
-        size = len(value)
-        weight = np.asarray(np.linalg.inv(covariance + TINY_M2 * np.eye(size)), np.float64)
-        if self._information is None or self._weighted is None:
-            self._information, self._weighted = np.zeros((size, size)), np.zeros(size)
+        weight = np.asarray(np.linalg.inv(covariance + TINY_M2 * np.eye(len(value))), np.float64)
         fade = 1.0 - 1.0 / self.settings.memory_count
         self._information = fade * self._information + weight
         self._weighted = fade * self._weighted + weight @ value
@@ -64,7 +64,7 @@ class CorrelatedMean:
 
     def now(self) -> tuple[Array, Array] | None:
         """Mean and covariance; None before the first measurement."""
-        if self._information is None or self._weighted is None:
+        if self.count == 0.0:
             return None
         spread = np.linalg.inv(self._information)
         mean = np.asarray(spread @ self._weighted, np.float64)
@@ -78,7 +78,7 @@ class CorrelatedMean:
 class TissueTracker:
     """The tissue's pose, which a wild detection does not enter, and its dome's shape, where frames show it."""
 
-    def __init__(self, settings: TissueTrackingSettings = DEFAULT) -> None:
+    def __init__(self, settings: TissueTrackingSettings) -> None:
         self._settings = settings
         self._outlier_count = 0
         self._frame_count = 0
@@ -96,8 +96,9 @@ class TissueTracker:
         """Take up a dome as stereo shows it."""
         self._shape.add(dome.shape, dome.covariance)
 
-    def add(self, pose: TissuePose | None) -> TissuePose | None:
+    def add(self, seen: TissueDetection | None) -> TissuePose | None:
         """Take up a frame's pose, if it has one; gives the tissue as known then."""
+        pose = None if seen is None else seen.pose
         if pose is None:
             return self.now()
         if not self._agrees(pose):
@@ -109,8 +110,8 @@ class TissueTracker:
             self._shape = CorrelatedMean(SHAPE_SIZE, self._settings)
         self._outlier_count = 0
         self._frame_count += 1
-        self._place.add(pose.position_m, pose.own_covariance)
-        if self._best is None or np.trace(pose.own_covariance) <= np.trace(self._best.own_covariance):
+        self._place.add(pose.position_m, pose.outline_covariance)
+        if self._best is None or np.trace(pose.outline_covariance) <= np.trace(self._best.outline_covariance):
             self._best = pose
         return self.now()
 
@@ -121,10 +122,9 @@ class TissueTracker:
             return None
         # Outlines differ from frame to frame and are averaged; the plane is as uncertain in all of them.
         position_m, of_outline = place
-        covariance = of_outline + self._best.covariance - self._best.own_covariance
-        known = replace(
-            self._best, position_m=position_m, covariance=covariance, outline_covariance=of_outline
-        )
+        covariance = of_outline + self._best.covariance - self._best.outline_covariance
+        known = replace(self._best, position_m=position_m)
+        known = replace(known, covariance=covariance, outline_covariance=of_outline)
         shape = self._shape.now()
         return known if shape is None or known.dome is None else known.with_dome(known.dome.shaped(*shape))
 
@@ -134,7 +134,7 @@ class TissueTracker:
             return True
         position_m, covariance = place
         offset_m = pose.position_m - position_m
-        nis = offset_m @ np.linalg.solve(pose.own_covariance + covariance + TINY_M2 * np.eye(3), offset_m)
+        nis = offset_m @ np.linalg.solve(pose.outline_covariance + covariance + TINY_M2 * np.eye(3), offset_m)
         return bool(nis <= chi_square_bound(3, GATE_Z))
 
 
@@ -167,37 +167,6 @@ class TissueHeight:
             SharedBias("tissue motion", self.motion_std_m * column, self.motion_time_s),
         )
 
-    def in_m(self, plane: float, motion: float) -> float:
-        """The height in m of both biases, in units of their deviations."""
-        return self.constant_std_m * plane + self.motion_std_m * motion
-
-
-def measured_height(
-    surface: StereoSurface,
-    dome: DomeModel,
-    height: TissueHeight,
-    camera: Camera,
-    right: RightView,
-    deviations: Deviations,
-) -> tuple[Linearised, float] | None:
-    """The height over the dome where the profile has it, as a measurement, and in m; None where too little is seen."""
-    points_m = dome.to_tissue_frame(surface.points_m)
-    inner = dome.normalised_radius(points_m[:, :2], dome.shape[:2]) < INNER_RADIUS
-    if np.count_nonzero(inner) < MIN_POINTS:
-        return None
-    over_m = float(median(points_m[inner, 2] - dome.height_m(points_m[inner, :2])))
-    at_m = np.median(surface.points_m[inner], 0)
-    # Disparity to depth to height along the plane's normal: a larger disparity is nearer to the camera.
-    along_normal = abs(float(dome.T_camera_tissue[2, 2]))
-    stereo_biases = (bias.scaled(along_normal) for bias in depth_biases(at_m, camera, right, deviations))
-    by_shape = dome.derivative(points_m[inner, :2]).mean(0)
-    dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
-    lasting_m = np.hypot(LASTING_HEIGHT_SHARE * surface.std_m, dome_std_m)
-    own = SharedBias(OUTLINE, np.array([[lasting_m]]), HEIGHT_CORRELATION_TIME_S)
-    noise_m2 = (1.0 - LASTING_HEIGHT_SHARE**2) * surface.std_m**2
-    biases = (own, *height.biases(np.ones(1)), *stereo_biases)
-    return Linearised(np.array([over_m]), np.zeros((1, 0)), biases, np.array([[noise_m2]])), over_m
-
 
 def depth_biases(
     p_camera_m: Array, camera: Camera, right: RightView, deviations: Deviations
@@ -209,16 +178,6 @@ def depth_biases(
     return tuple(bias.scaled(p_camera_m[2] / disparity_px) for bias in biases)
 
 
-def by_constants(
-    position_m: Array, plane: Plane, height: TissueHeight, camera: Camera, deviations: Deviations
-) -> tuple[SharedBias, ...]:
-    """What height, focal length and principal point do to the place where the outline's ray meets the plane, (3, k)."""
-    return (
-        *height.biases(position_m / plane.offset_m),
-        *ray_on_plane_biases(position_m, plane, camera, deviations.camera),
-    )
-
-
 class FollowedTissue:
     """The tissue between frames: a place that is averaged, a shape, and a height that the filter's state holds."""
 
@@ -228,52 +187,61 @@ class FollowedTissue:
         self._plane = tissue_plane(self._tissue)
         self._deviations = arm.deviations
         self._tracker = TissueTracker(arm.profile.settings.tissue)
-        self._height: TissueHeight | None = None
         self._known: TissuePose | None = None
 
     def see(self, frame: Frame) -> TissuePose | None:
         """The tissue on the profile's plane after this frame, which may hide it."""
-        tissue = frame.scene.tissue
-        known = self._known = self._tracker.add(None if tissue is None else tissue.pose)
-        if known is not None:
-            self._height = TissueHeight.of(self._tissue, known.position_m)
-        return known
+        self._known = self._tracker.add(frame.scene.tissue)
+        return self._known
 
     def measure_height(self, frame: Frame, kalman: KinematicErrorFilter) -> GatingResult | None:
         """Tell the filter how high stereo shows the tissue; None where it does not show it."""
-        known, right, height = self._known, frame.scene.observation.right, self._height
-        surface = None if known is None or known.dome is None or right is None else frame.scene.stereo_surface
-        if known is None or known.dome is None or surface is None or right is None or height is None:
+        known, right = self._known, frame.scene.observation.right
+        if known is None or known.dome is None or right is None:
             return None
-        found = measured_height(surface, known.dome, height, frame.left.camera, right, self._deviations)
-        if found is None:
+        surface, dome = frame.scene.stereo_surface, known.dome
+        if surface is None:
             return None
-        part, over_m = found
+        points_m = dome.to_tissue_frame(surface.points_m)
+        inner = dome.polar.normalised_radius(points_m[:, :2]) < INNER_RADIUS
+        if np.count_nonzero(inner) < MIN_POINTS:
+            return None
+        over_m = float(median(points_m[inner, 2] - dome.height_m(points_m[inner, :2])))
+        at_m = np.median(surface.points_m[inner], 0)
+        # Disparity to depth to height along the plane's normal: a larger disparity is nearer to the camera.
+        along_normal = abs(float(dome.T_camera_tissue[2, 2]))
+        of_cameras = depth_biases(at_m, frame.left.camera, right, self._deviations)
+        by_shape = dome.derivative(points_m[inner, :2]).mean(0)
+        dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
+        lasting_m = np.hypot(LASTING_HEIGHT_SHARE * surface.std_m, dome_std_m)
+        own = SharedBias(OUTLINE, np.array([[lasting_m]]), HEIGHT_CORRELATION_TIME_S)
+        noise_m2 = (1.0 - LASTING_HEIGHT_SHARE**2) * surface.std_m**2
+        height = TissueHeight.of(self._tissue, known.position_m)
+        biases = (own, *height.biases(np.ones(1)), *(bias.scaled(along_normal) for bias in of_cameras))
+        part = Linearised(np.array([over_m]), np.zeros((1, 0)), biases, np.array([[noise_m2]]))
         result = kalman.update_scene(OUTLINE, part)
-        if result.is_accepted and self._tracker.wants_shape and frame.scene.tissue is not None:
-            self._fit_shape(frame, over_m)
+        tissue = frame.scene.tissue
+        if not (
+            result.is_accepted and self._tracker.wants_shape and tissue and tissue.pose and tissue.pose.dome
+        ):
+            return result
+        # Apex and height by the surface, which is put down onto the dome: how high all of it is, is no shape.
+        down = replace(surface, points_m=surface.points_m - over_m * self._plane.normal)
+        fitted = fit_dome(tissue.pose.dome, down)
+        if fitted is not None:
+            self._tracker.add_shape(fitted)
         return result
 
     def placed(
         self, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter
     ) -> tuple[TissuePose, Array]:
         """The tissue at the height found, with all its errors, and their covariance with the tool's pose, (6, 3)."""
-        height = self._height
-        assert height is not None  # a tissue is known
-        height_m = height.in_m(kalman.constant("tissue plane"), kalman.constant("tissue motion"))
-        offset_m = self._plane.offset_m + height_m
-        placed = known.scaled(offset_m / self._plane.offset_m)
-        plane = replace(self._plane, offset_m=offset_m)
-        biases = by_constants(placed.position_m, plane, height, frame.left.camera, self._deviations)
-        covariance, coupling = kalman.coupled(biases)
-        return replace(placed, covariance=placed.own_covariance + covariance), coupling
-
-    def _fit_shape(self, frame: Frame, over_m: float) -> None:
-        """Apex and height of the dome by the surface, which is put down onto it: how high all of it is, is no shape."""
-        surface, tissue = frame.scene.stereo_surface, frame.scene.tissue
-        if surface is None or tissue is None or tissue.pose is None or tissue.pose.dome is None:
-            return
-        down = replace(surface, points_m=surface.points_m - over_m * self._plane.normal)
-        dome = fit_dome(tissue.pose.dome, down)
-        if dome is not None:
-            self._tracker.add_shape(dome)
+        height = TissueHeight.of(self._tissue, known.position_m)
+        plane_m = height.constant_std_m * kalman.constant("tissue plane")
+        height_m = plane_m + height.motion_std_m * kalman.constant("tissue motion")
+        plane = replace(self._plane, offset_m=self._plane.offset_m + height_m)
+        placed = known.scaled(plane.offset_m / self._plane.offset_m)
+        place_m, of_camera = placed.position_m, self._deviations.camera
+        by_ray = ray_on_plane_biases(place_m, plane, frame.left.camera, of_camera)
+        covariance, coupling = kalman.coupled((*height.biases(place_m / plane.offset_m), *by_ray))
+        return replace(placed, covariance=placed.outline_covariance + covariance), coupling

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from svmdist.errors import KinematicsError
-from svmdist.profile import Joint, Robot
+from svmdist.profile.robot import Joint, Robot
 from svmdist.transforms import Array
 
 Convention = Literal["standard", "modified"]

@@ -12,34 +12,9 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from svmdist.errors import ProfileError, UsageError, did_you_mean
+from svmdist.profile import robot as parts
 from svmdist.profile.hand_eye import HandEye, HandEyeFile, NamedHandEye, load_hand_eye, with_hand_eye
-from svmdist.profile.robot import (
-    ARM_TOPICS,
-    TAGS,
-    ArmFrames,
-    CameraError,
-    Dome,
-    EntrySide,
-    Fiducial,
-    Instrument,
-    Joint,
-    KinematicError,
-    OtherInstrument,
-    Placement,
-    Robot,
-    Simulation,
-    Tissue,
-)
-from svmdist.profile.segmentation import (
-    AnySegmentation,
-    AreaGate,
-    AutoSegmentation,
-    ClassRegion,
-    ColourRegion,
-    HsvSegmentation,
-    OnnxSegmentation,
-    Segmentation,
-)
+from svmdist.profile.segmentation import AnySegmentation, AutoSegmentation, ColourRegion
 from svmdist.profile.settings import Settings, StereoSettings, without_former_keys
 from svmdist.profile.toml import Byte, Positive, Share, Size, StrictModel, parse_toml
 
@@ -102,9 +77,8 @@ class Marker(StrictModel):
     @model_validator(mode="after")
     def _one_colour(self) -> Marker:
         if len(self.model_fields_set & {"outline", "outline_bgr"}) == 1:
-            raise ValueError(
-                "outline_bgr is drawn and outline finds it again: give both of them, or neither for pure green"
-            )
+            found = "outline_bgr is drawn and outline finds it again"
+            raise ValueError(f"{found}: give both of them, or neither for pure green")
         return self
 
 
@@ -131,17 +105,17 @@ class Profile(StrictModel):
     segmentation: AnySegmentation
     marker: Marker = Marker()
     features: Features = Features()
-    robot: Robot | None = None
-    kinematic_error: KinematicError = KinematicError()
-    camera_error: CameraError = CameraError()
-    instrument: Instrument | None = None
-    fiducial: Fiducial | None = None
-    tissue: Tissue | None = None
-    simulation: Simulation | None = None
+    robot: parts.Robot | None = None
+    kinematic_error: parts.KinematicError = parts.KinematicError()
+    camera_error: parts.CameraError = parts.CameraError()
+    instrument: parts.Instrument | None = None
+    fiducial: parts.Fiducial | None = None
+    tissue: parts.Tissue | None = None
+    simulation: parts.Simulation | None = None
     settings: Settings = Settings()  # what detectors and estimators may assume; the defaults serve most logs
     instrument_name: str = Field(default="PSM1", min_length=1)  # of what everything above is about
-    entry: EntrySide | None = None  # the side of the picture that it comes in from, needed without joints
-    other_instruments: tuple[OtherInstrument, ...] = ()
+    entry: parts.EntrySide | None = None  # the side that it comes in from, needed without joints
+    other_instruments: tuple[parts.OtherInstrument, ...] = ()
 
     @model_validator(mode="before")
     @classmethod
@@ -171,11 +145,10 @@ class Profile(StrictModel):
         other = next((other for other in self.other_instruments if other.name == name), None)
         if name != self.instrument_name:
             if other is None:
-                raise UsageError(
-                    f"profile {self.name} has no instrument {name}: {did_you_mean(name, self.instrument_names)}"
-                )
-            topics = {role: other.logged_topics.get(role) for role in ARM_TOPICS}
-            frames = other.frames or ArmFrames(base=f"{name}_base", tool=name)
+                known = did_you_mean(name, self.instrument_names)
+                raise UsageError(f"profile {self.name} has no instrument {name}: {known}")
+            topics = {role: other.logged_topics.get(role) for role in parts.ARM_TOPICS}
+            frames = other.frames or parts.ArmFrames(base=f"{name}_base", tool=name)
             update |= {
                 "topics": self.topics.model_copy(update=topics),
                 "frames": self.frames.model_copy(update=frames.model_dump()),
@@ -205,60 +178,50 @@ class Profile(StrictModel):
     def check_hand_eye(self, file: HandEyeFile) -> None:
         """Raise ValueError where the hand-eye file is of other frames, or of none of the instruments."""
         if not any(file.of(name) for name in self.instrument_names):
-            theirs = ", ".join(one.instrument for one in file.transforms)
-            raise ValueError(
-                f"hand_eye: it is for {theirs}; the profile has {', '.join(self.instrument_names)}: fit it anew"
-            )
+            theirs, ours = ", ".join(one.instrument for one in file.transforms), self.instrument_names
+            raise ValueError(f"hand_eye: it is for {theirs}; the profile has {', '.join(ours)}: fit it anew")
         for name in dict.fromkeys(self.instrument_names):
             frames, found = self.for_instrument(name).frames, file.of(name)
             for what in ("camera", "base") if found is not None else ():
-                theirs, ours = getattr(found, what), getattr(frames, what)
-                if theirs != ours:
-                    raise ValueError(
-                        f"hand_eye: it is for {what} {theirs} of {name}; [frames] {what} is {ours}: fit it anew"
-                    )
+                theirs, ours = getattr(found, what), f"[frames] {what} is {getattr(frames, what)}"
+                if theirs != getattr(frames, what):
+                    raise ValueError(f"hand_eye: it is for {what} {theirs} of {name}; {ours}: fit it anew")
 
     @model_validator(mode="after")
     def _instruments_differ(self) -> Profile:
         views = [self.for_instrument(name) for name in dict.fromkeys(self.instrument_names)]
         tags = [view.fiducial for view in views if view.fiducial is not None]
         for tag in tags:
-            count, _ = TAGS[tag.family]
-            if tag.id >= count:
-                raise ValueError(
-                    f"fiducial: family {tag.family} has the tags 0 to {count - 1}, found {tag.id}"
-                )
-        for other in self.other_instruments:
-            if other.topics is None and not isinstance(self.segmentation, AutoSegmentation):
-                raise ValueError(
-                    f"other_instruments: {other.name} has no topics, which needs [segmentation] method = 'auto'"
-                )
+            last = parts.TAGS[tag.family][0] - 1
+            if tag.id > last:
+                raise ValueError(f"fiducial: family {tag.family} has the tags 0 to {last}, found {tag.id}")
+        unknown = [other.name for other in self.other_instruments if other.topics is None]
+        if unknown and not isinstance(self.segmentation, AutoSegmentation):
+            needed = "which needs [segmentation] method = 'auto'"
+            raise ValueError(f"other_instruments: {unknown[0]} has no topics, {needed}")
         distinct = {
             "name": list(self.instrument_names),
-            "topic": [getattr(view.topics, role) for view in views for role in ARM_TOPICS],
+            "topic": [getattr(view.topics, role) for view in views for role in parts.ARM_TOPICS],
             "frame": [frame for view in views for frame in (view.frames.base, view.frames.tool)],
             "fiducial_id": [str(tag.id) for tag in tags],
         }
         for what, values in distinct.items() if self.other_instruments else ():
-            doubles = sorted({value for value in values if value is not None and values.count(value) > 1})
+            doubles = ", ".join(sorted({one for one in values if one is not None and values.count(one) > 1}))
             if doubles:
-                raise ValueError(
-                    f"other_instruments: every instrument needs a {what} of its own; given twice: {', '.join(doubles)}"
-                )
+                needed = f"every instrument needs a {what} of its own"
+                raise ValueError(f"other_instruments: {needed}; given twice: {doubles}")
         return self
 
     @model_validator(mode="after")
     def _names_joints_that_are_there(self) -> Profile:
-        link = None if self.fiducial is None else self.fiducial.link
+        link = self.fiducial.link if self.fiducial else None
         first = self.kinematic_error.first_moving_joint
-        robots = (self.robot, *(other.robot for other in self.other_instruments))
-        for robot in [robot for robot in robots if robot is not None]:
-            moving = [joint.name for joint in robot.joints if joint.type != "fixed"]
-            for key, name, known in (
-                ("fiducial.link", link, [joint.name for joint in robot.joints]),
-                ("kinematic_error.first_moving_joint", first, moving),
-            ):
-                if name is not None and name not in known:
+        for robot in (self.robot, *(other.robot for other in self.other_instruments)):
+            joints = robot.joints if robot else ()
+            moving = [joint.name for joint in joints if joint.type != "fixed"]
+            links = ("fiducial.link", link, [joint.name for joint in joints])
+            for key, name, known in (links, ("kinematic_error.first_moving_joint", first, moving)):
+                if robot and name is not None and name not in known:
                     raise ValueError(f"{key}: no joint named {name}: {did_you_mean(name, known)}")
         return self
 
@@ -292,7 +255,6 @@ def profile_path(name_or_path: str | Path) -> Path:
         return SHIPPED / f"{text}.toml"
     path = Path(text)
     if not path.suffix and not os.path.exists(path):
-        raise ProfileError(
-            f"no profile named {text}: {did_you_mean(text, shipped_profiles())}; or give a path to a .toml"
-        )
+        known = did_you_mean(text, shipped_profiles())
+        raise ProfileError(f"no profile named {text}: {known}; or give a path to a .toml")
     return path

@@ -11,8 +11,8 @@ from svmdist.errors import did_you_mean
 from svmdist.profile.toml import Byte, Hue, NeighbourFile, StrictModel
 
 MODELS = Path(__file__).parent.with_name("models")
-PREFIX = "svmdist:"
-"""`model = "svmdist:NAME"` in a profile is a network of the folder `models` of the package."""
+PREFIX = "svmdist:"  # of a `model` in a profile: a network of the package
+SHIPPED = f"{PREFIX}instruments"
 INSTRUMENTS: dict[str, Any] = {
     "width_px": 256,
     "height_px": 192,
@@ -25,7 +25,6 @@ INSTRUMENTS: dict[str, Any] = {
     "shaft": {"class_ids": (3,), "min_area_px": 200},
 }
 """What a profile must say to run the network that `training/train.py` makes, of pictures that are drawn there."""
-SHIPPED = {"instruments": INSTRUMENTS}
 
 
 class AreaGate(StrictModel):
@@ -101,15 +100,12 @@ class OnnxSegmentation(StrictModel):
     @model_validator(mode="before")
     @classmethod
     def _shipped(cls, data: Any) -> Any:
-        """The layout of a network that ships, as far as the profile does not give it."""
         model = data.get("model") if isinstance(data, dict) else None
         if not isinstance(model, str) or not model.startswith(PREFIX):
             return data
-        name = model.removeprefix(PREFIX)
-        if name not in SHIPPED:
-            known = [PREFIX + each for each in SHIPPED]
-            raise ValueError(f"model = {model!r}: no such network ships: {did_you_mean(model, known)}")
-        return {**SHIPPED[name], **data, "model": MODELS / f"{name}.onnx"}
+        if model != SHIPPED:
+            raise ValueError(f"model = {model!r}: no such network ships: {did_you_mean(model, [SHIPPED])}")
+        return {**INSTRUMENTS, **data, "model": MODELS / "instruments.onnx"}
 
     @field_validator("scale", mode="before")
     @classmethod
@@ -120,8 +116,7 @@ class OnnxSegmentation(StrictModel):
     def _sound(self) -> OnnxSegmentation:
         if 0.0 in self.scale:
             raise ValueError("scale must not be 0: the network would see nothing")
-        both = sorted(set(self.tissue.class_ids) & set(self.instrument.class_ids))
-        if both:
+        if both := sorted(set(self.tissue.class_ids) & set(self.instrument.class_ids)):
             raise ValueError(f"class {both[0]} cannot be tissue and instrument at once")
         return self
 
@@ -133,10 +128,7 @@ class OnnxSegmentation(StrictModel):
 
 
 class AutoSegmentation(StrictModel):
-    """Tissue and instruments found without a colour from the user: by straight edges, and what they enclose.
-
-    Its tables are area gates only, and may all be left out. `[settings.auto]` holds what it assumes.
-    """
+    """Tissue and instruments found without a colour from the user; `[settings.auto]` holds what it assumes."""
 
     method: Method
     tissue: AreaGate = AreaGate(min_area_px=2000, occlusion="outline")

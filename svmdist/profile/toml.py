@@ -52,8 +52,7 @@ class StrictModel(BaseModel):
     @field_validator("*", mode="after")
     @classmethod
     def _bounded(cls, value: Any) -> Any:
-        parts = value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else ()
-        for part in parts:
+        for part in value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else ():
             cls._bounded(part)
         if isinstance(value, float) and value and not MIN_NUMBER <= abs(value) <= MAX_NUMBER:
             raise ValueError(f"a number is 0, or from {MIN_NUMBER:g} to {MAX_NUMBER:g} in size")
@@ -72,9 +71,8 @@ def _parse_angle(value: Any) -> Any:
         sign, factor, divisor = found.groups("1") if found else ("", "", "")
         return float(f"{sign}1") * float(factor) * math.pi / float(divisor)
     except (ValueError, ZeroDivisionError):
-        raise ValueError(
-            f"expected rad as a number or a multiple of pi such as 'pi/2', found {value!r}"
-        ) from None
+        expected = "expected rad as a number or a multiple of pi such as 'pi/2'"
+        raise ValueError(f"{expected}, found {value!r}") from None
 
 
 def _parse_size(value: Any) -> Any:

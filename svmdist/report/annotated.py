@@ -24,13 +24,9 @@ from svmdist.samples import Image
 from svmdist.workflows.frame_drawing import DrawnFrame
 from svmdist.workflows.request import Setup
 
-ANNOTATIONS = (
-    "annotations"  # below the image's topic: viewers that go by the names of topics lay it over the image
-)
+ANNOTATIONS = "annotations"  # below the image's topic: viewers that go by names lay it over the image
 SCENE_TOPIC, TF_TOPIC, LOG_TOPIC = "/svmdist/scene", "/svmdist/tf", "/svmdist/log"
-TIME_BASE = Fraction(
-    1, 1000
-)  # frames are shown at their stamps, to a millisecond: a log has no constant rate
+TIME_BASE = Fraction(1, 1000)  # frames are shown at their stamps: a log has no constant rate
 CODECS = ("libx264", "mpeg4")
 """The first that this build of FFmpeg has. H.264 plays everywhere; MPEG-4 is part of every build."""
 QUALITY = {"crf": "20", "preset": "veryfast"}
@@ -40,10 +36,7 @@ LARGEST_STEP_MS = 10_000  # a pause of a log is shown no longer than this
 def write_annotated(
     frames: Iterable[DrawnFrame], output: Path, recording: Recording, setup: Setup, force: bool = False
 ) -> None:
-    """Copy a recording (`copied_messages`) to `output`, each image followed by what was drawn of it.
-
-    Raises UsageError where the file exists and `force` is not set.
-    """
+    """Copy a recording, each image followed by what was drawn of it; UsageError where that exists, unless `force`."""
     path, profile, topics = recording.origin
     # A pass of its own over the recording opened anew, so that losses are counted once.
     copies = copied_messages(open_recording(path, profile, topics=topics))
@@ -84,10 +77,7 @@ def _annotations(
 
 
 def write_video(frames: Iterable[DrawnFrame], path: Path, recording: Recording, *_: object) -> None:
-    """Write an MP4 of images, as large as the recording's; one that could not be read is black, with the reason.
-
-    Raises OutputError where the file cannot be written.
-    """
+    """Write an MP4 as large as the images, black for an unreadable one, with the reason; raises OutputError."""
     import av
 
     camera = recording.logged_camera
@@ -99,9 +89,8 @@ def write_video(frames: Iterable[DrawnFrame], path: Path, recording: Recording, 
         try:
             with av.open(str(target), "w", format="mp4") as container:
                 codec = next(name for name in CODECS if name in av.codecs_available)
-                stream: Any = container.add_stream(
-                    codec, rate=30, options=QUALITY if codec == "libx264" else {}
-                )
+                quality = QUALITY if codec == "libx264" else {}
+                stream: Any = container.add_stream(codec, rate=30, options=quality)
                 stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
                 stream.codec_context.time_base = TIME_BASE
                 for frame in frames:

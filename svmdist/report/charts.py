@@ -13,11 +13,8 @@ from svmdist.metrics import interval_coverage
 from svmdist.transforms import Array
 from svmdist.workflows.series import Series
 
-LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
-"""Levels of intervals whose calibration is shown."""
-MAX_GAP_IN_STEPS = 3.0
-"""A curve is broken where frames are missing for longer than this many frame periods."""
-
+LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)  # levels of intervals whose calibration is shown
+MAX_GAP_IN_STEPS = 3.0  # a curve is broken where frames are missing for longer than this many frame periods
 
 Form = Literal["line", "dots", "bars", "band", "spans"]
 """How a curve's points are drawn; a band is between `low` and `y`, spans have the full height from `x` to `y`."""
@@ -29,10 +26,7 @@ Role = Literal[
 
 @dataclass(frozen=True)
 class Curve:
-    """Points of a curve, shape (n,); NaN is a gap. `number` has the frames, `colour_by` values that colour the dots.
-
-    `hover` is a template of plotly.
-    """
+    """Points of a curve, shape (n,); NaN is a gap. `number` has the frames; `hover` is plotly's template."""
 
     form: Form
     role: Role
@@ -55,16 +49,14 @@ class Chart:
     y_title: str
     curves: Sequence[Curve]
     over_time: bool = False
-    is_image: bool = False
-    """Whether x and y are pixels: y runs down."""
+    is_image: bool = False  # x and y are pixels: y runs down
 
 
 def with_errors(series: Sequence[Series]) -> list[list[Series]]:
     """The series that have an error, by their distance."""
     known = [one for one in series if np.isfinite(one.error_m).any()]
-    return [
-        [one for one in known if one.distance == of] for of in dict.fromkeys(one.distance for one in known)
-    ]
+    distances = dict.fromkeys(one.distance for one in known)
+    return [[one for one in known if one.distance == of] for of in distances]
 
 
 def distance_name(series: Series) -> str:
@@ -229,13 +221,10 @@ def calibration(group: Sequence[Series]) -> Chart:
 
 def rejected_spans(series: Series) -> list[tuple[float, float]]:
     """Beginning and end in s of each run of frames without the distance, half a frame wider on both sides."""
-    if len(series) == 0:
-        return []
-    step_s = float(np.median(np.diff(series.seconds))) if len(series) > 1 else 0.1
-    return [
-        (round(series.seconds[begin] - 0.5 * step_s, 3), round(series.seconds[end - 1] + 0.5 * step_s, 3))
-        for begin, end in runs(~series.measured)
-    ]
+    seconds = series.seconds
+    half_s = 0.5 * float(np.median(np.diff(seconds))) if len(series) > 1 else 0.05
+    spans = runs(~series.measured)
+    return [(round(seconds[at] - half_s, 3), round(seconds[end - 1] + half_s, 3)) for at, end in spans]
 
 
 def runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:

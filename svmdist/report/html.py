@@ -41,8 +41,7 @@ from svmdist.workflows.validate import Validation
 WORST_COUNT = 10
 JPEG_QUALITY, MAX_WIDTH_PX = 80, 960
 PACKAGES = ("svmdist", "numpy", "opencv-python-headless", "mcap", "protobuf", "plotly")
-MAX_MARKERS = 2000
-"""More points than these are drawn as a line, or thinned out evenly where they are no line."""
+MAX_MARKERS = 2000  # more points than these are drawn as a line, or thinned out evenly where they are no line
 COLOURS: dict[Role, tuple[str, str]] = {
     "estimate": ("#3a86c8", "solid"),
     "error": ("#3a86c8", "solid"),
@@ -75,7 +74,6 @@ def make_report(
     request: Request,
     command: str,
     validation: Validation | None = None,
-    *,
     jobs: int | None = None,
     logs: Results | None = None,
     on_progress: Progress | None = None,
@@ -113,9 +111,7 @@ def facts(setup: Setup, recordings: Sequence[Recording], command: str) -> list[t
     if setup.calibration is not None:
         sources = ", ".join(f"{source.name} ({source.sha256})" for source in setup.calibration.sources)
         found.append(("calibration", f"by {setup.calibration.created_by}, fitted on {sources}"))
-    found += [
-        (str(one.path), f"SHA-256 {one.sha256()}, {one.size_bytes() / 1e6:.2f} MB") for one in recordings
-    ]
+    found += [(str(a.path), f"SHA-256 {a.sha256()}, {a.size_bytes() / 1e6:.2f} MB") for a in recordings]
     found.append(("Python", f"{platform.python_version()} on {platform.system()} {platform.machine()}"))
     versions = {one.name: one.version for one in distributions()}
     return found + [(name, versions.get(name, "not installed")) for name in PACKAGES]
@@ -135,23 +131,19 @@ def _worst(
         wanted[frame.series.recording].add(frame.number)
     steps, pictures = Steps(on_progress, sum(max(numbers) + 1 for numbers in wanted.values())), {}
     for name, log in ((one.recording.name, one) for one in measured if one.recording.name in wanted):
-        for drawn in drawn_frames(
-            log.read, request.setup, request.alarms, jobs=jobs, numbers=wanted[name], on_image=steps.advance
-        ):
+        given = log.read, request.setup, request.alarms, None, jobs, wanted[name], steps.advance
+        for drawn in drawn_frames(*given):
             if drawn.replayed.image_bgr is not None:
                 pictures[name, drawn.number] = _jpeg(draw_on(drawn.replayed.image_bgr, drawn.drawing))
-    return [
-        (f"{frame.series.recording}, {frame.in_words}", pictures[key])
-        for frame in chosen
-        if (key := (frame.series.recording, frame.number)) in pictures
-    ]
+    captions = {
+        (one.series.recording, one.number): f"{one.series.recording}, {one.in_words}" for one in chosen
+    }
+    return [(caption, pictures[key]) for key, caption in captions.items() if key in pictures]
 
 
 def _jpeg(picture: Image) -> bytes:
-    scale = min(1.0, MAX_WIDTH_PX / picture.shape[1])
-    if scale < 1.0:
-        size_px = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        picture = np.asarray(size_px, np.uint8)
+    if (scale := MAX_WIDTH_PX / picture.shape[1]) < 1.0:
+        picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA).astype(np.uint8)
     return bytes(cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes())
 
 
@@ -320,8 +312,7 @@ def _outlines(curve: Curve) -> tuple[Array, Array]:
     As a fill between two traces it would reach across what was not measured. Frames that stand alone have a width.
     """
     assert curve.low is not None
-    x: list[Array] = []
-    y: list[Array] = []
+    x, y = list[Array](), list[Array]()
     reach_s, gap = _reach_s(curve.x), np.array([np.nan])
     for begin, end in runs(np.isfinite(curve.low) & np.isfinite(curve.y)):
         times, lows, highs = (values[begin:end] for values in (curve.x, curve.low, curve.y))

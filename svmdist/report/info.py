@@ -108,7 +108,6 @@ def _camera_document(camera: Camera) -> dict[str, Any]:
 
 
 def _info_lines(log: dict[str, Any], width: int | None) -> Iterator[str]:
-
     def line(name: str, text: str) -> str:
         return f"{name:<11} {printable(text)}\n"
 

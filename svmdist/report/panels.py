@@ -22,13 +22,12 @@ FONT = cv2.FONT_HERSHEY_SIMPLEX
 WHITE: Rgb = (255, 255, 255)
 DARK = (20, 20, 20)
 SUBPIXEL_BITS = 4
-LIMIT_PX = 20_000.0
-"""OpenCV's drawing wraps around far outside of the image."""
+LIMIT_PX = 20_000.0  # OpenCV's drawing wraps around far outside of the image
 SMALL = (Part.INLIER, Part.MATCH)
 COLUMNS = 3
 TINT = 0.45
 LEAST_WIDTH_PX = 900
-"""Smaller images are enlarged by a whole number for masks, so that letters stay smaller than what they name."""
+"""Smaller images are enlarged for masks, so that letters stay smaller than what they name."""
 NEAR_FAR_PERCENT = (5.0, 95.0)
 Box = tuple[int, int, int, int]
 
@@ -114,8 +113,7 @@ def _write_row(pixels: Image, text: str, row: int, colour: Rgb) -> None:
     (_, height), below = cv2.getTextSize("Mg", FONT, scale, thickness)
     room = pixels.shape[1] - 8
     if width > room:
-        text = text[: max(1, len(text) * room // width - 3)] + "..."
-        width = room
+        text, width = text[: max(1, len(text) * room // width - 3)] + "...", room
     top = row * (height + below + 6)
     cv2.rectangle(pixels, (0, top), (width + 8, top + height + below + 6), DARK, cv2.FILLED)
     cv2.putText(pixels, text, (4, top + height + 3), FONT, scale, bgr(colour), thickness, cv2.LINE_AA)
@@ -148,8 +146,7 @@ def masks_picture(frame: DrawnFrame, title: str) -> Image:
         return phases_picture(frame, title)
     masks, image = frames[0].scene.left.masks, frames[0].scene.observation.image_bgr
     lines: list[tuple[str, Rgb] | str] = [title]
-    shapes: list[Shape] = []
-    labels = []
+    shapes, labels = list[Shape](), []
     named = {"tissue": (Part.TISSUE, masks.tissue), "shaft": (Part.SHAFT, masks.shaft),
              "distal part": (Part.INSTRUMENT, masks.instrument)}  # fmt: skip
     for name, (part, mask) in named.items():
@@ -186,19 +183,13 @@ def masks_picture(frame: DrawnFrame, title: str) -> Image:
 
 def _owner(frame: DrawnFrame, mask: Image) -> str:
     """The instrument whose masks have this one; empty where it is none, or several."""
-    owners = [
-        one.arm.profile.instrument_name
-        for one in frame.replayed.frames
-        if any(np.shares_memory(own.mask, mask) for own in one.left.masks.seen or ())
-    ]
+    found = ((one.arm.profile.instrument_name, one.left.masks.seen or ()) for one in frame.replayed.frames)
+    owners = [name for name, seen in found if any(np.shares_memory(own.mask, mask) for own in seen)]
     return owners[0] if len(owners) == 1 else ""
 
 
 def phases_picture(frame: DrawnFrame, title: str, method: str = "") -> Image:
-    """All phases of a method in a grid, shape (h, w, 3) in BGR, also those without a detection, under their names.
-
-    A frame that could not be read has its status only.
-    """
+    """All phases of a method in a grid, shape (h, w, 3) in BGR; of a frame that could not be read its status only."""
     lines, image = [title, *(line.text for line in frame.drawing.lines)], frame.replayed.image_bgr
     if image is None or not frame.replayed.frames:
         return _under(lines, np.zeros((40, 960, 3), np.uint8))
@@ -231,10 +222,7 @@ def _segmentation(frame: DrawnFrame, _: Image) -> Image:
 
 
 def _marker(frame: DrawnFrame, pixels: Image) -> Image:
-    for one in frame.replayed.frames:
-        found = virtual_marker(one)
-        if found is None:
-            continue
+    for found in filter(None, map(virtual_marker, frame.replayed.frames)):
         (x, y), window = found.window.origin_px, found.window.window_bgr
         rows, columns = (np.arange(length) for length in window.shape[:2])
         r = (rows + y >= 0) & (rows + y < pixels.shape[0])
@@ -250,12 +238,10 @@ def _matches(frame: DrawnFrame, sheet: Image) -> Image:
     sheet[:] = DARK
     height, width = sheet.shape[:2]
     one = frame.replayed.frames[0]
-    found = virtual_marker(one)
-    if found is None:
+    if (found := virtual_marker(one)) is None:
         return sheet
     template = padded_template(one.arm.profile.marker.size_px, EDGE_MARGIN_PX)
-    left = cv2.cvtColor(template, cv2.COLOR_GRAY2BGR)
-    right = found.window.window_bgr
+    left, right = cv2.cvtColor(template, cv2.COLOR_GRAY2BGR), found.window.window_bgr
     both = np.hstack([left, np.full((left.shape[0], 20, 3), DARK, np.uint8), right[: left.shape[0]]])
     times = max(1, min(width // both.shape[1], height // both.shape[0]))
     large = cv2.resize(both, None, fx=times, fy=times, interpolation=cv2.INTER_NEAREST)

@@ -33,8 +33,7 @@ from svmdist.workflows.validate import Validation
 COLUMN_IN, PAGE_IN, PANEL_IN, SCORE_IN = 3.5, 7.16, 2.2, 2.8
 """Widths of a column and of a page in print, and heights of a panel and of a recording's two panels, in inches."""
 DPI = 300
-MARKERS = "osD^v<>Ph*Xd"
-"""Markers that differ at a size of 4 points, in the order in which they are taken."""
+MARKERS = "osD^v<>Ph*Xd"  # markers that differ at a size of 4 points, in the order in which they are taken
 STYLES: dict[Role, dict[str, Any]] = {
     "estimate": {"color": "#1f5fa8", "linewidth": 1.0, "marker": ".", "markersize": 3},
     "error": {"color": "0.25", "linewidth": 0.9, "marker": ".", "markersize": 2},
@@ -94,10 +93,8 @@ def _draw_curves(axes: Axes, curves: Sequence[Curve]) -> None:
             for begin, end in zip(curve.x, curve.y, strict=True):
                 axes.axvspan(begin, end, label=label if begin == curve.x[0] else None, **style)
         else:
-            grey = str(0.15 + 0.25 * (at % 3))
-            axes.scatter(
-                curve.x, curve.y, s=6.0, marker="ox^sdv"[at % 6], color=grey, linewidths=0.6, label=label
-            )
+            look: Any = {"marker": "ox^sdv"[at % 6], "color": str(0.15 + 0.25 * (at % 3)), "linewidths": 0.6}
+            axes.scatter(curve.x, curve.y, s=6.0, label=label, **look)
 
 
 def _draw_chart(axes: Axes, chart: Chart, title: str) -> None:
@@ -184,8 +181,7 @@ def _draw_score(upper: Axes, lower: Axes, score: Score, alarms: AlarmRules | Non
 
 def _title(score: Score, distance: str, in_3d: DistanceScore | None) -> str:
     name = f"{plain_name(score.recording)}: {plain_name(score.method)}"
-    found = in_3d.statistics if in_3d else score.statistics
-    if found is None:
+    if (found := in_3d.statistics if in_3d else score.statistics) is None:
         return f"{name}\nnothing measured"
     if in_3d:
         held = in_3d.interval_coverage
@@ -200,15 +196,11 @@ NAMES = {"": "planar distance", "spatial_": "spatial distance", "clearance_": "c
 """The distances, by what the keys of their metrics begin with."""
 LINE_IN, HEAD_IN = 0.19, 0.75
 """Height of a method's line, and of what a row of panels needs besides, in inches."""
-WIDE = 20.0
-"""Errors that differ by more than this factor are drawn on a logarithmic axis."""
+WIDE = 20.0  # errors that differ by more than this factor are drawn on a logarithmic axis
 
 
 def draw_compare(scores: Sequence[MethodScore]) -> Figure:
-    """A line per method. Above: frames measured, and RMSE of each distance; below: time, and truths in the interval.
-
-    Groups of frames differ by marker; the one over all frames is black and filled.
-    """
+    """A line per method; groups of frames differ by marker, and the one over all frames is black and filled."""
     groups = list(dict.fromkeys(score.group for score in scores))
     methods = list(dict.fromkeys(score.method for score in scores))
     metrics, looks = {metric.key: metric for metric in figure_metrics()}, _group_looks(groups)

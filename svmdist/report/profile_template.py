@@ -32,12 +32,9 @@ def profile_text(draft: ProfileDraft) -> str:
     frames = {"camera": draft.camera_frame, "base": first.base, "tool": first.tool}
     named = [f"{key} = {_text(name)}" for key, name in frames.items()]
     if not draft.has_camera_to_base:
-        named.append(
-            "# No transform leads from camera to base: svmdist hand-eye finds it from the seen tool."
-        )
-    plane = draft.plane
+        named.append("# No transform leads from camera to base: svmdist hand-eye finds it by the seen tool.")
     tissue = _block("unknown_plane")
-    if plane is not None:
+    if (plane := draft.plane) is not None:
         tissue = _block(
             "plane",
             normal=", ".join(f"{value:.4f}" for value in plane.plane_normal),

@@ -128,8 +128,7 @@ SHOWN = (
 """The columns of the readable table, in their order."""
 OF_SEVERAL = " instrument instrument_clearance_m instrument_clearance_std_m"
 """Shown too where a log has several instruments."""
-OF_ALARMS = " alarm closing_speed_m_s time_to_contact_s"
-"""Shown too where alarms are asked for."""
+OF_ALARMS = " alarm closing_speed_m_s time_to_contact_s"  # shown too where alarms are asked for
 DISPENSABLE = (
     "keypoint_count match_count inlier_count tool_area_px tissue_area_px tissue_x_px tissue_y_px tool_x_px"
     " tool_y_px recording instrument_clearance_std_m "

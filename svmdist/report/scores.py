@@ -66,16 +66,15 @@ def validation_document(validation: Validation) -> dict[str, Any]:
         row = {key: finite(value) for key, value in row_of(columns, score).items()}
         return row | {"rejected": dict(score.rejected)}
 
-    def same(score: Score, what: str) -> bool:
-        return primary is None or getattr(score, what) == getattr(primary, what)
-
-    overall = validation.overall
+    overall, of_first = validation.overall, (primary.instrument, primary.reference) if primary else ("", "")
     return {
         "schema": VALIDATION_SCHEMA,
         "recordings": [of(score) for score in validation.scores],
         "overall": of(primary) if primary else None,
-        "overall_by_reference": {str(one.reference): of(one) for one in overall if same(one, "instrument")},
-        "overall_by_instrument": {one.instrument: of(one) for one in overall if same(one, "reference")},
+        "overall_by_reference": {
+            str(one.reference): of(one) for one in overall if one.instrument == of_first[0]
+        },
+        "overall_by_instrument": {one.instrument: of(one) for one in overall if one.reference == of_first[1]},
         **({"groups": [of(score) for score in validation.groups]} if validation.groups else {}),
         "paper": {"r_squared": PAPER_R_SQUARED, "note": PAPER_NOTE},
         "notes": list(validation.notes),
@@ -165,11 +164,8 @@ def remarks(validation: Validation) -> list[str]:
 def compare_columns() -> list[Column]:
     """The columns of a comparison."""
     labels = [Column("group", TEXT, of=lambda score: str(score.group)), Column("method", TEXT, "method")]
-    after = [
-        Column("scenario", TEXT, of="group.scenario"),
-        Column("degradation", TEXT, of="group.degradation"),
-        Column("instrument", TEXT),
-    ]
+    after = [Column(key, TEXT, of=f"group.{key}") for key in ("scenario", "degradation")]
+    after.append(Column("instrument", TEXT))
     metrics = of_part(within(metric_table.figure_metrics(), Output.FIGURES), "figures")
     return _in_order(labels, metrics, after)
 
@@ -293,10 +289,9 @@ def pooled_log_figures(figures: Sequence[LogFigures]) -> list[LogFigures]:
     for group in (*sorted({one.group for one in figures if one.group}), ""):
         members = [one for one in figures if not group or one.group == group]
         statuses = sum((Counter(one.statuses) for one in members), Counter[str]())
+        counts = len(members), sum(one.failure is not None for one in members)
         losses = sum(one.loss_count for one in members)
-        failed = sum(one.failure is not None for one in members)
-        name, count = group or "overall", len(members)
-        pooled.append(LogFigures(name, "", None, dict(statuses), losses, group, count, failed))
+        pooled.append(LogFigures(group or "overall", "", None, dict(statuses), losses, group, *counts))
     return pooled
 
 

@@ -102,17 +102,15 @@ def names_of(holds: Holds) -> tuple[str, ...]:
 def choose_writer(given: str | None, output: Path | None, holds: Holds) -> Writer:
     """The writer of what a command gives: the named one, else that of the file's ending, else that of plain text.
 
-    Raises UsageError for a name that contradicts the ending, and for an ending that no format has; raises OutputError
-    where a package is missing.
+    Raises UsageError for a name or an ending that does not fit; OutputError where a package is missing.
     """
     able = [writer for writer in WRITERS if writer.holds & holds]
     ending = "" if output is None else output.suffix.lower()
     by_ending = next((writer for writer in able if ending in writer.endings), None)
     if given is not None:
         if by_ending is not None and not by_ending.holds & ANY_ROWS:
-            raise UsageError(
-                f"--format {given}: {output} is written as {by_ending.name}; leave out one of them"
-            )
+            written = f"{output} is written as {by_ending.name}"
+            raise UsageError(f"--format {given}: {written}; leave out one of them")
         named = {writer.name: writer for writer in able if writer.holds & ANY_ROWS}
         if given not in named:
             raise UsageError(f"--format {given}: {did_you_mean(given, named)}")

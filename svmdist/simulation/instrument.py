@@ -14,7 +14,7 @@ import numpy as np
 from svmdist.errors import SimulationError
 from svmdist.kinematics import DHChain
 from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
-from svmdist.profile import Fiducial, Instrument
+from svmdist.profile.robot import Fiducial, Instrument
 from svmdist.samples import Image
 from svmdist.simulation.meshes import DrawnMesh, bar, loft, revolve, sphere
 from svmdist.transforms import Array, make_transform, rotation_x, rotation_z

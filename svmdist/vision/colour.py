@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 import cv2
 import numpy as np
 
-from svmdist.profile import ColourRegion, HsvSegmentation
+from svmdist.profile.segmentation import ColourRegion, HsvSegmentation
 from svmdist.profile.settings import ExposureSettings
 from svmdist.samples import Image
 

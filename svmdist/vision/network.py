@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from svmdist.errors import ProfileError, did_you_mean
 from svmdist.files import open_regular, why
-from svmdist.profile import ClassRegion, OnnxSegmentation
+from svmdist.profile.segmentation import ClassRegion, OnnxSegmentation
 from svmdist.samples import Image
 from svmdist.vision.colour import Masks, field_of_view
 

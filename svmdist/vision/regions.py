@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.least_squares import huber_weights, median, scale_of
-from svmdist.profile import AreaGate
+from svmdist.profile.segmentation import AreaGate
 from svmdist.profile.settings import OutlineSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array, polygon_centroid

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import cv2
 import numpy as np
 
-from svmdist.profile import AutoSegmentation, HsvSegmentation, Segmentation
+from svmdist.profile.segmentation import AutoSegmentation, HsvSegmentation, Segmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.vision.colour import HsvSegmenter, Masks

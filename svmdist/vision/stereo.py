@@ -48,8 +48,6 @@ class RectifiedPair:
 
     def to_rows(self, pixel: Array, *, right: bool = False) -> Array:
         """A pixel (2,) of a view where rows correspond."""
-        if self.R_rows_left is None:
-            return pixel
         x, y, w = self.homography(right=right) @ np.array([pixel[0], pixel[1], 1.0])
         return np.array([x / w, y / w])
 

@@ -117,12 +117,8 @@ LONG_CODE_CELLS, SHORT_CODE_RATE = 5, 0.6
 
 def find_tags(image_grey: Image, family: str, settings: TagSettings = DEFAULT) -> dict[int, Array]:
     """Corners, (4, 2) in px, of a family's tags by number: upper left first, clockwise as one reads; the largest."""
-    found: dict[int, Array] = {}
-    for number, corners_px in find_every_tag(image_grey, family, settings):
-        known = found.get(number)
-        if known is None or _area_px2(corners_px) > _area_px2(known):
-            found[number] = corners_px
-    return found
+    found = find_every_tag(image_grey, family, settings)
+    return dict(sorted(found, key=lambda tag: cv2.contourArea(tag[1].astype(np.float32))))
 
 
 def find_every_tag(
@@ -154,10 +150,6 @@ def _detector(
     parameters.perspectiveRemoveIgnoredMarginPerCell = CELL_MARGIN
     parameters.minMarkerPerimeterRate = min_perimeter
     return cv2.aruco.ArucoDetector(dictionary, parameters)
-
-
-def _area_px2(corners_px: Array) -> float:
-    return float(cv2.contourArea(corners_px.astype(np.float32)))
 
 
 def square_corners_m(size_m: float) -> Array:

@@ -65,10 +65,7 @@ class Job(Generic[Result]):
 
 @dataclass(frozen=True)
 class Outcome(Generic[Result]):
-    """What came of a log. `failure` says why there is no result; `notes` are (level, text) of what was logged.
-
-    `losses` are those found while it was read, and `unlisted_count` more; `packed_rows` holds the rows.
-    """
+    """What came of a log: a result or why there is none, notes as (level, text), losses and how many are unlisted."""
 
     result: Result | None
     failure: str | None = None
@@ -88,8 +85,7 @@ class Outcome(Generic[Result]):
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """The rows of the log; values that do not exist are left out."""
-        for line in zlib.decompress(base64.b64decode(self.packed_rows)).splitlines():
-            yield json.loads(line)
+        return map(json.loads, zlib.decompress(base64.b64decode(self.packed_rows)).splitlines())
 
 
 def measured(
@@ -104,10 +100,7 @@ def measured(
 
 
 def outcome_of(job: Job[Result], threads: int, log: LogFile) -> Outcome[Result]:
-    """Measure a log, and keep its rows and remarks; whatever goes wrong with this log alone is its outcome.
-
-    Raises UsageError and ProfileError, which every log would meet.
-    """
+    """Measure a log, and keep its rows and remarks; what goes wrong with every log is raised, else its outcome."""
     packer, packed = zlib.compressobj(1), b""
     steps = measured(job, log, threads)
     with collected_notes() as notes, one_opencv_thread():
@@ -157,10 +150,9 @@ def log_notes(outcomes: Sequence[Outcome[Any]]) -> None:
     for (level, text), count in counts.items():
         if count > MAX_REPEATED:
             LOG.log(level, "%s (so in %d logs)", text, count)
-    for one in outcomes:
-        for level, text in one.notes:
-            if counts[level, text] <= MAX_REPEATED:
-                LOG.log(level, "%s", text)
+    for level, text in (note for one in outcomes for note in one.notes):
+        if counts[level, text] <= MAX_REPEATED:
+            LOG.log(level, "%s", text)
 
 
 def measure_logs(
@@ -178,21 +170,17 @@ def measure_logs(
     ProfileError, OutputError where results cannot be kept, SvmdistError where the cluster is lost.
     """
     store = None if folder is None else _Store(folder, job)
-    found: dict[int, Outcome[Result]] = {}
-    for place, log in enumerate(logs):
-        if store is not None and (known := store.load(log)) is not None:
-            found[place] = known
+    found = {log: known for log in logs if store and (known := store.load(log))}
     if store is not None and len(logs) > 1:
         LOG.info("%d of %d logs are done", len(found), len(logs))
     on_progress(len(found), len(logs))
-    places = [place for place in range(len(logs)) if place not in found]
-    for at, outcome in _measured([logs[place] for place in places], job, jobs, scheduler):
-        place = places[at]
-        found[place] = outcome
+    left = [log for log in logs if log not in found]
+    for at, outcome in _measured(left, job, jobs, scheduler):
+        found[left[at]] = outcome
         if store is not None and outcome.failure is None:
-            store.save(logs[place], outcome)
+            store.save(left[at], outcome)
         on_progress(len(found), len(logs))
-    return [found[place] for place in range(len(logs))]
+    return [found[log] for log in logs]
 
 
 def _measured(
@@ -265,29 +253,21 @@ def _fingerprint(job: Job[Any]) -> str:
     return hashlib.sha256(repr((said, files)).encode("utf-8", "replace")).hexdigest()
 
 
-def _paths_in(value: object) -> Iterator[Path]:
-    if isinstance(value, Path):
-        yield value
-    elif isinstance(value, Mapping):
-        for item in value.values():
-            yield from _paths_in(item)
-    elif isinstance(value, list | tuple):
-        for item in value:
-            yield from _paths_in(item)
+def _paths_in(value: object) -> list[Path]:
+    inner = value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ()
+    return [value] if isinstance(value, Path) else [path for item in inner for path in _paths_in(item)]
 
 
-CONNECT_S = 10.0
-LOOK_S = 0.25
+CONNECT_S, LOOK_S = 10.0, 0.25
 RETRIES = 1
 
 
 def measured_on_cluster(
     measure: Callable[[LogFile], Outcome[Result]], logs: Sequence[LogFile], address: str
 ) -> Iterator[tuple[int, Outcome[Result]]]:
-    """Yield (place, outcome) of logs as they end.
+    """Yield (place, outcome) of logs as they end; workers read them by the same paths and URLs.
 
-    Workers read the logs by the paths and URLs that they have here, and run the same svmdist. Raises SvmdistError where
-    the scheduler does not answer, or is lost.
+    Raises SvmdistError where the scheduler does not answer or is lost, or a worker has another svmdist.
     """
     client = _connected(address)
     from distributed import KilledWorker, as_completed
@@ -295,17 +275,15 @@ def measured_on_cluster(
     try:
         # Packed, so that the scheduler need not know what is measured.
         packed = [pickle.dumps((measure, log)) for log in logs]
-        futures = client.map(
-            measure_on_worker, packed, expected=version("svmdist"), pure=False, retries=RETRIES
-        )
+        options = {"expected": version("svmdist"), "pure": False, "retries": RETRIES}
+        futures = client.map(measure_on_worker, packed, **options)
         places = {future.key: place for place, future in enumerate(futures)}
         for future in as_completed(futures, loop=client.loop, raise_errors=False):
             if future.status == "finished":
                 yield places[future.key], future.result()
             elif future.status != "error":  # cancelled: its scheduler is gone
-                raise SvmdistError(
-                    f"the scheduler {address} is lost; --resume keeps the results of logs that ended"
-                )
+                lost = f"the scheduler {address} is lost; --resume keeps the results of logs that ended"
+                raise SvmdistError(lost)
             elif isinstance(problem := future.exception(), KilledWorker):
                 yield places[future.key], Outcome(None, "the workers that measured it were lost, every one")
             else:
@@ -317,10 +295,8 @@ def measured_on_cluster(
 
 def measure_on_worker(packed: bytes, expected: str) -> Any:
     """Run on a worker: measure a log."""
-    if version("svmdist") != expected:
-        raise SvmdistError(
-            f"a worker has svmdist {version('svmdist')}, here it is {expected}; install the same on both"
-        )
+    if (own := version("svmdist")) != expected:
+        raise SvmdistError(f"a worker has svmdist {own}, here it is {expected}; install the same on both")
     measure, log = pickle.loads(packed)
     return measure(log)
 

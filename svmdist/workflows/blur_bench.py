@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,8 +16,9 @@ from svmdist.vision.colour import to_grey
 from svmdist.vision.degradations import Blur
 from svmdist.vision.marker import EDGE_MARGIN_PX, detect_orb, paste_marker
 from svmdist.vision.regions import find_region
+from svmdist.workflows.parallel import Steps
 from svmdist.workflows.replay import replay
-from svmdist.workflows.request import BlurCondition, Setup
+from svmdist.workflows.request import BlurCondition, Request
 from svmdist.workflows.scores import Readings
 
 DEFAULT_KERNELS_PX: Mapping[Blur, int] = {
@@ -28,8 +29,7 @@ DEFAULT_KERNELS_PX: Mapping[Blur, int] = {
     Blur.MEDIAN: 5,
     Blur.BILATERAL: 9,
 }
-"""The paper states no kernels. These are the smallest usual ones; morphology takes 3 px because a kernel of
-k px takes k - 1 px off the diameter of an instrument region that is some 15 px across."""
+"""The paper states no kernels. These are the smallest usual ones: an instrument region is some 15 px across."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,6 @@ class PrintedRow:
 
 
 MEANS = ("keypoint_count", "contour_area_px", "marker_keypoint_count", "match_count", "inlier_count")
-"""Columns that are means over the frames."""
 TABLE_I: Mapping[Blur, PrintedRow] = {
     Blur.EROSION: PrintedRow(7, 221),
     Blur.DILATION: PrintedRow(2, 219),
@@ -83,25 +82,26 @@ class BlurTally:
 
 def blur_tallies(
     recording: Recording,
-    setup: Setup,
+    request: Request,
+    jobs: int | None,
     kernels_px: Mapping[Blur, int],
-    jobs: int | None = None,
-    advance: Callable[[], None] = lambda: None,
+    steps: Steps | None = None,
 ) -> dict[Blur, BlurTally]:
-    """Degrade every frame of one recording by every blur, measure it, and count; `advance` is called for each image.
+    """Degrade every frame of one recording by every blur, measure it, and count; each image is a step.
 
     The marker is virtual: it is pasted on the degraded image and is not degraded itself.
     """
     tallies = {blur: BlurTally() for blur in kernels_px}
     readings = {blur: Readings() for blur in kernels_px}
     conditions = [BlurCondition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]
-    for replayed in replay(recording, [setup], conditions, wanted=recording.instruments[:1], jobs=jobs):
+    steps = steps or Steps()
+    steps.total, first = recording.image_count(), recording.instruments[:1]
+    for replayed in steps.of(replay(recording, [request.setup], conditions, wanted=first, jobs=jobs)):
         for blur, lane in zip(kernels_px, replayed, strict=True):
             (result,) = lane.results
             readings[blur].add(result)
             for frame in lane.frames:
                 _count(frame, result, tallies[blur].values)
-        advance()
     truth = recording.distance_track()
     for blur, found in readings.items():
         tallies[blur].frame_count = len(found)

@@ -29,12 +29,14 @@ from svmdist.samples import JointSample
 from svmdist.tracks import JointTrack
 from svmdist.transforms import Array, Stamps, inverse, rotation_angle, skew
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.parallel import Progress, Steps, image_total
+from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.replay import replay
-from svmdist.workflows.request import Setup
+from svmdist.workflows.request import Request, Setup
 
 PIXELS_AS_THEY_ARE = plane_mapping.PlaneMapping(
-    "corrected", plane_mapping.Quadratic(0.0, 1.0, 0.0), plane_mapping.Quadratic(0.0, 1.0, 0.0)
+    "corrected",
+    plane_mapping.Quadratic(quadratic_per_cm=0.0, linear=1.0, constant_cm=0.0),
+    plane_mapping.Quadratic(quadratic_per_cm=0.0, linear=1.0, constant_cm=0.0),
 )
 """The estimator needs a mapping; calibration reads its pixels only."""
 
@@ -50,11 +52,12 @@ class CalibrationPart:
 
 
 def collect_part(
-    recording: Recording, profile: Profile, method: str, jobs: int | None = None, steps: Steps | None = None
+    recording: Recording, request: Request, jobs: int | None = None, steps: Steps | None = None
 ) -> CalibrationPart:
     """Pairs of tool pixel and true position in the camera's plane; RecordingError where the log has no true pose."""
-    setup = Setup(profile, method, mapping=PIXELS_AS_THEY_ARE)
-    rows = (steps or Steps(None, None)).of(estimate(recording, setup, recording.instruments[:1], jobs))
+    setup, steps = replace(request.setup, mapping=PIXELS_AS_THEY_ARE), steps or Steps()
+    steps.total, frames = recording.image_count(), setup.profile.frames
+    rows = steps.of(estimate(recording, setup, recording.instruments[:1], jobs))
     results = [result for result in rows if result.measured]
     stamps_ns = np.array([result.stamp_ns for result in results], np.int64)
     tool_px = np.array([result.image.tool_px for result in results], np.float64).reshape(-1, 2)
@@ -62,7 +65,7 @@ def collect_part(
     if camera.has_distortion and len(tool_px):
         # Planar methods measure as if the lens were ideal; results have pixels of the recorded image.
         tool_px = camera.pinhole.project(pixel_rays(camera, tool_px))
-    truth = recording.transform_track(profile.frames.camera, profile.frames.tool, ground_truth=True)
+    truth = recording.transform_track(frames.camera, frames.tool, ground_truth=True)
     tool = truth.at(stamps_ns)
     samples = plane_mapping.CalibrationSamples(tool_px[tool.valid], tool.values[tool.valid, :2, 3])
     source = plane_mapping.SourceFile(name=recording.path.name, sha256=recording.sha256())
@@ -146,7 +149,8 @@ def hand_eye(
     own = recording.for_instrument(instrument)
     against = against or _default_reference(own, profile)
     twice = against == "kinematics" and setup.method != "fiducial"
-    steps = Steps(on_progress, image_total([recording], lambda _: 2 if twice else 1))
+    count = recording.image_count()
+    steps = Steps(on_progress, count and count * (1 + twice))
 
     def fit_to(log: Recording) -> HandEyeResult | Failure:
         lanes = steps.of(replay(log, [setup], wanted=[instrument], jobs=jobs))

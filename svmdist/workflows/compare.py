@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 from svmdist.errors import RecordingError
 from svmdist.metrics import coverage
-from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.recording.source import Health
 from svmdist.recording.topics import Role
@@ -18,11 +17,9 @@ from svmdist.workflows.replay import replay
 from svmdist.workflows.request import CLEAN, LogCondition, PerturbedCondition, Setup
 from svmdist.workflows.scores import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
 
-GroupBy = Callable[[Mapping[str, str]], str]
-"""Names the group of a recording by its metadata."""
+GroupBy = Callable[[Mapping[str, str]], str]  # names the group of a recording by its metadata
 
 ALL = "all"
-UNDEGRADED = "clean"
 CHUNKS_PER_PROCESS = 2
 """Conditions are dealt out in so many parts a process: each part decodes the images once more, few parts wait."""
 
@@ -33,11 +30,9 @@ WITH_FUSED = ("fused", "fiducial")
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Frames that are compared together: those of a scenario, and how they were degraded (`smoke=3`, or empty).
+    """Frames that are compared together: those of a scenario and degradation (`smoke=3`, `focal=1`, `world=real`).
 
-    A perturbed world (`focal=1`, or `world=real`) counts as a degradation. A scenario of `all` is all of them; so is a
-    degradation of `all`. Instruments are never compared together: `other_instrument` names one that is not the first
-    of its recording.
+    A scenario or degradation of `all` is all of them. `other_instrument` names one that is not its recording's first.
     """
 
     scenario: str
@@ -53,16 +48,15 @@ class Group:
 class Figures:
     """The figures of runs together: every frame counts the same; a distance without estimate or truth is None.
 
-    `seconds` is the processor time spent on estimates and their detections, without reading, decoding and degrading
-    images; methods that are measured together share the cost of what several of them use.
+    `seconds` of processor time went into estimates and detections; methods share the cost of what several use.
     """
 
     frame_count: int
     measured_count: int
+    seconds: float
     planar: DistanceScore | None
     spatial: DistanceScore | None
     clearance: DistanceScore | None
-    seconds: float
 
     @property
     def coverage(self) -> float:
@@ -92,10 +86,7 @@ def compare(
     *,
     jobs: int | None = None,
 ) -> list[MethodScore]:
-    """Run every setup on every recording under every condition; each process decodes an image once.
-
-    Raises RecordingError where a recording has no ground-truth distances, and where there is no image.
-    """
+    """Run every setup on every recording under every condition; RecordingError without an image or true distances."""
     runs = [run for one in recordings for run in measure_runs(one, setups, conditions, jobs=jobs)]
     return compared(runs, [setup.method for setup in setups])
 
@@ -111,10 +102,9 @@ def measure_runs(
 ) -> list[MethodScore]:
     """A score for every condition, setup and instrument of a recording, in that order.
 
-    With several jobs, processes share conditions or methods; `jobs` threads work ahead where nothing can be shared.
-    The figures are the same. Raises RecordingError where the recording has no ground-truth distances; another
-    instrument than the first is left out where it has none. `advance` is called for every image, condition and setup;
-    `by` groups by other metadata than the scenario.
+    Processes share conditions or methods; `jobs` threads work ahead where nothing can be shared. `advance` is called
+    for every image, condition and setup; `by` groups by other metadata than the scenario. Raises RecordingError where
+    the recording has no ground-truth distances; another instrument than the first is left out where it has none.
     """
     jobs = parallel.usable_cores() if jobs is None else jobs
     first, *others = recording.instruments
@@ -126,9 +116,8 @@ def measure_runs(
         parts = [(range(len(conditions)), range(len(setups)))]
     work = _Work(recording, truths, conditions, setups, max(1, jobs // len(parts)))
     if len(parts) > 1:
-        ended = [
-            found for _, found in parallel.each_in_processes(work.in_worker, parts, jobs, on_step=advance)
-        ]
+        processes = parallel.each_in_processes(work.in_worker, parts, jobs, on_step=advance)
+        ended = [found for _, found in processes]
         # Methods that need both views lose what others lose, and right images: their list has all in file order.
         for _, health in sorted(ended, key=lambda one: -len(one[1].losses)):
             recording.health.join(health)
@@ -143,8 +132,7 @@ def measure_runs(
 
 Part = tuple[Sequence[int], Sequence[int]]
 """What one process measures: the places of its conditions and of its setups."""
-Found = dict[tuple[int, int, str], Figures]
-"""By the places of condition and setup, and by instrument."""
+Found = dict[tuple[int, int, str], Figures]  # by the places of condition and setup, and by instrument
 
 
 def _parts(setups: Sequence[Setup], condition_count: int, jobs: int) -> list[Part]:
@@ -180,9 +168,8 @@ class _Work:
         places, setups_at = part
         images = [at for at in places if not isinstance(self.conditions[at], PerturbedCondition)]
         passes = [images, *([at] for at in places if at not in images)]
-        return {
-            key: found for at in passes if at for key, found in self._one_pass(at, setups_at, advance).items()
-        }
+        found = (self._one_pass(at, setups_at, advance) for at in passes if at)
+        return {key: figures for of_pass in found for key, figures in of_pass.items()}
 
     def _one_pass(self, at: Sequence[int], setups_at: Sequence[int], advance: Callable[[], None]) -> Found:
         conditions = [self.conditions[place] for place in at]
@@ -200,34 +187,22 @@ class _Work:
                 seconds[key] += spent_s
             for _ in replayed:
                 advance()
-        late_ns = {
-            name: _truth_late_ns(read.for_instrument(name), profile.for_instrument(name))
-            for name in self.truths
-        }
-        return {
-            key: _figures(readings[key], self.truths[key[2]], late_ns[key[2]], seconds[key]) for key in keys
-        }
-
-
-def _truth_late_ns(read: Recording, profile: Profile) -> int:
-    """By how much the stamps of images are late against those of the truth."""
-    return 0 if read.lag is None or truth_follows_images(read, profile) else read.lag.lag_ns
-
-
-def _figures(readings: Readings, truth: DistanceTrack, late_ns: int, seconds: float) -> Figures:
-    sampled = truth.at(readings.stamps_ns - late_ns)
-    planar, spatial, clearance = (score_pairs(readings.pairs(one, sampled)) for one in DISTANCES)
-    count = len(readings)
-    return Figures(count, count - readings.rejected.total(), planar, spatial, clearance, seconds)
+        found: Found = {}
+        for key, rows in readings.items():
+            own, count, lag = read.for_instrument(key[2]), len(rows), read.lag
+            follows = lag is None or truth_follows_images(own, profile.for_instrument(key[2]))
+            sampled = self.truths[key[2]].at(rows.stamps_ns - (0 if lag is None or follows else lag.lag_ns))
+            distances = (score_pairs(rows.pairs(one, sampled)) for one in DISTANCES)
+            found[key] = Figures(count, count - rows.rejected.total(), seconds[key], *distances)
+        return found
 
 
 def group_of(
     recording: Recording, condition: LogCondition = CLEAN, instrument: str = "", by: GroupBy | None = None
 ) -> Group:
-    """What a recording is compared as: its scenario, or its name where it names none, and its degradations.
+    """What a recording is compared as: its scenario, or its name, and its degradations; or by other metadata.
 
-    Those are what it was recorded with, `degrade` and `perturb` of its metadata, and then what is done to it now. Of a
-    real world, in which everything is perturbed, only that is said. `by` groups by other metadata instead.
+    Those are what it was recorded with (of a real world only that is said), and then what is done to it now.
     """
     metadata = recording.metadata
     other = instrument if instrument in recording.instruments[1:] else ""
@@ -240,14 +215,11 @@ def group_of(
 
 def pooled_figures(figures: Sequence[Figures]) -> Figures:
     """Several figures as one."""
-    planar, spatial, clearance = (pooled_score([getattr(one, name) for one in figures]) for name in DISTANCES)
     return Figures(
         sum(one.frame_count for one in figures),
         sum(one.measured_count for one in figures),
-        planar,
-        spatial,
-        clearance,
         sum(one.seconds for one in figures),
+        *(pooled_score([getattr(one, name) for one in figures]) for name in DISTANCES),
     )
 
 
@@ -260,33 +232,27 @@ def compared(runs: Sequence[MethodScore], methods: Sequence[str]) -> list[Method
     if not any(run.figures.frame_count for run in runs):
         raise RecordingError("there is no image to measure in these recordings")
     kinds = {(run.group.scenario, run.group.degradation) for run in runs}
-    scores = _pooled(runs, methods)
+    scores = _pooled(runs, [run.group for run in runs], methods)
     if all(len(set(several)) > 1 for several in zip(*kinds, strict=True)):
-        scores += _pooled(
-            [
-                replace(
-                    run,
-                    group=replace(run.group, scenario=ALL, degradation=run.group.degradation or UNDEGRADED),
-                )
-                for run in runs
-            ],
-            methods,
-        )
+        groups = [
+            replace(run.group, scenario=ALL, degradation=run.group.degradation or "clean") for run in runs
+        ]
+        scores += _pooled(runs, groups, methods)
     if len(kinds) > 1:
-        of_all = [replace(run, group=replace(run.group, scenario=ALL, degradation=ALL)) for run in runs]
-        scores += _pooled(of_all, methods)
+        groups = [replace(run.group, scenario=ALL, degradation=ALL) for run in runs]
+        scores += _pooled(runs, groups, methods)
     return scores
 
 
-def _pooled(runs: Sequence[MethodScore], methods: Sequence[str]) -> list[MethodScore]:
-    """The scores of each group, in the order of the methods."""
+def _pooled(
+    runs: Sequence[MethodScore], groups: Sequence[Group], methods: Sequence[str]
+) -> list[MethodScore]:
+    """The scores of each group of runs, in the order of the methods."""
     members: dict[Group, list[MethodScore]] = {}
-    for run in runs:
-        members.setdefault(run.group, []).append(run)
+    for run, group in zip(runs, groups, strict=True):
+        members.setdefault(group, []).append(replace(run, group=group))
     return [
-        replace(
-            of[0], method=method, figures=pooled_figures([run.figures for run in of if run.method == method])
-        )
+        replace(of[0], method=name, figures=pooled_figures([run.figures for run in of if run.method == name]))
         for of in members.values()
-        for method in dict.fromkeys(methods)
+        for name in dict.fromkeys(methods)
     ]

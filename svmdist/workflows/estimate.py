@@ -41,14 +41,19 @@ Keep = Callable[[Measured], None]
 
 
 def estimate(
-    recording: Recording, setup: Setup, wanted: Sequence[str] | None = None, jobs: int | None = None
+    recording: Recording,
+    setup: Setup,
+    wanted: Sequence[str] | None = None,
+    jobs: int | None = None,
+    *,
+    rest: bool = True,
 ) -> Iterator[FrameResult]:
     """Give one result per image and instrument, in order, holding a few frames at a time.
 
-    An image that cannot be decoded is a result with the status of its rejection. `wanted` and `jobs` are as in
-    `replay`.
+    An image that cannot be decoded is a result with the status of its rejection. `wanted`, `jobs` and
+    `rest` are as in `replay`.
     """
-    lanes = replay(recording, [setup], wanted=wanted, jobs=jobs)
+    lanes = replay(recording, [setup], wanted=wanted, jobs=jobs, rest=rest)
     return (result for (replayed,) in lanes for result in replayed.results)
 
 
@@ -88,9 +93,7 @@ def given_lag(lag: Lag | None) -> LagEstimate:
     return LagEstimate(0.0 if lag is None or lag == "auto" else float(lag), None, 1.0)
 
 
-def recording_lag(
-    readings: Readings, recording: Recording, profile: Profile, rules: TruthRules
-) -> LagEstimate:
+def recording_lag(readings: Readings, log: Recording, profile: Profile, rules: TruthRules) -> LagEstimate:
     """Estimate the lag of a recording from where its measured rows saw the tool.
 
     The tool's motion is taken from kinematics, else from the strongest other reference that the log has.
@@ -99,11 +102,11 @@ def recording_lag(
     problems = []
     for reference in (Reference.KINEMATICS, Reference.POSE, Reference.TF, Reference.GROUND_TRUTH):
         try:
-            at = tool_track(recording, profile, reference, rules)
+            at = tool_track(log, profile, reference, rules)
         except (RecordingError, KinematicsError) as problem:
             problems.append(str(problem))
             continue
-        return estimate_lag(readings.stamps_ns[seen], readings.tool_px[seen], predictor(at, recording.camera))
+        return estimate_lag(readings.stamps_ns[seen], readings.tool_px[seen], predictor(at, log.camera))
     return LagEstimate(0.0, None, 0.0, f"the log has no motion of the tool but in its images: {problems[0]}")
 
 

@@ -52,17 +52,17 @@ def fk_blocks(
     count = len(joints.stamps_ns)
     if on_progress is not None:
         on_progress(count, count)
-    stamps_ns, q = joints.stamps_ns, select_joints(chain, joints.names, joints.positions)
+    stamps_ns, positions = joints.stamps_ns, joints.positions
     if window is not None:
         inside = window.places(stamps_ns)
-        stamps_ns, q = stamps_ns[inside], q[inside]
+        stamps_ns, positions = stamps_ns[inside], positions[inside]
         if len(inside) == 0:
             raise RecordingError(f"{recording.path.name}: no joint state is between --start and --end")
     poses = recording.pose_track() if recording.topic_of("pose") is not None else None
     base = recording.transform_track(profile.frames.camera, profile.frames.base) if in_camera else None
-    for start in range(0, len(q), BLOCK):
+    for start in range(0, len(positions), BLOCK):
         at_ns = stamps_ns[start : start + BLOCK]
-        T = forward_kinematics(chain, q[start : start + BLOCK])
+        T = forward_kinematics(chain, select_joints(chain, joints.names, positions[start : start + BLOCK]))
         errors = np.full((len(T), 2), np.nan)
         if poses is not None:
             measured = poses.at(at_ns)

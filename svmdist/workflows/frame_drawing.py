@@ -110,13 +110,10 @@ def frame_drawing(
     labels: dict[tuple[Part, str], Label] = {}
     bodies = {}
     for frame, result in zip(frames, results, strict=True):
-        places = (
-            (Part.TIP, result.image.tool_px, result.instrument),
-            (Part.TISSUE, result.image.tissue_px, ""),
-        )
-        shapes += [
-            Shape(part, Form.POINTS, np.array([px]), name) for part, px, name in places if px is not None
-        ]
+        if result.image.tool_px is not None:
+            shapes.append(Shape(Part.TIP, Form.POINTS, np.array([result.image.tool_px]), result.instrument))
+        if result.image.tissue_px is not None:
+            shapes.append(Shape(Part.TISSUE, Form.POINTS, np.array([result.image.tissue_px])))
         for line, label in distance_shapes(result, scene.lens):
             shapes.append(line)
             labels.setdefault((label.part, label.text), label)  # that between two instruments is written once
@@ -190,15 +187,13 @@ def _contours(mask: Image, region: Region, part: Part, name: str = "") -> Iterat
     x, y, width, height = cv2.boundingRect(region.hull)
     inside = np.zeros((height, width), np.uint8)
     cv2.fillConvexPoly(inside, region.hull - np.array([x, y], np.int32), 255)
-    window = np.ascontiguousarray(mask[y : y + height, x : x + width])
-    yield from contours_of(np.asarray(cv2.bitwise_and(window, inside), np.uint8), part, name, (x, y))
+    yield from contours_of(mask[y : y + height, x : x + width] & inside, part, name, (x, y))
 
 
 def contours_of(mask: Image, part: Part, name: str = "", offset: tuple[int, int] = (0, 0)) -> Iterator[Shape]:
     """The outer contours of a mask, shape (h, w), whose first pixel is at an offset (x, y)."""
-    contours, _ = cv2.findContours(
-        np.ascontiguousarray(mask), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=offset
-    )
+    mask = np.ascontiguousarray(mask)
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE, offset=offset)
     for contour in contours:
         if cv2.arcLength(contour, closed=True) >= MIN_CONTOUR_PX:
             yield Shape(part, Form.LOOP, contour.reshape(-1, 2).astype(np.float64), name)
@@ -298,8 +293,7 @@ def status_line(result: FrameResult, method: str, alarm: AlarmState | None = Non
         detail = f" ({result.detail})" if result.detail else ""
         return StatusLine(f"{who}: not measured: {result.status}{detail}", False)
     is_alarm = bool(alarm and alarm.alarm)
-    raised = "  ALARM" if is_alarm else ""
-    return StatusLine(f"{who}: {shown[0]} {in_words(shown[1])}{raised}", True, is_alarm)
+    return StatusLine(f"{who}: {shown[0]} {in_words(shown[1])}{'  ALARM' * is_alarm}", True, is_alarm)
 
 
 def segments(result: FrameResult) -> Iterator[Segment]:
@@ -317,11 +311,8 @@ def segments(result: FrameResult) -> Iterator[Segment]:
 
 def distance_shapes(result: FrameResult, lens: Camera) -> list[tuple[Shape, Label]]:
     """The lines of a result's distances in the recorded image, with their lengths beside them."""
-    drawn = [
-        (one.part, lens.project(np.stack([one.start_m, one.end_m])), one.text)
-        for one in segments(result)
-        if min(one.start_m[2], one.end_m[2]) > 0.0
-    ]
+    seen = [one for one in segments(result) if min(one.start_m[2], one.end_m[2]) > 0.0]
+    drawn = [(one.part, lens.project(np.stack([one.start_m, one.end_m])), one.text) for one in seen]
     shown, ends = _shown_distance(result), (result.image.tool_px, result.image.tissue_px)
     if shown and shown[0] != "clearance" and None not in ends:
         drawn.append((Part.DISTANCE, np.array(ends), f"{shown[0]} {in_words(shown[1])}"))

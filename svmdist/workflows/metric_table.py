@@ -37,9 +37,6 @@ class Output(Flag):
     FIGURE_TABLE = auto()
 
 
-NOWHERE = Output(0)
-
-
 class Tolerance(BaseModel):
     """How much worse a figure may get: the larger of an absolute and a relative allowance."""
 
@@ -56,9 +53,8 @@ class Tolerance(BaseModel):
 class Metric:
     """One metric of a score, or of a part of it; `key` is its name in CSV, JSON and baselines.
 
-    A baseline stores it where it has a `tolerance`, which needs `better`. Of a metric of the three distances (`group`),
-    those `in_3d` are of the spatial distance and the clearance. `is_late` moves its columns behind all others, where
-    new columns belong.
+    A baseline stores it where it has a `tolerance`, which needs `better`. `in_3d` is of the spatial distance and the
+    clearance. `is_late` moves its columns behind all others, where new columns belong.
     """
 
     key: str
@@ -69,7 +65,7 @@ class Metric:
     title: str = ""
     outputs: Output = Output.SCORES
     tolerance: Tolerance | None = None
-    outputs_in_3d: Output = NOWHERE
+    outputs_in_3d: Output = Output(0)  # noqa: RUF009  (it is a constant)
     tolerance_in_3d: Tolerance | None = None
     narrow_title: str = ""
     source: str = ""
@@ -91,12 +87,8 @@ def of_distance(metrics: Iterable[Metric], distance: str) -> list[Metric]:
     """Metrics of a distance as metrics of scores and figures, which have an attribute of its name."""
     named = [replace(metric, group=distance) for metric in metrics]
     if distance != "planar":
-        named = [
-            replace(
-                one, key=f"{distance}_{one.key}", outputs=one.outputs_in_3d, tolerance=one.tolerance_in_3d
-            )
-            for one in named
-        ]
+        named = [replace(one, outputs=one.outputs_in_3d, tolerance=one.tolerance_in_3d) for one in named]
+        named = [replace(one, key=f"{distance}_{one.key}") for one in named]
     return of_part(named, distance)
 
 
@@ -173,10 +165,7 @@ INTERVALS = (
 )
 """Whether the stated standard deviations of a distance are honest."""
 
-FRAMES = (
-    FRAME_COUNT,
-    Metric("unpaired_count", COUNT, lambda s: s.unpaired_count, "Measured frames without a truth."),
-)
+UNPAIRED = Metric("unpaired_count", COUNT, lambda s: s.unpaired_count, "Measured frames without a truth.")
 
 def bounds(key: str, unit: Unit) -> list[Metric]:
     """Metrics of a bootstrap interval of a metric, which is a part of scores."""
@@ -246,7 +235,6 @@ REPLAYS = (
 """What `compare` and the degradation grid tell beside the distances."""
 # fmt: on
 
-
 FIRST_KEYS = ("r_squared", "rmse_m", "p95_abs_error_m", "coverage")
 """The metrics that every baseline stores; those declared later are missing in older ones."""
 
@@ -256,7 +244,7 @@ def score_metrics() -> list[Metric]:
     return [
         *COUNTS,
         *of_distance(ERRORS, "planar"),
-        *FRAMES,
+        *(FRAME_COUNT, UNPAIRED),
         *bounds("rmse_m", LENGTH),
         *bounds("r_squared", RATIO),
         *MARKS,

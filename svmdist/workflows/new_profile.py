@@ -14,8 +14,8 @@ import numpy as np
 
 from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.least_squares import scale_of
-from svmdist.profile import Profile, Robot, Topics, load_profile
-from svmdist.profile.robot import Tissue
+from svmdist.profile import Profile, Topics, load_profile
+from svmdist.profile.robot import Robot, Tissue
 from svmdist.profile.segmentation import ColourRegion, HsvSegmentation
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import sanitize, sanitize_list

@@ -5,6 +5,7 @@ Threads work ahead on the frames of one log; processes take whole logs, or parts
 
 from __future__ import annotations
 
+import atexit
 import multiprocessing
 import os
 import shutil
@@ -24,20 +25,21 @@ import cv2
 import numpy as np
 
 from svmdist.errors import SvmdistError
-from svmdist.recording.log import Recording
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Progress = Callable[[int, int | None], None]
 """Is called with how much is done, and how much there is where that is known."""
 
-LOOK_AHEAD = 2
-"""Results per worker that may wait: enough for a slow frame, and few images in memory."""
+LOOK_AHEAD = 2  # results per worker that may wait: enough for a slow frame, and few images in memory
 LARGEST_KEPT_BYTES = 24 << 20
-LOOK_S = 0.2
-"""Seconds between two looks at the progress of other processes."""
+LOOK_S = 0.2  # seconds between two looks at the progress of other processes
 PRELOADED = ["svmdist.workflows.replay"]
 """Imported once, by the server that forks workers: a worker then starts in milliseconds."""
+SOCKETS = "SVMDIST_SOCKETS"
+"""Names, for the server that forks workers, its folder of sockets: a process that is killed cannot remove it."""
+if SOCKETS in os.environ:  # this is the server, which ends after the last process that knows it
+    atexit.register(shutil.rmtree, os.environ.pop(SOCKETS), ignore_errors=True)
 
 
 class WorkerDiedError(SvmdistError):
@@ -121,9 +123,9 @@ def each_in_processes(
 ) -> Generator[tuple[int, Result]]:
     """Yield (place, what the function gives of the item there) as the items end, measured by so many processes.
 
-    An item whose process is killed is given to another one, until it was tried `attempts` times; then `died` stands
-    in place of its result, or WorkerDiedError is raised where that is None. What the function raises is raised here,
-    and ends all processes at once. `on_step` is called for every `step()` in any of the processes.
+    An item whose process is killed is tried `attempts` times; then `died` is its result, or WorkerDiedError is raised
+    where that is None. What the function raises is raised here, and ends all processes at once. `on_step` is called
+    for every `step()` in any of the processes.
     """
     waiting = deque((place, 1) for place in range(len(items)))
     running: dict[Future[Result], tuple[ProcessPoolExecutor, int, int]] = {}
@@ -157,8 +159,7 @@ def each_in_processes(
                     yield place, result
 
 
-_steps: Any = None
-"""In a worker: the counter of steps that all processes share."""
+_steps: Any = None  # in a worker: the counter of steps that all processes share
 
 
 def _count_in(steps: Any) -> None:
@@ -195,12 +196,14 @@ def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
 
         context.set_forkserver_preload(PRELOADED)
         with _quiet_start():
+            os.environ[SOCKETS] = get_temp_dir()
             forkserver.ensure_running()
+            del os.environ[SOCKETS]
     pools: list[ProcessPoolExecutor] = []
     others = set(multiprocessing.active_children())
 
     def make(workers: int, begin: Callable[[], object]) -> Any:
-        prepared = dict(os.environ), get_temp_dir(), begin
+        prepared = dict(os.environ), begin
         pools.append(ProcessPoolExecutor(workers, context, _begin, prepared))
         return pools[-1]
 
@@ -215,21 +218,19 @@ def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
             pool.shutdown(cancel_futures=True)
 
 
-def _begin(environment: dict[str, str], folder: str, begin: Callable[[], object]) -> None:
+def _begin(environment: dict[str, str], begin: Callable[[], object]) -> None:
     """Prepare a worker: the process that began it handles interrupts, and takes it along where it is killed."""
     os.environ.update(environment)  # it may have changed since the server began that forks workers
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
     begin()
 
 
-def _end_with_parent(folder: str) -> None:
-    """End when the parent was killed, which could then not remove its temporary folder of sockets."""
+def _end_with_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
-        shutil.rmtree(folder, ignore_errors=True)
         os._exit(1)
 
 
@@ -253,9 +254,9 @@ def _quiet_start() -> Iterator[None]:
 class Steps:
     """Counts what is done, in all passes over all recordings, and reports it."""
 
-    def __init__(self, on_progress: Progress | None, total: int | None) -> None:
+    def __init__(self, on_progress: Progress | None = None, total: int | None = None) -> None:
+        self.total = total
         self._on_progress = on_progress
-        self._total = total
         self._done = 0
 
     def of(self, items: Iterable[Item]) -> Iterator[Item]:
@@ -268,12 +269,4 @@ class Steps:
         """Count one step."""
         self._done += 1
         if self._on_progress is not None:
-            self._on_progress(self._done, self._total)
-
-
-def image_total(
-    recordings: Sequence[Recording], each: Callable[[Recording], int] = lambda _: 1
-) -> int | None:
-    """The images of recordings, times the steps for each image of a recording; None where it is not known."""
-    counts = [(recording.image_count(), each(recording)) for recording in recordings]
-    return None if any(count is None for count, _ in counts) else sum((n or 0) * m for n, m in counts)
+            self._on_progress(self._done, self.total)

@@ -33,10 +33,7 @@ Task = tuple[list[Block], list[np.random.Generator]]
 
 @dataclass(frozen=True)
 class Recorded:
-    """A recording that was written, or was there already: the numbers of (left) images and messages, and the size.
-
-    `failure` says why there is no recording.
-    """
+    """A recording that was written or was there, with its (left) images, messages and size; or why there is none."""
 
     path: Path
     frame_count: int = 0
@@ -113,9 +110,7 @@ def _version(package: str) -> str:
         return "unknown"
 
 
-def encoded_samples(
-    plan: Plan, jobs: int, jpeg_quality: int | None = None
-) -> Generator[tuple[str, EncodedSample]]:
+def encoded_samples(plan: Plan, jobs: int, jpeg_quality: int | None) -> Generator[tuple[str, EncodedSample]]:
     """Yield (topic, sample) of a plan in the order of time, made by `jobs` processes or fewer.
 
     Recordings of few images are made in this process, which is faster then. Raises WorkerDiedError where a process is
@@ -142,10 +137,7 @@ def _encoded(
 
 
 def _tasks(plan: Plan) -> Iterator[Task]:
-    """The blocks of each task, and the random streams of the noise before it.
-
-    A task has an even number of pictures, which spares the renderer a turn (see `DrawnWorld`).
-    """
+    """The blocks of each task, an even number of pictures (see `DrawnWorld`), and the random streams before it."""
     sensors = Sensors(plan.scene.camera, plan.scene.seed, plan.noise, plan.options)
     size = 1 if plan.options.stereo else 2
     for begin in range(0, len(plan.blocks), size):
@@ -155,8 +147,7 @@ def _tasks(plan: Plan) -> Iterator[Task]:
             sensors.draw_noise()
 
 
-_recorded: tuple[Plan, int | None] | None = None
-"""In a worker: what it records, and the quality of JPEG."""
+_recorded: tuple[Plan, int | None] | None = None  # in a worker: what it records, and the quality of JPEG
 
 
 def _begin(plan: Plan, jpeg_quality: int | None) -> None:
@@ -203,9 +194,8 @@ def episode_paths(output: Path, scenario: str, first_seed: int, count: int) -> l
             for number, seed in enumerate(seeds, 1)
         ]
     elif output.suffix.lower() == ".mcap":
-        raise UsageError(
-            f"{output}: is one name for {count} episodes: give a folder, or a name with {SEED} or {NUMBER}"
-        )
+        names = f"a folder, or a name with {SEED} or {NUMBER}"
+        raise UsageError(f"{output}: is one name for {count} episodes: give {names}")
     else:
         paths = [output / f"{scenario}-{seed}.mcap" for seed in seeds]
     for folder in dict.fromkeys(path.parent for path in paths):
@@ -224,38 +214,34 @@ def record_episodes(
 ) -> list[Recorded]:
     """Record an episode to each path, with the scenario's seed and those after it; what came of them, in order.
 
-    An episode that cannot be recorded does not stop the others. The files are the same for any number of jobs. Raises
-    UsageError before the work where a file exists and may neither be replaced nor left.
+    One that fails does not stop the others. Raises UsageError where a file exists and may neither be replaced nor left.
     """
-    if not episodes.force and not episodes.skip_existing:
-        for path in paths:
-            for there in (path, _part(path)):
-                if there.exists():
-                    raise UsageError(
-                        f"{there} exists; --skip-existing leaves episodes that are whole, --force replaces all"
-                    )
+    parts = [path.with_name(f"{path.name}.part") for path in paths]
+    there = next((path for path in (*paths, *parts) if path.exists()), None)
+    if there and not episodes.force and not episodes.skip_existing:
+        raise UsageError(
+            f"{there} exists; --skip-existing leaves episodes that are whole, --force replaces all"
+        )
     found: dict[int, Recorded] = {}
+    jobs = parallel.usable_cores() if jobs is None else jobs
     try:
-        with closing(
-            _each_recorded(episodes, paths, parallel.usable_cores() if jobs is None else jobs)
-        ) as done:
+        with closing(_each_recorded(episodes, paths, jobs)) as done:
             for number, episode in done:
                 found[number] = replace(episode, path=paths[number])
                 if on_progress is not None:
                     on_progress(len(found), len(paths))
     finally:
-        for number, path in enumerate(paths):
+        for number, part in enumerate(parts):
             if number not in found or found[number].failure:  # its process was ended
                 with suppress(OSError):
-                    _part(path).unlink(missing_ok=True)
+                    part.unlink(missing_ok=True)
     return [found[number] for number in range(len(paths))]
 
 
 def _each_recorded(episodes: Episodes, paths: Sequence[Path], jobs: int) -> Generator[tuple[int, Recorded]]:
     numbered, workers = list(enumerate(paths)), min(jobs, len(paths))
     if workers <= 1:
-        for number, path in numbered:
-            yield number, record_episode(episodes, jobs, (number, path))
+        yield from ((one[0], record_episode(episodes, jobs, one)) for one in numbered)
         return
     died = Recorded(Path(), failure=str(parallel.WorkerDiedError()))
     yield from parallel.each_in_processes(partial(record_episode, episodes, 1), numbered, workers, died=died)
@@ -281,19 +267,14 @@ def record_episode(episodes: Episodes, jobs: int, numbered: tuple[int, Path]) ->
 
 def _there(recipe: Recipe, path: Path) -> Recorded:
     """An episode that is there already, unless the file is another recording."""
-    expected = recipe.metadata()
     try:
         recording = open_recording(path, recipe.profile)
-        found = recording.metadata
     except RecordingError as problem:
         return Recorded(path, failure=f"{problem}; --force replaces it")
+    expected, found = recipe.metadata(), recording.metadata
     other = sorted(key for key in expected.keys() | found.keys() if expected.get(key) != found.get(key))
     if other:
         reason = f"{path}: is another recording: {', '.join(other)} differ; --force replaces it"
         return Recorded(path, failure=reason)
     message_count = sum(info.message_count or 0 for info in recording.topics())
     return Recorded(path, recording.image_count() or 0, message_count, recording.size_bytes(), was_there=True)
-
-
-def _part(path: Path) -> Path:
-    return path.with_name(path.name + ".part")

@@ -8,7 +8,6 @@ from enum import StrEnum
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation import plane_mapping as paper
@@ -16,18 +15,19 @@ from svmdist.estimation.plane_mapping import Equations
 from svmdist.kinematics import chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
-from svmdist.tracks import MAX_GAP_NS, Sampled, SampledDistances
+from svmdist.tracks import MAX_GAP_NS, Sampled
+from svmdist.transforms import Stamps
 
 KINEMATICS_PRINTED_NOTE = (
     "eq. (28) as printed is the zero matrix, which makes (31) zero everywhere: the identity stands in for it;"
     " eq. (30) as printed is a reflection; eqs. (33), (34) as printed divide metres by 100 and are 10^4 too small"
 )
 MAX_CLOCK_STAMPS = 500
-"""So many moments tell on which of two clocks the truth is."""
+"""So many moments show on which of two clocks the truth is."""
 
 
 class Reference(StrEnum):
-    """What is taken for the truth, the strongest first."""
+    """What counts as the truth, the strongest first."""
 
     GROUND_TRUTH = "ground_truth"
     """svmdist's own truth, from the simulator."""
@@ -39,10 +39,8 @@ class Reference(StrEnum):
     """DH kinematics of the log's joint states: eqs. (31)–(35), as in the paper."""
 
 
-PoseAt = Callable[[NDArray[np.int64]], Sampled]
+PoseAt = Callable[[Stamps], Sampled]
 """Stamps, shape (n,), to poses, shape (n, 4, 4), and which of them are known."""
-FramePair = tuple[str, str]
-"""Parent and child frame of a transform."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +48,8 @@ class TruthRules:
     """Which references to use (None: all of the log), and the frames (parent, child) of tool and tissue."""
 
     references: tuple[Reference, ...] | None = None
-    tool_frames: FramePair | None = None
-    tissue_frames: FramePair | None = None
+    tool_frames: tuple[str, str] | None = None
+    tissue_frames: tuple[str, str] | None = None
     max_gap_ns: int = MAX_GAP_NS
 
     @property
@@ -93,11 +91,11 @@ def distance_truth(
     recording: Recording,
     profile: Profile,
     reference: Reference,
-    stamps_ns: NDArray[np.int64],
+    stamps_ns: Stamps,
     equations: Equations,
     rules: TruthRules,
-) -> SampledDistances:
-    """Distances between tool and tissue by a reference, interpolated to stamps; what it does not give is NaN.
+) -> Sampled:
+    """Planar, spatial distance and clearance by a reference in m, shape (n, 3), at stamps; NaN for what it has not.
 
     Raises RecordingError or KinematicsError where the log has no such reference.
     """
@@ -110,41 +108,35 @@ def distance_truth(
         tool = _kinematic_poses(recording, profile, rules.max_gap_ns)(stamps_ns)
         displacement_cm = paper.displacement_cm_as_published(tool.values[:, :3, 3])
         planar_m = paper.planar_distance_cm(displacement_cm) / 100.0
-        return SampledDistances(planar_m, unknown_m, unknown_m, tool.valid)
+        return Sampled(np.stack([planar_m, unknown_m, unknown_m], -1), tool.valid)
     tool = tool_track(recording, profile, reference, rules)(stamps_ns)
     frames = profile.frames
-    tissue_track = (
-        recording.transform_track(*rules.tissue_frames)
-        if rules.tissue_frames
-        else recording.transform_track(frames.camera, frames.tissue, ground_truth=True)
-    )
-    tissue = tissue_track.at(stamps_ns, rules.max_gap_ns)
+    pair, is_truth = rules.tissue_frames or (frames.camera, frames.tissue), rules.tissue_frames is None
+    tissue = recording.transform_track(*pair, ground_truth=is_truth).at(stamps_ns, rules.max_gap_ns)
     tool_m, tissue_m = tool.values[:, :3, 3], tissue.values[:, :3, 3]
     planar_m = paper.planar_distance_cm(paper.displacement_cm_corrected(tool_m, tissue_m)) / 100.0
     spatial_m = np.linalg.norm(tissue_m - tool_m, axis=-1)
-    return SampledDistances(planar_m, spatial_m, unknown_m, tool.valid & tissue.valid)
+    return Sampled(np.stack([planar_m, spatial_m, unknown_m], -1), tool.valid & tissue.valid)
 
 
-def tool_track(
-    recording: Recording, profile: Profile, reference: Reference, rules: TruthRules = ANY_TRUTH
-) -> PoseAt:
+def tool_track(log: Recording, profile: Profile, reference: Reference, rules: TruthRules) -> PoseAt:
     """`T_camera_tool` by a reference; raises RecordingError or KinematicsError where the log has no such one."""
     frames, gap_ns = profile.frames, rules.max_gap_ns
     if reference in (Reference.GROUND_TRUTH, Reference.TF):
         is_truth = reference is Reference.GROUND_TRUTH
         pair = (not is_truth and rules.tool_frames) or (frames.camera, frames.tool)
-        return partial(recording.transform_track(*pair, ground_truth=is_truth).at, max_gap_ns=gap_ns)
+        return partial(log.transform_track(*pair, ground_truth=is_truth).at, max_gap_ns=gap_ns)
     if reference is Reference.POSE:
-        poses = recording.pose_track()
+        poses = log.pose_track()
         frame: str = poses.parent
         in_frame: PoseAt = partial(poses.at, max_gap_ns=gap_ns)
     else:
-        frame, in_frame = frames.base, _kinematic_poses(recording, profile, gap_ns)
+        frame, in_frame = frames.base, _kinematic_poses(log, profile, gap_ns)
     if frame == frames.camera:
         return in_frame
-    nominal = recording.transform_track(frames.camera, frame)
+    nominal = log.transform_track(frames.camera, frame)
 
-    def in_camera(stamps_ns: NDArray[np.int64]) -> Sampled:
+    def in_camera(stamps_ns: Stamps) -> Sampled:
         T_camera_frame, T_frame_tool = nominal.at(stamps_ns, gap_ns), in_frame(stamps_ns)
         return Sampled(T_camera_frame.values @ T_frame_tool.values, T_camera_frame.valid & T_frame_tool.valid)
 
@@ -159,7 +151,7 @@ def _kinematic_poses(recording: Recording, profile: Profile, max_gap_ns: int) ->
     joints = recording.joint_track()
     select_joints(chain, joints.names, joints.positions[:1])  # says at once which joints are missing
 
-    def at(stamps_ns: NDArray[np.int64]) -> Sampled:
+    def at(stamps_ns: Stamps) -> Sampled:
         q = joints.at(stamps_ns, max_gap_ns)
         selected = select_joints(chain, joints.names, q.values)
         within = chain.are_within_limits(selected).all(axis=-1)  # joints that cannot be are no reference
@@ -177,7 +169,7 @@ def truth_follows_images(recording: Recording, profile: Profile) -> bool:
     if recording.lag is None or recording.lag.lag_ns == 0:
         return True
     try:
-        nominal = tool_track(recording, profile, Reference.KINEMATICS)
+        nominal = tool_track(recording, profile, Reference.KINEMATICS, ANY_TRUTH)
         frames = profile.frames
         true = recording.transform_track(frames.camera, frames.tool, ground_truth=True)
     except (RecordingError, KinematicsError):

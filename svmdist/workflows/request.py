@@ -55,19 +55,18 @@ class Condition:
 
     def apply(self, observation: Observation, frame: int) -> Observation:
         """Degrade the images of the n-th frame: the same frame of the same log always alike."""
-        name, severity = self.name, self.severity
-        if name is None:
+        if (name := self.name) is None:
             return observation
         # The image itself tells logs apart, whatever their names and order. The severity plays no part: glints
         # and plumes of one are those of the next, only more of them.
         content = zlib.crc32(np.ascontiguousarray(observation.image_bgr).data)
         path = (REPLAY_SEED, list(degradations.Degradation).index(name), frame, content)
-        return _changed(
-            observation,
-            lambda image, side: degradations.degrade(
-                image, name, severity, degradations.image_seed(name, side, *path)
-            ),
-        )
+
+        def degraded(image: Image, side: int) -> Image:
+            seed = degradations.image_seed(name, side, *path)
+            return degradations.degrade(image, name, self.severity, seed)
+
+        return _changed(observation, degraded)
 
 
 CLEAN = Condition()
@@ -95,8 +94,7 @@ class PerturbedCondition:
         )
 
 
-LogCondition = Condition | PerturbedCondition
-"""What a log can be compared under."""
+LogCondition = Condition | PerturbedCondition  # what a log can be compared under
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +111,7 @@ class BlurCondition:
         )
 
 
-ReplayCondition = LogCondition | BlurCondition
-"""What is done to the images of a log before they are measured."""
+ReplayCondition = LogCondition | BlurCondition  # what is done to the images of a log before they are measured
 
 
 def _changed(observation: Observation, change: Callable[[Image, int], Image]) -> Observation:
@@ -124,8 +121,7 @@ def _changed(observation: Observation, change: Callable[[Image, int], Image]) ->
     return replace(observation, image_bgr=change(observation.image_bgr, LEFT), right=right)
 
 
-Lag = float | Literal["auto"]
-"""A lag in s, positive when the image stamps are late, or `auto` to estimate it."""
+Lag = float | Literal["auto"]  # a lag in s, positive when the image stamps are late, or `auto` to estimate it
 
 LOG = logging.getLogger("svmdist")
 """What users are told beside the data: errors, then remarks (INFO), then choices and times (DEBUG)."""
@@ -153,9 +149,8 @@ class OwnEstimator:
         """Measure one frame; raises TypeError for what is no result."""
         result = self._method.estimate(frame)
         if not isinstance(result, FrameResult):
-            raise TypeError(
-                f"{self.name}.estimate(frame): expected a FrameResult, found {type(result).__name__}"
-            )
+            found = type(result).__name__
+            raise TypeError(f"{self.name}.estimate(frame): expected a FrameResult, found {found}")
         return result
 
 
@@ -164,6 +159,7 @@ class Setup:
     """Everything that turns a recording into results. Make it with `prepare`.
 
     `mapping` leads from pixels to the paper's plane: as published, or the calibration's; None for a method in 3D.
+    `own` is a user's own method, in place of one of svmdist's.
     """
 
     profile: Profile
@@ -172,7 +168,6 @@ class Setup:
     calibration: plane_mapping.Calibration | None = None
     mapping: plane_mapping.PlaneMapping | None = None
     own: OwnMethod | None = None
-    """A user's own method, in place of one of svmdist's."""
 
     @staticmethod
     def reading(profile: str, hand_eye: Path | None = None) -> Setup:
@@ -222,11 +217,8 @@ class Setup:
 
     def degeneracies(self, camera: Camera) -> list[str]:
         """Sentences about where the equations cannot be right for this camera's image."""
-        return (
-            plane_mapping.degeneracies(self.mapping, camera.width_px, camera.height_px)
-            if self.mapping
-            else []
-        )
+        size_px = camera.width_px, camera.height_px
+        return plane_mapping.degeneracies(self.mapping, *size_px) if self.mapping else []
 
     def __getstate__(self) -> dict[str, Any]:
         """Another process makes its own segmenter: a network cannot be sent there."""
@@ -237,8 +229,7 @@ class Setup:
 class Request:
     """What a command does with each log: it travels to workers, and results depend on nothing else but the log.
 
-    `instruments` None stands for all. `lag` is taken off the image stamps. `rules` say what estimates are scored
-    against, and `alarms` when one is raised; `conditions` are those of a comparison.
+    `instruments` None stands for all. `lag` is taken off the image stamps. `rules` say what estimates are scored by.
     """
 
     setup: Setup
@@ -268,8 +259,8 @@ def prepare(
 ) -> Setup:
     """Load what a measurement needs, by names and paths; a `Profile`, and an own method, are taken as they are.
 
-    A planar method needs a calibration: the given one, else the one that ships beside the profile. `hand_eye` is a
-    file of camera-to-base transforms in place of the profile's. Raises ProfileError, CalibrationError or UsageError.
+    A planar method takes the given calibration, else the profile's; `hand_eye` is a file in place of the profile's.
+    Raises ProfileError, CalibrationError or UsageError.
     """
     if isinstance(method, str) and method not in METHODS:
         raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
@@ -289,7 +280,15 @@ def prepare(
         )
     setup = Setup(loaded, method, equations, mapping=plane_mapping.PUBLISHED_MAPPING if is_printed else None)
     if is_planar and not is_printed:
-        found = plane_mapping.load_calibration(calibration or _beside(profile, loaded))
+        if calibration is None and loaded.calibration is None:
+            raise CalibrationError(
+                f"profile {loaded.name} ships no calibration: make one with `svmdist calibrate` and name it with"
+                " --calibration"
+            )
+        # A profile in hand names no folder: its calibration is a shipped one, or is given.
+        named = loaded.name if isinstance(profile, Profile) else profile
+        path = calibration or profile_path(named).parent / str(loaded.calibration)
+        found = plane_mapping.load_calibration(path)
         setup = replace(setup, calibration=found, mapping=found.mapping)
     # A network or a mesh that cannot be used is told before a recording is opened.
     _ = setup.segmenter
@@ -298,14 +297,3 @@ def prepare(
 
         require_tissue(loaded)
     return setup
-
-
-def _beside(profile: str | Path | Profile, loaded: Profile) -> Path:
-    if loaded.calibration is None:
-        raise CalibrationError(
-            f"profile {loaded.name} ships no calibration: make one with `svmdist calibrate` and name it with"
-            " --calibration"
-        )
-    # A profile in hand names no folder: its calibration is a shipped one, or is given.
-    path = profile_path(loaded.name if isinstance(profile, Profile) else profile)
-    return path.parent / loaded.calibration

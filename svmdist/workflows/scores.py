@@ -19,14 +19,12 @@ from svmdist.estimation.plane_mapping import Equations
 from svmdist.profile import Profile
 from svmdist.recording.log import KnownLag, Recording
 from svmdist.results import FrameResult
-from svmdist.tracks import SampledDistances
+from svmdist.tracks import Sampled
 from svmdist.transforms import Array, Stamps
 from svmdist.workflows import references
 from svmdist.workflows.request import Setup
 
 BOOTSTRAP_SEED = 36
-
-
 DISTANCES = ("planar", "spatial", "clearance")
 
 
@@ -69,8 +67,7 @@ class Readings:
         """Take the tool's pixel and each distance from a row; NaN where it has none."""
         self._stamps_ns.append(row.stamp_ns)
         numbers = [*(row.image.tool_px or (np.nan, np.nan))]
-        for name in DISTANCES:
-            found = getattr(row.distances, name)
+        for found in (getattr(row.distances, name) for name in DISTANCES):
             std_m = np.nan if found is None or found.std_m is None else found.std_m
             numbers += [np.nan if found is None else found.value_m, std_m]
         if not row.measured:
@@ -86,20 +83,21 @@ class Readings:
     @property
     def tool_px(self) -> Array:
         """Where the tool was seen, shape (n, 2); NaN where it was not."""
-        return self._columns(0).T
+        return self._pairs[:, 0]
 
     def distance(self, name: str) -> tuple[Array, Array]:
         """Estimates and standard deviations of a distance in m, shape (n,) each."""
-        estimate_m, std_m = self._columns(1 + DISTANCES.index(name))
+        estimate_m, std_m = self._pairs[:, 1 + DISTANCES.index(name)].T
         return estimate_m, std_m
 
-    def _columns(self, place: int) -> Array:
-        return np.array(self._numbers, np.float64).reshape(-1, 1 + len(DISTANCES), 2)[:, place].T
+    @property
+    def _pairs(self) -> Array:
+        return np.array(self._numbers, np.float64).reshape(-1, 1 + len(DISTANCES), 2)
 
-    def pairs(self, name: str, truth: SampledDistances, stamps_ns: Stamps | None = None) -> Pairs:
+    def pairs(self, name: str, truth: Sampled, stamps_ns: Stamps | None = None) -> Pairs:
         """Pair a distance with its truth at the rows' stamps, or at others, shape (n,); pairs without a value go."""
         estimate_m, std_m = self.distance(name)
-        truth_m: Array = getattr(truth, f"{name}_m")
+        truth_m = truth.values[:, DISTANCES.index(name)]
         kept = truth.valid & np.isfinite(truth_m) & np.isfinite(estimate_m)
         at_ns = self.stamps_ns if stamps_ns is None else stamps_ns
         return Pairs(at_ns[kept], estimate_m[kept], truth_m[kept], std_m[kept])
@@ -114,10 +112,8 @@ def pooled(parts: Sequence[Pairs]) -> Pairs:
 def score_pairs(pairs: Pairs) -> DistanceScore | None:
     """The figures of pairs; None for no pairs."""
     statistics, known = metrics.error_statistics(pairs.estimate_m, pairs.truth_m), np.isfinite(pairs.std_m)
-    if statistics is None:
-        return None
     held = metrics.interval_coverage(pairs.estimate_m[known], pairs.truth_m[known], pairs.std_m[known])
-    return DistanceScore(statistics, held, pairs)
+    return DistanceScore(statistics, held, pairs) if statistics else None
 
 
 def pooled_score(parts: Sequence[DistanceScore | None]) -> DistanceScore | None:
@@ -129,9 +125,9 @@ def pooled_score(parts: Sequence[DistanceScore | None]) -> DistanceScore | None:
 def require_clearance(method: str, profile: Profile | None = None) -> None:
     """Refuse alarms where no clearance is estimated: no alarm would ever be raised, which looks like safety."""
     if method in PLANAR_METHODS:
+        choices = ", ".join(SPATIAL_METHODS)
         raise UsageError(
-            f"alarms need a clearance, and {method} measures in the plane: the choices are"
-            f" {', '.join(SPATIAL_METHODS)}"
+            f"alarms need a clearance; {method} measures in the plane: the choices are {choices}"
         )
     if profile is not None and profile.instrument is None:
         raise ProfileError(
@@ -140,13 +136,11 @@ def require_clearance(method: str, profile: Profile | None = None) -> None:
 
 
 def score_alarms(
-    rows: Sequence[FrameResult], truth: SampledDistances, stamps_ns: Stamps, rules: AlarmRules
+    rows: Sequence[FrameResult], truth: Sampled, stamps_ns: Stamps, rules: AlarmRules
 ) -> metrics.AlarmStatistics:
-    """Score the alarms that all rows of a recording raise, measured or not, with the truth at their stamps.
-
-    Frames whose true clearance is not known are left out; raises RecordingError where those are all frames.
-    """
-    known = truth.valid & np.isfinite(truth.clearance_m)
+    """Score the alarms of all rows at their true clearances; RecordingError where none of these is known."""
+    clearance_m = truth.values[:, DISTANCES.index("clearance")]
+    known = truth.valid & np.isfinite(clearance_m)
     if not known.any():
         raise RecordingError("there is no frame with a true clearance to score alarms against")
     watch, order = AlarmWatch(rules), np.argsort(stamps_ns, kind="stable")
@@ -154,7 +148,7 @@ def score_alarms(
     kept = order[known[order]].tolist()
     seconds = (stamps_ns[kept] - stamps_ns[order[0]]) / 1e9
     alarms, judged = [states[at] is True for at in kept], [states[at] is not None for at in kept]
-    return metrics.alarm_statistics(seconds, alarms, truth.clearance_m[kept], rules.below_m, judged)
+    return metrics.alarm_statistics(seconds, alarms, clearance_m[kept], rules.below_m, judged)
 
 
 @dataclass(frozen=True)
@@ -231,11 +225,11 @@ def truth_lag_ns(
     recording: Recording, setup: Setup, reference: references.Reference, lag: LagEstimate | None
 ) -> int:
     """Time offset from a reference's stamps to the images': the lag, or 0 where the reference has the images' clock."""
-    lag_ns = round(lag.lag_s * 1e9) if lag else 0
-    if lag and lag_ns and reference is references.Reference.GROUND_TRUTH:
+    if lag and lag.lag_s and reference is references.Reference.GROUND_TRUTH:
         corrected = replace(recording, lag=KnownLag(lag.lag_s))
-        return 0 if references.truth_follows_images(corrected, setup.profile) else lag_ns
-    return lag_ns
+        if references.truth_follows_images(corrected, setup.profile):
+            return 0
+    return round(lag.lag_s * 1e9) if lag else 0
 
 
 def score_rows(
@@ -249,7 +243,7 @@ def score_rows(
 ) -> Score:
     """Score the estimates of one recording, shape (n_frames,), against one reference."""
 
-    def truth_at(at_ns: Stamps) -> SampledDistances:
+    def truth_at(at_ns: Stamps) -> Sampled:
         return references.distance_truth(recording, setup.profile, reference, at_ns, setup.equations, rules)
 
     readings = Readings(rows)
@@ -260,11 +254,7 @@ def score_rows(
     is_truth = reference is references.Reference.GROUND_TRUTH
     unshifted = readings.pairs("planar", truth_at(readings.stamps_ns)) if lag_ns else planar
     return Score(
-        recording.name,
-        setup.method,
-        setup.equations,
-        reference,
-        len(rows),
+        *(recording.name, setup.method, setup.equations, reference, len(rows)),
         dict(sorted(readings.rejected.items())),
         planar,
         setup.was_fitted_on(recording),

@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import KinematicsError, RecordingError
-from svmdist.estimation.lag import LagEstimate
-from svmdist.recording.log import Recording
-from svmdist.results import Z_95, FrameResult
+from svmdist.results import Z_95
 from svmdist.transforms import Array
 from svmdist.workflows.estimate import Measured
-from svmdist.workflows.references import Reference, TruthRules, distance_truth
-from svmdist.workflows.request import Request, Setup
-from svmdist.workflows.scores import Readings, truth_lag_ns
+from svmdist.workflows.references import Reference, distance_truth
+from svmdist.workflows.request import Request
+from svmdist.workflows.scores import DISTANCES, Readings, truth_lag_ns
 
 PREFERRED = ("clearance", "spatial", "planar")
 
@@ -117,54 +115,41 @@ def series_of(
     The distance is the clearance where there is any, else the spatial, else the planar one. The truth is by
     `reference`; None takes the simulator's truth where the log has it. The lag is taken off the stamps of images.
     """
-    found = []
-    for one in measured:
-        for name in dict.fromkeys(row.instrument for row in one.rows):
-            rows = [row for row in one.rows if row.instrument == name]
-            recording, setup = one.recording.for_instrument(name), request.setup.for_instrument(name)
-            found.append(_series(rows, recording, setup, request.rules, reference, one.lag))
+    found, asked = [], reference or Reference.GROUND_TRUTH
+    each = [(one, name) for one in measured for name in dict.fromkeys(row.instrument for row in one.rows)]
+    for one, name in each:
+        rows = [row for row in one.rows if row.instrument == name]
+        recording, setup = one.recording.for_instrument(name), request.setup.for_instrument(name)
+        readings = Readings(rows)
+        at_ns = readings.stamps_ns - truth_lag_ns(recording, setup, asked, one.lag)
+        truths = {name: np.full(len(rows), np.nan) for name in PREFERRED}
+        try:
+            truth = distance_truth(recording, setup.profile, asked, at_ns, setup.equations, request.rules)
+            true_m = np.where(truth.valid[:, None], truth.values, np.nan)
+            truths = dict(zip(DISTANCES, true_m.T, strict=True))
+        except (RecordingError, KinematicsError):
+            if reference is not None:
+                raise
+            truth = None
+        able = (
+            name
+            for name in PREFERRED
+            if (truth is None or np.isfinite(truths[name]).any())
+            and np.isfinite(readings.distance(name)[0]).any()
+        )
+        distance = next(able, "planar")
+        series = Series(
+            *(recording.name, name, setup.method, distance),
+            np.array([row.number for row in rows], np.int64),
+            readings.stamps_ns,
+            np.array([row.seconds for row in rows]),
+            tuple(str(row.status) for row in rows),
+            tuple(row.detail for row in rows),
+            *readings.distance(distance),
+            truths[distance],
+            np.array([row.image.tool_px or (np.nan, np.nan) for row in rows]),
+            np.array([np.nan if row.consistency is None else row.consistency for row in rows]),
+            asked if truth else None,
+        )
+        found.append(series)
     return found
-
-
-def _series(
-    rows: Sequence[FrameResult],
-    recording: Recording,
-    setup: Setup,
-    rules: TruthRules,
-    reference: Reference | None,
-    lag: LagEstimate | None,
-) -> Series:
-    asked = reference or Reference.GROUND_TRUTH
-    readings = Readings(rows)
-    stamps_ns = readings.stamps_ns
-    at_ns = stamps_ns - truth_lag_ns(recording, setup, asked, lag)
-    truths = {name: np.full(len(rows), np.nan) for name in PREFERRED}
-    try:
-        truth = distance_truth(recording, setup.profile, asked, at_ns, setup.equations, rules)
-        truths = {name: np.where(truth.valid, getattr(truth, f"{name}_m"), np.nan) for name in PREFERRED}
-    except (RecordingError, KinematicsError):
-        if reference is not None:
-            raise
-        truth = None
-    distance = "planar"
-    for name in PREFERRED:
-        has_truth = truth is None or np.isfinite(truths[name]).any()
-        if has_truth and np.isfinite(readings.distance(name)[0]).any():
-            distance = name
-            break
-    return Series(
-        recording.name,
-        rows[0].instrument,
-        setup.method,
-        distance,
-        np.array([row.number for row in rows], np.int64),
-        stamps_ns,
-        np.array([row.seconds for row in rows]),
-        tuple(str(row.status) for row in rows),
-        tuple(row.detail for row in rows),
-        *readings.distance(distance),
-        truths[distance],
-        np.array([row.image.tool_px or (np.nan, np.nan) for row in rows]),
-        np.array([np.nan if row.consistency is None else row.consistency for row in rows]),
-        asked if truth else None,
-    )

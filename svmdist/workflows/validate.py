@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
@@ -24,8 +24,7 @@ from svmdist.workflows.references import KINEMATICS_PRINTED_NOTE, Reference
 from svmdist.workflows.request import Request
 from svmdist.workflows.scores import Readings, Score, pool_scores, require_clearance, score_rows
 
-PAPER_R_SQUARED = 0.78
-"""The paper's own figure (sec. IV); its scene differs from every scene here."""
+PAPER_R_SQUARED = 0.78  # the paper's own figure (sec. IV); its scene differs from every scene here
 
 
 @dataclass(frozen=True)
@@ -47,11 +46,7 @@ class Scored:
 
 @dataclass(frozen=True)
 class Validation:
-    """Scores per recording and reference, overall and by groups of recordings, and remarks.
-
-    `alarm_rules` are what alarms were scored by, None where they were not asked for. `groups` are the scores of
-    recordings that were grouped by their metadata.
-    """
+    """Scores per recording and reference, overall and by `groups` of metadata; rules of alarms if asked for."""
 
     scores: tuple[Score, ...]
     overall: tuple[Score, ...]
@@ -61,10 +56,7 @@ class Validation:
 
     @property
     def primary(self) -> Score | None:
-        """The overall score against the strongest reference there is, in the order of `Reference`.
-
-        Of several instruments it is that of the first one.
-        """
+        """The overall score of the first instrument against the strongest reference there is."""
         by_reference = {score.reference: score for score in reversed(self.overall)}
         return next((by_reference[reference] for reference in Reference if reference in by_reference), None)
 
@@ -77,9 +69,9 @@ class Validation:
 def validate(recordings: Sequence[Recording], request: Request, jobs: int | None = None) -> Validation:
     """Score recordings against each reference that they have, and alarms where the request has rules for them.
 
-    Every instrument of a recording has its own scores. Recordings that the calibration was fitted on are scored and
-    marked, and the overall score leaves them out. Raises RecordingError where a recording has no reference at all, or
-    no true clearance to score alarms against, and what `require_truth_for_alarms` raises.
+    Every instrument has its own scores. The overall score leaves out recordings that the calibration was fitted on.
+    Raises RecordingError where a recording has no reference, or no true clearance to score alarms against, and what
+    `require_truth_for_alarms` raises.
     """
     require_truth_for_alarms(request)
     return combine([score_recording(one, request, jobs) for one in recordings], request)
@@ -94,12 +86,6 @@ def require_truth_for_alarms(request: Request) -> None:
                 f"alarms are scored against {Reference.GROUND_TRUTH}, the only reference with a clearance; the"
                 f" references asked for are {', '.join(request.rules.wanted)}"
             )
-
-
-def step_count(recording: Recording, request: Request) -> int:
-    """Steps per image: a row of each instrument, and one more where the lag is estimated first."""
-    finds_lag = request.lag == "auto" and not request.setup.is_planar
-    return len(request.instruments or recording.instruments) + finds_lag
 
 
 def combine(parts: Sequence[Scored], request: Request, groups: Sequence[str] = ()) -> Validation:
@@ -134,10 +120,13 @@ def score_recording(
     keep: Keep | None = None,
 ) -> Scored:
     """Score every wanted instrument. Scores are named after the recording, and after any instrument but the first."""
-    steps = steps or Steps(None, None)
+    steps, count = steps or Steps(), recording.image_count()
     setup, rules, lag = request.setup, request.rules, request.lag
     notes = setup.degeneracies(recording.camera)
     planar = setup.is_planar  # it needs no joints, and its own rows show the lag
+    # A row of each instrument, and one step more where the lag is estimated first.
+    each = len(request.instruments or recording.instruments) + (lag == "auto" and not planar)
+    steps.total = count and count * each
     read, found = (recording, given_lag(lag)) if planar else with_lag(recording, request, jobs, steps.advance)
     every = list(steps.of(estimate(read, setup, request.instruments, jobs)))
     if not every:
@@ -170,15 +159,10 @@ def score_recording(
 
 
 SCHEMA: Literal["svmdist.baseline/1"] = "svmdist.baseline/1"
-
 MAX_FILE_BYTES = 64 << 20
 
 
-class _Stored(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class StoredScore(_Stored, extra="allow"):
+class StoredScore(BaseModel, extra="allow", frozen=True):
     """The figures of one recording, method and reference, as extra fields: `stored_metrics()`, None where undefined."""
 
     __pydantic_extra__: dict[str, float | None] = Field(init=False)
@@ -206,14 +190,14 @@ class StoredScore(_Stored, extra="allow"):
         return self.recording, self.method, self.equations, self.reference
 
 
-class StoredAlarmRules(_Stored):
+class StoredAlarmRules(BaseModel, extra="forbid", frozen=True):
     """The rules of the stored alarms."""
 
     below_m: float
     confidence: float
 
 
-class Baseline(_Stored):
+class Baseline(BaseModel, extra="forbid", frozen=True):
     """A whole baseline file; `alarms` is None where none were asked for."""
 
     schema_: Literal["svmdist.baseline/1"] = Field(alias="schema")
@@ -266,18 +250,22 @@ def find_regressions(validation: Validation, baseline: Baseline, *, complete: bo
     found = {score.key: score for score in map(_stored, (*validation.scores, *validation.overall))}
     setups = {(score.method, score.equations) for score in found.values()}
     asked = {score.recording for score in validation.scores}
-    compared = [
-        stored
-        for stored in baseline.scores
-        if (stored.method, stored.equations) in setups and (complete or stored.recording in asked)
-    ]
+    known = [stored for stored in baseline.scores if (stored.method, stored.equations) in setups]
+    compared = [stored for stored in known if complete or stored.recording in asked]
     if not compared:
-        raise RecordingError(
-            "the baseline holds no figure of these recordings, this method and these equations"
-        )
-    return [
-        worse for stored in compared for worse in _worse(stored, found.get(stored.key), baseline.tolerances)
-    ]
+        raise RecordingError("the baseline holds no figure of these recordings, method and equations")
+    regressions = []
+    for stored in compared:
+        now = found[stored.key].figures if stored.key in found else {}
+        for key, metric in stored_metrics().items():
+            if (before := stored.figures.get(key)) is None:
+                continue
+            loss, after = math.inf, now.get(key)
+            if after is not None:
+                loss = before - after if metric.better is Better.HIGHER else after - before
+            if not baseline.tolerances.get(key, Tolerance()).allows(loss, before):
+                regressions.append(Regression(stored.recording, stored.reference, key, before, after))
+    return regressions
 
 
 def load_baseline(path: Path) -> Baseline:
@@ -301,19 +289,5 @@ def _stored_rules(rules: AlarmRules | None) -> StoredAlarmRules | None:
 
 
 def _stored(score: Score) -> StoredScore:
-    labels = {"recording": score.recording, "method": score.method, "equations": score.equations}
-    return StoredScore.model_validate(
-        labels | {"reference": str(score.reference)} | cells(stored_metrics().values(), score)
-    )
-
-
-def _worse(
-    stored: StoredScore, found: StoredScore | None, tolerances: Mapping[str, Tolerance]
-) -> Iterator[Regression]:
-    for key, metric in stored_metrics().items():
-        before, now = stored.figures.get(key), found.figures.get(key) if found else None
-        if before is None:
-            continue
-        loss = math.inf if now is None else before - now if metric.better is Better.HIGHER else now - before
-        if not tolerances.get(key, Tolerance()).allows(loss, before):
-            yield Regression(stored.recording, stored.reference, key, before, now)
+    labels = {key: str(getattr(score, key)) for key in ("recording", "method", "equations", "reference")}
+    return StoredScore.model_validate(labels | cells(stored_metrics().values(), score))

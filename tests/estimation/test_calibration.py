@@ -1,7 +1,5 @@
 """Calibration: known quadratics come back, files survive the round trip, and errors name the key."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +23,10 @@ from svmdist.estimation.plane_mapping import (
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 SOURCES = (SourceFile(name="calibration.mcap", sha256="0" * 64),)
-TRUE_X, TRUE_Y = Quadratic(-0.0036, 0.7938, -6.4), Quadratic(0.002, 0.81, -4.9)
+TRUE_X, TRUE_Y = (
+    Quadratic(quadratic_per_cm=-0.0036, linear=0.7938, constant_cm=-6.4),
+    Quadratic(quadratic_per_cm=0.002, linear=0.81, constant_cm=-4.9),
+)
 
 
 def samples(
@@ -43,7 +44,12 @@ def fitted(**changes: object) -> Calibration:
     return fit_calibration(samples(**changes), CAMERA, "overlay", "svmdist 0.1.0", SOURCES)  # type: ignore[arg-type]
 
 
-coefficients = st.builds(Quadratic, st.floats(-0.01, 0.01), st.floats(-1.0, 1.0), st.floats(-10.0, 10.0))
+coefficients = st.builds(
+    Quadratic.model_construct,
+    quadratic_per_cm=st.floats(-0.01, 0.01),
+    linear=st.floats(-1.0, 1.0),
+    constant_cm=st.floats(-10.0, 10.0),
+)
 
 
 @settings(deadline=None, max_examples=50)

@@ -1,7 +1,5 @@
 """The paper's methods: its equations in both readings, and both estimators on frames whose truth is known."""
 
-from __future__ import annotations
-
 import math
 
 import cv2
@@ -48,7 +46,11 @@ def test_eqs_5_6_are_the_published_quadratics_and_25_to_27_the_euclidean_distanc
         assert PUBLISHED_Y(screen_cm) == pytest.approx(y, abs=1e-14)
     assert planar_distance_m(np.array([0.003, 0.0]), np.array([0.0, -0.004])) == pytest.approx(0.005)
     published = PlaneMapping("corrected", PUBLISHED_X, PUBLISHED_Y)
-    shifted = PlaneMapping("corrected", Quadratic(-0.0036, 0.7938, 7.0), Quadratic(-0.0068, 0.0395, -9.0))
+    shifted = PlaneMapping(
+        "corrected",
+        Quadratic(quadratic_per_cm=-0.0036, linear=0.7938, constant_cm=7.0),
+        Quadratic(quadratic_per_cm=-0.0068, linear=0.0395, constant_cm=-9.0),
+    )
     a_px, b_px = np.array([10.0, 20.0]), np.array([300.0, 400.0])
     one_m, other_m = (
         planar_distance_m(mapping.to_plane_m(a_px), mapping.to_plane_m(b_px))
@@ -90,7 +92,11 @@ def test_eqs_33_to_35_corrected_give_centimetres():
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 PROFILE = load_profile()
-MAPPING = PlaneMapping("corrected", Quadratic(0.0, 0.8, 0.0), Quadratic(0.0, 0.8, 0.0))
+MAPPING = PlaneMapping(
+    "corrected",
+    Quadratic(quadratic_per_cm=0.0, linear=0.8, constant_cm=0.0),
+    Quadratic(quadratic_per_cm=0.0, linear=0.8, constant_cm=0.0),
+)
 METRES_PER_PX = 0.0254 * 0.8 / 100.0
 TISSUE_PX = (330.0, 250.0)
 PLANAR = ("overlay", "centroid")

@@ -1,7 +1,5 @@
 """Profiles: what ships loads, and every mistake in a file becomes one line with file, key and nearest key."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2
@@ -9,8 +7,8 @@ import numpy as np
 import pytest
 
 from svmdist.errors import ProfileError, UsageError
-from svmdist.profile import DEFAULT_PROFILE, Joint, Profile, load_profile, profile_path, shipped_profiles
-from svmdist.profile.robot import TAGS
+from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path, shipped_profiles
+from svmdist.profile.robot import TAGS, Joint
 
 TEXT = profile_path(DEFAULT_PROFILE).read_text("utf-8")
 NO_ANGLES = "|-|90|90deg|pi/0|pi*2|pi/2/2|pi/pi|2pi|--pi|tau|nan*pi|pi/nan|inf*pi|pi/|*pi"

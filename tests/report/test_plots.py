@@ -140,7 +140,7 @@ def figures(error_mm: float, measured: int = 20, std_mm: float = np.nan, *, in_3
     truth_m = np.linspace(0.01, 0.05, 20)
     one = score_pairs(Pairs(np.arange(20), truth_m + error_mm * 1e-3, truth_m, np.full(20, std_mm * 1e-3)))
     assert isinstance(one, DistanceScore)
-    return Figures(20, measured, one, one if in_3d else None, one if in_3d else None, 0.1)
+    return Figures(20, measured, 0.1, one, one if in_3d else None, one if in_3d else None)
 
 
 def dots(axes: Axes) -> dict[tuple[str, str], float]:

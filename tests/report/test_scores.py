@@ -118,7 +118,7 @@ def test_a_comparison_names_each_distance_once():
     """In SI in rows and in mm in tables; the distance over its first column, the method's time last, – for nothing."""
     truth_m = np.linspace(0.01, 0.02, 10)
     half_mm = score_pairs(Pairs(np.arange(10), truth_m + 5e-4, truth_m, np.full(10, np.nan)))
-    figures = Figures(20, 10, half_mm, None, half_mm, 0.068)
+    figures = Figures(20, 10, 0.068, half_mm, None, half_mm)
     results = compare_results([MethodScore(Group("sweep"), "fused", figures)])
     (row,), (table,) = results.rows, results.tables  # type: ignore[misc]
     assert (row["rmse_m"], row["coverage"], row["spatial_rmse_m"]) == (pytest.approx(5e-4), 0.5, None)

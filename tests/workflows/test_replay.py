@@ -14,7 +14,7 @@ import pytest
 
 from svmdist.estimation.methods import METHODS
 from svmdist.estimation.scene import Arm
-from svmdist.profile import AutoSegmentation
+from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample, Sample, Status
 from svmdist.vision.degradations import Degradation

@@ -51,9 +51,7 @@ def rows_of(recording: Recording, error_m: float = ERROR_M) -> list[FrameResult]
                 clearance=Distance(float(clearance_m) + error_m, ERROR_M / 4),
             ),
         )
-        for stamp_ns, planar_m, spatial_m, clearance_m in zip(
-            stamps_ns, truth.planar_m, truth.spatial_m, truth.clearance_m, strict=True
-        )
+        for stamp_ns, (planar_m, spatial_m, clearance_m) in zip(stamps_ns, truth.values, strict=True)
     ]
 
 

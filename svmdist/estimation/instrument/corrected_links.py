@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from svmdist.kinematics import DHChain, link_transforms, row_index, running_product
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile.hand_eye import TIME_OFFSET, length_of, offset_of
+from svmdist.profile.hand_eye import LENGTH, OFFSET, TIME_OFFSET
 from svmdist.transforms import Array, rotation_of, rotation_vector, skew
 
 
@@ -51,8 +51,8 @@ class MovingJoints:
     def constant_columns(self) -> dict[str, int]:
         """Where in the error state each constant stands, by its name."""
         at, names = self.columns, self.chain.joint_names[self.first_joint :]
-        found = {offset_of(name): at.offsets.start + place for place, name in enumerate(names)}
-        found |= {length_of(place): at.lengths.start + place for place in range(at.length_count)}
+        found = {OFFSET.format(name): at.offsets.start + place for place, name in enumerate(names)}
+        found |= {LENGTH.format(place + 1): at.lengths.start + place for place in range(at.length_count)}
         return found | {TIME_OFFSET: at.time_offset}
 
     @classmethod

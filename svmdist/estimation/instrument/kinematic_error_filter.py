@@ -25,7 +25,7 @@ from svmdist.estimation.instrument.state import ErrorState, Linearised, block_di
 from svmdist.estimation.instrument.window import Window
 from svmdist.kinematics import DHChain, shaft_of
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile import KinematicError
+from svmdist.profile.robot import KinematicError
 from svmdist.profile.settings import FilterSettings
 from svmdist.results import ToolPose, across_std_rad
 from svmdist.transforms import Array

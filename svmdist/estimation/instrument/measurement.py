@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.camera import Camera
-from svmdist.profile import CameraError, Profile
+from svmdist.profile import Profile
 from svmdist.profile.hand_eye import BASELINE, FOCAL_LENGTH, PRINCIPAL_POINT, SHAFT_RADIUS, TAG_SIZE
+from svmdist.profile.robot import CameraError
 from svmdist.transforms import Array, cross, skew
 
 FOR_EVER_S = np.inf
