@@ -7,14 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.stats import pearsonr
 
-from svmdist.metrics import (
-    alarm_statistics,
-    bootstrap_intervals,
-    error_statistics,
-    pearson_r,
-    pooled_alarms,
-    r_squared,
-)
+from svmdist import metrics
 
 quick = settings(deadline=None, max_examples=80)
 values_m = st.floats(-1.0, 1.0).map(lambda value: round(value, 6))
@@ -28,9 +21,9 @@ def test_a_truth_that_does_not_vary_has_no_r_squared(constant):
     """Rounding in the mean of equal values does not pass for variation: R² and r are None."""
     truth = np.full(7, constant)
     estimate = truth + np.linspace(-1e-3, 1e-3, 7)
-    assert r_squared(estimate, truth) is None
-    assert pearson_r(estimate, truth) is None
-    assert pearson_r(truth, estimate) is None
+    assert metrics.r_squared(estimate, truth) is None
+    assert metrics.pearson_r(estimate, truth) is None
+    assert metrics.pearson_r(truth, estimate) is None
 
 
 @quick
@@ -38,7 +31,7 @@ def test_a_truth_that_does_not_vary_has_no_r_squared(constant):
 def test_the_squared_rmse_is_bias_squared_plus_variance(pair):
     """RMSE² = bias² + var(error) within 1e-12, and the other figures are ordered as they must be."""
     estimate, truth = pair
-    found = error_statistics(estimate, truth)
+    found = metrics.error_statistics(estimate, truth)
     assert found.rmse**2 == pytest.approx(found.bias**2 + np.var(estimate - truth), abs=1e-12)
     assert abs(found.bias) <= found.mae + 1e-12
     assert found.mae <= found.rmse + 1e-12
@@ -52,7 +45,7 @@ def test_the_squared_rmse_is_bias_squared_plus_variance(pair):
 def test_figures_of_a_worked_example():
     """Errors of +1, -1, +3, -1 have bias 0.5, MAE 1.5, RMSE sqrt(3), median 1 and maximum 3."""
     truth = np.array([0.0, 1.0, 2.0, 3.0])
-    found = error_statistics(truth + np.array([1.0, -1.0, 3.0, -1.0]), truth)
+    found = metrics.error_statistics(truth + np.array([1.0, -1.0, 3.0, -1.0]), truth)
     figures = (found.count, found.bias, found.mae, found.median_abs_error, found.max_abs_error)
     assert figures == (4, 0.5, 1.5, 1, 3)
     assert found.rmse == pytest.approx(np.sqrt(3.0))
@@ -64,17 +57,17 @@ def test_pearsons_r_equals_scipys():
     rng = np.random.default_rng(1)
     truth = rng.normal(size=50)
     estimate = 0.7 * truth + rng.normal(size=50)
-    assert pearson_r(estimate, truth) == pytest.approx(pearsonr(estimate, truth).statistic, abs=1e-12)
-    assert pearson_r(-3.0 * truth + 2.0, truth) == pytest.approx(-1.0, abs=1e-15)
+    assert metrics.pearson_r(estimate, truth) == pytest.approx(pearsonr(estimate, truth).statistic, abs=1e-12)
+    assert metrics.pearson_r(-3.0 * truth + 2.0, truth) == pytest.approx(-1.0, abs=1e-15)
 
 
 def test_no_pairs_have_no_figures_and_shapes_must_agree():
     """No pairs give None, one pair an RMSE without R², and arrays of two lengths raise."""
-    assert error_statistics([], []) is None
-    single = error_statistics([1.5], [1.0])
+    assert metrics.error_statistics([], []) is None
+    single = metrics.error_statistics([1.5], [1.0])
     assert (single.rmse, single.r_squared, single.pearson_r) == (0.5, None, None)
     with pytest.raises(ValueError, match="same shape"):
-        error_statistics([1.0, 2.0], [1.0])
+        metrics.error_statistics([1.0, 2.0], [1.0])
 
 
 def noisy_ramp(seed: int, count: int = 120) -> tuple[np.ndarray, np.ndarray]:
@@ -93,7 +86,7 @@ def test_the_intervals_hold_the_true_figures_most_of_the_time():
     held = 0
     for seed in range(200):
         estimate, truth = noisy_ramp(seed)
-        rmse, r2 = bootstrap_intervals(estimate, truth, seed=seed + 1000, resamples=200)
+        rmse, r2 = metrics.bootstrap_intervals(estimate, truth, seed=seed + 1000, resamples=200)
         held += rmse.low <= 1e-3 <= rmse.high
         assert rmse.low <= float(np.sqrt(np.mean((estimate - truth) ** 2))) <= rmse.high
         assert r2.low < r2.high <= 1.0
@@ -105,8 +98,8 @@ def test_blocks_widen_the_interval_of_errors_that_drift():
     rng = np.random.default_rng(5)
     truth = np.linspace(0.0, 0.1, 400)
     drift = np.repeat(rng.normal(scale=1e-3, size=20), 20)
-    single, _ = bootstrap_intervals(truth + drift, truth, seed=1, block=1)
-    blocks, _ = bootstrap_intervals(truth + drift, truth, seed=1, block=20)
+    single, _ = metrics.bootstrap_intervals(truth + drift, truth, seed=1, block=1)
+    blocks, _ = metrics.bootstrap_intervals(truth + drift, truth, seed=1, block=20)
     assert blocks.high - blocks.low > 1.5 * (single.high - single.low)
 
 
@@ -116,7 +109,7 @@ def test_few_pairs_have_no_interval():
     constant = np.full_like(truth, 0.05)
     cases = ((truth, 7, (False, False)), (truth, 8, (True, True)), (constant, None, (True, False)))
     for of, count, expected in cases:
-        found = bootstrap_intervals(estimate[:count], of[:count], seed=1)
+        found = metrics.bootstrap_intervals(estimate[:count], of[:count], seed=1)
         assert tuple(interval is not None for interval in found) == expected
 
 
@@ -126,7 +119,7 @@ TRUTH_M = np.array([9, 8, 6, 4, 3, 4, 6, 8, 9, 9]) / 1e3
 def test_counts_and_lead():
     """Alarmed one frame early and once for nothing: precision 3/5, recall 1, lead 0.1 s, one false alarm."""
     alarms = [0, 0, 1, 1, 1, 1, 0, 0, 1, 0]
-    got = alarm_statistics(np.arange(10) / 10, alarms, TRUTH_M, 0.005)
+    got = metrics.alarm_statistics(np.arange(10) / 10, alarms, TRUTH_M, 0.005)
     assert got.precision == pytest.approx(3 / 5)
     assert got.recall == 1.0
     assert got.false_alarm_fraction == pytest.approx(2 / 7)
@@ -137,21 +130,21 @@ def test_counts_and_lead():
 
 def test_nothing_unsafe_or_nothing_at_all():
     """Without unsafe frames there is no recall; without frames there is nothing."""
-    safe = alarm_statistics([0.0, 1.0], [False, False], [0.1, 0.1], 0.005)
+    safe = metrics.alarm_statistics([0.0, 1.0], [False, False], [0.1, 0.1], 0.005)
     assert safe.recall is None
     assert safe.false_alarm_fraction == 0.0
-    assert alarm_statistics([0.0, 1.0], [True, True], [0.005, 0.004], 0.005).unsafe_count == 1
-    empty = alarm_statistics([], [], [], 0.005)
+    assert metrics.alarm_statistics([0.0, 1.0], [True, True], [0.005, 0.004], 0.005).unsafe_count == 1
+    empty = metrics.alarm_statistics([], [], [], 0.005)
     assert empty.frame_count == 0
     assert empty.false_alarms_per_minute is None
     with pytest.raises(ValueError, match="same shape"):
-        alarm_statistics([0.0], [True, False], [0.1], 0.005)
+        metrics.alarm_statistics([0.0], [True, False], [0.1], 0.005)
 
 
 def test_an_alarm_that_never_ends_leads_each_event_only_from_the_last():
     """The lead of a second event is counted over the safe frames before it, not through the first event."""
     truth_m = np.array([9, 4, 4, 9, 9, 4, 9]) / 1e3
-    got = alarm_statistics(np.arange(7.0), np.ones(7), truth_m, 0.005)
+    got = metrics.alarm_statistics(np.arange(7.0), np.ones(7), truth_m, 0.005)
     assert got.event_count == 2
     assert got.lead_times_s == (1.0, 2.0)
     assert (got.median_lead_s, got.min_lead_s, got.missed_event_count) == (1.5, 1.0, 0)
@@ -160,10 +153,10 @@ def test_an_alarm_that_never_ends_leads_each_event_only_from_the_last():
 
 def test_pooling_adds_counts_and_durations():
     """Two recordings together: shares by frames, rates by time, no event across the seam."""
-    a = alarm_statistics(np.arange(10) / 10, np.zeros(10), TRUTH_M, 0.005)
-    b = alarm_statistics([50.0, 50.1], [True, True], [0.004, 0.004], 0.005)
-    both = pooled_alarms([a, b])
+    a = metrics.alarm_statistics(np.arange(10) / 10, np.zeros(10), TRUTH_M, 0.005)
+    b = metrics.alarm_statistics([50.0, 50.1], [True, True], [0.004, 0.004], 0.005)
+    both = metrics.pooled_alarms([a, b])
     assert both.recall == pytest.approx(2 / 5)
     assert both.duration_s == pytest.approx(1.0)
     assert both.event_count == 1
-    assert pooled_alarms([]).recall is None
+    assert metrics.pooled_alarms([]).recall is None

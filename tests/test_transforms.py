@@ -7,23 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from svmdist.transforms import (
-    cross,
-    inverse,
-    inverse_right_jacobian,
-    make_transform,
-    polygon_centroid,
-    quaternion_xyzw_from_rotation,
-    rotation_angle,
-    rotation_from_quaternion_xyzw,
-    rotation_of,
-    rotation_vector,
-    rotation_x,
-    rotation_z,
-    skew,
-    slerp_xyzw,
-    transform_points,
-)
+from svmdist import transforms
 
 quick = settings(deadline=None, max_examples=60)
 angles_rad = st.floats(-2 * np.pi, 2 * np.pi)
@@ -44,22 +28,26 @@ def rotation_about(axis: tuple[float, float, float], angle_rad: float) -> np.nda
 @given(axes, angles_rad, vectors_m)
 def test_a_transform_times_its_inverse_is_the_identity(axis, angle_rad, t_m):
     """T @ inverse(T) = inverse(T) @ T = I within 1e-13 relative to the translation's size."""
-    T = make_transform(rotation_about(axis, angle_rad), t_m)
-    np.testing.assert_allclose(T @ inverse(T), np.eye(4), atol=2e-13)
-    np.testing.assert_allclose(inverse(T) @ T, np.eye(4), atol=2e-13)
+    T = transforms.make_transform(rotation_about(axis, angle_rad), t_m)
+    np.testing.assert_allclose(T @ transforms.inverse(T), np.eye(4), atol=2e-13)
+    np.testing.assert_allclose(transforms.inverse(T) @ T, np.eye(4), atol=2e-13)
 
 
 def test_stacks_broadcast():
     """One rotation with five translations, inverses of a stack, products with points and cross products."""
     t_m = np.arange(15.0).reshape(5, 3)
-    T = make_transform(rotation_z(0.3), t_m)
+    T = transforms.make_transform(transforms.rotation_z(0.3), t_m)
     np.testing.assert_array_equal(T[:, :3, 3], t_m)
     np.testing.assert_array_equal(T[:, 3], np.tile([0.0, 0.0, 0.0, 1.0], (5, 1)))
-    np.testing.assert_array_equal(inverse(T), np.stack([inverse(member) for member in T]))
+    np.testing.assert_array_equal(
+        transforms.inverse(T), np.stack([transforms.inverse(member) for member in T])
+    )
     p_m = np.random.default_rng(3).normal(size=(20, 3))
     expected = (T[1] @ np.column_stack([p_m, np.ones(20)]).T).T[:, :3]
-    np.testing.assert_allclose(transform_points(T[1], p_m), expected, atol=1e-14)
-    np.testing.assert_allclose(cross(p_m[:4, None], p_m[5:]), np.cross(p_m[:4, None], p_m[5:]), atol=1e-15)
+    np.testing.assert_allclose(transforms.transform_points(T[1], p_m), expected, atol=1e-14)
+    np.testing.assert_allclose(
+        transforms.cross(p_m[:4, None], p_m[5:]), np.cross(p_m[:4, None], p_m[5:]), atol=1e-15
+    )
 
 
 @quick
@@ -67,11 +55,11 @@ def test_stacks_broadcast():
 def test_a_rotation_survives_the_round_trip_through_a_quaternion(axis, angle_rad):
     """R -> quaternion -> R returns R within 1e-14 at every angle."""
     R = rotation_about(axis, angle_rad)
-    q = quaternion_xyzw_from_rotation(R)
+    q = transforms.quaternion_xyzw_from_rotation(R)
     expected = Rotation.from_matrix(R).as_quat(canonical=True)
     assert q[3] >= 0.0
     assert min(np.abs(q - expected).max(), np.abs(q + expected).max()) < 1e-14  # the sign of w = 0 is free
-    np.testing.assert_allclose(rotation_from_quaternion_xyzw(q), R, atol=1e-14)
+    np.testing.assert_allclose(transforms.rotation_from_quaternion_xyzw(q), R, atol=1e-14)
 
 
 @pytest.mark.parametrize("offset_rad", [0.0, 1e-16, 1e-12, 1e-9, 1e-6, -1e-9, -1e-12])
@@ -79,14 +67,16 @@ def test_a_rotation_survives_the_round_trip_through_a_quaternion(axis, angle_rad
 def test_half_turns_survive_the_round_trip(axis, offset_rad):
     """Near half a turn, where the textbook formula loses all digits, the round trip still holds 1e-14."""
     R = rotation_about(axis, np.pi + offset_rad)
-    np.testing.assert_allclose(rotation_from_quaternion_xyzw(quaternion_xyzw_from_rotation(R)), R, atol=1e-14)
+    np.testing.assert_allclose(
+        transforms.rotation_from_quaternion_xyzw(transforms.quaternion_xyzw_from_rotation(R)), R, atol=1e-14
+    )
 
 
 @pytest.mark.parametrize("quaternion", [[0, 0, 0, 0], [np.nan, 0, 0, 1], [np.inf, 0, 0, 1]])
 def test_a_quaternion_that_names_no_rotation_is_refused(quaternion):
     """Zero and non-finite quaternions raise ValueError instead of giving NaN."""
     with pytest.raises(ValueError, match="finite quaternion"):
-        rotation_from_quaternion_xyzw(quaternion)
+        transforms.rotation_from_quaternion_xyzw(quaternion)
 
 
 @quick
@@ -94,7 +84,7 @@ def test_a_quaternion_that_names_no_rotation_is_refused(quaternion):
 def test_the_angle_between_rotations_is_exact_when_small(axis, angle_rad):
     """rotation_angle recovers the angle within 1e-14 below a right angle, where arccos would lose 1e-8."""
     R = rotation_about((0.2, 1.0, -0.4), 1.1)
-    found = float(rotation_angle(R, R @ rotation_about(axis, angle_rad)))
+    found = float(transforms.rotation_angle(R, R @ rotation_about(axis, angle_rad)))
     assert found == pytest.approx(angle_rad, abs=1e-14 if angle_rad < 1.5 else 1e-7)
 
 
@@ -104,7 +94,7 @@ def test_slerp_equals_scipys(seed, fraction):
     """slerp of random rotations agrees with scipy.spatial.transform.Slerp within 1e-12."""
     pair = Rotation.random(2, rng=np.random.default_rng(seed))
     q = pair.as_quat()
-    found = slerp_xyzw(q[:1], q[1:], np.array([fraction]))[0]
+    found = transforms.slerp_xyzw(q[:1], q[1:], np.array([fraction]))[0]
     expected = Slerp([0.0, 1.0], pair)(fraction)
     assert (Rotation.from_quat(found).inv() * expected).magnitude() < 1e-12
 
@@ -113,7 +103,7 @@ def test_slerp_takes_the_shorter_arc():
     """q and -q name one rotation: flipping the sign of an end does not send the path the long way round."""
     start, end = Rotation.identity().as_quat()[None], Rotation.from_rotvec([0, 0, 1.0]).as_quat()[None]
     for sign in (1.0, -1.0):
-        middle = Rotation.from_quat(slerp_xyzw(start, sign * end, np.array([0.5]))[0])
+        middle = Rotation.from_quat(transforms.slerp_xyzw(start, sign * end, np.array([0.5]))[0])
         assert middle.magnitude() == pytest.approx(0.5, abs=1e-14)
 
 
@@ -121,20 +111,23 @@ def test_slerp_takes_the_shorter_arc():
 @given(axes, st.floats(-3.1, 3.1))
 def test_rotation_vectors_agree_with_scipy(axis, angle_rad):
     vector_rad = np.array(axis) / np.linalg.norm(axis) * angle_rad
-    R = rotation_of(vector_rad)
+    R = transforms.rotation_of(vector_rad)
     np.testing.assert_allclose(R, Rotation.from_rotvec(vector_rad).as_matrix(), atol=1e-12)
-    np.testing.assert_allclose(rotation_vector(R), vector_rad, atol=1e-9)
-    np.testing.assert_allclose(skew(vector_rad) @ axis, np.cross(vector_rad, axis), atol=1e-12)
+    np.testing.assert_allclose(transforms.rotation_vector(R), vector_rad, atol=1e-9)
+    np.testing.assert_allclose(transforms.skew(vector_rad) @ axis, np.cross(vector_rad, axis), atol=1e-12)
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 1e-9, 1e-4, 1.9e-3, 2.1e-3, 0.3, 2.0, 3.0])
 def test_the_inverse_right_jacobian_is_the_vectors_derivative(angle_rad):
     """A turn δ behind exp([v]) changes v by J⁻¹ δ, against central differences to 1e-8, on both sides of the series."""
     v = angle_rad * np.array([0.6, -0.48, 0.64])
-    J = inverse_right_jacobian(v)
+    J = transforms.inverse_right_jacobian(v)
     for column in range(3):
         step = 1e-6 * np.eye(3)[column]
-        ahead, back = (rotation_vector(rotation_of(v) @ rotation_of(sign * step)) for sign in (1.0, -1.0))
+        ahead, back = (
+            transforms.rotation_vector(transforms.rotation_of(v) @ transforms.rotation_of(sign * step))
+            for sign in (1.0, -1.0)
+        )
         np.testing.assert_allclose(J[:, column], (ahead - back) / 2e-6, atol=1e-8)
 
 
@@ -152,16 +145,16 @@ def test_it_agrees_with_opencvs_moments(size):
         expected = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
         corners = convex(seed, size)
         for same in (corners, np.roll(corners, 3, axis=0), corners[::-1], corners[:, None]):
-            np.testing.assert_allclose(polygon_centroid(same), size * expected, rtol=1e-6)
+            np.testing.assert_allclose(transforms.polygon_centroid(same), size * expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("corners", [[[3, 4]], [[0, 0], [4, 2]], [[1, 1], [2, 2], [6, 6]], [[5, 5]] * 4])
 def test_without_area_it_is_the_mean_of_the_corners(corners):
     """A point, a segment and points on one line have no area to divide by."""
-    np.testing.assert_allclose(polygon_centroid(np.array(corners)), np.mean(corners, axis=0))
+    np.testing.assert_allclose(transforms.polygon_centroid(np.array(corners)), np.mean(corners, axis=0))
 
 
-@pytest.mark.parametrize(("rotation", "axis"), [(rotation_x, 0), (rotation_z, 2)])
+@pytest.mark.parametrize(("rotation", "axis"), [(transforms.rotation_x, 0), (transforms.rotation_z, 2)])
 @pytest.mark.parametrize("angle_rad", [0.0, 0.4, np.pi / 2, -2.5, np.pi])
 def test_elementary_rotations_turn_by_the_right_hand_rule(rotation, axis, angle_rad):
     """rotation_x, _y and _z equal the rotation vector along their axis within 1e-15."""

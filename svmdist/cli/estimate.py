@@ -223,7 +223,7 @@ def measure_rows(
     tally: Tally = {}
     kept = []
     with output.steps("measuring", "rows", recording.image_count(), len(wanted)) as steps:
-        for row in steps.of(estimate(seen, setup, request.instruments, threads)):
+        for row in steps.of(estimate(seen, setup, request.instruments, threads, rest=keep is not None)):
             _count(tally, row)
             if keep is not None:
                 kept.append(row)

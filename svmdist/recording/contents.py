@@ -214,9 +214,9 @@ class LogFile:
         assert self._contents is not None
         return self._contents
 
-    def images(self, image_topics: Collection[str]) -> Iterator[messages.EncodedImage]:
-        """Yield the images of some topics in file order, not decoded; reads everything else too, if not yet read."""
-        contents = Contents() if self._contents is None else None
+    def images(self, image_topics: Collection[str], *, rest: bool = True) -> Iterator[messages.EncodedImage]:
+        """Yield the images of some topics in file order, not decoded; with `rest` reads all else that is not read."""
+        contents = Contents() if rest and self._contents is None else None
         decoder = messages.Decoder(self.limits)
         for raw in self.source.messages(frozenset(image_topics) | (self.topics if contents else frozenset())):
             if raw.topic in image_topics:

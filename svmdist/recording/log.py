@@ -219,7 +219,7 @@ class Recording:
         arms, topic, camera = [self._arm(name) for name in names], self._require(Role.IMAGE), self.camera
         right = self._right_camera() if needs.right else None
         states = [self._arm_states(arm, needs) for arm in arms]
-        return self.window.of(self._observations(states, topic, camera, right))
+        return self.window.of(self._observations(states, topic, camera, right, needs.rest))
 
     def record_losses(self, decoded: obs.Decoded) -> tuple[Observation, ...] | Rejection:
         """Add what was lost in decoding to `health`, in file order whatever the order of calls; give the rest back."""
@@ -233,6 +233,7 @@ class Recording:
         topic: str,
         camera: Camera,
         right: obs.RightCamera | None,
+        rest: bool,
     ) -> Iterator[obs.EncodedObservation]:
         def repeated(image: EncodedImage) -> None:
             late = "repeats a stamp, or comes too far behind later ones; it is left out"
@@ -241,7 +242,7 @@ class Recording:
 
         tolerance_ns = round(self.file.limits.pair_tolerance_s * 1e9)
         pairs = obs.Pairs(None if right is None else right.topic, tolerance_ns, repeated)
-        images = self.file.images({topic} if right is None else {topic, right.topic})
+        images = self.file.images({topic} if right is None else {topic, right.topic}, rest=rest)
         for left, other in pairs.of(images):
             at_stamp = tuple(state(left.stamp_ns) for state in states)
             yield obs.EncodedObservation(left, other, at_stamp, camera, right, self.health.next_place())

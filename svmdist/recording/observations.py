@@ -81,6 +81,8 @@ class Needs:
     joints: bool = True
     transforms: bool = True
     right: bool = True
+    rest: bool = True
+    """Whether the pass over the images shall read everything else, too, for those who ask for it later."""
 
 
 EVERYTHING = Needs()

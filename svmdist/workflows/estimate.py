@@ -41,14 +41,19 @@ Keep = Callable[[Measured], None]
 
 
 def estimate(
-    recording: Recording, setup: Setup, wanted: Sequence[str] | None = None, jobs: int | None = None
+    recording: Recording,
+    setup: Setup,
+    wanted: Sequence[str] | None = None,
+    jobs: int | None = None,
+    *,
+    rest: bool = True,
 ) -> Iterator[FrameResult]:
     """Give one result per image and instrument, in order, holding a few frames at a time.
 
-    An image that cannot be decoded is a result with the status of its rejection. `wanted` and `jobs` are as in
-    `replay`.
+    An image that cannot be decoded is a result with the status of its rejection. `wanted`, `jobs` and
+    `rest` are as in `replay`.
     """
-    lanes = replay(recording, [setup], wanted=wanted, jobs=jobs)
+    lanes = replay(recording, [setup], wanted=wanted, jobs=jobs, rest=rest)
     return (result for (replayed,) in lanes for result in replayed.results)
 
 

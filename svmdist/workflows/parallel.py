@@ -5,6 +5,7 @@ Threads work ahead on the frames of one log; processes take whole logs, or parts
 
 from __future__ import annotations
 
+import atexit
 import multiprocessing
 import os
 import shutil
@@ -35,6 +36,10 @@ LARGEST_KEPT_BYTES = 24 << 20
 LOOK_S = 0.2  # seconds between two looks at the progress of other processes
 PRELOADED = ["svmdist.workflows.replay"]
 """Imported once, by the server that forks workers: a worker then starts in milliseconds."""
+SOCKETS = "SVMDIST_SOCKETS"
+"""Names, for the server that forks workers, its folder of sockets: a process that is killed cannot remove it."""
+if SOCKETS in os.environ:  # this is the server, which ends after the last process that knows it
+    atexit.register(shutil.rmtree, os.environ.pop(SOCKETS), ignore_errors=True)
 
 
 class WorkerDiedError(SvmdistError):
@@ -191,12 +196,14 @@ def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
 
         context.set_forkserver_preload(PRELOADED)
         with _quiet_start():
+            os.environ[SOCKETS] = get_temp_dir()
             forkserver.ensure_running()
+            del os.environ[SOCKETS]
     pools: list[ProcessPoolExecutor] = []
     others = set(multiprocessing.active_children())
 
     def make(workers: int, begin: Callable[[], object]) -> Any:
-        prepared = dict(os.environ), get_temp_dir(), begin
+        prepared = dict(os.environ), begin
         pools.append(ProcessPoolExecutor(workers, context, _begin, prepared))
         return pools[-1]
 
@@ -211,21 +218,19 @@ def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
             pool.shutdown(cancel_futures=True)
 
 
-def _begin(environment: dict[str, str], folder: str, begin: Callable[[], object]) -> None:
+def _begin(environment: dict[str, str], begin: Callable[[], object]) -> None:
     """Prepare a worker: the process that began it handles interrupts, and takes it along where it is killed."""
     os.environ.update(environment)  # it may have changed since the server began that forks workers
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
     begin()
 
 
-def _end_with_parent(folder: str) -> None:
-    """End when the parent was killed, which could then not remove its temporary folder of sockets."""
+def _end_with_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
-        shutil.rmtree(folder, ignore_errors=True)
         os._exit(1)
 
 

@@ -140,6 +140,7 @@ def replay(
     *,
     wanted: Sequence[str] | None = None,
     jobs: int | None = None,
+    rest: bool = True,
 ) -> Iterator[tuple[Replayed, ...]]:
     """Yield for each image what every setup gave under every condition, conditions first, in order.
 
@@ -147,10 +148,10 @@ def replay(
     reaches another. `wanted` names some of the recording's instruments; the others are told apart from them, and not
     measured. `jobs` threads work ahead, by default one for each core. Raises RecordingError at once for a name that
     the recording has no topics of, and CalibrationError for another camera. Where the lag of a recording is known,
-    methods take the offset of its joints for as well known.
+    methods take the offset of its joints for as well known. Without `rest`, what no method uses is not read.
     """
     replaying = _Replay(recording, setups, conditions, wanted)
-    return replaying.run(usable_cores() if jobs is None else jobs)
+    return replaying.run(usable_cores() if jobs is None else jobs, rest)
 
 
 class Place(TypedDict):
@@ -259,10 +260,10 @@ class _Replay:
 
         return Association(self._arms)
 
-    def run(self, jobs: int) -> Iterator[tuple[Replayed, ...]]:
+    def run(self, jobs: int, rest: bool) -> Iterator[tuple[Replayed, ...]]:
         several = len(self._arms) > 1  # what tells them apart starts from nominal kinematics
         robot, right = self._needs.robot or several, self._needs.right_view
-        logged = ReadNeeds(joints=robot, transforms=robot, right=right)
+        logged = ReadNeeds(joints=robot, transforms=robot, right=right, rest=rest)
         encoded = self._recording.encoded_observations(self._recording.instruments, logged)
         with one_opencv_thread():
             for prepared in in_order(self._prepare, encoded, jobs):

@@ -12,14 +12,14 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.samples import CameraSample, ImageSample
 from tests.conftest import REPOSITORY
+from tests.pictures import PALE_BGR, RED_BGR, ShaftImage, entering_from
 from tests.recording.builders import Entry
 from tests.recording.other_recorders import ros_messages, write_ros2_mcap
-from tests.shaft_images import PALE_BGR, RED_BGR, ShaftImage, entering_from
 
 START_NS = 1_700_000_000_000_000_000
 GUIDE = (REPOSITORY / "docs" / "guide.md").read_text("utf-8")
 CAMERA = replace(Camera.from_horizontal_fov(1280, 720, np.pi / 2.6), frame_id="endoscope")
-DRAWN = ShaftImage(CAMERA, *entering_from(np.pi + 0.3, CAMERA, 0.085), border="disc", marker=False)
+DRAWN = ShaftImage(CAMERA, *entering_from(np.pi + 0.3, CAMERA, 0.085), border="circle", marker=False)
 """A dark shaft with a steel tip from the left, in an endoscope's round picture with black borders."""
 
 

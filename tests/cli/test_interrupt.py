@@ -136,7 +136,7 @@ def test_nothing_is_left_in_the_temporary_folder(tmp_path, command):
         _, left = left_by(tmp_path, command, after_s, signal.SIGTERM)
         assert left <= kept
         _, left = left_by(tmp_path, command, after_s, signal.SIGKILL)
-        assert all(name == output or name.endswith(".part") for name in left)
+        assert all(name == output or name.endswith(".part") for name in left), left
     for path in [tmp_path / output, *(tmp_path / output).glob("*")]:  # which an earlier one may have finished
         if path.is_file():
             path.unlink()

@@ -15,8 +15,6 @@ from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import ImageSample, JointSample, PoseSample, Sample, TransformSample, TransformsSample
 from svmdist.transforms import make_transform, quaternion_xyzw_from_rotation
 from tests.conftest import Outcome
-from tests.recording.builders import Entry
-from tests.recording.other_recorders import ros_messages, write_ros2_mcap
 from tests.synthetic import START_NS, TISSUE_M, make_scene, samples, without, write_log
 
 SCENE = make_scene()
@@ -113,19 +111,6 @@ def test_truth_is_not_carried_across_long_gaps(cli, tmp_path, synthetic_calibrat
     for gap, unpaired_count in (((), 3), (("--max-gap", "0.4"), 0)):
         found = scores(cli("validate", path, *options, *gap))
         assert found["ground_truth"]["unpaired_count"] == unpaired_count
-
-
-def test_topics_are_chosen_and_candidates_listed(cli, tmp_path):
-    """With two image topics the error lists both, and --topic chooses."""
-    entries = []
-    for topic, sample in samples(SCENE, 4):
-        names = ("/left/image_raw", "/right/image_raw") if isinstance(sample, ImageSample) else (topic,)
-        entries += [Entry(name, sample) for name in names]
-    path = write_ros2_mcap(tmp_path / "two.mcap", ros_messages(entries))
-    undecided = cli("estimate", path, code=1).line
-    assert "/left/image_raw" in undecided
-    assert "/right/image_raw" in undecided
-    assert len(cli("estimate", path, "-f", "csv", "--topic", "image=/left/image_raw").rows) == 4
 
 
 def test_fk_prints_a_pose_for_each_joint_state(cli, tmp_path):

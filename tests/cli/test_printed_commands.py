@@ -155,8 +155,7 @@ def run(document: str, clone: Path, cli: Cli, done: set[str], *, short: bool) ->
 
 
 @pytest.mark.parametrize(
-    "document",
-    [name if name in FIRST else pytest.param(name, marks=pytest.mark.slow) for name in PRINTED],
+    "document", [name if name in FIRST else pytest.param(name, marks=pytest.mark.slow) for name in PRINTED]
 )
 def test_printed_commands_run(document, clone, cli, done):
     """As printed, but on few frames."""

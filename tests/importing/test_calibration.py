@@ -9,13 +9,7 @@ import pytest
 
 from svmdist.camera import stereo_transform
 from svmdist.errors import SourceError
-from svmdist.importing.calibration import (
-    MAX_BYTES,
-    CalibrationOptions,
-    complete,
-    read_calibration,
-    stated_cameras,
-)
+from svmdist.importing import calibration
 from svmdist.transforms import make_transform, rotation_of
 
 K = [572.2, 0.0, 378.8, 0.0, 571.0, 239.3, 0.0, 0.0, 1.0]
@@ -50,7 +44,7 @@ def test_ros_camera_info(tmp_path):
     }
     echoed = {"height": 480, "width": 640, "distortion_model": "plumb_bob", "D": D, "K": K, "P": P}
     for document in (saved, echoed):
-        (camera,) = read_calibration(_write(tmp_path / "a.yaml", document))
+        (camera,) = calibration.read_calibration(_write(tmp_path / "a.yaml", document))
         np.testing.assert_allclose(camera.K.ravel(), K)
         np.testing.assert_allclose(camera.D, D)
         assert camera.size_px == (640, 480)
@@ -69,7 +63,7 @@ def test_opencv_file_storage(tmp_path):
     written = path.read_text()
     for header in ("%YAML 1.2", "%YAML:1.0"):  # OpenCV 5's, and that of the versions before
         path.write_text(header + written[written.index("\n") :])
-        (camera,) = read_calibration(path)
+        (camera,) = calibration.read_calibration(path)
         np.testing.assert_allclose(camera.K.ravel(), K)
         np.testing.assert_allclose(camera.D, D)
         assert camera.size_px == (640, 480)
@@ -90,8 +84,8 @@ def test_pair_stands_where_it_says(tmp_path, form, unit_m):
         T[:3, :3], T[:3, 3] = R_right_left, t
         document = {"cam0": KALIBR, "cam1": KALIBR | {"T_cn_cnm1": T.tolist()}}
     path = _write(tmp_path / "pair.yaml", document)
-    stated = stated_cameras(CalibrationOptions((path, None), unit_m=unit_m), 2)
-    left, right = complete(stated, SIZES, FRAMES)
+    stated = calibration.stated_cameras(calibration.CalibrationOptions((path, None), unit_m=unit_m), 2)
+    left, right = calibration.complete(stated, SIZES, FRAMES)
     T_left_right = stereo_transform(left, right)
     assert T_left_right is not None
     expected = np.linalg.inv(make_transform(R_right_left, t_m))
@@ -122,7 +116,7 @@ def test_pair_stands_where_it_says(tmp_path, form, unit_m):
 def test_wrong_files(tmp_path, document, said):
     path = _write(tmp_path / "wrong.yaml", document)
     with pytest.raises(SourceError, match=r"wrong\.yaml") as caught:
-        read_calibration(path)
+        calibration.read_calibration(path)
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -135,7 +129,7 @@ def test_wrong_files(tmp_path, document, said):
         ("K: !!python/object/apply:os.system ['true']\n", "not a YAML file"),
         ("K: [1, 2\n", "not a YAML file"),
         ("\0", "not a YAML file"),
-        ("#" * (MAX_BYTES + 1), "the limit"),
+        ("#" * (calibration.MAX_BYTES + 1), "the limit"),
     ],
     ids=["list", "alias", "object", "broken", "NUL", "large"],
 )
@@ -144,7 +138,7 @@ def test_hostile_yaml(tmp_path, text, said):
     path = tmp_path / "bomb.yaml"
     path.write_text(text)
     with pytest.raises(SourceError, match=rf"bomb\.yaml: .*{said}") as caught:
-        read_calibration(path)
+        calibration.read_calibration(path)
     assert "\n" not in str(caught.value)
 
 
@@ -159,6 +153,8 @@ def test_hostile_yaml(tmp_path, text, said):
 def test_implausible_cameras(tmp_path, document, said):
     """Exchanged views, lengths in mm and a calibration of another size are told."""
     count = 2 if "M1" in document else 1
-    stated = stated_cameras(CalibrationOptions((_write(tmp_path / "a.yaml", document), None)), count)
+    stated = calibration.stated_cameras(
+        calibration.CalibrationOptions((_write(tmp_path / "a.yaml", document), None)), count
+    )
     with pytest.raises(SourceError, match=said):
-        complete(stated, SIZES[:count], FRAMES[:count])
+        calibration.complete(stated, SIZES[:count], FRAMES[:count])

@@ -11,14 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from svmdist.report.charts import (
-    LEVELS,
-    agreement,
-    calibration,
-    distance_over_time,
-    error_over_time,
-    rejected_spans,
-)
+from svmdist.report import charts
 from svmdist.report.html import WORST_COUNT, Report, page, plotly_figure, write_report
 from svmdist.report.tables import Table
 from svmdist.workflows.references import Reference
@@ -119,7 +112,7 @@ def test_the_interval_is_an_area_for_each_run_of_measured_frames():
     estimate_m, std_m = series.estimate_m.copy(), series.std_m.copy()
     estimate_m[[20, 22]] = std_m[[20, 22]] = np.nan
     series = replace(series, estimate_m=estimate_m, std_m=std_m)
-    curves = curves_of(plotly_figure(error_over_time(series)))
+    curves = curves_of(plotly_figure(charts.error_over_time(series)))
     areas = polygons(curves["95 % interval"])
     spans = [(min(x for x, _ in area), max(x for x, _ in area)) for area in areas]
     np.testing.assert_allclose(spans, [(0.0, 0.9), (1.5, 1.9), (2.07, 2.13), (2.3, 209.9)], rtol=1e-6)
@@ -128,8 +121,8 @@ def test_the_interval_is_an_area_for_each_run_of_measured_frames():
     (dash,) = polygons(curves["single frames"])
     np.testing.assert_allclose(dash, [(2.07, error_mm), (2.13, error_mm)], atol=1e-4)
     flickering = make_series(3000, every=3)
-    lost = curves_of(plotly_figure(distance_over_time(flickering)))["not measured"]
-    np.testing.assert_allclose(lost["x"].reshape(-1, 4)[:, 1:3], rejected_spans(flickering), rtol=1e-6)
+    lost = curves_of(plotly_figure(charts.distance_over_time(flickering)))["not measured"]
+    np.testing.assert_allclose(lost["x"].reshape(-1, 4)[:, 1:3], charts.rejected_spans(flickering), rtol=1e-6)
 
 
 @pytest.mark.parametrize(("every", "bytes_a_frame"), [(None, 120), (3, 160), (2, 260)])
@@ -143,12 +136,12 @@ def test_a_frame_adds_a_bounded_number_of_bytes(every, bytes_a_frame):
 def test_the_texts_say_what_the_plots_show():
     series = make_series(1000)
     error_mm = series.error_m[np.isfinite(series.error_m)] * 1e3
-    assert f"RMSE {np.sqrt(np.mean(error_mm**2)):.2f} mm" in error_over_time(series).text
-    assert f"Bias {error_mm.mean():+.2f} mm" in agreement([series]).text
-    assert "995 of 1000 frames" in distance_over_time(series).text
+    assert f"RMSE {np.sqrt(np.mean(error_mm**2)):.2f} mm" in charts.error_over_time(series).text
+    assert f"Bias {error_mm.mean():+.2f} mm" in charts.agreement([series]).text
+    assert "995 of 1000 frames" in charts.distance_over_time(series).text
     as_stated = replace(series, std_m=np.full(1000, error_mm.std() * 1e-3))
-    held = calibration([as_stated]).curves[1].y
-    np.testing.assert_allclose(held, [100 * level for level in LEVELS], atol=4.0)
+    held = charts.calibration([as_stated]).curves[1].y
+    np.testing.assert_allclose(held, [100 * level for level in charts.LEVELS], atol=4.0)
 
 
 def test_validate_writes_a_report_with_its_plots_and_worst_frames(golden, cli, tmp_path):

@@ -10,12 +10,7 @@ from svmdist.profile import Profile, load_profile
 from svmdist.recording.source import Health
 from svmdist.recording.summary import RecordingSummary, TopicSummary
 from svmdist.recording.topics import Role
-from svmdist.workflows.capabilities import (
-    Capability,
-    capabilities,
-    instruments_in,
-    method_capabilities,
-)
+from svmdist.workflows.capabilities import Capability, capabilities, instruments_in, method_capabilities
 
 PROFILE = load_profile()
 assert PROFILE.robot is not None

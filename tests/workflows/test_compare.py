@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from svmdist.errors import RecordingError
-from svmdist.profile import load_profile
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.writer import RecordingWriter, encode
 from svmdist.report.scores import compare_results
@@ -23,7 +22,6 @@ from svmdist.workflows.request import CLEAN, Condition, Request, prepare
 from svmdist.workflows.validate import validate
 from tests.synthetic import START_NS, make_scene, samples, without, write_log
 
-SMOKE = Condition(Degradation.SMOKE, 3)
 PLAIN = Options()
 
 
@@ -93,15 +91,6 @@ def test_groups_are_scenarios_and_recorded_degradations(tmp_path):
     assert "contact smoke=3: 1 methods on 8 frames" not in shown
     assert "contact smoke=3: 1 method on 8 frames" in shown
     assert max(map(len, shown.splitlines())) <= 100
-
-
-def test_degrading_at_replay_stands_beside_what_was_recorded(tmp_path):
-    """A condition adds a group; on a log that was recorded degraded its name follows the recorded one."""
-    profile = load_profile()
-    noisy = log(tmp_path / "noisy.mcap", "sweep", extras=Options(degradations=(("noise", 1), ("jpeg", 2))))
-    recording = open_recording(noisy, profile)
-    assert str(group_of(recording, CLEAN)) == "sweep noise=1,jpeg=2"
-    assert str(group_of(recording, SMOKE)) == "sweep noise=1,jpeg=2,smoke=3"
 
 
 SETUPS = [prepare(method=method) for method in ("fused", "centroid", "fiducial", "kinematic")]

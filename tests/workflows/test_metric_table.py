@@ -12,33 +12,14 @@ from benchmarks.generated_pages import metrics_page
 from svmdist.errors import RecordingError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.metrics import alarm_statistics
-from svmdist.report.scores import (
-    compare_columns,
-    compare_results,
-    score_columns,
-    validation_document,
-    validation_results,
-    validation_tables,
-)
+from svmdist.report import scores
 from svmdist.report.tables import csv_lines, keys_of, render
 from svmdist.workflows import metric_table
 from svmdist.workflows.compare import Figures, Group, MethodScore
-from svmdist.workflows.metric_table import (
-    EVERYWHERE,
-    IN_3D,
-    LENGTH,
-    Better,
-    Metric,
-    Tolerance,
-)
+from svmdist.workflows.metric_table import EVERYWHERE, IN_3D, LENGTH, Better, Metric, Tolerance
 from svmdist.workflows.references import Reference
 from svmdist.workflows.scores import Pairs, Score, score_pairs
-from svmdist.workflows.validate import (
-    StoredScore,
-    Validation,
-    load_baseline,
-    save_baseline,
-)
+from svmdist.workflows.validate import StoredScore, Validation, load_baseline, save_baseline
 
 SCORE_COLUMNS = """
 recording method equations reference sample_count rejected_count coverage r_squared rmse_m mae_m median_abs_error_m
@@ -79,10 +60,10 @@ def validation(error_m: float = 1e-3) -> Validation:
 
 def test_columns_stay():
     """The columns of version 0.1, in their order: a column is neither renamed nor moved nor removed."""
-    assert list(keys_of(score_columns())) == SCORE_COLUMNS.split()
+    assert list(keys_of(scores.score_columns())) == SCORE_COLUMNS.split()
     figure_columns = FIGURE_COLUMNS.split()
     compared = ["group", "method", *figure_columns, "scenario", "degradation", "instrument"]
-    assert list(keys_of(compare_columns())) == compared
+    assert list(keys_of(scores.compare_columns())) == compared
 
 
 @pytest.fixture
@@ -110,23 +91,23 @@ def test_a_new_metric_is_declared_once(added):
     keys = [added, f"spatial_{added}", f"clearance_{added}"]
     expected = np.percentile(1e-3 * np.arange(20), 99)
     made = validation()
-    assert list(keys_of(score_columns()))[-4:] == ["instrument", *keys]
-    results = validation_results(made)
+    assert list(keys_of(scores.score_columns()))[-4:] == ["instrument", *keys]
+    results = scores.validation_results(made)
     row = next(iter(results.rows))
     assert [row[key] for key in keys] == pytest.approx([expected] * 3)
     header, cells = (line.split(",") for line in csv_lines(replace(results, rows=[row])))
     assert header[-1].strip() == keys[-1]
     assert float(cells[-1]) == pytest.approx(expected)
-    document = json.loads(json.dumps(validation_document(made)))
+    document = json.loads(json.dumps(scores.validation_document(made)))
     assert document["overall"][added] == pytest.approx(expected)
-    planar, in_3d, _ = (render(table) for table in validation_tables(made))
+    planar, in_3d, _ = (render(table) for table in scores.validation_tables(made))
     for shown in (planar, in_3d):
         assert "p99" in shown
         assert f"{expected * 1e3:.2f}" in shown
     assert f"| `{keys[0]}`, `{keys[1]}`, `{keys[2]}` | 1e-05 m |" in metrics_page("")
     distance = score_pairs(pairs())
     figures = Figures(20, 20, 3.0, distance, distance, distance)
-    compared = compare_results([MethodScore(Group("sweep"), "fused", figures)])
+    compared = scores.compare_results([MethodScore(Group("sweep"), "fused", figures)])
     assert compared.keys[-4:] == ("instrument", *keys)
     assert [{*row} for row in compared.rows] == [{*compared.keys}]
     assert render(compared.tables[0]).count("p99") == 3

@@ -42,11 +42,3 @@ def test_estimate_takes_the_profile(cli, golden, onnx_profile):
     pairs = [(a["distance_m"], b["distance_m"]) for a, b in zip(*rows, strict=True) if a["status"] == "ok"]
     assert len(pairs) > 60
     np.testing.assert_allclose(*np.array(pairs).T, atol=3e-4)
-
-
-def test_a_missing_model_is_one_line_before_the_log_is_opened(cli, tmp_path, onnx_profile):
-    path = tmp_path / "moved.toml"
-    path.write_text(onnx_profile.read_text("utf-8"), "utf-8")
-    outcome = cli("estimate", "nothing.mcap", "--method", "shaft", "--profile", path, code=1)
-    model = tmp_path / "models" / "colours.onnx"
-    assert outcome.line == f"svmdist: {model}: cannot read the network: No such file or directory"

@@ -18,12 +18,7 @@ from svmdist.workflows.request import Request, Setup, prepare
 from svmdist.workflows.validate import Validation, validate
 from tests.measuring import flat
 from tests.recording.builders import Entry
-from tests.recording.other_recorders import (
-    ros_messages,
-    write_ros2_mcap,
-    write_rosbag1,
-    write_rosbag2,
-)
+from tests.recording.other_recorders import ros_messages, write_ros2_mcap, write_rosbag1, write_rosbag2
 from tests.synthetic import START_NS, TISSUE_M, make_scene, samples, write_log
 
 SCENE = make_scene()

@@ -10,16 +10,8 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 from svmdist.tracks import Sampled
+from svmdist.workflows import scores
 from svmdist.workflows.references import Reference
-from svmdist.workflows.scores import (
-    DISTANCES,
-    Pairs,
-    Readings,
-    pooled,
-    pooled_score,
-    score_alarms,
-    score_pairs,
-)
 from svmdist.workflows.series import Series, worst_frames
 
 
@@ -44,8 +36,8 @@ TRUTH = Sampled(
 
 def test_only_measured_rows_with_a_truth_make_pairs():
     """A rejected row, one without the distance and one without a truth are left out; numbers are as they were."""
-    readings = Readings(ROWS)
-    planar, spatial, clearance = (readings.pairs(distance, TRUTH) for distance in DISTANCES)
+    readings = scores.Readings(ROWS)
+    planar, spatial, clearance = (readings.pairs(distance, TRUTH) for distance in scores.DISTANCES)
     assert planar.stamps_ns.tolist() == [10, 30]
     assert planar.estimate_m.tolist() == [1.0, 2.0]
     assert planar.truth_m.tolist() == [1.1, 2.1]
@@ -60,24 +52,24 @@ def test_only_measured_rows_with_a_truth_make_pairs():
 def test_no_rows_make_no_pairs():
     """Without rows there are arrays of length 0, and no score."""
     none = Sampled(np.empty((0, 3)), np.empty(0, np.bool_))
-    pairs = Readings().pairs("spatial", none)
+    pairs = scores.Readings().pairs("spatial", none)
     assert len(pairs) == 0
-    assert score_pairs(pairs) is None
-    assert pooled_score([None, score_pairs(pairs)]) is None
+    assert scores.score_pairs(pairs) is None
+    assert scores.pooled_score([None, scores.score_pairs(pairs)]) is None
 
 
 def test_pooling_counts_every_pair_the_same():
     """The bias of parts together is the mean over all pairs, not the mean of means."""
 
-    def off_by(error_m: float, count: int) -> Pairs:
+    def off_by(error_m: float, count: int) -> scores.Pairs:
         truth_m = np.linspace(0.0, 1.0, count)
-        return Pairs(np.arange(count), truth_m + error_m, truth_m, np.full(count, 0.1))
+        return scores.Pairs(np.arange(count), truth_m + error_m, truth_m, np.full(count, 0.1))
 
     parts = [off_by(0.3, 1), off_by(0.0, 3)]
-    together = pooled_score([score_pairs(part) for part in parts])
+    together = scores.pooled_score([scores.score_pairs(part) for part in parts])
     assert together.statistics.bias == pytest.approx(0.3 / 4)
     assert together.interval_coverage == 0.75  # 0.3 lies outside ±1.96 x 0.1
-    assert len(pooled(parts)) == 4
+    assert len(scores.pooled(parts)) == 4
 
 
 STAMPS_NS = np.array([0, 1, 2, 3, 4], np.int64) * 1_000_000_000
@@ -96,10 +88,10 @@ def true_clearance(*clearance_m: float) -> Sampled:
 def test_frames_without_a_true_clearance_are_left_out():
     """They count nowhere; where they are all frames, that is an error."""
     true = true_clearance(np.nan, 0.003, np.nan, np.nan, 0.010)
-    found = score_alarms(WITH_ALARMS, true, STAMPS_NS, AlarmRules(0.005))
+    found = scores.score_alarms(WITH_ALARMS, true, STAMPS_NS, AlarmRules(0.005))
     assert (found.frame_count, found.unsafe_count, found.true_alarm_count) == (2, 1, 1)
     with pytest.raises(RecordingError, match="no frame with a true clearance"):
-        score_alarms(WITH_ALARMS, true_clearance(*[np.nan] * 5), STAMPS_NS, AlarmRules(0.005))
+        scores.score_alarms(WITH_ALARMS, true_clearance(*[np.nan] * 5), STAMPS_NS, AlarmRules(0.005))
 
 
 SERIES = Series(

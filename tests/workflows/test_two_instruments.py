@@ -115,15 +115,3 @@ def test_one_instrument_is_as_ever(synthetic_log):
     assert [vars(row) | {"instrument": ""} for row in named] == [vars(row) for row in plain]
     with pytest.raises(RecordingError, match="no topic of an instrument PSM2: did you mean PSM1"):
         estimate(recording, setup, ["PSM2"])
-
-
-def test_topics_of_another_arm_stand_in_for_nothing(two):
-    """A profile that leaves its own topics open does not take the second arm's; one chosen by hand is no other's."""
-    profile = load_profile()
-    open_topics = profile.model_copy(
-        update={"topics": profile.topics.model_copy(update={"joints": None, "pose": None})}
-    )
-    assert open_recording(two, open_topics).topic_of("joints") == "/PSM1/measured_js"
-    chosen = open_recording(two, profile, topics={"joints": "/PSM2/measured_js", "pose": "/PSM2/measured_cp"})
-    assert chosen.instruments == ("PSM1",)
-    assert chosen.topic_of("joints") == "/PSM2/measured_js"
