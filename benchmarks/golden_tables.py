@@ -115,7 +115,7 @@ def between_instruments() -> list[str]:
     rows = [row for row in every if row.instrument == "PSM1"]
     found = [(row.stamp_ns, row.distances.to_instrument) for row in rows if row.distances.to_instrument]
     track = svmdist.open_recording(path, topics={"ground_truth_distance": topic}).distance_track()
-    true_m = track.at(np.array([stamp_ns for stamp_ns, _ in found], np.int64)).clearance_m
+    true_m = track.at(np.array([stamp_ns for stamp_ns, _ in found], np.int64)).values[:, 2]
     error_m = np.array([distance.value_m for _, distance in found]) - true_m
     inside = np.abs(error_m) <= 1.96 * np.array([distance.std_m for _, distance in found], float)
     rmse_m = float(np.sqrt(np.mean(error_m**2)))

@@ -176,8 +176,7 @@ def _distortion_slope(xy: Array, coefficients: tuple[float, ...]) -> Array:
 def stereo_transform(left: Camera, right: Camera) -> Array | None:
     """The right camera's pose in the left one's frame, `T_left_right`, shape (4, 4); None without a baseline.
 
-    As ROS has it: the right camera's `P[:, 3]` is K' times its position in the rectified frame that both share, and
-    `R_rectified_camera` maps each camera into that frame.
+    As ROS has it: `P[:, 3]` is K' times the position in the rectified frame that both share.
     """
     if right.P is None or not right.P[:2, 3].any():
         return None

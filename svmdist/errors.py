@@ -6,8 +6,7 @@ import unicodedata
 from collections.abc import Iterable
 from typing import Any
 
-UNSAFE = {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}
-"""Categories of characters: control, such as ESC; format, such as the bidirectional overrides; line breaks."""
+UNSAFE = {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}  # control, format, surrogates, private, line breaks
 
 
 class SvmdistError(Exception):

@@ -12,7 +12,7 @@ import stat
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
@@ -189,11 +189,8 @@ def listed_urls(url: str, endings: tuple[str, ...], *, is_glob: bool) -> list[Re
 
 
 def open_regular(path: LogPath) -> BinaryIO:
-    """Open a regular file, or one behind a URL, to read; OSError with a reason where it is none, or cannot be opened.
-
-    It is opened without waiting and checked when it is open: a pipe may have no writer, a device may never end, and a
-    path can lead elsewhere a moment later.
-    """
+    """Open a regular file, or one behind a URL, to read; OSError with a reason where that cannot be done."""
+    # Without waiting, and checked when open: a pipe may have no writer, and a path can lead elsewhere a moment later.
     if isinstance(path, RemoteFile):
         return path.open()
     try:
@@ -232,16 +229,14 @@ def files_of(path: LogPath) -> list[LogPath]:
 def atomic_file(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path`, renamed to `path` when the block ends, and removed when it fails.
 
-    A device, a pipe, and a file in a folder that accepts no new files are written in place. Raises OutputError where
-    the file cannot be written.
+    A device, a pipe, and a file in a folder without new files are written in place. Raises OutputError.
     """
     try:
         mode = None
         try:
             target = Path(os.path.realpath(path))  # a link stays a link
-            mode = os.stat(target).st_mode
-        except FileNotFoundError:
-            pass
+            with suppress(FileNotFoundError):
+                mode = os.stat(target).st_mode
         except ValueError:
             raise OSError(errno.EINVAL, BAD_CHARACTER) from None
         if (mode is not None and not stat.S_ISREG(mode)) or not os.access(target.parent, os.W_OK):

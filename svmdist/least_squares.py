@@ -66,18 +66,13 @@ class Minimum(Generic[State]):
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """When to stop: after `max_steps`, or after a step whose largest element is below `settled`.
-
-    With `damping` above 0, steps are damped in proportion to the information's diagonal; a step that raises the cost
-    is rejected. `cost_settled` ends the iteration where a step lowers the cost by less. `step_limit`, shape (n,),
-    bounds the elements of a step.
-    """
+    """When to stop, and how steps are damped: in proportion to the information's diagonal; none may raise the cost."""
 
     max_steps: int
-    settled: float = 0.0
+    settled: float = 0.0  # the largest element of a last step is below
     damping: float = 0.0
-    cost_settled: float = 0.0
-    step_limit: Array | None = None
+    cost_settled: float = 0.0  # a last step lowers the cost by less
+    step_limit: Array | None = None  # shape (n,), of the elements of a step
 
 
 def minimise(
@@ -117,7 +112,7 @@ def _step(equations: NormalEquations, damping: float, limit: Array | None) -> Ar
     if damping > 0.0:
         information = information + damping * np.diag(np.diag(information))
     try:
-        step = np.asarray(np.linalg.solve(information, equations.gradient), np.float64)
+        step: Array = np.linalg.solve(information, equations.gradient)
     except np.linalg.LinAlgError:
-        step = np.asarray(np.linalg.lstsq(information, equations.gradient, rcond=None)[0], np.float64)
+        step = np.linalg.lstsq(information, equations.gradient, rcond=None)[0]
     return step if limit is None else np.clip(step, -limit, limit)

@@ -1,8 +1,4 @@
-"""What is read from a recording: samples, and observations made of them.
-
-An `Observation` has no field for ground truth, so that no estimator can use it; truth travels on its own, as
-`DistanceSample` and `TransformSample`.
-"""
+"""What is read from a recording: samples, and observations made of them, which have no field for ground truth."""
 
 from __future__ import annotations
 
@@ -188,16 +184,14 @@ def _checked(image: object, channels: int, camera: Camera | None, expected: str)
         is_number = image.size > 0 and image.dtype.kind in "fiu"
         span = f", from {np.nanmin(image):g} to {np.nanmax(image):g}" if is_number else ""
         raise WrongImageError(f"{expected}; found {image.dtype}{span}: levels are from 0 to 255")
-    text = f"{expected}; found {image.shape}"
+    got = f"{expected}; found {image.shape}"
     if image.ndim == 3 and image.shape[0] in (3, 4) and image.shape[2] not in (3, 4):
-        raise WrongImageError(
-            f"{text}: its channels stand first; numpy.moveaxis(image, 0, -1) puts them last"
-        )
+        raise WrongImageError(f"{got}: its channels stand first; numpy.moveaxis(image, 0, -1) puts them last")
     dimensions = 2 if channels == 1 else 3
     if image.ndim != dimensions or (channels > 1 and image.shape[2] != channels) or image.size == 0:
-        raise WrongImageError(text)
+        raise WrongImageError(got)
     if camera is not None and image.shape[:2] != (camera.height_px, camera.width_px):
         is_turned = image.shape[1::-1] == (camera.height_px, camera.width_px)
         hint = ": rows and columns are exchanged" if is_turned else " of another size than its camera's"
-        raise WrongImageError(f"{text}{hint}")
+        raise WrongImageError(f"{got}{hint}")
     return image

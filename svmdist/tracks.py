@@ -10,14 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.transforms import (
-    Array,
-    Stamps,
-    make_transform,
-    quaternion_xyzw_from_rotation,
-    rotation_from_quaternion_xyzw,
-    slerp_xyzw,
-)
+from svmdist import transforms
+from svmdist.transforms import Array, Stamps
 
 Mask = NDArray[np.bool_]
 
@@ -110,18 +104,14 @@ class JointTrack:
             about = np.ones(len(self.stamps_ns), np.bool_)
         t_s = (self.stamps_ns[about] - at_ns) / 1e9
         t_s = t_s - t_s.mean()
-        square = float(t_s @ t_s)
-        if square == 0.0:
+        if (square := float(t_s @ t_s)) == 0.0:
             return np.zeros(self.positions.shape[1])
         return np.asarray(t_s @ (self.positions[about] - self.positions[about].mean(0)) / square)
 
 
 @dataclass(frozen=True)
 class TransformTrack:
-    """`T_parent_child` over time, shape (n, 4, 4); a static one holds one sample that is valid always.
-
-    A pose is one of what has no frame of its own: `child` is empty.
-    """
+    """`T_parent_child` over time, shape (n, 4, 4); a static one is always valid, and that of a pose has no `child`."""
 
     parent: str
     child: str
@@ -143,9 +133,9 @@ class TransformTrack:
         left, right = (self.T_parent_child[side[between]] for side in (where.left, where.right))
         fraction = where.fraction[between]
         t_m = left[:, :3, 3] + fraction[:, None] * (right[:, :3, 3] - left[:, :3, 3])
-        start, end = (quaternion_xyzw_from_rotation(T[:, :3, :3]) for T in (left, right))
-        R = rotation_from_quaternion_xyzw(slerp_xyzw(start, end, fraction))
-        values[between] = make_transform(R, t_m)
+        start, end = (transforms.quaternion_xyzw_from_rotation(T[:, :3, :3]) for T in (left, right))
+        R = transforms.rotation_from_quaternion_xyzw(transforms.slerp_xyzw(start, end, fraction))
+        values[between] = transforms.make_transform(R, t_m)
         return Sampled(values, where.valid)
 
 

@@ -29,8 +29,7 @@ Stamps = Annotated[
 
 def make_transform(R: ArrayLike, t_m: ArrayLike) -> Array:
     """Build homogeneous transforms from rotations, shape (..., 3, 3), and translations in m, shape (..., 3)."""
-    R = np.asarray(R, np.float64)
-    t_m = np.asarray(t_m, np.float64)
+    R, t_m = np.asarray(R, np.float64), np.asarray(t_m, np.float64)
     T = np.zeros((*np.broadcast_shapes(R.shape[:-2], t_m.shape[:-1]), 4, 4))
     T[..., :3, :3] = R
     T[..., :3, 3] = t_m
@@ -148,10 +147,7 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def rotation_from_quaternion_xyzw(quaternion_xyzw: ArrayLike) -> Array:
-    """Rotations, shape (..., 3, 3), from quaternions in the order x, y, z, w, shape (..., 4).
-
-    They are normalised first; a zero quaternion raises ValueError.
-    """
+    """Rotations, shape (..., 3, 3), from quaternions x, y, z, w, shape (..., 4); ValueError for one that is zero."""
     q = np.asarray(quaternion_xyzw, np.float64)
     norm = np.linalg.norm(q, axis=-1, keepdims=True)
     if not np.all(np.isfinite(norm) & (norm > 1e-9)):
@@ -166,10 +162,7 @@ def rotation_from_quaternion_xyzw(quaternion_xyzw: ArrayLike) -> Array:
 
 
 def quaternion_xyzw_from_rotation(R: Array) -> Array:
-    """Unit quaternions in the order x, y, z, w with w >= 0, shape (..., 4), from rotations (..., 3, 3).
-
-    The largest of the four squared components is the pivot (Shepperd 1978): accurate near half a turn, too.
-    """
+    """Unit quaternions x, y, z, w with w >= 0, shape (..., 4), from rotations, shape (..., 3, 3) (Shepperd 1978)."""
     R = np.asarray(R, np.float64)
     m00, m11, m22 = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
     m01, m02, m12 = R[..., 0, 1], R[..., 0, 2], R[..., 1, 2]
@@ -183,6 +176,7 @@ def quaternion_xyzw_from_rotation(R: Array) -> Array:
         (a, b, c, 1 + m00 + m11 + m22),
     )
     candidates = np.stack([np.stack(row, -1) for row in rows], -2)
+    # The largest squared component as pivot is accurate near half a turn, too.
     pivots = np.argmax(np.einsum("...ii->...i", candidates), -1)
     q = np.take_along_axis(candidates, pivots[..., None, None], -2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)

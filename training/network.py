@@ -15,9 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from training.instruments import DISTAL
-from training.scene import HEIGHT, MIDDLE, WIDTH, Pictures, augmented, halved
-from training.textures import Array
+from training.instruments import DISTAL, Array
+from training.scene import HEIGHT, MIDDLE, WIDTH, augmented, halved
 
 CLASSES = 4
 CHANNELS = (16, 32, 64, 112, 160)  # of the input's size over 2, 4, 8, 16 and 32
@@ -105,9 +104,8 @@ def _doubled(values: Tensor) -> Tensor:
 class Stage:
     """How long and how fast is trained at one size of pictures.
 
-    The learning rate rises to its largest over the first twentieth of `horizon`, then falls as a cosine to nothing
-    there. A step keeps the share `average` of the mean of weights, which is a stage's result. At half the input's width
-    and height training costs a quarter: what goes with what is learnt there.
+    The learning rate rises over the first twentieth of `horizon`, then falls as a cosine to nothing there. A step keeps
+    the share `average` of the mean of weights, which is the result. Half the width and height costs a quarter.
     """
 
     steps: int
@@ -124,52 +122,44 @@ STAGES = (
 )
 
 
-def train(pictures: Pictures, stages: tuple[Stage, ...], seed: int) -> InstrumentNet:
+def train(pictures: Array, labels_of: Array, seed: int) -> InstrumentNet:
     """Train on one thread, so that a run can be repeated; a stage goes on from the mean of the last one's weights."""
     torch.set_num_threads(1)
     torch.manual_seed(seed)
     torch.use_deterministic_algorithms(True, warn_only=True)
     mean: InstrumentNet = InstrumentNet().to(memory_format=torch.channels_last)
-    for number, stage in enumerate(stages):
-        mean = _train_stage(mean, pictures, stage, np.random.default_rng(seed + 1000 * number))
-    return mean
-
-
-def _train_stage(
-    net: InstrumentNet, pictures: Pictures, stage: Stage, rng: np.random.Generator
-) -> InstrumentNet:
-    """Go on from `net`, which is changed; gives the mean of its weights."""
-    mean = deepcopy(net)
-    net.train()
-    optimiser = torch.optim.AdamW(net.parameters(), stage.learning_rate, weight_decay=1e-2)
-    warm = max(1, stage.horizon // 20)
-    order: Array = np.empty(0, np.int64)
-    losses: list[float] = []
-    for step in range(stage.steps):
-        while len(order) < stage.batch:
-            order = np.concatenate([order, rng.permutation(len(pictures.images))])
-        chosen, order = np.sort(order[: stage.batch]), order[stage.batch :]
-        images, labels = augmented(rng, pictures.images[chosen], pictures.labels[chosen])
-        if stage.half_size:
-            images, labels = halved(images, labels)
-        left = (step - warm) / max(1, stage.horizon - warm)
-        rate = (step + 1) / warm if step < warm else 0.5 * (1.0 + float(np.cos(np.pi * left)))
-        optimiser.param_groups[0]["lr"] = stage.learning_rate * rate
-        loss = _loss(net(_to_input(images)), torch.from_numpy(labels.astype(np.int64)))
-        optimiser.zero_grad()
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(net.parameters(), 2.0)
-        optimiser.step()
-        keep = min(stage.average, (step + 1) / (step + 10))
-        with torch.no_grad():
-            for old, new in zip(mean.state_dict().values(), net.state_dict().values(), strict=True):
-                if old.dtype.is_floating_point:
-                    old.mul_(keep).add_(new, alpha=1.0 - keep)
-                else:
-                    old.copy_(new)
-        losses.append(float(loss.detach()))
-        if step % 50 == 49:
-            print(f"step {step + 1}: loss {np.mean(losses[-50:]):.4f}", flush=True)
+    for number, stage in enumerate(STAGES):
+        net, mean, rng = mean, deepcopy(mean), np.random.default_rng(seed + 1000 * number)
+        net.train()
+        optimiser = torch.optim.AdamW(net.parameters(), stage.learning_rate, weight_decay=1e-2)
+        warm = max(1, stage.horizon // 20)
+        order: Array = np.empty(0, np.int64)
+        losses: list[float] = []
+        for step in range(stage.steps):
+            while len(order) < stage.batch:
+                order = np.concatenate([order, rng.permutation(len(pictures))])
+            chosen, order = np.sort(order[: stage.batch]), order[stage.batch :]
+            images, labels = augmented(rng, pictures[chosen], labels_of[chosen])
+            if stage.half_size:
+                images, labels = halved(images, labels)
+            left = (step - warm) / max(1, stage.horizon - warm)
+            rate = (step + 1) / warm if step < warm else 0.5 * (1.0 + float(np.cos(np.pi * left)))
+            optimiser.param_groups[0]["lr"] = stage.learning_rate * rate
+            loss = _loss(net(_to_input(images)), torch.from_numpy(labels.astype(np.int64)))
+            optimiser.zero_grad()
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(net.parameters(), 2.0)
+            optimiser.step()
+            keep = min(stage.average, (step + 1) / (step + 10))
+            with torch.no_grad():
+                for old, new in zip(mean.state_dict().values(), net.state_dict().values(), strict=True):
+                    if old.dtype.is_floating_point:
+                        old.mul_(keep).add_(new, alpha=1.0 - keep)
+                    else:
+                        old.copy_(new)
+            losses.append(float(loss.detach()))
+            if step % 50 == 49:
+                print(f"step {step + 1}: loss {np.mean(losses[-50:]):.4f}", flush=True)
     return mean
 
 

@@ -6,14 +6,13 @@ They are drawn once to two files, which training then reads as often as it likes
 from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from training.instruments import OTHER, TISSUE, cords, draw, instrument
-from training.textures import Array, Size, background, fractal, wandering
+from training import instruments
+from training.instruments import OTHER, TISSUE, Array, Size, fractal
 
 WIDTH, HEIGHT = 256, 192
 """The network's input in px. Pictures of any aspect are stretched to it, as `method = "onnx"` does."""
@@ -29,26 +28,25 @@ def layers(rng: np.random.Generator, size: Size, count: int | None = None) -> tu
 
     Gives the picture, shape (h, w, 3), before light and camera, and the class of each pixel, shape (h, w).
     """
-    scene, is_tissue = background(rng, size)
+    scene, is_tissue = instruments.background(rng, size)
     count = int(rng.choice(4, p=[0.1, 0.42, 0.38, 0.1])) if count is None else count
     if rng.random() < 0.35:
-        draw(scene, np.zeros(size, np.uint8), cords(rng, size))
+        instruments.draw(scene, np.zeros(size, np.uint8), instruments.cords(rng, size))
     labels = np.where(is_tissue, TISSUE, OTHER).astype(np.uint8)
     around = np.asarray(scene.mean((0, 1)), np.float32)
     for _ in range(count):
-        parts = instrument(rng, size, around)
+        parts = instruments.instrument(rng, size, around)
         if rng.random() < 0.6:  # its shadow on what is behind it, beside it, soft or hard
             half = parts[0].end_half
             outline = np.zeros(size, np.uint8)
             for part in parts:
                 cv2.fillConvexPoly(outline, np.rint(part.corners).astype(np.int32), 255)
             aside = [rng.normal(0.0, 1.2) * half, rng.normal(0.3, 1.2) * half]
-            moved = cv2.warpAffine(
-                outline, np.column_stack([np.eye(2), aside]).astype(np.float32), size[::-1]
-            )
+            shift = np.column_stack([np.eye(2), aside]).astype(np.float32)
+            moved = cv2.warpAffine(outline, shift, size[::-1])
             soft = cv2.GaussianBlur(moved, (0, 0), rng.uniform(0.5, 1.0 + 0.6 * half)).astype(np.float32)
             scene *= 1.0 - rng.uniform(0.1, 0.75) * soft[..., None] / 255.0
-        draw(scene, labels, parts)
+        instruments.draw(scene, labels, parts)
         if rng.random() < 0.45:  # blood, or what is like it, on instruments: they stay what they are
             spots = fractal(rng, size, rng.uniform(6.0, 25.0), 3) - rng.uniform(0.3, 1.8)
             share = np.clip(4.0 * spots, 0.0, 1.0) * (labels > TISSUE) * rng.uniform(0.4, 1.0)
@@ -56,7 +54,7 @@ def layers(rng: np.random.Generator, size: Size, count: int | None = None) -> tu
             scene += (share[..., None] * (blood - scene)).astype(np.float32)
     if rng.random() < 0.3:  # a suture or a needle: thin, of any colour, and no instrument
         colour = rng.uniform(0, 255, 3).tolist()
-        cv2.polylines(scene, [wandering(rng, size, 0.3)], False, colour, 1, cv2.LINE_AA)
+        cv2.polylines(scene, [instruments.wandering(rng, size, 0.3)], False, colour, 1, cv2.LINE_AA)
     return scene, labels
 
 
@@ -72,8 +70,7 @@ def render(seed: int) -> tuple[Array, Array]:
     if rng.random() < 0.15:  # recorded small, and enlarged
         less = rng.uniform(0.4, 0.9)
         image = cv2.resize(image, None, fx=less, fy=less, interpolation=cv2.INTER_AREA)
-    shrinks = image.shape[1] >= WIDTH and image.shape[0] >= HEIGHT
-    how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    how = cv2.INTER_AREA if image.shape[1] >= WIDTH and image.shape[0] >= HEIGHT else cv2.INTER_LINEAR
     shown = cv2.resize(image, (WIDTH, HEIGHT), interpolation=how)
     return shown, cv2.resize(labels, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST_EXACT)
 
@@ -140,16 +137,8 @@ def _film(rng: np.random.Generator, scene: Array, picture: Array) -> Array:
     return image
 
 
-@dataclass(frozen=True)
-class Pictures:
-    """`images`, shape (n, h, w, 3) in BGR, and `labels`, shape (n, h, w); both uint8."""
-
-    images: Array
-    labels: Array
-
-
-def rendered(first_seed: int, count: int, folder: Path, processes: int = 1) -> Pictures:
-    """The pictures of `count` seeds from `first_seed` on; drawn where `folder` does not have them."""
+def rendered(first_seed: int, count: int, folder: Path, processes: int = 1) -> tuple[Array, Array]:
+    """Pictures (n, h, w, 3) in BGR and labels (n, h, w) of `count` seeds, drawn where `folder` does not have them."""
     folder.mkdir(parents=True, exist_ok=True)
     images_path, labels_path = (folder / f"{first_seed}-{count}-{kind}.npy" for kind in ("images", "labels"))
     if not labels_path.exists():
@@ -162,7 +151,7 @@ def rendered(first_seed: int, count: int, folder: Path, processes: int = 1) -> P
                 images[number], labels[number] = image, label
         images.flush()
         np.save(labels_path, labels)  # last: it says that both are complete
-    return Pictures(np.load(images_path, mmap_mode="r"), np.load(labels_path, mmap_mode="r"))
+    return np.load(images_path, mmap_mode="r"), np.load(labels_path, mmap_mode="r")
 
 
 def augmented(rng: np.random.Generator, images: Array, labels: Array) -> tuple[Array, Array]:
@@ -179,8 +168,8 @@ def augmented(rng: np.random.Generator, images: Array, labels: Array) -> tuple[A
 def halved(images: Array, labels: Array) -> tuple[Array, Array]:
     """Half as wide and half as high: pixels averaged, labels taken from one of four."""
     count, height, width = labels.shape
-    fours = images.reshape(count, height // 2, 2, width // 2, 2, 3)
-    return fours.mean((2, 4)).astype(np.uint8), np.ascontiguousarray(labels[:, ::2, ::2])
+    means = images.reshape(count, height // 2, 2, width // 2, 2, 3).mean((2, 4))
+    return means.astype(np.uint8), np.ascontiguousarray(labels[:, ::2, ::2])
 
 
 def iou(found: Array, truth: Array) -> float:

@@ -27,7 +27,7 @@ MOST_DIFFERENCE = 1e-3  # of scores, which are of the order of 10, between PyTor
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Render, train, write the file, and compare it as OpenCV runs it with PyTorch's."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("model", type=Path, help="the ONNX file to write")
     parser.add_argument("--pictures", type=int, default=24000, help="how many are drawn to train on")
     parser.add_argument("--validation", type=int, default=400, help="how many others are drawn to measure on")
@@ -36,15 +36,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--cache", type=Path, default=Path(gettempdir(), "svmdist-segmentation-pictures"))
     given = parser.parse_args(arguments)
     try:
-        from training.network import STAGES, export, predicted, scores_of, train
+        from training.network import export, predicted, scores_of, train
     except ModuleNotFoundError as missing:
-        advice = "pip install torch==2.13.0 onnx, beside svmdist"
-        print(f"{missing.name} is not installed: {advice}", file=sys.stderr)
+        print(
+            f"{missing.name} is not installed: pip install torch==2.13.0 onnx, beside svmdist",
+            file=sys.stderr,
+        )
         return 1
-    held_out = rendered(VALIDATION_SEED, given.validation, given.cache, given.processes)
+    images, labels = rendered(VALIDATION_SEED, given.validation, given.cache, given.processes)
     pictures = rendered(given.seed * given.pictures, given.pictures, given.cache, given.processes)
-    net = train(pictures, STAGES, given.seed)
-    pairs = zip(predicted(net, held_out.images) >= DISTAL, held_out.labels >= DISTAL, strict=True)
+    net = train(*pictures, given.seed)
+    pairs = zip(predicted(net, images) >= DISTAL, labels >= DISTAL, strict=True)
     ious = np.array([iou(found, truth) for found, truth in pairs if truth.any()])
     print(f"IoU of instruments on {len(ious)} pictures: mean {ious.mean():.3f}, median {np.median(ious):.3f}")
     given.model.parent.mkdir(parents=True, exist_ok=True)
@@ -52,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     difference = 0.0
     rules = OnnxSegmentation.model_validate({**INSTRUMENTS, "method": "onnx", "model": given.model})
     opencv = cv2.dnn.readNetFromONNX(str(given.model))
-    for image in held_out.images[:20]:
+    for image in images[:20]:
         opencv.setInput(network_input(np.array(image), rules))
         difference = max(difference, float(np.abs(opencv.forward() - scores_of(net, image[None])).max()))
     size = given.model.stat().st_size

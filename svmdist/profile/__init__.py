@@ -178,11 +178,8 @@ class Profile(StrictModel):
     def check_hand_eye(self, file: HandEyeFile) -> None:
         """Raise ValueError where the hand-eye file is of other frames, or of none of the instruments."""
         if not any(file.of(name) for name in self.instrument_names):
-            theirs, ours = (
-                ", ".join(one.instrument for one in file.transforms),
-                ", ".join(self.instrument_names),
-            )
-            raise ValueError(f"hand_eye: it is for {theirs}; the profile has {ours}: fit it anew")
+            theirs, ours = ", ".join(one.instrument for one in file.transforms), self.instrument_names
+            raise ValueError(f"hand_eye: it is for {theirs}; the profile has {', '.join(ours)}: fit it anew")
         for name in dict.fromkeys(self.instrument_names):
             frames, found = self.for_instrument(name).frames, file.of(name)
             for what in ("camera", "base") if found is not None else ():

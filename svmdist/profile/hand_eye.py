@@ -84,8 +84,7 @@ class HandEye(StrictModel):
         """With the constants' deviations of now; one without a deviation counts as independent of all else."""
         covariance, constants = np.array(self.covariance), []
         for one in self.constants:
-            deviation = stated.get(one.constant)
-            if deviation is None:
+            if (deviation := stated.get(one.constant)) is None:
                 continue
             scale, effects = deviation / one.deviation, np.array(one.effects)
             covariance += (scale**2 - 1.0) * effects.T @ effects
@@ -128,7 +127,7 @@ class HandEyeFile(StrictModel):
 
 
 class HandEyeError(KinematicError):
-    """Kinematic errors where the camera-to-base transform and its covariance are from a hand-eye file."""
+    """Kinematic errors with the camera-to-base transform, and its covariance, of a hand-eye file."""
 
     hand_eye: HandEye
 
@@ -161,10 +160,8 @@ def with_hand_eye(profile: Profile) -> Profile:
         return profile
     found = found.with_deviations(stated_deviations(profile))
     rotation_var = float(np.linalg.eigvalsh(np.array(found.covariance)[3:, 3:])[-1])
-    values = profile.kinematic_error.model_dump() | {
-        "camera_base_std_rad": float(np.sqrt(max(rotation_var, 0.0))),
-        "hand_eye": found,
-    }
+    std_rad = float(np.sqrt(max(rotation_var, 0.0)))
+    values = profile.kinematic_error.model_dump() | {"camera_base_std_rad": std_rad, "hand_eye": found}
     return profile.model_copy(update={"kinematic_error": HandEyeError(**values)})
 
 
@@ -183,9 +180,8 @@ def _read(value: Any, info: ValidationInfo) -> Any:
     """What a file that a profile names holds; a relative name starts from the profile's folder."""
     if not isinstance(value, str | Path):
         return value
-    folder = Path(info.context["folder"]) if info.context else Path()
     try:
-        return load_hand_eye(folder / value)
+        return load_hand_eye(Path(info.context["folder"] if info.context else "") / value)
     except ProfileError as problem:
         raise ValueError(str(problem)) from None
 

@@ -8,16 +8,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import AfterValidator, Field, field_validator, model_validator
 
-from svmdist.profile.toml import (
-    Angle,
-    Fraction,
-    Length,
-    NeighbourFile,
-    NonNegative,
-    Positive,
-    SmallLength,
-    StrictModel,
-)
+from svmdist.profile import toml
+from svmdist.profile.toml import Angle, Fraction, Length, NonNegative, Positive, SmallLength, StrictModel
 from svmdist.transforms import Array, make_transform, rotation_z
 
 Vector = tuple[float, float, float]
@@ -116,10 +108,7 @@ class KinematicError(StrictModel):
 
 
 class CameraError(StrictModel):
-    """Standard deviations of the cameras' calibration; fractions are of the values themselves.
-
-    The defaults are those of repeated calibrations of an endoscope with a chessboard; its focus moves between them.
-    """
+    """Standard deviations of the cameras' calibration; the defaults are of repeated ones of an endoscope."""
 
     focal_std_fraction: NonNegative = 4e-3  # of the focal lengths: the same error in both cameras
     centre_std_px: NonNegative = 1.5  # of the principal point along each axis
@@ -147,10 +136,7 @@ class Instrument(StrictModel):
 
 
 class Fiducial(StrictModel):
-    """A tag on a plate that a link of the instrument carries.
-
-    The tag's frame is OpenCV's: origin in the middle of the black square, x right, y up, z towards the reader.
-    """
+    """A tag on the instrument's plate; its frame: origin in the tag's middle, x right, y up, z towards the reader."""
 
     family: Literal["16h5", "25h9", "36h10", "36h11"] = "36h11"
     id: int = Field(default=0, ge=0)
@@ -203,7 +189,7 @@ class Tissue(StrictModel):
     motion_std_m: NonNegative = 1e-3  # of the tissue's motion along the plane's normal: breath and pulse
     motion_time_s: Positive = 0.5  # correlation time of that motion: a breath of 4 s turns within as long
     dome: Dome | None = None
-    mesh: NeighbourFile | None = None
+    mesh: toml.NeighbourFile | None = None
     """A closed surface in a file .obj or .stl, in place of a dome; a relative path starts from the profile's folder."""
     mesh_unit: Literal["m", "cm", "mm"] = "m"  # of the file's numbers; the formats do not say
     mesh_position_m: Vector = (0.0, 0.0, 0.0)  # the mesh's origin in the tissue's frame

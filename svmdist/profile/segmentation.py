@@ -128,10 +128,7 @@ class OnnxSegmentation(StrictModel):
 
 
 class AutoSegmentation(StrictModel):
-    """Tissue and instruments found without a colour from the user: by straight edges, and what they enclose.
-
-    Its tables are area gates only, and may all be left out. `[settings.auto]` holds what it assumes.
-    """
+    """Tissue and instruments found without a colour from the user; `[settings.auto]` holds what it assumes."""
 
     method: Method
     tissue: AreaGate = AreaGate(min_area_px=2000, occlusion="outline")

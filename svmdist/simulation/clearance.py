@@ -1,7 +1,6 @@
 """The true clearance: smallest distance of an instrument to tissue or to another one; negative is penetration depth.
 
-To tissue it is the least signed distance of all points of the instrument's surface to the organ's triangles, whatever
-the organ's shape: outside that is the distance of the surfaces, inside less the depth of the deepest point. Parts are
+To tissue it is the least signed distance of all points of the instrument's surface to the organ's triangles. Parts are
 sampled so densely that the organ's curvature between samples adds a few µm at most.
 """
 
@@ -22,9 +21,7 @@ from svmdist.transforms import Array, inverse
 
 SPACING_M = 0.0004
 """Longest side of the triangles between samples: no point of a part is farther than 0.23 mm from a sample."""
-REACH_M = 0.07
-"""A shaft comes in from above, and the organ is 62 mm long at most: what is farther behind the link's origin is never
-the nearest."""
+REACH_M = 0.07  # the organ is 62 mm long at most: what is farther behind a link's origin is not the nearest
 CELLS_M = (1.0, 0.004, 0.001, 0.00025)  # sides of the cells that group samples, each a multiple of the next
 
 BULLET_SCALE = 1000.0
@@ -140,13 +137,11 @@ class TissueClearance:
         press is measured to what the others leave.
         """
         poses, organ = self._poses(q, offset_m), self._organ
-        inside = self._inside(poses, organ)
-        touches = [False] * len(poses)
+        inside, touches = self._inside(poses, organ), [False] * len(poses)
         if self._is_soft and any(len(its) for its in inside):
-            points_m = np.vstack(inside)
             touches = [len(its) > 0 and not organ.is_too_deep(its) for its in inside]
             if not all(touches):
-                organ = organ.dented(points_m)
+                organ = organ.dented(np.vstack(inside))
                 inside = self._inside(poses, organ)
         return [
             0.0 if touch else -organ.depth_m(its) if len(its) else arm.distance_m(T_tissue_part, organ)

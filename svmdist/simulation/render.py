@@ -35,12 +35,10 @@ R4_OPENGL_OPENCV: Array = np.block([[R_OPENGL_OPENCV, np.zeros((3, 1))], [np.zer
 PIXEL_SHIFT = (-0.5, 0.5)
 """TinyRenderer samples pixels at a corner. Measured with silhouettes of spheres all over the image, which agree with
 `Camera.project` to 0.03 px."""
-OPTICS_SIGMA_PX = 0.8
-"""Blur of the optics: no lens draws edges of one pixel, and it hides the renderer's stairs."""
+OPTICS_SIGMA_PX = 0.8  # blur of the optics, which also hides the renderer's stairs
 DEPTH_TIE = 2.5e-7
-"""Four steps of a float32 below 1, which is 0.25 µm here. TinyRenderer compares depths before it scales and rounds
-them for its depth buffer. Surfaces that are nearer to each other than that are drawn in one picture again."""
-
+"""Four steps of a float32 below 1, 0.25 µm here: TinyRenderer compares depths before it scales and rounds them.
+Surfaces that are nearer to each other than that are drawn in one picture again."""
 LIGHT_DIRECTION = (0.35, 0.45, 1.0)
 """Towards the light, in the world: beside the optical axis, as in an endoscope, so that shapes shade."""
 AMBIENT, DIFFUSE, SPECULAR = 0.52, 0.5, 0.12
@@ -71,10 +69,7 @@ def metric_depth_m(buffer: Depths) -> Depths:
 
 @dataclass(frozen=True)
 class Picture:
-    """A BGR image, shape (h, w, 3), its depth buffer, float32 (h, w), and PyBullet's body numbers, int64 (h, w).
-
-    Where no body is drawn, the number is -1.
-    """
+    """A BGR image, shape (h, w, 3), its depth buffer, float32 (h, w), and body numbers, int64 (h, w), -1 for none."""
 
     image_bgr: Image
     depth: Depths
@@ -202,10 +197,8 @@ class DrawnWorld(BulletWorld):
         return int(self.call("createMultiBody", 0, -1, shape))
 
     def _paint(self, body: int, texture_bgr: Image) -> int:
-        """Put a texture onto a body; its number.
-
-        PyBullet reads files only: this one is in memory. It stays open, since PyBullet knows textures by their path.
-        """
+        """Put a texture onto a body; its number."""
+        # PyBullet reads files only: this one is in memory, and stays open, since textures are known by their path.
         file = os.memfd_create("svmdist")
         self._files.append(file)
         with open(file, "wb", closefd=False) as out:
@@ -255,10 +248,7 @@ class Renderer(ExitStack):
         self._moving.pose(state, organ)
 
     def draw(self, camera: int, turn: int) -> Image:
-        """Draw what the left (0) or right (1) camera sees, shape (h, w, 3): the recording's picture number `turn`.
-
-        The number settles the image, whatever was drawn before.
-        """
+        """Draw what the left (0) or right (1) camera sees, shape (h, w, 3), as picture number `turn` of a recording."""
         image_bgr = self._pinhole(camera, turn)
         if self._scene.lens is not None:
             image_bgr = self._scene.lens.image(image_bgr)
@@ -278,8 +268,7 @@ class Renderer(ExitStack):
         image_bgr = background.image_bgr.copy()
         cv2.copyTo(picture.image_bgr, in_front.view(np.uint8), image_bgr)
         depth = np.where(in_front, picture.depth, background.depth)
-        bodies = np.where(in_front, picture.bodies, _STILL_BODIES)
-        together = Picture(image_bgr, depth, bodies)
+        together = Picture(image_bgr, depth, np.where(in_front, picture.bodies, _STILL_BODIES))
         return self._shaded(self._moving, together, background.depth, camera, turn)
 
     def _picture(self, world: DrawnWorld, camera: int, turn: int) -> Picture:
@@ -298,8 +287,8 @@ class Renderer(ExitStack):
         if self._shader is None:
             return picture.image_bgr
         part, T_world_part, is_still = world.parts(picture)
-        T_world_camera = self._T_world_cameras[camera]
-        T_camera_world, drawn_camera = inverse(T_world_camera), self._scene.drawn_camera
+        T_world_camera, drawn_camera = self._T_world_cameras[camera], self._scene.drawn_camera
+        T_camera_world = inverse(T_world_camera)
         depth_m, behind_m = metric_depth_m(picture.depth), metric_depth_m(behind)
         T_camera_part = tuple(T_camera_world @ T_world_part)
         surfaces = Surfaces(drawn_camera, depth_m, behind_m, is_still, part, T_camera_part)

@@ -146,10 +146,7 @@ class Scene:
         return np.asarray(1e-3 * (breath_mm + pulse_mm), np.float64)
 
     def jaw_opening_rad(self, t_s: Array, arm: int = 0) -> Array:
-        """Unreported opening of an arm's jaws, shape (n,), at times since the start, shape (n,).
-
-        Cables stretch, and what the jaws hold keeps them open.
-        """
+        """Unreported opening of an arm's jaws, as cables stretch, shape (n,), at times since the start, shape (n,)."""
         phase = np.random.default_rng([self.seed, _JAW_STREAM, arm]).uniform(0.0, 2.0 * np.pi)
         wave = 0.5 - 0.5 * np.cos(2.0 * np.pi * JAW_HZ * t_s + phase)
         return np.asarray(np.deg2rad(self.perturbations["jaw"]) * wave * wave)

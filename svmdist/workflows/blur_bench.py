@@ -29,8 +29,7 @@ DEFAULT_KERNELS_PX: Mapping[Blur, int] = {
     Blur.MEDIAN: 5,
     Blur.BILATERAL: 9,
 }
-"""The paper states no kernels. These are the smallest usual ones; morphology takes 3 px because a kernel of
-k px takes k - 1 px off the diameter of an instrument region that is some 15 px across."""
+"""The paper states no kernels. These are the smallest usual ones: an instrument region is some 15 px across."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +41,6 @@ class PrintedRow:
 
 
 MEANS = ("keypoint_count", "contour_area_px", "marker_keypoint_count", "match_count", "inlier_count")
-"""Columns that are means over the frames."""
 TABLE_I: Mapping[Blur, PrintedRow] = {
     Blur.EROSION: PrintedRow(7, 221),
     Blur.DILATION: PrintedRow(2, 219),
