@@ -107,7 +107,7 @@ def bars_in(mask: Image, image: WorkingImage, most_bars: int) -> Iterator[tuple[
         part = np.zeros_like(mask)
         part[box] = 255 * own
         contours, _ = cv2.findContours(part, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        contour = max(contours, key=len).reshape(-1, 2)
+        contour = np.asarray(max(contours, key=len).reshape(-1, 2), np.int32)
         free = image.inner[contour[:, 1], contour[:, 0]]
         for _ in range(most_bars):
             bar = _best_bar(contour, free, mask.shape[1])

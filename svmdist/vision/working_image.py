@@ -107,7 +107,7 @@ def picture_of(bgr: Image) -> Image:
     floor = float(np.percentile(value, 0.5))
     level = max(floor + BORDER_LEVELS, BORDER_FLOOR_LEVEL)
     above = value[value > level]
-    whole = np.full_like(value, 255)
+    whole = np.full(bgr.shape[:2], 255, np.uint8)
     if not len(above) or floor > BORDER_FRACTION * float(np.median(above)):
         return whole
     view = field_of_view(np.asarray(255 * (value <= level), np.uint8))

@@ -1,7 +1,5 @@
 """Alarms by probability, closing speed by a robust slope."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -16,7 +14,7 @@ def row(seconds: float, clearance_m: float | None) -> FrameResult:
     return FrameResult(round(seconds * 1e9), Status.OK, distances=distances)
 
 
-def test_probability_and_confidence_decide() -> None:
+def test_probability_and_confidence_decide():
     """Half at the threshold, 97.7 % two deviations below, a step without a deviation.
 
     Half a deviation below the threshold is an alarm at even odds, not at 90 %.
@@ -29,7 +27,7 @@ def test_probability_and_confidence_decide() -> None:
     assert AlarmWatch(AlarmRules(0.005, 0.9)).watch(near).alarm is False
 
 
-def test_contact_alarms_at_every_confidence() -> None:
+def test_contact_alarms_at_every_confidence():
     """2 mm inside the tissue by a method that is sure to 0.5 mm, whose interval is as wide as the overlap."""
     gap = Distance(-2e-3, 2.06e-3, without_overlap_std_m=0.5e-3)
     contact = FrameResult(0, Status.OK, distances=Distances(clearance=gap))
@@ -37,7 +35,7 @@ def test_contact_alarms_at_every_confidence() -> None:
         assert AlarmWatch(AlarmRules(0.0, confidence)).watch(contact).alarm is True
 
 
-def test_closing_speed_and_contact() -> None:
+def test_closing_speed_and_contact():
     """A gap of 10 mm that closes by 10 mm/s is gone in 0.5 s after 0.5 s, one wild row notwithstanding."""
     watch = AlarmWatch(AlarmRules(0.005))
     for seconds in np.arange(0.0, 0.55, 0.1):
@@ -55,6 +53,6 @@ def test_closing_speed_and_contact() -> None:
     assert AlarmWatch(AlarmRules(0.005)).watch(row(0.0, -1e-4)).time_to_contact_s == 0.0
 
 
-def test_without_a_clearance_there_is_neither_alarm_nor_safety() -> None:
+def test_without_a_clearance_there_is_neither_alarm_nor_safety():
     for unmeasured in (row(0.0, None), FrameResult(1, Status.NO_TISSUE)):
         assert AlarmWatch(AlarmRules(0.005)).watch(unmeasured) == AlarmState()

@@ -1,7 +1,5 @@
 """Association: instruments keep their names through crossings, by kinematics, continuity and the side of entry."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -85,9 +83,7 @@ LOST = ((*range(100, 130), 71342), 0.05, 16, 0.8)
     [*((tuple(range(15)), dropout, COUNT, 0.875 * (1.0 - dropout)) for dropout in (0.0, 0.1, 0.3)), LOST],
     ids=["no dropout", "10 %", "30 %", "lost"],
 )
-def test_no_swap_through_crossings(
-    seeds: tuple[int, ...], dropout: float, blind_from: int, share: float
-) -> None:
+def test_no_swap_through_crossings(seeds, dropout, blind_from, share):
     """Three crossings, merged regions and missing ones, centimetres of kinematic error: no swap in any scene.
 
     All regions are named but those that two instruments contest: fewer than one in eight. Where the robot falls
@@ -108,7 +104,7 @@ def entering(entry: Sequence[float], end: Sequence[float]) -> SeenInstrument:
     return SeenInstrument(*[np.zeros((1, 1), np.uint8)] * 3, sides, tip, tip, 0.5)
 
 
-def test_from_left_to_right_in_the_order_of_the_profile() -> None:
+def test_from_left_to_right_in_the_order_of_the_profile():
     """Whatever the order in which they are found; one alone is named by its side too."""
     left, right = entering((0, 200), (250, 260)), entering((639, 180), (380, 250))
     for found, named in (
@@ -120,7 +116,7 @@ def test_from_left_to_right_in_the_order_of_the_profile() -> None:
         assert [one.seen for one in EntryTracker(*TWO).update(0, found)] == named
 
 
-def test_tips_that_cross_keep_their_names() -> None:
+def test_tips_that_cross_keep_their_names():
     """Trocars stay where they are: 200 courses with tips anywhere, noise, misses and any order."""
     for seed in range(200):
         rng = np.random.default_rng(seed)

@@ -1,7 +1,5 @@
 """Calibration: known quadratics come back, files survive the round trip, and errors name the key."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

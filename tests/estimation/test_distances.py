@@ -1,7 +1,5 @@
 """Distances to tissue and between instruments, and the standard deviations that hold them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -52,7 +50,7 @@ def tool_pose(covariance: Array) -> ToolPose:
     return ToolPose(T, covariance, T[:3, :3] @ wrist_in_tool(CHAIN, POSTURE).shaft)
 
 
-def test_an_overlap_is_a_deviation() -> None:
+def test_an_overlap_is_a_deviation():
     """Soft tissue gives way: 2 mm inside its model, the interval reaches contact. Outside nothing is added."""
     A = drawn_root(np.random.default_rng(3), 2e-4, 8e-3)
     apart = measure(tool_pose(A @ A.T), TISSUE)
@@ -65,7 +63,7 @@ def test_an_overlap_is_a_deviation() -> None:
         assert found.clearance_std_m == pytest.approx(expected_m, rel=1e-6)
 
 
-def test_stated_deviations_cover_the_truth() -> None:
+def test_stated_deviations_cover_the_truth():
     """Of 2000 draws of pose and tissue, the 95 % intervals hold 90 to 99 % of the true distances."""
     rng = np.random.default_rng(7)
     A, B = drawn_root(rng, 2e-4, 8e-3), rng.normal(0.0, 1.5e-4, (3, 3))
@@ -93,7 +91,7 @@ def pose_at(x_m: float, covariance: Array, turn: tuple[float, float, float]) -> 
     return ToolPose(make_transform(R, [x_m, 0.002, 0.09]), covariance, R @ [0.0, 0.0, 1.0])
 
 
-def test_each_instrument_gets_the_distance_to_the_nearest() -> None:
+def test_each_instrument_gets_the_distance_to_the_nearest():
     """Of three in a row the outer ones get that to the middle one; the middle one that to the nearer of them."""
 
     def between(*x_m: float) -> list[Distance]:
@@ -108,7 +106,7 @@ def test_each_instrument_gets_the_distance_to_the_nearest() -> None:
     assert between(-0.03, 0.0)[0] == first
 
 
-def test_the_deviation_is_that_of_two_poses_that_err_alone() -> None:
+def test_the_deviation_is_that_of_two_poses_that_err_alone():
     """Against 1,500 pairs of drawn poses, within 8 %.
 
     As many samples settle a deviation to 1.8 % (1/√(2n)); 0.2 mm and 0.5° about tools whose closest points are 20 mm

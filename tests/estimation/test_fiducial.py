@@ -1,7 +1,5 @@
 """The tag's pose on images made from a known pose, and the tool behind it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -61,7 +59,7 @@ def draw(T_camera_tag: Array, noise: float, seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("depth_m", [0.06, 0.09, 0.12])
 @pytest.mark.parametrize("noise", [0.0, 2.0, 6.0])
-def test_a_tag_is_placed_to_a_tenth_of_a_millimetre(depth_m: float, noise: float) -> None:
+def test_a_tag_is_placed_to_a_tenth_of_a_millimetre(depth_m, noise):
     """At all depths and with noise: within 0.03 mm across, 0.3 mm in depth, 0.8° of tilt, and as good as it says."""
     rng, squared = np.random.default_rng(round(1000 * depth_m)), []
     for seed in range(6):
@@ -85,7 +83,7 @@ def test_a_tag_is_placed_to_a_tenth_of_a_millimetre(depth_m: float, noise: float
 
 
 @pytest.mark.parametrize("name", ["psm13", "dvrk-psm"])
-def test_a_length_moves_the_tool_along_its_own_axis(name: str) -> None:
+def test_a_length_moves_the_tool_along_its_own_axis(name):
     """In both conventions: the covariance is that of the derivatives by differences of the chain's lengths."""
     profile, mounting = load_profile(name), PROFILE.fiducial
     assert profile.robot is not None
@@ -130,7 +128,7 @@ def observation(joints: bool = True, tag: bool = True) -> tuple[Observation, Arr
     return Observation(5, image, CAMERA, sample), T_camera_tool
 
 
-def test_a_frame_is_measured() -> None:
+def test_a_frame_is_measured():
     """Tool within 0.2 mm, all three distances, and the interval holds the spatial distance."""
     seen, T_camera_tool = observation()
     row = Measuring("fiducial", PROFILE).estimate(seen)
@@ -148,7 +146,7 @@ def test_a_frame_is_measured() -> None:
 @pytest.mark.parametrize(
     ("joints", "tag", "status"), [(True, False, Status.NO_FIDUCIAL), (False, True, Status.NO_JOINTS)]
 )
-def test_what_is_missing_is_the_reason(joints: bool, tag: bool, status: Status) -> None:
+def test_what_is_missing_is_the_reason(joints, tag, status):
     row = Measuring("fiducial", PROFILE).estimate(observation(joints, tag)[0])
     assert row.status is status
     assert (row.distance_m, row.spatial_m) == (None, None)

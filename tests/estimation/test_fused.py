@@ -1,7 +1,5 @@
 """Nominal kinematics, and nominal kinematics corrected by the image."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -60,7 +58,7 @@ def across_m(row: Any, scene: SyntheticScene, seconds: float) -> float:
     return float(np.hypot(*(np.array(row.tool_position_m) - scene.T_camera_tool_at(seconds)[:3, 3])[:2]))
 
 
-def test_kinematic_is_as_wrong_as_nominal_kinematics(scene: SyntheticScene, profile: Profile) -> None:
+def test_kinematic_is_as_wrong_as_nominal_kinematics(scene, profile):
     """Right kinematics give the tool exactly; a shifted base shifts it, and the interval knows that."""
     estimator = Measuring("kinematic", profile)
     truth_m = scene.T_camera_tool_at(0.5)[:3, 3]
@@ -76,9 +74,7 @@ def test_kinematic_is_as_wrong_as_nominal_kinematics(scene: SyntheticScene, prof
     assert abs(off.spatial_m - row.spatial_m) < 1.96 * off.spatial_std_m
 
 
-def test_fused_corrects_nominal_kinematics_and_carries_on_in_the_dark(
-    scene: SyntheticScene, profile: Profile
-) -> None:
+def test_fused_corrects_nominal_kinematics_and_carries_on_in_the_dark(scene, profile):
     """Across the viewing ray the shift is found to 0.3 mm; in the dark a row still comes, less sure."""
     estimator = Measuring("fused", profile)
     shift_m = np.array([0.004, -0.003, 0.0])
@@ -92,9 +88,7 @@ def test_fused_corrects_nominal_kinematics_and_carries_on_in_the_dark(
     assert across_m(dark, scene, 2.0) < 1e-3
 
 
-def test_fused_rejects_an_outlier_and_follows_a_base_that_jumped(
-    scene: SyntheticScene, profile: Profile
-) -> None:
+def test_fused_rejects_an_outlier_and_follows_a_base_that_jumped(scene, profile):
     """An image of another time moves nothing; a base that is 10 mm elsewhere for good is reported and found again."""
     estimator = Measuring("fused", profile)
     shift_m = np.array([0.004, -0.003, 0.0])
@@ -111,7 +105,7 @@ def test_fused_rejects_an_outlier_and_follows_a_base_that_jumped(
         assert across_m(rows[step], scene, 2.1 + 0.1 * step) < 0.3e-3
 
 
-def test_the_stated_ellipsoid_holds_the_tool() -> None:
+def test_the_stated_ellipsoid_holds_the_tool():
     """One draw a log, so over seeds: 95 % of the true tools within the 95 % ellipsoid, and along each camera axis.
 
     Of 2,000 seeds 93.7 % were inside; what lacks is of second order (`nominal_tool`). 600 seeds settle it to 1 %.

@@ -1,7 +1,5 @@
 """The camera-to-base transform from places of the tool: exact without noise, robust, and as certain as it says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -51,14 +49,14 @@ def _fitted(places: ToolPlaces) -> HandEyeFit:
     return fit
 
 
-def test_exact_without_noise() -> None:
+def test_exact_without_noise():
     """What agrees exactly gives the transform to 1e-9."""
     fit = _fitted(_places(np.random.default_rng(1)))
     np.testing.assert_allclose(fit.T_camera_base, T_CAMERA_BASE, atol=1e-9)
     assert fit.agrees.all()
 
 
-def test_outliers_are_left_out() -> None:
+def test_outliers_are_left_out():
     """A third of the places are somewhere else: they are told, and the transform stays."""
     rng = np.random.default_rng(3)
     places = _places(rng, 90, 3e-4)
@@ -73,7 +71,7 @@ def test_outliers_are_left_out() -> None:
 
 
 @pytest.mark.parametrize("shared", [0, 2])
-def test_errors_are_within_the_stated_ellipsoid(shared: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_errors_are_within_the_stated_ellipsoid(shared, monkeypatch):
     """Over 100 draws, noise and errors that all frames share leave 90 % or more in the 95 % ellipsoid."""
     rng = np.random.default_rng(4)
     monkeypatch.setattr("svmdist.estimation.hand_eye.POSITION_FLOOR_M", 1e-9)
@@ -98,7 +96,7 @@ def test_errors_are_within_the_stated_ellipsoid(shared: int, monkeypatch: pytest
         ([1.0, 0.02, 0.0], "the rotation is uncertain by"),
     ],
 )
-def test_too_little_motion_is_refused(scale: list[float], said: str) -> None:
+def test_too_little_motion_is_refused(scale, said):
     """A still tool, a line, and nearly a line determine no rotation."""
     places = _places(np.random.default_rng(6), 40, 3e-4)
     noise = places.seen_m - transform_points(T_CAMERA_BASE, places.nominal_m)

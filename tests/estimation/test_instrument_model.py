@@ -1,7 +1,5 @@
 """The instrument's capsules against the meshes that the simulation draws, and the wrist on other chains."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from svmdist.estimation.instrument.model import Rods, wrist_in_tool
@@ -14,7 +12,7 @@ PROFILE = load_profile()
 SCENE = make_scene(PROFILE, 3)
 
 
-def test_capsules_reach_as_far_as_the_meshes() -> None:
+def test_capsules_reach_as_far_as_the_meshes():
     """Towards any plane before the tip; behind it the shaft leaves the scene, where its far end is not modelled."""
     assert PROFILE.instrument is not None
     rng, errors, q = np.random.default_rng(4), [], SCENE.posture.copy()

@@ -1,7 +1,5 @@
 """Derivatives against central differences: measurements, corrected links, residuals of the shaft."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -62,7 +60,7 @@ def measurements() -> list[LinkMeasurement]:
 
 
 @pytest.mark.parametrize("measurement", measurements(), ids=lambda measurement: measurement.name)
-def test_derivatives_are_those_of_the_residual(measurement: LinkMeasurement) -> None:
+def test_derivatives_are_those_of_the_residual(measurement):
     """To 1e-7 of the largest element; rounding over the step leaves 1e-9 px/m of some 1e4."""
     found = measurement.linearise(T_LINK)
     assert found.derivative.shape == (len(measurement.covariance), 6)
@@ -124,9 +122,7 @@ def by_definition(
 
 
 @pytest.mark.parametrize(("chain", "error", "q", "links"), CASES)
-def test_links_are_moved_and_turned_about_the_anchor(
-    chain: DHChain, error: KinematicError, q: Array, links: tuple[str | None, ...]
-) -> None:
+def test_links_are_moved_and_turned_about_the_anchor(chain, error, q, links):
     """Poses equal the definition within 1e-13, derivatives central differences of it to 1e-8."""
     model, robot = ErrorModel(chain, error), moving_robot(chain, q)
     anchor_m = model.anchor_m(robot)

@@ -1,7 +1,5 @@
 """The lag between images and kinematics, on made-up tracks whose lag is known."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from svmdist.estimation.lag import estimate_lag
@@ -23,7 +21,7 @@ def _predict(stamps_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return _track(seconds), (seconds >= -0.2) & (seconds <= 8.2)
 
 
-def test_standard_deviation_is_honest() -> None:
+def test_standard_deviation_is_honest():
     """Over 60 draws of noise, the error's spread agrees with the stated standard deviation within a factor of 2."""
     errors, stated = [], []
     for seed in range(60):
@@ -34,7 +32,7 @@ def test_standard_deviation_is_honest() -> None:
     assert 0.5 < np.std(errors) / np.mean([std for std in stated if std is not None]) < 2.0
 
 
-def test_an_ambiguous_motion_says_so() -> None:
+def test_an_ambiguous_motion_says_so():
     """A motion that repeats every second fits at several lags: none is told."""
 
     def circle(seconds: np.ndarray) -> np.ndarray:

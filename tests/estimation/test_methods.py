@@ -1,7 +1,5 @@
 """Every method behind the one interface: honest about what it needs and remembers; a frame is looked at once."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -46,7 +44,7 @@ def fresh(seen: Observation) -> Frame:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_what_is_not_needed_is_not_looked_at(method: str, seen: list[Observation]) -> None:
+def test_what_is_not_needed_is_not_looked_at(method, seen):
     """A method that says so does without joints, transforms, or the right view, and gives the same."""
     estimator, blind = made(method), made(method)
     for one in seen:
@@ -60,7 +58,7 @@ def test_what_is_not_needed_is_not_looked_at(method: str, seen: list[Observation
 
 
 @pytest.mark.parametrize("method", [method for method in METHODS if not made(method).keeps_state])
-def test_a_method_without_state_forgets(method: str, seen: list[Observation]) -> None:
+def test_a_method_without_state_forgets(method, seen):
     """A frame after others, in whatever order, gives what a fresh estimator gives, bit for bit."""
     used = made(method)
     for index in (2, 0, 1, 0):
@@ -71,12 +69,12 @@ def test_a_method_without_state_forgets(method: str, seen: list[Observation]) ->
 
 
 @pytest.mark.parametrize(("method", "key"), [(m, key) for m, keys in REQUIRES.items() for key in keys])
-def test_a_profile_without_what_a_method_needs_is_refused(method: str, key: str) -> None:
+def test_a_profile_without_what_a_method_needs_is_refused(method, key):
     """At once, not at the first frame; the error names the part."""
     with pytest.raises(ProfileError, match=key):
         make_estimator(method, Arm(PROFILE.model_copy(update={key: None})))
 
 
-def test_an_observation_has_no_field_for_truth() -> None:
+def test_an_observation_has_no_field_for_truth():
     """No estimator can peek."""
     assert not {name for name in Observation.__slots__ if "truth" in name or "distance" in name}

@@ -1,7 +1,5 @@
 """The paper's methods: its equations in both readings, and both estimators on frames whose truth is known."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

@@ -1,7 +1,5 @@
 """The method shaft on pictures that the simulator never drew: any side, size, frame and background."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -63,7 +61,7 @@ def check(drawn: ShaftImage, fit: ShaftFit, axis_rad: float, across_m: float, de
     ],
     ids=["pale", "red", "rectangle", "circle"],
 )
-def test_from_any_side_over_pale_and_red_and_with_black_borders(camera: Camera, scene: dict, side: str):
+def test_from_any_side_over_pale_and_red_and_with_black_borders(camera, scene, side):
     drawn = picture(camera, side, **scene)
     check(drawn, measured(drawn), axis_rad=0.02, across_m=2e-4, depth_m=1e-3)
 
@@ -73,13 +71,13 @@ def test_from_any_side_over_pale_and_red_and_with_black_borders(camera: Camera, 
     [{"stripe": True}, {"blur_px": 2.5}, {"noise": 10.0}, {"stripe": True, "blur_px": 1.5, "noise": 6.0}],
     ids=["stripe", "blur", "noise", "all"],
 )
-def test_glare_blur_and_noise(faults: dict[str, float]):
+def test_glare_blur_and_noise(faults):
     drawn = picture(SMALL, "left", **faults)
     check(drawn, measured(drawn), axis_rad=0.03, across_m=3e-4, depth_m=1.5e-3)
 
 
 @pytest.mark.parametrize("side", list(SIDES)[:4])
-def test_steel_tip_without_a_coloured_part(side: str):
+def test_steel_tip_without_a_coloured_part(side):
     """The rim alone gives the place along the shaft; the wrist's bend is then unknown, and the answer says so."""
     drawn = picture(SMALL, side, marker=False)
     fit = measured(drawn)
@@ -90,7 +88,7 @@ def test_steel_tip_without_a_coloured_part(side: str):
 
 @pytest.mark.parametrize("side", list(SIDES)[:4])
 @pytest.mark.parametrize("scene", [PALE, RED], ids=["pale", "red"])
-def test_axis_without_colours(side: str, scene: dict):
+def test_axis_without_colours(side, scene):
     """Told by shape: the axis to 2 degrees, and its distance to 2 %. The tip is not the profile's: it has no jaws."""
     profile = PROFILE.model_copy(update={"segmentation": AutoSegmentation(method="auto")})
     drawn = picture(SMALL, side, **scene)
@@ -103,5 +101,5 @@ def test_axis_without_colours(side: str, scene: dict):
 
 
 @pytest.mark.parametrize("grey", [0, 150])
-def test_an_image_without_an_instrument_says_so(grey: int):
+def test_an_image_without_an_instrument_says_so(grey):
     assert isinstance(find_tool(Observation(0, np.full((480, 640, 3), grey, np.uint8), SMALL)), Failure)

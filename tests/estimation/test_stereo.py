@@ -1,7 +1,5 @@
 """The method stereo on drawn pairs: what both views show is enough, and no more is claimed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 
@@ -60,7 +58,7 @@ ANGLES = (0.7, 2.4, 4.0, 5.6)
 
 
 @pytest.mark.parametrize("angle_rad", ANGLES)
-def test_plain_tissue_costs_no_row(angle_rad: float) -> None:
+def test_plain_tissue_costs_no_row(angle_rad):
     """Without any texture to match, the tool is right to a millimetre and the surface is the profile's."""
     found = measured(pair(drawn(angle_rad, False), drawn(angle_rad, True)))
     assert found.status is Status.OK
@@ -71,7 +69,7 @@ def test_plain_tissue_costs_no_row(angle_rad: float) -> None:
 
 
 @pytest.mark.parametrize("hidden_left", [False, True])
-def test_a_marker_in_one_view_is_enough(hidden_left: bool) -> None:
+def test_a_marker_in_one_view_is_enough(hidden_left):
     """Edges of the shaft in both views tell the depth that its disparity would."""
     found = measured(pair(*(drawn(2.4, view, marker=view == hidden_left) for view in (False, True))))
     assert found.status is Status.OK
@@ -82,7 +80,7 @@ def test_a_marker_in_one_view_is_enough(hidden_left: bool) -> None:
     assert both.tool.pose.position_std_m < found.tool.pose.position_std_m
 
 
-def test_what_ends_the_shaft_in_both_views_is_not_its_end() -> None:
+def test_what_ends_the_shaft_in_both_views_is_not_its_end():
     """Where nothing of the distal part is seen in either view there is no row."""
     found = measured(pair(*(drawn(2.4, right, marker=False) for right in (False, True))))
     assert found.status is Status.NO_INSTRUMENT
@@ -90,7 +88,7 @@ def test_what_ends_the_shaft_in_both_views_is_not_its_end() -> None:
 
 
 @pytest.mark.parametrize("rows_px", [-2.0, 1.5, 3.0])
-def test_an_offset_between_the_rows_is_removed(rows_px: float) -> None:
+def test_an_offset_between_the_rows_is_removed(rows_px):
     """Known, it costs nothing; unknown, edges that cross the rows put the shaft elsewhere."""
     left, right = drawn(2.4, False), drawn(2.4, True)
     shift = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, rows_px]])
@@ -105,7 +103,7 @@ def test_an_offset_between_the_rows_is_removed(rows_px: float) -> None:
     assert deviations(found, 2.4) < 2.8
 
 
-def test_a_right_camera_that_is_turned_does_not_go_unsaid() -> None:
+def test_a_right_camera_that_is_turned_does_not_go_unsaid():
     """Turned by 0.3 degrees disparities are 3 px off: the known sizes contradict them, in frame after frame."""
     turned = make_transform(rotation_of(np.array([0.0, np.deg2rad(0.3), 0.0])), [BASELINE_M, 0.0, 0.0])
     method = Measuring("stereo", PROFILE)
@@ -121,7 +119,7 @@ def test_a_right_camera_that_is_turned_does_not_go_unsaid() -> None:
     ("right_m", "said"),
     [([BASELINE_M, 0.01, 0.0], "beside"), ([-BASELINE_M, 0.0, 0.0], "swapped"), (None, "")],
 )
-def test_a_pair_that_is_not_rectified_is_refused(right_m: list[float] | None, said: str) -> None:
+def test_a_pair_that_is_not_rectified_is_refused(right_m, said):
     """A right camera far above the left one, swapped views, or none: a rejection that says so."""
     left = make_scene().frame_at(0.3)
     seen = pair(left, left) if right_m is None else pair(left, left, make_transform(np.eye(3), right_m))

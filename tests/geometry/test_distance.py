@@ -1,13 +1,11 @@
 """Separations against SciPy, trimesh and every pair in turn; inside and outside of meshes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh
 from scipy.optimize import minimize
 
-from svmdist.geometry import Capsules, Cloud, Mesh, Plane, Surface, join
+from svmdist.geometry import Capsules, Cloud, Mesh, Plane, join
 from svmdist.geometry.distance import (
     Separation,
     capsule_separation,
@@ -49,7 +47,7 @@ def assert_consistent(found: Separation) -> None:
     )
 
 
-def test_segments_agree_with_constrained_minimisation() -> None:
+def test_segments_agree_with_constrained_minimisation():
     rng = np.random.default_rng(1)
     for _ in range(40):
         a0, a1, b0, b1 = rng.normal(0, 1, (4, 3))
@@ -65,7 +63,7 @@ def test_segments_agree_with_constrained_minimisation() -> None:
         assert float(segment_to_segment(a0, a1, b0, b1).distance) == pytest.approx(np.sqrt(best), abs=1e-6)
 
 
-def test_parallel_crossing_and_pointlike_segments_are_exact() -> None:
+def test_parallel_crossing_and_pointlike_segments_are_exact():
     x, y, z = np.eye(3)
     assert segment_to_segment(0 * x, x, y, x + y).distance == pytest.approx(1.0, abs=EXACT)
     assert segment_to_segment(0 * x, x, 2 * x + y, 3 * x + y).distance == pytest.approx(np.sqrt(2), abs=EXACT)
@@ -73,7 +71,7 @@ def test_parallel_crossing_and_pointlike_segments_are_exact() -> None:
     assert segment_to_segment(x, x, 2 * z, 2 * z).distance == pytest.approx(np.sqrt(5), abs=EXACT)
 
 
-def test_segment_to_triangle_agrees_with_densely_sampled_trimesh() -> None:
+def test_segment_to_triangle_agrees_with_densely_sampled_trimesh():
     rng = np.random.default_rng(2)
     for _ in range(30):
         start, end, *corners = rng.normal(0, 1, (5, 3))
@@ -88,7 +86,7 @@ def test_segment_to_triangle_agrees_with_densely_sampled_trimesh() -> None:
         assert sampled - exact <= np.linalg.norm(end - start) / 8000 + EXACT
 
 
-def test_spheres_to_a_mesh_agree_with_trimesh() -> None:
+def test_spheres_to_a_mesh_agree_with_trimesh():
     """A capsule without length is a point with a radius: trimesh's signed distance, inside and outside."""
     rng = np.random.default_rng(3)
     mesh = icosphere()
@@ -100,7 +98,7 @@ def test_spheres_to_a_mesh_agree_with_trimesh() -> None:
         assert_consistent(found)
 
 
-def test_depth_in_a_box_is_that_of_the_tip_or_the_deepest_point() -> None:
+def test_depth_in_a_box_is_that_of_the_tip_or_the_deepest_point():
     """Of a needle that ends in it, of an axis that runs through it."""
     needle = capsule([0.1, 0.2, 0.4], [0.1, 0.2, 3.0], 0.01)
     found = separation(needle, box([2, 2, 1.4]))  # its top is at z = 0.7
@@ -112,20 +110,20 @@ def test_depth_in_a_box_is_that_of_the_tip_or_the_deepest_point() -> None:
 
 
 @pytest.mark.parametrize("surface", [box([2, 2, 1.4]), Plane(np.array([0.0, 0, 1]), 0.7)])
-def test_distance_passes_zero_without_a_jump_at_slope_minus_one(surface: Surface) -> None:
+def test_distance_passes_zero_without_a_jump_at_slope_minus_one(surface):
     heights = np.linspace(0.9, 0.5, 81)
     gaps = [separation(capsule([0.1, 0.0, h], [0.4, 0.0, h + 1], 0.05), surface).distance_m for h in heights]
     np.testing.assert_allclose(gaps, heights - 0.75, atol=EXACT)
 
 
-def test_capsules_that_cross() -> None:
+def test_capsules_that_cross():
     a = join(capsule([0, 0, 0], [1, 0, 0], 0.1), capsule([0, 5, 0], [1, 5, 0], 0.1))
     crossing = capsule_separation(a, capsule([0.5, -1, 0], [0.5, 1, 0], 0.2))
     assert crossing.distance_m == pytest.approx(-0.3, abs=EXACT)
     assert abs(crossing.direction[2]) == pytest.approx(1.0, abs=EXACT)
 
 
-def test_direction_is_the_gradient_outside_and_inside() -> None:
+def test_direction_is_the_gradient_outside_and_inside():
     mesh = icosphere()
     for height in (1.3, 0.9):
         tool = capsule([0.02, 0.05, height], [0.3, 0.1, height + 2], 0.05)
@@ -137,7 +135,7 @@ def test_direction_is_the_gradient_outside_and_inside() -> None:
         np.testing.assert_allclose(gradient, -found.direction, atol=1e-3)
 
 
-def test_beside_a_concave_mesh_pruning_leaves_the_nearest_face() -> None:
+def test_beside_a_concave_mesh_pruning_leaves_the_nearest_face():
     """Capsules about a torus, through its hole, and beside it: as every capsule against every triangle in turn."""
     rng, mesh, outside = np.random.default_rng(12), mesh_of(trimesh.creation.torus(0.6, 0.25, 48, 24)), 0
     for _ in range(60):
@@ -157,7 +155,7 @@ def test_beside_a_concave_mesh_pruning_leaves_the_nearest_face() -> None:
     assert outside > 20
 
 
-def test_many_capsules_against_many_agree_with_every_pair_in_turn() -> None:
+def test_many_capsules_against_many_agree_with_every_pair_in_turn():
     rng = np.random.default_rng(13)
     for spread in (0.3, 3.0):
         a, b = (random_capsules(rng, 12) for _ in range(2))
@@ -176,7 +174,7 @@ def test_many_capsules_against_many_agree_with_every_pair_in_turn() -> None:
         np.testing.assert_allclose(back.on_instrument_m, other.on_instrument_m, atol=1e-7)
 
 
-def test_the_nearest_point_of_a_large_cloud_is_found() -> None:
+def test_the_nearest_point_of_a_large_cloud_is_found():
     rng = np.random.default_rng(14)
     points, capsules = rng.uniform(-0.05, 0.05, (3000, 3)), random_capsules(rng, 8)
     points += np.array([0.0, 0.0, 0.13])
@@ -220,7 +218,7 @@ def hollow_sphere() -> trimesh.Trimesh:
     ],
     ids=["torus", "box", "cone", "hollow"],
 )
-def test_inside_is_where_a_mesh_winds_around(solid: trimesh.Trimesh) -> None:
+def test_inside_is_where_a_mesh_winds_around(solid):
     """At random points, and a micrometre about corners and edges, where many faces share the nearest point."""
     rng = np.random.default_rng(3)
     corners = solid.vertices[rng.integers(0, len(solid.vertices), 100)]

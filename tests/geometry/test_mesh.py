@@ -1,7 +1,5 @@
 """Meshes from files: the solids that trimesh reads, distances that trimesh finds, and every fault in a line."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -30,7 +28,7 @@ def write(mesh: trimesh.Trimesh, path: Path, form: str) -> Path:
 
 
 @pytest.mark.parametrize(("form", "name"), [("obj", "a.obj"), ("stl", "a.STL"), ("stl_ascii", "b.stl")])
-def test_distances_are_those_of_trimesh(tmp_path: Path, form: str, name: str) -> None:
+def test_distances_are_those_of_trimesh(tmp_path, form, name):
     """Spheres about random points are as far from the solid as trimesh says, inside and outside, within 1e-8 m."""
     truth = organ()
     mesh = read_closed_mesh(write(truth, tmp_path / name, form), 1e-3)
@@ -49,7 +47,7 @@ def test_distances_are_those_of_trimesh(tmp_path: Path, form: str, name: str) ->
     assert trimesh.Trimesh(turned.vertices_m, turned.faces).volume > 0.0
 
 
-def test_polygons_backward_numbers_and_slashes(tmp_path: Path) -> None:
+def test_polygons_backward_numbers_and_slashes(tmp_path):
     """A box of quadrilaterals, counted backwards, with normals and texture, is the box of 2 x 3 x 4 cm."""
     corners = "".join(f"v {x} {y} {z}  # corner\n" for x in (0, 2) for y in (0, 3) for z in (0, 4))
     sides = ((1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4))
@@ -88,7 +86,7 @@ HUGE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n" + "f 1 2 3\n" * (MAX_TRIANGLES + 1)
         ("a.obj", HUGE, "20001 triangles; at most 20000"),
     ],
 )
-def test_a_fault_is_one_line(tmp_path: Path, name: str, content: str | None, message: str) -> None:
+def test_a_fault_is_one_line(tmp_path, name, content, message):
     """What bounds no solid is refused with the file and the reason, never measured."""
     path = tmp_path / name
     if content is not None:

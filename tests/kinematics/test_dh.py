@@ -1,7 +1,5 @@
 """DH chains, held against an explicit product of elementary matrices."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -90,7 +88,7 @@ def test_many_joint_vectors_equal_one_at_a_time(convention):
     )
 
 
-def test_joints_are_selected_by_name() -> None:
+def test_joints_are_selected_by_name():
     """In the chain's order, fixed rows without one; a log's other joints are dropped, its missing ones named."""
     assert THREE.joint_names == ("slide", "turn")
     np.testing.assert_array_equal([THREE.lower, THREE.upper], [[0.0, -1.0], [0.5, 2.0]])

@@ -1,7 +1,5 @@
 """The robot's state, its poses and what a sample lacks; and inverse kinematics."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -25,7 +23,7 @@ def state_of(T_camera_base=T_CAMERA_BASE) -> RobotState:
     return state
 
 
-def test_what_a_sample_lacks_is_told() -> None:
+def test_what_a_sample_lacks_is_told():
     """No sample, or one without the chain's joints: a failure in words."""
     assert RobotState.of(CHAIN, None, T_CAMERA_BASE, 0) == Failure("no joints near the image")
     few = RobotState.of(CHAIN, JointSample(0, ("elbow",), np.zeros(1)), T_CAMERA_BASE, 0)
@@ -34,7 +32,7 @@ def test_what_a_sample_lacks_is_told() -> None:
     assert few.reason.endswith("the log has elbow")
 
 
-def test_a_state_without_the_camera_still_knows_its_base_frame() -> None:
+def test_a_state_without_the_camera_still_knows_its_base_frame():
     """Poses in the base frame are there; what needs the camera raises ValueError with the reason."""
     state = state_of(T_camera_base=None)
     assert state.camera_failure == Failure("no transform from the camera to the base")
@@ -43,7 +41,7 @@ def test_a_state_without_the_camera_still_knows_its_base_frame() -> None:
         _ = state.T_camera_tool
 
 
-def test_poses_are_those_of_forward_kinematics() -> None:
+def test_poses_are_those_of_forward_kinematics():
     """Of a sample in another order: frames, tool and axes equal the functions of `dh` within 1e-13, and are kept."""
     state, link = state_of(), CHAIN.rows[8].name
     np.testing.assert_array_equal(state.q, POSTURE)
@@ -81,7 +79,7 @@ BOUNDED = kinematics.DHChain(
         ([-1.05, -0.005], None),
     ],
 )
-def test_joints_outside_their_limits_are_not_believed(positions: list[float], said: str | None) -> None:
+def test_joints_outside_their_limits_are_not_believed(positions, said):
     """Beyond the limits by more than the tolerance, the first such joint is named."""
     joints = JointSample(0, ("arm", "insertion"), np.array(positions))
     state = RobotState.of(BOUNDED, joints, T_CAMERA_BASE, 0)
@@ -89,7 +87,7 @@ def test_joints_outside_their_limits_are_not_believed(positions: list[float], sa
     assert said is None or state.reason.startswith(said)
 
 
-def test_a_stray_sample_beside_the_image_is_left_out() -> None:
+def test_a_stray_sample_beside_the_image_is_left_out():
     """The joints at the stamp are sound: a sample of an impossible place near them has no part in their rates."""
     joints = JointSample(20, ("arm", "insertion"), np.array([0.5, 0.1]))
     positions = np.array([[0.5, 0.1], [0.5, 0.1], [0.5, 1e6]])
@@ -104,7 +102,7 @@ def test_a_stray_sample_beside_the_image_is_left_out() -> None:
 FREE = ("yaw", "pitch", "insertion")
 
 
-def test_solution_reaches_the_target_and_moves_only_free_joints() -> None:
+def test_solution_reaches_the_target_and_moves_only_free_joints():
     """FK of the solution is the target to 1e-9 m; yaw, pitch and insertion come back, the rest stays."""
     rng = np.random.default_rng(0)
     wanted = np.tile(POSTURE, (200, 1))
@@ -121,7 +119,7 @@ def test_solution_reaches_the_target_and_moves_only_free_joints() -> None:
     assert np.array_equal(q[:, fixed], start[:, fixed])
 
 
-def test_a_target_beyond_the_limits_or_out_of_reach_is_an_error() -> None:
+def test_a_target_beyond_the_limits_or_out_of_reach_is_an_error():
     target_m = kinematics.forward_kinematics(CHAIN, POSTURE)[:3, 3] + [0.0, 0.0, -0.4]
     with pytest.raises(KinematicsError, match="outside its limits"):
         kinematics.solve_position(CHAIN, POSTURE[None], target_m[None], FREE)

@@ -1,7 +1,5 @@
 """What a robot reports of its joints: hysteresis within its dead band, drift, noise, steps, and a late clock."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
@@ -38,12 +36,12 @@ def leads(path: Array, half_width: float) -> Array:
 
 
 @given(PATHS, st.floats(0.0, 1.0))
-def test_a_lead_stays_in_its_dead_band(path: Array, half_width: float) -> None:
+def test_a_lead_stays_in_its_dead_band(path, half_width):
     assert np.abs(leads(path, half_width)).max() <= half_width + 1e-12
 
 
 @given(PATHS, st.floats(0.01, 0.5))
-def test_a_lead_has_the_sign_of_the_last_long_travel(path: Array, half_width: float) -> None:
+def test_a_lead_has_the_sign_of_the_last_long_travel(path, half_width):
     """After a travel of twice the half-width in one direction the band is pushed to its end, whatever came before."""
     up = path[-1] + 2.0 * half_width + 1e-9
     further = np.vstack([path, up, up + 1.0, up + 0.5])
@@ -53,7 +51,7 @@ def test_a_lead_has_the_sign_of_the_last_long_travel(path: Array, half_width: fl
 
 
 @given(PATHS, st.floats(0.0, 1.0), st.integers(2, 5))
-def test_a_lead_knows_no_speed(path: Array, half_width: float, repeats: int) -> None:
+def test_a_lead_knows_no_speed(path, half_width, repeats):
     """Rest and intermediate samples change nothing: hysteresis is independent of rate."""
     slow = np.array(
         [path[0], *(a + (b - a) * k / repeats for a, b in pairwise(path) for k in range(1, repeats + 1))]
@@ -70,7 +68,7 @@ def still(count: int) -> Array:
     return np.full((count, len(NAMES)), 0.3)
 
 
-def test_units_are_those_of_each_joint() -> None:
+def test_units_are_those_of_each_joint():
     """Set-up joints are braked; the wrist has all backlash, others half of it; a slide has 0.1 mm a degree."""
     rising = np.arange(400)[:, None] * np.where(UNITS.per_deg > 0.0, UNITS.per_deg, 0.01) * 0.01
     error = (perturb("backlash=1", rising) - rising)[-1]
@@ -82,7 +80,7 @@ def test_units_are_those_of_each_joint() -> None:
     assert error[NAMES.index("insertion")] == pytest.approx(0.5 * METRES_PER_DEG)
 
 
-def test_noise_and_steps_have_their_size() -> None:
+def test_noise_and_steps_have_their_size():
     noise = (perturb("joint_noise=0.05", still(4000)) - still(4000))[:, WRIST]
     assert noise.std() == pytest.approx(np.radians(0.05), rel=0.05)
     assert abs(np.corrcoef(noise[1:], noise[:-1])[0, 1]) < 0.06
@@ -93,7 +91,7 @@ def test_noise_and_steps_have_their_size() -> None:
 
 
 @pytest.mark.slow
-def test_drift_starts_at_zero_is_smooth_and_has_its_spread_after_8_s() -> None:
+def test_drift_starts_at_zero_is_smooth_and_has_its_spread_after_8_s():
     paths = np.array(
         [(perturb("joint_drift=0.5", still(801), seed) - still(801))[:, WRIST] for seed in range(200)]
     )
@@ -103,7 +101,7 @@ def test_drift_starts_at_zero_is_smooth_and_has_its_spread_after_8_s() -> None:
     assert np.degrees(np.abs(np.diff(paths, 2, axis=1)).max()) < 1e-4
 
 
-def test_seed_and_arm_draw_apart() -> None:
+def test_seed_and_arm_draw_apart():
     one = perturb("joint_noise=1,joint_drift=1", still(20))
     np.testing.assert_array_equal(one, perturb("joint_noise=1,joint_drift=1", still(20)))
     for seed, arm in ((2, 0), (1, 1)):
@@ -111,7 +109,7 @@ def test_seed_and_arm_draw_apart() -> None:
         assert (one[1:, WRIST] != other[1:, WRIST]).all()
 
 
-def test_a_log_of_other_order_names_and_joints_is_perturbed_alike() -> None:
+def test_a_log_of_other_order_names_and_joints_is_perturbed_alike():
     q = np.random.default_rng(2).normal(size=len(NAMES))
     text = parse_perturbations("joint_noise=1,backlash=1")
     whole = JointPerturber(UNITS, text, 1).perturbed(q, 0)
@@ -122,7 +120,7 @@ def test_a_log_of_other_order_names_and_joints_is_perturbed_alike() -> None:
 
 
 @given(st.integers(-9, 9), st.integers(20, 60))
-def test_a_lag_shifts_joints_exactly(samples_late: int, count: int) -> None:
+def test_a_lag_shifts_joints_exactly(samples_late, count):
     """By whole sample periods: what is reported is what was true so long ago, and goes on straight at the ends."""
     rng = np.random.default_rng(count)
     stamps = 1_700_000_000_000_000_000 + STEP_NS * np.arange(count)
@@ -135,7 +133,7 @@ def test_a_lag_shifts_joints_exactly(samples_late: int, count: int) -> None:
         np.testing.assert_allclose(late[0], values[0] - samples_late * slope, atol=1e-11)
 
 
-def test_a_lag_that_drifts_grows_with_time() -> None:
+def test_a_lag_that_drifts_grows_with_time():
     stamps = STEP_NS * np.arange(1001)
     growing = parse_perturbations("lag=5,lag_drift=2")
     late_ms = 1e-6 * (late_stamps_ns(stamps, growing, 0) - stamps)
@@ -152,7 +150,7 @@ def replayed(chosen: Perturbations, q: Array, lag_ns: int = 0) -> list[JointSamp
 
 
 @pytest.mark.parametrize("lag_ns", [STEP_NS, -STEP_NS])
-def test_a_lag_that_is_taken_off_moves_stamps_alone(lag_ns: int) -> None:
+def test_a_lag_that_is_taken_off_moves_stamps_alone(lag_ns):
     """No sample is added or lost, and it comes on top of what a perturbed world does."""
     q = np.cumsum(np.full((5, len(NAMES)), 0.01), axis=0)
     found = replayed(Perturbations(), q, lag_ns)

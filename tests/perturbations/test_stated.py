@@ -1,7 +1,5 @@
 """What is said of cameras, instrument, tag and plane: off by the strength, and back again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -26,7 +24,7 @@ LEFT = Camera.from_horizontal_fov(640, 480, 1.0)
 RIGHT = replace(LEFT, P=LEFT.K @ np.column_stack([np.eye(3), [-0.005, 0.0, 0.0]]))
 
 
-def test_focal_length_and_principal_point_are_off_in_K_and_P_and_leave_the_pair() -> None:
+def test_focal_length_and_principal_point_are_off_in_K_and_P_and_leave_the_pair():
     chosen = parse_perturbations("focal=1,principal_point=5")
     left, right = calibration.stated_camera(LEFT, chosen), calibration.stated_right_camera(RIGHT, chosen)
     expected = LEFT.K * [[1.01, 1.0, 1.0], [1.0, 1.01, 1.0], [1.0] * 3] + 5.0 * np.eye(3, k=2)
@@ -39,7 +37,7 @@ def test_focal_length_and_principal_point_are_off_in_K_and_P_and_leave_the_pair(
 
 
 @pytest.mark.parametrize("zoom", [0.8, 1.1])
-def test_a_zoomed_image_is_that_of_a_zoomed_camera(zoom: float) -> None:
+def test_a_zoomed_image_is_that_of_a_zoomed_camera(zoom):
     """A blob that the true camera shows at a point is in the enlarged image where the zoomed camera projects it."""
     scene = make_scene(640, 480)
     point_m = np.array([[0.01, -0.015, 0.1]])
@@ -58,7 +56,7 @@ EVERYTHING = (
 
 
 @pytest.mark.parametrize("name", ["right_yaw", "right_pitch", "right_roll"])
-def test_a_turned_image_is_that_of_a_turned_camera(name: str) -> None:
+def test_a_turned_image_is_that_of_a_turned_camera(name):
     """A blob is where the turned camera projects its point, all three axes alike."""
     camera = make_scene(640, 480).camera
     turn = calibration.right_turn(parse_perturbations(f"{name}=2"))
@@ -85,7 +83,7 @@ def middle_px(image: np.ndarray) -> np.ndarray:
 
 
 @given(st.tuples(*[st.floats(-3.0, 3.0)] * 7), st.integers(0, 99))
-def test_what_is_said_of_what_is_built_is_the_profile(strengths: tuple[float, ...], seed: int) -> None:
+def test_what_is_said_of_what_is_built_is_the_profile(strengths, seed):
     """Build from the profile and say what is not so: the profile again. That makes both directions one thing."""
     chosen = parse_perturbations(EVERYTHING.format(**dict(zip("ptswkgm", strengths, strict=True))))
     said = calibration.stated_profile(calibration.built_profile(PROFILE, chosen, seed), chosen, seed)
@@ -100,7 +98,7 @@ def numbers(profile: Profile) -> np.ndarray:
     return np.array([*sizes, *links, *tag.T_link_tag.ravel(), *tissue.plane_normal])
 
 
-def test_each_name_changes_its_own_length() -> None:
+def test_each_name_changes_its_own_length():
     chosen = parse_perturbations(EVERYTHING.format(p=1, t=2, s=5, w=1, k=5, g=2, m=0.5))
     said = calibration.stated_profile(PROFILE, chosen, 7)
     assert said.instrument.shaft_radius_m == pytest.approx(0.0042)

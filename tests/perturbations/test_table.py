@@ -1,7 +1,5 @@
 """The table and the choice from it: text round trips, real worlds follow their laws, profiles state deviations."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -33,7 +31,7 @@ def choices(draw: st.DrawFn) -> Perturbations:
 
 
 @given(choices())
-def test_a_choice_reads_back_from_its_text(chosen: Perturbations) -> None:
+def test_a_choice_reads_back_from_its_text(chosen):
     """Bit by bit: the metadata of a recording are enough to make it again."""
     assert (parse_perturbations(str(chosen)) if chosen else UNPERTURBED) == chosen
 
@@ -52,12 +50,12 @@ def test_a_choice_reads_back_from_its_text(chosen: Perturbations) -> None:
         ("", "no perturbation"),
     ],
 )
-def test_what_cannot_be_is_told(text: str, said: str) -> None:
+def test_what_cannot_be_is_told(text, said):
     with pytest.raises(UsageError, match=said):
         parse_perturbations(text)
 
 
-def test_a_real_world_has_all_that_are_real_and_what_is_given() -> None:
+def test_a_real_world_has_all_that_are_real_and_what_is_given():
     drawn = draw_world(World.REAL, 3)
     assert [name for name, _ in drawn.strengths] == REAL
     assert draw_world(World.REAL, 3) == drawn != draw_world(World.REAL, 4)
@@ -66,7 +64,7 @@ def test_a_real_world_has_all_that_are_real_and_what_is_given() -> None:
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_real_strengths_follow_their_law(name: str) -> None:
+def test_real_strengths_follow_their_law(name):
     """Over 1,000 seeds: mean, spread and range; of several axes the deviation along each of them."""
     law = TABLE[name].real
     strengths = np.array([draw_world(World.REAL, seed)[name] for seed in SEEDS])
@@ -108,14 +106,14 @@ def stated(profile: Profile) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("name", sorted(stated(load_profile())))
-def test_a_stated_deviation_is_that_of_real_worlds(name: str) -> None:
+def test_a_stated_deviation_is_that_of_real_worlds(name):
     """At least as large, at most three times."""
     law = TABLE[name].real
     assert isinstance(law, Normal)
     assert 0.999 * law.std <= stated(load_profile())[name] <= 3.0 * law.std
 
 
-def test_every_source_is_in_the_list_of_sources() -> None:
+def test_every_source_is_in_the_list_of_sources():
     page = (DOCS / "simulation.md").read_text("utf-8")
     listed = page.partition("### Sources\n")[2].partition("\n## ")[0].replace("\n  ", " ")
     for entry in TABLE.values():

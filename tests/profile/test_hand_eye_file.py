@@ -1,9 +1,5 @@
 """A hand-eye file's transform with what constants did to it: carried to a place, and restated by a profile."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -50,7 +46,7 @@ def hand_eye() -> HandEye:
     )
 
 
-def test_effects_are_carried_as_the_covariance_is(hand_eye: HandEye) -> None:
+def test_effects_are_carried_as_the_covariance_is(hand_eye):
     """What is left of the covariance at a place without the effects there is the noise, carried there."""
     place = np.array([0.03, -0.02, 0.15])
     J = np.eye(6)
@@ -59,7 +55,7 @@ def test_effects_are_carried_as_the_covariance_is(hand_eye: HandEye) -> None:
     np.testing.assert_allclose(rest, J @ NOISE @ J.T, atol=1e-18)
 
 
-def test_a_deviation_that_is_stated_anew_scales_its_effect(hand_eye: HandEye) -> None:
+def test_a_deviation_that_is_stated_anew_scales_its_effect(hand_eye):
     """An exact constant has no effect; one that the profile lacks stays in the covariance."""
     stated = {one.constant: one.deviation for one in hand_eye.constants}
     wider = hand_eye.with_deviations(stated | {SHAFT_RADIUS: 3.0 * stated[SHAFT_RADIUS]})
@@ -76,7 +72,7 @@ def test_a_deviation_that_is_stated_anew_scales_its_effect(hand_eye: HandEye) ->
     np.testing.assert_allclose(alone.covariance, hand_eye.covariance)
 
 
-def test_the_file_keeps_them_and_files_without_them_are_read(hand_eye: HandEye, tmp_path: Path) -> None:
+def test_the_file_keeps_them_and_files_without_them_are_read(hand_eye, tmp_path):
     path = tmp_path / "hand-eye.toml"
     save_hand_eye(path, HandEyeFile(format="svmdist.hand-eye/1", transforms=(hand_eye,)))
     assert load_hand_eye(path).transforms[0] == hand_eye
@@ -87,7 +83,7 @@ def test_the_file_keeps_them_and_files_without_them_are_read(hand_eye: HandEye, 
     assert load_hand_eye(path).transforms[0].constants == ()
 
 
-def test_a_profile_states_its_own_deviations(hand_eye: HandEye) -> None:
+def test_a_profile_states_its_own_deviations(hand_eye):
     """The instrument's profile has the file's effects in its own deviations, and does not restate them twice."""
     assert PROFILE.instrument is not None
     wide = PROFILE.instrument.model_copy(update={"shaft_radius_std_fraction": 0.04})

@@ -1,7 +1,5 @@
 """The parts of a profile by themselves: topics and limits, other instruments, and rules of segmentation."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +42,7 @@ def parsed(folder: Path, text: str) -> Document:
     return parse_toml(path, Document, ProfileError)
 
 
-def test_values_are_read_in_their_units(tmp_path: Path) -> None:
+def test_values_are_read_in_their_units(tmp_path):
     """Bytes with a unit, an angle as a multiple of pi, and a file beside the document, wherever that is."""
     found = parsed(tmp_path, 'size = "2 MiB"\nangle = "-pi/2"\nfile = "a/b.stl"\n[inner]\nwidth_px = 4\n')
     assert found.size == 2 * MIB
@@ -71,14 +69,14 @@ def test_values_are_read_in_their_units(tmp_path: Path) -> None:
         ("".join(f"inner.k{number} = 1\n" for number in range(9)), ["and 4 more"]),
     ],
 )
-def test_a_mistake_names_file_and_key(tmp_path: Path, text: str, words: list[str]) -> None:
+def test_a_mistake_names_file_and_key(tmp_path, text, words):
     with pytest.raises(ProfileError) as caught:
         parsed(tmp_path, text)
     for word in ["document.toml", *words]:
         assert word in str(caught.value)
 
 
-def test_a_network_s_parts_and_scale() -> None:
+def test_a_network_s_parts_and_scale():
     """One number scales all channels; the parts are those that are given."""
     rules = OnnxSegmentation.model_validate({**NETWORK, "scale": 0.5})
     assert rules.scale == (0.5, 0.5, 0.5)
@@ -96,6 +94,6 @@ def test_a_network_s_parts_and_scale() -> None:
         ({"tissue": {"class_ids": [], "min_area_px": 5}}, "class_ids"),
     ],
 )
-def test_a_network_that_cannot_work_is_refused(change: dict[str, Any], words: str) -> None:
+def test_a_network_that_cannot_work_is_refused(change, words):
     with pytest.raises(ValidationError, match=words):
         OnnxSegmentation.model_validate({**NETWORK, **change})

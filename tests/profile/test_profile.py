@@ -1,7 +1,5 @@
 """Profiles: what ships loads, and every mistake in a file becomes one line with file, key and nearest key."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Settings: a profile sets them, each acts where it says, keys of older profiles are ignored with a warning."""
 
-from __future__ import annotations
-
 import logging
 
 import pytest
@@ -20,7 +18,7 @@ from tests.shipped import EXACT_PROFILE
 TEXT = profile_path(DEFAULT_PROFILE).read_text("utf-8")
 
 
-def test_a_profile_sets_them(tmp_path) -> None:
+def test_a_profile_sets_them(tmp_path):
     """One key of one table changes that setting alone; wrong names and values are errors."""
     path = tmp_path / "mine.toml"
     path.write_text(TEXT + "\n[settings.shaft]\nmax_position_std_m = 0.002\n", "utf-8")
@@ -36,7 +34,7 @@ def test_a_profile_sets_them(tmp_path) -> None:
             load_profile(path)
 
 
-def test_keys_of_older_profiles_are_ignored_with_a_warning(tmp_path, caplog) -> None:
+def test_keys_of_older_profiles_are_ignored_with_a_warning(tmp_path, caplog):
     """What was a setting once and is a constant now leaves a profile as valid as it was, whatever its table."""
     tables = "".join(f"\n[{table}]\n{min(keys)} = 3\n" for table, keys in former_keys().items())
     path = tmp_path / "mine.toml"
@@ -51,7 +49,7 @@ def test_keys_of_older_profiles_are_ignored_with_a_warning(tmp_path, caplog) -> 
         assert known is None or not keys & set(type(known.default).model_fields)
 
 
-def test_the_marker_s_outline_is_found_by_the_profile_s_settings(golden, monkeypatch) -> None:
+def test_the_marker_s_outline_is_found_by_the_profile_s_settings(golden, monkeypatch):
     """`overlay` looks for the drawn outline with `[settings.outline]`, as for tissue and instrument."""
     outline, used = OutlineSettings(min_visible_fraction=0.5), []
 
@@ -68,7 +66,7 @@ def test_the_marker_s_outline_is_found_by_the_profile_s_settings(golden, monkeyp
 
 
 @pytest.mark.slow
-def test_what_lasts_is_not_averaged_away(golden) -> None:
+def test_what_lasts_is_not_averaged_away(golden):
     """`fused` on a log with a tag: the larger the share of an error that lasts, the wider the interval in the end."""
     last_m = []
     for share in (0.0, 0.1, 0.9):

@@ -1,7 +1,5 @@
 """Small recordings for the tests: one scene, written natively or again with another compression."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Breaking recordings on purpose: cuts, flipped bits and structural mutants, and what a reader makes of them."""
 
-from __future__ import annotations
-
 import random
 import struct
 import zlib

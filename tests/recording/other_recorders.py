@@ -1,7 +1,5 @@
 """The scene as other recorders write it: ROS 2, ROS 1 and Foxglove's JSON, by libraries that are not svmdist's."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any

@@ -3,8 +3,6 @@
 They stand in `tests/data/mcap-conformance.tar.xz`, under the licence beside it (MIT).
 """
 
-from __future__ import annotations
-
 import json
 import tarfile
 from pathlib import Path
@@ -29,7 +27,7 @@ def as_json(value: Any) -> Any:
             return value
 
 
-def test_all_files_read_equal_to_their_json(tmp_path: Path) -> None:
+def test_all_files_read_equal_to_their_json(tmp_path):
     """Every field of every record."""
     with tarfile.open(ARCHIVE) as archive:
         archive.extractall(tmp_path, filter="data")

@@ -1,7 +1,5 @@
 """Damage of every kind: cut files, flipped bits, structural mutants. Nothing wrong, nothing lost in silence."""
 
-from __future__ import annotations
-
 import random
 import resource
 import time
@@ -67,7 +65,7 @@ def check_cut(intact: Intact, ends: list[tuple[int, int]], size_bytes: int, path
 
 
 @pytest.mark.parametrize("step", [211, pytest.param(1, marks=pytest.mark.fault)])
-def test_truncation_of_a_small_log(small: Intact, tmp_path: Path, step: int) -> None:
+def test_truncation_of_a_small_log(small, tmp_path, step):
     ends = chunk_ends(small.data)
     near_ends = [end + beside for end, _ in ends for beside in (-1, 0, 1)]
     for size_bytes in [*range(40), *range(40, len(small.data), step), *near_ends, len(small.data) - 1]:
@@ -86,16 +84,14 @@ def flipped(intact: Intact, path: Path, count: int, seed: int) -> Iterator[Readi
 
 
 @pytest.mark.parametrize("count", [300, pytest.param(10_000, marks=pytest.mark.fault)])
-def test_flipped_bits_give_no_wrong_value_and_no_silent_loss(
-    small: Intact, tmp_path: Path, count: int
-) -> None:
+def test_flipped_bits_give_no_wrong_value_and_no_silent_loss(small, tmp_path, count):
     for reading in flipped(small, tmp_path / "flipped.mcap", count, 2):
         assert not reading.is_clean
         assert reading.metadata in (small.reading.metadata, {})
 
 
 @pytest.mark.parametrize("count", [200, pytest.param(5_000, marks=pytest.mark.fault)])
-def test_flipped_bits_without_a_crc_of_the_data_section(tmp_path: Path, count: int) -> None:
+def test_flipped_bits_without_a_crc_of_the_data_section(tmp_path, count):
     """Other recorders write none: chunks still protect their messages, and no loss of one is silent."""
     intact = make_intact(tmp_path, "zstd", data_crc=False)
     for reading in flipped(intact, tmp_path / "flipped.mcap", count, 3):
@@ -103,9 +99,7 @@ def test_flipped_bits_without_a_crc_of_the_data_section(tmp_path: Path, count: i
 
 
 @pytest.mark.parametrize("count", [300, pytest.param(7_000, marks=pytest.mark.fault)])
-def test_structural_mutants_end_in_a_result_or_a_clear_error(
-    small: Intact, tmp_path: Path, profile: Profile, count: int
-) -> None:
+def test_structural_mutants_end_in_a_result_or_a_clear_error(small, tmp_path, profile, count):
     """Three compressions make 21,000 mutants in the long form, each read through the whole facade.
 
     The time is the processor's, here and for bombs, so that a busy machine does not change the result.

@@ -1,9 +1,6 @@
 """Images: whole and true to the pixel in every layout, or refused."""
 
-from __future__ import annotations
-
 import random
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -28,7 +25,7 @@ PNG = compress(".png", IMAGE)
 JPEG = compress(".jpg", IMAGE)
 
 
-def test_png_is_lossless_and_jpeg_near() -> None:
+def test_png_is_lossless_and_jpeg_near():
     np.testing.assert_array_equal(images.decode_still(PNG, LIMITS), IMAGE)
     assert np.abs(images.decode_still(JPEG, LIMITS).astype(int) - IMAGE).mean() < 3
     np.testing.assert_array_equal(
@@ -49,13 +46,13 @@ NO_STILLS = {
 
 
 @pytest.mark.parametrize("name", NO_STILLS)
-def test_what_is_no_whole_still_is_refused(name: str) -> None:
+def test_what_is_no_whole_still_is_refused(name):
     data, reason = NO_STILLS[name]
     with pytest.raises(images.ImageError, match=reason):
         images.decode_still(data, LIMITS)
 
 
-def test_a_flipped_bit_in_a_png_never_gives_another_picture() -> None:
+def test_a_flipped_bit_in_a_png_never_gives_another_picture():
     rng = random.Random(5)
     for _ in range(500):
         try:
@@ -70,7 +67,7 @@ def test_a_flipped_bit_in_a_png_never_gives_another_picture() -> None:
     [(0x411111, 0, 0), (0x221111, 0, 0), (0x221111, 0, 4), (0x211111, 1, 0)],
     ids=["4:4:4", "4:2:0", "restarts", "progressive"],
 )
-def test_a_jpeg_is_decoded_as_opencv_does_but_for_damage(way: tuple[int, int, int]) -> None:
+def test_a_jpeg_is_decoded_as_opencv_does_but_for_damage(way):
     """Data that end early, before an end marker all the same, or lack blocks, are refused.
 
     OpenCV gives grey below the damage, or shifted blocks. The format has no checksum: damage inside one block, behind
@@ -120,7 +117,7 @@ def decode(encoding: str, pixels: np.ndarray, padding_bytes: int = 0) -> np.ndar
 
 @pytest.mark.parametrize("padding_bytes", [0, 1, 5])
 @pytest.mark.parametrize("encoding", LAYOUTS)
-def test_pixels_come_out_in_bgr(encoding: str, padding_bytes: int) -> None:
+def test_pixels_come_out_in_bgr(encoding, padding_bytes):
     """To the bit: channels are put in order, grey is repeated, alpha and the padding of rows are dropped."""
     image = decode(encoding, LAYOUTS[encoding], padding_bytes)
     assert image.dtype == np.uint8
@@ -130,7 +127,7 @@ def test_pixels_come_out_in_bgr(encoding: str, padding_bytes: int) -> None:
 
 
 @pytest.mark.parametrize("encoding", BAYER)
-def test_a_bayer_pattern_of_one_colour_is_that_colour(encoding: str) -> None:
+def test_a_bayer_pattern_of_one_colour_is_that_colour(encoding):
     """Between pixels of one colour every interpolation gives that colour: to the bit, for they are whole numbers."""
     colour = {"b": 30, "g": 120, "r": 210}
     two_rows = np.array([colour[letter] for letter in BAYER[encoding]], np.uint8).reshape(2, 2)
@@ -144,7 +141,7 @@ def test_a_bayer_pattern_of_one_colour_is_that_colour(encoding: str) -> None:
     [((255, 255, 255), (235, 128, 128)), ((0, 0, 0), (16, 128, 128)), ((0, 0, 255), (81, 90, 240))],
     ids=["white", "black", "red"],
 )
-def test_yuv_is_that_of_bt601(encoding: str, bgr: tuple[int, ...], yuv: tuple[int, ...]) -> None:
+def test_yuv_is_that_of_bt601(encoding, bgr, yuv):
     """ITU-R BT.601 with the range of studios; whole numbers of YUV hold a colour to about 2 of 255."""
     values = dict(zip("yuv", yuv, strict=True))
     pair = np.array([values[letter] for letter in YUV[encoding]], np.uint8).reshape(1, 2, 2)
@@ -154,7 +151,7 @@ def test_yuv_is_that_of_bt601(encoding: str, bgr: tuple[int, ...], yuv: tuple[in
 
 
 @pytest.mark.parametrize("encoding", images.RAW_ENCODINGS)
-def test_sizes_that_contradict_each_other_are_refused(encoding: str) -> None:
+def test_sizes_that_contradict_each_other_are_refused(encoding):
     """A byte too few or too many, rows shorter than their pixels, or longer than the data."""
     step_bytes = WIDTH_PX * images.RAW_ENCODINGS[encoding][0]
     size_bytes = step_bytes * HEIGHT_PX
@@ -169,7 +166,7 @@ def test_sizes_that_contradict_each_other_are_refused(encoding: str) -> None:
             images.decode_raw(encoding, (WIDTH_PX, HEIGHT_PX), step, bytes(length), LIMITS)
 
 
-def test_a_png_file_passes_through_and_others_are_decoded_or_refused(tmp_path: Path) -> None:
+def test_a_png_file_passes_through_and_others_are_decoded_or_refused(tmp_path):
     for name, image in (("a.png", IMAGE), ("a.bmp", IMAGE), ("deep.tiff", IMAGE.astype(np.uint16))):
         cv2.imwrite(str(tmp_path / name), image)
     data = images.read_file(tmp_path / "a.png", LIMITS)

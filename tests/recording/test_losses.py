@@ -1,13 +1,10 @@
 """Single faults, one by one: what exactly is lost, what is still read, and what the report says."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 
 import pytest
 
-from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import MAX_LISTED_LOSSES, Health, Loss, LossKind
 
@@ -38,9 +35,7 @@ def reading_of(data: bytes, folder: Path) -> Reading:
     return reading
 
 
-def test_a_chunk_with_a_wrong_crc_is_dropped_whole_and_reading_goes_on(
-    data: bytes, intact: Reading, tmp_path: Path
-) -> None:
+def test_a_chunk_with_a_wrong_crc_is_dropped_whole_and_reading_goes_on(data, intact, tmp_path):
     (_, start), (second, count) = chunks(data)[:2]
     place = second.offset + 9 + 24  # its CRC
     reading = reading_of(data[:place] + b"\1\2\3\4" + data[place + 4 :], tmp_path)
@@ -50,9 +45,7 @@ def test_a_chunk_with_a_wrong_crc_is_dropped_whole_and_reading_goes_on(
 
 
 @pytest.mark.parametrize("length", [1 << 40, (1 << 64) - 1, 3])
-def test_what_follows_a_broken_length_is_a_loss(
-    data: bytes, intact: Reading, tmp_path: Path, length: int
-) -> None:
+def test_what_follows_a_broken_length_is_a_loss(data, intact, tmp_path, length):
     (_, count), (second, _) = chunks(data)[:2]
     place = second.offset + 1
     reading = reading_of(data[:place] + struct.pack("<Q", length) + data[place + 8 :], tmp_path)
@@ -60,9 +53,7 @@ def test_what_follows_a_broken_length_is_a_loss(
     assert {LossKind.STRUCTURE, LossKind.STATISTICS} <= reading.kinds
 
 
-def test_a_chunk_that_claims_the_next_ones_is_read_and_they_are_losses(
-    data: bytes, intact: Reading, tmp_path: Path
-) -> None:
+def test_a_chunk_that_claims_the_next_ones_is_read_and_they_are_losses(data, intact, tmp_path):
     parts, counts = zip(*chunks(data)[:4], strict=True)
     _, second, _, fourth = parts
     broken = bytearray(data)
@@ -72,7 +63,7 @@ def test_a_chunk_that_claims_the_next_ones_is_read_and_they_are_losses(
     assert LossKind.STATISTICS in reading.kinds
 
 
-def test_a_chunk_with_fields_of_a_newer_version_is_read(data: bytes, intact: Reading, tmp_path: Path) -> None:
+def test_a_chunk_with_fields_of_a_newer_version_is_read(data, intact, tmp_path):
     """The specification lets records grow at their end: no chunk begins inside, and nothing is lost of the data."""
     parts = split(data[:-MAGIC_BYTES])
     grown = [(part.opcode, part.body + b"new" * (part.opcode == CHUNK_OPCODE)) for part in parts]
@@ -80,7 +71,7 @@ def test_a_chunk_with_fields_of_a_newer_version_is_read(data: bytes, intact: Rea
     assert reading_of(whole, tmp_path).messages == intact.messages
 
 
-def test_a_summary_that_promises_more_is_a_loss(data: bytes, intact: Reading, tmp_path: Path) -> None:
+def test_a_summary_that_promises_more_is_a_loss(data, intact, tmp_path):
     """A recording from which a whole chunk was cut out, its summary made right but for the statistics."""
     last, count = chunks(data)[-1]
     kept = {part.offset: (part.opcode, part.body) for part in split(data[:-MAGIC_BYTES])}
@@ -92,7 +83,7 @@ def test_a_summary_that_promises_more_is_a_loss(data: bytes, intact: Reading, tm
     assert reading.kinds == {LossKind.STATISTICS}
 
 
-def test_a_cut_file_says_so_once_with_its_figures(data: bytes, tmp_path: Path, profile: Profile) -> None:
+def test_a_cut_file_says_so_once_with_its_figures(data, tmp_path, profile):
     path = tmp_path / "cut.mcap"
     path.write_bytes(data[: chunks(data)[2][0].end])
     recording = open_recording(path, profile)
@@ -104,7 +95,7 @@ def test_a_cut_file_says_so_once_with_its_figures(data: bytes, tmp_path: Path, p
     assert recording.metadata == {"scenario": "test", "seed": "7"}
 
 
-def test_reports_of_losses_stay_short() -> None:
+def test_reports_of_losses_stay_short():
     health = Health()
     for number in range(3 * MAX_LISTED_LOSSES):
         health.add(Loss(LossKind.CHUNK, "dropped", number, "/a\x1b"))

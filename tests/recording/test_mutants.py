@@ -4,8 +4,6 @@ A corpus of small inputs stands in `tests/data/corpus`, a folder a parser; `test
 code, by coverage. `pytest -m fault` makes 25,000 mutants of them, the plain run a few hundred.
 """
 
-from __future__ import annotations
-
 import random
 import subprocess
 import sys
@@ -154,7 +152,7 @@ def corpus_of(target: str) -> list[bytes]:
     "is_long", [False, pytest.param(True, marks=pytest.mark.fault)], ids=["short", "long"]
 )
 @pytest.mark.parametrize("target", TARGETS)
-def test_mutants_give_a_value_or_an_error_of_ours(tmp_path: Path, target: str, is_long: bool) -> None:
+def test_mutants_give_a_value_or_an_error_of_ours(tmp_path, target, is_long):
     seeds = corpus_of(target)
     for data in seeds:
         check(target, data, tmp_path)
@@ -166,7 +164,7 @@ def test_mutants_give_a_value_or_an_error_of_ours(tmp_path: Path, target: str, i
 @pytest.mark.filterwarnings("error")
 @pytest.mark.fault
 @pytest.mark.parametrize("target", ["mcap", "bag1", "sqlite"])
-def test_mutants_of_logs_stay_small(tmp_path: Path, target: str) -> None:
+def test_mutants_of_logs_stay_small(tmp_path, target):
     """With a limit of 1 GiB on the memory that the process may claim, none of the mutants lacks any."""
     script = (
         "import resource, sys\n"

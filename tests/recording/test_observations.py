@@ -1,7 +1,5 @@
 """Observations: right images, the believed base, any order in the file, and decoding in threads."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -65,9 +63,7 @@ def observations(path: Path, profile: Profile, **topics: str) -> list[samples.Ob
     ],
     ids=["together", "later", "much later", "apart", "no camera", "no baseline"],
 )
-def test_right_images_find_their_left_ones(
-    tmp_path: Path, profile: Profile, shift_ns: int, late: int, camera: Camera | None
-) -> None:
+def test_right_images_find_their_left_ones(tmp_path, profile, shift_ns, late, camera):
     """Within half a millisecond, and up to seconds later in the file, of a calibration that has a baseline."""
     first, *entries = with_right(scene(), shift_ns, late)
     info = [] if camera is None else [Entry(RIGHT_INFO, samples.CameraSample(first.sample.stamp_ns, camera))]
@@ -83,7 +79,7 @@ def test_right_images_find_their_left_ones(
         assert item.right.camera.frame_id == "camera_right"
 
 
-def test_the_right_topics_leave_the_left_ones_to_be_found(tmp_path: Path, profile: Profile) -> None:
+def test_the_right_topics_leave_the_left_ones_to_be_found(tmp_path, profile):
     """By schema: what is named as right is no candidate, unless it is the only camera."""
     other = profile.model_copy(update={"topics": profile.topics.model_copy(update={"image": "/elsewhere"})})
     path = write_scene(tmp_path / "pair.mcap", with_right(scene()))
@@ -102,7 +98,7 @@ def test_the_right_topics_leave_the_left_ones_to_be_found(tmp_path: Path, profil
     assert [item.right for item in observations(path, profile)] == [None] * 5
 
 
-def test_the_believed_base_is_interpolated_along_the_tree(tmp_path: Path, profile: Profile) -> None:
+def test_the_believed_base_is_interpolated_along_the_tree(tmp_path, profile):
     """Camera to mount stands still, the base moves in the mount's frame; one edge is published backwards."""
 
     def along_x(x_m: float) -> Array:
@@ -154,7 +150,7 @@ def decoded(
     return [recording.record_losses(one.decode()) for one in encoded]
 
 
-def test_losses_are_in_file_order_whenever_they_are_found(tmp_path: Path, profile: Profile) -> None:
+def test_losses_are_in_file_order_whenever_they_are_found(tmp_path, profile):
     """Images decoded in threads and handed in in reverse are those of one thread, and so are their losses."""
     path = damaged(tmp_path / "a.mcap")
     one_by_one, ahead = open_recording(path, profile), open_recording(path, profile)
@@ -189,7 +185,7 @@ def observed(path: Path, profile: Profile) -> tuple[list[int], int, bool]:
     )
 
 
-def test_files_joined_byte_by_byte(tmp_path: Path, profile: Profile) -> None:
+def test_files_joined_byte_by_byte(tmp_path, profile):
     """`cat a.mcap b.mcap`: what can be read of it comes once and in order, and the loss is told."""
     log = write_scene(tmp_path / "a.mcap", scene(20))
     both = tmp_path / "both.mcap"
@@ -199,9 +195,7 @@ def test_files_joined_byte_by_byte(tmp_path: Path, profile: Profile) -> None:
     assert not is_clean
 
 
-def test_a_log_that_was_appended_to_itself_and_an_image_far_out_of_place(
-    tmp_path: Path, profile: Profile
-) -> None:
+def test_a_log_that_was_appended_to_itself_and_an_image_far_out_of_place(tmp_path, profile):
     """Rows are those of the log, and second images are lost; so is one that comes seconds too late."""
     entries = scene(50)
     expected = observed(write_scene(tmp_path / "once.mcap", entries), profile)
@@ -214,7 +208,7 @@ def test_a_log_that_was_appended_to_itself_and_an_image_far_out_of_place(
 
 
 @pytest.mark.parametrize("first", range(3))
-def test_chunks_that_changed_places(tmp_path: Path, profile: Profile, first: int) -> None:
+def test_chunks_that_changed_places(tmp_path, profile, first):
     """Two neighbours of a log in chunks of a few frames: all rows are there, by stamp, with their joints."""
     log = tmp_path / "log.mcap"
     with RecordingWriter(log, {}) as writer:

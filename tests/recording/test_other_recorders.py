@@ -1,7 +1,5 @@
 """Logs of other recorders hold the same scene; broken ones end in a result, a counted loss or a clear error."""
 
-from __future__ import annotations
-
 import random
 import sqlite3
 import time
@@ -17,7 +15,7 @@ from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import StoragePlugin
 
 from svmdist.errors import RecordingError
-from svmdist.profile import Limits, Profile
+from svmdist.profile import Limits
 from svmdist.recording.images import ImageError
 from svmdist.recording.log import open_recording
 from svmdist.recording.messages import KINDS, DecodeError, Decoder, EncodedImage
@@ -59,9 +57,7 @@ def folder(tmp_path: Path, entries: list[Entry]) -> Path:
 
 
 @pytest.mark.parametrize("recorder", WRITERS)
-def test_the_same_scene_comes_out(
-    tmp_path: Path, native: Path, entries: list[Entry], profile: Profile, recorder: str
-) -> None:
+def test_the_same_scene_comes_out(tmp_path, native, entries, profile, recorder):
     ours = open_recording(native, profile)
     theirs = open_recording(WRITERS[recorder](tmp_path, ros_messages(entries)), profile)
     for mine, other in zip(ours.observations(), theirs.observations(), strict=True):
@@ -85,7 +81,7 @@ def test_the_same_scene_comes_out(
     assert len(theirs.sha256()) == 64
 
 
-def test_a_stamped_transform_is_a_pose(tmp_path: Path, profile: Profile) -> None:
+def test_a_stamped_transform_is_a_pose(tmp_path, profile):
     fields = {
         "header": header(7, "base"),
         "child_frame_id": "tool",
@@ -97,9 +93,7 @@ def test_a_stamped_transform_is_a_pose(tmp_path: Path, profile: Profile) -> None
     np.testing.assert_allclose(track.T_parent_child[0], pose(3), atol=1e-15)
 
 
-def test_a_bare_file_with_compressed_messages_says_to_open_the_folder(
-    tmp_path: Path, entries: list[Entry], profile: Profile
-) -> None:
+def test_a_bare_file_with_compressed_messages_says_to_open_the_folder(tmp_path, entries, profile):
     for storage, suffix in ((MCAP, "mcap"), (SQLITE, "db3")):
         folder = write_rosbag2(tmp_path / suffix, ros_messages(entries), storage, compressed=True)
         (bare,) = folder.glob(f"*.{suffix}")
@@ -107,7 +101,7 @@ def test_a_bare_file_with_compressed_messages_says_to_open_the_folder(
             open_recording(bare, profile)
 
 
-def test_a_cut_ros1_bag_names_the_command_that_repairs_it(tmp_path: Path, profile: Profile) -> None:
+def test_a_cut_ros1_bag_names_the_command_that_repairs_it(tmp_path, profile):
     path = write_rosbag1(tmp_path / "a.bag", ros_messages(scene(20)))
     data = path.read_bytes()
     for size_bytes in (20, 4200, len(data) // 2, len(data) - 1):
@@ -116,14 +110,14 @@ def test_a_cut_ros1_bag_names_the_command_that_repairs_it(tmp_path: Path, profil
             open_recording(path, profile)
 
 
-def test_a_missing_part_of_a_folder_is_a_loss(folder: Path, profile: Profile) -> None:
+def test_a_missing_part_of_a_folder_is_a_loss(folder, profile):
     metadata = folder / "metadata.yaml"
     metadata.write_text(metadata.read_text().replace("- a.db3", "- a.db3\n  - a_1.db3"))
     recording = open_recording(folder, profile)
     assert "a_1.db3" in recording.health.describe()[0]
 
 
-def test_a_file_that_lacks_messages_is_a_loss(folder: Path, profile: Profile) -> None:
+def test_a_file_that_lacks_messages_is_a_loss(folder, profile):
     """SQLite delivers what is left without a word: the folder's counts show it."""
     with closing(sqlite3.connect(next(folder.glob("*.db3")))) as database:
         database.execute("DELETE FROM messages WHERE id > 20")
@@ -133,7 +127,7 @@ def test_a_file_that_lacks_messages_is_a_loss(folder: Path, profile: Profile) ->
     assert "declares" in recording.health.describe()[0]
 
 
-def test_a_cut_database_is_refused_and_an_unmerged_one_is_a_loss(folder: Path, profile: Profile) -> None:
+def test_a_cut_database_is_refused_and_an_unmerged_one_is_a_loss(folder, profile):
     (file,) = folder.glob("*.db3")
     data = file.read_bytes()
     for size_bytes in (50, 5000, len(data) // 2, len(data) - 4000, len(data) - 1):
@@ -145,7 +139,7 @@ def test_a_cut_database_is_refused_and_an_unmerged_one_is_a_loss(folder: Path, p
     assert "a.db3-wal" in open_recording(folder, profile).health.describe()[0]
 
 
-def test_an_unsupported_rosbag2_says_what_it_is(folder: Path, profile: Profile) -> None:
+def test_an_unsupported_rosbag2_says_what_it_is(folder, profile):
     metadata = folder / "metadata.yaml"
     text = metadata.read_text()
     for changed, reason in (
@@ -160,7 +154,7 @@ def test_an_unsupported_rosbag2_says_what_it_is(folder: Path, profile: Profile) 
 
 @pytest.mark.parametrize("count", [150, pytest.param(4000, marks=pytest.mark.fault)])
 @pytest.mark.parametrize("kind", ["ros1 bag", "ros1 bag bz2", "ros1 bag lz4", "bare db3", "ros2 mcap"])
-def test_mutants_of_other_recorders_logs(tmp_path: Path, profile: Profile, kind: str, count: int) -> None:
+def test_mutants_of_other_recorders_logs(tmp_path, profile, kind, count):
     rng = random.Random(6)
     data = WRITERS[kind](tmp_path, ros_messages(scene(3))).read_bytes()
     path = tmp_path / "mutant"
@@ -181,7 +175,7 @@ ALL_SCHEMAS = [(encoding, schema) for encoding, schemas in KINDS.items() for sch
 
 @settings(max_examples=300)
 @given(st.sampled_from(ALL_SCHEMAS), st.binary(max_size=200), st.integers(0, 2**64 - 1))
-def test_random_bytes_as_any_message(kind: tuple[str, str], data: bytes, log_time_ns: int) -> None:
+def test_random_bytes_as_any_message(kind, data, log_time_ns):
     """Decoded with all its pixels: only the two expected errors may come out."""
     for each in (data, b"\0\1\0\0" + data):
         with suppress(DecodeError, ImageError):

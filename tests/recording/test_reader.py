@@ -1,15 +1,10 @@
 """The facade: clear errors at the door, broken frames as rejections, topics by role, joints at image stamps."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from svmdist.errors import RecordingError
-from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import LossKind
 from svmdist.recording.writer import encode
@@ -30,7 +25,7 @@ from .builders import CAMERA, Entry, pose, write_messages, write_scene
 IMAGE = "foxglove.CompressedImage"
 
 
-def test_a_corrupt_image_is_rejected_and_the_rest_is_read(tmp_path: Path, profile: Profile) -> None:
+def test_a_corrupt_image_is_rejected_and_the_rest_is_read(tmp_path, profile):
     sizes_px = {1: (24, 32, 3), 4: (10, 10, 3), 5: (24, 32, 3)}
     good, small, last = (
         encode(ImageSample(stamp_ns, "camera", np.zeros(size, np.uint8))).data
@@ -50,9 +45,7 @@ def test_a_corrupt_image_is_rejected_and_the_rest_is_read(tmp_path: Path, profil
 
 
 @pytest.mark.parametrize("offset_ns", [-2_000_000_000, 0, 1_234_567, 2_000_000_000])
-def test_joints_meet_the_image_stamps_whatever_the_order_in_the_file(
-    tmp_path: Path, profile: Profile, offset_ns: int
-) -> None:
+def test_joints_meet_the_image_stamps_whatever_the_order_in_the_file(tmp_path, profile, offset_ns):
     """Images stamped two seconds late or early still find their joints; where there are none, there are none.
 
     Log times follow the order in the file, as a recorder's clock does.
@@ -74,7 +67,7 @@ def test_joints_meet_the_image_stamps_whatever_the_order_in_the_file(
             np.testing.assert_allclose(item.joints.positions, [item.stamp_ns / 1e9], atol=1e-12)
 
 
-def test_transforms_are_composed_along_the_tree(tmp_path: Path, profile: Profile) -> None:
+def test_transforms_are_composed_along_the_tree(tmp_path, profile):
 
     def transforms(topic: str, stamp_ns: int, *edges: tuple[str, str, Array]) -> Entry:
         samples = tuple(TransformSample(stamp_ns, *edge) for edge in edges)
@@ -104,7 +97,7 @@ def test_transforms_are_composed_along_the_tree(tmp_path: Path, profile: Profile
         recording.transform_track("camera", "tol")
 
 
-def test_joint_values_that_mean_nothing_are_losses(tmp_path: Path, profile: Profile) -> None:
+def test_joint_values_that_mean_nothing_are_losses(tmp_path, profile):
     reported = [("a", [1.0]), ("a", [np.nan]), ("aa", [1.0, 2.0]), ("b", [1.0]), ("a", [2.0])]
     entries = [
         Entry("/PSM1/measured_js", JointSample(stamp_ns, tuple(names), np.array(values)))

@@ -1,7 +1,5 @@
 """Logs behind URLs: the same samples as from a disk, by the index where there is one, and one line where it fails."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterator
 from functools import partial
@@ -79,14 +77,14 @@ def everything(source: McapSource, topics: set[str] | None = None) -> list[objec
     ]
 
 
-def test_a_name_shows_no_secrets() -> None:
+def test_a_name_shows_no_secrets():
     file = RemoteFile("https://me:secret@host/day/a.mcap?token=secret")
     assert (str(file), file.name, file.stem) == ("https://host/day/a.mcap", "a.mcap", "a")
     assert file.folders == ("me:secret@host", "day")
 
 
 @pytest.mark.parametrize("chunks", ["large", "small"])
-def test_the_index_gives_what_the_whole_file_gives(log: Path, tmp_path: Path, chunks: str) -> None:
+def test_the_index_gives_what_the_whole_file_gives(log, tmp_path, chunks):
     path = log if chunks == "large" else rewrite(log, tmp_path / "small.mcap", "zstd")
     near, far = McapSource(path, Limits()), McapSource(RemoteFile(f"counted://{path}"), Limits())
     assert far.topics() == near.topics()
@@ -98,7 +96,7 @@ def test_the_index_gives_what_the_whole_file_gives(log: Path, tmp_path: Path, ch
     assert far.health.is_clean
 
 
-def test_only_what_is_asked_for_is_fetched(tmp_path: Path) -> None:
+def test_only_what_is_asked_for_is_fetched(tmp_path):
     """Of a log whose images stand in chunks of their own: its joints, without the images."""
     images = [("/image", "foxglove.CompressedImage", "protobuf", bytes(50_000), n) for n in range(240)]
     joints = [("/joints", "foxglove.JointStates", "protobuf", bytes(50), n) for n in range(240, 640)]
@@ -110,14 +108,14 @@ def test_only_what_is_asked_for_is_fetched(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("harm", "said"), [("gone", "the store is gone"), ("short", "bytes came of")])
-def test_a_store_that_fails_is_one_line(log: Path, harm: str, said: str) -> None:
+def test_a_store_that_fails_is_one_line(log, harm, said):
     HARM[str(log)] = harm
     with pytest.raises(RecordingError, match=f"cannot read: .*{said}") as raised:
         open_recording(f"counted://{log}", PROFILE)
     assert "\n" not in str(raised.value)
 
 
-def test_a_server_without_ranges_gives_the_file_whole(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_server_without_ranges_gives_the_file_whole(log, monkeypatch):
     monkeypatch.setattr(SimpleHTTPRequestHandler, "log_message", lambda *_: None)
     handler = partial(SimpleHTTPRequestHandler, directory=str(log.parent))
     with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
@@ -130,7 +128,7 @@ def test_a_server_without_ranges_gives_the_file_whole(log: Path, monkeypatch: py
 
 
 @pytest.mark.parametrize("count", [150, pytest.param(4000, marks=pytest.mark.fault)])
-def test_flipped_bits_give_no_wrong_value_and_no_silent_loss(log: Path, tmp_path: Path, count: int) -> None:
+def test_flipped_bits_give_no_wrong_value_and_no_silent_loss(log, tmp_path, count):
     """Read by the index: a message that comes is one that was written, and one that does not is reported."""
     path = rewrite(log, tmp_path / "small.mcap", "zstd")
     rng, data = random.Random(count), path.read_bytes()

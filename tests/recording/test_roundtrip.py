@@ -1,7 +1,5 @@
 """What is written is read again, to the last bit where the encoding allows it."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any
@@ -13,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from svmdist import samples
-from svmdist.profile import Limits, Profile
+from svmdist.profile import Limits
 from svmdist.recording.ground_truth_distance_pb2 import DESCRIPTOR, GroundTruthDistance
 from svmdist.recording.log import open_recording
 from svmdist.recording.messages import Decoder, EncodedImage, to_sample
@@ -21,7 +19,7 @@ from svmdist.recording.source import RawMessage
 from svmdist.recording.writer import encode, message_class_of
 from svmdist.transforms import make_transform, rotation_from_quaternion_xyzw
 
-from .builders import CAMERA, Entry
+from .builders import CAMERA
 
 SCHEMAS = Path(__file__).parents[2] / "schemas"
 stamps = st.integers(0, 2**62)
@@ -44,7 +42,7 @@ def rigid(draw: st.DrawFn) -> np.ndarray:
 
 
 @given(stamps, names, names, rigid())
-def test_transforms_survive_to_rounding(stamp_ns: int, parent: str, child: str, T: np.ndarray) -> None:
+def test_transforms_survive_to_rounding(stamp_ns, parent, child, T):
     one = samples.TransformSample(stamp_ns, parent, child, T)
     back = there_and_back(samples.TransformsSample(stamp_ns, (one, one)))
     assert [(b.stamp_ns, b.parent, b.child) for b in back.transforms] == [(stamp_ns, parent, child)] * 2
@@ -54,7 +52,7 @@ def test_transforms_survive_to_rounding(stamp_ns: int, parent: str, child: str, 
     np.testing.assert_allclose(pose.T_frame_pose, T, rtol=0, atol=1e-14)
 
 
-def test_a_jpeg_image_survives_nearly() -> None:
+def test_a_jpeg_image_survives_nearly():
     """Colour at full resolution: at the edge of a saturated red nothing bleeds by more than a few levels."""
     image = np.full((48, 64, 3), (60, 160, 60), np.uint8)
     image[:, 33:] = (40, 40, 220)
@@ -66,7 +64,7 @@ def test_a_jpeg_image_survives_nearly() -> None:
     assert np.abs(sample.decode().astype(int) - image).max() <= 12
 
 
-def test_a_recording_gives_everything_back(native: Path, entries: list[Entry], profile: Profile) -> None:
+def test_a_recording_gives_everything_back(native, entries, profile):
     recording = open_recording(native, profile)
     observations = list(recording.observations())
     images = [entry.sample for entry in entries if isinstance(entry.sample, samples.ImageSample)]
@@ -88,7 +86,7 @@ def test_a_recording_gives_everything_back(native: Path, entries: list[Entry], p
     assert recording.health.is_clean
 
 
-def test_the_proto_and_its_python_agree() -> None:
+def test_the_proto_and_its_python_agree():
     text = re.sub(r"//.*", "", (SCHEMAS / "svmdist/GroundTruthDistance.proto").read_text())
     declared = re.findall(r"(\S+) (\w+) = (\d+);", text)
     file = FileDescriptorProto()

@@ -1,7 +1,5 @@
 """Opening: which reader serves a file, which topic plays a role, and which instruments a recording has."""
 
-from __future__ import annotations
-
 import gzip
 import os
 from collections.abc import Mapping
@@ -19,15 +17,13 @@ from svmdist.recording.rosbag import BagSource, FolderSource
 from svmdist.recording.source import TopicInfo
 from svmdist.recording.topics import LoggedArm, Role, TopicChoice, find_arms
 
-from .builders import Entry, write_messages
+from .builders import write_messages
 from .other_recorders import ros_messages, write_rosbag1, write_rosbag2
 
 PROFILE = load_profile()
 
 
-def test_each_format_has_its_reader_whatever_its_name(
-    tmp_path: Path, native: Path, entries: list[Entry]
-) -> None:
+def test_each_format_has_its_reader_whatever_its_name(tmp_path, native, entries):
     """A bag, a folder, the database in it, and MCAP, under names that say nothing."""
     messages = ros_messages(entries[:10])
     bag = write_rosbag1(tmp_path / "a.dat", messages)
@@ -58,7 +54,7 @@ NO_RECORDING: dict[str, tuple[bytes | None, str]] = {
 
 
 @pytest.mark.parametrize("name", NO_RECORDING)
-def test_what_is_no_recording_is_one_clear_line(tmp_path: Path, name: str) -> None:
+def test_what_is_no_recording_is_one_clear_line(tmp_path, name):
     path, (content, reason) = tmp_path / name, NO_RECORDING[name]
     (tmp_path / "folder").mkdir()
     os.mkfifo(tmp_path / "pipe")
@@ -118,11 +114,11 @@ PSM2 = {"claimed": frozenset({"/PSM2/js"})}
         ("joints", ARMS[1:], PSM2, None),
     ],
 )
-def test_a_role_has_the_topic_that_fits(role: str, rows: Rows, given: dict, found: str | None) -> None:
+def test_a_role_has_the_topic_that_fits(role, rows, given, found):
     assert choice(*rows, **given).find(Role(role)) == found
 
 
-def test_roles_without_a_topic_or_with_a_wrong_one_are_errors() -> None:
+def test_roles_without_a_topic_or_with_a_wrong_one_are_errors():
     """The topics are listed, sanitized, for they come from the file; an override counts even where none is needed."""
     given = {"overrides": {"image": "/j"}}
     for rows, options, message in (
@@ -160,9 +156,7 @@ def arms_of(
     return find_arms(McapSource(write_messages(folder / "a.mcap", rows), Limits()), profile, overrides)
 
 
-def test_each_arm_has_its_own_joints_and_frames_and_the_scenes_images(
-    tmp_path: Path, two_arms: Profile
-) -> None:
+def test_each_arm_has_its_own_joints_and_frames_and_the_scenes_images(tmp_path, two_arms):
     topics = (("/PSM1/measured_js", JOINTS), ("/PSM2/measured_js", JOINTS), ("/ECM/left/image", IMAGE))
     first, second = arms_of(tmp_path, two_arms, *topics)
     assert (first.name, second.name) == (two_arms.instrument_name, "PSM2")
@@ -174,7 +168,7 @@ def test_each_arm_has_its_own_joints_and_frames_and_the_scenes_images(
     assert (second.frames.base, second.frames.tool) == ("PSM2_base", "PSM2_tool")
 
 
-def test_arms_are_known_by_their_joints(tmp_path: Path, two_arms: Profile) -> None:
+def test_arms_are_known_by_their_joints(tmp_path, two_arms):
     """The first one stands for a log without any; only the second one's joints, or the caller's, make it another."""
     (only,) = arms_of(tmp_path, two_arms, ("/image", IMAGE))
     assert only.name == two_arms.instrument_name

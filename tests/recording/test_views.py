@@ -1,11 +1,8 @@
 """Views of a recording can be sent to other processes, and few passes over the file serve them all."""
 
-from __future__ import annotations
-
 import pickle
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,7 +29,7 @@ VIEWS = {
 
 
 @pytest.mark.parametrize("view", VIEWS)
-def test_a_view_can_be_sent_to_another_process(tmp_path: Path, view: str) -> None:
+def test_a_view_can_be_sent_to_another_process(tmp_path, view):
     """What comes out of it there is the same to the last bit."""
     profile = load_profile()
     path = write_log(tmp_path / "a.mcap", make_scene(64, 48), 12)
@@ -46,7 +43,7 @@ def test_a_view_can_be_sent_to_another_process(tmp_path: Path, view: str) -> Non
         assert repr((two.stamp_ns, two.joints)) == repr((one.stamp_ns, one.joints))
 
 
-def test_validate_reads_a_log_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_validate_reads_a_log_once(tmp_path, monkeypatch):
     """With a planar method each chunk is expanded once, but for the first one, in which the camera is."""
     expanded: Counter[int] = Counter()
     whole = mcap._expanded

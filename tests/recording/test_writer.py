@@ -1,7 +1,5 @@
 """The writer: byte-identical, never replacing, readable when interrupted, honest about a full disk."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path
@@ -11,12 +9,11 @@ import pytest
 from mcap.reader import make_reader
 
 from svmdist.errors import UsageError
-from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import DistanceSample, ImageSample
 
-from .builders import Entry, scene, write_scene
+from .builders import scene, write_scene
 
 FILL_A_DISK = """
 import resource, sys
@@ -39,7 +36,7 @@ for limit in map(int, sys.argv[2:]):
 """
 
 
-def test_chunks_hold_at_most_256_kib(tmp_path: Path) -> None:
+def test_chunks_hold_at_most_256_kib(tmp_path):
     rng = np.random.default_rng(0)
     path = tmp_path / "large.mcap"
     with RecordingWriter(path, {}) as writer:
@@ -53,9 +50,7 @@ def test_chunks_hold_at_most_256_kib(tmp_path: Path) -> None:
     assert max(index.uncompressed_size for index in summary.chunk_indexes) <= 256 * 1024
 
 
-def test_a_rerun_is_byte_identical_and_log_times_are_the_stamps(
-    tmp_path: Path, native: Path, entries: list[Entry]
-) -> None:
+def test_a_rerun_is_byte_identical_and_log_times_are_the_stamps(tmp_path, native, entries):
     assert write_scene(tmp_path / "again.mcap", entries).read_bytes() == native.read_bytes()
     with native.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
@@ -67,7 +62,7 @@ def test_a_rerun_is_byte_identical_and_log_times_are_the_stamps(
     assert found == [(e.topic, e.sample.stamp_ns, e.sample.stamp_ns) for e in entries]
 
 
-def test_nothing_is_replaced_without_force(tmp_path: Path) -> None:
+def test_nothing_is_replaced_without_force(tmp_path):
     path = write_scene(tmp_path / "a.mcap", scene(1))
     before = path.read_bytes()
     with pytest.raises(UsageError, match=r"exists already.*--force"):
@@ -79,7 +74,7 @@ def test_nothing_is_replaced_without_force(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_an_interrupted_recording_keeps_its_part(tmp_path: Path, profile: Profile) -> None:
+def test_an_interrupted_recording_keeps_its_part(tmp_path, profile):
     path = tmp_path / "a.mcap"
 
     def record() -> None:
@@ -100,7 +95,7 @@ def test_an_interrupted_recording_keeps_its_part(tmp_path: Path, profile: Profil
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs RLIMIT_FSIZE")
-def test_a_full_disk_leaves_no_file_under_the_final_name(tmp_path: Path) -> None:
+def test_a_full_disk_leaves_no_file_under_the_final_name(tmp_path):
     full_bytes = write_scene(tmp_path / "full.mcap", scene(40)).stat().st_size
     limits = [full_bytes * step // 50 for step in range(50)]
     command = [sys.executable, "-c", FILL_A_DISK, tmp_path, *map(str, [*limits, full_bytes])]

@@ -1,7 +1,5 @@
 """Clearances and paths against independent computations on the same meshes, by trimesh and SciPy."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 
@@ -63,7 +61,7 @@ def independent_clearance_m(scene: Scene, q: Array, surface: Mesh | None = None)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("text", ["", "tissue_shape=0.4", "tissue_ellipsoid=1"])
-def test_clearance_is_that_of_the_meshes(profile: Profile, text: str) -> None:
+def test_clearance_is_that_of_the_meshes(profile, text):
     """From 8 mm away to 0.5 mm deep, whatever the organ's shape: within 0.02 mm of trimesh."""
     scene, rng = make_scene(profile, 1, perturbed(text)), np.random.default_rng(2)
     for wanted_m in (0.008, 0.0005, 0.0001, -0.0002, -0.0005):
@@ -76,7 +74,7 @@ def test_clearance_is_that_of_the_meshes(profile: Profile, text: str) -> None:
         assert measured_m == pytest.approx(independent_clearance_m(scene, q), abs=TOLERANCE_M)
 
 
-def test_raised_tissue_is_a_scene_built_there_and_the_plate_counts(profile: Profile) -> None:
+def test_raised_tissue_is_a_scene_built_there_and_the_plate_counts(profile):
     scene = make_scene(profile, 2)
     for x_m, offset_m in ((0.0, 0.0025), (0.012, -0.003), (0.03, 0.001)):
         q = posed(scene, [x_m, 0.002, 0.024])
@@ -94,7 +92,7 @@ def pressed(profile: Profile) -> Plan:
 
 
 @pytest.mark.slow
-def test_soft_tissue_touches_what_presses(pressed: Plan) -> None:
+def test_soft_tissue_touches_what_presses(pressed):
     """Over contact the truth goes down to 0, stays there and comes up again; before and in it, it is trimesh's."""
     scene, q = pressed.scene, pressed.arms[0].q
     rigid_scene = replace(scene, perturbations=UNPERTURBED)
@@ -113,7 +111,7 @@ def test_soft_tissue_touches_what_presses(pressed: Plan) -> None:
         assert truth_m[frame] == pytest.approx(expected_m, abs=TOLERANCE_M)
 
 
-def test_beside_a_dent_and_too_deep(pressed: Plan) -> None:
+def test_beside_a_dent_and_too_deep(pressed):
     """An arm that hovers over what another presses in, and one that presses deeper than the tissue gives way."""
     scene, q = pressed.scene, pressed.state(int(pressed.blocks[20].begin)).q[0]
     insertion = list(scene.chain.joint_names).index("insertion")
@@ -135,7 +133,7 @@ def test_beside_a_dent_and_too_deep(pressed: Plan) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_scenarios_keep_their_clearances(seed: int, profile: Profile) -> None:
+def test_scenarios_keep_their_clearances(seed, profile):
     """approach ends 2 mm from the tissue, contact touches by at most 0.5 mm, all others stay clear."""
     scene, progress = make_scene(profile, seed), np.linspace(0.0, 1.0, 61)
     for name in SCENARIOS:
@@ -147,14 +145,14 @@ def test_scenarios_keep_their_clearances(seed: int, profile: Profile) -> None:
             assert (-0.0005 < smallest_m <= 0.0) if name == "contact" else smallest_m > 0.0005, name
 
 
-def test_contact_moves_with_the_tissue(profile: Profile) -> None:
+def test_contact_moves_with_the_tissue(profile):
     plan = make_plan(Scenario("contact", 1, 8.0, 1.0), profile, options=perturbed("breathing=3"))
     states = [plan.state(index) for index in range(0, len(plan.stamps_ns), 10)]
     assert -0.0005 < min(clearance_m(plan.scene, each.q[0], each.offset_m) for each in states) < 0.0
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_motions_stay_in_their_boxes_and_are_smooth(name: str) -> None:
+def test_motions_stay_in_their_boxes_and_are_smooth(name):
     s = np.linspace(0.0, 1.0, 1601)
     boxes = {"sweep": [0.034, 0.024], "calibration": [0.0455, 0.0335]}
     for seed in range(6):
@@ -171,7 +169,7 @@ def test_motions_stay_in_their_boxes_and_are_smooth(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["sweep", "contact", "random"])
-def test_pictures_cross_and_bodies_keep_apart(name: str, profile: Profile) -> None:
+def test_pictures_cross_and_bodies_keep_apart(name, profile):
     """The distal markers come within their own diameter in the image, the surfaces never touch, as trimesh has it."""
     seed = 7 + len(name)
     scene, progress = make_scene(profile, seed), np.linspace(0.0, 1.0, 61)

@@ -1,20 +1,17 @@
 """What is drawn lies where the camera model says, whatever was drawn before, and looks as geometry and optics say."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
 
 from svmdist.camera import Camera
 from svmdist.perturbations.images import dimmed, light_left, perturbed_image, subsampled
-from svmdist.profile import Profile
 from svmdist.profile.segmentation import ColourRegion
 from svmdist.samples import Image
 from svmdist.simulation import effects
 from svmdist.simulation.meshes import sphere
 from svmdist.simulation.organ import Organ
-from svmdist.simulation.scene import Options, Scene, make_scene
+from svmdist.simulation.scene import Options, make_scene
 from svmdist.transforms import Array, inverse, make_transform, transform_points
 from svmdist.vision.colour import colour_mask, to_hsv
 from tests.simulation.conftest import chosen, perturbed, posed, withdrawn
@@ -60,7 +57,7 @@ def contour_m(centre_m: Array, radius_m: float) -> Array:
 
 
 @pytest.mark.parametrize("camera", [0, 1])
-def test_balls_are_seen_where_opencv_projects_them(profile: Profile, camera: int) -> None:
+def test_balls_are_seen_where_opencv_projects_them(profile, camera):
     """All over the image, the corners among them, through the lens: within 0.2 px of cv2.projectPoints."""
     scene = make_scene(profile, 1, perturbed("lens=1"))
     T_world_eye = scene.T_world_camera @ (np.eye(4), scene.T_camera_right)[camera]
@@ -82,7 +79,7 @@ def test_balls_are_seen_where_opencv_projects_them(profile: Profile, camera: int
     assert np.abs(errors).max() < 0.2
 
 
-def test_colours_separate_and_bodies_are_where_they_stand(scene: Scene, profile: Profile) -> None:
+def test_colours_separate_and_bodies_are_where_they_stand(scene, profile):
     """Tissue and distal marker are found whole, by colour alone, and the right camera sees the baseline's disparity."""
     tissue, marker = profile.segmentation.tissue, profile.segmentation.instrument
     with Renderer([scene]) as renderer:
@@ -100,7 +97,7 @@ def test_colours_separate_and_bodies_are_where_they_stand(scene: Scene, profile:
     np.testing.assert_allclose(found.mean(axis=0), expected_px, atol=0.5)
 
 
-def test_the_tag_is_decoded_where_the_profile_says(profile: Profile) -> None:
+def test_the_tag_is_decoded_where_the_profile_says(profile):
     """All over its field of view: OpenCV finds it, and every corner within 1 px of its projection."""
     scene, fiducial = make_scene(profile, 1, Options(tag=True)), profile.fiducial
     corners_m = 0.5 * fiducial.size_m * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
@@ -121,7 +118,7 @@ def test_the_tag_is_decoded_where_the_profile_says(profile: Profile) -> None:
     assert np.abs(np.mean(errors_px, axis=(0, 1))).max() < 0.15
 
 
-def test_images_show_raised_and_dented_tissue_and_then_rest_again(profile: Profile) -> None:
+def test_images_show_raised_and_dented_tissue_and_then_rest_again(profile):
     """The outline's area grows with the square of 1 / depth; a dent changes what is near it alone."""
     scene = make_scene(profile, 1, perturbed("breathing=5,dent=2"))
     mesh = scene.organ.mesh
@@ -143,7 +140,7 @@ def test_images_show_raised_and_dented_tissue_and_then_rest_again(profile: Profi
 
 
 @pytest.mark.parametrize("strength", [0.3, 1.0, 2.5])
-def test_the_lens_undoes_opencvs_distortion(scene: Scene, strength: float) -> None:
+def test_the_lens_undoes_opencvs_distortion(scene, strength):
     """Where a pixel looks in the pinhole image, distorted again, is the pixel: to 0.001 px."""
     camera, D = scene.camera, effects.distortion_coefficients(strength)
     lens = effects.Lens.of(camera, D)
@@ -170,7 +167,7 @@ def shaded(text: str, surfaces: effects.Surfaces, lamp: effects.Lamp, level: int
     return np.asarray(shader.shaded(image, surfaces, lamp, T_CAMERA_TISSUE)[..., 0], np.float64)
 
 
-def test_light_falls_off_with_the_distance_squared() -> None:
+def test_light_falls_off_with_the_distance_squared():
     """In light, not in levels: those are light to the power of 1 / 2.2. Depth buffers are metric."""
     for depth_m in (0.06, 0.112):
         seen = shaded("light=1", floor(depth_m), effects.Lamp(effects.LAMP_M, None))
@@ -182,7 +179,7 @@ def test_light_falls_off_with_the_distance_squared() -> None:
     np.testing.assert_allclose(1 / metric_depth_m(buffer), 100.0 + buffer * (1 / FAR_M - 100.0), rtol=1e-6)
 
 
-def test_a_shadow_lies_where_the_lamp_throws_it() -> None:
+def test_a_shadow_lies_where_the_lamp_throws_it():
     """A square at 80 mm from the lamp: its shadow's middle is 1.4 times as far aside on the floor."""
     half_m, at_m = 0.008, np.array([0.01, 0.004, 0.080])
     column, row = np.meshgrid(np.arange(SHAPE[1]), np.arange(SHAPE[0]))
@@ -200,7 +197,7 @@ def test_a_shadow_lies_where_the_lamp_throws_it() -> None:
 
 
 @pytest.mark.parametrize("eye_m", [0.0, 0.005])
-def test_a_highlight_is_where_a_mirror_shows_the_lamp(eye_m: float) -> None:
+def test_a_highlight_is_where_a_mirror_shows_the_lamp(eye_m):
     """On a plane across the axis, half way between camera and lamp; it moves with the camera."""
     lamp = effects.Lamp(effects.LAMP_M - [eye_m, 0.0, 0.0], None)
     image = shaded("wet=1", floor(), lamp, level=0)
@@ -209,7 +206,7 @@ def test_a_highlight_is_where_a_mirror_shows_the_lamp(eye_m: float) -> None:
     np.testing.assert_allclose([columns.mean(), rows.mean()], CAMERA.project(mirror_m[None])[0], atol=0.7)
 
 
-def test_instruments_look_as_perturbed(profile: Profile) -> None:
+def test_instruments_look_as_perturbed(profile):
     """A bare tip shows no colour; a ring shows it 3 mm behind the origin; blood stays on the tool; shafts are blue."""
     marker = ColourRegion(hue=(80, 105), saturation=(52, 255), min_area_px=1)
     images = {}
@@ -236,7 +233,7 @@ def test_instruments_look_as_perturbed(profile: Profile) -> None:
     assert (100 <= hue <= 125, saturation > 100, value > 75) == (True, True, True)
 
 
-def test_the_border_is_round_and_colour_is_kept_for_two_by_two_pixels() -> None:
+def test_the_border_is_round_and_colour_is_kept_for_two_by_two_pixels():
     plain = np.full((480, 640, 3), 200, np.uint8)
     rows, columns = np.mgrid[:480, :640]
     radius_px = np.hypot(columns - 319.5, rows - 239.5)

@@ -1,18 +1,15 @@
 """The scene of a seed: bodies as they are described, and options that move nothing else."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import ConvexHull
 
 from svmdist.errors import SimulationError, UsageError
-from svmdist.profile import Profile
 from svmdist.simulation.instrument import make_plate
 from svmdist.simulation.motion import Scenario
 from svmdist.simulation.organ import LIMIT, make_organ
-from svmdist.simulation.scene import BREATHING_HZ, PULSE_HZ, Options, Scene, make_scene
+from svmdist.simulation.scene import BREATHING_HZ, PULSE_HZ, Options, make_scene
 from svmdist.transforms import Array, polygon_centroid
 from tests.simulation.conftest import chosen, perturbed
 
@@ -29,7 +26,7 @@ def depth_in_hull_m(vertices_m: Array) -> float:
     return -min(float((block @ planes[:, :3].T + planes[:, 3]).max(axis=1).min()) for block in blocks)
 
 
-def test_the_ideal_bodies_are_convex(profile: Profile, scene: Scene) -> None:
+def test_the_ideal_bodies_are_convex(profile, scene):
     """Bullet measures hulls of the parts: every vertex lies on its hull to 5 µm, the bridge's to 0.1 mm."""
     for part in scene.parts:
         depth_m = depth_in_hull_m(part.mesh.vertices_m)
@@ -39,7 +36,7 @@ def test_the_ideal_bodies_are_convex(profile: Profile, scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_lobes_keep_centroid_and_height(seed: int) -> None:
+def test_lobes_keep_centroid_and_height(seed):
     """The origin stays the outline's centroid, nothing is higher than the dome, and a place has one height."""
     dome, organ = (
         make_organ(np.random.default_rng(seed), seed, chosen(text)) for text in ("", "tissue_shape=0.4")
@@ -53,7 +50,7 @@ def test_lobes_keep_centroid_and_height(seed: int) -> None:
     assert 0.0005 < depth_in_hull_m(organ.mesh.vertices_m) < 0.005
 
 
-def test_an_ellipsoid_is_one() -> None:
+def test_an_ellipsoid_is_one():
     """Height over the plane is sqrt(1 - r²) of the apex's."""
     organ = make_organ(np.random.default_rng(1), 1, chosen("tissue_ellipsoid=1"))
     apex_m, rings = organ.mesh.vertices_m[0], organ.mesh.vertices_m[1:].reshape(-1, len(organ.outline_m), 3)
@@ -62,7 +59,7 @@ def test_an_ellipsoid_is_one() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "dent=1,tissue_shape=0.4,tissue_ellipsoid=0.5"])
-def test_heights_are_those_of_the_triangles(text: str) -> None:
+def test_heights_are_those_of_the_triangles(text):
     """Within 1 nm of where a ray from above meets the mesh; -inf where none does."""
     organ = make_organ(np.random.default_rng(2), 3, chosen(text))
     low, high = organ.outline_m.min(0), organ.outline_m.max(0)
@@ -77,7 +74,7 @@ def test_heights_are_those_of_the_triangles(text: str) -> None:
 
 
 @pytest.mark.parametrize("depth_m", [1e-5, 5e-4, 4e-3])
-def test_a_dent_goes_down_to_what_presses_and_leaves_the_rest(depth_m: float) -> None:
+def test_a_dent_goes_down_to_what_presses_and_leaves_the_rest(depth_m):
     """A ball pressed 0.01 to 4 mm deep has 2 µm inside at most, and the surface goes down as far, to 2 %."""
     organ = make_organ(np.random.default_rng(2), 0, chosen("dent=1"))
     points = np.random.default_rng(0).normal(0.0, 1.0, (6000, 3))
@@ -99,7 +96,7 @@ def test_a_dent_goes_down_to_what_presses_and_leaves_the_rest(depth_m: float) ->
     assert (flat_m >= (1.0 - LIMIT) * organ.mesh.vertices_m[:, 2] - 1e-12).all()
 
 
-def test_breath_and_pulse_have_their_amplitudes_and_frequencies(profile: Profile) -> None:
+def test_breath_and_pulse_have_their_amplitudes_and_frequencies(profile):
     """Two lines in the spectrum, of 2 mm at 0.25 Hz and of 0.4 mm at 1.2 Hz."""
     offset_m = make_scene(profile, 7, perturbed("breathing=2,pulse=0.4")).tissue_offset_m(T_S)
     spectrum = np.abs(np.fft.rfft(offset_m)) / (0.5 * len(T_S))
@@ -123,9 +120,7 @@ def test_breath_and_pulse_have_their_amplitudes_and_frequencies(profile: Profile
         ({}, {"degradations": (("smoke", 6),)}, "1 to 5"),
     ],
 )
-def test_what_cannot_be_simulated_is_an_error(
-    profile: Profile, update: dict, options: dict, said: str
-) -> None:
+def test_what_cannot_be_simulated_is_an_error(profile, update, options, said):
     with pytest.raises((SimulationError, UsageError), match=said):
         make_plan(
             Scenario("sweep", 1, 0.1, 10.0), profile.model_copy(update=update), options=Options(**options)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import sys
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +22,7 @@ from svmdist.recording.log import open_recording
 from svmdist.simulation.bullet import how_to_install, load_pybullet
 from svmdist.simulation.motion import Scenario
 from svmdist.simulation.plan import draw_nominal_kinematics
-from svmdist.simulation.scene import Options, Scene, make_scene
+from svmdist.simulation.scene import Options, make_scene
 from svmdist.transforms import inverse, rotation_angle
 from tests.conftest import REPOSITORY
 from tests.simulation.conftest import chosen, perturbed, simulate
@@ -68,7 +67,7 @@ def full(profile: Profile) -> Stream:
     return list(simulate(SHORT, profile, noise=1.0, options=FULL))
 
 
-def test_a_dent_shows_frame_after_frame_and_goes(profile: Profile) -> None:
+def test_a_dent_shows_frame_after_frame_and_goes(profile):
     """Where nothing else moves the tissue: after the touch an image is that of tissue that was never pressed."""
     plan = make_plan(Scenario("contact", 3, 2.0, 10.0), profile, options=perturbed("dent=1"))
     with Simulator(plan) as simulator:
@@ -80,7 +79,7 @@ def test_a_dent_shows_frame_after_frame_and_goes(profile: Profile) -> None:
                 assert (image != at_rest.draw(0, frame)).any() == (frame != 14)
 
 
-def test_every_topic_is_there_in_order_and_truth_with_every_image(profile: Profile) -> None:
+def test_every_topic_is_there_in_order_and_truth_with_every_image(profile):
     """Joints at 100 Hz about all images; eq. (35) and its 3D companion follow from the true transforms, exactly."""
     found, topics = stream(profile, scenario=Scenario("sweep", 1, 1.2, 3.0)), profile.topics
     stamps = [sample.stamp_ns for _, sample in found]
@@ -101,7 +100,7 @@ def test_every_topic_is_there_in_order_and_truth_with_every_image(profile: Profi
         assert sample.spatial_m == pytest.approx(np.linalg.norm(tool - tissue), abs=1e-15)
 
 
-def test_the_plain_recording_is_that_of_the_golden_log(golden: Path, profile: Profile) -> None:
+def test_the_plain_recording_is_that_of_the_golden_log(golden, profile):
     """Two frames of a log that was made long ago: each pixel and joint; clearances to what Bullet was off then."""
     recording = open_recording(golden / "sweep.mcap", profile)
     nominal, truth, logged = recording.joint_track(), recording.distance_track(), recording.images()
@@ -124,7 +123,7 @@ def test_the_plain_recording_is_that_of_the_golden_log(golden: Path, profile: Pr
 
 
 @pytest.mark.slow
-def test_a_real_world_is_the_same_in_any_order_and_neutral_strengths_change_nothing(profile: Profile) -> None:
+def test_a_real_world_is_the_same_in_any_order_and_neutral_strengths_change_nothing(profile):
     """Blocks forth and back, as processes would make them: moving tissue, two fields and shadows among the rest."""
     simulation = profile.simulation.model_copy(update={"width_px": 160, "height_px": 120})
     small = profile.model_copy(update={"simulation": simulation})
@@ -143,7 +142,7 @@ def test_a_real_world_is_the_same_in_any_order_and_neutral_strengths_change_noth
         assert repr(one) == repr(other)
 
 
-def test_options_leave_truth_and_left_camera_alone(plain: Stream, full: Stream, profile: Profile) -> None:
+def test_options_leave_truth_and_left_camera_alone(plain, full, profile):
     """Bit by bit; /tf and measured_js carry the drawn error on top of truth, and the pair is rectified."""
     topics, scene = profile.topics, make_scene(profile, SHORT.seed)
     for topic in (topics.ground_truth_tf, topics.ground_truth_distance):
@@ -170,7 +169,7 @@ def test_options_leave_truth_and_left_camera_alone(plain: Stream, full: Stream, 
     np.testing.assert_allclose(T_left_right[:3, 3], [0.005, 0.0, 0.0], atol=1e-12)
 
 
-def test_kinematic_error_has_the_profiles_spread(scene: Scene, profile: Profile) -> None:
+def test_kinematic_error_has_the_profiles_spread(scene, profile):
     """Over 400 seeds: moving joints and T_camera_base are off by 1°, 1 mm, 2° and 5 mm; twice at twice the scale."""
     drawn = [
         [
@@ -192,7 +191,7 @@ def test_kinematic_error_has_the_profiles_spread(scene: Scene, profile: Profile)
     assert np.sqrt(np.mean(turns_rad**2)) == pytest.approx(np.radians(2.0) * np.sqrt(3.0), rel=0.1)
 
 
-def test_a_second_arm_has_topics_frames_and_errors_of_its_own(full: Stream, profile: Profile) -> None:
+def test_a_second_arm_has_topics_frames_and_errors_of_its_own(full, profile):
     """The first arm does what it does alone, bit by bit; the second one's transforms agree with its joints."""
     topics = profile.topics
     two = list(simulate(SHORT, profile, noise=1.0, options=Options(True, True, 1.0, arms=2)))
@@ -219,7 +218,7 @@ def test_a_second_arm_has_topics_frames_and_errors_of_its_own(full: Stream, prof
     assert between.spatial_m == pytest.approx(expected_m, rel=1e-12)
 
 
-def test_sensors_add_noise_then_degrade() -> None:
+def test_sensors_add_noise_then_degrade():
     """NumPy's own noise, rounded and saturated; both cameras look through the same smoke, with noise of their own."""
     camera = Camera.from_horizontal_fov(640, 480, 1.0)
     generator, sensors = np.random.default_rng([5, 11]), Sensors(camera, 5, 2.0, Options())
@@ -241,7 +240,7 @@ def test_sensors_add_noise_then_degrade() -> None:
 
 
 @pytest.mark.slow
-def test_unstated_zoom_rotation_and_lens_are_drawn(plain: Stream, profile: Profile) -> None:
+def test_unstated_zoom_rotation_and_lens_are_drawn(plain, profile):
     """Calibrations are those of the plain log; the rotated right image is what a replay makes, to interpolation."""
     topics, text = profile.topics, "right_yaw=0.3,right_pitch=-0.2,right_roll=1"
     for other in ("zoom=1.1", text, "lens_untold=0.8"):
@@ -264,7 +263,7 @@ def test_unstated_zoom_rotation_and_lens_are_drawn(plain: Stream, profile: Profi
             np.testing.assert_allclose(of(stated, topics.camera_info)[0].camera.D[:2], [-0.16, 0.04])
 
 
-def test_odd_rows_are_a_field_later_and_replay_makes_the_same_border(profile: Profile) -> None:
+def test_odd_rows_are_a_field_later_and_replay_makes_the_same_border(profile):
     """Even rows show the stamp's instant, odd ones that of 2/60 s later; border and colour replay bit by bit."""
     plan = make_plan(Scenario("sweep", 1, 2.0, 2.0), profile, options=perturbed("interlace=2,breathing=2"))
     block, fields = plan.blocks[1], []
@@ -285,9 +284,7 @@ def test_odd_rows_are_a_field_later_and_replay_makes_the_same_border(profile: Pr
 
 
 @pytest.mark.parametrize("text", [REPORTED, f"{STATED},{REPORTED}", "lag=-20", "lag_drift=5"])
-def test_a_log_of_a_perturbed_world_is_the_plain_log_perturbed_at_replay(
-    profile: Profile, tmp_path: Path, text: str
-) -> None:
+def test_a_log_of_a_perturbed_world_is_the_plain_log_perturbed_at_replay(profile, tmp_path, text):
     """Joints at every image, cameras, and where the right one stands: recording and replay agree."""
     paths = [tmp_path / "plain.mcap", tmp_path / "perturbed.mcap"]
     for path, its in zip(paths, ("", text), strict=True):
@@ -306,7 +303,7 @@ def test_a_log_of_a_perturbed_world_is_the_plain_log_perturbed_at_replay(
     np.testing.assert_array_equal(found, truth)
 
 
-def test_metadata_name_what_is_set_so_that_a_world_can_be_recorded_again() -> None:
+def test_metadata_name_what_is_set_so_that_a_world_can_be_recorded_again():
     assert Options().metadata() == {}
     options = Options(stereo=True, kinematic_error=1.0, degradations=(("smoke", 3), ("jpeg", 1)))
     assert options.metadata() == {"stereo": "yes", "kinematic_error": "1", "degrade": "smoke=3,jpeg=1"}
@@ -316,7 +313,7 @@ def test_metadata_name_what_is_set_so_that_a_world_can_be_recorded_again() -> No
     assert all(drawn.changes(place) for place in Place)
 
 
-def test_missing_pybullet_says_why_and_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_pybullet_says_why_and_what_to_do(monkeypatch):
     """In one line, which agrees with the marker of the extra `sim`."""
     monkeypatch.setitem(sys.modules, "pybullet", None)
     with pytest.raises(SimulationError, match=r"needs PyBullet: .*svmdist\[sim\]"):

@@ -1,7 +1,5 @@
 """Instruments in random pictures: found where there are any, none in bare tissue, whatever border and light."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -20,7 +18,7 @@ def instruments(bgr: Image) -> np.ndarray:
 
 
 @pytest.mark.slow
-def test_instruments_over_tissue() -> None:
+def test_instruments_over_tissue():
     """Of each image alone: most of 16 pictures above 0.85, none below 0.6."""
     found = [iou(instruments(one.bgr), one.instruments > 0) for one in map(surgery_image, range(16))]
     assert np.median(found) > 0.88
@@ -29,14 +27,14 @@ def test_instruments_over_tissue() -> None:
 
 
 @pytest.mark.slow
-def test_bare_tissue_holds_no_instrument() -> None:
+def test_bare_tissue_holds_no_instrument():
     """Vessels, fat, highlights, light that falls off and any border are no straight sides that come in."""
     counts = [len(AutoSegmenter().masks(surgery_image(seed, count=0).bgr).seen) for seed in range(24)]
     assert counts.count(0) >= 23
 
 
 @pytest.mark.parametrize("border", BORDERS)
-def test_the_picture_inside_its_border(border: str) -> None:
+def test_the_picture_inside_its_border(border):
     """A border of any shape is found to a pixel or two, and is never shaft nor tissue."""
     for seed in range(3):
         one = surgery_image(seed, border=border)

@@ -1,7 +1,5 @@
 """Degradations: the paper's blurs, and those that get worse with severity and depend on nothing but the seed."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -34,7 +32,7 @@ def picture() -> Image:
 
 @pytest.mark.parametrize("name", list(Degradation))
 @pytest.mark.parametrize("seed", [0, 1, 7])
-def test_worse_with_severity(name: Degradation, seed: int) -> None:
+def test_worse_with_severity(name, seed):
     """PSNR falls by 0.5 dB or more from each severity to the next; severity 1 is still a good picture."""
     image = picture()
     psnr = np.array([cv2.PSNR(image, degrade(image, name, severity, seed)) for severity in SEVERITIES])
@@ -44,7 +42,7 @@ def test_worse_with_severity(name: Degradation, seed: int) -> None:
 
 
 @pytest.mark.parametrize("name", list(Degradation))
-def test_a_seed_settles_all(name: Degradation) -> None:
+def test_a_seed_settles_all(name):
     """The same seed gives the same image; another one another, where there is chance in it."""
     image = picture()
     first = degrade(image, name, 3, 5)

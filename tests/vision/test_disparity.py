@@ -1,7 +1,5 @@
 """Rectified stereo: disparity surfaces and row offsets, on pairs warped from one texture."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -29,7 +27,7 @@ def _disparity(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("noise", [0.0, 2.0])
-def test_a_smooth_disparity_is_found_to_a_tenth_of_a_pixel(noise: float) -> None:
+def test_a_smooth_disparity_is_found_to_a_tenth_of_a_pixel(noise):
     """On texture of 14 grey levels with sensor noise, the surface is right to 0.1 px rms inside the region."""
     rng = np.random.default_rng(3)
     texture = textured((HEIGHT, WIDTH + 120), 14.0, 6.0, rng)
@@ -56,7 +54,7 @@ def test_a_smooth_disparity_is_found_to_a_tenth_of_a_pixel(noise: float) -> None
 
 
 @pytest.mark.parametrize("rows_px", [-3.4, 0.0, 1.5, 5.0])
-def test_the_offset_is_found(rows_px: float) -> None:
+def test_the_offset_is_found(rows_px):
     """To a tenth of a pixel, and within what is stated of it, of a pair 25 px and some rows apart."""
     rng = np.random.default_rng(0)
     texture = textured((280, 420), 20.0, 3.0, rng)

@@ -1,7 +1,5 @@
 """Forms of an image: first field, undistorted, rectified, by colour."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -34,7 +32,7 @@ def centre_x_px(image: Image) -> float:
 
 
 @pytest.mark.parametrize("moved_px", [3.0, 8.0, 20.0])
-def test_what_moves_is_where_the_first_field_shows_it(moved_px: float) -> None:
+def test_what_moves_is_where_the_first_field_shows_it(moved_px):
     """Its middle within 0.3 px; as woven it is off by half of the motion between both fields."""
     image = with_disc(300.0)
     image[1::2] = with_disc(300.0 + moved_px, seed=2)[1::2]
@@ -80,7 +78,7 @@ def centres(image: Image) -> Array:
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_points_are_where_an_ideal_camera_sees_them(lens: str) -> None:
+def test_points_are_where_an_ideal_camera_sees_them(lens):
     """Within 0.15 px all over the image, of which distortion moves some by more than 5 px."""
     camera = LENSES[lens]
     seen = as_pinholes(Observation(0, drawn(camera), camera))
@@ -90,7 +88,7 @@ def test_points_are_where_an_ideal_camera_sees_them(lens: str) -> None:
     np.testing.assert_allclose(centres(seen.image_bgr), expected, atol=0.15)
 
 
-def test_a_turned_and_distorted_right_camera_becomes_parallel() -> None:
+def test_a_turned_and_distorted_right_camera_becomes_parallel():
     """A camera turned by degrees, with a lens and a K of its own: rows agree, and disparity is f b / z, in 0.2 px."""
     own = replace(
         LENSES["plumb_bob"], K=IDEAL.K * np.array([[1.02], [1.02], [1.0]]) + np.diag([1.0, -1.0, 0.0])

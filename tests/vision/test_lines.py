@@ -1,7 +1,5 @@
 """Cylinders from their outlines."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import brentq
 

@@ -1,7 +1,5 @@
 """The paper's marker: where it is pasted, and the homography that its matches give."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -60,6 +58,6 @@ IMPLAUSIBLE = {
 
 
 @pytest.mark.parametrize("name", IMPLAUSIBLE)
-def test_flips_folds_and_other_sizes_are_refused(name: str) -> None:
+def test_flips_folds_and_other_sizes_are_refused(name):
     """A pasted marker can be neither mirrored nor folded nor far from its own size."""
     assert not marker.is_plausible(IMPLAUSIBLE[name], SIZE_PX)

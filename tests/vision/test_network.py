@@ -1,7 +1,5 @@
 """Segmentation by a network: masks against an independent computation, faults of a profile, the network that ships."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -33,7 +31,7 @@ def rules(model: Path, size: tuple[int, int] = (64, 48), **changes: object) -> O
 
 
 @pytest.mark.parametrize("labels", ["", "keep", "drop"])
-def test_masks_are_those_of_the_highest_score(tmp_path: Path, labels: str) -> None:
+def test_masks_are_those_of_the_highest_score(tmp_path, labels):
     """Scores and both shapes of labels give, pixel for pixel, the class that NumPy finds."""
     model = write_classifier(tmp_path / "net.onnx", WEIGHTS, BIAS, (64, 48), labels=labels)
     masks = OnnxSegmenter(rules(model)).masks(IMAGE)
@@ -106,9 +104,7 @@ def faulty(folder: Path, fault: str) -> OnnxSegmentation:
         ("memory", "not enough memory to run the network on 64x48"),
     ],
 )
-def test_a_fault_is_one_line(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], fault: str, message: str
-) -> None:
+def test_a_fault_is_one_line(tmp_path, capfd, fault, message):
     """Each fault shows when the segmenter is made, in one line with the file, and OpenCV adds nothing of its own."""
     with pytest.raises(ProfileError, match=message) as caught:
         OnnxSegmenter(faulty(tmp_path, fault))
@@ -117,7 +113,7 @@ def test_a_fault_is_one_line(
     assert capfd.readouterr().err == ""
 
 
-def test_an_unknown_name_is_one_line_with_the_choices(tmp_path: Path) -> None:
+def test_an_unknown_name_is_one_line_with_the_choices(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text('name = "mine"\n[segmentation]\nmethod = "onnx"\nmodel = "svmdist:instrument"\n', "utf-8")
     with pytest.raises(ProfileError, match=r"no such network ships: .*svmdist:instruments") as caught:
@@ -125,7 +121,7 @@ def test_an_unknown_name_is_one_line_with_the_choices(tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_it_finds_instruments_in_pictures_of_another_renderer() -> None:
+def test_it_finds_instruments_in_pictures_of_another_renderer():
     """IoU of the union of instruments over tissue, mean of 12 pictures that the tests of `auto` are drawn with."""
     segmenter = OnnxSegmenter(
         OnnxSegmentation.model_validate({"method": "onnx", "model": "svmdist:instruments"})

@@ -1,7 +1,5 @@
 """Regions: gates, pixel counts and centroids against NumPy; outlines of partly hidden objects."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -72,7 +70,7 @@ def _hull(mask: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("depth_px", [20, 35])
 @pytest.mark.parametrize("side", ["bottom", "left", "right", "top"])
-def test_a_covered_side_is_given_back(depth_px: int, side: str) -> None:
+def test_a_covered_side_is_given_back(depth_px, side):
     """Where a straight edge covers a side, the hull is off by several times what completion leaves."""
     mask = np.rot90(_egg(), {"bottom": 0, "left": 1, "top": 2, "right": 3}[side]).copy()
     truth = mean_of_pixels(mask)
@@ -104,7 +102,7 @@ def _covered_egg(rng: np.random.Generator, depth: float) -> tuple[np.ndarray, np
 
 
 @pytest.mark.parametrize("depth", [0.0, 0.15, 0.35, 0.6])
-def test_the_covariance_holds_the_centroid(depth: float) -> None:
+def test_the_covariance_holds_the_centroid(depth):
     """Over eggs of any size, cut anywhere, the error is as large as stated: no larger, and no third of it."""
     rng = np.random.default_rng(11)
     nees, spread_px = [], []
@@ -122,7 +120,7 @@ def test_the_covariance_holds_the_centroid(depth: float) -> None:
         assert np.median(spread_px) > 0.5
 
 
-def test_the_centroids_jacobian_is_its_derivative() -> None:
+def test_the_centroids_jacobian_is_its_derivative():
     """Of a curve of some 100 px with every harmonic in it."""
     order = np.repeat(np.arange(1, 7), 2)
     coefficients = np.concatenate([[100.0], np.random.default_rng(3).normal(scale=10.0 / order**2)])

@@ -26,7 +26,7 @@ GATE_Z = FilterSettings().gate_z
 
 @dataclass(frozen=True, slots=True)
 class GatingResult:
-    """A measurement at the gate: normalised innovation squared, degrees of freedom, the detection it is made of."""
+    """A measurement at the gate, with the detection it is of where that has another name."""
 
     name: str
     nis: float
@@ -42,7 +42,7 @@ def chi_square_bound(degrees_of_freedom: int, z: float = GATE_Z) -> float:
     return degrees_of_freedom * (1.0 - c + z * math.sqrt(c)) ** 3
 
 
-CODED = "tag"  # the source that nothing else can be taken for
+CODED = "tag"  # the source that nothing else can be mistaken for
 
 
 @dataclass(slots=True)
@@ -71,11 +71,15 @@ class Consistency:
 
     def __init__(self, settings: FilterSettings) -> None:
         self._settings = settings
-        self._frames: deque[tuple[int, tuple[GatingResult, ...]]] = deque()
         self._untrusted_since_ns: int | None = None
         self._now_ns = 0
-        self._tallies: dict[str, Tally] = {}
         self._tool_sources: set[str] = set()
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin anew; what is distrusted stays so."""
+        self._frames: deque[tuple[int, tuple[GatingResult, ...]]] = deque()
+        self._tallies: dict[str, Tally] = {}
         self._is_refused: dict[str, bool] = {}
         self._frame_count = self._refused_frames = 0
         self._scene_refused_frames, self._scene_agreed = 0, False
@@ -93,7 +97,7 @@ class Consistency:
             is_refused = not any(result.is_accepted for result in results)
             if of_tool:
                 self._frame_count += 1
-                self._tool_sources.update(source_of(result) for result in results)
+                self._tool_sources.update(result.source or result.name for result in results)
                 self._refused_frames = self._refused_frames + 1 if is_refused else 0
             else:
                 self._scene_refused_frames = self._scene_refused_frames + 1 if is_refused else 0
@@ -104,10 +108,8 @@ class Consistency:
 
     def watch_constants(self, found: Iterable[tuple[str, float]]) -> None:
         """Take up how far constants were found from what is stated of them, in stated deviations, by name."""
-        self._furthest, self._furthest_name = 0.0, ""
-        for name, off in found:
-            if abs(off) > self._furthest:
-                self._furthest, self._furthest_name = abs(off), name
+        offs = ((abs(off), name) for name, off in found)
+        self._furthest, self._furthest_name = max(offs, key=lambda one: one[0], default=(0.0, ""))
 
     def watch_time_offset(self, late_s: float, std_s: float) -> None:
         """Take up how late joints were found to be, and how late they may be by what is stated, in s."""
@@ -118,32 +120,16 @@ class Consistency:
         """After a contradiction nothing is trusted before it has agreed for a while."""
         self._untrusted_since_ns = since_ns
 
-    def clear(self) -> None:
-        """Begin anew; what is distrusted stays so."""
-        self._frames.clear()
-        self._tallies = {}
-        self._is_refused.clear()
-        self._frame_count = self._refused_frames = 0
-        self._scene_refused_frames, self._scene_agreed = 0, False
-        self._furthest, self._furthest_name = 0.0, ""
-        self._late_s = self._late_deviations = 0.0
-
     @property
     def ratio(self) -> float | None:
         """Innovations squared of accepted measurements over what is expected of them; None before any."""
         accepted = sum(tally.accepted for tally in self._tallies.values())
         return sum(tally.square for tally in self._tallies.values()) / accepted if accepted else None
 
-    @property
-    def refused_share(self) -> float:
-        """Share of the measured degrees of freedom that did not pass the gate."""
-        return _refused_share(self._tallies.values())
+    def _young_refused_share(self) -> float:
+        """The refused share without the source that is refused most, where enough of the tool's others is accepted.
 
-    @property
-    def young_refused_share(self) -> float:
-        """The same without the source that is refused most, where enough of the tool's others is accepted.
-
-        One detection may be wrong for seconds: a shadow taken for the shaft, a marker that is half hidden. Where two
+        One detection may be wrong for seconds: a shadow beside the shaft, a marker that is half hidden. Where two
         contradict the prediction, it is the prediction that is wrong; or where a tag does, whose code says what it is.
         """
         of_tool = {name: tally for name, tally in self._tallies.items() if name in self._tool_sources}
@@ -151,7 +137,7 @@ class Consistency:
         worst = max(mistakable, default="", key=lambda name: of_tool[name].refused)
         others = [tally for name, tally in of_tool.items() if name != worst]
         if sum(tally.accepted for tally in others) < CONSISTENCY_MIN_DEGREES:
-            return self.refused_share
+            others = list(self._tallies.values())
         return _refused_share(others)
 
     @property
@@ -166,7 +152,7 @@ class Consistency:
 
     @property
     def doubt(self) -> str:
-        """Why no distance is told: a contradiction, or one before that what was seen since has not yet outlived."""
+        """Why no distance is stated: a contradiction, or one before that what was seen since has not yet outlived."""
         since_ns = self._untrusted_since_ns
         if since_ns is not None and self._now_ns < since_ns + round(1e9 * PROBATION_S):
             return self.contradiction or "begun anew after a contradiction"
@@ -199,10 +185,10 @@ class Consistency:
         settings = self._settings
         if sum(tally.degrees for tally in self._tallies.values()) < CONSISTENCY_MIN_DEGREES:
             return ""
-        share, most = self.refused_share, MAX_REFUSED_SHARE
+        share, most = _refused_share(self._tallies.values()), MAX_REFUSED_SHARE
         if self._frame_count <= max(WINDOW_SOLVES) and share <= most:
             # A young filter has no past that outweighs what it refuses: it may have begun with other joints.
-            share, most = self.young_refused_share, MAX_YOUNG_REFUSED_SHARE
+            share, most = self._young_refused_share(), MAX_YOUNG_REFUSED_SHARE
         if share > most:
             return f"{share:.0%} of what was measured contradicts the prediction: {self._worst()}"
         if (self.ratio or 0.0) > settings.max_consistency:
@@ -210,20 +196,14 @@ class Consistency:
         return ""
 
     def _worst(self) -> str:
-        return (
-            ", ".join(name for name, is_refused in self._is_refused.items() if is_refused) or "measurements"
-        )
-
-
-def source_of(result: GatingResult) -> str:
-    """The detection that a result is of; its own name where it does not say."""
-    return result.source or result.name
+        refused = [name for name, is_refused in self._is_refused.items() if is_refused]
+        return ", ".join(refused) or "measurements"
 
 
 def _tallies(results: Iterable[GatingResult]) -> dict[str, Tally]:
     tallies: dict[str, Tally] = {}
     for result in results:
-        tallies.setdefault(source_of(result), Tally()).add(result)
+        tallies.setdefault(result.source or result.name, Tally()).add(result)
     return tallies
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from svmdist.errors import KinematicsError, did_you_mean
@@ -39,18 +37,16 @@ class ErrorModel:
                 f"no joint {error.first_moving_joint} to be the first moving one:"
                 f" {did_you_mean(error.first_moving_joint, names)}"
             )
-        first = names.index(error.first_moving_joint) if error.first_moving_joint else 0
-        self._joints = MovingJoints.of(chain, first)
+        self._joints = MovingJoints.of(chain, names.index(error.first_moving_joint or names[0]))
         turns, slides = self._joints.turns, self._joints.slides
         self._joint_std = error.joint_std_rad * turns + error.joint_std_m * slides
         self._play_std = error.play_std_rad * turns + error.play_std_m * slides
         self.columns = self._joints.columns
         self.size = self.columns.size
         self.constant_columns = self._joints.constant_columns
-        length, angle = error.drift_m_per_sqrt_s, error.drift_rad_per_sqrt_s
         self._drift = np.zeros(self.size)
-        self._drift[:3], self._drift[3:6] = length, angle
-        self._drift[self.columns.offsets] = angle * turns + length * slides
+        self._drift[:3], self._drift[3:6] = error.drift_m_per_sqrt_s, error.drift_rad_per_sqrt_s
+        self._drift[self.columns.offsets] = self._drift[3] * turns + self._drift[0] * slides
         self._drift[self.columns.time_offset] = error.time_offset_drift_s_per_sqrt_s
 
     @property
@@ -102,18 +98,14 @@ class ErrorModel:
         # What a transform by hand-eye owes to the offset of a joint is not to be counted beside that offset.
         for name, effect in self._hand_eye_effects(robot).items():
             if (column := self.constant_columns.get(name)) is not None:
-                P[:6, column] = effect[:, 0] * np.sqrt(P[column, column])
-                P[column, :6] = P[:6, column]
+                P[:6, column] = P[column, :6] = effect[:, 0] * np.sqrt(P[column, column])
         return P + self.play_covariance
 
     def prior_with_constants(self, robot: RobotState) -> dict[str, Array]:
         """Covariance, shape (n, k), of the error state with constants of variance one that are no part of it."""
-        found = {}
-        for name, effect in self._hand_eye_effects(robot).items():
-            if name not in self.constant_columns:
-                found[name] = np.zeros((self.size, effect.shape[1]))
-                found[name][:6] = effect
-        return found
+        effects, below = self._hand_eye_effects(robot), ((0, self.size - 6), (0, 0))
+        own = self.constant_columns
+        return {name: np.pad(effect, below) for name, effect in effects.items() if name not in own}
 
     def _hand_eye_effects(self, robot: RobotState) -> dict[str, Array]:
         if isinstance(self._error, HandEyeError):
@@ -137,10 +129,6 @@ class ErrorModel:
     def nominal(self, robot: RobotState) -> NominalFrames:
         """What of a robot's state no correction changes."""
         return NominalFrames.of(robot, self._joints.first_row)
-
-    def nominal_of_many(self, robots: Sequence[RobotState]) -> NominalFrames:
-        """The same of several states, stacked."""
-        return NominalFrames.stack([self.nominal(robot) for robot in robots])
 
     def links(self, nominal: NominalFrames, correction: Correction, anchor_m: Array) -> CorrectedLinks:
         """All links under a correction."""

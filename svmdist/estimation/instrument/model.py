@@ -52,7 +52,7 @@ class Wrist:
 
     @staticmethod
     def of(vectors: Array) -> Wrist:
-        """The wrist with these points and vectors."""
+        """The inverse of `vectors`."""
         hinge_m, tool_m, shaft, pivot, *jaws = vectors
         return Wrist(hinge_m, tool_m, shaft, pivot, (Jaw(*jaws[:3]), Jaw(*jaws[3:])))
 
@@ -117,27 +117,22 @@ def joints_of(chain: DHChain | None, joints: JointSample | None) -> Array | None
 
 def jaws_of(along: Array, axis: Array, opening_rad: float) -> tuple[Jaw, Jaw]:
     """Moving and fixed jaw: turning by the opening about the unit `axis` takes the fixed one to the moving one."""
-    fixed = _turned(along, axis, -opening_rad)
-    return _jaw(along, cross(axis, along)), _jaw(fixed, -cross(axis, fixed))
-
-
-def _jaw(along: Array, outward: Array) -> Jaw:
-    return Jaw(along, outward, cross(along, outward))
-
-
-def _turned(vector: Array, axis: Array, angle_rad: float) -> Array:
-    """Rodrigues' rotation of a vector about a unit axis, shape (3,)."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.asarray(c * vector + s * cross(axis, vector) + (1.0 - c) * (axis @ vector) * axis)
+    c, s = np.cos(-opening_rad), np.sin(-opening_rad)  # Rodrigues' rotation about a unit axis
+    fixed = np.asarray(c * along + s * cross(axis, along) + (1.0 - c) * (axis @ along) * axis)
+    pairs = ((along, cross(axis, along)), (fixed, -cross(axis, fixed)))
+    moving, still = (Jaw(ahead, outward, cross(ahead, outward)) for ahead, outward in pairs)
+    return moving, still
 
 
 # Shape facts of this model, as lengths over the radii that a profile gives: they say which rods stand in for which
 # part, and have no meaning apart from one another. What differs between instruments is in the profile.
-WRIST_LENGTH_PER_RADIUS = 3.4
-"""Distance from the wrist's hinge to the tool over the wrist's radius, where no chain tells: 9.1 / 2.7."""
+WRIST_LENGTH_PER_RADIUS = (
+    3.4  # from the wrist's hinge to the tool over its radius, where no chain tells: 9.1 / 2.7
+)
 NECK_PER_RADIUS = 2.2  # the shaft begins this many radii of the wrist behind the hinge
-# Of the fork's rods beside the distal marker, whose thickness does not follow its size
-TINE_RADIUS_M = 0.0005
+TINE_RADIUS_M = (
+    0.0005  # of the fork's rods beside the distal marker, whose thickness does not follow its size
+)
 FORK_BEGIN = 0.3  # where the fork's tines leave its bridges, over the way from the hinge to the tool
 BLADE_RODS = (
     (0.0, 0.62, 0.43, 0.50),
@@ -150,8 +145,7 @@ BLADE_RODS = (
 it lies and how thick it is, both over the jaw's radius. The last one ends with its cap."""
 PLATE_RADIUS_M, PLATE_RODS = 0.0003, 7
 """Half of the thickness of a printed plate; rods 1.4 mm apart stand in for one of 9 mm."""
-# A blade's middle plane stands this many radii of the jaw outside the plane where the jaws meet
-BLADE_OFFSET = 0.55
+BLADE_OFFSET = 0.55  # of a blade's middle plane from the one where the jaws meet, in radii of the jaw
 
 
 class InstrumentModel:
@@ -224,11 +218,8 @@ class Rods:
 
 
 def _rods(instrument: Instrument, wrist: Wrist) -> list[tuple[Array, Array, float]]:
-    shaft_m, wrist_m, marker_m = (
-        instrument.shaft_radius_m,
-        instrument.wrist_radius_m,
-        instrument.knuckle_radius_m,
-    )
+    shaft_m, wrist_m = instrument.shaft_radius_m, instrument.wrist_radius_m
+    marker_m = instrument.knuckle_radius_m
     hinge, tool, back = wrist.hinge_m, wrist.tool_m, -wrist.shaft
     neck_m = NECK_PER_RADIUS * wrist_m
     far_m = max(instrument.shaft_length_m - 0.5 * shaft_m, neck_m + 0.5 * shaft_m)

@@ -25,15 +25,15 @@ from svmdist.vision.regions import Region
 from svmdist.vision.shaft_segmentation import ShaftRegion, Side
 from svmdist.vision.silhouette import Silhouette, WristPoint
 
-# How far sub-pixel edges are searched from the mask's contour, over the image's width
-EDGE_REACH_FRACTION = 0.007
+EDGE_REACH_FRACTION = (
+    0.007  # how far sub-pixel edges are searched from the mask's contour, over the image's width
+)
 MIN_EDGE_REACH_PX = 4.0  # the least of that reach: a threshold cuts an edge of usual blur within this
 SIDE_TRIM_FRACTION = 0.06  # of a side at each end: corners of the shaft's end and the picture's border
 BLUR_REACH_FRACTION = 0.022  # of the image's width: a tool at 200 mm/s moves so far in 1/60 s
 PENUMBRA_RATIO = 1.6  # of the edges' blurs; beyond, one is a shadow's border: both edges are equally far
 PENUMBRA_BLUR_PX = 1.0  # blur that any edge may have, px: below it the ratio of two blurs is noise
-# How far a point of an edge may lie off its line: ten times the least deviation of a point
-LINE_INLIER_PX = 0.5
+LINE_INLIER_PX = 0.5  # of an edge's point off its line: ten times the least deviation of a point
 LINE_INLIER_PER_BLUR = 0.2  # shading over twice the width shifts the steepest point by more
 LINE_INLIER_PER_WIDTH = 0.012  # for a silhouette's edges: near ones are less sharp, and lenses bend them
 SHADING_STD_PX = 0.08  # what shading beside an edge shifts it, in addition to noise: see the error budget
@@ -41,16 +41,13 @@ SHADING_STD_PER_BLUR = 0.05  # how that grows with the edge's blur, for the same
 OUTLINE_SHADING_STD_PX = 0.15  # where nothing is known of the light: a limb fades or shines
 END_STRIP_FRACTION = 0.25  # of the half width about the middle, where the end's arc has its apex
 END_REACH_HALF_WIDTHS = 0.9  # along the shaft: an arc's apex lies up to one half width before the corners
-# The least deviation of the shaft's end: a few points across a rounded end share their error
-MIN_END_STD_PX = 0.3
+MIN_END_STD_PX = 0.3  # of the shaft's end: a few points across a rounded end share their error
 MAX_LOG_RATIO = 0.25  # between radii by circle and area: further apart they are different things
-# Points of the border that err independently: it is cut by fork and jaws, each over an eighth
-BORDER_POINTS = 8.0
-# What neighbours of other colours within the border's blur shift it, over that blur
-BORDER_STD_PER_BLUR = 0.1
+BORDER_POINTS = 8.0  # of the border that err independently: it is cut by fork and jaws, each over an eighth
+BORDER_STD_PER_BLUR = (
+    0.1  # what neighbours of other colours within the border's blur shift it, over that blur
+)
 CENTROID_STD = 0.045  # by how much hidden parts move the region's centroid, over the radius
-
-DEFAULT = DistalMarkerSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,12 +67,12 @@ class DistalMarker:
 
 
 def detect_distal_marker(
-    image_hsv: Image, mask: Image, region: Region | None, settings: DistalMarkerSettings = DEFAULT
+    image_hsv: Image, mask: Image, region: Region | None, settings: DistalMarkerSettings
 ) -> DistalMarker | None:
     """The region of the mask (h, w) as a disc, sized where the colour has half its strength; None of bare steel."""
     if region is None or _median_saturation(image_hsv, mask) < settings.min_saturation:
         return None
-    disc = marker_disc(image_hsv, mask, region)
+    disc = _marker_disc(image_hsv, mask, region)
     if disc is None:
         std_px = 0.5 * float(np.sqrt(region.area_px / np.pi))
         return DistalMarker(region.centroid_px, std_px, None, 0.0, None, region.area_px)
@@ -86,7 +83,7 @@ def detect_distal_marker(
     return DistalMarker(region.centroid_px, std_px, whole_px, radius_std_px, disc, region.area_px)
 
 
-def marker_disc(image_hsv: Image, mask: Image, region: Region) -> Disc | None:
+def _marker_disc(image_hsv: Image, mask: Image, region: Region) -> Disc | None:
     """The circle along a region's border; None at the image's border, or where the colour's border is another."""
     corners = region.hull.reshape(-1, 2)
     height, width = mask.shape
@@ -117,7 +114,6 @@ def _median_saturation(image_hsv: Image, mask: Image) -> float:
     return float(np.mean(middle))
 
 
-DEFAULT_SHAFT = ShaftSettings()
 MIN_LINE_POINTS, MIN_END_POINTS = 5, 4
 
 
@@ -160,7 +156,7 @@ NO_SHAFT = ShaftDetection((), None, None, None, True)
 
 
 def detect_shaft(
-    brightness: Image, region: ShaftRegion | None, camera: Camera, settings: ShaftSettings = DEFAULT_SHAFT
+    brightness: Image, region: ShaftRegion | None, camera: Camera, settings: ShaftSettings
 ) -> ShaftDetection:
     """Measure contours and rim of a shaft that was found; `NO_SHAFT` for none."""
     if region is None:
@@ -276,8 +272,7 @@ def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array, settings: S
     if region.end_px is None:
         return None
     half_width_px = 0.5 * float(np.linalg.norm(region.first.end_px - region.second.end_px))
-    strip = END_STRIP_FRACTION * half_width_px
-    across = np.array([-towards_tip[1], towards_tip[0]]) * strip
+    across = np.array([-towards_tip[1], towards_tip[0]]) * (END_STRIP_FRACTION * half_width_px)
     reach_px = END_REACH_HALF_WIDTHS * half_width_px
     rough = (region.end_px - across, region.end_px + across, towards_tip)
     points_px = edge_points(brightness, rough, reach_px, settings)

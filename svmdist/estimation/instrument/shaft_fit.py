@@ -8,30 +8,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.measurement import EXACT, Deviations
+from svmdist.estimation.instrument import shaft_model
+from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.shaft_detection import DistalMarker, ShaftDetection
-from svmdist.estimation.instrument.shaft_model import (
-    BentTool,
-    Landmarks,
-    Residual,
-    ShaftModel,
-    ShaftState,
-    contour_residual,
-    marker_residuals,
-    prior_residual,
-    rim_residual,
-    tip_residual,
-)
+from svmdist.estimation.instrument.shaft_model import Landmarks, Residual, ShaftModel, ShaftState
 from svmdist.least_squares import NormalEquations, Steps, minimise
 from svmdist.profile.settings import ShaftSettings
 from svmdist.results import Failure, ToolPose, across_std_rad
 from svmdist.transforms import Array, make_transform
-from svmdist.vision.lines import CylinderAxis, apparent_radius_px, axis_of_cylinder, undistorted
+from svmdist.vision.lines import apparent_radius_px, axis_of_cylinder, undistorted
 
 GATE_CHI2 = 12.0  # squared deviation that one in 400 true measurements of two numbers exceeds
 DOUBT_SQUARE = 2.25  # of the marker's size against the depth by the shaft: 1.5 deviations, more than chance
-
-MAX_TURN_RAD = 0.5  # of one step: beyond it the derivatives of the residuals say nothing
+STEPS = Steps(
+    max_steps=12, settled=1e-5
+)  # a step below it, in m and rad, is the last: the next would be its square
 
 
 def normal_equations(found: Sequence[Residual]) -> NormalEquations:
@@ -48,12 +39,6 @@ def normalised_square(residual: Residual) -> float:
     C = by_constants([residual])
     covariance = np.eye(len(residual.whitened)) + C @ C.T
     return float(residual.whitened @ np.linalg.solve(covariance, residual.whitened))
-
-
-def retracted(state: ShaftState, step: Array) -> ShaftState:
-    """The state after a step, shape (8,), shortened where it would turn the shaft too far."""
-    turn_rad = float(np.linalg.norm(step[3:]))
-    return state.retracted(step * min(1.0, MAX_TURN_RAD / max(turn_rad, 1e-12)))
 
 
 def by_constants(found: Sequence[Residual]) -> Array:
@@ -73,18 +58,12 @@ def first_shaft(
     shaft: ShaftDetection, marker: DistalMarker | None, model: ShaftModel, camera: Camera
 ) -> Array | Failure:
     """A first `T_camera_shaft`, shape (4, 4): by the closed form, or by nominal kinematics; or why there is none."""
-    if len(shaft.contours) == 2:
-        return _start_from_sides(shaft, marker, model, camera)
-    return _start_from_nominal(marker, model, camera)
-
-
-def _start_from_sides(
-    shaft: ShaftDetection, marker: DistalMarker | None, model: ShaftModel, camera: Camera
-) -> Array | Failure:
+    if len(shaft.contours) != 2:
+        return _start_from_nominal(marker, model, camera)
     axis = axis_of_cylinder(shaft.contours[0].plane, shaft.contours[1].plane, model.radius_m)
     if axis is None:
         return Failure("the shaft's sides are too close together")
-    d = _turned_to_tip(axis, shaft, model, camera)
+    d = _turned_to_tip(axis.direction, shaft, model, camera)
     if d is None:
         return Failure("nothing tells the shaft's tip from its base")
     hinge_m = _along_axis(axis.point_m, d, shaft, marker, model, camera)
@@ -103,10 +82,7 @@ def _start_from_nominal(marker: DistalMarker | None, model: ShaftModel, camera: 
     return make_transform(model.R_camera_shaft, tool_m - model.R_camera_shaft @ model.T_shaft_tool[:3, 3])
 
 
-def _turned_to_tip(
-    axis: CylinderAxis, shaft: ShaftDetection, model: ShaftModel, camera: Camera
-) -> Array | None:
-    d = axis.direction
+def _turned_to_tip(d: Array, shaft: ShaftDetection, model: ShaftModel, camera: Camera) -> Array | None:
     if shaft.towards_tip is not None and shaft.middle_px is not None:
         x, y, _ = _ray(shaft.middle_px, camera)
         flow = np.array([d[0] - x * d[2], d[1] - y * d[2]])
@@ -152,11 +128,6 @@ def _ray(pixel: Array, camera: Camera) -> Array:
     return np.array([x, y, 1.0])
 
 
-DEFAULT = ShaftSettings()
-STEPS = Steps(max_steps=12, settled=1e-5)
-"""A step below `settled`, in m and rad, ends the iteration: the next would be its square."""
-
-
 @dataclass(frozen=True, slots=True)
 class ShaftFit:
     """The tool's pose, the shaft's frame `T_camera_shaft`, and the measurements that carried them."""
@@ -171,8 +142,8 @@ def fit_shaft(
     marker: DistalMarker | None,
     model: ShaftModel,
     camera: Camera,
-    settings: ShaftSettings = DEFAULT,
-    deviations: Deviations = EXACT,
+    settings: ShaftSettings,
+    deviations: Deviations,
 ) -> ShaftFit | Failure:
     """The pose that fits most of what was seen without contradiction; or why there is none."""
     if shaft.is_stub and shaft.contours and marker is None:
@@ -215,21 +186,21 @@ def _fit(
 
     def residuals(state: ShaftState) -> list[Residual]:
         found = [
-            contour_residual(contour, whitening, state, model.radius_m, np.diag(camera.K)[:2], deviations)
+            shaft_model.contour_residual(contour, whitening, state, model, camera, deviations)
             for contour, whitening in zip(seen.shaft.contours, whitenings, strict=True)
         ]
         if seen.shaft.rim is not None:
-            found.append(rim_residual(seen.shaft.rim, state, model, camera, settings))
+            found.append(shaft_model.rim_residual(seen.shaft.rim, state, model, camera, settings))
         if seen.marker is not None:
-            found += marker_residuals(seen.marker, BentTool.of(state, model), model, camera, deviations)
+            found.append(shaft_model.marker_residual(seen.marker, state, model, camera, deviations))
+        if seen.marker is not None and seen.marker.radius_px is not None:
+            found.append(shaft_model.size_residual(seen.marker, state, model, camera, deviations))
         if seen.shaft.wrist is not None:
-            tool = BentTool.of(state, model)
-            found.append(tip_residual(seen.shaft.wrist, tool, model, camera))
-        return [*found, prior_residual(state, start, model)]
+            found.append(shaft_model.tip_residual(seen.shaft.wrist, state, model, camera))
+        return [*found, shaft_model.prior_residual(state, start, model)]
 
-    least = minimise(
-        ShaftState(start, np.zeros(2)), lambda state: normal_equations(residuals(state)), retracted, STEPS
-    )
+    first = ShaftState(start, np.zeros(2))
+    least = minimise(first, lambda state: normal_equations(residuals(state)), ShaftState.retracted, STEPS)
     if least is None:
         return Failure("the fit does not converge")
     found = residuals(least.state)
@@ -243,10 +214,9 @@ def _fit(
 
 def pose_at(state: ShaftState, information: Array, model: ShaftModel) -> ToolPose:
     """The tool's pose at a minimum, with its covariance by the information, shape (8, 8)."""
-    tool, axis = BentTool.of(state, model), state.T[:3, 2].copy()
-    of_state = np.asarray(np.linalg.inv(information))
-    covariance = tool.derivative @ of_state @ tool.derivative.T
-    return ToolPose(tool.T, covariance, axis, across_std_rad(of_state[3:6, 3:6], axis))
+    T, by_state = shaft_model.bent_tool(state, model)
+    axis, of_state = state.T[:3, 2].copy(), np.asarray(np.linalg.inv(information))
+    return ToolPose(T, by_state @ of_state @ by_state.T, axis, across_std_rad(of_state[3:6, 3:6], axis))
 
 
 def doubted(pose: ToolPose, variance: float) -> ToolPose:

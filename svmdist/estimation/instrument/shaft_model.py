@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import ProfileError
-from svmdist.estimation.instrument.measurement import EXACT, Deviations, SharedBias, edge_by_radius
+from svmdist.estimation.instrument.measurement import Deviations, SharedBias, edge_by_radius
 from svmdist.estimation.instrument.model import NECK_PER_RADIUS
 from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, Rim, ShaftDetection
 from svmdist.kinematics import DHChain, frame_transforms, joint_axis, rows_behind_insertion
@@ -24,7 +24,7 @@ OUTLINE_END_STD_RADII = 0.25  # of the cylinder's end in an outline: clevises di
 UNKNOWN_OUTLINE_END_STD_RADII = 0.45  # without the profile's word: real instruments had 0 and 0.9 radii
 JAW_TIP_STD = 0.35  # of an outline's tip over the length of closed, straight jaws: they open and turn
 
-DEFAULT = ShaftSettings()
+MAX_TURN_RAD = 0.5  # of one step: beyond it the derivatives of the residuals say nothing
 OUTLINE_END_PER_RADIUS = 0.9
 """The clevis of a da Vinci instrument of 8 mm reaches so far beyond the wrist's pitch axis, over the shaft's radius."""
 
@@ -45,14 +45,11 @@ class ShaftModel:
     radius_m: float
     neck_m: float
     knuckle_radius_m: float
-    marker_std_m: float = 0.0
-    """How far the distal marker may be from the tool's origin, along each axis, and how wrong the wrist's length is."""
-    outline_end_m: float = 0.0
-    """How far before the hinge the outline stops being a cylinder's, and how wrong that may be."""
-    outline_end_std_m: float = 0.0
-    jaw_length_m: float = 0.0
-    jaws: Array = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
-    """The direction of straight, closed jaws in the tool's frame, shape (3,), of length 1."""
+    marker_std_m: float  # of the distal marker's place at the tool's origin, and of the wrist's length
+    outline_end_m: float  # how far before the hinge the outline stops being a cylinder's
+    outline_end_std_m: float
+    jaw_length_m: float
+    jaws: Array  # the direction of straight, closed jaws in the tool's frame, shape (3,), of length 1
 
 
 def shaft_model(
@@ -60,7 +57,7 @@ def shaft_model(
     chain: DHChain,
     instrument: Instrument,
     error: KinematicError,
-    settings: ShaftSettings = DEFAULT,
+    settings: ShaftSettings,
 ) -> ShaftModel:
     """What is known before looking: the instrument's sizes, the wrist's bend, and the nominal rotation."""
     state = robot if isinstance(robot, RobotState) else None
@@ -80,10 +77,7 @@ def shaft_model(
         # How much the wrist is bent is known, but not to which side in the camera frame.
         tool = T_shaft_tool[:3, 3]
         bend_std_rad = max(0.05, float(np.arctan2(np.hypot(tool[0], tool[1]), tool[2])))
-        straight_m = [0.0, 0.0, float(np.linalg.norm(tool))]
-        T_shaft_tool = make_transform(np.eye(3), straight_m) @ make_transform(
-            T_shaft_tool[:3, :3], np.zeros(3)
-        )
+        T_shaft_tool = make_transform(T_shaft_tool[:3, :3], [0.0, 0.0, float(np.linalg.norm(tool))])
     return ShaftModel(
         T_shaft_tool,
         bend_std_rad,
@@ -139,9 +133,7 @@ def shaft_frames(chain: DHChain, q: Array) -> tuple[Array, Array]:
     return T_base_shaft, inverse(T_base_shaft) @ frames[-1] @ chain.T_last_tool
 
 
-NO_FOCAL_PX = np.ones(2)  # where no deviation asks for it
-FREE_RAD, FREE_M = 3.0, 0.1
-"""Standard deviations of an angle and of a place of which nothing is known: half a turn, a whole scene."""
+FREE_RAD, FREE_M = 3.0, 0.1  # deviations of what nothing is known of: half a turn, a whole scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +144,8 @@ class ShaftState:
     bend: Array
 
     def retracted(self, step: Array) -> ShaftState:
-        """The state after a step of the tangent space, shape (8,)."""
+        """The state after a step of the tangent space, shape (8,), shortened where it would turn the shaft too far."""
+        step = step * min(1.0, MAX_TURN_RAD / max(float(np.linalg.norm(step[3:])), 1e-12))
         T = make_transform(rotation_of(step[3:6]) @ self.T[:3, :3], self.T[:3, 3] + step[:3])
         return ShaftState(T, self.bend + step[6:])
 
@@ -175,42 +168,35 @@ class Residual:
     constants: tuple[SharedBias, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class BentTool:
+def bent_tool(state: ShaftState, model: ShaftModel) -> tuple[Array, Array]:
     """The tool behind the bent wrist: `T_camera_tool`, shape (4, 4), and its derivative (δp, δθ), shape (6, 8)."""
-
-    T: Array
-    derivative: Array
-
-    @staticmethod
-    def of(state: ShaftState, model: ShaftModel) -> BentTool:
-        """The tool of a state."""
-        bend = np.array([state.bend[0], state.bend[1], 0.0])
-        R = state.T[:3, :3] @ rotation_of(bend)
-        arm_m = R @ model.T_shaft_tool[:3, 3]
-        derivative = np.zeros((6, 8))
-        derivative[:3, :3] = derivative[3:, 3:6] = np.eye(3)
-        derivative[3:, 6:] = state.T[:3, :3] @ left_jacobian(bend)[:, :2]
-        derivative[:3, 3:] = -skew(arm_m) @ derivative[3:, 3:]
-        return BentTool(make_transform(R @ model.T_shaft_tool[:3, :3], state.T[:3, 3] + arm_m), derivative)
+    bend = np.array([state.bend[0], state.bend[1], 0.0])
+    R = state.T[:3, :3] @ rotation_of(bend)
+    arm_m = R @ model.T_shaft_tool[:3, 3]
+    derivative = np.zeros((6, 8))
+    derivative[:3, :3] = derivative[3:, 3:6] = np.eye(3)
+    derivative[3:, 6:] = state.T[:3, :3] @ left_jacobian(bend)[:, :2]
+    derivative[:3, 3:] = -skew(arm_m) @ derivative[3:, 3:]
+    return make_transform(R @ model.T_shaft_tool[:3, :3], state.T[:3, 3] + arm_m), derivative
 
 
 def contour_residual(
     contour: Contour,
     whitening: Array,
     state: ShaftState,
-    radius_m: float,
-    focal_px: Array = NO_FOCAL_PX,
-    deviations: Deviations = EXACT,
+    model: ShaftModel,
+    camera: Camera,
+    deviations: Deviations,
 ) -> Residual:
     """The plane that touches the shaft along one side; `whitening`, shape (2, 3), is the plane's own."""
-    d = state.T[:3, 2]
-    normal, by_point, by_direction = tangent_normal(state.T[:3, 3], d, radius_m, contour.side)
+    hinge_m, d, radius_m = state.T[:3, 3], state.T[:3, 2], np.array(model.radius_m)
+    normal, by_point, by_direction = tangent_normal(hinge_m, d, model.radius_m, contour.side)
     derivative = np.zeros((2, 8))
     derivative[:, :3] = whitening @ by_point
     derivative[:, 3:6] = -whitening @ by_direction @ skew(d)
-    by_radius = edge_by_radius(state.T[:3, 3], d, np.array(radius_m), np.array(contour.side))
-    constants = deviations.of_edge(contour.plane.normal, whitening, by_radius, np.array(radius_m), focal_px)
+    by_radius = edge_by_radius(hinge_m, d, radius_m, np.array(contour.side))
+    focal_px = np.diag(camera.K)[:2]
+    constants = deviations.of_edge(contour.plane.normal, whitening, by_radius, radius_m, focal_px)
     off = whitening @ (contour.plane.normal - normal)
     return Residual(f"side {contour.side:+d}", off, derivative, constants)
 
@@ -221,8 +207,7 @@ def rim_residual(
     """Where the dark part ends: the end of the generatrix that faces the camera. An outline's end is on the axis."""
     ahead_m, radius_m, model_std_m = -model.neck_m, model.radius_m, settings.end_model_std_m
     if rim.is_outline:
-        ahead_m, radius_m = model.outline_end_m, 0.0
-        model_std_m = model.outline_end_std_m
+        ahead_m, radius_m, model_std_m = model.outline_end_m, 0.0, model.outline_end_std_m
     hinge_m, d = state.T[:3, 3], state.T[:3, 2]
     along_m = float(d @ hinge_m)
     foot_m = hinge_m - along_m * d
@@ -245,46 +230,50 @@ def rim_residual(
     return Residual("rim", np.array([off]), derivative)
 
 
-def marker_residuals(
-    marker: DistalMarker, tool: BentTool, model: ShaftModel, camera: Camera, deviations: Deviations = EXACT
-) -> list[Residual]:
-    """The marker's middle at the tool's origin, and its radius where the whole of it is visible."""
-    tool_m, by_state = tool.T[:3, 3], tool.derivative[:3]
-    pixel, by_point = camera.project_with_derivative(tool_m)
-    biases = deviations.of_pixels(marker.centre_px, camera)
+def marker_residual(
+    marker: DistalMarker, state: ShaftState, model: ShaftModel, camera: Camera, deviations: Deviations
+) -> Residual:
+    """The marker's middle at the tool's origin."""
+    T, by_state = bent_tool(state, model)
+    pixel, by_point = camera.project_with_derivative(T[:3, 3])
     place = SharedBias("marker place", model.marker_std_m * by_point)
-    constants = tuple(bias.scaled(1.0 / marker.std_px) for bias in (*biases, place))
+    biases = (*deviations.of_pixels(marker.centre_px, camera), place)
+    constants = tuple(bias.scaled(1.0 / marker.std_px) for bias in biases)
     off = (marker.centre_px - pixel) / marker.std_px
-    found = [Residual("distal marker", off, by_point @ by_state / marker.std_px, constants)]
-    if marker.radius_px is not None:
-        radius_px = float(apparent_radius_px(tool_m, model.knuckle_radius_m, camera))
-        slope = radius_px * 0.5 * tool_m / float(tool_m @ tool_m)
-        slope[2] -= 1.5 * radius_px / tool_m[2]
-        off = np.array([(marker.radius_px - radius_px) / marker.radius_std_px])
-        biases = deviations.of_radius(np.array(radius_px))
-        constants = tuple(bias.scaled(1.0 / marker.radius_std_px) for bias in biases)
-        found.append(Residual("size", off, (slope @ by_state / marker.radius_std_px)[None], constants))
-    return found
+    return Residual("distal marker", off, by_point @ by_state[:3] / marker.std_px, constants)
 
 
-def tip_residual(wrist: WristPoint, tool: BentTool, model: ShaftModel, camera: Camera) -> Residual:
+def size_residual(
+    marker: DistalMarker, state: ShaftState, model: ShaftModel, camera: Camera, deviations: Deviations
+) -> Residual:
+    """The radius of a marker that is visible as a whole."""
+    T, by_state = bent_tool(state, model)
+    tool_m, measured_px, std_px = T[:3, 3], marker.radius_px or 0.0, marker.radius_std_px
+    radius_px = float(apparent_radius_px(tool_m, model.knuckle_radius_m, camera))
+    slope = radius_px * 0.5 * tool_m / float(tool_m @ tool_m)
+    slope[2] -= 1.5 * radius_px / tool_m[2]
+    constants = tuple(bias.scaled(1.0 / std_px) for bias in deviations.of_radius(np.array(radius_px)))
+    off = np.array([(measured_px - radius_px) / std_px])
+    return Residual("size", off, (slope @ by_state[:3] / std_px)[None], constants)
+
+
+def tip_residual(wrist: WristPoint, state: ShaftState, model: ShaftModel, camera: Camera) -> Residual:
     """The outline's tip: closed jaws that go on as the wrist does. How long it looks tells how far that is turned."""
-    along = tool.T[:3, :3] @ model.jaws
-    arm_m = model.jaw_length_m * along
-    pixel, by_point = camera.project_with_derivative(tool.T[:3, 3] + arm_m)
-    std_px = JAW_TIP_STD * model.jaw_length_m * float(camera.K[0, 0]) / float(tool.T[2, 3])
-    by_state = tool.derivative[:3] - skew(arm_m) @ tool.derivative[3:]
+    T, by_state = bent_tool(state, model)
+    arm_m, depth_m = model.jaw_length_m * (T[:3, :3] @ model.jaws), float(T[2, 3])
+    pixel, by_point = camera.project_with_derivative(T[:3, 3] + arm_m)
+    std_px = JAW_TIP_STD * model.jaw_length_m * float(camera.K[0, 0]) / depth_m
     off = (wrist.tip_px - pixel) / std_px
     # The deviation depends on the depth, too.
-    derivative = by_point @ by_state / std_px - np.outer(off, tool.derivative[2] / float(tool.T[2, 3]))
-    return Residual("jaws' tip", off, derivative)
+    moved = by_point @ (by_state[:3] - skew(arm_m) @ by_state[3:]) / std_px
+    return Residual("jaws' tip", off, moved - np.outer(off, by_state[2] / depth_m))
 
 
 def prior_residual(state: ShaftState, start: Array, model: ShaftModel) -> Residual:
     """Nominal kinematics: the shaft's rotation, the wrist's bend, and no more than a scene's size from the start."""
-    is_known = model.R_camera_shaft is not None
-    R_prior = model.R_camera_shaft if model.R_camera_shaft is not None else start[:3, :3]
-    std_rad = model.rotation_std_rad if is_known else FREE_RAD
+    R_prior, std_rad = start[:3, :3], FREE_RAD
+    if model.R_camera_shaft is not None:
+        R_prior, std_rad = model.R_camera_shaft, model.rotation_std_rad
     turn = rotation_vector(state.T[:3, :3] @ R_prior.T)
     away_m = state.T[:3, 3] - start[:3, 3]
     off = -np.concatenate([turn / std_rad, state.bend / model.bend_std_rad, away_m / FREE_M])

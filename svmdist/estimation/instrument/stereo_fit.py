@@ -23,13 +23,12 @@ from svmdist.estimation.instrument.shaft_fit import (
     normal_equations,
     normalised_square,
     pose_at,
-    retracted,
 )
 from svmdist.estimation.instrument.shaft_model import (
-    BentTool,
     Residual,
     ShaftModel,
     ShaftState,
+    bent_tool,
     prior_residual,
 )
 from svmdist.estimation.instrument.two_views import (
@@ -51,8 +50,7 @@ from svmdist.transforms import Array, inverse, make_transform
 MISTAKEN_EDGE = 0.03  # how often a long edge belongs to something else; decides what to leave out
 MISTAKEN_STUB = 0.2  # the same for a stub: one edge in five
 MISTAKEN_RIM = 0.2  # how often the cylinder's end is something else: what lies across the shaft ends it, too
-# How often what has the marker's colour is not the marker. A disc in both views never is
-MISTAKEN_MARKER = 0.05
+MISTAKEN_MARKER = 0.05  # how often what has its colour is not the marker. A disc in both views never is
 MISTAKEN_SIZE = 0.1  # how often the marker's size is not that of the whole marker: blood and jaws hide a part
 MISTAKEN_DISPARITY = 0.02  # how often the marker's disparity is wrong
 MAX_REFUSED = 4  # parts that may contradict the rest; with more nothing tells which is right
@@ -85,10 +83,7 @@ class _Solution:
 
     def excess(self) -> dict[str, float]:
         """Each residual's normalised square over what one in 400 true ones exceeds."""
-        return {
-            name: normalised_square(residual) / _bound(len(residual.whitened))
-            for name, residual in self.found.items()
-        }
+        return {name: normalised_square(one) / _bound(len(one.whitened)) for name, one in self.found.items()}
 
 
 def fit_two_views(
@@ -97,7 +92,6 @@ def fit_two_views(
     """The pose that fits most of what both views show; or why there is none."""
     measured = measurements(seen, model, deviations, settings)
     failure = Failure("nothing of the instrument is to be seen")
-    whole = _is_disc_in_both(seen)
     for start in first_poses(seen, model):
         if isinstance(start, Failure):
             failure = start
@@ -106,10 +100,9 @@ def fit_two_views(
         found = agreed if isinstance(agreed, Failure) else _fitted(agreed, measured, seen, model)
         if isinstance(found, StereoFit) and found.pose.position_std_m <= stereo.max_depth_std_m:
             return found
-        if whole and MARKER in measured:
+        if _is_disc_in_both(seen):
             # A disc at one place in both views is the tool, whatever stands beside it.
-            only = {name: measured[name] for name in (MARKER, DISPARITY)}
-            alone = _solve(start, only, model)
+            alone = _solve(start, {name: measured[name] for name in (MARKER, DISPARITY)}, model)
             if alone is not None and max(alone.excess().values()) <= 1.0:
                 return _fitted(alone, measured, seen, model)
         if isinstance(found, StereoFit):
@@ -139,14 +132,9 @@ def _check(
     agreed: _Solution, measured: dict[str, Predicted], seen: TwoViews, model: ShaftModel
 ) -> DisparityCheck | None:
     """The disparity against the depth by the width of a long shaft; None without both."""
-    is_long = dict(zip(VIEWS, (not view.shaft.is_stub for view in (seen.left, seen.right)), strict=True))
-    others = {
-        name: predict
-        for name, predict in measured.items()
-        if name in agreed.found
-        and name not in (DISPARITY, SIZE)
-        and all(is_long[view] for view in VIEWS if name.startswith(view))
-    }
+    stubs = [name for name, view in zip(VIEWS, (seen.left, seen.right), strict=True) if view.shaft.is_stub]
+    names = (name for name in measured if name in agreed.found and name not in (DISPARITY, SIZE))
+    others = {name: measured[name] for name in names if not name.startswith(tuple(stubs))}
     if DISPARITY not in measured or not _has_width(others):
         return None
     without = _solve(agreed.state.T, others, model)
@@ -158,9 +146,8 @@ def _check(
     C = by_constants([residual])
     std = float(np.sqrt(of_pose + 1.0 + (C @ C.T)[0, 0]))
     # Whitened numbers over what all of the depth would change: a share of the disparity, or of the depth.
-    tool_m = BentTool.of(without.state, model).T[:3, 3]
-    towards = np.concatenate([tool_m, np.zeros(5)])
-    per_whole = abs(float(slope @ towards))
+    tool_m = bent_tool(without.state, model)[0][:3, 3]
+    per_whole = abs(float(slope @ np.concatenate([tool_m, np.zeros(5)])))
     if of_pose > (MAX_CHECK_STD * per_whole) ** 2:
         return None
     return DisparityCheck(float(residual.whitened[0]) / per_whole, std / per_whole)
@@ -230,8 +217,7 @@ def first_poses(seen: TwoViews, model: ShaftModel) -> Iterator[Array | Failure]:
             if tool_m is not None:  # disparity is nearer to the truth than the width of a stub
                 yield make_transform(T[:3, :3], tool_m - T[:3, :3] @ model.T_shaft_tool[:3, 3])
             yield np.asarray(T)
-    if tool_m is not None and model.R_camera_shaft is not None:
-        R = model.R_camera_shaft
+    if tool_m is not None and (R := model.R_camera_shaft) is not None:
         yield make_transform(R, tool_m - R @ model.T_shaft_tool[:3, 3])
 
 
@@ -243,7 +229,7 @@ def _solve(start: Array, measured: dict[str, Predicted], model: ShaftModel) -> _
     def linearised(state: ShaftState) -> NormalEquations:
         return normal_equations(list(residuals(state).values()))
 
-    least = minimise(ShaftState(start, np.zeros(2)), linearised, retracted, STEPS)
+    least = minimise(ShaftState(start, np.zeros(2)), linearised, ShaftState.retracted, STEPS)
     if least is None:
         return None
     return _Solution(least.state, residuals(least.state), least.equations.cost, least.equations.information)

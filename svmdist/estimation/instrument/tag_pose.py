@@ -27,10 +27,8 @@ from svmdist.vision.tags import pose_candidates
 
 WINDOW_MARGIN = 0.2  # around the corners, over the tag's size: 0.075 is needed, more allows for wrong corners
 BLUR_MIN_PX = 0.3  # the sharpest image that is considered: a pixel's own area blurs by 0.29 px
-# The most blurred image that is considered. Of a tag 40 px wide no cell would be seen any more
-BLUR_MAX_PX = 6.0
-# How many pixels the search from a first pose looks at; a tag 40 px wide has twice as many
-COARSE_PIXELS = 1500
+BLUR_MAX_PX = 6.0  # the most blurred one: of a tag 40 px wide no cell would be seen any more
+COARSE_PIXELS = 1500  # that the search from a first pose looks at; a tag 40 px wide has twice as many
 COARSE_STEPS = 16  # steps of the search from each first pose, at most. It takes 4 on a clear image
 COARSELY_SETTLED = 3e-3  # largest part of a last step, in tag sides, rad and px of blur
 COARSE_BOUND = 3.0  # pixels that differ by more standard deviations count singly (Huber)
@@ -39,8 +37,7 @@ SETTLED = 1e-4  # a last step: what is left is 0.3 µm of a tag of 7 mm, a hundr
 OUTLIER_BOUND = 6.0  # tukey's biweight, 95 % efficient on normal errors: glare and blood are outliers
 CLUSTER_INFLATION = 2.2  # pixels that sample a point shift edges along rows: measured on 450 tags of 40 px
 DECIDED_RATIO = 1.15  # of residuals of both poses: above 1.3 in nine of ten of 347 simulated frames
-# Poses closer than this are one: a tag that is seen head-on has one minimum, with a wide covariance
-NEAR_RAD = 0.05
+NEAR_RAD = 0.05  # poses closer than this are one: a tag seen head-on has one minimum, with a wide covariance
 SURE_RAD = 0.03  # a predicted rotation so certain tells poses apart even at 10° of tilt
 PREDICTED_WITHIN_RAD = 0.35  # twice 2° about each axis and 1° in each of seven joints
 
@@ -64,18 +61,17 @@ class TagPose:
     blur_px: float
 
 
-def lay_coarsely(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) -> LaidPattern | None:
+def _lay_coarsely(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) -> LaidPattern | None:
     """From a first pose to near the minimum, on some of the pixels; None where the pattern does not hold."""
     some = pixels.thinned(COARSE_PIXELS)
     start = start_overlay(some, T_camera_tag, pattern)
     if start is None:
         return None
-    overlay, std = start
-    loss = Loss(COARSE_BOUND * std, is_biweight=False)
-    return _minimise(some, overlay, pattern, loss, COARSE_STEPS, COARSELY_SETTLED)
+    loss = Loss(COARSE_BOUND * start[1], is_biweight=False)
+    return _minimise(some, start[0], pattern, loss, COARSE_STEPS, COARSELY_SETTLED)
 
 
-def refine_fit(pixels: TagPixels, coarse: LaidPattern, pattern: TagPattern) -> TagPose | None:
+def _refine_fit(pixels: TagPixels, coarse: LaidPattern, pattern: TagPattern) -> TagPose | None:
     """From near the minimum to it, on all pixels but the outliers; None where the pattern does not hold."""
     loss = Loss(OUTLIER_BOUND * coarse.std, is_biweight=True)
     fit = _minimise(pixels, coarse.overlay, pattern, loss, FINE_STEPS, SETTLED)
@@ -92,29 +88,18 @@ def refine_fit(pixels: TagPixels, coarse: LaidPattern, pattern: TagPattern) -> T
 def _minimise(
     pixels: TagPixels, start: Overlay, pattern: TagPattern, loss: Loss, max_steps: int, settled: float
 ) -> LaidPattern | None:
-    def linearise(overlay: Overlay) -> LaidPattern | None:
-        return lay_pattern(pixels, overlay, pattern, loss)
-
     def retract(overlay: Overlay, step: Array) -> Overlay:
         # Shortened as a whole: blur and contrast, depth and tilt go together.
         step = step / max(1.0, float(np.max(np.abs(step) / STEP_LIMIT)))
         T, R = overlay.T_camera_tag, overlay.T_camera_tag[:3, :3]
         moved = make_transform(R @ cv2.Rodrigues(step[3:6])[0], T[:3, 3] + pattern.size_m * (R @ step[:3]))
         blur_px = min(max(overlay.blur_px + float(step[6]), BLUR_MIN_PX), BLUR_MAX_PX)
-        return Overlay(
-            moved, blur_px, overlay.offset + GREY * float(step[7]), overlay.contrast + GREY * float(step[8])
-        )
+        offset, contrast = overlay.offset + GREY * float(step[7]), overlay.contrast + GREY * float(step[8])
+        return Overlay(moved, blur_px, offset, contrast)
 
     steps = Steps(max_steps, settled=settled, damping=DAMPING)
-    minimum = minimise(start, linearise, retract, steps)
+    minimum = minimise(start, lambda overlay: lay_pattern(pixels, overlay, pattern, loss), retract, steps)
     return None if minimum is None else cast(LaidPattern, minimum.equations)
-
-
-def on_tag(rays: Array, T_camera_tag: Array) -> Array:
-    """Where rays, shape (n, 3), meet the tag's plane, in its frame, shape (n, 2)."""
-    R, t = T_camera_tag[:3, :3], T_camera_tag[:3, 3]
-    depth = (R[:, 2] @ t) / (rays @ R[:, 2])
-    return np.asarray((depth[:, None] * rays - t) @ R[:, :2])
 
 
 def nudged(T: Array, error: Array) -> Array:
@@ -137,12 +122,12 @@ def find_tag_pose(
     small leaves one of them, a third of the work.
     """
     candidates = pose_candidates(corners_px, pattern.size_m, camera.K, camera.D)
-    pixels = _pixels_around(image_grey, corners_px, camera, WINDOW_MARGIN)
+    pixels = _pixels_around(image_grey, corners_px, camera)
     T_predicted = _sure_pose(candidates, R_camera_tag_predicted, predicted_std_rad)
     starts = candidates if T_predicted is None else [T_predicted]
-    fits = [lay_coarsely(pixels, T, pattern) for T in starts]
+    fits = [_lay_coarsely(pixels, T, pattern) for T in starts]
     coarse = _choose([fit for fit in fits if fit is not None], R_camera_tag_predicted)
-    return None if coarse is None else refine_fit(pixels, coarse, pattern)
+    return None if coarse is None else _refine_fit(pixels, coarse, pattern)
 
 
 def _sure_pose(candidates: list[Array], R_predicted: Array | None, predicted_std_rad: float) -> Array | None:
@@ -170,16 +155,16 @@ def _choose(fits: list[LaidPattern], R_predicted: Array | None) -> LaidPattern |
     return fits[nearest] if off_rad[nearest] < PREDICTED_WITHIN_RAD else None
 
 
-def _pixels_around(image_grey: Image, corners_px: Array, camera: Camera, margin: float) -> TagPixels:
-    """The pixels inside a tag's corners and a margin, over the tag's size, around them."""
+def _pixels_around(image_grey: Image, corners_px: Array, camera: Camera) -> TagPixels:
+    """The pixels inside a tag's corners and a margin around them."""
     height, width = image_grey.shape
-    margin_px = margin * float(np.ptp(corners_px, axis=0).max())
+    margin_px = WINDOW_MARGIN * float(np.ptp(corners_px, axis=0).max())
     x0, y0 = np.clip(np.floor(corners_px.min(0) - margin_px), 0, [width - 1, height - 1]).astype(int)
     x1, y1 = np.clip(np.ceil(corners_px.max(0) + margin_px) + 1, 1, [width, height]).astype(int)
     # Only what is inside the quadrilateral and its margin can lie on the tag.
     mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
     middle_px = corners_px.mean(0)
-    grown_px = middle_px + (1.0 + 2.0 * margin) * (corners_px - middle_px) - [x0, y0]
+    grown_px = middle_px + (1.0 + 2.0 * WINDOW_MARGIN) * (corners_px - middle_px) - [x0, y0]
     cv2.fillConvexPoly(mask, np.round(grown_px).astype(np.int32), 255)
     y, x = np.nonzero(mask)
     points_px = np.column_stack([x + x0, y + y0]).astype(np.float64)

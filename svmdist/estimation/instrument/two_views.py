@@ -5,22 +5,15 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from svmdist.camera import Camera
+from svmdist.estimation.instrument import shaft_model
 from svmdist.estimation.instrument.measurement import Deviations, SharedBias
-from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, Rim
-from svmdist.estimation.instrument.shaft_model import (
-    BentTool,
-    Landmarks,
-    Residual,
-    ShaftModel,
-    ShaftState,
-    contour_residual,
-    marker_residuals,
-    rim_residual,
-)
+from svmdist.estimation.instrument.shaft_detection import DistalMarker
+from svmdist.estimation.instrument.shaft_model import Landmarks, Residual, ShaftModel, ShaftState
 from svmdist.least_squares import median
 from svmdist.profile.hand_eye import BASELINE
 from svmdist.profile.settings import ShaftSettings, StereoSettings
@@ -31,17 +24,14 @@ from svmdist.vision.stereo import RectifiedPair
 
 ROW_TOLERANCE_PX = 3.0  # rectified points lie on one row; the marker is cut differently in each view
 MARKER_DISPARITY_STD = 0.012  # over the radius, in one frame: from 3° aside jaws hide other parts of it
-# Noise of the marker's disparity: that of two centroids of some hundred pixels
-MARKER_DISPARITY_NOISE_PX = 0.05
+MARKER_DISPARITY_NOISE_PX = 0.05  # of the marker's disparity: that of two centroids of some hundred pixels
 SIZE_TOLERANCE = 0.2  # of the size by depth; a smaller marker is partly hidden, in both views alike
 HIDDEN_DISPARITY_STD = 0.15  # over radius and hidden part: the centroid moves by a quarter more or less
 PART_DISPARITY_STD = 0.04  # over a disc's radius: from 3° aside another part of the region shows
 WATCH_FRAMES = 20  # frames over which disparities are held against the instrument's sizes
 WATCH_BOUND_STDS = 2.5  # in the median; beyond, it widens the depth: one log in eighty by chance
 
-DEFAULT = StereoSettings()
-# The angle between the views for which the settings state the disparity's deviation: 5 mm at 90 mm
-ASIDE_RAD = 0.056
+ASIDE_RAD = 0.056  # angle between the views for which disparities' deviations are stated: 5 mm at 90 mm
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +42,9 @@ class StereoMatch:
     std_px: float
     disparity_px: float
     disparity_std_px: float
-    is_other_part: bool = False
-    """Whether it is of another size than the marker that the profile states: part of it, or something else."""
+    is_other_part: bool = (
+        False  # of another size than the profile states: part of the marker, or something else
+    )
 
 
 def match_distal_marker(
@@ -62,8 +53,8 @@ def match_distal_marker(
     pair: RectifiedPair,
     radius_m: float | None,
     camera: Camera,
-    settings: StereoSettings = DEFAULT,
-    radius_std_fraction: float = 0.0,
+    settings: StereoSettings,
+    radius_std_fraction: float,
 ) -> StereoMatch | Failure:
     """Pair the markers of both views; or why they cannot be paired."""
     if left is None or right is None:
@@ -159,37 +150,25 @@ def measurements(
     found: dict[str, Predicted] = {}
     views = (("left", seen.left, seen.left_camera), ("right", seen.right, seen.right_camera))
     for view, landmarks, camera in views:
+        edge = partial(shaft_model.contour_residual, model=model, camera=camera, deviations=deviations)
         for contour in landmarks.shaft.contours:
-            edge = _edge(contour, camera, model, deviations)
-            found[f"{view} side {contour.side:+d}"] = _in_view(edge, view, seen, deviations)
+            plane = partial(edge, contour, contour.plane.whitening)
+            found[f"{view} side {contour.side:+d}"] = _in_view(plane, view, seen, deviations)
     # What hides a part of rim and marker hides it in both views alike: the second view adds its disparity only.
     for view, landmarks, camera in views:
         rim, marker = landmarks.shaft.rim, landmarks.marker
-        if rim is not None and RIM not in found:
-            found[RIM] = _in_view(_rim(rim, camera, model, settings), view, seen, deviations)
-        if marker is not None and MARKER not in found:
-            found[MARKER] = _in_view(_marker(marker, 0, camera, model, deviations), view, seen, deviations)
-        if marker is not None and marker.radius_px is not None and SIZE not in found:
-            found[SIZE] = _in_view(_marker(marker, 1, camera, model, deviations), view, seen, deviations)
+        known: dict[str, Predicted] = {}
+        if rim is not None:
+            known[RIM] = partial(shaft_model.rim_residual, rim, model=model, camera=camera, settings=settings)
+        for name, residual in ((MARKER, shaft_model.marker_residual), (SIZE, shaft_model.size_residual)):
+            if marker is not None and (name == MARKER or marker.radius_px is not None):
+                known[name] = partial(residual, marker, model=model, camera=camera, deviations=deviations)
+        for name, predict in known.items():
+            if name not in found:
+                found[name] = _in_view(predict, view, seen, deviations)
     if seen.match is not None:
         found[DISPARITY] = _disparity(seen, seen.match, model, deviations)
     return found
-
-
-def _edge(contour: Contour, camera: Camera, model: ShaftModel, deviations: Deviations) -> Predicted:
-    whitening, focal_px = contour.plane.whitening, np.diag(camera.K)[:2]
-    return lambda state: contour_residual(contour, whitening, state, model.radius_m, focal_px, deviations)
-
-
-def _rim(rim: Rim, camera: Camera, model: ShaftModel, settings: ShaftSettings) -> Predicted:
-    return lambda state: rim_residual(rim, state, model, camera, settings)
-
-
-def _marker(
-    marker: DistalMarker, which: int, camera: Camera, model: ShaftModel, deviations: Deviations
-) -> Predicted:
-    """The marker's middle (`which` 0), or its size (1)."""
-    return lambda state: marker_residuals(marker, BentTool.of(state, model), model, camera, deviations)[which]
 
 
 def _in_view(predict: Predicted, view: str, seen: TwoViews, deviations: Deviations) -> Predicted:
@@ -219,8 +198,8 @@ def _in_view(predict: Predicted, view: str, seen: TwoViews, deviations: Deviatio
 
 def _disparity(seen: TwoViews, match: StereoMatch, model: ShaftModel, deviations: Deviations) -> Predicted:
     def predict(state: ShaftState) -> Residual:
-        tool = BentTool.of(state, model)
-        tool_m = tool.T[:3, 3]
+        T, by_state = shaft_model.bent_tool(state, model)
+        tool_m = T[:3, 3]
         # d = f b / z, along rows; in the right view x changes with the point by f (1, 0, -x / z) / z.
         depth_m, along = seen.pair.depth_m(tool_m)
         disparity_px = seen.pair.disparity_at(depth_m)
@@ -237,7 +216,7 @@ def _disparity(seen: TwoViews, match: StereoMatch, model: ShaftModel, deviations
         return Residual(
             DISPARITY,
             np.array([(match.disparity_px - disparity_px) * scale]),
-            scale * (slope @ tool.derivative[:3])[None],
+            scale * (slope @ by_state[:3])[None],
             tuple(bias.scaled(scale) for bias in (*biases, moved, place)),
         )
 

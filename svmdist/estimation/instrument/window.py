@@ -51,11 +51,9 @@ def stack(frames: Iterable[tuple[LinkMeasurement, ...]]) -> list[Stack]:
     stacks: list[Stack] = []
     for members in groups.values():
         alike, indices, places = zip(*members, strict=True)
-        first: LinkMeasurement = alike[0]
-        stacked = {
-            name: np.stack([np.asarray(getattr(one, name)) for one in alike]) for name in first.STACKED
-        }
-        stacks.append((replace(first, **stacked), np.array(indices), np.array(places)))
+        names = alike[0].STACKED
+        stacked = {name: np.stack([np.asarray(getattr(one, name)) for one in alike]) for name in names}
+        stacks.append((replace(alike[0], **stacked), np.array(indices), np.array(places)))
     return stacks
 
 
@@ -122,8 +120,7 @@ class Window:
 
     def solve(self, start: Correction) -> Correction | None:
         """The correction that fits prior and frames best, from the start and from other depths."""
-        is_young = len(self) <= WINDOW_DEPTH_OFFSET_FRAMES
-        offsets_m = WINDOW_DEPTH_OFFSETS_M if is_young else (0.0,)
+        offsets_m = WINDOW_DEPTH_OFFSETS_M if len(self) <= WINDOW_DEPTH_OFFSET_FRAMES else (0.0,)
         self._time_offset_s, self._nominal = start.time_offset_s, None
         minima = [self._descend(start, geman_mcclure)]
         for offset_m in offsets_m:
@@ -188,18 +185,17 @@ class Window:
                 return None
             losses, weights = loss(weighed.deviation)
             cost += weighed.bound * float(losses.sum())
-            size = weighed.part.H.shape[-1]
             H = weighed.part.H.copy()
             H[..., self._model.columns.play] = 0.0  # as noise, in the information
-            WH = (weights[:, None, None] * (weighed.information @ H)).reshape(-1, size)
-            information += WH.T @ H.reshape(-1, size)
+            WH = (weights[:, None, None] * (weighed.information @ H)).reshape(-1, len(state))
+            information += WH.T @ H.reshape(-1, len(state))
             gradient += WH.T @ weighed.part.residual.ravel()
         return NormalEquations(cost, gradient, information)
 
     def _weighed(self, at: Correction) -> Iterator[tuple[Stack, _Weighed]]:
         if self._nominal is None:
             robots = [robot.shifted(self._time_offset_s) for robot, _ in self._frames]
-            self._nominal = self._model.nominal_of_many(robots)
+            self._nominal = NominalFrames.stack([self._model.nominal(robot) for robot in robots])
             self._stacks = stack(measurements for _, measurements in self._frames)
         links = self._model.links(self._nominal, at, self._anchor_m)
         for members in self._stacks:
