@@ -112,7 +112,7 @@ def _step(equations: NormalEquations, damping: float, limit: Array | None) -> Ar
     if damping > 0.0:
         information = information + damping * np.diag(np.diag(information))
     try:
-        step: Array = np.linalg.solve(information, equations.gradient)
+        step = np.asarray(np.linalg.solve(information, equations.gradient), np.float64)
     except np.linalg.LinAlgError:
-        step = np.linalg.lstsq(information, equations.gradient, rcond=None)[0]
+        step = np.asarray(np.linalg.lstsq(information, equations.gradient, rcond=None)[0], np.float64)
     return step if limit is None else np.clip(step, -limit, limit)

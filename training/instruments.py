@@ -69,8 +69,7 @@ def background(rng: np.random.Generator, size: Size) -> tuple[Array, Array]:
 
 def tissue_colour(rng: np.random.Generator) -> Array:
     """A colour of one kind of tissue in BGR, shape (3,)."""
-    weights = [weight for weight, *_ in TISSUES]
-    _, red, green, blue = TISSUES[int(rng.choice(len(TISSUES), p=weights))]
+    _, red, green, blue = TISSUES[rng.choice(len(TISSUES), p=[weight for weight, *_ in TISSUES])]
     level = rng.uniform(*red)
     return np.array([level * rng.uniform(*blue), level * rng.uniform(*green), level], np.float32)
 
@@ -324,8 +323,7 @@ def _jaws(
     bend = rng.normal(0.0, 0.25)
     sides = (-1, 1) if rng.random() < 0.85 else (1,)
     root, point = half * rng.uniform(0.25, 0.6), half * rng.uniform(0.08, 0.4)
-    count = 4
-    parts = []
+    count, parts = 4, []
     for side in sides:
         place = at + side * np.array([-heading[1], heading[0]]) * root * 0.5
         direction = _turned(heading, side * opening)

@@ -104,9 +104,8 @@ def _doubled(values: Tensor) -> Tensor:
 class Stage:
     """How long and how fast is trained at one size of pictures.
 
-    The learning rate rises to its largest over the first twentieth of `horizon`, then falls as a cosine to nothing
-    there. A step keeps the share `average` of the mean of weights, which is a stage's result. At half the input's width
-    and height training costs a quarter: what goes with what is learnt there.
+    The learning rate rises over the first twentieth of `horizon`, then falls as a cosine to nothing there. A step keeps
+    the share `average` of the mean of weights, which is the result. Half the width and height costs a quarter.
     """
 
     steps: int

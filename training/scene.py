@@ -168,8 +168,8 @@ def augmented(rng: np.random.Generator, images: Array, labels: Array) -> tuple[A
 def halved(images: Array, labels: Array) -> tuple[Array, Array]:
     """Half as wide and half as high: pixels averaged, labels taken from one of four."""
     count, height, width = labels.shape
-    fours = images.reshape(count, height // 2, 2, width // 2, 2, 3)
-    return fours.mean((2, 4)).astype(np.uint8), np.ascontiguousarray(labels[:, ::2, ::2])
+    means = images.reshape(count, height // 2, 2, width // 2, 2, 3).mean((2, 4))
+    return means.astype(np.uint8), np.ascontiguousarray(labels[:, ::2, ::2])
 
 
 def iou(found: Array, truth: Array) -> float:

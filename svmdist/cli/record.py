@@ -28,9 +28,7 @@ class Record(Options):
     scenario: Literal["calibration", "sweep", "approach", "contact", "occlusion", "random"] = option(
         "--scenario", "Motion of the instrument.", "sweep"
     )
-    seed: int = option(
-        "--seed N", "Seed of everything random; the same one gives the same content.", 1, min=0
-    )
+    seed: int = option("--seed N", "Seed of everything random; the same gives the same content.", 1, min=0)
     duration: float = option("--duration SECONDS", "Duration of the recording.", 8.0, min=0.2, max=3600.0)
     rate: float = option("--rate HZ", "Images per second.", 10.0, min=0.5, max=60.0)
     noise: float = option(
@@ -149,6 +147,4 @@ def _record_episodes(episodes: Episodes, output: Path, count: int, jobs: int | N
     for one in found:
         if one.failure:
             LOG.error("not recorded: %s", with_name(one.failure, one.path))
-    if len(made) == count:
-        return ExitCode.CLEAN
-    return ExitCode.LOSS if made else ExitCode.UNUSABLE
+    return ExitCode.CLEAN if len(made) == count else ExitCode.LOSS if made else ExitCode.UNUSABLE

@@ -176,9 +176,7 @@ class Association:
         doubts = []
         for named in self._entries[name].update(stamp_ns, seen):
             rest = [one.mask for at, one in enumerate(seen) if at != named.seen]
-            others = np.zeros(context.shape, np.uint8)
-            for mask in rest:
-                others |= mask
+            others = np.bitwise_or.reduce([np.zeros(context.shape, np.uint8), *rest])
             if named.seen is not None:
                 others &= ~seen[named.seen].mask
             masks.append(others if rest else None)
@@ -236,14 +234,11 @@ class Association:
         regions: coloured_regions.ColouredRegions,
         camera: Camera,
     ) -> ShaftAxis | None:
-        expected = identity.expected
-        if tool is None:
-            return None
-        if identity.blob is not None:
+        expected, radius_px = identity.expected, identity.radius_px
+        if tool is not None and identity.blob is not None:
             blob = regions.blobs[identity.blob]
             return tool.shaft_from(blob.centre_px, blob.radius_px, camera)
-        if expected is None or identity.radius_px is None:
+        if tool is None or expected is None or radius_px is None:
             return None
-        if expected.std_px > PLACED_FRACTION * camera.width_px:
-            return None
-        return tool.shaft_from(expected.mean, identity.radius_px, camera)
+        is_placed = expected.std_px <= PLACED_FRACTION * camera.width_px
+        return tool.shaft_from(expected.mean, radius_px, camera) if is_placed else None

@@ -50,9 +50,9 @@ class ColouredRegions:
 
     mask: Image
     labels: NDArray[np.int32]
-    blobs: tuple[Blob, ...]
-    names: tuple[int, ...]
-    fragments: tuple[tuple[int, Blob], ...]
+    blobs: Sequence[Blob]
+    names: Sequence[int]
+    fragments: Sequence[tuple[int, Blob]]
 
     @classmethod
     def of(cls, mask: Image, rule: AreaGate) -> ColouredRegions:
@@ -60,20 +60,20 @@ class ColouredRegions:
         count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
         areas = stats[:, cv2.CC_STAT_AREA]
         parts = [(at, Blob(np.asarray(centres[at]), float(areas[at]))) for at in range(1, count)]
-        whole = [(label, blob) for label, blob in parts if blob.area_px > rule.min_area_px]
-        fragments = tuple((label, blob) for label, blob in parts if blob.area_px <= rule.min_area_px)
-        names, blobs = tuple(label for label, _ in whole), tuple(blob for _, blob in whole)
-        return cls(mask, np.asarray(labels, np.int32), blobs, names, fragments)
+        whole = [part for part in parts if part[1].area_px > rule.min_area_px]
+        fragments = [part for part in parts if part[1].area_px <= rule.min_area_px]
+        blobs = [blob for _, blob in whole]
+        return cls(mask, np.asarray(labels, np.int32), blobs, [label for label, _ in whole], fragments)
 
     def without(self, index: int | None) -> Image:
         """Mask of everything coloured but one region and the fragments about it; of everything for None."""
         mine = np.zeros_like(self.mask)
         if index is not None:
-            blob, own = self.blobs[index], [self.names[index]]
-            for label, fragment in self.fragments:
-                if np.linalg.norm(fragment.centre_px - blob.centre_px) < FRAGMENT_REACH * blob.radius_px:
-                    own.append(label)
-            mine[np.isin(self.labels, own)] = 255
+            centre_px, reach_px = self.blobs[index].centre_px, FRAGMENT_REACH * self.blobs[index].radius_px
+            near = [
+                at for at, part in self.fragments if np.linalg.norm(part.centre_px - centre_px) < reach_px
+            ]
+            mine[np.isin(self.labels, [self.names[index], *near])] = 255
             mine &= self.mask
         rest = cv2.dilate(cv2.subtract(self.mask, mine), np.ones((GROWN_PX, GROWN_PX), np.uint8))
         return np.asarray(cv2.subtract(rest, mine), np.uint8)

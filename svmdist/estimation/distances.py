@@ -10,8 +10,6 @@ import numpy as np
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.tissue import TissuePose
-from svmdist.estimation.tissue_tracking import TissueTracker
-from svmdist.geometry import Capsules
 from svmdist.geometry.distance import Separation, capsule_separation, separation
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose, as_pixel, as_vector
 from svmdist.samples import Status
@@ -28,12 +26,6 @@ def with_tissue(frame: Frame) -> FrameResult:
     if tissue.pose is None:
         return result.rejected(Status.NO_TISSUE, "the tissue's ray does not meet the profile's plane")
     return result.rejected(Status.OK)
-
-
-def tracked_tissue(frame: Frame, tracker: TissueTracker) -> TissuePose | None:
-    """The tissue after this frame, which may hide it."""
-    tissue = frame.scene.tissue
-    return tracker.add(None if tissue is None else tissue.pose)
 
 
 INDEPENDENT = np.zeros((6, 3))
@@ -128,15 +120,18 @@ def with_clearance_between(
     results: Sequence[FrameResult], bodies: Sequence[InstrumentModel | None]
 ) -> list[FrameResult]:
     """The results of one image, one per instrument, each with the smallest distance to another instrument's surface."""
-    posed = [_posed(result, body) for result, body in zip(results, bodies, strict=True)]
+    posed = [
+        (at, body.posed(result.tool.pose, result.tool.joints, result.tool.has_plate), result.tool.pose, body)
+        for at, (result, body) in enumerate(zip(results, bodies, strict=True))
+        if result.tool is not None and body is not None and result.measured
+    ]
     filled = list(results)
     nearest: dict[int, Distance] = {}
-    for i, first in enumerate(posed):
-        for j, second in enumerate(posed[:i]):
-            if first is None or second is None:
-                continue
-            gap = capsule_separation(first[0], second[0])
-            std_m = float(np.hypot(between_std_m(gap, first[1], second[1]), np.hypot(first[2], second[2])))
+    for first, (i, capsules, pose, body) in enumerate(posed):
+        for j, other_capsules, other_pose, other_body in posed[:first]:
+            gap = capsule_separation(capsules, other_capsules)
+            of_surfaces_m = np.hypot(body.surface_std_m, other_body.surface_std_m)
+            std_m = float(np.hypot(between_std_m(gap, pose, other_pose), of_surfaces_m))
             ends = ((i, gap.direction, gap.on_instrument_m), (j, -gap.direction, gap.on_tissue_m))
             for at, direction, start_m in ends:
                 distance = Distance(gap.distance_m, std_m, as_vector(direction), as_vector(start_m))
@@ -152,10 +147,3 @@ def between_std_m(gap: Separation, pose: ToolPose, other: ToolPose) -> float:
     variance = variance_along(gap.direction, gap.on_instrument_m, pose)
     variance += variance_along(gap.direction, gap.on_tissue_m, other)
     return float(np.sqrt(max(variance, 0.0)))
-
-
-def _posed(result: FrameResult, body: InstrumentModel | None) -> tuple[Capsules, ToolPose, float] | None:
-    tool = result.tool
-    if tool is None or body is None or not result.measured:
-        return None
-    return body.posed(tool.pose, tool.joints, tool.has_plate), tool.pose, body.surface_std_m

@@ -144,14 +144,8 @@ class DomeModel:
         profile = np.where(inside, rest**b, 0.0)
         by_power = np.where(inside, -b * rest ** (b - 1.0), 0.0)
         by_radius = by_power * a * radius ** (a - 1.0)
-        return np.column_stack(
-            [
-                height_m * by_radius[:, None] * by_apex,
-                profile,
-                height_m * by_power * power * log_radius,
-                height_m * profile * np.log(rest),
-            ]
-        )
+        by_gauge, by_exponent = height_m * by_power * power * log_radius, height_m * profile * np.log(rest)
+        return np.column_stack([height_m * by_radius[:, None] * by_apex, profile, by_gauge, by_exponent])
 
     def variance_m2(self, point_m: Array, direction: Array) -> float:
         """By how much the surface at a point of the camera frame, (3,), may move along a unit vector, (3,)."""

@@ -107,16 +107,6 @@ def fit_hand_eye(places: ToolPlaces, settings: HandEyeSettings) -> HandEyeFit | 
     return HandEyeFit(T, covariance, agrees, residuals_m, effects, ratio)
 
 
-def rigid_fit(seen_m: Array, nominal_m: Array, weights: Array | None = None) -> Array:
-    """The transform T with seen = T nominal in least squares, of points (n, 3) each (Kabsch 1976)."""
-    w = np.ones(len(seen_m)) if weights is None else weights
-    w = w / w.sum()
-    a0, b0 = w @ seen_m, w @ nominal_m
-    u, _, vt = np.linalg.svd(((seen_m - a0) * w[:, None]).T @ (nominal_m - b0))
-    R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return make_transform(R, a0 - R @ b0)
-
-
 def _start(places: ToolPlaces) -> Array | None:
     """The best of transforms by three frames each (RANSAC): the one with the least truncated residuals."""
     rng = np.random.default_rng(0)
@@ -127,7 +117,12 @@ def _start(places: ToolPlaces) -> Array | None:
         area_m2 = np.linalg.norm(np.cross(corner[1] - corner[0], corner[2] - corner[0]))
         if area_m2 < CLOUD_STD_M**2:
             continue
-        T = rigid_fit(places.seen_m[three], corner)
+        # Least squares of points, by singular values (Kabsch 1976).
+        seen_m, w = places.seen_m[three], np.ones(3) / 3.0
+        a0, b0 = w @ seen_m, w @ corner
+        u, _, vt = np.linalg.svd(((seen_m - a0) * w[:, None]).T @ (corner - b0))
+        R = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        T = make_transform(R, a0 - R @ b0)
         cost = float(np.minimum(_normalised(places, T), GATE).sum())
         if cost < least:
             best, least = T, cost

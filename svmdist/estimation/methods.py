@@ -28,31 +28,11 @@ class Estimator(Protocol):
         """Measure one frame. A frame that cannot be measured is an outcome, not an exception."""
 
 
-Input = Literal[
-    "calibration",
-    "camera_to_base",
-    "fiducial",
-    "instrument",
-    "joints",
-    "right_image",
-    "robot",
-    "shaft",
-    "tag",
-    "tissue",
-]
+Topic = Literal["camera_to_base", "joints", "right_image", "robot"]
+Input = Topic | Literal["calibration", "fiducial", "instrument", "shaft", "tag", "tissue"]
 """What a method may need besides left images: topics of the log, tables of the profile, and the tag in the images."""
-Phase = Literal[
-    "segmentation",
-    "contours",
-    "marker",
-    "matches",
-    "outline and distance",
-    "edges",
-    "tip",
-    "tag",
-    "surface",
-    "distance",
-]
+PaperPhase = Literal["segmentation", "contours", "marker", "matches", "outline and distance"]
+Phase = PaperPhase | Literal["edges", "tip", "tag", "surface", "distance"]
 """A picture of one step of a method."""
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from svmdist.errors import ProfileError
-from svmdist.estimation.distances import measured, tracked_tissue, with_tissue
+from svmdist.estimation.distances import measured, with_tissue
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.measurement import EXACT, Deviations
@@ -44,7 +44,7 @@ class KinematicEstimator:
 
     def estimate(self, frame: Frame) -> FrameResult:
         """Measure one frame; without joints or a camera-to-base transform there is nothing to say."""
-        tissue, result = tracked_tissue(frame, self._tissue), with_tissue(frame)
+        tissue, result = self._tissue.add(frame.scene.tissue), with_tissue(frame)
         robot = frame.robot_in_camera
         if isinstance(robot, Failure):
             return result.rejected(Status.NO_JOINTS, robot.reason)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.plane_mapping import PlaneMapping, planar_distance_m
 from svmdist.estimation.scene import Arm
 from svmdist.profile import Features as FeatureRules
-from svmdist.profile import Marker, Profile
+from svmdist.profile import Marker
 from svmdist.profile.settings import OutlineSettings
 from svmdist.results import Distance, Distances, FrameResult, as_pixel
 from svmdist.samples import Image, Status
@@ -61,18 +61,6 @@ def in_plane(result: FrameResult, tool_px: Array, tissue_px: Array, mapping: Pla
 SUBPIXEL_BITS = 4  # OpenCV draws at 1/16 px with this shift
 
 
-@dataclass(frozen=True, slots=True)
-class MarkerDetection:
-    """The search's status, counts and places, `corners_px` (4, 2) and `centroid_px` (2,); None where not reached."""
-
-    status: Status
-    keypoint_count: int
-    match_count: int | None = None
-    inlier_count: int | None = None
-    corners_px: Array | None = None
-    centroid_px: Array | None = None
-
-
 def template_features(marker: Marker, rules: FeatureRules) -> Features:
     """ORB features of the marker itself, in px of the marker."""
     features = detect_orb(padded_template(marker.size_px, EDGE_MARGIN_PX), rules.feature_count)
@@ -82,31 +70,6 @@ def template_features(marker: Marker, rules: FeatureRules) -> Features:
 def mark(image_bgr: Image, centre_px: Array, marker: Marker) -> MarkedWindow:
     """Paste the marker about `centre_px`, (2,), in a window with the margin in which ORB finds no keypoint."""
     return paste_marker(image_bgr, centre_px, marker.size_px, EDGE_MARGIN_PX)
-
-
-def detect_marker(marked: MarkedWindow, template: Features, profile: Profile) -> MarkerDetection:
-    """Find the marker in its window, draw its outline, and take the outline's centroid by colour."""
-    marker, rules, settings = profile.marker, profile.features, profile.settings
-    features = detect_orb(to_grey(marked.window_bgr), rules.feature_count)
-    if len(features) == 0:
-        return MarkerDetection(Status.NO_FEATURES, 0)
-    matches = match_features(template, features, rules.ratio)
-    if len(matches) < rules.min_match_count:
-        return MarkerDetection(Status.TOO_FEW_MATCHES, len(features), len(matches))
-    homography = fit_homography(matches, rules.reprojection_px)
-    if homography is None or not is_plausible(homography.H, marker.size_px, settings.marker):
-        return MarkerDetection(Status.NO_HOMOGRAPHY, len(features), len(matches))
-    corners_px = transfer(homography.H, square_corners(marker.size_px))
-    region = third_contour(marked.window_bgr, corners_px, marker, settings.outline)
-    origin_px = np.array(marked.origin_px, np.float64)
-    return MarkerDetection(
-        Status.NO_OUTLINE if region is None else Status.OK,
-        len(features),
-        len(matches),
-        int(np.count_nonzero(homography.inliers)),
-        corners_px + origin_px,
-        None if region is None else region.centroid_px + origin_px,
-    )
 
 
 def third_contour(
@@ -146,17 +109,30 @@ class OverlayEstimator:
         result, tissue, instrument = locate(frame)
         if tissue is None or instrument is None:
             return result
-        marked = mark(frame.left.context.bgr_as_recorded, instrument.centroid_px, self._profile.marker)
+        marker, rules, settings = self._profile.marker, self._profile.features, self._profile.settings
+        marked = mark(frame.left.context.bgr_as_recorded, instrument.centroid_px, marker)
 
-        # Second phase: features, matches, homography, outline.  Final phase: third contour.
-        found = detect_marker(marked, self._template, self._profile)
-        counts = {"match_count": found.match_count, "inlier_count": found.inlier_count}
-        result = result.with_image(keypoint_count=found.keypoint_count, **counts)
-        if found.status is not Status.OK or found.centroid_px is None:
-            return result.rejected(found.status)
+        # Second phase: features, matches, homography, outline.
+        features = detect_orb(to_grey(marked.window_bgr), rules.feature_count)
+        result = result.with_image(keypoint_count=len(features))
+        if len(features) == 0:
+            return result.rejected(Status.NO_FEATURES)
+        matches = match_features(self._template, features, rules.ratio)
+        result = result.with_image(match_count=len(matches))
+        if len(matches) < rules.min_match_count:
+            return result.rejected(Status.TOO_FEW_MATCHES)
+        homography = fit_homography(matches, rules.reprojection_px)
+        if homography is None or not is_plausible(homography.H, marker.size_px, settings.marker):
+            return result.rejected(Status.NO_HOMOGRAPHY)
+        result = result.with_image(inlier_count=int(np.count_nonzero(homography.inliers)))
+        corners_px = transfer(homography.H, square_corners(marker.size_px))
 
-        # Both places to the plane, and the distance between them.
-        return in_plane(result, found.centroid_px, tissue.centroid_px, self._mapping)
+        # Final phase: third contour, both places to the plane, and the distance between them.
+        outline = third_contour(marked.window_bgr, corners_px, marker, settings.outline)
+        if outline is None:
+            return result.rejected(Status.NO_OUTLINE)
+        tool_px = outline.centroid_px + np.array(marked.origin_px, np.float64)
+        return in_plane(result, tool_px, tissue.centroid_px, self._mapping)
 
 
 class CentroidEstimator:

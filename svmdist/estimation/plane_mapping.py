@@ -136,11 +136,6 @@ class CameraModel(StrictModel):
             distortion=tuple(camera.D.tolist()),
         )
 
-    def to_camera(self) -> Camera:
-        """The camera described."""
-        K = np.array([[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
-        return Camera(self.width_px, self.height_px, K, np.array(self.distortion))
-
 
 class Fit(StrictModel):
     """How well the quadratics fit their samples, in m, and the pixels that the samples span."""
@@ -179,7 +174,9 @@ class Calibration(StrictModel):
 
     def require_camera(self, camera: Camera, recording_name: str) -> None:
         """Raise CalibrationError unless a recording's camera is the calibrated one, to 0.01 px."""
-        mine = self.camera.to_camera()
+        own = self.camera
+        K = np.array([[own.fx_px, 0.0, own.cx_px], [0.0, own.fy_px, own.cy_px], [0.0, 0.0, 1.0]])
+        mine = Camera(own.width_px, own.height_px, K, np.array(own.distortion))
         if not mine.same_optics(camera, tolerance_px=0.01):
             raise CalibrationError(
                 f"{recording_name}: the calibration is for another camera: expected {_describe(mine)},"

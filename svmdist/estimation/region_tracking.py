@@ -66,12 +66,7 @@ class SteadyMotion:
 
     def update(self, place: Gaussian) -> None:
         """Take up a region, or a place that a better prediction gives."""
-        if self._x is None:
-            self._x = np.array([*place.mean, 0.0, 0.0])
-            self._P = np.diag([0.0, 0.0, self._first_speed**2, self._first_speed**2])
-            self._P[:2, :2] = place.covariance
-        else:
-            self._x, self._P = _corrected(self._x, self._P, place.mean, place.covariance)
+        self._x, self._P = _updated(self._x, self._P, place, self._first_speed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +89,8 @@ class NominalMotion:
 
     def __init__(self, width_px: int) -> None:
         self._drift = DRIFT_WIDTHS * width_px
-        self._x = np.zeros(8)
-        self._P: Array | None = None
+        self._x: Array | None = None
+        self._P = np.zeros((8, 8))
         self.origin: NominalPlace | None = None
         self._now: NominalPlace | None = None
         self._stamp_ns = 0
@@ -107,7 +102,7 @@ class NominalMotion:
             return None
         dt = max(0.0, (stamp_ns - self._stamp_ns) / 1e9)
         self._stamp_ns = stamp_ns
-        if self._P is None:
+        if self._x is None:
             return nominal.place
         self._P = self._P + dt * np.diag([self._drift**2] * 2 + [LINEAR_DRIFT**2] * 6)
         H = self._H(nominal)
@@ -117,17 +112,13 @@ class NominalMotion:
         """Take up a region, seen when the nominal place was the one last given."""
         if self._now is None:
             return
-        offset = place.mean - self._now.place.mean
-        if self._P is None:
-            self._x = np.concatenate([offset, np.zeros(6)])
-            self._P = np.diag([0.0] * 2 + [LINEAR_STD**2] * 6)
-            self._P[:2, :2] = place.covariance
-        else:
+        if self._x is not None:
             # From here on motion counts from this place: what is unsure of M shows in what comes, not in what was.
             moved = np.eye(8)
             moved[:2] = self._H(self._now)
             self._x, self._P = moved @ self._x, moved @ self._P @ moved.T
-            self._x, self._P = _corrected(self._x, self._P, offset, place.covariance)
+        offset = Gaussian(place.mean - self._now.place.mean, place.covariance)
+        self._x, self._P = _updated(self._x, self._P, offset, LINEAR_STD)
         self.origin = self._now
 
     def _H(self, nominal: NominalPlace) -> Array:
@@ -136,12 +127,17 @@ class NominalMotion:
         return np.hstack([np.eye(2), np.kron(np.eye(2), motion_px[None])])
 
 
-def _corrected(x: Array, P: Array, seen: Array, R: Array) -> tuple[Array, Array]:
-    """The Kalman update by the first two states, in Joseph's form, which keeps P positive."""
-    H = np.eye(2, len(x))
+def _updated(x: Array | None, P: Array, seen: Gaussian, first_std: float) -> tuple[Array, Array]:
+    """The Kalman update of the first two states, in Joseph's form, which keeps P positive; the first sets the state."""
+    size, R = len(P), seen.covariance
+    if x is None:
+        P = np.diag([0.0] * 2 + [first_std**2] * (size - 2))
+        P[:2, :2] = R
+        return np.concatenate([seen.mean, np.zeros(size - 2)]), P
+    H = np.eye(2, size)
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    A = np.eye(len(x)) - K @ H
-    return x + K @ (seen - H @ x), A @ P @ A.T + K @ R @ K.T
+    A = np.eye(size) - K @ H
+    return x + K @ (seen.mean - H @ x), A @ P @ A.T + K @ R @ K.T
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,13 +72,12 @@ class Arm:
         tag = self.profile.fiducial
         return TagPattern(tag.family, tag.id, tag.size_m) if tag else None
 
-    def state_at(self, observation: Observation) -> RobotState | Failure:
+    def state_at(self, seen: Observation) -> RobotState | Failure:
         """Joints and nominal poses at an image's stamp; or what of them the log lacks."""
         from svmdist.kinematics.robot_state import RobotState
 
         if self.chain is None:
             return Failure(f"profile {self.profile.name} has no [robot]")
-        seen = observation
         return RobotState.of(self.chain, seen.joints, seen.T_camera_base, seen.stamp_ns, seen.joint_track)
 
 
@@ -92,13 +91,12 @@ class Scene:
     def __init__(
         self, observation: Observation, profile: Profile, segmenter: Segmenter, row_offset_px: float = 0.0
     ) -> None:
-        self.lens = observation.camera
-        recorded = observation
-        observation = with_first_fields(observation, profile.settings.interlace)
-        self.is_interlaced = observation is not recorded
-        self.observation = observation = as_pinholes(observation, row_offset_px)
-        self._profile = profile
-        right, settings = observation.right, profile.settings
+        settings = profile.settings
+        self.lens, self._profile = observation.camera, profile
+        first = with_first_fields(observation, settings.interlace)
+        self.is_interlaced = first is not observation
+        self.observation = observation = as_pinholes(first, row_offset_px)
+        right = observation.right
         tags = None if profile.fiducial is None else (profile.fiducial.family, settings.tag)
         rules = segmenter, settings.exposure, tags
         self.left = FrameContext(observation.image_bgr, *rules)

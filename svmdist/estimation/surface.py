@@ -133,7 +133,7 @@ def _align(
     by_u = _matrix(TERMS, coefficients)[1:] * np.arange(1, DEGREE + 1)[:, None] / SCALE_PX
     slope = slope / np.maximum(1.0 - _values(by_u, u, v), 0.5)
     at_columns, at_rows = np.meshgrid(columns.astype(np.float32), (rows - first_row).astype(np.float32))
-    residual, slope_rms = np.inf, 1.0
+    residual, slope_rms, damping = np.inf, 1.0, 1e-5 * int(np.count_nonzero(is_used))
     for _ in range(ALIGN_STEPS):
         at = (at_columns - _values(_matrix(TERMS, coefficients), u, v)).astype(np.float32)
         value = cv2.remap(right, at, at_rows, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, np.nan)
@@ -147,7 +147,12 @@ def _align(
         error = np.asarray(np.where(usable, error - field, 0.0), np.float64)
         slope_rms = float(np.sqrt(np.mean(slope[usable] ** 2)))
         weight = np.asarray(usable * slope / (1.0 + (error / (2.0 * residual + 0.5)) ** 2), np.float64)
-        step = _step(weight * slope, weight * error, u, v, 1e-5 * int(np.count_nonzero(is_used)))
+        # Least squares by moments of the grid's coordinates.
+        i, j = np.transpose(TERMS)
+        moments = u.T @ (weight * slope).T @ v
+        pull = (u[:, : DEGREE + 1].T @ (weight * error).T @ v[:, : DEGREE + 1])[i, j]
+        normal = moments[i[:, None] + i, j[:, None] + j] + damping * np.eye(len(TERMS))
+        step = np.asarray(np.linalg.solve(normal, pull), np.float64)
         coefficients = coefficients + step
         if np.abs(_values(_matrix(TERMS, step), u, v))[is_used].max() < SETTLED_PX:
             break
@@ -205,15 +210,6 @@ def _values(C: Array, u: Array, v: Array) -> Array:
     return np.asarray(v[:, : C.shape[1]] @ C.T @ u[:, : C.shape[0]].T)
 
 
-def _step(weight: Array, pull: Array, u: Array, v: Array, damping: float) -> Array:
-    """The step of least squares, shape (n,), from weights and weighted errors on a grid, shape (h, w) each."""
-    moments = u.T @ weight.T @ v
-    i, j = np.transpose(TERMS)
-    normal = moments[i[:, None] + i, j[:, None] + j]
-    gradient = (u[:, : DEGREE + 1].T @ pull.T @ v[:, : DEGREE + 1])[i, j]
-    return np.asarray(np.linalg.solve(normal + damping * np.eye(len(TERMS)), gradient), np.float64)
-
-
 @dataclass(frozen=True, slots=True)
 class StereoSurface:
     """Points of the surface in the camera frame, shape (n, 3), and the standard deviation of their depth."""
@@ -228,7 +224,7 @@ def detect_stereo_surface(
     pair: RectifiedPair,
     hull: NDArray[np.int32],
     masks: tuple[Image, Image],
-    settings: StereoSettings = DEFAULT,
+    settings: StereoSettings,
 ) -> StereoSurface | None:
     """The tissue's surface inside its hull in the left image, under the instrument too; None if the views disagree."""
     if pair.R_rows_left is not None:

@@ -75,7 +75,9 @@ def require_tissue(profile: Profile) -> Tissue:
             " tissue lies on (plane_normal, plane_distance_m)"
         )
     if profile.tissue.mesh is not None:
-        tissue_mesh(profile.tissue)  # read once, before the first frame
+        read_closed_mesh(
+            profile.tissue.mesh, METRES_PER_UNIT[profile.tissue.mesh_unit]
+        )  # read once, before the first frame
     return profile.tissue
 
 
@@ -87,7 +89,19 @@ def tissue_pose(
     position_m = meet_plane(pixel_rays(camera, outline.centroid_px), plane)[0]
     if not np.all(np.isfinite(position_m)):
         return None
-    of_outline, covariance = _position_covariance(position_m, outline, camera, plane, tissue)
+    # The outline's pixels, and the plane's distance and tilt, to first order: X = offset / (n · r) r.
+    steps_px = np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
+    on_plane = meet_plane(pixel_rays(camera, outline.centroid_px + steps_px), plane)
+    J_px = np.stack([on_plane[0] - on_plane[1], on_plane[2] - on_plane[3]], -1)
+    of_outline = J_px @ outline.covariance_px2 @ J_px.T
+    ray = position_m / position_m[2]
+    along = ray / float(plane.normal @ ray)  # dX by the offset
+    variance_m2 = tissue.plane_distance_std_m**2 + tissue.motion_std_m**2
+    covariance = of_outline + variance_m2 * np.outer(along, along)
+    # A tilt about the foot of the camera's perpendicular moves the plane at X by tilt · (X - foot).
+    from_foot = position_m - plane.offset_m * plane.normal
+    arm2_m2 = float(from_foot @ from_foot) * tissue.plane_tilt_std_rad**2
+    covariance = covariance + arm2_m2 * np.outer(along, along)
     # What focal length and principal point do to where the outline's ray meets the plane.
     biases = ray_on_plane_biases(position_m, plane, camera, error)
     J = np.concatenate([bias.jacobian for bias in biases], -1)
@@ -99,7 +113,8 @@ def tissue_pose(
         dome = DomeModel.over(outline_m, T_camera_tissue, tissue.dome)
         surface = dome.mesh
     elif tissue.mesh is not None:
-        surface = tissue_mesh(tissue).transformed(T_camera_tissue @ tissue.T_tissue_mesh)
+        mesh = read_closed_mesh(tissue.mesh, METRES_PER_UNIT[tissue.mesh_unit])
+        surface = mesh.transformed(T_camera_tissue @ tissue.T_tissue_mesh)
     return TissuePose(position_m, covariance, surface, tissue.surface_std_m, dome, of_outline)
 
 
@@ -116,13 +131,6 @@ def tissue_frame(origin_m: Array, normal: Array) -> Array:
     return make_transform(np.stack([x, np.cross(normal, x), normal], -1), origin_m)
 
 
-def tissue_mesh(tissue: Tissue) -> Mesh:
-    """The profile's mesh in its own frame, in m; raises ProfileError where its file cannot be used."""
-    if tissue.mesh is None:
-        raise ProfileError("the profile has no tissue.mesh")
-    return read_closed_mesh(tissue.mesh, METRES_PER_UNIT[tissue.mesh_unit])
-
-
 def ray_on_plane_biases(
     position_m: Array, plane: Plane, camera: Camera, error: CameraError
 ) -> tuple[SharedBias, SharedBias]:
@@ -133,25 +141,6 @@ def ray_on_plane_biases(
     focal = -error.focal_std_fraction * by_ray @ (ray * np.array([1.0, 1.0, 0.0]))
     centre = -error.centre_std_px * by_ray[:, :2] / np.diag(camera.K)[:2]
     return SharedBias(FOCAL_LENGTH, focal[:, None]), SharedBias(PRINCIPAL_POINT, centre)
-
-
-def _position_covariance(
-    position_m: Array, outline: CompletedOutline, camera: Camera, plane: Plane, tissue: Tissue
-) -> tuple[Array, Array]:
-    """Of the outline's pixels alone, and with the plane's distance and tilt, to first order: X = offset / (n · r) r."""
-    ray = position_m / position_m[2]
-    slope = float(plane.normal @ ray)
-    steps_px = np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
-    on_plane = meet_plane(pixel_rays(camera, outline.centroid_px + steps_px), plane)
-    J_px = np.stack([on_plane[0] - on_plane[1], on_plane[2] - on_plane[3]], -1)
-    of_outline = J_px @ outline.covariance_px2 @ J_px.T
-    along = ray / slope  # dX by the offset
-    variance_m2 = tissue.plane_distance_std_m**2 + tissue.motion_std_m**2
-    covariance = of_outline + variance_m2 * np.outer(along, along)
-    # A tilt about the foot of the camera's perpendicular moves the plane at X by tilt · (X - foot).
-    from_foot = position_m - plane.offset_m * plane.normal
-    arm2_m2 = float(from_foot @ from_foot) * tissue.plane_tilt_std_rad**2
-    return np.asarray(of_outline), np.asarray(covariance + arm2_m2 * np.outer(along, along))
 
 
 @dataclass(frozen=True, slots=True)

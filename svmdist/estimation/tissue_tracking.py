@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,8 +14,13 @@ from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorF
 from svmdist.estimation.instrument.measurement import Deviations, SharedBias
 from svmdist.estimation.instrument.state import Linearised
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.surface import StereoSurface
-from svmdist.estimation.tissue import TissuePose, ray_on_plane_biases, require_tissue, tissue_plane
+from svmdist.estimation.tissue import (
+    TissueDetection,
+    TissuePose,
+    ray_on_plane_biases,
+    require_tissue,
+    tissue_plane,
+)
 from svmdist.least_squares import median
 from svmdist.profile.robot import Tissue
 from svmdist.profile.settings import TissueTrackingSettings
@@ -30,7 +35,6 @@ GATE_Z = 3.09
 LASTING_HEIGHT_SHARE = 0.98
 HEIGHT_CORRELATION_TIME_S = 30.0  # how long that lasts: longer than the logs of 8 s that it was seen in
 
-DEFAULT = TissueTrackingSettings()
 TINY_M2 = 1e-14  # added to covariances of poses that lie on one plane, so that they have an inverse
 
 
@@ -43,18 +47,15 @@ class CorrelatedMean:
     """
 
     degrees_of_freedom: int
-    settings: TissueTrackingSettings = DEFAULT
+    settings: TissueTrackingSettings
     count: float = 0.0
-    _information: Array | None = None
-    _weighted: Array | None = None
+    _information: Array = field(default_factory=lambda: np.zeros(()))
+    _weighted: Array = field(default_factory=lambda: np.zeros(()))
     _squares: float = 0.0
 
     def add(self, value: Array, covariance: Array) -> None:
         """Take up a measurement; earlier ones fade."""
-        size = len(value)
-        weight = np.asarray(np.linalg.inv(covariance + TINY_M2 * np.eye(size)), np.float64)
-        if self._information is None or self._weighted is None:
-            self._information, self._weighted = np.zeros((size, size)), np.zeros(size)
+        weight = np.asarray(np.linalg.inv(covariance + TINY_M2 * np.eye(len(value))), np.float64)
         fade = 1.0 - 1.0 / self.settings.memory_count
         self._information = fade * self._information + weight
         self._weighted = fade * self._weighted + weight @ value
@@ -63,7 +64,7 @@ class CorrelatedMean:
 
     def now(self) -> tuple[Array, Array] | None:
         """Mean and covariance; None before the first measurement."""
-        if self._information is None or self._weighted is None:
+        if self.count == 0.0:
             return None
         spread = np.linalg.inv(self._information)
         mean = np.asarray(spread @ self._weighted, np.float64)
@@ -77,7 +78,7 @@ class CorrelatedMean:
 class TissueTracker:
     """The tissue's pose, which a wild detection does not enter, and its dome's shape, where frames show it."""
 
-    def __init__(self, settings: TissueTrackingSettings = DEFAULT) -> None:
+    def __init__(self, settings: TissueTrackingSettings) -> None:
         self._settings = settings
         self._outlier_count = 0
         self._frame_count = 0
@@ -95,8 +96,9 @@ class TissueTracker:
         """Take up a dome as stereo shows it."""
         self._shape.add(dome.shape, dome.covariance)
 
-    def add(self, pose: TissuePose | None) -> TissuePose | None:
+    def add(self, seen: TissueDetection | None) -> TissuePose | None:
         """Take up a frame's pose, if it has one; gives the tissue as known then."""
+        pose = None if seen is None else seen.pose
         if pose is None:
             return self.now()
         if not self._agrees(pose):
@@ -165,37 +167,6 @@ class TissueHeight:
             SharedBias("tissue motion", self.motion_std_m * column, self.motion_time_s),
         )
 
-    def in_m(self, plane: float, motion: float) -> float:
-        """The height in m of both biases, in units of their deviations."""
-        return self.constant_std_m * plane + self.motion_std_m * motion
-
-
-def measured_height(
-    surface: StereoSurface,
-    dome: DomeModel,
-    height: TissueHeight,
-    camera: Camera,
-    right: RightView,
-    deviations: Deviations,
-) -> tuple[Linearised, float] | None:
-    """The height over the dome where the profile has it, as a measurement, and in m; None where too little is seen."""
-    points_m = dome.to_tissue_frame(surface.points_m)
-    inner = dome.polar.normalised_radius(points_m[:, :2]) < INNER_RADIUS
-    if np.count_nonzero(inner) < MIN_POINTS:
-        return None
-    over_m = float(median(points_m[inner, 2] - dome.height_m(points_m[inner, :2])))
-    at_m = np.median(surface.points_m[inner], 0)
-    # Disparity to depth to height along the plane's normal: a larger disparity is nearer to the camera.
-    along_normal = abs(float(dome.T_camera_tissue[2, 2]))
-    stereo_biases = (bias.scaled(along_normal) for bias in depth_biases(at_m, camera, right, deviations))
-    by_shape = dome.derivative(points_m[inner, :2]).mean(0)
-    dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
-    lasting_m = np.hypot(LASTING_HEIGHT_SHARE * surface.std_m, dome_std_m)
-    own = SharedBias(OUTLINE, np.array([[lasting_m]]), HEIGHT_CORRELATION_TIME_S)
-    noise_m2 = (1.0 - LASTING_HEIGHT_SHARE**2) * surface.std_m**2
-    biases = (own, *height.biases(np.ones(1)), *stereo_biases)
-    return Linearised(np.array([over_m]), np.zeros((1, 0)), biases, np.array([[noise_m2]])), over_m
-
 
 def depth_biases(
     p_camera_m: Array, camera: Camera, right: RightView, deviations: Deviations
@@ -216,29 +187,38 @@ class FollowedTissue:
         self._plane = tissue_plane(self._tissue)
         self._deviations = arm.deviations
         self._tracker = TissueTracker(arm.profile.settings.tissue)
-        self._height: TissueHeight | None = None
         self._known: TissuePose | None = None
 
     def see(self, frame: Frame) -> TissuePose | None:
         """The tissue on the profile's plane after this frame, which may hide it."""
-        tissue = frame.scene.tissue
-        known = self._known = self._tracker.add(None if tissue is None else tissue.pose)
-        if known is not None:
-            self._height = TissueHeight.of(self._tissue, known.position_m)
-        return known
+        self._known = self._tracker.add(frame.scene.tissue)
+        return self._known
 
     def measure_height(self, frame: Frame, kalman: KinematicErrorFilter) -> GatingResult | None:
         """Tell the filter how high stereo shows the tissue; None where it does not show it."""
-        known, right, height = self._known, frame.scene.observation.right, self._height
-        if known is None or known.dome is None or right is None or height is None:
+        known, right = self._known, frame.scene.observation.right
+        if known is None or known.dome is None or right is None:
             return None
-        surface = frame.scene.stereo_surface
+        surface, dome = frame.scene.stereo_surface, known.dome
         if surface is None:
             return None
-        found = measured_height(surface, known.dome, height, frame.left.camera, right, self._deviations)
-        if found is None:
+        points_m = dome.to_tissue_frame(surface.points_m)
+        inner = dome.polar.normalised_radius(points_m[:, :2]) < INNER_RADIUS
+        if np.count_nonzero(inner) < MIN_POINTS:
             return None
-        part, over_m = found
+        over_m = float(median(points_m[inner, 2] - dome.height_m(points_m[inner, :2])))
+        at_m = np.median(surface.points_m[inner], 0)
+        # Disparity to depth to height along the plane's normal: a larger disparity is nearer to the camera.
+        along_normal = abs(float(dome.T_camera_tissue[2, 2]))
+        of_cameras = depth_biases(at_m, frame.left.camera, right, self._deviations)
+        by_shape = dome.derivative(points_m[inner, :2]).mean(0)
+        dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
+        lasting_m = np.hypot(LASTING_HEIGHT_SHARE * surface.std_m, dome_std_m)
+        own = SharedBias(OUTLINE, np.array([[lasting_m]]), HEIGHT_CORRELATION_TIME_S)
+        noise_m2 = (1.0 - LASTING_HEIGHT_SHARE**2) * surface.std_m**2
+        height = TissueHeight.of(self._tissue, known.position_m)
+        biases = (own, *height.biases(np.ones(1)), *(bias.scaled(along_normal) for bias in of_cameras))
+        part = Linearised(np.array([over_m]), np.zeros((1, 0)), biases, np.array([[noise_m2]]))
         result = kalman.update_scene(OUTLINE, part)
         tissue = frame.scene.tissue
         if not (
@@ -247,18 +227,18 @@ class FollowedTissue:
             return result
         # Apex and height by the surface, which is put down onto the dome: how high all of it is, is no shape.
         down = replace(surface, points_m=surface.points_m - over_m * self._plane.normal)
-        dome = fit_dome(tissue.pose.dome, down)
-        if dome is not None:
-            self._tracker.add_shape(dome)
+        fitted = fit_dome(tissue.pose.dome, down)
+        if fitted is not None:
+            self._tracker.add_shape(fitted)
         return result
 
     def placed(
         self, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter
     ) -> tuple[TissuePose, Array]:
         """The tissue at the height found, with all its errors, and their covariance with the tool's pose, (6, 3)."""
-        height = self._height
-        assert height is not None  # a tissue is known
-        height_m = height.in_m(kalman.constant("tissue plane"), kalman.constant("tissue motion"))
+        height = TissueHeight.of(self._tissue, known.position_m)
+        plane_m = height.constant_std_m * kalman.constant("tissue plane")
+        height_m = plane_m + height.motion_std_m * kalman.constant("tissue motion")
         plane = replace(self._plane, offset_m=self._plane.offset_m + height_m)
         placed = known.scaled(plane.offset_m / self._plane.offset_m)
         place_m, of_camera = placed.position_m, self._deviations.camera

@@ -255,7 +255,15 @@ def point_to_segment(point: Array, start: Array, end: Array) -> ClosestPair:
 def segment_to_segment(start_a: Array, end_a: Array, start_b: Array, end_b: Array) -> ClosestPair:
     """Closest points of two segments: an end of either, or the feet of the common perpendicular."""
     start_a, end_a, start_b, end_b = np.broadcast_arrays(start_a, end_a, start_b, end_b)
-    foot_a, foot_b, inside = _feet(start_a, end_a, start_b, end_b)
+    a, b, gap = end_a - start_a, end_b - start_b, start_b - start_a
+    aa, bb, ab, a_gap, b_gap = dot(a, a), dot(b, b), dot(a, b), dot(a, gap), dot(b, gap)
+    determinant = aa * bb - ab * ab
+    skew = determinant > PARALLEL * aa * bb
+    safe = np.where(skew, determinant, 1.0)
+    s = (a_gap * bb - b_gap * ab) / safe
+    t = (a_gap * ab - b_gap * aa) / safe
+    inside = skew & (s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)
+    foot_a, foot_b = start_a + s[..., None] * a, start_b + t[..., None] * b
     ends_a, ends_b = np.stack([start_a, end_a], -2), np.stack([start_b, end_b], -2)
     ends_a_on_b = _on_segment(ends_a, start_b[..., None, :], end_b[..., None, :])
     ends_b_on_a = _on_segment(ends_b, start_a[..., None, :], end_a[..., None, :])
@@ -277,7 +285,14 @@ def segment_to_triangle(start: Array, end: Array, triangle: Array) -> ClosestPai
     shape = np.broadcast_shapes(start.shape, end.shape, (*triangle.shape[:-2], 3))
     start, end = np.broadcast_to(start, shape), np.broadcast_to(end, shape)
     triangle = np.broadcast_to(triangle, (*shape[:-1], 3, 3))
-    crossing, crosses = _crossing(start, end, triangle)
+    # Where segments cross the triangles' planes, and whether they do.
+    a = triangle[..., 0, :]
+    normal = cross(triangle[..., 1, :] - a, triangle[..., 2, :] - a)
+    height_start, height_end = dot(start - a, normal), dot(end - a, normal)
+    drop = height_start - height_end
+    crosses = (height_start * height_end <= 0.0) & (drop != 0.0)
+    t = np.where(crosses, height_start / np.where(crosses, drop, 1.0), 0.0)
+    crossing = start + t[..., None] * (end - start)
     points = np.stack([crossing, start, end], -2)
     on_face, inside = _foot_on_face(points, triangle)
     inside[..., 0] &= crosses
@@ -307,19 +322,6 @@ def _on_segment(point: Array, start: Array, end: Array) -> Array:
     return np.asarray(start + np.minimum(np.maximum(t, 0.0), 1.0)[..., None] * along)
 
 
-def _feet(start_a: Array, end_a: Array, start_b: Array, end_b: Array) -> tuple[Array, Array, Mask]:
-    """The feet of two segments' common perpendicular, and whether both lie on their segments."""
-    a, b, gap = end_a - start_a, end_b - start_b, start_b - start_a
-    aa, bb, ab, a_gap, b_gap = dot(a, a), dot(b, b), dot(a, b), dot(a, gap), dot(b, gap)
-    determinant = aa * bb - ab * ab
-    skew = determinant > PARALLEL * aa * bb
-    safe = np.where(skew, determinant, 1.0)
-    s = (a_gap * bb - b_gap * ab) / safe
-    t = (a_gap * ab - b_gap * aa) / safe
-    inside = skew & (s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)
-    return start_a + s[..., None] * a, start_b + t[..., None] * b, inside
-
-
 def _foot_on_face(points: Array, triangle: Array) -> tuple[Array, Mask]:
     """Feet of points, shape (..., k, 3), on the triangles' planes, and whether they lie inside the triangles."""
     a = triangle[..., :1, :]
@@ -332,17 +334,6 @@ def _foot_on_face(points: Array, triangle: Array) -> tuple[Array, Mask]:
     inwards = cross(normal, edges)[..., None, :, :]
     sides = dot(foot[..., :, None, :] - triangle[..., None, :, :], inwards)
     return foot, (area2 > 0.0) & (sides >= 0.0).all(-1)
-
-
-def _crossing(start: Array, end: Array, triangle: Array) -> tuple[Array, Mask]:
-    """Where segments cross the triangles' planes, and whether they do."""
-    a = triangle[..., 0, :]
-    normal = cross(triangle[..., 1, :] - a, triangle[..., 2, :] - a)
-    height_start, height_end = dot(start - a, normal), dot(end - a, normal)
-    drop = height_start - height_end
-    crosses = (height_start * height_end <= 0.0) & (drop != 0.0)
-    t = np.where(crosses, height_start / np.where(crosses, drop, 1.0), 0.0)
-    return start + t[..., None] * (end - start), crosses
 
 
 def _nearest(first: Array, second: Array, valid: Mask) -> ClosestPair:

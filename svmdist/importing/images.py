@@ -102,5 +102,6 @@ class Video:
                     raise SourceError(f"{self._path}: has no video")
                 yield container, stream
         except self._av.error.FFmpegError as problem:
-            reason = " ".join(str(problem.strerror or problem).split())
-            raise SourceError(f"{self._path}: no image and no video that can be read: {reason}") from None
+            reason = "neither an image nor a video that can be read"
+            detail = " ".join(str(problem.strerror or problem).split())
+            raise SourceError(f"{self._path}: {reason}: {detail}") from None

@@ -183,9 +183,10 @@ class Profile(StrictModel):
         for name in dict.fromkeys(self.instrument_names):
             frames, found = self.for_instrument(name).frames, file.of(name)
             for what in ("camera", "base") if found is not None else ():
-                theirs, ours = getattr(found, what), f"[frames] {what} is {getattr(frames, what)}"
-                if theirs != getattr(frames, what):
-                    raise ValueError(f"hand_eye: it is for {what} {theirs} of {name}; {ours}: fit it anew")
+                fitted, stated = getattr(found, what), getattr(frames, what)
+                if fitted != stated:
+                    needed = f"[frames] {what} is {stated}: fit it anew"
+                    raise ValueError(f"hand_eye: it is for {what} {fitted} of {name}; {needed}")
 
     @model_validator(mode="after")
     def _instruments_differ(self) -> Profile:
@@ -232,10 +233,9 @@ def shipped_profiles() -> tuple[str, ...]:
 
 
 def load_profile(name_or_path: str | Path = DEFAULT_PROFILE, hand_eye: Path | None = None) -> Profile:
-    """Read a profile that ships (by name) or one of the user's own (by path), and check it.
+    """Read a profile that ships (by name) or another (by path); ProfileError names file, key and the nearest key.
 
-    `hand_eye` names a hand-eye file in place of the profile's. Raises ProfileError that names the file, the key and
-    the nearest valid key.
+    `hand_eye` is a hand-eye file in place of the profile's.
     """
     profile = parse_toml(profile_path(name_or_path), Profile, ProfileError)
     if hand_eye is None:

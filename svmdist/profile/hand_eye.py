@@ -29,8 +29,7 @@ Six = tuple[float, float, float, float, float, float]
 class ConstantEffect(StrictModel):
     """The effect of a calibration parameter's error on a fitted transform: (δt, δφ), in m and rad, for one deviation.
 
-    A parameter of several numbers has one row for each. `deviation` is its standard deviation at the fit, in its own
-    unit: m, rad, s, px, or a fraction of itself.
+    A parameter of several numbers has one row for each. `deviation` is its standard deviation at the fit.
     """
 
     constant: str = Field(min_length=1)

@@ -1,7 +1,6 @@
 """What a user may change of detectors and estimators: the tables `[settings.NAME]` of a profile.
 
-The suffix of a name is its unit; what has none is a ratio or a count; levels are of 255. Every other number is a
-constant beside its use.
+The suffix of a name is its unit; what has none is a ratio or a count; levels are of 255.
 """
 
 from __future__ import annotations

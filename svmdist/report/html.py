@@ -317,8 +317,7 @@ def _outlines(curve: Curve) -> tuple[Array, Array]:
     for begin, end in runs(np.isfinite(curve.low) & np.isfinite(curve.y)):
         times, lows, highs = (values[begin:end] for values in (curve.x, curve.low, curve.y))
         if end - begin == 1:
-            times = times + np.array([-reach_s, reach_s])
-            lows, highs = np.repeat(lows, 2), np.repeat(highs, 2)
+            times, lows, highs = times + np.array([-reach_s, reach_s]), lows.repeat(2), highs.repeat(2)
         x += [times, times[::-1], gap]
         y += [lows, highs[::-1], gap]
     return np.concatenate(x), np.concatenate(y)

@@ -14,7 +14,6 @@ from svmdist.errors import printable
 from svmdist.estimation.methods import REGISTRY, Phase
 from svmdist.files import atomic_file
 from svmdist.samples import Image
-from svmdist.transforms import Array
 from svmdist.vision.marker import EDGE_MARGIN_PX, padded_template
 from svmdist.workflows.frame_drawing import DrawnFrame, contours_of, virtual_marker
 
@@ -64,7 +63,9 @@ def draw_on(
 
 
 def _draw(pixels: Image, shape: Shape, unit_px: int) -> None:
-    colour, points = bgr(COLOURS[shape.part]), _fixed(shape.points_px)
+    colour = bgr(COLOURS[shape.part])
+    near = np.clip(np.nan_to_num(shape.points_px, nan=-LIMIT_PX), -LIMIT_PX, LIMIT_PX)
+    points = np.asarray(np.round(near * (1 << SUBPIXEL_BITS)), np.int32)
     if shape.form is Form.POINTS:
         radius = (2 if shape.part in SMALL else 4) * unit_px << SUBPIXEL_BITS
         for x, y in points.tolist():
@@ -77,12 +78,6 @@ def _draw(pixels: Image, shape: Shape, unit_px: int) -> None:
     if shape.part in (Part.DISTANCE, Part.BETWEEN):
         cv2.polylines(pixels, [points], is_closed, DARK, 4 * unit_px, cv2.LINE_AA, SUBPIXEL_BITS)
     cv2.polylines(pixels, [points], is_closed, colour, 2 * unit_px, cv2.LINE_AA, SUBPIXEL_BITS)
-
-
-def _fixed(points_px: Array) -> Array:
-    """Points as OpenCV takes them with a fraction of a pixel."""
-    near = np.clip(np.nan_to_num(points_px, nan=-LIMIT_PX), -LIMIT_PX, LIMIT_PX)
-    return np.asarray(np.round(near * (1 << SUBPIXEL_BITS)), np.int32)
 
 
 def _letters(pixels: Image) -> tuple[float, int]:

@@ -97,15 +97,6 @@ def _draw_curves(axes: Axes, curves: Sequence[Curve]) -> None:
             axes.scatter(curve.x, curve.y, s=6.0, label=label, **look)
 
 
-def _draw_chart(axes: Axes, chart: Chart, title: str) -> None:
-    _draw_curves(axes, chart.curves)
-    if chart.y_title == "error [mm]":
-        axes.axhline(0.0, color="0.0", linewidth=0.6)
-    axes.set(xlabel=chart.x_title, ylabel=chart.y_title)
-    axes.set_title(title, loc="left")
-    axes.legend(loc="best", ncols=2 if chart.over_time else 1)
-
-
 SeriesPlot = Literal["time", "residuals", "bland-altman", "calibration"]
 
 
@@ -133,7 +124,13 @@ def draw_series(series: Sequence[Series], kind: SeriesPlot, alarm_below_m: float
     width_in = COLUMN_IN if kind in ("bland-altman", "calibration") else PAGE_IN
     figure = Figure(figsize=(width_in, height_in * rows), layout="constrained")
     for at, (chart, title) in enumerate(panels):
-        _draw_chart(figure.add_subplot(rows, across, at + 1), chart, title)
+        axes = figure.add_subplot(rows, across, at + 1)
+        _draw_curves(axes, chart.curves)
+        if chart.y_title == "error [mm]":
+            axes.axhline(0.0, color="0.0", linewidth=0.6)
+        axes.set(xlabel=chart.x_title, ylabel=chart.y_title)
+        axes.set_title(title, loc="left")
+        axes.legend(loc="best", ncols=2 if chart.over_time else 1)
     return figure
 
 
@@ -203,7 +200,12 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
     """A line per method; groups of frames differ by marker, and the one over all frames is black and filled."""
     groups = list(dict.fromkeys(score.group for score in scores))
     methods = list(dict.fromkeys(score.method for score in scores))
-    metrics, looks = {metric.key: metric for metric in figure_metrics()}, _group_looks(groups)
+    metrics = {metric.key: metric for metric in figure_metrics()}
+    others, kinds = (
+        (one for one in groups if one != Group(ALL, ALL)),
+        product(("0.35", "0.6", "0.0"), MARKERS[1:]),
+    )
+    looks = {group: (grey, marker, 4.0) for group, (grey, marker) in zip(others, kinds, strict=False)}
     known = [key for key in NAMES if any(metrics[f"{key}rmse_m"].of(score.figures) for score in scores)]
     legend_rows = -(-len(groups) // 4) if len(groups) > 1 else 0
     height_in = 2 * (LINE_IN * len(methods) + HEAD_IN) + 0.17 * legend_rows + 0.25
@@ -219,7 +221,8 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
     for panel, (key, label) in zip(axes.T.flat, labels.items(), strict=True):
         metric, shown = metrics[key], []
         for score in scores:
-            value, (colour, marker, size) = metric.of(score.figures), looks[score.group]
+            value = metric.of(score.figures)
+            colour, marker, size = looks.get(score.group, ("0.0", MARKERS[0], 5.5))
             if isinstance(value, float) and np.isfinite(value):
                 shown.append(value * metric.unit.factor)
                 panel.plot(shown[-1:], [methods.index(score.method)], linestyle="none", marker=marker, color=colour,
@@ -240,13 +243,6 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
         by_label = dict(zip(*reversed(axes[0, 0].get_legend_handles_labels()), strict=True))
         figure.legend(by_label.values(), by_label.keys(), loc="outside lower left", ncols=4)
     return figure
-
-
-def _group_looks(groups: Sequence[Group]) -> dict[Group, tuple[str, str, float]]:
-    others = [group for group in groups if group != Group(ALL, ALL)]
-    pairs = product(("0.35", "0.6", "0.0"), MARKERS[1:])
-    looks = {group: (grey, marker, 4.0) for group, (grey, marker) in zip(others, pairs, strict=False)}
-    return {group: looks.get(group, ("0.0", MARKERS[0], 5.5)) for group in groups}
 
 
 def _decades(panel: Axes, shown: Sequence[float]) -> None:

@@ -64,8 +64,7 @@ def _block(name: str, **values: object) -> str:
 
 
 def _topics(instrument: InstrumentDraft) -> dict[str, str]:
-    found = (("joints", instrument.joints), ("pose", instrument.pose))
-    return {role: topic for role, topic in found if topic}
+    return {role: topic for role in ("joints", "pose") if (topic := getattr(instrument, role))}
 
 
 def _by_colour(mark: DistinctColour, draft: ProfileDraft) -> str:

@@ -27,7 +27,7 @@ from svmdist.recording.topics import FixedTransform
 from svmdist.results import Failure, FrameResult
 from svmdist.samples import JointSample
 from svmdist.tracks import JointTrack
-from svmdist.transforms import Array, inverse, rotation_angle, skew
+from svmdist.transforms import Array, Stamps, inverse, rotation_angle, skew
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.replay import replay
@@ -43,11 +43,10 @@ PIXELS_AS_THEY_ARE = plane_mapping.PlaneMapping(
 
 @dataclass(frozen=True)
 class CalibrationPart:
-    """What one recording contributes to a calibration: its samples, its camera, and its identity."""
+    """What one recording contributes to a calibration."""
 
     name: str
-    file_name: str
-    sha256: str
+    source: plane_mapping.SourceFile
     camera: Camera
     samples: plane_mapping.CalibrationSamples
 
@@ -69,26 +68,24 @@ def collect_part(
     truth = recording.transform_track(frames.camera, frames.tool, ground_truth=True)
     tool = truth.at(stamps_ns)
     samples = plane_mapping.CalibrationSamples(tool_px[tool.valid], tool.values[tool.valid, :2, 3])
-    return CalibrationPart(recording.name, recording.path.name, recording.sha256(), camera, samples)
+    source = plane_mapping.SourceFile(name=recording.path.name, sha256=recording.sha256())
+    return CalibrationPart(recording.name, source, camera, samples)
 
 
 def fit_parts(parts: Sequence[CalibrationPart], method: str) -> plane_mapping.Calibration:
     """Fit a calibration; CalibrationError for different cameras, too few frames or too little of the image covered."""
     first = parts[0]
-    for part in parts:
-        if not first.camera.same_optics(part.camera):
-            raise CalibrationError(
-                f"recordings of different cameras cannot be calibrated together: {first.name} and {part.name} differ"
-            )
+    if others := [part.name for part in parts if not first.camera.same_optics(part.camera)]:
+        differ = f"{first.name} and {others[0]} differ"
+        raise CalibrationError(f"recordings of different cameras cannot be calibrated together: {differ}")
+    tool_px = np.concatenate([part.samples.tool_px for part in parts])
+    tool_m = np.concatenate([part.samples.tool_m for part in parts])
     return plane_mapping.fit_calibration(
-        plane_mapping.CalibrationSamples(
-            np.concatenate([part.samples.tool_px for part in parts]),
-            np.concatenate([part.samples.tool_m for part in parts]),
-        ),
+        plane_mapping.CalibrationSamples(tool_px, tool_m),
         first.camera,
         method,
         created_by=f"svmdist {version('svmdist')}",
-        sources=tuple(plane_mapping.SourceFile(name=part.file_name, sha256=part.sha256) for part in parts),
+        sources=tuple(part.source for part in parts),
     )
 
 
@@ -100,16 +97,15 @@ SEEN_SIZES = {
 }
 """Methods that find the tool by images alone, the most accurate first, and the size that determines their depth."""
 SEEING_METHODS = tuple(SEEN_SIZES)
-NEAR_NS = 200_000_000
-"""Joint rates come from the joint states within this of an image."""
+NEAR_NS = 200_000_000  # joint rates come from the joint states within this of an image
 
 
 @dataclass(frozen=True)
 class HandEyeResult:
     """The transform of an instrument's base, and how it was found.
 
-    `tool_std_m` is the standard deviation of the tool placed by the transform, at the mean seen position, in the worst
-    direction; `from_log` the difference of the log's own transform: rotation in rad and translation of the tool in m.
+    `tool_std_m` is the standard deviation of the tool at its mean position, in the worst direction; `from_log` how far
+    the log's own transform is: rotation in rad and translation of the tool in m.
     """
 
     hand_eye: hand_eye_file.HandEye
@@ -144,14 +140,14 @@ def hand_eye(
 ) -> HandEyeResult | Failure:
     """Fit the camera-to-base transform of an instrument; a Failure says why that is impossible.
 
-    The method of the setup sees the tool, without any transform of the log. `against` is what the robot reports:
-    kinematics of its joints, or poses; None takes the joints where log and profile have them. With joints, a second
-    pass measures with the wrist's orientation by the first one. Raises RecordingError without joints and poses.
+    The method of the setup sees the tool, without any transform of the log. `against` is what the robot reports, joints
+    or poses; None takes joints where log and profile have them. With joints, a second pass measures with the wrist's
+    orientation by the first one. Raises RecordingError without joints and poses.
     """
     setup = replace(setup, profile=setup.profile.model_copy(update={"hand_eye": None}))
     profile = setup.profile.for_instrument(instrument)
     own = recording.for_instrument(instrument)
-    against = against or default_reference(own, profile)
+    against = against or _default_reference(own, profile)
     twice = against == "kinematics" and setup.method != "fiducial"
     count = recording.image_count()
     steps = Steps(on_progress, count and count * (1 + twice))
@@ -166,16 +162,15 @@ def hand_eye(
             return Failure(found.reason + "".join(f"; {count} frames say: {why}" for why, count in said))
         return found
 
-    blind = recording.with_bases({name: FixedTransform(None) for name in recording.instruments})
-    found = fit_to(blind)
+    without = recording.with_bases({name: FixedTransform(None) for name in recording.instruments})
+    found = fit_to(without)
     if isinstance(found, HandEyeResult) and twice:
-        second = fit_to(blind.with_bases({instrument: FixedTransform(found.fit.T_camera_base)}))
+        second = fit_to(without.with_bases({instrument: FixedTransform(found.fit.T_camera_base)}))
         found = second if isinstance(second, HandEyeResult) else found
     return found
 
 
-def default_reference(recording: Recording, profile: Profile) -> Against:
-    """The joints where log and profile have them, else the poses; raises RecordingError where the log lacks both."""
+def _default_reference(recording: Recording, profile: Profile) -> Against:
     robot, has_joints = profile.robot, recording.topic_of("joints") is not None
     if robot is not None and has_joints and not robot.missing_joints(recording.joint_track().names):
         return "kinematics"
@@ -187,35 +182,28 @@ def default_reference(recording: Recording, profile: Profile) -> Against:
     )
 
 
-def reported_tool(
-    recording: Recording, profile: Profile, against: Against, stamps_ns: NDArray[np.int64]
-) -> ReportedTool:
-    """The tool by the robot's joints or its poses; RecordingError where the log lacks them.
-
-    Of joints, backlash is noise of each frame, and the other errors of the profile are shared by all frames.
-    """
+def _reported_tool(log: Recording, profile: Profile, against: Against, stamps_ns: Stamps) -> ReportedTool:
+    """Of joints, backlash is noise of each frame, and the other errors of the profile are shared by all frames."""
     count = len(stamps_ns)
     T_base_tool, axes = np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan)
     if against == "pose":
-        poses = recording.pose_track().at(stamps_ns)
+        poses = log.pose_track().at(stamps_ns)
         noise = np.repeat(profile.settings.hand_eye.pose_std_m**2 * np.eye(3)[None], count, 0)
         return ReportedTool(poses.values, poses.valid, axes, noise, np.zeros((count, 6, 0)))
     if profile.robot is None:
         raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
     chain = chain_of(profile.robot)
     model = ErrorModel(chain, profile.kinematic_error)
-    shaft, joints = shaft_of(chain), recording.joint_track()
+    shaft, joints = shaft_of(chain), log.joint_track()
     columns = list(model.constant_columns.values())
     noise, shared = np.zeros((count, 3, 3)), np.zeros((count, 6, len(columns)))
     sampled = joints.at(stamps_ns)
     for at in np.flatnonzero(sampled.valid):
         near = np.abs(joints.stamps_ns - stamps_ns[at]) <= NEAR_NS
-        track = (
-            JointTrack(joints.stamps_ns[near], joints.names, joints.positions[near]) if near.any() else None
-        )
+        around = JointTrack(joints.stamps_ns[near], joints.names, joints.positions[near])
         sample = JointSample(int(stamps_ns[at]), joints.names, sampled.values[at])
         # With the base at the camera: all that follows is in the base's frame.
-        state = RobotState.of(chain, sample, np.eye(4), sample.stamp_ns, track)
+        state = RobotState.of(chain, sample, np.eye(4), sample.stamp_ns, around if near.any() else None)
         if isinstance(state, Failure):
             raise KinematicsError(state.reason)
         links = model.links(model.nominal(state), model.no_correction(), model.anchor_m(state))
@@ -235,7 +223,7 @@ def _fit(
     rows: list[FrameResult], recording: Recording, method: str, profile: Profile, against: Against
 ) -> HandEyeResult | Failure:
     stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
-    reported = reported_tool(recording, profile, against, stamps_ns)
+    reported = _reported_tool(recording, profile, against, stamps_ns)
     known = np.flatnonzero(reported.valid)
     tools = [rows[at].tool.pose for at in known]  # type: ignore[union-attr]  # rows of a seen tool
     seen_m = np.reshape([tool.position_m for tool in tools], (-1, 3))
@@ -259,13 +247,10 @@ def _fit(
     counts = dict.fromkeys(reported.names, 1) | {name: errors.shape[2] for name, errors in camera.items()}
     names = [name for name, count in counts.items() for _ in range(count)]
     std = hand_eye_file.stated_deviations(profile)
-    effects = tuple(
-        hand_eye_file.ConstantEffect(
-            constant=name, deviation=std[name], effects=fit.effects[:, [n == name for n in names]].T.tolist()
-        )
-        for name in counts
-        if std.get(name, 0.0) > 0.0
-    )
+    effects = []
+    for name in (name for name in counts if std.get(name, 0.0) > 0.0):
+        columns = fit.effects[:, [n == name for n in names]].T.tolist()
+        effects.append(hand_eye_file.ConstantEffect(constant=name, deviation=std[name], effects=columns))
     hand_eye_of_fit = hand_eye_file.HandEye.model_validate(
         {
             "instrument": profile.instrument_name,
@@ -290,9 +275,8 @@ def _fit(
         nominal = inverse(fit.T_camera_base) @ np.append(middle_m, 1.0)
         rotation_rad = float(rotation_angle(T_log[:3, :3], fit.T_camera_base[:3, :3]))
         from_log = rotation_rad, float(np.linalg.norm((T_log @ nominal)[:3] - middle_m))
-    return HandEyeResult(
-        hand_eye_of_fit, fit, float(np.sqrt(np.linalg.eigvalsh(covariance_m2)[-1])), from_log
-    )
+    tool_std_m = float(np.sqrt(np.linalg.eigvalsh(covariance_m2)[-1]))
+    return HandEyeResult(hand_eye_of_fit, fit, tool_std_m, from_log)
 
 
 def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float) -> dict[str, Array]:

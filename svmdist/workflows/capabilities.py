@@ -27,8 +27,7 @@ COMMANDS = {
 PARTS = ("fiducial", "instrument", "robot", "tissue")
 """Tables of a profile that methods need."""
 DEFAULT_METHOD = "overlay"  # of `estimate`
-TAG_IMAGES = 8
-"""Images that a tag is looked for in, spread over the log."""
+TAG_IMAGES = 8  # that a tag is looked for in, spread over the log
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +74,7 @@ def capabilities(
 def method_capabilities(
     summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None
 ) -> tuple[Capability, ...]:
-    """What log and profile lack for each method of `estimate`; `tags` is what `look_for_tag` found."""
+    """The same for each method of `estimate`."""
     profile = _seen_by_first(summary, profile)
     return tuple(
         Capability(method.name, _missing((*IMAGES, *method.inputs), summary, profile, tags))
@@ -113,9 +112,8 @@ def instruments_in(summary: RecordingSummary, profile: Profile) -> tuple[str, ..
     theirs = {topic for other in others for topic in other.logged_topics.values()}
     named = {getattr(profile.topics, role) for role in ("joints", "pose")} - {None}
     own = (named | {summary.roles.get(role) for role in ("joints", "pose")}) - theirs
-    if theirs & topics and named and not own & topics:
-        return names
-    return (profile.instrument_name, *names)
+    is_elsewhere = theirs & topics and named and not own & topics
+    return names if is_elsewhere else (profile.instrument_name, *names)
 
 
 def _seen_by_first(summary: RecordingSummary, profile: Profile) -> Profile:
@@ -156,8 +154,7 @@ def _missing(
 def _missing_reference(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:
     if "ground_truth_distance" in summary.roles:
         return ()
-    tissue = profile.frames.tissue
-    missing = []
+    tissue, missing = profile.frames.tissue, []
     has_chain = "joints" in summary.roles and not _missing_chain(summary, profile)
     if not (has_chain or "pose" in summary.roles or profile.frames.tool in summary.frames):
         missing.append("the tool's pose (transforms, a pose topic or joint states)")
@@ -170,7 +167,5 @@ def _missing_chain(summary: RecordingSummary, profile: Profile) -> tuple[str, ..
     if profile.robot is None:
         return (f"a [robot] in profile {profile.name}",)
     topic = summary.roles.get("joints")
-    if topic is None:
-        return ()
-    missing = profile.robot.missing_joints(summary.joint_names.get(topic, ()))
+    missing = profile.robot.missing_joints(summary.joint_names.get(topic, ())) if topic else ()
     return (f"the joints {', '.join(missing)} of profile {profile.name}",) if missing else ()

@@ -23,7 +23,7 @@ class PoseBlock:
     """Some thousand poses of the tool, (n, 4, 4) in the base's frame or the camera's, at the joint states' stamps.
 
     `errors`, (m, 2), are those of all joint states against the log's pose topic: position in m and angle in rad, NaN
-    without a pose. Where its frame is not the chain's base, a constant offset between the frames is part of them.
+    without a pose, with a constant offset where its frame is not the chain's base.
     """
 
     stamps_ns: Stamps
@@ -41,10 +41,9 @@ def fk_blocks(
 ) -> Generator[PoseBlock]:
     """Yield the tool's pose for every joint state of a recording, or those in a window, by the profile's chain.
 
-    With `in_camera` in the camera's frame, by the transform of a hand-eye file or of the log; joint states without a
-    transform at their stamp are left out. `on_progress` is called when the joint states are read. Raises, before the
-    first block, RecordingError where there are no joint states, no transform, or the profile has no chain, and
-    KinematicsError where the chain's joints are not in them.
+    With `in_camera` by the transform of a hand-eye file or of the log; joint states without one at their stamp are left
+    out. Raises, before the first block, RecordingError without joint states, transform or chain, and KinematicsError
+    where the chain's joints are not in the log.
     """
     if profile.robot is None:
         raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")

@@ -25,14 +25,13 @@ from svmdist.profile import Limits
 from svmdist.recording.images import ImageError, decode_file, read_file, still_size
 from svmdist.recording.writer import EncodedSample, RecordingWriter, encode_still
 from svmdist.samples import CameraSample, Image, ImageSample, JointSample, PoseSample, Sample
+from svmdist.workflows.parallel import Progress
 
 LIMITS = Limits()
 SIDES = ("left", "right")
 FRAMES = ("camera", "camera_right")
-Picture = bytes | Image
-"""A file's bytes, PNG or JPEG, or decoded pixels, BGR."""
-Message = tuple[int, str, "Sample | EncodedSample"]
-"""Stamp in ns, topic, and what is written."""
+Picture = bytes | Image  # a file's bytes, PNG or JPEG, or decoded pixels, BGR
+Message = tuple[int, str, "Sample | EncodedSample"]  # stamp in ns, topic, and what is written
 
 
 @dataclass(frozen=True)
@@ -93,16 +92,9 @@ class View:
 
 
 def import_log(
-    options: ImportOptions,
-    output: Path,
-    *,
-    force: bool = False,
-    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+    options: ImportOptions, output: Path, *, force: bool = False, on_progress: Progress | None = None
 ) -> ImportResult:
-    """Write a log of files; `on_progress` gets (images done, images in all).
-
-    Raises UsageError, SourceError or OutputError, and leaves no file then.
-    """
+    """Write a log of files. Raises UsageError, SourceError or OutputError, and leaves no file then."""
     given = options.views
     stated = stated_cameras(options.calibration, given.count)
     views = _open_views(given)
@@ -125,11 +117,11 @@ def import_log(
             for _, topic, sample in heapq.merge(*images, *tables, key=lambda message: message[0]):
                 writer.write(topic, sample)
                 counts[topic] += 1
-                if topic.endswith("/image"):
+                if on_progress is not None and topic.endswith("/image"):
                     on_progress(sum(counts[f"/ECM/{side}/image"] for side in SIDES) // halved, total)
     except SvmdistError:
-        if writer.opened:
-            with suppress(OSError):
+        with suppress(OSError):
+            if writer.opened:
                 writer.part_path.unlink(missing_ok=True)
         raise
     has_baseline = None if given.count == 1 else bool(np.any(np.asarray(cameras[1].P)[:2, 3]))
@@ -183,11 +175,10 @@ def _open_views(options: ViewOptions) -> list[View]:
                 f"{source}: {'is' if source.is_dir() else 'is no'} folder, and {options.source}"
                 f" {'a video' if source.is_dir() else 'is one'}: both views come in one form"
             )
-    is_folder = options.source.is_dir()
-    views = _file_views(options) if is_folder else _video_views(options, sources)
-    name, width_px = views[0].names[0], views[0].size_px[0]
+    views = _file_views(options) if options.source.is_dir() else _video_views(options, sources)
+    width_px = views[0].size_px[0]
     if options.side_by_side and width_px % 2:
-        raise SourceError(f"{name}: {width_px} px wide: two views side by side have one width")
+        raise SourceError(f"{views[0].names[0]}: {width_px} px wide: two views side by side have one width")
     return views
 
 
@@ -208,10 +199,7 @@ def _file_views(options: ViewOptions) -> list[View]:
         right_stamps = own
     else:
         right = matching(left, right)
-    return [
-        _file_view(left, stamps, options.every),
-        _file_view(right, right_stamps, options.every),
-    ]
+    return [_file_view(left, stamps, options.every), _file_view(right, right_stamps, options.every)]
 
 
 def _file_view(paths: Sequence[Path], stamps_ns: list[int], every: int) -> View:
@@ -228,9 +216,8 @@ def _file_view(paths: Sequence[Path], stamps_ns: list[int], every: int) -> View:
         for place in range(0, len(paths), every):
             picture, (width_px, height_px) = picture_of(paths[place])
             if (width_px, height_px) != size_px:
-                raise SourceError(
-                    f"{paths[place].name}: {width_px}x{height_px} px; {paths[0].name} has {size_px[0]}x{size_px[1]} px"
-                )
+                first = f"{paths[0].name} has {size_px[0]}x{size_px[1]} px"
+                raise SourceError(f"{paths[place].name}: {width_px}x{height_px} px; {first}")
             yield place, picture
 
     _, size_px = picture_of(paths[0])
@@ -245,10 +232,8 @@ def _video_views(options: ViewOptions, sources: Sequence[Path]) -> list[View]:
         width_px, height_px = video.size_px
         if width_px * height_px > LIMITS.image_pixels:
             raise SourceError(f"{path}: {width_px}x{height_px} px, the limit is {LIMITS.image_pixels} px")
-        if len(video.times_ns) != len(videos[0].times_ns):
-            raise SourceError(
-                f"{path}: {len(video.times_ns)} images; {sources[0]} has {len(videos[0].times_ns)}"
-            )
+        if len(video.times_ns) != (count := len(videos[0].times_ns)):
+            raise SourceError(f"{path}: {len(video.times_ns)} images; {sources[0]} has {count}")
     names = [f"image {place} of {sources[0].name}" for place in range(len(videos[0].times_ns))]
     stamps = _stamps(options, names, videos[0].times_ns)
     return [View(names, stamps, video.size_px, partial(video.images, options.every)) for video in videos]
@@ -259,14 +244,11 @@ def _stamps(options: ViewOptions, names: list[str], times_ns: Sequence[int] | No
         return [options.start_ns + round(number * 1e9 / options.rate_hz) for number in range(len(names))]
     if options.times is None and times_ns is not None:
         return [options.start_ns + time_ns for time_ns in times_ns]
-    stamps = (
-        table_files.read_times(options.times, names)
-        if options.times
-        else table_files.stamps_from_names(names)
-    )
+    times = options.times
+    stamps = table_files.read_times(times, names) if times else table_files.stamps_from_names(names)
     if stamps is None:
         raise UsageError(
-            f"the name {names[0]} tells no time (in s or ns since 1970): give --rate HZ or --times FILE"
+            f"the name {names[0]} has no time (in s or ns since 1970): give --rate HZ or --times FILE"
         )
     table_files.require_rising(stamps, names, str(options.times or options.source))
     return stamps

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,16 +28,14 @@ from svmdist.vision.frame_context import as_pinholes
 from svmdist.vision.stereo import StereoPlane, fit_plane
 from svmdist.workflows.capabilities import observations_of
 
-OTHER_ARMS = re.compile(r"/(ECM|MTM\w*|SUJ\w*)(/|$)")
-"""Arms of a da Vinci that carry no instrument."""
+OTHER_ARMS = re.compile(r"/(ECM|MTM\w*|SUJ\w*)(/|$)")  # of a da Vinci, without an instrument
 SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("_l/", "_r/"), ("/l/", "/r/"))
 """How topics tell the left camera from the right one."""
+TOOL_TOPICS = (("joints", "joint states", "measured_js"), ("pose", "poses", "measured_cp"))
 CHAIN_PROFILES = ("dvrk-psm", "psm13")
 """Shipped profiles whose chains a log's joints may belong to."""
-LOOKED_AT = 12
-"""Images that colours and plane are taken from, spread over the log."""
-MOST_IMAGES = 0.6
-"""An instrument is visible in at least this share of the images."""
+LOOKED_AT = 12  # images that colours and plane are taken from, spread over the log
+MOST_IMAGES = 0.6  # share of the images that an instrument is at least visible in
 MIN_PLANES = 3
 LEAST_PLANE_STD_M, LEAST_TILT_STD_RAD, LEAST_SURFACE_STD_M = 3e-3, 0.05, 1e-3
 """Tissue is no plane: a plane fitted to all of it is off by this much where the tool works."""
@@ -129,10 +127,9 @@ def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
         if role not in list(Role):
             raise UsageError(f"no role {role} for a topic: {did_you_mean(role, list(Role))}")
         if chosen not in there:
-            raise RecordingError(
-                f"{summary.path.name}: no topic {sanitize(chosen)} for {sanitize(role)}; the topics are"
-                f" {sanitize_list(there) or 'none'}"
-            )
+            missing = f"no topic {sanitize(chosen)} for {sanitize(role)}"
+            listed = sanitize_list(there) or "none"
+            raise RecordingError(f"{summary.path.name}: {missing}; the topics are {listed}")
 
     def carrying(kind: str, *unwanted: str) -> list[str]:
         topics = [topic.topic for topic in summary.topics if topic.kind == kind and topic.message_count]
@@ -156,36 +153,28 @@ def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
     if given.get("tf") or len(moving) == 1:
         topics["tf"] = given.get("tf") or moving[0]
     instruments: dict[str, dict[str, str]] = {}
-    for role, kind, preferred in [
-        ("joints", "joint states", "measured_js"),
-        ("pose", "poses", "measured_cp"),
-    ]:
+    for role, kind, preferred in TOOL_TOPICS:
         tools = [topic for topic in carrying(kind, "jaw", "ground_truth") if not OTHER_ARMS.search(topic)]
         named = [topic for topic in tools if topic.rpartition("/")[2] == preferred]
         for topic in [given[role]] if role in given else named or tools:
             instruments.setdefault(_instrument_name(topic), {}).setdefault(role, topic)
-    rest = tuple(topic for topic in images if topic not in topics.values())
-    return LogRoles(topics, dict(sorted(instruments.items())), rest)
+    others = [topic for topic in images if topic not in topics.values()]
+    return LogRoles(topics, dict(sorted(instruments.items())), tuple(others))
 
 
 def _left_image(images: Sequence[str], summary: RecordingSummary) -> str:
     """The only topic of images that is not a right camera's, or the only left one."""
-    preferences: tuple[Callable[[str], object], ...] = (
-        lambda topic: not _is_right(topic),
-        lambda topic: _right_of(topic, images),
-        lambda topic: "left" in topic.lower(),
-        lambda topic: "rect" in topic.lower(),
-    )
     name, lefts = summary.path.name, list(images)
     if not lefts:
         there = sanitize_list(topic.topic for topic in summary.topics)
         raise RecordingError(f"{name}: no topic with images; the topics are {there or 'none'}")
-    for preferred in preferences:
-        lefts = [topic for topic in lefts if preferred(topic)] or lefts
+    lefts = [topic for topic in lefts if not _is_right(topic)] or lefts
+    lefts = [topic for topic in lefts if _right_of(topic, images)] or lefts
+    for word in ("left", "rect"):
+        lefts = [topic for topic in lefts if word in topic.lower()] or lefts
     if len(lefts) > 1:
-        raise RecordingError(
-            f"{name}: several topics carry images: choose one with --topic image=TOPIC: {sanitize_list(lefts)}"
-        )
+        several = "several topics carry images: choose one with --topic image=TOPIC"
+        raise RecordingError(f"{name}: {several}: {sanitize_list(lefts)}")
     return lefts[0]
 
 
@@ -247,7 +236,7 @@ def _instruments_by_sides(images: Sequence[Image]) -> tuple[InstrumentDraft, ...
 
 
 def _plane(planes: Sequence[StereoPlane]) -> Tissue | None:
-    """The median of the planes of several images, and their spread."""
+    """The median of several planes, and their spread."""
     if len(planes) < MIN_PLANES:
         return None
     normals = np.array([plane.normal for plane in planes])
@@ -289,7 +278,7 @@ def _instrument(
 
 
 def shipped_robot(name: str) -> Robot:
-    """The chain of a profile that ships."""
+    """The chain of a shipped profile."""
     robot = load_profile(name).robot
     assert robot is not None
     return robot

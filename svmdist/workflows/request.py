@@ -86,12 +86,10 @@ class PerturbedCondition:
 
     def apply(self, observation: Observation, _frame: int) -> Observation:
         """Change the images; joints and calibration are those of `Recording.perturbed`."""
-        image, right = observation.image_bgr, observation.right
-        return replace(
-            observation,
-            image_bgr=perturbed_image(image, self.perturbations),
-            right=None if right is None else perturbed_right_view(right, self.perturbations),
-        )
+        image, right = perturbed_image(observation.image_bgr, self.perturbations), observation.right
+        if right is not None:
+            right = perturbed_right_view(right, self.perturbations)
+        return replace(observation, image_bgr=image, right=right)
 
 
 LogCondition = Condition | PerturbedCondition  # what a log can be compared under

@@ -114,7 +114,7 @@ ERRORS = [
     ("import images -o out.mcap --camera 60,61,310,23 --rate 1", 1, "principal point (310, 23) is outside"),
     ("import images -o out.mcap --calibration no.yaml --rate 1", 1, "no.yaml: cannot read: No such file"),
     ("import images -o out.mcap --right-camera 60,61,31,23", 2, "--right-camera goes with --camera"),
-    (CAMERA, 2, "img0.png tells no time"),
+    (CAMERA, 2, "img0.png has no time"),
     (f"{CAMERA} --rate 0", 2, "'--rate': Input should be greater than or equal to 0.001"),
     (f"{CAMERA} --unit inch", 2, "'--unit': inch: the choices are: cm, m, mm"),
     (f"{CAMERA} --baseline 5mm", 2, "--baseline is of two views"),

@@ -150,7 +150,7 @@ NUMBERS = ("1_L.png", "2_L.png", "1_R.png")
 PAIRED = {"pattern": "*_L.png", "right_pattern": "*_R.png", "rate_hz": 1.0}
 WRONG = {
     "empty": ((), {"rate_hz": 1.0}, ONE, "no images"),
-    "no times": (NUMBERS, {}, ONE, "tells no time"),
+    "no times": (NUMBERS, {}, ONE, "has no time"),
     "no camera": (NUMBERS, {"rate_hz": 1.0}, CalibrationOptions(), "a camera needs a calibration"),
     "lonely": (NUMBERS, PAIRED, PAIR, "2_L.png: there is no right image"),
     "size": ((*NUMBERS, "2_R.png 60"), PAIRED, PAIR, "60x48 px; 1_R.png has 64x48 px"),
