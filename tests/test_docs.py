@@ -108,12 +108,10 @@ def test_documentation_stays_short_and_every_page_is_in_the_navigation():
     decisions = sorted(page for page in pages if re.match(r"decisions/\d", page))
     in_navigation = re.findall(r": (\S+\.md)$", (REPOSITORY / "mkdocs.yml").read_text("utf-8"), re.MULTILINE)
     assert sorted(in_navigation) == sorted({*pages, *OUTSIDE.values()} - {*decisions})
-    listed = re.findall(
-        r"^\d+\. \[(.*)\]\((.*)\)$", pages["decisions/README.md"].read_text("utf-8"), re.MULTILINE
-    )
-    titles = [
-        re.sub(r"^# \d+\. ", "", pages[page].read_text("utf-8").partition("\n")[0]) for page in decisions
-    ]
+    index = pages["decisions/README.md"].read_text("utf-8")
+    listed = re.findall(r"^\d+\. \[(.*)\]\((.*)\)$", index, re.MULTILINE)
+    heads = [pages[page].read_text("utf-8").partition("\n")[0] for page in decisions]
+    titles = [re.sub(r"^# \d+\. ", "", head) for head in heads]
     assert listed == [(title, Path(page).name) for title, page in zip(titles, decisions, strict=True)]
 
 

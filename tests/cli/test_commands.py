@@ -166,7 +166,6 @@ def test_a_shell_completes_with_the_script_that_is_shown(tmp_path):
     assert "_svmdist_completion" in script
     ask = "\nCOMP_WORDS=(svmdist hand); COMP_CWORD=1; _svmdist_completion svmdist; echo ${COMPREPLY[@]}\n"
     there = {**os.environ, "PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}"}
-    done = subprocess.run(
-        ["bash", "-c", script + ask], env=there, capture_output=True, text=True, check=False
-    )
+    bash = ["bash", "-c", script + ask]
+    done = subprocess.run(bash, env=there, capture_output=True, text=True, check=False)
     assert done.stdout.split() == ["hand-eye"], done.stderr

@@ -212,9 +212,8 @@ def test_a_profile_limits_what_a_log_may_ask(cli, tmp_path, synthetic_log):
     """What is above `[limits]` of the profile is a loss."""
     profile = tmp_path / "strict.toml"
     profile.write_text(PSM13 + "\n[limits]\nimage_pixels = 1000\n")
-    outcome = cli(
-        "estimate", synthetic_log, "--profile", profile, "--equations", "printed", "-f", "csv", code=3
-    )
+    options = ("--profile", profile, "--equations", "printed", "-f", "csv")
+    outcome = cli("estimate", synthetic_log, *options, code=3)
     assert "the limit is 1000" in outcome.err
     assert outcome.out.count("corrupt_image") == 40
 

@@ -12,9 +12,7 @@ from tests.conftest import ended
 
 PSM13 = (SHIPPED / "psm13.toml").read_text("utf-8")
 DEEP, DEEP_TABLES, DIGITS = "[" * 10_000 + "]" * 10_000, "{b=" * 10_000 + "1" + "}" * 10_000, "9" * 5_000
-LINUX = pytest.mark.skipif(
-    not sys.platform.startswith("linux"), reason="needs pipes and devices as Linux has them"
-)
+LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs Linux's pipes and devices")
 
 
 def named(folder: Path, kind: str, name: str) -> Path:

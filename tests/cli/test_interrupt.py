@@ -57,9 +57,7 @@ def test_while_a_log_is_recorded(tmp_path, number, code, said, jobs):
         process.send_signal(number)
         out, err = process.communicate()
     assert (process.returncode, out) == (code, "")  # PyBullet's own chatter goes nowhere
-    lines = [
-        line for line in err.splitlines() if "frames/s" not in line
-    ]  # a slow machine reports its progress
+    lines = [line for line in err.splitlines() if "frames/s" not in line]  # the progress of a slow machine
     assert lines == [f"{said}; what was recorded until then is in {part}"]
     assert list(tmp_path.iterdir()) == [part]
     assert any(isinstance(image, ImageSample) for image in open_recording(part, load_profile()).images())

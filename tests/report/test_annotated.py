@@ -61,9 +61,8 @@ def annotated(tmp_path_factory: pytest.TempPathFactory) -> Annotated:
 
 
 def messages_of(recording: Recording, topic: str, kind: Any) -> list[Any]:
-    return [
-        kind.FromString(bytes(raw.data)) for raw in recording.file.source.messages() if raw.topic == topic
-    ]
+    messages = recording.file.source.messages()
+    return [kind.FromString(bytes(raw.data)) for raw in messages if raw.topic == topic]
 
 
 def stamp_ns(message: Any) -> int:
@@ -173,13 +172,11 @@ def test_rerun_shows_image_camera_transforms_and_text(annotated, tmp_path):
     """Rerun's own importer, as `rerun FILE` runs it."""
     pytest.importorskip("rerun", reason="rerun-sdk has no wheel for this platform")
     # A home of its own: the program writes its settings there, and says what it would collect at first.
-    environment = os.environ | {"HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path)}
+    own = os.environ | {"HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path)}
 
     def rerun(*arguments: object) -> str:
         command = [sys.executable, "-m", "rerun", *map(str, arguments)]
-        done = subprocess.run(
-            command, env=environment, capture_output=True, text=True, timeout=120, check=False
-        )
+        done = subprocess.run(command, env=own, capture_output=True, text=True, timeout=120, check=False)
         assert done.returncode == 0, done.stderr
         return done.stdout
 

@@ -169,9 +169,7 @@ def test_estimate_writes_the_report_beside_the_rows_or_in_their_place(golden, cl
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """Debian's Chromium, without a network."""
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="playwright has no wheel for this platform"
-    )
+    playwright = pytest.importorskip("playwright.sync_api", reason="no wheel for this platform")
     if CHROMIUM is None:
         pytest.skip("no chromium on this machine: apt-get install chromium")
     with playwright.sync_playwright() as running:

@@ -38,9 +38,8 @@ def test_the_ideal_bodies_are_convex(profile, scene):
 @pytest.mark.parametrize("seed", range(3))
 def test_lobes_keep_centroid_and_height(seed):
     """The origin stays the outline's centroid, nothing is higher than the dome, and a place has one height."""
-    dome, organ = (
-        make_organ(np.random.default_rng(seed), seed, chosen(text)) for text in ("", "tissue_shape=0.4")
-    )
+    shapes = ("", "tissue_shape=0.4")
+    dome, organ = (make_organ(np.random.default_rng(seed), seed, chosen(text)) for text in shapes)
     np.testing.assert_allclose(polygon_centroid(organ.outline_m), 0.0, atol=1e-12)
     z_m = organ.mesh.vertices_m[:, 2]
     assert (z_m.min(), z_m.max()) == pytest.approx((0.0, dome.height_m), abs=1e-12)

@@ -155,9 +155,8 @@ def test_options_leave_truth_and_left_camera_alone(plain, full, profile):
     nominal = draw_nominal_kinematics(scene.chain, scene.T_camera_base, profile, SHORT.seed, 1.0)
     tf, joints = of(full, topics.tf)[0], of(full, topics.joints)[0]
     np.testing.assert_array_equal(tf.transforms[0].T_parent_child, nominal.T_camera_base)
-    true_tool = scene.T_camera_base @ forward_kinematics(
-        scene.chain, joints.positions - nominal.joint_offsets
-    )
+    true_q = joints.positions - nominal.joint_offsets
+    true_tool = scene.T_camera_base @ forward_kinematics(scene.chain, true_q)
     truth = of(full, topics.ground_truth_tf)[0].transforms[0].T_parent_child
     np.testing.assert_allclose(true_tool, truth, atol=1e-12)
     chain = [item.T_parent_child for item in tf.transforms if item.child != "camera_right"]
@@ -171,12 +170,9 @@ def test_options_leave_truth_and_left_camera_alone(plain, full, profile):
 
 def test_kinematic_error_has_the_profiles_spread(scene, profile):
     """Over 400 seeds: moving joints and T_camera_base are off by 1°, 1 mm, 2° and 5 mm; twice at twice the scale."""
+    world = scene.chain, scene.T_camera_base, profile
     drawn = [
-        [
-            draw_nominal_kinematics(scene.chain, scene.T_camera_base, profile, seed, scale)
-            for seed in range(400)
-        ]
-        for scale in (0.0, 1.0, 2.0)
+        [draw_nominal_kinematics(*world, seed, scale) for seed in range(400)] for scale in (0.0, 1.0, 2.0)
     ]
     zero, one, two = (np.array([each.joint_offsets for each in its]) for its in drawn)
     names = scene.chain.joint_names

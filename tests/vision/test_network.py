@@ -123,9 +123,8 @@ def test_an_unknown_name_is_one_line_with_the_choices(tmp_path):
 
 def test_it_finds_instruments_in_pictures_of_another_renderer():
     """IoU of the union of instruments over tissue, mean of 12 pictures that the tests of `auto` are drawn with."""
-    segmenter = OnnxSegmenter(
-        OnnxSegmentation.model_validate({"method": "onnx", "model": "svmdist:instruments"})
-    )
+    shipped = OnnxSegmentation.model_validate({"method": "onnx", "model": "svmdist:instruments"})
+    segmenter = OnnxSegmenter(shipped)
     ious = []
     for seed in range(12):
         drawn = surgery_image(7000 + seed)

@@ -124,9 +124,8 @@ class DaskCluster:
         self._folder = folder
         self.address = f"tcp://127.0.0.1:{port}"
         self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-show")
-        self.workers = [
-            self._start("worker", self.address, "--nthreads", "1", "--no-nanny") for _ in range(2)
-        ]
+        options = (self.address, "--nthreads", "1", "--no-nanny")
+        self.workers = [self._start("worker", *options) for _ in range(2)]
 
     def close(self) -> None:
         for process in [*self.workers, self.scheduler]:
@@ -137,9 +136,8 @@ class DaskCluster:
         command = [sys.executable, "-m", "dask", what, *arguments, "--no-dashboard"]
         there = os.environ | {"PYTHONPATH": str(REPOSITORY)}
         with (self._folder / f"{what}.log").open("ab") as log:
-            return subprocess.Popen(
-                command, stdout=log, stderr=subprocess.STDOUT, cwd=self._folder, env=there
-            )
+            to = {"stdout": log, "stderr": subprocess.STDOUT}
+            return subprocess.Popen(command, **to, cwd=self._folder, env=there)
 
 
 @pytest.fixture

@@ -57,10 +57,9 @@ def test_figures_are_those_of_validate(tmp_path, synthetic_calibration):
             group = {"whole": "sweep", "part": "occlusion", "overall": "all"}[score.recording]
             compared = scores[group, setup.method]
             assert compared.coverage == score.coverage
-            assert compared.planar.statistics.rmse == pytest.approx(score.statistics.rmse, rel=1e-12)
-            assert compared.planar.statistics.r_squared == pytest.approx(
-                score.statistics.r_squared, rel=1e-12
-            )
+            planar, expected = compared.planar.statistics, score.statistics
+            assert planar.rmse == pytest.approx(expected.rmse, rel=1e-12)
+            assert planar.r_squared == pytest.approx(expected.r_squared, rel=1e-12)
             assert compared.clearance is None  # of a planar method
             assert compared.ms_per_frame > 0.0
 

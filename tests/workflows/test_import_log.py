@@ -88,9 +88,8 @@ def test_stamps_of_names_poses_and_joints(tmp_path):
     """Stamps come from names; tables of poses and joints meet the images, each instrument under its name."""
     for number in range(3):
         cv2.imwrite(str(tmp_path / f"{1_700_000_000 + number}.500000000.png"), _picture(number))
-    (tmp_path / "poses.csv").write_text(
-        "x,y,z,qx,qy,qz,qw\n" + "".join(f"0.0{n},0,0.1,0,0,0,1\n" for n in range(3))
-    )
+    poses = "".join(f"0.0{n},0,0.1,0,0,0,1\n" for n in range(3))
+    (tmp_path / "poses.csv").write_text(f"x,y,z,qx,qy,qz,qw\n{poses}")
     (tmp_path / "joints.csv").write_text("".join(f"0.{n} 0.2\n" for n in range(3)))
     options = ImportOptions(
         ViewOptions(tmp_path),
@@ -136,9 +135,8 @@ def test_video(tmp_path):
         stream = container.add_stream("ffv1", rate=25)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "bgr0"
         for image in images:
-            container.mux(
-                stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24").reformat(format="bgr0"))
-            )
+            frame = av.VideoFrame.from_ndarray(image, format="bgr24").reformat(format="bgr0")
+            container.mux(stream.encode(frame))
         container.mux(stream.encode())
     views = ViewOptions(path, start_ns=7 * 10**9, every=2)
     result = import_log(ImportOptions(views, ONE), tmp_path / "out.mcap")
@@ -162,7 +160,12 @@ WRONG = {
     "same": (NUMBERS, {"right_pattern": "*_L.png", "rate_hz": 1.0}, PAIR, "the same images"),
     "odd": (("1.png 65",), {"side_by_side": True, "rate_hz": 1.0}, ONE, "65 px wide"),
     "no folder": (("1.png",), {"source": Path("nowhere")}, ONE, "no such folder"),
-    "no video": (("a.mp4 text",), {"source": Path("a.mp4")}, ONE, "a.mp4: neither an image nor a video"),
+    "no video": (
+        ("a.mp4 text",),
+        {"source": Path("a.mp4")},
+        ONE,
+        "a.mp4: no image and no video that can be read",
+    ),
 }
 
 

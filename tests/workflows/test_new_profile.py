@@ -136,10 +136,8 @@ def test_instruments_by_the_side_they_come_in_from(tmp_path):
     with RecordingWriter(tmp_path / "two.mcap", {}) as writer:
         for number in range(6):
             stamp_ns = number * 10**9
-            image = np.full((480, 640, 3), (90, 100, 190), np.uint8)
-            image = np.clip(image + np.random.default_rng(number).normal(0, 6, image.shape), 0, 255).astype(
-                np.uint8
-            )
+            noise = np.random.default_rng(number).normal(0, 6, (480, 640, 3))
+            image = np.clip(np.add((90, 100, 190), noise), 0, 255).astype(np.uint8)
             for start, end in (((0, 120), (240, 240 + 4 * number)), ((639, 90), (400, 250 - 4 * number))):
                 cv2.line(image, start, end, (70, 68, 65), 60)
             writer.write("/scope/image", ImageSample(stamp_ns, "camera", image))

@@ -79,10 +79,9 @@ def test_an_exception_comes_at_its_place(workers, in_source):
         return uneven(number)
 
     given: list[int] = []
+    work, items = (uneven, source()) if in_source else (breaking, range(COUNT))
     with pytest.raises(OSError, match="cut off"):
-        given.extend(
-            in_order(uneven, source(), workers) if in_source else in_order(breaking, range(COUNT), workers)
-        )
+        given.extend(in_order(work, items, workers))
     assert given == [number * number for number in range(len(given) if in_source else 5)]
 
 

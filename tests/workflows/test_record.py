@@ -45,9 +45,7 @@ def few_frames(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_recording_is_complete_repeatable_and_never_replaced(tmp_path, small):
     path, progress = tmp_path / "approach.mcap", []
-    result = record(
-        Recipe(SCENARIO, small), path, on_progress=lambda done, total: progress.append((done, total))
-    )
+    result = record(Recipe(SCENARIO, small), path, on_progress=lambda *counts: progress.append(counts))
     assert progress == [(1, 2), (2, 2)]
     assert (result.frame_count, result.size_bytes) == (2, path.stat().st_size)
     with open(path, "rb") as stream:

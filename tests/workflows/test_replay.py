@@ -42,9 +42,7 @@ def flattened(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.shape, value.tobytes()
     if is_dataclass(value) and not isinstance(value, type):
-        return tuple(
-            flattened(getattr(value, field.name)) for field in fields(value) if field.name != "number"
-        )
+        return tuple(flattened(getattr(value, one.name)) for one in fields(value) if one.name != "number")
     if isinstance(value, tuple):
         return tuple(map(flattened, value))
     return value

@@ -40,9 +40,8 @@ def log(path: Path, rows_px: float, apart_ns: int = 0) -> Path:
             writer.write("/ECM/right/camera_info", CameraSample(stamp_ns, right_camera))
             writer.write("/ECM/left/image", ImageSample(stamp_ns, "camera", texture))
             late_ns = stamp_ns + apart_ns
-            writer.write(
-                "/ECM/right/image", ImageSample(late_ns, "camera_right", np.asarray(right, np.uint8))
-            )
+            right_image = ImageSample(late_ns, "camera_right", np.asarray(right, np.uint8))
+            writer.write("/ECM/right/image", right_image)
     return path
 
 
