@@ -117,7 +117,7 @@ def left_by(folder: Path, command: str, after_s: float | None, number: int = 0) 
             time.sleep(after_s)
             process.send_signal(number)
         code = process.wait()
-    deadline = time.monotonic() + 10.0
+    deadline = time.monotonic() + 60.0
     while list(temporary.iterdir()) and time.monotonic() < deadline:
         time.sleep(0.1)  # workers notice that their parent was killed
     return code, {path.name for path in (*folder.iterdir(), *temporary.iterdir())} - {"tmp"}
