@@ -168,20 +168,22 @@ def _named_in(document: str) -> set[str]:
 
 def test_every_status_and_profile_key_is_explained():
     """docs/output.md names each status, and docs/profile.md each key that somebody writes for a scene of his own."""
-    from svmdist import profile as p
+    from svmdist.profile import Profile
+    from svmdist.profile import robot as r
+    from svmdist.profile import segmentation as s
     from svmdist.samples import Status
 
     named = _named_in("output.md")
     assert set(Status) <= named
     assert {name for name in named if re.match(r"no_|too_few", name)} <= set(Status)
     tables = (
-        p.Profile,
-        p.HsvSegmentation,
-        p.OnnxSegmentation,
-        p.Robot,
-        p.Joint,
-        p.KinematicError,
-        p.Instrument,
+        Profile,
+        s.HsvSegmentation,
+        s.OnnxSegmentation,
+        r.Robot,
+        r.Joint,
+        r.KinematicError,
+        r.Instrument,
     )
-    for table in (*tables, p.Fiducial, p.CameraError, p.Tissue, p.Dome, p.OtherInstrument, p.Placement):
+    for table in (*tables, r.Fiducial, r.CameraError, r.Tissue, r.Dome, r.OtherInstrument, r.Placement):
         assert set(table.model_fields) - _named_in("profile.md") == set(), table.__name__

@@ -164,7 +164,7 @@ WRONG = {
         ("a.mp4 text",),
         {"source": Path("a.mp4")},
         ONE,
-        "a.mp4: no image and no video that can be read",
+        "a.mp4: neither an image nor a video that can be read",
     ),
 }
 
