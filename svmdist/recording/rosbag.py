@@ -79,6 +79,10 @@ class BagSource:
             else:
                 reader = Sqlite3Reader(Path(quote(str(Path(str(self.path)).resolve()))))
             reader.open()
+            if not all(
+                isinstance(name, str) for one in reader.connections for name in (one.topic, one.msgtype)
+            ):
+                raise TypeError("a topic without a name or a type")
         except OSError as problem:
             raise RecordingError(f"{self.path}: cannot read: {why(problem)}") from None
         except Exception as problem:
