@@ -1,10 +1,16 @@
-"""One check of derivatives, against central differences."""
+"""One check of derivatives, against central differences, and the small motions that it is made of."""
 
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 
-from svmdist.transforms import Array
+from svmdist.transforms import Array, make_transform
+
+
+def nudged(T: Array, error: Array) -> Array:
+    """A pose moved by (δp, δθ), shape (6,), both in the camera frame."""
+    return make_transform(cv2.Rodrigues(error[3:])[0] @ T[:3, :3], T[:3, 3] + error[:3])
 
 
 def check_jacobian(

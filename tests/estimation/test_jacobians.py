@@ -16,13 +16,12 @@ from svmdist.estimation.instrument.measurement_kinds import (
     PoseMeasurement,
     SizeMeasurement,
 )
-from svmdist.estimation.instrument.tag_pose import nudged
 from svmdist.kinematics import DHChain, forward_kinematics, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import Joint, KinematicError
 from svmdist.tracks import JointTrack
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, rotation_x
-from tests.jacobian import check_jacobian
+from tests.jacobian import check_jacobian, nudged
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
 IDEAL = Camera.from_horizontal_fov(640, 480, np.pi / 3)

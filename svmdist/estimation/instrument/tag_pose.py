@@ -102,11 +102,6 @@ def _minimise(
     return None if minimum is None else cast(LaidPattern, minimum.equations)
 
 
-def nudged(T: Array, error: Array) -> Array:
-    """A pose moved by (δp, δθ), shape (6,), both in the camera frame."""
-    return make_transform(cv2.Rodrigues(error[3:])[0] @ T[:3, :3], T[:3, 3] + error[:3])
-
-
 def find_tag_pose(
     image_grey: Image,
     corners_px: Array,
