@@ -21,8 +21,8 @@ from svmdist.vision.regions import Region, find_region
 from svmdist.vision.segmentation import InstrumentMasks, Segmenter
 
 if TYPE_CHECKING:
+    from svmdist.estimation.instrument.image_pose import ImagePose
     from svmdist.estimation.instrument.shaft_detection import DistalMarker, ShaftDetection
-    from svmdist.estimation.instrument.shaft_fit import ShaftFit
     from svmdist.estimation.instrument.tag_pose import TagPose
     from svmdist.kinematics.robot_state import RobotState
     from svmdist.vision.shaft_segmentation import ShaftRegion
@@ -96,14 +96,14 @@ class View:
     @cached_property
     def silhouette(self) -> Silhouette | None:
         """The silhouette of the instrument's shaft, where the segmentation finds instruments by their shape."""
-        from svmdist.estimation.instrument.shaft_model import wrist_shape
+        from svmdist.estimation.instrument.shaft_model import ShaftModel
         from svmdist.vision.silhouette import find_silhouette
 
         masks, instrument = self.masks, self._arm.profile.instrument
         if not masks.seen or instrument is None:
             return None
-        shape, image = wrist_shape(self._arm.required_chain, instrument), self.context.bgr_as_recorded
-        return find_silhouette(image, masks.seen[0], masks.picture, shape)
+        shape = ShaftModel.of(Failure(""), self._arm.required_chain, instrument).wrist_shape
+        return find_silhouette(self.context.bgr_as_recorded, masks.seen[0], masks.picture, shape)
 
     @cached_property
     def shaft_region(self) -> ShaftRegion | None:
@@ -214,19 +214,11 @@ class Frame:
         return find_tag_pose(left.context.grey, corners_px, left.camera, pattern, R_camera_tag, std_rad)
 
     @cached_property
-    def shaft_fit(self) -> ShaftFit | Failure:
-        """The tool's pose by the shaft and the distal marker of the left view, through the wrist."""
-        from svmdist.estimation.instrument.shaft_detection import wrist_marker
-        from svmdist.estimation.instrument.shaft_fit import fit_shaft
-        from svmdist.estimation.instrument.shaft_model import shaft_model
+    def shaft_pose(self) -> ImagePose | Failure:
+        """The tool's pose by the left view, through shaft, wrist and distal marker."""
+        from svmdist.estimation.instrument.image_pose import pose_by_image
 
-        arm, left, settings = self.arm, self.left, self.arm.profile.settings.shaft
-        instrument, error = arm.profile.instrument, arm.profile.kinematic_error
-        if instrument is None:
-            return Failure(f"profile {arm.profile.name} has no [instrument]")
-        model = shaft_model(self.robot, arm.required_chain, instrument, error, settings)
-        marker = left.distal_marker or wrist_marker(left.shaft)
-        return fit_shaft(left.shaft, marker, model, left.camera, settings, arm.deviations)
+        return pose_by_image(self)
 
 
 def frame_of(observation: Observation, arm: Arm, segmenter: Segmenter) -> Frame:

@@ -11,20 +11,23 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.estimation.distances import measured, with_tissue, with_tool
 from svmdist.estimation.frame import Frame, Needs
-from svmdist.estimation.instrument.consistency import GatingResult
-from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
+from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound
+from svmdist.estimation.instrument.error_model import nominal_tool
+from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter, Start, as_measurement
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import (
     POSE_CORRELATION_TIME_S,
     ContourMeasurement,
     DisparityMeasurement,
-    PointsMeasurement,
+    PointMeasurement,
     PoseMeasurement,
     SizeMeasurement,
 )
 from svmdist.estimation.instrument.shaft_detection import BORDER_STD_PER_BLUR, DistalMarker, marker_centre
 from svmdist.estimation.instrument.two_views import ROW_TOLERANCE_PX
+from svmdist.estimation.one_view import tool_from_tag
 from svmdist.estimation.scene import Arm
+from svmdist.estimation.stereo import StereoEstimator
 from svmdist.estimation.tissue_tracking import FollowedTissue
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Distances, Failure, FrameResult, ToolEstimate, ToolPose
@@ -45,6 +48,16 @@ INTERLACED_DISPARITY_NOISE = 0.03  # over the radius: colours of both fields are
 LASTING_DISPARITY = 0.016  # over the radius: blood and shading differ in each view, 0.1 to 0.2 px at 12 px
 # By how much the marker's areas in both views differ when nothing is wrong, over their sum
 EVEN_AREA_FRACTION = 0.02
+MAX_IMAGE_STD_M = 0.008  # a pose by one view that is less certain tells nothing of where to begin
+LOCATED_STD_M = 0.01  # a prediction as certain that agrees with the images needs no start by them
+CONTRADICTING_SHARE = (
+    0.3  # of what the filter measured, refused: the prediction is wrong, not the images' pose alone
+)
+MAX_CONTRADICTIONS = 3  # frames in a row: what hides an instrument misleads one or two
+LASTING_IMAGE_SHARE = (
+    0.8  # of the variance of a pose by the images: edges, end and sizes err alike in each frame
+)
+YOUNG_S = 2.0  # how long a filter that has begun anew is held to be hardly surer than the images
 DEPTH_KNOWN_FRACTION = 0.05  # standard deviation over depth, below which depth tells the marker's size
 
 
@@ -79,12 +92,12 @@ def _distal_marker(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasuremen
     std_px = float(np.hypot(whole_std_px, BORDER_STD_PER_BLUR * blur_px))
     covariance = std_px**2 * np.eye(2)
     lasts_s = profile.settings.filter.point_correlation_time_s
-    yield PointsMeasurement(
+    yield PointMeasurement(
         "distal marker",
         None,
         camera,
-        place_m[None],
-        centre_px[None],
+        place_m,
+        centre_px,
         covariance,
         point_std_m,
         shading_px,
@@ -132,12 +145,12 @@ def _wrist(frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
         return
     lasts_s = settings.filter.point_correlation_time_s
     lasting_m = np.sqrt(0.5) * wrist.std_px * depth_m / float(camera.K[0, 0])
-    yield PointsMeasurement(
+    yield PointMeasurement(
         "wrist",
         None,
         camera,
-        np.zeros((1, 3)),
-        wrist.pixel[None],
+        np.zeros(3),
+        wrist.pixel,
         0.5 * wrist.std_px**2 * np.eye(2),
         lasting_m,
         bias_name="wrist",
@@ -264,7 +277,11 @@ def _focal_px(frame: Frame) -> tuple[float, float]:
 
 
 class FusedEstimator:
-    """`--method fused`: keeps the filter, and the tissue's pose and shape, between frames."""
+    """`--method fused`: keeps the filter, and the tissue's pose and shape, between frames.
+
+    Images alone say where to linearise at first, and where to begin anew when they contradict the prediction for
+    several frames: the filter then takes the start that prior and measurements make the most probable.
+    """
 
     name = "fused"
     keeps_state = True
@@ -275,11 +292,16 @@ class FusedEstimator:
     )
 
     def __init__(self, arm: Arm) -> None:
-        settings = arm.profile.settings
-        self._chain = arm.required_chain
+        profile = arm.profile
+        self._arm, self._chain = arm, arm.required_chain
         self._followed = FollowedTissue(arm)
-        self._filter = KinematicErrorFilter(self._chain, arm.profile.kinematic_error, settings.filter)
-        self._has_plate = False
+        self._filter = KinematicErrorFilter(self._chain, profile.kinematic_error, profile.settings.filter)
+        has_sizes = profile.segmentation.shaft is not None and profile.instrument is not None
+        self._stereo = StereoEstimator(arm) if has_sizes else None
+        self._has_plate = self._is_located = False
+        self._contradictions, self._has_agreed = 0, False
+        self._begun_ns: int | None = None
+        self._image_variance_m2 = 0.0
 
     def estimate(self, frame: Frame) -> FrameResult:
         """Measure one frame; a result needs joints and a tissue seen before, and nothing of this image."""
@@ -288,29 +310,131 @@ class FusedEstimator:
         if isinstance(robot, Failure):
             return result.rejected(Status.NO_JOINTS, robot.reason)
 
-        # Predict by the joints, correct by what the images show.
-        self._filter.predict(robot)
-        seen = measurements(frame, self._filter.robot, self._filter.tool_pose())
-        gating = self._filter.update(seen)
-        height = self._followed.measure_height(frame, self._filter)
+        # Predict by the joints, begin anew where the images say so, correct by what they show.
+        kalman = self._filter
+        kalman.predict(robot)
+        image = self._image_pose(frame)
+        start = self._start(frame, image)
+        contradiction = 0.0 if start is not None or image is None else kalman.distance(image)
+        seen = self._seen(frame, start or kalman.tool_pose(), image)
+        gating = kalman.update(seen)
+        said = self._watch(frame, image, contradiction, gating)
+        height = self._followed.measure_height(frame, kalman)
 
         # The tool with the error found, and the distances from there.
         self._has_plate |= frame.left.tag_corners_px is not None
-        region, consistency = frame.left.region, self._filter.consistency
+        region, consistency = frame.left.region, kalman.consistency
         result = replace(result, detail=_detail(gating, height), consistency=consistency.ratio).with_image(
             tool_area_px=region.area_px if region else None,
             match_count=len(gating),
             inlier_count=sum(judged.is_accepted for judged in gating),
         )
-        joints = JointSample(frame.stamp_ns, self._chain.joint_names, self._filter.corrected_joints())
-        tool = ToolEstimate(self._filter.tool_pose(), joints, self._has_plate)
+        joints = JointSample(frame.stamp_ns, self._chain.joint_names, kalman.corrected_joints())
+        tool = ToolEstimate(kalman.tool_pose(), joints, self._has_plate)
         if tissue is None:
             result = with_tool(result, frame, tool)
             return result.rejected(Status.NO_TISSUE, "no tissue, in this frame or before")
-        placed, coupling = self._followed.placed(tissue, frame, self._filter)
+        placed, coupling = self._followed.placed(tissue, frame, kalman)
         found = measured(result, frame, tool, placed, coupling)
-        doubt = consistency.doubt if found.measured else ""
+        doubt = said or consistency.doubt if found.measured else ""
         return replace(found.rejected(Status.INCONSISTENT, doubt), distances=Distances()) if doubt else found
+
+    def _image_pose(self, frame: Frame) -> ToolPose | None:
+        """The tool by the images alone: by both views, or by the shaft in the left one; None where neither tells."""
+        if self._stereo is None:
+            return None
+        pair = frame.scene.stereo_pair
+        if not isinstance(pair, Failure):
+            found = self._stereo.tool(frame, pair)
+            if isinstance(found, ToolPose):
+                return found
+        fit = frame.shaft_pose
+        if not isinstance(fit, Failure) and not fit.doubt and fit.pose.position_std_m < MAX_IMAGE_STD_M:
+            return fit.pose
+        return None
+
+    def _start(self, frame: Frame, image: ToolPose | None) -> ToolPose | None:
+        """Begin anew where it is due, and give the pose to linearise at; None where the filter goes on."""
+        kalman = self._filter
+        if image is None:
+            return None
+        if not self._is_located:
+            # What was measured before may have led there already.
+            is_near = kalman.distance(image) <= chi_square_bound(6)
+            self._is_located = is_near and kalman.tool_pose().position_std_m < LOCATED_STD_M
+        if self._is_located and self._contradictions < MAX_CONTRADICTIONS:
+            return None
+        self._is_located, self._has_agreed, self._contradictions = True, False, 0
+        self._begun_ns = frame.stamp_ns
+        poses = [image]
+        fit = frame.shaft_pose
+        if not isinstance(fit, Failure) and fit.pose is not image:
+            poses.append(fit.pose)
+        if (by_tag := self._pose_by_tag(frame)) is not None:
+            poses.append(by_tag)
+        starts: list[Start] = [(pose, self._seen(frame, pose, image)) for pose in poses]
+        nominal = nominal_tool(self._chain, self._arm.profile.kinematic_error, kalman.robot)
+        starts.append((None, self._seen(frame, nominal, image)))
+        return starts[kalman.begin(starts)][0] or kalman.tool_pose()
+
+    def _pose_by_tag(self, frame: Frame) -> ToolPose | None:
+        fiducial = self._arm.profile.fiducial
+        if fiducial is None or frame.left.tag_corners_px is None or frame.tag is None:
+            return None
+        error, deviations = self._arm.profile.kinematic_error, self._arm.deviations
+        focal_px = np.array(_focal_px(frame))
+        return tool_from_tag(frame.tag, fiducial, self._filter.robot, error, deviations, focal_px)
+
+    def _seen(self, frame: Frame, predicted: ToolPose, image: ToolPose | None) -> list[LinkMeasurement]:
+        """The measurements about a predicted pose. Where no marker ends the shaft, the images' pose stands for them."""
+        seen = measurements(frame, self._filter.robot, predicted)
+        ends = {"distal marker", "wrist", "tag"} & {measurement.name for measurement in seen}
+        shows_marker = self._shows_marker(frame)
+        if shows_marker and (ends or image is None):
+            return seen
+        seen = [measurement for measurement in seen if measurement.name == "tag"]
+        if image is None:
+            return seen
+        return [*seen, as_measurement(image, LASTING_IMAGE_SHARE, POSE_CORRELATION_TIME_S, "views")]
+
+    def _shows_marker(self, frame: Frame) -> bool:
+        """Whether what is coloured is the marker that the profile describes, as far as one can tell."""
+        if frame.left.distal_marker is None and self._arm.profile.instrument is not None:
+            return frame.left.masks.seen is not None or frame.left.region is None
+        return True
+
+    def _watch(
+        self, frame: Frame, image: ToolPose | None, contradiction: float, gating: Sequence[GatingResult]
+    ) -> str:
+        """Why the images' pose, that far off, contradicts the prediction; empty where it does not.
+
+        That pose may be what is mistaken: what the filter takes must contradict the prediction, too. Until what agrees
+        has been seen for a while, the filter is hardly surer than the images.
+        """
+        consistency = self._filter.consistency
+        consistency.excess = 1.0
+        degrees = sum(judged.degrees_of_freedom for judged in gating)
+        refused = sum(judged.degrees_of_freedom for judged in gating if not judged.is_accepted)
+        if image is not None:
+            self._image_variance_m2 = float(np.trace(image.position_covariance))
+        if self._begun_ns is None:
+            self._begun_ns = frame.stamp_ns
+        age = (frame.stamp_ns - self._begun_ns) / 1e9
+        if age < YOUNG_S:
+            own_m2 = float(np.trace(self._filter.tool_pose().position_covariance)) / consistency.widening
+            more = max(self._image_variance_m2 / own_m2 - 1.0, 0.0)
+            consistency.excess = 1.0 + (1.0 - age / YOUNG_S) * more
+        is_off = contradiction > chi_square_bound(6) and refused >= CONTRADICTING_SHARE * max(degrees, 1)
+        if not is_off and not consistency.doubt:
+            self._contradictions, self._has_agreed = 0, self._has_agreed or age >= YOUNG_S
+            return ""
+        # What never agreed would begin anew for ever.
+        self._contradictions += is_off or self._has_agreed
+        return (
+            f"what the images show is {np.sqrt(contradiction):.0f} deviations from the prediction"
+            if is_off
+            else ""
+        )
 
 
 def _detail(gating: Sequence[GatingResult], height: GatingResult | None) -> str:

@@ -151,7 +151,7 @@ class ShaftEstimator:
 
     name = "shaft"
     keeps_state = True
-    needs = Needs(scene=("tissue", "left.tags"), frame=("shaft_fit",))
+    needs = Needs(scene=("tissue", "left.tags"), frame=("shaft_pose",))
 
     def __init__(self, arm: Arm) -> None:
         profile = arm.profile
@@ -173,9 +173,11 @@ class ShaftEstimator:
 
         # The shaft's edges and end, the distal marker, and the pose that fits them through the wrist.
         self._has_plate |= frame.left.tag_corners_px is not None
-        fit = frame.shaft_fit
+        fit = frame.shaft_pose
         if isinstance(fit, Failure):
             return result.rejected(_status(frame.left.shaft), fit.reason)
+        if fit.doubt:
+            return result.rejected(Status.INCONSISTENT, fit.doubt)
         std_m = float(np.sqrt(np.linalg.eigvalsh(fit.pose.position_covariance)[-1]))
         farther = max(1.0, float(np.linalg.norm(fit.pose.position_m)) / NEAR_M)
         if not std_m <= farther * self._settings.max_position_std_m:

@@ -7,14 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from svmdist.estimation.distances import measured, with_tissue
-from svmdist.estimation.frame import Frame, Needs, View
+from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.instrument.error_model import nominal_tool
+from svmdist.estimation.instrument.image_pose import ImagePose, match_of, pose_by_pair
 from svmdist.estimation.instrument.measurement import Deviations
-from svmdist.estimation.instrument.shaft_detection import wrist_marker
-from svmdist.estimation.instrument.shaft_fit import doubted
-from svmdist.estimation.instrument.shaft_model import Landmarks, shaft_model
-from svmdist.estimation.instrument.stereo_fit import fit_two_views
-from svmdist.estimation.instrument.two_views import DisparityWatch, StereoMatch, TwoViews, match_distal_marker
+from svmdist.estimation.instrument.two_views import StereoMatch
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import require_tissue
@@ -25,8 +22,6 @@ from svmdist.samples import Rejection, RightView, Status
 from svmdist.transforms import inverse
 from svmdist.vision.stereo import RectifiedPair
 
-TOOL_SPEED_M_S = 0.05  # standard deviation along each axis: the tool stands elsewhere in a later view
-OTHER_PART_PLACE = 3.0  # over the marker's radius: a ring or a clip, anywhere on the distal part
 DEPTH_GATE_STDS = 3.5  # between disparity and one view's pose, above which they contradict each other
 
 
@@ -53,10 +48,6 @@ def nominal_orientation_pose(match: StereoMatch, pair: RectifiedPair, nominal: T
     return ToolPose(T_camera_tool, covariance, nominal.axis)
 
 
-# Deviation of the distance from hinge to the shaft's end where the profile does not state it, over itself
-UNKNOWN_END = 0.5
-
-
 class StereoEstimator:
     """`--method stereo`. Keeps between frames whether it saw the tag's plate, and whether disparities fit the sizes."""
 
@@ -70,7 +61,6 @@ class StereoEstimator:
         self._profile = profile
         self._uses_shaft = profile.segmentation.shaft is not None and profile.instrument is not None
         self._has_plate = False
-        self._watch = DisparityWatch()
         parts = ("distal_marker", "shaft") if self._uses_shaft else ("distal_marker",)
         views = tuple(f"{view}.{part}" for part in parts for view in ("left", "right"))
         self.needs = Needs(("tissue", "stereo_surface", "left.tags"), views, right_view=True)
@@ -85,7 +75,7 @@ class StereoEstimator:
             return result.rejected(Status.NO_STEREO, pair.reason)
 
         # The tool: its distal marker in both views, and the shaft's direction.
-        pose = self._tool(frame, pair)
+        pose = self.tool(frame, pair)
         if isinstance(pose, Rejection):
             return result.rejected(pose.status, pose.detail)
 
@@ -96,8 +86,6 @@ class StereoEstimator:
             result = replace(result, detail=said)
         else:
             std_m = float(np.hypot(surface.std_m, self._calibration_std_m(surface, frame)))
-            depth_m = float(np.median(surface.points_m[:, 2]))
-            std_m = float(np.linalg.norm([std_m, self._watch.doubt * depth_m]))
             std_m = float(np.hypot(std_m, self._off_plane_m(surface, std_m)))
             seen = replace(tissue.pose, surface=Cloud(surface.points_m), surface_std_m=std_m, dome=None)
         return measured(result, frame, ToolEstimate(pose, frame.joints, self._has_plate), seen)
@@ -126,80 +114,29 @@ class StereoEstimator:
         biases = depth_biases(at_m, frame.left.camera, right, frame.arm.deviations)
         return float(np.sqrt(sum(float(np.sum(bias.jacobian**2)) for bias in biases)))
 
-    def _tool(self, frame: Frame, pair: RectifiedPair) -> ToolPose | Rejection:
+    def tool(self, frame: Frame, pair: RectifiedPair) -> ToolPose | Rejection:
         """What both views show, fitted together; without sizes of a shaft the triangulated marker, turned nominally."""
-        stereo = self._profile.stereo_in_range
-        instrument = self._profile.instrument
-        radius_m = instrument.knuckle_radius_m if instrument else None
-        left = frame.left.distal_marker
-        right = None if frame.right is None else frame.right.distal_marker
-        radius_std = instrument.knuckle_radius_std_fraction if instrument else 0.0
-        match = match_distal_marker(left, right, pair, radius_m, frame.left.camera, stereo, radius_std)
         self._has_plate |= frame.left.tag_corners_px is not None
-        find = self._fitted if self._uses_shaft else self._triangulated
-        pose: ToolPose | Rejection | Failure = find(frame, pair, match)
-        if isinstance(pose, Failure):
-            robot = frame.robot_in_camera
-            if isinstance(match, StereoMatch) and isinstance(robot, Failure):  # a place, and no direction
-                return Rejection(frame.stamp_ns, Status.NO_JOINTS, robot.reason)
-            return Rejection(frame.stamp_ns, Status.NO_INSTRUMENT, pose.reason)
-        if isinstance(pose, ToolPose) and not pose.position_std_m <= stereo.max_depth_std_m:
+        found = pose_by_pair(frame, pair) if self._uses_shaft else self._triangulated(frame, pair)
+        if isinstance(found, Rejection):
+            return found
+        if isinstance(found, Failure):
+            return Rejection(frame.stamp_ns, Status.NO_INSTRUMENT, found.reason)
+        if isinstance(found, ImagePose) and found.doubt:
+            return Rejection(frame.stamp_ns, Status.INCONSISTENT, found.doubt)
+        pose = found.pose if isinstance(found, ImagePose) else found
+        if not pose.position_std_m <= self._profile.stereo_in_range.max_depth_std_m:
             said = f"the position is uncertain by {pose.position_std_m * 1e3:.1f} mm"
             return Rejection(frame.stamp_ns, Status.UNCERTAIN, said)
         return pose
 
-    def _fitted(self, frame: Frame, pair: RectifiedPair, match: StereoMatch | Failure) -> ToolPose | Failure:
-        instrument, settings, shaft = (
-            self._profile.instrument,
-            self._profile.settings,
-            self._profile.settings.shaft,
-        )
-        right, right_view = frame.scene.observation.right, frame.right
-        assert instrument is not None
-        assert right is not None  # the pair has one
-        assert right_view is not None
-        if frame.left.region is None and right_view.region is None:
-            # What hides the distal part ends the shaft, too: its end is then anywhere.
-            return Failure("the instrument's distal part is hidden in both views")
-        model = shaft_model(frame.robot, self._chain, instrument, self._profile.kinematic_error, shaft)
-        if isinstance(match, StereoMatch) and match.is_other_part:
-            # What is coloured is not what the profile describes: it is somewhere about the tool's origin.
-            place_m = OTHER_PART_PLACE * instrument.knuckle_radius_m
-            model = replace(model, marker_std_m=float(np.hypot(model.marker_std_m, place_m)))
-        seen = TwoViews(
-            _landmarks(frame.left),
-            _landmarks(right_view),
-            None if isinstance(match, Failure) else match,
-            frame.left.camera,
-            right_view.camera,
-            inverse(right.T_left_right),
-            pair,
-            TOOL_SPEED_M_S * abs(right.delay_s),
-        )
-        if instrument.shaft_end_m is None:  # where the dark part ends is guessed from another size
-            shaft = shaft.model_copy(update={"end_model_std_m": UNKNOWN_END * model.neck_m})
-        found = fit_two_views(seen, model, frame.arm.deviations, shaft, settings.stereo)
-        if isinstance(found, Failure):
-            return found
-        if found.check is not None:
-            self._watch.add(found.check)
-        doubt = self._watch.doubt
-        return doubted(found.pose, doubt**2) if doubt > 0.0 else found.pose
-
-    def _triangulated(
-        self, frame: Frame, pair: RectifiedPair, match: StereoMatch | Failure
-    ) -> ToolPose | Rejection | Failure:
-        robot, right = frame.robot_in_camera, frame.scene.observation.right
+    def _triangulated(self, frame: Frame, pair: RectifiedPair) -> ToolPose | Rejection | Failure:
+        robot, right, match = frame.robot_in_camera, frame.scene.observation.right, match_of(frame, pair)
         if isinstance(match, Failure):
             return match
-        if isinstance(robot, Failure):
+        if isinstance(robot, Failure):  # a place, and no direction
             return Rejection(frame.stamp_ns, Status.NO_JOINTS, robot.reason)
         assert right is not None  # the pair has one
         match = with_calibration(match, right, pair, frame.arm.deviations)
         nominal = nominal_tool(self._chain, self._profile.kinematic_error, robot)
         return nominal_orientation_pose(match, pair, nominal)
-
-
-def _landmarks(view: View) -> Landmarks:
-    """What one view shows; the outline of the wrist gives the tool's origin where no marker has a colour."""
-    return Landmarks(view.shaft, view.distal_marker or wrist_marker(view.shaft))

@@ -8,11 +8,13 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.corrected_links import Correction
 from svmdist.estimation.instrument.error_model import ErrorModel
-from svmdist.estimation.instrument.measurement import LinkMeasurement
+from svmdist.estimation.instrument.measurement import EXACT, LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import (
     ContourMeasurement,
     DisparityMeasurement,
-    PointsMeasurement,
+    EndMeasurement,
+    InRightView,
+    PointMeasurement,
     PoseMeasurement,
     SizeMeasurement,
 )
@@ -44,15 +46,23 @@ def measurements() -> list[LinkMeasurement]:
     p_m, pixels = rng.normal(0.0, 0.003, (4, 3)), rng.uniform(0.0, 400.0, (4, 2))
     p_axis_m = np.array([0.001, -0.002, 0.003])
     edge = ("shaft", across[0], across[:2], np.diag([1e-4, 1e-6]), p_axis_m, axis, 0.004)
+    sides = [ContourMeasurement(f"edge {side}", *edge, side, np.diag([2e-4, 1e-6])) for side in (1, -1)]
+    tip, hinge_m = np.array([0.6, 0.8]), np.array([0.001, 0.002, 0.004])
+    ends = [
+        EndMeasurement(
+            name, "shaft", IDEAL, pixels[2], tip, np.eye(1), hinge_m, axis, ahead_m, radius_m, 2e-4
+        )
+        for name, ahead_m, radius_m in (("dark end", -0.006, 0.004), ("outline's end", 0.003, 0.0))
+    ]
     return [
-        PointsMeasurement(
-            "origin", None, IDEAL, np.zeros((1, 3)), pixels[:1], np.diag([0.2, 0.3]), 1e-4, 0.7
-        ),
-        PointsMeasurement("corners", "tag", LENS, p_m, pixels, np.diag(rng.uniform(0.1, 1.0, 8)), 2e-4),
+        PointMeasurement("origin", None, IDEAL, np.zeros(3), pixels[0], np.diag([0.2, 0.3]), 1e-4, 0.7),
+        PointMeasurement("corner", "tag", LENS, p_m[0], pixels[1], np.eye(2), 2e-4),
+        *ends,
+        *(InRightView(one, T_RIGHT_LEFT, EXACT) for one in (sides[0], ends[0])),
         DisparityMeasurement("ideal", None, IDEAL, IDEAL, T_RIGHT_LEFT, 30.0, np.eye(1), 1e-4, 0.5),
         DisparityMeasurement("lens", None, LENS, IDEAL, T_RIGHT_LEFT, 30.0, np.eye(1), 1e-4),
         SizeMeasurement("size", None, IDEAL, 0.00175, 12.0, np.eye(1), 0.2),
-        *(ContourMeasurement(f"edge {side}", *edge, side, np.diag([2e-4, 1e-6])) for side in (1, -1)),
+        *sides,
         PoseMeasurement("near", "tag", T_frame, near @ T_frame, np.eye(6), root @ root.T),
         PoseMeasurement("far", "tag", T_frame, far, np.eye(6), np.eye(6)),
     ]

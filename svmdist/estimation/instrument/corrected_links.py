@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -157,17 +157,6 @@ class NominalFrames:
         """Of one state; the row is that of the first corrected joint."""
         before = robot.frames_in_camera[first_row - 1] if first_row else robot.base_in_camera
         return cls(robot.q, robot.rates, robot.time_offset_s, robot.frames_in_camera, before)
-
-    @classmethod
-    def stack(cls, members: Sequence[NominalFrames]) -> NominalFrames:
-        """Of several, with a leading axis."""
-        return cls(
-            np.stack([member.q for member in members]),
-            np.stack([member.rates for member in members]),
-            members[0].time_offset_s,
-            np.stack([member.frames for member in members]),
-            np.stack([member.T_camera_before for member in members]),
-        )
 
 
 def joints_under(nominal: NominalFrames, correction: Correction, first_joint: int) -> Array:

@@ -1,28 +1,22 @@
-"""The state that measurements make the most probable: Gauss–Newton on prior and residuals (Bell and Cathey 1993).
+"""The error-state filter: the state that heavy-tailed measurements make the most probable, and where to start.
 
-A camera is far from linear where a state is centimetres off, so that one step of a Kalman filter does not get there.
+Every update is a maximum a posteriori estimate by iterated, reweighted Gauss–Newton (Bell and Cathey 1993; Lange,
+Little and Taylor 1989 for Student's t), so that nothing is refused by a gate that was set before the fit.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from copy import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.estimation.instrument.consistency import (
-    USUAL_CONSTANT_DEVIATIONS,
-    WINDOW_SOLVES,
-    Consistency,
-    GatingResult,
-    chi_square_bound,
-)
+from svmdist.estimation.instrument.consistency import Consistency, GatingResult, chi_square_bound
 from svmdist.estimation.instrument.corrected_links import Correction
 from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.instrument.measurement import LinkMeasurement, SharedBias
+from svmdist.estimation.instrument.measurement_kinds import PoseMeasurement
 from svmdist.estimation.instrument.state import ErrorState, Linearised, block_diagonal
-from svmdist.estimation.instrument.window import Window
 from svmdist.kinematics import DHChain, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import KinematicError
@@ -30,106 +24,47 @@ from svmdist.profile.settings import FilterSettings
 from svmdist.results import ToolPose, across_std_rad
 from svmdist.transforms import Array
 
-MAX_ITERATIONS = 8  # gauss–Newton steps; two or three are usual, more where frames are cm off
-DEPTH_UNKNOWN_STD_M = 0.01  # standard deviation of the tool's depth above which it counts as unknown
-MAX_REJECTIONS = 8  # frames in a row with nothing accepted: the filter has lost the arm and restarts
-MAX_CONTRADICTIONS = 25  # frames in a row: a filter that went astray recovers by starting anew
-
-SETTLED, NEARLY_SETTLED = 1e-3, 0.1
-"""Of its standard deviation: an element of the state that moves by less has come to rest, or will with a next step."""
+NU = 4.0  # degrees of freedom of Student's t: one measurement in a hundred is wild
+REFUSED_WEIGHT = 0.2  # below, a measurement counts as refused; it keeps its weight
+MAX_ITERATIONS = 12
+SETTLED = 1e-2  # of a standard deviation: a state that moves nothing by more has come to rest
+UNSEEN_SQUARE = 50.0  # a start pays for a measurement that it cannot see as for one so far off
+TINY_POSE = np.diag([1e-10] * 3 + [1e-8] * 3)  # m², rad²: an image's pose is never surer
 
 
 @dataclass(frozen=True, slots=True)
-class MostProbable:
-    """The most probable change x of the state, with derivatives, noise and gain there, and its squared deviation."""
+class Solution:
+    """The most probable change x of the state, derivatives, noise and gain there; judged per measurement.
+
+    `innovations` are normalised squares against prior and noise, `residuals` those that are left against noise alone,
+    `weights` those of Student's t; `nis` is the square of all of them together.
+    """
 
     x: Array
     H: Array
     R: Array
     K: Array
+    innovations: Array
+    residuals: Array
+    weights: Array
     nis: float
-    is_settled: bool
 
 
-def most_probable(
-    state: ErrorState,
-    measurements: Sequence[LinkMeasurement],
-    parts: Sequence[Linearised],
-    settings: FilterSettings,
-) -> MostProbable | None:
-    """The state that measurements make the most probable; None where no start leads to one that shows them all."""
-    size = sum(len(part.residual) for part in parts)
-    bound = chi_square_bound(size, settings.gate_z)
-    best = _descend(state, measurements, np.zeros(len(state.P)), parts)
-    if best is not None and best.nis <= bound:
-        return best
-    for start in _other_depths(state, settings):
-        found = _descend(state, measurements, start)
-        if found is not None and (best is None or found.nis < best.nis):
-            best = found
-        if best is not None and best.nis <= bound:
-            break
-    return best
-
-
-def _other_depths(state: ErrorState, settings: FilterSettings) -> Iterator[Array]:
-    """While depth is as good as unknown, the most probable states at other depths."""
-    tool = state.link(None)
-    along = state.P[:, : state.model.size] @ tool.derivative[2]
-    variance_m2 = float(tool.derivative[2] @ along[: state.model.size])
-    if variance_m2 > DEPTH_UNKNOWN_STD_M**2:
-        for depth_m in settings.depth_candidates_m:
-            yield along * (depth_m - tool.T_camera_link[2, 3]) / variance_m2
-
-
-def _descend(
-    state: ErrorState,
-    measurements: Sequence[LinkMeasurement],
-    x: Array,
-    parts: Sequence[Linearised] | None = None,
-) -> MostProbable | None:
-    """x ← K (r + H x) until x rests; None where a link leaves the view. P may be nearly singular."""
-    P, size = state.P, state.model.size
-    R = block_diagonal([measurement.covariance for measurement in measurements])
-    deviations = np.sqrt(np.diag(P) + 1e-18)
-    there, moved = state, np.inf
-    for _ in range(MAX_ITERATIONS):
-        if parts is None:
-            there = state.retracted(x)
-            parts = there.linearise(measurements)
-        if not all(part.is_finite for part in parts):
-            return None
-        H = state.full_jacobian(parts)
-        residual = np.concatenate([part.residual for part in parts]) - H[:, size:] @ there.bias_mean
-        innovation = residual + H @ x
-        # Solved with a unit-free H P: the units of the state differ by orders of magnitude.
-        HP = H @ P
-        solved = np.linalg.solve(HP @ H.T + R, np.column_stack([HP, innovation]))
-        K = np.asarray(solved[:, :-1].T, np.float64)
-        step = K @ innovation - x
-        longer = float(np.max(np.abs(step) / deviations))
-        if longer > moved:  # it swings: half of the way
-            step, longer = 0.5 * step, 0.5 * longer
-        x, parts, moved = x + step, None, longer
-        if moved < SETTLED:
-            break
-    return MostProbable(x, H, R, K, float(innovation @ solved[:, -1]), moved < NEARLY_SETTLED)
-
-
-DEFAULT = FilterSettings()
+Start = tuple[ToolPose | None, Sequence[LinkMeasurement]]
+"""A pose of the tool by the images, or None for nominal kinematics, and the measurements made about it."""
 
 
 class KinematicErrorFilter:
     """Estimates the error of nominal kinematics; `predict` once per frame, then `update` with its measurements."""
 
-    def __init__(self, chain: DHChain, error: KinematicError, settings: FilterSettings = DEFAULT) -> None:
-        self._settings = settings
+    def __init__(self, chain: DHChain, error: KinematicError, settings: FilterSettings | None = None) -> None:
+        self._settings = settings or FilterSettings()
         self._shaft = shaft_of(chain)
         self._model = ErrorModel(chain, error)
         self._state = ErrorState(self._model)
-        self._rejections = self._contradictions = 0
+        self._start_x: Array | None = None
         self._age_s = 0.0
-        self.consistency = Consistency(settings)
+        self.consistency = Consistency(self._settings)
 
     @property
     def covariance(self) -> Array:
@@ -151,40 +86,57 @@ class KinematicErrorFilter:
         before = None if self._state.is_new else self._state.robot.stamp_ns
         self._state.go_to(robot)
         if before is None:
-            self._start()
+            self._state.start()
         else:
             elapsed_s = max(0.0, (robot.stamp_ns - before) / 1e9)
             self._age_s += elapsed_s
             self._state.propagate(elapsed_s)
 
+    def distance(self, pose: ToolPose) -> float:
+        """Squared deviation of an image's pose from the predicted one: six degrees of freedom."""
+        part = self._state.linearise([as_measurement(pose)])[0]
+        S = part.H @ self.covariance @ part.H.T + part.noise
+        return float(part.residual @ np.linalg.solve(S, part.residual))
+
+    def begin(self, starts: Sequence[Start]) -> int:
+        """Forget what was measured and begin where prior and measurements are the most probable; gives which start.
+
+        A start is where to linearise first, never a measurement of its own.
+        """
+        costs = [self._cost(*start) for start in starts]
+        every = {measurement.name: measurement for _, seen in starts for measurement in seen}
+        for index, (_, seen) in enumerate(starts):
+            for name in every.keys() - {measurement.name for measurement in seen}:
+                costs[index] += _heavy_tailed(UNSEEN_SQUARE, every[name].covariance)
+        best = int(np.argmin(costs))
+        self._begin_at(starts[best][0])
+        return best
+
     def update(self, measurements: Sequence[LinkMeasurement]) -> tuple[GatingResult, ...]:
-        """Take up what the image shows by one iterated update; gives what passed the gate."""
-        parts = self._state.linearise(measurements)
-        self._state.augment_state(parts)
-        results = [self._gate(*pair) for pair in zip(measurements, parts, strict=True)]
-        # What passes alone may contradict the rest: the one that fits least goes until the others agree.
-        while accepted := [index for index, result in enumerate(results) if result.is_accepted]:
-            chosen = [measurements[index] for index in accepted], [parts[index] for index in accepted]
-            if self._correct(*chosen):
-                break
-            worst = max(accepted, key=lambda index: results[index].nis / results[index].degrees_of_freedom)
-            results[worst] = replace(results[worst], is_accepted=False)
-        self.consistency.add(self._state.robot.stamp_ns, results)
-        self.consistency.watch_constants(self._state.constants())
-        self.consistency.watch_time_offset(
-            self._state.correction.time_offset_s, self._model.time_offset_std_s(self._age_s)
-        )
-        self._contradictions = self._contradictions + 1 if self.consistency.contradiction else 0
-        if accepted:
-            self._rejections = 0
-            self._keep_in_window(measurements)
-        elif measurements:
-            self._rejections += 1
-        if self._contradictions >= MAX_CONTRADICTIONS:
-            self._start()
-            self.consistency.distrust(self._state.robot.stamp_ns)
-        elif self._rejections >= MAX_REJECTIONS:
-            self._start()
+        """Take up what the image shows; gives how each measurement agrees with the prediction."""
+        state, start = self._state, self._start_x
+        self._start_x = None
+        there = state if start is None else state.retracted(self._padded(start))
+        parts = there.linearise(measurements)
+        visible = [index for index, part in enumerate(parts) if part.is_finite]
+        seen = [measurements[index] for index in visible]
+        results: list[GatingResult] = []
+        if seen:
+            state.augment_state([parts[index] for index in visible])
+            x = self._padded(np.zeros(self._model.size) if start is None else start)
+            found = most_probable(state, seen, x, is_tracking=start is None)
+            if found is not None:
+                for measurement, nis, weight in zip(seen, found.innovations, found.weights, strict=True):
+                    size, is_accepted = len(measurement.covariance), bool(weight > REFUSED_WEIGHT)
+                    results.append(
+                        GatingResult(measurement.name, float(nis), size, is_accepted, measurement.source)
+                    )
+                state.retract(found.x)
+                state.update_covariance(found.K, found.H, found.R)
+        if start is None:
+            self.consistency.add(state.robot.stamp_ns, results)
+        late_std_s = self._model.time_offset_std_s(self._age_s)
+        self.consistency.watch(*state.furthest_constant(), state.correction.time_offset_s, late_std_s)
         return tuple(results)
 
     def update_scene(self, name: str, part: Linearised) -> GatingResult:
@@ -211,15 +163,22 @@ class KinematicErrorFilter:
         part = Linearised(np.zeros(3), np.zeros((3, self._model.size)), tuple(biases), np.zeros((3, 3)))
         self._state.augment_state([part])
         G, P = self._state.full_jacobian([part]), self._state.P
-        tool = self._state.link(None).derivative
-        widening = self.consistency.widening
+        tool, widening = self._state.link(None).derivative, self.consistency.widening
         return widening * G @ P @ G.T, widening * tool @ P[: self._model.size] @ G.T
 
     def tool_pose(self) -> ToolPose:
         """The corrected pose of the tool and its covariance."""
         tool, widening = self._state.link(None), self.consistency.widening
         covariance = widening * (tool.derivative @ self.covariance @ tool.derivative.T)
-        return ToolPose(tool.T_camera_link, covariance, self.shaft_axis(), self._axis_std_rad())
+        if self._shaft is None:
+            return ToolPose(tool.T_camera_link, covariance, self.shaft_axis(), None)
+        turn = self._state.link(self._shaft.link).derivative[3:]
+        of_axis = across_std_rad(widening * turn @ self.covariance @ turn.T, self.shaft_axis())
+        return ToolPose(tool.T_camera_link, covariance, self.shaft_axis(), of_axis)
+
+    def link_pose(self, name: str | None) -> Array:
+        """The corrected pose of a link in the camera frame, shape (4, 4); of the tool for None."""
+        return self._state.link(name).T_camera_link
 
     def corrected_joints(self) -> Array:
         """Reported joints at the corrected time, with offsets and play, shape (n_joints,)."""
@@ -231,85 +190,118 @@ class KinematicErrorFilter:
             return np.asarray(self._state.link(None).T_camera_link[:3, 0])
         return np.asarray(self._state.link(self._shaft.link).T_camera_link[:3, :3] @ self._shaft.axis)
 
-    def _axis_std_rad(self) -> float | None:
-        if self._shaft is None:
-            return None
-        turn = self._state.link(self._shaft.link).derivative[3:]
-        covariance = self.consistency.widening * turn @ self.covariance @ turn.T
-        return across_std_rad(covariance, self.shaft_axis())
+    def _padded(self, x: Array) -> Array:
+        return np.concatenate([x, np.zeros(len(self._state.P) - len(x))])
 
-    def _start(self) -> None:
-        prior, with_constants = self._state.start()
-        self._window = Window(self._model, self._state.anchor_m, prior, self._settings, with_constants)
-        self._rejections = self._contradictions = 0
-        self._age_s = 0.0
-        self.consistency.clear()
-
-    def _gate(self, measurement: LinkMeasurement, part: Linearised) -> GatingResult:
-        """Whether a state near the present one explains a measurement, judged at the most probable one if need be."""
-        size, nis = len(part.residual), np.inf
-        if part.is_finite:
-            innovation, S, _ = self._state.innovation(part)
-            nis = float(innovation @ np.linalg.solve(S, innovation))
-        bound = chi_square_bound(size, self._settings.gate_z)
-        if nis > bound:
-            found = most_probable(self._state, [measurement], [part], self._settings)
-            nis = nis if found is None else min(nis, found.nis)
-        return GatingResult(measurement.name, nis, size, nis <= bound, measurement.source)
-
-    def _correct(self, measurements: Sequence[LinkMeasurement], parts: Sequence[Linearised]) -> bool:
-        """Go to the most probable state, covariance in Joseph's form; False where there is none."""
-        found = most_probable(self._state, measurements, parts, self._settings)
-        bound = chi_square_bound(sum(len(part.residual) for part in parts), self._settings.gate_z)
-        if found is None or not found.is_settled or found.nis > bound:
-            return False
-        self._state.retract(found.x)
-        self._state.update_covariance(found.K, found.H, found.R)
-        return True
-
-    def _keep_in_window(self, measurements: Sequence[LinkMeasurement]) -> None:
-        """While the filter is young, keep what it was given, and solve it anew as a batch at growing intervals."""
-        if len(self._window) < max(WINDOW_SOLVES):
-            self._window.add(self._state.robot, tuple(measurements))
-            if len(self._window) in WINDOW_SOLVES:
-                solved = self._window.solve(self._state.correction)
-                if solved is not None:
-                    self._take_solution(solved)
-
-    def _take_solution(self, at: Correction) -> None:
-        """Go on from the batch's solution, unless it asks constants to be what no user would state so wrongly."""
-        before, far = copy(self._state), self._furthest_constant()
-        self._replay(at)
-        if self._furthest_constant() > max(far, USUAL_CONSTANT_DEVIATIONS):
-            self._state = before
-
-    def _furthest_constant(self) -> float:
-        return max((abs(off) for _, off in self._state.constants()), default=0.0)
-
-    def _replay(self, at: Correction) -> None:
-        """Filter the window's frames once more, all linearised at the batch's solution."""
-        size, state = self._model.size, self._state
-        state.reset_bias_states(self._window.prior_at(at), self._window.prior_with_constants_at(at))
-        # What is to be added to `at`: at first all the way back to no correction.
-        to_correction = self._window.step_to_prior(at)
-        stamp_ns = None
-        for robot, parts, weights in self._window.linearised(at):
-            if stamp_ns is not None:
-                state.correction = at.retract(to_correction)
-                state.propagate(max(0.0, (robot.stamp_ns - stamp_ns) / 1e9))
-                play = state.model.columns.play
-                to_correction[play] = state.correction.play - at.play
-            stamp_ns = robot.stamp_ns
-            if not parts:
-                continue
-            state.augment_state(parts)
-            H = state.full_jacobian(parts)
-            R = block_diagonal([part.noise / weight for part, weight in zip(parts, weights, strict=True)])
-            x = np.concatenate([to_correction, state.bias_mean])
-            HP = H @ state.P
-            K = np.asarray(np.linalg.solve(HP @ H.T + R, HP).T, np.float64)
-            x = x + K @ (np.concatenate([part.residual for part in parts]) - H @ x)
-            state.update_covariance(K, H, R)
-            to_correction, state.bias_mean = x[:size], x[size:]
-        state.correction = at.retract(to_correction)
+    def _begin_at(self, pose: ToolPose | None) -> None:
+        """The prior, linearised where a pose puts the tool, and widened where that would surprise it."""
+        state = self._state
+        state.correction = self._model.no_correction()
         state.go_to(state.robot)
+        state.start()
+        self.consistency.clear()
+        self._age_s, self._start_x = 0.0, None
+        if pose is None:
+            return
+        at = [as_measurement(pose)]
+        found = most_probable(state, at, np.zeros(len(state.P)), is_robust=False)
+        if found is None:
+            return
+        surprise = max(1.0, found.nis / 6.0)
+        if surprise > 1.0:
+            state.P[:6] *= np.sqrt(surprise)
+            state.P[:, :6] *= np.sqrt(surprise)
+            found = most_probable(state, at, found.x, is_robust=False) or found
+        self._start_x = found.x
+
+    def _cost(self, pose: ToolPose | None, measurements: Sequence[LinkMeasurement]) -> float:
+        """Minus twice the logarithm of the robust posterior at the minimum that a start leads to."""
+        if not measurements:
+            return np.inf
+        self._begin_at(pose)
+        x = np.zeros(len(self._state.P)) if self._start_x is None else self._start_x
+        parts = self._state.retracted(x).linearise(measurements)
+        if not all(part.is_finite for part in parts):
+            return np.inf
+        self._state.augment_state(parts)
+        found = most_probable(self._state, measurements, self._padded(x))
+        if found is None:
+            return np.inf
+        fits = zip(found.residuals, measurements, strict=True)
+        of_prior = found.nis - float(found.weights @ found.residuals)
+        return of_prior + sum(_heavy_tailed(float(square), seen.covariance) for square, seen in fits)
+
+
+def most_probable(
+    state: ErrorState,
+    measurements: Sequence[LinkMeasurement],
+    x: Array,
+    *,
+    is_robust: bool = True,
+    is_tracking: bool = False,
+) -> Solution | None:
+    """The state that prior and heavy-tailed measurements make the most probable, from x; None where one is unseen.
+
+    A tracked measurement is weighed by the worse of its first innovation and its last residual: what constants and
+    biases would have to give way for is no less wild for their giving way.
+    """
+    P, size = state.P, state.model.size
+    noises = [np.asarray(measurement.covariance) for measurement in measurements]
+    degrees = np.array([len(noise) for noise in noises])
+    deviations, moved = np.sqrt(np.diag(P) + 1e-18), np.inf
+    weights, first = np.ones(len(noises)), np.zeros(0)
+    for _ in range(MAX_ITERATIONS):
+        there = state.retracted(x)
+        parts = there.linearise(measurements)
+        if not all(part.is_finite for part in parts):
+            return None
+        H = state.full_jacobian(parts)
+        residual = np.concatenate([part.residual for part in parts]) - H[:, size:] @ there.bias_mean
+        innovation = residual + H @ x
+        # Solved with a unit-free H P: the units of the state differ by orders of magnitude.
+        HP = H @ P
+        S = HP @ H.T
+        ends = np.cumsum(degrees)
+        rows = [slice(end - count, end) for end, count in zip(ends, degrees, strict=True)]
+        innovations = np.array(
+            [_square(innovation[at], S[at, at] + noise) for at, noise in zip(rows, noises, strict=True)]
+        )
+        residuals = np.array([_square(residual[at], noise) for at, noise in zip(rows, noises, strict=True)])
+        first = first if len(first) else innovations
+        if is_robust:
+            before = first if is_tracking else innovations
+            weights = np.minimum(1.0, (NU + degrees) / (NU + np.maximum(before, residuals)))
+        R = block_diagonal([noise / weight for noise, weight in zip(noises, weights, strict=True)])
+        solved = np.linalg.solve(S + R, np.column_stack([HP, innovation]))
+        K = np.asarray(solved[:, :-1].T, np.float64)
+        step = K @ innovation - x
+        # In deviations of the prior, and of what is measured: a prior that knows nothing has large ones.
+        longer = float(max(np.max(np.abs(step) / deviations), np.max(np.abs(H @ step) / np.sqrt(np.diag(R)))))
+        if longer > moved:  # it swings: half of the way
+            step, longer = 0.5 * step, 0.5 * longer
+        x, moved = x + step, longer
+        if moved < SETTLED:
+            break
+    judged = first if is_tracking else innovations
+    return Solution(x, H, R, K, judged, residuals, weights, float(innovation @ solved[:, -1]))
+
+
+def as_measurement(
+    pose: ToolPose, lasting_share: float = 0.0, correlation_time_s: float = 1.0, name: str = "pose"
+) -> PoseMeasurement:
+    """A pose by the images as a measurement of the tool, of whose variance a share lasts."""
+    C = pose.covariance + TINY_POSE
+    share = lasting_share
+    return PoseMeasurement(
+        name, None, np.eye(4), pose.T_camera_tool, (1.0 - share) * C, share * C, correlation_time_s
+    )
+
+
+def _square(v: Array, S: Array) -> float:
+    return float(v @ np.linalg.solve(S, v))
+
+
+def _heavy_tailed(square: float, covariance: Array) -> float:
+    """Minus twice the logarithm of Student's density, but for a constant."""
+    size = len(covariance)
+    return (NU + size) * float(np.log1p(square / NU)) + float(np.linalg.slogdet(covariance)[1])

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.profile import Profile
@@ -153,22 +152,15 @@ EXACT = Deviations(
 
 @dataclass(frozen=True, slots=True)
 class PoseResidual:
-    """Measured minus predicted (..., m), derivative by (δp, δθ) in the camera frame; inf and NaN where unseen."""
+    """Measured minus predicted (m,), derivative (m, 6) by (δp, δθ) in the camera frame; inf and NaN where unseen."""
 
     residual: Array
     derivative: Array
 
     @classmethod
-    def where_visible(
-        cls, visible: NDArray[np.bool_] | np.bool_, residual: Array, derivative: Array
-    ) -> PoseResidual:
-        """With what is invisible, shape (...), marked as such."""
-        if visible.all():
-            return cls(residual, derivative)
-        return cls(
-            np.where(np.asarray(visible)[..., None], residual, np.inf),
-            np.where(np.asarray(visible)[..., None, None], derivative, np.nan),
-        )
+    def unseen(cls, size: int) -> PoseResidual:
+        """What has no image: behind the camera, or around it."""
+        return cls(np.full(size, np.inf), np.full((size, 6), np.nan))
 
 
 class LinkMeasurement(ABC):
@@ -179,7 +171,6 @@ class LinkMeasurement(ABC):
     """
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
-    STACKED: ClassVar[tuple[str, ...]]  # fields with a leading axis in a stack
     source: ClassVar[str]  # the detection that it is made of
     name: str  # what was measured, for a person
     link: str | None

@@ -1,8 +1,10 @@
-"""The kinds of measurements: points, a sphere's size, disparity, an edge of the shaft's silhouette, and a pose."""
+"""The kinds of measurements: points, a sphere's size, disparity, sides and end of the shaft's outline, and a pose.
+
+Each is the residual of one link's pose, with what lasts of its error and what errors of constants do to it.
+"""
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -10,7 +12,6 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.measurement import (
-    AHEAD_M,
     EXACT,
     MIN_DEPTH_M,
     Deviations,
@@ -19,51 +20,42 @@ from svmdist.estimation.instrument.measurement import (
     SharedBias,
     edge_by_radius,
 )
+from svmdist.profile.hand_eye import BASELINE
 from svmdist.profile.settings import FilterSettings
-from svmdist.transforms import Array, cross, inverse_right_jacobian, rotation_vector, skew
-from svmdist.vision.lines import apparent_radius_px
+from svmdist.transforms import Array, inverse_right_jacobian, rotation_vector, skew
+from svmdist.vision.lines import apparent_radius_px, tangent_normal
 
 MARKER = "distal marker"
 POINT_CORRELATION_TIME_S = FilterSettings().point_correlation_time_s
+EDGE_CORRELATION_TIME_S = FilterSettings().edge_correlation_time_s
+POSE_CORRELATION_TIME_S = 0.5
+ONE_FRAME_S = 1e-3  # of what is drawn anew in every frame
 
 
-class _PointBias(LinkMeasurement):
-    """The bias of a point: an offset in its link's frame, and what shading does to its pixels."""
-
-    source = MARKER
-    point_std_m: float
-    shading_bias_px: float
-
-    def bias_jacobian(self, T_camera_link: Array, derivative: Array, /) -> Array:
-        """Derivative by offset and shading, shape (..., m, 4), in units of their deviations."""
-        # An offset in the link's frame moves the point as the link's own motion would; shading goes with the tilt.
-        bias = np.empty((*derivative.shape[:-1], 4))
-        bias[..., :3] = derivative[..., :3] @ T_camera_link[..., :3, :3]
-        bias[..., :3] *= -np.asarray(self.point_std_m)[..., None, None]
-        bias[..., 3] = np.asarray(self.shading_bias_px)[..., None] * self._tilt()
-        return bias
-
-    @abstractmethod
-    def _tilt(self) -> Array:
-        """Tilt of the measured rays, shape (..., m): what shading is proportional to."""
+def _point_bias(
+    std_m: float, shading_px: float, tilt: Array, T_camera_link: Array, derivative: Array
+) -> Array:
+    """The bias of a point, (m, 4): an offset in its link's frame, and what shading does with the ray's tilt, (m,)."""
+    # An offset in the link's frame moves the point as the link's own motion would.
+    by_offset = -std_m * derivative[:, :3] @ T_camera_link[:3, :3]
+    return np.column_stack([by_offset, shading_px * tilt])
 
 
 @dataclass(frozen=True)
-class PointsMeasurement(_PointBias):
-    """Points of a link seen at pixels: the coloured region's centroid, or the corners of a tag.
+class PointMeasurement(LinkMeasurement):
+    """A point of a link, `p_link_m` (3,), seen at a pixel (2,) with a covariance (2, 2) in px².
 
-    `p_link_m` has shape (n, 3), `pixels` (n, 2), the covariance (2n, 2n) in px², rows x1, y1, x2, … The points may
-    all be off by one offset fixed in the link's frame, of deviation `point_std_m` along each axis. Shading may draw
-    the pixels outward by `shading_bias_px` (a deviation) times the tilt of their ray.
+    The point may be off by an offset fixed in the link's frame, of deviation `point_std_m` along each axis. Shading may
+    draw the pixel outward by `shading_bias_px` (a deviation) times the tilt of its ray.
     """
 
-    STACKED = ("p_link_m", "pixels", "covariance", "point_std_m", "shading_bias_px")
+    source = MARKER
 
     name: str
     link: str | None
     camera: Camera
     p_link_m: Array
-    pixels: Array
+    pixel: Array
     covariance: Array
     point_std_m: float = 0.0
     shading_bias_px: float = 0.0
@@ -72,46 +64,34 @@ class PointsMeasurement(_PointBias):
     deviations: Deviations = EXACT
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
-        """Measured minus projected, shape (..., 2n), about poses (..., 4, 4)."""
-        arm_m = self.p_link_m @ np.swapaxes(T_camera_link[..., :3, :3], -1, -2)
-        p_camera_m = arm_m + T_camera_link[..., None, :3, 3]
-        visible = p_camera_m[..., 2].min(-1) >= MIN_DEPTH_M
-        if not visible.all():
-            p_camera_m = np.where(visible[..., None, None], p_camera_m, AHEAD_M)
-        projected, J = self.camera.project_with_derivative(p_camera_m)
-        derivative = np.empty((*J.shape[:-1], 6))
-        derivative[..., :3] = -J
-        np.matmul(J, skew(arm_m), out=derivative[..., 3:])
-        shape = (*J.shape[:-3], -1)
-        return PoseResidual.where_visible(
-            visible, (self.pixels - projected).reshape(shape), derivative.reshape(*shape, 6)
-        )
+        """Measured minus projected, shape (2,), about a pose (4, 4)."""
+        arm_m = T_camera_link[:3, :3] @ self.p_link_m
+        p_camera_m = arm_m + T_camera_link[:3, 3]
+        if p_camera_m[2] < MIN_DEPTH_M:
+            return PoseResidual.unseen(2)
+        pixel, J = self.camera.project_with_derivative(p_camera_m)
+        return PoseResidual(self.pixel - pixel, np.concatenate([-J, J @ skew(arm_m)], 1))
 
-    def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
-        """Focal length and principal point."""
-        biases = self.deviations.of_pixels(self.pixels, self.camera)
-        shape = (*T_camera_link.shape[:-2], 2 * self.pixels.shape[-2])
-        return tuple(
-            SharedBias(bias.name, bias.jacobian.reshape(*shape, bias.jacobian.shape[-1])) for bias in biases
-        )
-
-    def _tilt(self) -> Array:
+    def bias_jacobian(self, T_camera_link: Array, derivative: Array, /) -> Array:
+        """Derivative by offset and shading, shape (2, 4), in units of their deviations."""
         K = self.camera.K
-        tilt = (self.pixels - K[:2, 2]) / K[[0, 1], [0, 1]]
-        return np.asarray(tilt.reshape(*tilt.shape[:-2], -1))
+        tilt = (self.pixel - K[:2, 2]) / np.diag(K)[:2]
+        return _point_bias(self.point_std_m, self.shading_bias_px, tilt, T_camera_link, derivative)
+
+    def shared_biases(self, _T_camera_link: Array, /) -> tuple[SharedBias, ...]:
+        """Focal length and principal point."""
+        return self.deviations.of_pixels(self.pixel, self.camera)
 
 
 @dataclass(frozen=True)
-class DisparityMeasurement(_PointBias):
+class DisparityMeasurement(LinkMeasurement):
     """How far apart, in px along x, the two views of a stereo pair show a point of a link: `p_link_m`, shape (3,).
 
     `T_right_left` maps the left camera's coordinates to the right one's; the covariance has shape (1, 1) in px².
-    The point may be off as in `PointsMeasurement`: the two rays differ in tilt by the disparity over the focal length.
+    The point may be off as in `PointMeasurement`: the two rays differ in tilt by the disparity over the focal length.
     """
 
-    STACKED = (
-        "T_right_left", "disparity_px", "covariance", "point_std_m", "shading_bias_px", "lasting_std_px", "p_link_m",
-    )  # fmt: skip
+    source = MARKER
 
     name: str
     link: str | None
@@ -129,43 +109,37 @@ class DisparityMeasurement(_PointBias):
     p_link_m: Array = field(default_factory=lambda: np.zeros(3))
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
-        """Measured minus predicted, shape (..., 1), about poses (..., 4, 4)."""
-        R_right_left = self.T_right_left[..., :3, :3]
-        arm_m = (T_camera_link[..., :3, :3] @ np.asarray(self.p_link_m)[..., None])[..., 0]
-        p_left_m = arm_m + T_camera_link[..., :3, 3]
-        p_right_m = (R_right_left @ p_left_m[..., None])[..., 0] + self.T_right_left[..., :3, 3]
-        visible = np.minimum(p_left_m[..., 2], p_right_m[..., 2]) >= MIN_DEPTH_M
-        if not visible.all():
-            p_left_m = np.where(visible[..., None], p_left_m, AHEAD_M)
-            p_right_m = np.where(visible[..., None], p_right_m, AHEAD_M)
+        """Measured minus predicted, shape (1,), about a pose (4, 4)."""
+        R_right_left, t_right_left = self.T_right_left[:3, :3], self.T_right_left[:3, 3]
+        arm_m = T_camera_link[:3, :3] @ self.p_link_m
+        p_left_m = arm_m + T_camera_link[:3, 3]
+        p_right_m = R_right_left @ p_left_m + t_right_left
+        if min(p_left_m[2], p_right_m[2]) < MIN_DEPTH_M:
+            return PoseResidual.unseen(1)
         left_px, J_left = self.left.project_with_derivative(p_left_m)
         right_px, J_right = self.right.project_with_derivative(p_right_m)
-        residual = self.disparity_px - (left_px[..., 0] - right_px[..., 0])
-        derivative = np.zeros((*residual.shape, 1, 6))
-        derivative[..., :3] = J_right[..., :1, :] @ R_right_left - J_left[..., :1, :]
-        derivative[..., 3:] = -derivative[..., :3] @ skew(arm_m)
-        return PoseResidual.where_visible(visible, residual[..., None], derivative)
+        by_place = (J_right[:1] @ R_right_left) - J_left[:1]
+        residual = np.array([self.disparity_px - float(left_px[0] - right_px[0])])
+        return PoseResidual(residual, np.concatenate([by_place, -by_place @ skew(arm_m)], 1))
+
+    def bias_jacobian(self, T_camera_link: Array, derivative: Array, /) -> Array:
+        """Derivative by offset and shading, shape (1, 4), in units of their deviations."""
+        tilt = np.array([self.disparity_px / self.left.K[0, 0]])
+        return _point_bias(self.point_std_m, self.shading_bias_px, tilt, T_camera_link, derivative)
 
     def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
         """Focal length, baseline, the right camera's rotation, and what lasts of the disparity itself."""
-        arm_m = (T_camera_link[..., :3, :3] @ np.asarray(self.p_link_m)[..., None])[..., 0]
-        p_left_m = arm_m + T_camera_link[..., :3, 3]
+        p_left_m = T_camera_link[:3, :3] @ self.p_link_m + T_camera_link[:3, 3]
         disparity_px = np.asarray(self.disparity_px, np.float64)
         biases = self.deviations.of_disparity_at(p_left_m, self.right, disparity_px, self.T_right_left)
-        lasting = np.broadcast_to(
-            np.asarray(self.lasting_std_px)[..., None, None], (*disparity_px.shape, 1, 1)
-        )
+        lasting = np.array([[self.lasting_std_px]])
         return (*biases, SharedBias("disparity of the marker", lasting, self.correlation_time_s))
-
-    def _tilt(self) -> Array:
-        return np.asarray(self.disparity_px / self.left.K[0, 0])[..., None]
 
 
 @dataclass(frozen=True)
 class SizeMeasurement(LinkMeasurement):
     """The radius in px of the disc that a sphere about a link's origin shows; `bias_std_px` lasts."""
 
-    STACKED = ("radius_m", "radius_px", "covariance", "bias_std_px")
     source = MARKER
 
     name: str
@@ -179,52 +153,33 @@ class SizeMeasurement(LinkMeasurement):
     deviations: Deviations = EXACT
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
-        """Measured minus predicted, shape (..., 1), about poses (..., 4, 4)."""
-        p_m = T_camera_link[..., :3, 3]
-        visible = p_m[..., 2] >= MIN_DEPTH_M
-        if not visible.all():
-            p_m = np.where(visible[..., None], p_m, AHEAD_M)
-        predicted_px = apparent_radius_px(p_m, 1.0, self.camera) * self.radius_m
-        derivative = np.zeros((*predicted_px.shape, 1, 6))
+        """Measured minus predicted, shape (1,), about a pose (4, 4)."""
+        p_m = T_camera_link[:3, 3]
+        if p_m[2] < MIN_DEPTH_M:
+            return PoseResidual.unseen(1)
+        predicted_px = float(apparent_radius_px(p_m, self.radius_m, self.camera))
         # Of f r |p|^½ z^(-3/2), by its logarithm.
-        slope = 0.5 * p_m / np.sum(p_m * p_m, -1, keepdims=True)
-        slope[..., 2] -= 1.5 / p_m[..., 2]
-        derivative[..., 0, :3] = -predicted_px[..., None] * slope
-        return PoseResidual.where_visible(visible, (self.radius_px - predicted_px)[..., None], derivative)
+        slope = 0.5 * p_m / float(p_m @ p_m)
+        slope[2] -= 1.5 / p_m[2]
+        derivative = np.concatenate([-predicted_px * slope, np.zeros(3)])[None]
+        return PoseResidual(np.array([self.radius_px - predicted_px]), derivative)
 
-    def bias_jacobian(self, _T_camera_link: Array, derivative: Array, /) -> Array:
-        """Derivative by the bias, shape (..., 1, 1)."""
-        return np.broadcast_to(np.asarray(self.bias_std_px)[..., None, None], (*derivative.shape[:-1], 1))
+    def bias_jacobian(self, _T_camera_link: Array, _derivative: Array, /) -> Array:
+        """Derivative by the bias, shape (1, 1)."""
+        return np.array([[self.bias_std_px]])
 
     def shared_biases(self, _T_camera_link: Array, /) -> tuple[SharedBias, ...]:
         """Focal length and the sphere's radius."""
         return self.deviations.of_radius(np.asarray(self.radius_px, np.float64))
 
 
-EDGE_CORRELATION_TIME_S = FilterSettings().edge_correlation_time_s
-POSE_CORRELATION_TIME_S = 0.5
-
-
-class _MatrixBias(LinkMeasurement):
-    """A bias of the residual itself, of covariance `bias_covariance`, shape (m, m)."""
-
-    bias_covariance: Array
-
-    @cached_property
-    def _bias_root(self) -> Array:
-        covariance = np.asarray(self.bias_covariance)
-        lasts = covariance.any(axis=(-2, -1))  # where nothing of an error lasts, there is no bias
-        root = np.zeros_like(covariance)
-        root[lasts] = np.linalg.cholesky(covariance[lasts])
-        return root
-
-    def bias_jacobian(self, _T_camera_link: Array, _derivative: Array, /) -> Array:
-        """Derivative by the bias, shape (..., m, m)."""
-        return self._bias_root
+def _root(covariance: Array) -> Array:
+    """A root of a bias' covariance, shape (m, m), as its derivative; zero where nothing of an error lasts."""
+    return np.asarray(np.linalg.cholesky(covariance) if covariance.any() else np.zeros_like(covariance))
 
 
 @dataclass(frozen=True)
-class ContourMeasurement(_MatrixBias):
+class ContourMeasurement(LinkMeasurement):
     """One edge of the shaft's silhouette: the plane through the camera's centre and the edge touches the shaft.
 
     `normal`, shape (3,), is that plane's unit normal in the camera frame, turned to the shaft's side; `across`, shape
@@ -235,9 +190,6 @@ class ContourMeasurement(_MatrixBias):
     stays as long as the light falls on the edge so.
     """
 
-    STACKED = (
-        "normal", "across", "covariance", "p_axis_m", "axis", "radius_m", "side", "bias_covariance",
-    )  # fmt: skip
     source = "shaft"
 
     name: str
@@ -254,49 +206,97 @@ class ContourMeasurement(_MatrixBias):
     focal_px: tuple[float, float] = (1.0, 1.0)
     deviations: Deviations = EXACT
 
-    def linearise(self, T_camera_link: Array) -> PoseResidual:
-        """By what the normal is off the predicted one, shape (..., 2) in rad, about poses (..., 4, 4).
+    def _axis(self, T_camera_link: Array) -> tuple[Array, Array]:
+        """Direction (3,) of the axis in the camera frame, and from the link's origin to a point on it (3,)."""
+        R = T_camera_link[:3, :3]
+        return R @ self.axis, R @ self.p_axis_m
 
-        The predicted normal n obeys n · n = 1, n · d = 0 and n · p = r for the axis through p along d. With e = n x d
-        their differentials give dn = -(n · dd) d + e ((n · dd) (d · p) - n · dp) / (e · p). It is NaN inside the shaft.
-        """
-        R = T_camera_link[..., :3, :3]
-        d = (R @ self.axis[..., None])[..., 0]
-        arm_m = (R @ self.p_axis_m[..., None])[..., 0]
-        p_m = arm_m + T_camera_link[..., :3, 3]
-        radius_m, side = np.asarray(self.radius_m)[..., None], np.asarray(self.side)[..., None]
-        along_m = (d * p_m).sum(-1, keepdims=True)
-        foot_m = p_m - along_m * d
-        left_m = cross(d, foot_m)
-        square = (foot_m * foot_m).sum(-1, keepdims=True)
-        is_outside = square > radius_m**2
-        beside_m = side * np.sqrt(np.where(is_outside, square - radius_m**2, np.nan))
-        n = (radius_m * foot_m + beside_m * left_m) / square  # as `tangent_normal`
-        e = (beside_m * foot_m - radius_m * left_m) / square
-        # dd = δθ x d, so that n · dd = -e · δθ; dp = δp + δθ x arm, so that n · dp = n · δp + (arm x n) · δθ.
-        by_pose = np.empty((*n.shape, 6))
-        slope = e / beside_m
-        by_pose[..., :3] = -slope[..., :, None] * n[..., None, :]
-        by_pose[..., 3:] = d[..., :, None] * e[..., None, :]
-        by_pose[..., 3:] -= slope[..., :, None] * (cross(arm_m, n) + along_m * e)[..., None, :]
-        residual = (self.across @ (self.normal - n)[..., None])[..., 0]
-        return PoseResidual.where_visible(is_outside[..., 0], residual, -(self.across @ by_pose))
+    def linearise(self, T_camera_link: Array) -> PoseResidual:
+        """By what the normal is off the predicted one, shape (2,) in rad, about a pose (4, 4)."""
+        d, arm_m = self._axis(T_camera_link)
+        normal, by_point, by_direction = tangent_normal(
+            T_camera_link[:3, 3] + arm_m, d, self.radius_m, self.side
+        )
+        if not np.isfinite(normal).all():  # the camera is inside the shaft
+            return PoseResidual.unseen(2)
+        by_turn = -by_point @ skew(arm_m) - by_direction @ skew(d)
+        by_pose = np.concatenate([by_point, by_turn], 1)
+        return PoseResidual(self.across @ (self.normal - normal), -(self.across @ by_pose))
+
+    @cached_property
+    def _lasting(self) -> Array:
+        return _root(self.bias_covariance)
+
+    def bias_jacobian(self, _T_camera_link: Array, _derivative: Array, /) -> Array:
+        """Derivative by the bias, shape (2, 2)."""
+        return self._lasting
 
     def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
         """Focal length, principal point, and the shaft's radius."""
-        R = T_camera_link[..., :3, :3]
-        d = (R @ self.axis[..., None])[..., 0]
-        p_m = (R @ self.p_axis_m[..., None])[..., 0] + T_camera_link[..., :3, 3]
-        radius_m = np.asarray(self.radius_m, np.float64)
-        by_radius = edge_by_radius(p_m, d, radius_m, np.asarray(self.side))
-        return self.deviations.of_edge(self.normal, self.across, by_radius, radius_m, np.array(self.focal_px))
+        d, arm_m = self._axis(T_camera_link)
+        radius_m, focal_px = np.asarray(self.radius_m, np.float64), np.array(self.focal_px)
+        by_radius = edge_by_radius(T_camera_link[:3, 3] + arm_m, d, radius_m, np.asarray(self.side))
+        return self.deviations.of_edge(self.normal, self.across, by_radius, radius_m, focal_px)
 
 
 @dataclass(frozen=True)
-class PoseMeasurement(_MatrixBias):
+class EndMeasurement(LinkMeasurement):
+    """Where the shaft's end is along its middle line: `pixel` (2,) along `towards_tip` (2,), with a variance (1, 1).
+
+    The end is `ahead_m` before the hinge `p_hinge_m` (3,) on the axis (3,) of the link; of the dark part it is the end
+    of the generatrix that faces the camera, `radius_m` off the axis. `model_std_m` is how wrong `ahead_m` may be.
+    """
+
+    source = "shaft"
+
+    name: str
+    link: str | None
+    camera: Camera
+    pixel: Array
+    towards_tip: Array
+    covariance: Array
+    p_hinge_m: Array
+    axis: Array
+    ahead_m: float
+    radius_m: float
+    model_std_m: float
+    bias_name: str = "shaft's end"
+    correlation_time_s: float = POINT_CORRELATION_TIME_S
+    deviations: Deviations = EXACT
+
+    def linearise(self, T_camera_link: Array) -> PoseResidual:
+        """Measured minus predicted in px, shape (1,), about a pose (4, 4)."""
+        d, arm_m = T_camera_link[:3, :3] @ self.axis, T_camera_link[:3, :3] @ self.p_hinge_m
+        hinge_m = T_camera_link[:3, 3] + arm_m
+        along_m = float(d @ hinge_m)
+        foot_m = hinge_m - along_m * d
+        distance_m = float(np.linalg.norm(foot_m))
+        facing = foot_m / max(distance_m, MIN_DEPTH_M)
+        point_m = hinge_m + self.ahead_m * d - self.radius_m * facing
+        if point_m[2] < MIN_DEPTH_M or distance_m < MIN_DEPTH_M:
+            return PoseResidual.unseen(1)
+        pixel, J = self.camera.project_with_derivative(point_m)
+        across = self.radius_m / distance_m * (np.eye(3) - np.outer(facing, facing))
+        by_hinge = np.eye(3) - across @ (np.eye(3) - np.outer(d, d))
+        by_axis = self.ahead_m * np.eye(3) + across @ (along_m * np.eye(3) + np.outer(d, hinge_m))
+        by_pose = np.concatenate([by_hinge, -by_hinge @ skew(arm_m) - by_axis @ skew(d)], 1)
+        residual = np.array([(self.pixel - pixel) @ self.towards_tip])
+        return PoseResidual(residual, -(self.towards_tip @ J @ by_pose)[None])
+
+    def bias_jacobian(self, T_camera_link: Array, derivative: Array, /) -> Array:
+        """By how far before the hinge the end is, in units of its deviation, shape (1, 1)."""
+        return -self.model_std_m * derivative[:, :3] @ T_camera_link[:3, :3] @ self.axis[:, None]
+
+    def shared_biases(self, _T_camera_link: Array, /) -> tuple[SharedBias, ...]:
+        """Focal length and principal point, along the middle line."""
+        biases = self.deviations.of_pixels(self.pixel, self.camera)
+        return tuple(SharedBias(bias.name, (self.towards_tip @ bias.jacobian)[None]) for bias in biases)
+
+
+@dataclass(frozen=True)
+class PoseMeasurement(LinkMeasurement):
     """A pose measured as a whole: `T_camera_frame` of a frame fixed on a link by `T_link_frame`, (4, 4)."""
 
-    STACKED = ("T_link_frame", "T_camera_frame", "covariance", "bias_covariance")
     source = "tag"
 
     name: str
@@ -310,19 +310,83 @@ class PoseMeasurement(_MatrixBias):
     deviations: Deviations = EXACT
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
-        """(δp, δθ) from predicted to measured, shape (..., 6) in m and rad, about poses (..., 4, 4)."""
+        """(δp, δθ) from predicted to measured, shape (6,) in m and rad, about a pose (4, 4)."""
         predicted = T_camera_link @ self.T_link_frame
-        turn = self.T_camera_frame[..., :3, :3] @ np.swapaxes(predicted[..., :3, :3], -1, -2)
-        residual = np.empty((*predicted.shape[:-2], 6))
-        residual[..., :3] = self.T_camera_frame[..., :3, 3] - predicted[..., :3, 3]
-        residual[..., 3:] = rotation_vector(turn)
-        derivative = np.zeros((*predicted.shape[:-2], 6, 6))
-        derivative[..., :3, :3] = -np.eye(3)
-        derivative[..., :3, 3:] = skew(predicted[..., :3, 3] - T_camera_link[..., :3, 3])
+        turn = rotation_vector(self.T_camera_frame[:3, :3] @ predicted[:3, :3].T)
+        residual = np.concatenate([self.T_camera_frame[:3, 3] - predicted[:3, 3], turn])
+        derivative = np.zeros((6, 6))
+        derivative[:3, :3] = -np.eye(3)
+        derivative[:3, 3:] = skew(predicted[:3, 3] - T_camera_link[:3, 3])
         # exp([φ]) exp([-δθ]) = exp([φ - J⁻¹ δθ]), J the right Jacobian (Solà 2018, "A micro Lie theory", sec. 4.3).
-        derivative[..., 3:, 3:] = -inverse_right_jacobian(residual[..., 3:])
+        derivative[3:, 3:] = -inverse_right_jacobian(turn)
         return PoseResidual(residual, derivative)
+
+    @cached_property
+    def _lasting(self) -> Array:
+        return _root(self.bias_covariance)
+
+    def bias_jacobian(self, _T_camera_link: Array, _derivative: Array, /) -> Array:
+        """Derivative by the bias, shape (6, 6)."""
+        return self._lasting
 
     def shared_biases(self, _T_camera_link: Array, /) -> tuple[SharedBias, ...]:
         """Focal length, principal point, the tag's size and mounting."""
         return self.deviations.of_tag(self.T_camera_frame, np.array(self.focal_px))
+
+
+@dataclass(frozen=True)
+class InRightView(LinkMeasurement):
+    """A measurement by the right camera, as one of the link's pose in the left camera's frame.
+
+    What is fixed on the instrument errs alike in both views; what an edge gets wrong is each view's own. The tool may
+    have moved by `motion_std_m` along each axis between the views' stamps.
+    """
+
+    inner: LinkMeasurement
+    T_right_left: Array
+    deviations: Deviations
+    motion_std_m: float = 0.0
+
+    def __getattr__(self, name: str) -> object:
+        """Link, covariance and correlation time are the inner measurement's."""
+        if name in ("link", "covariance", "correlation_time_s", "source"):
+            return getattr(self.inner, name)
+        raise AttributeError(name)
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """The measurement's, of the right view."""
+        return f"right {self.inner.name}"
+
+    @property
+    def bias_name(self) -> str:
+        """The inner measurement's where the bias is of something on the instrument."""
+        return self.name if self.inner.bias_name == self.inner.name else self.inner.bias_name
+
+    def linearise(self, T_camera_link: Array) -> PoseResidual:
+        """The inner residual, its derivative by the pose in the left camera's frame."""
+        found, R = self.inner.linearise(self.T_right_left @ T_camera_link), self.T_right_left[:3, :3]
+        return PoseResidual(found.residual, found.derivative @ np.kron(np.eye(2), R))
+
+    def bias_jacobian(self, T_camera_link: Array, derivative: Array, /) -> Array:
+        """The inner measurement's."""
+        R = self.T_right_left[:3, :3]
+        return self.inner.bias_jacobian(
+            self.T_right_left @ T_camera_link, derivative @ np.kron(np.eye(2), R.T)
+        )
+
+    def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
+        """Those of the inner measurement, baseline, the right camera's rotation, and motion between the views."""
+        T, camera = self.T_right_left @ T_camera_link, self.deviations.camera
+        by_pose = -self.inner.linearise(T).derivative
+        by_place = by_pose[:, :3]
+        # The right camera is off by its place along the baseline, and turned about its own centre.
+        baseline = camera.baseline_std_fraction * by_place @ self.T_right_left[:3, 3][:, None]
+        turned = camera.right_rotation_std_rad * (by_pose[:, 3:] - by_place @ skew(T[:3, 3]))
+        moved = self.motion_std_m * by_place @ self.T_right_left[:3, :3]
+        return (
+            *self.inner.shared_biases(T),
+            SharedBias(BASELINE, baseline),
+            SharedBias("right camera's rotation", turned),
+            SharedBias("motion between the views", moved, ONE_FRAME_S),
+        )

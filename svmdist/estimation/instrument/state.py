@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -47,19 +47,6 @@ class Linearised:
             -1,
         )
 
-    def member(self, k: int) -> Linearised:
-        """One of a stack."""
-        several = self.residual.shape[0]
-        biases = tuple(
-            SharedBias(
-                bias.name,
-                np.broadcast_to(bias.jacobian, (several, *bias.jacobian.shape[-2:]))[k],
-                bias.correlation_time_s,
-            )
-            for bias in self.biases
-        )
-        return Linearised(self.residual[k], self.H[k], biases, self.noise[k])
-
     @property
     def covariance(self) -> Array:
         """Of the residual where it is seen once, shape (..., m, m): noise and bias."""
@@ -92,6 +79,7 @@ def block_diagonal(blocks: Sequence[Array]) -> Array:
 
 
 TINY_M = 1e-9  # stands in for a deviation of zero
+MIN_TOLD = 0.2  # of the variance of constants along a direction: of less the measurements tell too little
 
 
 class ErrorState:
@@ -184,15 +172,30 @@ class ErrorState:
         at = self._bias_slices.get(name)
         return 0.0 if at is None else float(self.bias_mean[at.start - self.model.size])
 
-    def constants(self) -> Iterator[tuple[str, float]]:
-        """What never changes, as found, in stated deviations from what is stated: calibration and lengths."""
-        for name, at in self._bias_slices.items():
-            places = slice(at.start - self.model.size, at.stop - self.model.size)
-            if np.isinf(self._correlation_times_s[places]).all():
-                for value in self.bias_mean[places]:
-                    yield name, float(value)
-        for value in self.correction.length_m / max(self.model.length_std_m, TINY_M):
-            yield "a length of the chain", float(value)
+    def furthest_constant(self) -> tuple[str, float, int]:
+        """What was found of constants against what is stated: the one that moved most, deviations, of how many.
+
+        Several that each give way a little may together be what no calibration allows: along the directions that
+        measurements tell, their means are compared with what these means would vary by if all stated were right.
+        """
+        size, at = self.model.size, self.model.columns.lengths
+        names = ["a length of the chain"] * (at.stop - at.start)
+        places = list(range(at.start, at.stop))
+        for name, one in self._bias_slices.items():
+            if np.isinf(self._correlation_times_s[one.start - size : one.stop - size]).all():
+                names += [name] * (one.stop - one.start)
+                places += range(one.start, one.stop)
+        if not places:
+            return "", 0.0, 0
+        stated = np.ones(len(places))
+        stated[: at.stop - at.start] = max(self.model.length_std_m, TINY_M)
+        mean = np.concatenate([self.correction.vector(), self.bias_mean])[places] / stated
+        told, directions = np.linalg.eigh(
+            np.eye(len(places)) - self.P[np.ix_(places, places)] / np.outer(stated, stated)
+        )
+        is_told = told > MIN_TOLD
+        off = np.abs(directions.T @ mean)[is_told] / np.sqrt(told[is_told])
+        return names[int(np.argmax(np.abs(mean)))], float(off.max(initial=0.0)), len(off)
 
     def propagate(self, elapsed_s: float) -> None:
         """Time passes: the correction drifts, biases fade towards their prior, of variance one."""
@@ -237,6 +240,7 @@ class ErrorState:
             rows = slice(at, at + len(part.residual))
             H[rows, : self.model.size] = part.H
             for bias in part.biases:
-                H[rows, self._bias_slices[bias.name]] += bias.jacobian
+                if bias.name in self._bias_slices:  # a start is linearised without biases of its own
+                    H[rows, self._bias_slices[bias.name]] += bias.jacobian
             at = rows.stop
         return H
