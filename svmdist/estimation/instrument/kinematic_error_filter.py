@@ -101,15 +101,25 @@ class KinematicErrorFilter:
     def begin(self, starts: Sequence[Start]) -> int:
         """Forget what was measured and begin where prior and measurements are the most probable; gives which start.
 
-        A start is where to linearise first, never a measurement of its own.
+        A start is where to linearise first, never a measurement of its own. One that an earlier one led to the
+        neighbourhood of would lead to the same.
         """
-        costs = [self._cost(*start) for start in starts]
         every = {measurement.name: measurement for _, seen in starts for measurement in seen}
-        for index, (_, seen) in enumerate(starts):
+        best, least, best_x = 0, np.inf, None
+        found: list[Array] = []
+        for index, (pose, seen) in enumerate(starts):
+            if pose is not None and any(_is_about(pose, T_camera_tool) for T_camera_tool in found):
+                continue
+            cost, x = self._cost(pose, seen)
+            if x is None:
+                continue
+            found.append(self._state.retracted(x).link(None).T_camera_link)
             for name in every.keys() - {measurement.name for measurement in seen}:
-                costs[index] += _heavy_tailed(UNSEEN_SQUARE, every[name].covariance)
-        best = int(np.argmin(costs))
+                cost += _heavy_tailed(UNSEEN_SQUARE, every[name].covariance)
+            if cost < least:
+                best, least, best_x = index, cost, x[: self._model.size]
         self._begin_at(starts[best][0])
+        self._start_x = self._start_x if best_x is None else best_x
         return best
 
     def update(self, measurements: Sequence[LinkMeasurement]) -> tuple[GatingResult, ...]:
@@ -214,22 +224,25 @@ class KinematicErrorFilter:
             found = most_probable(state, at, found.x, is_robust=False) or found
         self._start_x = found.x
 
-    def _cost(self, pose: ToolPose | None, measurements: Sequence[LinkMeasurement]) -> float:
-        """Minus twice the logarithm of the robust posterior at the minimum that a start leads to."""
+    def _cost(
+        self, pose: ToolPose | None, measurements: Sequence[LinkMeasurement]
+    ) -> tuple[float, Array | None]:
+        """Minus twice the logarithm of the robust posterior where a start leads to, and the state there."""
         if not measurements:
-            return np.inf
+            return np.inf, None
         self._begin_at(pose)
         x = np.zeros(len(self._state.P)) if self._start_x is None else self._start_x
         parts = self._state.retracted(x).linearise(measurements)
         if not all(part.is_finite for part in parts):
-            return np.inf
+            return np.inf, None
         self._state.augment_state(parts)
         found = most_probable(self._state, measurements, self._padded(x))
         if found is None:
-            return np.inf
+            return np.inf, None
         fits = zip(found.residuals, measurements, strict=True)
         of_prior = found.nis - float(found.weights @ found.residuals)
-        return of_prior + sum(_heavy_tailed(float(square), seen.covariance) for square, seen in fits)
+        cost = of_prior + sum(_heavy_tailed(float(square), seen.covariance) for square, seen in fits)
+        return cost, found.x
 
 
 def most_probable(
@@ -295,6 +308,12 @@ def as_measurement(
     return PoseMeasurement(
         name, None, np.eye(4), pose.T_camera_tool, (1.0 - share) * C, share * C, correlation_time_s
     )
+
+
+def _is_about(pose: ToolPose, T_camera_tool: Array) -> bool:
+    """Whether a tool is within what a pose says of its own errors."""
+    off = as_measurement(pose).linearise(T_camera_tool).residual
+    return _square(off, pose.covariance + TINY_POSE) < chi_square_bound(6)
 
 
 def _square(v: Array, S: Array) -> float:
