@@ -128,15 +128,13 @@ class TagSettings(StrictModel):
 class FilterSettings(StrictModel):
     """The filter over kinematic errors, and when it withholds a distance."""
 
-    gate_z: Positive = 3.09  # normal quantile of the gate, which rejects 1 in 1,000 true measurements
+    gate_z: Positive = 3.09  # normal quantile of the gate of the tissue's height: 1 in 1,000 true ones
     point_correlation_time_s: Positive = 30.0  # of the bias of points and sizes: what hides a marker is fixed
     edge_correlation_time_s: Positive = 30.0  # of the bias of shaft edges: shading changes as the shaft turns
-    depth_candidates_m: tuple[Positive, ...] = (0.05, 0.1, 0.2)
-    """Depths at which an update also starts while the tool's depth is unknown: an endoscope's working range."""
     max_consistency: Positive = 4.0
     """Mean normalised innovation per degree of freedom beyond which no distance is reported: 1 where models hold."""
     max_constant_deviations: Positive = 4.0
-    """Standardised error of a calibration parameter beyond which no distance is reported: 1 log in 1,000 has one."""
+    """Standardised error of calibration constants, judged jointly, beyond which no distance is reported: 1 in 1,000."""
     given_lag_std_s: NonNegative = 5e-3  # standard deviation after `--lag`, in place of `time_offset_std_s`
 
 

@@ -70,7 +70,7 @@ ESTIMATE_COLUMNS: tuple[Column, ...] = (
     Column("match_count", COUNT, "matches", "result.image.match_count",
            "matches of these; with `fused`, measurements of the tool", "`overlay`, `fused`"),
     Column("inlier_count", COUNT, "inliers", "result.image.inlier_count",
-           "inliers of the homography; with `fused`, measurements that passed the gate", "`overlay`, `fused`"),
+           "inliers of the homography; with `fused`, measurements that were not refused", "`overlay`, `fused`"),
     Column("method", TEXT, "", "", "method of the estimate", "all", "method"),
     Column("equations", TEXT, "", "", "reading of the paper's equations", "all"),
     Column("spatial_m", LENGTH, "spatial [mm]", "result.distances.spatial.value_m",
