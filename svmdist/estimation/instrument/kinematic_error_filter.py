@@ -105,12 +105,12 @@ class KinematicErrorFilter:
         neighbourhood of would lead to the same.
         """
         every = {measurement.name: measurement for _, seen in starts for measurement in seen}
-        best, least, best_x = 0, np.inf, None
+        best, least, best_x, last = 0, np.inf, None, None
         found: list[Array] = []
         for index, (pose, seen) in enumerate(starts):
             if pose is not None and any(_is_about(pose, T_camera_tool) for T_camera_tool in found):
                 continue
-            cost, x = self._cost(pose, seen)
+            last, (cost, x) = index, self._cost(pose, seen)
             if x is None:
                 continue
             found.append(self._state.retracted(x).link(None).T_camera_link)
@@ -118,7 +118,8 @@ class KinematicErrorFilter:
                 cost += _heavy_tailed(UNSEEN_SQUARE, every[name].covariance)
             if cost < least:
                 best, least, best_x = index, cost, x[: self._model.size]
-        self._begin_at(starts[best][0])
+        if best != last:
+            self._begin_at(starts[best][0])
         self._start_x = self._start_x if best_x is None else best_x
         return best
 
