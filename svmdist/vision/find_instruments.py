@@ -1,145 +1,119 @@
-"""Segmentation without colours from the user: bars in what looks like instrument, and what belongs to each."""
+"""Segmentation without colours from the user: shafts whose outlines evidence bears out, and what belongs to each."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.profile.segmentation import INSTRUMENTS, SHIPPED, OnnxSegmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.instrument_bars import Bar, Zones, bars_in, sharpened, unit
-from svmdist.vision.instrument_evidence import belonging, judged, with_missed_parts
-from svmdist.vision.network import OnnxSegmenter
-from svmdist.vision.working_image import (
-    SQUARE_3,
-    SQUARE_5,
-    SQUARE_9,
-    Appearance,
-    Example,
-    Floats,
-    WorkingImage,
-    learnt_from,
-    tissue_of,
-)
+from svmdist.vision.evidence import SQUARE_3, Appearance, Evidence, Example, learnt_from, tissue_of
+from svmdist.vision.outline import Outline, judged, rough_outlines, sharpened
 
-LEAST_EVIDENCE = 0.2  # evidence, from 0 to 1, of two straight edges: what has less is tissue
-TEACHING_EVIDENCE = 0.44  # of the surest bar of an image from which anything is to be learnt
-SURE_EVIDENCE = 0.4  # evidence from which on a bar's colours are learnt
-PERCENTILES = (4, 8, 13, 19, 26, 34)
-"""Of each channel in the picture: thresholds under which instruments are sought. They cover 3 to 40 % of a picture."""
-RATIO_LEVELS = (0.0, 1.0, 2.0)
-"""Of the log ratio: at higher ones a shaft parts from a shadow beside it, at lower ones all of it is there."""
-ROUND_7 = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7))
+MOST_OVERLAP = 0.3  # of the smaller of two strips: those of more are one instrument
+DISTAL_WIDTHS = 4.5  # how far wrist and jaws reach beyond the end of the shaft, over its width there
+DISTAL_HALF_WIDTHS = 1.3  # how far they reach to either side of its axis, over its width
+BESIDE_WIDTHS = 0.08  # how far evidence beside a side is still that of the shaft, over its width
+NEAR_PX = 9  # what is so near to an instrument in the working image teaches nothing of the background
+MOST_HOLE = 0.003  # of the picture: glare and blood; through a larger hole tissue is seen
 
-Found = tuple[Bar, NDArray[np.bool_]]
-"""An instrument in a working image: its bar from the border inwards, and its mask, shape (h, w)."""
+Mask = NDArray[np.bool_]
+Found = tuple[Outline, Mask, float]
+"""An instrument in a working image: its shaft's outline, its mask, (h, w), and how sure it is, from 0 to 1."""
 
 
-def learnt_appearance(images: Sequence[WorkingImage]) -> Appearance | None:
-    """What instruments look like in images of one log; None where none of them shows one for sure."""
-    bars = [search_bars(image) for image in images]
-    sure = [_of_bars(image, sought) for image, sought in zip(images, bars, strict=True) if sought]
-    first = learnt_from([example for example in sure if example is not None])
-    if first is None:
-        return None
+def find_instruments(evidence: Evidence) -> list[Found]:
+    """The instruments of an image, the surest first."""
+    found: list[Found] = []
+    taken = np.zeros_like(evidence.core)
+    for rough in rough_outlines(evidence):
+        if _is_taken(rough, taken):
+            continue
+        outline = sharpened(rough, evidence)
+        if outline is None or _is_taken(outline, taken):
+            continue
+        score = judged(outline, evidence)
+        if not score.is_accepted:
+            continue
+        mask = _belonging(outline, evidence) & (taken == 0)
+        if np.count_nonzero(mask) < evidence.settings.least_area * max(cv2.countNonZero(evidence.core), 1):
+            continue
+        taken[mask] = 255
+        found.append((outline, mask, score.evidence))
+        if len(found) == evidence.settings.most_instruments:
+            break
+    return sorted(found, key=lambda one: -one[2])
+
+
+def _filled(outline: Outline, like: Image) -> Image:
+    strip, (first, second) = np.zeros_like(like), outline.sides
+    corners = np.rint([first[0], first[1], second[1], second[0]]).astype(np.int32)
+    cv2.fillConvexPoly(strip, corners, 255)
+    return strip
+
+
+def _is_taken(outline: Outline, taken: Image) -> bool:
+    strip = _filled(outline, taken)
+    return cv2.countNonZero(strip & taken) > MOST_OVERLAP * cv2.countNonZero(strip)
+
+
+def _belonging(outline: Outline, evidence: Evidence) -> Mask:
+    """What belongs to the instrument with a shaft: all between its sides, and evidence that hangs together with it."""
+    height, width = evidence.core.shape
+    x, y = np.arange(width, dtype=np.float32)[None, :], np.arange(height, dtype=np.float32)[:, None]
+    depth = np.full((height, width), np.inf, np.float32)
+    for side, inward in zip(outline.sides, (1.0, -1.0), strict=True):
+        u = side[1] - side[0]
+        normal = inward * np.array([-u[1], u[0]]) / max(float(np.linalg.norm(u)), 1e-9)
+        depth = np.minimum(
+            depth, (x - float(side[0, 0])) * float(normal[0]) + (y - float(side[0, 1])) * float(normal[1])
+        )
+    end, (ux, uy) = outline.sides[:, 1].mean(0), outline.axis
+    along = (x - float(end[0])) * float(ux) + (y - float(end[1])) * float(uy)
+    across = np.abs((y - float(end[1])) * float(ux) - (x - float(end[0])) * float(uy))
+    width_px = float(np.linalg.norm(outline.sides[1, 1] - outline.sides[0, 1]))
+    likely = (evidence.odds > 0.0) & (evidence.core > 0)
+    strip = (along < 0.0) & (depth > 0.0)
+    beside = (along < 0.0) & (depth > -BESIDE_WIDTHS * outline.width_px - 1.0) & likely
+    distal = (along >= -0.3 * width_px) & (along < DISTAL_WIDTHS * width_px) & likely
+    distal &= across < DISTAL_HALF_WIDTHS * width_px + 0.1 * np.maximum(along, 0.0)
+    mine = (strip | beside | distal) & (evidence.picture > 0)
+    opened = cv2.morphologyEx(mine.astype(np.uint8), cv2.MORPH_OPEN, SQUARE_3)
+    _, labels = cv2.connectedComponents(opened)
+    own = np.bincount(labels[strip & (opened > 0)], minlength=1)
+    mask = labels == int(own.argmax()) if own.any() else strip
+    return _without_holes(np.asarray(mask), MOST_HOLE * cv2.countNonZero(evidence.core))
+
+
+def _without_holes(mask: Mask, most_px: float) -> Mask:
+    solid = mask.astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(1 - solid)
+    small = [label for label in range(1, count) if stats[label, cv2.CC_STAT_AREA] < most_px]
+    return np.asarray(mask | np.isin(labels, small))
+
+
+def learnt_appearance(bgrs: Sequence[Image], settings: AutoSettings) -> Appearance | None:
+    """What instruments look like in images of one log, (h, w, 3) each; None where none of them shows one for sure."""
+    first = learnt_from([Evidence(bgr, settings).example for bgr in bgrs])
     examples = []
-    for image, sought in zip(images, bars, strict=True):
-        found = find_instruments(image, first, sought)
-        if found:
-            mask = np.asarray(np.any([mask for _, mask in found], axis=0), np.uint8)
-            inside, near = cv2.erode(mask, SQUARE_3) > 0, cv2.dilate(mask, SQUARE_9) > 0
-            examples.append((image.colours[inside], image.colours[(image.core > 0) & ~near]))
+    for bgr in bgrs:
+        evidence = Evidence(bgr, settings, first)
+        if found := find_instruments(evidence):
+            examples.append(_example(evidence, found))
     return learnt_from(examples) or first
 
 
-def search_bars(image: WorkingImage) -> list[Bar]:
-    """Bars of an image of which nothing is known, the surest first: none overlaps a surer one by much."""
-    sought: list[Bar] = []
-    for channel in image.channels:
-        values = channel[image.core > 0]
-        for level in np.percentile(values, PERCENTILES) if len(values) else ():
-            low = np.asarray(255 * ((channel < level) & (image.core > 0)), np.uint8)
-            low = np.asarray(cv2.morphologyEx(low, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
-            sought += _judged_bars(low, image, 1)
-    taken = np.zeros_like(image.core)
-    kept: list[Bar] = []
-    for bar in sorted(sought, key=lambda bar: -bar.evidence):
-        strip = bar.filled(taken)
-        if cv2.countNonZero(strip & taken) <= 0.3 * cv2.countNonZero(strip):
-            taken |= strip
-            kept.append(bar)
-    return kept[: image.settings.most_instruments + 1]
-
-
-def find_instruments(
-    image: WorkingImage, appearance: Appearance | None, sought: Sequence[Bar] = ()
-) -> list[Found]:
-    """The instruments of an image, the surest first. `sought` are bars that are known without their colours."""
-    ratio = image.hint if appearance is None else appearance.of(image) + image.hint
-    levels = {level: _above(ratio, level, image) for level in RATIO_LEVELS}
-    likely = levels[0.0]
-    bars = [bar for mask in levels.values() for bar in _judged_bars(mask, image, 3, ratio)]
-    bars += [bar for bar in sought if bar.evidence > SURE_EVIDENCE]
-    taken = np.zeros(image.core.shape, bool)
-    found: list[Found] = []
-    for rough in sorted(bars, key=lambda bar: -bar.evidence):
-        bar = sharpened(rough, image)
-        zones = Zones.of(bar, image)
-        size = max(int(np.count_nonzero(zones.middle)), 1)
-        if np.count_nonzero(zones.middle & taken) > 0.3 * size:
-            continue
-        if np.count_nonzero(zones.middle & (likely > 0)) < 0.6 * size:
-            continue
-        mask = belonging(zones, likely, ratio, image)
-        if np.count_nonzero(mask & ~taken) < image.settings.least_area * image.area_px:
-            continue
-        taken |= mask
-        found.append((bar, mask))
-        if len(found) >= image.settings.most_instruments:
-            break
-    masks = with_missed_parts([mask for _, mask in found], ratio, image)
-    return [(bar, mask) for (bar, _), mask in zip(found, masks, strict=True)]
-
-
-def _above(ratio: Floats, level: float, image: WorkingImage) -> Image:
-    """What speaks for an instrument by more than a level, without specks and gaps, shape (h, w)."""
-    mask = np.asarray(255 * ((ratio > level) & (image.core > 0)), np.uint8)
-    mask = np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
-    return np.asarray(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, ROUND_7), np.uint8) & image.core
-
-
-def _judged_bars(mask: Image, image: WorkingImage, most_bars: int, ratio: Floats | None = None) -> list[Bar]:
-    every = (judged(bar, part, image, ratio) for bar, part in bars_in(mask, image, most_bars))
-    return [bar for bar in every if bar is not None and bar.evidence > LEAST_EVIDENCE]
-
-
-def _of_bars(image: WorkingImage, sought: Sequence[Bar]) -> Example | None:
-    """What the sure bars of an image teach; what is near to any bar may be either, and teaches nothing."""
-    if sought[0].evidence < TEACHING_EVIDENCE:
-        return None
-    least = min(0.6 * sought[0].evidence, SURE_EVIDENCE)
-    inside, near = np.zeros_like(image.core), np.zeros_like(image.core)
-    for bar in sought:
-        strip, reach = bar.filled(near), SQUARE_5
-        if bar.evidence >= least:
-            inside |= np.asarray(cv2.erode(strip, SQUARE_3), np.uint8)
-            size = int(2.0 * bar.width_px) | 1
-            reach = np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
-        near |= np.asarray(cv2.dilate(strip, reach), np.uint8)
-    return image.colours[inside > 0], image.colours[(image.core > 0) & (near == 0)]
-
-
-OFF_SIDE = 0.1
-"""How far, over the shaft's width, an outline may be off the sides of a cylinder, beside a pixel and a half."""
-LONGEST_GAP = 0.5
-"""Of an outline off its sides, over the width: glare and blood at an edge are shorter, wrists are longer."""
+def _example(evidence: Evidence, found: Sequence[Found]) -> Example:
+    mask = np.asarray(np.any([mask for _, mask, _ in found], axis=0), np.uint8)
+    near = cv2.dilate(mask, np.ones((NEAR_PX, NEAR_PX), np.uint8))
+    inside, outside = cv2.erode(mask, SQUARE_3) > 0, (near == 0) & (evidence.core > 0)
+    return evidence.colours[inside], evidence.colours[outside]
 
 
 @dataclass(frozen=True)
@@ -150,6 +124,9 @@ class SeenInstrument:
     `sides`, shape (2, 2, 2), holds the ends of both sides as (x, y), at the border first. `end_px` (2,) is the middle
     of the shaft's end, where the outline stops being that of a cylinder, and `tip_px` (2,) what of the instrument is
     farthest along the axis from there. `evidence`, from 0 to 1, says how sure it is that this is an instrument.
+    `side_covariance` (2, 2, 2) is that of each side's offsets at both ends in px², `end_std_px` the end's deviation
+    along the axis, infinite where the shaft goes on to the border, and `ends_dark` says that it is the end of the dark
+    part and not of the outline; `pixel_px` is the working image's pixel.
     """
 
     mask: Image
@@ -159,6 +136,10 @@ class SeenInstrument:
     end_px: Array
     tip_px: Array
     evidence: float
+    side_covariance: Array = field(default_factory=lambda: np.zeros((2, 2, 2)))
+    end_std_px: float = np.inf
+    ends_dark: bool = False
+    pixel_px: float = 2.0
 
     @property
     def entry_px(self) -> Array:
@@ -166,77 +147,31 @@ class SeenInstrument:
         return np.asarray(self.sides[:, 0].mean(axis=0))
 
     @property
-    def axis(self) -> Array:
-        """Unit vector from the border inwards, shape (2,)."""
-        return unit(self.end_px - self.entry_px)
-
-    @property
     def width_px(self) -> float:
         """Distance of both sides at the shaft's end."""
         return float(np.linalg.norm(self.sides[0, 1] - self.sides[1, 1]))
 
 
-def seen_instrument(found: Found, scale: float, size: tuple[int, int]) -> SeenInstrument:
-    """An instrument of a working image of a scale in the pixels of the image of `size` = (h, w) that it was made of."""
-    bar, rough_mask = found
-    mask = _enlarged(rough_mask.astype(np.uint8) * 255, size)
-    # The middle of a pixel is a whole number, in either image.
-    rough = _outline_geometry(rough_mask, bar.sides)
-    sides, end_px, tip_px = (np.asarray((points + 0.5) / scale - 0.5) for points in rough)
-    x, y = np.arange(size[1], dtype=np.float32)[None, :], np.arange(size[0], dtype=np.float32)[:, None]
-    end, along = end_px.astype(np.float32), unit(end_px - sides[:, 0].mean(axis=0)).astype(np.float32)
-    shaft = np.where((x - end[0]) * along[0] + (y - end[1]) * along[1] < 0, mask, 0).astype(np.uint8)
+def seen_instrument(found: Found, evidence: Evidence) -> SeenInstrument:
+    """An instrument of a working image in the pixels of the image that it was made of."""
+    outline, rough_mask, score = found
+    height, width = evidence.size
+    mask = _enlarged(rough_mask.astype(np.uint8) * 255, evidence.size)
+    axis, end = outline.axis, outline.sides[:, 1].mean(0)
+    rows, columns = np.nonzero(rough_mask)
+    places = np.stack([columns, rows], axis=1) - end
+    ahead = places @ axis
+    tip = end + places[ahead > ahead.max(initial=0.0) - 2.0].mean(0) if (ahead > 0.0).any() else end
+    sides, end_px, tip_px = (
+        np.asarray((one + 0.5) / evidence.scale - 0.5) for one in (outline.sides, end, tip)
+    )
+    x, y = np.arange(width, dtype=np.float32)[None, :], np.arange(height, dtype=np.float32)[:, None]
+    along = (x - float(end_px[0])) * float(axis[0]) + (y - float(end_px[1])) * float(axis[1])
+    shaft = np.where(along < 0.0, mask, 0).astype(np.uint8)
     distal = np.asarray(cv2.subtract(mask, shaft), np.uint8)
-    return SeenInstrument(mask, shaft, distal, sides, end_px, tip_px, bar.evidence)
-
-
-def _outline_geometry(mask: NDArray[np.bool_], sides: Array) -> tuple[Array, Array, Array]:
-    """Both sides from where they begin to where the outline leaves them, shape (2, 2, 2), the end and the tip, (2,)."""
-    start = sides[:, 0].mean(axis=0)
-    axis = unit(sides[:, 1].mean(axis=0) - start)
-    normal = np.array([-axis[1], axis[0]])
-    y, x = np.nonzero(mask)
-    points = np.stack([x, y], axis=1) - start
-    along, across = points @ axis, points @ normal
-    tip = start + axis * along.max() + normal * float(np.median(across[along > along.max() - 2.0]))
-    first, last = int(np.floor(along.min(initial=0.0))), int(np.ceil(along.max(initial=0.0)))
-    steps = np.arange(first, last + 1)
-    low, high = np.full(len(steps), np.inf), np.full(len(steps), -np.inf)
-    at = np.rint(along).astype(int) - first
-    np.minimum.at(low, at, across - 0.5)
-    np.maximum.at(high, at, across + 0.5)
-    lines = np.stack([_offsets(side, start, axis, normal, steps) for side in sides])
-    lower, upper = np.minimum(lines[0], lines[1]), np.maximum(lines[0], lines[1])
-    width = np.maximum(upper - lower, 1.0)
-    within = OFF_SIDE * width + 1.5
-    is_cylinder = (np.abs(low - lower) < within) & (np.abs(high - upper) < within)
-    end = _last_of_run(steps, is_cylinder, LONGEST_GAP * float(np.median(width)))
-    cut = [_at(side, start, axis, end) for side in sides]
-    cut_sides = np.stack([np.stack([side[0], inner]) for side, inner in zip(sides, cut, strict=True)])
-    return cut_sides, np.mean(cut, axis=0), tip
-
-
-def _offsets(side: Array, start: Array, axis: Array, normal: Array, steps: NDArray[np.int_]) -> Array:
-    along = side[1] - side[0]
-    slope = float(along @ normal) / max(abs(float(along @ axis)), 1e-9)
-    return np.asarray(float((side[0] - start) @ normal) + slope * (steps - float((side[0] - start) @ axis)))
-
-
-def _at(side: Array, start: Array, axis: Array, end: float) -> Array:
-    along = side[1] - side[0]
-    share = (end - float((side[0] - start) @ axis)) / max(float(along @ axis), 1e-9)
-    return np.asarray(side[0] + along * share)
-
-
-def _last_of_run(steps: NDArray[np.int_], good: NDArray[np.bool_], longest_gap: float) -> float:
-    """The last good step before a gap that is longer than allowed; the gaps before the first good one do not count."""
-    places = steps[good]
-    if not len(places):
-        return float(steps[-1])
-    gaps = np.flatnonzero(np.diff(places) > longest_gap)
-    # A gap near the border is where the outline joins what else is dark there.
-    gaps = gaps[places[gaps] > 0]
-    return float(places[gaps[0]] if len(gaps) else places[-1])
+    pixel_px = 1.0 / evidence.scale
+    known = pixel_px**2 * outline.covariance, pixel_px * outline.end_std_px, outline.ends_dark
+    return SeenInstrument(mask, shaft, distal, sides, end_px, tip_px, score, *known, pixel_px)
 
 
 def _enlarged(mask: Image, size: tuple[int, int]) -> Image:
@@ -245,52 +180,30 @@ def _enlarged(mask: Image, size: tuple[int, int]) -> Image:
 
 
 DEFAULT = AutoSettings()
-MOST_RATIO = 4.0  # one pixel's texture says no more than its colour may, as a logarithm of odds
-
-
-def network_hint(bgr: Image) -> Floats:
-    """Log odds of instrument against all else, shape (h, w), of an image, shape (h, w, 3)."""
-    scores = _network().scores(bgr)
-    instrument = np.zeros(len(scores), np.bool_)
-    for part in ("instrument", "shaft"):
-        instrument[list(INSTRUMENTS[part]["class_ids"])] = True
-    odds = np.logaddexp.reduce(scores[instrument]) - np.logaddexp.reduce(scores[~instrument])
-    odds = np.clip(odds, -MOST_RATIO, MOST_RATIO).astype(np.float32)
-    return np.asarray(cv2.resize(odds, bgr.shape[1::-1], interpolation=cv2.INTER_LINEAR), np.float32)
-
-
-@lru_cache(maxsize=1)
-def _network() -> OnnxSegmenter:
-    return OnnxSegmenter(OnnxSegmentation.model_validate({"method": "onnx", "model": SHIPPED}))
 
 
 class AutoMasks:
     """The masks of one image, shape (h, w) with 0 or 255, made when they are first asked for."""
 
     def __init__(self, bgr: Image, appearance: Appearance | None, settings: AutoSettings) -> None:
-        self._size = bgr.shape[0], bgr.shape[1]
-        self._image = WorkingImage.of(bgr, settings, network_hint)
-        self._appearance = appearance
+        # No image that was learnt from shows an instrument: this one may.
+        self._appearance = appearance or learnt_appearance([bgr], settings)
+        self._evidence = Evidence(bgr, settings, self._appearance)
 
     @cached_property
     def seen(self) -> tuple[SeenInstrument, ...]:
         """The instruments, the surest first."""
-        if self._appearance is None:  # no image that was learnt from shows one: this may
-            appearance, sought = learnt_appearance([self._image]), search_bars(self._image)
-        else:
-            appearance, sought = self._appearance, []
-        found = find_instruments(self._image, appearance, sought)
-        return tuple(seen_instrument(one, self._image.scale, self._size) for one in found)
+        return tuple(seen_instrument(found, self._evidence) for found in find_instruments(self._evidence))
 
     @cached_property
     def picture(self) -> Image:
         """What of the image is picture: not the black border around it."""
-        return _enlarged(self._image.picture, self._size)
+        return _enlarged(self._evidence.picture, self._evidence.size)
 
     @cached_property
     def tissue(self) -> Image:
         """What of the picture is no instrument, or the red part of that where it is distinct."""
-        tissue = _enlarged(tissue_of(self._image), self._size)
+        tissue = _enlarged(tissue_of(self._evidence), self._evidence.size)
         return tissue & ~self._union([one.mask for one in self.seen])
 
     @cached_property
@@ -309,11 +222,11 @@ class AutoMasks:
         return np.asarray(cv2.bitwise_not(self.picture), np.uint8)
 
     def _union(self, masks: Sequence[Image]) -> Image:
-        return np.asarray(np.bitwise_or.reduce([np.zeros(self._size, np.uint8), *masks]))
+        return np.asarray(np.bitwise_or.reduce([np.zeros(self._evidence.size, np.uint8), *masks]))
 
 
 class AutoSegmenter:
-    """Finds instruments by straight edges, tells them from tissue by learnt colours and the network that ships."""
+    """Finds instruments by the evidence of the network that ships and of learnt colours, inside of straight sides."""
 
     uses_colours = False
 
@@ -328,8 +241,7 @@ class AutoSegmenter:
 
     def adapted_to(self, images: Sequence[Image]) -> AutoSegmenter:
         """One that knows what instruments look like in these images, shape (h, w, 3) in BGR each."""
-        working = [WorkingImage.of(image, self._settings, network_hint) for image in images]
-        return AutoSegmenter(self._settings, learnt_appearance(working))
+        return AutoSegmenter(self._settings, learnt_appearance(images, self._settings))
 
     def masks(self, bgr: Image, /) -> AutoMasks:
         """The masks of an image, shape (h, w, 3) in BGR as recorded."""

@@ -92,6 +92,15 @@ def fit_line(
     return Line(normal, float(normal @ centre), centre, np.diag([turn, shift]))
 
 
+def line_between(ends: Array, covariance: Array) -> Line:
+    """The line through two points, shape (2, 2), whose offsets across it have a covariance, (2, 2)."""
+    along = ends[1] - ends[0]
+    length = float(np.linalg.norm(along))
+    normal = np.array([-along[1], along[0]]) / length
+    J = np.array([[-1.0 / length, 1.0 / length], [0.5, 0.5]])  # turn and shift by both offsets
+    return Line(normal, float(normal @ ends[0]), ends.mean(axis=0), J @ covariance @ J.T)
+
+
 def _consensus(points: Array, tolerance: float) -> NDArray[np.bool_]:
     """The largest set of points, shape (n,), that lie within a tolerance of a line through two of them."""
     count = len(points)

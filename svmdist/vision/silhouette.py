@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.edge_lines import EdgeLine, edge_line
+from svmdist.vision.edge_lines import ROUGH_PX, EdgeLine, edge_line
 from svmdist.vision.find_instruments import SeenInstrument
 
 MIN_SIDE_PER_WIDTH = 0.5  # the shorter side over the shaft's width: less of it does not tell where it points
+MOST_OFF_STDS = 2.5  # of a sharp edge from the rough side it was sought at
 MAX_TAPER_RAD = 0.6  # between the sides; a cylinder that points at the camera shows no length
 ENDS_AGREE_WIDTHS = 0.3  # both edges' ends along the shaft: clevises are lopsided
 MIN_END_STD_WIDTHS = 0.08  # of the cylinder's end, over the width: ears and bevels hide it
@@ -73,12 +74,17 @@ def _wrist_point(
     height, width = mask.shape
     seen = np.all((place >= 0) & (place <= [width - 1, height - 1]), axis=2)
     x, y = (np.ascontiguousarray(place[..., axis], np.float32) for axis in (0, 1))
-    smooth = bgr if cell_px < 1.5 else cv2.blur(bgr, (int(cell_px + 0.5),) * 2)
-    patch = np.asarray(cv2.remap(smooth, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+    left, top = (int(np.clip(v.min() - cell_px, 0, size - 1)) for v, size in ((x, width), (y, height)))
+    window = bgr[
+        top : max(int(y.max() + cell_px) + 2, top + 1), left : max(int(x.max() + cell_px) + 2, left + 1)
+    ]
+    if cell_px >= 1.5:
+        window = np.asarray(cv2.blur(window, (int(cell_px + 0.5),) * 2), np.uint8)
+    patch = cv2.remap(window, x - left, y - top, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     known = cv2.remap(mask, x, y, cv2.INTER_NEAREST) > 0
     ahead, off_axis = u[:, None] / width_px, np.abs(v)[None, :] / width_px
     shaft = (ahead < 0.0) & (off_axis < 0.5)
-    different = _unlike_flanks(patch, seen & ~known & (off_axis > FLANK), v)
+    different = _unlike_flanks(np.asarray(patch, np.uint8), seen & ~known & (off_axis > FLANK), v)
     near = np.hypot(ahead, off_axis) < farthest
     body = ((different | known) & seen & near & (ahead >= 0.0)) | shaft
     beyond = _attached(body, shaft) & (ahead > 0.0)
@@ -136,13 +142,15 @@ class Silhouette:
     """Both edges of a shaft as the camera sees them, border first, and where they end.
 
     `end_px` (2,) is the middle between both ends, None where the shaft goes on to the border of the picture; `std_px`
-    is its deviation along the shaft. `wrist` is None where no wrist is seen beyond.
+    is its deviation along the shaft; `is_outline` is False where the dark part ends there and the outline goes on.
+    `wrist` is None where no wrist is seen beyond.
     """
 
     edges: tuple[EdgeLine, EdgeLine]
     end_px: Array | None
     std_px: float
     wrist: WristPoint | None
+    is_outline: bool = True
 
     @property
     def towards_tip(self) -> Array:
@@ -170,17 +178,25 @@ def find_silhouette(
     bgr: Image, seen: SeenInstrument, picture: Image | None, wrist: WristShape
 ) -> Silhouette | None:
     """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without two straight edges."""
-    first, second = (edge_line(bgr, side, seen.width_px, picture) for side in seen.sides)
-    if first is None or second is None or first.direction @ second.direction < np.cos(MAX_TAPER_RAD):
+    sharp = [edge_line(bgr, side, seen.width_px, seen.pixel_px, picture) for side in seen.sides]
+    first, second = (
+        _soft_line(seen, side) if one is None or not _agrees(one, seen, side) else one
+        for side, one in enumerate(sharp)
+    )
+    if first.direction @ second.direction < np.cos(MAX_TAPER_RAD):
         return None
     width_px = _width_px(first, second)
     if not min(first.length_px, second.length_px) > MIN_SIDE_PER_WIDTH * width_px > 0.0:
         return None
     along = first.direction + second.direction
     along /= np.linalg.norm(along)
-    if not (first.ends or second.ends):
-        return Silhouette((first, second), None, np.inf, None)
     ends = [edge.end_px for edge in (first, second) if edge.ends]
+    if not ends and not np.isfinite(seen.end_std_px):
+        return Silhouette((first, second), None, np.inf, None)
+    if seen.ends_dark:
+        point = _wrist_point(bgr, seen.mask, seen.end_px, along, width_px, wrist)
+        return Silhouette((first, second), seen.end_px, seen.end_std_px, point, is_outline=False)
+    ends = ends or [seen.end_px]
     places = [float(end @ along) for end in ends]
     # One edge may fade before the other, on dark tissue; beyond the cylinder neither stays on its line.
     apart_px = max(places) - min(places)
@@ -191,6 +207,28 @@ def find_silhouette(
     std_px = MIN_END_STD_WIDTHS * width_px + ENDS_APART * (apart_px if len(places) == 2 else width_px)
     point = _wrist_point(bgr, seen.mask, end_px, along, width_px, wrist)
     return Silhouette((first, second), end_px, std_px, point)
+
+
+def _soft_line(seen: SeenInstrument, side: int) -> EdgeLine:
+    """A side as the evidence has it, where the image has no sharp edge."""
+    start, end = seen.sides[side]
+    return EdgeLine(start, end, np.zeros((0, 2)), False, 0.0, seen.side_covariance[side])
+
+
+def _agrees(edge: EdgeLine, seen: SeenInstrument, side: int) -> bool:
+    """Whether a sharp edge is that which the evidence has: another one is a highlight's, or of something beside it."""
+    start, end = seen.sides[side]
+    along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
+    across = np.array([-along[1], along[0]])
+    direction = edge.direction
+    off_px = [
+        float(
+            across @ (edge.start_px + (along @ (at - edge.start_px)) / (direction @ along) * direction - at)
+        )
+        for at in (start, end)
+    ]
+    std_px = np.sqrt(np.diag(seen.side_covariance[side]) + (ROUGH_PX * seen.pixel_px) ** 2)
+    return bool((np.abs(off_px) < MOST_OFF_STDS * std_px).all())
 
 
 def _width_px(first: EdgeLine, second: EdgeLine) -> float:

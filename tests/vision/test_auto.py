@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from svmdist.samples import Image
+from svmdist.vision.evidence import picture_of
 from svmdist.vision.find_instruments import AutoSegmenter
-from svmdist.vision.working_image import picture_of
 from tests.pictures import BORDERS, surgery_image
 from training.scene import iou
 

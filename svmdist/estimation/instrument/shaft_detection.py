@@ -15,8 +15,10 @@ from svmdist.transforms import Array
 from svmdist.vision.edges import Disc, edge_blur_px, edge_points, fit_disc, shading_shift_px
 from svmdist.vision.lines import (
     POINT_CORRELATION_PX,
+    Line,
     TangentPlane,
     fit_line,
+    line_between,
     tangent_plane,
     undistorted,
     without_perspective,
@@ -187,14 +189,18 @@ def detect_silhouette(silhouette: Silhouette | None, camera: Camera) -> ShaftDet
     contours: list[Contour] = []
     for edge in silhouette.edges:
         outward = 0.5 * (edge.start_px + edge.end_px) - middle_px
-        inlier_px = max(LINE_INLIER_PX, LINE_INLIER_PER_WIDTH * silhouette.width_px)
-        contour = _contour_through(
-            edge.points_px, middle_px, outward, towards_tip, camera, inlier_px, OUTLINE_SHADING_STD_PX
-        )
+        inlier_px = max(LINE_INLIER_PX, LINE_INLIER_PER_WIDTH * silhouette.width_px, edge.within_px)
+        line = None
+        if edge.covariance is None:
+            line = _line_through(edge.points_px, camera, inlier_px, OUTLINE_SHADING_STD_PX)
+        else:
+            ends = undistorted(camera, np.stack([edge.start_px, edge.end_px]))
+            line = line_between(ends, edge.covariance / float(camera.K[0, 0]) ** 2)
+        contour = None if line is None else _contour_of(line, middle_px, outward, towards_tip, camera)
         if contour is not None and all(contour.side != other.side for other in contours):
             contours.append(contour)
     end_px = silhouette.end_px
-    rim = None if end_px is None else Rim(end_px, towards_tip, silhouette.std_px, is_outline=True)
+    rim = None if end_px is None else Rim(end_px, towards_tip, silhouette.std_px, silhouette.is_outline)
     return ShaftDetection(tuple(contours), rim, towards_tip, middle_px, silhouette.is_stub, silhouette.wrist)
 
 
@@ -204,22 +210,21 @@ def wrist_marker(shaft: ShaftDetection) -> DistalMarker | None:
     return None if wrist is None else DistalMarker(wrist.pixel, wrist.std_px, None, 0.0)
 
 
-def _contour_through(
+def _line_through(
     points_px: Array,
-    middle_px: Array,
-    outward: Array,
-    towards_tip: Array,
     camera: Camera,
     inlier_px: float,
     systematic_px: float,
     correlation_px: float = POINT_CORRELATION_PX,
-) -> Contour | None:
-    """The contour through most points, shape (n, 2); `middle_px` is on the shaft, `outward` leads off it, (2,)."""
+) -> Line | None:
+    """The line on z = 1 through most of an edge's points, shape (n, 2) in px."""
     unit = 1.0 / float(camera.K[0, 0])
     points = undistorted(camera, points_px)
-    line = fit_line(points, unit, MIN_LINE_POINTS, inlier_px, systematic_px, correlation_px)
-    if line is None:
-        return None
+    return fit_line(points, unit, MIN_LINE_POINTS, inlier_px, systematic_px, correlation_px)
+
+
+def _contour_of(line: Line, middle_px: Array, outward: Array, towards_tip: Array, camera: Camera) -> Contour:
+    """The contour on a line of z = 1; `middle_px` is on the shaft, `outward` leads off it, (2,)."""
     plane = tangent_plane(line, undistorted(camera, middle_px[None])[0])
     right = towards_tip[0] * outward[1] - towards_tip[1] * outward[0]
     return Contour(plane, 1 if right > 0 else -1)
@@ -256,16 +261,14 @@ def _contour(
     across = np.array([-along[1], along[0]]) / np.linalg.norm(along)
     across = across if across @ outward > 0.0 else -across
     points_px = points_px - shading_shift_px(brightness, points_px, across, blur_px) * across
-    return _contour_through(
+    line = _line_through(
         points_px,
-        region.middle_px,
-        outward,
-        towards_tip,
         camera,
         LINE_INLIER_PX + LINE_INLIER_PER_BLUR * blur_px,
         float(np.hypot(SHADING_STD_PX, SHADING_STD_PER_BLUR * blur_px)),
         max(POINT_CORRELATION_PX, 2.0 * blur_px),
     )
+    return None if line is None else _contour_of(line, region.middle_px, outward, towards_tip, camera)
 
 
 def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array, settings: ShaftSettings) -> Rim | None:

@@ -1,18 +1,20 @@
-"""The working image of `auto`: small, with colours as logarithms of ratios, and which of them are instrument."""
+"""Evidence: how much each pixel speaks for an instrument, by the network that ships and by learnt colours."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.profile.segmentation import INSTRUMENTS, SHIPPED, OnnxSegmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.vision.colour import field_of_view
+from svmdist.vision.network import OnnxSegmenter
 
 # A black border differs from the darkest thing in the image by no more: noise and compression
 BORDER_LEVELS = 6.0
@@ -20,41 +22,33 @@ BORDER_FLOOR_LEVEL = 10.0  # what is darker than this is border, whatever the da
 BORDER_FRACTION = 0.4  # of the picture's median; a border is darker, though haze may lift it
 # Added to levels before their logarithm is taken: noise of one or two levels must not be a colour
 LEVEL_OFFSET = 8.0
+MOST_ODDS = 4.0  # of one pixel, as a logarithm: neither its texture nor its colour is ever surer
+MOST_AGAINST = 2.0  # of the network's odds: it misses dark instruments more often than it invents one
+SURE_ODDS = 1.5  # of the network, from which on a pixel teaches what colours instrument and background have
+LEAST_TAUGHT = (60, 200)  # pixels of instrument and of background from which colours are learnt
+WARMTH_STD = 0.25  # without the network: tissue's scatter of the logarithm of redness, which steel lacks
 
+DISTAL, SHAFT = (INSTRUMENTS[part]["class_ids"][0] for part in ("instrument", "shaft"))
 Floats = NDArray[np.float32]
-Hint = Callable[[Image], Floats]  # gives log odds of instrument, shape (h, w), of an image, shape (h, w, 3)
-
 SQUARE_3 = np.ones((3, 3), np.uint8)
 SQUARE_5 = np.ones((5, 5), np.uint8)
-SQUARE_9 = np.ones((9, 9), np.uint8)
 
 
-@dataclass(frozen=True)
-class WorkingImage:
-    """A small BGR image (h, w, 3), the mask of what is picture, its scale, and log odds of instrument on demand."""
+class Evidence:
+    """Log-odds of instrument against all else in a working image, made of an image of any size, (h, w, 3) in BGR.
 
-    bgr: Image
-    picture: Image
-    scale: float
-    settings: AutoSettings
-    hinting: Hint | None = None
+    The middle of a pixel is a whole number in either image: q = scale (p + 0.5) - 0.5.
+    """
 
-    @classmethod
-    def of(cls, bgr: Image, settings: AutoSettings, hinting: Hint | None = None) -> WorkingImage:
-        """Make it of an image of any size."""
+    def __init__(self, bgr: Image, settings: AutoSettings, appearance: Appearance | None = None) -> None:
         height, width = bgr.shape[:2]
-        scale = settings.working_px / max(width, height)
-        size = (round(scale * width), round(scale * height))
-        how = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
-        small = np.asarray(cv2.resize(bgr, size, interpolation=how), np.uint8)
-        return cls(small, picture_of(small), scale, settings, hinting)
-
-    @cached_property
-    def hint(self) -> Floats:
-        """Log odds of instrument that are known beside colours, shape (h, w); 0 without `hinting`."""
-        if self.hinting is None or self.settings.network_weight == 0.0:
-            return np.zeros(self.picture.shape, np.float32)
-        return np.asarray(self.settings.network_weight * self.hinting(self.bgr), np.float32)
+        self.settings, self.size = settings, (height, width)
+        self.scale = settings.working_px / max(width, height)
+        size = (round(self.scale * width), round(self.scale * height))
+        how = cv2.INTER_AREA if self.scale < 1.0 else cv2.INTER_LINEAR
+        self.bgr = np.asarray(cv2.resize(bgr, size, interpolation=how), np.uint8)
+        self.picture = picture_of(self.bgr)
+        self._appearance = appearance
 
     @cached_property
     def core(self) -> Image:
@@ -62,43 +56,63 @@ class WorkingImage:
         return np.asarray(cv2.erode(self.picture, SQUARE_5, borderValue=0), np.uint8)
 
     @cached_property
-    def rim(self) -> Image:
-        """The outermost pixels of the core, through which instruments come in."""
-        return np.asarray(cv2.subtract(self.core, cv2.erode(self.core, SQUARE_3, borderValue=0)), np.uint8)
+    def bgr_float(self) -> Floats:
+        """The working image's levels, shape (h, w, 3)."""
+        return self.bgr.astype(np.float32)
 
     @cached_property
-    def inner(self) -> NDArray[np.bool_]:
-        """What is so far from the rim that an outline there is a thing's own."""
-        return np.asarray(cv2.erode(self.core, SQUARE_5, borderValue=0), np.uint8) > 0
-
-    @cached_property
-    def area_px(self) -> int:
-        """Pixels of the core."""
-        return max(int(cv2.countNonZero(self.core)), 1)
+    def scores(self) -> Floats:
+        """The network's log-odds of instrument, and of shaft against distal part, shape (2, h, w)."""
+        if self.settings.network_weight == 0.0:
+            warmth = self.colours[..., 0] + 0.5 * self.colours[..., 1]
+            odds = (
+                (np.median(warmth[self.core > 0]) - warmth) / WARMTH_STD if self.core.any() else 0.0 * warmth
+            )
+            return np.stack([np.clip(odds, -MOST_ODDS, MOST_ODDS), np.zeros_like(odds)]).astype(np.float32)
+        x, y, width, height = cv2.boundingRect(self.picture)
+        scores = _network().scores(np.ascontiguousarray(self.bgr[y : y + height, x : x + width]))
+        others = np.logaddexp.reduce(np.delete(scores, (DISTAL, SHAFT), 0))
+        odds = np.logaddexp(scores[DISTAL], scores[SHAFT]) - others
+        both = np.stack([odds, scores[SHAFT] - scores[DISTAL]], -1)
+        both = np.clip(both, -MOST_AGAINST, MOST_ODDS).astype(np.float32)
+        placed = np.zeros((*self.picture.shape, 2), np.float32)
+        placed[y : y + height, x : x + width] = cv2.resize(both, (width, height))
+        return np.ascontiguousarray(np.moveaxis(placed, 2, 0))
 
     @cached_property
     def colours(self) -> Floats:
         """log(R/G), log(G/B) and the mean of all three logarithms, shape (h, w, 3): light scales only the last."""
-        return self._logs(LEVEL_OFFSET)
-
-    @cached_property
-    def warmth(self) -> Floats:
-        """log(R/√(GB)), shape (h, w): high in tissue and blood, low in steel."""
-        return np.asarray(self.colours[..., 0] + 0.5 * self.colours[..., 1], np.float32)
-
-    @cached_property
-    def channels(self) -> tuple[Floats, ...]:
-        """What instruments may be low in, shape (h, w) each: warmth, twice, chroma, light, and darkness."""
-        keen, blunt = (self._logs(factor * LEVEL_OFFSET) for factor in (0.5, 3.0))
-        chroma, light = np.hypot(blunt[..., 0], blunt[..., 1]), self.colours[..., 2]
-        return *(logs[..., 0] + 0.5 * logs[..., 1] for logs in (keen, blunt)), chroma, light, -light
-
-    def _logs(self, offset: float) -> Floats:
-        """log(R/G), log(G/B) and the mean logarithm of the softened image with `offset` levels added to each."""
         softened = cv2.GaussianBlur(self.bgr, (0, 0), 0.8)
-        table = np.log(np.arange(256, dtype=np.float32) + np.float32(offset))
+        table = np.log(np.arange(256, dtype=np.float32) + np.float32(LEVEL_OFFSET))
         blue, green, red = (np.asarray(cv2.LUT(level, table), np.float32) for level in cv2.split(softened))
         return np.asarray(cv2.merge([red - green, green - blue, (red + green + blue) / 3.0]), np.float32)
+
+    @cached_property
+    def odds(self) -> Floats:
+        """Log-odds of instrument, shape (h, w), by network and colours; as low as can be outside of the picture."""
+        weight = self.settings.network_weight or 1.0
+        odds = weight * self.scores[0]
+        appearance = self._appearance or learnt_from([self.example])
+        if appearance is not None:
+            odds = odds + appearance.of(self)
+        return np.where(self.core > 0, odds, -MOST_ODDS).astype(np.float32)
+
+    @property
+    def example(self) -> Example:
+        """Colours of what the network is sure of, instrument and background, (n, 3) each; none of too little."""
+        odds, kernels = self.scores[0], (SQUARE_3, SQUARE_5)
+        sure = [(odds > SURE_ODDS) & (self.core > 0), (odds < -SURE_ODDS) & (self.core > 0)]
+        inner = [
+            cv2.erode(one.astype(np.uint8), kernel) > 0 for one, kernel in zip(sure, kernels, strict=True)
+        ]
+        if any(np.count_nonzero(one) < least for one, least in zip(inner, LEAST_TAUGHT, strict=True)):
+            return self.colours[:0, 0], self.colours[:0, 0]
+        return self.colours[inner[0]], self.colours[inner[1]]
+
+
+@lru_cache(maxsize=1)
+def _network() -> OnnxSegmenter:
+    return OnnxSegmenter(OnnxSegmentation.model_validate({"method": "onnx", "model": SHIPPED}))
 
 
 def picture_of(bgr: Image) -> Image:
@@ -122,7 +136,6 @@ ACHROMATIC_SHARE = 0.3  # how much of an instrument is steel and glare that no i
 ACHROMATIC_STD = 0.15
 """How far the colour ratio of steel is from that of the instruments seen: light that tissue has reflected."""
 UNKNOWN_SHARE = 0.02  # how much of anything has a colour not seen before: it speaks for neither
-MOST_RATIO = 4.0  # one pixel's colour says no more than this, as the logarithm of a likelihood ratio
 
 
 @dataclass(frozen=True)
@@ -131,7 +144,7 @@ class Appearance:
 
     ratios: Floats
 
-    def of(self, image: WorkingImage) -> Floats:
+    def of(self, image: Evidence) -> Floats:
         """How much the colours of an image speak for an instrument, shape (h, w), neighbours averaged."""
         ratio = self.ratios.reshape(-1)[_bins_of(image.colours)]
         return np.asarray(cv2.GaussianBlur(ratio, (0, 0), 1.2), np.float32)
@@ -151,7 +164,7 @@ def learnt_from(examples: Sequence[Example]) -> Appearance | None:
     instrument = (1.0 - ACHROMATIC_SHARE) * _smooth(inside) + ACHROMATIC_SHARE * _achromatic(neutral)
     unknown = UNKNOWN_SHARE / float(np.prod(BINS))
     ratio = np.log((instrument + unknown) / (_smooth(outside) + unknown))
-    return Appearance(np.clip(ratio, -MOST_RATIO, MOST_RATIO).astype(np.float32))
+    return Appearance(np.clip(ratio, -MOST_ODDS, MOST_ODDS).astype(np.float32))
 
 
 def _bins_of(colours: Floats) -> NDArray[np.int32]:
@@ -193,9 +206,9 @@ DISTINCT_WARMTH = 0.4
 """How much redder the one must be than the other, as a logarithm: organ on a drape, not fat beside muscle."""
 
 
-def tissue_of(image: WorkingImage) -> Image:
+def tissue_of(image: Evidence) -> Image:
     """Mask, shape (h, w), of what may be tissue; instruments are not yet taken out of it."""
-    warmth = image.warmth
+    warmth = image.colours[..., 0] + 0.5 * image.colours[..., 1]  # log(R/√(GB)): high in tissue, low in steel
     values = warmth[image.core > 0]
     if not len(values):
         return image.picture

@@ -1,0 +1,459 @@
+"""A shaft's outline in evidence: where instruments come in, and two straight sides by each edge's posterior."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.samples import Image
+from svmdist.transforms import Array
+from svmdist.vision.evidence import SQUARE_3, Evidence, Floats
+
+START_ODDS = 0.5  # from which on a pixel of the rim belongs to a place where an instrument comes in
+RIM_PX = 3  # width of the rim
+LEAST_RIM_PX = 6  # pixels of such a place
+MOST_PLACES, STARTS_PER_PLACE = 5, 2
+ANGLES = 60  # directions that are tried at each of them
+START_LENGTHS = (0.12, 0.25, 0.4)  # of the strip that is tried, over the working image's width
+MARGIN = 0.10  # how far beside such a place the strip may lie, over the same
+LEAST_TURN_RAD = 0.25  # of two starts at one place
+LEAST_WIDTH_PX, MOST_WIDTH = 4.0, 0.5  # of a strip in px, and over the working image's width
+CLIPPED = 2.0  # odds of a pixel of the strip: one that is very sure outweighs no more than its neighbour
+
+SCALES = ((0.45, 1.0), (0.25, 1.0), (0.12, 0.4), (0.07, 0.05))
+"""Reach of the profiles over the width, and the region's weight: where the evidence is, then where the edge is."""
+STATIONS, SAMPLES = 28, 33
+WINDOWS = (0.5, 0.3, 0.3)  # about the line of each step, over the profiles' reach
+LEAST_REACH_PX = 3.0
+CORRELATION_PX = 3.5  # the network's pixel is 2.5 of the working image: neighbours within err alike
+EDGE_LEVELS = 8.0  # of 255: steps of so much are as likely noise
+EDGE_STD_PX = 0.4  # of a side in the working image: what all its points have in common
+MOST_POINTS = 5.0  # points of a side that err independently, beside that
+LEAST_AGREEMENT = 0.1  # of what stations vary by, over their own variance
+CAUCHY = 2.5  # deviations at which a station counts half
+END_CLEAR = 0.15  # of the width: what is nearer to the end may not be the shaft's side any more
+FOCAL_WIDTHS = 1.1  # focal length over the image's width, as endoscopes have it
+TAPER_STD = 0.02  # of both sides against each other beside that
+TILT = (1.0, 0.6)  # tangent of the axis' angle to the image plane: mean and deviation of instruments
+
+Matrix = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Two straight sides in px, (2, 2, 2): side, border and inner end, (x, y).
+
+    `covariance` (2, 2, 2) is that of each side's offsets at both its ends; `end_std_px` how well the end is known along
+    the axis, infinite where the shaft leaves the picture. `ends_dark` says that the dark part ends there, and the
+    outline goes on.
+    """
+
+    sides: Array
+    covariance: Array = field(default_factory=lambda: np.zeros((2, 2, 2)))
+    end_std_px: float = np.inf
+    ends_dark: bool = False
+
+    @property
+    def start(self) -> Array:
+        """The middle between both sides at the border, shape (2,)."""
+        return np.asarray(self.sides[:, 0].mean(0))
+
+    @property
+    def axis(self) -> Array:
+        """Unit vector inwards, shape (2,)."""
+        along = self.sides[:, 1].mean(0) - self.start
+        return np.asarray(along / max(float(np.linalg.norm(along)), 1e-9))
+
+    @property
+    def normal(self) -> Array:
+        """Unit vector from the first side to the second, across the axis, shape (2,)."""
+        x, y = self.axis
+        return np.array([-y, x])
+
+    @property
+    def length_px(self) -> float:
+        """From border to end along the axis."""
+        return float((self.sides[:, 1].mean(0) - self.start) @ self.axis)
+
+    @property
+    def width_px(self) -> float:
+        """Mean distance of both sides."""
+        return float((self.sides[1] - self.sides[0]).mean(0) @ self.normal)
+
+    def at(self, along_px: Array) -> Array:
+        """Points on both sides at places along the axis from the start, shape (2, n, 2)."""
+        first, u = self.sides[:, 0], self.axis
+        direction = self.sides[:, 1] - first
+        run = np.maximum(direction @ u, 1e-9)
+        share = (along_px[None, :] - ((first - self.start) @ u)[:, None]) / run[:, None]
+        return np.asarray(first[:, None] + share[..., None] * direction[:, None])
+
+    def cut(self, start_px: float, end_px: float) -> Outline:
+        """The same lines between two other places along the axis."""
+        return replace(self, sides=self.at(np.array([start_px, end_px])))
+
+    def across(self, along_px: Array, shares: Array) -> Array:
+        """Points between both sides, 0 at the first and 1 at the second, shape (n, m, 2)."""
+        first, second = self.at(along_px)
+        return np.asarray(first[:, None] + shares[None, :, None] * (second - first)[:, None])
+
+
+def sampled(field: Image | Floats, places: Array, nearest: bool = False) -> NDArray[np.float32]:
+    """A field's values at places (x, y), shape (..., 2), linearly; 0 outside of it."""
+    flat = np.ascontiguousarray(places.reshape(-1, places.shape[-2], 2), np.float32)
+    how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
+    values = cv2.remap(field, flat[..., 0], flat[..., 1], how, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    return np.asarray(values.reshape(*places.shape[:-1], *field.shape[2:]), np.float32)
+
+
+def starts(evidence: Evidence) -> Iterator[Outline]:
+    """Strips from every place of the rim where evidence comes in, the best direction first."""
+    odds, core = evidence.odds, evidence.core
+    width = odds.shape[1]
+    likely = np.asarray(255 * ((odds > START_ODDS) & (core > 0)), np.uint8)
+    likely = np.asarray(cv2.morphologyEx(likely, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
+    rim = cv2.subtract(core, cv2.erode(core, SQUARE_3, iterations=RIM_PX, borderValue=0))
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(cv2.bitwise_and(likely, rim))
+    clipped = np.where(core > 0, np.clip(odds, -CLIPPED, CLIPPED), 0).astype(np.float32)
+    for label in (np.argsort(-stats[1:, 4], kind="stable") + 1)[:MOST_PLACES]:
+        if stats[label, 4] < LEAST_RIM_PX:
+            continue
+        y, x = np.nonzero(labels == label)
+        entry = np.array([x.mean(), y.mean()])
+        reach_px = 0.5 * float(np.hypot(np.ptp(x), np.ptp(y))) + 1.0 + MARGIN * width
+        yield from _strips(clipped, core, entry, reach_px)
+
+
+def _strips(clipped: Floats, core: Image, entry: Array, reach_px: float) -> Iterator[Outline]:
+    height, width = core.shape
+    angles = np.arange(ANGLES) * (2.0 * np.pi / ANGLES)
+    u = np.stack([np.cos(angles), np.sin(angles)], -1)
+    inner = np.rint(entry + 0.6 * START_LENGTHS[0] * width * u).astype(int)
+    within = ((inner >= 0) & (inner < [width, height])).all(1)
+    within &= core[np.clip(inner[:, 1], 0, height - 1), np.clip(inner[:, 0], 0, width - 1)] > 0
+    u = u[within]
+    if not len(u):
+        return
+    normal = np.stack([-u[:, 1], u[:, 0]], -1)
+    along, off = np.arange(2.0, START_LENGTHS[-1] * width, 3.0), np.arange(-reach_px, reach_px + 1.0, 1.5)
+    places = entry + along[None, :, None, None] * u[:, None, None] + off[:, None] * normal[:, None, None]
+    total = np.cumsum(sampled(clipped, places), axis=1)  # (angles, along, off)
+    best: list[tuple[float, int, int, int, int]] = []
+    for length in START_LENGTHS:
+        last = min(int(length * width / 3.0), len(along)) - 1
+        profile = np.concatenate([np.zeros((len(u), 1)), np.cumsum(total[:, last], axis=1)], axis=1)
+        low = np.minimum.accumulate(profile, axis=1)  # the best interval (Kadane 1984)
+        high_at = np.argmax(profile - low, axis=1)
+        for at, high in enumerate(high_at):
+            low_at = int(np.argmin(profile[at, : high + 1]))
+            inside = profile[at, high] - profile[at, low_at]
+            strip_px = 1.5 * (high - low_at)
+            if LEAST_WIDTH_PX <= strip_px <= MOST_WIDTH * width:
+                score = (2.0 * inside - profile[at, -1]) / np.sqrt(last + 1.0)
+                best.append((float(score), at, low_at, int(high), last))
+    kept: list[int] = []
+    for _, at, low_at, high, last in sorted(best, reverse=True):
+        if len(kept) < STARTS_PER_PLACE and all(u[at] @ u[other] < np.cos(LEAST_TURN_RAD) for other in kept):
+            kept.append(at)
+            edges = off[0] + 1.5 * np.array([low_at, high]) - 0.75
+            ends = np.array([0.0, along[last]])
+            yield Outline(entry + ends[None, :, None] * u[at] + edges[:, None, None] * normal[at])
+
+
+def from_border(outline: Outline, evidence: Evidence) -> Outline | None:
+    """The outline from where its axis comes into the picture; None where that is not in view."""
+    end_px = outline.length_px
+    along = np.arange(end_px, end_px - 2.0 * max(evidence.core.shape), -1.0)
+    seen = sampled(evidence.core, outline.across(along, np.array([0.5])), nearest=True)[:, 0] > 0
+    first = int(np.argmax(seen))
+    if not seen[first]:
+        return None
+    gone = np.flatnonzero(~seen[first:])
+    start_px = float(along[first + gone[0] - 1] if len(gone) else along[-1])
+    return outline.cut(start_px, float(along[first])) if along[first] - start_px > LEAST_WIDTH_PX else None
+
+
+@dataclass(frozen=True)
+class _Profiles:
+    """Across both sides of an outline: log p of the edge (2, n, m) at offsets (m,), outwards; what is usable (2, n).
+
+    The stations are at shares (n,) of the outline's length; `half_px` is how far the profiles reach.
+    """
+
+    share: Array
+    offsets: Array
+    half_px: float
+    log_p: Array
+    usable: NDArray[np.bool_]
+    outward: Array
+
+    @classmethod
+    def of(cls, outline: Outline, evidence: Evidence, reach_widths: float, region_weight: float) -> _Profiles:
+        share = np.linspace(0.02, 0.99, STATIONS)
+        outward = outline.normal * np.array([-1.0, 1.0])[:, None]
+        half_px = max(reach_widths * outline.width_px, LEAST_REACH_PX)
+        offsets = np.linspace(-half_px, half_px, SAMPLES)
+        points = outline.at(share * outline.length_px)
+        places = points[:, :, None] + offsets[:, None] * outward[:, None, None]
+        log_p, seen = _log_posterior(evidence, places, float(offsets[1] - offsets[0]), region_weight)
+        return cls(share, offsets, half_px, log_p, seen.mean(2) > 0.6, outward)
+
+    @property
+    def by_ends(self) -> Array:
+        """Derivatives of a side's offsets by those of its ends, shape (n, 2)."""
+        return np.stack([1.0 - self.share, self.share], -1)
+
+    def moments(self, at: Array, window: float) -> tuple[Array, Array]:
+        """Mean and variance of each edge in a window about offsets `at` (2, n), the window's own share taken out."""
+        window_px = window * self.half_px
+        windowed = self.log_p - 0.5 * ((self.offsets - at[..., None]) / window_px) ** 2
+        p = np.exp(windowed - windowed.max(2, keepdims=True))
+        p /= p.sum(2, keepdims=True)
+        mean = p @ self.offsets
+        variance = (p * (self.offsets - mean[..., None]) ** 2).sum(2) + 0.1
+        free = 1.0 / np.maximum(1.0 / variance - 1.0 / window_px**2, 0.15 / window_px**2)
+        return at + (mean - at) * np.minimum(free / variance, 3.0), free
+
+
+def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_weight: float) -> Outline | None:
+    """Both sides moved onto their edges, found along profiles; None where they leave the picture or meet."""
+    length_px, width_px = outline.length_px, outline.width_px
+    profiles = _Profiles.of(outline, evidence, reach_widths, region_weight)
+    share, J, usable = profiles.share, profiles.by_ends, profiles.usable
+    # Near the end the outline may not be the shaft's any more.
+    off_end = (END_CLEAR * width_px - (1.0 - share) * length_px) / (0.05 * width_px + 0.5)
+    before = 1.0 / (1.0 + np.exp(np.clip(off_end, -50.0, 50.0)))
+    weight_cap = min(1.0, length_px / STATIONS / CORRELATION_PX) * before * usable
+    per_px = length_px * width_px / (FOCAL_WIDTHS * evidence.core.shape[1])
+    narrowing = np.array([1.0, -1.0, 1.0, -1.0])  # of the width, by the offsets of all ends
+    widths = _widths(outline)
+    expected_px, std_px = (
+        TILT[0] * per_px - float(widths[0] - widths[1]),
+        TILT[1] * per_px + TAPER_STD * length_px,
+    )
+    prior = np.outer(narrowing, narrowing) / std_px**2 + 1e-6 * np.eye(4)
+    moved = np.zeros((2, 2))
+    for window in WINDOWS:
+        at = moved @ J.T
+        mean, variance = profiles.moments(at, window)
+        std = np.sqrt(variance + EDGE_STD_PX**2)
+        z = (at - mean) / std
+        weight = weight_cap / (1.0 + (z / CAUCHY) ** 2) / std**2
+        total = np.maximum(weight.sum(1, keepdims=True), 1e-9)
+        weight *= np.minimum(1.0, MOST_POINTS / EDGE_STD_PX**2 / total)
+        A = prior.copy()
+        b = narrowing * expected_px / std_px**2
+        for side in (0, 1):
+            of_side = np.s_[2 * side : 2 * side + 2]
+            A[of_side, of_side] += J.T @ (J * weight[side, :, None])
+            b[of_side] += J.T @ (weight[side] * mean[side])
+        moved = np.asarray(np.linalg.solve(A, b).reshape(2, 2), np.float64)
+    # The posterior of one station is as wide as the edge's blur; how well they agree tells more of the line.
+    agreement = (weight * (at - mean) ** 2).sum() / max(weight_cap.sum(), 1e-9)
+    known = np.linalg.inv((A - prior) / float(np.clip(agreement, LEAST_AGREEMENT, 1.0)) + prior)
+    covariance = np.stack([known[:2, :2], known[2:, 2:]]) + EDGE_STD_PX**2 * np.eye(2)
+    new = Outline(outline.sides + moved[..., None] * profiles.outward[:, None], covariance)
+    fits = (
+        LEAST_WIDTH_PX <= new.width_px <= MOST_WIDTH * evidence.core.shape[1]
+        and new.axis @ outline.axis > 0.5
+    )
+    return from_border(new, evidence) if fits and _widths(new).min() > 1.0 else None
+
+
+def _widths(outline: Outline) -> Array:
+    """Distance of both sides at the border and at the end, shape (2,)."""
+    return np.asarray((outline.sides[1] - outline.sides[0]) @ outline.normal)
+
+
+def _log_posterior(
+    evidence: Evidence, places: Array, step_px: float, region_weight: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """log p of the edge at each of the places (2, n, m, 2), by what is inside of it and by the step; what is seen."""
+    flat = places.reshape(-1, places.shape[2], 2)
+    shape = places.shape[:3]
+    seen = sampled(evidence.core, flat, nearest=True).reshape(shape) > 0
+    odds = np.where(seen, sampled(evidence.odds, flat).reshape(shape), 0.0) * (step_px / CORRELATION_PX)
+    region = np.cumsum(odds, 2) - 0.5 * odds
+    # Of linear brightness: in logarithms a blurred edge moves to its dark side.
+    levels = sampled(evidence.bgr_float, flat).reshape(*shape, 3)
+    apart = max(1, round(1.0 / step_px))
+    step = np.zeros(shape)
+    step[..., apart:-apart] = np.abs(levels[:, :, 2 * apart :] - levels[:, :, : -2 * apart]).max(-1)
+    step[..., apart:-apart] *= seen[..., 2 * apart :] & seen[..., : -2 * apart]
+    log_p = region_weight * region + np.log1p((step / EDGE_LEVELS) ** 2)
+    return np.where(seen, log_p, -30.0), seen
+
+
+MARGINS = np.array(
+    [0.08, 0.14, 0.20, 0.26, 0.74, 0.80, 0.86, 0.92]
+)  # what only the shaft fills, over the width
+MIDDLE = np.linspace(0.2, 0.8, 5)
+PART_WEIGHT = 1.5
+LEAST_LENGTH = 0.8  # over the width, that a fit keeps of a shaft
+MOST_MARGIN = 3.0  # odds of a margin
+
+
+def ended(outline: Outline, evidence: Evidence, part_weight: float) -> Outline:
+    """The outline up to where both its margins stop being instrument.
+
+    With a weight for it, also where the network sees the distal part begin.
+    """
+    height, width = evidence.core.shape
+    step_px = 1.0
+    along = np.arange(0.5, 1.2 * float(np.hypot(height, width)), step_px)
+    places = outline.across(along, MARGINS)
+    seen = sampled(evidence.core, places, nearest=True).mean(1) > 127
+    last = int(np.argmin(seen)) if not seen.all() else len(seen)
+    if last < 4:
+        return outline
+    along, places = along[:last], places[:last]
+    odds = np.clip(sampled(evidence.odds, places), -MOST_MARGIN, MOST_MARGIN)
+    speaks = np.minimum(odds[:, :4].mean(1), odds[:, 4:].mean(1))
+    if part_weight:
+        part = sampled(evidence.scores[1], outline.across(along, MIDDLE)).mean(1)
+        speaks = speaks + part_weight * np.clip(part, -2.0, 0.0)
+    total = np.cumsum(speaks) * (step_px / CORRELATION_PX)
+    total[along < min(LEAST_LENGTH * outline.width_px, along[-1] - 2.0)] = -np.inf
+    p = np.exp(np.maximum(total - total.max(), -50.0))
+    p /= p.sum()
+    mean = float(p @ along)
+    std_px = float(np.sqrt(p @ (along - mean) ** 2)) + 1.0
+    std_px = np.inf if mean > along[-1] - 2.5 else std_px
+    return replace(outline.cut(0.0, mean), end_std_px=std_px)
+
+
+def rough_outlines(evidence: Evidence) -> list[Outline]:
+    """Outlines where the evidence is, from every place where an instrument may come in, the most of it first."""
+    found: list[tuple[float, Outline]] = []
+    for strip in starts(evidence):
+        outline = from_border(strip, evidence)
+        if outline is not None:
+            outline = _fitted_at(ended(outline, evidence, PART_WEIGHT), evidence, SCALES[:1])
+        if outline is not None:
+            score = judged(outline, evidence)
+            found.append((score.evidence * np.sqrt(outline.length_px * outline.width_px), outline))
+    return [outline for _, outline in sorted(found, key=lambda one: -one[0])]
+
+
+def sharpened(outline: Outline, evidence: Evidence) -> Outline | None:
+    """A rough outline where the edges are."""
+    sharp = _fitted_at(outline, evidence, SCALES[1:])
+    if sharp is None:
+        return None
+    whole = ended(sharp, evidence, 0.0)
+    dark_px = dark_part_px(whole, evidence)
+    if dark_px is None or whole.length_px - dark_px < LONGEST_CLEVIS * whole.width_px:
+        return whole
+    # Jaws that narrow as the shaft does: the outline goes on to their tips.
+    return replace(whole.cut(0.0, dark_px), end_std_px=DARK_END_STD * whole.width_px, ends_dark=True)
+
+
+def _fitted_at(outline: Outline, evidence: Evidence, scales: Sequence[tuple[float, float]]) -> Outline | None:
+    for reach_widths, region_weight in scales:
+        moved = fitted(outline, evidence, reach_widths, region_weight)
+        if moved is None:
+            return None
+        outline = ended(moved, evidence, PART_WEIGHT)
+        dark_px = dark_part_px(outline, evidence)
+        outline = outline if dark_px is None else outline.cut(0.0, dark_px)
+    return outline
+
+
+STEP = 0.35  # of the logarithm of light from a dark shaft to a steel wrist; along a shaft it changes slowly
+STEP_WIDTHS = 0.4  # over which the light is averaged before and after the step
+LONGEST_CLEVIS = 1.5  # of an outline beyond the dark part, over the width: what is longer is wrist and jaws
+DARK_END_STD = 0.3  # of the dark part's end, over the width
+
+
+def dark_part_px(outline: Outline, evidence: Evidence) -> float | None:
+    """How long the dark part of a shaft is, where it ends within the outline."""
+    along = np.arange(0.5, outline.length_px)
+    half = max(3, round(STEP_WIDTHS * outline.width_px))
+    first = max(half, round(LEAST_LENGTH * outline.width_px))
+    if len(along) < first + 2 * half:
+        return None
+    light = np.median(sampled(evidence.colours[..., 2], outline.across(along, MIDDLE)), axis=1)
+    total = np.concatenate([[0.0], np.cumsum(light)])
+    at = np.arange(first, len(along) - 2 * half + 1)
+    before, after, beyond = (
+        (total[at + high] - total[at + low]) / half for low, high in ((-half, 0), (0, half), (half, 2 * half))
+    )
+    step = np.minimum(after, beyond + 0.5 * STEP) - before
+    best = int(np.argmax(step))
+    return float(along[at[best]]) if step[best] > STEP else None
+
+
+LEAST_WIDTHS = 0.6  # of a shaft's length, over its width
+LEAST_EVIDENCE = 0.47  # nearly all real instruments have more, and of glare, fat and shadows few
+STEP_REACH_PX = 4  # from a side, where the steepest step across it is sought
+STRAIGHT_PX, STRAIGHT_WIDTHS = 1.5, 0.05
+"""Of those steps off a common line, in px or over the width: of glare's jagged edge few are that near."""
+LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by chance
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Shares from 0 to 1: of the strip that is evidence, of what is beside that is not, of both sides with a step."""
+
+    inside: float
+    beside: float
+    stepped: float
+    length_px: float
+    length_widths: float
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether this is an instrument."""
+        is_shaft = self.length_widths > LEAST_WIDTHS and self.length_px > LEAST_LENGTH_PX
+        return is_shaft and self.inside > 0.75 and self.beside > 0.5 and self.evidence > LEAST_EVIDENCE
+
+    @property
+    def evidence(self) -> float:
+        """From 0 to 1, how sure it is that this is an instrument."""
+        return (
+            self.inside
+            * self.beside
+            * float(np.sqrt(self.stepped))
+            * min(1.0, 0.5 + 0.25 * self.length_widths)
+        )
+
+
+def judged(outline: Outline, evidence: Evidence) -> Judged:
+    """What evidence and image say of an outline."""
+    share = np.linspace(0.03, 0.97, STATIONS)
+    along = share * outline.length_px
+
+    def odds_at(places: Array) -> tuple[Floats, NDArray[np.bool_]]:
+        return sampled(evidence.odds, places), sampled(evidence.core, places, nearest=True) > 0
+
+    odds, seen = odds_at(outline.across(along, np.linspace(0.06, 0.94, 9)))
+    inside = float((odds > 0.0)[seen].mean()) if seen.any() else 0.0
+    free = []
+    for side in (np.array([-0.15, -0.25, -0.35]), np.array([1.15, 1.25, 1.35])):
+        odds, seen = odds_at(outline.across(along, side))
+        if np.count_nonzero(seen) > 6:
+            free.append(float((odds < 0.0)[seen].mean()))
+    points = outline.at(along)
+    outward = outline.normal * np.array([-1.0, 1.0])[:, None]
+    around = np.arange(-STEP_REACH_PX - 1.0, STEP_REACH_PX + 1.5)
+    places = points[:, :, None] + around[:, None] * outward[:, None, None]
+    levels, seen = sampled(evidence.bgr_float, places), sampled(evidence.core, places, nearest=True) > 0
+    step = np.abs(levels[:, :, 2:] - levels[:, :, :-2]).max(3)
+    whole, steepest = seen.all(2), np.argmax(step, axis=2) - STEP_REACH_PX
+    # The steepest step may be that of the limb's shade, but then it is that all along the side.
+    straight = np.abs(steepest - np.median(steepest, axis=1, keepdims=True)) <= max(
+        STRAIGHT_PX, STRAIGHT_WIDTHS * outline.width_px
+    )
+    good = (step.max(2) > EDGE_LEVELS) & straight
+    stepped = float(good[whole].mean()) if whole.any() else 0.0
+    return Judged(
+        inside,
+        min(free, default=0.0),
+        stepped,
+        outline.length_px,
+        outline.length_px / outline.width_px,
+    )
