@@ -146,6 +146,11 @@ class FiducialEstimator:
         return measured(result, frame, ToolEstimate(pose, frame.joints, has_plate=True), tissue.pose)
 
 
+def farther(pose: ToolPose) -> float:
+    """Factor on the largest deviation of a position: as far away as `NEAR_M` it is one, beyond in proportion."""
+    return max(1.0, float(np.linalg.norm(pose.position_m)) / NEAR_M)
+
+
 class ShaftEstimator:
     """`--method shaft`. Keeps between frames whether it saw the tag's plate, and nothing else."""
 
@@ -179,8 +184,7 @@ class ShaftEstimator:
         if fit.doubt:
             return result.rejected(Status.INCONSISTENT, fit.doubt)
         std_m = float(np.sqrt(np.linalg.eigvalsh(fit.pose.position_covariance)[-1]))
-        farther = max(1.0, float(np.linalg.norm(fit.pose.position_m)) / NEAR_M)
-        if not std_m <= farther * self._settings.max_position_std_m:
+        if not std_m <= farther(fit.pose) * self._settings.max_position_std_m:
             return result.rejected(Status.UNCERTAIN, f"the position is uncertain by {std_m * 1e3:.1f} mm")
         return measured(result, frame, ToolEstimate(fit.pose, frame.joints, self._has_plate), tissue.pose)
 

@@ -9,9 +9,10 @@ import numpy as np
 from svmdist.estimation.distances import measured, with_tissue
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.estimation.instrument.image_pose import ImagePose, match_of, pose_by_pair
+from svmdist.estimation.instrument.factors import MarkerPair, pair_markers
+from svmdist.estimation.instrument.image_pose import ImagePose, pose_by_pair
 from svmdist.estimation.instrument.measurement import Deviations
-from svmdist.estimation.instrument.two_views import StereoMatch
+from svmdist.estimation.one_view import farther
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import require_tissue
@@ -25,24 +26,20 @@ from svmdist.vision.stereo import RectifiedPair
 DEPTH_GATE_STDS = 3.5  # between disparity and one view's pose, above which they contradict each other
 
 
-def with_calibration(
-    match: StereoMatch, right: RightView, pair: RectifiedPair, deviations: Deviations
-) -> StereoMatch:
-    """The match with what baseline and the right camera's rotation may be off by in its disparity's deviation."""
-    p_camera_m, _ = pair.point(match.left_px, match.disparity_px)
-    biases = deviations.of_disparity_at(
-        p_camera_m, right.camera, np.array(match.disparity_px), inverse(right.T_left_right)
-    )
-    variance_px2 = sum(float(np.sum(bias.jacobian**2)) for bias in biases)
-    return replace(match, disparity_std_px=float(np.sqrt(match.disparity_std_px**2 + variance_px2)))
-
-
-def nominal_orientation_pose(match: StereoMatch, pair: RectifiedPair, nominal: ToolPose) -> ToolPose:
+def nominal_orientation_pose(
+    markers: MarkerPair, pair: RectifiedPair, right: RightView, nominal: ToolPose, deviations: Deviations
+) -> ToolPose:
     """The triangulated position with the orientation, and its covariance, of the nominal kinematics."""
-    p_camera_m, J = pair.point(match.left_px, match.disparity_px)
+    p_camera_m, J = pair.point(markers.left.pixel, markers.disparity_px)
+    # What baseline and the right camera's rotation may be off by is in the disparity's deviation.
+    biases = deviations.of_disparity_at(
+        p_camera_m, right.camera, np.array(markers.disparity_px), inverse(right.T_left_right)
+    )
+    of_cameras_px2 = sum(float(np.sum(bias.jacobian**2)) for bias in biases)
+    pixel_std_px, disparity_std_px = markers.total_std_px
     T_camera_tool, covariance = nominal.T_camera_tool.copy(), np.zeros((6, 6))
     T_camera_tool[:3, 3] = p_camera_m
-    variances = np.array([match.std_px, match.std_px, match.disparity_std_px]) ** 2
+    variances = np.array([pixel_std_px**2, pixel_std_px**2, disparity_std_px**2 + of_cameras_px2])
     covariance[:3, :3] = J @ np.diag(variances) @ J.T
     covariance[3:, 3:] = nominal.covariance[3:, 3:]
     return ToolPose(T_camera_tool, covariance, nominal.axis)
@@ -125,18 +122,21 @@ class StereoEstimator:
         if isinstance(found, ImagePose) and found.doubt:
             return Rejection(frame.stamp_ns, Status.INCONSISTENT, found.doubt)
         pose = found.pose if isinstance(found, ImagePose) else found
-        if not pose.position_std_m <= self._profile.stereo_in_range.max_depth_std_m:
+        if not pose.position_std_m <= farther(pose) * self._profile.stereo_in_range.max_depth_std_m:
             said = f"the position is uncertain by {pose.position_std_m * 1e3:.1f} mm"
             return Rejection(frame.stamp_ns, Status.UNCERTAIN, said)
         return pose
 
     def _triangulated(self, frame: Frame, pair: RectifiedPair) -> ToolPose | Rejection | Failure:
-        robot, right, match = frame.robot_in_camera, frame.scene.observation.right, match_of(frame, pair)
-        if isinstance(match, Failure):
-            return match
+        robot, right, markers = (
+            frame.robot_in_camera,
+            frame.scene.observation.right,
+            pair_markers(frame, pair),
+        )
+        if isinstance(markers, Failure):
+            return markers
         if isinstance(robot, Failure):  # a place, and no direction
             return Rejection(frame.stamp_ns, Status.NO_JOINTS, robot.reason)
         assert right is not None  # the pair has one
-        match = with_calibration(match, right, pair, frame.arm.deviations)
         nominal = nominal_tool(self._chain, self._profile.kinematic_error, robot)
-        return nominal_orientation_pose(match, pair, nominal)
+        return nominal_orientation_pose(markers, pair, right, nominal, frame.arm.deviations)

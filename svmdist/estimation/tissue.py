@@ -57,6 +57,16 @@ class TissuePose:
             surface = surface.transformed(make_transform(np.eye(3), (factor - 1.0) * self.position_m))
         return replace(self, position_m=position_m, surface=surface)
 
+    def moved_to(self, position_m: Array) -> TissuePose:
+        """The same at another place of its plane, shape (3,), with its surface."""
+        T = make_transform(np.eye(3), position_m - self.position_m)
+        moved = replace(self, position_m=position_m)
+        if self.dome is not None:
+            return moved.with_dome(replace(self.dome, T_camera_tissue=T @ self.dome.T_camera_tissue))
+        return (
+            replace(moved, surface=self.surface.transformed(T)) if isinstance(self.surface, Mesh) else moved
+        )
+
     def with_dome(self, dome: DomeModel) -> TissuePose:
         """The same place under a dome of another shape."""
         return replace(self, surface=dome.mesh, dome=dome)

@@ -123,7 +123,7 @@ class TissueTracker:
         # Outlines differ from frame to frame and are averaged; the plane is as uncertain in all of them.
         position_m, of_outline = place
         covariance = of_outline + self._best.covariance - self._best.outline_covariance
-        known = replace(self._best, position_m=position_m)
+        known = self._best.moved_to(position_m)  # spatial distance and clearance are to one tissue
         known = replace(known, covariance=covariance, outline_covariance=of_outline)
         shape = self._shape.now()
         return known if shape is None or known.dome is None else known.with_dome(known.dome.shaped(*shape))

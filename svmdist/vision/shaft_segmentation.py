@@ -57,7 +57,7 @@ class ShaftRegion:
 
     @property
     def is_stub(self) -> bool:
-        """Whether less of the shaft's length is to be seen than it is wide, by a quarter more."""
+        """Whether less of the shaft's length is to be seen than twice its width."""
         width_px = float(np.linalg.norm(self.first.start_px - self.second.start_px))
         return min(self.first.length_px, self.second.length_px) < 2.0 * width_px
 

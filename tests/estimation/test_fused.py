@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from svmdist.estimation.instrument.consistency import Consistency, GatingResult, student_weight
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.kinematics import forward_kinematics
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
+from svmdist.profile.settings import FilterSettings
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.simulation.plan import draw_nominal_kinematics
 from svmdist.simulation.scene import make_scene as simulated_scene
@@ -128,3 +130,28 @@ def test_the_stated_ellipsoid_holds_the_tool():
     assert 0.90 < np.mean(np.array(nees) < chi2.ppf(0.95, 3)) < 0.99
     coverage = np.mean(within, axis=0)
     assert np.all((coverage > 0.90) & (coverage < 0.99)), coverage
+
+
+def test_one_detection_that_contradicts_all_others_is_named():
+    """A tag refused in 23 of 25 frames is a third of what was measured, beside edges and marker that agree."""
+    consistency = Consistency(FilterSettings())
+    for frame in range(25):
+        tag = GatingResult("tag", 80.0 if frame % 12 else 6.0, 6, 0.1 if frame % 12 else 1.0, "tag")
+        edges = [GatingResult(f"edge {side}", 2.0, 2, 1.0, "shaft") for side in (1, -1)]
+        marker = [GatingResult(name, 2.0, size, 1.0, "marker") for name, size in (("point", 2), ("far", 12))]
+        consistency.add(frame * 100_000_000, [tag, *edges, *marker])
+    assert consistency.doubt.endswith("of what the tag shows contradicts the prediction: tag")
+
+
+def test_widening_is_the_ratio_of_birge():
+    """Innovations twice as large as expected give 4 and errors as expected 1; one wild among twenty adds little."""
+
+    def widening(squares: list[float]) -> float:
+        consistency = Consistency(FilterSettings())
+        results = [GatingResult("edge", square, 2, float(student_weight(square, 2))) for square in squares]
+        consistency.add(0, results)
+        return consistency.widening
+
+    assert widening([8.0] * 20) == pytest.approx(4.0)
+    assert widening([2.0] * 20) == 1.0
+    assert widening([2.0] * 19 + [1e4]) < 1.2

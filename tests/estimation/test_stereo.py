@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
+from svmdist.estimation.frame import frame_of
+from svmdist.estimation.instrument.factors import Expected, MarkerPair, marked, of_images, pair_markers
+from svmdist.estimation.scene import Arm
 from svmdist.profile import load_profile
 from svmdist.results import FrameResult
 from svmdist.samples import Image, Observation, RightView, Status
 from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.frame_context import as_pinholes
+from svmdist.vision.segmentation import make_segmenter
+from svmdist.vision.stereo import RectifiedPair
 from tests.measuring import Measuring
 from tests.pictures import RED_BGR, ShaftImage, entering_from
 from tests.synthetic import make_scene
@@ -78,6 +83,46 @@ def test_a_marker_in_one_view_is_enough(hidden_left):
     assert found.tool is not None
     assert both.tool is not None
     assert both.tool.pose.position_std_m < found.tool.pose.position_std_m
+
+
+@pytest.mark.parametrize(("size", "is_marker"), [(1.0, True), (0.55, False), (2.0, False)])
+def test_what_is_coloured_and_of_another_size_is_somewhere_about_the_origin(size, is_marker):
+    """Point and disparity share the offset, three radii of the marker that the profile states; its size is not used."""
+    assert PROFILE.instrument is not None
+    radius_m = size * PROFILE.instrument.knuckle_radius_m
+    instrument = PROFILE.instrument.model_copy(update={"knuckle_radius_m": radius_m})
+    profile = PROFILE.model_copy(update={"instrument": instrument, "fiducial": None})
+    seen = pair(drawn(2.4, False), drawn(2.4, True))
+    frame = frame_of(seen, Arm(profile), make_segmenter(profile.segmentation))
+    assert isinstance(frame.scene.stereo_pair, RectifiedPair)
+    markers = pair_markers(frame, frame.scene.stereo_pair)
+    assert isinstance(markers, MarkerPair)
+    factors = {one.name: one for one in of_images(frame, None, markers.expected, markers, both_views=True)}
+    assert ("size" in factors) is is_marker
+    T = make_transform(np.eye(3), tool_m(2.4))
+    for name, px_per_m in (("distal marker", 6000.0), ("disparity", 300.0)):
+        one = factors[name]
+        assert one.bias_name == ("distal marker" if is_marker else "other part")
+        B = one.bias_jacobian(T, one.linearise(T).derivative)
+        std_px = float(np.sqrt((one.covariance + B @ B.T)[0, 0]))
+        assert (std_px > px_per_m * radius_m * 2.0) is not is_marker, (name, std_px)
+    result = Measuring("stereo", profile).result(seen)
+    if result.status is Status.OK:
+        assert deviations(result, 2.4) < 2.8
+
+
+def test_grey_steel_is_no_marker():
+    """A region of bare steel, which the profile's box takes in, says nothing of where the tool's origin is."""
+    image = np.full((480, 640, 3), (60, 60, 160), np.uint8)
+    cv2.circle(image, (320, 240), 30, (120, 120, 120), -1)
+    box = PROFILE.segmentation.instrument.model_copy(
+        update={"hue": (0, 179), "saturation": (0, 20), "value": (60, 200)}
+    )
+    segmentation = PROFILE.segmentation.model_copy(update={"instrument": box})
+    profile = PROFILE.model_copy(update={"segmentation": segmentation})
+    frame = frame_of(Observation(1, image, CAMERA), Arm(profile), make_segmenter(segmentation))
+    assert frame.left.region is not None
+    assert not list(marked(frame.left, Arm(profile), Expected(0.09, 0.3)))
 
 
 def test_what_ends_the_shaft_in_both_views_is_not_its_end():

@@ -9,11 +9,18 @@ from dataclasses import dataclass
 from functools import lru_cache
 from statistics import NormalDist
 
+import numpy as np
+
 from svmdist.profile.settings import FilterSettings
+from svmdist.transforms import Array
 
 WINDOW_S = 1.5  # of averaged innovations: a hundred degrees of freedom at 10 Hz
 MIN_DEGREES = 8  # fewer degrees of freedom in that window tell nothing
 MAX_REFUSED_SHARE = 0.3  # of them: more contradicts the prediction
+MAX_REFUSED_OF_ONE = 0.5  # of what one detection measured: it is mistaken, or all others are
+MIN_FRAMES = 5  # that show it in that window: what hides an instrument misleads fewer
+NU = 4.0  # degrees of freedom of Student's t: one measurement in a hundred is wild
+REFUSED_WEIGHT = 0.2  # below, a measurement counts as refused; it keeps its weight
 MAX_SCENE_REFUSED = 4  # frames in a row in which the tissue contradicts its plane, where it agreed before
 USUAL_SHARE = 0.75  # of worlds: there constants are no further off; beyond, deviations grow
 MAX_TIME_OFFSET_DEVIATIONS = 5.0  # beyond, the offset leaves the joints that travel with an image
@@ -23,13 +30,26 @@ GATE_Z = FilterSettings().gate_z
 
 @dataclass(frozen=True, slots=True)
 class GatingResult:
-    """A measurement against its prediction: normalised innovation squared, degrees of freedom, its detection."""
+    """A measurement against its prediction: normalised innovation squared, degrees of freedom, its robust weight.
+
+    `source` is the detection that it is made of.
+    """
 
     name: str
     nis: float
     degrees_of_freedom: int
-    is_accepted: bool
+    weight: float
     source: str = ""
+
+    @property
+    def is_accepted(self) -> bool:
+        """Whether it counts as an inlier; a refused one keeps its weight."""
+        return self.weight > REFUSED_WEIGHT
+
+
+def student_weight(square: Array | float, degrees_of_freedom: Array | int) -> Array:
+    """Student's weight of normalised squares, no more than one (Lange, Little and Taylor 1989)."""
+    return np.minimum(1.0, (NU + degrees_of_freedom) / (NU + np.asarray(square)))
 
 
 @lru_cache(maxsize=256)
@@ -78,29 +98,27 @@ class Consistency:
         self._furthest_name, self._furthest, self._usual = name, deviations, usual_furthest(max(count, 1))
         self._late_s, self._late_deviations = late_s, abs(late_s) / late_std_s if late_std_s > 0.0 else 0.0
 
-    def _sums(self) -> tuple[int, int, float]:
-        """Degrees of freedom of all results in the window and of the accepted ones, and the squares of these."""
-        results = [result for _, members in self._frames for result in members]
-        accepted = [result for result in results if result.is_accepted]
-        measured, taken = (sum(result.degrees_of_freedom for result in some) for some in (results, accepted))
-        return measured, taken, sum(result.nis for result in accepted)
+    def _results(self, source: str = "") -> list[GatingResult]:
+        """What was measured in the window, all of it or by one detection."""
+        results = (result for _, members in self._frames for result in members)
+        return [result for result in results if source in ("", result.source)]
 
     @property
     def ratio(self) -> float | None:
-        """Innovations squared of accepted measurements over what is expected of them; None before any."""
-        _, accepted, square = self._sums()
-        return square / accepted if accepted else None
+        """Innovations squared over what is expected of them, by their robust weights; None before any."""
+        results = self._results()
+        expected = sum(result.weight * result.degrees_of_freedom for result in results)
+        return sum(result.weight * result.nis for result in results) / expected if results else None
 
     @property
     def widening(self) -> float:
-        """Factor on covariances, where innovations are larger than expected (Birge 1932)."""
+        """Factor on covariances, where innovations are larger than expected (Birge 1932, of all measurements)."""
         return max(1.0, self.ratio or 1.0, (self._furthest / self._usual) ** 2, self.excess)
 
     @property
     def doubt(self) -> str:
         """Why no distance can be trusted, for a person; empty where one can."""
-        settings, (measured, accepted, _) = self._settings, self._sums()
-        refused = measured - accepted
+        settings = self._settings
         if self._furthest > settings.max_constant_deviations:
             return f"calibration is {self._furthest:.1f} stated deviations off, {self._furthest_name} most of all"
         if self._late_deviations > MAX_TIME_OFFSET_DEVIATIONS:
@@ -113,12 +131,33 @@ class Consistency:
             return (
                 f"the tissue contradicts its plane in {self._scene_refused} frames: {self._refused_names()}"
             )
-        if measured >= MIN_DEGREES and refused > MAX_REFUSED_SHARE * measured:
-            return f"{refused / measured:.0%} of what was measured contradicts the prediction: {self._refused_names()}"
-        if measured >= MIN_DEGREES and (self.ratio or 0.0) > settings.max_consistency:
+        for source in ("", *dict.fromkeys(result.source for result in self._results())):
+            said = self._refused(source)
+            if said:
+                return said
+        if _degrees(self._results()) >= MIN_DEGREES and (self.ratio or 0.0) > settings.max_consistency:
             return f"innovations are {self.ratio:.1f} times what is expected of them"
         return ""
 
-    def _refused_names(self) -> str:
-        latest = {result.name: result.is_accepted for _, members in self._frames for result in members}
-        return ", ".join(name for name, is_accepted in latest.items() if not is_accepted) or "measurements"
+    def _refused(self, source: str) -> str:
+        """Why all that was measured, or one detection, contradicts the prediction; empty where it does not."""
+        results = self._results(source)
+        share = _degrees([one for one in results if not one.is_accepted]) / max(_degrees(results), 1)
+        frames = sum(any(source in ("", one.source) for one in members) for _, members in self._frames)
+        if source and (frames < MIN_FRAMES or share <= MAX_REFUSED_OF_ONE):
+            return ""
+        if _degrees(results) < MIN_DEGREES or share <= MAX_REFUSED_SHARE:
+            return ""
+        said = f"the {source} shows" if source else "was measured"
+        return f"{share:.0%} of what {said} contradicts the prediction: {self._refused_names(source)}"
+
+    def _refused_names(self, source: str = "") -> str:
+        accepted: dict[str, list[bool]] = {}
+        for result in self._results(source):
+            accepted.setdefault(result.name, []).append(result.is_accepted)
+        names = [name for name, ones in accepted.items() if not ones[-1] or 2 * sum(ones) < len(ones)]
+        return ", ".join(names) or "measurements"
+
+
+def _degrees(results: Sequence[GatingResult]) -> int:
+    return sum(result.degrees_of_freedom for result in results)

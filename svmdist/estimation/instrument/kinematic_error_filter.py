@@ -11,7 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.estimation.instrument.consistency import Consistency, GatingResult, chi_square_bound
+from svmdist.estimation.instrument.consistency import (
+    NU,
+    Consistency,
+    GatingResult,
+    chi_square_bound,
+    student_weight,
+)
 from svmdist.estimation.instrument.corrected_links import Correction
 from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.instrument.measurement import LinkMeasurement, SharedBias
@@ -24,8 +30,6 @@ from svmdist.profile.settings import FilterSettings
 from svmdist.results import ToolPose, across_std_rad
 from svmdist.transforms import Array
 
-NU = 4.0  # degrees of freedom of Student's t: one measurement in a hundred is wild
-REFUSED_WEIGHT = 0.2  # below, a measurement counts as refused; it keeps its weight
 MAX_ITERATIONS = 12
 SETTLED = 1e-2  # of a standard deviation: a state that moves nothing by more has come to rest
 UNSEEN_SQUARE = 50.0  # a start pays for a measurement that it cannot see as for one so far off
@@ -138,9 +142,9 @@ class KinematicErrorFilter:
             found = most_probable(state, seen, x, is_tracking=start is None)
             if found is not None:
                 for measurement, nis, weight in zip(seen, found.innovations, found.weights, strict=True):
-                    size, is_accepted = len(measurement.covariance), bool(weight > REFUSED_WEIGHT)
+                    size = len(measurement.covariance)
                     results.append(
-                        GatingResult(measurement.name, float(nis), size, is_accepted, measurement.source)
+                        GatingResult(measurement.name, float(nis), size, float(weight), measurement.source)
                     )
                 state.retract(found.x)
                 state.update_covariance(found.K, found.H, found.R)
@@ -157,8 +161,9 @@ class KinematicErrorFilter:
         state.augment_state([part])
         innovation, S, H = state.innovation(part)
         nis = float(innovation @ np.linalg.solve(S, innovation))
-        result = GatingResult(name, nis, size, nis <= chi_square_bound(size, self._settings.gate_z), name)
-        if result.is_accepted:
+        is_accepted = nis <= chi_square_bound(size, self._settings.gate_z)
+        result = GatingResult(name, nis, size, float(student_weight(nis, size)) if is_accepted else 0.0, name)
+        if is_accepted:
             K = np.asarray(np.linalg.solve(S, H @ state.P).T, np.float64)
             state.retract(K @ innovation)
             state.update_covariance(K, H, part.noise)
@@ -284,7 +289,7 @@ def most_probable(
         first = first if len(first) else innovations
         if is_robust:
             before = first if is_tracking else innovations
-            weights = np.minimum(1.0, (NU + degrees) / (NU + np.maximum(before, residuals)))
+            weights = student_weight(np.maximum(before, residuals), degrees)
         R = block_diagonal([noise / weight for noise, weight in zip(noises, weights, strict=True)])
         solved = np.linalg.solve(S + R, np.column_stack([HP, innovation]))
         K = np.asarray(solved[:, :-1].T, np.float64)

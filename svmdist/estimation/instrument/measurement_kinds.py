@@ -33,19 +33,20 @@ ONE_FRAME_S = 1e-3  # of what is drawn anew in every frame
 
 
 def _point_bias(
-    std_m: float, shading_px: float, tilt: Array, T_camera_link: Array, derivative: Array
+    std_m: float, part_std_m: float, shading_px: float, tilt: Array, T_camera_link: Array, derivative: Array
 ) -> Array:
-    """The bias of a point, (m, 4): an offset in its link's frame, and what shading does with the ray's tilt, (m,)."""
+    """The bias of a point, (m, 7): offsets of place and of part, and what shading does with the ray's tilt, (m,)."""
     # An offset in the link's frame moves the point as the link's own motion would.
-    by_offset = -std_m * derivative[:, :3] @ T_camera_link[:3, :3]
-    return np.column_stack([by_offset, shading_px * tilt])
+    by_offset = -derivative[:, :3] @ T_camera_link[:3, :3]
+    return np.column_stack([std_m * by_offset, part_std_m * by_offset, shading_px * tilt])
 
 
 @dataclass(frozen=True)
 class PointMeasurement(LinkMeasurement):
     """A point of a link, `p_link_m` (3,), seen at a pixel (2,) with a covariance (2, 2) in px².
 
-    The point may be off by an offset fixed in the link's frame, of deviation `point_std_m` along each axis. Shading may
+    The point may be off by an offset fixed in the link's frame, of deviation `point_std_m` along each axis, and what is
+    visible of it by another one, of `part_std_m`: where a side is hidden, or another part is coloured. Shading may
     draw the pixel outward by `shading_bias_px` (a deviation) times the tilt of its ray.
     """
 
@@ -59,6 +60,7 @@ class PointMeasurement(LinkMeasurement):
     covariance: Array
     point_std_m: float = 0.0
     shading_bias_px: float = 0.0
+    part_std_m: float = 0.0
     bias_name: str = "point"
     correlation_time_s: float = POINT_CORRELATION_TIME_S
     deviations: Deviations = EXACT
@@ -73,10 +75,12 @@ class PointMeasurement(LinkMeasurement):
         return PoseResidual(self.pixel - pixel, np.concatenate([-J, J @ skew(arm_m)], 1))
 
     def bias_jacobian(self, T_camera_link: Array, derivative: Array, /) -> Array:
-        """Derivative by offset and shading, shape (2, 4), in units of their deviations."""
+        """Derivative by offset and shading, shape (2, 7), in units of their deviations."""
         K = self.camera.K
         tilt = (self.pixel - K[:2, 2]) / np.diag(K)[:2]
-        return _point_bias(self.point_std_m, self.shading_bias_px, tilt, T_camera_link, derivative)
+        return _point_bias(
+            self.point_std_m, self.part_std_m, self.shading_bias_px, tilt, T_camera_link, derivative
+        )
 
     def shared_biases(self, _T_camera_link: Array, /) -> tuple[SharedBias, ...]:
         """Focal length and principal point."""
@@ -102,6 +106,7 @@ class DisparityMeasurement(LinkMeasurement):
     covariance: Array
     point_std_m: float = 0.0
     shading_bias_px: float = 0.0
+    part_std_m: float = 0.0
     bias_name: str = "point"
     correlation_time_s: float = POINT_CORRELATION_TIME_S
     deviations: Deviations = EXACT
@@ -123,9 +128,11 @@ class DisparityMeasurement(LinkMeasurement):
         return PoseResidual(residual, np.concatenate([by_place, -by_place @ skew(arm_m)], 1))
 
     def bias_jacobian(self, T_camera_link: Array, derivative: Array, /) -> Array:
-        """Derivative by offset and shading, shape (1, 4), in units of their deviations."""
+        """Derivative by offset and shading, shape (1, 7), in units of their deviations."""
         tilt = np.array([self.disparity_px / self.left.K[0, 0]])
-        return _point_bias(self.point_std_m, self.shading_bias_px, tilt, T_camera_link, derivative)
+        return _point_bias(
+            self.point_std_m, self.part_std_m, self.shading_bias_px, tilt, T_camera_link, derivative
+        )
 
     def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
         """Focal length, baseline, the right camera's rotation, and what lasts of the disparity itself."""

@@ -99,11 +99,12 @@ def _marker_disc(image_hsv: Image, mask: Image, region: Region) -> Disc | None:
 
 
 def marker_centre(
-    region: Region, disc: Disc | None, camera: Camera, depth_m: float, radius_m: float
+    marker: DistalMarker, camera: Camera, depth_m: float, radius_m: float
 ) -> tuple[Array, float]:
     """The pixel (2,) of a sphere's middle, and its border's blur in px; without a circle the centroid, blur 0."""
-    if disc is None or radius_m <= 0.0:
-        return region.centroid_px, 0.0
+    disc = marker.disc
+    if disc is None:
+        return marker.centre_px, 0.0
     return without_perspective(disc.centre_px, camera, depth_m, radius_m), disc.blur_px
 
 
@@ -142,8 +143,8 @@ class ShaftDetection:
     """Contours (none, one or two) and the rim, each as far as it is visible.
 
     `towards_tip` (2,) is the direction of the shaft's middle line in the image, None where nothing tells it.
-    `is_stub` says that less of the shaft is visible than it is wide. `wrist` is where the tool's origin is in the
-    outline of a whole instrument.
+    `is_stub` says that less of the shaft is visible than tells its sides from other things: twice its width of a dark
+    part, 1.25 times of an outline. `wrist` is where the tool's origin is in the outline of a whole instrument.
     """
 
     contours: tuple[Contour, ...]

@@ -31,8 +31,7 @@ class ShaftModel:
 
     `T_base_shaft` and `T_shaft_tool`, (4, 4), are by the joints, which are straight where none are known.
     `R_camera_shaft` (3, 3) is that of the nominal kinematics, None without the robot's base. The dark part ends
-    `neck_m` behind the hinge, and the outline of the cylinder `outline_end_m` before it. `jaws` (3,) is the direction
-    of straight, closed jaws in the tool's frame.
+    `neck_m` behind the hinge, and the outline of the cylinder `outline_end_m` before it.
     """
 
     instrument: Instrument
@@ -40,19 +39,16 @@ class ShaftModel:
     T_base_shaft: Array
     T_shaft_tool: Array
     R_camera_shaft: Array | None
-    jaws: Array
 
     @classmethod
     def of(cls, robot: RobotState | Failure, chain: DHChain, instrument: Instrument) -> ShaftModel:
         """By the joints and the base, as far as they are known."""
-        straight = np.zeros(len(chain.joint_names))
-        q = robot.q if isinstance(robot, RobotState) else straight
+        q = robot.q if isinstance(robot, RobotState) else np.zeros(len(chain.joint_names))
         T_base_shaft, T_shaft_tool = shaft_frames(chain, q)
         R_camera_shaft = None
         if isinstance(robot, RobotState) and robot.T_camera_base is not None:
             R_camera_shaft = np.asarray((robot.T_camera_base @ T_base_shaft)[:3, :3])
-        jaws = shaft_frames(chain, straight)[1][2, :3].copy()
-        return cls(instrument, q, T_base_shaft, T_shaft_tool, R_camera_shaft, jaws)
+        return cls(instrument, q, T_base_shaft, T_shaft_tool, R_camera_shaft)
 
     @property
     def radius_m(self) -> float:
