@@ -128,7 +128,9 @@ class View:
         from svmdist.estimation.instrument.shaft_detection import detect_shaft, detect_silhouette
 
         if self.masks.seen is not None:
-            return detect_silhouette(self.silhouette, self.camera)
+            instrument = self._arm.profile.instrument
+            radius_m = 0.0 if instrument is None else instrument.shaft_radius_m
+            return detect_silhouette(self.silhouette, self.camera, radius_m)
         return detect_shaft(self.context.brightness, self.shaft_region, self.camera, self._settings.shaft)
 
 

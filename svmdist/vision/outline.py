@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -57,29 +58,29 @@ class Outline:
     end_std_px: float = np.inf
     ends_dark: bool = False
 
-    @property
+    @cached_property
     def start(self) -> Array:
         """The middle between both sides at the border, shape (2,)."""
         return np.asarray(self.sides[:, 0].mean(0))
 
-    @property
+    @cached_property
     def axis(self) -> Array:
         """Unit vector inwards, shape (2,)."""
         along = self.sides[:, 1].mean(0) - self.start
         return np.asarray(along / max(float(np.linalg.norm(along)), 1e-9))
 
-    @property
+    @cached_property
     def normal(self) -> Array:
         """Unit vector from the first side to the second, across the axis, shape (2,)."""
         x, y = self.axis
         return np.array([-y, x])
 
-    @property
+    @cached_property
     def length_px(self) -> float:
         """From border to end along the axis."""
         return float((self.sides[:, 1].mean(0) - self.start) @ self.axis)
 
-    @property
+    @cached_property
     def width_px(self) -> float:
         """Mean distance of both sides."""
         return float((self.sides[1] - self.sides[0]).mean(0) @ self.normal)
@@ -334,8 +335,9 @@ def rough_outlines(evidence: Evidence) -> list[Outline]:
         if outline is not None:
             outline = _fitted_at(ended(outline, evidence, PART_WEIGHT), evidence, SCALES[:1])
         if outline is not None:
-            score = judged(outline, evidence)
-            found.append((score.evidence * np.sqrt(outline.length_px * outline.width_px), outline))
+            score = judged(outline, evidence).evidence
+            if score > LEAST_ROUGH_EVIDENCE:
+                found.append((score * np.sqrt(outline.length_px * outline.width_px), outline))
     return [outline for _, outline in sorted(found, key=lambda one: -one[0])]
 
 
@@ -388,6 +390,7 @@ def dark_part_px(outline: Outline, evidence: Evidence) -> float | None:
 
 
 LEAST_WIDTHS = 0.6  # of a shaft's length, over its width
+LEAST_ROUGH_EVIDENCE = 0.05  # of an outline whose sides are not yet on their edges
 LEAST_EVIDENCE = 0.47  # nearly all real instruments have more, and of glare, fat and shadows few
 STEP_REACH_PX = 4  # from a side, where the steepest step across it is sought
 STRAIGHT_PX, STRAIGHT_WIDTHS = 1.5, 0.05

@@ -169,9 +169,14 @@ class Silhouette:
         return _width_px(*self.edges)
 
     @property
+    def length_widths(self) -> float:
+        """Length of the shorter edge, over the width at the end."""
+        return min(edge.length_px for edge in self.edges) / self.width_px
+
+    @property
     def is_stub(self) -> bool:
         """Whether less of the shaft's length is seen than it is wide, by a quarter more."""
-        return min(edge.length_px for edge in self.edges) < 1.25 * self.width_px
+        return self.length_widths < 1.25
 
 
 def find_silhouette(

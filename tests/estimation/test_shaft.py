@@ -1,5 +1,6 @@
 """The method shaft on pictures that the simulator never drew: any side, size, frame and background."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -97,6 +98,20 @@ def test_axis_without_colours(side, scene):
     assert np.arccos(np.clip(fit.pose.axis @ drawn.direction, -1.0, 1.0)) < np.deg2rad(2.0)
     off_m = fit.hinge_m - drawn.tool_m
     assert np.linalg.norm(off_m - (off_m @ drawn.direction) * drawn.direction) < 0.02 * drawn.tool_m[2]
+
+
+@pytest.mark.parametrize("side", list(SIDES)[:2])
+def test_a_shaft_out_of_focus_is_measured(side):
+    """Blurred by 4 px its sides are still where the evidence is: the axis to 2 degrees, within the stated interval."""
+    profile = PROFILE.model_copy(update={"segmentation": AutoSegmentation(method="auto")})
+    drawn = picture(SMALL, side, **PALE)
+    blurred = np.asarray(cv2.GaussianBlur(drawn.draw(2), (0, 0), 4.0), np.uint8)
+    fit = find_tool(Observation(0, blurred, SMALL), profile)
+    assert isinstance(fit, ImagePose), fit
+    assert np.arccos(np.clip(fit.pose.axis @ drawn.direction, -1.0, 1.0)) < np.deg2rad(2.0)
+    off_m = fit.hinge_m - drawn.tool_m
+    across_m = np.linalg.norm(off_m - (off_m @ drawn.direction) * drawn.direction)
+    assert across_m < 2.0 * fit.pose.position_std_m
 
 
 @pytest.mark.parametrize("grey", [0, 150])

@@ -44,3 +44,35 @@ def test_the_picture_inside_its_border(border):
         assert masks.shaft is not None
         assert not (masks.shaft[outside] > 0).any()
         assert not (masks.tissue[outside] > 0).any()
+
+
+def test_sides_run_along_the_outline():
+    """Half of each side is within a pixel and a half of where the painted shaft ends, nine tenths within four."""
+    off_px = []
+    for one in map(surgery_image, range(6)):
+        outline = cv2.Canny(one.instruments, 100, 200) == 0
+        distance = cv2.distanceTransform(outline.astype(np.uint8), cv2.DIST_L2, 5)
+        for seen in AutoSegmenter().masks(one.bgr).seen:
+            share = np.linspace(0.1, 0.9, 20)[:, None]
+            for start, end in seen.sides:
+                x, y = np.rint(start + share * (end - start)).astype(int).T
+                off_px.append(distance[y, x])
+    assert len(off_px) >= 12
+    assert np.median(np.median(off_px, axis=1)) < 1.5
+    assert np.median(np.percentile(off_px, 90, axis=1)) < 4.0
+
+
+def test_highlights_at_the_border_are_no_instruments():
+    """A ragged patch of glare is long, bright and without colour, as steel is, but has no straight sides: 5 of 6."""
+    counts = []
+    for seed in range(3, 9):
+        rng = np.random.default_rng(seed)
+        bgr = surgery_image(seed, count=0, border="none").bgr
+        for x in range(0, 260, 6):
+            centre = (x, int(240 + 0.2 * x + rng.normal(0.0, 9.0)))
+            axes = (int(rng.integers(4, 12)), int(rng.integers(4, 16)))
+            cv2.ellipse(bgr, centre, axes, float(rng.uniform(0, 180)), 0, 360, (250, 248, 252), cv2.FILLED)
+        counts.append(
+            len(AutoSegmenter().masks(np.asarray(cv2.GaussianBlur(bgr, (0, 0), 1.0), np.uint8)).seen)
+        )
+    assert counts.count(0) >= 5

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from svmdist.transforms import Array
-from svmdist.vision.lines import TangentPlane, axis_of_cylinder
+from svmdist.vision.lines import TangentPlane, axis_of_cylinder, line_between
 
 
 def silhouette_normals(p: Array, d: Array, radius_m: float) -> tuple[Array, Array]:
@@ -36,3 +36,15 @@ def test_axis_comes_back_from_its_silhouette_to_1e_9():
         assert axis is not None
         np.testing.assert_allclose(axis.point_m, p, atol=1e-9)
         np.testing.assert_allclose(axis.direction * np.sign(axis.direction @ d), d, atol=1e-9)
+
+
+def test_offsets_of_a_line_have_the_covariance_of_its_ends():
+    """The line's turn and shift, carried back to both ends, are the offsets that it was made of."""
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        ends, root = rng.normal(size=(2, 2)), rng.normal(size=(2, 2))
+        covariance = root @ root.T
+        line = line_between(ends, covariance)
+        np.testing.assert_allclose(ends @ line.normal, line.offset, atol=1e-12)
+        J = np.stack([(ends - line.centre) @ line.direction * -1.0, np.ones(2)], -1)
+        np.testing.assert_allclose(J @ line.covariance @ J.T, covariance, atol=1e-9)

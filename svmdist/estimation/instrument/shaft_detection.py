@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -11,12 +12,13 @@ from svmdist.camera import Camera
 from svmdist.least_squares import median, scale_of
 from svmdist.profile.settings import DistalMarkerSettings, ShaftSettings
 from svmdist.samples import Image
-from svmdist.transforms import Array
+from svmdist.transforms import Array, cross
 from svmdist.vision.edges import Disc, edge_blur_px, edge_points, fit_disc, shading_shift_px
 from svmdist.vision.lines import (
     POINT_CORRELATION_PX,
     Line,
     TangentPlane,
+    axis_of_cylinder,
     fit_line,
     line_between,
     tangent_plane,
@@ -118,6 +120,14 @@ def _median_saturation(image_hsv: Image, mask: Image) -> float:
 
 
 MIN_LINE_POINTS, MIN_END_POINTS = 5, 4
+NEAREST_M, FARTHEST_M = (
+    0.02,
+    0.5,
+)  # of a shaft's end: nearer it fills the view, farther no endoscope lights it
+MOST_STEEP = (
+    0.975  # of the axis along the view, 13° off it: with so short a shaft nothing tells that it is one
+)
+STEEP_LENGTH_WIDTHS = 2.5  # of such a shaft, from which on its taper does
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,8 +192,11 @@ def detect_shaft(
     return ShaftDetection(tuple(contours), rim, known, region.middle_px, region.is_stub)
 
 
-def detect_silhouette(silhouette: Silhouette | None, camera: Camera) -> ShaftDetection:
-    """Contours, end and wrist of a shaft whose silhouette was found, whatever its colour; `NO_SHAFT` for none."""
+def detect_silhouette(silhouette: Silhouette | None, camera: Camera, radius_m: float) -> ShaftDetection:
+    """Contours, end and wrist of a shaft whose silhouette was found, whatever its colour; `NO_SHAFT` for none.
+
+    None is it either that would stand elsewhere than a shaft of its radius can.
+    """
     if silhouette is None:
         return NO_SHAFT
     towards_tip, middle_px = silhouette.towards_tip, silhouette.middle_px
@@ -200,9 +213,26 @@ def detect_silhouette(silhouette: Silhouette | None, camera: Camera) -> ShaftDet
         contour = None if line is None else _contour_of(line, middle_px, outward, towards_tip, camera)
         if contour is not None and all(contour.side != other.side for other in contours):
             contours.append(contour)
+    if len(contours) == 2 and not _can_stand(contours, silhouette, camera, radius_m):
+        return NO_SHAFT
     end_px = silhouette.end_px
     rim = None if end_px is None else Rim(end_px, towards_tip, silhouette.std_px, silhouette.is_outline)
     return ShaftDetection(tuple(contours), rim, towards_tip, middle_px, silhouette.is_stub, silhouette.wrist)
+
+
+def _can_stand(contours: Sequence[Contour], silhouette: Silhouette, camera: Camera, radius_m: float) -> bool:
+    """Whether a shaft of a radius between two planes is before the camera, and no stub that points along the view."""
+    axis = axis_of_cylinder(contours[0].plane, contours[1].plane, radius_m)
+    if axis is None:
+        return False
+    place_px = silhouette.middle_px if silhouette.end_px is None else silhouette.end_px
+    ray = np.append(undistorted(camera, place_px[None])[0], 1.0)
+    # Where the ray passes the axis: the middle of what both planes leave of it.
+    across = cross(axis.direction, cross(ray, axis.direction))
+    depth_m = float(axis.point_m @ across) / float(ray @ across)
+    # Its wrist was taken for the taper of a shaft that comes from behind the camera.
+    is_steep = abs(float(axis.direction[2])) > MOST_STEEP and silhouette.length_widths < STEEP_LENGTH_WIDTHS
+    return NEAREST_M < depth_m < FARTHEST_M and not is_steep
 
 
 def wrist_marker(shaft: ShaftDetection) -> DistalMarker | None:
