@@ -1,4 +1,4 @@
-"""What the detections of one frame say to the filter: each becomes a measurement of a link, with noise and bias."""
+"""The method `fused`: the filter over time, with every factor of both views, begun where the images say."""
 
 from __future__ import annotations
 
@@ -12,7 +12,11 @@ from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.factors import Expected, MarkerPair, of_images, pair_markers, tag
-from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter, Start
+from svmdist.estimation.instrument.kinematic_error_filter import (
+    KinematicErrorFilter,
+    Start,
+    pose_distance,
+)
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.shaft_model import ShaftModel
 from svmdist.estimation.one_view import tool_from_tag
@@ -24,9 +28,6 @@ from svmdist.samples import JointSample, Status
 
 MAX_IMAGE_STD_M = 0.008  # a pose by one view that is less certain tells nothing of where to begin
 LOCATED_STD_M = 0.01  # a prediction as certain that agrees with the images needs no start by them
-CONTRADICTING_SHARE = (
-    0.3  # of what the filter measured, refused: the prediction is wrong, not the images' pose alone
-)
 MAX_CONTRADICTIONS = 3  # frames in a row: what hides an instrument misleads one or two
 YOUNG_S = 2.0  # how long a filter that has begun anew is held to be hardly surer than the images
 
@@ -68,12 +69,9 @@ class FusedEstimator:
         # Predict by the joints, begin anew where the images say so, correct by what they show.
         kalman = self._filter
         kalman.predict(robot)
-        image = self._image_pose(frame)
-        start = self._start(frame, image)
-        contradiction = 0.0 if start is not None or image is None else kalman.distance(image)
-        seen = self._seen(frame, start or kalman.tool_pose())
-        gating = kalman.update(seen)
-        said = self._watch(frame, image, contradiction, gating)
+        start = self._start(frame)
+        gating = kalman.update(self._seen(frame, start or kalman.tool_pose()))
+        said = self._watch(frame)
         height = self._followed.measure_height(frame, kalman)
 
         # The tool with the error found, and the distances from there.
@@ -108,19 +106,21 @@ class FusedEstimator:
             return fit.pose
         return None
 
-    def _start(self, frame: Frame, image: ToolPose | None) -> ToolPose | None:
+    def _start(self, frame: Frame) -> ToolPose | None:
         """Begin anew where it is due, and give the pose to linearise at; None where the filter goes on."""
         kalman = self._filter
-        if image is None:
-            return None
-        if not self._is_located:
-            # What was measured before may have led there already.
-            is_near = kalman.distance(image) <= chi_square_bound(6)
-            self._is_located = is_near and kalman.tool_pose().position_std_m < LOCATED_STD_M
         if self._is_located and self._contradictions < MAX_CONTRADICTIONS:
             return None
+        image = self._image_pose(frame)
+        if image is None:
+            return None
+        is_first, predicted = not self._is_located, kalman.tool_pose()
         self._is_located, self._has_agreed, self._contradictions = True, False, 0
-        self._begun_ns = frame.stamp_ns
+        self._begun_ns, self._image_variance_m2 = frame.stamp_ns, float(np.trace(image.position_covariance))
+        # What was measured before may have led there already.
+        is_sure = is_first and predicted.position_std_m < LOCATED_STD_M
+        if is_sure and pose_distance(image, predicted) <= chi_square_bound(6):
+            return None
         poses = [image]
         fit = frame.shaft_pose
         if not isinstance(fit, Failure) and fit.pose is not image:
@@ -157,38 +157,26 @@ class FusedEstimator:
         )
         return [*seen, *tag(frame, robot, predicted, share)]
 
-    def _watch(
-        self, frame: Frame, image: ToolPose | None, contradiction: float, gating: Sequence[GatingResult]
-    ) -> str:
-        """Why the images' pose, that far off, contradicts the prediction; empty where it does not.
+    def _watch(self, frame: Frame) -> str:
+        """Why the images contradict the prediction; empty where they do not.
 
-        That pose may be what is mistaken: what the filter takes must contradict the prediction, too. Until what agrees
-        has been seen for a while, the filter is hardly surer than the images.
+        Until what agrees has been seen for a while, a filter that has begun anew is hardly surer than the images.
         """
-        consistency = self._filter.consistency
+        consistency, age = self._filter.consistency, YOUNG_S
         consistency.excess = 1.0
-        degrees = sum(judged.degrees_of_freedom for judged in gating)
-        refused = sum(judged.degrees_of_freedom for judged in gating if not judged.is_accepted)
-        if image is not None:
-            self._image_variance_m2 = float(np.trace(image.position_covariance))
-        if self._begun_ns is None:
-            self._begun_ns = frame.stamp_ns
-        age = (frame.stamp_ns - self._begun_ns) / 1e9
+        if self._begun_ns is not None:
+            age = (frame.stamp_ns - self._begun_ns) / 1e9
         if age < YOUNG_S:
             own_m2 = float(np.trace(self._filter.tool_pose().position_covariance)) / consistency.widening
             more = max(self._image_variance_m2 / own_m2 - 1.0, 0.0)
             consistency.excess = 1.0 + (1.0 - age / YOUNG_S) * more
-        is_off = contradiction > chi_square_bound(6) and refused >= CONTRADICTING_SHARE * max(degrees, 1)
+        is_off = self._filter.has_jumped
         if not is_off and not consistency.doubt:
             self._contradictions, self._has_agreed = 0, self._has_agreed or age >= YOUNG_S
             return ""
         # What never agreed would begin anew for ever.
         self._contradictions += is_off or self._has_agreed
-        return (
-            f"what the images show is {np.sqrt(contradiction):.0f} deviations from the prediction"
-            if is_off
-            else ""
-        )
+        return "the images contradict the prediction, as if the camera had moved" if is_off else ""
 
 
 def _detail(gating: Sequence[GatingResult], height: GatingResult | None) -> str:

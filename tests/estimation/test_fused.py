@@ -99,7 +99,7 @@ def test_fused_rejects_an_outlier_and_follows_a_base_that_jumped(scene, profile)
     seen = observe(scene, 2.0, shift_m)
     wild = estimator.estimate(replace(seen, image_bgr=scene.frame_at(3.5)))
     assert wild.status is Status.INCONSISTENT
-    assert "deviations from the prediction" in wild.detail
+    assert "contradict the prediction" in wild.detail
     after = estimator.estimate(observe(scene, 2.05, shift_m))
     assert after.status is Status.OK
     assert across_m(after, scene, 2.05) < 0.3e-3

@@ -7,6 +7,7 @@ Little and Taylor 1989 for Student's t), so that nothing is refused by a gate th
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +34,8 @@ from svmdist.transforms import Array
 MAX_ITERATIONS = 12
 SETTLED = 1e-2  # of a standard deviation: a state that moves nothing by more has come to rest
 UNSEEN_SQUARE = 50.0  # a start pays for a measurement that it cannot see as for one so far off
+JUMP = np.diag([0.02**2] * 3 + [0.05**2] * 3)  # m², rad²: an endoscope that is pushed
+JUMP_PRICE = 13.8  # twice the logarithm of how rarely that happens: in one frame of a thousand
 TINY_POSE = np.diag([1e-10] * 3 + [1e-8] * 3)  # m², rad²: an image's pose is never surer
 
 
@@ -68,6 +71,8 @@ class KinematicErrorFilter:
         self._state = ErrorState(self._model)
         self._start_x: Array | None = None
         self._age_s = 0.0
+        self.has_jumped = False
+        """Whether the last measurements are rather those of a camera or a base that was moved: they changed nothing."""
         self.consistency = Consistency(self._settings)
 
     @property
@@ -95,12 +100,6 @@ class KinematicErrorFilter:
             elapsed_s = max(0.0, (robot.stamp_ns - before) / 1e9)
             self._age_s += elapsed_s
             self._state.propagate(elapsed_s)
-
-    def distance(self, pose: ToolPose) -> float:
-        """Squared deviation of an image's pose from the predicted one: six degrees of freedom."""
-        part = self._state.linearise([as_measurement(pose)])[0]
-        S = part.H @ self.covariance @ part.H.T + part.noise
-        return float(part.residual @ np.linalg.solve(S, part.residual))
 
     def begin(self, starts: Sequence[Start]) -> int:
         """Forget what was measured and begin where prior and measurements are the most probable; gives which start.
@@ -130,7 +129,7 @@ class KinematicErrorFilter:
     def update(self, measurements: Sequence[LinkMeasurement]) -> tuple[GatingResult, ...]:
         """Take up what the image shows; gives how each measurement agrees with the prediction."""
         state, start = self._state, self._start_x
-        self._start_x = None
+        self._start_x, self.has_jumped = None, False
         there = state if start is None else state.retracted(self._padded(start))
         parts = there.linearise(measurements)
         visible = [index for index, part in enumerate(parts) if part.is_finite]
@@ -146,8 +145,10 @@ class KinematicErrorFilter:
                     results.append(
                         GatingResult(measurement.name, float(nis), size, float(weight), measurement.source)
                     )
-                state.retract(found.x)
-                state.update_covariance(found.K, found.H, found.R)
+                self.has_jumped = start is None and self._prefers_jump(seen, found)
+                if not self.has_jumped:
+                    state.retract(found.x)
+                    state.update_covariance(found.K, found.H, found.R)
         if start is None:
             self.consistency.add(state.robot.stamp_ns, results)
         late_std_s = self._model.time_offset_std_s(self._age_s)
@@ -209,6 +210,21 @@ class KinematicErrorFilter:
     def _padded(self, x: Array) -> Array:
         return np.concatenate([x, np.zeros(len(self._state.P) - len(x))])
 
+    def _prefers_jump(self, measurements: Sequence[LinkMeasurement], found: Solution) -> bool:
+        """Whether measurements are more probable after a jump of the base than as wild ones, by Bayes' factor."""
+        degrees = sum(len(measurement.covariance) for measurement in measurements)
+        if found.innovations.sum() < chi_square_bound(degrees):
+            return False
+        there = copy(self._state)
+        there.P = self._state.P.copy()
+        there.P[:6, :6] += JUMP
+        moved = most_probable(there, measurements, np.zeros(len(there.P)))
+        if moved is None:
+            return False
+        return _evidence(moved, there.P, measurements) + JUMP_PRICE < _evidence(
+            found, self._state.P, measurements
+        )
+
     def _begin_at(self, pose: ToolPose | None) -> None:
         """The prior, linearised where a pose puts the tool, and widened where that would surprise it."""
         state = self._state
@@ -245,10 +261,7 @@ class KinematicErrorFilter:
         found = most_probable(self._state, measurements, self._padded(x))
         if found is None:
             return np.inf, None
-        fits = zip(found.residuals, measurements, strict=True)
-        of_prior = found.nis - float(found.weights @ found.residuals)
-        cost = of_prior + sum(_heavy_tailed(float(square), seen.covariance) for square, seen in fits)
-        return cost, found.x
+        return _robust_cost(found, measurements), found.x
 
 
 def most_probable(
@@ -314,6 +327,26 @@ def as_measurement(
     return PoseMeasurement(
         name, None, np.eye(4), pose.T_camera_tool, (1.0 - share) * C, share * C, correlation_time_s
     )
+
+
+def _robust_cost(found: Solution, measurements: Sequence[LinkMeasurement]) -> float:
+    """Minus twice the logarithm of prior and heavy-tailed likelihood at a solution, but for constants."""
+    fits = zip(found.residuals, measurements, strict=True)
+    of_prior = found.nis - float(found.weights @ found.residuals)
+    return of_prior + sum(_heavy_tailed(float(square), seen.covariance) for square, seen in fits)
+
+
+def _evidence(found: Solution, P: Array, measurements: Sequence[LinkMeasurement]) -> float:
+    """Minus twice the logarithm of the measurements' probability under a prior (Laplace's approximation)."""
+    told = np.linalg.slogdet(found.H @ P @ found.H.T + found.R)[1] - np.linalg.slogdet(found.R)[1]
+    return _robust_cost(found, measurements) + float(told)
+
+
+def pose_distance(image: ToolPose, predicted: ToolPose) -> float:
+    """Squared deviation of an image's pose from a predicted one: six degrees of freedom."""
+    found = as_measurement(image).linearise(predicted.T_camera_tool)
+    J = found.derivative
+    return _square(found.residual, image.covariance + TINY_POSE + J @ predicted.covariance @ J.T)
 
 
 def _is_about(pose: ToolPose, T_camera_tool: Array) -> bool:
