@@ -22,6 +22,7 @@ class Part(StrEnum):
     MATCH = "match"
     INLIER = "inlier"
     SHAFT = "shaft"
+    POSE = "pose"
     TAG = "tag"
     DISTANCE = "distance"
     BETWEEN = "between"
@@ -35,6 +36,7 @@ COLOURS: dict[Part, Rgb] = {
     Part.MATCH: (160, 160, 160),
     Part.INLIER: (240, 228, 66),
     Part.SHAFT: (213, 94, 0),
+    Part.POSE: (0, 114, 178),
     Part.TAG: (204, 121, 167),
     Part.DISTANCE: (255, 255, 255),
     Part.BETWEEN: (230, 159, 0),

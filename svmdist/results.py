@@ -23,6 +23,14 @@ class Failure:
 
 
 @dataclass(frozen=True, slots=True)
+class Hinge:
+    """The wrist's hinge in the camera frame, shape (3,), and its covariance, shape (3, 3)."""
+
+    position_m: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True)
 class ToolPose:
     """`T_camera_tool`, shape (4, 4), and the covariance of its error (δp, δθ), shape (6, 6), in the camera frame.
 
@@ -34,6 +42,7 @@ class ToolPose:
     covariance: Array
     axis: Array
     axis_std_rad: float | None = None  # the worse of two directions across it; None: by the covariance
+    hinge: Hinge | None = None  # where the shaft ends in the wrist; None: by the joints
 
     @property
     def position_m(self) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.tissue import TissuePose
+from svmdist.estimation.verification import contradiction
 from svmdist.geometry.distance import Separation, capsule_separation, separation
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose, as_pixel, as_vector
 from svmdist.samples import Status
@@ -48,7 +49,7 @@ def measured(
     if not (np.all(np.isfinite(offset_m)) and np.all(np.isfinite(covariance))):
         return result.rejected(Status.NOT_FINITE)
     planar, spatial = _length(offset_m[:2], covariance[:2, :2]), _length(offset_m, covariance)
-    clearance = None
+    clearance = capsules = None
     if frame.arm.body is not None:
         capsules = frame.arm.body.posed(pose, tool.joints, tool.has_plate)
         gap = separation(capsules, tissue.surface)
@@ -57,8 +58,10 @@ def measured(
         overlap_std_m = float(np.hypot(std_m, max(-gap.distance_m, 0.0)))
         ends = as_vector(gap.direction), as_vector(gap.on_instrument_m)
         clearance = Distance(gap.distance_m, overlap_std_m, *ends, std_m)
-    distances = Distances(planar, spatial, clearance)
-    return replace(with_tool(result, frame, tool), status=Status.OK, distances=distances)
+    result = with_tool(result, frame, tool)
+    if reason := contradiction(frame, pose, capsules):
+        return result.rejected(Status.INCONSISTENT, reason)
+    return replace(result, status=Status.OK, distances=Distances(planar, spatial, clearance))
 
 
 def with_tool(result: FrameResult, frame: Frame, tool: ToolEstimate) -> FrameResult:

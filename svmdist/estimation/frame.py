@@ -44,7 +44,7 @@ class View:
         self.context = context
         self._arm = arm
         self._settings = arm.profile.settings
-        self._others = others
+        self.others = others
 
     @property
     def found(self) -> dict[str, Any]:
@@ -55,13 +55,13 @@ class View:
     def masks(self) -> Masks:
         """What is what, at normalised exposure, without the other instruments."""
         masks = self.context.masks
-        return masks if self._others is None else InstrumentMasks(masks, self._others)
+        return masks if self.others is None else InstrumentMasks(masks, self.others)
 
     @cached_property
     def masks_as_recorded(self) -> Masks:
         """The same of the image as it is, for the paper's methods."""
         masks = self.context.masks_as_recorded
-        return masks if self._others is None else InstrumentMasks(masks, self._others)
+        return masks if self.others is None else InstrumentMasks(masks, self.others)
 
     @property
     def tag_corners_px(self) -> Array | None:

@@ -89,7 +89,7 @@ class FusedEstimator:
             return result.rejected(Status.NO_TISSUE, "no tissue, in this frame or before")
         placed, coupling = self._followed.placed(tissue, frame, kalman)
         found = measured(result, frame, tool, placed, coupling)
-        doubt = said or consistency.doubt if found.measured else ""
+        doubt = said or consistency.doubt if found.status in (Status.OK, Status.INCONSISTENT) else ""
         return replace(found.rejected(Status.INCONSISTENT, doubt), distances=Distances()) if doubt else found
 
     def _image_pose(self, frame: Frame) -> ToolPose | None:

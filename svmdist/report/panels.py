@@ -268,7 +268,7 @@ def _surface(frame: DrawnFrame, pixels: Image) -> Image:
     return pixels
 
 
-_RESULT = (Part.TIP, Part.TISSUE, Part.MARKER, Part.DISTANCE, Part.BETWEEN)
+_RESULT = (Part.TIP, Part.TISSUE, Part.MARKER, Part.POSE, Part.DISTANCE, Part.BETWEEN)
 _PHASES: dict[Phase, Callable[[DrawnFrame, Image], Image] | tuple[Part, ...]] = {
     "segmentation": _segmentation,
     "contours": (Part.TISSUE, Part.INSTRUMENT),

@@ -15,6 +15,7 @@ from svmdist.drawing import Form, FrameDrawing, Label, Part, Segment, Shape, Sta
 from svmdist.errors import UsageError
 from svmdist.estimation.alarms import AlarmRules, AlarmState, AlarmWatch
 from svmdist.estimation.frame import Frame
+from svmdist.estimation.instrument.model import shaft_sections
 from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, ShaftDetection
 from svmdist.estimation.planar import mark, template_features
 from svmdist.geometry import Mesh
@@ -118,8 +119,15 @@ def frame_drawing(
             shapes.append(line)
             labels.setdefault((label.part, label.text), label)  # that between two instruments is written once
         tool, body = result.tool, frame.arm.body
-        if tool is not None and body is not None and result.measured:
-            bodies[result.instrument] = body.posed(tool.pose, tool.joints, tool.has_plate)
+        if tool is None or body is None:
+            continue
+        capsules = body.posed(tool.pose, tool.joints, tool.has_plate)
+        if result.measured:
+            bodies[result.instrument] = capsules
+        # Also of a pose that the image refutes: then it shows why.
+        if (seen := shaft_sections(frame.left.camera, capsules)) is not None:
+            outline = Shape(Part.POSE, Form.LOOP, seen.outline_px, result.instrument)
+            shapes.append(_through_lens(outline, scene.lens))
     tissue = scene.found.get("tissue")
     mesh = tissue.pose.surface if tissue is not None and tissue.pose is not None else None
     return FrameDrawing(

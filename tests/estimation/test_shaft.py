@@ -7,13 +7,14 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.estimation.frame import frame_of
 from svmdist.estimation.instrument.image_pose import ImagePose
+from svmdist.estimation.instrument.model import InstrumentModel, shaft_sections
 from svmdist.estimation.scene import Arm
 from svmdist.profile import Profile, load_profile
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.results import Failure
 from svmdist.samples import Observation
 from svmdist.vision.segmentation import make_segmenter
-from tests.pictures import PALE_BGR, RED_BGR, WRIST_M, ShaftImage, entering_from
+from tests.pictures import END_M, PALE_BGR, RED_BGR, WRIST_M, ShaftImage, entering_from
 
 PROFILE = load_profile().model_copy(update={"fiducial": None})
 SMALL = Camera.from_horizontal_fov(640, 480, np.pi / 3)
@@ -85,6 +86,13 @@ def test_steel_tip_without_a_coloured_part(side):
     check(drawn, fit, axis_rad=0.02, across_m=1e-3, depth_m=1.5e-3)
     assert "end" in fit.used
     assert np.sqrt(np.linalg.eigvalsh(fit.pose.position_covariance)[-1]) > 0.3 * WRIST_M
+    # The instrument's model, too, has its shaft where it is seen, however its wrist is bent.
+    assert fit.pose.hinge is not None
+    shaft = shaft_sections(SMALL, InstrumentModel.of(PROFILE).posed(fit.pose))
+    along = drawn.hinge_m + np.linspace(-0.3, -END_M, 300)[:, None] * drawn.direction
+    middle_px = SMALL.project(along[along[:, 2] > 0.02])
+    off_px = np.linalg.norm(shaft.middles_px[:, None] - middle_px, axis=2).min(1)
+    assert np.median(off_px / shaft.half_px) < 0.2
 
 
 @pytest.mark.parametrize("side", list(SIDES)[:4])
@@ -96,7 +104,7 @@ def test_axis_without_colours(side, scene):
     fit = find_tool(Observation(0, drawn.draw(2), SMALL), profile)
     assert isinstance(fit, ImagePose), fit
     assert np.arccos(np.clip(fit.pose.axis @ drawn.direction, -1.0, 1.0)) < np.deg2rad(2.0)
-    off_m = fit.hinge_m - drawn.tool_m
+    off_m = fit.pose.hinge.position_m - drawn.tool_m
     assert np.linalg.norm(off_m - (off_m @ drawn.direction) * drawn.direction) < 0.02 * drawn.tool_m[2]
 
 

@@ -7,7 +7,7 @@ certain as kinematics say. Sides, end, marker and disparity are the same measure
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,10 +37,9 @@ MAX_REFUSED_SHARE = 1.0 / 3.0  # of what was measured: with more refused nothing
 
 @dataclass(frozen=True, slots=True)
 class ImagePose:
-    """The tool's pose, the wrist's hinge (3,) in the camera frame, the measurements that carry them, and any doubt."""
+    """The tool's pose with its wrist's hinge, the measurements that carry it, and any doubt."""
 
     pose: ToolPose
-    hinge_m: Array
     used: tuple[str, ...]
     doubt: str
 
@@ -131,7 +130,7 @@ def _located(
         return Failure("the fit does not converge")
     axis = frame.arm.shaft_axis
     assert axis is not None  # the model has its frame
-    T_camera_link = kalman.link_pose(axis.link)
-    hinge_m = T_camera_link[:3, :3] @ hinge_on_link(chain, axis.link) + T_camera_link[:3, 3]
     used = tuple(one.name for one in judged if one.is_accepted)
-    return ImagePose(kalman.tool_pose(), hinge_m, used, kalman.consistency.doubt)
+    hinge = kalman.hinge(axis.link, hinge_on_link(chain, axis.link))
+    pose = replace(kalman.tool_pose(), hinge=hinge)
+    return ImagePose(pose, used, kalman.consistency.doubt)

@@ -28,8 +28,8 @@ from svmdist.kinematics import DHChain, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import KinematicError
 from svmdist.profile.settings import FilterSettings
-from svmdist.results import ToolPose, across_std_rad
-from svmdist.transforms import Array
+from svmdist.results import Hinge, ToolPose, across_std_rad
+from svmdist.transforms import Array, skew
 
 MAX_ITERATIONS = 12
 SETTLED = 1e-2  # of a standard deviation: a state that moves nothing by more has come to rest
@@ -193,9 +193,13 @@ class KinematicErrorFilter:
         of_axis = across_std_rad(widening * turn @ self.covariance @ turn.T, self.shaft_axis())
         return ToolPose(tool.T_camera_link, covariance, self.shaft_axis(), of_axis)
 
-    def link_pose(self, name: str | None) -> Array:
-        """The corrected pose of a link in the camera frame, shape (4, 4); of the tool for None."""
-        return self._state.link(name).T_camera_link
+    def hinge(self, name: str, p_link_m: Array) -> Hinge:
+        """The wrist's hinge, from where it is in the frame of a link, shape (3,)."""
+        link = self._state.link(name)
+        arm_m = link.T_camera_link[:3, :3] @ p_link_m
+        J = link.derivative[:3] - skew(arm_m) @ link.derivative[3:]
+        covariance = self.consistency.widening * (J @ self.covariance @ J.T)
+        return Hinge(link.T_camera_link[:3, 3] + arm_m, covariance)
 
     def corrected_joints(self) -> Array:
         """Reported joints at the corrected time, with offsets and play, shape (n_joints,)."""

@@ -1,4 +1,4 @@
-"""The instrument as capsules: its parts as the profile gives them, posed by the tool and the wrist."""
+"""The instrument as capsules, posed by the tool and the wrist, and its shaft as a camera sees it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from svmdist.camera import Camera
 from svmdist.errors import KinematicsError
 from svmdist.geometry import Capsules, join
 from svmdist.kinematics import (
@@ -24,6 +25,7 @@ from svmdist.profile.robot import Fiducial, Instrument
 from svmdist.results import ToolPose
 from svmdist.samples import JointSample
 from svmdist.transforms import Array, cross, inverse
+from svmdist.vision.lines import tangent_normal
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +132,7 @@ WRIST_LENGTH_PER_RADIUS = (
     3.4  # from the wrist's hinge to the tool over its radius, where no chain tells: 9.1 / 2.7
 )
 NECK_PER_RADIUS = 2.2  # the shaft begins this many radii of the wrist behind the hinge
+SHAFT_CAP = 0.5  # from a flat end of the shaft to its capsule's, in radii: half of the cap is beyond it
 TINE_RADIUS_M = (
     0.0005  # of the fork's rods beside the distal marker, whose thickness does not follow its size
 )
@@ -178,7 +181,7 @@ class InstrumentModel:
         kinematics = self._kinematics
         q = joints_of(kinematics.chain, joints) if kinematics is not None else None
         if kinematics is None or q is None:
-            return self._rods.about(self._straight_wrist(pose))
+            return self._rods.about(self._wrist_without_joints(pose))
         frames = frame_transforms(kinematics.chain, q)
         body = self._rods.about(kinematics.wrist_in_tool(frames, q))
         if has_plate and self._fiducial is not None and self._plate is not None:
@@ -187,14 +190,17 @@ class InstrumentModel:
             body = join(body, self._plate.transformed(T_tool_base @ T_base_link @ self._fiducial.T_link_tag))
         return body.transformed(pose.T_camera_tool)
 
-    def _straight_wrist(self, pose: ToolPose) -> Wrist:
+    def _wrist_without_joints(self, pose: ToolPose) -> Wrist:
         tool_m, axis = pose.position_m, pose.axis
         length_m = WRIST_LENGTH_PER_RADIUS * self._instrument.wrist_radius_m
         if self._kinematics is not None:
             length_m = self._kinematics.length_m
         side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
         pivot = side / np.linalg.norm(side)
-        return Wrist(tool_m - length_m * axis, tool_m, axis, pivot, jaws_of(axis, pivot, 0.0))
+        if pose.hinge is None or self._kinematics is None:
+            return Wrist(tool_m - length_m * axis, tool_m, axis, pivot, jaws_of(axis, pivot, 0.0))
+        jaws = pose.T_camera_tool[:3, :3] @ self._kinematics.straight
+        return Wrist(pose.hinge.position_m, tool_m, axis, pivot, jaws_of(jaws, pivot, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,9 +228,9 @@ def _rods(instrument: Instrument, wrist: Wrist) -> list[tuple[Array, Array, floa
     marker_m = instrument.knuckle_radius_m
     hinge, tool, back = wrist.hinge_m, wrist.tool_m, -wrist.shaft
     neck_m = NECK_PER_RADIUS * wrist_m
-    far_m = max(instrument.shaft_length_m - 0.5 * shaft_m, neck_m + 0.5 * shaft_m)
+    far_m = max(instrument.shaft_length_m - SHAFT_CAP * shaft_m, neck_m + SHAFT_CAP * shaft_m)
     rods: list[tuple[Array, Array, float]] = [
-        (hinge + (neck_m + 0.5 * shaft_m) * back, hinge + far_m * back, shaft_m),
+        (hinge + (neck_m + SHAFT_CAP * shaft_m) * back, hinge + far_m * back, shaft_m),
         (hinge, hinge + neck_m * back, wrist_m),
         (tool, tool, marker_m),
     ]
@@ -256,3 +262,55 @@ def _blade(instrument: Instrument, tool: Array, jaw: Jaw) -> Iterator[tuple[Arra
         end_m = end * length_m - (radius_m if end == 1.0 else 0.0)
         axis = base + offset * half_width_m * jaw.beside
         yield axis + start * length_m * jaw.along, axis + max(end_m, 0.0) * jaw.along, radius_m
+
+
+NEAR_M = 1e-3  # what is nearer to the camera has no image
+FINE = 200  # points of the axis among which the visible ones are chosen
+SECTIONS = 24  # of the visible shaft
+HINGE = 1  # the capsule that starts at the wrist's hinge: see `_rods`
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftSections:
+    """The visible shaft cut across in the image, from its end on: n cuts, evenly along it.
+
+    The points of the axis are in the camera frame, `middles_px` (n, 2) between both sides, and `across` (n, 2) unit
+    vectors from one side to the other, which are `half_px` (n,) to either side. `length_px` is from first to last.
+    """
+
+    axis_m: Array
+    middles_px: Array
+    across: Array
+    half_px: Array
+    length_px: float
+
+    @property
+    def outline_px(self) -> Array:
+        """The outline, shape (2 n, 2): along one side away from the tip, and back along the other."""
+        aside_px = self.half_px[:, None] * self.across
+        return np.concatenate([self.middles_px - aside_px, (self.middles_px + aside_px)[::-1]])
+
+
+def shaft_sections(camera: Camera, body: Capsules) -> ShaftSections | None:
+    """The sections of an instrument's shaft, its first capsule, in the camera frame; None where it is not in view."""
+    radius_m, far_m = float(body.radius_m[0]), body.end_m[0]
+    along = (far_m - body.start_m[0]) / np.linalg.norm(far_m - body.start_m[0])
+    # The capsule's round end stands for a flat one: see `_rods`.
+    points_m = np.linspace(body.start_m[0] - SHAFT_CAP * radius_m * along, far_m, FINE)
+    sides = [tangent_normal(points_m[0], along, radius_m, side)[0] for side in (-1, 1)]
+    points_m = points_m[points_m[:, 2] > radius_m + NEAR_M]
+    if len(points_m) < 2 or not np.isfinite(sides).all():
+        return None
+    both_px = np.stack([camera.project(points_m - radius_m * side) for side in sides])
+    last_px = [camera.width_px - 1, camera.height_px - 1]
+    visible = np.asarray(((both_px >= 0.0) & (both_px <= last_px)).all(-1).any(0))
+    if np.count_nonzero(visible) < 2:
+        return None
+    visible[1:] |= visible[:-1].copy()  # one more: the outline reaches the picture's border
+    middles_px = both_px.mean(0)
+    way_px = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(middles_px[visible], axis=0), axis=1)))
+    chosen = np.flatnonzero(visible)[np.searchsorted(way_px, np.linspace(0.0, way_px[-1], SECTIONS))]
+    across_px = both_px[1, chosen] - both_px[0, chosen]
+    width_px = np.linalg.norm(across_px, axis=1)
+    across = across_px / width_px[:, None]
+    return ShaftSections(points_m[chosen], middles_px[chosen], across, 0.5 * width_px, float(way_px[-1]))
