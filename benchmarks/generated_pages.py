@@ -21,40 +21,17 @@ from svmdist.workflows.metric_table import Output, Tolerance, figure_metrics, sc
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
-SETTINGS_HEAD = """# Settings
-
-What a user may have reason to change; the defaults serve most logs. `stereo.near_m` is the key `near_m` of a profile's
-table `[settings.stereo]`. A value outside its bounds is an error. Settings that became constants are
-named in one line of warning, and ignored.
-
-"""
 REASON = re.compile(r"(?<!\d): .*$")  # what follows a colon says why, which is for who reads the code
 
-COLUMNS_HEAD = """# Columns and metrics
 
-The columns of rows and scores in CSV, JSON and Parquet, in SI units. An undefined value is an empty cell or `null`.
-Columns may be added at the end; none is renamed or removed.
-
-## Rows of `svmdist estimate`
-
-"""
-METRICS_HEAD = """
-## Metrics of `svmdist validate` and `svmdist compare`
-
-Without a prefix a metric is about the planar distance; `spatial_` and `clearance_` are about the other two. A
-baseline stores the metrics that have a tolerance: an amount, or a share of the stored value where that is more. 95 %
-intervals are moving-block bootstrap (Künsch 1989).
-
-"""
-
-
-def metrics_page(_: str) -> str:
-    """All columns; those with the same meaning stand in one line."""
+def metrics_page(page: str) -> str:
+    """The page with all columns and metrics; those with the same meaning stand in one line."""
     metrics = {metric.key: metric for metric in (*score_metrics(), *figure_metrics())}.values()
     rows = [(one.key, one.given_by, one.meaning) for one in ESTIMATE_COLUMNS if one.stored]
     shown = [metric for metric in metrics if metric.outputs & (Output.SCORES | Output.FIGURES)]
     figures = [(one.key, tolerance(one.tolerance, one.unit.name), one.meaning) for one in shown]
-    return COLUMNS_HEAD + by_meaning("given by", rows) + METRICS_HEAD + by_meaning("tolerance", figures)
+    page = with_table(page, "columns", by_meaning("given by", rows))
+    return with_table(page, "metrics", by_meaning("tolerance", figures))
 
 
 def by_meaning(second: str, rows: Sequence[tuple[str, str, str]]) -> str:
@@ -73,14 +50,14 @@ def tolerance(of: Tolerance | None, unit: str) -> str:
     return f"{absolute} or {100 * of.relative:g} %" if of.relative else absolute
 
 
-def settings_page(_: str) -> str:
-    """One row per setting."""
+def settings_page(page: str) -> str:
+    """The page with one row per setting."""
     rows = (
         (f"`{name}.{key}`", str(getattr(group, key)), REASON.sub(".", text, 1))
         for name, group in Settings()
         for key, text in meanings(type(group)).items()
     )
-    return SETTINGS_HEAD + table(("setting", "default", "meaning"), rows)
+    return with_table(page, "settings", table(("setting", "default", "meaning"), rows))
 
 
 def meanings(group: type[StrictModel]) -> dict[str, str]:
@@ -158,4 +135,4 @@ PAGES: dict[str, Callable[[str], str]] = {
 if __name__ == "__main__":
     for place, make in PAGES.items():
         page = DOCS / place
-        page.write_text(make(page.read_text("utf-8") if page.exists() else ""), "utf-8")
+        page.write_text(make(page.read_text("utf-8")), "utf-8")

@@ -1,20 +1,17 @@
 """docs/real-data.md: what each method measures on public images of real instruments, fetched beforehand to a folder.
 
 `uv run python -m benchmarks.real_images FOLDER [--out DIR] [--write]` runs on whatever of the sets is in FOLDER: thrust
-(fdheenmo/thrust), SuPer Deep (ambareeshsrja16/Surgical_Tool_Tracking), ReCoDE
-(ImperialCollegeLondon/ReCoDE-HandEyeCalibration) and the tags of AprilRobotics/apriltag. Logs and profiles in DIR are
-made by the program's own commands.
+(fdheenmo/thrust) and SuPer Deep (ambareeshsrja16/Surgical_Tool_Tracking). Logs and profiles in DIR are made by the
+program's own commands.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
-import re
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +28,6 @@ from svmdist.kinematics import chain_of, forward_kinematics
 from svmdist.profile import Profile, load_profile
 from svmdist.results import FrameResult
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation, rotation_of, rotation_vector
-from svmdist.vision.tags import find_every_tag
 
 CHI_95, CHI_5_STD = 7.81, 31.8
 """Squares of normalised errors of 3 degrees of freedom: 95 %, and what five deviations of one are as unlikely as."""
@@ -55,8 +51,6 @@ SUPER_DEEP_COLUMNS = (
 LABELS = "CollectedData_Ambar.csv"
 WRISTS = {"left": "left_logobody_head_tip", "right": "right_logobody_head_tip"}
 """The label at the distal end of the wrist's body, where the jaws' joint begins, of each instrument."""
-RECODE = Path("ReCoDE-HandEyeCalibration", "input")
-TAGS = Path("apriltag", "test", "data")
 
 
 def run(*arguments: object) -> None:
@@ -276,48 +270,7 @@ def labelled_wrists(folder: Path) -> dict[int, dict[str, Array]]:
     return found
 
 
-def recode(folder: Path, out: Path) -> Iterator[str]:
-    """50 stations of a dVRK instrument with two coloured balls on its shaft; nothing says where the tool is."""
-    K = np.loadtxt(folder / RECODE / "Acusense_RGB_K.txt")
-    camera = ("--camera", f"{K[0, 0]},{K[1, 1]},{K[0, 2]},{K[1, 2]}")
-    joints = ("--joints", f"PSM1={folder / RECODE / 'q_history.txt'}", "--joint-names", "yaw,pitch,insertion")
-    log, profile = make_log(out / "recode.mcap", folder / RECODE / "RGB", "--rate", 1, *camera, *joints)
-    rows, total = rows_of(log, profile, "shaft")
-    std_mm = [1e3 * row.tool.pose.position_std_m for row in rows if row.tool]
-    yield "### ReCoDE: a dVRK instrument with two balls on its shaft, 50 images of 800x600\n\n"
-    columns = ("method", "rows", "standard deviation of the tool [mm], median")
-    yield table(columns, [("`shaft`", f"{len(rows)} of {total}", number(std_mm, digits=1))])
-
-
-def tags(folder: Path, _: Path) -> Iterator[str]:
-    """Photographs of tags, with corners that count from a pixel's corner, ours from its middle.
-
-    They are those of AprilTag without its refinement of edges, so that they have errors of their own.
-    """
-    known, errors_px = 0, [np.empty(0)]
-    for path in sorted((folder / TAGS).glob("*.txt")):  # a line per tag: `id, (x y), (x y), (x y), (x y)`
-        image = np.asarray(cv2.imread(str(path.with_suffix(".jpg")), cv2.IMREAD_GRAYSCALE), np.uint8)
-        found = find_every_tag(image, "36h11")
-        for line in path.read_text().splitlines():
-            numbers = re.findall(r"-?\d+\.\d+", line)
-            if len(numbers) != 8:
-                continue
-            known += 1
-            true_px = np.array(numbers, float).reshape(4, 2) - 0.5
-            side_px = np.linalg.norm(true_px - np.roll(true_px, 1, 0), axis=1).mean()
-            alike = [c for tag, c in found if tag == int(line.split(",")[0])]
-            near = [c for c in alike if np.linalg.norm(np.mean(c - true_px, 0)) <= 0.3 * side_px]
-            # Whichever corner is the first.
-            orders = [np.roll(c, k, 0) for one in near for c, k in product((one, one[::-1]), range(4))]
-            off_px = [np.linalg.norm(order - true_px, axis=1) for order in orders]
-            errors_px += [min(off_px, key=np.sum)] if off_px else []
-    corners_px = np.concatenate(errors_px)
-    yield "### AprilTag: photographs of tags\n\n"
-    cells = (f"{len(corners_px) // 4} of {known}", share(corners_px < 0.5), number(corners_px))
-    yield table(("tags found", "corners within 0.5 px", "px, median"), [cells])
-
-
-SETS = {THRUST: thrust, SUPER_DEEP: super_deep, RECODE: recode, TAGS: tags}
+SETS = {THRUST: thrust, SUPER_DEEP: super_deep}
 
 
 if __name__ == "__main__":

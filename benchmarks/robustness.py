@@ -24,8 +24,7 @@ WORLDS = (
     *("shaft_radius=5", "knuckle_radius=5", "tag_size=2", "wrist_length=1"),
     *("backlash=0.5", "lag=80", "plane=1", "zoom=1.1"),
 )
-FAR_STDS = 5.0
-"""So many standard deviations off is not bad luck: one frame in two million, if the deviations are right."""
+FAR_STDS = 5.0  # is not bad luck: one frame in two million, if the deviations are right
 
 
 def robustness_table(runs: Sequence[MethodScore]) -> str:
@@ -40,12 +39,12 @@ def robustness_table(runs: Sequence[MethodScore]) -> str:
     return table(("what differs", *(f"`{method}`" for method in METHODS)), rows)
 
 
-def cell(runs: Sequence[MethodScore]) -> str:
+def cell(runs: Sequence[MethodScore], distance: str = "spatial") -> str:
     """RMSE in mm, the share of truths inside the 95 % interval, and the frames that are far off or not measured."""
     count = sum(run.figures.frame_count for run in runs)
     missing = 1.0 - sum(run.figures.measured_count for run in runs) / count
     text = "–"
-    if score := pooled_score([run.figures.spatial for run in runs]):
+    if score := pooled_score([getattr(run.figures, distance) for run in runs]):
         text = f"{1e3 * score.statistics.rmse:.2f} ({100 * (score.interval_coverage or 0.0):.0f})"
         off_m = np.abs(score.pairs.estimate_m - score.pairs.truth_m)
         known = np.isfinite(score.pairs.std_m)
@@ -55,8 +54,7 @@ def cell(runs: Sequence[MethodScore]) -> str:
 
 
 if __name__ == "__main__":
-    paths = [argument for argument in sys.argv[1:] if argument != "--write"]
-    if not paths:
+    if not (paths := [argument for argument in sys.argv[1:] if argument != "--write"]):
         sys.exit(__doc__)
     setups = [prepare(method=method) for method in METHODS]
     worlds = [PerturbedCondition(parse_perturbations(text)) for text in WORLDS]

@@ -30,6 +30,7 @@ NOT_RUN = {
     "--group test pytest": "it is this run",
     "python -m benchmarks.speed logs": "compares programs for minutes",
     "python -m benchmarks.golden_tables": "measures all golden logs for minutes",
+    "python -m benchmarks.ablate LOG.mcap --write": "measures logs a dozen times for minutes",
     "python -m benchmarks.robustness LOG.mcap --write": "measures a log in many worlds for minutes",
     "python -m benchmarks.generated_pages": "another test compares its pages with the code",
     "python -m benchmarks.real_images sets --out real-images --write": "needs the sets that the lines above clone",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from benchmarks.generated_pages import metrics_page
+from benchmarks.generated_pages import DOCS, metrics_page
 from svmdist.errors import RecordingError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.metrics import alarm_statistics
@@ -104,7 +104,9 @@ def test_a_new_metric_is_declared_once(added):
     for shown in (planar, in_3d):
         assert "p99" in shown
         assert f"{expected * 1e3:.2f}" in shown
-    assert f"| `{keys[0]}`, `{keys[1]}`, `{keys[2]}` | 1e-05 m |" in metrics_page("")
+    assert f"| `{keys[0]}`, `{keys[1]}`, `{keys[2]}` | 1e-05 m |" in metrics_page(
+        (DOCS / "metrics.md").read_text("utf-8")
+    )
     distance = score_pairs(pairs())
     figures = Figures(20, 20, 3.0, distance, distance, distance)
     compared = scores.compare_results([MethodScore(Group("sweep"), "fused", figures)])

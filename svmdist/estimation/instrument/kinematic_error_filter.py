@@ -322,15 +322,10 @@ def most_probable(
     return Solution(x, H, R, K, judged, residuals, weights, float(innovation @ solved[:, -1]))
 
 
-def as_measurement(
-    pose: ToolPose, lasting_share: float = 0.0, correlation_time_s: float = 1.0, name: str = "pose"
-) -> PoseMeasurement:
-    """A pose by the images as a measurement of the tool, of whose variance a share lasts."""
+def as_measurement(pose: ToolPose) -> PoseMeasurement:
+    """A pose by the images as a measurement of the tool."""
     C = pose.covariance + TINY_POSE
-    share = lasting_share
-    return PoseMeasurement(
-        name, None, np.eye(4), pose.T_camera_tool, (1.0 - share) * C, share * C, correlation_time_s
-    )
+    return PoseMeasurement("pose", None, np.eye(4), pose.T_camera_tool, C, np.zeros((6, 6)))
 
 
 def _robust_cost(found: Solution, measurements: Sequence[LinkMeasurement]) -> float:

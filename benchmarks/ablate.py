@@ -1,0 +1,73 @@
+"""docs/ablation.md: what every factor and special case of `fused` earns, by leaving out one at a time.
+
+`uv run python -m benchmarks.ablate [LOG.mcap ...] [--write]` measures golden logs, one of them in worlds that differ
+from the profile, and the logs that are given.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from benchmarks.generated_pages import DOCS, ROOT, table, write_table
+from benchmarks.robustness import cell
+from svmdist.estimation import fused, tissue_tracking
+from svmdist.estimation.instrument import consistency
+from svmdist.estimation.instrument.factors import of_images
+from svmdist.perturbations.chosen import parse_perturbations
+from svmdist.recording.log import open_recording
+from svmdist.workflows.compare import measure_runs
+from svmdist.workflows.request import CLEAN, PerturbedCondition, prepare
+
+WORLDS = ("focal=1", "knuckle_radius=5", "backlash=0.5")
+PERTURBED = "golden, perturbed"
+ALL = {"is_tracked": False}  # what one view or pair takes and a tracked tool does not
+SETS = {"golden": ["3d/contact"], PERTURBED: ["3d/contact"], "other world": ["real/contact", "real/random"]}
+
+
+def without(part: str) -> Callable[..., Any]:
+    """All factors but those whose name has a part."""
+    return lambda *a, **k: [one for one in of_images(*a, **k) if part not in one.name]
+
+
+CASES: dict[str, tuple[object, str, Any]] = {
+    "nothing": (fused, "of_images", of_images),
+    "edges": (fused, "of_images", without("edge")),
+    "distal marker": (fused, "of_images", without("distal marker")),
+    "disparity (size in its place)": (fused, "pair_markers", lambda *_: None),
+    "tag": (fused, "tag", lambda *_: ()),
+    "(end, size, right sides, stubs: used)": (fused, "of_images", lambda *a, **k: of_images(*a, **k | ALL)),
+    "start by images": (fused.FusedEstimator, "_start", lambda *_: None),
+    "variance of images after a start": (fused, "YOUNG_S", 1e-9),
+    "tissue's height by stereo": (tissue_tracking.FollowedTissue, "measure_height", lambda *_: None),
+    "dome's shape by stereo": (tissue_tracking, "fit_dome", lambda *_: None),
+    "widening by innovations": (consistency.Consistency, "ratio", 1.0),
+    "widening by constants": (consistency, "usual_furthest", lambda _: np.inf),
+    "doubt by one detection": (consistency, "MAX_REFUSED_OF_ONE", 2.0),
+}
+
+
+if __name__ == "__main__":
+    setup = prepare(method="fused")
+    worlds = [PerturbedCondition(parse_perturbations(world)) for world in WORLDS]
+    sets = {name: [str(ROOT / "recordings" / f"{log}.mcap") for log in logs] for name, logs in SETS.items()}
+    if given := [path for path in sys.argv[1:] if path != "--write"]:
+        sets["given logs"] = given
+    rows = []
+    for name, (place, attribute, by) in CASES.items():
+        row = [name]
+        for label, paths in sets.items():
+            conditions = worlds if label == PERTURBED else [CLEAN]
+            with patch.object(place, attribute, by):
+                logs = [open_recording(path, setup.profile) for path in paths]
+                runs = [run for log in logs for run in measure_runs(log, [setup], conditions, jobs=1)]
+            row += [cell(runs), cell(runs, "clearance").partition(",")[0]]
+        rows.append(row)
+        print(*row, sep=" | ", flush=True)
+    if "--write" in sys.argv:
+        heads = [f"{label}, {distance}" for label in sets for distance in ("spatial", "clearance")]
+        write_table(DOCS / "ablation.md", "ablation", table(("without", *heads), rows))
