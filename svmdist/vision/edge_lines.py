@@ -31,7 +31,7 @@ WINDOW = 3.0
 """Where a profile's own edge is sought, over how far it may be off: of texture a third is that near, of an edge all."""
 MIN_POINTS = 8
 START_PART = 0.8  # of a rough side, what is surely shaft: the rest may be wrist already
-END_STEPS = 3
+END_STEPS, ROBUST_STEPS = 2, 5
 UNSEEN_SHARE = 0.15
 """Against a line by a profile without an edge, where one beside the line counts `END_SHARE`."""
 
@@ -204,7 +204,7 @@ def _robust_line(x: Array, y: Array) -> tuple[float, float]:
     slopes = (y[half : 2 * half] - y[:half]) / np.maximum(x[half : 2 * half] - x[:half], 1e-9)
     slope = median(slopes)
     offset = median(y - slope * x)
-    for _ in range(8):
+    for _ in range(ROBUST_STEPS):
         residual = y - offset - slope * x
         scale = max(scale_of(residual), 0.08) * 4.0
         weight = np.square(np.maximum(1.0 - np.square(residual / scale), 0.0))

@@ -41,8 +41,6 @@ FOCAL_WIDTHS = 1.1  # focal length over the image's width, as endoscopes have it
 TAPER_STD = 0.02  # of both sides against each other beside that
 TILT = (1.0, 0.6)  # tangent of the axis' angle to the image plane: mean and deviation of instruments
 
-Matrix = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Outline:
@@ -95,7 +93,10 @@ class Outline:
 
     def cut(self, start_px: float, end_px: float) -> Outline:
         """The same lines between two other places along the axis."""
-        return replace(self, sides=self.at(np.array([start_px, end_px])))
+        ends = np.array([start_px, end_px])
+        share = ends / max(self.length_px, 1e-9)
+        J = np.stack([1.0 - share, share], -1)
+        return replace(self, sides=self.at(ends), covariance=J @ self.covariance @ J.T)
 
     def across(self, along_px: Array, shares: Array) -> Array:
         """Points between both sides, 0 at the first and 1 at the second, shape (n, m, 2)."""
@@ -232,10 +233,8 @@ def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_wei
     per_px = length_px * width_px / (FOCAL_WIDTHS * evidence.core.shape[1])
     narrowing = np.array([1.0, -1.0, 1.0, -1.0])  # of the width, by the offsets of all ends
     widths = _widths(outline)
-    expected_px, std_px = (
-        TILT[0] * per_px - float(widths[0] - widths[1]),
-        TILT[1] * per_px + TAPER_STD * length_px,
-    )
+    expected_px = TILT[0] * per_px - float(widths[0] - widths[1])
+    std_px = TILT[1] * per_px + TAPER_STD * length_px
     prior = np.outer(narrowing, narrowing) / std_px**2 + 1e-6 * np.eye(4)
     moved = np.zeros((2, 2))
     for window in WINDOWS:
@@ -258,11 +257,8 @@ def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_wei
     known = np.linalg.inv((A - prior) / float(np.clip(agreement, LEAST_AGREEMENT, 1.0)) + prior)
     covariance = np.stack([known[:2, :2], known[2:, 2:]]) + EDGE_STD_PX**2 * np.eye(2)
     new = Outline(outline.sides + moved[..., None] * profiles.outward[:, None], covariance)
-    fits = (
-        LEAST_WIDTH_PX <= new.width_px <= MOST_WIDTH * evidence.core.shape[1]
-        and new.axis @ outline.axis > 0.5
-    )
-    return from_border(new, evidence) if fits and _widths(new).min() > 1.0 else None
+    fits = LEAST_WIDTH_PX <= new.width_px <= MOST_WIDTH * evidence.core.shape[1] and _widths(new).min() > 1.0
+    return from_border(new, evidence) if fits and new.axis @ outline.axis > 0.5 else None
 
 
 def _widths(outline: Outline) -> Array:
@@ -274,15 +270,13 @@ def _log_posterior(
     evidence: Evidence, places: Array, step_px: float, region_weight: float
 ) -> tuple[Array, NDArray[np.bool_]]:
     """log p of the edge at each of the places (2, n, m, 2), by what is inside of it and by the step; what is seen."""
-    flat = places.reshape(-1, places.shape[2], 2)
-    shape = places.shape[:3]
-    seen = sampled(evidence.core, flat, nearest=True).reshape(shape) > 0
-    odds = np.where(seen, sampled(evidence.odds, flat).reshape(shape), 0.0) * (step_px / CORRELATION_PX)
+    seen = sampled(evidence.core, places, nearest=True) > 0
+    odds = np.where(seen, sampled(evidence.odds, places), 0.0) * (step_px / CORRELATION_PX)
     region = np.cumsum(odds, 2) - 0.5 * odds
     # Of linear brightness: in logarithms a blurred edge moves to its dark side.
-    levels = sampled(evidence.bgr_float, flat).reshape(*shape, 3)
+    levels = sampled(evidence.bgr_float, places)
     apart = max(1, round(1.0 / step_px))
-    step = np.zeros(shape)
+    step = np.zeros(seen.shape)
     step[..., apart:-apart] = np.abs(levels[:, :, 2 * apart :] - levels[:, :, : -2 * apart]).max(-1)
     step[..., apart:-apart] *= seen[..., 2 * apart :] & seen[..., : -2 * apart]
     log_p = region_weight * region + np.log1p((step / EDGE_LEVELS) ** 2)
@@ -291,9 +285,9 @@ def _log_posterior(
 
 MARGINS = np.array(
     [0.08, 0.14, 0.20, 0.26, 0.74, 0.80, 0.86, 0.92]
-)  # what only the shaft fills, over the width
+)  # over the width, where wrists are narrower
 MIDDLE = np.linspace(0.2, 0.8, 5)
-PART_WEIGHT = 1.5
+PART_WEIGHT = 1.5  # of what the network sees as wrist and jaws, while the sides are not yet known
 LEAST_LENGTH = 0.8  # over the width, that a fit keeps of a shaft
 MOST_MARGIN = 3.0  # odds of a margin
 
@@ -303,9 +297,7 @@ def ended(outline: Outline, evidence: Evidence, part_weight: float) -> Outline:
 
     With a weight for it, also where the network sees the distal part begin.
     """
-    height, width = evidence.core.shape
-    step_px = 1.0
-    along = np.arange(0.5, 1.2 * float(np.hypot(height, width)), step_px)
+    along = np.arange(0.5, 1.2 * float(np.hypot(*evidence.core.shape)))
     places = outline.across(along, MARGINS)
     seen = sampled(evidence.core, places, nearest=True).mean(1) > 127
     last = int(np.argmin(seen)) if not seen.all() else len(seen)
@@ -317,13 +309,12 @@ def ended(outline: Outline, evidence: Evidence, part_weight: float) -> Outline:
     if part_weight:
         part = sampled(evidence.scores[1], outline.across(along, MIDDLE)).mean(1)
         speaks = speaks + part_weight * np.clip(part, -2.0, 0.0)
-    total = np.cumsum(speaks) * (step_px / CORRELATION_PX)
+    total = np.cumsum(speaks) / CORRELATION_PX
     total[along < min(LEAST_LENGTH * outline.width_px, along[-1] - 2.0)] = -np.inf
     p = np.exp(np.maximum(total - total.max(), -50.0))
     p /= p.sum()
     mean = float(p @ along)
-    std_px = float(np.sqrt(p @ (along - mean) ** 2)) + 1.0
-    std_px = np.inf if mean > along[-1] - 2.5 else std_px
+    std_px = np.inf if mean > along[-1] - 2.5 else float(np.sqrt(p @ (along - mean) ** 2)) + 1.0
     return replace(outline.cut(0.0, mean), end_std_px=std_px)
 
 
