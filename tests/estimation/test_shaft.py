@@ -117,7 +117,7 @@ def test_a_shaft_out_of_focus_is_measured(side):
     fit = find_tool(Observation(0, blurred, SMALL), profile)
     assert isinstance(fit, ImagePose), fit
     assert np.arccos(np.clip(fit.pose.axis @ drawn.direction, -1.0, 1.0)) < np.deg2rad(2.0)
-    off_m = fit.hinge_m - drawn.tool_m
+    off_m = fit.pose.hinge.position_m - drawn.tool_m
     across_m = np.linalg.norm(off_m - (off_m @ drawn.direction) * drawn.direction)
     assert across_m < 2.0 * fit.pose.position_std_m
 
