@@ -131,7 +131,10 @@ class View:
             instrument = self._arm.profile.instrument
             radius_m = 0.0 if instrument is None else instrument.shaft_radius_m
             return detect_silhouette(self.silhouette, self.camera, radius_m)
-        return detect_shaft(self.context.brightness, self.shaft_region, self.camera, self._settings.shaft)
+        context, region = self.context, self.shaft_region
+        return detect_shaft(
+            context.brightness, context.bgr_as_recorded, region, self.camera, self._settings.shaft
+        )
 
 
 OtherMasks = tuple[Image | None, Image | None]

@@ -182,6 +182,7 @@ RAYS = 64
 STEP_PX_DISC = 0.25
 # Where the strength within and without is read, over the radius: clear of the border's blur
 INSIDE, OUTSIDE = (0.4, 0.7), (1.25, 1.7)
+BORDER_FROM = 0.6  # of the radius: the border is sought from here outward
 FIT_STEPS, HUBER = 6, 1.5
 
 
@@ -223,6 +224,9 @@ def fit_disc(image_hsv: Image, mask: Image, centre_px: Array, radius_px: float) 
     # Along each ray: one side of a sphere is in shade.
     high = np.asarray(np.median(values[:, within], axis=1), np.float64)
     low = np.asarray(np.median(values[:, reach_px >= OUTSIDE[0] * radius_px], axis=1), np.float64)
+    # From outside of a highlight on, which is as pale as what is around the marker.
+    outer = reach_px >= BORDER_FROM * radius_px
+    values, reach_px = values[:, outer], reach_px[outer]
     half_px = _crossing(values, reach_px, 0.5 * (high + low))
     usable = np.isfinite(half_px) & (high - low > MIN_CHROMA)
     if np.count_nonzero(usable) < MIN_AGREEING_FRACTION * RAYS:

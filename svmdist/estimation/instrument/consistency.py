@@ -75,7 +75,7 @@ class Consistency:
     def clear(self) -> None:
         """Begin anew."""
         self._frames: deque[tuple[int, tuple[GatingResult, ...]]] = deque()
-        self._furthest, self._furthest_name, self._usual = 0.0, "", 1.0
+        self._furthest, self._furthest_name, self._surprise = 0.0, "", 0.0
         self._late_s = self._late_deviations = 0.0
         self._scene_refused, self._scene_agreed = 0, False
         self.excess = 1.0
@@ -93,9 +93,10 @@ class Consistency:
             self._scene_refused = self._scene_refused + 1 if is_refused else 0
             self._scene_agreed |= not is_refused
 
-    def watch(self, name: str, deviations: float, count: int, late_s: float, late_std_s: float) -> None:
-        """Take up by how much the furthest of so many constants is off, and how late joints were found."""
-        self._furthest_name, self._furthest, self._usual = name, deviations, usual_furthest(max(count, 1))
+    def watch(self, constant: tuple[str, float, float, int], late_s: float, late_std_s: float) -> None:
+        """Take up what was found of constants (`ErrorState.furthest_constant`), and how late joints were found."""
+        self._furthest_name, self._furthest, jointly, count = constant
+        self._surprise = jointly / usual_furthest(max(count, 1))
         self._late_s, self._late_deviations = late_s, abs(late_s) / late_std_s if late_std_s > 0.0 else 0.0
 
     def _results(self, source: str = "") -> list[GatingResult]:
@@ -108,19 +109,19 @@ class Consistency:
         """Innovations squared over what is expected of them, by their robust weights; None before any."""
         results = self._results()
         expected = sum(result.weight * result.degrees_of_freedom for result in results)
-        return sum(result.weight * result.nis for result in results) / expected if results else None
+        return sum(result.weight * result.nis for result in results) / expected if expected else None
 
     @property
     def widening(self) -> float:
         """Factor on covariances, where innovations are larger than expected (Birge 1932, of all measurements)."""
-        return max(1.0, self.ratio or 1.0, (self._furthest / self._usual) ** 2, self.excess)
+        return max(1.0, self.ratio or 1.0, self._surprise**2, self.excess)
 
     @property
     def doubt(self) -> str:
         """Why no distance can be trusted, for a person; empty where one can."""
         settings = self._settings
         if self._furthest > settings.max_constant_deviations:
-            return f"calibration is {self._furthest:.1f} stated deviations off, {self._furthest_name} most of all"
+            return f"{self._furthest_name} is {self._furthest:.1f} stated deviations from its stated value"
         if self._late_deviations > MAX_TIME_OFFSET_DEVIATIONS:
             return (
                 f"joints seem {self._late_s:+.2f} s late, {self._late_deviations:.0f} stated deviations: is there a lag"

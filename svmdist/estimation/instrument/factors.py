@@ -289,6 +289,8 @@ def end(view: View, arm: Arm, model: ShaftModel) -> Iterator[LinkMeasurement]:
     axis, rim = arm.shaft_axis, view.shaft.rim
     if rim is None or axis is None:
         return
+    if view.shaft.is_stub and view.distal_marker is not None:  # what ends there may be anything dark
+        return
     ahead_m, radius_m, std_m = -model.neck_m, model.radius_m, arm.profile.settings.shaft.end_model_std_m
     if rim.is_outline:
         ahead_m, radius_m, std_m = model.outline_end_m, 0.0, model.outline_end_std_m

@@ -122,15 +122,16 @@ def _located(
     poses = [T @ roll @ model.T_shaft_tool for T in firsts for roll in rolls]
     kalman.begin([(ToolPose(T, covariance, T[:3, 0]), measured) for T in poses])
     judged = kalman.update(measured)
-    degrees = sum(result.degrees_of_freedom for result in judged)
-    refused = [result for result in judged if not result.is_accepted]
-    if sum(result.degrees_of_freedom for result in refused) > MAX_REFUSED_SHARE * degrees:
-        return Failure(f"{', '.join(result.name for result in refused)} do not fit the rest")
     if not judged:
         return Failure("the fit does not converge")
+    degrees = sum(result.degrees_of_freedom for result in judged)
+    refused = [result for result in judged if not result.is_accepted]
+    doubt = kalman.consistency.doubt
+    if sum(result.degrees_of_freedom for result in refused) > MAX_REFUSED_SHARE * degrees:
+        doubt = f"{', '.join(result.name for result in refused)} do not fit the rest"
     axis = frame.arm.shaft_axis
     assert axis is not None  # the model has its frame
     used = tuple(one.name for one in judged if one.is_accepted)
     hinge = kalman.hinge(axis.link, hinge_on_link(chain, axis.link))
     pose = replace(kalman.tool_pose(), hinge=hinge)
-    return ImagePose(pose, used, kalman.consistency.doubt)
+    return ImagePose(pose, used, doubt)

@@ -13,7 +13,15 @@ from svmdist.least_squares import median, scale_of
 from svmdist.profile.settings import DistalMarkerSettings, ShaftSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array, cross
-from svmdist.vision.edges import Disc, edge_blur_px, edge_points, fit_disc, shading_shift_px
+from svmdist.vision.edges import (
+    Disc,
+    RoughEdge,
+    edge_blur_px,
+    edge_points,
+    fit_disc,
+    shading_shift_px,
+    slope_sigma_px,
+)
 from svmdist.vision.lines import (
     POINT_CORRELATION_PX,
     Line,
@@ -45,7 +53,9 @@ SHADING_STD_PER_BLUR = 0.05  # how that grows with the edge's blur, for the same
 OUTLINE_SHADING_STD_PX = 0.15  # where nothing is known of the light: a limb fades or shines
 END_STRIP_FRACTION = 0.25  # of the half width about the middle, where the end's arc has its apex
 END_REACH_HALF_WIDTHS = 0.9  # along the shaft: an arc's apex lies up to one half width before the corners
-MIN_END_STD_PX = 0.3  # of the shaft's end: a few points across a rounded end share their error
+MIN_END_STD_PX = (
+    3.0  # of the shaft's end: steel, jaws and shadow are as dark, and lead it 4 px and more astray
+)
 MAX_LOG_RATIO = 0.25  # between radii by circle and area: further apart they are different things
 BORDER_POINTS = 8.0  # of the border that err independently: it is cut by fork and jaws, each over an eighth
 BORDER_STD_PER_BLUR = (
@@ -56,7 +66,7 @@ CENTROID_STD = 0.045  # by how much hidden parts move the region's centroid, ove
 
 @dataclass(frozen=True, slots=True)
 class DistalMarker:
-    """The marker: the middle of its region, (2,), and its radius, with standard deviations, in px.
+    """The marker: the middle of its circle, or of its region, (2,), and its radius, with standard deviations, in px.
 
     `radius_px` is that of the whole sphere, None where the image's border or something else cuts it; `disc` is the
     circle along its border that the radius comes from, `area_px` the area of what is visible.
@@ -84,7 +94,7 @@ def detect_distal_marker(
     own_px = np.hypot(disc.scatter_px / np.sqrt(BORDER_POINTS), BORDER_STD_PER_BLUR * disc.blur_px)
     radius_std_px = float(np.hypot(settings.radius_std * whole_px, own_px))
     std_px = CENTROID_STD * whole_px
-    return DistalMarker(region.centroid_px, std_px, whole_px, radius_std_px, disc, region.area_px)
+    return DistalMarker(disc.centre_px, std_px, whole_px, radius_std_px, disc, region.area_px)
 
 
 def _marker_disc(image_hsv: Image, mask: Image, region: Region) -> Disc | None:
@@ -169,9 +179,12 @@ NO_SHAFT = ShaftDetection((), None, None, None, True)
 
 
 def detect_shaft(
-    brightness: Image, region: ShaftRegion | None, camera: Camera, settings: ShaftSettings
+    brightness: Image, bgr: Image, region: ShaftRegion | None, camera: Camera, settings: ShaftSettings
 ) -> ShaftDetection:
-    """Measure contours and rim of a shaft that was found; `NO_SHAFT` for none."""
+    """Measure contours and rim of a shaft that was found; `NO_SHAFT` for none.
+
+    `brightness`, shape (h, w), shows edges; colours of `bgr`, shape (h, w, 3), tell the shaft from its shadow.
+    """
     if region is None:
         return NO_SHAFT
     towards_tip = region.first.direction + region.second.direction
@@ -182,9 +195,18 @@ def detect_shaft(
     contours: list[Contour] = []
     for side, blur_px, other_px in zip(sides, blurs_px, blurs_px[::-1], strict=True):
         # Both edges of a shaft are as sharp as each other; a shadow beside it ends in a penumbra.
-        if blur_px > PENUMBRA_RATIO * max(other_px, PENUMBRA_BLUR_PX):
-            continue
-        contour = _contour(brightness, side, region, towards_tip, blur_px, camera, settings)
+        is_penumbra = blur_px > PENUMBRA_RATIO * max(other_px, PENUMBRA_BLUR_PX)
+        views = brightness, bgr
+        contour = _contour(
+            views,
+            side,
+            region,
+            towards_tip,
+            min(blur_px, other_px) if is_penumbra else blur_px,
+            is_penumbra,
+            camera,
+            settings,
+        )
         if contour is not None and all(contour.side != other.side for other in contours):
             contours.append(contour)
     rim = _rim(brightness, region, towards_tip, settings) if region.end_is_free else None
@@ -269,37 +291,148 @@ def _trimmed(side: Side, region: ShaftRegion) -> tuple[Array, Array, Array]:
 
 
 def _contour(
-    brightness: Image,
+    views: tuple[Image, Image],
     side: Side,
     region: ShaftRegion,
     towards_tip: Array,
     blur_px: float,
+    is_penumbra: bool,
     camera: Camera,
     settings: ShaftSettings,
 ) -> Contour | None:
+    """The contour along a side; None where only a shadow's border is to be seen."""
+    brightness, bgr = views
     along = side.end_px - side.start_px
     rough = _trimmed(side, region)
     outward = rough[2]
     width_px = brightness.shape[1]
     # A threshold may cut a blurred edge two of its deviations off its middle.
     reach_px = max(MIN_EDGE_REACH_PX, EDGE_REACH_FRACTION * width_px) + 2.0 * blur_px
-    points_px = edge_points(brightness, rough, reach_px, settings, blur_px)
-    # Around a point the endoscope shows something.
-    column, row = np.round(points_px).astype(np.intp).T
-    points_px = points_px[region.field_of_view[row, column] > 0]
+    points_px = _in_view(edge_points(brightness, rough, reach_px, settings, blur_px), region)
     if len(points_px) == 0:
         return None
     across = np.array([-along[1], along[0]]) / np.linalg.norm(along)
     across = across if across @ outward > 0.0 else -across
-    points_px = points_px - shading_shift_px(brightness, points_px, across, blur_px) * across
+    inlier_px, std_px = (
+        LINE_INLIER_PX + LINE_INLIER_PER_BLUR * blur_px,
+        np.hypot(SHADING_STD_PX, SHADING_STD_PER_BLUR * blur_px),
+    )
+    shadowed = _before_shadow(brightness, rough, across, region, settings, blur_px)
+    is_shaft = _is_shaft(bgr, points_px, across, region, blur_px, shadowed)
+    if is_shaft is None or shadowed is None:  # what colours cannot tell alone: a shadow ends in a penumbra
+        is_shaft = not is_penumbra
+    if is_shaft:
+        points_px = points_px - shading_shift_px(brightness, points_px, across, blur_px) * across
+    elif shadowed is None:
+        return None
+    else:
+        points_px, inlier_px, std_px = shadowed, SHADOW_INLIER_PX, SHADOW_STD_PX
     line = _line_through(
         points_px,
         camera,
-        LINE_INLIER_PX + LINE_INLIER_PER_BLUR * blur_px,
-        float(np.hypot(SHADING_STD_PX, SHADING_STD_PER_BLUR * blur_px)),
+        inlier_px,
+        float(std_px),
         max(POINT_CORRELATION_PX, 2.0 * blur_px),
     )
     return None if line is None else _contour_of(line, region.middle_px, outward, towards_tip, camera)
+
+
+def _in_view(points_px: Array, region: ShaftRegion) -> Array:
+    """The points, shape (n, 2), about which the endoscope shows something."""
+    column, row = np.round(points_px).astype(np.intp).T
+    return np.asarray(points_px[region.field_of_view[row, column] > 0])
+
+
+def _core(region: ShaftRegion) -> Array:
+    """Points along the middle of the shaft's region, shape (n, 2) in px."""
+    first, second = (np.stack([side.start_px, side.end_px]) for side in (region.first, region.second))
+    share = np.linspace(0.06, 0.94, 40)[:, None]
+    ends = [0.5 * (first[end] + second[end]) for end in (0, 1)]
+    return np.asarray(ends[0] + share * (ends[1] - ends[0]))
+
+
+SHADOW_REACH = (
+    0.45  # of the region's width, shadow included, how far inside its border the shaft's edge is sought
+)
+SHADOW_INLIER_PX, SHADOW_STD_PX = 0.7, 0.3  # a limb reflects what is around it, and fades or shines
+MIN_EDGE_SHARE = 0.6  # of the profiles along a side that must show an edge there
+
+
+def _before_shadow(
+    brightness: Image,
+    rough: RoughEdge,
+    across: Array,
+    region: ShaftRegion,
+    settings: ShaftSettings,
+    blur_px: float,
+) -> Array | None:
+    """Points of the shaft's edge, shape (n, 2), where its own shadow lies beside it; None where none does.
+
+    A lamp at the camera lights the shaft and not its shadow: going outward, brightness falls at the shaft's edge and
+    rises at the shadow's, which is the edge of what is dark.
+    """
+    start_px, end_px, outward = rough
+    width_px = 2.0 * float(np.abs((region.middle_px - start_px) @ across))
+    half_px = 0.5 * SHADOW_REACH * width_px
+    inside = half_px + 1.5 * slope_sigma_px(blur_px)
+    shifted = start_px - inside * across, end_px - inside * across, -outward
+    points_px = _in_view(edge_points(brightness, shifted, half_px, settings, blur_px), region)
+    length_px = float(np.linalg.norm(end_px - start_px))
+    if len(points_px) < max(MIN_LINE_POINTS, MIN_EDGE_SHARE * length_px):
+        return None
+    # An edge is as sharp as the optics show the other one; a highlight on the shaft fades.
+    off_px = median((points_px - start_px) @ across)
+    at = start_px + off_px * across, end_px + off_px * across, -outward
+    fall_px = edge_blur_px(brightness, at, 4.0 + 2.0 * PENUMBRA_BLUR_PX, settings)
+    if fall_px > PENUMBRA_RATIO * max(blur_px, PENUMBRA_BLUR_PX):
+        return None
+    return points_px
+
+
+MIN_COLOUR = 0.08  # least difference of colours, in logarithms of ratios: 8 % of red over green
+MAX_SHADOW = 0.5  # of the way from the shaft's colour to that beside it
+INSIDE_PX, OUTSIDE_PX = (5.0, 9.0), (5.0, 14.0)  # strips beside an edge whose colours are compared
+
+
+def _is_shaft(
+    bgr: Image, points_px: Array, across: Array, region: ShaftRegion, blur_px: float, inner_px: Array | None
+) -> bool | None:
+    """Whether what ends at points, (n, 2), is of the shaft's colour and not of that beside it; None of one colour.
+
+    A shadow keeps the colour of what it falls on: ratios of red, green and blue (Gevers and Smeulders 1999). It is
+    looked at between these points and `inner_px`, shape (k, 2), where the shaft may end before.
+    """
+    clear_px = 1.0 + blur_px
+    inside = INSIDE_PX
+    if inner_px is not None:
+        gap_px = median(points_px @ across) - median(inner_px @ across)
+        inside = clear_px, max(gap_px - clear_px, clear_px + 1.0)
+
+    def colour(strip_px: tuple[float, float], sign: float) -> Array:
+        return _median_colour(bgr, points_px[:, None] + sign * np.arange(*strip_px)[:, None] * across)
+
+    shaft = _median_colour(bgr, _core(region))
+    away = colour(OUTSIDE_PX, 1.0) - shaft
+    square = float(away @ away)
+    if square < MIN_COLOUR**2:
+        return None
+    return bool((colour(inside, -1.0) - shaft) @ away < MAX_SHADOW * square)
+
+
+DARK_LEVEL = 4.0  # added to levels, so that the colour of black is grey
+
+
+def _colours(bgr: Array | Image) -> Array:
+    levels = np.log(np.asarray(bgr, np.float32) + DARK_LEVEL)
+    return np.asarray(levels[..., [2, 0]] - levels[..., 1:2])
+
+
+def _median_colour(bgr: Image, places_px: Array) -> Array:
+    column, row = np.round(places_px).reshape(-1, 2).astype(np.intp).T
+    height, width = bgr.shape[:2]
+    inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
+    pixels = bgr[row[inside], column[inside]]
+    return np.median(_colours(pixels), axis=0) if len(pixels) else np.zeros(2)
 
 
 def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array, settings: ShaftSettings) -> Rim | None:

@@ -172,8 +172,8 @@ class ErrorState:
         at = self._bias_slices.get(name)
         return 0.0 if at is None else float(self.bias_mean[at.start - self.model.size])
 
-    def furthest_constant(self) -> tuple[str, float, int]:
-        """What was found of constants against what is stated: the one that moved most, deviations, of how many.
+    def furthest_constant(self) -> tuple[str, float, float, int]:
+        """What was found of constants: which is furthest from what is stated, how far, how far all are, of how many.
 
         Several that each give way a little may together be what no calibration allows: along the directions that
         measurements tell, their means are compared with what these means would vary by if all stated were right.
@@ -186,7 +186,7 @@ class ErrorState:
                 names += [name] * (one.stop - one.start)
                 places += range(one.start, one.stop)
         if not places:
-            return "", 0.0, 0
+            return "", 0.0, 0.0, 0
         stated = np.ones(len(places))
         stated[: at.stop - at.start] = max(self.model.length_std_m, TINY_M)
         mean = np.concatenate([self.correction.vector(), self.bias_mean])[places] / stated
@@ -195,7 +195,8 @@ class ErrorState:
         )
         is_told = told > MIN_TOLD
         off = np.abs(directions.T @ mean)[is_told] / np.sqrt(told[is_told])
-        return names[int(np.argmax(np.abs(mean)))], float(off.max(initial=0.0)), len(off)
+        most = int(np.argmax(np.abs(mean)))
+        return names[most], float(abs(mean[most])), float(off.max(initial=0.0)), len(off)
 
     def propagate(self, elapsed_s: float) -> None:
         """Time passes: the correction drifts, biases fade towards their prior, of variance one."""
