@@ -134,7 +134,7 @@ class FilterSettings(StrictModel):
     max_consistency: Positive = 4.0
     """Mean normalised innovation per degree of freedom beyond which no distance is reported: 1 where models hold."""
     max_constant_deviations: Positive = 4.0
-    """Standardised error of calibration constants, judged jointly, beyond which no distance is reported: 1 in 1,000."""
+    """Standardised error of a calibration constant beyond which no distance is reported: 1 log in 1,000 has one."""
     given_lag_std_s: NonNegative = 5e-3  # standard deviation after `--lag`, in place of `time_offset_std_s`
 
 
