@@ -237,10 +237,11 @@ def frame_of(observation: Observation, arm: Arm, segmenter: Segmenter) -> Frame:
 
 def prefetch(source: object, names: Iterable[str]) -> dict[str, float]:
     """Compute detections ahead, `right.shaft` where there is a right view; gives by name what each took, in s."""
-    seconds = {}
+    seconds, start_s = {}, time.thread_time()
     for name in names:
-        start_s, found = time.thread_time(), source
+        found: object = source
         for part in name.split("."):
             found = None if found is None else getattr(found, part)
-        seconds[name] = time.thread_time() - start_s
+        now_s = time.thread_time()
+        seconds[name], start_s = now_s - start_s, now_s
     return seconds

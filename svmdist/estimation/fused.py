@@ -43,7 +43,7 @@ class FusedEstimator:
     keeps_state = True
     needs = Needs(
         scene=("tissue", "left.tags", "stereo_surface"),
-        frame=("left.distal_marker", "right.distal_marker", "left.shaft", "right.shaft"),
+        frame=("left.distal_marker", "right.distal_marker", "left.shaft"),
         right_view=True,
     )
 

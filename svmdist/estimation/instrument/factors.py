@@ -138,8 +138,9 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
     What hides a side of a disc moves the middle of the rest by half of what is missing. Of another size than the
     marker, what is coloured is somewhere about the tool's origin.
     """
-    marker, wrist, instrument = view.distal_marker, view.shaft.wrist, arm.profile.instrument
+    marker, instrument = view.distal_marker, arm.profile.instrument
     if marker is None:
+        wrist = view.shaft.wrist
         if wrist is None:
             return None
         share = 0.0 if expected is None else WRIST_LASTING
@@ -243,7 +244,9 @@ def of_images(
 
     found: list[LinkMeasurement] = []
     marks = first(of_view(view, marked(view, arm, expected)) for view in views)
-    if is_tracked:
+    # An outline's wrist tells too little without the rest of the outline.
+    has_marker = is_tracked and not any(one.name.endswith(WRIST) for one in marks)
+    if has_marker:
         if not left.shaft.is_stub and (marks or left.tag_corners_px is not None):
             found += sides(left, arm, lasting_share)
     else:
@@ -314,8 +317,7 @@ def end(view: View, arm: Arm, model: ShaftModel) -> Iterator[LinkMeasurement]:
 
 def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeasurement]:
     """The tool's origin by its distal marker, and its size; or by the outline of its wrist, and the jaws' tip."""
-    seen, marker, wrist = marker_in(view, arm, expected), view.distal_marker, view.shaft.wrist
-    instrument = arm.profile.instrument
+    seen, marker, instrument = marker_in(view, arm, expected), view.distal_marker, arm.profile.instrument
     if seen is None:
         return
     yield PointMeasurement(
@@ -347,7 +349,7 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
             arm.profile.settings.filter.point_correlation_time_s,
             arm.deviations,
         )
-    if wrist is not None and seen.name == WRIST:
+    if seen.name == WRIST and (wrist := view.shaft.wrist) is not None:
         length_m = instrument.jaw_length_m
         yield PointMeasurement(
             "jaws' tip",
