@@ -44,7 +44,6 @@ CASES: dict[str, tuple[object, str, Any]] = {
     "start by images": (fused.FusedEstimator, "_start", lambda *_: None),
     "variance of images after a start": (fused, "YOUNG_S", 1e-9),
     "tissue's height by stereo": (tissue_tracking.FollowedTissue, "measure_height", lambda *_: None),
-    "dome's shape by stereo": (tissue_tracking, "fit_dome", lambda *_: None),
     "widening by innovations": (consistency.Consistency, "ratio", 1.0),
     "widening by constants": (consistency, "usual_furthest", lambda _: np.inf),
     "doubt by one detection": (consistency, "MAX_REFUSED_OF_ONE", 2.0),

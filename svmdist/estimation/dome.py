@@ -8,15 +8,11 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.estimation.surface import DEGREE, StereoSurface
 from svmdist.geometry import Mesh
-from svmdist.least_squares import median, scale_of
 from svmdist.profile.robot import Dome
 from svmdist.transforms import Array, inverse, transform_points
 
 INNER_RADIUS = 0.9  # of the dome, normalised: beyond it the rim is too steep for a surface of low order
-SMOOTH_FRACTION = 0.4  # as smooth as a dome; seven organs' shapes stand 0.11 mm off without a prior
-MAX_SPREAD = 3.0  # points that scatter about the dome by so many of their deviations are no view of it
 
 FULL_TURN = 2.0 * np.pi
 
@@ -197,49 +193,3 @@ def _faces() -> NDArray[np.int64]:
         faces.append(np.stack([inner + side, outer + side, outer + after], -1))
         faces.append(np.stack([inner + side, outer + after, inner + after], -1))
     return np.concatenate(faces).astype(np.int64)
-
-
-MIN_POINTS = 100
-FREEDOM = (DEGREE + 1) * (DEGREE + 2) / 2
-"""Coefficients of the disparity surface: so many of its points err independently, and no more."""
-FIT_STEPS = 8
-STEP_SETTLED = np.array([1e-6, 1e-6, 1e-6, 1e-4, 1e-4])
-"""A step below it moves no point of the dome by more than a micrometre."""
-
-
-def fit_dome(dome: DomeModel, surface: StereoSurface) -> DomeModel | None:
-    """The dome with apex, height and exponents as the surface shows them; None where it shows something else.
-
-    The most probable shape given the dome's own and the points' heights (Gauss–Newton, Cauchy's weights). The
-    points' errors are those of few coefficients: they count as `FREEDOM` independent heights, however many they are,
-    of which the smooth part looks like another shape. What has no deviation stays as it is.
-    """
-    points_m = dome.to_tissue_frame(surface.points_m)
-    polar = PolarOutline.about(np.zeros(2), dome.outline_m)
-    inner = polar.normalised_radius(points_m[:, :2]) < INNER_RADIUS
-    flat_m, height_m = points_m[inner, :2], points_m[inner, 2]
-    free = np.flatnonzero(np.diag(dome.covariance) > 0.0)
-    if len(flat_m) < MIN_POINTS or len(free) == 0:
-        return None
-    at = np.ix_(free, free)
-    prior = np.linalg.inv(dome.covariance[at])
-    now, std_m = dome, surface.std_m
-    for _ in range(FIT_STEPS):
-        error_m = height_m - now.height_m(flat_m)
-        std_m = max(surface.std_m, scale_of(error_m - median(error_m)))
-        J = now.derivative(flat_m)[:, free]
-        far = (error_m / (2.0 * std_m)) ** 2
-        weight = FREEDOM / len(flat_m) / (SMOOTH_FRACTION * std_m) ** 2 / (1.0 + far)
-        weighted = J * weight[:, None]
-        information = prior + weighted.T @ J
-        step = np.zeros(SHAPE_SIZE)
-        pull = weighted.T @ error_m + prior @ (dome.shape - now.shape)[free]
-        step[free] = np.linalg.solve(information, pull)
-        now = now.shaped(now.shape + step, dome.covariance)
-        if np.abs(step / STEP_SETTLED).max() < 1.0:
-            break
-    if std_m > MAX_SPREAD * surface.std_m or not now.shape[2] > 0.0:
-        return None
-    covariance = np.zeros_like(dome.covariance)
-    covariance[at] = np.linalg.inv(information)
-    return now.shaped(now.shape, covariance)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.dome import INNER_RADIUS, SHAPE_SIZE, DomeModel, fit_dome
+from svmdist.estimation.dome import INNER_RADIUS
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
@@ -28,7 +28,6 @@ from svmdist.samples import RightView
 from svmdist.transforms import Array, inverse
 
 MIN_SCATTER_COUNT = 4.0  # fewer poses do not tell how much they scatter beyond their stated covariance
-SHAPE_COUNT = 8  # views of the dome at first, then one in as many frames: they err alike
 # Normal quantile of the gate for a pose against the remembered one: 1 in 1,000 true ones is refused
 GATE_Z = 3.09
 # Wet, breathing tissue scatters by 0.10 to 0.20 from frame to frame; 0.98 leaves 0.20
@@ -81,20 +80,9 @@ class TissueTracker:
     def __init__(self, settings: TissueTrackingSettings) -> None:
         self._settings = settings
         self._outlier_count = 0
-        self._frame_count = 0
         self._best: TissuePose | None = None
-        # A pose has two degrees of freedom of its own, on the plane; a dome has five of shape.
+        # A pose has two degrees of freedom of its own, on the plane.
         self._place = CorrelatedMean(2, settings)
-        self._shape = CorrelatedMean(SHAPE_SIZE, settings)
-
-    @property
-    def wants_shape(self) -> bool:
-        """Whether another view of the dome's shape is worth its time."""
-        return self._frame_count < SHAPE_COUNT or self._frame_count % SHAPE_COUNT == 0
-
-    def add_shape(self, dome: DomeModel) -> None:
-        """Take up a dome as stereo shows it."""
-        self._shape.add(dome.shape, dome.covariance)
 
     def add(self, seen: TissueDetection | None) -> TissuePose | None:
         """Take up a frame's pose, if it has one; gives the tissue as known then."""
@@ -105,11 +93,9 @@ class TissueTracker:
             self._outlier_count += 1
             if self._outlier_count < self._settings.moved_count:
                 return self.now()
-            self._best, self._frame_count = None, 0
+            self._best = None
             self._place = CorrelatedMean(2, self._settings)
-            self._shape = CorrelatedMean(SHAPE_SIZE, self._settings)
         self._outlier_count = 0
-        self._frame_count += 1
         self._place.add(pose.position_m, pose.outline_covariance)
         if self._best is None or np.trace(pose.outline_covariance) <= np.trace(self._best.outline_covariance):
             self._best = pose
@@ -124,9 +110,7 @@ class TissueTracker:
         position_m, of_outline = place
         covariance = of_outline + self._best.covariance - self._best.outline_covariance
         known = self._best.moved_to(position_m)  # spatial distance and clearance are to one tissue
-        known = replace(known, covariance=covariance, outline_covariance=of_outline)
-        shape = self._shape.now()
-        return known if shape is None or known.dome is None else known.with_dome(known.dome.shaped(*shape))
+        return replace(known, covariance=covariance, outline_covariance=of_outline)
 
     def _agrees(self, pose: TissuePose) -> bool:
         place = self._place.now()
@@ -219,18 +203,7 @@ class FollowedTissue:
         height = TissueHeight.of(self._tissue, known.position_m)
         biases = (own, *height.biases(np.ones(1)), *(bias.scaled(along_normal) for bias in of_cameras))
         part = Linearised(np.array([over_m]), np.zeros((1, 0)), biases, np.array([[noise_m2]]))
-        result = kalman.update_scene(OUTLINE, part)
-        tissue = frame.scene.tissue
-        if not (
-            result.is_accepted and self._tracker.wants_shape and tissue and tissue.pose and tissue.pose.dome
-        ):
-            return result
-        # Apex and height by the surface, which is put down onto the dome: how high all of it is, is no shape.
-        down = replace(surface, points_m=surface.points_m - over_m * self._plane.normal)
-        fitted = fit_dome(tissue.pose.dome, down)
-        if fitted is not None:
-            self._tracker.add_shape(fitted)
-        return result
+        return kalman.update_scene(OUTLINE, part)
 
     def placed(
         self, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter

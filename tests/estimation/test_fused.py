@@ -1,6 +1,7 @@
 """Nominal kinematics, and nominal kinematics corrected by the image."""
 
 from dataclasses import replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from svmdist.kinematics import forward_kinematics
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
 from svmdist.profile.settings import FilterSettings
+from svmdist.recording.log import open_recording
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.simulation.plan import draw_nominal_kinematics
 from svmdist.simulation.scene import make_scene as simulated_scene
@@ -108,6 +110,24 @@ def test_fused_rejects_an_outlier_and_follows_a_base_that_jumped(scene, profile)
     for step in range(75, 90):
         assert rows[step].status is Status.OK
         assert across_m(rows[step], scene, 2.1 + 0.1 * step) < 0.3e-3
+
+
+@pytest.mark.parametrize("bump_m", [0.003, 0.010, 0.030])
+def test_a_camera_that_is_bumped_costs_three_rows_and_gives_none_that_is_wrong(golden, bump_m):
+    """The transform from camera to base is off by as much from one frame on; ground truth is of before and after."""
+    recording = open_recording(golden / "3d" / "contact.mcap", PROFILE)
+    seen = [one for one in islice(recording.observations(), 36) if isinstance(one, Observation)]
+    estimator, truth = Measuring("fused", PROFILE), recording.distance_track()
+    off_m = []
+    for number, one in enumerate(seen):
+        assert one.T_camera_base is not None
+        T = one.T_camera_base.copy()
+        T[1, 3] += bump_m * (number >= 24)
+        found = estimator.result(replace(one, T_camera_base=T)).distances.spatial
+        true_m = float(truth.at(np.array([one.stamp_ns])).values[0, 1])
+        off_m.append(np.nan if found is None else abs(found.value_m - true_m))
+    assert np.isnan(off_m[24:27]).all()
+    assert max(off_m[27:]) < 0.5e-3
 
 
 def test_the_stated_ellipsoid_holds_the_tool():

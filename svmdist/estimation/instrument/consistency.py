@@ -17,6 +17,9 @@ from svmdist.transforms import Array
 WINDOW_S = 1.5  # of averaged innovations: a hundred degrees of freedom at 10 Hz
 MIN_DEGREES = 8  # fewer degrees of freedom in that window tell nothing
 MAX_REFUSED_SHARE = 0.3  # of them: more contradicts the prediction
+CODED = (
+    "tag"  # the detection that says what it is; a shaft's sides may be something else's, as the image shows
+)
 MAX_REFUSED_OF_ONE = 0.5  # of what one detection measured: it is mistaken, or all others are
 MIN_FRAMES = 5  # that show it in that window: what hides an instrument misleads fewer
 NU = 4.0  # degrees of freedom of Student's t: one measurement in a hundred is wild
@@ -132,7 +135,7 @@ class Consistency:
             return (
                 f"the tissue contradicts its plane in {self._scene_refused} frames: {self._refused_names()}"
             )
-        for source in ("", *dict.fromkeys(result.source for result in self._results())):
+        for source in ("", CODED):
             said = self._refused(source)
             if said:
                 return said
