@@ -319,8 +319,10 @@ def _contour(
     )
     shadowed = _before_shadow(brightness, rough, across, region, settings, blur_px)
     is_shaft = _is_shaft(bgr, points_px, across, region, blur_px, shadowed)
-    if is_shaft is None or shadowed is None:  # what colours cannot tell alone: a shadow ends in a penumbra
+    if is_shaft is None:  # what colours cannot tell: a shadow ends in a penumbra
         is_shaft = not is_penumbra
+    if not is_shaft and shadowed is None:  # a shadow that is brighter than the shaft
+        shadowed = _before_shadow(brightness, rough, across, region, settings, blur_px, is_brighter=True)
     if is_shaft:
         points_px = points_px - shading_shift_px(brightness, points_px, across, blur_px) * across
     elif shadowed is None:
@@ -365,24 +367,27 @@ def _before_shadow(
     region: ShaftRegion,
     settings: ShaftSettings,
     blur_px: float,
+    *,
+    is_brighter: bool = False,
 ) -> Array | None:
     """Points of the shaft's edge, shape (n, 2), where its own shadow lies beside it; None where none does.
 
     A lamp at the camera lights the shaft and not its shadow: going outward, brightness falls at the shaft's edge and
-    rises at the shadow's, which is the edge of what is dark.
+    rises at the shadow's, which is the edge of what is dark. Of a dark shaft the shadow may be the brighter one.
     """
     start_px, end_px, outward = rough
+    to_bright = outward if is_brighter else -outward
     width_px = 2.0 * float(np.abs((region.middle_px - start_px) @ across))
     half_px = 0.5 * SHADOW_REACH * width_px
     inside = half_px + 1.5 * slope_sigma_px(blur_px)
-    shifted = start_px - inside * across, end_px - inside * across, -outward
+    shifted = start_px - inside * across, end_px - inside * across, to_bright
     points_px = _in_view(edge_points(brightness, shifted, half_px, settings, blur_px), region)
     length_px = float(np.linalg.norm(end_px - start_px))
     if len(points_px) < max(MIN_LINE_POINTS, MIN_EDGE_SHARE * length_px):
         return None
     # An edge is as sharp as the optics show the other one; a highlight on the shaft fades.
     off_px = median((points_px - start_px) @ across)
-    at = start_px + off_px * across, end_px + off_px * across, -outward
+    at = start_px + off_px * across, end_px + off_px * across, to_bright
     fall_px = edge_blur_px(brightness, at, 4.0 + 2.0 * PENUMBRA_BLUR_PX, settings)
     if fall_px > PENUMBRA_RATIO * max(blur_px, PENUMBRA_BLUR_PX):
         return None
@@ -412,27 +417,27 @@ def _is_shaft(
         return _median_colour(bgr, points_px[:, None] + sign * np.arange(*strip_px)[:, None] * across)
 
     shaft = _median_colour(bgr, _core(region))
-    away = colour(OUTSIDE_PX, 1.0) - shaft
-    square = float(away @ away)
-    if square < MIN_COLOUR**2:
+    away, beside = colour(OUTSIDE_PX, 1.0) - shaft, colour(inside, -1.0) - shaft
+    square = float(away[:2] @ away[:2])
+    # Without an edge between them a darker strip is the shaft's own limb.
+    if square < MIN_COLOUR**2 or (inner_px is None and beside[2] < MIN_BRIGHTER):
         return None
-    return bool((colour(inside, -1.0) - shaft) @ away < MAX_SHADOW * square)
+    return bool(beside[:2] @ away[:2] < MAX_SHADOW * square)
 
 
+MIN_BRIGHTER = 0.1  # logarithm of levels: 10 %
 DARK_LEVEL = 4.0  # added to levels, so that the colour of black is grey
 
 
-def _colours(bgr: Array | Image) -> Array:
-    levels = np.log(np.asarray(bgr, np.float32) + DARK_LEVEL)
-    return np.asarray(levels[..., [2, 0]] - levels[..., 1:2])
-
-
 def _median_colour(bgr: Image, places_px: Array) -> Array:
+    """Logarithms of red and blue over green, and of green, shape (3,): the median at pixels, shape (..., 2)."""
     column, row = np.round(places_px).reshape(-1, 2).astype(np.intp).T
     height, width = bgr.shape[:2]
     inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
-    pixels = bgr[row[inside], column[inside]]
-    return np.median(_colours(pixels), axis=0) if len(pixels) else np.zeros(2)
+    if not inside.any():
+        return np.zeros(3)
+    blue, green, red = np.log(bgr[row[inside], column[inside]].astype(np.float64) + DARK_LEVEL).T
+    return np.asarray(np.median([red - green, blue - green, green], axis=1))
 
 
 def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array, settings: ShaftSettings) -> Rim | None:
