@@ -10,6 +10,8 @@ from svmdist.errors import Terminated
 
 # Plugins of pydantic are no part of svmdist; looking for them reads the metadata of every installed package.
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+# Matrices are small here: a second thread of linear algebra waits in a loop, and doubles the processor time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COLLECT_AFTER = 20_000  # objects between two garbage collections: start-up alone makes 50,000, all to stay
 AGAIN_S = 0.02
