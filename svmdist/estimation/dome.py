@@ -79,9 +79,6 @@ def _across(vectors: Array) -> Array:
 
 RINGS = 14
 SIDES = 72  # the dome's mesh: chords of 5° stand 0.03 mm off an outline of 28 mm
-SHAPE_SIZE = 5
-MIN_EXPONENTS, MAX_EXPONENTS = np.array([1.0, 0.2]), np.array([20.0, 2.0])
-"""Beyond these a dome is a cone, a spike or a box; a fit does not go there."""
 STEEP_RADIUS = 0.98
 """Towards the rim a dome's slope has no bound; beyond this normalised radius it counts as it is here."""
 
@@ -108,11 +105,6 @@ class DomeModel:
         stds = (apex_std_m, apex_std_m, rule.height_std_m, *exponent_stds)
         shape = np.array([0.0, 0.0, rule.height_m, rule.gauge_exponent, rule.height_exponent])
         return DomeModel(T_camera_tissue, flat_m, shape, np.diag(np.square(stds)))
-
-    def shaped(self, shape: Array, covariance: Array) -> DomeModel:
-        """The same outline under another shape; exponents that no dome has are taken back to the nearest ones."""
-        shape = np.concatenate([shape[:3], np.clip(shape[3:], MIN_EXPONENTS, MAX_EXPONENTS)])
-        return replace(self, shape=shape, covariance=covariance)
 
     def scaled(self, factor: float) -> DomeModel:
         """The same on a parallel plane by this factor as far from the camera: as high, and wider by it."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +18,6 @@ from svmdist.estimation.instrument.kinematic_error_filter import (
     pose_distance,
 )
 from svmdist.estimation.instrument.measurement import LinkMeasurement
-from svmdist.estimation.instrument.shaft_model import ShaftModel
 from svmdist.estimation.one_view import tool_from_tag
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.stereo import StereoEstimator
@@ -33,7 +32,7 @@ YOUNG_S = 2.0  # how long a filter that has begun anew is held to be hardly sure
 
 
 class FusedEstimator:
-    """`--method fused`: keeps the filter, and the tissue's pose and shape, between frames.
+    """`--method fused`: keeps the filter, and the tissue's pose, between frames.
 
     Images alone say where to linearise at first, and where to begin anew when they contradict the prediction for
     several frames: the filter then takes the start that prior and measurements make the most probable.
@@ -54,6 +53,7 @@ class FusedEstimator:
         self._filter = KinematicErrorFilter(self._chain, profile.kinematic_error, profile.settings.filter)
         has_sizes = profile.segmentation.shaft is not None and profile.instrument is not None
         self._stereo = StereoEstimator(arm) if has_sizes else None
+        self._lasting_share = profile.settings.fused.lasting_share
         self._has_plate = self._is_located = False
         self._contradictions, self._has_agreed = 0, False
         self._begun_ns: int | None = None
@@ -70,7 +70,8 @@ class FusedEstimator:
         kalman = self._filter
         kalman.predict(robot)
         start = self._start(frame)
-        gating = kalman.update(self._seen(frame, start or kalman.tool_pose()))
+        predicted = start or kalman.tool_pose()
+        gating = kalman.update([*self._of_images(frame), *self._tag(frame, predicted)])
         said = self._watch(frame)
         height = self._followed.measure_height(frame, kalman)
 
@@ -127,9 +128,10 @@ class FusedEstimator:
             poses.append(fit.pose)
         if (by_tag := self._pose_by_tag(frame)) is not None:
             poses.append(by_tag)
-        starts: list[Start] = [(pose, self._seen(frame, pose)) for pose in poses]
         nominal = nominal_tool(self._chain, self._arm.profile.kinematic_error, kalman.robot)
-        starts.append((None, self._seen(frame, nominal)))
+        seen = self._of_images(frame)
+        starts: list[Start] = [(pose, [*seen, *self._tag(frame, pose)]) for pose in poses]
+        starts.append((None, [*seen, *self._tag(frame, nominal)]))
         return starts[kalman.begin(starts)][0] or kalman.tool_pose()
 
     def _pose_by_tag(self, frame: Frame) -> ToolPose | None:
@@ -140,22 +142,21 @@ class FusedEstimator:
         focal_px = np.diag(frame.left.camera.K)[:2]
         return tool_from_tag(frame.tag, fiducial, self._filter.robot, error, deviations, focal_px)
 
-    def _seen(self, frame: Frame, predicted: ToolPose) -> list[LinkMeasurement]:
-        """The factors of both views and of the tag about a predicted pose."""
-        arm, pair, robot = frame.arm, frame.scene.stereo_pair, self._filter.robot
+    def _of_images(self, frame: Frame) -> list[LinkMeasurement]:
+        """The factors of both views, but for the tag."""
         # Sizes are compared where disparity puts the marker: a false start would agree with what it makes of them.
+        pair = frame.scene.stereo_pair
         markers = None if isinstance(pair, Failure) else pair_markers(frame, pair)
         expected = Expected.of(self._filter.tool_pose())
         if isinstance(markers, MarkerPair):
             expected = markers.expected
-        share = arm.profile.settings.fused.lasting_share
-        model, instrument = None, arm.profile.instrument
-        if instrument is not None and arm.shaft_axis is not None:
-            model = ShaftModel.of(robot, arm.required_chain, instrument)
-        seen = of_images(
-            frame, model, expected, markers, both_views=True, lasting_share=share, is_tracked=True
+        return of_images(
+            frame, expected, markers, both_views=True, lasting_share=self._lasting_share, is_tracked=True
         )
-        return [*seen, *tag(frame, robot, predicted, share)]
+
+    def _tag(self, frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
+        """The tag's factor, which a predicted pose tells from its mirrored one."""
+        return tag(frame, self._filter.robot, predicted, self._lasting_share)
 
     def _watch(self, frame: Frame) -> str:
         """Why the images contradict the prediction; empty where they do not.

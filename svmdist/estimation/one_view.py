@@ -146,9 +146,11 @@ class FiducialEstimator:
         return measured(result, frame, ToolEstimate(pose, frame.joints, has_plate=True), tissue.pose)
 
 
-def farther(pose: ToolPose) -> float:
-    """Factor on the largest deviation of a position: as far away as `NEAR_M` it is one, beyond in proportion."""
-    return max(1.0, float(np.linalg.norm(pose.position_m)) / NEAR_M)
+def uncertainty(pose: ToolPose, max_std_m: float) -> str:
+    """Why a position is too uncertain, by a bound that holds up to `NEAR_M` and grows beyond; empty where it is not."""
+    farther = max(1.0, float(np.linalg.norm(pose.position_m)) / NEAR_M)
+    is_known = pose.position_std_m <= farther * max_std_m  # NaN is not
+    return "" if is_known else f"the position is uncertain by {pose.position_std_m * 1e3:.1f} mm"
 
 
 class ShaftEstimator:
@@ -183,9 +185,8 @@ class ShaftEstimator:
             return result.rejected(_status(frame.left.shaft), fit.reason)
         if fit.doubt:
             return result.rejected(Status.INCONSISTENT, fit.doubt)
-        std_m = float(np.sqrt(np.linalg.eigvalsh(fit.pose.position_covariance)[-1]))
-        if not std_m <= farther(fit.pose) * self._settings.max_position_std_m:
-            return result.rejected(Status.UNCERTAIN, f"the position is uncertain by {std_m * 1e3:.1f} mm")
+        if said := uncertainty(fit.pose, self._settings.max_position_std_m):
+            return result.rejected(Status.UNCERTAIN, said)
         return measured(result, frame, ToolEstimate(fit.pose, frame.joints, self._has_plate), tissue.pose)
 
 

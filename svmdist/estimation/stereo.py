@@ -12,7 +12,7 @@ from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.factors import MarkerPair, pair_markers
 from svmdist.estimation.instrument.image_pose import ImagePose, pose_by_pair
 from svmdist.estimation.instrument.measurement import Deviations
-from svmdist.estimation.one_view import farther
+from svmdist.estimation.one_view import uncertainty
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import require_tissue
@@ -46,7 +46,7 @@ def nominal_orientation_pose(
 
 
 class StereoEstimator:
-    """`--method stereo`. Keeps between frames whether it saw the tag's plate, and whether disparities fit the sizes."""
+    """`--method stereo`. Keeps between frames whether it saw the tag's plate, and nothing else."""
 
     name = "stereo"
     keeps_state = True
@@ -122,17 +122,13 @@ class StereoEstimator:
         if isinstance(found, ImagePose) and found.doubt:
             return Rejection(frame.stamp_ns, Status.INCONSISTENT, found.doubt)
         pose = found.pose if isinstance(found, ImagePose) else found
-        if not pose.position_std_m <= farther(pose) * self._profile.stereo_in_range.max_depth_std_m:
-            said = f"the position is uncertain by {pose.position_std_m * 1e3:.1f} mm"
+        if said := uncertainty(pose, self._profile.stereo_in_range.max_depth_std_m):
             return Rejection(frame.stamp_ns, Status.UNCERTAIN, said)
         return pose
 
     def _triangulated(self, frame: Frame, pair: RectifiedPair) -> ToolPose | Rejection | Failure:
-        robot, right, markers = (
-            frame.robot_in_camera,
-            frame.scene.observation.right,
-            pair_markers(frame, pair),
-        )
+        robot, right = frame.robot_in_camera, frame.scene.observation.right
+        markers = pair_markers(frame, pair)
         if isinstance(markers, Failure):
             return markers
         if isinstance(robot, Failure):  # a place, and no direction

@@ -64,7 +64,7 @@ class Evidence:
     def scores(self) -> Floats:
         """The network's log-odds of instrument, and of shaft against distal part, shape (2, h, w)."""
         if self.settings.network_weight == 0.0:
-            warmth = self.colours[..., 0] + 0.5 * self.colours[..., 1]
+            warmth = self.warmth
             odds = (
                 (np.median(warmth[self.core > 0]) - warmth) / WARMTH_STD if self.core.any() else 0.0 * warmth
             )
@@ -86,6 +86,11 @@ class Evidence:
         table = np.log(np.arange(256, dtype=np.float32) + np.float32(LEVEL_OFFSET))
         blue, green, red = (np.asarray(cv2.LUT(level, table), np.float32) for level in cv2.split(softened))
         return np.asarray(cv2.merge([red - green, green - blue, (red + green + blue) / 3.0]), np.float32)
+
+    @property
+    def warmth(self) -> Floats:
+        """log(R/√(GB)), shape (h, w): high in tissue, low in steel."""
+        return np.asarray(self.colours[..., 0] + 0.5 * self.colours[..., 1])
 
     @cached_property
     def odds(self) -> Floats:
@@ -208,7 +213,7 @@ DISTINCT_WARMTH = 0.4
 
 def tissue_of(image: Evidence) -> Image:
     """Mask, shape (h, w), of what may be tissue; instruments are not yet taken out of it."""
-    warmth = image.colours[..., 0] + 0.5 * image.colours[..., 1]  # log(R/√(GB)): high in tissue, low in steel
+    warmth = image.warmth
     values = warmth[image.core > 0]
     if not len(values):
         return image.picture

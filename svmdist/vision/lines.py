@@ -136,12 +136,6 @@ class TangentPlane:
     normal: Array
     covariance: Array
 
-    @property
-    def whitening(self) -> Array:
-        """The matrix, shape (2, 3), that makes of a small error of the normal two numbers of variance one."""
-        variance, axes = np.linalg.eigh(self.covariance)
-        return np.asarray((axes[:, 1:] / np.sqrt(variance[1:])).T)
-
 
 @dataclass(frozen=True, slots=True)
 class CylinderAxis:

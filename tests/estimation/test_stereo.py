@@ -97,7 +97,7 @@ def test_what_is_coloured_and_of_another_size_is_somewhere_about_the_origin(size
     assert isinstance(frame.scene.stereo_pair, RectifiedPair)
     markers = pair_markers(frame, frame.scene.stereo_pair)
     assert isinstance(markers, MarkerPair)
-    factors = {one.name: one for one in of_images(frame, None, markers.expected, markers, both_views=True)}
+    factors = {one.name: one for one in of_images(frame, markers.expected, markers, both_views=True)}
     assert ("size" in factors) is is_marker
     T = make_transform(np.eye(3), tool_m(2.4))
     for name, px_per_m in (("distal marker", 6000.0), ("disparity", 300.0)):

@@ -1,6 +1,7 @@
 """The tissue: where it lies, its surface by outline, stereo or mesh, and how sure that is."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -64,7 +65,7 @@ DOME = DomeModel.over(transform_points(T, OUTLINE_M), T, RULE)
 
 def shaped(*shape: float) -> DomeModel:
     """The dome under another apex and height, perhaps of other exponents too."""
-    return DOME.shaped(np.array([*shape, *DOME.shape[len(shape) :]]), DOME.covariance)
+    return replace(DOME, shape=np.array([*shape, *DOME.shape[len(shape) :]]))
 
 
 def inner_points(count: int) -> Array:

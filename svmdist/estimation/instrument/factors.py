@@ -29,7 +29,7 @@ from svmdist.estimation.instrument.shaft_detection import (
     BORDER_STD_PER_BLUR,
     marker_centre,
 )
-from svmdist.estimation.instrument.shaft_model import ShaftModel, shaft_frames
+from svmdist.estimation.instrument.shaft_model import ShaftSizes, shaft_frames
 from svmdist.estimation.scene import Arm
 from svmdist.kinematics import DHChain, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
@@ -213,7 +213,6 @@ def pair_markers(frame: Frame, pair: RectifiedPair, expected: Expected | None = 
 
 def of_images(
     frame: Frame,
-    model: ShaftModel | None,
     expected: Expected | None,
     markers: MarkerPair | Failure | None = None,
     *,
@@ -245,15 +244,14 @@ def of_images(
     found: list[LinkMeasurement] = []
     marks = first(of_view(view, marked(view, arm, expected)) for view in views)
     # An outline's wrist tells too little without the rest of the outline.
-    has_marker = is_tracked and not any(one.name.endswith(WRIST) for one in marks)
-    if has_marker:
+    is_by_outline = any(one.name.endswith(WRIST) for one in marks)
+    if is_tracked and not is_by_outline:
         if not left.shaft.is_stub and (marks or left.tag_corners_px is not None):
             found += sides(left, arm, lasting_share)
     else:
         for view in views:
             found += of_view(view, sides(view, arm, lasting_share))
-        if model is not None:
-            found += first(of_view(view, end(view, arm, model)) for view in views)
+        found += first(of_view(view, end(view, arm)) for view in views)
     if len(views) < 2 or not isinstance(markers, MarkerPair):
         return [*found, *marks]
     if is_tracked:
@@ -287,18 +285,19 @@ def sides(view: View, arm: Arm, lasting_share: float = 0.0) -> Iterator[LinkMeas
         )
 
 
-def end(view: View, arm: Arm, model: ShaftModel) -> Iterator[LinkMeasurement]:
+def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
     """The shaft's end: of its dark part, or of the outline that is a cylinder's."""
-    axis, rim = arm.shaft_axis, view.shaft.rim
-    if rim is None or axis is None:
+    axis, rim, instrument = arm.shaft_axis, view.shaft.rim, arm.profile.instrument
+    if rim is None or axis is None or instrument is None:
         return
     if view.shaft.is_stub and view.distal_marker is not None:  # what ends there may be anything dark
         return
-    ahead_m, radius_m, std_m = -model.neck_m, model.radius_m, arm.profile.settings.shaft.end_model_std_m
+    sizes = ShaftSizes(instrument)
+    ahead_m, radius_m, std_m = -sizes.neck_m, sizes.radius_m, arm.profile.settings.shaft.end_model_std_m
     if rim.is_outline:
-        ahead_m, radius_m, std_m = model.outline_end_m, 0.0, model.outline_end_std_m
-    elif model.instrument.shaft_end_m is None:  # guessed from another size
-        std_m = UNKNOWN_END * model.neck_m
+        ahead_m, radius_m, std_m = sizes.outline_end_m, 0.0, sizes.outline_end_std_m
+    elif instrument.shaft_end_m is None:  # guessed from another size
+        std_m = UNKNOWN_END * sizes.neck_m
     yield EndMeasurement(
         "end",
         axis.link,

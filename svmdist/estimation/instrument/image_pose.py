@@ -55,7 +55,7 @@ def pose_by_image(frame: Frame) -> ImagePose | Failure:
         return Failure("too little of the shaft is to be seen, and neither wrist nor distal marker")
     model = ShaftModel.of(frame.robot, arm.required_chain, instrument)
     firsts = first_shafts(left.shaft, marker, model, left.camera, model.R_camera_shaft)
-    return _located(frame, list(firsts), of_images(frame, model, None, both_views=False), model)
+    return _located(frame, list(firsts), of_images(frame, None, both_views=False), model)
 
 
 def pose_by_pair(frame: Frame, pair: RectifiedPair) -> ImagePose | Failure:
@@ -73,7 +73,7 @@ def pose_by_pair(frame: Frame, pair: RectifiedPair) -> ImagePose | Failure:
     if isinstance(markers, MarkerPair):
         tool_m, expected = pair.point(markers.left.pixel, markers.disparity_px)[0], markers.expected
     firsts = list(_first_places(left, right, tool_m, model, inverse(seen.T_left_right)))
-    return _located(frame, firsts, of_images(frame, model, expected, markers, both_views=True), model)
+    return _located(frame, firsts, of_images(frame, expected, markers, both_views=True), model)
 
 
 def _first_places(

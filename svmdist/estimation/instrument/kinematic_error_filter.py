@@ -109,14 +109,15 @@ class KinematicErrorFilter:
         """
         every = {measurement.name: measurement for _, seen in starts for measurement in seen}
         best, least, best_x, last = 0, np.inf, None, None
-        found: list[Array] = []
+        found: list[ToolPose] = []
         for index, (pose, seen) in enumerate(starts):
-            if pose is not None and any(_is_about(pose, T_camera_tool) for T_camera_tool in found):
+            if pose is not None and any(pose_distance(pose, tool) < chi_square_bound(6) for tool in found):
                 continue
             last, (cost, x) = index, self._cost(pose, seen)
             if x is None:
                 continue
-            found.append(self._state.retracted(x).link(None).T_camera_link)
+            T_camera_tool = self._state.retracted(x).link(None).T_camera_link
+            found.append(ToolPose(T_camera_tool, np.zeros((6, 6)), T_camera_tool[:3, 0]))
             for name in every.keys() - {measurement.name for measurement in seen}:
                 cost += _heavy_tailed(UNSEEN_SQUARE, every[name].covariance)
             if cost < least:
@@ -346,12 +347,6 @@ def pose_distance(image: ToolPose, predicted: ToolPose) -> float:
     found = as_measurement(image).linearise(predicted.T_camera_tool)
     J = found.derivative
     return _square(found.residual, image.covariance + TINY_POSE + J @ predicted.covariance @ J.T)
-
-
-def _is_about(pose: ToolPose, T_camera_tool: Array) -> bool:
-    """Whether a tool is within what a pose says of its own errors."""
-    off = as_measurement(pose).linearise(T_camera_tool).residual
-    return _square(off, pose.covariance + TINY_POSE) < chi_square_bound(6)
 
 
 def _square(v: Array, S: Array) -> float:

@@ -9,18 +9,26 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera
+from svmdist.estimation.instrument.shadows import (
+    MIN_LINE_POINTS,
+    PENUMBRA_BLUR_PX,
+    PENUMBRA_RATIO,
+    SHADOW_INLIER_PX,
+    SHADOW_STD_PX,
+    edge_before_shadow,
+    in_view,
+    is_of_shaft,
+)
 from svmdist.least_squares import median, scale_of
 from svmdist.profile.settings import DistalMarkerSettings, ShaftSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array, cross
 from svmdist.vision.edges import (
     Disc,
-    RoughEdge,
     edge_blur_px,
     edge_points,
     fit_disc,
     shading_shift_px,
-    slope_sigma_px,
 )
 from svmdist.vision.lines import (
     POINT_CORRELATION_PX,
@@ -43,8 +51,6 @@ EDGE_REACH_FRACTION = (
 MIN_EDGE_REACH_PX = 4.0  # the least of that reach: a threshold cuts an edge of usual blur within this
 SIDE_TRIM_FRACTION = 0.06  # of a side at each end: corners of the shaft's end and the picture's border
 BLUR_REACH_FRACTION = 0.022  # of the image's width: a tool at 200 mm/s moves so far in 1/60 s
-PENUMBRA_RATIO = 1.6  # of the edges' blurs; beyond, one is a shadow's border: both edges are equally far
-PENUMBRA_BLUR_PX = 1.0  # blur that any edge may have, px: below it the ratio of two blurs is noise
 LINE_INLIER_PX = 0.5  # of an edge's point off its line: ten times the least deviation of a point
 LINE_INLIER_PER_BLUR = 0.2  # shading over twice the width shifts the steepest point by more
 LINE_INLIER_PER_WIDTH = 0.012  # for a silhouette's edges: near ones are less sharp, and lenses bend them
@@ -129,7 +135,7 @@ def _median_saturation(image_hsv: Image, mask: Image) -> float:
     return float(np.mean(middle))
 
 
-MIN_LINE_POINTS, MIN_END_POINTS = 5, 4
+MIN_END_POINTS = 4
 NEAREST_M, FARTHEST_M = (
     0.02,
     0.5,
@@ -308,7 +314,7 @@ def _contour(
     width_px = brightness.shape[1]
     # A threshold may cut a blurred edge two of its deviations off its middle.
     reach_px = max(MIN_EDGE_REACH_PX, EDGE_REACH_FRACTION * width_px) + 2.0 * blur_px
-    points_px = _in_view(edge_points(brightness, rough, reach_px, settings, blur_px), region)
+    points_px = in_view(edge_points(brightness, rough, reach_px, settings, blur_px), region)
     if len(points_px) == 0:
         return None
     across = np.array([-along[1], along[0]]) / np.linalg.norm(along)
@@ -317,12 +323,12 @@ def _contour(
         LINE_INLIER_PX + LINE_INLIER_PER_BLUR * blur_px,
         np.hypot(SHADING_STD_PX, SHADING_STD_PER_BLUR * blur_px),
     )
-    shadowed = _before_shadow(brightness, rough, across, region, settings, blur_px)
-    is_shaft = _is_shaft(bgr, points_px, across, region, blur_px, shadowed)
+    shadowed = edge_before_shadow(brightness, rough, across, region, settings, blur_px)
+    is_shaft = is_of_shaft(bgr, points_px, across, region, blur_px, shadowed)
     if is_shaft is None:  # what colours cannot tell: a shadow ends in a penumbra
         is_shaft = not is_penumbra
     if not is_shaft and shadowed is None:  # a shadow that is brighter than the shaft
-        shadowed = _before_shadow(brightness, rough, across, region, settings, blur_px, is_brighter=True)
+        shadowed = edge_before_shadow(brightness, rough, across, region, settings, blur_px, is_brighter=True)
     if is_shaft:
         points_px = points_px - shading_shift_px(brightness, points_px, across, blur_px) * across
     elif shadowed is None:
@@ -337,107 +343,6 @@ def _contour(
         max(POINT_CORRELATION_PX, 2.0 * blur_px),
     )
     return None if line is None else _contour_of(line, region.middle_px, outward, towards_tip, camera)
-
-
-def _in_view(points_px: Array, region: ShaftRegion) -> Array:
-    """The points, shape (n, 2), about which the endoscope shows something."""
-    column, row = np.round(points_px).astype(np.intp).T
-    return np.asarray(points_px[region.field_of_view[row, column] > 0])
-
-
-def _core(region: ShaftRegion) -> Array:
-    """Points along the middle of the shaft's region, shape (n, 2) in px."""
-    first, second = (np.stack([side.start_px, side.end_px]) for side in (region.first, region.second))
-    share = np.linspace(0.06, 0.94, 40)[:, None]
-    ends = [0.5 * (first[end] + second[end]) for end in (0, 1)]
-    return np.asarray(ends[0] + share * (ends[1] - ends[0]))
-
-
-SHADOW_REACH = (
-    0.45  # of the region's width, shadow included, how far inside its border the shaft's edge is sought
-)
-SHADOW_INLIER_PX, SHADOW_STD_PX = 0.7, 0.3  # a limb reflects what is around it, and fades or shines
-MIN_EDGE_SHARE = 0.6  # of the profiles along a side that must show an edge there
-
-
-def _before_shadow(
-    brightness: Image,
-    rough: RoughEdge,
-    across: Array,
-    region: ShaftRegion,
-    settings: ShaftSettings,
-    blur_px: float,
-    *,
-    is_brighter: bool = False,
-) -> Array | None:
-    """Points of the shaft's edge, shape (n, 2), where its own shadow lies beside it; None where none does.
-
-    A lamp at the camera lights the shaft and not its shadow: going outward, brightness falls at the shaft's edge and
-    rises at the shadow's, which is the edge of what is dark. Of a dark shaft the shadow may be the brighter one.
-    """
-    start_px, end_px, outward = rough
-    to_bright = outward if is_brighter else -outward
-    width_px = 2.0 * float(np.abs((region.middle_px - start_px) @ across))
-    half_px = 0.5 * SHADOW_REACH * width_px
-    inside = half_px + 1.5 * slope_sigma_px(blur_px)
-    shifted = start_px - inside * across, end_px - inside * across, to_bright
-    points_px = _in_view(edge_points(brightness, shifted, half_px, settings, blur_px), region)
-    length_px = float(np.linalg.norm(end_px - start_px))
-    if len(points_px) < max(MIN_LINE_POINTS, MIN_EDGE_SHARE * length_px):
-        return None
-    # An edge is as sharp as the optics show the other one; a highlight on the shaft fades.
-    off_px = median((points_px - start_px) @ across)
-    at = start_px + off_px * across, end_px + off_px * across, to_bright
-    fall_px = edge_blur_px(brightness, at, 4.0 + 2.0 * PENUMBRA_BLUR_PX, settings)
-    if fall_px > PENUMBRA_RATIO * max(blur_px, PENUMBRA_BLUR_PX):
-        return None
-    return points_px
-
-
-MIN_COLOUR = 0.08  # least difference of colours, in logarithms of ratios: 8 % of red over green
-MAX_SHADOW = 0.5  # of the way from the shaft's colour to that beside it
-INSIDE_PX, OUTSIDE_PX = (5.0, 9.0), (5.0, 14.0)  # strips beside an edge whose colours are compared
-
-
-def _is_shaft(
-    bgr: Image, points_px: Array, across: Array, region: ShaftRegion, blur_px: float, inner_px: Array | None
-) -> bool | None:
-    """Whether what ends at points, (n, 2), is of the shaft's colour and not of that beside it; None of one colour.
-
-    A shadow keeps the colour of what it falls on: ratios of red, green and blue (Gevers and Smeulders 1999). It is
-    looked at between these points and `inner_px`, shape (k, 2), where the shaft may end before.
-    """
-    clear_px = 1.0 + blur_px
-    inside = INSIDE_PX
-    if inner_px is not None:
-        gap_px = median(points_px @ across) - median(inner_px @ across)
-        inside = clear_px, max(gap_px - clear_px, clear_px + 1.0)
-
-    def colour(strip_px: tuple[float, float], sign: float) -> Array:
-        return _median_colour(bgr, points_px[:, None] + sign * np.arange(*strip_px)[:, None] * across)
-
-    shaft = _median_colour(bgr, _core(region))
-    away, beside = colour(OUTSIDE_PX, 1.0) - shaft, colour(inside, -1.0) - shaft
-    square = float(away[:2] @ away[:2])
-    # Without an edge between them a darker strip is the shaft's own limb.
-    if square < MIN_COLOUR**2 or (inner_px is None and beside[2] < MIN_BRIGHTER):
-        return None
-    return bool(beside[:2] @ away[:2] < MAX_SHADOW * square)
-
-
-MIN_BRIGHTER = 0.1  # logarithm of levels: 10 %
-DARK_LEVEL = 4.0  # added to levels, so that the colour of black is grey
-
-
-def _median_colour(bgr: Image, places_px: Array) -> Array:
-    """Logarithms of red and blue over green, and of green, shape (3,): the median at pixels, shape (..., 2)."""
-    column, row = np.round(places_px).reshape(-1, 2).astype(np.intp).T
-    height, width = bgr.shape[:2]
-    inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
-    if not inside.any():
-        return np.zeros(3)
-    blue, green, red = np.log(bgr[row[inside], column[inside]].astype(np.float64) + DARK_LEVEL).T
-    return np.asarray(np.median([red - green, blue - green, green], axis=1))
 
 
 def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array, settings: ShaftSettings) -> Rim | None:

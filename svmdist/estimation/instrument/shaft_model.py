@@ -26,29 +26,10 @@ OUTLINE_END_PER_RADIUS = 0.9
 
 
 @dataclass(frozen=True, slots=True)
-class ShaftModel:
-    """The instrument behind its shaft's frame S: origin on the wrist's hinge, z along the shaft to the tip.
-
-    `T_base_shaft` and `T_shaft_tool`, (4, 4), are by the joints, which are straight where none are known.
-    `R_camera_shaft` (3, 3) is that of the nominal kinematics, None without the robot's base. The dark part ends
-    `neck_m` behind the hinge, and the outline of the cylinder `outline_end_m` before it.
-    """
+class ShaftSizes:
+    """The sizes of a shaft as the profile states them, or as others of its sizes suggest."""
 
     instrument: Instrument
-    q: Array
-    T_base_shaft: Array
-    T_shaft_tool: Array
-    R_camera_shaft: Array | None
-
-    @classmethod
-    def of(cls, robot: RobotState | Failure, chain: DHChain, instrument: Instrument) -> ShaftModel:
-        """By the joints and the base, as far as they are known."""
-        q = robot.q if isinstance(robot, RobotState) else np.zeros(len(chain.joint_names))
-        T_base_shaft, T_shaft_tool = shaft_frames(chain, q)
-        R_camera_shaft = None
-        if isinstance(robot, RobotState) and robot.T_camera_base is not None:
-            R_camera_shaft = np.asarray((robot.T_camera_base @ T_base_shaft)[:3, :3])
-        return cls(instrument, q, T_base_shaft, T_shaft_tool, R_camera_shaft)
 
     @property
     def radius_m(self) -> float:
@@ -71,6 +52,30 @@ class ShaftModel:
         """How wrong that may be."""
         is_stated = self.instrument.outline_end_m is not None
         return self.radius_m * (OUTLINE_END_STD_RADII if is_stated else UNKNOWN_OUTLINE_END_STD_RADII)
+
+
+@dataclass(frozen=True, slots=True)
+class ShaftModel(ShaftSizes):
+    """The instrument behind its shaft's frame S: origin on the wrist's hinge, z along the shaft to the tip.
+
+    `T_base_shaft` and `T_shaft_tool`, (4, 4), are by the joints, which are straight where none are known.
+    `R_camera_shaft` (3, 3) is that of the nominal kinematics, None without the robot's base.
+    """
+
+    q: Array
+    T_base_shaft: Array
+    T_shaft_tool: Array
+    R_camera_shaft: Array | None
+
+    @classmethod
+    def of(cls, robot: RobotState | Failure, chain: DHChain, instrument: Instrument) -> ShaftModel:
+        """By the joints and the base, as far as they are known."""
+        q = robot.q if isinstance(robot, RobotState) else np.zeros(len(chain.joint_names))
+        T_base_shaft, T_shaft_tool = shaft_frames(chain, q)
+        R_camera_shaft = None
+        if isinstance(robot, RobotState) and robot.T_camera_base is not None:
+            R_camera_shaft = np.asarray((robot.T_camera_base @ T_base_shaft)[:3, :3])
+        return cls(instrument, q, T_base_shaft, T_shaft_tool, R_camera_shaft)
 
     @property
     def wrist_shape(self) -> WristShape:
