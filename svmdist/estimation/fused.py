@@ -12,6 +12,7 @@ from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.factors import Expected, MarkerPair, of_images, pair_markers, tag
+from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.kinematic_error_filter import (
     KinematicErrorFilter,
     Start,
@@ -100,8 +101,8 @@ class FusedEstimator:
         pair = frame.scene.stereo_pair
         if not isinstance(pair, Failure):
             found = self._stereo.tool(frame, pair)
-            if isinstance(found, ToolPose):
-                return found
+            if isinstance(found, ImagePose):
+                return found.pose
         fit = frame.shaft_pose
         if not isinstance(fit, Failure) and not fit.doubt and fit.pose.position_std_m < MAX_IMAGE_STD_M:
             return fit.pose

@@ -9,7 +9,7 @@ import numpy as np
 from svmdist.estimation.distances import measured, with_tissue
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.estimation.instrument.factors import MarkerPair, pair_markers
+from svmdist.estimation.instrument.factors import DISPARITY, MarkerPair, pair_markers
 from svmdist.estimation.instrument.image_pose import ImagePose, pose_by_pair
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.one_view import uncertainty
@@ -72,12 +72,15 @@ class StereoEstimator:
             return result.rejected(Status.NO_STEREO, pair.reason)
 
         # The tool: its distal marker in both views, and the shaft's direction.
-        pose = self.tool(frame, pair)
-        if isinstance(pose, Rejection):
-            return result.rejected(pose.status, pose.detail)
+        found = self.tool(frame, pair)
+        if isinstance(found, Rejection):
+            return result.rejected(found.status, found.detail)
 
         # The tissue's surface, and the distances. A surface by stereo has its own error in place of the dome's.
         surface, seen = frame.scene.stereo_surface, tissue.pose
+        if surface is None and not found.is_by_right_view:
+            said = "the right view shows neither the instrument nor the tissue's surface"
+            return result.rejected(Status.NO_STEREO, said)
         if surface is None:
             said = "the views do not agree on the tissue's surface: the profile's is used"
             result = replace(result, detail=said)
@@ -85,7 +88,7 @@ class StereoEstimator:
             std_m = float(np.hypot(surface.std_m, self._calibration_std_m(surface, frame)))
             std_m = float(np.hypot(std_m, self._off_plane_m(surface, std_m)))
             seen = replace(tissue.pose, surface=Cloud(surface.points_m), surface_std_m=std_m, dome=None)
-        return measured(result, frame, ToolEstimate(pose, frame.joints, self._has_plate), seen)
+        return measured(result, frame, ToolEstimate(found.pose, frame.joints, self._has_plate), seen)
 
     def _off_plane_m(self, surface: StereoSurface, std_m: float) -> float:
         """How far the surface stands off where the profile's plane and shape allow it, 0 where it does not."""
@@ -111,7 +114,7 @@ class StereoEstimator:
         biases = depth_biases(at_m, frame.left.camera, right, frame.arm.deviations)
         return float(np.sqrt(sum(float(np.sum(bias.jacobian**2)) for bias in biases)))
 
-    def tool(self, frame: Frame, pair: RectifiedPair) -> ToolPose | Rejection:
+    def tool(self, frame: Frame, pair: RectifiedPair) -> ImagePose | Rejection:
         """What both views show, fitted together; without sizes of a shaft the triangulated marker, turned nominally."""
         self._has_plate |= frame.left.tag_corners_px is not None
         found = pose_by_pair(frame, pair) if self._uses_shaft else self._triangulated(frame, pair)
@@ -119,14 +122,13 @@ class StereoEstimator:
             return found
         if isinstance(found, Failure):
             return Rejection(frame.stamp_ns, Status.NO_INSTRUMENT, found.reason)
-        if isinstance(found, ImagePose) and found.doubt:
+        if found.doubt:
             return Rejection(frame.stamp_ns, Status.INCONSISTENT, found.doubt)
-        pose = found.pose if isinstance(found, ImagePose) else found
-        if said := uncertainty(pose, self._profile.stereo_in_range.max_depth_std_m):
+        if said := uncertainty(found.pose, self._profile.stereo_in_range.max_depth_std_m):
             return Rejection(frame.stamp_ns, Status.UNCERTAIN, said)
-        return pose
+        return found
 
-    def _triangulated(self, frame: Frame, pair: RectifiedPair) -> ToolPose | Rejection | Failure:
+    def _triangulated(self, frame: Frame, pair: RectifiedPair) -> ImagePose | Rejection | Failure:
         robot, right = frame.robot_in_camera, frame.scene.observation.right
         markers = pair_markers(frame, pair)
         if isinstance(markers, Failure):
@@ -135,4 +137,5 @@ class StereoEstimator:
             return Rejection(frame.stamp_ns, Status.NO_JOINTS, robot.reason)
         assert right is not None  # the pair has one
         nominal = nominal_tool(self._chain, self._profile.kinematic_error, robot)
-        return nominal_orientation_pose(markers, pair, right, nominal, frame.arm.deviations)
+        pose = nominal_orientation_pose(markers, pair, right, nominal, frame.arm.deviations)
+        return ImagePose(pose, (DISPARITY,), "")

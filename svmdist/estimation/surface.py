@@ -65,7 +65,7 @@ def fit_surface(
     max_px: int,
     settings: StereoSettings = DEFAULT,
 ) -> DisparitySurface | None:
-    """Fit the disparity surface of a region, a mask of shape (h, w); None with too few matches in it."""
+    """Fit the disparity surface of a region, a mask of shape (h, w); None with too few matches to fit or to align."""
     side_px = 2 * MARGIN_PX + 1
     core = np.asarray(cv2.erode(region, np.ones((side_px, side_px), np.uint8)), np.uint8)
     matches = match_region(left_grey, right_grey, core, min_px, max_px, settings)
@@ -91,6 +91,8 @@ def fit_surface(
         centre_px,
         _fit_robustly(B, seen_px),
     )
+    if not np.isfinite(mismatch_px):  # of a black or plain right view no pixel could be aligned
+        return None
     agreeing = float(np.mean(np.abs(seen_px - B @ coefficients) < 2.0 * matches.step_px))
     return DisparitySurface(coefficients, centre_px, mismatch_px, agreeing)
 

@@ -120,7 +120,7 @@ def _check_png(data: bytes) -> tuple[int, int]:
 
 def _jpeg_header(data: bytes) -> tuple[int, int, str]:
     """Width and height in px, and the colour space; sees that the end marker is there."""
-    if JPEG_END not in data[-64:]:  # some cameras pad with zeros behind it
+    if JPEG_END not in data.rstrip(b"\0")[-64:]:  # buffers of MJPEG end in zeros, others in a few bytes more
         raise ImageError(f"a JPEG that ends early, after {len(data)} bytes")
     try:
         height_px, width_px, colours, _ = simplejpeg.decode_jpeg_header(data)

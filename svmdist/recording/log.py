@@ -20,9 +20,9 @@ from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Profile
 from svmdist.recording import observations as obs
 from svmdist.recording.contents import LogFile, Rows, TransformTree, replayed_rows
-from svmdist.recording.messages import EncodedImage, matrices
+from svmdist.recording.messages import EncodedImage, kind_of, matrices
 from svmdist.recording.source import Health, Loss, LossKind, TopicInfo, sanitize, sanitize_list
-from svmdist.recording.topics import FixedTransform, LoggedArm, Role, find_arms, open_source
+from svmdist.recording.topics import KINDS, FixedTransform, LoggedArm, Role, find_arms, open_source
 from svmdist.samples import ImageSample, Observation, Rejection
 from svmdist.tracks import DistanceTrack, JointTrack, TransformTrack
 from svmdist.transforms import inverse
@@ -349,7 +349,12 @@ class Recording:
         return self.arms[0].choice.require(role)
 
     def _unusable(self, what: str, role: Role) -> RecordingError:
-        return RecordingError(f"{self.path.name}: no usable {what} on {sanitize(self._require(role))}")
+        topic, kind = self._require(role), KINDS[role]
+        named = f"{self.path.name}: no usable {what} on {sanitize(topic)}"
+        others = [one.topic for one in self.topics() if kind_of(*one[1:3]) is kind and one.topic != topic]
+        return RecordingError(
+            f"{named}; other topics with {kind}: {sanitize_list(others)}" if others else named
+        )
 
 
 def _reopened(origin: Origin, *view: Any) -> Recording:

@@ -49,7 +49,7 @@ class TopicSummary:
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """A whole recording; `roles` names the topic of every role that one could be found for."""
+    """A whole recording; `roles` names the topic of every role that has one with a message that can be read."""
 
     path: LogPath
     size_bytes: int
@@ -121,6 +121,7 @@ def inspect_recording(
     for info in recording.topics():
         infos.setdefault(info.topic, info)
     listed = tuple(_summary(infos[name], stamps_ns[name], undecodable[name]) for name in sorted(infos))
+    usable = {topic.topic for topic in listed if topic.message_count > topic.undecodable_count}
     ends_ns = [at for logged in stamps_ns.values() if logged for at in (min(logged), max(logged))]
     return RecordingSummary(
         recording.path,
@@ -128,7 +129,7 @@ def inspect_recording(
         recording.metadata,
         (max(ends_ns) - min(ends_ns)) / 1e9 if ends_ns else 0.0,
         listed,
-        {str(role): name for role in Role if (name := recording.topic_of(role)) is not None},
+        {str(role): name for role in Role if (name := recording.topic_of(role)) in usable},
         cameras,
         tuple(sorted(frames)),
         joint_names,

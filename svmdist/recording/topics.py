@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -64,6 +65,11 @@ NAMED = frozenset({Role.GROUND_TRUTH_TF, *RIGHT})
 """Roles whose topics must be named: any transforms could pass for truth, any image for the right one."""
 
 
+def is_right(topic: str) -> bool:
+    """Whether a topic's name says that it is of a right camera: `/stereo/right/image_raw`, `/cam_r/image`."""
+    return "right" in topic.lower() or bool(re.search(r"[/_]r([/_]|$)", topic.lower()))
+
+
 @dataclass(frozen=True)
 class TopicChoice:
     """The roles of one recording's topics; those in `claimed` are another arm's, and stand in for no topic."""
@@ -97,7 +103,9 @@ class TopicChoice:
         if fitting:
             several = f"several topics carry {kind}{expected}; choose one of {sanitize_list(fitting)}"
             raise RecordingError(f"{self.name}: {several}")
-        raise RecordingError(f"{self.name}: no topic with {kind} for {role}{expected}; {there_are}")
+        others = [topic for topic in candidates if topic in {getattr(self.wanted, right) for right in RIGHT}]
+        of_right = f"; {sanitize_list(others)} is the right view's" if others and role not in RIGHT else ""
+        raise RecordingError(f"{self.name}: no topic with {kind} for {role}{expected}{of_right}; {there_are}")
 
     def find(self, role: Role) -> str | None:
         """Name the topic of a role; None where there is none, or no single one."""
@@ -118,13 +126,19 @@ class TopicChoice:
     def _unclaimed(self, role: Role, candidates: Sequence[str]) -> list[str]:
         """Leave out topics that are known to play another role or are another arm's, and static transforms.
 
-        A right image is one of a pair: where a log has no other, it is the image.
+        Where a log has the right view alone, that is the image, with its own calibration and no other.
         """
         roles = set(Role) - {role}
         others = self.claimed | {self.overrides.get(other) or getattr(self.wanted, other) for other in roles}
         fitting = [topic for topic in candidates if topic not in others and not topic.endswith("tf_static")]
         right = {getattr(self.wanted, other) for other in RIGHT}
-        return fitting or [topic for topic in candidates if topic in right and len(candidates) == 1]
+        fitting = fitting or [topic for topic in candidates if topic in right and len(candidates) == 1]
+        if role is Role.IMAGE and self.wanted.camera_info in self._candidates(Kind.CAMERA):
+            return [topic for topic in fitting if topic not in right]
+        image = self.find(Role.IMAGE) if role is Role.CAMERA_INFO else None
+        if image is not None and not (image in right or is_right(image)):
+            return [topic for topic in fitting if not (topic in right or is_right(topic))]
+        return fitting
 
 
 @dataclass(frozen=True)

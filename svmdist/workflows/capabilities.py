@@ -140,7 +140,10 @@ def _missing(
     lacking = {
         **{role: topics(role) for role in Role},
         **{part: unless(getattr(profile, part), f"[{part}] {of_profile}") for part in PARTS},
-        "right_image": topics("right_image", "right_camera_info"),
+        "right_image": topics("right_image", "right_camera_info")
+        or unless(
+            summary.roles["right_image"] != summary.roles.get("image"), "a left image: it has the right"
+        ),
         "joints": topics("joints") + _missing_chain(summary, profile),
         "reference": _missing_reference(summary, profile),
         "calibration": unless(profile.calibration, f"a calibration {of_profile} (--calibration)"),

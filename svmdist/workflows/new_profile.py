@@ -20,7 +20,7 @@ from svmdist.profile.segmentation import ColourRegion, HsvSegmentation
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import sanitize, sanitize_list
 from svmdist.recording.summary import RecordingSummary, inspect_recording
-from svmdist.recording.topics import Role
+from svmdist.recording.topics import Role, is_right
 from svmdist.samples import Image
 from svmdist.vision.colour import DistinctColour, find_distinct_colour
 from svmdist.vision.find_instruments import AutoSegmenter
@@ -142,7 +142,13 @@ def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
             f"{summary.path.name}: no topic with camera calibrations: estimates need one"
             " (svmdist import writes a log of images and a calibration)"
         )
-    camera = given.get("camera_info") or _nearest(image, cameras)
+    fitting = [topic for topic in cameras if is_right(image) or not is_right(topic)]
+    if not (fitting or "camera_info" in given):
+        raise RecordingError(
+            f"{summary.path.name}: no topic with camera calibrations for {sanitize(image)}:"
+            f" {sanitize_list(cameras)} is the right view's (--topic camera_info=TOPIC chooses another)"
+        )
+    camera = given.get("camera_info") or _nearest(image, fitting)
     topics = {"image": image, "camera_info": camera}
     right = given.get("right_image") or _right_of(image, images)
     others = [topic for topic in cameras if topic != camera]
@@ -168,7 +174,7 @@ def _left_image(images: Sequence[str], summary: RecordingSummary) -> str:
     if not lefts:
         there = sanitize_list(topic.topic for topic in summary.topics)
         raise RecordingError(f"{name}: no topic with images; the topics are {there or 'none'}")
-    lefts = [topic for topic in lefts if not _is_right(topic)] or lefts
+    lefts = [topic for topic in lefts if not is_right(topic)] or lefts
     lefts = [topic for topic in lefts if _right_of(topic, images)] or lefts
     for word in ("left", "rect"):
         lefts = [topic for topic in lefts if word in topic.lower()] or lefts
@@ -183,12 +189,8 @@ def _right_of(left: str, images: Sequence[str]) -> str | None:
         name = left.replace(one, other)
         if name != left and name in images:
             return name
-    rights = [topic for topic in images if _is_right(topic)]
+    rights = [topic for topic in images if is_right(topic)]
     return rights[0] if len(rights) == 1 and rights[0] != left else None
-
-
-def _is_right(topic: str) -> bool:
-    return "right" in topic.lower() or bool(re.search(r"[/_]r([/_]|$)", topic.lower()))
 
 
 def _nearest(image: str, cameras: Sequence[str]) -> str:

@@ -160,6 +160,14 @@ def test_info_tells_what_a_log_can_serve(cli, tmp_path, synthetic_log):
     lacking = cli("info", blind, "-f", "json").json
     assert lacking["commands"]["estimate"] == {"served": False, "missing": ["a topic for image"]}
     assert lacking["commands"]["fk"]["served"]
+    with RecordingWriter(other := tmp_path / "other.mcap", {}) as writer:
+        for topic, sample in samples(SCENE, 3):
+            writer.write(topic.replace("left/camera_info", "right/camera_info"), sample)
+    assert cli("info", other, "-f", "json").json["commands"]["estimate"]["missing"] == [
+        "a topic for camera_info"
+    ]
+    said = cli("estimate", other, code=1).line
+    assert "profile expects /ECM/left/camera_info); /ECM/right/camera_info is the right view's" in said
 
 
 def test_info_counts_gaps_and_disorder(cli, tmp_path):

@@ -73,6 +73,16 @@ def test_plain_tissue_costs_no_row(angle_rad):
     assert deviations(found, angle_rad) < 2.8
 
 
+@pytest.mark.parametrize("level", [0, 128, 255])
+def test_a_right_view_that_shows_nothing_is_no_stereo(level):
+    """Black or plain, it matches textured tissue everywhere and nowhere; one view's pose is not passed for two's."""
+    left = drawn(2.4, False).astype(np.int16) + np.random.default_rng(0).integers(-9, 9, (480, 640, 1))
+    textured = np.asarray(np.clip(left, 0, 255), np.uint8)
+    found = measured(pair(textured, np.full_like(textured, level)))
+    assert found.status is Status.NO_STEREO
+    assert "the right view shows neither" in found.detail
+
+
 @pytest.mark.parametrize("hidden_left", [False, True])
 def test_a_marker_in_one_view_is_enough(hidden_left):
     """Edges of the shaft in both views tell the depth that its disparity would."""

@@ -28,9 +28,9 @@ JPEG = compress(".jpg", IMAGE)
 def test_png_is_lossless_and_jpeg_near():
     np.testing.assert_array_equal(images.decode_still(PNG, LIMITS), IMAGE)
     assert np.abs(images.decode_still(JPEG, LIMITS).astype(int) - IMAGE).mean() < 3
-    np.testing.assert_array_equal(
-        images.decode_still(JPEG + bytes(10), LIMITS), images.decode_still(JPEG, LIMITS)
-    )
+    for count in (10, 100_000):  # buffers of a fixed size are filled with zeros
+        padded = images.decode_still(JPEG + bytes(count), LIMITS)
+        np.testing.assert_array_equal(padded, images.decode_still(JPEG, LIMITS))
 
 
 NO_STILLS = {
@@ -41,6 +41,7 @@ NO_STILLS = {
     "PNG but for a byte": (PNG[:-1], "ends early"),
     "half a PNG": (PNG[: len(PNG) // 2], "ends early"),
     "half a JPEG": (JPEG[: len(JPEG) // 2], "ends early"),
+    "half a JPEG, padded": (JPEG[: len(JPEG) // 2] + bytes(1000), "ends early"),
     "no IHDR": (PNG[:8] + PNG[33:], "without a header"),
 }
 

@@ -86,6 +86,7 @@ def choice(
 CAMERAS = (("/a", IMAGE), ("/b", IMAGE), ("/c", IMAGE))
 ARMS = (("/PSM1/js", JOINTS), ("/PSM2/js", JOINTS))
 TRUTH = {"ground_truth_tf": "/truth"}
+RIGHT_INFO = {"wanted": {"camera_info": "/y", "right_image": "/r", "right_camera_info": "/x"}}
 PSM2 = {"claimed": frozenset({"/PSM2/js"})}
 
 
@@ -107,6 +108,12 @@ PSM2 = {"claimed": frozenset({"/PSM2/js"})}
         ("right_image", (("/x", IMAGE),), {"wanted": {"right_image": "/x"}}, "/x"),
         ("right_camera_info", (("/x", CAMERA),), {}, None),
         ("right_camera_info", (("/x", CAMERA),), {"wanted": {"right_camera_info": "/x"}}, "/x"),
+        # The right view's calibration is no left image's, and a right image is not the left calibration's.
+        ("camera_info", (("/l", IMAGE), ("/x", CAMERA)), RIGHT_INFO, None),
+        ("camera_info", (("/left/image", IMAGE), ("/right/camera_info", CAMERA)), {}, None),
+        ("camera_info", (("/r", IMAGE), ("/x", CAMERA)), RIGHT_INFO, "/x"),
+        ("image", (("/r", IMAGE), ("/x", CAMERA)), RIGHT_INFO, "/r"),
+        ("image", (("/r", IMAGE), ("/y", CAMERA)), RIGHT_INFO, None),
         # None of another role or of another arm.
         ("tf", (("/truth", TRANSFORMS),), {"wanted": TRUTH}, None),
         ("tf", (("/truth", TRANSFORMS), ("/tf", TRANSFORMS)), {"wanted": TRUTH}, "/tf"),

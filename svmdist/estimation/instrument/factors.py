@@ -37,7 +37,7 @@ from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, inverse
 from svmdist.vision.stereo import RectifiedPair
 
-WRIST = "wrist"
+WRIST, DISPARITY = "wrist", "disparity"
 # Deviations over the marker's radius. What lasts is a state of the filter, and reaches the interval as such.
 VISIBLE_MIDDLE = 0.05  # lasts: geometry, 6 % of the disc hidden on one side moves the middle of the rest so
 SHADING_BIAS = (
@@ -367,7 +367,7 @@ def _disparity(frame: Frame, right: View, markers: MarkerPair, T_right_left: Arr
     """How far apart both views show the tool's origin; it shares with its point what is off it on the instrument."""
     arm, left = frame.arm, markers.left
     return DisparityMeasurement(
-        "disparity",
+        DISPARITY,
         None,
         frame.left.camera,
         right.camera,

@@ -13,6 +13,7 @@ import numpy as np
 
 from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.factors import (
+    DISPARITY,
     MarkerPair,
     hinge_on_link,
     of_images,
@@ -42,6 +43,11 @@ class ImagePose:
     pose: ToolPose
     used: tuple[str, ...]
     doubt: str
+
+    @property
+    def is_by_right_view(self) -> bool:
+        """Whether anything in the right view carries it."""
+        return any(name == DISPARITY or name.startswith("right ") for name in self.used)
 
 
 def pose_by_image(frame: Frame) -> ImagePose | Failure:
