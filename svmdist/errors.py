@@ -2,15 +2,32 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Iterable
 from typing import Any
 
 UNSAFE = {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}  # control, format, surrogates, private, line breaks
+USER = re.compile(r"(?<=[A-Za-z0-9]{2}:/)/*(?:[^/?#\s]*|[^/?#@:\s]*:(?!\d+(?:/|$))\S*)@")
+"""User and password of a URL, with the slashes before them; a key of S3 may have slashes, and no port has a path."""
+QUERY = re.compile(r"([A-Za-z0-9]{2}:/[^\s?#]*)([?#]\S*)")
+"""A URL up to its query, and the query."""
+
+
+def concealed(text: str) -> str:
+    """Text whose URLs are without user, password and query, which may be secrets.
+
+    >>> concealed("s3://KEY:SECRET@bucket/a.mcap: no such file")
+    's3://bucket/a.mcap: no such file'
+    """
+    return QUERY.sub(r"\1", USER.sub(lambda user: "/" * user[0].count("/", 0, 1), text))
 
 
 class SvmdistError(Exception):
-    """Base of all errors that svmdist raises on purpose; its text is one line."""
+    """Base of all errors that svmdist raises on purpose; its text is one line, without the secrets of URLs."""
+
+    def __init__(self, *texts: str) -> None:
+        super().__init__(*map(concealed, texts))
 
 
 class Terminated(KeyboardInterrupt):

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
+from svmdist.errors import OutputError
 from svmdist.files import read_regular, why, write_atomically
 
 
@@ -38,6 +39,16 @@ def test_links_and_permissions_stay(tmp_path):
     write_atomically(link, ["new"])
     assert link.is_symlink()
     assert (real.read_text(), real.stat().st_mode & 0o777) == ("new", 0o640)
+
+
+def test_a_planted_link_is_not_followed(tmp_path, monkeypatch):
+    """In a folder that others write to, a link may appear where the temporary file is about to be made."""
+    path, theirs = tmp_path / "rows.csv", tmp_path / "theirs"
+    theirs.write_text("precious")
+    monkeypatch.setattr(type(path), "unlink", lambda part, **_: part.is_symlink() or part.symlink_to(theirs))
+    with pytest.raises(OutputError, match="File exists"):
+        write_atomically(path, ["new"])
+    assert theirs.read_text() == "precious"
 
 
 def test_a_pipe_is_written_in_place(tmp_path):

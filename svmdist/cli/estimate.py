@@ -15,12 +15,12 @@ from svmdist.cli import output
 from svmdist.cli.logs import GroupOption, LogOptions, Run, log_losses
 from svmdist.cli.options import PLOT, MeasureOptions, OutputOptions, format_option, option
 from svmdist.cli.output import LOG, ExitCode
-from svmdist.errors import UsageError
+from svmdist.errors import UsageError, concealed
 from svmdist.report.writers import Holds, Results, Writer, choose_writer
 
 if TYPE_CHECKING:
-    from svmdist.files import LogPath
     from svmdist.recording.log import Recording
+    from svmdist.remote import LogPath
     from svmdist.report.tables import Row
     from svmdist.results import FrameResult
     from svmdist.workflows.estimate import Keep
@@ -63,7 +63,7 @@ class PictureOptions(OutputOptions):
         if self.report:
             from svmdist.report.html import make_report, write_report
 
-            command = shlex.join(["svmdist", *sys.argv[1:]])
+            command = shlex.join(["svmdist", *map(concealed, sys.argv[1:])])
             jobs, logs = run.given.jobs, None if run.given.is_one else run.ranking()
             with output.progress_bar("drawing the worst frames", "images") as advance:
                 page = make_report(measured, request, command, result, jobs, logs, advance)

@@ -15,7 +15,8 @@ from urllib.parse import unquote
 from svmdist.cli.options import JOBS, Options, argument, option
 from svmdist.cli.output import LOG, ExitCode, progress_bar, with_name
 from svmdist.errors import RecordingError, UsageError
-from svmdist.files import LogPath, RemoteFile, is_url, listed_urls, why
+from svmdist.files import why
+from svmdist.remote import LogPath, RemoteFile, is_url, listed_urls
 
 if TYPE_CHECKING:
     from svmdist.recording.source import Health
@@ -287,7 +288,7 @@ def _paths_of(text: str) -> Sequence[LogPath]:
 
 def _urls_of(url: str) -> list[RemoteFile]:
     """The logs of a URL: of a folder or a glob all those in it, by name; a file stands for itself."""
-    is_glob = GLOB.search(url.partition("://")[2].partition("?")[0]) is not None
+    is_glob = GLOB.search(RemoteFile(url).parts[2]) is not None
     try:
         found = listed_urls(url, LOG_ENDINGS, is_glob=is_glob)
     except OSError as problem:

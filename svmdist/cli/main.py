@@ -15,7 +15,7 @@ from typer.core import TyperGroup
 from svmdist.cli import calibrate, compare, estimate, fk, importing, info, record, show, validate
 from svmdist.cli.options import QUIET, VERBOSE, Options, choose_verbosity, function_of, name_of, option
 from svmdist.cli.output import LOG, ExitCode, abandon, adapt_streams, print_log, with_notes
-from svmdist.errors import SvmdistError, Terminated, UsageError, did_you_mean
+from svmdist.errors import SvmdistError, Terminated, UsageError, concealed, did_you_mean
 
 NO_MEMORY = "there is not enough memory; try fewer --jobs"
 CV_NO_MEMORY = -4  # OpenCV's code of an allocation that failed
@@ -39,6 +39,10 @@ def _one_line() -> Iterator[None]:
             name, choices = found[1], re.findall(r"'([^']*)'", found[2])
             problem.message = f"{name}: {did_you_mean(name, choices)}"
         raise UsageError(problem.format_message()) from None
+    except Exception as problem:
+        if isinstance(message := getattr(problem, "message", None), str):  # typer prints its own errors
+            problem.message = concealed(message)  # type: ignore[attr-defined]
+        raise
 
 
 class CommandGroup(TyperGroup):

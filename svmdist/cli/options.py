@@ -23,10 +23,10 @@ from svmdist.report.writers import Holds, Writer, choose_writer, names_of
 
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
-    from svmdist.files import LogPath
     from svmdist.perturbations.chosen import Perturbations
     from svmdist.profile import Profile
     from svmdist.recording.observations import Window
+    from svmdist.remote import LogPath
     from svmdist.workflows.request import Lag, Request
 
 

@@ -17,8 +17,9 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from svmdist.errors import OutputError, UsageError, printable
-from svmdist.files import FALLBACK, LogPath, why, write_atomically
+from svmdist.errors import OutputError, UsageError, concealed, printable
+from svmdist.files import FALLBACK, why, write_atomically
+from svmdist.remote import LogPath
 from svmdist.report.writers import plot_format
 
 if TYPE_CHECKING:
@@ -44,11 +45,11 @@ class ExitCode(IntEnum):
 
 
 class _Stderr(logging.Handler):
-    """Prints one line for each record, without markup or control characters."""
+    """Prints one line for each record, without markup, control characters, or secrets of URLs."""
 
     def emit(self, record: logging.LogRecord) -> None:
         with suppress(OSError):  # where stderr is full, there is nobody left to tell
-            print(printable(f"svmdist: {record.getMessage()}"), file=sys.stderr)
+            print(printable(concealed(f"svmdist: {record.getMessage()}")), file=sys.stderr)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import RecordingError, did_you_mean
-from svmdist.files import LogPath, RemoteFile, files_of, is_url, open_regular, why
+from svmdist.files import files_of, open_regular, why
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera
 from svmdist.perturbations.chosen import Perturbations
 from svmdist.perturbations.joints import ReplayedWorld
@@ -23,6 +23,7 @@ from svmdist.recording.contents import LogFile, Rows, TransformTree, replayed_ro
 from svmdist.recording.messages import EncodedImage, kind_of, matrices
 from svmdist.recording.source import Health, Loss, LossKind, TopicInfo, sanitize, sanitize_list
 from svmdist.recording.topics import KINDS, FixedTransform, LoggedArm, Role, find_arms, open_source
+from svmdist.remote import LogPath, RemoteFile, is_url
 from svmdist.samples import ImageSample, Observation, Rejection
 from svmdist.tracks import DistanceTrack, JointTrack, TransformTrack
 from svmdist.transforms import inverse

@@ -26,9 +26,10 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
 
 from svmdist.errors import RecordingError
-from svmdist.files import LogPath, RemoteFile, open_regular, why
+from svmdist.files import open_regular, why
 from svmdist.profile import Limits
 from svmdist.recording.source import Health, Loss, LossKind, RawMessage, TopicInfo, merge_topics
+from svmdist.remote import LogPath, RemoteFile
 
 METADATA_NAME = "svmdist"
 """The metadata record that says what a recording came from."""

@@ -18,10 +18,11 @@ from rosbags.rosbag1 import Reader as Bag1Reader
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from svmdist.errors import RecordingError
-from svmdist.files import LogPath, open_regular, read_regular, why
+from svmdist.files import open_regular, read_regular, why
 from svmdist.profile import Limits
 from svmdist.recording import source
 from svmdist.recording.mcap import McapSource
+from svmdist.remote import LogPath
 
 METADATA_BYTES = 1 << 20
 SQLITE_HEADER_BYTES = 100

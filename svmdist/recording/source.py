@@ -9,7 +9,7 @@ from enum import StrEnum
 from itertools import count
 from typing import NamedTuple, Protocol
 
-from svmdist.files import LogPath
+from svmdist.remote import LogPath
 
 MAX_NAME_LENGTH = 300
 MAX_LISTED_NAMES = 40

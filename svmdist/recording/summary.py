@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.files import LogPath
 from svmdist.profile import Profile
 from svmdist.recording import messages
 from svmdist.recording.images import ImageError
@@ -19,6 +18,7 @@ from svmdist.recording.messages import DecodeError, Decoder, kind_of
 from svmdist.recording.source import Health, TopicInfo
 from svmdist.recording.topics import Role
 from svmdist.recording.writer import EncodedSample
+from svmdist.remote import LogPath
 from svmdist.samples import CameraSample, JointSample, Sample, TransformsSample
 
 GAP_FACTOR = 3.0

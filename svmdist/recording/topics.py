@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from svmdist.errors import RecordingError, UsageError, did_you_mean
-from svmdist.files import LogPath, RemoteFile, open_regular, why
+from svmdist.files import open_regular, why
 from svmdist.profile import Frames, Limits, Profile, Topics
 from svmdist.profile.robot import ARM_TOPICS
 from svmdist.recording.mcap import MAGIC as MCAP_MAGIC
 from svmdist.recording.mcap import McapSource
 from svmdist.recording.messages import Kind, kind_of
 from svmdist.recording.source import METADATA_FILE, Source, TopicInfo, sanitize, sanitize_list
+from svmdist.remote import LogPath, RemoteFile
 from svmdist.transforms import Array
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -26,7 +27,7 @@ from mcap.writer import CompressionType, Writer
 from svmdist import samples
 from svmdist.camera import Camera
 from svmdist.errors import OutputError, UsageError
-from svmdist.files import why
+from svmdist.files import open_new, why
 from svmdist.profile import Limits
 from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
 from svmdist.recording.images import still_format, still_size
@@ -45,6 +46,8 @@ MESSAGE_CLASSES: dict[type, Any] = {
     samples.TransformsSample: FrameTransforms,
     samples.DistanceSample: GroundTruthDistance,
 }
+
+NO_SPACE = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", None))
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +163,8 @@ class RecordingWriter:
     >>> with RecordingWriter(path, {"scenario": "sweep"}) as writer:      # doctest: +SKIP
     ...     writer.write("/tf", sample)
 
-    An exception inside the block keeps the `.part` file, with everything written so far, unless it has no message.
+    An exception inside the block keeps the `.part` file, with everything written so far, unless it has no message or
+    the disk is full.
     Chunks hold at most 256 KiB, or one message that is larger. `metadata` becomes the record `svmdist`; images become
     PNG, or JPEG of a quality from 1 to 100, with colour at full resolution.
     Raises UsageError when the file exists and `force` is not set, OutputError when it cannot be written.
@@ -192,7 +196,7 @@ class RecordingWriter:
         try:
             if self._force:
                 self.part_path.unlink(missing_ok=True)
-            self._file = self.part_path.open("xb")
+            self._file = open_new(self.part_path)
             self._writer = Writer(
                 self._file,
                 chunk_size=1 << 40,  # this class ends the chunks, before they grow too large
@@ -230,7 +234,7 @@ class RecordingWriter:
     ) -> None:
         if self._file is None:
             return
-        if self._channels and isinstance(error, KeyboardInterrupt | OutputError):
+        if self._channels and isinstance(error, KeyboardInterrupt | OutputError) and self.part_path.exists():
             error.add_note(f"what was recorded until then is in {self.part_path}")
         if self._file.closed:
             return
@@ -286,4 +290,7 @@ class RecordingWriter:
             # Closing tries to write the rest once more and fails in the same way.
             with suppress(OSError):
                 self._file.close()
+            if problem.errno in NO_SPACE:  # what is left would keep the disk full
+                with suppress(OSError):
+                    self.part_path.unlink()
         return OutputError(f"{self.path}: cannot write: {why(problem)}")

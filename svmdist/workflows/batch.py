@@ -27,8 +27,9 @@ from typing import Any, Generic, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from svmdist.errors import OutputError, ProfileError, SvmdistError, UsageError
-from svmdist.files import LogPath, RemoteFile, files_of, why, write_atomically
+from svmdist.files import files_of, why, write_atomically
 from svmdist.recording.source import Health, Loss
+from svmdist.remote import LogPath, RemoteFile, without_secrets
 from svmdist.workflows.parallel import Progress, each_in_processes, one_opencv_thread, usable_cores
 from svmdist.workflows.request import LOG, Request
 
@@ -314,9 +315,10 @@ def _connected(address: str) -> Any:
     try:
         client: Any = Client(address, timeout=f"{CONNECT_S}s", set_as_default=False)
     except ValueError as problem:
-        raise UsageError(f"--scheduler {address}: {problem}; expected one as in tcp://host:8786") from None
+        reason = without_secrets(str(problem), address)
+        raise UsageError(f"--scheduler {address}: {reason}; expected one as in tcp://host:8786") from None
     except (OSError, TimeoutError) as problem:
-        reason = " ".join(str(problem).split())
+        reason = without_secrets(" ".join(str(problem).split()), address)
         raise SvmdistError(f"--scheduler {address}: cannot connect: {reason}") from None
     end_s = time.monotonic() + CONNECT_S
     while not client.nthreads():

@@ -21,7 +21,6 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
 from svmdist.estimation.scene import Arm
-from svmdist.files import LogPath
 from svmdist.perturbations.calibration import stated_profile
 from svmdist.perturbations.chosen import Perturbations, require_at_replay
 from svmdist.perturbations.images import perturbed_image, perturbed_right_view
@@ -29,6 +28,7 @@ from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.log import KnownLag, Recording, open_recording
 from svmdist.recording.observations import ALL_IMAGES, Window
 from svmdist.recording.topics import Role
+from svmdist.remote import LogPath
 from svmdist.results import FrameResult
 from svmdist.samples import Image, Observation
 from svmdist.vision import degradations

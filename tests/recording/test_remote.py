@@ -1,9 +1,11 @@
 """Logs behind URLs: the same samples as from a disk, by the index where there is one, and one line where it fails."""
 
 import random
+import re
+import socket
 from collections.abc import Iterator
 from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler, SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
 from typing import Any
@@ -12,11 +14,12 @@ import fsspec
 import pytest
 from fsspec.spec import AbstractBufferedFile, AbstractFileSystem
 
-from svmdist.errors import RecordingError
-from svmdist.files import RemoteFile
+from svmdist import remote
+from svmdist.errors import RecordingError, concealed
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.mcap import McapSource
+from svmdist.remote import RemoteFile, without_secrets
 from tests.recording.builders import rewrite, write_messages
 from tests.recording.faults import flip_bit, is_subsequence
 from tests.synthetic import make_scene, write_log
@@ -77,10 +80,34 @@ def everything(source: McapSource, topics: set[str] | None = None) -> list[objec
     ]
 
 
-def test_a_name_shows_no_secrets():
-    file = RemoteFile("https://me:secret@host/day/a.mcap?token=secret")
+@pytest.mark.parametrize("user", ["me:secret@", "KEY:sec/ret@", "me:se@cret@", "secret@"])
+def test_a_name_shows_no_secrets(user):
+    file = RemoteFile(f"https://{user}host/day/a.mcap?token=secret")
     assert (str(file), file.name, file.stem) == ("https://host/day/a.mcap", "a.mcap", "a")
-    assert file.folders == ("me:secret@host", "day")
+    assert repr(file) == str(file)
+    assert file.folders == ("host", "day")
+    said = f"{user}host is no bucket, https:/{user}host/day no folder"
+    assert (
+        str(RecordingError(without_secrets(said, file.url)))
+        == "***@host is no bucket, https:/host/day no folder"
+    )
+    plain = "http://host:80/me@home/a.mcap"
+    assert concealed(plain) == plain
+
+
+@pytest.mark.parametrize("url", ["http://[::1/a.mcap", "s3://[::1/a.mcap", "http://h:x/a.mcap", "http://]"])
+def test_a_wrong_address_is_one_line(url):
+    with pytest.raises(RecordingError, match=r"cannot read: (Invalid IPv6 URL|Port could not)"):
+        open_recording(url, PROFILE)
+
+
+def test_no_key_in_a_url_of_s3(cli):
+    """Whatever shows it: errors, remarks, and what typer says itself."""
+    url = "s3://KEY:SECRET@logs/a.mcap"
+    for *arguments, code in (("info", url, 1), ("estimate", "-v", url, "x.mcap", 1), ("show", url, url, 2)):
+        done = cli(*arguments, code=code)
+        assert "logs/a.mcap" in done.err
+        assert not {"KEY", "SECRET"} & set(re.split(r"\W", done.out + done.err)), done.err
 
 
 @pytest.mark.parametrize("chunks", ["large", "small"])
@@ -125,6 +152,31 @@ def test_a_server_without_ranges_gives_the_file_whole(log, monkeypatch):
         with pytest.raises(RecordingError, match="no such file"):
             open_recording(f"http://127.0.0.1:{server.server_port}/none.mcap", PROFILE)
         server.shutdown()
+
+
+@pytest.mark.parametrize("status", [403, 500, 404])
+def test_what_a_server_refuses_is_there(status):
+    class Refused(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_error(status)
+
+        do_HEAD = do_GET
+        log_message = staticmethod(lambda *_: None)  # type: ignore[assignment]
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Refused) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        said = "no such file" if status == 404 else f"cannot read: {status} "
+        with pytest.raises(RecordingError, match=said):
+            open_recording(f"http://127.0.0.1:{server.server_port}/a.mcap", PROFILE)
+        server.shutdown()
+
+
+def test_a_silent_server_is_not_waited_for(monkeypatch):
+    monkeypatch.setattr(remote, "ANSWER_S", 0.2)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        url = f"http://127.0.0.1:{server.getsockname()[1]}/a.mcap"
+        with pytest.raises(RecordingError, match="no answer within"):
+            open_recording(url, PROFILE)
 
 
 @pytest.mark.parametrize("count", [150, pytest.param(4000, marks=pytest.mark.fault)])
