@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import re
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from svmdist.cli.options import FORCE, LENGTH_UNITS_M, Options, argument, option, parse_length_m, parse_number
 from svmdist.cli.output import LOG, progress_bar, require_output
 from svmdist.errors import UsageError
 
 INSTRUMENT = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
+SIZE = r"([1-9]\d{0,4})x([1-9]\d{0,4})"
+CROP = r"(\d{1,5}),(\d{1,5}),([1-9]\d{0,4}),([1-9]\d{0,4})"
 
 
 class Import(Options):
@@ -41,9 +43,15 @@ class Import(Options):
     )
     calibration: Path | None = option(
         "--calibration FILE.yaml",
-        "Calibration of ROS (camera_info), OpenCV or Kalibr, of a camera or a pair.",
+        "Calibration of ROS (camera_info), OpenCV (YAML, XML) or Kalibr, of a camera or a pair.",
     )
     right_calibration: Path | None = option("--right-calibration FILE.yaml", "The right camera's own.")
+    calibrated_at: str | None = option(
+        "--calibrated-at WIDTHxHEIGHT", "Size of the images of the calibration, if they were scaled since."
+    )
+    crop: str | None = option(
+        "--crop X,Y,WIDTH,HEIGHT", "Take this part of each view, in px; the calibration is of the whole."
+    )
     camera: str | None = option("--camera FX,FY,CX,CY", "The camera in px, in place of a file.")
     right_camera: str | None = option("--right-camera FX,FY,CX,CY", "The right one. Default: the left one.")
     distortion: str | None = option("--distortion K1,K2,P1,P2[,K3…]", "With --camera. Default: none.")
@@ -67,7 +75,7 @@ class Import(Options):
     every: int = option("--every N", "Take each Nth image only.", 1, min=1)
     jpeg: int | None = option(
         "--jpeg QUALITY",
-        "Store what has to be decoded (video, side by side) as JPEG. Default: PNG, without loss.",
+        "Store what has to be decoded (video, side by side, crop) as JPEG. Default: PNG, without loss.",
         min=1,
         max=100,
     )
@@ -92,6 +100,7 @@ class Import(Options):
             ViewOptions(
                 *(self.source, self.right, self.pattern, self.right_pattern, self.side_by_side),
                 *(self.rate, start_ns, self.times, self.every),
+                _whole_px("--crop", self.crop, CROP, "X,Y,WIDTH,HEIGHT, as in 40,0,640,480"),
             ),
             CalibrationOptions(
                 (self.calibration, self.right_calibration),
@@ -100,6 +109,7 @@ class Import(Options):
                 self.distortion_model,
                 parse_length_m("--baseline", self.baseline) if self.baseline else None,
                 LENGTH_UNITS_M[self.unit],
+                _whole_px("--calibrated-at", self.calibrated_at, SIZE, "WIDTHxHEIGHT, as in 1280x720"),
             ),
             _tables("--poses", self.poses),
             _tables("--joints", self.joints),
@@ -119,6 +129,14 @@ def _numbers(name: str, text: str) -> tuple[float, ...]:
     if not all(map(math.isfinite, numbers)):
         raise UsageError(f"{name} {text}: expected numbers between commas")
     return numbers
+
+
+def _whole_px(name: str, text: str | None, form: str, expected: str) -> Any:
+    if text is None:
+        return None
+    if found := re.fullmatch(form, text):
+        return tuple(map(int, found.groups()))
+    raise UsageError(f"{name} {text}: expected {expected}, in px")
 
 
 def _intrinsics(name: str, text: str | None) -> tuple[float, ...] | None:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
+from xml.etree import ElementTree
 
 import numpy as np
 import yaml
@@ -23,6 +24,9 @@ from svmdist.transforms import Array
 MAX_BYTES = 1 << 20
 OPENCV_HEADER = re.compile(r"\A%YAML:1\.0.*\n")
 """How OpenCV's FileStorage begins a file, which is no YAML directive."""
+XML = re.compile(r"\s*<(\?xml|opencv_storage)")
+DECLARATION = re.compile(r"<!(?!--)")
+"""Of types and entities, a few of which stand for millions of characters."""
 K_KEYS = ("camera_matrix", "K", "k", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix")
 D_KEYS = ("distortion_coefficients", "D", "d", "distCoeffs", "dist_coeffs", "Distortion_Coefficients")
 WIDTH_KEYS = ("image_width", "width", "image_Width")
@@ -32,9 +36,13 @@ PAIR_D_KEYS = (("D1", "distCoeffs1"), ("D2", "distCoeffs2"))
 FORMS = "camera_info of ROS (camera_matrix or K), OpenCV (camera_matrix, or M1, D1, M2, D2, R, T), Kalibr (cam0, cam1)"
 PLAUSIBLE_BASELINE_M = (2e-4, 1.0)
 """An endoscope's is about 5 mm; beyond these bounds the unit is another one."""
+LEAST_FOCAL_PX = 10.0
+"""Images of 320 px would show 173 degrees; a smaller number is in mm, or of coordinates without pixels."""
 Document = dict[str, Any]
 Keys = Sequence[str]
 Size = tuple[int, int] | None
+Crop = tuple[int, int, int, int] | None
+"""The part of an image that is taken: x and y of its corner, width and height, in px."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +59,7 @@ class StatedCamera:
 
 @dataclass(frozen=True)
 class CalibrationOptions:
-    """Files, or (fx, fy, cx, cy) in px; `unit_m` is the unit of lengths in files."""
+    """Files, or (fx, fy, cx, cy) in px of images of `size_px`; `unit_m` is the unit of lengths in files."""
 
     files: tuple[Path | None, Path | None] = (None, None)
     intrinsics: tuple[tuple[float, ...] | None, tuple[float, ...] | None] = (None, None)
@@ -59,6 +67,7 @@ class CalibrationOptions:
     distortion_model: str = "plumb_bob"
     baseline_m: float | None = None
     unit_m: float = 1.0
+    size_px: Size = None
 
 
 def stated_cameras(options: CalibrationOptions, view_count: int) -> tuple[StatedCamera, ...]:
@@ -97,25 +106,39 @@ def stated_cameras(options: CalibrationOptions, view_count: int) -> tuple[Stated
 
 
 def complete(
-    stated: Sequence[StatedCamera], sizes_px: Sequence[tuple[int, int]], frames: Sequence[str]
+    stated: Sequence[StatedCamera],
+    sizes_px: Sequence[tuple[int, int]],
+    frames: Sequence[str],
+    calibrated_px: Size = None,
+    crop: Crop = None,
 ) -> list[Camera]:
-    """Cameras of the size of their images; SourceError where the calibration is of another size, or no pair."""
+    """Cameras of images of some sizes that were scaled since calibration, where its size is given, and are cropped.
+
+    Raises SourceError where the calibration is of another size, or of no camera or pair.
+    """
     cameras = []
-    for camera, (width_px, height_px), frame_id in zip(stated, sizes_px, frames, strict=True):
-        if camera.size_px is not None and camera.size_px != (width_px, height_px):
+    for camera, size_px, frame_id in zip(stated, sizes_px, frames, strict=True):
+        to_image = _scaling(camera, size_px, calibrated_px)
+        K, of = to_image @ camera.K, "the images of {}x{} px".format(*size_px)
+        if min(K[0, 0], K[1, 1]) < LEAST_FOCAL_PX:
             raise SourceError(
-                f"the calibration is for {camera.size_px[0]}x{camera.size_px[1]} px, the images have"
-                f" {width_px}x{height_px} px: calibrate at the size of the images"
+                f"expected focal lengths of {LEAST_FOCAL_PX:g} px or more, found fx = {K[0, 0]:g}, fy = {K[1, 1]:g}: a"
+                " length in mm is multiplied by the image's width in px over the sensor's in mm"
             )
-        if not (0 < camera.K[0, 2] < width_px and 0 < camera.K[1, 2] < height_px):
+        if not (0 < K[0, 2] < size_px[0] and 0 < K[1, 2] < size_px[1]):
             raise SourceError(
-                f"the principal point ({camera.K[0, 2]:g}, {camera.K[1, 2]:g}) is outside of the images of"
-                f" {width_px}x{height_px} px"
+                f"the principal point ({K[0, 2]:g}, {K[1, 2]:g}) is outside of {of}: if they were scaled since"
+                " calibration, say --calibrated-at WIDTHxHEIGHT"
             )
-        P = camera.K @ np.eye(3, 4) if camera.P is None else camera.P
+        x_px, y_px, width_px, height_px = crop or (0, 0, *size_px)
+        if x_px + width_px > size_px[0] or y_px + height_px > size_px[1]:
+            raise SourceError(f"--crop goes beyond {of}")
+        to_image[:2, 2] -= x_px, y_px
+        K = to_image @ camera.K
+        P = K @ np.eye(3, 4) if camera.P is None else to_image @ camera.P
         R = np.eye(3) if camera.R is None else camera.R
         model = cast(DistortionModel, camera.model)
-        cameras.append(Camera(width_px, height_px, camera.K, camera.D, R, P, frame_id, model))
+        cameras.append(Camera(width_px, height_px, K, camera.D, R, P, frame_id, model))
     T_left_right = stereo_transform(cameras[0], cameras[1]) if len(cameras) == 2 else None
     if T_left_right is None:
         return cameras  # of a pair, no baseline is known: the caller says so
@@ -135,8 +158,27 @@ def complete(
     return cameras
 
 
+def _scaling(camera: StatedCamera, size_px: tuple[int, int], calibrated_px: Size) -> Array:
+    """What takes pixels of the images that were calibrated to pixels of images of a size, shape (3, 3)."""
+    (width_px, height_px), stated_px = size_px, camera.size_px or calibrated_px or size_px
+    of = f"the calibration is for {stated_px[0]}x{stated_px[1]} px"
+    if calibrated_px is not None and calibrated_px != stated_px:
+        raise SourceError(f"{of}, not for {calibrated_px[0]}x{calibrated_px[1]} px, as --calibrated-at says")
+    if calibrated_px is None and stated_px != size_px:
+        raise SourceError(
+            f"{of}, the images have {width_px}x{height_px} px: calibrate at the size of the images, or say"
+            f" --calibrated-at {stated_px[0]}x{stated_px[1]} if they were scaled, and nothing else"
+        )
+    if abs(width_px * stated_px[1] - height_px * stated_px[0]) > max(stated_px):  # a pixel more or less
+        raise SourceError(
+            f"{of}, the images of {width_px}x{height_px} px have another aspect: they were not only scaled"
+        )
+    x, y = width_px / stated_px[0], height_px / stated_px[1]
+    return np.array([[x, 0.0, (x - 1.0) / 2.0], [0.0, y, (y - 1.0) / 2.0], [0.0, 0.0, 1.0]])
+
+
 class _Loader(yaml.SafeLoader):
-    """Plain values, OpenCV's matrices as mappings, and no aliases: a few of them stand for millions of values."""
+    """Plain values, OpenCV's arrays as mappings, and no aliases: a few of them stand for millions of values."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
@@ -144,30 +186,52 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
 
-_Loader.add_constructor(
-    "tag:yaml.org,2002:opencv-matrix",
-    lambda loader, node: loader.construct_mapping(cast(yaml.MappingNode, node), deep=True),
+_Loader.add_multi_constructor(
+    "tag:yaml.org,2002:opencv-",
+    lambda loader, _, node: loader.construct_mapping(cast(yaml.MappingNode, node), deep=True),
 )
 
 
 def read_calibration(path: Path, unit_m: float = 1.0) -> tuple[StatedCamera, ...]:
-    """The cameras in the first document of a YAML file: one, or the left and the right one of a pair.
+    """The cameras in OpenCV's XML or the first document of a YAML file: one, or the left and the right one of a pair.
 
     `unit_m` is the unit of its lengths. Raises SourceError in one line for a file of another form.
     """
+    form, read = "a YAML", _yaml_document
     try:
-        text = OPENCV_HEADER.sub("", read_regular(path, MAX_BYTES).decode("utf-8"))
-        document = next(iter(yaml.load_all(text, _Loader)), None)
+        text = OPENCV_HEADER.sub("", read_regular(path, MAX_BYTES).decode("utf-8-sig"))
+        if XML.match(text):
+            form, read = "an XML", _xml_document
+        document = read(text)
     except OSError as problem:
         raise SourceError(f"{path}: cannot read: {why(problem)}") from None
-    except (yaml.YAMLError, ValueError, AssertionError, RecursionError) as problem:
-        raise SourceError(f"{path}: not a YAML file: {' '.join(str(problem).split())}") from None
+    except (yaml.YAMLError, SyntaxError, ValueError, AssertionError, RecursionError) as problem:
+        raise SourceError(f"{path}: not {form} file: {' '.join(str(problem).split())}") from None
     try:
         if not isinstance(document, dict):
             raise ValueError(f"expected a YAML mapping of a calibration, found {type(document).__name__}")
         return _cameras_in({str(key): value for key, value in document.items()}, unit_m)
     except ValueError as problem:
         raise SourceError(f"{path}: {problem}") from None
+
+
+def _yaml_document(text: str) -> Any:
+    return next(iter(yaml.load_all(text, _Loader)), None)
+
+
+def _xml_document(text: str) -> Any:
+    """The values in a FileStorage of OpenCV: arrays as mappings with `data`, or flat, and text."""
+    if DECLARATION.search(text):
+        raise ValueError("a declaration, which no calibration needs")
+
+    def value_of(element: ElementTree.Element) -> Any:
+        data = element.find("data")
+        if data is not None:
+            return {"data": (data.text or "").split()}
+        words = (element.text or "").split() or [one.text or "" for one in element.findall("_")]
+        return words[0] if len(words) == 1 else words
+
+    return {element.tag: value_of(element) for element in ElementTree.fromstring(text.strip())}
 
 
 def _cameras_in(document: Document, unit_m: float) -> tuple[StatedCamera, ...]:

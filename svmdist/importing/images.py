@@ -15,6 +15,8 @@ from svmdist.samples import Image
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"})
 DIGITS = re.compile(r"(\d+)")
+SIDE = re.compile(r"(?<![A-Za-z])(?i:left|right|l|r)(?![A-Za-z])|(?<=[a-z0-9])(?:L|R|Left|Right)(?![a-z])")
+"""The part of a file's name that says of which view it is."""
 
 
 def list_images(folder: Path, pattern: str | None = None) -> list[Path]:
@@ -30,6 +32,19 @@ def list_images(folder: Path, pattern: str | None = None) -> list[Path]:
     if chosen := [path for path in images if pattern is None or path.match(pattern)]:
         return chosen
     raise SourceError(f"{folder}: none of {len(images)} images is a {pattern}; the first is {images[0].name}")
+
+
+def require_one_view(images: Sequence[Path]) -> None:
+    """Raise SourceError where the names are of both views: they differ in numbers, and in a left and a right."""
+    found: dict[str, tuple[list[str], Path]] = {}
+    for path in images:
+        sides = [side[0].lower() for side in SIDE.findall(path.stem)]
+        before, other = found.setdefault(DIGITS.sub("#", SIDE.sub("*", path.stem)), (sides, path))
+        if before != sides:
+            raise SourceError(
+                f"{path.parent}: {other.name} and {path.name} are of two views: choose those of one by --pattern,"
+                " and those of the right one by --right-pattern"
+            )
 
 
 def matching(left: Sequence[Path], right: Sequence[Path]) -> list[Path]:

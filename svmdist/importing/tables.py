@@ -20,7 +20,7 @@ import numpy as np
 from svmdist.errors import SourceError
 from svmdist.files import read_regular, why
 from svmdist.importing.images import numbers_of
-from svmdist.tracks import JointTrack, TransformTrack
+from svmdist.tracks import MAX_GAP_NS, JointTrack, TransformTrack
 from svmdist.transforms import Array, Stamps, make_transform, rotation_from_quaternion_xyzw
 
 MAX_BYTES = 1 << 28
@@ -38,6 +38,8 @@ POSITION = r"(p|t|pos_|position[_.]?|p_rs_r_|pose\.position\.|translation_)?"
 QUATERNION = r"(q_?|quat_|orientation[_.]|q_rs_|pose\.orientation\.|rotation_|quaternion_)"
 ROTATION_TOLERANCE = 1e-2
 """Of a quaternion's length and of R Rᵀ - I: rounded numbers are accepted, other quantities are not."""
+FARTHEST_M = 10.0
+"""From a robot's base: no instrument is farther, and one of millimetres read as metres is."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,8 @@ def read_poses(path: Path, images: ImageTimes, unit_m: float, frame_id: str) -> 
         for row in np.flatnonzero(off > ROTATION_TOLERANCE):
             raise table.fail(int(row), "its matrix is no rotation")
         u, _, vt = np.linalg.svd(R)  # the nearest rotations of rounded ones
-        return TransformTrack(frame_id, "", stamps_ns, make_transform(u @ vt, matrices[:, :3, 3] * unit_m))
+        T = make_transform(u @ vt, matrices[:, :3, 3] * unit_m)
+        return TransformTrack(frame_id, "", stamps_ns, table.near(T))
     if table.names is None:
         position, quaternion, scale = others[:3], others[3:], [unit_m] * 3
         if len(others) != 7:
@@ -148,7 +151,7 @@ def read_poses(path: Path, images: ImageTimes, unit_m: float, frame_id: str) -> 
     lengths = np.linalg.norm(quaternions, axis=1)
     for row in np.flatnonzero(np.abs(lengths - 1.0) > ROTATION_TOLERANCE):
         raise table.fail(int(row), f"its quaternion has length {lengths[row]:.4g}, 1 is expected")
-    T = make_transform(rotation_from_quaternion_xyzw(quaternions), positions_m)
+    T = table.near(make_transform(rotation_from_quaternion_xyzw(quaternions), positions_m))
     return TransformTrack(frame_id, "", stamps_ns, T)
 
 
@@ -195,6 +198,16 @@ class Table:
     def fail(self, row: int, reason: str) -> SourceError:
         """The error for a row."""
         return SourceError(f"{self.path}: line {row + self.first_line}: {reason}")
+
+    def near(self, T_base_tool: Array) -> Array:
+        """The poses of the rows, shape (n, 4, 4), none of them beyond what a robot reaches."""
+        far_m = np.linalg.norm(T_base_tool[:, :3, 3], axis=1)
+        for row in np.flatnonzero(far_m > FARTHEST_M):
+            expected = f"expected a tool within {FARTHEST_M:g} m of its base, found {far_m[row]:.4g} m"
+            raise self.fail(
+                int(row), f"{expected}: if lengths are in mm, say --unit mm, or name columns x_mm"
+            )
+        return T_base_tool
 
     def numbers(self, columns: Sequence[int]) -> Array:
         """Columns as finite numbers, shape (n, m)."""
@@ -260,6 +273,18 @@ def read_table(path: Path) -> Table:
         if len(row) != width:
             raise SourceError(f"{path}: line {number}: expected {width} cells, found {len(row)}")
     return Table(path, None if names is None else tuple(names), tuple(map(tuple, rows)), lines[0][0])
+
+
+def require_common_time(path: Path, stamps_ns: Stamps, images_ns: Sequence[int]) -> None:
+    """Raise SourceError where no row of a table is within `MAX_GAP_NS` of an image: their clocks are others."""
+    images, padded_ns = np.array(images_ns, np.int64), np.pad(stamps_ns, 1, mode="edge")
+    before = np.searchsorted(stamps_ns, images)
+    if min(np.abs(padded_ns[before + side] - images).min() for side in (0, 1)) > MAX_GAP_NS:
+        table, pictures = (f"{one[0] / 1e9:.3f} s to {one[-1] / 1e9:.3f} s" for one in (stamps_ns, images))
+        raise SourceError(
+            f"{path}: no row is within {MAX_GAP_NS / 1e9:g} s of an image: its times are {table}, those of the images"
+            f" {pictures}; give both by one clock (--times, --start)"
+        )
 
 
 def _looks_named(rows: Sequence[Sequence[str]]) -> bool:

@@ -19,8 +19,8 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.errors import SourceError, SvmdistError, UsageError
 from svmdist.importing import tables as table_files
-from svmdist.importing.calibration import CalibrationOptions, complete, stated_cameras
-from svmdist.importing.images import Video, list_images, matching
+from svmdist.importing.calibration import CalibrationOptions, Crop, complete, stated_cameras
+from svmdist.importing.images import Video, list_images, matching, require_one_view
 from svmdist.profile import Limits
 from svmdist.recording.images import ImageError, decode_file, read_file, still_size
 from svmdist.recording.writer import EncodedSample, RecordingWriter, encode_still
@@ -47,6 +47,7 @@ class ViewOptions:
     start_ns: int = 0
     times: Path | None = None
     every: int = 1
+    crop: Crop = None
 
     @property
     def has_right_source(self) -> bool:
@@ -100,7 +101,7 @@ def import_log(
     views = _open_views(given)
     halved = 2 if given.side_by_side else 1
     sizes = [(view.size_px[0] // halved, view.size_px[1]) for view in views] * halved
-    cameras = complete(stated, sizes, FRAMES[: given.count])
+    cameras = complete(stated, sizes, FRAMES[: given.count], options.calibration.size_px, given.crop)
     tables = _table_messages(options, table_files.ImageTimes(views[0].names, views[0].stamps_ns))
     images = [_image_messages(views, at, cameras, options) for at in range(len(views))]
     total = sum(len(range(0, len(view.names), given.every)) for view in views)
@@ -134,10 +135,13 @@ def _image_messages(
     view = views[at]
     for place, picture in view.read():
         stamp_ns, parts = view.stamps_ns[place], [picture]
-        if options.views.side_by_side:
+        side_by_side, crop = options.views.side_by_side, options.views.crop
+        if side_by_side or crop:
             name = view.names[place]
             image = decode_file(picture, name, LIMITS) if isinstance(picture, bytes) else picture
-            parts = [np.ascontiguousarray(half) for half in np.split(image, 2, axis=1)]
+            halves = np.split(image, 2, axis=1) if side_by_side else [image]
+            x, y, width, height = crop or (0, 0, *halves[0].shape[1::-1])
+            parts = [np.ascontiguousarray(half[y : y + height, x : x + width]) for half in halves]
         for side, part in enumerate(parts, at):
             if isinstance(part, bytes):
                 message: Sample | EncodedSample = encode_still(stamp_ns, FRAMES[side], part, LIMITS)
@@ -149,12 +153,15 @@ def _image_messages(
 
 def _table_messages(options: ImportOptions, times: table_files.ImageTimes) -> list[list[Message]]:
     found: list[list[Message]] = []
+    taken_ns = times.stamps_ns[:: options.views.every]
     for name, path in options.poses.items():
         poses = table_files.read_poses(path, times, options.calibration.unit_m, f"{name}_base")
+        table_files.require_common_time(path, poses.stamps_ns, taken_ns)
         rows = zip(poses.stamps_ns.tolist(), poses.T_parent_child, strict=True)
         found.append([(ns, f"/{name}/measured_cp", PoseSample(ns, poses.parent, T)) for ns, T in rows])
     for name, path in options.joints.items():
         joints = table_files.read_joints(path, times, options.joint_names)
+        table_files.require_common_time(path, joints.stamps_ns, taken_ns)
         rows = zip(joints.stamps_ns.tolist(), joints.positions, strict=True)
         found.append([(ns, f"/{name}/measured_js", JointSample(ns, joints.names, q)) for ns, q in rows])
     return found
@@ -186,11 +193,14 @@ def _file_views(options: ViewOptions) -> list[View]:
     left = list_images(options.source, options.pattern)
     names = [path.name for path in left]
     if not options.has_right_source:
+        require_one_view(left)
         return [_file_view(left, _stamps(options, names), options.every)]
     folder = options.right or options.source
     right = list_images(folder, options.right_pattern or (options.pattern if options.right else None))
     if set(right) & set(left):
         raise UsageError("both views have the same images: tell them apart by --pattern and --right-pattern")
+    require_one_view(left)
+    require_one_view(right)
     right_names = [path.name for path in right]
     stamps = right_stamps = _stamps(options, names)
     own = table_files.stamps_from_names(right_names)

@@ -192,8 +192,13 @@ def test_info_counts_gaps_and_disorder(cli, tmp_path):
     [
         (("--camera", "60,61,31,23"), False, "64x48, fx 60.00, fy 61.00"),
         (("--camera", "60,60,15,23", "--side-by-side"), True, "32x48, fx 60.00, fy 60.00"),
+        (
+            ("--camera", "120,120,63,47", "--calibrated-at", "128x96", "--crop", "4,8,50,40"),
+            False,
+            "50x40, fx 60.00, fy 60.00, cx 27.25, cy 15.25",
+        ),
     ],
-    ids=["one view", "two"],
+    ids=["one view", "two", "scaled and cropped"],
 )
 def test_images_are_imported(cli, tmp_path, options, baseline, camera):
     """The log has images and a camera, and says where it is from; what two views without a baseline lack is said."""

@@ -51,18 +51,29 @@ def test_ros_camera_info(tmp_path):
         np.testing.assert_allclose(camera.P.ravel(), P)
 
 
-def test_opencv_file_storage(tmp_path):
-    """What OpenCV's own FileStorage wrote, with its header and tags, is read."""
-    path = tmp_path / "opencv.yaml"
+@pytest.mark.parametrize("form", ["matrix", "vector", "numbers"])
+@pytest.mark.parametrize("ending", ["yaml", "xml", "json"])
+def test_opencv_file_storage(tmp_path, ending, form):
+    """What OpenCV's own FileStorage wrote, with its header and tags, is read, in every form of its arrays."""
+    path = tmp_path / f"opencv.{ending}"
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     storage.write("image_width", 640)
     storage.write("image_height", 480)
-    storage.write("camera_matrix", np.reshape(K, (3, 3)))
-    storage.write("distortion_coefficients", np.array([D]))
+    for name, values in (
+        ("camera_matrix", np.reshape(K, (3, 3))),
+        ("distortion_coefficients", np.array([D])),
+    ):
+        if form == "numbers":
+            storage.startWriteStruct(name, cv2.FileNode_SEQ)
+            for value in values.ravel():
+                storage.write("", float(value))
+            storage.endWriteStruct()
+        else:
+            storage.write(name, values if form == "matrix" else values.ravel())
     storage.release()
     written = path.read_text()
     for header in ("%YAML 1.2", "%YAML:1.0"):  # OpenCV 5's, and that of the versions before
-        path.write_text(header + written[written.index("\n") :])
+        path.write_text(header + written[written.index("\n") :] if ending == "yaml" else written)
         (camera,) = calibration.read_calibration(path)
         np.testing.assert_allclose(camera.K.ravel(), K)
         np.testing.assert_allclose(camera.D, D)
@@ -129,9 +140,11 @@ def test_wrong_files(tmp_path, document, said):
         ("K: !!python/object/apply:os.system ['true']\n", "not a YAML file"),
         ("K: [1, 2\n", "not a YAML file"),
         ("\0", "not a YAML file"),
+        ("<?xml version='1.0'?><!DOCTYPE a [<!ENTITY b 'c'>]><a>&b;</a>", "not an XML file: a declaration"),
+        ("<opencv_storage><K>1", "not an XML file"),
         ("#" * (calibration.MAX_BYTES + 1), "the limit"),
     ],
-    ids=["list", "alias", "object", "broken", "NUL", "large"],
+    ids=["list", "alias", "object", "broken", "NUL", "entity", "broken XML", "large"],
 )
 def test_hostile_yaml(tmp_path, text, said):
     """Aliases, objects of Python, broken text and large files are refused in one line."""
@@ -147,14 +160,47 @@ def test_hostile_yaml(tmp_path, text, said):
     [
         (PAIR | {"T": [0.0053, 0.0, 0.0]}, "to the left of the left one"),
         (PAIR | {"T": [-5.3, 0.0, 0.0]}, "--unit mm"),
-        ({"K": K, "width": 1280, "height": 720}, "1280x720 px, the images have 640x480 px"),
+        (
+            {"K": K, "width": 1280, "height": 720},
+            "1280x720 px, the images have 640x480 px.*--calibrated-at 1280x720",
+        ),
+        (
+            {"K": [0.9, 0, 0.5, 0, 0.9, 0.5, 0, 0, 1]},
+            "focal lengths of 10 px or more, found fx = 0.9, fy = 0.9",
+        ),
+        ({"K": [900, 0, 700, 0, 900, 300, 0, 0, 1]}, "outside of the images of 640x480 px.*--calibrated-at"),
     ],
 )
 def test_implausible_cameras(tmp_path, document, said):
-    """Exchanged views, lengths in mm and a calibration of another size are told."""
+    """Exchanged views, lengths in mm and a calibration of another size or unit are told."""
     count = 2 if "M1" in document else 1
     stated = calibration.stated_cameras(
         calibration.CalibrationOptions((_write(tmp_path / "a.yaml", document), None)), count
     )
     with pytest.raises(SourceError, match=said):
         calibration.complete(stated, SIZES[:count], FRAMES[:count])
+
+
+def test_scaled_and_cropped_images():
+    """A point is seen in the same place of the picture, and the right camera stands where it stood."""
+    of_pair = calibration.CalibrationOptions(
+        intrinsics=((572.2, 571.0, 378.8, 239.3), None), baseline_m=0.005
+    )
+    stated = calibration.stated_cameras(of_pair, 2)
+    whole = calibration.complete(stated, SIZES, FRAMES)
+    crop = (40, 20, 200, 160)
+    small = calibration.complete(stated, [(320, 240)] * 2, FRAMES, (640, 480), crop)
+    point_m = np.array([[0.01, -0.02, 0.15]])
+    for before, after in zip(whole, small, strict=True):
+        assert (after.width_px, after.height_px) == (200, 160)
+        x_px, y_px = before.project(point_m)[0]
+        expected = (x_px + 0.5) / 2.0 - 0.5 - 40.0, (y_px + 0.5) / 2.0 - 0.5 - 20.0
+        np.testing.assert_allclose(after.project(point_m)[0], expected)
+        np.testing.assert_allclose(after.P[:, :3], after.K)
+    np.testing.assert_allclose(stereo_transform(*small), stereo_transform(*whole))
+    for size_px, calibrated_px, said in (
+        ((320, 180), (640, 480), "another aspect"),
+        ((210, 158), (420, 316), "--crop goes beyond the images of 210x158 px"),
+    ):
+        with pytest.raises(SourceError, match=said):
+            calibration.complete(stated, [size_px] * 2, FRAMES, calibrated_px, crop)

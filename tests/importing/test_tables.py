@@ -1,5 +1,7 @@
 """Tables of times, poses and joints in the forms that other programs write."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -102,6 +104,10 @@ def test_stamps():
         ("image,x,y,z,qx,qy,qz,qw\n9,0,0,0,0,0,0,1\n", "there is no image '9'"),
         ("x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,1\n", "1 rows for 2 images"),
         ("1,2,3\n1,2,3\n", "expected 7 numbers of a pose"),
+        (
+            "x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,1\n33,0,150,0,0,0,1\n",
+            "line 3: expected a tool within 10 m of its base",
+        ),
         (" ".join(["1"] * 12) + "\n" + " ".join(["1"] * 12) + "\n", "no rotation"),
     ],
 )
@@ -126,6 +132,16 @@ def test_wrong_joints(tmp_path, text, names, said):
     path.write_text(text)
     with pytest.raises(SourceError, match=said):
         read_joints(path, IMAGES, names)
+
+
+def test_a_table_of_another_clock():
+    """One row near one image will do."""
+    rows_ns = np.array([0, 1_080_000_000, 5 * 10**9])
+    tables.require_common_time(Path("poses.csv"), rows_ns, IMAGES.stamps_ns)
+    tables.require_common_time(Path("poses.csv"), rows_ns[1:2], IMAGES.stamps_ns)
+    for stamps_ns in (rows_ns + 10**12, rows_ns[1:2] + 50_000_000, rows_ns[:1]):
+        with pytest.raises(SourceError, match=r"poses\.csv: no row is within 0\.1 s .* 1\.000 s to 2\.000 s"):
+            tables.require_common_time(Path("poses.csv"), stamps_ns, IMAGES.stamps_ns)
 
 
 def test_a_table_is_a_regular_file_up_to_a_limit(tmp_path, monkeypatch):

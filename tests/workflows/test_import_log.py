@@ -74,6 +74,20 @@ def test_side_by_side(tmp_path):
         np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(data, np.uint8), 1), image[:, 64:])
 
 
+def test_cropped(tmp_path):
+    """A part of each half, with its camera."""
+    cv2.imwrite(str(tmp_path / "1.png"), image := _picture(1, 128))
+    views = ViewOptions(tmp_path, side_by_side=True, rate_hz=1.0, crop=(10, 5, 40, 30))
+    result = import_log(ImportOptions(views, ONE), tmp_path / "out.mcap")
+    recording = _open(result.path)
+    (left,) = _images(recording)
+    (right,) = _messages(result.path, "/ECM/right/image")
+    np.testing.assert_array_equal(left.image_bgr, image[5:35, 10:50])
+    np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(right, np.uint8), 1), image[5:35, 74:114])
+    assert (recording.camera.width_px, recording.camera.height_px) == (40, 30)
+    np.testing.assert_allclose(recording.camera.K[:2, 2], [21.0, 18.0])
+
+
 def test_other_formats_are_decoded(tmp_path):
     """BMP, TIFF and grey images become PNG with the same pixels."""
     pixels = [_picture(1), _picture(2), np.repeat(_picture(3)[..., :1], 3, axis=2)]
@@ -150,14 +164,26 @@ NUMBERS = ("1_L.png", "2_L.png", "1_R.png")
 PAIRED = {"pattern": "*_L.png", "right_pattern": "*_R.png", "rate_hz": 1.0}
 WRONG = {
     "empty": ((), {"rate_hz": 1.0}, ONE, "no images"),
-    "no times": (NUMBERS, {}, ONE, "has no time"),
-    "no camera": (NUMBERS, {"rate_hz": 1.0}, CalibrationOptions(), "a camera needs a calibration"),
+    "no times": (NUMBERS[:2], {}, ONE, "has no time"),
+    "no camera": (NUMBERS[:2], {"rate_hz": 1.0}, CalibrationOptions(), "a camera needs a calibration"),
     "lonely": (NUMBERS, PAIRED, PAIR, "2_L.png: there is no right image"),
     "size": ((*NUMBERS, "2_R.png 60"), PAIRED, PAIR, "60x48 px; 1_R.png has 64x48 px"),
     "cut": ((*NUMBERS, "2_R.png cut"), PAIRED, PAIR, "2_R.png: a PNG that ends early"),
     "no image": ((*NUMBERS, "2_R.png text"), PAIRED, PAIR, "image that can be decoded"),
     "16 bits": ((*NUMBERS, "2_R.png 16"), PAIRED, PAIR, "16 bits"),
     "same": (NUMBERS, {"right_pattern": "*_L.png", "rate_hz": 1.0}, PAIR, "the same images"),
+    "both views": (
+        NUMBERS,
+        {"pattern": "*.png", "rate_hz": 1.0},
+        ONE,
+        "1_L.png and 1_R.png are of two views",
+    ),
+    "both times": (
+        ("1700000000.500_left.png", "1700000000.503_right.png"),
+        {},
+        ONE,
+        "are of two views: choose those of one by --pattern",
+    ),
     "odd": (("1.png 65",), {"side_by_side": True, "rate_hz": 1.0}, ONE, "65 px wide"),
     "no folder": (("1.png",), {"source": Path("nowhere")}, ONE, "no such folder"),
     "no video": (
