@@ -143,6 +143,8 @@ class FrameResult:
     instrument: str = ""
     consistency: float | None = None  # squared innovations over their expectation
     doubt: str = ""  # why it is not sure which instrument this is; the detail says so too
+    accepted: tuple[str, ...] = ()  # detections that agree with the rest, and those that contradict it
+    refused: tuple[str, ...] = ()
     number: int = 0  # of the image in its log, from 0
     seconds: float = 0.0  # since the first image of the log
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Generator, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.remote import LogPath
     from svmdist.report.tables import Row
-    from svmdist.results import FrameResult
+    from svmdist.workflows.ending import Ending
     from svmdist.workflows.estimate import Keep
     from svmdist.workflows.frame_drawing import DrawnFrame
     from svmdist.workflows.request import Request
@@ -100,6 +99,8 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
     )
 
     def _run(self) -> ExitCode:
+        from svmdist.workflows.ending import Ending
+
         writer = self.writer(self.paths, Holds.ROWS | Holds.FRAMES | Holds.REPORT)
         self._require_one_kind(writer)
         if writer.holds is Holds.REPORT:
@@ -118,14 +119,15 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         if writer.holds is Holds.FRAMES:
             return self._write_drawn(request, writer)
         draws = self.report is not None or self.save_plot is not None
-        run = Run(self, measure_rows, request, EstimateResult, "measuring", keeps=draws, keys=keys)
+        run = Run(self, measure_rows, request, Ending, "measuring", keeps=draws, keys=keys)
         if writer.holds is Holds.REPORT:
             run.finish()
         else:
             self._write_rows(run, request, writer)
         if self.summary is not None:
             output.write_results(run.ranking(), summary_writer, self.summary)
-        code = _log_tally([result.tally for result in run.results])
+        code = _log_tally([ending.tally for ending in run.results])
+        log_ending({log.name: ending for log, _, ending in run.measured}, request)
         if draws:
             self.draw(run, request)
         return run.exit_code() or code
@@ -143,7 +145,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         elif writer.holds is Holds.REPORT and self.report is not None:
             raise UsageError(f"--report {self.report} and -o {name}: both are the report; leave out one")
 
-    def _write_rows(self, run: Run[EstimateResult], request: Request, writer: Writer) -> None:
+    def _write_rows(self, run: Run[Ending], request: Request, writer: Writer) -> None:
         from svmdist.report.rows import ESTIMATE_COLUMNS, shown_columns
         from svmdist.report.tables import text_lines
 
@@ -151,7 +153,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
             rows = run.rows()
             head = list(islice(rows, 2))  # so that a log that cannot be read leaves no header behind
             several = len({row.get("instrument") for row in head}) > 1 or any(
-                len(result.instruments) > 1 for result in run.results
+                len(ending.wanted) > 1 for ending in run.results
             )
             if writer.name == "tum" and several:
                 raise UsageError("--format tum writes one trajectory: choose an instrument with --instrument")
@@ -165,74 +167,57 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
 
     def _write_drawn(self, request: Request, writer: Writer) -> ExitCode:
         """Measure a recording and write it with its drawings, as a recording or a video."""
+        from svmdist.estimation.alarms import alarm_watches
+        from svmdist.workflows.ending import Ending
         from svmdist.workflows.frame_drawing import drawn_frames
 
         (log,) = self.logs
         recording = request.open(log.path, log.name)
         seen = corrected(recording, request, self.jobs)
-        tally: Tally = {}
+        ending = Ending()
+        watches = alarm_watches(request.instruments or recording.instruments, request.alarms)
 
         def counted(frames: Iterator[DrawnFrame]) -> Iterator[DrawnFrame]:
             for frame in frames:
                 for result in frame.replayed.results:
-                    _count(tally, result)
+                    ending.add(result, watches)
                 yield frame
 
         with output.steps(f"drawing {recording.name}", "images", recording.image_count()) as steps:
             frames = drawn_frames(seen, request.setup, request.alarms, request.instruments, self.jobs)
             writer.write(counted(steps.of(frames)), self.output, seen, request.setup, self.force)
-        code = _log_tally([tally])
+        ending.close(watches)
+        code = _log_tally([ending.tally])
+        log_ending({log.name: ending}, request)
         return log_losses(recording.path, recording.health) or code
-
-
-Tally = dict[str, dict[str, int]]
-"""Numbers of rows by status and detail, in the order in which they first came."""
-
-
-@dataclass(frozen=True)
-class EstimateResult:
-    """How the rows of one log ended."""
-
-    tally: Tally
-    instruments: tuple[str, ...]
-
-    @property
-    def statuses(self) -> dict[str, int]:
-        """The counts by status."""
-        return {status: sum(details.values()) for status, details in self.tally.items()}
-
-
-def _count(tally: Tally, result: FrameResult) -> None:
-    details = tally.setdefault(str(result.status), {})
-    details[result.detail] = details.get(result.detail, 0) + 1
 
 
 def measure_rows(
     recording: Recording, request: Request, threads: int, keep: Keep | None = None
-) -> Generator[Row, None, EstimateResult]:
+) -> Generator[Row, None, Ending]:
     """Yield the rows of one recording; `keep` is given all results where something is made of them."""
-    from svmdist.estimation.alarms import AlarmWatch
+    from svmdist.estimation.alarms import alarm_watches
     from svmdist.estimation.lag import LagEstimate
     from svmdist.report.rows import estimate_row
+    from svmdist.workflows.ending import Ending
     from svmdist.workflows.estimate import Measured, estimate
 
     setup = request.setup
     seen = corrected(recording, request, threads)
     wanted = request.instruments or recording.instruments
-    watches = {name: AlarmWatch(request.alarms) for name in wanted} if request.alarms else {}
-    tally: Tally = {}
+    watches, ending = alarm_watches(wanted, request.alarms), Ending(wanted)
     kept = []
     with output.steps("measuring", "rows", recording.image_count(), len(wanted)) as steps:
         for row in steps.of(estimate(seen, setup, request.instruments, threads, rest=keep is not None)):
-            _count(tally, row)
+            alarm = ending.add(row, watches)
             if keep is not None:
                 kept.append(row)
-            alarm = watches[row.instrument].watch(row) if watches else None
             yield estimate_row(recording.name, row, setup.method, setup.equations, alarm)
     if keep is not None:
         lag = LagEstimate(seen.lag.lag_s, seen.lag.std_s, 1.0) if seen.lag else None
         keep(Measured(recording, seen, tuple(kept), lag))
-    return EstimateResult(tally, wanted)
+    ending.close(watches)
+    return ending
 
 
 def corrected(recording: Recording, request: Request, jobs: int | None) -> Recording:
@@ -252,7 +237,17 @@ def corrected(recording: Recording, request: Request, jobs: int | None) -> Recor
     return seen
 
 
-def _log_tally(tallies: Sequence[Tally]) -> ExitCode:
+def log_ending(endings: Mapping[str, Ending], request: Request) -> None:
+    """Log which detections were refused, and the alarms, of logs by their names."""
+    from svmdist.workflows.ending import alarms_in_words, refusals_in_words
+
+    for line in refusals_in_words(endings.values()):
+        LOG.info("%s", line)
+    if request.alarms is not None:
+        LOG.info("%s", alarms_in_words(endings, request.alarms))
+
+
+def _log_tally(tallies: Sequence[Mapping[str, Mapping[str, int]]]) -> ExitCode:
     """Log how many frames were measured, and the other statuses with their commonest details; whether any was."""
     counts = defaultdict[str, Counter[str]](Counter)
     for status, details in (item for one in tallies for item in one.items()):

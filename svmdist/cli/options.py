@@ -254,26 +254,32 @@ class AlarmOptions(Options):
         "--alarm-below LENGTH",
         "Raise an alarm where the clearance is below this, as in 5mm. For methods that estimate a clearance.",
     )
+    alarm_when: str | None = option(
+        "--alarm-when possible|likely|certain|P",
+        "Raise it where a clearance below the threshold is possible (its probability is 0.05 or more), likely (0.5),"
+        " or certain (0.95), or its probability is P or more. A smaller P gives more alarms, and earlier ones."
+        " Default: possible.",
+    )
     alarm_confidence: float | None = option(
-        "--alarm-confidence P",
-        "Alarm where the clearance is below the threshold with at least this probability."
-        " Default 0.05: alarm unless the frame is safe with 95 % probability.",
-        min=0.0,
-        max=1.0,
+        "--alarm-confidence P", "The former name of --alarm-when P.", min=0.0, max=1.0, hidden=True
     )
 
     @property
     def alarms(self) -> AlarmRules | None:
-        """The rules that are asked for, None without a threshold; raises UsageError for a confidence without one."""
+        """The rules that are asked for, None without a threshold; raises UsageError."""
+        when, former = self.alarm_when, self.alarm_confidence
+        if when is not None and former is not None:
+            raise UsageError("--alarm-confidence is the former name of --alarm-when: give one of them")
         if self.alarm_below is None:
-            if self.alarm_confidence is not None:
-                raise UsageError("--alarm-confidence is for --alarm-below LENGTH, as in --alarm-below 5mm")
+            if when is not None or former is not None:
+                name = "--alarm-confidence" if when is None else "--alarm-when"
+                raise UsageError(f"{name} is for --alarm-below LENGTH, as in --alarm-below 5mm")
             return None
         from svmdist.estimation.alarms import AlarmRules
 
         below_m = parse_length_m("--alarm-below", self.alarm_below)
-        confidence = self.alarm_confidence
-        return AlarmRules(below_m) if confidence is None else AlarmRules(below_m, confidence)
+        chosen = former if when is None else when
+        return AlarmRules(below_m) if chosen is None else AlarmRules(below_m, chosen)
 
 
 class MeasureOptions(MethodOptions, InstrumentOption, LagOption, AlarmOptions, WindowOptions):

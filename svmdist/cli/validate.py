@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
 from svmdist.cli import output
-from svmdist.cli.estimate import PictureOptions
+from svmdist.cli.estimate import PictureOptions, log_ending
 from svmdist.cli.logs import GoldenLogOptions, GroupOption, Run
 from svmdist.cli.options import MeasureOptions, format_option, option
 from svmdist.cli.output import LOG, ExitCode
@@ -81,6 +81,7 @@ class Validate(GoldenLogOptions, MeasureOptions, GroupOption, PictureOptions):
         for note in result.notes:
             LOG.info("note: %s", note)
         output.write_results(validation_results(result), writer, self.output)
+        log_ending({log.name: scored.ending for log, _, scored in run.measured}, request)
         self.draw(run, request, result, kind)
         code = run.exit_code()
         if self.write_baseline:

@@ -4,23 +4,52 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.results import FrameResult
+from svmdist.errors import UsageError
+from svmdist.results import Distance, FrameResult
 
 MIN_SLOPE_ROWS = 3
 MIN_CLOSING_M_S = 1e-3  # below a millimetre a second the time to contact is noise divided by noise
+MAX_GAP_ROWS = 2  # rows without a clearance that do not end an event: what hides an instrument for a moment
+WHEN = {"possible": 0.05, "likely": 0.5, "certain": 0.95}
+"""Names of the probability from which on an alarm is raised."""
 
 
 @dataclass(frozen=True, slots=True)
 class AlarmRules:
-    """Alarm where P(clearance < below_m) >= confidence; the default alarms unless 95 % sure that the row is safe."""
+    """Alarm where P(clearance < below_m) is at least that of `when`: a word of `WHEN`, or a probability.
+
+    A smaller probability raises alarms earlier and more often. Raises UsageError for what is neither.
+    """
 
     below_m: float
-    confidence: float = 0.05
+    when: str | float = "possible"
     window_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        _ = self.probability
+
+    @property
+    def probability(self) -> float:
+        """The probability from which on an alarm is raised."""
+        try:
+            probability = WHEN.get(str(self.when)) or float(self.when)
+        except ValueError:
+            probability = math.nan
+        if not 0.0 <= probability <= 1.0:
+            expected = f"expected {', '.join(WHEN)}, or a probability from 0 to 1, as in 0.2"
+            raise UsageError(f"--alarm-when {self.when}: {expected}")
+        return probability
+
+    @property
+    def in_words(self) -> str:
+        """As in: clearance below 5 mm possible, P ≥ 0.05."""
+        names = [f" {name}" for name, probability in WHEN.items() if probability == self.probability]
+        return f"clearance below {self.below_m * 1e3:g} mm{''.join(names)}, P ≥ {self.probability:g}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,36 +61,88 @@ class AlarmState:
     time_to_contact_s: float | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class AlarmEvent:
+    """Alarmed rows of one instrument, from the first to the last of them, and the smallest clearance of these.
+
+    A row that is judged safe ends it, and so do more than `MAX_GAP_ROWS` rows in a row without a clearance. Numbers
+    are those of images in the log, seconds since its first image.
+    """
+
+    instrument: str
+    start_number: int
+    start_s: float
+    end_s: float
+    least_m: float
+    least_number: int
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last alarmed image: 0 for a single one."""
+        return self.end_s - self.start_s
+
+    def extended(self, row: FrameResult, clearance_m: float) -> AlarmEvent:
+        """The event with one more row."""
+        longer = replace(self, end_s=row.seconds)
+        is_least = clearance_m < self.least_m
+        return replace(longer, least_m=clearance_m, least_number=row.number) if is_least else longer
+
+
 class AlarmWatch:
-    """Watches the rows of one instrument in the order of their stamps."""
+    """Watches the rows of one instrument in the order of their stamps, and keeps the `events` so far."""
 
     def __init__(self, rules: AlarmRules) -> None:
+        self.events: list[AlarmEvent] = []
         self._rules = rules
+        self._last_ns: int | None = None
+        self._restart()
+
+    def _restart(self) -> None:
         self._recent: deque[tuple[int, float]] = deque()
+        self._is_alarmed, self._gap = False, 0
+        self._overlap_std_m = math.inf
 
     def watch(self, row: FrameResult) -> AlarmState:
         """Judge one row."""
-        clearance = row.distances.clearance
+        if self._last_ns is not None and row.stamp_ns <= self._last_ns:
+            self._restart()  # another log, or a clock that was set back
+        self._last_ns = row.stamp_ns
         if row.doubt:
             self._recent.clear()  # what comes closer may be another instrument
+        clearance = row.distances.clearance
+        if row.doubt or not row.measured or clearance is None:
+            self._gap += 1
+            if self._gap > MAX_GAP_ROWS:
+                self._is_alarmed, self._overlap_std_m = False, math.inf
             return AlarmState()
-        if not row.measured or clearance is None:
-            return AlarmState()
-        # That the model's surfaces overlap makes contact no less likely.
-        std_m = clearance.without_overlap_std_m
-        std_m = clearance.std_m if std_m is None else std_m
-        probability = probability_below(self._rules.below_m, clearance.value_m, std_m or 0.0)
+        self._gap = 0
+        std_m = self._deviation_m(clearance)
+        is_alarm = probability_below(self._rules.below_m, clearance.value_m, std_m) >= self._rules.probability
+        if is_alarm:
+            first = (row.instrument, row.number, row.seconds, row.seconds, clearance.value_m, row.number)
+            begun = self.events.pop() if self._is_alarmed else AlarmEvent(*first)
+            self.events.append(begun.extended(row, clearance.value_m))
+        self._is_alarmed = is_alarm
         speed_m_s = self._closing_speed_m_s(row.stamp_ns, clearance.value_m)
         contact_s = None
         if clearance.value_m <= 0.0:
             contact_s = 0.0
         elif speed_m_s is not None and speed_m_s > MIN_CLOSING_M_S:
             contact_s = clearance.value_m / speed_m_s
-        return AlarmState(probability >= self._rules.confidence, speed_m_s, contact_s)
+        return AlarmState(is_alarm, speed_m_s, contact_s)
+
+    def _deviation_m(self, clearance: Distance) -> float:
+        """The deviation that the probability is of: deeper inside the tissue, the probability is never smaller.
+
+        It lacks the overlap that the interval has, and does not grow while the surfaces overlap: the nearest way out
+        of the tissue may be one along which less is known, and that makes contact no less likely.
+        """
+        std_m = clearance.without_overlap_std_m
+        std_m = (clearance.std_m if std_m is None else std_m) or 0.0
+        self._overlap_std_m = min(std_m, self._overlap_std_m) if clearance.value_m < 0.0 else std_m
+        return self._overlap_std_m
 
     def _closing_speed_m_s(self, stamp_ns: int, clearance_m: float) -> float | None:
-        if self._recent and stamp_ns <= self._recent[-1][0]:
-            self._recent.clear()  # another log, or a clock that was set back
         self._recent.append((stamp_ns, clearance_m))
         while stamp_ns - self._recent[0][0] > round(self._rules.window_s * 1e9):
             self._recent.popleft()
@@ -73,6 +154,21 @@ class AlarmWatch:
         first, second = np.triu_indices(len(values_m), 1)
         slopes = (values_m[second] - values_m[first]) / (stamps_s[second] - stamps_s[first])
         return -float(np.median(slopes))
+
+
+def alarm_watches(instruments: Iterable[str], rules: AlarmRules | None) -> dict[str, AlarmWatch]:
+    """A watch for each instrument; none without rules."""
+    return {name: AlarmWatch(rules) for name in instruments} if rules else {}
+
+
+def alarm_events(rows: Iterable[FrameResult], rules: AlarmRules | None) -> list[AlarmEvent]:
+    """The alarms of one instrument's rows; none without rules."""
+    if rules is None:
+        return []
+    watch = AlarmWatch(rules)
+    for row in rows:
+        watch.watch(row)
+    return watch.events
 
 
 def probability_below(below_m: float, clearance_m: float, std_m: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from svmdist.estimation.distances import measured, with_tissue, with_tool
 from svmdist.estimation.frame import Frame, Needs
-from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound
+from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound, with_detections
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.factors import Expected, MarkerPair, of_images, pair_markers, tag
 from svmdist.estimation.instrument.image_pose import ImagePose
@@ -79,6 +79,7 @@ class FusedEstimator:
         # The tool with the error found, and the distances from there.
         self._has_plate |= frame.left.tag_corners_px is not None
         region, consistency = frame.left.region, kalman.consistency
+        result = with_detections(result, gating if height is None else (*gating, height))
         result = replace(result, detail=_detail(gating, height), consistency=consistency.ratio).with_image(
             tool_area_px=region.area_px if region else None,
             match_count=len(gating),

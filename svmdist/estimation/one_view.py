@@ -9,6 +9,7 @@ import numpy as np
 from svmdist.errors import ProfileError
 from svmdist.estimation.distances import measured, with_tissue
 from svmdist.estimation.frame import Frame, Needs
+from svmdist.estimation.instrument.consistency import with_detections
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.measurement import EXACT, Deviations
 from svmdist.estimation.instrument.model import wrist_in_tool
@@ -183,6 +184,7 @@ class ShaftEstimator:
         fit = frame.shaft_pose
         if isinstance(fit, Failure):
             return result.rejected(_status(frame.left.shaft), fit.reason)
+        result = with_detections(result, fit.gating)
         if fit.doubt:
             return result.rejected(Status.INCONSISTENT, fit.doubt)
         if said := uncertainty(fit.pose, self._settings.max_position_std_m):

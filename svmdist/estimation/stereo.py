@@ -8,6 +8,7 @@ import numpy as np
 
 from svmdist.estimation.distances import measured, with_tissue
 from svmdist.estimation.frame import Frame, Needs
+from svmdist.estimation.instrument.consistency import with_detections
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.factors import DISPARITY, MarkerPair, pair_markers
 from svmdist.estimation.instrument.image_pose import ImagePose, pose_by_pair
@@ -72,7 +73,10 @@ class StereoEstimator:
             return result.rejected(Status.NO_STEREO, pair.reason)
 
         # The tool: its distal marker in both views, and the shaft's direction.
-        found = self.tool(frame, pair)
+        located = self._located(frame, pair)
+        if isinstance(located, ImagePose):
+            result = with_detections(result, located.gating)
+        found = self._certain(frame, located)
         if isinstance(found, Rejection):
             return result.rejected(found.status, found.detail)
 
@@ -115,9 +119,10 @@ class StereoEstimator:
         return float(np.sqrt(sum(float(np.sum(bias.jacobian**2)) for bias in biases)))
 
     def tool(self, frame: Frame, pair: RectifiedPair) -> ImagePose | Rejection:
-        """What both views show, fitted together; without sizes of a shaft the triangulated marker, turned nominally."""
-        self._has_plate |= frame.left.tag_corners_px is not None
-        found = pose_by_pair(frame, pair) if self._uses_shaft else self._triangulated(frame, pair)
+        """The tool by both views, where it is certain enough."""
+        return self._certain(frame, self._located(frame, pair))
+
+    def _certain(self, frame: Frame, found: ImagePose | Rejection | Failure) -> ImagePose | Rejection:
         if isinstance(found, Rejection):
             return found
         if isinstance(found, Failure):
@@ -127,6 +132,11 @@ class StereoEstimator:
         if said := uncertainty(found.pose, self._profile.stereo_in_range.max_depth_std_m):
             return Rejection(frame.stamp_ns, Status.UNCERTAIN, said)
         return found
+
+    def _located(self, frame: Frame, pair: RectifiedPair) -> ImagePose | Rejection | Failure:
+        """What both views show, fitted together; without sizes of a shaft the triangulated marker, turned nominally."""
+        self._has_plate |= frame.left.tag_corners_px is not None
+        return pose_by_pair(frame, pair) if self._uses_shaft else self._triangulated(frame, pair)
 
     def _triangulated(self, frame: Frame, pair: RectifiedPair) -> ImagePose | Rejection | Failure:
         robot, right = frame.robot_in_camera, frame.scene.observation.right

@@ -9,7 +9,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.estimation.alarms import AlarmEvent
 from svmdist.metrics import interval_coverage
+from svmdist.report.tables import counted
 from svmdist.transforms import Array
 from svmdist.workflows.series import Series
 
@@ -19,7 +21,7 @@ MAX_GAP_IN_STEPS = 3.0  # a curve is broken where frames are missing for longer 
 Form = Literal["line", "dots", "bars", "band", "spans"]
 """How a curve's points are drawn; a band is between `low` and `y`, spans have the full height from `x` to `y`."""
 Role = Literal[
-    "estimate", "error", "truth", "interval", "lost", "threshold", "model", "limit", "consistency"
+    "estimate", "error", "truth", "interval", "lost", "threshold", "model", "limit", "consistency", "alarm"
 ]  # fmt: skip
 """What a curve shows: it decides on the colour, and on the dash of a line."""
 
@@ -96,8 +98,17 @@ def threshold(seconds: Array, below_m: float) -> Curve:
     return Curve("line", "threshold", f"alarm below {below_mm:g} mm", ends, np.full(len(ends), below_mm))
 
 
+def alarm_spans(events: Sequence[AlarmEvent], seconds: Array) -> list[Curve]:
+    """The spans of alarms, half a frame wider on both sides; none without any."""
+    if not events:
+        return []
+    half_s = _half_frame_s(seconds)
+    begins, ends = np.array([(one.start_s - half_s, one.end_s + half_s) for one in events]).T
+    return [Curve("spans", "alarm", "alarm", begins, ends)]
+
+
 def distance_over_time(series: Series, alarm_below_m: float | None = None) -> Chart:
-    """Estimate with its interval, truth, the alarms' threshold, and the spans that were not measured."""
+    """Estimate with its interval, truth, the alarms and their threshold, and the spans that were not measured."""
     estimate_mm, name, spans = series.estimate_m * 1e3, distance_name(series), rejected_spans(series)
     text = f"{int(series.measured.sum())} of {len(series)} frames measured."
     if series.measured.any():
@@ -108,9 +119,13 @@ def distance_over_time(series: Series, alarm_below_m: float | None = None) -> Ch
         text += f" {len(spans)} spans were not measured; they are shaded."
         begins, ends = np.array(spans).T
         curves.append(Curve("spans", "lost", "not measured", begins, ends))
-    curves += distance_curves(series.seconds, estimate_mm, series.half_m * 1e3, series.truth_m * 1e3)
+    line = []
     if alarm_below_m is not None and series.distance == "clearance":
-        curves.append(threshold(series.seconds, alarm_below_m))
+        curves += alarm_spans(series.events, series.seconds)
+        text += f" {counted(len(series.events), 'alarm')}."
+        line = [threshold(series.seconds, alarm_below_m)]
+    curves += distance_curves(series.seconds, estimate_mm, series.half_m * 1e3, series.truth_m * 1e3)
+    curves += line
     return _over_time(series, f"{name} over time", text, f"{name} [mm]", curves)
 
 
@@ -221,10 +236,13 @@ def calibration(group: Sequence[Series]) -> Chart:
 
 def rejected_spans(series: Series) -> list[tuple[float, float]]:
     """Beginning and end in s of each run of frames without the distance, half a frame wider on both sides."""
-    seconds = series.seconds
-    half_s = 0.5 * float(np.median(np.diff(seconds))) if len(series) > 1 else 0.05
+    seconds, half_s = series.seconds, _half_frame_s(series.seconds)
     spans = runs(~series.measured)
     return [(round(seconds[at] - half_s, 3), round(seconds[end - 1] + half_s, 3)) for at, end in spans]
+
+
+def _half_frame_s(seconds: Array) -> float:
+    return 0.5 * float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.05
 
 
 def runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:

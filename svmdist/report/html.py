@@ -21,13 +21,13 @@ from plotly.offline import get_plotlyjs
 
 from svmdist.errors import printable
 from svmdist.files import write_atomically
-from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Unit
+from svmdist.metrics import COUNT, LENGTH, SECONDS, SHARE, TEXT, Unit
 from svmdist.recording.log import Recording
 from svmdist.report import charts
 from svmdist.report.charts import Chart, Curve, Role, runs
 from svmdist.report.panels import draw_on
 from svmdist.report.scores import remarks, validation_tables
-from svmdist.report.tables import Column, Table, row_of
+from svmdist.report.tables import Column, Table, counted, row_of
 from svmdist.report.writers import Results
 from svmdist.samples import Image
 from svmdist.transforms import Array
@@ -48,6 +48,7 @@ COLOURS: dict[Role, tuple[str, str]] = {
     "truth": ("#d55e00", "dash"),
     "interval": ("rgba(86,180,233,0.30)", ""),
     "lost": ("rgba(213,94,0,0.18)", ""),
+    "alarm": ("rgba(204,121,167,0.28)", ""),
     "threshold": ("#e69f00", "dot"),
     "model": ("#d55e00", "solid"),
     "limit": ("#d55e00", "dash"),
@@ -89,6 +90,10 @@ def make_report(
         known = [one for one in validation.scores if one.uncorrected and one.statistics]
         if rows := [row_of(LAG_COLUMNS, one) for one in known if one.lag and one.lag.lag_s]:
             tables.append(Table.of("Lag before and after: planar distance", LAG_COLUMNS, rows))
+    if request.alarms:
+        events = [row_of(EVENT_COLUMNS, (one, event)) for one in series for event in one.events]
+        title = f"{counted(len(events), 'alarm')}: {request.alarms.in_words}"
+        tables.append(Table.of(title, EVENT_COLUMNS, events))
     return Report(
         f"svmdist {'validate' if validation else 'estimate'}: {request.setup.method}",
         series,
@@ -168,6 +173,16 @@ SERIES_COLUMNS = (
     Column("span", TEXT, "range [mm]", _span),
     Column("half_m", LENGTH, "median half interval [mm]",
            lambda one: float(np.nanmedian(one.half_m)) if np.isfinite(one.half_m).any() else None),
+)
+EVENT_COLUMNS = (
+    Column("recording", TEXT, "recording", "0.recording"),
+    Column("instrument", TEXT, "instrument", "0.instrument"),
+    Column("start_number", COUNT, "first frame", "1.start_number"),
+    Column("start_s", SECONDS, "from [s]", "1.start_s"),
+    Column("end_s", SECONDS, "to [s]", "1.end_s"),
+    Column("duration_s", SECONDS, "duration [s]", "1.duration_s"),
+    Column("least_m", LENGTH, "smallest clearance [mm]", "1.least_m"),
+    Column("least_number", COUNT, "in frame", "1.least_number"),
 )
 LAG_COLUMNS = (
     Column("recording", TEXT, "recording"),

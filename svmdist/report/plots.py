@@ -40,6 +40,7 @@ STYLES: dict[Role, dict[str, Any]] = {
     "truth": {"color": "#c1272d", "linewidth": 1.4, "linestyle": "--"},
     "interval": {"color": "#b9cfe8", "linewidth": 0.0},
     "lost": {"color": "0.88", "linewidth": 0.0},
+    "alarm": {"facecolor": "none", "edgecolor": "0.78", "hatch": "////", "linewidth": 0.0},
     "threshold": {"color": "#e08a1e", "linewidth": 0.9, "linestyle": ":"},
     "model": {"color": "0.0", "linewidth": 1.0},
     "limit": {"color": "0.0", "linewidth": 0.8, "linestyle": "--"},
@@ -62,6 +63,7 @@ LOOKS: Any = {
     "grid.linewidth": 0.5,
     "legend.frameon": False,
     "legend.fontsize": 7,
+    "hatch.linewidth": 0.4,
     "svg.hashsalt": "svmdist",  # ids would differ between two runs on the same data
 }
 
@@ -144,15 +146,14 @@ def draw(validation: Validation) -> Figure:
     rows = -(-len(scores) // columns)
     width_in = COLUMN_IN if columns == 1 else PAGE_IN
     figure = Figure(figsize=(width_in, SCORE_IN * rows), layout="constrained")
-    grid = figure.add_gridspec(rows, columns)
+    grid, legend = figure.add_gridspec(rows, columns), dict[str, Any]()
     for index, score in enumerate(scores):
         cell = grid[index // columns, index % columns].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.04)
         upper = figure.add_subplot(cell[0])
         lower = figure.add_subplot(cell[1], sharex=upper)
         _draw_score(upper, lower, score, validation.alarm_rules)
-        if index == 0:
-            handles, labels = upper.get_legend_handles_labels()
-            figure.legend(handles, labels, loc="outside lower center", ncols=4)
+        legend |= {label: handle for handle, label in zip(*upper.get_legend_handles_labels(), strict=True)}
+    figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=2 * columns)
     return figure
 
 
@@ -164,6 +165,7 @@ def _draw_score(upper: Axes, lower: Axes, score: Score, alarms: AlarmRules | Non
     truth_mm, estimate_mm = pairs.truth_m * 1e3, pairs.estimate_m * 1e3
     half_mm = Z_95 * pairs.std_m * 1e3
     if alarms is not None and distance == "clearance":
+        _draw_curves(upper, charts.alarm_spans(score.alarm_events, seconds))
         _draw_curves(upper, [charts.threshold(seconds, alarms.below_m)])
     truth_name = f"truth ({REFERENCE_NAMES[score.reference]})"
     _draw_curves(upper, charts.distance_curves(seconds, estimate_mm, half_mm, truth_mm, truth_name))

@@ -122,10 +122,7 @@ def validation_tables(validation: Validation) -> list[Table]:
         alarms = within(metric_table.score_metrics(), Output.ALARM_TABLE)
         alarms.sort(key=lambda metric: ["unsafe", "alarm_recall", metric.key].index(metric.key))
         columns = [_NAME, *map(metric_column, alarms)]
-        title = (
-            f"alarms: clearance below {rules.below_m * 1e3:g} mm with P ≥ {rules.confidence:g};"
-            " shares in %, leads in s"
-        )
+        title = f"alarms: {rules.in_words}; shares in %, leads in s"
         rows = ([row_of(columns, score) for score in part if score.alarms] for part in parts)
         tables.append(Table.of(title, columns, *rows))
     return tables

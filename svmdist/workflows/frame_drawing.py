@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from svmdist.camera import Camera
 from svmdist.drawing import Form, FrameDrawing, Label, Part, Segment, Shape, StatusLine
 from svmdist.errors import UsageError
-from svmdist.estimation.alarms import AlarmRules, AlarmState, AlarmWatch
+from svmdist.estimation.alarms import AlarmRules, AlarmState, alarm_watches
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import shaft_sections
 from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, ShaftDetection
@@ -63,7 +63,7 @@ def drawn_frames(
 
     Images after the last of these numbers are not read. `on_image` is called for every image that is.
     """
-    watches = {name: AlarmWatch(rules) for name in recording.instruments} if rules else {}
+    watches = alarm_watches(recording.instruments, rules)
     for (replayed,) in replay(recording, [setup], wanted=wanted, jobs=jobs):
         number, seconds = replayed.results[0].number, replayed.results[0].seconds
         alarms = {

@@ -12,7 +12,7 @@ import numpy as np
 
 from svmdist import metrics
 from svmdist.errors import ProfileError, RecordingError, UsageError
-from svmdist.estimation.alarms import AlarmRules, AlarmWatch
+from svmdist.estimation.alarms import AlarmEvent, AlarmRules, AlarmWatch, alarm_events
 from svmdist.estimation.lag import LagEstimate
 from svmdist.estimation.methods import PLANAR_METHODS, SPATIAL_METHODS
 from svmdist.estimation.plane_mapping import Equations
@@ -175,6 +175,7 @@ class Score:
     alarms: metrics.AlarmStatistics | None = None
     instrument: str = ""
     start_ns: int = 0  # stamp of the first image of the log
+    alarm_events: tuple[AlarmEvent, ...] = ()
 
     @cached_property
     def planar(self) -> DistanceScore | None:
@@ -264,6 +265,7 @@ def score_rows(
         score_pairs(clearance),
         score_alarms(rows, truth, stamps_ns, alarms) if alarms and is_truth else None,
         start_ns=rows[0].stamp_ns - round(rows[0].seconds * 1e9) if rows else 0,
+        alarm_events=tuple(alarm_events(rows, alarms)),
     )
 
 
@@ -285,4 +287,5 @@ def pool_scores(scores: Sequence[Score], named: str = "overall") -> Score:
         spatial=pooled_score([score.spatial for score in scores]),
         clearance=pooled_score([score.clearance for score in scores]),
         alarms=metrics.pooled_alarms(alarms) if alarms else None,
+        alarm_events=(),
     )

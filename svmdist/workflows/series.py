@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import KinematicsError, RecordingError
+from svmdist.estimation.alarms import AlarmEvent, alarm_events
 from svmdist.results import Z_95
 from svmdist.transforms import Array
 from svmdist.workflows.estimate import Measured
@@ -24,7 +25,7 @@ class Series:
     """One of the three distances over the frames of a log, shape (n,) each; NaN for what does not exist.
 
     `number` counts the images of the log from 0, `seconds` from the first one. `tool_px`, shape (n, 2), is where the
-    tool was seen. `reference` says what the truth is, None where there is none.
+    tool was seen. `reference` says what the truth is, None where there is none; `events` are its alarms.
     """
 
     recording: str
@@ -42,6 +43,7 @@ class Series:
     tool_px: Array
     consistency: Array
     reference: Reference | None = None
+    events: Sequence[AlarmEvent] = ()
 
     def __len__(self) -> int:
         return len(self.number)
@@ -150,6 +152,7 @@ def series_of(
             np.array([row.image.tool_px or (np.nan, np.nan) for row in rows]),
             np.array([np.nan if row.consistency is None else row.consistency for row in rows]),
             asked if truth else None,
+            alarm_events(rows, request.alarms),
         )
         found.append(series)
     return found

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -14,9 +13,10 @@ from typing import Literal, Self
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from svmdist.errors import KinematicsError, RecordingError, UsageError
-from svmdist.estimation.alarms import AlarmRules
+from svmdist.estimation.alarms import AlarmRules, alarm_watches
 from svmdist.files import read_regular, why, write_atomically
 from svmdist.recording.log import Recording
+from svmdist.workflows.ending import Ending
 from svmdist.workflows.estimate import Keep, Measured, estimate, given_lag, recording_lag, with_lag
 from svmdist.workflows.metric_table import FIRST_KEYS, Better, Tolerance, cells, stored_metrics
 from svmdist.workflows.parallel import Steps
@@ -29,19 +29,16 @@ PAPER_R_SQUARED = 0.78  # the paper's own figure (sec. IV); its scene differs fr
 
 @dataclass(frozen=True)
 class Scored:
-    """The scores of one recording, and remarks on it."""
+    """The scores of one recording, remarks on it, and how its rows ended."""
 
     scores: tuple[Score, ...]
     notes: tuple[str, ...]
+    ending: Ending
 
     @property
-    def statuses(self) -> Counter[str]:
-        """How many frames ended in which way; every reference scores the same frames."""
-        statuses: Counter[str] = Counter()
-        for score in self.scores:
-            if score.reference is self.scores[0].reference:
-                statuses.update({"ok": score.frame_count - score.rejected_count, **score.rejected})
-        return statuses
+    def statuses(self) -> dict[str, int]:
+        """How many frames ended in which way."""
+        return self.ending.statuses
 
 
 @dataclass(frozen=True)
@@ -132,7 +129,12 @@ def score_recording(
     if not every:
         raise RecordingError(f"{recording.name}: there is no image to measure")
     scores, missing = [], []
-    for name in dict.fromkeys(row.instrument for row in every):
+    names = dict.fromkeys(row.instrument for row in every)
+    watches, ending = alarm_watches(names, request.alarms), Ending(tuple(names))
+    for row in every:
+        ending.add(row, watches)
+    ending.close(watches)
+    for name in names:
         view, seen = recording.for_instrument(name), setup.for_instrument(name)
         rows = [row for row in every if row.instrument == name]
         label = recording.name if name == setup.profile.instrument_name else f"{recording.name} {name}"
@@ -155,7 +157,7 @@ def score_recording(
     notes += missing
     if setup.equations == "printed" and Reference.KINEMATICS in {score.reference for score in scores}:
         notes.append(KINEMATICS_PRINTED_NOTE)
-    return Scored(tuple(scores), tuple(notes))
+    return Scored(tuple(scores), tuple(notes), ending)
 
 
 SCHEMA: Literal["svmdist.baseline/1"] = "svmdist.baseline/1"
@@ -236,7 +238,7 @@ def require_same_alarms(baseline: Baseline, asked: AlarmRules | None) -> None:
     stored = baseline.alarms
     if stored is not None and stored != _stored_rules(asked):
         raise UsageError(
-            f"the baseline's alarms are those of --alarm-below {stored.below_m * 1e3:g}mm --alarm-confidence"
+            f"the baseline's alarms are those of --alarm-below {stored.below_m * 1e3:g}mm --alarm-when"
             f" {stored.confidence:g}: ask for the same"
         )
 
@@ -285,7 +287,7 @@ def save_baseline(baseline: Baseline, path: Path) -> None:
 
 
 def _stored_rules(rules: AlarmRules | None) -> StoredAlarmRules | None:
-    return StoredAlarmRules(below_m=rules.below_m, confidence=rules.confidence) if rules else None
+    return StoredAlarmRules(below_m=rules.below_m, confidence=rules.probability) if rules else None
 
 
 def _stored(score: Score) -> StoredScore:

@@ -60,6 +60,13 @@ ERRORS = [
     ("show log.mcap --masks --frame 99", 2, "has 6 images, 0 to 5"),
     (f"{ALARM} 1.5", 2, "--alarm-confidence"),
     (f"{ALARM} often", 2, "--alarm-confidence"),
+    (f"{ALARM} 0.5 --alarm-when likely", 2, "the former name of --alarm-when: give one of them"),
+    (
+        "estimate log.mcap --method fused --alarm-below 5mm --alarm-when often",
+        2,
+        "possible, likely, certain, or a",
+    ),
+    ("estimate log.mcap --alarm-when likely", 2, "--alarm-when is for --alarm-below LENGTH"),
     # Options that need each other, or exclude each other.
     ("estimate log.mcap --equations printed --calibration c.toml", 2, "calibration"),
     ("estimate log.mcap --equations printed --method fused", 2, "measures in 3D"),

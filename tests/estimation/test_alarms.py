@@ -1,17 +1,21 @@
-"""Alarms by probability, closing speed by a robust slope."""
+"""Alarms by probability, the events that they make, closing speed by a robust slope."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from svmdist.estimation.alarms import AlarmRules, AlarmState, AlarmWatch, probability_below
+from svmdist.errors import UsageError
+from svmdist.estimation.alarms import AlarmRules, AlarmState, AlarmWatch, alarm_events, probability_below
 from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import Status
 
 
-def row(seconds: float, clearance_m: float | None) -> FrameResult:
-    clearance = None if clearance_m is None else Distance(clearance_m, 0.5e-3)
-    distances = Distances(planar=Distance(0.01), clearance=clearance)
-    return FrameResult(round(seconds * 1e9), Status.OK, distances=distances)
+def row(seconds: float, clearance_m: float | None, std_m: float = 0.5e-3) -> FrameResult:
+    clearance = None if clearance_m is None else Distance(clearance_m, std_m)
+    distances, number = Distances(planar=Distance(0.01), clearance=clearance), round(10 * seconds)
+    stamp_ns = round(seconds * 1e9)
+    return FrameResult(stamp_ns, Status.OK, distances=distances, number=number, seconds=seconds)
 
 
 def test_probability_and_confidence_decide():
@@ -33,6 +37,44 @@ def test_contact_alarms_at_every_confidence():
     contact = FrameResult(0, Status.OK, distances=Distances(clearance=gap))
     for confidence in (0.05, 0.9, 0.99):
         assert AlarmWatch(AlarmRules(0.0, confidence)).watch(contact).alarm is True
+
+
+def test_words_stand_for_probabilities():
+    """And say which is which; what is neither a word nor a probability is an error."""
+    for when, probability, said in (
+        ("possible", 0.05, "below 5 mm possible, P ≥ 0.05"),
+        ("certain", 0.95, "below 5 mm certain, P ≥ 0.95"),
+        ("0.2", 0.2, "below 5 mm, P ≥ 0.2"),
+    ):
+        rules = AlarmRules(0.005, when)
+        assert (rules.probability, rules.in_words) == (probability, f"clearance {said}")
+    for wrong in ("often", "1.5", -0.1, float("nan")):
+        with pytest.raises(UsageError, match="possible, likely, certain, or a probability"):
+            AlarmRules(0.005, wrong)
+
+
+def test_deeper_is_never_less_probable():
+    """Also where the deviation grows faster than the depth, or a row has no clearance; outside it may shrink."""
+    depths = [-0.0005, *(0.001 * depth for depth in (0.1, 0.5, 1.0, 2.0, 4.0))]
+    rows = [row(0.1 * at, -depth, 5e-4 + 3.0 * max(depth, 0.0)) for at, depth in enumerate(depths)]
+    rows.insert(4, replace(row(0.35, None), status=Status.NO_TISSUE))
+    watch = AlarmWatch(AlarmRules(0.001, "certain"))
+    assert [watch.watch(one).alarm for one in rows] == [False, True, True, True, None, True, True]
+    assert watch.watch(row(0.7, 0.0005, 2e-3)).alarm is False
+    assert watch.watch(row(0.8, -0.0005, 2e-3)).alarm is False
+
+
+def test_events_begin_and_end_with_alarmed_rows():
+    """Two rows without a clearance do not end one, three do, and so does one that is judged safe."""
+    near, far, none = 0.002, 0.02, None
+    clearances_m = (far, near, 0.001, none, none, near, far, near, none, none, none, near, near)
+    rows = [row(0.1 * at, clearance_m) for at, clearance_m in enumerate(clearances_m)]
+    found = alarm_events(rows, AlarmRules(0.005))
+    assert [(one.start_number, one.least_number, one.least_m) for one in found] == [
+        *((1, 2, 0.001), (7, 7, near), (11, 11, near)),
+    ]
+    np.testing.assert_allclose([one.duration_s for one in found], [0.4, 0.0, 0.1])
+    assert alarm_events(rows, None) == []
 
 
 def test_closing_speed_and_contact():

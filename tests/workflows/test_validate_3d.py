@@ -131,7 +131,7 @@ def test_a_baseline_catches_worse_alarms_and_worse_clearance(recording):
     assert "false_alarm_fraction" in nervous
     require_same_alarms(baseline, rules)
     for other in (None, AlarmRules(0.005), AlarmRules(BELOW_M, 0.5)):
-        with pytest.raises(UsageError, match=r"--alarm-below 12mm --alarm-confidence 0\.05"):
+        with pytest.raises(UsageError, match=r"--alarm-below 12mm --alarm-when 0\.05"):
             require_same_alarms(baseline, other)
 
 

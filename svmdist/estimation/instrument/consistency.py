@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from statistics import NormalDist
 
 import numpy as np
 
 from svmdist.profile.settings import FilterSettings
+from svmdist.results import FrameResult
 from svmdist.transforms import Array
 
 WINDOW_S = 1.5  # of averaged innovations: a hundred degrees of freedom at 10 Hz
@@ -48,6 +49,18 @@ class GatingResult:
     def is_accepted(self) -> bool:
         """Whether it counts as an inlier; a refused one keeps its weight."""
         return self.weight > REFUSED_WEIGHT
+
+
+def with_detections(result: FrameResult, gating: Sequence[GatingResult]) -> FrameResult:
+    """The result with the detections that agree with the rest, and those of which more is refused than accepted."""
+    balance = Counter[str]()
+    for judged in gating:
+        balance[judged.source] += 1 if judged.is_accepted else -1
+    accepted, refused = (
+        tuple(name for name, more in balance.items() if (more < 0) is is_refused)
+        for is_refused in (False, True)
+    )
+    return replace(result, accepted=accepted, refused=refused)
 
 
 def student_weight(square: Array | float, degrees_of_freedom: Array | int) -> Array:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.estimation.frame import Frame, View
+from svmdist.estimation.instrument.consistency import GatingResult
 from svmdist.estimation.instrument.factors import (
     DISPARITY,
     MarkerPair,
@@ -38,11 +39,12 @@ MAX_REFUSED_SHARE = 1.0 / 3.0  # of what was measured: with more refused nothing
 
 @dataclass(frozen=True, slots=True)
 class ImagePose:
-    """The tool's pose with its wrist's hinge, the measurements that carry it, and any doubt."""
+    """The tool's pose with its wrist's hinge, the measurements that carry it, any doubt, and what was judged."""
 
     pose: ToolPose
     used: tuple[str, ...]
     doubt: str
+    gating: tuple[GatingResult, ...] = ()
 
     @property
     def is_by_right_view(self) -> bool:
@@ -137,7 +139,7 @@ def _located(
         doubt = f"{', '.join(result.name for result in refused)} do not fit the rest"
     axis = frame.arm.shaft_axis
     assert axis is not None  # the model has its frame
-    used = tuple(one.name for one in judged if one.is_accepted)
     hinge = kalman.hinge(axis.link, hinge_on_link(chain, axis.link))
     pose = replace(kalman.tool_pose(), hinge=hinge)
-    return ImagePose(pose, used, doubt)
+    used = tuple(one.name for one in judged if one.is_accepted)
+    return ImagePose(pose, used, doubt, judged)

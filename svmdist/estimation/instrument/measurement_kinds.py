@@ -95,7 +95,7 @@ class DisparityMeasurement(LinkMeasurement):
     The point may be off as in `PointMeasurement`: the two rays differ in tilt by the disparity over the focal length.
     """
 
-    source = MARKER
+    source = "disparity"
 
     name: str
     link: str | None

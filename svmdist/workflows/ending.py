@@ -1,0 +1,86 @@
+"""How the rows of a log ended: statuses, what was refused of each detection, and alarms, as commands say them last."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+from svmdist.estimation.alarms import AlarmEvent, AlarmRules, AlarmState, AlarmWatch
+from svmdist.results import FrameResult
+from svmdist.samples import Status
+
+
+@dataclass
+class Ending:
+    """Counts over the rows of a log; `events` are the alarms of all instruments, `wanted` names these.
+
+    `tally` has the rows by status and detail, in the order in which they first came; `seen` and `refused` those in
+    which a detection was measured, and contradicted the rest.
+    """
+
+    wanted: tuple[str, ...] = ()
+    tally: dict[str, dict[str, int]] = field(default_factory=dict)
+    seen: dict[str, int] = field(default_factory=dict)
+    refused: dict[str, int] = field(default_factory=dict)
+    events: list[AlarmEvent] = field(default_factory=list)
+
+    def add(self, row: FrameResult, watches: Mapping[str, AlarmWatch]) -> AlarmState | None:
+        """Count a row, and judge it by the alarms of its instrument; None without any."""
+        details = self.tally.setdefault(str(row.status), {})
+        details[row.detail] = details.get(row.detail, 0) + 1
+        for name in (*row.accepted, *row.refused):
+            self.seen[name] = self.seen.get(name, 0) + 1
+        for name in row.refused:
+            self.refused[name] = self.refused.get(name, 0) + 1
+        return watches[row.instrument].watch(row) if row.instrument in watches else None
+
+    def close(self, watches: Mapping[str, AlarmWatch]) -> None:
+        """Keep the alarms of all instruments in the order of time."""
+        every = (event for watch in watches.values() for event in watch.events)
+        self.events = sorted(every, key=lambda event: event.start_s)
+
+    @property
+    def statuses(self) -> dict[str, int]:
+        """The counts by status."""
+        return {status: sum(details.values()) for status, details in self.tally.items()}
+
+
+def refusals_in_words(endings: Iterable[Ending]) -> Iterator[str]:
+    """One text for each detection that was refused anywhere, the most refused one first.
+
+    It contradicts those detections that were refused in less than half of their rows, and nominal kinematics else.
+    """
+    seen, refused = Counter[str](), Counter[str]()
+    for one in endings:
+        seen.update(one.seen)
+        refused.update(one.refused)
+    agreeing = [name for name in seen if 2 * refused[name] < seen[name]]
+    for name, count in refused.most_common():
+        others = [one for one in agreeing if one != name] or ["the joints"]
+        listed = " and ".join(filter(None, (", ".join(others[:-1]), others[-1])))
+        yield f"{name} refused in {count} of {seen[name]} frames: it contradicts {listed}"
+
+
+def alarms_in_words(endings: Mapping[str, Ending], rules: AlarmRules) -> str:
+    """How many alarms logs had, the first and the longest of them, and the smallest clearance."""
+    every = [(log, event) for log, one in endings.items() for event in one.events]
+    instruments = {event.instrument for _, event in every}
+
+    def at(log: str, event: AlarmEvent, number: int) -> str:
+        names = [log] * (len(endings) > 1) + [event.instrument] * (len(instruments) > 1)
+        return f"({' '.join(names)}{', ' * bool(names)}frame {number})"
+
+    said = f"{len(every) or 'no'} alarm{'s' * (len(every) > 1)} ({rules.in_words})"
+    if every:
+        first_log, first = every[0]
+        long_log, longest = max(every, key=lambda one: one[1].duration_s)
+        near_log, nearest = min(every, key=lambda one: one[1].least_m)
+        said += f": first at {first.start_s:.2f} s {at(first_log, first, first.start_number)}"
+        said += f", longest {longest.duration_s:.2f} s {at(long_log, longest, longest.start_number)}"
+        said += f", smallest clearance {nearest.least_m * 1e3:.2f} mm"
+        said += f" {at(near_log, nearest, nearest.least_number)}"
+    statuses = [(status, count) for one in endings.values() for status, count in one.statuses.items()]
+    if lost := sum(count for status, count in statuses if status != Status.OK):
+        said += f"; {lost} frames without a clearance raise none, which does not make them safe"
+    return said
