@@ -84,8 +84,9 @@ def clearance_std_m(
     point carry over.
     """
     variance = variance_along(gap.direction, gap.on_instrument_m, pose)
-    variance += float(gap.direction @ tissue.covariance @ gap.direction)
-    variance -= 2.0 * float(_moves(gap.direction, gap.on_instrument_m, pose) @ coupling @ gap.direction)
+    if not tissue.is_measured:
+        variance += float(gap.direction @ tissue.covariance @ gap.direction)
+        variance -= 2.0 * float(_moves(gap.direction, gap.on_instrument_m, pose) @ coupling @ gap.direction)
     variance += tissue.surface_variance_m2(gap.on_tissue_m, gap.direction)
     return float(np.sqrt(max(variance, 0.0)))
 

@@ -15,16 +15,12 @@ from svmdist.estimation.instrument.image_pose import ImagePose, pose_by_pair
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.one_view import uncertainty
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.surface import StereoSurface
 from svmdist.estimation.tissue import require_tissue
-from svmdist.estimation.tissue_tracking import depth_biases
-from svmdist.geometry import Cloud
+from svmdist.estimation.tissue_tracking import surface_by_stereo
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import Rejection, RightView, Status
 from svmdist.transforms import inverse
 from svmdist.vision.stereo import RectifiedPair
-
-DEPTH_GATE_STDS = 3.5  # between disparity and one view's pose, above which they contradict each other
 
 
 def nominal_orientation_pose(
@@ -54,7 +50,7 @@ class StereoEstimator:
 
     def __init__(self, arm: Arm) -> None:
         profile = arm.profile
-        self._tissue = require_tissue(profile)
+        require_tissue(profile)
         self._chain = arm.required_chain
         self._profile = profile
         self._uses_shaft = profile.segmentation.shaft is not None and profile.instrument is not None
@@ -81,42 +77,14 @@ class StereoEstimator:
             return result.rejected(found.status, found.detail)
 
         # The tissue's surface, and the distances. A surface by stereo has its own error in place of the dome's.
-        surface, seen = frame.scene.stereo_surface, tissue.pose
-        if surface is None and not found.is_by_right_view:
+        seen = surface_by_stereo(frame, tissue.pose)
+        if seen is None and not found.is_by_right_view:
             said = "the right view shows neither the instrument nor the tissue's surface"
             return result.rejected(Status.NO_STEREO, said)
-        if surface is None:
+        if seen is None:
             said = "the views do not agree on the tissue's surface: the profile's is used"
-            result = replace(result, detail=said)
-        else:
-            std_m = float(np.hypot(surface.std_m, self._calibration_std_m(surface, frame)))
-            std_m = float(np.hypot(std_m, self._off_plane_m(surface, std_m)))
-            seen = replace(tissue.pose, surface=Cloud(surface.points_m), surface_std_m=std_m, dome=None)
+            result, seen = replace(result, detail=said), tissue.pose
         return measured(result, frame, ToolEstimate(found.pose, frame.joints, self._has_plate), seen)
-
-    def _off_plane_m(self, surface: StereoSurface, std_m: float) -> float:
-        """How far the surface stands off where the profile's plane and shape allow it, 0 where it does not."""
-        tissue = self._tissue
-        if tissue.mesh is not None:
-            return 0.0
-        height_m = surface.points_m @ np.array(tissue.plane_normal) + tissue.plane_distance_m
-        top_m, shape_m = 0.0, tissue.surface_std_m
-        if tissue.dome is not None:
-            top_m, shape_m = tissue.dome.height_m, tissue.dome.height_std_m
-        tilt_m = tissue.plane_tilt_std_rad * float(np.linalg.norm(np.median(surface.points_m, 0)[:2]))
-        parts = (std_m, tissue.plane_distance_std_m, tissue.motion_std_m, shape_m, tilt_m)
-        allowed_m = DEPTH_GATE_STDS * float(np.linalg.norm(parts))
-        middle_m = float(np.median(height_m))
-        off_m = max(-middle_m, middle_m - top_m, 0.0)
-        return off_m if off_m > allowed_m else 0.0
-
-    def _calibration_std_m(self, surface: StereoSurface, frame: Frame) -> float:
-        """How far all of the surface may be off in depth by focal length, baseline and the right camera's rotation."""
-        right = frame.scene.observation.right
-        assert right is not None  # the surface is of both views
-        at_m = np.median(surface.points_m, 0)
-        biases = depth_biases(at_m, frame.left.camera, right, frame.arm.deviations)
-        return float(np.sqrt(sum(float(np.sum(bias.jacobian**2)) for bias in biases)))
 
     def tool(self, frame: Frame, pair: RectifiedPair) -> ImagePose | Rejection:
         """The tool by both views, where it is certain enough."""

@@ -36,7 +36,8 @@ class TissuePose:
 
     `outline_covariance` is the part of that covariance that is the outline's own, without the plane's.
     `surface_std_m` is how far the surface may stand off the real one, beside the origin's error and what a `dome`,
-    where the surface is one, states of its own shape.
+    where the surface is one, states of its own shape. A surface that `is_measured` stands where it was seen: errors of
+    the origin do not move it.
     """
 
     position_m: Array
@@ -45,6 +46,7 @@ class TissuePose:
     surface_std_m: float = 0.0
     dome: DomeModel | None = None
     outline_covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    is_measured: bool = False
 
     def scaled(self, factor: float) -> TissuePose:
         """The same on a parallel plane that is by this factor as far: all of it goes along the camera's rays."""

@@ -21,6 +21,7 @@ from svmdist.estimation.tissue import (
     require_tissue,
     tissue_plane,
 )
+from svmdist.geometry import Cloud
 from svmdist.least_squares import median
 from svmdist.profile.robot import Tissue
 from svmdist.profile.settings import TissueTrackingSettings
@@ -162,6 +163,38 @@ def depth_biases(
     return tuple(bias.scaled(p_camera_m[2] / disparity_px) for bias in biases)
 
 
+OFF_PLANE_STDS = 3.5  # of the surface by stereo from the profile's, above which they contradict each other
+
+
+def surface_by_stereo(frame: Frame, known: TissuePose) -> TissuePose | None:
+    """The tissue with the surface that both views show, with its own errors; None where they do not agree on one."""
+    surface, right = frame.scene.stereo_surface, frame.scene.observation.right
+    if surface is None or right is None:
+        return None
+    at_m = np.median(surface.points_m, 0)
+    biases = depth_biases(at_m, frame.left.camera, right, frame.arm.deviations)
+    calibration_std_m = np.sqrt(sum(float(np.sum(bias.jacobian**2)) for bias in biases))
+    std_m = float(np.hypot(surface.std_m, calibration_std_m))
+    off_m = _off_plane_m(surface.points_m, std_m, require_tissue(frame.arm.profile))
+    std_m = float(np.hypot(std_m, off_m))
+    return replace(known, surface=Cloud(surface.points_m), surface_std_m=std_m, dome=None, is_measured=True)
+
+
+def _off_plane_m(points_m: Array, std_m: float, tissue: Tissue) -> float:
+    """How far a surface, (n, 3), stands off where the profile's plane and shape allow it, 0 where it does not."""
+    if tissue.mesh is not None:
+        return 0.0
+    height_m = points_m @ np.array(tissue.plane_normal) + tissue.plane_distance_m
+    top_m, shape_m = 0.0, tissue.surface_std_m
+    if tissue.dome is not None:
+        top_m, shape_m = tissue.dome.height_m, tissue.dome.height_std_m
+    tilt_m = tissue.plane_tilt_std_rad * float(np.linalg.norm(np.median(points_m, 0)[:2]))
+    parts = (std_m, tissue.plane_distance_std_m, tissue.motion_std_m, shape_m, tilt_m)
+    middle_m = float(np.median(height_m))
+    off_m = max(-middle_m, middle_m - top_m, 0.0)
+    return off_m if off_m > OFF_PLANE_STDS * float(np.linalg.norm(parts)) else 0.0
+
+
 class FollowedTissue:
     """The tissue between frames: a place that is averaged, a shape, and a height that the filter's state holds."""
 
@@ -208,7 +241,11 @@ class FollowedTissue:
     def placed(
         self, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter
     ) -> tuple[TissuePose, Array]:
-        """The tissue at the height found, with all its errors, and their covariance with the tool's pose, (6, 3)."""
+        """The tissue at the height found, with all its errors, and their covariance with the tool's pose, (6, 3).
+
+        Where both views show a surface and the profile knows its shape no better, that surface is taken: as if its
+        errors were not the tool's, too, which makes their difference only wider.
+        """
         height = TissueHeight.of(self._tissue, known.position_m)
         plane_m = height.constant_std_m * kalman.constant("tissue plane")
         height_m = plane_m + height.motion_std_m * kalman.constant("tissue motion")
@@ -217,4 +254,19 @@ class FollowedTissue:
         place_m, of_camera = placed.position_m, self._deviations.camera
         by_ray = ray_on_plane_biases(place_m, plane, frame.left.camera, of_camera)
         covariance, coupling = kalman.coupled((*height.biases(place_m / plane.offset_m), *by_ray))
-        return replace(placed, covariance=placed.outline_covariance + covariance), coupling
+        placed = replace(placed, covariance=placed.outline_covariance + covariance)
+        seen = surface_by_stereo(frame, placed)
+        if seen is None or self._shape_std_m(seen) < seen.surface_std_m:
+            return placed, coupling
+        return seen, coupling
+
+    def _shape_std_m(self, seen: TissuePose) -> float:
+        """How wrong the profile's shape of a surface that is seen may be; without a dome or mesh it knows none."""
+        tissue = self._tissue
+        if tissue.dome is None and tissue.mesh is None:
+            return np.inf
+        assert isinstance(seen.surface, Cloud)
+        from_origin_m = seen.surface.points_m - seen.position_m
+        tilt_m = tissue.plane_tilt_std_rad * float(np.median(np.linalg.norm(from_origin_m, axis=1)))
+        dome_m = 0.0 if tissue.dome is None else tissue.dome.height_std_m
+        return float(np.linalg.norm([tissue.surface_std_m, dome_m, tilt_m]))

@@ -41,10 +41,14 @@ FAR_PERCENTILE = 99.0  # of the outline's distances from the shaft's end: its ti
 
 @dataclass(frozen=True, slots=True)
 class WristShape:
-    """A straight wrist beyond the shaft's end: the tool's origin as a fraction of it, its length over the width."""
+    """A straight wrist beyond the shaft's end: the tool's origin as a fraction of it, its length over the width.
+
+    `tool_std` is how wrong that fraction may be by where the profile has the shaft's end.
+    """
 
     tool_fraction: float
     length_widths: float
+    tool_std: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +109,8 @@ def _wrist_point(
     beyond_px = shape.tool_fraction * max(0.0, expected_px - reach_px)
     tip = offset[distance > reach_px - cell_px].mean(0)
     pixel, tip_px = (end_px + place[0] * along + place[1] * across for place in (at, tip))
-    return WristPoint(pixel, float(np.hypot(WRIST_STD * reach_px, FROM_ONE_END * beyond_px)), tip_px)
+    own_std = np.hypot(WRIST_STD, shape.tool_std)
+    return WristPoint(pixel, float(np.hypot(own_std * reach_px, FROM_ONE_END * beyond_px)), tip_px)
 
 
 def _unlike_flanks(patch: Image, flanks: NDArray[np.bool_], v: Array) -> NDArray[np.bool_]:

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,13 +13,14 @@ import trimesh
 
 from svmdist.camera import Camera
 from svmdist.estimation.dome import DomeModel
+from svmdist.estimation.instrument.shaft_model import ShaftSizes
 from svmdist.estimation.tissue import detect_tissue, tissue_frame
 from svmdist.geometry import Capsules
 from svmdist.geometry.distance import separation
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.profile.robot import Dome
 from svmdist.recording.log import open_recording
-from svmdist.samples import Observation
+from svmdist.samples import Observation, Status
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import Array, rotation_z, transform_points
 from tests.measuring import Measuring
@@ -150,3 +152,29 @@ def test_clearance_is_nearer_to_the_truth_than_with_the_dome(tmp_path, golden):
         errors = np.array([row.clearance_m for row in rows], np.float64) - truth.values[:, 2]
         rmse_m.append(float(np.sqrt(np.mean(errors**2))))
     assert rmse_m[1] < 0.7 * rmse_m[0]
+
+
+@pytest.mark.parametrize("plane_distance_m", [0.112, 0.122])
+def test_a_surface_that_both_views_show_needs_no_shape_from_the_profile(tmp_path, golden, plane_distance_m):
+    """`fused` without a dome, on a plane that is right or 10 mm off and says so: contact is seen as such."""
+    bare = profile_with(tmp_path, "surface_std_m = 5e-3\n")
+    rough = {"plane_distance_m": plane_distance_m, "plane_distance_std_m": 0.01}
+    bare = bare.model_copy(update={"tissue": bare.tissue.model_copy(update=rough)})
+    recording = open_recording(golden / "3d" / "contact.mcap", bare)
+    seen = [each for each in islice(recording.observations(), 36) if isinstance(each, Observation)][::7]
+    truth = recording.distance_track().at(np.array([each.stamp_ns for each in seen]))
+    fused = Measuring("fused", bare)
+    rows = [fused.estimate(each) for each in seen]
+    assert all(row.status is Status.OK and row.clearance_std_m < 3e-3 for row in rows)
+    errors_m = np.array([row.clearance_m for row in rows]) - truth.values[:, 2]
+    assert np.all(np.abs(errors_m) < 2e-3)
+
+
+def test_where_an_outline_ends_is_as_uncertain_as_clevises_differ():
+    """Without the profile's word the end may be the dark shaft's or a clevis's; a stated deviation is taken."""
+    instrument = PROFILE.instrument.model_copy(update={"outline_end_m": None})
+    unknown = ShaftSizes(instrument)
+    for end_m in (-unknown.neck_m, 0.9 * unknown.radius_m):
+        assert abs(end_m - unknown.outline_end_m) <= 1.001 * unknown.outline_end_std_m
+    stated = ShaftSizes(instrument.model_copy(update={"outline_end_m": 0.0, "outline_end_std_m": 3e-3}))
+    assert (stated.outline_end_m, stated.outline_end_std_m) == (0.0, 3e-3)

@@ -63,7 +63,6 @@ MAX_AREA_FRACTION = (
 OTHER_PART_PLACE = 3.0  # over the marker's radius: a ring or a clip, anywhere on the distal part
 LASTING_SIZE = 0.75  # of the variance of the marker's radius: light and blood stay
 WRIST_LASTING = 0.5  # of the variance of a point on the outline of a wrist: its shape is as it is
-UNKNOWN_END = 0.5  # deviation of the distance from hinge to the shaft's end where none is stated, over itself
 JAW_TIP_STD = 0.35  # of an outline's tip over the length of closed, straight jaws: they open and turn
 TOOL_SPEED_M_S = 0.05  # standard deviation along each axis: the tool stands elsewhere in a later view
 
@@ -293,11 +292,10 @@ def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
     if view.shaft.is_stub and view.distal_marker is not None:  # what ends there may be anything dark
         return
     sizes = ShaftSizes(instrument)
-    ahead_m, radius_m, std_m = -sizes.neck_m, sizes.radius_m, arm.profile.settings.shaft.end_model_std_m
+    ahead_m, radius_m = -sizes.neck_m, sizes.radius_m
+    std_m = sizes.neck_std_m(arm.profile.settings.shaft.end_model_std_m)
     if rim.is_outline:
         ahead_m, radius_m, std_m = sizes.outline_end_m, 0.0, sizes.outline_end_std_m
-    elif instrument.shaft_end_m is None:  # guessed from another size
-        std_m = UNKNOWN_END * sizes.neck_m
     yield EndMeasurement(
         "end",
         axis.link,

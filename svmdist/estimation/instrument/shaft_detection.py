@@ -223,9 +223,10 @@ def detect_shaft(
 def detect_silhouette(silhouette: Silhouette | None, camera: Camera, radius_m: float) -> ShaftDetection:
     """Contours, end and wrist of a shaft whose silhouette was found, whatever its colour; `NO_SHAFT` for none.
 
-    None is it either that would stand elsewhere than a shaft of its radius can.
+    None is it either that would stand elsewhere than a shaft of its radius can, nor a stub: at the picture's border
+    that is as likely the wrist, which may be narrower, and is no longer than that.
     """
-    if silhouette is None:
+    if silhouette is None or silhouette.is_stub:
         return NO_SHAFT
     towards_tip, middle_px = silhouette.towards_tip, silhouette.middle_px
     contours: list[Contour] = []

@@ -20,8 +20,8 @@ from svmdist.vision.lines import CylinderAxis, apparent_radius_px, axis_of_cylin
 from svmdist.vision.silhouette import WristShape
 
 OUTLINE_END_STD_RADII = 0.25  # of the cylinder's end in an outline: clevises differ, a bent wrist hides them
-UNKNOWN_OUTLINE_END_STD_RADII = 0.45  # without the profile's word: real instruments had 0 and 0.9 radii
-OUTLINE_END_PER_RADIUS = 0.9
+UNKNOWN_END = 0.5  # deviation of the distance from hinge to the shaft's end where none is stated, over itself
+CLEVIS_PER_RADIUS = 0.9
 """The clevis of a da Vinci instrument of 8 mm reaches so far beyond the wrist's pitch axis, over the shaft's radius."""
 
 
@@ -41,17 +41,26 @@ class ShaftSizes:
         """From the hinge back to where the dark shaft ends."""
         return self.instrument.shaft_end_m or NECK_PER_RADIUS * self.instrument.wrist_radius_m
 
+    def neck_std_m(self, stated_std_m: float) -> float:
+        """How wrong that may be; `stated_std_m` is of a length that the profile gives without a deviation."""
+        if (std_m := self.instrument.shaft_end_std_m) is not None:
+            return std_m
+        return UNKNOWN_END * self.neck_m if self.instrument.shaft_end_m is None else stated_std_m
+
     @property
     def outline_end_m(self) -> float:
-        """From the hinge on to where the outline stops being the shaft's."""
+        """From the hinge on to where the outline stops being the shaft's; unknown, midway between the extremes."""
         stated = self.instrument.outline_end_m
-        return OUTLINE_END_PER_RADIUS * self.radius_m if stated is None else stated
+        return 0.5 * (CLEVIS_PER_RADIUS * self.radius_m - self.neck_m) if stated is None else stated
 
     @property
     def outline_end_std_m(self) -> float:
-        """How wrong that may be."""
-        is_stated = self.instrument.outline_end_m is not None
-        return self.radius_m * (OUTLINE_END_STD_RADII if is_stated else UNKNOWN_OUTLINE_END_STD_RADII)
+        """How wrong that may be: a clevis is as wide as the shaft up to its end, or narrower from the shaft on."""
+        if (std_m := self.instrument.outline_end_std_m) is not None:
+            return std_m
+        if self.instrument.outline_end_m is not None:
+            return OUTLINE_END_STD_RADII * self.radius_m
+        return 0.5 * (CLEVIS_PER_RADIUS * self.radius_m + self.neck_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,9 +90,10 @@ class ShaftModel(ShaftSizes):
     def wrist_shape(self) -> WristShape:
         """What is to be seen beyond the outline's end, with the wrist straight."""
         reach_m = float(np.linalg.norm(self.T_shaft_tool[:3, 3]))
-        ahead_m = max(reach_m - self.outline_end_m, 0.0)
-        length_m = ahead_m + self.instrument.jaw_length_m
-        return WristShape(ahead_m / length_m, length_m / (2.0 * self.radius_m))
+        ahead_m, jaw_m = max(reach_m - self.outline_end_m, 0.0), self.instrument.jaw_length_m
+        length_m = ahead_m + jaw_m
+        std = self.outline_end_std_m * jaw_m / length_m**2
+        return WristShape(ahead_m / length_m, length_m / (2.0 * self.radius_m), std)
 
 
 def shaft_frames(chain: DHChain, q: Array) -> tuple[Array, Array]:
