@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from typing import Any
 
 UNSAFE = {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}  # control, format, surrogates, private, line breaks
-USER = re.compile(r"(?<=[A-Za-z0-9]{2}:/)/*(?:[^/?#\s]*|[^/?#@:\s]*:(?!\d+(?:/|$))\S*)@")
+USER = re.compile(r"(?<=[A-Za-z0-9]{2}:/)/*(?:[^/?#\s]*@(?=[^/?#\s])|[^/?#@:\s]*:(?!\d+(?:/|$))\S*@)")
 """User and password of a URL, with the slashes before them; a key of S3 may have slashes, and no port has a path."""
 QUERY = re.compile(r"([A-Za-z0-9]{2}:/[^\s?#]*)([?#]\S*)")
 """A URL up to its query, and the query."""

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import codecs
 import errno
+import io
 import os
 import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO, BinaryIO, cast
 
 from svmdist.errors import OutputError
 from svmdist.remote import LogPath, RemoteFile
@@ -87,8 +88,8 @@ def files_of(path: LogPath) -> list[LogPath]:
 
 
 @contextmanager
-def atomic_file(path: Path) -> Iterator[Path]:
-    """Give an empty temporary file beside `path`, renamed to `path` when the block ends, and removed when it fails.
+def atomic_file(path: Path) -> Iterator[BinaryIO]:
+    """Give a temporary file beside `path`, renamed to `path` when the block ends, and removed when it fails.
 
     A device, a pipe, and a file in a folder without new files are written in place. Raises OutputError.
     """
@@ -97,19 +98,20 @@ def atomic_file(path: Path) -> Iterator[Path]:
         try:
             target = Path(os.path.realpath(path))  # a link stays a link
             with suppress(FileNotFoundError):
-                mode = os.stat(target).st_mode
+                mode = os.stat(path).st_mode
         except ValueError:
             raise OSError(errno.EINVAL, BAD_CHARACTER) from None
         if (mode is not None and not stat.S_ISREG(mode)) or not os.access(target.parent, os.W_OK):
-            yield target
+            with open(path, "wb") as file:  # by this name: that of a pipe leads nowhere
+                yield file
             return
         beside = target.with_name(f".{os.fsdecode(os.fsencode(target.name)[:NAME_BYTES])}.part")
         beside.unlink(missing_ok=True)  # what a killed process left
-        open_new(beside).close()
         try:
-            yield beside
-            if mode is not None:
-                beside.chmod(stat.S_IMODE(mode))
+            with open_new(beside) as file:
+                if mode is not None:
+                    beside.chmod(stat.S_IMODE(mode))
+                yield file
             beside.replace(target)
         finally:
             beside.unlink(missing_ok=True)
@@ -119,5 +121,8 @@ def atomic_file(path: Path) -> Iterator[Path]:
 
 def write_atomically(path: Path, lines: Iterable[str]) -> None:
     """Write text atomically, in UTF-8 and with its own line ends; raises OutputError where that fails."""
-    with atomic_file(path) as part, part.open("w", encoding="utf-8", errors=FALLBACK, newline="") as file:
+    with (
+        atomic_file(path) as part,
+        io.TextIOWrapper(cast(IO[bytes], part), encoding="utf-8", errors=FALLBACK, newline="") as file,
+    ):
         file.writelines(lines)

@@ -28,7 +28,10 @@ LEAST_BYTES_PER_S = 50e3
 """A piece of a file may take the longer, the larger it is."""
 BLOCK_BYTES = 256 << 10  # a chunk of a recording: one that is left out is not fetched
 FILES_KEPT = 4
-LEAST_SECRET = 6  # characters of a value in a query; shorter ones are numbers of versions and pages
+LEAST_PASSWORD, LEAST_VALUE = (
+    3,
+    6,
+)  # characters; shorter ones stand in other words, and number versions and pages
 URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 PARTS = re.compile(r"([^:/]*):/*([^/]*)(.*)", re.DOTALL)  # of any text: urlsplit refuses some
 BEFORE_GLOB = re.compile(r"((?:https?://)?[^/]*(?:/[^*?\[/]*(?=/))*)/")
@@ -75,10 +78,10 @@ def without_secrets(text: str, url: str) -> str:
     found += [user.partition(":")[2] for user in found]
     for _, query in QUERY.findall(url):
         values = [part.partition("=")[2] for part in re.split("[&#]", query[1:])]
-        found += [query[1:], *(value for value in values if len(value) >= LEAST_SECRET)]
+        found += [query[1:], *(value for value in values if len(value) >= LEAST_VALUE)]
     every = {form for one in found for form in (one, quote(one), quote(one, safe=""), unquote(one))}
-    for secret in sorted(every - {""}, key=len, reverse=True):
-        text = text.replace(secret, "***")
+    for secret in sorted(every, key=len, reverse=True):
+        text = text.replace(secret, "***") if len(secret) >= LEAST_PASSWORD else text
     return concealed(text)
 
 

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -60,6 +61,11 @@ def test_a_pipe_is_written_in_place(tmp_path):
     assert os.read(reader, 100) == b"through\n"
     os.close(reader)
     assert pipe.is_fifo()
+    reader, writer = os.pipe()
+    write_atomically(Path(f"/dev/fd/{writer}"), ["nameless\n"])
+    assert os.read(reader, 100) == b"nameless\n"
+    os.close(reader)
+    os.close(writer)
 
 
 @pytest.mark.parametrize("length", [8, 200, 250, 255])

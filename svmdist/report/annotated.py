@@ -85,9 +85,9 @@ def write_video(frames: Iterable[DrawnFrame], path: Path, recording: Recording, 
     width, height = (length + length % 2 for length in (camera.width_px, camera.height_px))
     begin_ns: int | None = None
     shown_ms = -1
-    with atomic_file(path) as target:
+    with atomic_file(path) as file:
         try:
-            with av.open(str(target), "w", format="mp4") as container:
+            with av.open(file, "w", format="mp4") as container:
                 codec = next(name for name in CODECS if name in av.codecs_available)
                 quality = QUALITY if codec == "libx264" else {}
                 stream: Any = container.add_stream(codec, rate=30, options=quality)

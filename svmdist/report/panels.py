@@ -38,8 +38,8 @@ def bgr(colour: Rgb) -> tuple[int, int, int]:
 
 def write_picture(path: Path, picture: Image) -> None:
     """Write a PNG; raises OutputError where that fails."""
-    with atomic_file(path) as target:
-        target.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+    with atomic_file(path) as file:
+        file.write(cv2.imencode(".png", picture)[1].tobytes())
 
 
 def draw_on(

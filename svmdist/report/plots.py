@@ -72,10 +72,10 @@ def save_figure(path: Path, draw: Callable[..., Figure], *given: Any) -> None:
     """Draw a figure with the looks of print and write it; raises OutputError where that cannot be done."""
     suffix = plot_format(path)
     metadata = {"Date": None} if suffix == "svg" else None
-    with mpl.rc_context(LOOKS), warnings.catch_warnings(), atomic_file(path) as target:
+    with mpl.rc_context(LOOKS), warnings.catch_warnings(), atomic_file(path) as file:
         # A name may hold letters that the font lacks: a box is drawn, which is no news to the user.
         warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from font", UserWarning)
-        draw(*given).savefig(target, dpi=DPI, format=suffix, metadata=metadata)
+        draw(*given).savefig(file, dpi=DPI, format=suffix, metadata=metadata)
 
 
 def plain_name(text: str) -> str:

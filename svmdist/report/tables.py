@@ -276,7 +276,7 @@ def write_parquet(results: Results, path: Path) -> None:
     types = ["string" if one.is_text else "int64" if one.unit.digits is None else "float64" for one in stored]
     schema = pyarrow.schema([(one.key, kind) for one, kind in zip(stored, types, strict=True)])
     left = iter(results.rows)
-    with atomic_file(path) as target, ParquetWriter(target, schema, compression="zstd") as writer:
+    with atomic_file(path) as file, ParquetWriter(file, schema, compression="zstd") as writer:
         while piece := list(islice(left, PARQUET_ROWS)):
             cells = [{column.key: _parquet_cell(row.get(column.key)) for column in stored} for row in piece]
             writer.write_table(pyarrow.Table.from_pylist(cells, schema))

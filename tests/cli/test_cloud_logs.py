@@ -2,7 +2,10 @@
 
 import logging
 from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from threading import Thread
 
 import pytest
 
@@ -73,3 +76,22 @@ def test_memory_gives_the_rows_of_a_disk(cli, folder):
     expected = cli("estimate", folder, "-f", "csv").out
     assert cli("estimate", "memory://cloud", "-f", "csv", "--jobs", "2").out == expected
     assert "images" not in cli("info", "memory://cloud/log1.mcap").out.splitlines()[0]
+
+
+def test_no_file_shows_a_secret(cli, folder, tmp_path, monkeypatch):
+    """Rows, results that are kept, and the report's command line, of a log behind a URL with password and token."""
+    pytest.importorskip("plotly", reason="the report needs plotly")
+    monkeypatch.setattr(SimpleHTTPRequestHandler, "log_message", lambda *_: None)
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=folder)) as server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        url = f"http://me:SECRET@127.0.0.1:{server.server_port}/log0.mcap?token=SECRET"
+        asked = ["estimate", url, "--resume", "kept", "-v", "-o", "rows.json", "--report", "report.html"]
+        monkeypatch.chdir(tmp_path)
+        assert "SECRET" not in cli(*asked).err
+        server.shutdown()
+    texts = [path.read_text("utf-8") for path in tmp_path.rglob("*.*") if path.is_file()]
+    assert len(texts) == 3
+    assert not any("SECRET" in text for text in texts)
+    assert any(
+        f"svmdist estimate http://127.0.0.1:{server.server_port}/log0.mcap --resume" in text for text in texts
+    )

@@ -80,7 +80,7 @@ def everything(source: McapSource, topics: set[str] | None = None) -> list[objec
     ]
 
 
-@pytest.mark.parametrize("user", ["me:secret@", "KEY:sec/ret@", "me:se@cret@", "secret@"])
+@pytest.mark.parametrize("user", ["me:secret@", "KEY:sec/ret@", "me:se@cret@", "me:secret@/@", "secret@"])
 def test_a_name_shows_no_secrets(user):
     file = RemoteFile(f"https://{user}host/day/a.mcap?token=secret")
     assert (str(file), file.name, file.stem) == ("https://host/day/a.mcap", "a.mcap", "a")
