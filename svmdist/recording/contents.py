@@ -14,6 +14,8 @@ from svmdist.errors import RecordingError, did_you_mean
 from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Limits
 from svmdist.recording import messages
+from svmdist.recording.cameras import CameraTrack
+from svmdist.recording.partners import MissingPartners
 from svmdist.recording.source import Loss, LossKind, RawMessage, Source, sanitize, sanitize_list
 from svmdist.samples import CameraSample, DistanceSample, JointSample
 from svmdist.tracks import MAX_GAP_NS, Sampled, TransformTrack, sort_stamps
@@ -52,13 +54,10 @@ class Contents:
     def __init__(self) -> None:
         self.rows: defaultdict[str, defaultdict[Hashable, Rows]] = defaultdict(lambda: defaultdict(Rows))
         """By topic, and by names of joints, frame of poses, or edge of transforms."""
-        self.cameras: dict[str, Camera] = {}
 
     def add(self, topic: str, message: messages.Message) -> str | None:
         """Take up a message; says why where it cannot be used."""
         match message:
-            case CameraSample(camera=camera):
-                self.cameras.setdefault(topic, camera)
             case JointSample():
                 known = self.rows[topic]
                 if known and message.names not in known:
@@ -198,8 +197,13 @@ class LogFile:
     source: Source
     limits: Limits
     topics: frozenset[str]
+    camera_topics: frozenset[str]
+    """Those of `topics` with calibrations, which every pass over images reads."""
+    cameras: defaultdict[str, CameraTrack] = field(default_factory=lambda: defaultdict(CameraTrack))
+    """What is known of them so far."""
+    missing: MissingPartners = field(default_factory=lambda: MissingPartners(0.0))
+    """Of the images of the last replay."""
     _contents: Contents | None = None
-    _cameras: dict[str, Camera | None] = field(default_factory=dict)
 
     @property
     def is_read(self) -> bool:
@@ -216,31 +220,35 @@ class LogFile:
 
     def images(self, image_topics: Collection[str], *, rest: bool = True) -> Iterator[messages.EncodedImage]:
         """Yield the images of some topics in file order, not decoded; with `rest` reads all else that is not read."""
-        contents = Contents() if rest and self._contents is None else None
+        contents, others = Contents(), frozenset[str]()
+        if self._contents is None:
+            others = self.topics if rest else self.camera_topics
         decoder = messages.Decoder(self.limits)
-        for raw in self.source.messages(frozenset(image_topics) | (self.topics if contents else frozenset())):
+        for raw in self.source.messages(frozenset(image_topics) | others):
             if raw.topic in image_topics:
                 yield decoder.image(raw)
-            elif contents is not None:
+            else:
                 self._collect(contents, decoder, raw)
-        self._contents = self._contents or contents
+        if rest and self._contents is None:
+            self._contents = contents
 
     def camera(self, topic: str) -> Camera | None:
         """The first usable calibration of a topic; None without one."""
-        if self._contents is not None:
-            return self._contents.cameras.get(topic)
-        if topic not in self._cameras:
-            found, decoder = Contents(), messages.Decoder(self.limits)
+        track = self.cameras[topic]
+        if not track.runs and self._contents is None:
+            contents, decoder = Contents(), messages.Decoder(self.limits)
             for raw in self.source.messages({topic}):
-                self._collect(found, decoder, raw)
-                if found.cameras:
+                self._collect(contents, decoder, raw)
+                if track.runs:
                     break
-            self._cameras[topic] = found.cameras.get(topic)
-        return self._cameras[topic]
+        return track.runs[0].camera if track.runs else None
 
     def _collect(self, contents: Contents, decoder: messages.Decoder, raw: RawMessage) -> None:
         try:
-            problem = contents.add(raw.topic, decoder.decode(raw))
+            message = decoder.decode(raw)
+            if isinstance(message, CameraSample):  # a recorder that sets no stamp writes 0
+                self.cameras[raw.topic].add(message.stamp_ns or raw.log_time_ns, message.camera)
+            problem = contents.add(raw.topic, message)
         except messages.DecodeError as found:
             problem = str(found)
         if problem is not None:

@@ -19,8 +19,10 @@ from svmdist.perturbations.chosen import Perturbations
 from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Profile
 from svmdist.recording import observations as obs
+from svmdist.recording.cameras import CameraChange, CameraTrack, cameras_at
 from svmdist.recording.contents import LogFile, Rows, TransformTree, replayed_rows
-from svmdist.recording.messages import EncodedImage, kind_of, matrices
+from svmdist.recording.messages import Kind, kind_of, matrices
+from svmdist.recording.partners import MissingPartners, Pairs, Partners
 from svmdist.recording.source import Health, Loss, LossKind, TopicInfo, sanitize, sanitize_list
 from svmdist.recording.topics import KINDS, FixedTransform, LoggedArm, Role, find_arms, open_source
 from svmdist.remote import LogPath, RemoteFile, is_url
@@ -43,7 +45,8 @@ def open_recording(
     source = open_source(path, profile.limits)
     arms = find_arms(source, profile, origin.topics)
     beside_images = frozenset(topic for arm in arms for topic in arm.topics_beside_images())
-    return Recording(LogFile(source, profile.limits, beside_images), arms, origin)
+    infos = {info.topic for info in source.topics() if kind_of(*info[1:3]) is Kind.CAMERA}
+    return Recording(LogFile(source, profile.limits, beside_images, beside_images & infos), arms, origin)
 
 
 class Origin(NamedTuple):
@@ -167,17 +170,25 @@ class Recording:
 
     @cached_property
     def camera(self) -> Camera:
-        """The first camera calibration, as a perturbed world states it; RecordingError where there is none."""
+        """The first camera calibration, as a perturbed world states it; RecordingError where there is none.
+
+        Images have each the calibration that holds at their stamp.
+        """
         camera = self.logged_camera
         return camera if self.world is None else stated_camera(camera, self.world.perturbations)
 
     @cached_property
     def logged_camera(self) -> Camera:
         """The first camera calibration as the file has it; RecordingError where there is none."""
-        camera = self.file.camera(self._require(Role.CAMERA_INFO))
-        if camera is None:
+        return self._left_track.runs[0].camera
+
+    @property
+    def _left_track(self) -> CameraTrack:
+        """What is known of the camera so far, its first calibration at least; RecordingError where there is none."""
+        topic = self._require(Role.CAMERA_INFO)
+        if self.file.camera(topic) is None:
             raise self._unusable("camera calibration", Role.CAMERA_INFO)
-        return camera
+        return self.file.cameras[topic]
 
     @cached_property
     def right_camera(self) -> Camera | None:
@@ -190,6 +201,11 @@ class Recording:
             return camera
         return stated_right_camera(camera, self.world.perturbations)
 
+    @property
+    def missing(self) -> MissingPartners:
+        """What images lacked near them in the last replay."""
+        return self.file.missing
+
     def images(self) -> Iterator[ImageSample | Rejection]:
         """Yield every image in file order, decoded; a Rejection stands for one that cannot be."""
         for image in self.file.images({self._require(Role.IMAGE)}):
@@ -197,6 +213,12 @@ class Recording:
             yield obs.decode_image(image, losses)
             for loss in losses:
                 self.health.add(loss)
+
+    @property
+    def camera_changes(self) -> tuple[CameraChange, ...]:
+        """Where either camera's calibration changes, so far as the log has been read: all of it after a pass."""
+        topics = dict.fromkeys(self.topic_of(role) for role in (Role.CAMERA_INFO, Role.RIGHT_CAMERA_INFO))
+        return tuple(one for topic in topics if topic for one in self.file.cameras[topic].changes(topic))
 
     def observations(self) -> Iterator[Observation | Rejection]:
         """Yield what an estimator may see of the first instrument in every image, by stamp.
@@ -217,36 +239,40 @@ class Recording:
         What `needs` leaves out is None in the observations. One thread at a time goes through the iterator, any thread
         decodes, and `record_losses` takes the results. The caller bounds how many are held.
         """
-        arms, topic, camera = [self._arm(name) for name in names], self._require(Role.IMAGE), self.camera
-        right = self._right_camera() if needs.right else None
+        arms, topic = [self._arm(name) for name in names], self._require(Role.IMAGE)
+        right = self._right_topic() if needs.right else None
+        stated = Perturbations() if self.world is None else self.world.perturbations
+        of_right = None if right is None else self.file.cameras[self._require(Role.RIGHT_CAMERA_INFO)]
+        cameras = cameras_at(self._left_track, of_right, stated)
         states = [self._arm_states(arm, needs) for arm in arms]
-        return self.window.of(self._observations(states, topic, camera, right, needs.rest))
+        has_joints = [needs.joints and arm.choice.find(Role.JOINTS) is not None for arm in arms]
+        self.file.missing = MissingPartners(self.file.limits.pair_tolerance_s)
+        images = self.file.images({topic, right or topic}, rest=needs.rest)
+        pairs = Pairs(right, self.file.missing.pair_tolerance_s, self.health)
+        return self.window.of(
+            obs.EncodedObservation(
+                left,
+                other,
+                (at_stamp := tuple(state(left.stamp_ns) for state in states)),
+                cameras(left.stamp_ns),
+                self.health.next_place(),
+                Partners(
+                    apart_s,
+                    any(has and of.joints is None for of, has in zip(at_stamp, has_joints, strict=True)),
+                ),
+            )
+            for left, other, apart_s in pairs.of(images)
+        )
 
     def record_losses(self, decoded: obs.Decoded) -> tuple[Observation, ...] | Rejection:
-        """Add what was lost in decoding to `health`, in file order whatever the order of calls; give the rest back."""
+        """Add what was lost in decoding to `health`, in file order whatever the order of calls; give the rest back.
+
+        What has no partner near it is counted in `missing`.
+        """
+        self.file.missing.add(decoded.partners)
         for loss in decoded.losses:
             self.health.add(loss, decoded.place)
         return decoded.found
-
-    def _observations(
-        self,
-        states: Sequence[Callable[[int], obs.ArmState]],
-        topic: str,
-        camera: Camera,
-        right: obs.RightCamera | None,
-        rest: bool,
-    ) -> Iterator[obs.EncodedObservation]:
-        def repeated(image: EncodedImage) -> None:
-            late = "repeats a stamp, or comes too far behind later ones; it is left out"
-            detail = f"an image of {image.stamp_ns} ns {late}"
-            self.health.add(Loss(LossKind.MESSAGE, detail, image.offset, image.topic))
-
-        tolerance_ns = round(self.file.limits.pair_tolerance_s * 1e9)
-        pairs = obs.Pairs(None if right is None else right.topic, tolerance_ns, repeated)
-        images = self.file.images({topic} if right is None else {topic, right.topic}, rest=rest)
-        for left, other in pairs.of(images):
-            at_stamp = tuple(state(left.stamp_ns) for state in states)
-            yield obs.EncodedObservation(left, other, at_stamp, camera, right, self.health.next_place())
 
     def _arm_states(self, arm: LoggedArm, needs: obs.Needs) -> Callable[[int], obs.ArmState]:
         """What an arm reported, as a function of a stamp."""
@@ -263,14 +289,11 @@ class Recording:
 
         return at
 
-    def _right_camera(self) -> obs.RightCamera | None:
-        """The right camera of a stereo pair; None where the log has no pair."""
+    def _right_topic(self) -> str | None:
+        """The right images' topic; None where the log has no stereo pair."""
         topic = self.topic_of(Role.RIGHT_IMAGE)
         right = None if topic in (None, self.topic_of(Role.IMAGE)) else self.right_camera
-        T_left_right = None if right is None else stereo_transform(self.camera, right)
-        if topic is None or right is None or T_left_right is None:
-            return None
-        return obs.RightCamera(topic, right, T_left_right)
+        return topic if right is not None and stereo_transform(self.camera, right) is not None else None
 
     def joint_track(self) -> JointTrack:
         """All joint states; RecordingError where there are none."""

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from bisect import insort
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.camera import Camera
+from svmdist.recording.cameras import Cameras, RightCamera
 from svmdist.recording.images import ImageError
 from svmdist.recording.messages import EncodedImage
+from svmdist.recording.partners import NONE_MISSING, Partners
 from svmdist.recording.source import Loss, LossKind
 from svmdist.samples import ImageSample, JointSample, Observation, Rejection, RightView, Status
 from svmdist.tracks import JointTrack
@@ -22,14 +22,6 @@ from svmdist.transforms import Array
 
 JOINT_TRACK_NS = 200_000_000
 """Joints so long before and after an image go with it: by as much the clocks may differ for a method that finds it."""
-LOOK_AHEAD_NS = 3_000_000_000
-"""How long, in log time, an image waits for the right image at its stamp."""
-MAX_WAITING_BYTES = 64 << 20
-STAMP = attrgetter("stamp_ns")
-MAX_SWAPPED_IMAGES = 4
-"""As many images wait for one that is stamped before them: two chunks of a log that changed places hold no more."""
-
-
 OUT_OF_ORDER_S = 1.0
 """Images may stand so much out of order in a file: reading goes on this long after the end of a window."""
 
@@ -89,14 +81,6 @@ EVERYTHING = Needs()
 LEFT_IMAGES = Needs(joints=False, transforms=False, right=False)
 
 
-class RightCamera(NamedTuple):
-    """The topic of right images, their camera, and where it stands: `T_left_right`, shape (4, 4)."""
-
-    topic: str
-    camera: Camera
-    T_left_right: Array
-
-
 def decode_image(
     image: EncodedImage, losses: list[Loss], camera: Camera | None = None
 ) -> ImageSample | Rejection:
@@ -128,6 +112,7 @@ class Decoded:
     found: tuple[Observation, ...] | Rejection
     losses: tuple[Loss, ...] = ()
     place: int = 0
+    partners: Partners = NONE_MISSING
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,9 +126,9 @@ class EncodedObservation:
     left: EncodedImage
     right: EncodedImage | None
     arms: tuple[ArmState, ...]
-    camera: Camera
-    right_camera: RightCamera | None
+    cameras: Cameras
     place: int
+    partners: Partners = NONE_MISSING
     number: int = 0
     """Among the log's images."""
     at_ns: int = 0
@@ -155,81 +140,29 @@ class EncodedObservation:
         return self.left.stamp_ns
 
     def decode(self) -> Decoded:
-        """Decode the images; a Rejection stands for a left image that cannot be, or has not its camera's size."""
+        """Decode the images; a Rejection stands for a left image that cannot be, or whose camera is not known."""
         losses: list[Loss] = []
-        image = decode_image(self.left, losses, self.camera)
+        camera, right, doubt = self.cameras
+        if doubt:
+            return Decoded(
+                Rejection(self.stamp_ns, Status.INCONSISTENT, doubt), (), self.place, self.partners
+            )
+        image = decode_image(self.left, losses, camera)
         if isinstance(image, Rejection):
-            return Decoded(image, tuple(losses), self.place)
-        view = self._right_view(losses)
-        seen = Observation(image.stamp_ns, image.image_bgr, self.camera, right=view)
-        return Decoded(tuple(replace(seen, **arm._asdict()) for arm in self.arms), tuple(losses), self.place)
+            return Decoded(image, tuple(losses), self.place, self.partners)
+        view = self._right_view(right, losses)
+        seen = Observation(image.stamp_ns, image.image_bgr, camera, right=view)
+        found = tuple(replace(seen, **arm._asdict()) for arm in self.arms)
+        return Decoded(found, tuple(losses), self.place, self.partners)
 
-    def _right_view(self, losses: list[Loss]) -> RightView | None:
-        if self.right is None or self.right_camera is None:
+    def _right_view(self, right: RightCamera | None, losses: list[Loss]) -> RightView | None:
+        if self.right is None or right is None:
             return None
-        _, camera, T_left_right = self.right_camera
+        camera, T_left_right = right
         image = decode_image(self.right, losses, camera)
         if isinstance(image, Rejection):
             return None
         return RightView(image.image_bgr, camera, T_left_right, (image.stamp_ns - self.stamp_ns) * 1e-9)
-
-
-class Pairs:
-    """Puts images in the order of their stamps, and to each the right image nearest to it within the tolerance.
-
-    Images that come twice, or too far behind later ones, go to `on_repeat`. Without a right topic nothing waits for
-    right images.
-    """
-
-    def __init__(
-        self, right_topic: str | None, tolerance_ns: int, on_repeat: Callable[[EncodedImage], None]
-    ) -> None:
-        self._right_topic = right_topic
-        self._tolerance_ns = tolerance_ns
-        self._on_repeat = on_repeat
-        self._left: list[EncodedImage] = []
-        self._right: list[EncodedImage] = []
-        self._newest_right_ns = -1
-        self._last_ns = -1
-
-    def of(self, images: Iterable[EncodedImage]) -> Iterator[tuple[EncodedImage, EncodedImage | None]]:
-        """Yield each left image with its right one; images come in file order."""
-        for image in images:
-            if image.topic == self._right_topic:
-                insort(self._right, image, key=STAMP)
-                self._newest_right_ns = max(self._newest_right_ns, image.stamp_ns)
-                while len(self._right) > 1 and _size(self._right) > MAX_WAITING_BYTES:
-                    del self._right[0]
-            elif image.stamp_ns <= self._last_ns or image.stamp_ns in map(STAMP, self._left):
-                self._on_repeat(image)
-            else:
-                insort(self._left, image, key=STAMP)
-            while self._left and self._is_ready():
-                yield self._next()
-        while self._left:
-            yield self._next()
-
-    def _is_ready(self) -> bool:
-        newest_ns = max(image.log_time_ns for image in self._left)
-        if newest_ns - self._left[0].log_time_ns > LOOK_AHEAD_NS or _size(self._left) > MAX_WAITING_BYTES:
-            return True
-        is_paired = self._right_topic is None or self._newest_right_ns >= self._left[0].stamp_ns
-        return is_paired and len(self._left) > MAX_SWAPPED_IMAGES
-
-    def _next(self) -> tuple[EncodedImage, EncodedImage | None]:
-        left = self._left.pop(0)
-        self._last_ns = left.stamp_ns
-        first_ns = left.stamp_ns - self._tolerance_ns
-        self._right = [image for image in self._right if image.stamp_ns >= first_ns]
-        nearest = min(self._right, key=lambda image: abs(image.stamp_ns - left.stamp_ns), default=None)
-        if nearest is None or nearest.stamp_ns > left.stamp_ns + self._tolerance_ns:
-            return left, None
-        self._right.remove(nearest)
-        return left, nearest
-
-
-def _size(images: list[EncodedImage]) -> int:
-    return sum(image.size_bytes for image in images)
 
 
 def joints_at(track: JointTrack | None, stamp_ns: int) -> tuple[JointSample | None, JointTrack | None]:

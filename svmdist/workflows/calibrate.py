@@ -62,6 +62,8 @@ def collect_part(
     stamps_ns = np.array([result.stamp_ns for result in results], np.int64)
     tool_px = np.array([result.image.tool_px for result in results], np.float64).reshape(-1, 2)
     camera = recording.camera
+    if changes := recording.camera_changes:
+        raise CalibrationError(f"{recording.name}: one camera is calibrated: {changes[0]}")
     if camera.has_distortion and len(tool_px):
         # Planar methods measure as if the lens were ideal; results have pixels of the recorded image.
         tool_px = camera.pinhole.project(pixel_rays(camera, tool_px))

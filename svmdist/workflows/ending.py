@@ -10,13 +10,15 @@ from svmdist.estimation.alarms import AlarmEvent, AlarmRules, AlarmState, AlarmW
 from svmdist.results import FrameResult
 from svmdist.samples import Status
 
+MAX_MISSING = 6  # lines
+
 
 @dataclass
 class Ending:
     """Counts over the rows of a log; `events` are the alarms of all instruments, `wanted` names these.
 
     `tally` has the rows by status and detail, in the order in which they first came; `seen` and `refused` those in
-    which a detection was measured, and contradicted the rest.
+    which a detection was measured, and contradicted the rest; `missing` is what images lacked near them, in words.
     """
 
     wanted: tuple[str, ...] = ()
@@ -24,6 +26,7 @@ class Ending:
     seen: dict[str, int] = field(default_factory=dict)
     refused: dict[str, int] = field(default_factory=dict)
     events: list[AlarmEvent] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
 
     def add(self, row: FrameResult, watches: Mapping[str, AlarmWatch]) -> AlarmState | None:
         """Count a row, and judge it by the alarms of its instrument; None without any."""
@@ -35,8 +38,9 @@ class Ending:
             self.refused[name] = self.refused.get(name, 0) + 1
         return watches[row.instrument].watch(row) if row.instrument in watches else None
 
-    def close(self, watches: Mapping[str, AlarmWatch]) -> None:
-        """Keep the alarms of all instruments in the order of time."""
+    def close(self, watches: Mapping[str, AlarmWatch], missing: Iterable[str] = ()) -> None:
+        """Keep the alarms of all instruments in the order of time, and what images lacked."""
+        self.missing = list(missing)
         every = (event for watch in watches.values() for event in watch.events)
         self.events = sorted(every, key=lambda event: event.start_s)
 
@@ -60,6 +64,15 @@ def refusals_in_words(endings: Iterable[Ending]) -> Iterator[str]:
         others = [one for one in agreeing if one != name] or ["the joints"]
         listed = " and ".join(filter(None, (", ".join(others[:-1]), others[-1])))
         yield f"{name} refused in {count} of {seen[name]} frames: it contradicts {listed}"
+
+
+def missing_in_words(endings: Mapping[str, Ending]) -> Iterator[str]:
+    """What images lacked near them, by log; of many logs the first few."""
+    every = [(log, line) for log, one in endings.items() for line in one.missing]
+    for log, line in every[:MAX_MISSING]:
+        yield f"{log}: {line}" if len(endings) > 1 else line
+    if more := {log for log, _ in every[MAX_MISSING:]}:
+        yield f"images of {len(more)} more logs lack right images or joint states near them"
 
 
 def alarms_in_words(endings: Mapping[str, Ending], rules: AlarmRules) -> str:

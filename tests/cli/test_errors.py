@@ -12,9 +12,10 @@ import pytest
 from svmdist.cli.options import parse_length_m
 from svmdist.errors import UsageError
 from svmdist.profile import SHIPPED
-from svmdist.samples import JointSample, Sample
+from svmdist.recording.writer import RecordingWriter
+from svmdist.samples import CameraSample, ImageSample, JointSample, Sample
 from tests.conftest import REPOSITORY
-from tests.synthetic import make_scene, without, write_log
+from tests.synthetic import make_scene, samples, without, write_log
 
 PSM13 = (SHIPPED / "psm13.toml").read_text("utf-8")
 CAMERA = "import images -o out.mcap --camera 60,61,31,23"
@@ -183,6 +184,24 @@ def test_a_method_says_what_the_log_lacks(cli, tmp_path, method, said):
     outcome = cli("estimate", path, "--method", method, "-f", "csv", code=1)  # nothing was measured
     assert outcome.line == f"svmdist: 0 of 3 frames measured (0.0%); 3 {said}"
     assert [f"{row['status']} ({row['detail']})" for row in outcome.rows] == [said] * 3
+
+
+def test_views_that_never_meet_are_said(cli, tmp_path):
+    """Stamps of the right view 50 ms late: one line says how far apart the nearest are, in estimate and validate."""
+    scene = make_scene()
+    P = np.hstack([scene.camera.K, [[-5e-3 * scene.camera.K[0, 0]], [0.0], [0.0]]])
+    with RecordingWriter(path := tmp_path / "late.mcap", {}) as writer:
+        for topic, sample in samples(scene, 4):
+            writer.write(topic, sample)
+            if isinstance(sample, ImageSample):
+                late = replace(sample, stamp_ns=sample.stamp_ns + 50_000_000)
+                writer.write(
+                    "/ECM/right/camera_info", CameraSample(late.stamp_ns, replace(scene.camera, P=P))
+                )
+                writer.write("/ECM/right/image", late)
+    said = "svmdist: right image never within 0.5 ms of the left (nearest 50 ms): measured with one camera"
+    for command in ("estimate", "validate"):
+        assert said in cli(command, path, "--method", "fused").err
 
 
 @pytest.mark.parametrize("place_m", [1000.0, 1e8, -1e8])

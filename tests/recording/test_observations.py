@@ -79,6 +79,52 @@ def test_right_images_find_their_left_ones(tmp_path, profile, shift_ns, late, ca
         assert item.right.camera.frame_id == "camera_right"
 
 
+def test_what_images_lack_near_them_is_counted(tmp_path, profile):
+    """Only of the images that are asked for; the nearest right image may come before or after."""
+    lacking = [one for one in with_right(scene(), 600_000, 1) if one.sample.stamp_ns < 1_120_000_000]
+    recording = open_recording(write_scene(tmp_path / "apart.mcap", lacking), profile)
+    assert recording.missing.describe() == []
+    decoded(recording)
+    near = "within 0.5 ms of the left (nearest 0.6 ms): measured with one camera"
+    assert recording.missing.describe() == [f"right image never {near}"]
+    some = with_right(scene())
+    del some[next(at for at, one in enumerate(some) if one.topic == RIGHT_IMAGE)]
+    kept = [one for one in some if not ("_js" in one.topic and one.sample.stamp_ns > 1_060_000_000)]
+    partly = open_recording(write_scene(tmp_path / "partly.mcap", kept), profile)
+    decoded(partly)
+    right, joints = partly.missing.describe()
+    assert (
+        right
+        == "in 1 of 5 frames no right image within 0.5 ms of the left (nearest 40 ms): measured with one camera"
+    )
+    assert joints == "in 3 of 5 frames no joint states within 100 ms of the image: measured without"
+    decoded(partly, LEFT_IMAGES)
+    assert partly.missing.describe() == []
+
+
+@pytest.mark.parametrize("is_planar", [False, True])
+def test_an_image_has_the_calibration_that_holds_at_its_stamp(tmp_path, profile, is_planar):
+    """A zoom between the third and the fifth image: of the fourth, whose message is missing, it is not known."""
+    zoomed = replace(CAMERA, K=CAMERA.K * np.array([[1.25, 1, 1], [1, 1.25, 1], [1, 1, 1]]))
+    entries = [one for one in scene() if one.topic != "/ECM/left/camera_info"]
+    for frame, camera in ((0, CAMERA), (2, CAMERA), (4, zoomed)):
+        info = samples.CameraSample(1_000_000_000 + frame * PERIOD_NS, camera)
+        entries.append(Entry("/ECM/left/camera_info", info))
+    entries.sort(key=lambda one: one.sample.stamp_ns)  # with each image, but after it in the file
+    recording = open_recording(write_scene(tmp_path / "zoom.mcap", entries), profile)
+    items = decoded(recording, replace(LEFT_IMAGES, rest=False) if is_planar else EVERYTHING)
+    unknown = items.pop(3)
+    assert isinstance(unknown, samples.Rejection)
+    assert unknown.status is samples.Status.INCONSISTENT
+    said = "focal length 29.3 px -> 36.6 px"
+    assert unknown.detail == f"the camera changes about here: {said}"
+    focal_px = [item[0].camera.K[0, 0] for item in items if not isinstance(item, samples.Rejection)]
+    np.testing.assert_allclose(focal_px, CAMERA.K[0, 0] * np.array([1.0, 1.0, 1.0, 1.25]))
+    assert recording.camera.K[0, 0] == CAMERA.K[0, 0]
+    (change,) = recording.camera_changes
+    assert str(change) == f"{said} between 0.08 and 0.16 s (/ECM/left/camera_info)"
+
+
 def test_the_right_topics_leave_the_left_ones_to_be_found(tmp_path, profile):
     """By schema: what is named as right is no candidate, unless it is the only camera."""
     other = profile.model_copy(update={"topics": profile.topics.model_copy(update={"image": "/elsewhere"})})

@@ -1,0 +1,140 @@
+"""The calibrations that a log publishes of one camera over time: which one holds for an image, and what changes."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from svmdist.camera import Camera, stereo_transform
+from svmdist.perturbations.calibration import stated_camera, stated_right_camera
+from svmdist.perturbations.chosen import Perturbations
+from svmdist.transforms import Array
+
+ROUNDING = 1e-6  # relative, and in px: calibrations that differ by no more are one
+SMALL_PX = 1.0  # K that differs by less is within what any calibration is uncertain by: either may hold
+MAX_RUNS = 10_000  # what a camera may change in a log: others are not kept
+
+
+class Run(NamedTuple):
+    """A calibration, and the stamps of the first and the last message in a row that say so."""
+
+    camera: Camera
+    first_ns: int
+    last_ns: int
+
+
+class RightCamera(NamedTuple):
+    """The camera of right images, and where it stands: `T_left_right`, shape (4, 4)."""
+
+    camera: Camera
+    T_left_right: Array
+
+
+class Cameras(NamedTuple):
+    """The cameras of an image and of the right one, if any; `doubt` says why it is not known which hold."""
+
+    left: Camera
+    right: RightCamera | None = None
+    doubt: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class CameraChange:
+    """Two calibrations that follow each other on a topic; `start_ns` is the stamp of the topic's first message."""
+
+    topic: str
+    before: Run
+    after: Run
+    start_ns: int
+
+    def __str__(self) -> str:
+        from_s, to_s = ((ns - self.start_ns) * 1e-9 for ns in (self.before.last_ns, self.after.first_ns))
+        what = changed(self.before.camera, self.after.camera)
+        return f"{what} between {from_s:.2f} and {to_s:.2f} s ({self.topic})"
+
+
+@dataclass(eq=False)
+class CameraTrack:
+    """The calibrations of one topic, in runs of equal ones; a message that comes behind later ones does not count."""
+
+    runs: list[Run] = field(default_factory=list)
+
+    def add(self, stamp_ns: int, camera: Camera) -> None:
+        """Take up a message; the same one may come again, in another pass over the log."""
+        if not self.runs:
+            self.runs.append(Run(camera, stamp_ns, stamp_ns))
+        elif stamp_ns > self.runs[-1].last_ns:
+            if _is_same(self.runs[-1].camera, camera):
+                self.runs[-1] = self.runs[-1]._replace(last_ns=stamp_ns)
+            elif len(self.runs) < MAX_RUNS:
+                self.runs.append(Run(camera, stamp_ns, stamp_ns))
+
+    def at(self, stamp_ns: int) -> tuple[int, str]:
+        """Which run holds at a stamp, and why that is not known: between two of them either may.
+
+        Before the first one, that holds; after the last one, that does.
+        """
+        place = max(0, bisect_right(self.runs, stamp_ns, key=lambda run: run.first_ns) - 1)
+        run = self.runs[place]
+        if stamp_ns <= run.last_ns or place + 1 == len(self.runs):
+            return place, ""
+        following = self.runs[place + 1].camera
+        is_small = run.camera.same_optics(following, SMALL_PX)
+        return place, "" if is_small else f"the camera changes about here: {changed(run.camera, following)}"
+
+    def changes(self, topic: str) -> list[CameraChange]:
+        """What changes from each run to the next."""
+        pairs = zip(self.runs, self.runs[1:], strict=False)
+        return [CameraChange(topic, before, after, self.runs[0].first_ns) for before, after in pairs]
+
+
+def cameras_at(
+    left: CameraTrack, right: CameraTrack | None, stated: Perturbations
+) -> Callable[[int], Cameras]:
+    """The cameras that hold at a stamp, so far as their tracks are known, as a perturbed world states them."""
+
+    @cache
+    def held(left_run: int, right_run: int) -> Cameras:
+        camera = stated_camera(left.runs[left_run].camera, stated)
+        if right is None:
+            return Cameras(camera)
+        other = stated_right_camera(right.runs[right_run].camera, stated)
+        T_left_right = stereo_transform(camera, other)
+        return Cameras(camera, None if T_left_right is None else RightCamera(other, T_left_right))
+
+    def at(stamp_ns: int) -> Cameras:
+        left_run, doubt = left.at(stamp_ns)
+        right_run, of_right = (0, "") if right is None else right.at(stamp_ns)
+        return held(left_run, right_run)._replace(doubt=doubt or of_right)
+
+    return at
+
+
+def changed(before: Camera, after: Camera) -> str:
+    """What differs between two calibrations, in words."""
+    named = {
+        "size": (f"{one.width_px}x{one.height_px} px" for one in (before, after)),
+        "focal length": (f"{one.K[0, 0]:.1f} px" for one in (before, after)),
+        "principal point": (f"{one.K[0, 2]:.1f}, {one.K[1, 2]:.1f} px" for one in (before, after)),
+        "baseline": (f"{_baseline_m(one) * 1e3:.2f} mm" for one in (before, after)),
+    }
+    said = [(name, *values) for name, values in named.items()]
+    found = [f"{name} {one} -> {other}" for name, one, other in said if one != other]
+    return ", ".join(found) or "distortion or rectification"
+
+
+def _is_same(one: Camera, other: Camera) -> bool:
+    def near(a: Array | None, b: Array | None) -> bool:
+        return a is b or (a is not None and b is not None and np.allclose(a, b, ROUNDING, ROUNDING))
+
+    rest = near(one.R_rectified_camera, other.R_rectified_camera) and near(one.P, other.P)
+    return rest and one.same_optics(other, ROUNDING * max(one.K[0, 0], 1.0))
+
+
+def _baseline_m(camera: Camera) -> float:
+    return 0.0 if camera.P is None else float(abs(camera.P[0, 3]) / camera.K[0, 0])
