@@ -36,6 +36,7 @@ PAIR_D_KEYS = (("D1", "distCoeffs1"), ("D2", "distCoeffs2"))
 FORMS = "camera_info of ROS (camera_matrix or K), OpenCV (camera_matrix, or M1, D1, M2, D2, R, T), Kalibr (cam0, cam1)"
 PLAUSIBLE_BASELINE_M = (2e-4, 1.0)
 """An endoscope's is about 5 mm; beyond these bounds the unit is another one."""
+MAX_NUMBER = 1e9
 LEAST_FOCAL_PX = 10.0
 """Images of 320 px would show 173 degrees; a smaller number is in mm, or of coordinates without pixels."""
 Document = dict[str, Any]
@@ -138,7 +139,10 @@ def complete(
         P = K @ np.eye(3, 4) if camera.P is None else to_image @ camera.P
         R = np.eye(3) if camera.R is None else camera.R
         model = cast(DistortionModel, camera.model)
-        cameras.append(Camera(width_px, height_px, K, camera.D, R, P, frame_id, model))
+        try:
+            cameras.append(Camera(width_px, height_px, K, camera.D, R, P, frame_id, model))
+        except ValueError as problem:
+            raise SourceError(str(problem)) from None
     T_left_right = stereo_transform(cameras[0], cameras[1]) if len(cameras) == 2 else None
     if T_left_right is None:
         return cameras  # of a pair, no baseline is known: the caller says so
@@ -298,9 +302,12 @@ def _rectified(
 
     # The size has no effect on R and P[:, 3].
     size_px = left.size_px or (round(2 * left.K[0, 2]), round(2 * left.K[1, 2]))
-    R1, R2, P1, P2, *_ = cv2.stereoRectify(
-        left.K, np.zeros(5), right.K, np.zeros(5), size_px, R_right_left, np.reshape(t_m, (3, 1))
-    )
+    try:
+        R1, R2, P1, P2, *_ = cv2.stereoRectify(
+            left.K, np.zeros(5), right.K, np.zeros(5), size_px, R_right_left, np.reshape(t_m, (3, 1))
+        )
+    except cv2.error:
+        raise ValueError("no pair of cameras stands as R and T say") from None
     left = replace(left, R=np.asarray(R1), P=np.asarray(P1))
     return left, replace(right, R=np.asarray(R2), P=np.asarray(P2))
 
@@ -332,8 +339,8 @@ def _numbers(document: Document, keys: Keys, shape: tuple[int, int] | None) -> A
         numbers = np.array(value, np.float64).ravel()
     except (TypeError, ValueError):
         raise ValueError(f"{key}: expected numbers, found {str(value)[:60]!r}") from None
-    if not np.isfinite(numbers).all():
-        raise ValueError(f"{key}: a number that is not finite")
+    if not (np.abs(numbers) < MAX_NUMBER).all():
+        raise ValueError(f"{key}: a number that is not finite, or beyond {MAX_NUMBER:g}")
     if shape is None:
         return numbers
     if numbers.size not in (0, shape[0] * shape[1]):

@@ -122,6 +122,8 @@ def test_pair_stands_where_it_says(tmp_path, form, unit_m):
         ({"cam0": {"camera_model": "omni"}}, "only pinhole"),
         ({"cam0": {"intrinsics": [1.0]}}, "fu, fv, pu, pv"),
         ({"M1": K, "M2": K}, "where the right camera stands"),
+        (PAIR | {"T": [0.0, 0.0, 0.0]}, "no pair of cameras"),
+        ({"K": K, "D": [1e300] * 5}, "beyond 1e+09"),
     ],
 )
 def test_wrong_files(tmp_path, document, said):
@@ -168,6 +170,7 @@ def test_hostile_yaml(tmp_path, text, said):
             {"K": [0.9, 0, 0.5, 0, 0.9, 0.5, 0, 0, 1]},
             "focal lengths of 10 px or more, found fx = 0.9, fy = 0.9",
         ),
+        ({"K": [2e7, 0, 300, 0, 2e7, 300, 0, 0, 1]}, "the camera is not calibrated"),
         ({"K": [900, 0, 700, 0, 900, 300, 0, 0, 1]}, "outside of the images of 640x480 px.*--calibrated-at"),
     ],
 )
