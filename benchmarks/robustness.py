@@ -50,7 +50,7 @@ def cell(runs: Sequence[MethodScore], distance: str = "spatial") -> str:
         known = np.isfinite(score.pairs.std_m)
         far = 100 * np.mean(off_m[known] > FAR_STDS * score.pairs.std_m[known]) if known.any() else 0.0
         text += f", {far:.0f}% far off" if far >= 0.5 else ""
-    return text + (f", {100 * missing:.0f}% not measured" if missing >= 0.005 else "")
+    return text + (f" [{100 * missing:.0f}%]" if missing >= 0.015 else "")
 
 
 if __name__ == "__main__":

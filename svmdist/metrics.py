@@ -153,9 +153,9 @@ class AlarmStatistics:
     """Counts of alarms against truth, and figures of them, which are None where they are undefined.
 
     A frame is unsafe where its true clearance is below the threshold. `unjudged_count` of the frames had no
-    clearance, so that no alarm was raised. `lead_times_s` holds, for each time the truth falls below the threshold,
-    how long before it the alarm was raised without a break, over safe frames; negative where it came late, and
-    nothing for one that was missed.
+    clearance, so that no alarm was raised; `unsafe_unjudged_count` of these are unsafe, and count as missed.
+    `lead_times_s` holds, for each time the truth falls below the threshold, how long before it the alarm was raised
+    without a break, over safe frames; negative where it came late, and nothing for one that was missed.
     """
 
     frame_count: int
@@ -163,6 +163,7 @@ class AlarmStatistics:
     true_alarm_count: int
     false_alarm_count: int
     unjudged_count: int
+    unsafe_unjudged_count: int
     false_alarm_episode_count: int
     duration_s: float
     event_count: int
@@ -235,6 +236,7 @@ def alarm_statistics(
         true_alarm_count=int(np.count_nonzero(a & unsafe)),
         false_alarm_count=int(np.count_nonzero(a & ~unsafe)),
         unjudged_count=int(np.count_nonzero(~known)),
+        unsafe_unjudged_count=int(np.count_nonzero(unsafe & ~known)),
         false_alarm_episode_count=int(np.count_nonzero(begins)) - len(np.unique(episode[a & unsafe])),
         duration_s=float(t[-1] - t[0]) if len(t) else 0.0,
         event_count=len(events),
@@ -242,7 +244,7 @@ def alarm_statistics(
     )
 
 
-NO_ALARMS = AlarmStatistics(0, 0, 0, 0, 0, 0, 0.0, 0, ())
+NO_ALARMS = AlarmStatistics(0, 0, 0, 0, 0, 0, 0, 0.0, 0, ())
 
 
 def pooled_alarms(parts: Sequence[AlarmStatistics]) -> AlarmStatistics:

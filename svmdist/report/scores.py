@@ -144,7 +144,9 @@ def remarks(validation: Validation) -> list[str]:
             reasons = ", ".join(f"{count} {reason}" for reason, count in score.rejected.items())
             found.append(f"not measured: {reasons} of {score.frame_count} frames")
         if score.alarms and score.alarms.unjudged_count:
-            found.append(f"no clearance to alarm by: {score.alarms.unjudged_count} frames")
+            unsafe = score.alarms.unsafe_unjudged_count
+            missed = f", {unsafe} of them unsafe, which count as missed" if unsafe else ""
+            found.append(f"no clearance to alarm by: {score.alarms.unjudged_count} frames{missed}")
         if score.unpaired_count:
             found.append(f"measured where there is no {score.reference}: {score.unpaired_count}")
         if score.lag and score.lag.lag_s != 0.0 and (before := score.uncorrected):

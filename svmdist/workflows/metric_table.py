@@ -202,6 +202,8 @@ ALARMS = (
            "Unsafe frames: those whose true clearance is below the threshold."),
     Metric("alarm_unjudged_count", COUNT, lambda a: a.unjudged_count,
            "Frames without an estimated clearance, which raise no alarm.", LOWER),
+    Metric("alarm_unsafe_unjudged_count", COUNT, lambda a: a.unsafe_unjudged_count,
+           "Those of them that are unsafe: in the recall they count as missed.", LOWER),
     Metric("alarm_precision", SHARE, lambda a: a.precision, "Share of the alarmed frames that are unsafe.",
            HIGHER, "precision", ALARM_TABLE),
     Metric("alarm_recall", SHARE, lambda a: a.recall, "Share of the unsafe frames that are alarmed.",

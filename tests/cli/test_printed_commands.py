@@ -32,6 +32,7 @@ NOT_RUN = {
     "python -m benchmarks.golden_tables": "measures all golden logs for minutes",
     "python -m benchmarks.ablate LOG.mcap --write": "measures logs a dozen times for minutes",
     "python -m benchmarks.robustness LOG.mcap --write": "measures a log in many worlds for minutes",
+    "python -m benchmarks.alarms LOG.mcap --write": "measures logs by every method for minutes",
     "python -m benchmarks.generated_pages": "another test compares its pages with the code",
     "python -m benchmarks.real_images sets --out real-images --write": "needs the sets that the lines above clone",
     "python -m benchmarks.masks sets --renders 400": "needs the sets that the line above clones",
