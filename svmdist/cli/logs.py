@@ -237,7 +237,9 @@ class Run(Generic[Result]):
 
 
 def log_losses(path: LogPath, health: Health) -> ExitCode:
-    """Say what was lost while reading a log; the exit code tells whether anything was."""
+    """Say what of a log contradicts, and what was lost while reading it; the exit code tells whether anything was."""
+    for line in health.contradictions:
+        LOG.warning("warning: %s: %s", path, line)
     for line in health.describe():
         LOG.error("loss: %s: %s", path, line)
     return ExitCode.CLEAN if health.is_clean else ExitCode.LOSS

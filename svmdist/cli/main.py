@@ -12,7 +12,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from svmdist.cli import calibrate, compare, estimate, fk, importing, info, record, show, validate
+from svmdist.cli import calibrate, check, compare, estimate, fk, importing, info, record, show, validate
 from svmdist.cli.options import QUIET, VERBOSE, Options, choose_verbosity, function_of, name_of, option
 from svmdist.cli.output import LOG, ExitCode, abandon, adapt_streams, print_log, with_notes
 from svmdist.errors import SvmdistError, Terminated, UsageError, concealed, did_you_mean
@@ -72,8 +72,8 @@ Examples:
   Errors against the truth, as a page:
     svmdist validate log.mcap --report report.html
 
-Exit codes: 0 clean, 1 unusable, 2 usage, 3 usable with loss, 4 worse than the baseline, 130 interrupted,
-143 terminated.""",
+Exit codes: 0 clean, 1 unusable, 2 usage, 3 usable with loss or with a contradiction, 4 worse than the baseline (of
+check: contradictory), 130 interrupted, 143 terminated.""",
 )
 profiles = typer.Typer(
     **GROUP,
@@ -92,7 +92,16 @@ def _add(group: typer.Typer, *commands: type[Options]) -> None:
 
 
 _add(profiles, info.New)
-_add(app, importing.Import, info.Info, show.Show, record.Record, calibrate.Calibrate, estimate.Estimate)
+_add(
+    app,
+    importing.Import,
+    info.Info,
+    check.Check,
+    show.Show,
+    record.Record,
+    calibrate.Calibrate,
+    estimate.Estimate,
+)
 _add(app, validate.Validate, compare.Compare, compare.BlurBench, fk.Fk, calibrate.HandEye)
 
 

@@ -92,7 +92,7 @@ class Scene:
         self, observation: Observation, profile: Profile, segmenter: Segmenter, row_offset_px: float = 0.0
     ) -> None:
         settings = profile.settings
-        self.lens, self._profile = observation.camera, profile
+        self.lens, self.profile = observation.camera, profile
         first = with_first_fields(observation, settings.interlace)
         self.is_interlaced = first is not observation
         self.observation = observation = as_pinholes(first, row_offset_px)
@@ -112,7 +112,7 @@ class Scene:
         """The tissue's outline and pose, by the left view."""
         from svmdist.estimation.tissue import detect_tissue
 
-        return detect_tissue(self.left.masks, self._profile, self.observation.camera)
+        return detect_tissue(self.left.masks, self.profile, self.observation.camera)
 
     @cached_property
     def stereo_pair(self) -> RectifiedPair | Failure:
@@ -132,4 +132,4 @@ class Scene:
             return None
         masks = (self.left.masks.tissue, self.right.masks.tissue)
         left, right, hull = self.left.grey, self.right.grey, tissue.region.hull
-        return detect_stereo_surface(left, right, pair, hull, masks, self._profile.stereo_in_range)
+        return detect_stereo_surface(left, right, pair, hull, masks, self.profile.stereo_in_range)

@@ -111,6 +111,7 @@ class Profile(StrictModel):
     instrument: parts.Instrument | None = None
     fiducial: parts.Fiducial | None = None
     tissue: parts.Tissue | None = None
+    field: parts.FieldOfView = parts.FieldOfView()
     simulation: parts.Simulation | None = None
     settings: Settings = Settings()  # what detectors and estimators may assume; the defaults serve most logs
     instrument_name: str = Field(default="PSM1", min_length=1)  # of what everything above is about

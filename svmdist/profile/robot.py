@@ -190,6 +190,9 @@ class Tissue(StrictModel):
     plane_distance_m: Length
     plane_distance_std_m: NonNegative = 1e-3
     plane_tilt_std_rad: Angle = float(np.deg2rad(1.0))  # of the normal's direction about each of two axes
+    unverified_std_m: NonNegative = 7.5e-3
+    """Of all of the above where no second view shows the tissue: nothing then tells a plane that is a centimetre off,
+    or an organ that is left out. 0 for what was measured and cannot have moved."""
     motion_std_m: NonNegative = 1e-3  # of the tissue's motion along the plane's normal: breath and pulse
     motion_time_s: Positive = 0.5  # correlation time of that motion: a breath of 4 s turns within as long
     dome: Dome | None = None
@@ -224,6 +227,15 @@ class Tissue(StrictModel):
     def T_tissue_mesh(self) -> Array:
         """The mesh's pose in the tissue's frame, shape (4, 4)."""
         return make_transform(rotation_z(self.mesh_yaw_rad), self.mesh_position_m)
+
+
+class FieldOfView(StrictModel):
+    """What can be in an endoscope's field of view: sizes and distances beyond are taken for a mistake in a unit."""
+
+    least_depth_m: Length = 0.01  # of anything that both views show
+    depth_m: Length = 1.0  # of tool and tissue
+    diameter_m: tuple[Positive, Positive] = (0.002, 0.02)  # of an instrument's shaft, least and most
+    wrist_link_m: Positive = 0.05  # the longest link behind the shaft
 
 
 class Placement(StrictModel):

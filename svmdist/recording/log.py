@@ -264,6 +264,13 @@ class Recording:
             for left, other, apart_s in pairs.of(images)
         )
 
+    def with_states(
+        self, images: Sequence[obs.EncodedObservation], names: Sequence[str]
+    ) -> list[obs.EncodedObservation]:
+        """Images that were read without what each instrument reported, with it: after a pass that read the rest."""
+        states = [self._arm_states(self._arm(name), obs.EVERYTHING) for name in names]
+        return [replace(one, arms=tuple(state(one.stamp_ns) for state in states)) for one in images]
+
     def record_losses(self, decoded: obs.Decoded) -> tuple[Observation, ...] | Rejection:
         """Add what was lost in decoding to `health`, in file order whatever the order of calls; give the rest back.
 

@@ -52,6 +52,8 @@ class LossKind(StrEnum):
     DATA_CRC = "data_crc"
     SUMMARY = "summary"
     STATISTICS = "statistics"
+    CONTRADICTION = "contradiction"
+    """Nothing is lost: what the log or its profile says twice does not agree, and distances rest on it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,13 +110,18 @@ class Health:
         return tuple(sorted(self._losses, key=self._losses.__getitem__))
 
     @property
+    def contradictions(self) -> tuple[str, ...]:
+        """What of the log, or of log and profile, does not agree."""
+        return tuple(one.detail for one in self.losses if one.kind is LossKind.CONTRADICTION)
+
+    @property
     def is_clean(self) -> bool:
         """Whether nothing was lost, so far as the file has been read."""
         return not self._losses
 
     def describe(self, max_lines: int = 10) -> tuple[str, ...]:
         """Say in a few human-readable lines what was lost."""
-        lines = [str(loss) for loss in self.losses]
+        lines = [str(loss) for loss in self.losses if loss.kind is not LossKind.CONTRADICTION]
         hidden = len(lines) - max_lines
         if hidden > 0 or self.unlisted_count:
             lines[max_lines:] = [f"and {'many' if self.unlisted_count else hidden} more losses"]

@@ -18,105 +18,33 @@ from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
+from svmdist.estimation.checks import Checks
 from svmdist.estimation.frame import Frame, Needs, prefetch
 from svmdist.estimation.scene import Arm, Scene
-from svmdist.profile import Profile
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import Decoded, EncodedObservation
 from svmdist.recording.observations import Needs as ReadNeeds
-from svmdist.results import Failure, FrameResult, as_pixel
-from svmdist.samples import Image, Observation, Rejection
-from svmdist.transforms import Array
-from svmdist.vision.colour import to_grey
-from svmdist.vision.frame_context import as_pinholes, seen_through, with_first_fields
-from svmdist.vision.segmentation import LearningSegmenter, Segmenter
-from svmdist.vision.stereo import RowOffset, agreed_offset, rectified_pair, row_differences
+from svmdist.recording.source import Loss, LossKind
+from svmdist.results import Distances, FrameResult, as_pixel
+from svmdist.samples import Image, Observation, Rejection, Status
+from svmdist.vision.frame_context import seen_through
+from svmdist.vision.segmentation import LearningSegmenter
+from svmdist.workflows.check import (
+    Looked,
+    adapted_segmenters,
+    checked,
+    images_to_look_at,
+    look,
+    row_offset_to_remove_px,
+    spread_observations,
+    warning,
+)
 from svmdist.workflows.parallel import in_order, one_opencv_thread, usable_cores
 from svmdist.workflows.request import CLEAN, ReplayCondition, Setup
 
 if TYPE_CHECKING:
     from svmdist.estimation.association import Association
-
-
-ROW_STRIDE = 12  # the steps between these pairs
-# A smaller offset is left: it does less harm than shifting an image between its pixels
-MIN_ROW_OFFSET_PX = 0.5
-
-
-def row_offset(recording: Recording, profile: Profile) -> RowOffset | None:
-    """The offset between the rows of both views; None where the log has no pairs, or they do not tell it."""
-    settings = profile.stereo_in_range
-    needs = ReadNeeds(joints=False, transforms=False, right=True)
-    encoded = recording.encoded_observations(recording.instruments[:1], needs)
-    found: list[Array] = []
-    end = settings.row_pairs * ROW_STRIDE
-    for number, one in enumerate(encoded):
-        if number >= end and recording.file.is_read:
-            break  # else to the end: this pass reads the joints and transforms, too, which no other has to
-        if number >= end or number % ROW_STRIDE:
-            continue
-        decoded = one.decode().found
-        if isinstance(decoded, Rejection) or decoded[0].right is None:
-            continue
-        found.append(_differences(decoded[0], profile))
-    return agreed_offset(np.concatenate(found)) if found else None
-
-
-def row_offset_to_remove_px(recording: Recording, profile: Profile) -> float:
-    """The offset where it is more than the settings leave, and known; else 0."""
-    offset = row_offset(recording, profile)
-    if offset is None or abs(offset.px) < MIN_ROW_OFFSET_PX:
-        return 0.0
-    return offset.px
-
-
-def _differences(seen: Observation, profile: Profile) -> Array:
-    seen = as_pinholes(with_first_fields(seen, profile.settings.interlace))
-    right, settings = seen.right, profile.stereo_in_range
-    assert right is not None  # asked for before
-    pair = rectified_pair(seen.camera, right)
-    if isinstance(pair, Failure):
-        return np.zeros(0)
-    far_px, near_px = (
-        pair.disparity_at(depth_m) + pair.offset_px for depth_m in (settings.far_m, settings.near_m)
-    )
-    return row_differences(to_grey(seen.image_bgr), to_grey(right.image_bgr), far_px, near_px, settings)
-
-
-def adapted_segmenters(
-    segmenter: Segmenter, recording: Recording, conditions: Sequence[ReplayCondition]
-) -> list[Segmenter]:
-    """The segmenter for each condition: one that learns has seen images of all of the log under that condition."""
-    if not isinstance(segmenter, LearningSegmenter):
-        return [segmenter for _ in conditions]
-    seen = spread_observations(recording, segmenter.adapting_frames)
-    return [
-        segmenter.adapted_to([image for frame, one in seen for image in _images(condition.apply(one, frame))])
-        for condition in conditions
-    ]
-
-
-def spread_observations(recording: Recording, count: int) -> list[tuple[int, Observation]]:
-    """Up to twice `count` of a log's observations with their numbers, evenly from its beginning to its end.
-
-    The log is read once, its length unknown: of those kept every second one goes whenever there are too many, so that
-    memory does not grow with the log.
-    """
-    needs = ReadNeeds(joints=False, transforms=False, right=True)
-    kept: list[tuple[int, EncodedObservation]] = []
-    stride = 1
-    for frame, one in enumerate(recording.encoded_observations(recording.instruments[:1], needs)):
-        if frame % stride == 0:
-            kept.append((frame, one))
-        if len(kept) > 2 * count:
-            kept, stride = kept[::2], 2 * stride
-    decoded = ((frame, one.decode().found) for frame, one in kept)
-    return [(frame, found[0]) for frame, found in decoded if not isinstance(found, Rejection)]
-
-
-def _images(seen: Observation) -> list[Image]:
-    return [seen.image_bgr] if seen.right is None else [seen.image_bgr, seen.right.image_bgr]
 
 
 @dataclass(frozen=True)
@@ -161,15 +89,20 @@ class Place(TypedDict):
     seconds: float
 
 
+NO_CHECKS: Mapping[str, Checks] = {}
+
+
 class MultiInstrumentEstimator:
     """One method on every wanted instrument of a recording, each with an estimator of its own.
 
+    No row is `ok` of a method that relies on what `checks` contradict, by instrument.
     `keeps_state`: whether a result depends on earlier frames; `needs`: the detections that the method asks for.
     """
 
-    def __init__(self, setup: Setup, arms: Sequence[Arm]) -> None:
+    def __init__(self, setup: Setup, arms: Sequence[Arm], checks: Mapping[str, Checks] = NO_CHECKS) -> None:
         self._estimators = [setup.estimator_for(arm) for arm in arms]
         self._arms = tuple(arms)
+        self._doubts = {name: one.doubt(setup.method) for name, one in checks.items()}
         self.needs: Needs = self._estimators[0].needs
         self.keeps_state: bool = self._estimators[0].keeps_state
 
@@ -185,6 +118,8 @@ class MultiInstrumentEstimator:
             seconds.append(shared_s + time.thread_time() - start_s)
             name = arm.profile.instrument_name
             named = replace(_through_lens(result, frame), instrument=name, **place)
+            if named.measured and (said := self._doubts.get(name)):
+                named = replace(named.rejected(Status.INCONSISTENT, said), distances=Distances())
             results.append(named.doubted(frame.doubt) if frame.doubt else named)
         if len(results) > 1:
             from svmdist.estimation.distances import with_clearance_between
@@ -240,16 +175,55 @@ class _Replay:
         for name in self._wanted:
             recording.for_instrument(name)
         self._arms = [Arm(self._setup.profile.for_instrument(name)) for name in every]
+        self._stereo_arms = self._arms
         self._places = [every.index(name) for name in self._wanted]
-        arms = [self._arms[place] for place in self._places]
         self._conditions = tuple(conditions)
-        self._associations = [self._association() for _ in conditions]
-        self._lanes = [[MultiInstrumentEstimator(setup, arms) for setup in setups] for _ in conditions]
-        self._needs = reduce(Needs.__or__, (lane.needs for lane in self._lanes[0]))
-        self._segmenters = adapted_segmenters(self._setup.segmenter, recording, self._conditions)
+        self._segmenters = [self._setup.segmenter] * len(self._conditions)
         self._row_offset_px = 0.0
-        if self._needs.right_view:
-            self._row_offset_px = row_offset_to_remove_px(recording, self._setup.profile)
+        self._looked: dict[tuple[int, int], Looked] = {}
+        self._checks: list[dict[str, Checks]] = [{} for _ in conditions]
+        if not all(setup.is_planar for setup in setups):
+            self._compare(any(setup.needs_right_view for setup in setups))
+        elif isinstance(self._setup.segmenter, LearningSegmenter):
+            spread = spread_observations(recording, images_to_look_at(self._setup.segmenter))
+            self._segmenters = adapted_segmenters(self._setup.segmenter, spread, self._conditions)
+        self._associations = [self._association() for _ in conditions]
+        self._lanes = [[self._lane(setup, known) for setup in setups] for known in self._checks]
+        self._needs = reduce(Needs.__or__, (lane.needs for lane in self._lanes[0]))
+
+    def _compare(self, needs_rows: bool) -> None:
+        """Look at some images of all of the log: learn colours, find the offset of rows, compare what must agree."""
+        profile, health = self._setup.profile, self._recording.health
+        spread = spread_observations(self._recording, images_to_look_at(self._setup.segmenter))
+        self._segmenters = adapted_segmenters(self._setup.segmenter, spread, self._conditions)
+        if profile.tissue is None:
+            return
+        if needs_rows:
+            self._row_offset_px = row_offset_to_remove_px([one[0] for _, one in spread], profile)
+        for at, (condition, segmenter) in enumerate(zip(self._conditions, self._segmenters, strict=True)):
+
+            def looked(number: int, seen: tuple[Observation, ...]) -> Looked:
+                changed = tuple(condition.apply(one, number) for one in seen)  # noqa: B023
+                return look(changed, self._arms, segmenter, self._row_offset_px)  # noqa: B023
+
+            self._checks[at], found = checked(spread, self._arms, looked)
+            self._looked |= {(at, number): one for number, one in found.items()}
+        first = self._checks[0]
+        if self._conditions[0] == CLEAN and (said := warning(first)):
+            health.add(Loss(LossKind.CONTRADICTION, said))
+        off_m = next((one.tissue_off_m for one in first.values() if one.tissue_off_m is not None), None)
+        std_m = profile.tissue.unverified_std_m if off_m is None else off_m
+        if std_m > profile.tissue.plane_distance_std_m:
+            self._setup = self._setup.with_tissue_std(std_m)
+            arms, names = self._arms, [arm.profile.instrument_name for arm in self._arms]
+            self._arms = [Arm(self._setup.profile.for_instrument(name)) for name in names]
+            self._stereo_arms = self._arms if off_m is None else arms
+            self._looked.clear()
+
+    def _lane(self, setup: Setup, known: Mapping[str, Checks]) -> MultiInstrumentEstimator:
+        """A method on the wanted instruments; one that measures the tissue itself takes the profile as it is."""
+        arms = self._stereo_arms if setup.needs_right_view else self._arms
+        return MultiInstrumentEstimator(setup, [arms[place] for place in self._places], known)
 
     def _association(self) -> Association | None:
         """What tells the instruments apart; None where there is one, and images show no others as such."""
@@ -281,13 +255,20 @@ class _Replay:
     def _look(self, at: int, place: Place, found: tuple[Observation, ...]) -> _Ahead:
         """One condition of a frame: its scene; of a single instrument its detections, and methods without state."""
         seen = self._conditions[at].apply(found[0], place["number"])
-        scene = Scene(seen, self._setup.profile, self._segmenters[at], self._row_offset_px)
+        looked = self._looked.pop((at, place["number"]), None)
+        if looked is None:
+            scene = Scene(seen, self._setup.profile, self._segmenters[at], self._row_offset_px)
+        else:
+            scene = looked.scene
         spent_s = prefetch(scene, self._needs.scene)
         lanes = self._lanes[at]
         if self._associations[at] is not None:
             prefetch(scene, ("left.masks.seen", "right.masks.seen"))
             return _Ahead(scene, None, (None,) * len(lanes), spent_s)
-        frames = [Frame.of(scene, self._arms[0], found[0], self._arms[0].state_at(seen))]
+        if looked is None:
+            frames = [Frame.of(scene, self._arms[0], found[0], self._arms[0].state_at(seen))]
+        else:
+            frames = list(looked.frames)
         spent_s |= prefetch(frames[0], self._needs.frame)
         measured = [None if lane.keeps_state else lane.estimate(frames, place, spent_s) for lane in lanes]
         return _Ahead(scene, frames, tuple(measured), spent_s)

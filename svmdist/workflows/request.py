@@ -182,6 +182,11 @@ class Setup:
         """Whether the method measures in the paper's plane."""
         return self.method in PLANAR_METHODS
 
+    @property
+    def needs_right_view(self) -> bool:
+        """Whether the method measures by both views."""
+        return self.own is not None or self.method in ("stereo", "fused")
+
     def require_camera(self, recording: Recording) -> None:
         """Raise CalibrationError for a recording of another camera than the calibration's."""
         if self.equations == "corrected" and self.calibration is not None:
@@ -206,6 +211,15 @@ class Setup:
         std_s = math.hypot(self.profile.settings.filter.given_lag_std_s, lag.std_s)
         error = self.profile.kinematic_error.model_copy(update={"time_offset_std_s": std_s})
         return replace(self, profile=self.profile.model_copy(update={"kinematic_error": error}))
+
+    def with_tissue_std(self, std_m: float) -> Setup:
+        """The same where the tissue may be elsewhere by another standard deviation than the profile states."""
+        profile, tissue = self.profile, self.profile.tissue
+        if tissue is None:
+            return self
+        std_m = math.hypot(tissue.plane_distance_std_m, std_m)
+        tissue = tissue.model_copy(update={"plane_distance_std_m": std_m})
+        return replace(self, profile=profile.model_copy(update={"tissue": tissue}))
 
     def was_fitted_on(self, recording: Recording) -> bool:
         """Whether the calibration was fitted on this very recording: then its figures prove nothing."""

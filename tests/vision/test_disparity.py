@@ -6,7 +6,7 @@ import pytest
 
 from svmdist.estimation.surface import fit_surface
 from svmdist.transforms import Array
-from svmdist.vision.stereo import agreed_offset, row_differences
+from svmdist.vision.stereo import agreed_offset, corresponding_points
 
 HEIGHT, WIDTH = 240, 320
 
@@ -60,7 +60,9 @@ def test_the_offset_is_found(rows_px):
     texture = textured((280, 420), 20.0, 3.0, rng)
     moved = np.array([[1.0, 0.0, -25.0], [0.0, 1.0, rows_px]])
     right = cv2.warpAffine(texture, moved, (420, 280), None, cv2.INTER_CUBIC, cv2.BORDER_REFLECT)
-    found = agreed_offset(row_differences(*(noisy(view, 2.0, rng) for view in (texture, right)), 5.0, 60.0))
+    views = (noisy(view, 2.0, rng) for view in (texture, right))
+    left_px, right_px = corresponding_points(*views, 8.0, (5.0, 60.0), step=1)
+    found = agreed_offset(right_px[:, 1] - left_px[:, 1])
     assert found is not None
     assert found.px == pytest.approx(rows_px, abs=0.1)
     assert abs(found.px - rows_px) < 3.0 * found.std_px

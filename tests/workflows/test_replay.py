@@ -19,14 +19,8 @@ from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample, Sample, Status
 from svmdist.vision.degradations import Degradation
 from svmdist.vision.find_instruments import AutoSegmenter
-from svmdist.workflows.replay import (
-    MultiInstrumentEstimator,
-    Place,
-    Replayed,
-    adapted_segmenters,
-    replay,
-    spread_observations,
-)
+from svmdist.workflows.check import adapted_segmenters, spread_observations
+from svmdist.workflows.replay import MultiInstrumentEstimator, Place, Replayed, replay
 from svmdist.workflows.request import CLEAN, Condition, Setup, prepare
 from tests.synthetic import START_NS, write_log
 
@@ -173,7 +167,7 @@ def test_each_condition_has_its_own_segmenter(log):
     """Colours are learnt under the condition they are used in; methods that do not learn are shared."""
     automatic = prepare().profile.model_copy(update={"segmentation": AutoSegmentation(method="auto")})
     recording = open_recording(log, automatic)
-    first, second = adapted_segmenters(AutoSegmenter(), recording, [CLEAN, NOISE])
+    first, second = adapted_segmenters(AutoSegmenter(), spread_observations(recording, 3), [CLEAN, NOISE])
     assert first is not second
     colours = prepare().segmenter
-    assert adapted_segmenters(colours, recording, [CLEAN, NOISE]) == [colours, colours]
+    assert adapted_segmenters(colours, [], [CLEAN, NOISE]) == [colours, colours]

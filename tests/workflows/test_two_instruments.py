@@ -108,7 +108,8 @@ def test_one_instrument_is_as_ever(synthetic_log):
     setup = prepare(method="kinematic")
     recording = open_recording(synthetic_log, setup.profile)
     assert recording.instruments == ("PSM1",)
-    alone = Measuring(setup.method, setup.profile)
+    # The synthetic log has one camera: what it says of the tissue is not verified.
+    alone = Measuring(setup.method, setup.with_tissue_std(setup.profile.tissue.unverified_std_m).profile)
     plain = [alone.estimate(seen) for seen in recording.observations() if isinstance(seen, Observation)]
     named = [flat(row) for row in estimate(recording, setup)]
     assert all(row.instrument == "PSM1" and row.instrument_clearance_m is None for row in named)

@@ -1,0 +1,189 @@
+"""A look at some images of all of a log before its first row: colours to learn, the offset of rows, comparisons."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.estimation import checks
+from svmdist.estimation.checks import Checks, Difference
+from svmdist.estimation.frame import Frame
+from svmdist.estimation.scene import Arm, Scene
+from svmdist.profile import Profile
+from svmdist.profile.robot import Tissue
+from svmdist.profile.segmentation import AutoSegmentation
+from svmdist.recording.log import Recording
+from svmdist.recording.observations import EncodedObservation, Needs
+from svmdist.results import Failure
+from svmdist.samples import Image, Observation, Rejection
+from svmdist.transforms import Array
+from svmdist.vision.colour import to_grey
+from svmdist.vision.frame_context import as_pinholes, with_first_fields
+from svmdist.vision.segmentation import LearningSegmenter, Segmenter, make_segmenter
+from svmdist.vision.stereo import RowOffset, agreed_offset, corresponding_points, rectified_pair
+from svmdist.workflows.request import CLEAN, ReplayCondition
+
+LOOKED_AT, CHECKED = 3, 6  # images, and up to twice as many, evenly over the log: before rows, and by `check`
+FIRST_COMPARED = 3  # of them; the others are where one of these differs by more than
+SUSPECT_DEVIATIONS = 2.5
+# A smaller offset is left: it does less harm than shifting an image between its pixels
+MIN_ROW_OFFSET_PX = 0.5
+
+SOMEWHERE = Tissue(plane_distance_m=0.1)  # of a profile without a tissue, whose instrument can be compared
+PAIRS = Needs(joints=False, transforms=False)  # a pass over the images that reads all else on its way
+
+Spread = Sequence[tuple[int, tuple[Observation, ...]]]
+"""Some of a log's observations, of each instrument, with the number of the image."""
+
+
+def images_to_look_at(segmenter: Segmenter) -> int:
+    """How many images are wanted: more where colours are learnt from them."""
+    return segmenter.adapting_frames if isinstance(segmenter, LearningSegmenter) else LOOKED_AT
+
+
+def spread_observations(recording: Recording, count: int) -> list[tuple[int, tuple[Observation, ...]]]:
+    """Up to twice `count` of a log's observations with their numbers, evenly from its beginning to its end.
+
+    The log is read once, its length unknown: of those kept every second one goes whenever there are too many, so that
+    memory does not grow with the log.
+    """
+    kept: list[EncodedObservation] = []
+    stride = 1
+    names = recording.instruments
+    for place, one in enumerate(recording.encoded_observations(names, PAIRS)):
+        if place % stride == 0:
+            kept.append(one)
+        if len(kept) > 2 * count:
+            kept, stride = kept[::2], 2 * stride
+    decoded = ((one.number, one.decode().found) for one in recording.with_states(kept, names))
+    return [(number, found) for number, found in decoded if not isinstance(found, Rejection)]
+
+
+def adapted_segmenters(
+    segmenter: Segmenter, spread: Spread, conditions: Sequence[ReplayCondition]
+) -> list[Segmenter]:
+    """The segmenter for each condition: one that learns has seen images of all of the log under that condition."""
+    if not isinstance(segmenter, LearningSegmenter):
+        return [segmenter for _ in conditions]
+
+    def images(condition: ReplayCondition) -> Iterator[Image]:
+        for number, seen in spread:
+            changed = condition.apply(seen[0], number)
+            yield changed.image_bgr
+            if changed.right is not None:
+                yield changed.right.image_bgr
+
+    return [segmenter.adapted_to(list(images(condition))) for condition in conditions]
+
+
+def row_offset(pairs: Sequence[Observation], profile: Profile) -> RowOffset | None:
+    """The offset between the rows of both views; None where there are no pairs, or they do not tell it.
+
+    Halved views tell it where they show enough; of paper and of cameras far from each other it takes whole ones.
+    """
+    pairs = [one for one in pairs if one.right is not None]
+    for step in (2, 1) if pairs else ():
+        found = agreed_offset(np.concatenate([_row_differences(one, profile, step) for one in pairs]))
+        if found is not None:
+            return found
+    return None
+
+
+def row_offset_to_remove_px(seen: Sequence[Observation], profile: Profile) -> float:
+    """The offset where it is more than the settings leave, and known; else 0."""
+    count = profile.stereo_in_range.row_pairs
+    offset = row_offset(seen[:: max(1, len(seen) // max(count, 1))][:count], profile)
+    return 0.0 if offset is None or abs(offset.px) < MIN_ROW_OFFSET_PX else offset.px
+
+
+def _row_differences(seen: Observation, profile: Profile, step: int) -> Array:
+    """Row in the right view less that in the left one, (n,) in px."""
+    seen = as_pinholes(with_first_fields(seen, profile.settings.interlace))
+    right, settings = seen.right, profile.stereo_in_range
+    assert right is not None  # asked for before
+    pair = rectified_pair(seen.camera, right)
+    if isinstance(pair, Failure):
+        return np.zeros(0)
+    bounds_px = pair.disparity_at(settings.far_m), pair.disparity_at(settings.near_m)
+    far_px, near_px = (bound + pair.offset_px for bound in bounds_px)
+    views = to_grey(seen.image_bgr), to_grey(right.image_bgr)
+    found = corresponding_points(*views, settings.max_row_offset_px, (far_px, near_px), step)
+    return np.asarray(found[1][:, 1] - found[0][:, 1])
+
+
+@dataclass(frozen=True)
+class Looked:
+    """An image of a log with a frame for each instrument; `is_final` where no other image changes whose is what."""
+
+    scene: Scene
+    frames: Sequence[Frame]
+    is_final: bool
+
+
+def look(
+    seen: tuple[Observation, ...], arms: Sequence[Arm], segmenter: Segmenter, row_offset_px: float = 0.0
+) -> Looked:
+    """An image by itself: several instruments are told apart as in the first image of a log."""
+    scene = Scene(seen[0], arms[0].profile, segmenter, row_offset_px)
+    if len(arms) == 1 and not isinstance(arms[0].profile.segmentation, AutoSegmentation):
+        return Looked(scene, [Frame.of(scene, arms[0], seen[0], arms[0].state_at(seen[0]))], is_final=True)
+    from svmdist.estimation.association import Association
+
+    return Looked(scene, Association(arms).frames(scene, seen), is_final=False)
+
+
+def checked(
+    spread: Spread,
+    arms: Sequence[Arm],
+    looked_at: Callable[[int, tuple[Observation, ...]], Looked],
+    least: int = FIRST_COMPARED,
+) -> tuple[dict[str, Checks], dict[int, Looked]]:
+    """The comparisons of each instrument by its name, and what was looked at for them by the number of the image.
+
+    The `least` images from all of the log are enough where nothing is suspect; else it is all of them.
+    """
+    names = [arm.profile.instrument_name for arm in arms]
+    found: dict[str, list[Difference]] = {
+        name: list(checks.of_profile(arm)) for name, arm in zip(names, arms, strict=True)
+    }
+    order = list(dict.fromkeys(np.linspace(0, len(spread) - 1, least).round().astype(int).tolist()))
+    order += [place for place in range(len(spread)) if place not in order]
+    looked: dict[int, Looked] = {}
+    views_are_suspect = True
+    for place in order[: len(spread)]:
+        every = [one.deviations for ones in found.values() for one in ones]
+        if len(looked) >= least and max(every, default=0.0) < SUSPECT_DEVIATIONS:
+            break
+        number, seen = spread[place]
+        one = looked[number] = looked_at(number, seen)
+        shared = list(checks.of_scene(one.scene))
+        if views_are_suspect:  # what is wrong with two cameras is so in every frame
+            of_views = list(checks.of_views(one.scene))
+            views_are_suspect = not of_views or any(d.deviations > SUSPECT_DEVIATIONS for d in of_views)
+            shared += of_views
+        for differences, frame in zip(found.values(), one.frames, strict=True):
+            differences += [*shared, *checks.of_frame(frame)]
+    return {name: Checks.of(differences, len(looked)) for name, differences in found.items()}, looked
+
+
+def warning(found: Mapping[str, Checks]) -> str:
+    """What contradicts most, and what could be wrong, in one line; empty where nothing does."""
+    worst = [one for checks_of in found.values() for one in checks_of.contradictions]
+    if not worst:
+        return ""
+    more = f" ({len(worst) - 1} more: svmdist check shows them)" if len(worst) > 1 else ""
+    return f"{worst[0].with_mistakes()}{more}"
+
+
+def check_log(recording: Recording, profile: Profile) -> dict[str, Checks]:
+    """All comparisons that a log and a profile allow, by the name of the instrument; RecordingError without images."""
+    profile = profile.model_copy(update={"tissue": profile.tissue or SOMEWHERE})
+    segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
+    spread = spread_observations(recording, max(CHECKED, images_to_look_at(segmenter)))
+    (segmenter,) = adapted_segmenters(segmenter, spread, [CLEAN])
+    arms = [Arm(profile.for_instrument(name)) for name in recording.instruments]
+    row_offset_px = row_offset_to_remove_px([one[0] for _, one in spread], profile)
+    few = spread[:: -(-len(spread) // (2 * CHECKED))]
+    return checked(few, arms, lambda _, seen: look(seen, arms, segmenter, row_offset_px), len(few))[0]

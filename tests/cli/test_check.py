@@ -1,0 +1,57 @@
+"""Log and profile against each other: what `svmdist check` says, and what a contradiction does to rows."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from svmdist.profile import load_profile, profile_path
+from tests.golden import RECORDINGS
+
+CONTACT = RECORDINGS / "3d" / "contact.mcap"
+
+
+@pytest.fixture
+def changed(tmp_path: Path) -> Callable[[str, str], Path]:
+    """The shipped profile with one line changed."""
+
+    def change(key: str, value: str) -> Path:
+        text = profile_path("psm13").read_text().replace('calibration = "psm13.calibration.toml"\n', "")
+        lines = [f"{key} = {value}" if line.startswith(f"{key} =") else line for line in text.splitlines()]
+        (path := tmp_path / "changed.toml").write_text("\n".join(lines))
+        load_profile(path)
+        return path
+
+    return change
+
+
+@pytest.mark.parametrize("log", ["3d/contact", "3d/duo", "real/contact", "real/random", "sweep"])
+def test_nothing_contradicts_in_golden_logs(cli: Any, log: str):
+    """Every comparison agrees; one camera has fewer of them."""
+    rows = cli("check", RECORDINGS / f"{log}.mcap", "-f", "json").json
+    assert rows
+    assert {row["verdict"] for row in rows} == {"agrees"}
+    has_surface = any(row["what"] == "height of the tissue" for row in rows)
+    assert has_surface == (log != "sweep")
+
+
+MISTAKES = [
+    ("plane_distance_m", "0.125", "height of the tissue", "shaft"),
+    ("shaft_radius_m", "0.008", "depth of the tool", "shaft"),
+    ("size_m", "0.0056", "depth of the tool", "fiducial"),
+]
+
+
+@pytest.mark.parametrize(("key", "value", "what", "method"), MISTAKES)
+def test_a_wrong_profile_is_named(cli: Any, changed: Callable[[str, str], Path], key, value, what, method):
+    """By what does not agree, with what it could be; no row that rests on it is ok, and one line warns."""
+    profile = changed(key, value)
+    rows = cli("check", CONTACT, "--profile", profile, "-f", "json", code=4).json
+    found = [row for row in rows if row["verdict"] == "contradicts"]
+    assert what in {row["what"] for row in found}
+    assert all(row["deviations"] > 3.5 and row["could_be"] for row in found)
+    ran = cli("estimate", CONTACT, "--profile", profile, "--method", method, "-f", "json", code=3)
+    assert not any(row["status"] == "ok" for row in json.loads(ran.out))
+    assert [line for line in ran.err.splitlines() if "warning" in line and "contradict" in line]
