@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.camera import Camera
 from svmdist.profile import Profile
 from svmdist.recording import messages
+from svmdist.recording.cameras import CameraTrack
 from svmdist.recording.images import ImageError
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.messages import DecodeError, Decoder, kind_of
@@ -57,7 +57,7 @@ class RecordingSummary:
     duration_s: float
     topics: tuple[TopicSummary, ...]
     roles: dict[str, str]
-    cameras: dict[str, Camera]
+    cameras: dict[str, CameraTrack]
     frames: tuple[str, ...]
     joint_names: dict[str, tuple[str, ...]]
     health: Health
@@ -97,7 +97,7 @@ def inspect_recording(
     infos: dict[str, TopicInfo] = {}
     stamps_ns: defaultdict[str, array[int]] = defaultdict(lambda: array("q"))
     undecodable: Counter[str] = Counter()
-    cameras: dict[str, Camera] = {}
+    cameras: defaultdict[str, CameraTrack] = defaultdict(CameraTrack)
     frames: set[str] = set()
     joint_names: dict[str, tuple[str, ...]] = {}
     for raw in recording.file.source.messages():
@@ -112,7 +112,7 @@ def inspect_recording(
                 stamp_ns = sample.stamp_ns
                 match sample:
                     case CameraSample(camera=camera):
-                        cameras.setdefault(raw.topic, camera)
+                        cameras[raw.topic].add(stamp_ns or raw.log_time_ns, camera)
                     case JointSample(names=names):
                         joint_names.setdefault(raw.topic, names)
                     case messages.RawTransforms(transforms=transforms) if len(frames) < MAX_NAMES:
@@ -130,7 +130,7 @@ def inspect_recording(
         (max(ends_ns) - min(ends_ns)) / 1e9 if ends_ns else 0.0,
         listed,
         {str(role): name for role in Role if (name := recording.topic_of(role)) in usable},
-        cameras,
+        dict(cameras),
         tuple(sorted(frames)),
         joint_names,
         recording.health,

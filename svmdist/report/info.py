@@ -22,6 +22,7 @@ from svmdist.workflows import capabilities
 from svmdist.workflows.calibrate import HandEyeResult
 
 SCHEMA = "svmdist.info/1"
+MAX_CHANGES = 4  # of cameras' calibrations that are listed
 
 TOPIC_COLUMNS = (
     Column("topic", TEXT, "topic"),
@@ -85,7 +86,12 @@ def info_document(
         "topics": [row_of(TOPIC_COLUMNS, topic) for topic in summary.topics],
         "roles": summary.roles,
         "instruments": list(capabilities.instruments_in(summary, profile)),
-        "cameras": {topic: _camera_document(camera) for topic, camera in summary.cameras.items()},
+        "cameras": {
+            topic: _camera_document(track.runs[0].camera) for topic, track in summary.cameras.items()
+        },
+        "camera_changes": [
+            str(one) for topic, track in summary.cameras.items() for one in track.changes(topic)
+        ],
         "frames": list(summary.frames),
         "joint_names": {topic: list(names) for topic, names in summary.joint_names.items()},
         "is_clean": summary.health.is_clean,
@@ -120,6 +126,10 @@ def _info_lines(log: dict[str, Any], width: int | None) -> Iterator[str]:
     yield render(Table.of("", [one for one in TOPIC_COLUMNS if one.heading], log["topics"]), width=width)
     for topic, camera in log["cameras"].items():
         yield line("camera", f"{topic}: {_camera_in_words(camera)}")
+    changes = log.get("camera_changes", [])
+    for at, change in enumerate(changes[:MAX_CHANGES], 1):
+        hidden = f", and {len(changes) - at} more changes" if at == MAX_CHANGES < len(changes) else ""
+        yield line("changes", f"{change}{hidden}")
     if log["frames"]:
         yield line("frames", ", ".join(log["frames"]))
     for topic, names in log["joint_names"].items():

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
+from svmdist.camera import Camera
 from svmdist.estimation.checks import Checks
 from svmdist.estimation.frame import Frame, Needs, prefetch
 from svmdist.estimation.scene import Arm, Scene
@@ -95,11 +96,19 @@ NO_CHECKS: Mapping[str, Checks] = {}
 class MultiInstrumentEstimator:
     """One method on every wanted instrument of a recording, each with an estimator of its own.
 
-    No row is `ok` of a method that relies on what `checks` contradict, by instrument.
+    No row is `ok` of a method that relies on what `checks` contradict, by instrument; nor one of another camera than
+    `camera`, the log's first, where a calibration is of that.
     `keeps_state`: whether a result depends on earlier frames; `needs`: the detections that the method asks for.
     """
 
-    def __init__(self, setup: Setup, arms: Sequence[Arm], checks: Mapping[str, Checks] = NO_CHECKS) -> None:
+    def __init__(
+        self,
+        setup: Setup,
+        arms: Sequence[Arm],
+        checks: Mapping[str, Checks] = NO_CHECKS,
+        camera: Camera | None = None,
+    ) -> None:
+        self._calibrated = camera if setup.is_calibrated else None
         self._estimators = [setup.estimator_for(arm) for arm in arms]
         self._arms = tuple(arms)
         self._doubts = {name: one.doubt(setup.method) for name, one in checks.items()}
@@ -118,7 +127,10 @@ class MultiInstrumentEstimator:
             seconds.append(shared_s + time.thread_time() - start_s)
             name = arm.profile.instrument_name
             named = replace(_through_lens(result, frame), instrument=name, **place)
-            if named.measured and (said := self._doubts.get(name)):
+            said = self._doubts.get(name, "")
+            if self._calibrated is not None and not self._calibrated.same_optics(frame.scene.lens):
+                said = "the calibration is for the camera as it was first"
+            if named.measured and said:
                 named = replace(named.rejected(Status.INCONSISTENT, said), distances=Distances())
             results.append(named.doubted(frame.doubt) if frame.doubt else named)
         if len(results) > 1:
@@ -223,7 +235,9 @@ class _Replay:
     def _lane(self, setup: Setup, known: Mapping[str, Checks]) -> MultiInstrumentEstimator:
         """A method on the wanted instruments; one that measures the tissue itself takes the profile as it is."""
         arms = self._stereo_arms if setup.needs_right_view else self._arms
-        return MultiInstrumentEstimator(setup, [arms[place] for place in self._places], known)
+        return MultiInstrumentEstimator(
+            setup, [arms[place] for place in self._places], known, self._recording.camera
+        )
 
     def _association(self) -> Association | None:
         """What tells the instruments apart; None where there is one, and images show no others as such."""

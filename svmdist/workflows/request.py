@@ -183,13 +183,18 @@ class Setup:
         return self.method in PLANAR_METHODS
 
     @property
+    def is_calibrated(self) -> bool:
+        """Whether a calibration of one camera is used."""
+        return self.equations == "corrected" and self.calibration is not None
+
+    @property
     def needs_right_view(self) -> bool:
         """Whether the method measures by both views."""
         return self.own is not None or self.method in ("stereo", "fused")
 
     def require_camera(self, recording: Recording) -> None:
         """Raise CalibrationError for a recording of another camera than the calibration's."""
-        if self.equations == "corrected" and self.calibration is not None:
+        if self.calibration is not None and self.is_calibrated:
             self.calibration.require_camera(recording.logged_camera, recording.name)
 
     def estimator_for(self, arm: Arm) -> Estimator:

@@ -15,6 +15,7 @@ from svmdist.profile import Profile
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs
 from svmdist.recording.source import LossKind
+from svmdist.recording.summary import inspect_recording
 from svmdist.recording.writer import RecordingWriter, encode, message_class_of
 from svmdist.transforms import Array, inverse, make_transform
 
@@ -123,6 +124,8 @@ def test_an_image_has_the_calibration_that_holds_at_its_stamp(tmp_path, profile,
     assert recording.camera.K[0, 0] == CAMERA.K[0, 0]
     (change,) = recording.camera_changes
     assert str(change) == f"{said} between 0.08 and 0.16 s (/ECM/left/camera_info)"
+    (track,) = inspect_recording(recording.path, profile).cameras.values()
+    assert [str(one) for one in track.changes(change.topic)] == [str(change)]
 
 
 def test_the_right_topics_leave_the_left_ones_to_be_found(tmp_path, profile):
