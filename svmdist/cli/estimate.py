@@ -186,7 +186,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         with output.steps(f"drawing {recording.name}", "images", recording.image_count()) as steps:
             frames = drawn_frames(seen, request.setup, request.alarms, request.instruments, self.jobs)
             writer.write(counted(steps.of(frames)), self.output, seen, request.setup, self.force)
-        ending.close(watches, seen.missing.describe())
+        ending.close(watches, seen.remarks)
         code = _log_tally([ending.tally])
         log_ending({log.name: ending}, request)
         return log_losses(recording.path, recording.health) or code
@@ -216,7 +216,7 @@ def measure_rows(
     if keep is not None:
         lag = LagEstimate(seen.lag.lag_s, seen.lag.std_s, 1.0) if seen.lag else None
         keep(Measured(recording, seen, tuple(kept), lag))
-    ending.close(watches, seen.missing.describe())
+    ending.close(watches, seen.remarks)
     return ending
 
 
@@ -238,10 +238,10 @@ def corrected(recording: Recording, request: Request, jobs: int | None) -> Recor
 
 
 def log_ending(endings: Mapping[str, Ending], request: Request) -> None:
-    """Log which detections were refused, what images lacked, and the alarms, of logs by their names."""
-    from svmdist.workflows.ending import alarms_in_words, missing_in_words, refusals_in_words
+    """Log which detections were refused, what is remarked on logs, and the alarms, of logs by their names."""
+    from svmdist.workflows.ending import alarms_in_words, refusals_in_words, remarks_in_words
 
-    for line in (*refusals_in_words(endings.values()), *missing_in_words(endings)):
+    for line in (*refusals_in_words(endings.values()), *remarks_in_words(endings)):
         LOG.info("%s", line)
     if request.alarms is not None:
         LOG.info("%s", alarms_in_words(endings, request.alarms))

@@ -202,9 +202,13 @@ class Recording:
         return stated_right_camera(camera, self.world.perturbations)
 
     @property
-    def missing(self) -> MissingPartners:
-        """What images lacked near them in the last replay."""
-        return self.file.missing
+    def remarks(self) -> list[str]:
+        """What images lacked near them in the last replay, and where a camera changed, in words."""
+        said, changes = self.file.missing.describe(), self.camera_changes
+        if changes:
+            count = f"; it is the first of {len(changes)} changes" if len(changes) > 1 else ""
+            said.append(f"the camera changes: {changes[0]}{count}")
+        return said
 
     def images(self) -> Iterator[ImageSample | Rejection]:
         """Yield every image in file order, decoded; a Rejection stands for one that cannot be."""

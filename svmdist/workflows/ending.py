@@ -10,7 +10,7 @@ from svmdist.estimation.alarms import AlarmEvent, AlarmRules, AlarmState, AlarmW
 from svmdist.results import FrameResult
 from svmdist.samples import Status
 
-MAX_MISSING = 6  # lines
+MAX_REMARKS = 6  # lines
 
 
 @dataclass
@@ -18,7 +18,7 @@ class Ending:
     """Counts over the rows of a log; `events` are the alarms of all instruments, `wanted` names these.
 
     `tally` has the rows by status and detail, in the order in which they first came; `seen` and `refused` those in
-    which a detection was measured, and contradicted the rest; `missing` is what images lacked near them, in words.
+    which a detection was measured, and contradicted the rest; `remarks` are the recording's.
     """
 
     wanted: tuple[str, ...] = ()
@@ -26,7 +26,7 @@ class Ending:
     seen: dict[str, int] = field(default_factory=dict)
     refused: dict[str, int] = field(default_factory=dict)
     events: list[AlarmEvent] = field(default_factory=list)
-    missing: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
 
     def add(self, row: FrameResult, watches: Mapping[str, AlarmWatch]) -> AlarmState | None:
         """Count a row, and judge it by the alarms of its instrument; None without any."""
@@ -38,9 +38,9 @@ class Ending:
             self.refused[name] = self.refused.get(name, 0) + 1
         return watches[row.instrument].watch(row) if row.instrument in watches else None
 
-    def close(self, watches: Mapping[str, AlarmWatch], missing: Iterable[str] = ()) -> None:
-        """Keep the alarms of all instruments in the order of time, and what images lacked."""
-        self.missing = list(missing)
+    def close(self, watches: Mapping[str, AlarmWatch], remarks: Iterable[str] = ()) -> None:
+        """Keep the alarms of all instruments in the order of time, and what is remarked on the log."""
+        self.remarks = list(remarks)
         every = (event for watch in watches.values() for event in watch.events)
         self.events = sorted(every, key=lambda event: event.start_s)
 
@@ -66,13 +66,13 @@ def refusals_in_words(endings: Iterable[Ending]) -> Iterator[str]:
         yield f"{name} refused in {count} of {seen[name]} frames: it contradicts {listed}"
 
 
-def missing_in_words(endings: Mapping[str, Ending]) -> Iterator[str]:
-    """What images lacked near them, by log; of many logs the first few."""
-    every = [(log, line) for log, one in endings.items() for line in one.missing]
-    for log, line in every[:MAX_MISSING]:
+def remarks_in_words(endings: Mapping[str, Ending]) -> Iterator[str]:
+    """What is remarked on logs, by log; of many logs the first few."""
+    every = [(log, line) for log, one in endings.items() for line in one.remarks]
+    for log, line in every[:MAX_REMARKS]:
         yield f"{log}: {line}" if len(endings) > 1 else line
-    if more := {log for log, _ in every[MAX_MISSING:]}:
-        yield f"images of {len(more)} more logs lack right images or joint states near them"
+    if more := {log for log, _ in every[MAX_REMARKS:]}:
+        yield f"the like of {len(more)} more logs"
 
 
 def alarms_in_words(endings: Mapping[str, Ending], rules: AlarmRules) -> str:

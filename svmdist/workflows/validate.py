@@ -133,7 +133,7 @@ def score_recording(
     watches, ending = alarm_watches(names, request.alarms), Ending(tuple(names))
     for row in every:
         ending.add(row, watches)
-    ending.close(watches, read.missing.describe())
+    ending.close(watches, read.remarks)
     for name in names:
         view, seen = recording.for_instrument(name), setup.for_instrument(name)
         rows = [row for row in every if row.instrument == name]

@@ -84,23 +84,23 @@ def test_what_images_lack_near_them_is_counted(tmp_path, profile):
     """Only of the images that are asked for; the nearest right image may come before or after."""
     lacking = [one for one in with_right(scene(), 600_000, 1) if one.sample.stamp_ns < 1_120_000_000]
     recording = open_recording(write_scene(tmp_path / "apart.mcap", lacking), profile)
-    assert recording.missing.describe() == []
+    assert recording.remarks == []
     decoded(recording)
     near = "within 0.5 ms of the left (nearest 0.6 ms): measured with one camera"
-    assert recording.missing.describe() == [f"right image never {near}"]
+    assert recording.remarks == [f"right image never {near}"]
     some = with_right(scene())
     del some[next(at for at, one in enumerate(some) if one.topic == RIGHT_IMAGE)]
     kept = [one for one in some if not ("_js" in one.topic and one.sample.stamp_ns > 1_060_000_000)]
     partly = open_recording(write_scene(tmp_path / "partly.mcap", kept), profile)
     decoded(partly)
-    right, joints = partly.missing.describe()
+    right, joints = partly.remarks
     assert (
         right
         == "in 1 of 5 frames no right image within 0.5 ms of the left (nearest 40 ms): measured with one camera"
     )
     assert joints == "in 3 of 5 frames no joint states within 100 ms of the image: measured without"
     decoded(partly, LEFT_IMAGES)
-    assert partly.missing.describe() == []
+    assert partly.remarks == []
 
 
 @pytest.mark.parametrize("is_planar", [False, True])
@@ -123,6 +123,7 @@ def test_an_image_has_the_calibration_that_holds_at_its_stamp(tmp_path, profile,
     np.testing.assert_allclose(focal_px, CAMERA.K[0, 0] * np.array([1.0, 1.0, 1.0, 1.25]))
     assert recording.camera.K[0, 0] == CAMERA.K[0, 0]
     (change,) = recording.camera_changes
+    assert recording.remarks == [f"the camera changes: {change}"]
     assert str(change) == f"{said} between 0.08 and 0.16 s (/ECM/left/camera_info)"
     (track,) = inspect_recording(recording.path, profile).cameras.values()
     assert [str(one) for one in track.changes(change.topic)] == [str(change)]
