@@ -120,7 +120,7 @@ class MissingPartners:
         apart_s = float(np.median(self.right_apart_s or [math.inf]))
         nearest = f"nearest {apart_s * 1e3:.3g} ms" if apart_s < math.inf else "there is none"
         of_left = f"{self.pair_tolerance_s * 1e3:g} ms of the left ({nearest}): measured with one camera"
-        of_image = f"{MAX_GAP_NS * 1e-6:g} ms of the image: measured without"
+        of_image = f"{MAX_GAP_NS * 1e-6:g} ms of the image"
         missing = (
             ("right image", len(self.right_apart_s), of_left),
             ("joint states", self.without_joints, of_image),
