@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.errors import UsageError
-from svmdist.results import Distance, FrameResult
+from svmdist.results import Z_95, Distance, FrameResult
 
 MIN_SLOPE_ROWS = 3
 MIN_CLOSING_M_S = 1e-3  # below a millimetre a second the time to contact is noise divided by noise
@@ -75,17 +75,20 @@ class AlarmEvent:
     end_s: float
     least_m: float
     least_number: int
+    least_half_m: float | None = None  # of its 95 % interval
 
     @property
     def duration_s(self) -> float:
         """From the first to the last alarmed image: 0 for a single one."""
         return self.end_s - self.start_s
 
-    def extended(self, row: FrameResult, clearance_m: float) -> AlarmEvent:
+    def extended(self, row: FrameResult, clearance: Distance) -> AlarmEvent:
         """The event with one more row."""
         longer = replace(self, end_s=row.seconds)
-        is_least = clearance_m < self.least_m
-        return replace(longer, least_m=clearance_m, least_number=row.number) if is_least else longer
+        if not clearance.value_m < self.least_m:
+            return longer
+        half_m = None if clearance.std_m is None else Z_95 * clearance.std_m
+        return replace(longer, least_m=clearance.value_m, least_number=row.number, least_half_m=half_m)
 
 
 class AlarmWatch:
@@ -119,9 +122,9 @@ class AlarmWatch:
         std_m = self._deviation_m(clearance)
         is_alarm = probability_below(self._rules.below_m, clearance.value_m, std_m) >= self._rules.probability
         if is_alarm:
-            first = (row.instrument, row.number, row.seconds, row.seconds, clearance.value_m, row.number)
+            first = (row.instrument, row.number, row.seconds, row.seconds, math.inf, row.number)
             begun = self.events.pop() if self._is_alarmed else AlarmEvent(*first)
-            self.events.append(begun.extended(row, clearance.value_m))
+            self.events.append(begun.extended(row, clearance))
         self._is_alarmed = is_alarm
         speed_m_s = self._closing_speed_m_s(row.stamp_ns, clearance.value_m)
         contact_s = None

@@ -182,6 +182,7 @@ EVENT_COLUMNS = (
     Column("end_s", SECONDS, "to [s]", "1.end_s"),
     Column("duration_s", SECONDS, "duration [s]", "1.duration_s"),
     Column("least_m", LENGTH, "smallest clearance [mm]", "1.least_m"),
+    Column("least_half_m", LENGTH, "± [mm]", "1.least_half_m"),
     Column("least_number", COUNT, "in frame", "1.least_number"),
 )
 LAG_COLUMNS = (

@@ -91,7 +91,8 @@ def alarms_in_words(endings: Mapping[str, Ending], rules: AlarmRules) -> str:
         near_log, nearest = min(every, key=lambda one: one[1].least_m)
         said += f": first at {first.start_s:.2f} s {at(first_log, first, first.start_number)}"
         said += f", longest {longest.duration_s:.2f} s {at(long_log, longest, longest.start_number)}"
-        said += f", smallest clearance {nearest.least_m * 1e3:.2f} mm"
+        said += f", smallest clearance {nearest.least_m * 1e3:.2f}"
+        said += " mm" if nearest.least_half_m is None else f" ± {nearest.least_half_m * 1e3:.2f} mm"
         said += f" {at(near_log, nearest, nearest.least_number)}"
     statuses = [(status, count) for one in endings.values() for status, count in one.statuses.items()]
     if lost := sum(count for status, count in statuses if status != Status.OK):

@@ -43,7 +43,7 @@ def test_alarms_are_counted_and_named():
     assert alarms_in_words({"a": far}, RULES) == f"no alarm {rule}; 1 {rows}"
     said = alarms_in_words({"a": far, "b": near}, RULES)
     assert said == (
-        f"2 alarms {rule}: first at 0.10 s (b, frame 1), longest 0.10 s (b, frame 3), smallest clearance 1.00 mm"
-        f" (b, frame 4); 2 {rows}"
+        f"2 alarms {rule}: first at 0.10 s (b, frame 1), longest 0.10 s (b, frame 3), smallest clearance 1.00 ±"
+        f" 1.96 mm (b, frame 4); 2 {rows}"
     )
     assert "first at 0.10 s (frame 1)" in alarms_in_words({"b": near}, RULES)
