@@ -67,32 +67,51 @@ def inspect_log(recording: Recording, request: Request, _threads: int, looks_for
 class New(options.TopicOption):
     """Write a commented profile from a log.
 
-    It has the log's topics, frames and instruments, a chain that fits its joints, sizes of a da Vinci instrument,
-    colours where they are distinct, and the tissue's plane where two views show it. What it cannot know is marked.
+    It has the log's topics, frames and instruments, a chain that fits its joints, an instrument's sizes, colours where
+    they are distinct, and the tissue's surface where two views show it. Guesses are marked MEASURE, with deviations as
+    wide.
 
     Examples:
       A commented profile, to be completed by hand:
         svmdist profile new log.mcap -o mine.toml
+      With the sizes of a known instrument:
+        svmdist profile new log.mcap --instrument large-needle-driver
       With a camera's topic that is none of the usual ones:
         svmdist profile new log.mcap --topic image=/left/image_raw
     """
 
     file: Path = argument(..., "FILE", "Log to look at.")
     name: str | None = option("--name NAME", "Name of the profile. Default: that of the log.")
+    instrument: str | None = option(
+        "--instrument NAME",
+        "Sizes of a known instrument: large-needle-driver, da-vinci-8mm, da-vinci-5mm, laparoscopic-5mm, raven, …;"
+        " an unknown name lists all. Default: da-vinci-8mm if the joints are a da Vinci's, else any of 5 to 10 mm.",
+    )
     output: Path | None = options.OutputOptions.output
     force: bool = FORCE
 
     def _run(self) -> None:
         from svmdist.profile import Profile
-        from svmdist.report.profile_template import profile_text
+        from svmdist.recording.log import open_recording
+        from svmdist.report.profile_template import instrument_sizes, profile_text
+        from svmdist.report.tables import counted
+        from svmdist.workflows.check import check_log, warning
         from svmdist.workflows.new_profile import draft_profile
 
         require_output(self.output, [self.file], is_new=not self.force)
-        draft = draft_profile(self.file, self.name or self.file.resolve().stem, self.topics)
+        if self.instrument is not None:
+            instrument_sizes(self.instrument)
+        draft = draft_profile(self.file, self.name or self.file.resolve().stem, self.topics, self.instrument)
         text = profile_text(draft)
-        Profile.model_validate(tomllib.loads(text))
+        profile = Profile.model_validate(tomllib.loads(text))
         write_lines([text], self.output)
         instruments = ", ".join(one.name for one in draft.instruments)
         plane = "the plane from both views" if draft.plane else "measure the plane of the tissue"
         mark = "a distal marker by its colour" if draft.mark else "no colour of its own"
         LOG.info("%s: instruments %s; %s; %s", draft.name, instruments, mark, plane)
+        found = check_log(open_recording(self.file, profile), profile)
+        if said := warning(found):
+            LOG.warning("%s", said)
+        else:
+            count = sum(len(one.comparisons) for one in found.values())
+            LOG.info("%s of the log with it: nothing contradicts", counted(count, "comparison"))

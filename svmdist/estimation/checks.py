@@ -27,7 +27,7 @@ from svmdist.estimation.stereo import nominal_orientation_pose
 from svmdist.estimation.tissue_tracking import depth_biases
 from svmdist.geometry import Mesh
 from svmdist.geometry.distance import signed_distances
-from svmdist.kinematics import row_index
+from svmdist.kinematics import rows_behind_insertion
 from svmdist.least_squares import scale_of
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
@@ -208,13 +208,10 @@ def of_profile(arm: Arm) -> Iterator[Difference]:
     instrument, field, chain = arm.profile.instrument, arm.profile.field, arm.chain
     if instrument is not None:
         yield _bounded("diameter of the instrument", 2.0 * instrument.shaft_radius_m, field.diameter_m)
-    if chain is not None and (axis := arm.shaft_axis) is not None:
-        lengths = [
-            np.hypot(row.a_m, row.d_m)
-            for row in chain.rows[row_index(chain, axis.link) + 1 :]
-            if row.type != "prismatic"
-        ]
-        if lengths:
+    if chain is not None:
+        # Behind the roll, whose own length may be all of the shaft's.
+        wrist = [chain.rows[index] for index in rows_behind_insertion(chain)[1:]]
+        if lengths := [np.hypot(row.a_m, row.d_m) for row in wrist]:
             yield _bounded("length of a wrist's link", float(max(lengths)), (0.0, field.wrist_link_m))
 
 

@@ -4,19 +4,75 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import tomllib
 from collections.abc import Iterator
 from importlib.resources import files
 from string import Template
+from typing import Any
 
-from svmdist.profile.robot import Joint
+from svmdist.errors import UsageError, did_you_mean
+from svmdist.estimation.instrument.shaft_model import ShaftSizes
+from svmdist.profile.robot import Instrument, Joint
+from svmdist.profile.toml import StrictModel
 from svmdist.vision.colour import DistinctColour
 from svmdist.workflows.new_profile import InstrumentDraft, ProfileDraft, shipped_robot
 
 ROLES = ("image", "camera_info", "right_image", "right_camera_info", "joints", "pose", "tf")
 
 
+class InstrumentSizes(StrictModel):
+    """Sizes of a kind of instrument in m, their standard deviations, and where they are from; a line of the table.
+
+    What no source gives follows from the shaft's radius, as in a da Vinci instrument of 8 mm: drawings and images put
+    the shaft's visible end 1.6 to 2.3 radii behind the hinge.
+    """
+
+    description: str
+    source: str
+    shaft_radius_m: float
+    shaft_radius_std_fraction: float
+    wrist_length_m: float  # from hinge to hinge
+    wrist_length_std_m: float
+    jaw_length_m: float
+    jaw_length_std_m: float
+    outline_end_m: float | None = None
+    outline_end_std_m: float | None = None
+
+    def lines(self) -> dict[str, str]:
+        """All values of the template, as text."""
+        radius_m = self.shaft_radius_m
+        found = {
+            **self.model_dump(exclude_none=True),
+            "shaft_end_m": 1.9 * radius_m,
+            "shaft_end_std_m": 0.4 * radius_m,
+            "wrist_radius_m": 0.68 * radius_m,
+            "knuckle_radius_m": 0.44 * radius_m,
+            "jaw_radius_m": 0.22 * radius_m,
+        }
+        sizes = ShaftSizes(Instrument.model_construct(**{**UNSTATED, **found}))
+        found |= {"outline_end_m": sizes.outline_end_m, "outline_end_std_m": sizes.outline_end_std_m}
+        return {key: value if isinstance(value, str) else f"{value:.2g}" for key, value in found.items()}
+
+
+UNSTATED = {"shaft_end_std_m": None, "outline_end_m": None, "outline_end_std_m": None}
+
+
+def instrument_table() -> dict[str, Any]:
+    """What is known of common instruments, by name."""
+    return tomllib.loads(files("svmdist.report").joinpath("instruments.toml").read_text("utf-8"))
+
+
+def instrument_sizes(name: str) -> InstrumentSizes:
+    """The sizes of an instrument of the table; raises UsageError for one that is not in it."""
+    if name not in (table := instrument_table()):
+        raise UsageError(f"no instrument named {name}: {did_you_mean(name, list(table))}")
+    return InstrumentSizes.model_validate(table[name])
+
+
 def profile_text(draft: ProfileDraft) -> str:
     """The profile."""
+    sizes = instrument_sizes(draft.instrument)
     first, *others = draft.instruments
     identity = [f"name = {_text(draft.name)}"]
     if first.name != "PSM1" or others:
@@ -34,26 +90,30 @@ def profile_text(draft: ProfileDraft) -> str:
     if not draft.has_camera_to_base:
         named.append("# No transform leads from camera to base: svmdist hand-eye finds it by the seen tool.")
     tissue = _block("unknown_plane")
-    if (plane := draft.plane) is not None:
+    if draft.plane is not None:
+        plane = draft.plane.tissue
         tissue = _block(
-            "plane",
+            "scene_plane" if draft.plane.is_guess else "surface",
+            pair_count=draft.plane.pair_count,
             normal=", ".join(f"{value:.4f}" for value in plane.plane_normal),
             distance_m=f"{plane.plane_distance_m:.4f}",
             distance_std_m=f"{plane.plane_distance_std_m:.2g}",
             tilt_std_rad=f"{plane.plane_tilt_std_rad:.2g}",
             surface_std_m=f"{plane.surface_std_m:.2g}",
         )
-    return _block(
+    text = _block(
         "profile",
         log=_plain(draft.log),
         identity="\n".join(identity),
         topics="\n".join(topics),
         frames="\n".join(named),
         colour=_by_colour(draft.mark, draft) if draft.mark else "",
-        robot="\n".join(_chain("[robot]", first)),
+        robot="\n".join(_chain("[robot]", first, sizes)),
         tissue=tissue,
-        others="\n".join(["", *(line for other in others for line in _other(other, first)), ""]),
+        others="\n".join(["", *(line for other in others for line in _other(other, first, sizes)), ""]),
+        **sizes.lines(),
     )
+    return re.sub(r'(?m)^(\w+ = (?:-?[\d.e-]+|"-?pi/\d+")) # ', lambda line: f"{line[1]:<28} # ", text)
 
 
 def _block(name: str, **values: object) -> str:
@@ -76,7 +136,7 @@ def _by_colour(mark: DistinctColour, draft: ProfileDraft) -> str:
     return _block("colour", low=mark.hue[0], high=mark.hue[1], **found, **ranges, **areas)
 
 
-def _chain(table: str, instrument: InstrumentDraft) -> Iterator[str]:
+def _chain(table: str, instrument: InstrumentDraft, sizes: InstrumentSizes) -> Iterator[str]:
     if instrument.chain is None:
         if instrument.joint_names:
             there = _plain(", ".join(instrument.joint_names))
@@ -84,13 +144,16 @@ def _chain(table: str, instrument: InstrumentDraft) -> Iterator[str]:
             yield "# put your robot's DH rows here. These are the instrument's last joints, for shaft and stereo."
         else:
             yield "# The log has no joints: the instrument's last ones are enough for shaft and stereo."
-        yield f"{table}\n{_block('wrist')}"
+        yield f"{table}\n{_block('wrist', wrist_length_m=sizes.wrist_length_m)}"
         return
     robot = shipped_robot(instrument.chain)
     yield f"{table}  # the chain of {instrument.chain}"
     yield f'convention = "{robot.convention}"'
     yield "joints = ["
-    yield from (f"    {_joint(joint)}," for joint in robot.joints)
+    insertion = max(place for place, joint in enumerate(robot.joints) if joint.type == "prismatic")
+    for place, joint in enumerate(robot.joints):
+        is_wrist = place > insertion and joint.a_m != 0.0
+        yield f"    {_joint(joint.model_copy(update={'a_m': sizes.wrist_length_m}) if is_wrist else joint)},"
     yield "]"
     if robot.tool_rotation is not None:
         rows = ", ".join("[" + ", ".join(f"{value:g}" for value in row) + "]" for row in robot.tool_rotation)
@@ -108,7 +171,7 @@ def _joint(joint: Joint) -> str:
     return "{ " + ", ".join(parts) + " }"
 
 
-def _other(other: InstrumentDraft, first: InstrumentDraft) -> Iterator[str]:
+def _other(other: InstrumentDraft, first: InstrumentDraft, sizes: InstrumentSizes) -> Iterator[str]:
     yield f"\n[[other_instruments]]\nname = {_text(other.name)}"
     if other.entry is not None:
         yield f'entry = "{other.entry}"'
@@ -118,7 +181,7 @@ def _other(other: InstrumentDraft, first: InstrumentDraft) -> Iterator[str]:
     yield f"\n[other_instruments.frames]\nbase = {_text(other.base)}\ntool = {_text(other.tool)}"
     if other.chain != first.chain:
         yield ""
-        yield from _chain("[other_instruments.robot]", other)
+        yield from _chain("[other_instruments.robot]", other, sizes)
 
 
 def _angle(value: float) -> str:

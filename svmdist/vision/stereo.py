@@ -259,6 +259,7 @@ SAMPLE_COUNT = 20_000
 INLIER_PX = 1.5
 MIN_INLIER_FRACTION, MIN_MATCHED_FRACTION = 0.4, 0.1
 TRIALS = 200
+MAX_RELIEF = 0.2  # of tissue off its plane, over the distance
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,8 +301,10 @@ def fit_plane(left_bgr: Image, right_bgr: Image, K: Array, baseline_m: float) ->
     if on_it.mean() < MIN_INLIER_FRACTION or q[2] <= 0.0:
         return None
     distance_m = fb_px_m / normal_length
-    # A residual of disparity over the depth's slope, at the scene's middle: δz = z² δd / (f b).
-    surface_std_m = distance_m**2 / fb_px_m * float(np.std(off_px[on_it]))
+    # A residual of disparity over the depth's slope, at the scene's middle: δz = z² δd / (f b). Not only of those on
+    # the plane: what stands off it is what a tool works at; what is farther off than that is matched wrongly.
+    near_px = np.abs(off_px)[np.abs(off_px) < MAX_RELIEF * values]
+    surface_std_m = distance_m**2 / fb_px_m * float(np.percentile(near_px, 68.0))
     return StereoPlane(-q / normal_length, distance_m, surface_std_m, ROW_OFFSETS_PX[best] * step)
 
 

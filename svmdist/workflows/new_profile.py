@@ -13,20 +13,25 @@ from typing import NamedTuple
 import numpy as np
 
 from svmdist.errors import RecordingError, UsageError, did_you_mean
+from svmdist.estimation.instrument.measurement import Deviations
+from svmdist.estimation.scene import Scene
+from svmdist.estimation.tissue_tracking import depth_biases
 from svmdist.least_squares import scale_of
 from svmdist.profile import Profile, Topics, load_profile
-from svmdist.profile.robot import Robot, Tissue
-from svmdist.profile.segmentation import ColourRegion, HsvSegmentation
-from svmdist.recording.log import open_recording
+from svmdist.profile.robot import CameraError, Robot, Tissue
+from svmdist.profile.segmentation import AutoSegmentation, ColourRegion, HsvSegmentation
+from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.source import sanitize, sanitize_list
 from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role, is_right
-from svmdist.samples import Image
+from svmdist.samples import Image, Observation
+from svmdist.transforms import Array
 from svmdist.vision.colour import DistinctColour, find_distinct_colour
 from svmdist.vision.find_instruments import AutoSegmenter
 from svmdist.vision.frame_context import as_pinholes
 from svmdist.vision.stereo import StereoPlane, fit_plane
 from svmdist.workflows.capabilities import observations_of
+from svmdist.workflows.check import row_offset_to_remove_px
 
 OTHER_ARMS = re.compile(r"/(ECM|MTM\w*|SUJ\w*)(/|$)")  # of a da Vinci, without an instrument
 SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("_l/", "_r/"), ("/l/", "/r/"))
@@ -34,11 +39,17 @@ SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("_l/", "_r/")
 TOOL_TOPICS = (("joints", "joint states", "measured_js"), ("pose", "poses", "measured_cp"))
 CHAIN_PROFILES = ("dvrk-psm", "psm13")
 """Shipped profiles whose chains a log's joints may belong to."""
+DA_VINCI_INSTRUMENT, UNKNOWN_INSTRUMENT = "da-vinci-8mm", "unknown"
 LOOKED_AT = 12  # images that colours and plane are taken from, spread over the log
 MOST_IMAGES = 0.6  # share of the images that an instrument is at least visible in
 MIN_PLANES = 3
-LEAST_PLANE_STD_M, LEAST_TILT_STD_RAD, LEAST_SURFACE_STD_M = 3e-3, 0.05, 1e-3
-"""Tissue is no plane: a plane fitted to all of it is off by this much where the tool works."""
+LEAST_PLANE_STD_M, LEAST_TILT_STD_RAD, LEAST_SURFACE_STD_M = 1e-3, 0.05, 1e-3
+SCENE_PLANE_STD_M = 3e-3  # a plane of all of a scene is off by as much where the tool works
+UNSEEN_SURFACE_STD_M = 5e-3  # organs stand so far off the plane that most of a scene lies on
+POINTS_PER_PAIR = 500
+FIRST_GUESS = Tissue(
+    plane_distance_m=0.1
+)  # where an endoscope works; a surface by stereo does not depend on it
 
 
 @dataclass(frozen=True)
@@ -59,8 +70,17 @@ class InstrumentDraft:
 
 
 @dataclass(frozen=True)
+class TissueDraft:
+    """A plane by so many pairs of views: through the tissue's own surface, or, where that `is_guess`, of the scene."""
+
+    tissue: Tissue
+    pair_count: int
+    is_guess: bool
+
+
+@dataclass(frozen=True)
 class ProfileDraft:
-    """What a first profile is made of."""
+    """What a first profile is made of; `instrument` is a name in the table of instruments."""
 
     name: str
     log: str
@@ -70,7 +90,8 @@ class ProfileDraft:
     camera_frame: str
     instruments: tuple[InstrumentDraft, ...]
     mark: DistinctColour | None
-    plane: Tissue | None
+    plane: TissueDraft | None
+    instrument: str
     has_camera_to_base: bool
     image_count: int
 
@@ -83,8 +104,13 @@ class LogRoles(NamedTuple):
     other_images: tuple[str, ...]
 
 
-def draft_profile(path: Path, name: str, topics: Mapping[str, str]) -> ProfileDraft:
-    """Look at a log and draft its profile; `topics` chooses some by role, where `find_roles` would raise."""
+def draft_profile(
+    path: Path, name: str, topics: Mapping[str, str], instrument: str | None = None
+) -> ProfileDraft:
+    """Look at a log and draft its profile; `topics` chooses some by role, where `find_roles` would raise.
+
+    `instrument` is a name in the table of instruments; without it, joints of a da Vinci tell one of 8 mm.
+    """
     blank = _blank({})
     summary = inspect_recording(path, blank)
     roles = find_roles(summary, topics)
@@ -93,8 +119,8 @@ def draft_profile(path: Path, name: str, topics: Mapping[str, str]) -> ProfileDr
     count = next(topic.message_count for topic in summary.topics if topic.topic == roles.topics["image"])
     images: list[Image] = []
     planes: list[StereoPlane | None] = []
-    for observation in observations_of(recording, count // LOOKED_AT):
-        seen = as_pinholes(observation)
+    observations = list(observations_of(recording, count // LOOKED_AT))
+    for seen in map(as_pinholes, observations):
         images.append(seen.image_bgr)
         if seen.right is not None and (baseline_m := float(seen.right.T_left_right[0, 3])) > 0:
             planes.append(fit_plane(seen.image_bgr, seen.right.image_bgr, seen.camera.K, baseline_m))
@@ -111,7 +137,8 @@ def draft_profile(path: Path, name: str, topics: Mapping[str, str]) -> ProfileDr
         camera.frame_id or "camera",
         instruments,
         find_distinct_colour(images, len(instruments)),
-        _plane([plane for plane in planes if plane is not None]),
+        _surface(recording, observations, images) or _plane([plane for plane in planes if plane is not None]),
+        instrument or (UNKNOWN_INSTRUMENT if instruments[0].chain is None else DA_VINCI_INSTRUMENT),
         {camera.frame_id, instruments[0].base} <= set(summary.frames),
         len(images),
     )
@@ -237,26 +264,78 @@ def _instruments_by_sides(images: Sequence[Image]) -> tuple[InstrumentDraft, ...
     )
 
 
-def _plane(planes: Sequence[StereoPlane]) -> Tissue | None:
-    """The median of several planes, and their spread."""
+def _surface(
+    recording: Recording, observations: Sequence[Observation], images: Sequence[Image]
+) -> TissueDraft | None:
+    """The plane through the tissue's surface as pairs of views show it; None where too few agree on one."""
+    if recording.right_camera is None:
+        return None
+    rules = _blank({}).model_copy(
+        update={"segmentation": AutoSegmentation(method="auto"), "tissue": FIRST_GUESS}
+    )
+    segmenter, deviations = AutoSegmenter().adapted_to(images), Deviations(CameraError())
+    offset_px = row_offset_to_remove_px(observations, rules)
+    clouds: list[Array] = []
+    stds_m: list[float] = []
+    for observation in observations:
+        scene = Scene(observation, rules, segmenter, offset_px)
+        surface, right = scene.stereo_surface, scene.observation.right
+        if surface is None or right is None:
+            continue
+        clouds.append(surface.points_m[:: max(1, len(surface.points_m) // POINTS_PER_PAIR)])
+        at_m = np.median(surface.points_m, 0)
+        biases = depth_biases(at_m, scene.observation.camera, right, deviations)
+        stds_m.append(float(np.sqrt(sum(float(np.sum(bias.jacobian**2)) for bias in biases))))
+    if len(clouds) < MIN_PLANES:
+        return None
+    points_m = np.concatenate(clouds)
+    normal = np.linalg.svd(points_m - points_m.mean(0), full_matrices=False)[2][2]
+    normal *= -np.sign(normal[2])
+    distances_m = np.array([-np.mean(cloud @ normal) for cloud in clouds])
+    heights_m = points_m @ normal - np.mean(points_m @ normal)
+    distance_std_m = np.hypot(np.median(stds_m), scale_of(distances_m - np.median(distances_m)))
+    return _tissue(
+        normal,
+        float(np.median(distances_m)),
+        (float(distance_std_m), 0.0, float(np.sqrt(np.mean(heights_m**2)))),
+        len(clouds),
+    )
+
+
+def _plane(planes: Sequence[StereoPlane]) -> TissueDraft | None:
+    """The median of several planes of the scene, and their spread."""
     if len(planes) < MIN_PLANES:
         return None
     normals = np.array([plane.normal for plane in planes])
     distances_m = np.array([plane.distance_m for plane in planes])
     normal = np.median(normals, axis=0)
     normal /= np.linalg.norm(normal)
+    tilt_std_rad = scale_of(np.arccos(np.clip(normals @ normal, -1.0, 1.0)))
+    distance_m = float(np.median(distances_m))
+    surface_std_m = max(float(np.median([plane.surface_std_m for plane in planes])), UNSEEN_SURFACE_STD_M)
+    stds = (max(scale_of(distances_m - distance_m), SCENE_PLANE_STD_M), tilt_std_rad, surface_std_m)
+    return _tissue(normal, distance_m, stds, len(planes), is_guess=True)
+
+
+def _tissue(
+    normal: Array,
+    distance_m: float,
+    stds: tuple[float, float, float],
+    pair_count: int,
+    is_guess: bool = False,
+) -> TissueDraft | None:
+    """A plane with deviations of its distance in m, its tilt in rad and the surface over it in m; None if steep."""
     if normal[2] > -0.3:
         return None
-    tilts_rad = np.arccos(np.clip(normals @ normal, -1.0, 1.0))
-    distance_m = float(np.median(distances_m))
-    surface_std_m = float(np.median([plane.surface_std_m for plane in planes]))
-    return Tissue.model_construct(  # what is found is written down, plausible or not
+    distance_std_m, tilt_std_rad, surface_std_m = stds
+    tissue = Tissue.model_construct(  # what is found is written down, plausible or not
         plane_normal=tuple(normal.tolist()),
         plane_distance_m=distance_m,
-        plane_distance_std_m=max(scale_of(distances_m - distance_m), LEAST_PLANE_STD_M),
-        plane_tilt_std_rad=max(scale_of(tilts_rad), LEAST_TILT_STD_RAD),
+        plane_distance_std_m=max(distance_std_m, LEAST_PLANE_STD_M),
+        plane_tilt_std_rad=max(tilt_std_rad, LEAST_TILT_STD_RAD),
         surface_std_m=max(surface_std_m, LEAST_SURFACE_STD_M),
     )
+    return TissueDraft(tissue, pair_count, is_guess)
 
 
 def _instrument(

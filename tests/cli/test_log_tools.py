@@ -221,9 +221,17 @@ def test_a_new_profile_measures(cli, tmp_path, golden):
     outcome = cli("profile", "new", log, "-o", mine)
     assert outcome.out == ""
     assert "a distal marker by its colour; the plane from both views" in outcome.err
+    assert "comparisons of the log with it: nothing contradicts" in outcome.err
     assert "shaft, stereo, kinematic, fused" in cli("info", log, "--profile", mine).out
     rows = cli("estimate", log, "--profile", mine, "--method", "fused", "-f", "csv").rows
     assert sum(row["status"] == "ok" for row in rows) > 40
+    truth = ("--truth", "ground_truth", "--topic", "ground_truth_distance=/ground_truth/distance")
+    scored = cli(
+        "validate", log, "--profile", mine, "--method", "shaft", *truth, "--alarm-below", "5mm", "-f", "csv"
+    )
+    overall = scored.rows[-1]
+    assert float(overall["clearance_interval_coverage"]) >= 0.9
+    assert float(overall["alarm_recall"]) == 1.0
     assert "exists already" in cli("profile", "new", log, "-o", mine, code=2).err
     cli("profile", "new", log, "--name", "theatre 1", "-o", mine, "--force")
     assert 'name = "theatre 1"' in mine.read_text("utf-8")

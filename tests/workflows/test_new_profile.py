@@ -1,6 +1,8 @@
 """A first profile: it loads, finds what the log shows, and `estimate` runs with it."""
 
+import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -8,11 +10,14 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.errors import RecordingError
+from svmdist.errors import RecordingError, UsageError
+from svmdist.estimation.checks import of_profile
+from svmdist.estimation.scene import Arm
 from svmdist.profile import Profile, load_profile
+from svmdist.profile.robot import Instrument
 from svmdist.recording.summary import inspect_recording
 from svmdist.recording.writer import RecordingWriter
-from svmdist.report.profile_template import profile_text
+from svmdist.report.profile_template import instrument_sizes, instrument_table, profile_text
 from svmdist.samples import CameraSample, ImageSample, PoseSample
 from svmdist.vision.colour import find_distinct_colour
 from svmdist.vision.stereo import fit_plane
@@ -36,10 +41,45 @@ def test_of_a_simulated_log(tmp_path):
         assert getattr(profile.topics, role) == getattr(shipped.topics, role), role
     assert (profile.frames.camera, profile.frames.base, profile.frames.tool) == ("camera", "base", "tool")
     assert profile.robot == shipped_robot("psm13")
-    # An organ of 8 mm stands on the simulator's floor, which is what most of the image shows.
-    assert abs(profile.tissue.plane_distance_m - shipped.tissue.plane_distance_m) < 8e-3
+    # The surface of an organ of 8 mm on the simulator's floor, in place of the floor.
+    height_m = shipped.tissue.plane_distance_m - profile.tissue.plane_distance_m
+    assert 3e-3 < height_m < 8e-3
+    assert 1e-3 <= profile.tissue.surface_std_m < 3e-3
     assert np.degrees(np.arccos(-profile.tissue.plane_normal[2])) < 5.0
-    assert profile.instrument.shaft_radius_m == 0.004
+
+
+def guesses(instrument: Instrument) -> dict[str, tuple[float, float]]:
+    """Guessed sizes with their deviations, in m."""
+    radius_m = instrument.shaft_radius_m
+    return {
+        "shaft_radius_m": (radius_m, instrument.shaft_radius_std_fraction * radius_m),
+        "shaft_end_m": (instrument.shaft_end_m, instrument.shaft_end_std_m),
+        "outline_end_m": (instrument.outline_end_m, instrument.outline_end_std_m),
+        "jaw_length_m": (instrument.jaw_length_m, instrument.body_std_m),
+    }
+
+
+def test_guesses_are_marked_and_as_uncertain_as_instruments_differ(tmp_path):
+    """The simulated instrument and a real needle driver are within two deviations; the table has only valid sizes."""
+    topics = ("/scope/image", "/scope/camera_info")
+    with RecordingWriter(tmp_path / "log.mcap", {}) as writer:
+        writer.write(topics[0], ImageSample(1, "camera", np.full((480, 640, 3), 90, np.uint8)))
+        writer.write(topics[1], CameraSample(1, CAMERA))
+    draft = draft_profile(tmp_path / "log.mcap", "mine", {})
+    assert draft.instrument == "unknown"
+    texts = {name: profile_text(replace(draft, instrument=name)) for name in instrument_table()}
+    found = {name: Profile.model_validate(tomllib.loads(text)).instrument for name, text in texts.items()}
+    others = (load_profile("psm13").instrument, found["large-needle-driver"])
+    for key, (size_m, std_m) in guesses(found["da-vinci-8mm"]).items():
+        assert all(abs(getattr(other, key) - size_m) <= 2.0 * std_m for other in others), key
+        assert f"{key} = " in texts["unknown"]
+    unmarked = re.findall(
+        r"^(?:\w+_m|\w+_fraction|\w+_std_\w+) = [^#]*(?:#(?!.*MEASURE$).*)?$", texts["unknown"], re.M
+    )
+    assert unmarked == ["shaft_length_m = 0.28"]
+    assert not [one for one in of_profile(Arm(load_profile("dvrk-psm"))) if one.deviations > 0.0]
+    with pytest.raises(UsageError, match="no instrument named needle"):
+        instrument_sizes("needle")
 
 
 @pytest.mark.slow
