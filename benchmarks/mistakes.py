@@ -203,7 +203,11 @@ def estimate(case: Case, log: Path, method: str, every: int) -> Ran:
             code = int(end.code or 0)
         except Exception as fault:  # a fault of the command's own
             return CRASHED, f"{type(fault).__name__}: {fault}", []
-    return code, err.getvalue(), json.loads(rows.read_text()) if rows.exists() else []
+    return (
+        code,
+        err.getvalue().replace(f"{case.folder}/", ""),
+        json.loads(rows.read_text()) if rows.exists() else [],
+    )
 
 
 def judged(ran: Ran, truth: DistanceTrack | None, is_control: bool) -> tuple[Any, ...]:
@@ -230,7 +234,9 @@ def judged(ran: Ran, truth: DistanceTrack | None, is_control: bool) -> tuple[Any
     else:
         verdict = "covered" if is_covered else "FAIL"
     far = 0 if is_warned else int(np.count_nonzero(stds > FAR_STDS))
-    said = [*contradictions, *(line for line in lines if "warning" in line), lines[-1]][0]
+    said = [*contradictions, *(line for line in lines if "warning" in line or "measured" in line), lines[-1]][
+        0
+    ]
     return verdict, len(ok), len(rows), float(stds.max(initial=0.0)), share, missed, len(unsafe), far, said
 
 
@@ -241,7 +247,7 @@ def verdicts(path: str, mistake: str, profile: str, methods: tuple[str, ...], ev
     for views, possible in VIEWS.items():
         with tempfile.TemporaryDirectory() as name:
             case = opened(path, profile, views, Path(name))
-            has_tag = case.metadata.get("tag", "yes") == "yes"
+            has_tag = case.metadata.get("tag") == "yes" or "scenario" not in case.metadata
             if mistake.startswith("tag"):
                 methods = tuple(method for method in methods if has_tag and method in ("fiducial", "fused"))
             with suppress(KeyError, StopIteration):  # the profile or the log has no such thing
