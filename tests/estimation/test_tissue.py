@@ -12,14 +12,16 @@ import pytest
 import trimesh
 
 from svmdist.camera import Camera
+from svmdist.estimation.distances import behind_tissue
 from svmdist.estimation.dome import DomeModel
 from svmdist.estimation.instrument.shaft_model import ShaftSizes
-from svmdist.estimation.tissue import detect_tissue, tissue_frame
-from svmdist.geometry import Capsules
+from svmdist.estimation.tissue import TissuePose, detect_tissue, tissue_frame
+from svmdist.geometry import Capsules, Cloud
 from svmdist.geometry.distance import separation
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.profile.robot import Dome
 from svmdist.recording.log import open_recording
+from svmdist.results import ToolPose
 from svmdist.samples import Observation, Status
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import Array, rotation_z, transform_points
@@ -178,3 +180,18 @@ def test_where_an_outline_ends_is_as_uncertain_as_clevises_differ():
         assert abs(end_m - unknown.outline_end_m) <= 1.001 * unknown.outline_end_std_m
     stated = ShaftSizes(instrument.model_copy(update={"outline_end_m": 0.0, "outline_end_std_m": 3e-3}))
     assert (stated.outline_end_m, stated.outline_end_std_m) == (0.0, 3e-3)
+
+
+@pytest.mark.parametrize(
+    ("behind_m", "std_m", "is_refused"), [(-5e-3, 2e-3, False), (4e-2, 2e-3, True), (4e-2, 2e-2, False)]
+)
+def test_a_tool_behind_a_measured_surface_is_not_far_from_it(behind_m, std_m, is_refused):
+    """Points have no inside: a tool behind the tissue's plane by more than is uncertain would seem safe."""
+    frame = SimpleNamespace(arm=SimpleNamespace(profile=PROFILE))
+    T = np.eye(4)
+    T[2, 3] = PROFILE.tissue.plane_distance_m + behind_m
+    pose = ToolPose(T, std_m**2 * np.eye(6), np.array([0.0, 0.0, 1.0]))
+    tissue = TissuePose(
+        np.array([0.0, 0.0, 0.112]), 1e-6 * np.eye(3), Cloud(np.zeros((1, 3))), 1e-3, is_measured=True
+    )
+    assert bool(behind_tissue(frame, pose, tissue)) == is_refused
