@@ -1,206 +1,63 @@
-"""Checks: what a log shows more than once must agree, within what profile and measurements say of themselves.
-
-A difference is one value by two independent ways, with its standard deviation, in one frame. Frames from all of a log
-are compared; one comparison is all differences of one kind. What differs by more than `MAX_DEVIATIONS` in two frames of
-five, and in two, contradicts: one frame alone may be mistaken. Each kind is a test of its own (Baarda 1968), so that
-the line says what to look at.
-"""
+"""Checks: what a log shows more than once, by two ways each, with what is uncertain of both."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from svmdist.estimation.comparison import (
+    DISPARITY,
+    FIELD,
+    HEIGHT,
+    IMAGE,
+    JAWS,
+    KINEMATICS,
+    MOTION,
+    SHAFT,
+    TAG,
+    TILT,
+    TISSUE,
+    VIEWS,
+    Difference,
+)
 from svmdist.estimation.dome import INNER_RADIUS
 from svmdist.estimation.frame import Frame
-from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.estimation.instrument.factors import marker_in, pair_markers
+from svmdist.estimation.instrument.factors import marker_in
 from svmdist.estimation.instrument.measurement import Deviations
-from svmdist.estimation.one_view import tool_from_tag
+from svmdist.estimation.instrument.model import joints_of, wrist_in_tool
 from svmdist.estimation.scene import Arm, Scene
-from svmdist.estimation.stereo import nominal_orientation_pose
 from svmdist.estimation.tissue_tracking import depth_biases
 from svmdist.geometry import Mesh
 from svmdist.geometry.distance import signed_distances
 from svmdist.kinematics import rows_behind_insertion
 from svmdist.least_squares import scale_of
+from svmdist.profile import Profile
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
 from svmdist.vision.lines import undistorted
-from svmdist.vision.stereo import corresponding_points
+from svmdist.vision.stereo import RectifiedPair, corresponding_points
 
-MAX_DEVIATIONS = (
-    4.0  # as of a constant: 1 normal error in 16,000 is beyond it, and stated deviations are rounded
-)
-MIN_FRAMES, MIN_SHARE = 2, 0.4  # that contradict, of those that compare
 MIN_MATCHES, MIN_FITTED = (
     8,
-    40,
-)  # points in both views that tell a median, and how rows change over the picture
+    60,
+)  # points of both views that tell a median, and how rows change over the picture
 MAX_ROWS_PX = 30.0  # by which rows of both views may differ to be compared at all
 FIELD_STD = 0.1  # logarithm: the bounds of a field of view are round numbers
 MARKER_STD = 0.42  # of a disc's visible middle, over its radius: one half may be hidden
 SHAPE_SHARE = 0.5  # of a surface's error by stereo, what is not its offset: measured on clean and wet tissue
 OUTLINE_STD = 0.06  # logarithm of the size of a tissue's outline: what hides it is completed
+JAW_STD_M = 1e-3  # of a jaw's length in the image: its tip is round, the mask's edge a pixel or two off
+JAW_STEP_M, JAW_REACH = 2.5e-4, 3.0  # along a jaw, and over its stated length
+MOTION_STD_M, MOTION_SHARE = (
+    2e-3,
+    0.05,
+)  # of a nominal distance between two frames: play, joints' stamps; offsets
+STEADY = 0.5  # of the deviation of a place in the image, what changes between frames
 POINTS = 60  # of the surface by stereo that are compared with a profile's mesh
-
-KINEMATICS, SHAFT, DISPARITY, TAG = "kinematics", "the shaft's width", "disparity", "the tag"
-MARKER = "the marker's size"
-TISSUE, VIEWS, FIELD = "tissue", "views", "field"
-HEIGHT = "height of the tissue"
-MISTAKES = {
-    KINEMATICS: (
-        "the camera-to-base transform (mm for m, inverse, order of the quaternion, moved since)",
-        "the chain (another robot's, modified for standard DH)",
-        "joints (order, signs, unit, late)",
-    ),
-    SHAFT: ("shaft_radius_m (a diameter?)", "the focal length (another zoom?)"),
-    DISPARITY: ("the baseline (unit, half, sign)", "exchanged or turned views"),
-    MARKER: ("knuckle_radius_m", "the focal length"),
-    TAG: ("the tag's size_m", "its link, place or rotation"),
-    TISSUE: ("[tissue]: plane, dome or mesh (place, tilt, height, unit, axes)", "focal length or baseline"),
-    VIEWS: (
-        "left and right exchanged",
-        "the baseline (unit, sign)",
-        "a lens stated of rectified images",
-        "a turned camera",
-    ),
-    FIELD: ("a unit (mm for m)", "a diameter for a radius", "[field], where this robot is another one"),
-}
-"""The mistakes that look like a contradiction of each source, the commonest first."""
-RELIES = {
-    "kinematic": {KINEMATICS, TISSUE, FIELD},
-    "fiducial": {TAG, TISSUE, FIELD},
-    "shaft": {SHAFT, MARKER, TISSUE, FIELD},
-    "stereo": {DISPARITY, VIEWS, SHAFT, MARKER, FIELD},
-    "fused": {KINEMATICS, SHAFT, MARKER, DISPARITY, TAG, VIEWS, TISSUE, FIELD},
-}
-"""What each method relies on; the planar ones rely on their calibration alone."""
-
-
-class Difference(NamedTuple):
-    """One value by one source less that by another, in one frame, and its standard deviation."""
-
-    what: str
-    sources: tuple[str, ...]
-    value: float
-    std: float
-    unit: str  # m, px, rad; empty for a logarithm
-
-    @property
-    def deviations(self) -> float:
-        """Over its standard deviation, without a sign."""
-        return abs(self.value) / self.std if self.std > 0.0 else np.inf if self.value else 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """All differences of one kind over a log: the usual one, and whether it contradicts."""
-
-    usual: Difference
-    frames: int
-    contradicting: int
-    least: int = 1  # frames that must contradict
-
-    @property
-    def contradicts(self) -> bool:
-        """Whether enough frames are beyond what is uncertain."""
-        return self.contradicting >= max(self.least, MIN_SHARE * self.frames)
-
-    @property
-    def verdict(self) -> str:
-        """`agrees` or `contradicts`."""
-        return "contradicts" if self.contradicts else "agrees"
-
-    @property
-    def against(self) -> str:
-        """The sources, in words."""
-        return " against ".join(self.usual.sources)
-
-    @property
-    def could_be(self) -> tuple[str, ...]:
-        """What mistakes look like this."""
-        two = 2 if len(self.usual.sources) > 1 else 4
-        return tuple(one for source in self.usual.sources for one in MISTAKES.get(source, ())[:two])
-
-    def with_mistakes(self) -> str:
-        """The sentence, and what to look at."""
-        return f"{self}; look at {', or '.join(self.could_be)}"
-
-    def __str__(self) -> str:
-        """A sentence for a person."""
-        found = self.usual
-        return (
-            f"{found.what}: {self.against} contradicts by {readable(found)}, {found.deviations:.0f} standard"
-            f" deviations, in {self.contradicting} of {self.frames} frames"
-        )
-
-
-@dataclass(frozen=True)
-class Checks:
-    """All comparisons of one instrument in a log."""
-
-    comparisons: tuple[Comparison, ...]
-
-    @classmethod
-    def of(cls, differences: Iterable[Difference], frames: int) -> Checks:
-        """Put the differences of some frames together by their kind, in the order in which they first came."""
-        kinds: dict[tuple[str, tuple[str, ...]], list[Difference]] = {}
-        for one in differences:
-            kinds.setdefault((one.what, one.sources), []).append(one)
-        return cls(tuple(_compared(ones, frames) for ones in kinds.values()))
-
-    @property
-    def contradictions(self) -> tuple[Comparison, ...]:
-        """Those that contradict, the worst first."""
-        found = [one for one in self.comparisons if one.contradicts]
-        return tuple(sorted(found, key=lambda one: -one.usual.deviations))
-
-    @property
-    def blamed(self) -> set[str]:
-        """The sources that may be wrong: of two that contradict the one that fewer others agree with, else both."""
-        votes: dict[str, int] = {}
-        for one in self.comparisons:
-            for source in one.usual.sources:
-                votes[source] = votes.get(source, 0) + (-1 if one.contradicts else 1)
-        blamed: set[str] = set()
-        for one in self.contradictions:
-            least = min(votes[source] for source in one.usual.sources)
-            blamed |= {source for source in one.usual.sources if votes[source] == least}
-        return blamed
-
-    def doubt(self, method: str) -> str:
-        """Why no row of a method can be trusted; empty where none of what it relies on is contradicted."""
-        wrong = RELIES.get(method, set()) & self.blamed
-        return next((str(one) for one in self.contradictions if wrong & set(one.usual.sources)), "")
-
-    @property
-    def tissue_off_m(self) -> float | None:
-        """By how much both views show the tissue elsewhere than the profile has it; None where they do not show it."""
-        return next((abs(one.usual.value) for one in self.comparisons if one.usual.what == HEIGHT), None)
-
-
-def _compared(ones: Sequence[Difference], frames: int) -> Comparison:
-    beyond = [one for one in ones if one.deviations > MAX_DEVIATIONS]
-    least = 1 if ones[0].sources == (FIELD,) else min(MIN_FRAMES, frames)
-    found = Comparison(ones[0], len(ones), len(beyond), least)
-    shown = sorted(beyond if found.contradicts else ones, key=lambda one: one.deviations)
-    return replace(found, usual=shown[len(shown) // 2])
-
-
-def readable(found: Difference) -> str:
-    """The difference with its unit."""
-    if not np.isfinite(found.value):
-        return "all"
-    scale, unit = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°"), "px": (1.0, "px")}.get(
-        found.unit, (100.0, "%")
-    )
-    return f"{scale * found.value:.3g}{'' if unit in '°%' else ' '}{unit}"
 
 
 def of_profile(arm: Arm) -> Iterator[Difference]:
@@ -226,14 +83,13 @@ def _bounded(what: str, value: float, bounds: tuple[float, float]) -> Difference
     return Difference(what, (FIELD,), off, FIELD_STD, "")
 
 
-def of_frame(frame: Frame) -> Iterator[Difference]:
-    """What one frame shows of one instrument more than once."""
-    sources, field = dict(_sources(frame)), frame.arm.profile.field
+def of_frame(frame: Frame, sources: Mapping[str, ToolPose]) -> Iterator[Difference]:
+    """What one frame shows of one instrument more than once; `sources` as by `places`."""
+    field = frame.arm.profile.field
     for source in (KINEMATICS, TAG):
         if (pose := sources.get(source)) is not None:
-            yield _bounded(
-                "distance of the tool from the camera", float(pose.position_m[2]), (0.0, field.depth_m)
-            )
+            depth = _bounded("distance of the tool", float(pose.position_m[2]), (0.0, field.depth_m))
+            yield depth._replace(sources=(source, FIELD))
             if pose.position_m[2] > 0.0:
                 yield from _against_image(frame, source, pose)
     for (one, pose), (other, reference) in combinations(sources.items(), 2):
@@ -241,52 +97,54 @@ def of_frame(frame: Frame) -> Iterator[Difference]:
         variance = ray @ (pose.position_covariance + reference.position_covariance) @ ray
         off_m = float(ray @ (pose.position_m - reference.position_m))
         yield Difference("depth of the tool", (one, other), off_m, float(np.sqrt(variance)), "m")
+    if (pose := sources.get(TAG) or sources.get(SHAFT)) is not None:
+        yield from _jaws(frame, pose)
 
 
-def _sources(frame: Frame) -> Iterator[tuple[str, ToolPose]]:
-    """The tool by each way that the log has; poses that their own image refutes are left out."""
-    arm, robot, pair, right = (
-        frame.arm,
-        frame.robot_in_camera,
-        frame.scene.stereo_pair,
-        frame.scene.observation.right,
-    )
-    error = arm.profile.kinematic_error
-    if not isinstance(robot, Failure):
-        yield KINEMATICS, nominal_tool(arm.required_chain, error, robot)
-    if arm.profile.segmentation.shaft is not None and arm.body is not None and arm.chain is not None:
-        fit = frame.shaft_pose
-        if not isinstance(fit, Failure):  # in doubt, too: what is wrong with a size makes it doubtful
-            yield SHAFT, fit.pose
-    size = _by_marker_size(frame)
-    if size is not None:
-        yield MARKER, size
-    if not isinstance(pair, Failure) and right is not None:
-        markers = pair_markers(frame, pair)
-        if not isinstance(markers, Failure):
-            anyhow = ToolPose(np.eye(4), np.eye(6), np.array([1.0, 0.0, 0.0]))
-            yield DISPARITY, nominal_orientation_pose(markers, pair, right, anyhow, arm.deviations)
-    fiducial, tag = arm.profile.fiducial, frame.tag
-    if fiducial is not None and tag is not None and not isinstance(frame.robot, Failure):
-        focal_px = np.diag(frame.left.camera.K)[:2]
-        yield TAG, tool_from_tag(tag, fiducial, frame.robot, error, arm.deviations, focal_px)
+def of_motion(places_m: Sequence[Mapping[str, ToolPose]]) -> Iterator[Difference]:
+    """How far the tool moved between two frames, nominally and by the images: no error of the base changes that."""
+    for source in (SHAFT, DISPARITY, TAG):
+        both = [one for one in places_m if source in one and KINEMATICS in one]
+        for one, other in combinations(both, 2):
+            seen, nominal = (one[name].position_m - other[name].position_m for name in (source, KINEMATICS))
+            length_m, nominal_m = float(np.linalg.norm(seen)), float(np.linalg.norm(nominal))
+            along = seen / max(length_m, 1e-9)
+            variance = float(
+                along @ (one[source].position_covariance + other[source].position_covariance) @ along
+            )
+            std_m = float(
+                np.linalg.norm([STEADY * np.sqrt(variance), MOTION_STD_M, MOTION_SHARE * nominal_m])
+            )
+            yield Difference(MOTION, (KINEMATICS, source), nominal_m - length_m, std_m, "m")
 
 
-def _by_marker_size(frame: Frame) -> ToolPose | None:
-    """The tool where the distal marker has its size; None where it is not whole."""
-    view, instrument = frame.left, frame.arm.profile.instrument
-    marker = view.distal_marker
-    if instrument is None or marker is None or marker.radius_px is None or marker.disc is None:
-        return None
-    depth_m = float(view.camera.K[0, 0]) * instrument.knuckle_radius_m / marker.radius_px
-    parts = (marker.radius_std_px / marker.radius_px, instrument.knuckle_radius_std_fraction)
-    std_m = depth_m * float(np.hypot(*parts))
-    ray = np.append(undistorted(view.camera, marker.disc.centre_px[None])[0], 1.0)
-    pose = np.eye(4)
-    pose[:3, 3] = depth_m * ray
-    covariance = np.eye(6)
-    covariance[:3, :3] = std_m**2 * np.outer(ray, ray) + 1e-8 * np.eye(3)
-    return ToolPose(pose, covariance, np.array([1.0, 0.0, 0.0]))
+def _jaws(frame: Frame, pose: ToolPose) -> Iterator[Difference]:
+    """The jaws' length: along a jaw the tissue's mask begins where it ends, before the tissue's border."""
+    arm, view, tissue = frame.arm, frame.left, frame.scene.tissue
+    instrument, q = arm.profile.instrument, joints_of(arm.chain, frame.joints)
+    is_coloured = view.masks.seen is None and view.distal_marker is not None
+    if instrument is None or q is None or tissue is None or not is_coloured or not pose.position_m[2] > 0.0:
+        return
+    mask = cv2.blur((view.masks.tissue > 0).astype(np.float32), (3, 3))
+    hull = np.zeros(mask.shape, np.uint8)
+    cv2.fillConvexPoly(hull, tissue.region.hull, 1)
+    inside = cv2.erode(hull, np.ones((5, 5), np.uint8))
+    along_m = np.arange(2.0 * instrument.knuckle_radius_m, JAW_REACH * instrument.jaw_length_m, JAW_STEP_M)
+    found = []
+    for jaw in wrist_in_tool(arm.required_chain, q).jaws:
+        points_m = pose.position_m + np.outer(along_m, pose.T_camera_tool[:3, :3] @ jaw.along)
+        at = np.rint(view.camera.project(points_m)).astype(np.int64)
+        kept = np.logical_and.accumulate(((at >= 0) & (at < mask.shape[::-1])).all(1))
+        at = at[kept]
+        is_tissue = mask[at[:, 1], at[:, 0]] > 0.7
+        end = int(np.argmax(is_tissue)) if is_tissue.any() else -1
+        if end > 0 and inside[at[end, 1], at[end, 0]]:
+            found.append(float(along_m[end]))
+    if found:
+        off_m = max(found) - instrument.jaw_radius_m - instrument.jaw_length_m
+        depth_std = float(np.sqrt(pose.covariance[2, 2])) / float(pose.position_m[2])
+        std_m = float(np.hypot(JAW_STD_M, depth_std * max(found)))
+        yield Difference("length of the jaws", (JAWS, IMAGE), off_m, std_m, "m")
 
 
 def _against_image(frame: Frame, source: str, pose: ToolPose) -> Iterator[Difference]:
@@ -333,7 +191,10 @@ def _std(value: float, deviations: float) -> float:
 
 
 def of_scene(scene: Scene) -> Iterator[Difference]:
-    """The tissue: a mesh against its outline, and the surface by both views against the profile's."""
+    """The baseline's sign; a mesh against the tissue's outline; the surface by both views against the profile's."""
+    right = scene.observation.right
+    if right is not None and right.T_left_right[0, 3] <= 0.0:
+        yield Difference("baseline", (VIEWS,), -np.inf, 1.0, "m")
     tissue, profile = scene.tissue, scene.profile
     if tissue is None or tissue.pose is None or profile.tissue is None:
         return
@@ -400,7 +261,7 @@ def _of_surface(scene: Scene) -> Iterator[Difference]:
     turned_rad = profile.camera_error.right_rotation_std_rad
     std_rad = float(np.linalg.norm([stated.plane_tilt_std_rad, own_m / reach_m, turned_rad, *of_fit[:2]]))
     tilt_rad = float(np.arctan(np.linalg.norm(fit[:2])))
-    yield Difference("tilt of the tissue", (TISSUE, DISPARITY), tilt_rad, std_rad, "rad")
+    yield Difference(TILT, (TISSUE, DISPARITY), tilt_rad, std_rad, "rad")
     rest = by_shape - B @ (P @ by_shape)
     shape_m = float(np.hypot(SHAPE_SHARE * surface.std_m, pose.surface_std_m))
     shape_m = float(np.sqrt(shape_m**2 + np.mean(np.einsum("ni,ij,nj->n", rest, of_shape, rest))))
@@ -409,47 +270,66 @@ def _of_surface(scene: Scene) -> Iterator[Difference]:
     )
 
 
-def of_views(scene: Scene) -> Iterator[Difference]:
-    """Both views against each other: the sign and size of their disparities, and how their rows differ."""
-    right, pair = scene.observation.right, scene.stereo_pair
-    if right is None or scene.right is None:
-        return
-    if isinstance(pair, Failure):
-        along_m = float(right.T_left_right[0, 3])
-        yield Difference("baseline", (VIEWS,), np.copysign(np.inf, along_m), 1.0, "m")
-        return
+class Matches(NamedTuple):
+    """Pixels of points that both views of a pair show, (n, 2) each, where rows correspond."""
+
+    pair: RectifiedPair
+    left_px: Array
+    right_px: Array
+
+
+def matched(scene: Scene) -> Matches | None:
+    """Points that look alike in both views, wherever in a row; None without a pair of cameras."""
+    pair = scene.stereo_pair
+    if isinstance(pair, Failure) or scene.right is None:
+        return None
+    left_px: Array
+    right_px: Array
     left_px, right_px = corresponding_points(scene.left.grey, scene.right.grey, MAX_ROWS_PX)
-    if len(left_px) < MIN_MATCHES:
-        return
-    at_left, at_right = (
-        _on_rows(pair.homography(right=side), px) for side, px in ((False, left_px), (True, right_px))
-    )
-    rows_px = at_right[:, 1] - at_left[:, 1]
-    disparity_px = at_left[:, 0] - at_right[:, 0] - pair.offset_px
-    field, focal_px = scene.profile.field, float(pair.K[0, 0])
-    middle_px = float(np.median(disparity_px))
-    # Of a median; points of one texture err alike.
-    middle_std_px = 1.25 * scale_of(disparity_px - middle_px) / np.sqrt(0.5 * len(disparity_px)) + 1.0
-    far_px, near_px = pair.disparity_at(field.depth_m), pair.disparity_at(field.least_depth_m)
-    off_px = min(middle_px - far_px, 0.0) + max(middle_px - near_px, 0.0)
-    yield Difference("disparities", (VIEWS,), off_px, float(middle_std_px), "px")
-    if len(left_px) < MIN_FITTED:
-        return
-    # Rows by x, y and xy: a turn about the view, another focal length, a toe-in; the constant part is removed.
-    x, y = ((at_left - pair.K[:2, 2]) / focal_px).T
-    B = np.column_stack([np.ones(len(x)), x, y, x * y])
-    weight = np.ones(len(x))
+    if len(left_px):
+        turned = (pair.homography(), left_px), (pair.homography(right=True), right_px)
+        left_px, right_px = (
+            np.asarray(cv2.perspectiveTransform(px[:, None], H)[:, 0], np.float64) for H, px in turned
+        )
+    return Matches(pair, left_px, right_px)
+
+
+def of_views(profile: Profile, found: Sequence[Matches]) -> Iterator[Difference]:
+    """Both views against each other: sign and size of their disparities, in each pair, and how rows of all differ."""
+    field = profile.field
+    rows: list[Array] = []
+    for pair, left_px, right_px in found:
+        disparity_px = left_px[:, 0] - right_px[:, 0] - pair.offset_px
+        if len(disparity_px) < MIN_MATCHES:
+            continue
+        middle_px = float(np.median(disparity_px))
+        # Of a median; points of one texture err alike.
+        std_px = 1.25 * scale_of(disparity_px - middle_px) / np.sqrt(0.5 * len(disparity_px)) + 0.5
+        far_px, near_px = pair.disparity_at(field.depth_m), pair.disparity_at(field.least_depth_m)
+        off_px = min(middle_px - far_px, 0.0) + max(middle_px - near_px, 0.0)
+        yield Difference("disparities", (VIEWS,), off_px, float(std_px), "px")
+        x, y = ((left_px - pair.K[:2, 2]) / pair.K[0, 0]).T
+        rows.append(np.column_stack([np.ones(len(x)), x, y, x * y, right_px[:, 1] - left_px[:, 1]]))
+    if sum(map(len, rows)) >= MIN_FITTED:
+        B, differences_px = np.split(np.concatenate(rows), [4], axis=1)
+        yield _bent_rows(profile, B, differences_px[:, 0], found[0].pair)
+
+
+def _bent_rows(profile: Profile, B: Array, rows_px: Array, pair: RectifiedPair) -> Difference:
+    """How rows differ by x, y and xy, of a turn about the view, another focal length, a lens; the worst of these."""
+    weight = np.ones(len(B))
     for _ in range(8):
         fit = np.linalg.lstsq(B * weight[:, None], rows_px * weight, rcond=None)[0]
-        left_over = rows_px - B @ fit
-        scale_px = scale_of(left_over) + 0.1
-        weight = 1.0 / np.sqrt(1.0 + (left_over / scale_px) ** 2)
-    bent_px = B[:, 1:] @ fit[1:]
-    rms_px = float(np.sqrt(np.mean((bent_px - bent_px.mean()) ** 2)))
-    turn_px = focal_px * scene.profile.camera_error.right_rotation_std_rad
-    yield Difference("rows of both views", (VIEWS,), rms_px, float(np.hypot(turn_px, 0.5)), "px")
-
-
-def _on_rows(H: Array, pixels: Array) -> Array:
-    moved = np.column_stack([pixels, np.ones(len(pixels))]) @ H.T
-    return np.asarray(moved[:, :2] / moved[:, 2:])
+        scale_px = scale_of(rows_px - B @ fit) + 0.05
+        weight = 1.0 / np.sqrt(1.0 + ((rows_px - B @ fit) / scale_px) ** 2)
+    covariance = (
+        2.0 * scale_px**2 * np.linalg.inv((B * weight[:, None] ** 2).T @ B)
+    )  # of one texture, err alike
+    error, focal_px = profile.camera_error, pair.K[0, 0]
+    turn_px = focal_px * error.right_rotation_std_rad
+    stated_px = np.array([turn_px, focal_px * error.focal_std_fraction, turn_px])
+    std_px = np.sqrt(np.diag(covariance)[1:] + stated_px**2)
+    reach = np.percentile(np.abs(B[:, 1:]), 95, axis=0)
+    worst = int(np.argmax(np.abs(fit[1:]) / std_px))
+    value_px, std = float(fit[1 + worst] * reach[worst]), float(std_px[worst] * reach[worst])
+    return Difference("rows of both views", (VIEWS,), value_px, std, "px")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 from svmdist.errors import printable
-from svmdist.estimation.checks import Checks, readable
+from svmdist.estimation.comparison import Checks, readable
 from svmdist.metrics import COUNT, RATIO, TEXT, Unit
 from svmdist.report.tables import Column, Row, Table, counted, render, row_of
 from svmdist.report.writers import Results

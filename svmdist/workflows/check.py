@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from svmdist.estimation import checks
-from svmdist.estimation.checks import Checks, Difference
+from svmdist.estimation.checks import Matches
+from svmdist.estimation.comparison import KINEMATICS, Checks, Difference
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.scene import Arm, Scene
+from svmdist.estimation.tool_places import places as places_of
 from svmdist.profile import Profile
 from svmdist.profile.robot import Tissue
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import EncodedObservation, Needs
-from svmdist.results import Failure
+from svmdist.results import Failure, ToolPose
 from svmdist.samples import Image, Observation, Rejection
 from svmdist.transforms import Array
 from svmdist.vision.colour import to_grey
@@ -25,8 +28,8 @@ from svmdist.vision.segmentation import LearningSegmenter, Segmenter, make_segme
 from svmdist.vision.stereo import RowOffset, agreed_offset, corresponding_points, rectified_pair
 from svmdist.workflows.request import CLEAN, ReplayCondition
 
-LOOKED_AT, CHECKED = 3, 6  # images, and up to twice as many, evenly over the log: before rows, and by `check`
-FIRST_COMPARED = 3  # of them; the others are where one of these differs by more than
+CHECKED = 6  # images, and up to twice as many, evenly over the log
+LOOKED_AT = 3  # of them before the first row; the others are where one of these differs by more than
 SUSPECT_DEVIATIONS = 2.5
 # A smaller offset is left: it does less harm than shifting an image between its pixels
 MIN_ROW_OFFSET_PX = 0.5
@@ -34,17 +37,32 @@ MIN_ROW_OFFSET_PX = 0.5
 SOMEWHERE = Tissue(plane_distance_m=0.1)  # of a profile without a tissue, whose instrument can be compared
 PAIRS = Needs(joints=False, transforms=False)  # a pass over the images that reads all else on its way
 
-Spread = Sequence[tuple[int, tuple[Observation, ...]]]
-"""Some of a log's observations, of each instrument, with the number of the image."""
+
+@dataclass
+class Sighted:
+    """One image of a log that may be looked at; it is decoded when it first is."""
+
+    encoded: EncodedObservation
+
+    @property
+    def number(self) -> int:
+        """Of the image in its log."""
+        return self.encoded.number
+
+    @cached_property
+    def seen(self) -> tuple[Observation, ...] | None:
+        """The observation of each instrument; None where it cannot be decoded."""
+        found = self.encoded.decode().found
+        return None if isinstance(found, Rejection) else found
 
 
 def images_to_look_at(segmenter: Segmenter) -> int:
-    """How many images are wanted: more where colours are learnt from them."""
-    return segmenter.adapting_frames if isinstance(segmenter, LearningSegmenter) else LOOKED_AT
+    """How many images are wanted: where colours are learnt from them it may be more."""
+    return max(CHECKED, segmenter.adapting_frames) if isinstance(segmenter, LearningSegmenter) else CHECKED
 
 
-def spread_observations(recording: Recording, count: int) -> list[tuple[int, tuple[Observation, ...]]]:
-    """Up to twice `count` of a log's observations with their numbers, evenly from its beginning to its end.
+def spread_observations(recording: Recording, count: int) -> list[Sighted]:
+    """Up to twice `count` of a log's observations, evenly from its beginning to its end.
 
     The log is read once, its length unknown: of those kept every second one goes whenever there are too many, so that
     memory does not grow with the log.
@@ -57,20 +75,21 @@ def spread_observations(recording: Recording, count: int) -> list[tuple[int, tup
             kept.append(one)
         if len(kept) > 2 * count:
             kept, stride = kept[::2], 2 * stride
-    decoded = ((one.number, one.decode().found) for one in recording.with_states(kept, names))
-    return [(number, found) for number, found in decoded if not isinstance(found, Rejection)]
+    return [Sighted(one) for one in recording.with_states(kept, names)]
 
 
 def adapted_segmenters(
-    segmenter: Segmenter, spread: Spread, conditions: Sequence[ReplayCondition]
+    segmenter: Segmenter, spread: Sequence[Sighted], conditions: Sequence[ReplayCondition]
 ) -> list[Segmenter]:
     """The segmenter for each condition: one that learns has seen images of all of the log under that condition."""
     if not isinstance(segmenter, LearningSegmenter):
         return [segmenter for _ in conditions]
 
     def images(condition: ReplayCondition) -> Iterator[Image]:
-        for number, seen in spread:
-            changed = condition.apply(seen[0], number)
+        for one in spread:
+            if one.seen is None:
+                continue
+            changed = condition.apply(one.seen[0], one.number)
             yield changed.image_bgr
             if changed.right is not None:
                 yield changed.right.image_bgr
@@ -93,9 +112,15 @@ def row_offset(pairs: Sequence[Observation], profile: Profile) -> RowOffset | No
 
 def row_offset_to_remove_px(seen: Sequence[Observation], profile: Profile) -> float:
     """The offset where it is more than the settings leave, and known; else 0."""
-    count = profile.stereo_in_range.row_pairs
-    offset = row_offset(seen[:: max(1, len(seen) // max(count, 1))][:count], profile)
+    offset = row_offset(seen, profile)
     return 0.0 if offset is None or abs(offset.px) < MIN_ROW_OFFSET_PX else offset.px
+
+
+def first_of(spread: Sequence[Sighted], profile: Profile) -> list[Observation]:
+    """The images that the offset of rows is found from."""
+    count = profile.stereo_in_range.row_pairs
+    few = spread[:: max(1, len(spread) // max(count, 1))][:count]
+    return [one.seen[0] for one in few if one.seen is not None]
 
 
 def _row_differences(seen: Observation, profile: Profile, step: int) -> Array:
@@ -135,37 +160,59 @@ def look(
 
 
 def checked(
-    spread: Spread,
+    spread: Sequence[Sighted],
     arms: Sequence[Arm],
     looked_at: Callable[[int, tuple[Observation, ...]], Looked],
-    least: int = FIRST_COMPARED,
+    least: int = LOOKED_AT,
+    pairs: int = 1,
 ) -> tuple[dict[str, Checks], dict[int, Looked]]:
     """The comparisons of each instrument by its name, and what was looked at for them by the number of the image.
 
-    The `least` images from all of the log are enough where nothing is suspect; else it is all of them.
+    The `least` images from all of the log, and points of so many `pairs`, are enough where nothing is suspect; else it
+    is all of them.
     """
     names = [arm.profile.instrument_name for arm in arms]
-    found: dict[str, list[Difference]] = {
+    by_name: dict[str, list[Difference]] = {
         name: list(checks.of_profile(arm)) for name, arm in zip(names, arms, strict=True)
     }
+    places: dict[str, list[dict[str, ToolPose]]] = {name: [] for name in names}
     order = list(dict.fromkeys(np.linspace(0, len(spread) - 1, least).round().astype(int).tolist()))
     order += [place for place in range(len(spread)) if place not in order]
     looked: dict[int, Looked] = {}
-    views_are_suspect = True
-    for place in order[: len(spread)]:
-        every = [one.deviations for ones in found.values() for one in ones]
-        if len(looked) >= least and max(every, default=0.0) < SUSPECT_DEVIATIONS:
+    matches: list[Matches] = []
+
+    def found() -> dict[str, list[Difference]]:
+        views = list(checks.of_views(arms[0].profile, matches))
+        return {name: [*by_name[name], *checks.of_motion(places[name]), *views] for name in names}
+
+    for place in order[: max(least, 2 * CHECKED)]:
+        is_suspect = any(d.deviations > SUSPECT_DEVIATIONS for ones in found().values() for d in ones)
+        if len(looked) >= least and not is_suspect:
             break
-        number, seen = spread[place]
-        one = looked[number] = looked_at(number, seen)
+        sighted = spread[place]
+        if sighted.seen is None:
+            continue
+        one = looked[sighted.number] = looked_at(sighted.number, sighted.seen)
         shared = list(checks.of_scene(one.scene))
-        if views_are_suspect:  # what is wrong with two cameras is so in every frame
-            of_views = list(checks.of_views(one.scene))
-            views_are_suspect = not of_views or any(d.deviations > SUSPECT_DEVIATIONS for d in of_views)
-            shared += of_views
-        for differences, frame in zip(found.values(), one.frames, strict=True):
-            differences += [*shared, *checks.of_frame(frame)]
-    return {name: Checks.of(differences, len(looked)) for name, differences in found.items()}, looked
+        if (is_suspect or len(matches) < pairs) and (found_here := checks.matched(one.scene)) is not None:
+            matches.append(found_here)
+        for name, frame in zip(names, one.frames, strict=True):
+            here = places_of(frame)
+            if (
+                not one.is_final
+            ):  # kinematics told which instrument is which: they are no evidence of their own
+                here.pop(KINEMATICS, None)
+            places[name].append(here)
+            by_name[name] += [*shared, *checks.of_frame(frame, here)]
+    return {name: Checks.of(ones, len(looked)) for name, ones in found().items()}, looked
+
+
+def views_contradiction(pairs: Iterable[Observation], profile: Profile) -> str:
+    """Why both views cannot be those of their cameras, whatever they show; empty where they can be."""
+    segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
+    scenes = [Scene(one, profile, segmenter) for one in pairs if one.right is not None]
+    matches = [found for scene in scenes if (found := checks.matched(scene)) is not None]
+    return warning({"": Checks.of(checks.of_views(profile, matches), len(matches))})
 
 
 def warning(found: Mapping[str, Checks]) -> str:
@@ -181,9 +228,11 @@ def check_log(recording: Recording, profile: Profile) -> dict[str, Checks]:
     """All comparisons that a log and a profile allow, by the name of the instrument; RecordingError without images."""
     profile = profile.model_copy(update={"tissue": profile.tissue or SOMEWHERE})
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
-    spread = spread_observations(recording, max(CHECKED, images_to_look_at(segmenter)))
+    spread = spread_observations(recording, images_to_look_at(segmenter))
     (segmenter,) = adapted_segmenters(segmenter, spread, [CLEAN])
     arms = [Arm(profile.for_instrument(name)) for name in recording.instruments]
-    row_offset_px = row_offset_to_remove_px([one[0] for _, one in spread], profile)
-    few = spread[:: -(-len(spread) // (2 * CHECKED))]
-    return checked(few, arms, lambda _, seen: look(seen, arms, segmenter, row_offset_px), len(few))[0]
+    row_offset_px = row_offset_to_remove_px(first_of(spread, profile), profile)
+    few = spread[:: max(1, -(-len(spread) // (2 * CHECKED)))]
+    return checked(few, arms, lambda _, seen: look(seen, arms, segmenter, row_offset_px), len(few), len(few))[
+        0
+    ]

@@ -12,19 +12,31 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import version
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from svmdist.camera import Camera
+from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import SourceError, SvmdistError, UsageError
 from svmdist.importing import tables as table_files
 from svmdist.importing.calibration import CalibrationOptions, Crop, complete, stated_cameras
 from svmdist.importing.images import Video, list_images, matching, require_one_view
-from svmdist.profile import Limits
+from svmdist.profile import Limits, load_profile
 from svmdist.recording.images import ImageError, decode_file, read_file, still_size
 from svmdist.recording.writer import EncodedSample, RecordingWriter, encode_still
-from svmdist.samples import CameraSample, Image, ImageSample, JointSample, PoseSample, Sample
+from svmdist.samples import (
+    CameraSample,
+    Image,
+    ImageSample,
+    JointSample,
+    Observation,
+    PoseSample,
+    RightView,
+    Sample,
+)
+from svmdist.transforms import Array
+from svmdist.workflows.check import LOOKED_AT, views_contradiction
 from svmdist.workflows.parallel import Progress
 
 LIMITS = Limits()
@@ -112,6 +124,11 @@ def import_log(
         "version_svmdist": version("svmdist"),
     }
     counts: Counter[str] = Counter()
+    T_left_right = stereo_transform(*cameras) if given.count == 2 else None
+    if T_left_right is not None:
+        few = islice(_pairs(views, cameras, T_left_right, options), LOOKED_AT)
+        if said := views_contradiction(few, load_profile()):
+            raise SourceError(f"no log is written: {said}")
     writer = RecordingWriter(output, metadata, force=force, jpeg_quality=options.jpeg_quality)
     try:
         with writer:
@@ -125,23 +142,14 @@ def import_log(
             if writer.opened:
                 writer.part_path.unlink(missing_ok=True)
         raise
-    has_baseline = None if given.count == 1 else bool(np.any(np.asarray(cameras[1].P)[:2, 3]))
+    has_baseline = None if given.count == 1 else T_left_right is not None
     return ImportResult(output, dict(counts), output.stat().st_size, has_baseline)
 
 
 def _image_messages(
     views: Sequence[View], at: int, cameras: Sequence[Camera], options: ImportOptions
 ) -> Iterator[Message]:
-    view = views[at]
-    for place, picture in view.read():
-        stamp_ns, parts = view.stamps_ns[place], [picture]
-        side_by_side, crop = options.views.side_by_side, options.views.crop
-        if side_by_side or crop:
-            name = view.names[place]
-            image = decode_file(picture, name, LIMITS) if isinstance(picture, bytes) else picture
-            halves = np.split(image, 2, axis=1) if side_by_side else [image]
-            x, y, width, height = crop or (0, 0, *halves[0].shape[1::-1])
-            parts = [np.ascontiguousarray(half[y : y + height, x : x + width]) for half in halves]
+    for stamp_ns, parts in _pictures(views[at], options.views):
         for side, part in enumerate(parts, at):
             if isinstance(part, bytes):
                 message: Sample | EncodedSample = encode_still(stamp_ns, FRAMES[side], part, LIMITS)
@@ -149,6 +157,32 @@ def _image_messages(
                 message = ImageSample(stamp_ns, FRAMES[side], part)
             yield stamp_ns, f"/ECM/{SIDES[side]}/camera_info", CameraSample(stamp_ns, cameras[side])
             yield stamp_ns, f"/ECM/{SIDES[side]}/image", message
+
+
+def _pictures(view: View, options: ViewOptions) -> Iterator[tuple[int, Sequence[Picture]]]:
+    """The stamps of a stream, each with its picture, cropped, or with both that stand side by side."""
+    for place, picture in view.read():
+        parts: Sequence[Picture] = [picture]
+        if options.side_by_side or options.crop:
+            image = decoded(picture, view.names[place])
+            halves = np.split(image, 2, axis=1) if options.side_by_side else [image]
+            x, y, width, height = options.crop or (0, 0, *halves[0].shape[1::-1])
+            parts = [np.ascontiguousarray(half[y : y + height, x : x + width]) for half in halves]
+        yield view.stamps_ns[place], parts
+
+
+def decoded(picture: Picture, name: str) -> Image:
+    """The pixels of a picture, BGR."""
+    return decode_file(picture, name, LIMITS) if isinstance(picture, bytes) else picture
+
+
+def _pairs(
+    views: Sequence[View], cameras: Sequence[Camera], T_left_right: Array, options: ImportOptions
+) -> Iterator[Observation]:
+    """Both views at each time, in order; from two streams those that stand at one place."""
+    for each in zip(*(_pictures(view, options.views) for view in views), strict=False):
+        left, right = (decoded(part, "the picture") for _, parts in each for part in parts)
+        yield Observation(each[0][0], left, cameras[0], right=RightView(right, cameras[1], T_left_right))
 
 
 def _table_messages(options: ImportOptions, times: table_files.ImageTimes) -> list[list[Message]]:

@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING, TypedDict
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.checks import Checks
+from svmdist.estimation.comparison import Checks
 from svmdist.estimation.frame import Frame, Needs, prefetch
 from svmdist.estimation.scene import Arm, Scene
+from svmdist.profile.robot import Tissue
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import Decoded, EncodedObservation
@@ -35,6 +36,7 @@ from svmdist.workflows.check import (
     Looked,
     adapted_segmenters,
     checked,
+    first_of,
     images_to_look_at,
     look,
     row_offset_to_remove_px,
@@ -211,7 +213,7 @@ class _Replay:
         if profile.tissue is None:
             return
         if needs_rows:
-            self._row_offset_px = row_offset_to_remove_px([one[0] for _, one in spread], profile)
+            self._row_offset_px = row_offset_to_remove_px(first_of(spread, profile), profile)
         for at, (condition, segmenter) in enumerate(zip(self._conditions, self._segmenters, strict=True)):
 
             def looked(number: int, seen: tuple[Observation, ...]) -> Looked:
@@ -223,14 +225,28 @@ class _Replay:
         first = self._checks[0]
         if self._conditions[0] == CLEAN and (said := warning(first)):
             health.add(Loss(LossKind.CONTRADICTION, said))
-        off_m = next((one.tissue_off_m for one in first.values() if one.tissue_off_m is not None), None)
-        std_m = profile.tissue.unverified_std_m if off_m is None else off_m
-        if std_m > profile.tissue.plane_distance_std_m:
-            self._setup = self._setup.with_tissue_std(std_m)
-            arms, names = self._arms, [arm.profile.instrument_name for arm in self._arms]
-            self._arms = [Arm(self._setup.profile.for_instrument(name)) for name in names]
-            self._stereo_arms = self._arms if off_m is None else arms
-            self._looked.clear()
+        self._doubt_tissue(profile.tissue, list(first.values()))
+
+    def _doubt_tissue(self, stated: Tissue, found: Sequence[Checks]) -> None:
+        """Let the tissue be as uncertain as it is seen elsewhere, or as a guess where no second view shows it.
+
+        A method that measures its height and surface itself is only told where its shape is another one.
+        """
+        off_m = next((one.tissue_off_m for one in found if one.tissue_off_m is not None), None)
+        shape_m = max(one.tissue_shape_off_m for one in found)
+        std_m = stated.unverified_std_m if off_m is None else off_m
+        if stated.mesh is not None:
+            shape_m = max(shape_m, off_m or 0.0)
+        if std_m <= stated.plane_distance_std_m and shape_m == 0.0:
+            return
+        setup = self._setup
+        self._stereo_arms = self._arms_of(setup.with_tissue_std(std_m if off_m is None else 0.0, shape_m))
+        self._setup = setup.with_tissue_std(std_m, shape_m)
+        self._arms = self._arms_of(self._setup)
+        self._looked.clear()
+
+    def _arms_of(self, setup: Setup) -> list[Arm]:
+        return [Arm(setup.profile.for_instrument(arm.profile.instrument_name)) for arm in self._arms]
 
     def _lane(self, setup: Setup, known: Mapping[str, Checks]) -> MultiInstrumentEstimator:
         """A method on the wanted instruments; one that measures the tissue itself takes the profile as it is."""

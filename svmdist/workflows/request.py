@@ -217,13 +217,15 @@ class Setup:
         error = self.profile.kinematic_error.model_copy(update={"time_offset_std_s": std_s})
         return replace(self, profile=self.profile.model_copy(update={"kinematic_error": error}))
 
-    def with_tissue_std(self, std_m: float) -> Setup:
-        """The same where the tissue may be elsewhere by another standard deviation than the profile states."""
+    def with_tissue_std(self, std_m: float, shape_std_m: float = 0.0) -> Setup:
+        """The same where the tissue's place, and its shape, have another standard deviation beside the stated one."""
         profile, tissue = self.profile, self.profile.tissue
         if tissue is None:
             return self
         std_m = math.hypot(tissue.plane_distance_std_m, std_m)
-        tissue = tissue.model_copy(update={"plane_distance_std_m": std_m})
+        shape_std_m = math.hypot(tissue.surface_std_m, shape_std_m)
+        update = {"plane_distance_std_m": std_m, "surface_std_m": shape_std_m}
+        tissue = tissue.model_copy(update=update)
         return replace(self, profile=profile.model_copy(update={"tissue": tissue}))
 
     def was_fitted_on(self, recording: Recording) -> bool:

@@ -14,7 +14,7 @@ from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import CameraSample, ImageSample
 from svmdist.workflows import replay
-from svmdist.workflows.check import row_offset, row_offset_to_remove_px
+from svmdist.workflows.check import first_of, row_offset, row_offset_to_remove_px, spread_observations
 from svmdist.workflows.request import prepare
 
 CAMERA = Camera.from_horizontal_fov(420, 280, np.pi / 3)
@@ -49,10 +49,10 @@ def log(path: Path, rows_px: float, apart_ns: int = 0) -> Path:
 def test_the_offset_of_a_log_is_found(tmp_path, rows_px):
     """To a tenth of a pixel; none, or less than half a pixel, is left alone."""
     recording = open_recording(log(tmp_path / "pair.mcap", rows_px), PROFILE)
-    seen = list(recording.observations())
-    found = row_offset(seen[::2], PROFILE)
+    spread = spread_observations(recording, 4)
+    found = row_offset(first_of(spread, PROFILE), PROFILE)
     assert found.px == pytest.approx(rows_px, abs=0.1)
-    removed_px = row_offset_to_remove_px(seen, PROFILE)
+    removed_px = row_offset_to_remove_px(first_of(spread, PROFILE), PROFILE)
     assert removed_px == (found.px if rows_px else 0.0)
 
 

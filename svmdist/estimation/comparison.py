@@ -1,0 +1,205 @@
+"""Comparisons of two independent sources over a log: what contradicts, who is to blame, and what it could be.
+
+A difference is one value by two ways, with its standard deviation, in one frame or between two. A comparison is all
+differences of one kind, from frames of all of a log. What differs by more than `MAX_DEVIATIONS` in two frames of five,
+and in two, contradicts: one frame alone may be mistaken. Each kind is a test of its own (Baarda 1968), so that its line
+says what to look at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+MAX_DEVIATIONS = 3.5  # 1 normal error in 2,000 is beyond it; of clean logs, none beyond 3.2
+MIN_FRAMES, MIN_SHARE = 2, 0.4  # that contradict, of those that compare
+MIN_MOTIONS, MOST = 4, 0.55  # of pairs of frames: one mistaken frame is in half of those of four
+
+KINEMATICS, SHAFT, DISPARITY, TAG = "kinematics", "the shaft's width", "disparity", "the tag"
+MARKER = "the marker's size"
+TISSUE, VIEWS, FIELD, JAWS, IMAGE = "tissue", "views", "field", "jaw_length_m", "the image"
+HEIGHT, TILT, SHAPE = "height of the tissue", "tilt of the tissue", "shape of the tissue"
+MOTION = "motion of the tool"
+OTHER_SHAPE_DEVIATIONS = (
+    1.5  # of tilt or shape, beyond which a surface that is seen is better than a stated one
+)
+BORDER_M = 0.02  # of an organ, from its middle
+MISTAKES = {
+    KINEMATICS: (
+        "the camera-to-base transform (mm for m, inverse, order of the quaternion, moved since)",
+        "the chain (another robot's, modified for standard DH)",
+        "joints (order, signs, unit, late)",
+    ),
+    SHAFT: ("shaft_radius_m (a diameter?)", "the focal length (another zoom?)"),
+    DISPARITY: ("the baseline (unit, half, sign)", "exchanged or turned views"),
+    MARKER: ("knuckle_radius_m", "the focal length"),
+    JAWS: ("jaw_length_m (a whole jaw, or the part behind the marker?)",),
+    TAG: ("the tag's size_m", "its link, place or rotation"),
+    TISSUE: ("[tissue]: plane, dome or mesh (place, tilt, height, unit, axes)", "focal length or baseline"),
+    VIEWS: (
+        "left and right exchanged",
+        "the baseline (unit, sign)",
+        "a lens stated of rectified images",
+        "a turned camera",
+    ),
+    FIELD: ("a unit (mm for m)", "a diameter for a radius", "[field], where this robot is another one"),
+}
+"""The mistakes that look like a contradiction of each source, the commonest first."""
+ALL_RELY = {KINEMATICS, TISSUE, FIELD, JAWS}  # on joints of the wrist, too, where the base may be anywhere
+RELIES = {
+    "kinematic": ALL_RELY,
+    "fiducial": ALL_RELY | {TAG},
+    "shaft": ALL_RELY | {SHAFT, MARKER},
+    "stereo": ALL_RELY | {DISPARITY, VIEWS, SHAFT, MARKER},
+    "fused": ALL_RELY | {DISPARITY, VIEWS, SHAFT, MARKER, TAG},
+}
+"""What each method relies on; the planar ones rely on their calibration alone."""
+
+
+class Difference(NamedTuple):
+    """One value by one source less that by another, in one frame, and its standard deviation."""
+
+    what: str
+    sources: tuple[str, ...]
+    value: float
+    std: float
+    unit: str  # m, px, rad; empty for a logarithm
+
+    @property
+    def deviations(self) -> float:
+        """Over its standard deviation, without a sign."""
+        return abs(self.value) / self.std if self.std > 0.0 else np.inf if self.value else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """All differences of one kind over a log: the usual one, and whether it contradicts."""
+
+    usual: Difference
+    frames: int
+    contradicting: int
+    least: int = 1  # frames that must contradict, and of all that compare
+    share: float = MIN_SHARE
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether enough frames are beyond what is uncertain."""
+        return self.contradicting >= max(self.least, self.share * self.frames)
+
+    def agrees_within(self, bound: float, what: str) -> bool:
+        """Whether it compares the same by other sources, does not contradict, and would show such a difference."""
+        return self.usual.what == what and not self.contradicts and self.usual.std < bound
+
+    @property
+    def verdict(self) -> str:
+        """`agrees` or `contradicts`."""
+        return "contradicts" if self.contradicts else "agrees"
+
+    @property
+    def against(self) -> str:
+        """The sources, in words."""
+        return " against ".join(self.usual.sources)
+
+    @property
+    def could_be(self) -> tuple[str, ...]:
+        """What mistakes look like this."""
+        two = 2 if len(self.usual.sources) > 1 else 4
+        return tuple(one for source in self.usual.sources for one in MISTAKES.get(source, ())[:two])
+
+    def with_mistakes(self) -> str:
+        """The sentence, and what to look at."""
+        return f"{self}; look at {', or '.join(self.could_be)}"
+
+    def __str__(self) -> str:
+        """A sentence for a person."""
+        found = self.usual
+        return (
+            f"{found.what}: {self.against} contradicts by {readable(found)}, {found.deviations:.0f} standard"
+            f" deviations, in {self.contradicting} of {self.frames} frames"
+        )
+
+
+@dataclass(frozen=True)
+class Checks:
+    """All comparisons of one instrument in a log."""
+
+    comparisons: tuple[Comparison, ...]
+
+    @classmethod
+    def of(cls, differences: Iterable[Difference], frames: int) -> Checks:
+        """Put the differences of some frames together by their kind, in the order in which they first came."""
+        kinds: dict[tuple[str, tuple[str, ...]], list[Difference]] = {}
+        for one in differences:
+            kinds.setdefault((one.what, one.sources), []).append(one)
+        return cls(tuple(_compared(ones, frames) for ones in kinds.values()))
+
+    @property
+    def contradictions(self) -> tuple[Comparison, ...]:
+        """Those that contradict, the worst first."""
+        found = [one for one in self.comparisons if one.contradicts]
+        return tuple(sorted(found, key=lambda one: -one.usual.deviations))
+
+    @property
+    def blamed(self) -> set[str]:
+        """The sources that may be wrong: of those that contradict the one that fewest others agree with, or all.
+
+        An agreement counts where it is sharp enough to have shown the contradiction.
+        """
+        blamed: set[str] = set()
+        for wrong in self.contradictions:
+            bound = abs(wrong.usual.value) / MAX_DEVIATIONS
+            sharp = [
+                one.usual.sources for one in self.comparisons if one.agrees_within(bound, wrong.usual.what)
+            ]
+            votes = {source: sum(source in sources for sources in sharp) for source in wrong.usual.sources}
+            blamed |= {source for source, count in votes.items() if count == min(votes.values())}
+        return blamed
+
+    def doubt(self, method: str) -> str:
+        """Why no row of a method can be trusted; empty where none of what it relies on is contradicted."""
+        wrong = RELIES.get(method, set()) & self.blamed
+        return next((str(one) for one in self.contradictions if wrong & set(one.usual.sources)), "")
+
+    @property
+    def tissue_off_m(self) -> float | None:
+        """By how much both views show the tissue elsewhere than the profile has it; None where they do not show it."""
+        found = self._usual(HEIGHT)
+        return None if found is None else abs(found.value)
+
+    @property
+    def tissue_shape_off_m(self) -> float:
+        """By how much its shape is another one at its border, tilt and all; 0 where it is as stated."""
+        tilt, shape = self._usual(TILT), self._usual(SHAPE)
+        if tilt is None or shape is None or max(tilt.deviations, shape.deviations) < OTHER_SHAPE_DEVIATIONS:
+            return 0.0
+        return float(np.hypot(tilt.value * BORDER_M, 2.0 * shape.value))
+
+    def _usual(self, what: str) -> Difference | None:
+        return next((one.usual for one in self.comparisons if one.usual.what == what), None)
+
+
+def _compared(ones: Sequence[Difference], frames: int) -> Comparison:
+    beyond = [one for one in ones if one.deviations > MAX_DEVIATIONS]
+    least, share = min(MIN_FRAMES, frames), MIN_SHARE
+    if ones[0].what == MOTION:
+        least, share = MIN_MOTIONS, MOST
+    elif JAWS in ones[0].sources:  # a hole in a mask behind them may be anything dark
+        share = MOST
+    elif ones[0].sources in ((FIELD,), (VIEWS,)):  # of a profile, or of many points
+        least = 1
+    found = Comparison(ones[0], len(ones), len(beyond), least, share)
+    shown = sorted(beyond if found.contradicts else ones, key=lambda one: one.deviations)
+    return replace(found, usual=shown[len(shown) // 2])
+
+
+def readable(found: Difference) -> str:
+    """The difference with its unit."""
+    if not np.isfinite(found.value):
+        return "all"
+    scale, unit = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°"), "px": (1.0, "px")}.get(
+        found.unit, (100.0, "%")
+    )
+    return f"{scale * found.value:.3g}{'' if unit in '°%' else ' '}{unit}"

@@ -1,0 +1,94 @@
+"""The tool by each independent way that one frame has: kinematics, shaft, marker, disparity, tag."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from svmdist.estimation.comparison import DISPARITY, KINEMATICS, MARKER, SHAFT, TAG
+from svmdist.estimation.frame import Frame
+from svmdist.estimation.instrument.error_model import nominal_tool
+from svmdist.estimation.instrument.factors import pair_markers
+from svmdist.estimation.one_view import tool_from_tag
+from svmdist.estimation.stereo import nominal_orientation_pose
+from svmdist.results import Failure, ToolPose
+from svmdist.transforms import Array
+from svmdist.vision.lines import axis_of_cylinder, undistorted
+
+WRIST_STD_M = 5e-3  # by which the shaft's axis passes before or behind the marker, where the wrist is bent
+
+
+def places(frame: Frame) -> dict[str, ToolPose]:
+    """The tool by each way that the log has."""
+    return dict(_places(frame))
+
+
+def _places(frame: Frame) -> Iterator[tuple[str, ToolPose]]:
+    arm, robot, pair, right = (
+        frame.arm,
+        frame.robot_in_camera,
+        frame.scene.stereo_pair,
+        frame.scene.observation.right,
+    )
+    error = arm.profile.kinematic_error
+    if not isinstance(robot, Failure):
+        yield KINEMATICS, nominal_tool(arm.required_chain, error, robot)
+    if arm.profile.segmentation.shaft is not None and arm.body is not None and arm.chain is not None:
+        fit = frame.shaft_pose
+        # In doubt, too: what is wrong with a size makes it doubtful. Without the sides it is by the marker's size.
+        if not isinstance(fit, Failure) and len([name for name in fit.used if name.startswith("edge")]) == 2:
+            yield SHAFT, fit.pose
+        elif (pose := _by_width(frame)) is not None:
+            yield SHAFT, pose
+    size = _by_marker_size(frame)
+    if size is not None:
+        yield MARKER, size
+    if not isinstance(pair, Failure) and right is not None:
+        markers = pair_markers(frame, pair)
+        if not isinstance(markers, Failure):
+            anyhow = ToolPose(np.eye(4), np.eye(6), np.array([1.0, 0.0, 0.0]))
+            yield DISPARITY, nominal_orientation_pose(markers, pair, right, anyhow, arm.deviations)
+    fiducial, tag = arm.profile.fiducial, frame.tag
+    if fiducial is not None and tag is not None and not isinstance(frame.robot, Failure):
+        focal_px = np.diag(frame.left.camera.K)[:2]
+        yield TAG, tool_from_tag(tag, fiducial, frame.robot, error, arm.deviations, focal_px)
+
+
+def _at_depth(depth_m: float, std_m: float, ray: Array) -> ToolPose:
+    """A tool of which only the depth along a ray, (3,) with z = 1, is known."""
+    T, covariance = np.eye(4), np.eye(6)
+    T[:3, 3] = depth_m * ray
+    covariance[:3, :3] = std_m**2 * np.outer(ray, ray) + 1e-8 * np.eye(3)
+    return ToolPose(T, covariance, np.array([1.0, 0.0, 0.0]))
+
+
+def _by_width(frame: Frame) -> ToolPose | None:
+    """The tool where the shaft's axis passes before or behind the marker, by both sides; None without them."""
+    view, instrument, marker = frame.left, frame.arm.profile.instrument, frame.left.distal_marker
+    if instrument is None or marker is None or len(view.shaft.contours) < 2 or view.shaft.is_stub:
+        return None
+    planes = [contour.plane for contour in view.shaft.contours]
+    axis = axis_of_cylinder(planes[0], planes[1], instrument.shaft_radius_m)
+    if axis is None:
+        return None
+    ray = np.append(undistorted(view.camera, marker.centre_px[None])[0], 1.0)
+    to_ray = np.column_stack([axis.direction, -ray])
+    along_m = float(np.linalg.lstsq(to_ray, -axis.point_m, rcond=None)[0][0])
+    depth_m = float((axis.point_m + along_m * axis.direction)[2])
+    width = float(np.linalg.norm(np.cross(planes[0].normal, planes[1].normal)))
+    width_std = float(np.sqrt(sum(np.trace(plane.covariance) for plane in planes))) / max(width, 1e-6)
+    std = float(np.hypot(width_std, instrument.shaft_radius_std_fraction))
+    return _at_depth(depth_m, float(np.hypot(std * depth_m, WRIST_STD_M)), ray) if depth_m > 0.0 else None
+
+
+def _by_marker_size(frame: Frame) -> ToolPose | None:
+    """The tool where the distal marker has its size; None where it is not whole."""
+    view, instrument = frame.left, frame.arm.profile.instrument
+    marker = view.distal_marker
+    if instrument is None or marker is None or marker.radius_px is None or marker.disc is None:
+        return None
+    depth_m = float(view.camera.K[0, 0]) * instrument.knuckle_radius_m / marker.radius_px
+    std = float(np.hypot(marker.radius_std_px / marker.radius_px, instrument.knuckle_radius_std_fraction))
+    ray = np.append(undistorted(view.camera, marker.disc.centre_px[None])[0], 1.0)
+    return _at_depth(depth_m, std * depth_m, ray)
