@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.dome import INNER_RADIUS
+from svmdist.estimation.dome import INNER_RADIUS, DomeModel
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
@@ -22,7 +22,7 @@ from svmdist.estimation.tissue import (
     tissue_plane,
 )
 from svmdist.geometry import Cloud
-from svmdist.least_squares import median
+from svmdist.least_squares import median, scale_of
 from svmdist.profile.robot import Tissue
 from svmdist.profile.settings import TissueTrackingSettings
 from svmdist.samples import RightView
@@ -163,6 +163,9 @@ def depth_biases(
     return tuple(bias.scaled(p_camera_m[2] / disparity_px) for bias in biases)
 
 
+MAX_SHAPE_STDS = (
+    2.0  # beyond, a surface that is seen is better than a shape; it costs nothing but a wider interval
+)
 OFF_PLANE_STDS = 3.5  # of the surface by stereo from the profile's, above which they contradict each other
 
 
@@ -256,9 +259,23 @@ class FollowedTissue:
         covariance, coupling = kalman.coupled((*height.biases(place_m / plane.offset_m), *by_ray))
         placed = replace(placed, covariance=placed.outline_covariance + covariance)
         seen = surface_by_stereo(frame, placed)
-        if seen is None or self._shape_std_m(seen) < seen.surface_std_m:
+        if seen is None:
             return placed, coupling
-        return seen, coupling
+        shape_std_m = self._shape_std_m(seen)
+        is_surer = shape_std_m < seen.surface_std_m and self._has_shape(placed.dome, frame, shape_std_m)
+        return placed if is_surer else seen, coupling
+
+    def _has_shape(self, dome: DomeModel | None, frame: Frame, std_m: float) -> bool:
+        """Whether a surface that is seen has a dome's shape, `std_m` apart, at whatever height."""
+        surface = frame.scene.stereo_surface
+        if dome is None or surface is None:
+            return True
+        points_m = dome.to_tissue_frame(surface.points_m)
+        inner_m = points_m[dome.polar.normalised_radius(points_m[:, :2]) < INNER_RADIUS]
+        if len(inner_m) < MIN_POINTS:
+            return True
+        over_m = inner_m[:, 2] - dome.height_m(inner_m[:, :2])
+        return scale_of(over_m - median(over_m)) < MAX_SHAPE_STDS * float(np.hypot(std_m, surface.std_m))
 
     def _shape_std_m(self, seen: TissuePose) -> float:
         """How wrong the profile's shape of a surface that is seen may be; without a dome or mesh it knows none."""
