@@ -11,10 +11,11 @@ from svmdist.cli import options
 from svmdist.cli.logs import LogOptions, Run
 from svmdist.cli.options import FORCE, argument, option
 from svmdist.cli.output import LOG, ExitCode, require_output, write_lines, write_results
-from svmdist.errors import RecordingError
+from svmdist.errors import RecordingError, SvmdistError
 from svmdist.report.writers import Holds
 
 if TYPE_CHECKING:
+    from svmdist.profile import Profile
     from svmdist.recording.log import Recording
     from svmdist.workflows.request import Request
 
@@ -61,7 +62,20 @@ def inspect_log(recording: Recording, request: Request, _threads: int, looks_for
         with suppress(RecordingError):  # a calibration that is not usable: the summary says so
             tags = look_for_tag(recording, profile)
     recording.health.join(summary.health)
-    return info_document(summary, profile, tags)
+    return info_document(summary, profile, tags) | {"checks": _checks(recording, profile)}
+
+
+def _checks(recording: Recording, profile: Profile) -> dict[str, Any]:
+    """How many comparisons a log allows with a profile, and what contradicts most."""
+    from svmdist.recording.log import open_recording
+    from svmdist.workflows.check import check_log, warning
+
+    try:
+        # Read anew: what is lost on the way is told by the summary already.
+        found = check_log(open_recording(recording.path, profile, topics=recording.origin.topics), profile)
+    except SvmdistError:  # what it lacks, or what the profile lacks, stands in the methods' lines
+        return {"count": 0, "contradiction": ""}
+    return {"count": sum(len(one.comparisons) for one in found.values()), "contradiction": warning(found)}
 
 
 class New(options.TopicOption):

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from svmdist.estimation.comparison import (
+    CAMERAS,
     DISPARITY,
     FIELD,
     HEIGHT,
@@ -17,6 +18,8 @@ from svmdist.estimation.comparison import (
     JAWS,
     KINEMATICS,
     MOTION,
+    OUTLINE,
+    PROFILE,
     SHAFT,
     TAG,
     TILT,
@@ -46,6 +49,7 @@ MIN_MATCHES, MIN_FITTED = (
     60,
 )  # points of both views that tell a median, and how rows change over the picture
 MAX_ROWS_PX = 30.0  # by which rows of both views may differ to be compared at all
+ROWS_STD_PX = 0.4  # at the picture's border: pairs that are called rectified are so within half a pixel
 FIELD_STD = 0.1  # logarithm: the bounds of a field of view are round numbers
 MARKER_STD = 0.42  # of a disc's visible middle, over its radius: one half may be hidden
 SHAPE_SHARE = 0.5  # of a surface's error by stereo, what is not its offset: measured on clean and wet tissue
@@ -80,7 +84,7 @@ def _bounded(what: str, value: float, bounds: tuple[float, float]) -> Difference
         off = float(np.log(value / high))
     elif value < low:
         off = -np.inf if value <= 0.0 else float(np.log(value / low))
-    return Difference(what, (FIELD,), off, FIELD_STD, "")
+    return Difference(what, (PROFILE, FIELD), off, FIELD_STD, "")
 
 
 def of_frame(frame: Frame, sources: Mapping[str, ToolPose]) -> Iterator[Difference]:
@@ -102,20 +106,19 @@ def of_frame(frame: Frame, sources: Mapping[str, ToolPose]) -> Iterator[Differen
 
 
 def of_motion(places_m: Sequence[Mapping[str, ToolPose]]) -> Iterator[Difference]:
-    """How far the tool moved between two frames, nominally and by the images: no error of the base changes that."""
+    """How the tool moved between two frames, nominally and by the images: no shift of the base changes that."""
     for source in (SHAFT, DISPARITY, TAG):
         both = [one for one in places_m if source in one and KINEMATICS in one]
         for one, other in combinations(both, 2):
             seen, nominal = (one[name].position_m - other[name].position_m for name in (source, KINEMATICS))
-            length_m, nominal_m = float(np.linalg.norm(seen)), float(np.linalg.norm(nominal))
-            along = seen / max(length_m, 1e-9)
+            off_m = float(np.linalg.norm(nominal - seen))
+            along = (nominal - seen) / max(off_m, 1e-9)
             variance = float(
                 along @ (one[source].position_covariance + other[source].position_covariance) @ along
             )
-            std_m = float(
-                np.linalg.norm([STEADY * np.sqrt(variance), MOTION_STD_M, MOTION_SHARE * nominal_m])
-            )
-            yield Difference(MOTION, (KINEMATICS, source), nominal_m - length_m, std_m, "m")
+            turned_m = (MOTION_SHARE + one[KINEMATICS].shaft_std_rad) * float(np.linalg.norm(nominal))
+            std_m = float(np.linalg.norm([STEADY * np.sqrt(variance), MOTION_STD_M, turned_m]))
+            yield Difference(MOTION, (KINEMATICS, source), off_m, std_m, "m")
 
 
 def _jaws(frame: Frame, pose: ToolPose) -> Iterator[Difference]:
@@ -194,7 +197,7 @@ def of_scene(scene: Scene) -> Iterator[Difference]:
     """The baseline's sign; a mesh against the tissue's outline; the surface by both views against the profile's."""
     right = scene.observation.right
     if right is not None and right.T_left_right[0, 3] <= 0.0:
-        yield Difference("baseline", (VIEWS,), -np.inf, 1.0, "m")
+        yield Difference("baseline", (VIEWS, CAMERAS), -np.inf, 1.0, "m")
     tissue, profile = scene.tissue, scene.profile
     if tissue is None or tissue.pose is None or profile.tissue is None:
         return
@@ -210,7 +213,7 @@ def of_scene(scene: Scene) -> Iterator[Difference]:
             off = 0.5 * float(np.log(max(areas[0], 1.0) / max(areas[1], 1.0)))
             yield Difference(
                 "size of the tissue",
-                (TISSUE, "its outline"),
+                (TISSUE, OUTLINE),
                 off,
                 float(np.hypot(OUTLINE_STD, depth_std)),
                 "",
@@ -307,7 +310,7 @@ def of_views(profile: Profile, found: Sequence[Matches]) -> Iterator[Difference]
         std_px = 1.25 * scale_of(disparity_px - middle_px) / np.sqrt(0.5 * len(disparity_px)) + 0.5
         far_px, near_px = pair.disparity_at(field.depth_m), pair.disparity_at(field.least_depth_m)
         off_px = min(middle_px - far_px, 0.0) + max(middle_px - near_px, 0.0)
-        yield Difference("disparities", (VIEWS,), off_px, float(std_px), "px")
+        yield Difference("disparities", (VIEWS, CAMERAS), off_px, float(std_px), "px")
         x, y = ((left_px - pair.K[:2, 2]) / pair.K[0, 0]).T
         rows.append(np.column_stack([np.ones(len(x)), x, y, x * y, right_px[:, 1] - left_px[:, 1]]))
     if sum(map(len, rows)) >= MIN_FITTED:
@@ -331,5 +334,6 @@ def _bent_rows(profile: Profile, B: Array, rows_px: Array, pair: RectifiedPair) 
     std_px = np.sqrt(np.diag(covariance)[1:] + stated_px**2)
     reach = np.percentile(np.abs(B[:, 1:]), 95, axis=0)
     worst = int(np.argmax(np.abs(fit[1:]) / std_px))
-    value_px, std = float(fit[1 + worst] * reach[worst]), float(std_px[worst] * reach[worst])
-    return Difference("rows of both views", (VIEWS,), value_px, std, "px")
+    value_px = float(fit[1 + worst] * reach[worst])
+    std = float(np.hypot(std_px[worst] * reach[worst], ROWS_STD_PX))
+    return Difference("rows of both views", (VIEWS, CAMERAS), value_px, std, "px")

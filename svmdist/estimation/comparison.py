@@ -20,7 +20,8 @@ MIN_MOTIONS, MOST = 4, 0.55  # of pairs of frames: one mistaken frame is in half
 
 KINEMATICS, SHAFT, DISPARITY, TAG = "kinematics", "the shaft's width", "disparity", "the tag"
 MARKER = "the marker's size"
-TISSUE, VIEWS, FIELD, JAWS, IMAGE = "tissue", "views", "field", "jaw_length_m", "the image"
+TISSUE, VIEWS, FIELD, JAWS = "the profile's tissue", "both views", "[field]", "jaw_length_m"
+CAMERAS, PROFILE, IMAGE, OUTLINE = "the stated cameras", "the profile", "the image", "its outline"
 HEIGHT, TILT, SHAPE = "height of the tissue", "tilt of the tissue", "shape of the tissue"
 MOTION = "motion of the tool"
 OTHER_SHAPE_DEVIATIONS = (
@@ -106,8 +107,8 @@ class Comparison:
     @property
     def could_be(self) -> tuple[str, ...]:
         """What mistakes look like this."""
-        two = 2 if len(self.usual.sources) > 1 else 4
-        return tuple(one for source in self.usual.sources for one in MISTAKES.get(source, ())[:two])
+        known = [MISTAKES[source] for source in self.usual.sources if source in MISTAKES]
+        return tuple(one for mistakes in known for one in mistakes[: 4 // len(known)])
 
     def with_mistakes(self) -> str:
         """The sentence, and what to look at."""
@@ -117,7 +118,7 @@ class Comparison:
         """A sentence for a person."""
         found = self.usual
         return (
-            f"{found.what}: {self.against} contradicts by {readable(found)}, {found.deviations:.0f} standard"
+            f"{found.what}, {self.against}: contradiction of {readable(found)}, {found.deviations:.0f} standard"
             f" deviations, in {self.contradicting} of {self.frames} frames"
         )
 
@@ -188,7 +189,7 @@ def _compared(ones: Sequence[Difference], frames: int) -> Comparison:
         least, share = MIN_MOTIONS, MOST
     elif JAWS in ones[0].sources:  # a hole in a mask behind them may be anything dark
         share = MOST
-    elif ones[0].sources in ((FIELD,), (VIEWS,)):  # of a profile, or of many points
+    elif ones[0].sources[0] in (PROFILE, VIEWS):  # of a profile, or of many points
         least = 1
     found = Comparison(ones[0], len(ones), len(beyond), least, share)
     shown = sorted(beyond if found.contradicts else ones, key=lambda one: one.deviations)

@@ -113,6 +113,12 @@ class Recording:
         return tuple(arm.name for arm in self.arms)
 
     @property
+    def is_part(self) -> bool:
+        """Whether its images show instruments of the profile that it is not about."""
+        source, profile, topics = self.file.source, self.origin.profile, self.origin.topics
+        return len(find_arms(source, profile, topics)) > len(self.arms)
+
+    @property
     def world_seed(self) -> int:
         """Of what is drawn of a perturbed world; 0 for the log as it is."""
         return 0 if self.world is None else self.world.seed

@@ -15,7 +15,7 @@ from svmdist.profile import Profile
 from svmdist.profile.hand_eye import FORMAT, HandEyeFile, Source
 from svmdist.recording.log import Recording
 from svmdist.recording.summary import RecordingSummary
-from svmdist.report.tables import Column, Table, render, row_of
+from svmdist.report.tables import Column, Table, counted, render, row_of
 from svmdist.report.writers import Results
 from svmdist.transforms import quaternion_xyzw_from_rotation
 from svmdist.workflows import capabilities
@@ -80,6 +80,7 @@ def info_document(
     return {
         "schema": SCHEMA,
         "path": str(summary.path),
+        "profile": profile.name,
         "size_bytes": summary.size_bytes,
         "duration_s": summary.duration_s,
         "metadata": summary.metadata,
@@ -144,6 +145,10 @@ def _info_lines(log: dict[str, Any], width: int | None) -> Iterator[str]:
     for name, found in log["methods"].items():
         if not found["served"]:
             yield f"  {name:<9} {printable(missing(found))}\n"
+    checks = log.get("checks", {})
+    if checks.get("count"):
+        agree = f"{counted(checks['count'], 'comparison')} with profile {log['profile']}: nothing contradicts"
+        yield line("checks", checks["contradiction"] or agree)
     yield line("health", "clean" if log["is_clean"] else f"{len(log['losses'])} losses")
 
 

@@ -165,11 +165,12 @@ def checked(
     looked_at: Callable[[int, tuple[Observation, ...]], Looked],
     least: int = LOOKED_AT,
     pairs: int = 1,
+    is_part: bool = False,
 ) -> tuple[dict[str, Checks], dict[int, Looked]]:
     """The comparisons of each instrument by its name, and what was looked at for them by the number of the image.
 
-    The `least` images from all of the log, and points of so many `pairs`, are enough where nothing is suspect; else it
-    is all of them.
+    Of a log that `is_part`, instruments are not compared. The `least` images from all of the log, and points of so many
+    `pairs`, are enough where nothing is suspect; else it is all of them.
     """
     names = [arm.profile.instrument_name for arm in arms]
     by_name: dict[str, list[Difference]] = {
@@ -197,6 +198,9 @@ def checked(
         if (is_suspect or len(matches) < pairs) and (found_here := checks.matched(one.scene)) is not None:
             matches.append(found_here)
         for name, frame in zip(names, one.frames, strict=True):
+            if is_part:  # what the image shows may be another instrument
+                by_name[name] += shared
+                continue
             here = places_of(frame)
             if (
                 not one.is_final

@@ -31,7 +31,7 @@ from svmdist.vision.find_instruments import AutoSegmenter
 from svmdist.vision.frame_context import as_pinholes
 from svmdist.vision.stereo import StereoPlane, fit_plane
 from svmdist.workflows.capabilities import observations_of
-from svmdist.workflows.check import row_offset_to_remove_px
+from svmdist.workflows.check import row_offset_to_remove_px, views_contradiction
 
 OTHER_ARMS = re.compile(r"/(ECM|MTM\w*|SUJ\w*)(/|$)")  # of a da Vinci, without an instrument
 SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("_l/", "_r/"), ("/l/", "/r/"))
@@ -41,6 +41,7 @@ CHAIN_PROFILES = ("dvrk-psm", "psm13")
 """Shipped profiles whose chains a log's joints may belong to."""
 DA_VINCI_INSTRUMENT, UNKNOWN_INSTRUMENT = "da-vinci-8mm", "unknown"
 LOOKED_AT = 12  # images that colours and plane are taken from, spread over the log
+VIEWS_COMPARED = 4  # of them, against the cameras
 MOST_IMAGES = 0.6  # share of the images that an instrument is at least visible in
 MIN_PLANES = 3
 LEAST_PLANE_STD_M, LEAST_TILT_STD_RAD, LEAST_SURFACE_STD_M = 1e-3, 0.05, 1e-3
@@ -120,6 +121,8 @@ def draft_profile(
     images: list[Image] = []
     planes: list[StereoPlane | None] = []
     observations = list(observations_of(recording, count // LOOKED_AT))
+    if said := views_contradiction(observations[:VIEWS_COMPARED], blank):
+        raise RecordingError(f"{path.name}: no profile of it would be right: {said}")
     for seen in map(as_pinholes, observations):
         images.append(seen.image_bgr)
         if seen.right is not None and (baseline_m := float(seen.right.T_left_right[0, 3])) > 0:
