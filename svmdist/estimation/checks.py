@@ -21,6 +21,7 @@ from svmdist.estimation.comparison import (
     OUTLINE,
     PROFILE,
     SHAFT,
+    SHAPE,
     TAG,
     TILT,
     TISSUE,
@@ -44,22 +45,20 @@ from svmdist.transforms import Array
 from svmdist.vision.lines import undistorted
 from svmdist.vision.stereo import RectifiedPair, corresponding_points
 
-MIN_MATCHES, MIN_FITTED = (
-    8,
-    60,
-)  # points of both views that tell a median, and how rows change over the picture
+# Points of both views that tell a median, and how rows change over the picture
+MIN_MATCHES, MIN_FITTED = 8, 60
 MAX_ROWS_PX = 30.0  # by which rows of both views may differ to be compared at all
 ROWS_STD_PX = 0.4  # at the picture's border: pairs that are called rectified are so within half a pixel
 FIELD_STD = 0.1  # logarithm: the bounds of a field of view are round numbers
 MARKER_STD = 0.42  # of a disc's visible middle, over its radius: one half may be hidden
+SIDES_STD_RAD = 0.01  # of the plane between the shaft's sides: one of them may be a shadow's
 SHAPE_SHARE = 0.5  # of a surface's error by stereo, what is not its offset: measured on clean and wet tissue
 OUTLINE_STD = 0.06  # logarithm of the size of a tissue's outline: what hides it is completed
 JAW_STD_M = 1e-3  # of a jaw's length in the image: its tip is round, the mask's edge a pixel or two off
 JAW_STEP_M, JAW_REACH = 2.5e-4, 3.0  # along a jaw, and over its stated length
-MOTION_STD_M, MOTION_SHARE = (
-    2e-3,
-    0.05,
-)  # of a nominal distance between two frames: play, joints' stamps; offsets
+MAX_TURN_STD_RAD = 0.3  # beyond, a pose does not tell where jaws point to
+MOTION_STD_M = 2e-3  # of a nominal motion between two frames: play, and stamps of joints
+MOTION_SHARE = 0.05  # of the motion itself: offsets of joints
 STEADY = 0.5  # of the deviation of a place in the image, what changes between frames
 POINTS = 60  # of the surface by stereo that are compared with a profile's mesh
 
@@ -126,7 +125,8 @@ def _jaws(frame: Frame, pose: ToolPose) -> Iterator[Difference]:
     arm, view, tissue = frame.arm, frame.left, frame.scene.tissue
     instrument, q = arm.profile.instrument, joints_of(arm.chain, frame.joints)
     is_coloured = view.masks.seen is None and view.distal_marker is not None
-    if instrument is None or q is None or tissue is None or not is_coloured or not pose.position_m[2] > 0.0:
+    is_posed = pose.position_m[2] > 0.0 and pose.shaft_std_rad < MAX_TURN_STD_RAD
+    if instrument is None or q is None or tissue is None or not (is_coloured and is_posed):
         return
     mask = cv2.blur((view.masks.tissue > 0).astype(np.float32), (3, 3))
     hull = np.zeros(mask.shape, np.uint8)
@@ -184,7 +184,7 @@ def _against_image(frame: Frame, source: str, pose: ToolPose) -> Iterator[Differ
             "direction of the shaft",
             (source, "its sides"),
             off_rad,
-            float(np.hypot(pose.shaft_std_rad, 0.01)),
+            float(np.hypot(pose.shaft_std_rad, SIDES_STD_RAD)),
             "rad",
         )
 
@@ -251,9 +251,8 @@ def _of_surface(scene: Scene) -> Iterator[Difference]:
     B = np.column_stack([across_m, np.ones(len(over_m))])
     P = np.linalg.pinv(B)
     fit, own_m = P @ over_m, float(np.hypot(surface.std_m, pose.surface_std_m))
-    of_fit = np.sqrt(
-        np.diag(P @ by_shape @ of_shape @ (P @ by_shape).T)
-    )  # what is uncertain of a dome's shape
+    moved = P @ by_shape
+    of_fit = np.sqrt(np.diag(moved @ of_shape @ moved.T))  # what is uncertain of a dome's shape
     beside_m = float(np.linalg.norm(middle_m + stated.plane_distance_m * normal))
     of_cameras = depth_biases(middle_m, scene.observation.camera, right, Deviations.of(profile))
     biases_m = [float(np.linalg.norm(one.jacobian)) for one in of_cameras]
@@ -265,12 +264,10 @@ def _of_surface(scene: Scene) -> Iterator[Difference]:
     std_rad = float(np.linalg.norm([stated.plane_tilt_std_rad, own_m / reach_m, turned_rad, *of_fit[:2]]))
     tilt_rad = float(np.arctan(np.linalg.norm(fit[:2])))
     yield Difference(TILT, (TISSUE, DISPARITY), tilt_rad, std_rad, "rad")
-    rest = by_shape - B @ (P @ by_shape)
+    rest = by_shape - B @ moved
     shape_m = float(np.hypot(SHAPE_SHARE * surface.std_m, pose.surface_std_m))
     shape_m = float(np.sqrt(shape_m**2 + np.mean(np.einsum("ni,ij,nj->n", rest, of_shape, rest))))
-    yield Difference(
-        "shape of the tissue", (TISSUE, DISPARITY), float(np.std(over_m - B @ fit)), shape_m, "m"
-    )
+    yield Difference(SHAPE, (TISSUE, DISPARITY), float(np.std(over_m - B @ fit)), shape_m, "m")
 
 
 class Matches(NamedTuple):
@@ -325,9 +322,8 @@ def _bent_rows(profile: Profile, B: Array, rows_px: Array, pair: RectifiedPair) 
         fit = np.linalg.lstsq(B * weight[:, None], rows_px * weight, rcond=None)[0]
         scale_px = scale_of(rows_px - B @ fit) + 0.05
         weight = 1.0 / np.sqrt(1.0 + ((rows_px - B @ fit) / scale_px) ** 2)
-    covariance = (
-        2.0 * scale_px**2 * np.linalg.inv((B * weight[:, None] ** 2).T @ B)
-    )  # of one texture, err alike
+    # Points of one texture err alike.
+    covariance = 2.0 * scale_px**2 * np.linalg.inv((B * weight[:, None] ** 2).T @ B)
     error, focal_px = profile.camera_error, pair.K[0, 0]
     turn_px = focal_px * error.right_rotation_std_rad
     stated_px = np.array([turn_px, focal_px * error.focal_std_fraction, turn_px])

@@ -24,9 +24,7 @@ TISSUE, VIEWS, FIELD, JAWS = "the profile's tissue", "both views", "[field]", "j
 CAMERAS, PROFILE, IMAGE, OUTLINE = "the stated cameras", "the profile", "the image", "its outline"
 HEIGHT, TILT, SHAPE = "height of the tissue", "tilt of the tissue", "shape of the tissue"
 MOTION = "motion of the tool"
-OTHER_SHAPE_DEVIATIONS = (
-    1.5  # of tilt or shape, beyond which a surface that is seen is better than a stated one
-)
+OTHER_SHAPE_DEVIATIONS = 1.0  # of tilt or shape, beyond which a seen surface is better than a stated one
 BORDER_M = 0.02  # of an organ, from its middle
 MISTAKES = {
     KINEMATICS: (

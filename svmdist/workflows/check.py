@@ -195,7 +195,9 @@ def checked(
             continue
         one = looked[sighted.number] = looked_at(sighted.number, sighted.seen)
         shared = list(checks.of_scene(one.scene))
-        if (is_suspect or len(matches) < pairs) and (found_here := checks.matched(one.scene)) is not None:
+        # A surface that both views show is enough, where no method measures by both of them.
+        is_wanted = is_suspect or len(matches) < pairs or not (matches or one.scene.stereo_surface)
+        if is_wanted and (found_here := checks.matched(one.scene)) is not None:
             matches.append(found_here)
         for name, frame in zip(names, one.frames, strict=True):
             if is_part:  # what the image shows may be another instrument

@@ -220,7 +220,9 @@ class _Replay:
                 changed = tuple(condition.apply(one, number) for one in seen)  # noqa: B023
                 return look(changed, self._arms, segmenter, self._row_offset_px)  # noqa: B023
 
-            self._checks[at], found = checked(spread, self._arms, looked, is_part=self._recording.is_part)
+            self._checks[at], found = checked(
+                spread, self._arms, looked, pairs=int(needs_rows), is_part=self._recording.is_part
+            )
             self._looked |= {(at, number): one for number, one in found.items()}
         first = self._checks[0]
         if self._conditions[0] == CLEAN and (said := warning(first)):
