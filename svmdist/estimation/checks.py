@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from svmdist.camera import Camera
 from svmdist.estimation.comparison import (
     CAMERAS,
     DISPARITY,
@@ -17,6 +18,7 @@ from svmdist.estimation.comparison import (
     IMAGE,
     JAWS,
     KINEMATICS,
+    LATER,
     MOTION,
     OUTLINE,
     PROFILE,
@@ -40,6 +42,7 @@ from svmdist.geometry.distance import signed_distances
 from svmdist.kinematics import rows_behind_insertion
 from svmdist.least_squares import scale_of
 from svmdist.profile import Profile
+from svmdist.profile.robot import CameraError
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
 from svmdist.vision.lines import undistorted
@@ -73,6 +76,14 @@ def of_profile(arm: Arm) -> Iterator[Difference]:
         wrist = [chain.rows[index] for index in rows_behind_insertion(chain)[1:]]
         if lengths := [np.hypot(row.a_m, row.d_m) for row in wrist]:
             yield _bounded("length of a wrist's link", float(max(lengths)), (0.0, field.wrist_link_m))
+
+
+def of_calibrations(changes: Iterable[tuple[Camera, Camera]], error: CameraError) -> Iterator[Difference]:
+    """The focal length of a camera that a log publishes anew, against the one before; images take what holds then."""
+    for before, after in changes:
+        is_same_size = (before.width_px, before.height_px) == (after.width_px, after.height_px)
+        off = float(np.log(after.K[0, 0] / before.K[0, 0])) if is_same_size else np.inf
+        yield Difference("focal length", (CAMERAS, LATER), off, error.focal_std_fraction, "")
 
 
 def _bounded(what: str, value: float, bounds: tuple[float, float]) -> Difference:

@@ -22,6 +22,7 @@ KINEMATICS, SHAFT, DISPARITY, TAG = "kinematics", "the shaft's width", "disparit
 MARKER = "the marker's size"
 TISSUE, VIEWS, FIELD, JAWS = "the profile's tissue", "both views", "[field]", "jaw_length_m"
 CAMERAS, PROFILE, IMAGE, OUTLINE = "the stated cameras", "the profile", "the image", "its outline"
+LATER = "later camera_info"
 HEIGHT, TILT, SHAPE = "height of the tissue", "tilt of the tissue", "shape of the tissue"
 MOTION = "motion of the tool"
 OTHER_SHAPE_DEVIATIONS = 1.0  # of tilt or shape, beyond which a seen surface is better than a stated one
@@ -44,6 +45,7 @@ MISTAKES = {
         "a lens stated of rectified images",
         "a turned camera",
     ),
+    LATER: ("a zoom while the log was recorded", "camera_info of another mode or camera"),
     FIELD: ("a unit (mm for m)", "a diameter for a radius", "[field], where this robot is another one"),
 }
 """The mistakes that look like a contradiction of each source, the commonest first."""
@@ -187,7 +189,7 @@ def _compared(ones: Sequence[Difference], frames: int) -> Comparison:
         least, share = MIN_MOTIONS, MOST
     elif JAWS in ones[0].sources:  # a hole in a mask behind them may be anything dark
         share = MOST
-    elif ones[0].sources[0] in (PROFILE, VIEWS):  # of a profile, or of many points
+    elif ones[0].sources[0] in (PROFILE, VIEWS, CAMERAS):  # of a profile, or of many points
         least = 1
     found = Comparison(ones[0], len(ones), len(beyond), least, share)
     shown = sorted(beyond if found.contradicts else ones, key=lambda one: one.deviations)

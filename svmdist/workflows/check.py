@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from svmdist.camera import Camera
 from svmdist.estimation import checks
 from svmdist.estimation.checks import Matches
 from svmdist.estimation.comparison import KINEMATICS, Checks, Difference
@@ -159,6 +160,11 @@ def look(
     return Looked(scene, Association(arms).frames(scene, seen), is_final=False)
 
 
+def camera_changes(recording: Recording) -> list[tuple[Camera, Camera]]:
+    """The calibrations that follow each other in a log, where they differ; all of them after a pass."""
+    return [(one.before.camera, one.after.camera) for one in recording.camera_changes]
+
+
 def checked(
     spread: Sequence[Sighted],
     arms: Sequence[Arm],
@@ -166,6 +172,7 @@ def checked(
     least: int = LOOKED_AT,
     pairs: int = 1,
     is_part: bool = False,
+    changes: Sequence[tuple[Camera, Camera]] = (),
 ) -> tuple[dict[str, Checks], dict[int, Looked]]:
     """The comparisons of each instrument by its name, and what was looked at for them by the number of the image.
 
@@ -174,7 +181,8 @@ def checked(
     """
     names = [arm.profile.instrument_name for arm in arms]
     by_name: dict[str, list[Difference]] = {
-        name: list(checks.of_profile(arm)) for name, arm in zip(names, arms, strict=True)
+        name: [*checks.of_profile(arm), *checks.of_calibrations(changes, arm.profile.camera_error)]
+        for name, arm in zip(names, arms, strict=True)
     }
     places: dict[str, list[dict[str, ToolPose]]] = {name: [] for name in names}
     order = list(dict.fromkeys(np.linspace(0, len(spread) - 1, least).round().astype(int).tolist()))
@@ -200,7 +208,8 @@ def checked(
         if is_wanted and (found_here := checks.matched(one.scene)) is not None:
             matches.append(found_here)
         for name, frame in zip(names, one.frames, strict=True):
-            if is_part:  # what the image shows may be another instrument
+            unknown = len(arms) > 1 and isinstance(frame.robot_in_camera, Failure)
+            if is_part or unknown or frame.doubt:  # what the image shows may be another instrument
                 by_name[name] += shared
                 continue
             here = places_of(frame)
@@ -239,6 +248,13 @@ def check_log(recording: Recording, profile: Profile) -> dict[str, Checks]:
     arms = [Arm(profile.for_instrument(name)) for name in recording.instruments]
     row_offset_px = row_offset_to_remove_px(first_of(spread, profile), profile)
     few = spread[:: max(1, -(-len(spread) // (2 * CHECKED)))]
-    return checked(few, arms, lambda _, seen: look(seen, arms, segmenter, row_offset_px), len(few), len(few))[
-        0
-    ]
+    found, _ = checked(
+        few,
+        arms,
+        lambda _, seen: look(seen, arms, segmenter, row_offset_px),
+        least=len(few),
+        pairs=len(few),
+        is_part=recording.is_part,
+        changes=camera_changes(recording),
+    )
+    return found

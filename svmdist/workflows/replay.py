@@ -35,6 +35,7 @@ from svmdist.vision.segmentation import LearningSegmenter
 from svmdist.workflows.check import (
     Looked,
     adapted_segmenters,
+    camera_changes,
     checked,
     first_of,
     images_to_look_at,
@@ -221,7 +222,12 @@ class _Replay:
                 return look(changed, self._arms, segmenter, self._row_offset_px)  # noqa: B023
 
             self._checks[at], found = checked(
-                spread, self._arms, looked, pairs=int(needs_rows), is_part=self._recording.is_part
+                spread,
+                self._arms,
+                looked,
+                pairs=int(needs_rows),
+                is_part=self._recording.is_part,
+                changes=camera_changes(self._recording),
             )
             self._looked |= {(at, number): one for number, one in found.items()}
         first = self._checks[0]

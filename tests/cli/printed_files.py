@@ -18,7 +18,7 @@ from svmdist.samples import Image
 from tests.conftest import REPOSITORY
 
 RECORDINGS = REPOSITORY / "recordings"
-FRAME_COUNT = 6
+FIRST_FRAME, FRAME_COUNT = 40, 6  # in which most of the shaft is in the picture
 BASELINE_M = 0.0052
 IN_ENDOSCOPE_FRAME = {"tool": "tracker", "tissue": "tissue"}
 
@@ -26,7 +26,7 @@ IN_ENDOSCOPE_FRAME = {"tool": "tracker", "tissue": "tissue"}
 def golden_pairs() -> tuple[Camera, list[tuple[Image, Image]]]:
     """The camera, and both views of some frames from the middle of a golden log."""
     recording = open_recording(RECORDINGS / "3d" / "contact.mcap", load_profile())
-    observations = islice(recording.observations(), 20, 20 + FRAME_COUNT)
+    observations = islice(recording.observations(), FIRST_FRAME, FIRST_FRAME + FRAME_COUNT)
     pairs = [(one.image_bgr, one.right.image_bgr) for one in observations]
     return recording.camera, pairs
 
