@@ -18,7 +18,7 @@ from benchmarks.robustness import cell
 from svmdist.estimation import fused, tissue_tracking
 from svmdist.estimation.instrument import consistency
 from svmdist.estimation.instrument.factors import of_images
-from svmdist.perturbations.chosen import parse_perturbations
+from svmdist.perturbations import parse_perturbations
 from svmdist.recording.log import open_recording
 from svmdist.workflows.compare import measure_runs
 from svmdist.workflows.request import CLEAN, PerturbedCondition, prepare

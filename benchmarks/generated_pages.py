@@ -13,7 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from svmdist.perturbations.table import TABLE
+from svmdist.perturbations import TABLE
 from svmdist.profile.settings import Settings
 from svmdist.profile.toml import StrictModel
 from svmdist.report.rows import ESTIMATE_COLUMNS
@@ -93,8 +93,8 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def table_row(cells: Sequence[str]) -> str:
-    """A row of a table in Markdown."""
-    return f"| {' | '.join(cells)} |\n"
+    """A row of a table in Markdown, without spaces, which count as words with the bars between them."""
+    return f"|{'|'.join(cells)}|\n"
 
 
 def with_table(page: str, name: str, table: str) -> str:

@@ -1,6 +1,7 @@
-"""The tables of the golden logs in README.md and docs/results.md, made from what the commands write.
+"""The tables of README.md and docs/results.md, made from what the commands write.
 
 Run `uv run python -m benchmarks.golden_tables` after a change that moves figures, with names of parts for some of them.
+The part `worlds` measures the logs that README.md records into `worlds/`, and takes real images from docs/real-data.md.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import svmdist
-from benchmarks.generated_pages import DOCS, ROOT, named, table, write_table
+from benchmarks.generated_pages import DOCS, ROOT, named, table, table_in, write_table
 
 RESULTS = DOCS / "results.md"
 Record = dict[str, Any]
@@ -32,6 +33,15 @@ ALARMS = "--method fused --alarm-below 5mm --truth ground_truth"
 FIGURES = "n/frames", "spatial RMSE [mm]", "in 95%", "clearance RMSE [mm]", "in 95%"
 ALARM_FIGURES = "unsafe", "recall", "precision", "safe alarmed", "least lead [s]"
 PLANAR = "n/frames", "R²", "RMSE [mm]", "RMSE 95% [mm]", "p95 [mm]", "bias [mm]", "σ [mm]"
+REAL = (
+    ("thrust", "shaft", "red joint"),
+    ("thrust", "stereo", "red joint"),
+    ("thrust", "fused", "red joint"),
+    ("d-lfd", "stereo", "robot, fitted"),
+    ("SuPer Deep", "shaft", "wrist"),
+    ("in vivo", "shaft", "tip; in 15 px"),
+)
+"""Which rows of real images README.md shows."""
 BLUR = "kernel [px]", "features", "paper", "area [px²]", "paper", "RMSE [mm]"
 
 
@@ -84,9 +94,24 @@ def methods() -> None:
     found = all_methods("recordings/real/*.mcap")
     rows = [[f"`{name}`", *METHODS[name], *cells] for name, cells in found.items()]
     headings = ("`--method`", "tool from", "tissue from", *FIGURES)
-    write_table(ROOT / "README.md", "golden-real", table(headings, rows))
+    write_table(RESULTS, "golden-real", table(headings, rows))
     rows = [[f"`{name}`", *cells] for name, cells in all_methods("recordings/3d/*.mcap").items()]
     write_table(RESULTS, "golden-3d", table(("method", *FIGURES), rows))
+
+
+def worlds() -> None:
+    """Real images first, by their own page; then simulated worlds that differ from the profile."""
+    page = table_in((DOCS / "real-data.md").read_text("utf-8"), "real-images")
+    found = {tuple(cells[:3]): cells for line in page.splitlines() if (cells := line.strip("|").split("|"))}
+    rows = []
+    for name, method, against in REAL:
+        *_, frames, error, inside = found[name, f"`{method}`", against][:6]
+        rows.append([f"{name}, real: {against}", f"`{method}`", frames, error, inside, "–", "–"])
+    count = len(list((ROOT / "worlds").glob("*.mcap")))
+    for method, cells in all_methods("worlds/*.mcap").items():
+        rows.append([f"{count} simulated worlds", f"`{method}`", *cells])
+    headings = ("data", "`--method`", "n/frames", "tool [mm]", "in 95%", "clearance [mm]", "in 95%")
+    write_table(ROOT / "README.md", "worlds", table(headings, rows))
 
 
 def fused() -> None:
@@ -124,7 +149,7 @@ def between_instruments() -> list[str]:
 
 def planar() -> None:
     """`overlay` log by log, and the overall rows of other conditions."""
-    document = measured("validate")
+    document = measured("validate --method overlay")
     scores = [score for score in document["recordings"] if score["reference"] == "ground_truth"]
     overall = document["overall_by_reference"]
     logs = {score["recording"] + " (fitted on)" * score["fitted_on"]: score for score in scores}
@@ -132,7 +157,7 @@ def planar() -> None:
     others = {
         "`overlay` against DH kinematics, as in the paper": overall["kinematics"],
         "`--method centroid`, without the marker": measured("validate --method centroid")["overall"],
-        "`--equations printed`": measured("validate --equations printed")["overall"],
+        "`--equations printed`": measured("validate --method overlay --equations printed")["overall"],
     }
     for name, first, records in (("golden-planar", "log", logs), ("golden-overall", "condition", others)):
         rows = [[label, *cells_in_plane(score)] for label, score in records.items()]
@@ -170,7 +195,9 @@ def blur() -> None:
     write_table(RESULTS, "golden-blur", table(("blur", *BLUR), rows))
 
 
-PARTS: dict[str, Callable[[], None]] = {make.__name__: make for make in (methods, fused, planar, blur)}
+PARTS: dict[str, Callable[[], None]] = {
+    make.__name__: make for make in (methods, fused, planar, blur, worlds)
+}
 
 
 if __name__ == "__main__":

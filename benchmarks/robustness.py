@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.generated_pages import DOCS, table, write_table
-from svmdist.perturbations.chosen import parse_perturbations
+from svmdist.perturbations import parse_perturbations
 from svmdist.recording.log import open_recording
 from svmdist.workflows.compare import MethodScore, measure_runs
 from svmdist.workflows.request import CLEAN, PerturbedCondition, prepare

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import posixpath
 import re
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ OUTSIDE = {
 """Documents outside of docs/, by their place in the repository, and their place on the site."""
 FOLDERS = {"schemas": "schemas.md", "recordings": "recordings.md", "docs/decisions": "decisions/README.md"}
 """What a link to a folder leads to."""
+TABLE, TAG = re.compile(r"<table>.*?</table>", re.DOTALL), re.compile(r"<[^>]*>")
 LINK = re.compile(r"(!?)\[([^\]]*)\]\((?!\w+:|#)([^)#\s]*)(#[^)\s]*)?\)")
 
 
@@ -51,3 +53,17 @@ def on_page_markdown(markdown: str, page: Any, files: Any, **_: Any) -> str:
 
     fences = re.split(r"(^```.*?^```$)", markdown, flags=re.MULTILINE | re.DOTALL)
     return "".join(part if part.startswith("```") else LINK.sub(linked, part) for part in fences)
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Name the column of each cell of a table, which `site.css` shows where there is no room for columns."""
+
+    def named(table: re.Match[str]) -> str:
+        head, body = table[0].split("</thead>", 1)
+        headings = [
+            TAG.sub("", text).strip() for text in re.findall(r"<th\b[^>]*>(.*?)</th>", head, re.DOTALL)
+        ]
+        names = cycle(headings)  # rows are as long as their table is wide
+        return f"{head}</thead>" + re.sub("<td", lambda _: f'<td data-of="{next(names)}"', body)
+
+    return TABLE.sub(named, html)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import shlex
+import shutil
 import statistics
 import subprocess
 import sys
@@ -15,6 +16,9 @@ import time
 from pathlib import Path
 
 from benchmarks.generated_pages import table_row
+from svmdist.report.html import write_report
+from tests.recording.test_bombs import BOMBS
+from tests.report.test_html import FLAGS, make_report, make_series
 
 PAIRS = 5
 MANY = 1000
@@ -25,6 +29,7 @@ LOGS = {
     " --noise 2 --jpeg 92",
     "short.mcap": "--scenario random --seed 7 --rate 5 --duration 0.8 --jpeg 92",
 }
+FRAMES = {"few.html": 100, "many.html": 10_000}
 FUSED = "svmdist estimate stereo.mcap --method fused -o a.csv"
 RECORD = "svmdist record --scenario random --duration 15 --force -o a.mcap"
 COMPARISONS = {
@@ -38,20 +43,38 @@ COMPARISONS = {
         "svmdist estimate many -o b.csv -j 2",
     ),
     "--help : import typer": ("svmdist --help", "python -c 'import typer'"),
+    "report of 10,000 frames in a browser : of 100": ("chromium many.html", "chromium few.html"),
+    **{
+        f"bomb {name} refused : a log of four images": (
+            f"svmdist info {name.replace(' ', '-')}.mcap.bomb",
+            "svmdist info short.mcap",
+        )
+        for name in BOMBS
+    },
 }
 """Two commands each, run in the folder of the logs."""
 PROGRAMS = {
     "svmdist": [sys.executable, "-m", "svmdist"],
     "plain": [sys.executable, str(Path(__file__).with_name("plain_loop.py"))],
     "python": [sys.executable],
+    # It ends once all is drawn: virtual time stands still while there is work.
+    "chromium": [
+        shutil.which("chromium") or "chromium-browser",
+        "--headless",
+        *FLAGS,
+        "--virtual-time-budget=10000",
+        "--dump-dom",
+    ],
 }
 
 
 def run(command: str, folder: Path) -> tuple[float, float]:
-    """Time by the clock and processor time of a command that must succeed, in s."""
+    """Time by the clock and processor time in s of a command that must succeed, or refuse a bomb."""
     program, *arguments = shlex.split(command)
     before, start_s = os.times(), time.perf_counter()
-    subprocess.run([*PROGRAMS[program], *arguments], cwd=folder, check=True, capture_output=True)
+    done = subprocess.run([*PROGRAMS[program], *arguments], cwd=folder, check=False, capture_output=True)
+    if done.returncode not in (range(5) if ".bomb" in command else (0,)):
+        sys.exit(f"{command}: {done.stderr.decode(errors='replace')}")
     after = os.times()
     processor_s = after.children_user + after.children_system - before.children_user - before.children_system
     return time.perf_counter() - start_s, processor_s
@@ -69,6 +92,11 @@ if __name__ == "__main__":
         (place / "many").mkdir()
         for number in range(MANY):
             os.link(place / "short.mcap", place / "many" / f"log-{number:04d}.mcap")
+    for name, frames in FRAMES.items():
+        if not (place / name).exists():
+            write_report(make_report(make_series(frames, every=3)), place / name)
+    for name, write in BOMBS.items():
+        write(place / f"{name.replace(' ', '-')}.mcap.bomb")
     print("| comparison | ratio of wall time | of processor time |\n|---|---|---|")
     for name, (first, second) in COMPARISONS.items():
         if names and not any(part in name for part in names):

@@ -14,7 +14,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from svmdist.api import Estimates, compare, estimate, open_recording, validate
+    from svmdist import errors
+    from svmdist.api import Estimates, compare, estimate, open_recording, surface, validate
+    from svmdist.estimation.alarms import AlarmRules
     from svmdist.profile import Profile
     from svmdist.samples import bgr_image
     from svmdist.workflows.request import prepare
@@ -22,14 +24,17 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "AlarmRules",
     "Estimates",
     "Profile",
     "__version__",
     "bgr_image",
     "compare",
+    "errors",
     "estimate",
     "open_recording",
     "prepare",
+    "surface",
     "validate",
 ]
 
@@ -41,12 +46,16 @@ def __getattr__(name: str) -> Any:
 
         return version("svmdist")
     if name in __all__:
-        from svmdist import api
+        from importlib import import_module
 
-        return getattr(api, name)
+        return (
+            import_module("svmdist.errors")
+            if name == "errors"
+            else getattr(import_module("svmdist.api"), name)
+        )
     raise AttributeError(f"module 'svmdist' has no attribute {name!r}; it has {', '.join(__all__)}")
 
 
 def __dir__() -> list[str]:
     """The names of the interface."""
-    return sorted({*globals(), *__all__})
+    return sorted(__all__)

@@ -2,26 +2,35 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from svmdist.errors import SvmdistError
-from svmdist.estimation.alarms import AlarmRules
-from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile
+from svmdist.estimation.alarms import AlarmRules, alarm_watches
+from svmdist.metrics import TEXT
+from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, taking_hand_eye
 from svmdist.recording.log import Recording
 from svmdist.recording.log import open_recording as _open
-from svmdist.report.rows import ESTIMATE_KEYS, estimate_row
-from svmdist.report.tables import Row
+from svmdist.recording.observations import Window
+from svmdist.report.rows import ESTIMATE_COLUMNS, ESTIMATE_KEYS, estimate_row, shown_columns
+from svmdist.report.tables import Row, text_lines
 from svmdist.results import FrameResult
 from svmdist.samples import bgr_image  # noqa: F401  (part of the interface)
+from svmdist.workflows.capabilities import best_method
 from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.compare import compare as _compare
+from svmdist.workflows.ending import Ending, alarms_in_words
 from svmdist.workflows.estimate import estimate as _estimate
 from svmdist.workflows.estimate import with_lag
+from svmdist.workflows.given import given_estimates
 from svmdist.workflows.references import TruthRules
-from svmdist.workflows.request import Lag, OwnMethod, Request, Setup, prepare
+from svmdist.workflows.request import Lag, OwnMethod, Request, Setup, prepare, prepare_every
+from svmdist.workflows.surface import TissueSurface
+from svmdist.workflows.surface import tissue_surface as _surface
 from svmdist.workflows.validate import Validation
 from svmdist.workflows.validate import validate as _validate
 
@@ -39,6 +48,33 @@ class Estimates(Sequence[FrameResult]):
     recording: Recording
     setup: Setup
     results: tuple[FrameResult, ...]
+    alarms: AlarmRules | None = None
+
+    def __repr__(self) -> str:
+        """What was measured, in a few lines."""
+        ending = Ending()
+        watches = alarm_watches(self.recording.instruments, self.alarms)
+        for result in self.results:
+            ending.add(result, watches)
+        ending.close(watches)
+        counts = ", ".join(f"{count} {status}" for status, count in ending.statuses.items())
+        lines = [f"{self.recording.name}: {len(self)} rows by {self.setup.method}", counts or "no image"]
+        if ending.least is not None:
+            lines.append(ending.least_in_words)
+        if self.alarms is not None:
+            lines.append(alarms_in_words({self.recording.name: ending}, self.alarms))
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """The same, and the first rows as a table, for notebooks."""
+        planar = self.setup.is_planar
+        columns = shown_columns(100, planar=planar, several=len(self.recording.instruments) > 1)
+        rows = (
+            estimate_row(self.recording.name, result, self.setup.method, self.setup.equations)
+            for result in self.results[:10]
+        )
+        text = "".join(text_lines(columns, rows))
+        return f"<pre>{escape(repr(self))}\n\n{escape(text)}</pre>"
 
     def __getitem__(self, index: Any) -> Any:
         """One result, or some of them."""
@@ -50,8 +86,10 @@ class Estimates(Sequence[FrameResult]):
 
     def rows(self) -> Iterator[Row]:
         """The rows of `svmdist estimate -f csv`, in SI; None for what does not exist."""
+        watches = alarm_watches(self.recording.instruments, self.alarms)
         for result in self.results:
-            row = estimate_row(self.recording.name, result, self.setup.method, self.setup.equations)
+            alarm = watches[result.instrument].watch(result) if self.alarms else None
+            row = estimate_row(self.recording.name, result, self.setup.method, self.setup.equations, alarm)
             yield {key: row.get(key) for key in ESTIMATE_KEYS}
 
     def to_dataframe(self) -> DataFrame:
@@ -62,13 +100,22 @@ class Estimates(Sequence[FrameResult]):
             raise SvmdistError(
                 "to_dataframe needs pandas, which is not installed: pip install pandas"
             ) from None
-        return pd.DataFrame.from_records(list(self.rows()), columns=ESTIMATE_KEYS)
+        table = pd.DataFrame.from_records(list(self.rows()), columns=ESTIMATE_KEYS)
+        for column in ESTIMATE_COLUMNS:
+            if column.stored and column.unit != TEXT and table[column.key].isna().any():
+                table[column.key] = table[column.key].astype(float)
+        return table
 
 
 def open_recording(
     path: Path | str, profile: str | Path | Profile = DEFAULT_PROFILE, *, topics: dict[str, str] | None = None
 ) -> Recording:
-    """Open a log with a profile: a shipped one by its name, a file, or a `Profile`.
+    """Open the log at `path`, a file, folder or URL, with a profile: a shipped one by its name, a file, or a `Profile`.
+
+    Args:
+        path: The log.
+        profile: What the log shows.
+        topics: Topics of roles, as `{"image": "/left/image_raw"}`, instead of the profile's.
 
     Raises ProfileError, or RecordingError for a file that is no recording.
     """
@@ -78,47 +125,110 @@ def open_recording(
 
 def estimate(
     recording: Recording,
-    method: Method = "overlay",
+    method: Method = "auto",
     *,
     calibration: Path | None = None,
+    hand_eye: Path | None = None,
     lag: Lag | None = None,
     instruments: Sequence[str] | None = None,
+    alarms: AlarmRules | None = None,
+    start_s: float = 0.0,
+    end_s: float = math.inf,
+    every: int = 1,
     jobs: int | None = None,
 ) -> Estimates:
-    """Measure every image of a recording. `lag` in s, or `"auto"`, is taken off the images' stamps first."""
+    """Measure the images of a recording; the method `"auto"` is the best that it can serve.
+
+    Args:
+        recording: A log, as `open_recording` gives it.
+        method: A method's name, or an object with `estimate(frame)`.
+        calibration: The file of planar methods, in place of the profile's.
+        hand_eye: The file of camera-to-base transforms, in place of the profile's.
+        lag: Taken off the images' stamps first, in s, or `"auto"`.
+        instruments: Names of those to measure, by default all.
+        alarms: Fills the columns of alarms, as `AlarmRules(below_m=0.005)`.
+        start_s: Where to begin, in seconds after the first image.
+        end_s: Where to end.
+        every: Every so-many-th image is measured.
+        jobs: Processes; results do not depend on them.
+    """
+    if hand_eye is not None:
+        origin = recording.origin
+        profile = taking_hand_eye(origin.profile, hand_eye)
+        recording = replace(_open(origin.path, profile, topics=origin.topics), window=recording.window)
+    if (start_s, end_s, every) != (0.0, math.inf, 1):
+        recording = replace(recording, window=Window(start_s, end_s, every))
     setup = _setup(recording, method, calibration)
     names = None if instruments is None else tuple(instruments)
     read, _ = with_lag(recording, Request(setup, instruments=names, lag=lag), jobs)
-    return Estimates(recording, setup, tuple(_estimate(read, setup, names, jobs)))
+    return Estimates(recording, setup, tuple(_estimate(read, setup, names, jobs)), alarms)
 
 
 def validate(
     recordings: Recording | Sequence[Recording],
-    method: Method = "overlay",
+    method: Method = "auto",
     *,
+    estimates: str | None = None,
     calibration: Path | None = None,
     rules: TruthRules | None = None,
     lag: Lag | None = None,
     alarms: AlarmRules | None = None,
     jobs: int | None = None,
 ) -> Validation:
-    """Score a method on recordings of one profile against each reference that they have."""
+    """Score a method on recordings of one profile against each reference that they have.
+
+    Args:
+        recordings: One log or several.
+        method: As in `estimate`.
+        estimates: Those of others in place of a method's: a file's or, with `topic:` before it, a topic's.
+        calibration: The file of planar methods, in place of the profile's.
+        rules: Choose the references.
+        lag: Taken off the images' stamps first, in s, or `"auto"`.
+        alarms: Scored against the true clearance.
+        jobs: Processes; results do not depend on them.
+
+    Raises RecordingError where a recording has no reference.
+    """
     several = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    setup = _setup(several[0], method, calibration)
+    setup = _setup(several[0], given_estimates(estimates) if estimates else method, calibration)
     request = Request(setup, lag=lag, alarms=alarms, rules=rules or TruthRules())
     return _validate(several, request, jobs)
 
 
 def compare(
     recordings: Recording | Sequence[Recording],
-    methods: Sequence[Method] = ("overlay", "centroid", "fiducial", "shaft", "stereo", "kinematic", "fused"),
+    methods: Sequence[Method] | None = None,
     *,
+    estimates: Sequence[str] = (),
     jobs: int | None = None,
 ) -> list[MethodScore]:
-    """Measure recordings of one profile with all methods side by side."""
+    """Measure recordings of one profile with methods side by side, all that they can serve where none is named.
+
+    Args:
+        recordings: One log or several.
+        methods: As in `estimate`.
+        estimates: As in `validate`.
+        jobs: Processes; results do not depend on them.
+    """
     several = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    return _compare(several, [_setup(several[0], method) for method in methods], jobs=jobs)
+    given = [_setup(several[0], given_estimates(text)) for text in estimates]
+    if methods is None:
+        return _compare(several, [*prepare_every(several[0].origin.profile), *given], jobs=jobs)
+    return _compare(several, [*(_setup(several[0], method) for method in methods), *given], jobs=jobs)
+
+
+def surface(recording: Recording, frame: int = 0) -> TissueSurface:
+    """The tissue's surface that both views of a recording's image number `frame`, from 0, show.
+
+    It has points, normals and deviations, in the left camera's frame.
+    Raises RecordingError where the log has no right view, or the image shows no surface; UsageError without the image.
+    """
+    return _surface(recording, recording.origin.profile, frame)
 
 
 def _setup(recording: Recording, method: Method, calibration: Path | None = None) -> Setup:
-    return prepare(recording.origin.profile, method, "corrected", calibration)
+    profile = recording.origin.profile
+    if method == "auto":
+        planar = "overlay" if calibration is not None else None
+        method = planar or best_method([recording.path], profile, recording.origin.topics)[0]
+    return prepare(profile, method, "corrected", calibration)

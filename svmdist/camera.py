@@ -6,7 +6,6 @@ Pixel coordinates follow OpenCV: the centre of the top-left pixel is (0, 0).
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -95,43 +94,46 @@ class Camera:
         P = np.hstack([K, np.zeros((3, 1))])
         return cls(width_px, height_px, K, np.zeros(5), np.eye(3), P, frame_id)
 
-    @cached_property
-    def _distortion(self) -> tuple[float, ...] | None:
-        """k1, k2, p1, p2, k3 of the plain model; None where all are zero."""
-        coefficients = tuple(float(value) for value in (*self.D, *[0.0] * 5)[:5])
-        return coefficients if any(coefficients) else None
-
     def project(self, p_camera_m: ArrayLike) -> Array:
         """Project points of the camera frame, shape (n, 3) in m and in front of it, to px, shape (n, 2)."""
         p = np.atleast_2d(np.asarray(p_camera_m, np.float64))
-        if self.distortion_model == "fisheye" or len(self.D) > 5:
-            import cv2  # of few lenses: a camera is there without OpenCV
+        if not self.has_distortion:
+            return np.asarray(p[:, :2] / p[:, 2:] @ self.K[:2, :2].T + self.K[:2, 2])
+        import cv2  # of few lenses: a camera is there without OpenCV
 
-            is_fisheye = self.distortion_model == "fisheye"
-            project = cv2.fisheye.projectPoints if is_fisheye else cv2.projectPoints
-            D = fisheye_coefficients(self.D) if is_fisheye else self.D
-            pixels, _ = project(p[:, None], np.zeros(3), np.zeros(3), self.K, D)
-            return np.asarray(pixels, np.float64).reshape(-1, 2)
-        xy = p[:, :2] / p[:, 2:]
-        if self._distortion is not None:
-            xy = _distorted(xy, self._distortion)
-        return np.asarray(xy @ self.K[:2, :2].T + self.K[:2, 2])
+        is_fisheye = self.distortion_model == "fisheye"
+        project = cv2.fisheye.projectPoints if is_fisheye else cv2.projectPoints
+        D = fisheye_coefficients(self.D) if is_fisheye else self.D
+        pixels, _ = project(p[:, None], np.zeros(3), np.zeros(3), self.K, D)
+        return np.asarray(pixels, np.float64).reshape(-1, 2)
 
     def project_with_derivative(self, p_camera_m: Array) -> tuple[Array, Array]:
-        """The pixels of points, shape (..., 3) in m, as (..., 2), and their derivative by the points, (..., 2, 3)."""
-        z = p_camera_m[..., 2:]
-        xy = p_camera_m[..., :2] / z
-        A = self.K[:2, :2]
-        slope = np.empty((*xy.shape, 3))
-        if self._distortion is None:
-            pixels = xy @ A.T
-            np.divide(A, z[..., None], out=slope[..., :2])
-            slope[..., 2] = -pixels / z
-        else:
-            pixels = _distorted(xy, self._distortion) @ A.T
-            slope[..., :2] = A @ _distortion_slope(xy, self._distortion) / z[..., None]
-            slope[..., 2] = -(slope[..., :2] @ xy[..., None])[..., 0]
+        """The pixels of points, (..., 3) in m, as (..., 2), and their derivative by the points, (..., 2, 3): no lens.
+
+        Methods look at images of ideal cameras.
+        """
+        z, A = p_camera_m[..., 2:], self.K[:2, :2]
+        pixels = p_camera_m[..., :2] / z @ A.T
+        slope = np.empty((*pixels.shape, 3))
+        np.divide(A, z[..., None], out=slope[..., :2])
+        slope[..., 2] = -pixels / z
         return pixels + self.K[:2, 2], slope
+
+    def rays(self, points_px: ArrayLike) -> Array:
+        """Directions in the camera frame, shape (n, 3) with z = 1, of pixels, shape (n, 2); without distortion."""
+        points = np.asarray(points_px, np.float64).reshape(-1, 2)
+        if not self.has_distortion:
+            (fx, skew, cx), (_, fy, cy), _ = self.K
+            y = (points[:, 1] - cy) / fy
+            return np.stack([(points[:, 0] - cx - skew * y) / fx, y, np.ones(len(points))], -1)
+        import cv2
+
+        if self.distortion_model == "fisheye":
+            straight = cv2.fisheye.undistortPoints(points[:, None], self.K, fisheye_coefficients(self.D))
+        else:
+            criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
+            straight = cv2.undistortPoints(points[:, None], self.K, self.D, None, None, None, criteria)
+        return np.column_stack([np.asarray(straight).reshape(-1, 2), np.ones(len(points))])
 
     def same_optics(self, other: Camera, tolerance_px: float = 1e-6) -> bool:
         """Whether size, intrinsics and distortion agree within a tolerance in px."""
@@ -147,30 +149,6 @@ class Camera:
 def fisheye_coefficients(D: Array) -> Array:
     """The four that OpenCV's fisheye lens takes, shape (4,): those that a log leaves out are 0."""
     return np.resize(np.append(D, np.zeros(4)), 4)
-
-
-def _distorted(xy: Array, coefficients: tuple[float, ...]) -> Array:
-    """Points of the plane z = 1, shape (..., 2), where the lens shows them."""
-    k1, k2, p1, p2, k3 = coefficients
-    x, y = xy[..., 0], xy[..., 1]
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    shown_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-    return np.stack([shown_x, y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], -1)
-
-
-def _distortion_slope(xy: Array, coefficients: tuple[float, ...]) -> Array:
-    """Derivative of `_distorted` by the point, shape (..., 2, 2)."""
-    k1, k2, p1, p2, k3 = coefficients
-    x, y = xy[..., 0], xy[..., 1]
-    r2 = x * x + y * y
-    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    twice = 2 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))  # derivative of `radial` by x, over x
-    slope = np.empty((*xy.shape, 2))
-    slope[..., 0, 0] = radial + twice * x * x + 2 * p1 * y + 6 * p2 * x
-    slope[..., 1, 1] = radial + twice * y * y + 6 * p1 * y + 2 * p2 * x
-    slope[..., 0, 1] = slope[..., 1, 0] = twice * x * y + 2 * p1 * x + 2 * p2 * y
-    return slope
 
 
 def stereo_transform(left: Camera, right: Camera) -> Array | None:

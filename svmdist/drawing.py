@@ -1,4 +1,4 @@
-"""What is drawn of a frame, as data: shapes in the image and in space, for pictures, videos and recordings alike."""
+"""What is drawn, as data, and its colours: shapes in the image and in space, for all pictures, pages and recordings."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from svmdist.geometry import Capsules, Mesh
+from svmdist.geometry import Capsules, Surface
 from svmdist.transforms import Array
 
 Rgb = tuple[int, int, int]
@@ -16,33 +16,35 @@ class Part(StrEnum):
     """What a shape shows."""
 
     TISSUE = "tissue"
-    INSTRUMENT = "instrument"
-    TIP = "tip"
-    MARKER = "marker"
-    MATCH = "match"
-    INLIER = "inlier"
     SHAFT = "shaft"
+    WRIST = "wrist"
+    TIP = "tip"
+    OTHER = "other instrument"
+    DISTAL_MARKER = "distal marker"
     POSE = "pose"
     TAG = "tag"
+    MARKER = "marker"
+    INLIER = "inlier"
+    MATCH = "match"
     DISTANCE = "distance"
     BETWEEN = "between"
 
 
+YELLOW, WHITE = (240, 228, 66), (255, 255, 255)
 COLOURS: dict[Part, Rgb] = {
     Part.TISSUE: (0, 158, 115),
-    Part.INSTRUMENT: (86, 180, 233),
+    **dict.fromkeys((Part.SHAFT, Part.POSE), (86, 180, 233)),
+    **dict.fromkeys((Part.WRIST, Part.DISTAL_MARKER), (230, 159, 0)),
     Part.TIP: (204, 121, 167),
-    Part.MARKER: (240, 228, 66),
+    Part.OTHER: (0, 114, 178),
+    **dict.fromkeys((Part.TAG, Part.MARKER, Part.INLIER), YELLOW),
     Part.MATCH: (160, 160, 160),
-    Part.INLIER: (240, 228, 66),
-    Part.SHAFT: (213, 94, 0),
-    Part.POSE: (0, 114, 178),
-    Part.TAG: (204, 121, 167),
-    Part.DISTANCE: (255, 255, 255),
-    Part.BETWEEN: (230, 159, 0),
+    **dict.fromkeys((Part.DISTANCE, Part.BETWEEN), WHITE),
 }
-"""Colours that differ with any colour vision (Okabe & Ito 2008); what is measured is white."""
+"""One for each thing; they differ with any colour vision (Okabe & Ito 2008), and what is measured is white."""
 ALARM_COLOUR: Rgb = (213, 94, 0)
+ESTIMATE_COLOUR, TRUTH_COLOUR, LOST_COLOUR = (45, 120, 190), (120, 120, 120), (150, 150, 150)
+"""Of curves, on white and on black."""
 
 
 class Form(StrEnum):
@@ -80,6 +82,16 @@ class StatusLine:
     measured: bool
     alarm: bool = False
 
+    @property
+    def warns(self) -> bool:
+        """Whether it is an alarm, or says why nothing was measured."""
+        return self.alarm or not self.measured
+
+    @property
+    def colour(self) -> Rgb:
+        """White, or that of alarms."""
+        return ALARM_COLOUR if self.warns else WHITE
+
 
 @dataclass(frozen=True, slots=True)
 class Segment:
@@ -94,12 +106,16 @@ class Segment:
 
 @dataclass(frozen=True, slots=True)
 class FrameDrawing:
-    """All that is drawn of one image; in the camera frame: `bodies` by instrument, `tissue` and `segments`."""
+    """All that is drawn of one image; in the camera frame: `bodies` by instrument, `tissue`, `segments`, and `cloud_m`.
+
+    `cloud_m`, shape (n, 3), has the points of the tissue that both views show.
+    """
 
     stamp_ns: int
     shapes: tuple[Shape, ...] = ()
     labels: tuple[Label, ...] = ()
     lines: tuple[StatusLine, ...] = ()
     bodies: Mapping[str, Capsules] = field(default_factory=dict)
-    tissue: Mesh | None = None
+    tissue: Surface | None = None
     segments: tuple[Segment, ...] = ()
+    cloud_m: Array | None = None

@@ -98,7 +98,7 @@ def optional_package(name: str, extra: str, what: str, error: type[SvmdistError]
             f"{what} needs the package {name}, which is not installed: pip install 'svmdist[{extra}]'"
         ) from None
     if name == "av":
-        package.logging.set_level(package.logging.PANIC)  # svmdist reports decoding errors, once
+        package.logging.set_level(None)  # else a decoding thread that logs and its end wait for each other
     return package
 
 

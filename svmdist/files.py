@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, BinaryIO, cast
 
-from svmdist.errors import OutputError
+from svmdist.errors import OutputError, SvmdistError
 from svmdist.remote import LogPath, RemoteFile
 
 BAD_CHARACTER = "the path has a character that no path can have"
@@ -40,8 +40,31 @@ codecs.register_error(FALLBACK, _fall_back)
 
 
 def why(problem: OSError | ValueError) -> str:
-    """What was wrong with a file, without its name, in a few words."""
-    return str(getattr(problem, "strerror", None) or problem)
+    """What was wrong with a file, without its name, in a few words; of a missing one also the nearest name there."""
+    missing = isinstance(problem, FileNotFoundError) and problem.filename
+    return f"{getattr(problem, 'strerror', None) or problem}{nearest_file(missing) if missing else ''}"
+
+
+def nearest_file(path: str | bytes | os.PathLike[str]) -> str:
+    """What a file that is not there may be instead, as the end of a sentence; empty where nothing is alike."""
+    from difflib import get_close_matches
+
+    folder, name = os.path.split(os.path.abspath(os.fsdecode(path)))
+    if not os.path.isdir(folder):
+        return f": there is no folder {folder}"
+    with suppress(OSError):
+        if near := get_close_matches(name, os.listdir(folder), n=1, cutoff=0.8):
+            return f": did you mean {os.path.join(os.path.dirname(os.fsdecode(path)), near[0])}?"
+    return ""
+
+
+@contextmanager
+def reading(path: LogPath, error: type[SvmdistError], what: str = "") -> Iterator[None]:
+    """Turn an OSError into an error of one line that names the file."""
+    try:
+        yield
+    except OSError as problem:
+        raise error(f"{path}: cannot read{what}: {why(problem)}") from None
 
 
 def open_regular(path: LogPath) -> BinaryIO:

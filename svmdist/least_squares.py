@@ -16,14 +16,8 @@ from svmdist.transforms import Array
 
 
 def median(values: Array) -> float:
-    """The median of values, shape (n,), four times as fast as NumPy's on a few hundred; NaN of none."""
-    if not len(values):
-        return float("nan")
-    ordered = np.sort(values)
-    if np.isnan(ordered[-1]):
-        return float("nan")
-    middle = len(ordered) // 2
-    return float(ordered[middle] if len(ordered) % 2 else 0.5 * (ordered[middle - 1] + ordered[middle]))
+    """The median of values, shape (n,); NaN of none."""
+    return float(np.median(values)) if len(values) else float("nan")
 
 
 def scale_of(values: Array) -> float:

@@ -28,6 +28,7 @@ class Unit:
 TEXT, COUNT = Unit("text"), Unit()
 RATIO, SHARE = Unit("1", digits=4), Unit("1", "%", 100.0, 1)
 LENGTH, SPEED = Unit("m", "mm", 1e3, 2), Unit("m/s", "mm/s", 1e3, 1)
+DEGREES = Unit("rad", "°", 180.0 / np.pi, 2)
 PIXELS, SECONDS, RADIANS = Unit("px", "px", digits=1), Unit("s", "s", digits=2), Unit("rad", "rad", digits=4)
 
 
@@ -72,8 +73,7 @@ def pearson_r(estimate: ArrayLike, truth: ArrayLike) -> float | None:
     f, y = np.asarray(estimate, np.float64), np.asarray(truth, np.float64)
     if not (_varies(y) and _varies(f)):
         return None
-    f, y = f - f.mean(), y - y.mean()
-    return float(np.clip(np.sum(f * y) / np.sqrt(np.sum(f * f) * np.sum(y * y)), -1.0, 1.0))
+    return float(np.corrcoef(f, y)[0, 1])
 
 
 def error_statistics(estimate: ArrayLike, truth: ArrayLike) -> ErrorStatistics | None:

@@ -56,7 +56,9 @@ class ToolPose:
 
     @property
     def position_std_m(self) -> float:
-        """Standard deviation of the position in the direction in which it is the largest."""
+        """Standard deviation of the position in the direction in which it is the largest; NaN for an unknown one."""
+        if not np.isfinite(self.position_covariance).all():
+            return float("nan")
         return float(np.sqrt(max(np.linalg.eigvalsh(self.position_covariance)[-1], 0.0)))
 
     @property
@@ -96,11 +98,16 @@ class Distance:
     without_overlap_std_m: float | None = None
 
     @property
+    def half_m(self) -> float | None:
+        """Half of the 95 % interval, what stands behind ±; None without a standard deviation."""
+        return None if self.std_m is None else Z_95 * self.std_m
+
+    @property
     def interval_m(self) -> tuple[float, float] | None:
         """The bounds of the 95 % interval; None without a standard deviation."""
-        if self.std_m is None:
+        if self.half_m is None:
             return None
-        return self.value_m - Z_95 * self.std_m, self.value_m + Z_95 * self.std_m
+        return self.value_m - self.half_m, self.value_m + self.half_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +122,11 @@ class Distances:
     spatial: Distance | None = None
     clearance: Distance | None = None
     to_instrument: Distance | None = None
+
+    @property
+    def main(self) -> Distance | None:
+        """The clearance where the method measures one, else the planar distance."""
+        return self.clearance or self.planar
 
 
 @dataclass(frozen=True, slots=True)

@@ -131,6 +131,7 @@ class Status(StrEnum):
     AMBIGUOUS_POSE = "ambiguous_pose"
     INCONSISTENT = "inconsistent"
     UNCERTAIN = "uncertain"
+    NO_ESTIMATE = "no_estimate"
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,9 +168,9 @@ def bgr_image(image: object, encoding: str, camera: Camera | None = None) -> NDA
     return np.ascontiguousarray((pixels[..., None] if channels == 1 else pixels)[..., order])
 
 
-def require_bgr(image: object, camera: Camera | None = None, name: str = "image") -> None:
+def require_bgr(image: object) -> None:
     """Check that an image is what `bgr_image` gives; raises WrongImageError."""
-    _checked(image, 3, camera, f"{name}: expected a BGR image of uint8")
+    _checked(image, 3, None, "image: expected a BGR image of uint8")
 
 
 def _checked(image: object, channels: int, camera: Camera | None, expected: str) -> NDArray[np.uint8]:

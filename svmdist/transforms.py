@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated
 
 import numpy as np
@@ -63,8 +62,6 @@ def rotation_z(angle_rad: float) -> Array:
 def rotation_of(vector_rad: ArrayLike) -> Array:
     """exp([v]): rotations, shape (..., 3, 3), by rotation vectors in rad, shape (..., 3) (Rodrigues 1840)."""
     v = np.asarray(vector_rad, np.float64)
-    if v.ndim == 1:
-        return _rotation_of_one(*v.tolist())
     angle_rad = np.linalg.norm(v, axis=-1)[..., None, None]
     K = skew(v)
     # sin θ / θ and (1 - cos θ) / θ² by sinc: no digit is lost and nothing divided by zero at small angles.
@@ -72,25 +69,8 @@ def rotation_of(vector_rad: ArrayLike) -> Array:
     return np.asarray(np.eye(3) + first * K + second * (K @ K))
 
 
-def _rotation_of_one(x: float, y: float, z: float) -> Array:
-    """The same for one vector in plain floats, many times as fast: [v]² is v vᵀ - θ² I."""
-    angle = math.sqrt(x * x + y * y + z * z)
-    half = 0.5 * angle
-    a = math.sin(angle) / angle if angle > 0.0 else 1.0
-    b = 0.5 * (math.sin(half) / half) ** 2 if half > 0.0 else 0.5
-    return np.array(
-        [
-            [1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
-            [b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x],
-            [b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)],
-        ]
-    )
-
-
 def rotation_vector(R: Array) -> Array:
     """The vectors v in rad, shape (..., 3), with exp([v]) = R, shape (..., 3, 3), for less than half a turn."""
-    if R.ndim == 2:
-        return _rotation_vector_of_one(R)
     twice_sine = np.stack(
         [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1
     )
@@ -101,21 +81,9 @@ def rotation_vector(R: Array) -> Array:
     return np.asarray(0.5 * twice_sine * scale[..., None])
 
 
-def _rotation_vector_of_one(R: Array) -> Array:
-    """The same for one rotation, in plain floats."""
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R.tolist()
-    x, y, z = zy - yz, xz - zx, yx - xy
-    sine = 0.5 * math.sqrt(x * x + y * y + z * z)
-    scale = 0.5 if sine < 1e-9 else 0.5 * math.atan2(sine, 0.5 * (xx + yy + zz - 1.0)) / sine
-    return np.array([scale * x, scale * y, scale * z])
-
-
 def skew(v: ArrayLike) -> Array:
     """[v], shape (..., 3, 3), with [v] u = v x u, of vectors (..., 3)."""
     v = np.asarray(v, np.float64)
-    if v.ndim == 1:
-        x, y, z = v.tolist()
-        return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     K = np.zeros((*v.shape, 3))
     K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
     K[..., 1, 0], K[..., 2, 0], K[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
@@ -136,16 +104,6 @@ def inverse_right_jacobian(vector_rad: ArrayLike) -> Array:
     return np.asarray(np.eye(3) + 0.5 * K + factor[..., None, None] * (K @ K))
 
 
-def cross(a: Array, b: Array) -> Array:
-    """a x b of vectors, shape (..., 3): NumPy's own takes many times as long for one pair."""
-    if a.ndim == b.ndim == 1:
-        (x, y, z), (u, v, w) = a.tolist(), b.tolist()
-        return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
-
-
 def rotation_from_quaternion_xyzw(quaternion_xyzw: ArrayLike) -> Array:
     """Rotations, shape (..., 3, 3), from quaternions x, y, z, w, shape (..., 4); ValueError for one that is zero."""
     q = np.asarray(quaternion_xyzw, np.float64)
@@ -159,6 +117,14 @@ def rotation_from_quaternion_xyzw(quaternion_xyzw: ArrayLike) -> Array:
         (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
     )
     return np.stack([np.stack(row, -1) for row in rows], -2)
+
+
+def known_rotations(q: ArrayLike) -> Array:
+    """Rotations, shape (n, 3, 3), from quaternions, shape (n, 4); NaN where one of its numbers is not finite."""
+    q = np.asarray(q, np.float64)
+    R, known = np.full((len(q), 3, 3), np.nan), np.isfinite(q).all(axis=1)
+    R[known] = rotation_from_quaternion_xyzw(q[known])
+    return R
 
 
 def quaternion_xyzw_from_rotation(R: Array) -> Array:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from svmdist.cli.main import run
 from tests.golden import RECORDINGS, GoldenRuns
@@ -24,8 +24,11 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 LIMIT_S = 300.0
 """A process that has not ended by then hangs; all of them need a few seconds, on a busy machine too."""
 
-# The same examples in every run, whatever an earlier one found; `--hypothesis-profile=default` draws new ones.
-settings.register_profile("repeatable", derandomize=True)
+# The same examples in every run, whatever an earlier one found, without a limit on their time;
+# `--hypothesis-profile=default` draws new ones.
+settings.register_profile(
+    "repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("repeatable")
 
 

@@ -3,14 +3,20 @@
 from types import SimpleNamespace
 from typing import Any
 
-from svmdist.estimation.frame import frame_of
+from svmdist.estimation.frame import Frame
 from svmdist.estimation.methods import make_estimator
 from svmdist.estimation.plane_mapping import PlaneMapping
-from svmdist.estimation.scene import Arm
+from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile import Profile
 from svmdist.results import FrameResult, as_vector
 from svmdist.samples import Observation
-from svmdist.vision.segmentation import make_segmenter
+from svmdist.vision.segmentation import Segmenter, make_segmenter
+
+
+def frame_of(observation: Observation, arm: Arm, segmenter: Segmenter) -> Frame:
+    """The frame of the only instrument of an observation."""
+    scene = Scene(observation, arm.profile, segmenter)
+    return Frame.of(scene, arm, observation, arm.state_at(observation))
 
 
 class Measuring:

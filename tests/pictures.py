@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from svmdist.camera import Camera
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.lines import undistorted
 
 Canvas = NDArray[np.float32]
 Colour = tuple[float, float, float]
@@ -210,7 +209,7 @@ class ShaftImage:
         x = (np.arange(width)[:, None] + offsets).ravel()
         y = (rows[:, None] + offsets).ravel()
         grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-        rays = np.column_stack([undistorted(self.camera, grid), np.ones(len(grid))])
+        rays = self.camera.rays(grid)
         colour = np.tile(np.array(self.background_bgr), (len(rays), 1))
         depth = np.full(len(rays), np.inf)
         self._cylinder(rays, colour, depth, RADIUS_M, (-0.3, -END_M), (32.0, 30.0, 30.0), self.stripe)

@@ -53,6 +53,19 @@ def test_estimates_are_a_sequence_of_results(golden):
     assert score.sample_count == 80
 
 
+def test_alarms_and_a_window_from_python(golden):
+    """As the command line has them; a result shows itself in a few lines, and what it is of."""
+    recording = svmdist.open_recording(golden / "3d" / "contact.mcap")
+    estimates = svmdist.estimate(recording, alarms=svmdist.AlarmRules(0.05), start_s=1.0, end_s=2.0, every=5)
+    assert [row["alarm"] for row in estimates.rows()] == [1, 1, 1]
+    assert repr(estimates).startswith("contact: 3 rows by fused\n3 ok\nsmallest clearance")
+    assert "1 alarm" in repr(estimates)
+    assert repr(estimates).splitlines()[0] in estimates._repr_html_()
+    assert set(dir(svmdist)) == set(svmdist.__all__)
+    with pytest.raises(svmdist.errors.RecordingError):
+        svmdist.open_recording("none.mcap")
+
+
 class Constant:
     """A method that measures the same distance always, and counts its frames."""
 

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,7 +12,7 @@ from svmdist.camera import Camera
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.floats(0.1, 3.0), st.integers(2, 4000), st.integers(2, 4000))
 def test_the_field_of_view_spans_the_whole_width(fov_rad, width_px, height_px):
     """A ray at half the field of view meets the outer edge of the last pixel, half a pixel past its centre."""
@@ -23,14 +22,13 @@ def test_the_field_of_view_spans_the_whole_width(fov_rad, width_px, height_px):
 
 
 @pytest.mark.parametrize(
-    "distortion", [[], [0.1, -0.05, 0.0, 0.0], [-0.3, 0.12, 1e-3, -2e-3], [-0.3, 0.12, 1e-3, -2e-3, 0.04]]
+    "lens", [{}, {"D": np.array([-0.3, 0.12, 1e-3, -2e-3, 0.04])}, {"distortion_model": "fisheye"}]
 )
-def test_projection_equals_opencvs(distortion):
-    """project agrees with cv2.projectPoints within 1e-9 px, for no, four and five coefficients."""
-    p_m = np.random.default_rng(1).uniform([-0.05, -0.04, 0.08], [0.05, 0.04, 0.2], (40, 3))
-    camera = replace(CAMERA, D=np.array(distortion))
-    expected, _ = cv2.projectPoints(p_m, np.zeros(3), np.zeros(3), CAMERA.K, np.array(distortion))
-    np.testing.assert_allclose(camera.project(p_m), expected[:, 0], atol=1e-9)
+def test_a_pixels_ray_is_projected_to_that_pixel(lens):
+    """Within 1e-6 px, for an ideal lens, a distorting one, and a fisheye's."""
+    camera = replace(CAMERA, **lens)
+    pixels = np.random.default_rng(1).uniform([0.0, 0.0], [640.0, 480.0], (40, 2))
+    np.testing.assert_allclose(camera.project(0.1 * camera.rays(pixels)), pixels, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -51,12 +49,11 @@ def test_a_difference_beyond_the_tolerance_makes_another_camera(change):
     assert not other.same_optics(CAMERA, tolerance_px=5e-4)
 
 
-@pytest.mark.parametrize("distortion", [[], [-0.3, 0.12, 2e-3, -1e-3, -0.02]])
 @pytest.mark.parametrize("skew_px", [0.0, 3.0])
-def test_the_projections_derivative(distortion, skew_px):
+def test_the_projections_derivative(skew_px):
     """Against central differences to 1e-8 of some 2e4 px/m, for stacks of points; the pixels are those of `project`."""
     K = CAMERA.K + skew_px * np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    camera = replace(CAMERA, K=K, D=np.array(distortion))
+    camera = replace(CAMERA, K=K)
     p_m = np.array([0.0, 0.0, 0.1]) + np.random.default_rng(2).uniform(-0.03, 0.03, (2, 5, 3))
     pixels, J = camera.project_with_derivative(p_m)
     np.testing.assert_allclose(pixels.reshape(-1, 2), camera.project(p_m.reshape(-1, 3)), atol=1e-10)

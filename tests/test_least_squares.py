@@ -65,12 +65,6 @@ def test_weights_and_scale():
     assert scale_of(sample[4000:]) == pytest.approx(2.0, rel=0.03)
 
 
-@pytest.mark.parametrize("count", [1, 2, 9, 400])
-def test_the_median_is_that_of_numpy(count):
-    values = np.random.default_rng(count).normal(size=count)
-    assert median(values) == np.median(values)
-
-
 @pytest.mark.parametrize("values", [[], [math.nan], [1.0, math.nan, 2.0]], ids=["none", "nan", "one nan"])
 def test_what_has_no_median_gives_nan(values):
     assert math.isnan(median(np.array(values)))

@@ -9,7 +9,7 @@ from scipy.stats import pearsonr
 
 from svmdist import metrics
 
-quick = settings(deadline=None, max_examples=80)
+quick = settings(max_examples=80)
 values_m = st.floats(-1.0, 1.0).map(lambda value: round(value, 6))
 pairs = st.integers(2, 40).flatmap(
     lambda n: st.tuples(arrays(float, n, elements=values_m), arrays(float, n, elements=values_m))

@@ -72,7 +72,7 @@ def test_an_sdist_has_what_it_needs_and_nothing_else(sdist):
     assert {path.relative_to(sdist) for path in (sdist / "svmdist").rglob("*.py")} == tracked
     sizes = {path: path.stat().st_size for path in sdist.rglob("*") if path.is_file()}
     networks = {path: size for path, size in sizes.items() if path.suffix == ".onnx"}
-    assert sum(networks.values()) <= 4 << 20
+    assert sum(networks.values()) <= 5_000_000
     assert sum(sizes.values()) - sum(networks.values()) < 6e6
 
 
@@ -102,7 +102,7 @@ def test_the_package_page_has_no_relative_link(sdist, tmp_path):
     targets = links(addressed.get_payload())
     assert len(targets) == len(links(readme))
     assert all(target.startswith("https://") for target in targets)
-    assert f"{URL}/raw/HEAD/docs/images/scene.jpg" in targets
+    assert f"{URL}/raw/HEAD/docs/images/real.jpg" in targets
     assert f"Repository, {URL}" in (addressed.get_all("Project-URL") or [])
     with zipfile.ZipFile(build("wheel", root, tmp_path / "wheel")) as wheel:
         (name,) = (name for name in wheel.namelist() if name.endswith("/METADATA"))

@@ -7,22 +7,25 @@ import cv2
 import numpy as np
 import pytest
 
-from benchmarks.masks import OUTLINES, PANEL_SIZE, filled, panels
+from benchmarks.masks import OUTLINES, PANEL_SIZE, filled, iou, panels
 from tests.conftest import REPOSITORY
-from training import train
-from training.instruments import DISTAL, OTHER, SHAFT, TISSUE, Material, Part, draw
-from training.scene import augmented, halved, iou, layers, render
+from training import pictures, train
+from training.instruments import DISTAL, INSTRUMENT, OTHER, SHAFT, TISSUE, UNKNOWN, Part, draw
+from training.pictures import augmented, near_keypoints
+from training.scene import HEIGHT, WIDTH, layers, render, rendered
 
 SIZE = (150, 200)
-WHITE = Material(np.full(3, 255.0, np.float32), np.ones(4), np.ones(3), 1.0, ())
-"""Lit alike everywhere: what is drawn in it shows how much of each pixel it covers."""
+
+
+def white(across, _along):
+    return np.full((len(across), 3), 255.0, np.float32)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.3, 1.1, 2.5])
 def test_a_part_is_labelled_where_it_covers_half_of_a_pixel(angle):
     """Against its outline's geometry: centres inside are labelled, and none farther out than rounding allows."""
     middle, along = np.array([100.3, 74.8]), np.array([np.cos(angle), np.sin(angle)])
-    part = Part(middle - 50 * along, middle + 40 * along, 12.0, 8.0, SHAFT, WHITE)
+    part = Part(middle - 50 * along, middle + 40 * along, 12.0, 8.0, SHAFT, white)
     canvas, labels = np.zeros((*SIZE, 3), np.float32), np.full(SIZE, TISSUE, np.uint8)
     draw(canvas, labels, [part])
     y, x = np.mgrid[: SIZE[0], : SIZE[1]]
@@ -39,26 +42,72 @@ def test_a_part_is_labelled_where_it_covers_half_of_a_pixel(angle):
 
 
 def test_pictures_follow_from_the_seed_and_have_all_classes():
-    """Also pictures without instruments; what is black outside of the picture is no tissue."""
+    """Also pictures without instruments; keypoints are on instruments, but for those that another one hides."""
     pictures = [render(seed) for seed in range(40)]
     for one, two in zip(pictures[7], render(7), strict=True):
         np.testing.assert_array_equal(one, two)
-    labels = [labels for _, labels in pictures]
+    labels = [labels for _, labels, _ in pictures]
     assert {int(c) for each in labels for c in np.unique(each)} == {OTHER, TISSUE, DISTAL, SHAFT}
     assert 0.6 <= np.mean([bool((each >= DISTAL).any()) for each in labels]) < 1.0
+    on = [
+        cv2.dilate(each, np.ones((5, 5), np.uint8))[round(float(y)), round(float(x))] >= DISTAL
+        for _, each, points in pictures
+        for x, y in points[np.isfinite(points[..., 0])].clip(0, (WIDTH - 1, HEIGHT - 1))
+    ]
+    assert len(on) > 100
+    assert np.mean(on) > 0.95
     for seed in range(5):
         assert layers(np.random.default_rng(seed), SIZE, count=0)[1].max() <= TISSUE
 
 
-def test_what_is_flipped_keeps_its_labels():
-    """A picture whose brightness is its label: after flips each pixel still has its own."""
-    labels = np.random.default_rng(0).integers(0, 4, (8, 6, 10)).astype(np.uint8)
-    images = np.repeat(40 + 50 * labels[..., None], 3, -1)
-    for image, label in zip(*augmented(np.random.default_rng(1), images, labels), strict=True):
-        assert max(image[label == number].std(axis=0).max() for number in range(4)) < 1e-9
-    small, classes = halved(images, labels)
-    np.testing.assert_array_equal(classes, labels[:, ::2, ::2])
-    np.testing.assert_array_equal(small[0, 0, 0], images[0, :2, :2].mean((0, 1)).astype(np.uint8))
+@pytest.mark.parametrize("seed", range(4))
+def test_labels_and_keypoints_move_with_the_picture(seed):
+    """A bright disc, labelled, with a tip in its middle, at another size: all three stay together."""
+    middle, points = np.array([190.0, 140.0]), np.full((5, 5, 2), np.nan, np.float32)
+    points[0, 3] = middle
+    label = cv2.circle(np.zeros((HEIGHT, WIDTH), np.uint8), (190, 140), 30, SHAFT, cv2.FILLED)
+    image = np.repeat(80 * label[..., None], 3, -1)
+    seen, classes, moved = augmented(np.random.default_rng(seed), image, label, points, (192, 256))
+    centre = np.argwhere(classes == SHAFT).mean(0)[::-1]
+    assert seen[classes == SHAFT].mean() > 100
+    assert seen[classes == OTHER].mean() < 50
+    np.testing.assert_allclose(moved[0, 3], centre, atol=0.6)
+    assert np.isnan(moved).sum() == moved.size - 2
+    tips = near_keypoints(moved, (192, 256))
+    np.testing.assert_allclose(np.argwhere(tips[3]).mean(0)[::-1], (centre + 0.5) / 2 - 0.5, atol=0.6)
+    assert not tips[:3].any()
+
+
+def test_outlines_become_labels_of_real_pictures(tmp_path, monkeypatch):
+    """Instrument inside, open beside an outline and in doubt; every outlined repository has a licence in the docs."""
+    marked = [[[100, 400, 900, 400, 900, 600, 100, 600]], [[0, 0, 200, 0, 200, 200, 0, 200]]]
+    own = {"set": {"one.png": {"shows": "tissue", "outlines": marked}, "two.png": {"shows": "room"}}}
+    (tmp_path / "outlines.json").write_text(json.dumps(own), "utf-8")
+    known = json.loads(pictures.OUTLINES.read_text("utf-8"))
+    page = (REPOSITORY / "docs" / "real-data.md").read_text("utf-8")
+    assert all(name in page for name in known)
+    monkeypatch.setattr(pictures, "OUTLINES", tmp_path / "outlines.json")
+    (tmp_path / "set").mkdir()
+    for name in own["set"]:
+        shown = np.full((300, 400, 3), (60, 60, 180), np.uint8)
+        cv2.imwrite(
+            str(tmp_path / "set" / name), cv2.rectangle(shown, (40, 120), (360, 180), (40, 40, 40), -1)
+        )
+    real = pictures.outlined([tmp_path / "set"])
+    assert real is not None
+    (first, second), (labels, others) = real
+    assert first[labels == INSTRUMENT].max() < 60
+    assert first[labels == TISSUE][:, 2].min() > 150
+    assert (labels == INSTRUMENT).mean() == pytest.approx(0.16, abs=0.03)
+    assert (labels[:50, :70] == UNKNOWN).all()
+    assert (others == OTHER).all()
+    assert second.shape == (HEIGHT, WIDTH, 3)
+    drawn, rng, sizes = rendered(0, 3), np.random.default_rng(0), []
+    for _ in range(30):
+        image, label, _, has_all = pictures.sample(rng, drawn, real, (192, 256))
+        assert not (has_all and (label >= INSTRUMENT).any())
+        sizes.append((image.shape, label.shape))
+    assert set(sizes) == {((192, 256, 3), (192, 256))}
 
 
 def test_masks_of_public_sets(tmp_path):
@@ -84,7 +133,7 @@ def test_training_without_pytorch_is_one_line(tmp_path, monkeypatch, capsys):
     """PyTorch is no dependency: who lacks it is told what to install, and nothing is drawn or written."""
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.delitem(sys.modules, "training.network", raising=False)
-    assert train.main([str(tmp_path / "net.onnx"), "--cache", str(tmp_path / "cache")]) == 1
+    assert train.main([str(tmp_path / "net.onnx")]) == 1
     assert "torch is not installed" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
     assert (REPOSITORY / "svmdist" / "models" / "instruments.onnx").is_file()

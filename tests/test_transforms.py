@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from svmdist import transforms
 
-quick = settings(deadline=None, max_examples=60)
+quick = settings(max_examples=60)
 angles_rad = st.floats(-2 * np.pi, 2 * np.pi)
 lengths_m = st.floats(-10.0, 10.0)
 vectors_m = st.tuples(lengths_m, lengths_m, lengths_m)
@@ -34,7 +34,7 @@ def test_a_transform_times_its_inverse_is_the_identity(axis, angle_rad, t_m):
 
 
 def test_stacks_broadcast():
-    """One rotation with five translations, inverses of a stack, products with points and cross products."""
+    """One rotation with five translations, inverses of a stack and products with points."""
     t_m = np.arange(15.0).reshape(5, 3)
     T = transforms.make_transform(transforms.rotation_z(0.3), t_m)
     np.testing.assert_array_equal(T[:, :3, 3], t_m)
@@ -45,9 +45,6 @@ def test_stacks_broadcast():
     p_m = np.random.default_rng(3).normal(size=(20, 3))
     expected = (T[1] @ np.column_stack([p_m, np.ones(20)]).T).T[:, :3]
     np.testing.assert_allclose(transforms.transform_points(T[1], p_m), expected, atol=1e-14)
-    np.testing.assert_allclose(
-        transforms.cross(p_m[:4, None], p_m[5:]), np.cross(p_m[:4, None], p_m[5:]), atol=1e-15
-    )
 
 
 @quick

@@ -1,178 +1,101 @@
-"""Random pictures with exact labels, each made from a seed: layers of a scene, light, camera and video link.
-
-They are drawn once to two files, which training then reads as often as it likes.
-"""
+"""Random pictures with exact labels and keypoints, each made from a seed: scene, light, camera, video link."""
 
 from __future__ import annotations
 
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 
 import cv2
 import numpy as np
 
 from training import instruments
-from training.instruments import OTHER, TISSUE, Array, Size, fractal
+from training.backgrounds import Array, Size, background, fractal
+from training.instruments import NOWHERE, OTHER, TISSUE
 
-WIDTH, HEIGHT = 256, 192
-"""The network's input in px. Pictures of any aspect are stretched to it, as `method = "onnx"` does."""
-MIDDLE = 127.5  # its pixels are (level - MIDDLE) / MIDDLE
+WIDTH, HEIGHT = 384, 288
+"""Of pictures in px. Those of any aspect are stretched to it, as `method = "onnx"` does."""
+MIDDLE = 127.5  # the network's pixels are (level - MIDDLE) / MIDDLE
+MOST, POINTS = 5, 5  # instruments of a picture, and of each: entry, end, hinge, and two tips
 ASPECTS = (4 / 3, 4 / 3, 5 / 4, 16 / 9, 16 / 9, 1.0, 1.5)
-BORDERS = ("none", "circle", "rectangle", "cut circle")
-BORDER_WEIGHTS = (0.45, 0.24, 0.14, 0.17)
-VALIDATION_SEED = 10_000_000  # seeds from here on are never trained on
+VALIDATION_SEED = 10_000_000  # from here on they are not trained on
+Drawn = tuple[Array, Array, Array]
+"""Pictures (n, h, w, 3) in BGR, the class of each pixel (n, h, w), and keypoints in px, (n, MOST, POINTS, 2)."""
 
 
-def layers(rng: np.random.Generator, size: Size, count: int | None = None) -> tuple[Array, Array]:
-    """Draw background, shadows, `count` instruments (else 0 to 3), blood and a suture.
-
-    Gives the picture, shape (h, w, 3), before light and camera, and the class of each pixel, shape (h, w).
-    """
-    scene, is_tissue = instruments.background(rng, size)
-    count = int(rng.choice(4, p=[0.1, 0.42, 0.38, 0.1])) if count is None else count
-    if rng.random() < 0.35:
-        instruments.draw(scene, np.zeros(size, np.uint8), instruments.cords(rng, size))
+def layers(rng: np.random.Generator, size: Size, count: int | None = None) -> Drawn:
+    """One picture before light and camera, with `count` instruments or any number; its classes and keypoints."""
+    scene, is_tissue = background(rng, size)
     labels = np.where(is_tissue, TISSUE, OTHER).astype(np.uint8)
     around = np.asarray(scene.mean((0, 1)), np.float32)
-    for _ in range(count):
-        parts = instruments.instrument(rng, size, around)
-        if rng.random() < 0.6:  # its shadow on what is behind it, beside it, soft or hard
-            half = parts[0].end_half
-            outline = np.zeros(size, np.uint8)
-            for part in parts:
-                cv2.fillConvexPoly(outline, np.rint(part.corners).astype(np.int32), 255)
-            aside = [rng.normal(0.0, 1.2) * half, rng.normal(0.3, 1.2) * half]
-            shift = np.column_stack([np.eye(2), aside]).astype(np.float32)
-            moved = cv2.warpAffine(outline, shift, size[::-1])
-            soft = cv2.GaussianBlur(moved, (0, 0), rng.uniform(0.5, 1.0 + 0.6 * half)).astype(np.float32)
-            scene *= 1.0 - rng.uniform(0.1, 0.75) * soft[..., None] / 255.0
-        instruments.draw(scene, labels, parts)
-        if rng.random() < 0.45:  # blood, or what is like it, on instruments: they stay what they are
-            spots = fractal(rng, size, rng.uniform(6.0, 25.0), 3) - rng.uniform(0.3, 1.8)
-            share = np.clip(4.0 * spots, 0.0, 1.0) * (labels > TISSUE) * rng.uniform(0.4, 1.0)
-            blood = rng.uniform(35, 170) * np.array([rng.uniform(0.05, 0.4), rng.uniform(0.05, 0.35), 1.0])
-            scene += (share[..., None] * (blood - scene)).astype(np.float32)
-    if rng.random() < 0.3:  # a suture or a needle: thin, of any colour, and no instrument
-        colour = rng.uniform(0, 255, 3).tolist()
-        cv2.polylines(scene, [instruments.wandering(rng, size, 0.3)], False, colour, 1, cv2.LINE_AA)
-    return scene, labels
+    points = np.full((MOST, POINTS, 2), np.nan, np.float32)
+    for number in range(rng.choice(5, p=[0.13, 0.37, 0.34, 0.12, 0.04]) if count is None else count):
+        parts, points[number] = instruments.instrument(rng, size, around)
+        instruments.place(rng, scene, labels, parts)
+    return scene, labels, points
 
 
-def render(seed: int) -> tuple[Array, Array]:
-    """A seed's picture, shape (HEIGHT, WIDTH, 3) in BGR, and the class of each pixel, shape (HEIGHT, WIDTH)."""
+def seen(points: Array, view: Array) -> Array:
+    """Keypoints, shape (n, POINTS, 2), in the view, a mask (h, w): others are NaN, and shafts enter at its rim."""
+    out, shares = points.copy(), np.linspace(0.0, 1.0, 256, dtype=np.float32)[:, None]
+    limits = np.array(view.shape[::-1]) - 1
+    for item in out:
+        for number, places in enumerate([item[0] + shares * (item[1] - item[0]), *item[1:, None]]):
+            at = np.where(np.isfinite(places), np.floor(np.nan_to_num(places) + 0.5), -1).astype(int)
+            x, y = at.clip(0, limits).T
+            inside = (at == np.stack([x, y], -1)).all(1) & (view[y, x] > 0)
+            item[number] = places[inside.argmax()] if inside.any() else NOWHERE
+    return out
+
+
+def render(seed: int) -> Drawn:
+    """A seed's picture, (HEIGHT, WIDTH, 3) in BGR, the class of each pixel, (HEIGHT, WIDTH), and keypoints in px."""
     rng = np.random.default_rng(seed)
-    height = int(rng.integers(200, 290))
+    height = int(rng.integers(210, 310))
     size = (height, round(height * float(rng.choice(ASPECTS))))
-    scene, labels = layers(rng, size)
-    picture = _picture_area(rng, size)
-    image = _film(rng, _light_and_colour(rng, scene), picture)
-    labels = np.where(picture > 0, labels, OTHER).astype(np.uint8)
-    if rng.random() < 0.15:  # recorded small, and enlarged
-        less = rng.uniform(0.4, 0.9)
-        image = cv2.resize(image, None, fx=less, fy=less, interpolation=cv2.INTER_AREA)
-    how = cv2.INTER_AREA if image.shape[1] >= WIDTH and image.shape[0] >= HEIGHT else cv2.INTER_LINEAR
-    shown = cv2.resize(image, (WIDTH, HEIGHT), interpolation=how)
-    return shown, cv2.resize(labels, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST_EXACT)
-
-
-def _picture_area(rng: np.random.Generator, size: Size) -> Array:
-    """Where the picture is inside of its black border: 255, else 0; shape (h, w)."""
-    height, width = size
-    border = rng.choice(BORDERS, p=BORDER_WEIGHTS)
-    mask = np.full(size, 255 if border == "none" else 0, np.uint8)
-    if border == "rectangle":
-        left, right = rng.uniform(0.0, 0.2, 2) * width * (rng.random() < 0.8)
-        top, bottom = rng.uniform(0.0, 0.12, 2) * height * (rng.random() < 0.5)
-        mask[int(top) : height - int(bottom), int(left) : width - int(right)] = 255
-    elif border != "none":
-        centre = np.array([width, height]) * (0.5 + rng.normal(0.0, 0.02, 2))
-        radius = height * (rng.uniform(0.42, 0.52) if border == "circle" else rng.uniform(0.5, 0.68))
-        cv2.circle(mask, np.rint(centre).astype(int).tolist(), int(radius), 255, cv2.FILLED)
-    return mask
+    scene, labels, points = layers(rng, size)
+    (height, width), circle = size, rng.random() < 0.5
+    view = np.full(size, 0 if circle else 255, np.uint8)
+    if circle:  # the endoscope's, whole or cut; users of the network crop to it
+        middle = np.rint(np.array([width, height]) * (0.5 + rng.normal(0.0, 0.02, 2))).astype(int).tolist()
+        cv2.circle(view, middle, int(height * rng.uniform(0.42, 0.68)), 255, cv2.FILLED)
+    edge = cv2.GaussianBlur(view, (0, 0), rng.uniform(0.4, 1.5)).astype(np.float32)[..., None] / 255.0
+    scene = edge * _light_and_colour(rng, scene) + (1.0 - edge) * rng.uniform(0, 12, 3).astype(np.float32)
+    image, points, labels = filmed(rng, scene), seen(points, view), np.where(view > 0, labels, OTHER)
+    x, y, width, height = cv2.boundingRect(view)
+    image, labels = (one[y : y + height, x : x + width] for one in (image, labels.astype(np.uint8)))
+    points = (points - (x, y) + 0.5) * (WIDTH / width, HEIGHT / height) - 0.5
+    shown = cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
+    labels = cv2.resize(labels, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST_EXACT)
+    return shown, labels, points.astype(np.float32)
 
 
 def _light_and_colour(rng: np.random.Generator, scene: Array) -> Array:
     """The lamp's cone, exposure and contrast, the balance of colours, and smoke."""
     height, width = scene.shape[:2]
-    y, x = np.mgrid[:height, :width].astype(np.float32)
-    at = (np.array([width, height]) * (0.5 + rng.normal(0.0, 0.1, 2))).astype(np.float32)
-    r2 = ((x - at[0]) ** 2 + (y - at[1]) ** 2) / (width / 2) ** 2
-    scene = scene * (1.0 / (1.0 + rng.exponential(0.5) * r2))[..., None]
-    if rng.random() < 0.3:
-        plume = rng.uniform(0.0, 0.6) + 0.25 * fractal(rng, (height, width), 2.0, 3)
-        smoke = np.clip(plume, 0.0, 0.85)[..., None]
-        haze = rng.uniform(90, 230) * np.array([rng.uniform(0.9, 1.15), 1.0, rng.uniform(0.85, 1.05)])
-        scene = (1.0 - smoke) * scene + smoke * haze.astype(np.float32)
+    x, y = (np.linspace(-1.0, 1.0, n, dtype=np.float32) + rng.normal(0.0, 0.2) for n in (width, height))
+    scene = scene / (1.0 + rng.exponential(0.5) * (x**2 + (height / width * y[:, None]) ** 2))[..., None]
+    if rng.random() < 0.22:
+        smoke = rng.uniform(0.0, 0.6) + 0.25 * fractal(rng, (height, width), 2.0, 3)[..., None]
+        scene += np.clip(smoke, 0.0, 0.85) * (rng.uniform(90, 230) - scene)
     grey = (scene @ np.array([0.11, 0.59, 0.3], np.float32))[..., None]
-    scene = grey + float(np.clip(rng.normal(1.0, 0.25), 0.3, 1.6)) * (scene - grey)  # saturation
+    scene = grey + float(np.clip(rng.normal(1.0, 0.25), 0.3, 1.8)) * (scene - grey)  # saturation
     cast = np.exp(rng.normal(0.0, 0.1 if rng.random() < 0.8 else 0.25, 3))
-    if rng.random() < 0.12:  # a strong blue to violet cast
-        cast *= np.array([rng.uniform(1.2, 2.2), rng.uniform(0.6, 1.0), rng.uniform(0.5, 1.0)])
-    cast = cast / cast.mean() * np.exp(rng.normal(0.05, 0.3))
-    levels = np.clip(scene * cast.astype(np.float32) / 255.0, 0.0, 1.0)
+    levels = np.clip(scene * (cast / cast.mean() * np.exp(rng.normal(0.05, 0.35))) / 255.0, 0.0, 1.0)
     return np.asarray(255.0 * levels ** float(np.exp(rng.normal(0.0, 0.25))) + rng.uniform(0, 14), np.float32)
 
 
-def _film(rng: np.random.Generator, scene: Array, picture: Array) -> Array:
-    """The picture as recorded, uint8 of the same shape: blur, sharpening, border, interlaced rows, noise, JPEG."""
-    height, width = scene.shape[:2]
-    scene = cv2.GaussianBlur(scene, (0, 0), rng.uniform(0.3, 1.6) * width / 350)
-    if rng.random() < 0.2:
-        length = int(rng.integers(3, max(4, width // 30)))
-        kernel = np.zeros((length, length), np.float32)
-        ends = np.rint(rng.uniform(0, length - 1, 2)).astype(int)
-        cv2.line(kernel, ends.tolist(), (length - 1 - ends).tolist(), 1.0)
-        scene = cv2.filter2D(scene, -1, kernel / kernel.sum())
+def filmed(rng: np.random.Generator, scene: Array) -> Array:
+    """The picture as recorded, uint8 of the same shape: blur, sharpening, noise, JPEG."""
+    scene = cv2.GaussianBlur(scene.astype(np.float32), (0, 0), rng.uniform(0.3, 1.6) * scene.shape[1] / 400)
     if rng.random() < 0.3:  # cameras sharpen, which leaves halos
         scene = scene + rng.uniform(0.3, 1.5) * (scene - cv2.GaussianBlur(scene, (0, 0), 1.5))
-    edge = cv2.GaussianBlur(picture, (0, 0), rng.uniform(0.4, 1.5)).astype(np.float32)[..., None] / 255.0
-    scene = edge * scene + (1.0 - edge) * rng.uniform(0, 12, 3).astype(np.float32)
-    if rng.random() < 0.1:
-        scene[1::2] = np.roll(scene[1::2], int(rng.integers(-3, 4)), axis=1)
-    scene = scene + rng.exponential(2.5) * rng.standard_normal((height, width, 1), np.float32)
-    image = np.clip(scene, 0, 255).astype(np.uint8)
-    if rng.random() < 0.6:
-        _, coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(20, 96))])
-        image = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), np.uint8)
-    return image
+    scene = scene + rng.exponential(2.5) * rng.standard_normal((*scene.shape[:2], 1), np.float32)
+    quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(20, 101))]
+    coded = cv2.imencode(".jpg", np.clip(scene, 0, 255).astype(np.uint8), quality)[1]
+    return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), np.uint8)
 
 
-def rendered(first_seed: int, count: int, folder: Path, processes: int = 1) -> tuple[Array, Array]:
-    """Pictures (n, h, w, 3) in BGR and labels (n, h, w) of `count` seeds, drawn where `folder` does not have them."""
-    folder.mkdir(parents=True, exist_ok=True)
-    images_path, labels_path = (folder / f"{first_seed}-{count}-{kind}.npy" for kind in ("images", "labels"))
-    if not labels_path.exists():
-        shape = (count, HEIGHT, WIDTH)
-        images = np.lib.format.open_memmap(images_path, mode="w+", dtype=np.uint8, shape=(*shape, 3))
-        labels = np.empty(shape, np.uint8)
-        with ProcessPoolExecutor(processes, initializer=cv2.setNumThreads, initargs=(1,)) as pool:
-            pairs = pool.map(render, range(first_seed, first_seed + count), chunksize=25)
-            for number, (image, label) in enumerate(pairs):
-                images[number], labels[number] = image, label
-        images.flush()
-        np.save(labels_path, labels)  # last: it says that both are complete
-    return np.load(images_path, mmap_mode="r"), np.load(labels_path, mmap_mode="r")
-
-
-def augmented(rng: np.random.Generator, images: Array, labels: Array) -> tuple[Array, Array]:
-    """Flipped, and with each channel brighter or darker: a picture that is read twice is not the same twice."""
-    out_images, out_labels = images.copy(), labels.copy()
-    for number, (image, label) in enumerate(zip(images, labels, strict=True)):
-        across, up = (1 if rng.random() < 0.5 else -1 for _ in range(2))
-        table = np.clip(np.arange(256)[:, None] * np.exp(rng.normal(0.0, 0.08, 3)), 0, 255).astype(np.uint8)
-        out_images[number] = table[image[::up, ::across], range(3)]
-        out_labels[number] = label[::up, ::across]
-    return out_images, out_labels
-
-
-def halved(images: Array, labels: Array) -> tuple[Array, Array]:
-    """Half as wide and half as high: pixels averaged, labels taken from one of four."""
-    count, height, width = labels.shape
-    means = images.reshape(count, height // 2, 2, width // 2, 2, 3).mean((2, 4))
-    return means.astype(np.uint8), np.ascontiguousarray(labels[:, ::2, ::2])
-
-
-def iou(found: Array, truth: Array) -> float:
-    """Intersection over union of two masks of one shape; 1 of two that are empty."""
-    either = int((found | truth).sum())
-    return float((found & truth).sum()) / either if either else 1.0
+def rendered(first_seed: int, count: int, processes: int = 1) -> Drawn:
+    """The pictures of `count` seeds."""
+    with ProcessPoolExecutor(processes, initializer=cv2.setNumThreads, initargs=(1,)) as pool:
+        drawn = list(pool.map(render, range(first_seed, first_seed + count), chunksize=25))
+    return tuple(np.stack(kind) for kind in zip(*drawn, strict=True))  # type: ignore[return-value]

@@ -32,7 +32,9 @@ class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
     """
 
     output: Path = option("--output -o FILE.toml", "Calibration file to write.", ...)
-    method: Literal["overlay", "centroid"] = option("--method", "Planar method that will use it.", "overlay")
+    method: Literal["overlay", "centroid"] = option(
+        "--method NAME", "overlay (the default) or centroid.", "overlay"
+    )
     force: bool = FORCE
 
     def _run(self) -> ExitCode:
@@ -74,16 +76,15 @@ class HandEye(options.ProfileOptions, options.InstrumentOption, options.LagOptio
 
     file: Path = argument(..., "FILE", "Recording to fit on.")
     method: Literal["fiducial", "stereo", "shaft"] | None = option(
-        "--method", "What finds the tool. Default: fiducial, stereo or shaft, the first that finds it."
+        "--method NAME", "fiducial, stereo or shaft. Default: the first that finds the tool."
     )
     against: Literal["kinematics", "pose"] | None = option(
-        "--against",
-        "What the robot reports: kinematics of its joints, or the poses of measured_cp. Default: the joints"
-        " where log and profile have them.",
+        "--against NAME",
+        "kinematics (of the joints), or the robot's pose. Default: kinematics where log and profile have them.",
     )
     form: str | None = options.format_option(Holds.TABLES)
     output: Path | None = option(
-        "--output -o FILE.toml", 'File for the transforms; a profile names it: hand_eye = "FILE.toml".'
+        "--output -o FILE.toml", 'For the transforms; a profile names it: hand_eye = "FILE.toml".'
     )
     force: bool = FORCE
     jobs: int | None = options.JOBS

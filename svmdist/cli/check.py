@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from svmdist.cli import options
 from svmdist.cli.logs import LogOptions, Run
-from svmdist.cli.output import ExitCode, write_results
+from svmdist.cli.output import ExitCode, progress_bar, write_results
 from svmdist.report.writers import Holds
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class Check(LogOptions, options.ReadOptions, options.OutputOptions):
     form: str | None = options.format_option(Holds.TABLES)
 
     def _run(self) -> ExitCode:
-        from svmdist.report.checks import check_results
+        from svmdist.report.info import check_results
         from svmdist.workflows.request import Request, Setup
 
         writer = self.writer(self.paths, Holds.TABLES)
@@ -50,7 +50,8 @@ class Check(LogOptions, options.ReadOptions, options.OutputOptions):
 
 def compared_rows(recording: Recording, request: Request, _threads: int) -> list[Row]:
     """The comparisons of a log as rows."""
-    from svmdist.report.checks import check_rows
+    from svmdist.report.info import check_rows
     from svmdist.workflows.check import check_log
 
-    return list(check_rows(recording.name, check_log(recording, request.setup.profile)))
+    with progress_bar(f"comparing {recording.name}"):
+        return list(check_rows(recording.name, check_log(recording, request.setup.profile)))

@@ -27,8 +27,9 @@ MethodChoice = StrEnum("MethodChoice", "overlay centroid fiducial shaft stereo k
 class Compare(GoldenLogOptions, CalibrationOption, LagOption, WindowOptions, GroupOption, OutputOptions):
     """Compare methods on the same frames.
 
-    Error and coverage of each method are given per scenario, and over all of them. Every method measures the same
-    frames; each image is decoded once. Without FILE, every log in recordings/ is compared.
+    Error and coverage of each method are given per scenario, and over all of them. Every method that a log can serve
+    measures the same frames; each image is decoded once. Methods stand against each other, too, where a log has no
+    ground truth, or --estimates gives those of others. Without FILE, every log in recordings/ is compared.
 
     Examples:
       All methods on the same frames:
@@ -37,22 +38,27 @@ class Compare(GoldenLogOptions, CalibrationOption, LagOption, WindowOptions, Gro
         svmdist compare log.mcap --method fused --method shaft --degrade smoke=3
       One of them under every degradation and severity:
         svmdist compare log.mcap --method fused --degrade all
+      Yours beside ours:
+        svmdist compare log.mcap --method fused --estimates mine=poses.tum --estimates topic:/tracker/pose
       A table and a figure for a paper:
         svmdist compare log.mcap -f latex --save-plot methods.pdf
     """
 
     method: list[MethodChoice] | None = option(
-        f"--method {'|'.join(MethodChoice)}", "A method to compare; may be repeated. Default: all."
+        "--method NAME", f"{', '.join(MethodChoice)}; may be repeated. Default: all."
     )
     degrade: list[str] | None = option(
-        "--degrade NAME=SEVERITY|all",
-        "Also measure with the images degraded, as in smoke=3; all stands for every degradation at every severity."
-        " May be repeated; each is applied alone.",
+        "--degrade NAME=SEVERITY",
+        "Also with images degraded, as in smoke=3, or all for every one; each alone; may be repeated.",
     )
     perturb: list[str] | None = option(
         "--perturb NAME=STRENGTH",
-        "Also measure in a world that is not as log and profile say, as in focal=1 or lag=30. May be "
-        "repeated; each is applied alone, NAME=STRENGTH,NAME=STRENGTH together. Names: docs/simulation.md.",
+        "Also in a world other than log and profile say, as in focal=1; each alone, focal=1,lag=30 together; may be"
+        " repeated. Names: docs/simulation.md.",
+    )
+    estimates: list[str] | None = option(
+        "--estimates [NAME=]FILE",
+        "Also estimates of others, as in `validate`; may be repeated.",
     )
     form: str | None = options.format_option(Holds.FIGURES)
     save_plot: Path | None = PLOT
@@ -61,20 +67,25 @@ class Compare(GoldenLogOptions, CalibrationOption, LagOption, WindowOptions, Gro
     def _run(self) -> ExitCode:
         from svmdist.report.scores import compare_results
         from svmdist.workflows.compare import MethodScore, compared
-        from svmdist.workflows.request import Request, prepare
+        from svmdist.workflows.given import given_estimates, require_distinct
+        from svmdist.workflows.request import Request, prepare, prepare_every
 
         writer = self.writer(self.paths, Holds.FIGURES)
         output.require_plot(self.save_plot, self.paths, self.plot)
         keys, lag, conditions = self.group_keys, self.given_lag, self.conditions
         methods = list(dict.fromkeys(map(str, self.method or MethodChoice)))
+        given = [given_estimates(text) for text in self.estimates or []]
+        require_distinct([*methods, *(one.name for one in given)])
         calibrations = {"overlay": self.calibration, "centroid": self.calibration}
-        setups = tuple(
-            prepare(self.profile, method, "corrected", calibrations.get(method), self.hand_eye)
-            for method in methods
-        )
+        if self.method:
+            of = partial(prepare, self.profile, equations="corrected", hand_eye=self.hand_eye)
+            setups = tuple(of(method, calibration=calibrations.get(method)) for method in methods)
+        else:
+            setups = prepare_every(self.profile, self.calibration, self.hand_eye)
+        setups += tuple(prepare(self.profile, one, hand_eye=self.hand_eye) for one in given)
         request = Request(setups[0], self.topics, self.window, lag=lag, conditions=tuple(conditions))
         run = Run(self, compare_log, request, list[MethodScore], "comparing", options=(setups, keys))
-        scores = compared([one for runs in run.finish() for one in runs], methods)
+        scores = compared([one for runs in run.finish() for one in runs])
         output.write_results(compare_results(scores), writer, self.output)
         if self.save_plot:
             from svmdist.report.plots import draw_compare, save_figure
@@ -123,9 +134,7 @@ class BlurBench(GoldenLogOptions, CalibrationOption, WindowOptions, OutputOption
         svmdist blur-bench log.mcap --every 5 --kernel gaussian=9
     """
 
-    kernel: list[str] | None = option(
-        "--kernel BLUR=PX", "Kernel size of a blur, an odd number; may be repeated."
-    )
+    kernel: list[str] | None = option("--kernel BLUR=PX", "An odd size, as in gaussian=9; may be repeated.")
     form: str | None = options.format_option(Holds.FIGURES)
 
     def _run(self) -> ExitCode:

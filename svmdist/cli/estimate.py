@@ -6,14 +6,13 @@ import shlex
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Generator, Iterator, Mapping, Sequence
-from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from svmdist.cli import output
 from svmdist.cli.logs import GroupOption, LogOptions, Run, log_losses
 from svmdist.cli.options import PLOT, MeasureOptions, OutputOptions, format_option, option
-from svmdist.cli.output import LOG, ExitCode
+from svmdist.cli.output import LOG, ExitCode, next_command
 from svmdist.errors import UsageError, concealed
 from svmdist.report.writers import Holds, Results, Writer, choose_writer
 
@@ -28,12 +27,15 @@ if TYPE_CHECKING:
     from svmdist.workflows.validate import Validation
 
 
+UNSEEN, DOUBTED = {"no_tissue", "no_instrument"}, {"inconsistent", "uncertain"}
+
+
 class PictureOptions(OutputOptions):
     """What is drawn of all rows together."""
 
     report: Path | None = option(
         "--report FILE.html",
-        "Write a report with interactive plots and the worst frames to this file; it needs no network.",
+        "Page with interactive plots and the worst frames.",
     )
     save_plot: Path | None = PLOT
 
@@ -72,30 +74,25 @@ class PictureOptions(OutputOptions):
 class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
     """Estimate the distance in every frame.
 
-    There is one row per frame, and per instrument where the log has several that the profile names. To a file that
-    ends in .mcap goes a copy of the recording with what was found and measured drawn on its images, for Foxglove,
-    Lichtblick and Rerun; to one in .mp4, a video of the same; to one in .html, a report; to one in .parquet, a table
-    for pandas and Arrow.
-
-    Several logs are measured by --jobs processes. Failed logs are listed at the end; processing continues.
+    A row per frame and instrument. -o FILE.mcap writes a copy of the log with what was found drawn on its images, for
+    Foxglove and Lichtblick; .rrd the same for Rerun, .mp4 a video, .html a report.
 
     Examples:
       A row per frame, as CSV:
         svmdist estimate log.mcap --method fused -o rows.csv
       Alarms where the clearance may be below 5 mm:
         svmdist estimate log.mcap --method fused --alarm-below 5mm
-      For Foxglove, Lichtblick and Rerun, or as a video:
+      For Foxglove and Lichtblick:
         svmdist estimate log.mcap --method fused -o seen.mcap
       Seconds 2 to 5, every fourth image, as a video:
         svmdist estimate log.mcap --start 2 --end 5 --every 4 -o seen.mp4
     """
 
     form: str | None = format_option(Holds.ROWS)
-    force: bool = option("--force", "Replace a recording that exists; other files are anyway.", False)
+    force: bool = option("--force", "Replace a log that exists; other files are anyway.", False)
     summary: Path | None = option(
         "--summary FILE",
-        "Write the figures of each log, sorted by severity, worst first, of groups and of all logs to this file"
-        " (csv, json, parquet, md, tex, or text).",
+        "Figures of each log, worst first; as .csv, .md, ….",
     )
 
     def _run(self) -> ExitCode:
@@ -113,9 +110,11 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
             )
         output.require_output(self.summary, self.paths)
         summary_writer = choose_writer(None, self.summary, Holds.FIGURES)
-        request = self.request()
+        request = self.request(self.paths)
         if writer.name == "tum" and request.setup.is_planar:
-            raise UsageError(f"--format tum writes the tool's pose: choose a method in 3D, not {self.method}")
+            raise UsageError(
+                f"--format tum writes the tool's pose: choose a method in 3D, not {request.setup.method}"
+            )
         if writer.holds is Holds.FRAMES:
             return self._write_drawn(request, writer)
         draws = self.report is not None or self.save_plot is not None
@@ -126,11 +125,34 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
             self._write_rows(run, request, writer)
         if self.summary is not None:
             output.write_results(run.ranking(), summary_writer, self.summary)
+        self.say_choice()
         code = _log_tally([ending.tally for ending in run.results])
         log_ending({log.name: ending for log, _, ending in run.measured}, request)
+        self._say_next({str(log.path): ending for log, _, ending in run.measured}, request)
         if draws:
             self.draw(run, request)
         return run.exit_code() or code
+
+    def _say_next(self, endings: Mapping[str, Ending], request: Request) -> None:
+        """Log the smallest clearance, and the command that shows it; of what was not found, what was segmented."""
+        from svmdist.profile import DEFAULT_PROFILE
+
+        reading = ["--profile", self.profile] if self.profile != DEFAULT_PROFILE else []
+        reading += ["--hand-eye", str(self.hand_eye)] if self.hand_eye else []
+        reading += [word for topic in self.topic or [] for word in ("--topic", topic)]
+        found = [(path, ending, ending.least) for path, ending in endings.items() if ending.least is not None]
+        if found:
+            path, ending, least = min(found, key=lambda one: one[2].distances.clearance.value_m)  # type: ignore[union-attr]
+            frame = ["--frame", str(least.number), "--method", request.setup.method]
+            where = f"{path}: " if len(endings) > 1 else ""
+            LOG.info("%s%s: %s", where, ending.least_in_words, next_command("show", path, *frame, *reading))
+            return
+        statuses = set().union(*(ending.statuses for ending in endings.values()))
+        for path in list(endings)[:1]:
+            if statuses & UNSEEN:
+                LOG.info("next: %s", next_command("show", path, "--masks", *reading))
+            elif statuses & DOUBTED:
+                LOG.info("next: %s", next_command("check", path, *reading))
 
     def _require_one_kind(self, writer: Writer) -> None:
         """Raise UsageError where a file of images or a report is asked for, and something else, too."""
@@ -149,21 +171,18 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         from svmdist.report.rows import ESTIMATE_COLUMNS, shown_columns
         from svmdist.report.tables import text_lines
 
-        with output.no_progress(where=output.terminal_width(self.output) is not None):
-            rows = run.rows()
-            head = list(islice(rows, 2))  # so that a log that cannot be read leaves no header behind
-            several = len({row.get("instrument") for row in head}) > 1 or any(
-                len(ending.wanted) > 1 for ending in run.results
-            )
-            if writer.name == "tum" and several:
-                raise UsageError("--format tum writes one trajectory: choose an instrument with --instrument")
-            every = chain(head, rows)
+        head, every = run.begun(2, self.output)
+        several = len({row.get("instrument") for row in head}) > 1 or any(
+            len(ending.wanted) > 1 for ending in run.results
+        )
+        if writer.name == "tum" and several:
+            raise UsageError("--format tum writes one trajectory: choose an instrument with --instrument")
 
-            def text(width: int | None) -> Iterator[str]:
-                planar, alarms = request.setup.is_planar, request.alarms is not None
-                return text_lines(shown_columns(width, planar=planar, several=several, alarms=alarms), every)
+        def text(width: int | None) -> Iterator[str]:
+            planar, alarms = request.setup.is_planar, request.alarms is not None
+            return text_lines(shown_columns(width, planar=planar, several=several, alarms=alarms), every)
 
-            output.write_results(Results(ESTIMATE_COLUMNS, every, text), writer, self.output)
+        output.write_results(Results(ESTIMATE_COLUMNS, every, text), writer, self.output)
 
     def _write_drawn(self, request: Request, writer: Writer) -> ExitCode:
         """Measure a recording and write it with its drawings, as a recording or a video."""
@@ -187,8 +206,10 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
             frames = drawn_frames(seen, request.setup, request.alarms, request.instruments, self.jobs)
             writer.write(counted(steps.of(frames)), self.output, seen, request.setup, self.force)
         ending.close(watches, seen.remarks)
+        self.say_choice()
         code = _log_tally([ending.tally])
         log_ending({log.name: ending}, request)
+        self._say_next({str(log.path): ending}, request)
         return log_losses(recording.path, recording.health) or code
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Generator
 from contextlib import closing
-from itertools import chain, islice
 from typing import TYPE_CHECKING
 
 from svmdist.cli import output
@@ -25,8 +24,8 @@ if TYPE_CHECKING:
 class Fk(LogOptions, ReadOptions, WindowOptions, OutputOptions):
     """Print the tool's pose for every joint state.
 
-    The pose is the forward kinematics of the profile's chain, in its base frame or the camera's. Where the log has a
-    pose topic, the errors against it are printed on stderr. Of several logs each row names its own.
+    The forward kinematics of the profile's chain, in its base frame. Errors against the log's poses are on stderr.
+    --start, --end and --every count joint states in place of images.
 
     Examples:
       The tool's pose for each joint state:
@@ -36,11 +35,8 @@ class Fk(LogOptions, ReadOptions, WindowOptions, OutputOptions):
     """
 
     joints: str | None = option("--joints TOPIC", "Topic of the joint states.")
-    in_camera: bool = option("--in-camera", "In the camera's frame, by hand-eye or the log.", False)
-    form: str | None = format_option(Holds.POSES, "; tum is the format of evo")
-    start: float = option("--start SECONDS", "Seconds after the first joint state to begin at.", 0.0, min=0.0)
-    end: float | None = option("--end SECONDS", "Seconds after the first joint state to end at.", min=0.0)
-    every: int = option("--every N", "Take every N-th joint state only.", 1, min=1)
+    in_camera: bool = option("--in-camera", "In the camera's frame.", False)
+    form: str | None = format_option(Holds.POSES)
 
     def _run(self) -> ExitCode:
         from svmdist.metrics import TEXT
@@ -56,10 +52,8 @@ class Fk(LogOptions, ReadOptions, WindowOptions, OutputOptions):
         request = Request(Setup.reading(self.profile, self.hand_eye), topics, self.window)
         run = Run(self, pose_rows_of, request, int, "computing", options=(self.in_camera, several))
         columns = (*POSE_COLUMNS, Column("recording", TEXT)) if several else POSE_COLUMNS
-        with output.no_progress(where=output.terminal_width(self.output) is not None):
-            rows = run.rows()
-            head = list(islice(rows, 1))  # so that a log that cannot be read leaves no header behind
-            output.write_results(Results(columns, chain(head, rows)), writer, self.output)
+        _, rows = run.begun(1, self.output)
+        output.write_results(Results(columns, rows), writer, self.output)
         return run.exit_code()
 
 

@@ -7,8 +7,17 @@ import re
 from pathlib import Path
 from typing import Any, Literal
 
-from svmdist.cli.options import FORCE, LENGTH_UNITS_M, Options, argument, option, parse_length_m, parse_number
-from svmdist.cli.output import LOG, progress_bar, require_output
+from svmdist.cli.options import (
+    EVERY,
+    FORCE,
+    LENGTH_UNITS_M,
+    Options,
+    argument,
+    option,
+    parse_length_m,
+    parse_number,
+)
+from svmdist.cli.output import LOG, next_command, progress_bar, require_output
 from svmdist.errors import UsageError
 
 INSTRUMENT = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
@@ -19,8 +28,7 @@ CROP = r"(\d{1,5}),(\d{1,5}),([1-9]\d{0,4}),([1-9]\d{0,4})"
 class Import(Options):
     """Write a log of images or a video.
 
-    Views may be one, two, or two side by side. The calibration is a file's or given in numbers. Tables of poses and
-    joints go into the log, too. PNG and JPEG files are stored as they are.
+    One view, two, or two side by side; calibrated by a file or in numbers; with tables of poses and joints.
 
     Examples:
       Images at 30 per second, of a camera in numbers:
@@ -35,49 +43,39 @@ class Import(Options):
     right: Path | None = argument(None, "RIGHT", "The right view: a folder or a video.")
     output: Path | None = option("--output -o FILE.mcap", "Log to write. Default: SOURCE.mcap.")
     pattern: str | None = option("--pattern GLOB", "Which images of the folder, as in '*_L.jpg'.")
-    right_pattern: str | None = option(
-        "--right-pattern GLOB", "Images of the right view, as in '*_R.jpg'; without RIGHT, of that folder."
+    right_pattern: str | None = option("--right-pattern GLOB", "Those of the right view, as in '*_R.jpg'.")
+    side_by_side: bool = option("--side-by-side", "Each picture has both views, the left one left.", False)
+    camera_file: Path | None = option(
+        "--calibration FILE", "Of ROS, OpenCV (YAML, XML) or Kalibr; may be of a pair."
     )
-    side_by_side: bool = option(
-        "--side-by-side", "Each picture has the left view on its left half, the right one beside.", False
-    )
-    calibration: Path | None = option(
-        "--calibration FILE.yaml",
-        "Calibration of ROS (camera_info), OpenCV (YAML, XML) or Kalibr, of a camera or a pair.",
-    )
-    right_calibration: Path | None = option("--right-calibration FILE.yaml", "The right camera's own.")
-    calibrated_at: str | None = option(
-        "--calibrated-at WIDTHxHEIGHT", "Size of the images of the calibration, if they were scaled since."
-    )
-    crop: str | None = option(
-        "--crop X,Y,WIDTH,HEIGHT", "Take this part of each view, in px; the calibration is of the whole."
-    )
+    right_calibration: Path | None = option("--right-calibration FILE", "The right camera's own.")
+    calibrated_at: str | None = option("--calibrated-at SIZE", "If images were scaled since, as in 1280x720.")
+    crop: str | None = option("--crop X,Y,WIDTH,HEIGHT", "This part of each view, in px of the whole.")
     camera: str | None = option("--camera FX,FY,CX,CY", "The camera in px, in place of a file.")
-    right_camera: str | None = option("--right-camera FX,FY,CX,CY", "The right one. Default: the left one.")
-    distortion: str | None = option("--distortion K1,K2,P1,P2[,K3…]", "With --camera. Default: none.")
-    distortion_model: str = option("--distortion-model NAME", "Or rational_polynomial, fisheye.", "plumb_bob")
-    baseline: str | None = option(
-        "--baseline LENGTH", "Distance of the cameras of a rectified pair, as in 5.2mm; overrides a file's."
+    right_camera: str | None = option("--right-camera FX,…", "The right one. Default: the left one.")
+    distortion: str | None = option("--distortion K1,K2,…", "With --camera: K1,K2,P1,P2[,K3…].")
+    distortion_model: str = option(
+        "--distortion-model NAME", "plumb_bob (the default), rational_polynomial or fisheye.", "plumb_bob"
+    )
+    baseline_length: str | None = option(
+        "--baseline LENGTH", "Between the cameras of a rectified pair, as in 5.2mm."
     )
     unit: Literal["m", "cm", "mm"] = option(
-        "--unit UNIT", "Of lengths in calibration and poses: m, cm, mm.", "m"
+        "--unit UNIT", "Of lengths in calibration and poses: m (the default), cm, mm.", "m"
     )
     rate: float | None = option(
-        "--rate HZ", "Images per second, where neither names nor video tell the time.", min=1e-3, max=1e4
+        "--rate HZ", "Images per second, if neither names nor video tell.", min=1e-3, max=1e4
     )
     start: str = option("--start SECONDS", "Time of the first image, with --rate or a video.", "0")
     times: Path | None = option("--times FILE.csv", "Times of the images, with or without their names.")
     poses: list[str] | None = option(
-        "--poses [NAME=]FILE.csv", "Tool poses in the base of instrument NAME (PSM1); may be repeated."
+        "--poses [NAME=]FILE", "Tool poses in the base of NAME (PSM1); may be repeated."
     )
-    joints: list[str] | None = option("--joints [NAME=]FILE.csv", "Joint positions; may be repeated.")
-    joint_names: str | None = option("--joint-names NAME,…", "Of the columns of --joints that have none.")
-    every: int = option("--every N", "Take each Nth image only.", 1, min=1)
+    joints: list[str] | None = option("--joints [NAME=]FILE", "Joint positions; may be repeated.")
+    joint_names: str | None = option("--joint-names NAME,…", "Of columns of --joints without names.")
+    every: int = EVERY
     jpeg: int | None = option(
-        "--jpeg QUALITY",
-        "Store what has to be decoded (video, side by side, crop) as JPEG. Default: PNG, without loss.",
-        min=1,
-        max=100,
+        "--jpeg QUALITY", "Store what has to be decoded as JPEG. Default: PNG.", min=1, max=100
     )
     force: bool = FORCE
 
@@ -90,7 +88,7 @@ class Import(Options):
         require_output(path)
         if self.right_camera is not None and self.camera is None:
             raise UsageError("--right-camera goes with --camera")
-        if self.baseline is not None and not (self.right or self.right_pattern or self.side_by_side):
+        if self.baseline_length is not None and not (self.right or self.right_pattern or self.side_by_side):
             raise UsageError("--baseline is of two views: name the right one, or say --side-by-side")
         try:
             start_ns = parse_stamp_ns(self.start, "s")
@@ -103,11 +101,11 @@ class Import(Options):
                 _whole_px("--crop", self.crop, CROP, "X,Y,WIDTH,HEIGHT, as in 40,0,640,480"),
             ),
             CalibrationOptions(
-                (self.calibration, self.right_calibration),
+                (self.camera_file, self.right_calibration),
                 (_intrinsics("--camera", self.camera), _intrinsics("--right-camera", self.right_camera)),
                 _numbers("--distortion", self.distortion) if self.distortion else (),
                 self.distortion_model,
-                parse_length_m("--baseline", self.baseline) if self.baseline else None,
+                parse_length_m("--baseline", self.baseline_length) if self.baseline_length else None,
                 LENGTH_UNITS_M[self.unit],
                 _whole_px("--calibrated-at", self.calibrated_at, SIZE, "WIDTHxHEIGHT, as in 1280x720"),
             ),
@@ -122,6 +120,7 @@ class Import(Options):
         LOG.info("%s: %s; %.2f MB", path, ", ".join(counted), result.size_bytes / 1e6)
         if result.has_baseline is False:
             LOG.info("no baseline is known: stereo needs --baseline, or a calibration of the pair")
+        LOG.info("next: %s", next_command("profile", "new", path, "-o", f"{path.stem}.toml"))
 
 
 def _numbers(name: str, text: str) -> tuple[float, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 from svmdist.cli import options
 from svmdist.cli.logs import LogOptions, Run
 from svmdist.cli.options import FORCE, argument, option
-from svmdist.cli.output import LOG, ExitCode, require_output, write_lines, write_results
+from svmdist.cli.output import (
+    LOG,
+    ExitCode,
+    next_command,
+    progress_bar,
+    require_output,
+    write_lines,
+    write_results,
+)
 from svmdist.errors import RecordingError, SvmdistError
 from svmdist.report.writers import Holds
 
@@ -57,12 +64,13 @@ def inspect_log(recording: Recording, request: Request, _threads: int, looks_for
     from svmdist.workflows.capabilities import look_for_tag
 
     profile, tags = request.setup.profile, None
-    summary = inspect_recording(recording.path, profile, topics=dict(request.topics))
-    if looks_for_tag and {"image", "camera_info"} <= set(summary.roles):
-        with suppress(RecordingError):  # a calibration that is not usable: the summary says so
-            tags = look_for_tag(recording, profile)
-    recording.health.join(summary.health)
-    return info_document(summary, profile, tags) | {"checks": _checks(recording, profile)}
+    with progress_bar(f"looking at {recording.name}"):
+        summary = inspect_recording(recording.path, profile, topics=dict(request.topics))
+        if looks_for_tag and {"image", "camera_info"} <= set(summary.roles):
+            with suppress(RecordingError):  # a calibration that is not usable: the summary says so
+                tags = look_for_tag(recording, profile)
+        recording.health.join(summary.health)
+        return info_document(summary, profile, tags) | {"checks": _checks(recording, profile)}
 
 
 def _checks(recording: Recording, profile: Profile) -> dict[str, Any]:
@@ -98,13 +106,15 @@ class New(options.TopicOption):
     name: str | None = option("--name NAME", "Name of the profile. Default: that of the log.")
     instrument: str | None = option(
         "--instrument NAME",
-        "Sizes of a known instrument: large-needle-driver, da-vinci-8mm, da-vinci-5mm, laparoscopic-5mm, raven, …;"
-        " an unknown name lists all. Default: da-vinci-8mm if the joints are a da Vinci's, else any of 5 to 10 mm.",
+        "Sizes of large-needle-driver, da-vinci-8mm, laparoscopic-5mm, raven, …: a wrong name lists all. Default: by"
+        " the joints, else 5 to 10 mm.",
     )
     output: Path | None = options.OutputOptions.output
     force: bool = FORCE
 
     def _run(self) -> None:
+        import tomllib
+
         from svmdist.profile import Profile
         from svmdist.recording.log import open_recording
         from svmdist.report.profile_template import instrument_sizes, profile_text
@@ -115,17 +125,22 @@ class New(options.TopicOption):
         require_output(self.output, [self.file], is_new=not self.force)
         if self.instrument is not None:
             instrument_sizes(self.instrument)
-        draft = draft_profile(self.file, self.name or self.file.resolve().stem, self.topics, self.instrument)
-        text = profile_text(draft)
-        profile = Profile.model_validate(tomllib.loads(text))
+        name = self.name or self.file.resolve().stem
+        with progress_bar(f"looking at {self.file.name}"):
+            draft = draft_profile(self.file, name, self.topics, self.instrument)
+            text = profile_text(draft)
+            profile = Profile.model_validate(tomllib.loads(text))
+            found = check_log(open_recording(self.file, profile), profile)
         write_lines([text], self.output)
         instruments = ", ".join(one.name for one in draft.instruments)
         plane = "the plane from both views" if draft.plane else "measure the plane of the tissue"
         mark = "a distal marker by its colour" if draft.mark else "no colour of its own"
         LOG.info("%s: instruments %s; %s; %s", draft.name, instruments, mark, plane)
-        found = check_log(open_recording(self.file, profile), profile)
         if said := warning(found):
             LOG.warning("%s", said)
         else:
             count = sum(len(one.comparisons) for one in found.values())
             LOG.info("%s of the log with it: nothing contradicts", counted(count, "comparison"))
+        if self.output is not None:
+            with_it = next_command("estimate", self.file, "--profile", self.output)
+            LOG.info("next: complete what is marked MEASURE, and %s", with_it)

@@ -6,14 +6,16 @@ import os
 import re
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import nullcontext
 from functools import cached_property
 from glob import glob
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from urllib.parse import unquote
 
 from svmdist.cli.options import JOBS, Options, argument, option
-from svmdist.cli.output import LOG, ExitCode, progress_bar, with_name
+from svmdist.cli.output import LOG, ExitCode, progress_bar, terminal_width, with_name
 from svmdist.errors import RecordingError, UsageError
 from svmdist.files import why
 from svmdist.remote import LogPath, RemoteFile, is_url, listed_urls
@@ -36,16 +38,10 @@ MAX_REPORTED = 12  # the most logs whose frames are held at once, and fill a pag
 class LogOptions(Options):
     """Logs, and where they are measured."""
 
-    files: list[str] = argument(
-        ..., "FILE", "Recordings: MCAP files, ROS 1 bags, rosbag2 folders, folders of these, globs or URLs."
-    )
+    files: list[str] = argument(..., "FILE", "Logs (.mcap, .bag, rosbag2), folders, globs or URLs.")
     jobs: int | None = JOBS
-    scheduler: str | None = option(
-        "--scheduler tcp://HOST:PORT", "Measure on this Dask cluster; workers read the same paths or URLs."
-    )
-    resume: Path | None = option(
-        "--resume FOLDER", "Keep results in this folder; reuse those of the same log, options and version."
-    )
+    scheduler: str | None = option("--scheduler URL", "Measure on this Dask cluster: tcp://HOST:PORT.")
+    resume: Path | None = option("--resume FOLDER", "Keep results here; reuse those that still hold.")
 
     @cached_property
     def logs(self) -> list[LogFile]:
@@ -71,16 +67,14 @@ class GoldenLogOptions(LogOptions):
     """The same, with logs that are measured where none is named."""
 
     files: list[str] | None = argument(  # type: ignore[assignment]
-        None, "FILE", "Recordings, folders, globs or URLs. Default: every .mcap file in recordings/."
+        None, "FILE", "Logs, folders, globs or URLs. Default: every .mcap in recordings/."
     )
 
 
 class GroupOption(Options):
     """How logs are grouped."""
 
-    group: str | None = option(
-        "--group KEY,...", "Also give figures for groups of logs by their metadata, as in scenario,world."
-    )
+    group: str | None = option("--group KEY,...", "Figures of groups, too: metadata as in scenario,world.")
 
     @property
     def group_keys(self) -> tuple[str, ...]:
@@ -158,6 +152,17 @@ class Run(Generic[Result]):
             raise RecordingError("no recording could be used")
         for _, one, _ in self.measured:
             yield from one.rows()
+
+    def begun(self, count: int, output: Path | None) -> tuple[list[Row], Iterator[Row]]:
+        """The first rows, so that a log that cannot be read leaves no header behind; and all.
+
+        Where rows go to a terminal, progress is shown until they come.
+        """
+        rows = self.rows()
+        shows = self.given.is_one and terminal_width(output) is not None
+        with progress_bar(f"looking at {self.given.logs[0].name}") if shows else nullcontext():
+            head = list(islice(rows, count))
+        return head, chain(head, rows)
 
     def _measured(self, log: LogFile) -> Generator[Row, None, Outcome[Result]]:
         """Measure a log in this process, with progress."""
@@ -279,12 +284,14 @@ def _paths_of(text: str) -> Sequence[LogPath]:
     path = Path(text)
     if "\0" in text or os.path.lexists(path) or not GLOB.search(text):
         return _logs_in(path)
+    from svmdist.recording.topics import WHAT_IS_EXPECTED
+
     matches = sorted(Path(match) for match in glob(text, recursive=True))
     logs = [match for match in matches if _is_log(match)]
     logs = logs or [log for match in matches if match.is_dir() for log in _logs_in(match) if log != match]
     chosen = logs or [match for match in matches if match.is_file()]
     if not chosen:
-        raise UsageError(f"{text}: no log matches")
+        raise UsageError(f"{text}: no log matches; a log is {WHAT_IS_EXPECTED}")
     return chosen
 
 

@@ -10,9 +10,22 @@ from contextlib import contextmanager
 from typing import Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
-from svmdist.cli import calibrate, check, compare, estimate, fk, importing, info, record, show, validate
+from svmdist.cli import (
+    calibrate,
+    check,
+    compare,
+    estimate,
+    fk,
+    importing,
+    info,
+    record,
+    show,
+    surface,
+    validate,
+)
+from svmdist.cli.help import WIDEST, Helped
 from svmdist.cli.options import QUIET, VERBOSE, Options, choose_verbosity, function_of, name_of, option
 from svmdist.cli.output import LOG, ExitCode, abandon, adapt_streams, print_log, with_notes
 from svmdist.errors import SvmdistError, Terminated, UsageError, concealed, did_you_mean
@@ -38,17 +51,39 @@ def _one_line() -> Iterator[None]:
         if found:
             name, choices = found[1], re.findall(r"'([^']*)'", found[2])
             problem.message = f"{name}: {did_you_mean(name, choices)}"
-        raise UsageError(problem.format_message()) from None
+        said = problem.format_message()
+        if said.startswith("Missing") and problem.ctx is not None:
+            said += f" `{problem.ctx.command_path} -h` has examples."
+        raise UsageError(said) from None
     except Exception as problem:
         if isinstance(message := getattr(problem, "message", None), str):  # typer prints its own errors
             problem.message = concealed(message)  # type: ignore[attr-defined]
         raise
 
 
-class CommandGroup(TyperGroup):
+def _asked_for_help(arguments: list[str]) -> list[str]:
+    """`help COMMAND` is `COMMAND --help`."""
+    return [*arguments[1:], "--help"] if arguments[:1] == ["help"] else arguments
+
+
+class Command(Helped, TyperCommand):
+    """A command; of one with `--format`, `--json` is `-f json`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the words behind the command's name."""
+        if any(one.name == "form" for one in self.params):
+            args = [word for one in args for word in (("-f", "json") if one == "--json" else (one,))]
+        return super().parse_args(ctx, args)
+
+
+class CommandGroup(Helped, TyperGroup):
     """Commands under one name, of which each ends with a line where it is interrupted."""
 
-    make_context = _one_line()(TyperGroup.make_context)
+    @_one_line()
+    def make_context(self, info_name: str | None, args: list[str], *rest: Any, **more: Any) -> Any:
+        """Read the words of the command line."""
+        return super().make_context(info_name, _asked_for_help(args), *rest, **more)
+
     invoke = _one_line()(TyperGroup.invoke)
 
 
@@ -56,7 +91,7 @@ GROUP: dict[str, Any] = {
     "cls": CommandGroup,
     "no_args_is_help": True,
     "rich_markup_mode": None,
-    "context_settings": {"help_option_names": ["-h", "--help"]},
+    "context_settings": {"help_option_names": ["-h", "--help"], "max_content_width": WIDEST},
 }
 app = typer.Typer(
     **GROUP,
@@ -87,7 +122,7 @@ def _add(group: typer.Typer, *commands: type[Options]) -> None:
     """Add commands: a class's docstring is the help, and ends with examples."""
     for command in commands:
         text, examples = str(inspect.getdoc(command)).split("\n\nExamples:\n")
-        add = group.command(name_of(command), help=text, epilog=f"\b\nExamples:\n{examples}")
+        add = group.command(name_of(command), cls=Command, help=text, epilog=f"\b\nExamples:\n{examples}")
         add(function_of(command))
 
 
@@ -99,6 +134,7 @@ _add(
     check.Check,
     show.Show,
     record.Record,
+    surface.Surface,
     calibrate.Calibrate,
     estimate.Estimate,
 )

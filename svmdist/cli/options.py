@@ -11,34 +11,35 @@ import math
 import re
 import time
 import typing
-from collections.abc import Callable, Iterable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
-from svmdist.cli.output import LOG, require_output
+from svmdist.cli.output import LOG, progress_bar, require_output
 from svmdist.errors import UsageError, did_you_mean
 from svmdist.report.writers import Holds, Writer, choose_writer, names_of
 
 if TYPE_CHECKING:
     from svmdist.estimation.alarms import AlarmRules
-    from svmdist.perturbations.chosen import Perturbations
+    from svmdist.perturbations import Perturbations
     from svmdist.profile import Profile
     from svmdist.recording.observations import Window
     from svmdist.remote import LogPath
-    from svmdist.workflows.request import Lag, Request
+    from svmdist.workflows.request import Lag, Request, Setup
 
 
-class Options:
+class Options(ABC):
     """Values of options by name; a class attribute made by `option` or `argument` declares one."""
 
     def __init__(self, **values: Any) -> None:
         self.__dict__.update(values)
 
+    @abstractmethod
     def _run(self) -> int | None:
         """Run the command, and give its exit code; None is 0."""
-        raise NotImplementedError
 
 
 def option(names: str, text: str, default: Any = None, **more: Any) -> Any:
@@ -46,7 +47,7 @@ def option(names: str, text: str, default: Any = None, **more: Any) -> Any:
     words = names.split()
     named = [word for word in words if word.startswith("-")]
     metavar = next((word for word in words if not word.startswith("-")), None)
-    return typer.Option(default, *named, metavar=metavar, help=text, **more)
+    return typer.Option(default, *named, metavar=metavar, help=text, show_default=False, **more)
 
 
 def argument(default: Any, metavar: str, text: str) -> Any:
@@ -88,7 +89,7 @@ def _names(group: type) -> list[str]:
 
 
 QUIET = option("--quiet -q", "Print only data and errors.", False)
-VERBOSE = option("--verbose -v", "Also print which topics are read, and the time taken.", False)
+VERBOSE = option("--verbose -v", "Also print which topics are read, and times.", False)
 
 
 def choose_verbosity(*, quiet: bool, verbose: bool) -> None:
@@ -98,22 +99,22 @@ def choose_verbosity(*, quiet: bool, verbose: bool) -> None:
 
 
 FORCE = option("--force", "Replace the file if it exists.", False)
-JOBS = option(
-    "--jobs -j N",
-    "Logs, frames or conditions to work on at a time. The results are the same. Default: the usable cores.",
-    min=1,
-    max=256,
-)
+JOBS = option("--jobs -j N", "Processes; results are the same. Default: all cores.", min=1, max=256)
 PLOT = option("--save-plot FIG", "Plot to this file (png, svg, pdf).")
-PROFILE = option("--profile NAME|FILE", "Scene profile: the name of one that ships, or a TOML file.", "psm13")
+PROFILE = option("--profile NAME|FILE", "psm13, dvrk-psm, or a TOML file. Default: psm13.", "psm13")
+FRAME = option("--frame N", "The image of this number, from 0.", min=0)
+AT = option("--at SECONDS", "The image nearest to this time after the first.", min=0.0)
+START = option("--start SECONDS", "Begin so long after the first image.", 0.0, min=0.0)
+END = option("--end SECONDS", "End so long after the first image.", min=0.0)
+EVERY = option("--every N", "Take every N-th image only.", 1, min=1)
 
 
-def format_option(holds: Holds, more: str = "") -> Any:
+def format_option(holds: Holds) -> Any:
     """Declare `--format`: the formats that can hold what a command gives, the first one where no file is named."""
     names = names_of(holds)
     return option(
-        f"--format -f {'|'.join(names)}",
-        f"Format of the data{more}. Default: by the ending of the output file, else {names[0]}.",
+        "--format -f NAME",
+        f"{', '.join(names)}. Default: by the ending of the output, else {names[0]}.",
         autocompletion=lambda incomplete: [name for name in names if name.startswith(incomplete)],
     )
 
@@ -124,7 +125,7 @@ class OutputOptions(Options):
     form: str | None = format_option(Holds.TABLES)
     output: Path | None = option(
         "--output -o FILE",
-        "Write the data to this file instead of stdout, in the format of its ending; - is stdout.",
+        "File, its ending the format. Default, and -: stdout.",
         callback=lambda output: None if output == Path("-") else output,
     )
 
@@ -139,8 +140,7 @@ class TopicOption(Options):
 
     topic: list[str] | None = option(
         "--topic ROLE=TOPIC",
-        "Topic for a role, instead of the profile's; may be repeated. Roles: image, camera_info, right_image,"
-        " right_camera_info, joints, pose, tf, ground_truth_tf, ground_truth_distance.",
+        "Read image, right_image, joints, pose, … of this topic, as in image=/cam/image_raw; may be repeated.",
     )
 
     @property
@@ -164,17 +164,15 @@ class ProfileOptions(TopicOption):
 class ReadOptions(ProfileOptions):
     """The same, with camera-to-base transforms."""
 
-    hand_eye: Path | None = option(
-        "--hand-eye FILE", "Transforms of `svmdist hand-eye`, in place of the profile's and the log's."
-    )
+    hand_eye: Path | None = option("--hand-eye FILE", "Camera-to-base transforms of `svmdist hand-eye`.")
 
 
 class WindowOptions(Options):
     """Which images are read."""
 
-    start: float = option("--start SECONDS", "Seconds after the first image to begin at.", 0.0, min=0.0)
-    end: float | None = option("--end SECONDS", "Seconds after the first image to end at.", min=0.0)
-    every: int = option("--every N", "Take every N-th image only.", 1, min=1)
+    start: float = START
+    end: float | None = END
+    every: int = EVERY
 
     @property
     def window(self) -> Window | None:
@@ -191,26 +189,46 @@ class WindowOptions(Options):
 class CalibrationOption(ReadOptions):
     """The planar methods' mapping."""
 
-    calibration: Path | None = option("--calibration FILE", "Calibration file. Default: the profile's.")
+    calibration: Path | None = option("--calibration FILE", "Planar mapping. Default: the profile's.")
 
 
 class MethodOptions(CalibrationOption):
     """What measures."""
 
-    method: Literal["overlay", "centroid", "fiducial", "shaft", "stereo", "kinematic", "fused"] = option(
-        "--method",
-        "Planar: overlay (the paper's virtual marker) and centroid (the same without the marker)."
-        " In 3D: fiducial (tag), shaft, stereo (two cameras), kinematic, and fused (all of them).",
-        "overlay",
+    method: Literal["auto", "overlay", "centroid", "fiducial", "shaft", "stereo", "kinematic", "fused"] = (
+        option(
+            "--method NAME",
+            "auto: the best that the log can serve. In 3D: fiducial (tag), shaft, stereo (two cameras), kinematic,"
+            " fused (all of these). In the plane: overlay (the paper's), centroid. Default: auto.",
+            "auto",
+        )
     )
+    _choice = ""
+
+    def chosen_method(self, paths: Sequence[LogPath]) -> str:
+        """The method that is asked for, or the best for these logs; raises ProfileError or UsageError."""
+        if self.method != "auto":
+            return self.method
+        if self.calibration is not None or getattr(self, "equations", "corrected") == "printed":
+            return "overlay"  # the others take neither
+        from svmdist.profile import load_profile
+        from svmdist.workflows.capabilities import best_method
+
+        with progress_bar("choosing a method"):
+            method, why = best_method(paths, load_profile(self.profile, self.hand_eye), self.topics)
+        self._choice = f"method {method}: {why}"
+        return method
+
+    def say_choice(self) -> None:
+        """Log which method was chosen, and why, where none was asked for."""
+        if self._choice:
+            LOG.info("%s", self._choice)
 
 
 class InstrumentOption(Options):
     """Which instruments are measured."""
 
-    instrument: list[str] | None = option(
-        "--instrument NAME", "Measure only this one of several instruments; may be repeated. Default: all."
-    )
+    instrument: list[str] | None = option("--instrument NAME", "Only this one of several; may be repeated.")
 
     def instruments(self, profile: Profile) -> tuple[str, ...] | None:
         """The instruments that were asked for, in the order of the profile, None for all; raises UsageError."""
@@ -232,8 +250,7 @@ class LagOption(Options):
 
     lag: str | None = option(
         "--lag auto|SECONDS",
-        "Lag of the image stamps, positive where they are late; auto estimates it. Joints are looked up there."
-        " Default: no correction.",
+        "Images are so late; auto estimates it. Default: 0.",
     )
 
     @property
@@ -252,13 +269,11 @@ class AlarmOptions(Options):
 
     alarm_below: str | None = option(
         "--alarm-below LENGTH",
-        "Raise an alarm where the clearance is below this, as in 5mm. For methods that estimate a clearance.",
+        "Alarm where the clearance may be below, as in 5mm.",
     )
     alarm_when: str | None = option(
-        "--alarm-when possible|likely|certain|P",
-        "Raise it where a clearance below the threshold is possible (its probability is 0.05 or more), likely (0.5),"
-        " or certain (0.95), or its probability is P or more. A smaller P gives more alarms, and earlier ones."
-        " Default: possible.",
+        "--alarm-when LEVEL",
+        "possible (probability 0.05 or more), likely (0.5), certain (0.95), or a probability. Default: possible.",
     )
     alarm_confidence: float | None = option(
         "--alarm-confidence P", "The former name of --alarm-when P.", min=0.0, max=1.0, hidden=True
@@ -286,16 +301,22 @@ class MeasureOptions(MethodOptions, InstrumentOption, LagOption, AlarmOptions, W
     """Everything of a measurement by one method."""
 
     equations: Literal["corrected", "printed"] = option(
-        "--equations", "Reading of the paper's formulas: corrected, or printed as published.", "corrected"
+        "--equations NAME", "corrected (the default), or printed as published.", "corrected"
     )
 
-    def request(self) -> Request:
+    def setup(self, paths: Sequence[LogPath]) -> Setup:
+        """What measures these logs; raises ProfileError, CalibrationError or UsageError."""
+        from svmdist.workflows.request import prepare
+
+        method = self.chosen_method(paths)
+        return prepare(self.profile, method, self.equations, self.calibration, self.hand_eye)
+
+    def request(self, paths: Sequence[LogPath]) -> Request:
         """What is asked of each log, checked before the work; raises UsageError, ProfileError or CalibrationError."""
-        from svmdist.workflows.request import Request, prepare
+        from svmdist.workflows.request import Request
         from svmdist.workflows.scores import require_clearance
 
-        lag, alarms, window = self.given_lag, self.alarms, self.window
-        setup = prepare(self.profile, self.method, self.equations, self.calibration, self.hand_eye)
+        lag, alarms, window, setup = self.given_lag, self.alarms, self.window, self.setup(paths)
         if alarms:
             require_clearance(setup.method, setup.profile)
         return Request(setup, self.topics, window, self.instruments(setup.profile), lag, alarms)
@@ -336,9 +357,9 @@ def parse_degradations(values: list[str] | None) -> tuple[tuple[str, int], ...]:
 
 def parse_perturbations(values: list[str] | None) -> tuple[Perturbations, ...]:
     """Parse NAME=STRENGTH of `--perturb`, several of one separated by commas; raises UsageError."""
-    from svmdist.perturbations import chosen
+    from svmdist.perturbations import parse_perturbations
 
     try:
-        return tuple(chosen.parse_perturbations(value) for value in values or [])
+        return tuple(parse_perturbations(value) for value in values or [])
     except UsageError as problem:
         raise UsageError(f"--perturb: {problem}") from None

@@ -7,9 +7,9 @@ import io
 import json
 import logging
 import os
+import shlex
 import stat
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from enum import IntEnum
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
 LOG = logging.getLogger("svmdist")
 """What users are told beside the data: errors, then remarks (INFO), then choices and times (DEBUG)."""
 Advance = Callable[[int, int | None], None]
-LINE_EVERY_S = 10.0
-"""Between two lines of progress where stderr is no terminal: a job's log shows that it goes on."""
 
 
 class ExitCode(IntEnum):
@@ -67,6 +65,11 @@ def print_log() -> Iterator[None]:
         _Progress.is_wanted = False
 
 
+def next_command(*words: object) -> str:
+    """A command that helps on, as it is typed."""
+    return shlex.join(["svmdist", *map(str, words)])
+
+
 def with_notes(message: str, error: BaseException) -> str:
     """A message, with what was noted on the error on its way: what is left of the work."""
     return "; ".join([message, *getattr(error, "__notes__", [])])
@@ -94,17 +97,16 @@ def no_progress(*, where: bool = True) -> Iterator[None]:
 
 
 @contextmanager
-def progress_bar(title: str, unit: str) -> Iterator[Advance]:
-    """Give a function of (done, total or None), which shows a bar on a terminal, else a line every ten seconds."""
-    if not _Progress.is_wanted or not LOG.isEnabledFor(logging.INFO):
+def progress_bar(title: str, unit: str = "") -> Iterator[Advance]:
+    """Give a function of (done, total or None), which shows a bar where stderr is a terminal.
+
+    Until it is called, the bar tells that something is done, and for how long.
+    """
+    if not _Progress.is_wanted or not LOG.isEnabledFor(logging.INFO) or not sys.stderr.isatty():
         yield lambda _done, _total: None
         return
-    with no_progress():
-        if sys.stderr.isatty():
-            with _bar(title, unit) as advance:
-                yield advance
-        else:
-            yield _lines(title, unit)
+    with no_progress(), _bar(title, unit) as advance:
+        yield advance
 
 
 @contextmanager
@@ -119,19 +121,19 @@ def steps(title: str, unit: str, count: int | None, each: int = 1) -> Iterator[S
 @contextmanager
 def _bar(title: str, unit: str) -> Iterator[Advance]:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True, markup=False, emoji=False, highlight=False)
-    name, rate = TextColumn("{task.description}", markup=False), "{task.fields[rate]}"
-    columns = name, BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn()
+    name, said = (TextColumn(f"{{task.{field}}}", markup=False) for field in ("description", "fields[said]"))
     try:
-        with Progress(*columns, console=console, transient=True) as progress:
-            task = progress.add_task(title, total=None, rate="")
+        with Progress(
+            name, BarColumn(), said, TimeElapsedColumn(), console=console, transient=True
+        ) as progress:
+            task = progress.add_task(title, total=None, said="")
 
             def advance(done: int, total: int | None) -> None:
-                elapsed_s = progress.tasks[0].elapsed or 0.0
-                rate = f"{done / elapsed_s:.1f} {unit}/s" if elapsed_s > 0 else ""
-                progress.update(task, completed=done, total=total, rate=rate)
+                said = _how_far(done, total, unit, progress.tasks[0].elapsed or 1e-3)
+                progress.update(task, completed=done, total=total, said=said)
 
             yield advance
     finally:
@@ -139,19 +141,10 @@ def _bar(title: str, unit: str) -> Iterator[Advance]:
         console.show_cursor(True)
 
 
-def _lines(title: str, unit: str, clock: Callable[[], float] = time.monotonic) -> Advance:
-    start_s = clock()
-    next_s = start_s + LINE_EVERY_S
-
-    def advance(done: int, total: int | None) -> None:
-        nonlocal next_s
-        at_s = clock()
-        if at_s >= next_s:
-            next_s = at_s + LINE_EVERY_S
-            of = "" if total is None else f" of {total}"
-            LOG.info("%s: %d%s %s, %.1f %s/s", title, done, of, unit, done / (at_s - start_s), unit)
-
-    return advance
+def _how_far(done: int, total: int | None, unit: str, seconds: float) -> str:
+    rate = done / seconds
+    left = f", {(total - done) / rate:.0f} s left" if total and rate else ""
+    return f"{done}{'' if total is None else f' of {total}'} {unit}, {rate:.1f} {unit}/s{left}"
 
 
 def write_lines(lines: Iterable[str], output: Path | None, *, is_json: bool = False) -> None:
@@ -204,7 +197,8 @@ def write_results(results: Results, writer: Writer, output: Path | None) -> None
         writer.write(results, output)
         return
     width = terminal_width(output)
-    colour = width is not None and "NO_COLOR" not in os.environ
+    forced, refused = (os.environ.get(name) for name in ("FORCE_COLOR", "NO_COLOR"))
+    colour = output is None and not refused and bool(forced or width is not None)
     write_lines(writer.write(results, width, colour), output, is_json=writer.is_json)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from svmdist.cli.options import FORCE, PROFILE, Options, option, parse_degradations, parse_perturbations
+from svmdist.cli.options import FORCE, JOBS, PROFILE, Options, option, parse_degradations, parse_perturbations
 from svmdist.cli.output import LOG, ExitCode, progress_bar, require_output, with_name
 from svmdist.errors import UsageError
 
@@ -26,74 +26,61 @@ class Record(Options):
     """
 
     scenario: Literal["calibration", "sweep", "approach", "contact", "occlusion", "random"] = option(
-        "--scenario", "Motion of the instrument.", "sweep"
+        "--scenario NAME",
+        "calibration, sweep (the default), approach, contact, occlusion or random.",
+        "sweep",
     )
-    seed: int = option("--seed N", "Seed of everything random; the same gives the same content.", 1, min=0)
-    duration: float = option("--duration SECONDS", "Duration of the recording.", 8.0, min=0.2, max=3600.0)
-    rate: float = option("--rate HZ", "Images per second.", 10.0, min=0.5, max=60.0)
+    seed: int = option("--seed N", "Of all that is random. Default: 1.", 1, min=0)
+    duration: float = option("--duration SECONDS", "Default: 8.", 8.0, min=0.2, max=3600.0)
+    images_per_second: float = option("--rate HZ", "Images per second. Default: 10.", 10.0, min=0.5, max=60.0)
     noise: float = option(
-        "--noise LEVELS", "Standard deviation of the sensor noise, in 8-bit levels.", 0.0, min=0.0, max=50.0
+        "--noise LEVELS", "Sensor noise (standard deviation), in 8-bit levels.", 0.0, min=0.0, max=50.0
     )
-    stereo: bool = option("--stereo", "Add the right camera: /ECM/right/image and its camera_info.", False)
-    tag: bool = option("--tag", "Mount the profile's AprilTag plate on the instrument.", False)
+    stereo: bool = option("--stereo", "Add the right camera.", False)
+    tag: bool = option("--tag", "Mount the profile's AprilTag plate.", False)
     arms: int = option(
         "--arms N",
-        "Number of instruments. 2 adds the profile's second one, which crosses the first one in the image.",
+        "Instruments: 1, or 2 that cross in the image.",
         1,
         min=1,
         max=2,
     )
     kinematic_error: float = option(
         "--kinematic-error SCALE",
-        "Error of the robot's nominal kinematics, drawn by seed: 1 is 1° and 1 mm in the joints, "
-        "2° and 5 mm from camera to base.",
+        "Of nominal kinematics: 1 is 1° and 1 mm in the joints, 2° and 5 mm from camera to base.",
         0.0,
         min=0.0,
         max=20.0,
     )
     degrade: list[str] | None = option(
         "--degrade NAME=SEVERITY",
-        "Degrade the images, severity 1 to 5: defocus, motion_blur, noise, low_light, specular, smoke, "
-        "jpeg; may be repeated.",
+        "Degrade the images, 1 to 5: defocus, motion_blur, noise, low_light, specular, smoke, jpeg; may be repeated.",
     )
     perturb: list[str] | None = option(
         "--perturb NAME=STRENGTH",
-        "Make something other than log and profile say, as in focal=1 or backlash=0.5; may be repeated. "
-        "Names and units: docs/simulation.md.",
+        "Make something other than log and profile say, as in focal=1; may be repeated. Names: docs/simulation.md.",
     )
     world: Literal["ideal", "real"] = option(
-        "--world",
-        "ideal: log and profile are exact; real: everything is off as on real robots, drawn by seed.",
+        "--world NAME",
+        "ideal (the default), or real: everything is off as on real robots.",
         "ideal",
     )
-    jpeg: int | None = option(
-        "--jpeg QUALITY",
-        "Store images as JPEG, as the recorders of endoscopes do. Default: PNG, without loss.",
-        min=1,
-        max=100,
-    )
+    jpeg: int | None = option("--jpeg QUALITY", "Store images as JPEG. Default: PNG.", min=1, max=100)
     renderer: str = option("--renderer", "The only renderer.", "tiny", hidden=True)
-    jobs: int | None = option(
-        "--jobs -j N",
-        "Number of processes that render. The file is the same for any number. Default: all usable cores.",
-        min=1,
-    )
-    output: Path | None = option("--output -o FILE.mcap", "Recording to write. Default: SCENARIO-SEED.mcap.")
+    jobs: int | None = JOBS
+    output: Path | None = option("--output -o FILE.mcap", "Log to write. Default: SCENARIO-SEED.mcap.")
     force: bool = FORCE
     profile: str = PROFILE
     episodes: int | None = option(
         "--episodes N",
-        "Record N seeds, from --seed on, in --jobs processes. --output is then a folder, or a name with"
-        " {seed} or {episode}.",
+        "Record N seeds, from --seed on; -o is a folder, or a name with {seed} or {episode}.",
         min=1,
         max=100_000,
     )
-    skip_existing: bool = option(
-        "--skip-existing", "With --episodes: leave those that are there, to go on with the others.", False
-    )
+    skip_existing: bool = option("--skip-existing", "With --episodes: leave those that are there.", False)
 
     def _run(self) -> ExitCode:
-        from svmdist.perturbations.chosen import UNPERTURBED, World, draw_world
+        from svmdist.perturbations import UNPERTURBED, World, draw_world
         from svmdist.profile import load_profile
         from svmdist.simulation import scene
         from svmdist.simulation.motion import Scenario
@@ -108,7 +95,7 @@ class Record(Options):
             require_output(path)
         together = [",".join(self.perturb)] if self.perturb else None
         (perturbations,) = parse_perturbations(together) or (UNPERTURBED,)
-        scenario = Scenario(self.scenario, self.seed, self.duration, self.rate)
+        scenario = Scenario(self.scenario, self.seed, self.duration, self.images_per_second)
         profile, world = load_profile(self.profile), World(self.world)
         options = scene.Options(
             self.stereo,

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 from svmdist.cli import options, output
 from svmdist.cli.estimate import corrected
 from svmdist.cli.logs import log_losses
-from svmdist.cli.options import JOBS, argument, option
+from svmdist.cli.options import AT, FRAME, JOBS, argument, option
 from svmdist.cli.output import LOG, ExitCode
+from svmdist.cli.surface import image_number
 from svmdist.errors import OutputError, UsageError
 
 if TYPE_CHECKING:
@@ -26,9 +27,8 @@ PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".svg", ".pdf", ".gif", ".bmp", ".ti
 class Show(options.MethodOptions, options.InstrumentOption, options.LagOption):
     """Show images with what was found in them.
 
-    The pictures are PNG files. Each phase of the method is a panel: segmentation, contours, marker, matches and
-    outline of overlay; edges, tip, tag and surface of fused. With --masks, only what was segmented is drawn. Without
-    --frame, --at or --worst, six images from the first to the last are drawn. The names of the files are printed.
+    The pictures are PNG files, with a panel for each phase of the method: six of them, from the first image to the
+    last, where none is chosen. The names of the files are printed.
 
     Examples:
       Each step of a method in one frame:
@@ -40,21 +40,17 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption):
     """
 
     file: Path = argument(..., "FILE", "Recording to look at.")
-    masks: bool = option("--masks", "Draw what is segmented as tissue, shaft, distal part and border.", False)
-    frame: int | None = option("--frame N", "Only the image of this number, from 0.", min=0)
-    at: float | None = option("--at S", "Only the image nearest to so many seconds.", min=0.0)
+    masks: bool = option("--masks", "Only what is segmented: tissue, shaft, distal part, border.", False)
+    frame: int | None = FRAME
+    at: float | None = AT
     worst: int | None = option(
-        "--worst N", "The N frames of largest error, or of widest interval without ground truth.", min=1
+        "--worst N", "The N of largest error, or of widest interval without ground truth.", min=1
     )
-    output: Path = option(
-        "--output -o DIR",
-        "Folder that the pictures go to; it is made. A name in .png is the one picture of --frame or --at.",
-        Path(),
-    )
+    output: Path = option("--output -o PATH", "Folder of the pictures, or FILE.png for one.", Path())
     jobs: int | None = JOBS
 
     def _run(self) -> ExitCode:
-        from svmdist.report.panels import write_picture
+        from svmdist.report.on_image import write_picture
         from svmdist.workflows.frame_drawing import Segmented
         from svmdist.workflows.request import Request, prepare
 
@@ -63,7 +59,7 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption):
         if self.masks and self.worst is not None:
             raise UsageError("--worst needs what a method measured, which --masks does not show")
         lag, folder = self.given_lag, self.output
-        method = Segmented() if self.masks else self.method
+        method = Segmented() if self.masks else self.chosen_method([self.file])
         setup = prepare(self.profile, method, "corrected", self.calibration, self.hand_eye)
         request = Request(setup, self.topics, None, self.instruments(setup.profile), lag)
         recording = request.open(self.file, self.file.stem)
@@ -80,6 +76,7 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption):
             write_picture(path, picture)
             output.write_lines([f"{path}\n"], None)
             left -= 1
+        self.say_choice()
         if left:
             LOG.info("%d of %d images cannot be read, and are not drawn", left, len(numbers))
         return log_losses(recording.path, recording.health)
@@ -90,14 +87,10 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption):
 
         if self.worst is not None:
             return _worst(recording, request, self.worst, self.jobs)
-        stamps_ns = image_stamps_ns(recording)
-        count, at = len(stamps_ns), self.at
-        if self.frame is not None:
-            if self.frame >= count:
-                raise UsageError(f"--frame {self.frame}: {self.file} has {count} images, 0 to {count - 1}")
-            return {self.frame}
-        if at is not None:
-            return {min(range(count), key=lambda n: abs((stamps_ns[n] - stamps_ns[0]) * 1e-9 - at))}
+        chosen = image_number(recording, self.frame, self.at)
+        if chosen is not None:
+            return {chosen}
+        count = len(image_stamps_ns(recording))
         if count <= DEFAULT_COUNT:
             return set(range(count))
         return {round(at * (count - 1) / (DEFAULT_COUNT - 1)) for at in range(DEFAULT_COUNT)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -15,19 +16,18 @@ from svmdist.cli.output import LOG, ExitCode
 from svmdist.report.writers import Holds
 
 if TYPE_CHECKING:
-    from svmdist.workflows.request import Request
+    from svmdist.remote import LogPath
+    from svmdist.workflows.request import Request, Setup
 
-TruthChoice = StrEnum("TruthChoice", "ground_truth tf pose kinematics")
+TruthChoice = StrEnum("TruthChoice", "ground_truth tf surface plane pose kinematics")
 PlotKind = Literal["fig6", "time", "residuals", "bland-altman", "calibration"]
 
 
 class Validate(GoldenLogOptions, MeasureOptions, GroupOption, PictureOptions):
     """Score estimates against the truth.
 
-    Without FILE, every log in recordings/ is scored. Each recording is compared with the DH kinematics of its joint
-    states, as in the paper, and with the simulator's ground truth. With --alarm-below, alarms are scored against
-    the true clearance: recall, precision, share of the safe frames that are alarmed, false alarms per minute and
-    lead time.
+    Each log is compared with the kinematics of its joint states, as in the paper, and with the simulator's ground
+    truth; with --alarm-below, alarms are scored against the true clearance.
 
     Examples:
       Errors against the truth:
@@ -36,29 +36,34 @@ class Validate(GoldenLogOptions, MeasureOptions, GroupOption, PictureOptions):
         svmdist validate log.mcap --method fused --report report.html
       A figure for a paper:
         svmdist validate log.mcap --save-plot error.pdf --plot residuals
+      Your own estimates in the same tables:
+        svmdist validate log.mcap --estimates mine.csv
       In CI: fail where a figure gets worse:
         svmdist validate log.mcap --baseline baseline.json
     """
 
     form: str | None = format_option(Holds.FIGURES)
     truth: list[TruthChoice] | None = option(
-        f"--truth {'|'.join(TruthChoice)}",
-        "Reference to compare with; may be repeated. Default: every reference that the log has.",
+        "--truth NAME",
+        f"{', '.join(TruthChoice)}; plane and surface: tissue as images show it. Default: ground truth (else pose) and"
+        " kinematics; may be repeated.",
+    )
+    estimates: str | None = option(
+        "--estimates [NAME=]FILE",
+        "Those of others, in place of a method: stamps with distances or poses (csv, parquet, tum), or topic:/NAME.",
     )
     truth_tf: list[str] | None = option(
         "--truth-tf PARENT:CHILD",
-        "Transform that is the truth of the tool or the tissue, as in camera:tool; may be given twice.",
+        "A transform that is the truth of tool or tissue, as in camera:tool; may be given twice.",
     )
     max_gap: float = option(
-        "--max-gap SECONDS", "Longest gap in the truth to interpolate.", 0.1, min=0.0, max=60.0
+        "--max-gap SECONDS", "Longest gap to interpolate. Default: 0.1.", 0.1, min=0.0, max=60.0
     )
-    baseline: Path | None = option("--baseline FILE", "Exit with 4 if a metric is worse than in this file.")
-    write_baseline: Path | None = option("--write-baseline FILE", "Store the metrics in this file.")
+    baseline: Path | None = option("--baseline FILE", "Exit with 4 if a figure is worse than here.")
+    write_baseline: Path | None = option("--write-baseline FILE", "Store the figures here.")
     plot: PlotKind | None = option(
-        f"--plot {'|'.join(get_args(PlotKind))}",
-        "What --save-plot draws: fig6, truth, estimate and error over time as in the paper's figure; time, the distance"
-        " with its interval; residuals over time and distance; bland-altman; calibration of the interval. Default:"
-        " fig6.",
+        "--plot NAME",
+        f"What --save-plot draws: {', '.join(get_args(PlotKind))}. Default: fig6, as in the paper.",
     )
 
     def _run(self) -> ExitCode:
@@ -68,8 +73,14 @@ class Validate(GoldenLogOptions, MeasureOptions, GroupOption, PictureOptions):
         writer = self.writer(self.paths, Holds.FIGURES)
         output.require_output(self.write_baseline, self.paths)
         self.require_pictures(self.paths, self.plot)
-        keys, request = self.group_keys, self.request()
         stored = validate.load_baseline(self.baseline) if self.baseline else None
+        if (
+            stored
+            and len(methods := {score.method for score in stored.scores}) == 1
+            and self.method == "auto"
+        ):
+            (self.method,) = methods  # type: ignore[assignment]
+        keys, request = self.group_keys, self.request(self.paths)
         if stored:
             validate.require_same_alarms(stored, request.alarms)
         validate.require_truth_for_alarms(request)
@@ -81,6 +92,7 @@ class Validate(GoldenLogOptions, MeasureOptions, GroupOption, PictureOptions):
         for note in result.notes:
             LOG.info("note: %s", note)
         output.write_results(validation_results(result), writer, self.output)
+        self.say_choice()
         log_ending({log.name: scored.ending for log, _, scored in run.measured}, request)
         self.draw(run, request, result, kind)
         code = run.exit_code()
@@ -95,11 +107,20 @@ class Validate(GoldenLogOptions, MeasureOptions, GroupOption, PictureOptions):
             LOG.info("no figure is worse than in %s", self.baseline)
         return code
 
-    def request(self) -> Request:
+    def setup(self, paths: Sequence[LogPath]) -> Setup:
+        """What measures, or what others measured."""
+        if self.estimates is None:
+            return super().setup(paths)
+        from svmdist.workflows.given import given_estimates
+        from svmdist.workflows.request import prepare
+
+        return prepare(self.profile, given_estimates(self.estimates), self.equations, None, self.hand_eye)
+
+    def request(self, paths: Sequence[LogPath]) -> Request:
         """The measurement, and what it is scored against."""
         from svmdist.workflows.references import Reference, truth_rules
 
-        request = super().request()
+        request = super().request(paths)
         references = tuple(Reference(str(choice)) for choice in dict.fromkeys(self.truth or [])) or None
         pairs, max_gap_ns = tuple(self.truth_tf or ()), round(self.max_gap * 1e9)
         return replace(request, rules=truth_rules(pairs, request.setup.profile, references, max_gap_ns))

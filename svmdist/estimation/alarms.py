@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.errors import UsageError
-from svmdist.results import Z_95, Distance, FrameResult
+from svmdist.results import Distance, FrameResult
 
 MIN_SLOPE_ROWS = 3
 MIN_CLOSING_M_S = 1e-3  # below a millimetre a second the time to contact is noise divided by noise
@@ -23,7 +23,8 @@ WHEN = {"possible": 0.05, "likely": 0.5, "certain": 0.95}
 class AlarmRules:
     """Alarm where P(clearance < below_m) is at least that of `when`: a word of `WHEN`, or a probability.
 
-    A smaller probability raises alarms earlier and more often. Raises UsageError for what is neither.
+    A smaller probability raises alarms earlier and more often. The closing speed is fitted to the last `window_s`.
+    Raises UsageError for what is neither.
     """
 
     below_m: float
@@ -87,8 +88,9 @@ class AlarmEvent:
         longer = replace(self, end_s=row.seconds)
         if not clearance.value_m < self.least_m:
             return longer
-        half_m = None if clearance.std_m is None else Z_95 * clearance.std_m
-        return replace(longer, least_m=clearance.value_m, least_number=row.number, least_half_m=half_m)
+        return replace(
+            longer, least_m=clearance.value_m, least_number=row.number, least_half_m=clearance.half_m
+        )
 
 
 class AlarmWatch:

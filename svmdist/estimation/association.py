@@ -10,11 +10,13 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.estimation import coloured_regions
+from svmdist.estimation.across_views import disagreement, sides_beside
 from svmdist.estimation.coloured_regions import NominalInstrument, ShaftAxis
 from svmdist.estimation.frame import Frame, OtherMasks
 from svmdist.estimation.region_tracking import (
     CONTEST,
     MAX_REGIONS,
+    Blob,
     Identity,
     RegionTracker,
     ranked_assignments,
@@ -23,7 +25,7 @@ from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile.robot import EntrySide
 from svmdist.samples import Image, Observation
 from svmdist.transforms import Array, inverse
-from svmdist.vision.find_instruments import SeenInstrument
+from svmdist.vision.find_instruments import AutoMasks, SeenInstrument
 from svmdist.vision.frame_context import FrameContext
 
 PLACED_FRACTION = 0.05  # of the width: a hidden region less certain than this assigns no shaft
@@ -34,6 +36,8 @@ END_STD = 0.06  # the same for the shaft's end
 END_SPEED = 0.3  # the same for the shaft's end, per s, as instruments move
 UNSEEN_COST = 6.0  # -log of the chance that an instrument is not seen although it is there, or is not there
 UNNAMED_COST = 6.0  # -log of the chance that what is seen as an instrument is none of those in the profile
+
+FOLLOWED_S = 0.5  # after which an instrument may be anywhere
 
 SIDES: dict[EntrySide, tuple[float, float]] = {
     "left": (0.0, 0.5),
@@ -72,13 +76,17 @@ class EntryTracker:
         self._size = np.array([size[1], size[0]], np.float64)
         self._tracks = [_Track(_side(side, at, len(sides))) for at, side in enumerate(sides)]
 
-    def update(self, stamp_ns: int, seen: Sequence[SeenInstrument]) -> tuple[NamedInstrument, ...]:
-        """Name the seen instruments of the next image; an entry for each name."""
-        seen = seen[:MAX_REGIONS]
+    def update(
+        self, stamp_ns: int, seen: Sequence[SeenInstrument], unlike: Array | float = 0.0
+    ) -> tuple[NamedInstrument, ...]:
+        """Name the seen instruments of the next image; an entry for each name.
+
+        `unlike`, shape (n_names, n_seen), is the -log likelihood of each by another view, where there is one.
+        """
         places = [(one.entry_px / self._size, one.end_px / self._size) for one in seen]
         cost = np.array([[self._cost(track, stamp_ns, *place) for place in places] for track in self._tracks])
         # What is surer an instrument is the likelier one where one name has a choice.
-        cost = cost - np.log(np.array([max(one.evidence, 1e-3) for one in seen]))
+        cost = cost - np.log(np.array([max(one.evidence, 1e-3) for one in seen])) + unlike
         hypotheses = ranked_assignments(cost, UNNAMED_COST, UNSEEN_COST)
         named = []
         for place, at in enumerate(hypotheses[0][1]):
@@ -130,6 +138,20 @@ def _side(side: EntrySide | None, at: int, count: int) -> Array | None:
     return np.array([0.5 + 0.5 * np.cos(angle), 0.5 - 0.5 * np.sin(angle)])
 
 
+def _other_than(own: int | None, seen: Sequence[SeenInstrument]) -> Image | None:
+    """The mask, shape (h, w), of all seen instruments but one; None where there is no other."""
+    rest = [one.mask for at, one in enumerate(seen) if at != own]
+    if not rest:
+        return None
+    others = np.bitwise_or.reduce(rest)
+    return np.asarray(others if own is None else others & ~seen[own].mask, np.uint8)
+
+
+def _seek(context: FrameContext, sides: Array | None) -> None:
+    if sides is not None and isinstance(context.masks, AutoMasks):
+        context.masks.seek(sides)
+
+
 class Association:
     """Tells the instruments of a recording apart; keeps their tracks between images."""
 
@@ -138,7 +160,9 @@ class Association:
         self._gate = arms[0].profile.segmentation.instrument
         self._settings = arms[0].profile.settings.association
         self._trackers: dict[str, RegionTracker] = {}
-        self._entries: dict[str, EntryTracker] = {}
+        self._entries: EntryTracker | None = None
+        self._before: list[SeenInstrument] = []
+        self._before_ns = 0
 
     def frames(self, scene: Scene, observations: Sequence[Observation]) -> list[Frame]:
         """The frame of each instrument, with the others' pixels marked; `observations` are one per instrument."""
@@ -149,39 +173,65 @@ class Association:
         ]
         others: list[OtherMasks] = [(None, None)] * len(self._arms)
         doubts = [""] * len(self._arms)
-        if scene.left.masks.seen is not None and not any(nominal):
+        seen = scene.left.masks.seen
+        if seen is not None and not any(nominal):
             others, doubts = self._by_entries(scene)
-        elif len(self._arms) > 1:
+        elif len(self._arms) > 1 or (seen is not None and len(seen) > 1):
             others = self._others(scene, nominal)
         each = zip(self._arms, observations, robots, others, doubts, strict=True)
         return [Frame.of(scene, *one) for one in each]
 
     def _by_entries(self, scene: Scene) -> tuple[list[OtherMasks], list[str]]:
-        """Where no robot tells where its instrument is: by the sides they come in from."""
-        left, doubts = self._named("left", scene.observation.stamp_ns, scene.left)
-        right: list[Image | None] = [None] * len(self._arms)
-        if scene.right is not None:
-            right, right_doubts = self._named("right", scene.observation.stamp_ns, scene.right)
-            doubts = [doubt or other for doubt, other in zip(doubts, right_doubts, strict=True)]
-        return list(zip(left, right, strict=True)), doubts
-
-    def _named(self, name: str, stamp_ns: int, context: FrameContext) -> tuple[list[Image | None], list[str]]:
-        """For each instrument the mask, shape (h, w), of the others seen, and why its name is in doubt."""
-        seen = context.masks.seen or ()
-        if name not in self._entries:
+        """Where no robot tells where its instrument is: by the sides they come in from, and across the views."""
+        stamp_ns, right = scene.observation.stamp_ns, scene.right
+        # What the image before shows and this one was not found to is sought where it was.
+        for before in self._before if abs(stamp_ns - self._before_ns) < 1e9 * FOLLOWED_S else ():
+            _seek(scene.left, before.sides)
+        seen = (scene.left.masks.seen or ())[:MAX_REGIONS]
+        if self._entries is None:
             profiles = [arm.profile for arm in self._arms]
             names, sides = [one.instrument_name for one in profiles], [one.entry for one in profiles]
-            self._entries[name] = EntryTracker(names, sides, context.shape)
-        masks: list[Image | None] = []
-        doubts = []
-        for named in self._entries[name].update(stamp_ns, seen):
-            rest = [one.mask for at, one in enumerate(seen) if at != named.seen]
-            others = np.bitwise_or.reduce([np.zeros(context.shape, np.uint8), *rest])
-            if named.seen is not None:
-                others &= ~seen[named.seen].mask
-            masks.append(others if rest else None)
-            doubts.append(named.doubt)
-        return masks, doubts
+            self._entries = EntryTracker(names, sides, scene.left.shape)
+        beside, cost = self._across_views(scene, seen)
+        # What the right view does not show, or elsewhere than at its depth, is as likely none of them.
+        unlike = np.min(np.minimum(cost, UNNAMED_COST), 2) if len(beside) else np.zeros(cost.shape[:2])
+        named = self._entries.update(stamp_ns, seen, unlike)
+        self._before, self._before_ns = [seen[one.seen] for one in named if one.seen is not None], stamp_ns
+        left = [_other_than(one.seen, seen) for one in named]
+        doubts = [one.doubt for one in named]
+        if right is None:
+            return [(mask, None) for mask in left], doubts
+        for i, one in enumerate(named):
+            if one.seen is not None and cost[i, one.seen].min(initial=np.inf) > UNNAMED_COST:
+                self._seek_beside(scene, i, seen[one.seen])
+        beside, cost = self._across_views(scene, seen)
+        none = np.full(len(beside), np.inf)
+        own = [none if one.seen is None else cost[i, one.seen] for i, one in enumerate(named)]
+        found = ranked_assignments(np.array(own), UNNAMED_COST, UNSEEN_COST)[0][1]
+        return [(mask, _other_than(at, beside)) for mask, at in zip(left, found, strict=True)], doubts
+
+    def _seek_beside(self, scene: Scene, i: int, seen: SeenInstrument) -> None:
+        """Look in the right view for what the left one shows of an instrument, at the depth of its radius."""
+        instrument, right = self._arms[i].profile.instrument, scene.observation.right
+        if instrument is not None and scene.right is not None and right is not None:
+            cameras, T_right_left = (scene.observation.camera, right.camera), inverse(right.T_left_right)
+            _seek(scene.right, sides_beside(seen, cameras, T_right_left, instrument.shaft_radius_m))
+
+    def _across_views(
+        self, scene: Scene, seen: Sequence[SeenInstrument]
+    ) -> tuple[Sequence[SeenInstrument], Array]:
+        """What the right view shows, and -log likelihood, (n_arms, n_left, n_right), that the left one shows it."""
+        right = scene.observation.right
+        beside = (() if scene.right is None else scene.right.masks.seen or ())[:MAX_REGIONS]
+        cost = np.zeros((len(self._arms), len(seen), len(beside)))
+        if right is None:
+            return beside, cost
+        cameras, T_right_left = (scene.observation.camera, right.camera), inverse(right.T_left_right)
+        for i, instrument in enumerate(arm.profile.instrument for arm in self._arms):
+            if instrument is not None:
+                rows = ([disagreement(a, b, cameras, T_right_left, instrument) for b in beside] for a in seen)
+                cost[i] = 0.5 * np.array(list(rows)).reshape(cost[i].shape)
+        return beside, cost
 
     def _others(self, scene: Scene, nominal: Sequence[NominalInstrument | None]) -> list[OtherMasks]:
         seen = scene.observation
@@ -200,10 +250,17 @@ class Association:
         context: FrameContext,
         camera: Camera,
         nominal: Sequence[NominalInstrument | None],
-    ) -> list[Image]:
+    ) -> Sequence[Image | None]:
         """For each instrument the mask, shape (h, w), of coloured and dark pixels that are not its own."""
         height, width = context.shape
         tracker = self._trackers.setdefault(name, RegionTracker(len(nominal), width, height, self._settings))
+        seen = context.masks.seen
+        if seen is not None:
+            ends = [Blob(one.end_px, 0.25 * np.pi * one.width_px**2) for one in seen]
+            expected = [tool.shaft_end(camera) if tool else None for tool in nominal]
+            alike = [[tool.likeness(one, camera) if tool else 0.0 for one in seen] for tool in nominal]
+            found = tracker.update(stamp_ns, expected, ends, np.array(alike).reshape(len(nominal), -1))
+            return [_other_than(identity.blob, seen) for identity in found]
         regions = coloured_regions.ColouredRegions.of(context.masks.instrument, self._gate)
         shafts = context.masks.shaft
         dark = None if shafts is None else coloured_regions.DarkPixels.of(shafts, context.masks.black)

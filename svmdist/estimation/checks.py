@@ -36,7 +36,7 @@ from svmdist.estimation.instrument.factors import marker_in
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import joints_of, wrist_in_tool
 from svmdist.estimation.scene import Arm, Scene
-from svmdist.estimation.tissue_tracking import depth_biases
+from svmdist.estimation.surface import depth_biases
 from svmdist.geometry import Mesh
 from svmdist.geometry.distance import signed_distances
 from svmdist.kinematics import rows_behind_insertion
@@ -45,17 +45,16 @@ from svmdist.profile import Profile
 from svmdist.profile.robot import CameraError
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
-from svmdist.vision.lines import undistorted
 from svmdist.vision.stereo import RectifiedPair, corresponding_points
 
 # Points of both views that tell a median, and how rows change over the picture
 MIN_MATCHES, MIN_FITTED = 8, 60
+MOST_POINTS = 0.75  # of those that show how rows bend: a few are at the border, or false
 MAX_ROWS_PX = 30.0  # by which rows of both views may differ to be compared at all
 ROWS_STD_PX = 0.4  # at the picture's border: pairs that are called rectified are so within half a pixel
 FIELD_STD = 0.1  # logarithm: the bounds of a field of view are round numbers
 MARKER_STD = 0.42  # of a disc's visible middle, over its radius: one half may be hidden
 SIDES_STD_RAD = 0.01  # of the plane between the shaft's sides: one of them may be a shadow's
-SHAPE_SHARE = 0.5  # of a surface's error by stereo, what is not its offset: measured on clean and wet tissue
 OUTLINE_STD = 0.06  # logarithm of the size of a tissue's outline: what hides it is completed
 JAW_STD_M = 1e-3  # of a jaw's length in the image: its tip is round, the mask's edge a pixel or two off
 JAW_STEP_M, JAW_REACH = 2.5e-4, 3.0  # along a jaw, and over its stated length
@@ -151,7 +150,9 @@ def _jaws(frame: Frame, pose: ToolPose) -> Iterator[Difference]:
         kept = np.logical_and.accumulate(((at >= 0) & (at < mask.shape[::-1])).all(1))
         at = at[kept]
         is_tissue = mask[at[:, 1], at[:, 0]] > 0.7
-        end = int(np.argmax(is_tissue)) if is_tissue.any() else -1
+        steel = np.flatnonzero(~is_tissue & (along_m[: len(at)] < instrument.jaw_length_m))
+        begin = int(steel[-1]) if len(steel) else 0  # what is red before it is blood on the jaw
+        end = begin + int(np.argmax(is_tissue[begin:])) if is_tissue[begin:].any() else -1
         if end > 0 and inside[at[end, 1], at[end, 0]]:
             found.append(float(along_m[end]))
     if found:
@@ -171,7 +172,7 @@ def _against_image(frame: Frame, source: str, pose: ToolPose) -> Iterator[Differ
             place_m = place_m + pose.T_camera_tool[:3, :3] @ np.array(
                 arm.profile.instrument.knuckle_position_m
             )
-        depth_m, ray = float(place_m[2]), np.append(undistorted(view.camera, seen.pixel[None])[0], 1.0)
+        depth_m, ray = float(place_m[2]), view.camera.rays(seen.pixel)[0]
         off_m = (place_m - depth_m * ray)[:2]
         along = np.column_stack([np.eye(2), -ray[:2]])  # what depth moves, the ray moves with
         pixel_m = (
@@ -276,7 +277,7 @@ def _of_surface(scene: Scene) -> Iterator[Difference]:
     tilt_rad = float(np.arctan(np.linalg.norm(fit[:2])))
     yield Difference(TILT, (TISSUE, DISPARITY), tilt_rad, std_rad, "rad")
     rest = by_shape - B @ moved
-    shape_m = float(np.hypot(SHAPE_SHARE * surface.std_m, pose.surface_std_m))
+    shape_m = float(np.hypot(surface.std_m, pose.surface_std_m))
     shape_m = float(np.sqrt(shape_m**2 + np.mean(np.einsum("ni,ij,nj->n", rest, of_shape, rest))))
     yield Difference(SHAPE, (TISSUE, DISPARITY), float(np.std(over_m - B @ fit)), shape_m, "m")
 
@@ -322,25 +323,38 @@ def of_views(profile: Profile, found: Sequence[Matches]) -> Iterator[Difference]
         x, y = ((left_px - pair.K[:2, 2]) / pair.K[0, 0]).T
         rows.append(np.column_stack([np.ones(len(x)), x, y, x * y, right_px[:, 1] - left_px[:, 1]]))
     if sum(map(len, rows)) >= MIN_FITTED:
-        B, differences_px = np.split(np.concatenate(rows), [4], axis=1)
-        yield _bent_rows(profile, B, differences_px[:, 0], found[0].pair)
+        yield _bent_rows(profile, rows, found[0].pair)
 
 
-def _bent_rows(profile: Profile, B: Array, rows_px: Array, pair: RectifiedPair) -> Difference:
-    """How rows differ by x, y and xy, of a turn about the view, another focal length, a lens; the worst of these."""
-    weight = np.ones(len(B))
-    for _ in range(8):
-        fit = np.linalg.lstsq(B * weight[:, None], rows_px * weight, rcond=None)[0]
+def _bent_rows(profile: Profile, rows: Sequence[Array], pair: RectifiedPair) -> Difference:
+    """How much rows bend at most points by x, y and xy: of a turn about the view, another focal length, a lens.
+
+    `rows` are points of each pair, (n, 5). Cameras bend the rows of all pairs alike: what one pair says that others do
+    not is its own false matches (jackknife, Tukey 1958).
+    """
+    fit, covariance = _robust_fit(np.concatenate(rows))
+    if len(rows) > 1:
+        without = [_robust_fit(np.concatenate([*rows[:at], *rows[at + 1 :]]))[0] for at in range(len(rows))]
+        covariance += (len(rows) - 1) * np.cov(np.transpose(without), bias=True)
+    error, focal_px, B = profile.camera_error, pair.K[0, 0], np.concatenate(rows)[:, 1:4]
+    turn_px = focal_px * error.right_rotation_std_rad
+    covariance = covariance[1:, 1:] + np.diag([turn_px, focal_px * error.focal_std_fraction, turn_px]) ** 2
+    B = B - np.median(B, axis=0)
+    bends_px = B @ fit[1:]
+    at = int(np.argsort(np.abs(bends_px))[int(MOST_POINTS * len(B))])
+    std_px = float(np.hypot(np.sqrt(B[at] @ covariance @ B[at]), ROWS_STD_PX))
+    return Difference("rows of both views", (VIEWS, CAMERAS), float(bends_px[at]), std_px, "px")
+
+
+def _robust_fit(rows: Array) -> tuple[Array, Array]:
+    B, rows_px = rows[:, :-1], rows[:, -1]
+    fit = np.eye(B.shape[1])[0] * np.median(
+        rows_px
+    )  # from the offset that most have, not from the mean of false ones
+    for _ in range(30):
         scale_px = scale_of(rows_px - B @ fit) + 0.05
         weight = 1.0 / np.sqrt(1.0 + ((rows_px - B @ fit) / scale_px) ** 2)
+        fit = np.linalg.lstsq(B * weight[:, None], rows_px * weight, rcond=None)[0]
     # Points of one texture err alike.
-    covariance = 2.0 * scale_px**2 * np.linalg.inv((B * weight[:, None] ** 2).T @ B)
-    error, focal_px = profile.camera_error, pair.K[0, 0]
-    turn_px = focal_px * error.right_rotation_std_rad
-    stated_px = np.array([turn_px, focal_px * error.focal_std_fraction, turn_px])
-    std_px = np.sqrt(np.diag(covariance)[1:] + stated_px**2)
-    reach = np.percentile(np.abs(B[:, 1:]), 95, axis=0)
-    worst = int(np.argmax(np.abs(fit[1:]) / std_px))
-    value_px = float(fit[1 + worst] * reach[worst])
-    std = float(np.hypot(std_px[worst] * reach[worst], ROWS_STD_PX))
-    return Difference("rows of both views", (VIEWS, CAMERAS), value_px, std, "px")
+    normal = (B * weight[:, None] ** 2).T @ B + 1e-9 * len(B) * np.eye(B.shape[1])
+    return np.asarray(fit), np.asarray(2.0 * scale_px**2 * np.linalg.inv(normal))

@@ -21,6 +21,7 @@ from svmdist.results import Failure, ToolPose
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.colour import field_of_view
+from svmdist.vision.find_instruments import SeenInstrument
 
 # A tool's nominal depth is taken to be at least this, since its pixel diverges towards the camera
 MIN_DEPTH_M = 0.02
@@ -31,6 +32,7 @@ UNLIKELY_DARK = 0.3  # the same for another instrument
 MIN_RAY_FRACTION = 0.4  # a line of which less is inside the picture tells nothing
 SHAFT_REACH = 2.5  # a dark pixel farther from an axis than so many radii is not that shaft's
 GROWN_PX = 5  # side of the dilation of other masks: borders differ between detectors
+TURN_STD_RAD, LEAST_LIKENESS = 0.3, -8.0  # of a shaft in the image against nominal kinematics
 FRAGMENT_REACH = 2.5  # radii within which coloured fragments belong to an instrument's region
 
 
@@ -140,31 +142,47 @@ class NominalInstrument:
 
     def place(self, camera: Camera) -> NominalPlace:
         """Where the tool is in the image by nominal kinematics, to first order."""
-        x, y, z = self.pose.position_m
-        z = max(float(z), MIN_DEPTH_M)
-        fx, fy = float(camera.K[0, 0]), float(camera.K[1, 1])
-        mean = np.array([camera.K[0, 2] + fx * x / z, camera.K[1, 2] + fy * y / z])
-        J = np.array([[fx / z, 0.0, -fx * x / z**2], [0.0, fy / z, -fy * y / z**2]])
+        return self._place(self.pose.position_m, camera)
+
+    def shaft_end(self, camera: Camera) -> NominalPlace:
+        """Where the shaft ends, behind a straight wrist, in the same way."""
+        sizes = self.instrument
+        back_m = 0.0 if sizes is None else _end_behind_tool_m(sizes)
+        return self._place(self.pose.position_m - back_m * self.pose.axis, camera)
+
+    def likeness(self, seen: SeenInstrument, camera: Camera) -> float:
+        """Log-likelihood, up to a constant, of a seen instrument's direction in the image, were it this one."""
+        shaft = self.shaft_from(seen.end_px, 0.5 * seen.width_px, camera)
+        back = seen.entry_px - seen.end_px
+        if shaft is None or not back.any():
+            return 0.0
+        turn = float(shaft.direction @ back) / float(np.linalg.norm(back))
+        return max(-0.5 * (float(np.arccos(np.clip(turn, -1.0, 1.0))) / TURN_STD_RAD) ** 2, LEAST_LIKENESS)
+
+    def _place(self, at_m: Array, camera: Camera) -> NominalPlace:
+        mean, J = camera.project_with_derivative(np.array([*at_m[:2], max(at_m[2], MIN_DEPTH_M)]))
         place = Gaussian(mean, J @ self.pose.position_covariance @ J.T)
-        return NominalPlace(place, self.pose.position_m, fx / z)
+        return NominalPlace(place, at_m, float(J[0, 0]))
 
     def shaft_from(self, tool_px: Array, region_radius_px: float, camera: Camera) -> ShaftAxis | None:
         """The shaft's axis in the image from the tool's pixel (2,), which needs no depth; None towards the camera."""
         if self.instrument is None:
             return None
         fx, fy = float(camera.K[0, 0]), float(camera.K[1, 1])
-        ray = np.array([(tool_px[0] - camera.K[0, 2]) / fx, (tool_px[1] - camera.K[1, 2]) / fy])
         back = -self.pose.axis
-        slope = (back[:2] - back[2] * ray) * [fx, fy]
+        slope = (back[:2] - back[2] * camera.rays(tool_px)[0, :2]) * [fx, fy]
         length = float(np.linalg.norm(slope))
         if length < 0.1 * fx:
             return None
         sizes = self.instrument
-        wrist_m = WRIST_LENGTH_PER_RADIUS * sizes.wrist_radius_m
-        end_m = sizes.shaft_end_m or NECK_PER_RADIUS * sizes.wrist_radius_m
         px_per_m = region_radius_px / sizes.knuckle_radius_m
-        begin_px = (wrist_m + end_m) * px_per_m * length / fx
+        begin_px = _end_behind_tool_m(sizes) * px_per_m * length / fx
         return ShaftAxis(tool_px, slope / length, begin_px, sizes.shaft_radius_m * px_per_m)
+
+
+def _end_behind_tool_m(sizes: Instrument) -> float:
+    end_m = sizes.shaft_end_m or NECK_PER_RADIUS * sizes.wrist_radius_m
+    return WRIST_LENGTH_PER_RADIUS * sizes.wrist_radius_m + end_m
 
 
 def nominal_instrument(arm: Arm, robot: RobotState | Failure) -> NominalInstrument | None:

@@ -9,8 +9,8 @@ import numpy as np
 
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import InstrumentModel
-from svmdist.estimation.instrument.verification import MAX_DEVIATIONS, contradiction
-from svmdist.estimation.tissue import TissuePose, require_tissue, tissue_plane
+from svmdist.estimation.instrument.verification import contradiction
+from svmdist.estimation.tissue import TissuePose
 from svmdist.geometry.distance import Separation, capsule_separation, separation
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose, as_pixel, as_vector
 from svmdist.samples import Status
@@ -53,28 +53,16 @@ def measured(
     if frame.arm.body is not None:
         capsules = frame.arm.body.posed(pose, tool.joints, tool.has_plate)
         gap = separation(capsules, tissue.surface)
+        frame.left.found["measured_surface"] = tissue.surface  # for drawings
         std_m = float(np.hypot(clearance_std_m(gap, pose, tissue, coupling), frame.arm.body.surface_std_m))
         # With all of an overlap in it: soft tissue has given way, or tool or tissue is elsewhere.
         overlap_std_m = float(np.hypot(std_m, max(-gap.distance_m, 0.0)))
         ends = as_vector(gap.direction), as_vector(gap.on_instrument_m)
         clearance = Distance(gap.distance_m, overlap_std_m, *ends, std_m)
     result = with_tool(result, frame, tool)
-    if reason := contradiction(frame, pose, capsules) or behind_tissue(frame, pose, tissue):
+    if reason := contradiction(frame, pose, capsules, tissue, is_by_outline=tool.joints is None):
         return result.rejected(Status.INCONSISTENT, reason)
     return replace(result, status=Status.OK, distances=Distances(planar, spatial, clearance))
-
-
-def behind_tissue(frame: Frame, pose: ToolPose, tissue: TissuePose) -> str:
-    """Whether the tool is behind the plane that the tissue lies on: a measured surface is points without an inside."""
-    if not tissue.is_measured:
-        return ""
-    plane = tissue_plane(require_tissue(frame.arm.profile))
-    below_m = plane.offset_m - float(plane.normal @ pose.position_m)
-    variance_m2 = float(plane.normal @ (tissue.covariance + pose.position_covariance) @ plane.normal)
-    variance_m2 += tissue.surface_std_m**2 + require_tissue(frame.arm.profile).surface_std_m ** 2
-    if below_m <= MAX_DEVIATIONS * np.sqrt(variance_m2):
-        return ""
-    return f"the tool is {1e3 * below_m:.0f} mm behind the plane that the tissue lies on"
 
 
 def with_tool(result: FrameResult, frame: Frame, tool: ToolEstimate) -> FrameResult:

@@ -11,22 +11,30 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svmdist.camera import Camera
+from svmdist.estimation.instrument.shaft_detection import (
+    DistalMarker,
+    ShaftDetection,
+    detect_distal_marker,
+    detect_shaft,
+    detect_silhouette,
+)
+from svmdist.estimation.instrument.shaft_model import ShaftModel
+from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
 from svmdist.estimation.scene import Arm, Scene
+from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure
-from svmdist.samples import Image, JointSample, Observation, require_bgr
+from svmdist.samples import Image, JointSample, Observation
 from svmdist.transforms import Array
 from svmdist.vision.colour import Masks
 from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.regions import Region, find_region
-from svmdist.vision.segmentation import InstrumentMasks, Segmenter
+from svmdist.vision.segmentation import InstrumentMasks
+from svmdist.vision.shaft_segmentation import ShaftRegion, bright_fraction, find_shaft
+from svmdist.vision.silhouette import Silhouette, find_silhouette
+from svmdist.vision.tags import tag_plate
 
 if TYPE_CHECKING:
-    from svmdist.estimation.instrument.image_pose import ImagePose
-    from svmdist.estimation.instrument.shaft_detection import DistalMarker, ShaftDetection
-    from svmdist.estimation.instrument.tag_pose import TagPose
-    from svmdist.kinematics.robot_state import RobotState
-    from svmdist.vision.shaft_segmentation import ShaftRegion
-    from svmdist.vision.silhouette import Silhouette
+    from svmdist.estimation.instrument.image_pose import ImagePose  # which is made of a frame
 
 # Bright part of a dark stub above which it is a tag's print, half of which is white
 MAX_PRINTED_FRACTION = 0.1
@@ -85,8 +93,6 @@ class View:
     @cached_property
     def distal_marker(self) -> DistalMarker | None:
         """The coloured marker about the tool's origin; None of a tip that has none."""
-        from svmdist.estimation.instrument.shaft_detection import detect_distal_marker
-
         region = self.region
         if region is None or self.masks.seen is not None:  # found by shape, it has no colour
             return None
@@ -96,21 +102,22 @@ class View:
     @cached_property
     def silhouette(self) -> Silhouette | None:
         """The silhouette of the instrument's shaft, where the segmentation finds instruments by their shape."""
-        from svmdist.estimation.instrument.shaft_model import ShaftModel
-        from svmdist.vision.silhouette import find_silhouette
-
         masks, instrument = self.masks, self._arm.profile.instrument
         if not masks.seen or instrument is None:
             return None
-        shape = ShaftModel.of(Failure(""), self._arm.required_chain, instrument).wrist_shape
-        return find_silhouette(self.context.bgr_as_recorded, masks.seen[0], masks.picture, shape)
+        picture, corners_px = masks.picture, self.tag_corners_px
+        if picture is not None and corners_px is not None:  # its edges are not the shaft's
+            picture = np.asarray(
+                picture & ~tag_plate(corners_px, picture.shape, self._settings.tag), np.uint8
+            )
+        model = ShaftModel.of(Failure(""), self._arm.required_chain, instrument)
+        seen = model.with_likelier_end(masks.seen[0], self._settings.shaft.end_model_std_m)
+        shape = model.wrist_shape(ends_dark=seen.ends_dark)
+        return find_silhouette(self.context.bgr_as_recorded, seen, picture, shape)
 
     @cached_property
     def shaft_region(self) -> ShaftRegion | None:
         """The dark bar that comes in from the border, without the tag's plate on it."""
-        from svmdist.vision.shaft_segmentation import bright_fraction, find_shaft
-        from svmdist.vision.tags import tag_plate
-
         profile, masks, corners_px = self._arm.profile, self.masks, self.tag_corners_px
         rule = profile.segmentation.shaft
         if rule is None or masks.shaft is None:
@@ -125,8 +132,6 @@ class View:
     @cached_property
     def shaft(self) -> ShaftDetection:
         """The shaft's edges and end."""
-        from svmdist.estimation.instrument.shaft_detection import detect_shaft, detect_silhouette
-
         if self.masks.seen is not None:
             instrument = self._arm.profile.instrument
             radius_m = 0.0 if instrument is None else instrument.shaft_radius_m
@@ -210,8 +215,6 @@ class Frame:
 
     def tag_near(self, R_camera_tag: Array | None, std_rad: float = np.inf) -> TagPose | None:
         """The tag's pose near a predicted rotation, shape (3, 3), of a standard deviation in rad."""
-        from svmdist.estimation.instrument.tag_pose import find_tag_pose
-
         left, pattern = self.left, self.arm.tag_pattern
         corners_px = left.tag_corners_px
         if corners_px is None or pattern is None:
@@ -224,15 +227,6 @@ class Frame:
         from svmdist.estimation.instrument.image_pose import pose_by_image
 
         return pose_by_image(self)
-
-
-def frame_of(observation: Observation, arm: Arm, segmenter: Segmenter) -> Frame:
-    """The frame of the only instrument of an observation; raises WrongImageError for what is no image of its camera."""
-    require_bgr(observation.image_bgr, observation.camera, "image_bgr")
-    if observation.right is not None:
-        require_bgr(observation.right.image_bgr, observation.right.camera, "right.image_bgr")
-    scene = Scene(observation, arm.profile, segmenter)
-    return Frame.of(scene, arm, observation, arm.state_at(observation))
 
 
 def prefetch(source: object, names: Iterable[str]) -> dict[str, float]:

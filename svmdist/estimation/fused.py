@@ -128,21 +128,13 @@ class FusedEstimator:
         fit = frame.shaft_pose
         if not isinstance(fit, Failure) and fit.pose is not image:
             poses.append(fit.pose)
-        if (by_tag := self._pose_by_tag(frame)) is not None:
-            poses.append(by_tag)
+        if frame.tag is not None:
+            poses.append(tool_from_tag(self._arm, frame.left.camera, frame.tag, kalman.robot))
         nominal = nominal_tool(self._chain, self._arm.profile.kinematic_error, kalman.robot)
         seen = self._of_images(frame)
         starts: list[Start] = [(pose, [*seen, *self._tag(frame, pose)]) for pose in poses]
         starts.append((None, [*seen, *self._tag(frame, nominal)]))
         return starts[kalman.begin(starts)][0] or kalman.tool_pose()
-
-    def _pose_by_tag(self, frame: Frame) -> ToolPose | None:
-        fiducial = self._arm.profile.fiducial
-        if fiducial is None or frame.left.tag_corners_px is None or frame.tag is None:
-            return None
-        error, deviations = self._arm.profile.kinematic_error, self._arm.deviations
-        focal_px = np.diag(frame.left.camera.K)[:2]
-        return tool_from_tag(frame.tag, fiducial, self._filter.robot, error, deviations, focal_px)
 
     def _of_images(self, frame: Frame) -> list[LinkMeasurement]:
         """The factors of both views, but for the tag."""

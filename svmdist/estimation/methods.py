@@ -32,7 +32,7 @@ Topic = Literal["camera_to_base", "joints", "right_image", "robot"]
 Input = Topic | Literal["calibration", "fiducial", "instrument", "shaft", "tag", "tissue"]
 """What a method may need besides left images: topics of the log, tables of the profile, and the tag in the images."""
 PaperPhase = Literal["segmentation", "contours", "marker", "matches", "outline and distance"]
-Phase = PaperPhase | Literal["edges", "tip", "tag", "surface", "distance"]
+Phase = PaperPhase | Literal["edges and tip", "tip", "tag", "surface", "distance", "side view"]
 """A picture of one step of a method."""
 
 
@@ -71,31 +71,31 @@ _TABLE = (
         "fiducial",
         "one_view.FiducialEstimator",
         ("joints", "fiducial", "tissue", "tag"),
-        ("segmentation", "tag", "distance"),
+        ("segmentation", "tag", "distance", "side view"),
     ),
     Method(
         "shaft",
         "one_view.ShaftEstimator",
         ("shaft", "instrument", "robot", "tissue"),
-        ("segmentation", "edges", "tip", "distance"),
+        ("segmentation", "edges and tip", "distance", "side view"),
     ),
     Method(
         "stereo",
         "stereo.StereoEstimator",
         ("right_image", "robot", "tissue"),
-        ("segmentation", "tip", "surface", "distance"),
+        ("segmentation", "tip", "surface", "distance", "side view"),
     ),
     Method(
         "kinematic",
         "one_view.KinematicEstimator",
         ("joints", "camera_to_base", "tissue"),
-        ("segmentation", "distance"),
+        ("segmentation", "distance", "side view"),
     ),
     Method(
         "fused",
         "fused.FusedEstimator",
         ("joints", "camera_to_base", "tissue"),
-        ("segmentation", "edges", "tip", "tag", "surface", "distance"),
+        ("segmentation", "edges and tip", "tag", "surface", "distance", "side view"),
     ),
 )
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from svmdist.camera import Camera
 from svmdist.errors import ProfileError
 from svmdist.estimation.distances import measured, with_tissue
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.instrument.consistency import with_detections
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.estimation.instrument.measurement import EXACT, Deviations
 from svmdist.estimation.instrument.model import wrist_in_tool
 from svmdist.estimation.instrument.tag_pose import TagPose
 from svmdist.estimation.scene import Arm
@@ -19,15 +17,12 @@ from svmdist.estimation.tissue import require_tissue
 from svmdist.estimation.tissue_tracking import TissueTracker
 from svmdist.kinematics import row_index
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile.robot import Fiducial, KinematicError
+from svmdist.profile.robot import KinematicError
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import Status
 from svmdist.transforms import Array, inverse, skew
 
-if TYPE_CHECKING:
-    from svmdist.estimation.instrument.shaft_detection import ShaftDetection
-
-NEAR_M = 0.2  # up to here that deviation holds; beyond, it grows in proportion
+BOUND_AT_M = 0.1  # from an endoscope to a tool at work
 
 
 class KinematicEstimator:
@@ -55,18 +50,10 @@ class KinematicEstimator:
         return measured(result.rejected(Status.OK), frame, tool, tissue)
 
 
-NO_FOCAL_PX = np.ones(2)  # where no deviation asks for it
-
-
-def tool_from_tag(
-    tag: TagPose,
-    fiducial: Fiducial,
-    robot: RobotState,
-    error: KinematicError,
-    deviations: Deviations = EXACT,
-    focal_px: Array = NO_FOCAL_PX,
-) -> ToolPose:
-    """The tool's pose from the tag's, through the mounting and the joints behind it."""
+def tool_from_tag(arm: Arm, camera: Camera, tag: TagPose, robot: RobotState) -> ToolPose:
+    """The tool's pose from that of the arm's tag, through the mounting and the joints behind it."""
+    fiducial = arm.profile.fiducial
+    assert fiducial is not None  # it was found
     T_base_tag = robot.T_base_link(fiducial.link) @ fiducial.T_link_tag
     T_camera_base = tag.T_camera_tag @ inverse(T_base_tag)
     T_camera_tool = T_camera_base @ robot.T_base_tool
@@ -74,10 +61,10 @@ def tool_from_tag(
     arm_m = T_camera_tool[:3, 3] - tag.T_camera_tag[:3, 3]
     J = np.eye(6)
     J[:3, 3:] = -skew(arm_m)
-    biases = deviations.of_tag(tag.T_camera_tag, focal_px)
+    biases = arm.deviations.of_tag(tag.T_camera_tag, np.diag(camera.K)[:2])
     constants = sum((bias.jacobian @ bias.jacobian.T for bias in biases), np.zeros((6, 6)))
     covariance = J @ (tag.covariance + constants) @ J.T
-    covariance += _joint_covariance(robot, fiducial.link, T_camera_base[:3, :3], error)
+    covariance += _joint_covariance(robot, fiducial.link, T_camera_base[:3, :3], arm.profile.kinematic_error)
     axis = T_camera_tool[:3, :3] @ wrist_in_tool(robot.chain, robot.q).shaft
     return ToolPose(T_camera_tool, covariance, axis)
 
@@ -122,8 +109,6 @@ class FiducialEstimator:
                 " fiducial needs the tag, the link that carries it, and the chain from there to the tool"
             )
         require_tissue(profile)
-        self._fiducial = profile.fiducial
-        self._error = profile.kinematic_error
 
     def estimate(self, frame: Frame) -> FrameResult:
         """Measure one frame; a frame that cannot be measured says why."""
@@ -142,15 +127,17 @@ class FiducialEstimator:
             return result.rejected(Status.AMBIGUOUS_POSE)
 
         # Through mounting and wrist to the tool, and the distances from there.
-        focal_px = np.diag(frame.left.camera.K)[:2]
-        pose = tool_from_tag(tag, self._fiducial, frame.robot, self._error, frame.arm.deviations, focal_px)
+        pose = tool_from_tag(frame.arm, frame.left.camera, tag, frame.robot)
         return measured(result, frame, ToolEstimate(pose, frame.joints, has_plate=True), tissue.pose)
 
 
 def uncertainty(pose: ToolPose, max_std_m: float) -> str:
-    """Why a position is too uncertain, by a bound that holds up to `NEAR_M` and grows beyond; empty where it is not."""
-    farther = max(1.0, float(np.linalg.norm(pose.position_m)) / NEAR_M)
-    is_known = pose.position_std_m <= farther * max_std_m  # NaN is not
+    """Why a position is too uncertain, by a bound that grows with the distance beyond `BOUND_AT_M`; empty if it is not.
+
+    What an image tells of depth is a share of it.
+    """
+    share = max(1.0, float(np.linalg.norm(pose.position_m)) / BOUND_AT_M)
+    is_known = pose.position_std_m <= share * max_std_m  # NaN is not
     return "" if is_known else f"the position is uncertain by {pose.position_std_m * 1e3:.1f} mm"
 
 
@@ -183,14 +170,11 @@ class ShaftEstimator:
         self._has_plate |= frame.left.tag_corners_px is not None
         fit = frame.shaft_pose
         if isinstance(fit, Failure):
-            return result.rejected(_status(frame.left.shaft), fit.reason)
+            is_seen = len(frame.left.shaft.contours) == 2
+            return result.rejected(Status.UNCERTAIN if is_seen else Status.NO_INSTRUMENT, fit.reason)
         result = with_detections(result, fit.gating)
         if fit.doubt:
             return result.rejected(Status.INCONSISTENT, fit.doubt)
         if said := uncertainty(fit.pose, self._settings.max_position_std_m):
             return result.rejected(Status.UNCERTAIN, said)
         return measured(result, frame, ToolEstimate(fit.pose, frame.joints, self._has_plate), tissue.pose)
-
-
-def _status(shaft: ShaftDetection) -> Status:
-    return Status.UNCERTAIN if len(shaft.contours) == 2 else Status.NO_INSTRUMENT

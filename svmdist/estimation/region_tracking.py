@@ -26,8 +26,6 @@ DRIFT_WIDTHS = 0.01  # how the offset between seen and nominal place drifts, in 
 # How the relation of seen and nominal motion drifts, as the depth changes, per square root of s
 LINEAR_DRIFT = 0.05
 
-DEFAULT = AssociationSettings()
-
 
 @dataclass(frozen=True, slots=True)
 class Gaussian:
@@ -45,7 +43,7 @@ class Gaussian:
 class SteadyMotion:
     """Constant velocity with random accelerations: a Kalman filter over (x, y, vx, vy) in px and px/s."""
 
-    def __init__(self, width_px: int, settings: AssociationSettings = DEFAULT) -> None:
+    def __init__(self, width_px: int, settings: AssociationSettings) -> None:
         self._acceleration = settings.acceleration_widths * width_px
         self._first_speed = FIRST_SPEED_WIDTHS * width_px
         self._x: Array | None = None
@@ -196,9 +194,7 @@ class Identity:
 class RegionTracker:
     """Assigns the regions of one camera's images to instruments, frame by frame, in the order of their stamps."""
 
-    def __init__(
-        self, count: int, width_px: int, height_px: int, settings: AssociationSettings = DEFAULT
-    ) -> None:
+    def __init__(self, count: int, width_px: int, height_px: int, settings: AssociationSettings) -> None:
         self._width_px = width_px
         self._settings = settings
         self._extra_region_cost = float(np.log(width_px * height_px / CLUTTER_COUNT))

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from svmdist.errors import ProfileError
+from svmdist.estimation.instrument.measurement import Deviations
+from svmdist.estimation.instrument.model import InstrumentModel
+from svmdist.estimation.surface import StereoSurface, detect_stereo_surface
+from svmdist.estimation.tissue import TissueDetection, detect_tissue
+from svmdist.kinematics import DHChain, ShaftAxis, chain_of, shaft_of
+from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
 from svmdist.results import Failure
 from svmdist.samples import Observation
 from svmdist.vision.frame_context import FrameContext, as_pinholes, with_first_fields
 from svmdist.vision.segmentation import Segmenter
-
-if TYPE_CHECKING:
-    from svmdist.estimation.instrument.measurement import Deviations
-    from svmdist.estimation.instrument.model import InstrumentModel
-    from svmdist.estimation.surface import StereoSurface
-    from svmdist.estimation.tissue import TissueDetection
-    from svmdist.kinematics import DHChain, ShaftAxis
-    from svmdist.kinematics.robot_state import RobotState
-    from svmdist.vision.stereo import RectifiedPair
-    from svmdist.vision.tag_overlay import TagPattern
+from svmdist.vision.stereo import RectifiedPair, rectified_pair
+from svmdist.vision.tag_overlay import TagPattern
 
 
 class Arm:
@@ -32,8 +30,6 @@ class Arm:
     @cached_property
     def chain(self) -> DHChain | None:
         """The robot's chain; None where the profile has none."""
-        from svmdist.kinematics import chain_of
-
         return chain_of(self.profile.robot) if self.profile.robot else None
 
     @property
@@ -46,36 +42,26 @@ class Arm:
     @cached_property
     def body(self) -> InstrumentModel | None:
         """The instrument as capsules; None where the profile has no sizes of it."""
-        from svmdist.estimation.instrument.model import InstrumentModel
-
         return InstrumentModel.of(self.profile)
 
     @cached_property
     def deviations(self) -> Deviations:
         """How wrong the constants of cameras, instrument and tag may be."""
-        from svmdist.estimation.instrument.measurement import Deviations
-
         return Deviations.of(self.profile)
 
     @cached_property
     def shaft_axis(self) -> ShaftAxis | None:
         """Which link carries the shaft, and where its axis is there; None without such a chain."""
-        from svmdist.kinematics import shaft_of
-
         return shaft_of(self.chain) if self.chain else None
 
     @cached_property
     def tag_pattern(self) -> TagPattern | None:
         """The fiducial's printed pattern; None where the profile has no fiducial."""
-        from svmdist.vision.tag_overlay import TagPattern
-
         tag = self.profile.fiducial
         return TagPattern(tag.family, tag.id, tag.size_m) if tag else None
 
     def state_at(self, seen: Observation) -> RobotState | Failure:
         """Joints and nominal poses at an image's stamp; or what of them the log lacks."""
-        from svmdist.kinematics.robot_state import RobotState
-
         if self.chain is None:
             return Failure(f"profile {self.profile.name} has no [robot]")
         return RobotState.of(self.chain, seen.joints, seen.T_camera_base, seen.stamp_ns, seen.joint_track)
@@ -110,26 +96,23 @@ class Scene:
     @cached_property
     def tissue(self) -> TissueDetection | None:
         """The tissue's outline and pose, by the left view."""
-        from svmdist.estimation.tissue import detect_tissue
-
         return detect_tissue(self.left.masks, self.profile, self.observation.camera)
 
     @cached_property
     def stereo_pair(self) -> RectifiedPair | Failure:
         """The geometry of both views, where they are a rectified pair."""
-        from svmdist.vision.stereo import rectified_pair
-
         right = self.observation.right
         return Failure("no right view") if right is None else rectified_pair(self.observation.camera, right)
 
     @cached_property
     def stereo_surface(self) -> StereoSurface | None:
-        """The tissue's surface by both views; None where it is not seen, or they do not agree."""
-        from svmdist.estimation.surface import detect_stereo_surface
+        """The tissue's surface by both views, as a distance needs it; None where they do not show it."""
+        return self.surface()
 
-        tissue, pair = self.tissue, self.stereo_pair
-        if tissue is None or self.right is None or isinstance(pair, Failure):
+    def surface(self, **resolution: int) -> StereoSurface | None:
+        """The same at a resolution, as `detect_stereo_surface` takes it."""
+        pair = self.stereo_pair
+        if self.right is None or isinstance(pair, Failure):
             return None
-        masks = (self.left.masks.tissue, self.right.masks.tissue)
-        left, right, hull = self.left.grey, self.right.grey, tissue.region.hull
-        return detect_stereo_surface(left, right, pair, hull, masks, self.profile.stereo_in_range)
+        settings, field = self.profile.settings.stereo, self.profile.field
+        return detect_stereo_surface((self.left, self.right), pair, settings, field, **resolution)

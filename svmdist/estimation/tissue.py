@@ -10,9 +10,8 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.errors import ProfileError
 from svmdist.estimation.dome import DomeModel
-from svmdist.estimation.instrument.measurement import EXACT, SharedBias
-from svmdist.geometry import Mesh, Plane, Surface, meet_plane, pixel_rays
-from svmdist.geometry.mesh import read_closed_mesh
+from svmdist.estimation.instrument.measurement import SharedBias
+from svmdist.geometry import Cloud, Mesh, Plane, Surface, meet_plane, read_closed_mesh
 from svmdist.profile import Profile
 from svmdist.profile.hand_eye import FOCAL_LENGTH, PRINCIPAL_POINT
 from svmdist.profile.robot import CameraError, Tissue
@@ -35,8 +34,8 @@ class TissuePose:
     """The tissue's origin in the camera frame, shape (3,) in m, with covariance (3, 3), and its surface there.
 
     `outline_covariance` is the part of that covariance that is the outline's own, without the plane's.
-    `surface_std_m` is how far the surface may stand off the real one, beside the origin's error and what a `dome`,
-    where the surface is one, states of its own shape. A surface that `is_measured` stands where it was seen: errors of
+    `surface_std_m` is how far the surface may stand off the real one, beside the origin's error and what a `dome` or a
+    cloud states of its own shape. A surface that `is_measured` stands where it was seen: errors of
     the origin do not move it.
     """
 
@@ -76,6 +75,8 @@ class TissuePose:
     def surface_variance_m2(self, point_m: Array, direction: Array) -> float:
         """By how much the surface may stand off at one of its points, shape (3,), along a unit vector, shape (3,)."""
         variance_m2 = self.surface_std_m**2
+        if isinstance(self.surface, Cloud):
+            variance_m2 += self.surface.std_at_m(point_m) ** 2
         return variance_m2 if self.dome is None else variance_m2 + self.dome.variance_m2(point_m, direction)
 
 
@@ -94,16 +95,16 @@ def require_tissue(profile: Profile) -> Tissue:
 
 
 def tissue_pose(
-    outline: CompletedOutline, camera: Camera, tissue: Tissue, error: CameraError = EXACT.camera
+    outline: CompletedOutline, camera: Camera, tissue: Tissue, error: CameraError
 ) -> TissuePose | None:
     """Place tissue and surface by an outline; None where its centroid's ray does not meet the plane."""
     plane = tissue_plane(tissue)
-    position_m = meet_plane(pixel_rays(camera, outline.centroid_px), plane)[0]
+    position_m = meet_plane(camera.rays(outline.centroid_px), plane)[0]
     if not np.all(np.isfinite(position_m)):
         return None
     # The outline's pixels, and the plane's distance and tilt, to first order: X = offset / (n · r) r.
     steps_px = np.array([[0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]])
-    on_plane = meet_plane(pixel_rays(camera, outline.centroid_px + steps_px), plane)
+    on_plane = meet_plane(camera.rays(outline.centroid_px + steps_px), plane)
     J_px = np.stack([on_plane[0] - on_plane[1], on_plane[2] - on_plane[3]], -1)
     of_outline = J_px @ outline.covariance_px2 @ J_px.T
     ray = position_m / position_m[2]
@@ -120,7 +121,7 @@ def tissue_pose(
     covariance = covariance + J @ J.T
     T_camera_tissue, dome = tissue_frame(position_m, plane.normal), None
     surface: Surface = plane
-    outline_m = meet_plane(pixel_rays(camera, outline.curve_px), plane)
+    outline_m = meet_plane(camera.rays(outline.curve_px), plane)
     if tissue.dome is not None and np.all(np.isfinite(outline_m)) and len(outline_m) >= 3:
         dome = DomeModel.over(outline_m, T_camera_tissue, tissue.dome)
         surface = dome.mesh

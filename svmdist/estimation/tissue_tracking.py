@@ -6,14 +6,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from svmdist.camera import Camera
 from svmdist.estimation.dome import INNER_RADIUS, DomeModel
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
-from svmdist.estimation.instrument.measurement import Deviations, SharedBias
+from svmdist.estimation.instrument.measurement import SharedBias
 from svmdist.estimation.instrument.state import Linearised
 from svmdist.estimation.scene import Arm
+from svmdist.estimation.surface import depth_biases
 from svmdist.estimation.tissue import (
     TissueDetection,
     TissuePose,
@@ -25,8 +25,7 @@ from svmdist.geometry import Cloud
 from svmdist.least_squares import median, scale_of
 from svmdist.profile.robot import Tissue
 from svmdist.profile.settings import TissueTrackingSettings
-from svmdist.samples import RightView
-from svmdist.transforms import Array, inverse
+from svmdist.transforms import Array
 
 MIN_SCATTER_COUNT = 4.0  # fewer poses do not tell how much they scatter beyond their stated covariance
 # Normal quantile of the gate for a pose against the remembered one: 1 in 1,000 true ones is refused
@@ -153,16 +152,6 @@ class TissueHeight:
         )
 
 
-def depth_biases(
-    p_camera_m: Array, camera: Camera, right: RightView, deviations: Deviations
-) -> tuple[SharedBias, ...]:
-    """What errors of both cameras do to the depth in m that a surface by stereo has at a point, shape (3,)."""
-    T_right_left = inverse(right.T_left_right)
-    disparity_px = float(camera.K[0, 0] * np.linalg.norm(T_right_left[:3, 3]) / p_camera_m[2])
-    biases = deviations.of_disparity_at(p_camera_m, right.camera, np.array(disparity_px), T_right_left)
-    return tuple(bias.scaled(p_camera_m[2] / disparity_px) for bias in biases)
-
-
 MAX_SHAPE_STDS = (
     2.0  # beyond, a surface that is seen is better than a shape; it costs nothing but a wider interval
 )
@@ -174,13 +163,10 @@ def surface_by_stereo(frame: Frame, known: TissuePose) -> TissuePose | None:
     surface, right = frame.scene.stereo_surface, frame.scene.observation.right
     if surface is None or right is None:
         return None
-    at_m = np.median(surface.points_m, 0)
-    biases = depth_biases(at_m, frame.left.camera, right, frame.arm.deviations)
-    calibration_std_m = np.sqrt(sum(float(np.sum(bias.jacobian**2)) for bias in biases))
-    std_m = float(np.hypot(surface.std_m, calibration_std_m))
-    off_m = _off_plane_m(surface.points_m, std_m, require_tissue(frame.arm.profile))
-    std_m = float(np.hypot(std_m, off_m))
-    return replace(known, surface=Cloud(surface.points_m), surface_std_m=std_m, dome=None, is_measured=True)
+    cloud = surface.cloud(frame.left.camera, right, frame.arm.deviations)
+    assert cloud.std_m is not None
+    off_m = _off_plane_m(surface.points_m, median(cloud.std_m), require_tissue(frame.arm.profile))
+    return replace(known, surface=cloud, surface_std_m=off_m, dome=None, is_measured=True)
 
 
 def _off_plane_m(points_m: Array, std_m: float, tissue: Tissue) -> float:
@@ -262,7 +248,10 @@ class FollowedTissue:
         if seen is None:
             return placed, coupling
         shape_std_m = self._shape_std_m(seen)
-        is_surer = shape_std_m < seen.surface_std_m and self._has_shape(placed.dome, frame, shape_std_m)
+        assert isinstance(seen.surface, Cloud)
+        assert seen.surface.std_m is not None
+        seen_std_m = float(np.hypot(median(seen.surface.std_m), seen.surface_std_m))
+        is_surer = shape_std_m < seen_std_m and self._has_shape(placed.dome, frame, shape_std_m)
         return placed if is_surer else seen, coupling
 
     def _has_shape(self, dome: DomeModel | None, frame: Frame, std_m: float) -> bool:

@@ -14,7 +14,7 @@ from svmdist.estimation.one_view import tool_from_tag
 from svmdist.estimation.stereo import nominal_orientation_pose
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
-from svmdist.vision.lines import axis_of_cylinder, undistorted
+from svmdist.vision.lines import axis_of_cylinder
 
 WRIST_STD_M = 5e-3  # by which the shaft's axis passes before or behind the marker, where the wrist is bent
 
@@ -31,9 +31,8 @@ def _places(frame: Frame) -> Iterator[tuple[str, ToolPose]]:
         frame.scene.stereo_pair,
         frame.scene.observation.right,
     )
-    error = arm.profile.kinematic_error
     if not isinstance(robot, Failure):
-        yield KINEMATICS, nominal_tool(arm.required_chain, error, robot)
+        yield KINEMATICS, nominal_tool(arm.required_chain, arm.profile.kinematic_error, robot)
     if arm.profile.segmentation.shaft is not None and arm.body is not None and arm.chain is not None:
         fit = frame.shaft_pose
         # In doubt, too: what is wrong with a size makes it doubtful. Without the sides it is by the marker's size.
@@ -49,10 +48,8 @@ def _places(frame: Frame) -> Iterator[tuple[str, ToolPose]]:
         if not isinstance(markers, Failure):
             anyhow = ToolPose(np.eye(4), np.eye(6), np.array([1.0, 0.0, 0.0]))
             yield DISPARITY, nominal_orientation_pose(markers, pair, right, anyhow, arm.deviations)
-    fiducial, tag = arm.profile.fiducial, frame.tag
-    if fiducial is not None and tag is not None and not isinstance(frame.robot, Failure):
-        focal_px = np.diag(frame.left.camera.K)[:2]
-        yield TAG, tool_from_tag(tag, fiducial, frame.robot, error, arm.deviations, focal_px)
+    if frame.tag is not None and not isinstance(frame.robot, Failure):
+        yield TAG, tool_from_tag(arm, frame.left.camera, frame.tag, frame.robot)
 
 
 def _at_depth(depth_m: float, std_m: float, ray: Array) -> ToolPose:
@@ -72,7 +69,7 @@ def _by_width(frame: Frame) -> ToolPose | None:
     axis = axis_of_cylinder(planes[0], planes[1], instrument.shaft_radius_m)
     if axis is None:
         return None
-    ray = np.append(undistorted(view.camera, marker.centre_px[None])[0], 1.0)
+    ray = view.camera.rays(marker.centre_px)[0]
     to_ray = np.column_stack([axis.direction, -ray])
     along_m = float(np.linalg.lstsq(to_ray, -axis.point_m, rcond=None)[0][0])
     depth_m = float((axis.point_m + along_m * axis.direction)[2])
@@ -90,5 +87,5 @@ def _by_marker_size(frame: Frame) -> ToolPose | None:
         return None
     depth_m = float(view.camera.K[0, 0]) * instrument.knuckle_radius_m / marker.radius_px
     std = float(np.hypot(marker.radius_std_px / marker.radius_px, instrument.knuckle_radius_std_fraction))
-    ray = np.append(undistorted(view.camera, marker.disc.centre_px[None])[0], 1.0)
+    ray = view.camera.rays(marker.disc.centre_px)[0]
     return _at_depth(depth_m, std * depth_m, ray)

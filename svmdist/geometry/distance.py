@@ -13,7 +13,7 @@ leading axes; points have shape (..., 3), in one frame, in m.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from svmdist.geometry import Capsules, Mesh, Plane, Surface
 from svmdist.tracks import Mask
-from svmdist.transforms import Array, cross
+from svmdist.transforms import Array
 
 Indices = NDArray[np.intp]
 
@@ -37,22 +37,13 @@ class Separation:
     """The shortest separation: `distance_m` (negative: penetration depth) along `direction`, shape (3,).
 
     `direction` is a unit vector from instrument to tissue: moving the instrument along it lessens the distance.
-    The points, shape (3,), satisfy `on_tissue_m = on_instrument_m + distance_m * direction`. `capsule` is the index
-    of the nearest one, `other_capsule` that of another instrument's.
+    The points, shape (3,), satisfy `on_tissue_m = on_instrument_m + distance_m * direction`.
     """
 
     distance_m: float
     direction: Array
     on_instrument_m: Array
     on_tissue_m: Array
-    capsule: int
-    other_capsule: int | None = None
-
-    def reversed(self) -> Separation:
-        """The separation of two instruments as the other one has it."""
-        assert self.other_capsule is not None, "tissue has no capsules"
-        there, here = self.on_tissue_m, self.on_instrument_m
-        return Separation(self.distance_m, -self.direction, there, here, self.other_capsule, self.capsule)
 
 
 def separation(capsules: Capsules, surface: Surface) -> Separation:
@@ -76,8 +67,8 @@ def capsule_separation(instrument: Capsules, other: Capsules) -> Separation:
         direction = (second - first) / distance
     else:  # the axes cross: apart is along their common perpendicular
         along = instrument.end_m[i] - instrument.start_m[i]
-        direction = _unit_or_any(cross(along, other.end_m[j] - other.start_m[j]))
-    return replace(_outside(instrument, int(i), first, direction, float(gap[i, j])), other_capsule=int(j))
+        direction = _unit_or_any(np.cross(along, other.end_m[j] - other.start_m[j]))
+    return _outside(instrument, int(i), first, direction, float(gap[i, j]))
 
 
 def _to_plane(capsules: Capsules, plane: Plane) -> Separation:
@@ -124,7 +115,7 @@ def _to_mesh(capsules: Capsules, mesh: Mesh) -> Separation:
     at = int(np.argmin(gap))
     if pair.distance[at] <= TOUCH_M:  # an end touches from outside
         a, b, c = corners[at]
-        direction = -_unit_or_any(cross(b - a, c - a))
+        direction = -_unit_or_any(np.cross(b - a, c - a))
     else:
         direction = (pair.second[at] - pair.first[at]) / pair.distance[at]
     return _outside(capsules, int(capsule[at]), pair.first[at], direction, float(gap[at]))
@@ -185,7 +176,7 @@ def _deepest(capsules: Capsules, index: int, mesh: Mesh) -> Separation:
 
 def _outside(capsules: Capsules, index: int, on_axis: Array, direction: Array, gap_m: float) -> Separation:
     on_instrument = on_axis + capsules.radius_m[index] * direction
-    return Separation(gap_m, direction, on_instrument, on_instrument + gap_m * direction, index)
+    return Separation(gap_m, direction, on_instrument, on_instrument + gap_m * direction)
 
 
 def _unit_or_any(vector: Array) -> Array:
@@ -209,7 +200,7 @@ def signed_distances(points: Array, mesh: Mesh) -> tuple[Array, Array]:
     about = np.nonzero(_lengths(pair.second - nearest[row]) <= TOUCH_M)[0]
     row, triangle = row[about], triangle[about]
     ahead, back = _following(triangle) - triangle, triangle[:, [2, 0, 1]] - triangle
-    normals = cross(ahead, back)
+    normals = np.cross(ahead, back)
     is_there = _lengths(triangle - nearest[row][:, None]) <= TOUCH_M
     angle = (np.arctan2(_lengths(normals), dot(ahead, back)) * is_there).sum(-1)
     normal, length = normals[:, 0], _lengths(normals[:, 0])
@@ -219,10 +210,7 @@ def signed_distances(points: Array, mesh: Mesh) -> tuple[Array, Array]:
 
 
 def distances_to_axes(points: Array, capsules: Capsules) -> Array:
-    """Distances of all capsules' axes to all points, shape (m, 3), right within ROUGH_M: shape (n, m).
-
-    By matrix products, about their middle: several times as fast as point by point.
-    """
+    """Distances, (n, m), of capsules' axes to points, (m, 3), right within ROUGH_M: by matrix products."""
     middle = points.mean(0)
     points, start = points - middle, capsules.start_m - middle
     along = capsules.end_m - capsules.start_m
@@ -287,7 +275,7 @@ def segment_to_triangle(start: Array, end: Array, triangle: Array) -> ClosestPai
     triangle = np.broadcast_to(triangle, (*shape[:-1], 3, 3))
     # Where segments cross the triangles' planes, and whether they do.
     a = triangle[..., 0, :]
-    normal = cross(triangle[..., 1, :] - a, triangle[..., 2, :] - a)
+    normal = np.cross(triangle[..., 1, :] - a, triangle[..., 2, :] - a)
     height_start, height_end = dot(start - a, normal), dot(end - a, normal)
     drop = height_start - height_end
     crosses = (height_start * height_end <= 0.0) & (drop != 0.0)
@@ -326,12 +314,12 @@ def _foot_on_face(points: Array, triangle: Array) -> tuple[Array, Mask]:
     """Feet of points, shape (..., k, 3), on the triangles' planes, and whether they lie inside the triangles."""
     a = triangle[..., :1, :]
     edges = _following(triangle) - triangle
-    normal = cross(edges[..., :1, :], -edges[..., 2:, :])
+    normal = np.cross(edges[..., :1, :], -edges[..., 2:, :])
     area2 = dot(normal, normal)
     safe = np.where(area2 > 0.0, area2, 1.0)
     foot = points - (dot(points - a, normal) / safe)[..., None] * normal
     # (edge x (foot - corner)) · normal = (normal x edge) · (foot - corner)
-    inwards = cross(normal, edges)[..., None, :, :]
+    inwards = np.cross(normal, edges)[..., None, :, :]
     sides = dot(foot[..., :, None, :] - triangle[..., None, :, :], inwards)
     return foot, (area2 > 0.0) & (sides >= 0.0).all(-1)
 

@@ -18,7 +18,7 @@ import yaml
 
 from svmdist.camera import KNOWN_DISTORTION, Camera, DistortionModel, stereo_transform
 from svmdist.errors import SourceError, UsageError, did_you_mean
-from svmdist.files import read_regular, why
+from svmdist.files import read_regular, reading
 from svmdist.transforms import Array
 
 MAX_BYTES = 1 << 20
@@ -203,12 +203,11 @@ def read_calibration(path: Path, unit_m: float = 1.0) -> tuple[StatedCamera, ...
     """
     form, read = "a YAML", _yaml_document
     try:
-        text = OPENCV_HEADER.sub("", read_regular(path, MAX_BYTES).decode("utf-8-sig"))
+        with reading(path, SourceError):
+            text = OPENCV_HEADER.sub("", read_regular(path, MAX_BYTES).decode("utf-8-sig"))
         if XML.match(text):
             form, read = "an XML", _xml_document
         document = read(text)
-    except OSError as problem:
-        raise SourceError(f"{path}: cannot read: {why(problem)}") from None
     except (yaml.YAMLError, SyntaxError, ValueError, AssertionError, RecursionError) as problem:
         raise SourceError(f"{path}: not {form} file: {' '.join(str(problem).split())}") from None
     try:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from svmdist.errors import SourceError, optional_package
+from svmdist.files import reading
 from svmdist.samples import Image
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"})
@@ -21,10 +22,8 @@ SIDE = re.compile(r"(?<![A-Za-z])(?i:left|right|l|r)(?![A-Za-z])|(?<=[a-z0-9])(?
 
 def list_images(folder: Path, pattern: str | None = None) -> list[Path]:
     """The images of a folder, by a pattern such as `*_L.jpg`, in natural order."""
-    try:
+    with reading(folder, SourceError):
         every = sorted((path for path in folder.iterdir() if path.is_file()), key=_natural_key)
-    except OSError as problem:
-        raise SourceError(f"{folder}: cannot read: {problem.strerror or problem}") from None
     images = [path for path in every if path.suffix.lower() in SUFFIXES]
     if not images:
         found = f"{len(every)} other files" if every else "nothing"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from itertools import pairwise
@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from svmdist.errors import SourceError
-from svmdist.files import read_regular, why
+from svmdist.files import read_regular, reading
 from svmdist.importing.images import numbers_of
 from svmdist.tracks import MAX_GAP_NS, JointTrack, TransformTrack
-from svmdist.transforms import Array, Stamps, make_transform, rotation_from_quaternion_xyzw
+from svmdist.transforms import Array, Stamps, known_rotations, make_transform
 
 MAX_BYTES = 1 << 28
 MAX_STAMP_NS = (1 << 63) - 1
@@ -36,6 +36,7 @@ IMAGE_NAMES = frozenset({"image", "frame", "file", "filename", "name", "image_na
 # What names of columns have before the axis.
 POSITION = r"(p|t|pos_|position[_.]?|p_rs_r_|pose\.position\.|translation_)?"
 QUATERNION = r"(q_?|quat_|orientation[_.]|q_rs_|pose\.orientation\.|rotation_|quaternion_)"
+POSE = {axis: POSITION + axis for axis in "xyz"} | {f"q{axis}": QUATERNION + axis for axis in "xyzw"}
 ROTATION_TOLERANCE = 1e-2
 """Of a quaternion's length and of R Rᵀ - I: rounded numbers are accepted, other quantities are not."""
 FARTHEST_M = 10.0
@@ -96,7 +97,7 @@ def read_times(path: Path, names: Sequence[str]) -> list[int]:
     columns = range(len(table.rows[0]))
     stamp, image = table.special
     if stamp is None:
-        stamp = next((at for at in columns if at != image and _is_number(table.rows[0][at])), None)
+        stamp = next((at for at in columns if at != image and is_number(table.rows[0][at])), None)
         image = next((at for at in columns if at != stamp), None) if image is None else image
     if stamp is None:
         raise SourceError(f"{path}: no column of times; expected a name such as stamp_ns or timestamp")
@@ -135,23 +136,15 @@ def read_poses(path: Path, images: ImageTimes, unit_m: float, frame_id: str) -> 
                 f" before them or none; found {len(others)}"
             )
     else:
-        split = [_split_unit(name, LENGTHS_M) for name in table.names]
-
-        def column_of(prefix: str, axis: str) -> int:
-            for column, (name, _) in enumerate(split):
-                if re.fullmatch(prefix + axis, name.lower()):
-                    return column
-            wanted = axis if prefix == POSITION else f"q{axis}"
-            raise SourceError(f"{path}: no column {wanted}; the columns are {', '.join(table.names or ())}")
-
-        position = [column_of(POSITION, axis) for axis in "xyz"]
-        quaternion = [column_of(QUATERNION, axis) for axis in "xyzw"]
-        scale = [LENGTHS_M.get(split[column][1], unit_m) for column in position]
-    positions_m, quaternions = table.numbers(position) * scale, table.numbers(quaternion)
-    lengths = np.linalg.norm(quaternions, axis=1)
-    for row in np.flatnonzero(np.abs(lengths - 1.0) > ROTATION_TOLERANCE):
-        raise table.fail(int(row), f"its quaternion has length {lengths[row]:.4g}, 1 is expected")
-    T = table.near(make_transform(rotation_from_quaternion_xyzw(quaternions), positions_m))
+        found = table.columns(POSE)
+        if missing := [kind for kind in POSE if kind not in found]:
+            raise SourceError(f"{path}: no column {missing[0]}; the columns are {', '.join(table.names)}")
+        position, quaternion = (
+            [found[kind][0] for kind in POSE if (len(kind) > 1) is turned] for turned in (False, True)
+        )
+        scale = [LENGTHS_M.get(found[axis][1], unit_m) for axis in "xyz"]
+    R = table.rotations(table.numbers(quaternion))
+    T = table.near(make_transform(R, table.numbers(position) * scale))
     return TransformTrack(frame_id, "", stamps_ns, T)
 
 
@@ -168,7 +161,7 @@ def read_joints(path: Path, images: ImageTimes, names: Sequence[str] | None = No
     if len(columns) != len(others) or not columns:
         raise SourceError(f"{path}: {len(others)} columns of numbers for {len(columns)} joint names")
     numbers = table.numbers(others)
-    joints, units = zip(*(_split_unit(column, JOINT_UNITS) for column in columns), strict=True)
+    joints, units = zip(*(split_unit(column, JOINT_UNITS) for column in columns), strict=True)
     if len(set(joints)) < len(joints):
         raise SourceError(f"{path}: two columns are of the same joint: {', '.join(columns)}")
     return JointTrack(stamps_ns, joints, numbers * [JOINT_UNITS.get(unit, 1.0) for unit in units])
@@ -188,7 +181,7 @@ class Table:
         """The columns of times and of images, by their names."""
         stamp = image = None
         for column, name in enumerate(self.names or ()):
-            plain = _split_unit(name, UNITS_NS)[0].lower()
+            plain = split_unit(name, UNITS_NS)[0].lower()
             if stamp is None and plain in STAMP_NAMES:
                 stamp = column
             elif image is None and plain in IMAGE_NAMES:
@@ -209,17 +202,35 @@ class Table:
             )
         return T_base_tool
 
-    def numbers(self, columns: Sequence[int]) -> Array:
-        """Columns as finite numbers, shape (n, m)."""
+    def columns(self, forms: Mapping[str, str]) -> dict[str, tuple[int, str]]:
+        """The first column of each form, a pattern of names without their units, and its unit of length."""
+        found: dict[str, tuple[int, str]] = {}
+        for column, name in enumerate(self.names or ()):
+            plain, unit = split_unit(name, LENGTHS_M)
+            for kind, form in forms.items():
+                if re.fullmatch(form, plain.lower()):
+                    found.setdefault(kind, (column, unit))
+        return found
+
+    def numbers(self, columns: Sequence[int], *, gaps: bool = False) -> Array:
+        """Columns as finite numbers, shape (n, m); with `gaps`, empty cells and those that are not finite are NaN."""
         for row, cells in enumerate(self.rows):
-            for column in columns:
-                if not _is_number(cells[column]) or not math.isfinite(float(cells[column])):
-                    raise self.fail(row, f"expected a number, found {cells[column][:40]!r}")
-        return np.array([[float(cells[column]) for column in columns] for cells in self.rows])
+            for cell in (cells[column] for column in columns):
+                if (cell or not gaps) and not (is_number(cell) and (gaps or math.isfinite(float(cell)))):
+                    raise self.fail(row, f"expected a number, found {cell[:40]!r}")
+        numbers = np.array([[float(cells[column] or "nan") for column in columns] for cells in self.rows])
+        return np.where(np.isfinite(numbers), numbers, np.nan)
+
+    def rotations(self, quaternions: Array) -> Array:
+        """Rotations, shape (n, 3, 3), by quaternions of the rows, (n, 4); NaN for those that are not known."""
+        lengths = np.linalg.norm(quaternions, axis=1)
+        for row in np.flatnonzero(np.abs(lengths - 1.0) > ROTATION_TOLERANCE):
+            raise self.fail(int(row), f"its quaternion has length {lengths[row]:.4g}, 1 is expected")
+        return known_rotations(quaternions)
 
     def stamps_ns(self, column: int) -> list[int]:
         """A column of times."""
-        unit = _split_unit(self.names[column], UNITS_NS)[1] if self.names else ""
+        unit = split_unit(self.names[column], UNITS_NS)[1] if self.names else ""
         stamps = []
         for row, cells in enumerate(self.rows):
             try:
@@ -245,9 +256,8 @@ class Table:
 def read_table(path: Path) -> Table:
     """The table in a file; SourceError where it has none."""
     try:
-        text = read_regular(path, MAX_BYTES).decode("utf-8-sig")
-    except OSError as problem:
-        raise SourceError(f"{path}: cannot read: {why(problem)}") from None
+        with reading(path, SourceError):
+            text = read_regular(path, MAX_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as problem:
         raise SourceError(f"{path}: not a table: byte {problem.start} is not UTF-8") from None
     written = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
@@ -264,7 +274,7 @@ def read_table(path: Path) -> Table:
     names = None
     if _looks_named(rows):
         names, rows, lines = rows[0], rows[1:], lines[1:]
-    elif comments and len(split(comments[-1])) == len(rows[0]) and not _is_number(split(comments[-1])[0]):
+    elif comments and len(split(comments[-1])) == len(rows[0]) and not is_number(split(comments[-1])[0]):
         names = split(comments[-1])
     if not rows:
         raise SourceError(f"{path}: a table without rows")
@@ -283,18 +293,19 @@ def require_common_time(path: Path, stamps_ns: Stamps, images_ns: Sequence[int])
         table, pictures = (f"{one[0] / 1e9:.3f} s to {one[-1] / 1e9:.3f} s" for one in (stamps_ns, images))
         raise SourceError(
             f"{path}: no row is within {MAX_GAP_NS / 1e9:g} s of an image: its times are {table}, those of the images"
-            f" {pictures}; give both by one clock (--times, --start)"
+            f" {pictures}; give both by one clock"
         )
 
 
 def _looks_named(rows: Sequence[Sequence[str]]) -> bool:
     """Whether the first row names columns: one of its cells is text where the next row has a number."""
     if len(rows) == 1:
-        return not any(map(_is_number, rows[0]))
-    return any(not _is_number(first) and _is_number(second) for first, second in zip(*rows[:2], strict=False))
+        return not any(map(is_number, rows[0]))
+    return any(not is_number(first) and is_number(second) for first, second in zip(*rows[:2], strict=False))
 
 
-def _is_number(text: str) -> bool:
+def is_number(text: str) -> bool:
+    """Whether a text is a number, NaN and infinity too."""
     try:
         float(text)
     except ValueError:
@@ -302,7 +313,7 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _split_unit(name: str, units: Collection[str]) -> tuple[str, str]:
+def split_unit(name: str, units: Collection[str]) -> tuple[str, str]:
     """A column's name without its unit, and the unit, in brackets or behind the last underscore; "" for none."""
     if found := BRACKETS.search(name):
         unit = found[1].strip().lower()

@@ -23,14 +23,15 @@ Convention = Literal["standard", "modified"]
 CHUNK = 2048  # joint vectors that are worked on together: more links at once leave the processor's cache
 CLOSE_M, MAX_STEPS = 1e-9, 60  # of inverse kinematics
 DAMPING = 1e-4  # in m: far below a robot's lever arms, it slows convergence near singularities only
+TURN_AND_SHIFT = np.zeros((4, 1, 4, 4))
+"""Rot_z(θ) Trans_z(d) is the first of these four, plus cos θ, sin θ and d times the others."""
+TURN_AND_SHIFT[0, 0, 2, 2] = TURN_AND_SHIFT[0, 0, 3, 3] = TURN_AND_SHIFT[3, 0, 2, 3] = 1.0
+TURN_AND_SHIFT[1, 0, :2, :2], TURN_AND_SHIFT[2, 0, :2, :2] = np.eye(2), [[0.0, -1.0], [1.0, 0.0]]
 
 
 @dataclass(frozen=True, eq=False)
 class DHChain:
-    """A serial chain from a base frame to a tool frame, with a constant transform behind the last row.
-
-    Joints may be reported beyond their limits by `limit_tolerance_rad` (revolute) or `limit_tolerance_m` (prismatic).
-    """
+    """A serial chain from base to tool, the last transform constant; tolerances are beyond joints' limits."""
 
     rows: tuple[Joint, ...]
     convention: Convention = "standard"
@@ -85,34 +86,18 @@ class DHChain:
         These four, shape (n_rows, 4, 4); θ and d at joint value zero, shape (n_rows,); and the matrices that add the
         joints to θ and to d, shape (n_joints, n_rows).
         """
-        rows = self.rows
         a, alpha, d, theta = np.array(
-            [(row.a_m, row.alpha_rad, row.d_m, row.theta_rad) for row in rows]
-        ).T.copy()
-        ca, sa = _cosine_and_sine(alpha)
-        constant, cosine, sine, shift = np.zeros((4, len(rows), 4, 4))
-        constant[:, 3, 3] = 1.0
-        if self.convention == "standard":
-            cosine[:, 0, 0], cosine[:, 0, 3], cosine[:, 1, 1], cosine[:, 1, 2] = 1.0, a, ca, -sa
-            sine[:, 0, 1], sine[:, 0, 2], sine[:, 1, 0], sine[:, 1, 3] = -ca, sa, 1.0, a
-            constant[:, 2, 1], constant[:, 2, 2] = sa, ca
-            shift[:, 2, 3] = 1.0
-        else:
-            cosine[:, 0, 0], cosine[:, 1, 1], cosine[:, 2, 1] = 1.0, ca, sa
-            sine[:, 0, 1], sine[:, 1, 0], sine[:, 2, 0] = -1.0, ca, sa
-            constant[:, 0, 3], constant[:, 1, 2], constant[:, 2, 2] = a, -sa, ca
-            shift[:, 1, 3], shift[:, 2, 3] = -sa, ca
-        into = np.eye(len(rows))[self.moving_rows]
-        return (
-            constant,
-            cosine,
-            sine,
-            shift,
-            theta,
-            d,
-            into * self.is_revolute[:, None],
-            into * ~self.is_revolute[:, None],
+            [(row.a_m, row.alpha_rad, row.d_m, row.theta_rad) for row in self.rows]
+        ).T
+        A = np.repeat(np.eye(4)[None], len(self.rows), axis=0)  # Trans_x(a) Rot_x(α)
+        # Quarter turns are exact, where floating point gives 6e-17.
+        ca, sa = (
+            np.where(np.abs(v - np.round(v)) < 1e-15, np.round(v), v) for v in (np.cos(alpha), np.sin(alpha))
         )
+        A[:, 0, 3], A[:, 1, 1], A[:, 1, 2], A[:, 2, 1], A[:, 2, 2] = a, ca, -sa, sa, ca
+        parts = TURN_AND_SHIFT @ A if self.convention == "standard" else A @ TURN_AND_SHIFT
+        into = np.eye(len(self.rows))[self.moving_rows]
+        return (*parts, theta, d, into * self.is_revolute[:, None], into * ~self.is_revolute[:, None])
 
 
 def chain_of(robot: Robot) -> DHChain:
@@ -142,10 +127,7 @@ def link_transforms(chain: DHChain, q: ArrayLike, first: int = 0) -> Array:
 
 
 def forward_kinematics(chain: DHChain, q: ArrayLike) -> Array:
-    """Pose of the tool in the base frame, `T_base_tool`, shape (..., 4, 4), for joints (..., n_joints).
-
-    eq. (31), as a matrix product. Raises KinematicsError for a wrong number of joints.
-    """
+    """`T_base_tool`, shape (..., 4, 4), for joints (..., n_joints): eq. (31). KinematicsError for another number."""
     q = np.asarray(q, np.float64)
     if q.ndim > 1 and len(q) > CHUNK:
         parts = [forward_kinematics(chain, q[at : at + CHUNK]) for at in range(0, len(q), CHUNK)]
@@ -164,20 +146,13 @@ def frame_transforms(chain: DHChain, q: ArrayLike) -> Array:
 
 def running_product(links: Array) -> Array:
     """Products of the first, the first two, … transforms, shape (..., n, 4, 4): frames by their links; in place."""
-    if links.ndim == 3:
-        for index in range(1, len(links)):
-            links[index] = links[index - 1].dot(links[index])
-        return links
     for index in range(1, links.shape[-3]):
         links[..., index, :, :] = links[..., index - 1, :, :] @ links[..., index, :, :]
     return links
 
 
 def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) -> Array:
-    """Bring positions, shape (..., len(names)), into the chain's order; joints it lacks are dropped.
-
-    A joint is found by its name or by an alias. Raises KinematicsError that names the joints that `names` lacks.
-    """
+    """Positions, (..., len(names)), in the chain's order, by name or alias; KinematicsError names lacking ones."""
     places, missing = [], []
     for joint in chain.moving_joints:
         logged = next((name for name in (joint.name, *joint.aliases) if name in names), None)
@@ -190,29 +165,6 @@ def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) 
             f"the chain needs the joints {', '.join(missing)}; the log has {', '.join(names) or 'none'}"
         )
     return np.asarray(positions, np.float64)[..., places]
-
-
-def jacobian_of_frames(chain: DHChain, frames: Array, row: str | None = None) -> Array:
-    """Derivative of a frame's pose in the base frame by the joints, shape (..., 6, n_joints).
-
-    `frames`, shape (..., n_rows, 4, 4), are the poses of all row frames; `row` names one of them, None is the tool.
-    Rows of the result are (δp, δθ): the origin's displacement in m, and the rotation vector in rad with
-    R' = exp([δθ]) R, both in the base frame, per joint unit. A revolute joint contributes (z x (p - p_joint), z), a
-    prismatic one (z, 0), a joint behind the frame nothing (Siciliano et al., "Robotics", sec. 3.1.3).
-    """
-    last = len(chain.rows) - 1 if row is None else row_index(chain, row)
-    T_base_frame = frames[..., last, :, :] @ chain.T_last_tool if row is None else frames[..., last, :, :]
-    axes = [joint_axis(chain, frames, index) for index in chain.moving_rows]
-    shape = (*frames.shape[:-3], 3)
-    z = np.stack([np.broadcast_to(axis, shape) for axis, _ in axes], -1)
-    arm = T_base_frame[..., :3, 3, None] - np.stack([np.broadcast_to(at, shape) for _, at in axes], -1)
-    before = chain.moving_rows <= last
-    zx, zy, zz = z[..., 0, :], z[..., 1, :], z[..., 2, :]
-    x, y, h = arm[..., 0, :], arm[..., 1, :], arm[..., 2, :]
-    swing = np.stack([zy * h - zz * y, zz * x - zx * h, zx * y - zy * x], -2)
-    return np.concatenate(
-        [np.where(chain.is_revolute, swing, z) * before, z * (chain.is_revolute & before)], -2
-    )
 
 
 def joint_axis(chain: DHChain, frames: Array, index: int) -> tuple[Array, Array]:
@@ -280,13 +232,6 @@ def rows_behind_insertion(chain: DHChain) -> list[int]:
     return [index for index in behind if chain.rows[index].type == "revolute"]
 
 
-def _cosine_and_sine(angles_rad: Array) -> Array:
-    """Shape (2, n); those of quarter turns are exact, where floating point gives 6e-17."""
-    values = np.stack([np.cos(angles_rad), np.sin(angles_rad)])
-    nearest = np.round(values)
-    return np.where(np.abs(values - nearest) < 1e-15, nearest, values)
-
-
 def solve_position(
     chain: DHChain,
     q_start: ArrayLike,
@@ -302,10 +247,16 @@ def solve_position(
     free = [chain.joint_names.index(name) for name in free_joints]
     for _ in range(MAX_STEPS):
         frames = frame_transforms(chain, q)
-        error_m = targets_m - (frames[:, -1] @ chain.T_last_tool)[:, :3, 3]
+        p_m = (frames[:, -1] @ chain.T_last_tool)[:, :3, 3]
+        error_m = targets_m - p_m
         if float(np.max(np.abs(error_m), initial=0.0)) <= CLOSE_M:
             break
-        J = jacobian_of_frames(chain, frames)[:, :3, free]
+        columns = []  # Siciliano et al., "Robotics", sec. 3.1.3
+        for joint in free:
+            axis, at_m = joint_axis(chain, frames, chain.moving_rows[joint])
+            axis = np.broadcast_to(axis, p_m.shape)
+            columns.append(np.cross(axis, p_m - at_m) if chain.is_revolute[joint] else axis)
+        J = np.moveaxis(np.array(columns), 0, -1)
         # dq = J^T (J J^T + λ² I)^-1 e (Nakamura & Hanafusa 1986)
         damped = J @ np.swapaxes(J, 1, 2) + DAMPING**2 * np.eye(3)
         q[:, free] += (np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, error_m[:, :, None]))[..., 0]

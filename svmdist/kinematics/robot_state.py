@@ -95,9 +95,9 @@ class RobotState:
         """Pose of the tool in the base frame, shape (4, 4)."""
         return np.asarray(self.frames[-1] @ self.chain.T_last_tool)
 
-    @cached_property
+    @property
     def T_camera_tool(self) -> Array:
-        """Pose of the tool in the camera frame, shape (4, 4)."""
+        """Pose of the tool in the camera frame, shape (4, 4): own methods read it."""
         return np.asarray(self.base_in_camera @ self.T_base_tool)
 
     @cached_property
@@ -111,9 +111,7 @@ class RobotState:
 
     def T_camera_link(self, link: str | None) -> Array:
         """Pose of the frame of the DH row `link` in the camera frame, shape (4, 4); of the tool for None."""
-        if link is None:
-            return self.T_camera_tool
-        return np.asarray(self.frames_in_camera[row_index(self.chain, link)])
+        return np.asarray(self.base_in_camera @ self.T_base_link(link))
 
     @property
     def base_in_camera(self) -> Array:

@@ -1,5 +1,215 @@
 """Ways in which the world is not what logs and profiles state, for `record` and for replay alike.
 
-`table.py` declares every perturbation, `chosen.py` holds those of a run. The other modules apply them to what a robot
+Their table, whose entries are data in `table.toml`, and those of a run. The other modules apply them to what a robot
 reports (`joints.py`), to what log and profile state (`calibration.py`), and to images (`images.py`).
 """
+
+from __future__ import annotations
+
+import tomllib
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from svmdist.errors import UsageError, did_you_mean
+from svmdist.transforms import Array
+
+
+class Place(StrEnum):
+    """What a perturbation changes."""
+
+    JOINTS = "joints"
+    CLOCK = "clock"
+    CALIBRATION = "calibration"
+    IMAGES = "images"
+
+
+@dataclass(frozen=True, slots=True)
+class Uniform:
+    """A strength from `low` to `high`, in the perturbation's unit; often a single value."""
+
+    low: float
+    high: float
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """Draw the strength of one world; a law of a single value draws nothing."""
+        return self.low if self.low == self.high else float(rng.uniform(self.low, self.high))
+
+    def __str__(self) -> str:
+        return f"{self.low:g}" if self.low == self.high else f"{self.low:g} to {self.high:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Normal:
+    """A normal with a mean of 0; `std` is the deviation that a profile may state.
+
+    With several `axes`, the strength is the length of a vector that has `std` along each of them; its direction is
+    drawn apart from it. Beyond `limit` it is drawn again.
+    """
+
+    std: float
+    axes: int = 1
+    limit: float = np.inf
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """Draw the strength of one world."""
+        while True:
+            drawn = rng.normal(0.0, self.std, self.axes)
+            strength = float(drawn[0]) if self.axes == 1 else float(np.linalg.norm(drawn))
+            if abs(strength) <= self.limit:
+                return strength
+
+    def __str__(self) -> str:
+        along = f" along each of {self.axes} axes" if self.axes > 1 else ""
+        within = f", at most {self.limit:g}" if np.isfinite(self.limit) else ""
+        return f"std {self.std:g}{along}{within}"
+
+
+@dataclass(frozen=True, slots=True)
+class Perturbation:
+    """One perturbation: a strength in `unit`, from `low` to `high`; a strength of `neutral` changes nothing.
+
+    `real` is its size under `--world real`, with `source`, where that is from; None leaves it out there.
+    What cannot be applied to an existing log is not `at_replay`.
+    """
+
+    name: str
+    unit: str
+    place: Place
+    meaning: str
+    low: float
+    high: float
+    real: Uniform | Normal | None = None
+    source: str = ""
+    neutral: float = 0.0
+    at_replay: bool = True
+
+
+def _read_table() -> Iterator[Perturbation]:
+    rows: dict[str, dict[str, Any]] = tomllib.loads(
+        files(__package__).joinpath("table.toml").read_text("utf-8")
+    )
+    for name, row in rows.items():
+        low, high = map(float, row.pop("range"))
+        size, place = row.pop("real", None), Place(row.pop("changes"))
+        real = None if size is None else Uniform(*size["uniform"]) if "uniform" in size else Normal(**size)
+        row.setdefault("at_replay", place is not Place.IMAGES)
+        yield Perturbation(name, place=place, low=low, high=high, real=real, **row)
+
+
+TABLE: dict[str, Perturbation] = {entry.name: entry for entry in _read_table()}
+
+
+def find_perturbation(name: str) -> Perturbation:
+    """The entry of a name; raises UsageError that lists the names."""
+    if name not in TABLE:
+        raise UsageError(f"no perturbation {name}: {did_you_mean(name, TABLE)}")
+    return TABLE[name]
+
+
+_STRENGTH_STREAM, _DIRECTION_STREAM, _PATH_STREAM = 40, 41, 42
+
+
+class World(StrEnum):
+    """`--world`: exactly what log and profile state, or as far from it as real worlds are."""
+
+    IDEAL = "ideal"
+    REAL = "real"
+
+
+@dataclass(frozen=True, slots=True)
+class Perturbations:
+    """Names of the table with strengths, each once; UsageError for an unknown name or a strength out of range."""
+
+    strengths: tuple[tuple[str, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, strength in self.strengths:
+            entry = find_perturbation(name)
+            if not entry.low <= strength <= entry.high:  # NaN is in no range
+                raise UsageError(
+                    f"perturbation {name}: from {entry.low:g} to {entry.high:g} {entry.unit}, found {strength:g}"
+                )
+            if [other for other, _ in self.strengths].count(name) > 1:
+                raise UsageError(f"perturbation {name} is given twice")
+
+    def __bool__(self) -> bool:
+        return bool(self.strengths)
+
+    def __str__(self) -> str:
+        # The shortest text that reads as the same number.
+        texts = ((name, f"{strength:g}", strength) for name, strength in self.strengths)
+        return ",".join(
+            f"{name}={short if float(short) == full else repr(full)}" for name, short, full in texts
+        )
+
+    def __getitem__(self, name: str) -> float:
+        """The strength of an entry of the table, in its unit; neutral where it is not chosen."""
+        return dict(self.strengths).get(name, find_perturbation(name).neutral)
+
+    def has(self, *names: str) -> bool:
+        """Whether one of these is chosen with a strength that changes something."""
+        return any(self[name] != find_perturbation(name).neutral for name in names)
+
+    def changes(self, place: Place) -> bool:
+        """Whether a chosen one changes this."""
+        return any(self.has(name) for name, _ in self.strengths if TABLE[name].place is place)
+
+
+UNPERTURBED = Perturbations()
+
+
+def draw_world(world: World, seed: int, given: Perturbations = UNPERTURBED) -> Perturbations:
+    """Draw the perturbations of a recording: in a real world all that have a size there, then the given ones.
+
+    A given strength replaces a drawn one. Each name has a random stream of its own, so that a new entry of the table
+    changes no other one. Drawn strengths have six digits, so that metadata stay readable.
+    """
+    if world is World.IDEAL:
+        return given
+    drawn = {
+        name: float(f"{entry.real.draw(_stream(seed, _STRENGTH_STREAM, name)):.6g}")
+        for name, entry in TABLE.items()
+        if entry.real is not None
+    }
+    return Perturbations(tuple((drawn | dict(given.strengths)).items()))
+
+
+def parse_perturbations(text: str) -> Perturbations:
+    """Read NAME=STRENGTH, or several of them separated by commas; raises UsageError."""
+    strengths = []
+    for part in text.split(","):
+        name, _, number = part.strip().partition("=")
+        try:
+            strengths.append((find_perturbation(name).name, float(number)))
+        except ValueError:
+            raise UsageError(f"{part.strip()}: expected NAME=STRENGTH, as in focal=1") from None
+    return Perturbations(tuple(strengths))
+
+
+def direction(seed: int, name: str, axes: int) -> Array:
+    """The direction of a perturbation in the world of a seed: a unit vector, shape (axes,)."""
+    drawn = _stream(seed, _DIRECTION_STREAM, name).normal(0.0, 1.0, axes)
+    return np.asarray(drawn / np.linalg.norm(drawn))
+
+
+def path_stream(seed: int, name: str, arm: int = 0) -> np.random.Generator:
+    """The random stream of what a perturbation does to one arm over time."""
+    return _stream(seed, _PATH_STREAM, name, arm)
+
+
+def require_at_replay(perturbations: Perturbations) -> None:
+    """Raise UsageError for one that cannot be applied to an existing log."""
+    possible = ", ".join(name for name, entry in TABLE.items() if entry.at_replay)
+    for name, _ in perturbations.strengths:
+        if not TABLE[name].at_replay:
+            raise UsageError(f"perturbation {name} cannot be applied at replay: the choices are {possible}")
+
+
+def _stream(seed: int, stream: int, name: str, *further: int) -> np.random.Generator:
+    return np.random.default_rng([seed, stream, zlib.crc32(name.encode()), *further])

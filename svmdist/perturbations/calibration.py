@@ -13,7 +13,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import UsageError
-from svmdist.perturbations.chosen import Perturbations, direction
+from svmdist.perturbations import Perturbations, direction
 from svmdist.profile import Profile
 from svmdist.profile.robot import OtherInstrument
 from svmdist.profile.toml import StrictModel

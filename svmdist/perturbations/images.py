@@ -8,8 +8,8 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from svmdist.perturbations import Perturbations
 from svmdist.perturbations.calibration import right_turn
-from svmdist.perturbations.chosen import Perturbations
 from svmdist.samples import Image, RightView
 from svmdist.transforms import Array
 

@@ -9,25 +9,16 @@ no jumps.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from svmdist.errors import ProfileError
-from svmdist.perturbations.chosen import Perturbations, path_stream
-from svmdist.perturbations.table import Place
+from svmdist.perturbations import Perturbations, Place, path_stream
 from svmdist.profile import Profile
-from svmdist.samples import JointSample
 from svmdist.transforms import Array
-
-MAX_STAMP_NS = (1 << 63) - 1
-
-
-def later_ns(stamp_ns: int, lag_ns: int) -> int:
-    """A stamp that is later by a lag, within 64 bits."""
-    return min(stamp_ns + lag_ns, MAX_STAMP_NS)
 
 
 def late_stamps_ns(stamps_ns: ArrayLike, perturbations: Perturbations, start_ns: int) -> NDArray[np.int64]:
@@ -38,10 +29,7 @@ def late_stamps_ns(stamps_ns: ArrayLike, perturbations: Perturbations, start_ns:
 
 
 def reported_late(values: Array, stamps_ns: NDArray[np.int64], perturbations: Perturbations) -> Array:
-    """What is reported at the stamps, shape (n,), of values over the same stamps, shape (n, k).
-
-    Values are interpolated linearly between stamps, and extrapolated before the first one: the robot moved then, too.
-    """
+    """Values, (n, k), as reported at their stamps, (n,): interpolated, and extrapolated before the first."""
     if len(stamps_ns) < 2 or not perturbations.has("lag", "lag_drift"):
         return values
     start_ns = int(stamps_ns[0])
@@ -98,107 +86,67 @@ class JointUnits:
         return np.array([by_name.get(self.aliases.get(name, name), -1) for name in logged], np.intp)
 
 
-class JointPerturber:
-    """Perturbs the joints of one arm, sample after sample, reproducibly by seed and arm."""
-
-    def __init__(self, units: JointUnits, perturbations: Perturbations, seed: int, arm: int = 0) -> None:
-        self._units = units
-        self._backlash = perturbations["backlash"] * units.backlash_share * units.per_deg
-        self._trailing: Array | None = None
-        self._noise = perturbations["joint_noise"] * units.per_deg
-        self._noise_stream = path_stream(seed, "joint_noise", arm)
-        self._step = perturbations["quantisation"] * units.per_deg
-        self._drift = perturbations["joint_drift"] * units.per_deg
-        shape = (2, len(units.names), len(DRIFT_PERIODS_S))
-        self._drift_waves = path_stream(seed, "joint_drift", arm).normal(0.0, 1.0, shape)
-        self._start_ns: int | None = None
-
-    def perturbed(self, q: Array, stamp_ns: int) -> Array:
-        """What is reported at the stamp of joints `q`, shape (n,), in the order of the robot's."""
-        if self._start_ns is None:
-            self._start_ns = stamp_ns
-        trailing = q if self._trailing is None else self._trailing
-        self._trailing = np.clip(trailing, q - self._backlash, q + self._backlash)
-        reported = q + (q - self._trailing)
-        reported = reported + self._drift * self._wander(1e-9 * (stamp_ns - self._start_ns))
-        reported = reported + self._noise * self._noise_stream.standard_normal(len(q))
-        steps = np.divide(reported, self._step, out=np.zeros(len(q)), where=self._step > 0.0)
-        return np.where(self._step > 0.0, np.rint(steps) * self._step, reported)
-
-    def of_log(self, names: Sequence[str], positions: Array, stamp_ns: int) -> Array:
-        """The same for joints as a log names them, shape (n_logged,); those of no robot stay."""
-        places = self._units.places(names)
-        known = places >= 0
-        q = np.zeros(len(self._units.names))
-        q[places[known]] = positions[known]
-        reported = positions.copy()
-        reported[known] = self.perturbed(q, stamp_ns)[places[known]]
-        return reported
-
-    def _wander(self, seconds: float) -> Array:
-        """A smooth normal process of each joint, shape (n,): 0 at the start, a standard deviation of 1 after 8 s."""
-        turn = 2.0 * np.pi / DRIFT_PERIODS_S
-        cosine, sine = self._drift_waves
-        path = cosine * (np.cos(turn * seconds) - 1.0) + sine * np.sin(turn * seconds)
-        return np.asarray(path.sum(axis=-1) / np.sqrt(2.0 * (1.0 - np.cos(turn * DRIFT_S)).sum()))
+def reported_joints(
+    q: Array,
+    stamps_ns: NDArray[np.int64],
+    units: JointUnits,
+    perturbations: Perturbations,
+    seed: int,
+    arm: int = 0,
+) -> Array:
+    """What an arm reports of joints `q`, shape (n, n_joints) in the order of the robot's, at its stamps, shape (n,)."""
+    band = perturbations["backlash"] * units.backlash_share * units.per_deg
+    trailing, behind = np.empty_like(q), q[:1]
+    for at, row in enumerate(q):
+        trailing[at] = behind = np.clip(behind, row - band, row + band)
+    reported = q + (q - trailing)
+    # A smooth normal process of each joint: 0 at the start, a standard deviation of 1 after 8 s.
+    seconds, turns = 1e-9 * (stamps_ns - stamps_ns[:1]), 2.0 * np.pi / DRIFT_PERIODS_S
+    waves = path_stream(seed, "joint_drift", arm).normal(0.0, 1.0, (2, len(units.names), len(turns)))
+    drift = sum(
+        cosine * (np.cos(turn * seconds) - 1.0)[:, None] + sine * np.sin(turn * seconds)[:, None]
+        for turn, (cosine, sine) in zip(turns, waves.transpose(2, 0, 1), strict=True)
+    ) / np.sqrt(2.0 * (1.0 - np.cos(turns * DRIFT_S)).sum())
+    reported += perturbations["joint_drift"] * units.per_deg * drift
+    noise = path_stream(seed, "joint_noise", arm).standard_normal(q.shape)
+    reported += perturbations["joint_noise"] * units.per_deg * noise
+    step = perturbations["quantisation"] * units.per_deg
+    steps = np.divide(reported, step, out=np.zeros_like(q), where=step > 0.0)
+    return np.where(step > 0.0, np.rint(steps) * step, reported)
 
 
 @dataclass(frozen=True)
 class ReplayedWorld:
-    """A log in a perturbed world, or with a time offset applied.
-
-    `profile` is the profile as it was read, `seed` that of what is drawn. The stamps of the images are late by
-    `lag_ns`: whatever the robot reports gets stamps that are as late.
-    """
+    """A log in a perturbed world; `profile` is the profile as it was read, `seed` that of what is drawn."""
 
     perturbations: Perturbations
     profile: Profile
     seed: int = 0
-    lag_ns: int = 0
 
-    def joints_of(self, instrument: str) -> ReplayedJoints | None:
-        """The perturbed joints of an instrument; None where nothing changes."""
-        perturber = None
-        if self.perturbations.changes(Place.JOINTS) or self.perturbations.changes(Place.CLOCK):
-            units = JointUnits.of(self.profile.for_instrument(instrument))
-            arm = self.profile.instrument_names.index(instrument)
-            perturber = JointPerturber(units, self.perturbations, self.seed, arm)
-        return ReplayedJoints(self, perturber) if perturber or self.lag_ns else None
+    def reported(
+        self, instrument: str, names: Sequence[str], stamps_ns: NDArray[np.int64], positions: Array
+    ) -> tuple[NDArray[np.int64], Array]:
+        """The stamps, shape (n,), and joints, shape (n, n_logged), that would be reported for those of a log.
 
-
-class ReplayedJoints:
-    """Perturbs one arm's joint samples in the order of the log, on the clock of its images."""
-
-    def __init__(self, world: ReplayedWorld, perturber: JointPerturber | None) -> None:
-        self._world, self._perturber = world, perturber
-        self._first: JointSample | None = None
-        self._started = False
-
-    def replayed(self, sample: JointSample) -> Iterator[JointSample]:
-        """Yield what is reported in place of a sample; in a perturbed world the first one comes with the second."""
-        if self._perturber is None:
-            yield replace(sample, stamp_ns=later_ns(sample.stamp_ns, self._world.lag_ns))
-        elif self._first is None:
-            self._first = sample
-        else:
-            if not self._started:
-                self._started = True
-                for earlier in self._before(self._first, sample):
-                    yield self._reported(self._perturber, earlier, self._first.stamp_ns)
-                yield self._reported(self._perturber, self._first, self._first.stamp_ns)
-            yield self._reported(self._perturber, sample, self._first.stamp_ns)
-
-    def _before(self, first: JointSample, second: JointSample) -> Iterator[JointSample]:
-        """Samples before the first two, on the line through them, as many as the lag takes away: the robot moved."""
-        step_ns, perturbations = second.stamp_ns - first.stamp_ns, self._world.perturbations
-        lag_ns = int(late_stamps_ns(first.stamp_ns, perturbations, first.stamp_ns)) - first.stamp_ns
-        if step_ns <= 0 or lag_ns <= 0 or first.names != second.names:
-            return
-        for count in range(-(-lag_ns // step_ns), 0, -1):
-            positions = first.positions - count * (second.positions - first.positions)
-            yield replace(first, stamp_ns=first.stamp_ns - count * step_ns, positions=positions)
-
-    def _reported(self, perturber: JointPerturber, sample: JointSample, start_ns: int) -> JointSample:
-        stamp_ns = int(late_stamps_ns(sample.stamp_ns, self._world.perturbations, start_ns))
-        positions = perturber.of_log(sample.names, np.asarray(sample.positions, np.float64), stamp_ns)
-        return replace(sample, stamp_ns=later_ns(stamp_ns, self._world.lag_ns), positions=positions)
+        Before the first one come as many, on the line through the first two, as the lag takes away: the robot moved.
+        """
+        perturbations = self.perturbations
+        is_changed = perturbations.changes(Place.JOINTS) or perturbations.changes(Place.CLOCK)
+        if len(stamps_ns) < 2 or not is_changed:
+            return stamps_ns, positions
+        start_ns, step_ns = int(stamps_ns[0]), int(stamps_ns[1]) - int(stamps_ns[0])
+        lag_ns = int(late_stamps_ns(start_ns, perturbations, start_ns)) - start_ns
+        before = np.arange(-(-lag_ns // step_ns) if step_ns > 0 and lag_ns > 0 else 0, 0, -1)
+        earlier = positions[0] - before[:, None] * (positions[1] - positions[0])
+        reported = np.concatenate([earlier, positions])
+        at_ns = np.concatenate([start_ns - before * step_ns, stamps_ns])
+        late_ns = late_stamps_ns(at_ns, perturbations, start_ns)
+        units = JointUnits.of(self.profile.for_instrument(instrument))
+        places = units.places(names)
+        known, q = places >= 0, np.zeros((len(at_ns), len(units.names)))
+        q[:, places[known]] = reported[:, known]
+        arm = self.profile.instrument_names.index(instrument)
+        reported[:, known] = reported_joints(q, late_ns, units, perturbations, self.seed, arm)[
+            :, places[known]
+        ]
+        return late_ns, reported

@@ -239,8 +239,11 @@ def load_profile(name_or_path: str | Path = DEFAULT_PROFILE, hand_eye: Path | No
     `hand_eye` is a hand-eye file in place of the profile's.
     """
     profile = parse_toml(profile_path(name_or_path), Profile, ProfileError)
-    if hand_eye is None:
-        return profile
+    return profile if hand_eye is None else taking_hand_eye(profile, hand_eye)
+
+
+def taking_hand_eye(profile: Profile, hand_eye: Path) -> Profile:
+    """The profile with a hand-eye file in place of its own; ProfileError where it is not one of this profile."""
     file = load_hand_eye(hand_eye)
     try:
         profile.check_hand_eye(file)

@@ -19,6 +19,8 @@ INSTRUMENTS: dict[str, Any] = {
     "channels": "bgr",
     "mean": (127.5, 127.5, 127.5),
     "scale": 1 / 127.5,
+    "output": "scores",
+    "crop_to_view": True,
     "from_border": True,
     "tissue": {"class_ids": (1,), "min_area_px": 2000, "occlusion": "outline"},
     "instrument": {"class_ids": (2,), "min_area_px": 50},
@@ -92,6 +94,9 @@ class OnnxSegmentation(StrictModel):
     scale: tuple[float, float, float] = (1 / 255, 1 / 255, 1 / 255)
     """What each channel is then multiplied by; one number serves all three."""
     output: str | None = None  # name of the output to take; None: the only one
+    crop_to_view: bool = (
+        False  # give the network only the box around the endoscope's view, not the black border
+    )
     from_border: bool = False  # leave out parts of instruments that do not reach the border of the picture
     tissue: ClassRegion
     instrument: ClassRegion

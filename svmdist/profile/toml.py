@@ -23,7 +23,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from svmdist.errors import SvmdistError, did_you_mean
-from svmdist.files import read_regular, why
+from svmdist.files import read_regular, reading
 
 MAX_FAULTS = 5  # of a file that are listed; the others are counted
 FEW_KEYS = 3  # a file with more, most of which are unknown, is of another kind
@@ -111,9 +111,8 @@ Hue = Annotated[int, Field(ge=0, le=179)]
 def parse_toml(path: Path, model: type[Model], error: type[SvmdistError]) -> Model:
     """Read a TOML file into a model; every problem becomes one line that names the file and the key."""
     try:
-        data = tomllib.loads(read_regular(path, MAX_FILE_BYTES).decode("utf-8"))
-    except OSError as problem:
-        raise error(f"{path}: cannot read: {why(problem)}") from None
+        with reading(path, error):
+            data = tomllib.loads(read_regular(path, MAX_FILE_BYTES).decode("utf-8"))
     except UnicodeDecodeError as problem:
         raise error(f"{path}: not a TOML file: byte {problem.start} is not UTF-8") from None
     except RecursionError:

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
+from svmdist.perturbations import Perturbations
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera
-from svmdist.perturbations.chosen import Perturbations
 from svmdist.transforms import Array
 
 ROUNDING = 1e-6  # relative, and in px: calibrations that differ by no more are one
@@ -75,10 +75,7 @@ class CameraTrack:
                 self.runs.append(Run(camera, stamp_ns, stamp_ns))
 
     def at(self, stamp_ns: int) -> tuple[int, str]:
-        """Which run holds at a stamp, and why that is not known: between two of them either may.
-
-        Before the first one, that holds; after the last one, that does.
-        """
+        """Which run holds at a stamp, the first before all and the last behind; and a doubt between two."""
         place = max(0, bisect_right(self.runs, stamp_ns, key=lambda run: run.first_ns) - 1)
         run = self.runs[place]
         if stamp_ns <= run.last_ns or place + 1 == len(self.runs):
@@ -121,9 +118,12 @@ def changed(before: Camera, after: Camera) -> str:
         "size": (f"{one.width_px}x{one.height_px} px" for one in (before, after)),
         "focal length": (f"{one.K[0, 0]:.1f} px" for one in (before, after)),
         "principal point": (f"{one.K[0, 2]:.1f}, {one.K[1, 2]:.1f} px" for one in (before, after)),
-        "baseline": (f"{_baseline_m(one) * 1e3:.2f} mm" for one in (before, after)),
+        "baseline": (
+            f"{0.0 if one.P is None else abs(one.P[0, 3]) / one.K[0, 0] * 1e3:.2f} mm"
+            for one in (before, after)
+        ),
     }
-    said = [(name, *values) for name, values in named.items()]
+    said = ((name, *values) for name, values in named.items())
     found = [f"{name} {one} -> {other}" for name, one, other in said if one != other]
     return ", ".join(found) or "distortion or rectification"
 
@@ -134,7 +134,3 @@ def _is_same(one: Camera, other: Camera) -> bool:
 
     rest = near(one.R_rectified_camera, other.R_rectified_camera) and near(one.P, other.P)
     return rest and one.same_optics(other, ROUNDING * max(one.K[0, 0], 1.0))
-
-
-def _baseline_m(camera: Camera) -> float:
-    return 0.0 if camera.P is None else float(abs(camera.P[0, 3]) / camera.K[0, 0])

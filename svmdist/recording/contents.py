@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections import defaultdict, deque
+from collections import defaultdict
 from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -11,11 +11,10 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError, did_you_mean
-from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Limits
 from svmdist.recording import messages
 from svmdist.recording.cameras import CameraTrack
-from svmdist.recording.partners import MissingPartners
+from svmdist.recording.observations import MissingPartners
 from svmdist.recording.source import Loss, LossKind, RawMessage, Source, sanitize, sanitize_list
 from svmdist.samples import CameraSample, DistanceSample, JointSample
 from svmdist.tracks import MAX_GAP_NS, Sampled, TransformTrack, sort_stamps
@@ -38,14 +37,22 @@ class Rows:
         self.stamps_ns.append(stamp_ns)
         self.values.extend(values)
 
+    def arrays(self) -> tuple[Stamps, Array]:
+        """Stamps, shape (n,), and rows, shape (n, k)."""
+        count = len(self.stamps_ns)
+        rows = np.array(self.values, np.float64).reshape(count, -1 if count else 0)
+        return np.array(self.stamps_ns, np.int64), rows
+
     def sorted(self, late_ns: int = 0) -> tuple[Stamps, Array]:
-        """Distinct rising stamps, shape (n,), and their rows, shape (n, k); of equal stamps the last row counts."""
-        stamps_ns = np.array(self.stamps_ns, np.int64)
-        if late_ns:
-            stamps_ns += np.minimum(late_ns, np.iinfo(np.int64).max - stamps_ns)
-        order = sort_stamps(stamps_ns)
-        rows = np.frombuffer(self.values, np.float64) if self.values else np.zeros(0)
-        return stamps_ns[order], rows.reshape(len(stamps_ns), -1 if len(stamps_ns) else 0)[order]
+        """Distinct rising stamps, later by so much, and their rows; of equal stamps the last row counts."""
+        return in_order(*self.arrays(), late_ns)
+
+
+def in_order(stamps_ns: Stamps, rows: Array, late_ns: int) -> tuple[Stamps, Array]:
+    """The same of arrays."""
+    stamps_ns = stamps_ns + np.minimum(late_ns, np.iinfo(np.int64).max - stamps_ns)
+    order = sort_stamps(stamps_ns)
+    return stamps_ns[order], rows[order]
 
 
 class Contents:
@@ -69,13 +76,10 @@ class Contents:
             case messages.RawTransform():
                 self.rows[topic][message.parent].add(message.stamp_ns, message.values)
             case messages.RawTransforms(transforms=transforms):
-                rows = self.rows[topic]
                 for one in transforms:
                     # As tf2 has the names: tf of old wrote /base.
                     edge = one.parent.removeprefix("/"), one.child.removeprefix("/")
-                    rows[edge].add(one.stamp_ns, one.values)
-            case _:
-                pass
+                    self.rows[topic][edge].add(one.stamp_ns, one.values)
         return None
 
     def tree(self, topics: Mapping[str, bool], late_ns: int = 0) -> TransformTree:
@@ -105,23 +109,17 @@ class TransformTree:
         return parent != child and child in self._reach(parent)
 
     def at(self, parent: str, child: str, stamps_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> Sampled:
-        """`T_parent_child` at stamps, shape (n, 4, 4): every edge interpolated; invalid where one has no value.
-
-        Raises RecordingError where no path links the frames.
-        """
+        """`T_parent_child` at stamps, shape (n, 4, 4), edges interpolated; RecordingError without a path."""
         return _composed([self._track(*edge) for edge in self._path(parent, child)], stamps_ns, max_gap_ns)
 
-    def track(self, parent: str, child: str, max_gap_ns: int = MAX_GAP_NS) -> TransformTrack:
-        """`T_parent_child` at the stamps of all edges that move; RecordingError where no path links the frames.
-
-        A stamp is left out where one of the edges has no value.
-        """
+    def track(self, parent: str, child: str) -> TransformTrack:
+        """`T_parent_child` at all moving edges' stamps, where each has a value; RecordingError without a path."""
         tracks = [self._track(*edge) for edge in self._path(parent, child)]
         if len(tracks) == 1:
             return tracks[0]
         moving = [track.stamps_ns for track in tracks if not track.is_static]
         stamps_ns = np.unique(np.concatenate(moving)) if moving else np.zeros(1, np.int64)
-        found = _composed(tracks, stamps_ns, max_gap_ns)
+        found = _composed(tracks, stamps_ns, MAX_GAP_NS)
         return TransformTrack(
             parent, child, stamps_ns[found.valid], found.values[found.valid], is_static=not moving
         )
@@ -167,9 +165,8 @@ class TransformTree:
             neighbours.setdefault(parent, []).append(child)
             neighbours.setdefault(child, []).append(parent)
         reached = {start: start}
-        queue = deque([start])
-        while queue:
-            frame = queue.popleft()
+        queue = [start]
+        for frame in queue:  # which grows
             for neighbour in neighbours.get(frame, []):
                 if neighbour not in reached:
                     reached[neighbour] = frame
@@ -189,10 +186,7 @@ def _composed(tracks: list[TransformTrack], stamps_ns: Stamps, max_gap_ns: int) 
 
 @dataclass(eq=False)
 class LogFile:
-    """An open file, and what was read of it beside images; all views of a recording share it.
-
-    Whichever pass over the whole file comes first reads `topics`, so that no other pass has to.
-    """
+    """An open file, and what the first whole pass read of it beside images; all views of a recording share it."""
 
     source: Source
     limits: Limits
@@ -204,11 +198,6 @@ class LogFile:
     missing: MissingPartners = field(default_factory=lambda: MissingPartners(0.0))
     """Of the images of the last replay."""
     _contents: Contents | None = None
-
-    @property
-    def is_read(self) -> bool:
-        """Whether everything but images is known."""
-        return self._contents is not None
 
     @property
     def contents(self) -> Contents:
@@ -253,16 +242,3 @@ class LogFile:
             problem = str(found)
         if problem is not None:
             self.source.health.add(Loss(LossKind.MESSAGE, problem, raw.offset, raw.topic))
-
-
-def replayed_rows(world: ReplayedWorld, arm: str, names: tuple[str, ...], rows: Rows) -> Rows:
-    """Joint states as they would be reported in a perturbed world."""
-    joints = world.joints_of(arm)
-    if joints is None:
-        return rows
-    found = Rows()
-    values: Array = np.frombuffer(rows.values, np.float64).reshape(len(rows.stamps_ns), -1)
-    for stamp_ns, positions in zip(rows.stamps_ns, values, strict=True):
-        for sample in joints.replayed(JointSample(stamp_ns, names, positions)):
-            found.add(sample.stamp_ns, sample.positions)
-    return found

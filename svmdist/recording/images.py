@@ -19,7 +19,7 @@ import simplejpeg
 from numpy.typing import NDArray
 
 from svmdist.errors import RecordingError, SourceError, optional_package
-from svmdist.files import read_regular, why
+from svmdist.files import read_regular, reading
 from svmdist.profile import Limits
 from svmdist.recording.source import cut
 from svmdist.samples import Image
@@ -34,11 +34,7 @@ class ImageError(ValueError):
 
 
 def decode_still(data: bytes | memoryview, limits: Limits) -> Image:
-    """Decode a PNG or JPEG to BGR, shape (height, width, 3) of uint8; grey becomes BGR, alpha is dropped.
-
-    Raises ImageError for another format, a size above the limits, truncated or corrupt data, and for
-    16-bit images, which would lose half of their bits.
-    """
+    """A PNG or JPEG as BGR, shape (height, width, 3) of uint8, alpha dropped; ImageError for what must not be."""
     data = bytes(data)
     width_px, height_px = still_size(data, limits)
     if data.startswith(PNG_MAGIC):
@@ -154,10 +150,7 @@ RAW_ENCODINGS: dict[str, tuple[int, int | None]] = {
 def decode_raw(
     encoding: str, size_px: tuple[int, int], step_bytes: int, data: bytes | memoryview, limits: Limits
 ) -> Image:
-    """Convert rows of `step_bytes` bytes to BGR, shape (height, width, 3); alpha is dropped.
-
-    Raises ImageError for an encoding that is not known, and sizes that contradict each other.
-    """
+    """Rows of `step_bytes` bytes as BGR, shape (height, width, 3), alpha dropped; ImageError where that cannot be."""
     if encoding not in RAW_ENCODINGS:
         choices = ", ".join(RAW_ENCODINGS)
         raise ImageError(f"image encoding {cut(encoding)!r} is not known; the choices are {choices}")
@@ -198,10 +191,7 @@ class VideoDecoder:
         self._loss_count = 0
 
     def decode(self, video_format: str, data: bytes, loss_count: int) -> Image:
-        """Decode the next frame to BGR; ImageError where it cannot be, or must wait for a key frame.
-
-        `loss_count` says how much was lost before this frame; when it has grown, frames may be missing.
-        """
+        """The next frame as BGR; ImageError for a broken one, and up to a key frame where `loss_count` grew."""
         needs_key_frame = self._needs_key_frame or loss_count != self._loss_count
         self._loss_count = loss_count
         self._needs_key_frame = True  # until this frame has come out whole
@@ -233,12 +223,10 @@ class VideoDecoder:
 
 
 def read_file(path: Path, limits: Limits) -> bytes | Image:
-    """The bytes of a PNG or JPEG, or the pixels of another format; SourceError where it is not an image.
-
-    BMP, TIFF, WebP and PNM are decoded by OpenCV, which refuses images of too many pixels.
-    """
-    try:
+    """The bytes of a PNG or JPEG, or the pixels of another format by OpenCV; SourceError where it is no image."""
+    with reading(path, SourceError):
         data = read_regular(path, limits.image_bytes)
+    try:
         if still_format(data):
             return data
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -247,8 +235,6 @@ def read_file(path: Path, limits: Limits) -> bytes | Image:
         if image.dtype != np.uint8:
             raise ImageError(f"an image of {8 * image.dtype.itemsize} bits; 8 are expected")
         check_dimensions(image.shape[1], image.shape[0], limits)
-    except OSError as problem:
-        raise SourceError(f"{path}: cannot read: {why(problem)}") from None
     except (cv2.error, ImageError) as problem:
         raise SourceError(f"{path}: {' '.join(str(problem).split())}") from None
     return np.asarray(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,20 +14,20 @@ import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import RecordingError, did_you_mean
-from svmdist.files import files_of, open_regular, why
+from svmdist.files import files_of, open_regular, reading
+from svmdist.perturbations import Perturbations
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera
-from svmdist.perturbations.chosen import Perturbations
 from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Profile
 from svmdist.recording import observations as obs
 from svmdist.recording.cameras import CameraChange, CameraTrack, cameras_at
-from svmdist.recording.contents import LogFile, Rows, TransformTree, replayed_rows
+from svmdist.recording.contents import LogFile, Rows, TransformTree, in_order
 from svmdist.recording.messages import Kind, kind_of, matrices
-from svmdist.recording.partners import MissingPartners, Pairs, Partners
+from svmdist.recording.observations import MissingPartners, Pairs, Partners
 from svmdist.recording.source import Health, Loss, LossKind, TopicInfo, sanitize, sanitize_list
-from svmdist.recording.topics import KINDS, FixedTransform, LoggedArm, Role, find_arms, open_source
+from svmdist.recording.topics import FixedTransform, LoggedArm, Role, find_arms, open_source
 from svmdist.remote import LogPath, RemoteFile, is_url
-from svmdist.samples import ImageSample, Observation, Rejection
+from svmdist.samples import Observation, Rejection
 from svmdist.tracks import DistanceTrack, JointTrack, TransformTrack
 from svmdist.transforms import inverse
 
@@ -149,13 +150,14 @@ class Recording:
 
     def topic_of(self, role: Role | str) -> str | None:
         """Name the topic that plays a role; None where the log has none."""
-        return self.arms[0].choice.find(Role(role))
+        return self.arms[0].choice.find(Role[role.upper()])
 
     def image_count(self) -> int | None:
         """How many images are read of those that the file says it has; None where that is not known beforehand."""
         topic = self.topic_of(Role.IMAGE)
         count = next((info.message_count for info in self.topics() if info.topic == topic), None)
-        return None if count is None or self.window.is_bounded else -(-count // self.window.every)
+        is_bounded = self.window.start_s > 0.0 or self.window.end_s < math.inf  # which stamps decide on
+        return None if count is None or is_bounded else -(-count // self.window.every)
 
     def size_bytes(self) -> int:
         """Size of the file, or of all files of a folder."""
@@ -166,20 +168,14 @@ class Recording:
         """Hash the file, or the files of a folder in the order of their names, as hexadecimal digits."""
         digest = hashlib.sha256()
         for path in files_of(self.path):
-            try:
-                with open_regular(path) as file:
-                    while piece := file.read(1 << 20):
-                        digest.update(piece)
-            except OSError as problem:
-                raise RecordingError(f"{path}: cannot read: {why(problem)}") from None
+            with reading(path, RecordingError), open_regular(path) as file:
+                while piece := file.read(1 << 20):
+                    digest.update(piece)
         return digest.hexdigest()
 
     @cached_property
     def camera(self) -> Camera:
-        """The first camera calibration, as a perturbed world states it; RecordingError where there is none.
-
-        Images have each the calibration that holds at their stamp.
-        """
+        """The first calibration, as a perturbed world states it; images have each their own. RecordingError."""
         camera = self.logged_camera
         return camera if self.world is None else stated_camera(camera, self.world.perturbations)
 
@@ -216,37 +212,21 @@ class Recording:
             said.append(f"the camera changes: {changes[0]}{count}")
         return said
 
-    def images(self) -> Iterator[ImageSample | Rejection]:
-        """Yield every image in file order, decoded; a Rejection stands for one that cannot be."""
-        for image in self.file.images({self._require(Role.IMAGE)}):
-            losses: list[Loss] = []
-            yield obs.decode_image(image, losses)
-            for loss in losses:
-                self.health.add(loss)
-
     @property
     def camera_changes(self) -> tuple[CameraChange, ...]:
         """Where either camera's calibration changes, so far as the log has been read: all of it after a pass."""
         topics = dict.fromkeys(self.topic_of(role) for role in (Role.CAMERA_INFO, Role.RIGHT_CAMERA_INFO))
         return tuple(one for topic in topics if topic for one in self.file.cameras[topic].changes(topic))
 
-    def observations(self) -> Iterator[Observation | Rejection]:
-        """Yield what an estimator may see of the first instrument in every image, by stamp.
-
-        Joints and the nominal camera-to-base transform are interpolated to the image's stamp between samples
-        at most 0.1 s apart. The right image is the one within `[limits] pair_tolerance_s`, where the cameras form a
-        stereo pair. Each is None where the log has none. RecordingError at once where the log has no images or camera.
-        """
-        encoded = self.encoded_observations(self.instruments[:1])
-        items = (self.record_losses(one.decode()) for one in encoded)
-        return (item if isinstance(item, Rejection) else item[0] for item in items)
-
     def encoded_observations(
         self, names: Sequence[str], needs: obs.Needs = obs.EVERYTHING
     ) -> Iterator[obs.EncodedObservation]:
-        """Yield for every image what estimators may see of each instrument, not decoded yet.
+        """Yield for every image, by stamp, what estimators may see of each instrument, not decoded yet.
 
-        What `needs` leaves out is None in the observations. One thread at a time goes through the iterator, any thread
+        Joints and the nominal camera-to-base transform are interpolated to the image's stamp between samples
+        at most 0.1 s apart. The right image is the one within `[limits] pair_tolerance_s`, where the cameras form a
+        stereo pair. Each is None where the log has none, or `needs` leaves it out. RecordingError at once where the log
+        has no images or camera. One thread at a time goes through the iterator, any thread
         decodes, and `record_losses` takes the results. The caller bounds how many are held.
         """
         arms, topic = [self._arm(name) for name in names], self._require(Role.IMAGE)
@@ -282,10 +262,7 @@ class Recording:
         return [replace(one, arms=tuple(state(one.stamp_ns) for state in states)) for one in images]
 
     def record_losses(self, decoded: obs.Decoded) -> tuple[Observation, ...] | Rejection:
-        """Add what was lost in decoding to `health`, in file order whatever the order of calls; give the rest back.
-
-        What has no partner near it is counted in `missing`.
-        """
+        """Add losses of decoding to `health`, in file order, and lone images to `missing`; give the rest."""
         self.file.missing.add(decoded.partners)
         for loss in decoded.losses:
             self.health.add(loss, decoded.place)
@@ -323,24 +300,20 @@ class Recording:
     def _joints(self, arm: LoggedArm) -> JointTrack | None:
         """The joint states of an arm, as a perturbed world has them, at the stamps of the images' clock."""
         topic = arm.choice.find(Role.JOINTS)
-        for names, logged in self.file.contents.rows.get(topic or "", {}).items():
+        for names, rows in self.file.contents.rows.get(topic or "", {}).items():
             assert isinstance(names, tuple)
-            rows, late_ns = logged, self._lag_ns
+            reported = rows.arrays()
             if self.world is not None:
-                world = replace(self.world, lag_ns=self._lag_ns)
-                rows, late_ns = replayed_rows(world, arm.name, names, logged), 0
-            stamps_ns, positions = rows.sorted(late_ns)
-            if repeated := len(rows.stamps_ns) - len(stamps_ns):
+                reported = self.world.reported(arm.name, names, *reported)
+            stamps_ns, positions = in_order(*reported, self._lag_ns)
+            if repeated := len(reported[0]) - len(stamps_ns):
                 detail = f"{repeated} joint states repeat a stamp; the last one counts"
                 self.health.add(Loss(LossKind.MESSAGE, detail, None, topic))
             return JointTrack(stamps_ns, names, positions) if len(stamps_ns) else None
         return None
 
     def transform_track(self, parent: str, child: str, *, ground_truth: bool = False) -> TransformTrack:
-        """`T_parent_child` over time, composed along the tree of the nominal or the true transforms.
-
-        Raises RecordingError where the log has no transforms, or none that link the two frames.
-        """
+        """`T_parent_child` over time, nominal or true; RecordingError where no transforms link the frames."""
         for arm in () if ground_truth else self.arms:
             T = None if arm.fixed is None else arm.fixed.T_camera_base
             if T is not None and {parent, child} == {arm.frames.camera, arm.frames.base}:
@@ -390,7 +363,7 @@ class Recording:
         return self.arms[0].choice.require(role)
 
     def _unusable(self, what: str, role: Role) -> RecordingError:
-        topic, kind = self._require(role), KINDS[role]
+        topic, kind = self._require(role), role.kind
         named = f"{self.path.name}: no usable {what} on {sanitize(topic)}"
         others = [one.topic for one in self.topics() if kind_of(*one[1:3]) is kind and one.topic != topic]
         return RecordingError(

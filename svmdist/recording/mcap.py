@@ -26,7 +26,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.summary import Summary
 
 from svmdist.errors import RecordingError
-from svmdist.files import open_regular, why
+from svmdist.files import open_regular, reading
 from svmdist.profile import Limits
 from svmdist.recording.source import Health, Loss, LossKind, RawMessage, TopicInfo, merge_topics
 from svmdist.remote import LogPath, RemoteFile
@@ -81,22 +81,19 @@ class McapSource:
     @cached_property
     def summary(self) -> Summary | None:
         """The summary section where its CRC covers every byte of it and is right."""
-        try:
-            with open_regular(self.path) as file:
-                size_bytes = file.seek(0, 2)
-                tail = _tail(file, size_bytes)
-                start, crc = (tail[2], tail[4]) if tail else (0, 0)
-                if not 0 < start < size_bytes or not crc:
-                    return None
-                file.seek(start)
-                if zlib.crc32(file.read(size_bytes - len(MAGIC) - 4 - start)) != crc:
-                    return None
-                file.seek(0)
-                with suppress(Exception):  # right by its CRC, and still not MCAP
-                    return SeekingReader(file).get_summary()
+        with reading(self.path, RecordingError), open_regular(self.path) as file:
+            size_bytes = file.seek(0, 2)
+            tail = _tail(file, size_bytes)
+            start, crc = (tail[2], tail[4]) if tail else (0, 0)
+            if not 0 < start < size_bytes or not crc:
                 return None
-        except OSError as problem:
-            raise RecordingError(f"{self.path}: cannot read: {why(problem)}") from None
+            file.seek(start)
+            if zlib.crc32(file.read(size_bytes - len(MAGIC) - 4 - start)) != crc:
+                return None
+            file.seek(0)
+            with suppress(Exception):  # right by its CRC, and still not MCAP
+                return SeekingReader(file).get_summary()
+        return None
 
     @cached_property
     def _topics(self) -> tuple[TopicInfo, ...]:
@@ -144,7 +141,12 @@ class _Pass:
                 except Exception as problem:  # mcap raises a dozen kinds
                     self._lose(LossKind.CHUNK, f"dropped: {problem or type(problem).__name__}", offset)
                     continue
-            elif is_chunked and self._is_misplaced(record):
+            # A record that belongs into a chunk, as all others are in one: its opcode is broken.
+            elif (
+                is_chunked
+                and not self._is_cut
+                and isinstance(record, Message if self._has_data_ended else Message | Schema | Channel)
+            ):
                 self._lose(LossKind.RECORD, f"{type(record).__name__} outside of chunks dropped", offset)
                 continue
             yield from ((offset, one) for one in inner if self._is_usable(one, offset))
@@ -152,18 +154,15 @@ class _Pass:
 
     def frames(self, topics: Collection[str] | None) -> Iterator[tuple[int, McapRecord]]:
         """Yield the records as they stand in the file; of a remote file with an index, only chunks with some topics."""
-        try:
-            with open_regular(self._path) as file:
-                size_bytes = file.seek(0, 2)
-                file.seek(0)
-                if file.read(len(MAGIC)) != MAGIC:
-                    raise RecordingError(f"{self._path}: not an MCAP file")
-                if isinstance(self._path, RemoteFile) and self._summary and self._summary.chunk_indexes:
-                    yield from self._indexed(file, self._summary, topics)
-                else:
-                    yield from self._sequential(file, size_bytes)
-        except OSError as problem:
-            raise RecordingError(f"{self._path}: cannot read: {why(problem)}") from None
+        with reading(self._path, RecordingError), open_regular(self._path) as file:
+            size_bytes = file.seek(0, 2)
+            file.seek(0)
+            if file.read(len(MAGIC)) != MAGIC:
+                raise RecordingError(f"{self._path}: not an MCAP file")
+            if isinstance(self._path, RemoteFile) and self._summary and self._summary.chunk_indexes:
+                yield from self._indexed(file, self._summary, topics)
+            else:
+                yield from self._sequential(file, size_bytes)
 
     def _sequential(self, file: BinaryIO, size_bytes: int) -> Iterator[tuple[int, McapRecord]]:
         crc: int | None = zlib.crc32(MAGIC)
@@ -235,11 +234,6 @@ class _Pass:
         if isinstance(record, Metadata) and record.name == METADATA_NAME and not self.metadata:
             self.metadata = dict(record.metadata)
         return record
-
-    def _is_misplaced(self, record: McapRecord) -> bool:
-        """Whether a record outside of chunks belongs into one, as all others do: its opcode is broken."""
-        misplaced = Message if self._has_data_ended else Message | Schema | Channel
-        return not self._is_cut and isinstance(record, misplaced)
 
     def _is_usable(self, record: McapRecord, offset: int) -> bool:
         """Take note of definitions and counts; false for a message whose channel is not known."""

@@ -50,10 +50,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class EncodedImage:
-    """An image message whose pixels are decoded only when asked for, by any thread; `decode` raises ImageError.
-
-    Frames of a video refer to those before them: a `Decoder` decodes them at once, in file order.
-    """
+    """An image whose pixels `decode` makes when asked, in any thread, or raises ImageError; those of videos at once."""
 
     stamp_ns: int
     frame_id: str
@@ -221,11 +218,6 @@ def _foxglove_video(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
     return replace(image, frame_id=frame_id, video=(message.format, message.data))
 
 
-def _foxglove_camera(message: Any, stamp_ns: int, frame_id: str) -> samples.CameraSample:
-    camera = checked_camera(message, frame_id, (message.K, message.D, message.R, message.P))
-    return samples.CameraSample(stamp_ns, camera)
-
-
 def _foxglove_joints(message: Any, stamp_ns: int, _: str) -> samples.JointSample:
     """Joints without a position are left out."""
     joints = [joint for joint in message.joints if joint.HasField("position")]
@@ -308,29 +300,25 @@ def checked_joints(stamp_ns: int, names: Sequence[str], positions: Sequence[floa
     return samples.JointSample(stamp_ns, tuple(map(sys.intern, names)), np.array(positions, np.float64))
 
 
-def checked_camera(message: Any, frame_id: str, numbers: Sequence[Sequence[float]]) -> Camera:
+def camera_sample(message: Any, stamp_ns: int, frame_id: str) -> samples.CameraSample:
     """A camera; DecodeError for a matrix of another size, an uncalibrated camera or an unknown distortion."""
-    K, D, R, P = numbers
+    names = "KDRP" if hasattr(message, "K") else "kdrp"  # ROS 2 writes them small, others large
+    K, D, R, P = (np.array(getattr(message, name), np.float64) for name in names)
     if len(K) != 9 or len(R) not in {0, 9} or len(P) not in {0, 12} or len(D) > MAX_COEFFICIENTS:
         raise DecodeError(f"K, R, P, D have {len(K)}, {len(R)}, {len(P)}, {len(D)} elements")
     _check_numbers([*K, *D, *R, *P], "a calibration")
-    model = cut(message.distortion_model)
-    if any(D) and model.lower() not in KNOWN_DISTORTION:
+    name = cut(message.distortion_model)
+    model = KNOWN_DISTORTION.get(name.lower()) if D.any() else "plumb_bob"
+    if model is None:
         choices = ", ".join(sorted(filter(None, KNOWN_DISTORTION)))
-        raise DecodeError(f"distortion model {model!r} is not known; the choices are {choices}")
+        raise DecodeError(f"distortion model {name!r} is not known; the choices are {choices}")
+    R_rectified = R.reshape(3, 3) if R.any() else None
+    size_px, P_rectified = (message.width, message.height), P.reshape(3, 4) if P.any() else None
     try:
-        return Camera(
-            message.width,
-            message.height,
-            np.array(K, np.float64).reshape(3, 3),
-            np.array(D, np.float64),
-            np.array(R, np.float64).reshape(3, 3) if any(R) else None,
-            np.array(P, np.float64).reshape(3, 4) if any(P) else None,
-            frame_id,
-            KNOWN_DISTORTION.get(model.lower(), "plumb_bob") if any(D) else "plumb_bob",
-        )
+        camera = Camera(*size_px, K.reshape(3, 3), D, R_rectified, P_rectified, frame_id, model)
     except ValueError as problem:
         raise DecodeError(str(problem)) from None
+    return samples.CameraSample(stamp_ns, camera)
 
 
 Converter = Callable[[Any, int, str], Message]
@@ -339,7 +327,7 @@ FOXGLOVE: dict[str, tuple[Kind, Converter]] = {
     "foxglove.CompressedImage": (Kind.IMAGE, still_image),
     "foxglove.RawImage": (Kind.IMAGE, raw_image),
     "foxglove.CompressedVideo": (Kind.IMAGE, _foxglove_video),
-    "foxglove.CameraCalibration": (Kind.CAMERA, _foxglove_camera),
+    "foxglove.CameraCalibration": (Kind.CAMERA, camera_sample),
     "foxglove.JointStates": (Kind.JOINTS, _foxglove_joints),
     "foxglove.PoseInFrame": (Kind.POSE, _foxglove_pose),
     "foxglove.FrameTransform": (Kind.TRANSFORMS, _foxglove_transforms),

@@ -6,7 +6,7 @@ from functools import cache
 from typing import Any
 
 from svmdist.recording import messages
-from svmdist.samples import CameraSample, JointSample
+from svmdist.samples import JointSample
 
 
 @cache
@@ -48,14 +48,6 @@ def _header(message: Any, log_time_ns: int) -> tuple[int, str]:
     ), header.frame_id
 
 
-def _camera(message: Any, stamp_ns: int, frame_id: str) -> CameraSample:
-    # ROS 1 writes these names large, ROS 2 small.
-    numbers = [getattr(message, name) for name in ("KDRP" if hasattr(message, "K") else "kdrp")]
-    return CameraSample(
-        stamp_ns, messages.checked_camera(message, frame_id, [one.tolist() for one in numbers])
-    )
-
-
 def _joints(message: Any, stamp_ns: int, _: str) -> JointSample:
     return messages.checked_joints(stamp_ns, message.name, message.position.tolist())
 
@@ -75,7 +67,7 @@ def _pose(message: Any, stamp_ns: int, parent: str) -> messages.RawTransform:
 CONVERTERS: dict[str, messages.Converter] = {
     "Image": messages.raw_image,
     "CompressedImage": messages.still_image,
-    "CameraInfo": _camera,
+    "CameraInfo": messages.camera_sample,
     "JointState": _joints,
     "PoseStamped": _pose,
     "TransformStamped": _stamped,

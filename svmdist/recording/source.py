@@ -138,10 +138,7 @@ class TopicInfo(NamedTuple):
 
 
 class RawMessage(NamedTuple):
-    """A message as it stands in the file.
-
-    `losses_before` counts what this pass has lost so far: where it grows, messages may be missing.
-    """
+    """A message as the file has it; where `losses_before`, lost so far in this pass, grows, some may be missing."""
 
     topic: str
     schema: str

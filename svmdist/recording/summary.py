@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
@@ -89,9 +90,16 @@ def _summary(info: TopicInfo, logged_ns: array[int], undecodable_count: int) -> 
 
 
 def inspect_recording(
-    path: LogPath | str, profile: Profile, *, topics: Mapping[str, str] | None = None
+    path: LogPath | str,
+    profile: Profile,
+    *,
+    topics: Mapping[str, str] | None = None,
+    head_s: float = math.inf,
 ) -> RecordingSummary:
-    """Read a whole recording once and summarise it, without pixels; a topic that svmdist cannot read is counted."""
+    """Read a recording once and summarise it, without pixels; a topic that svmdist cannot read is counted.
+
+    With `head_s`, reading ends after so many seconds of the log, once each topic of a role has had a message.
+    """
     recording = open_recording(path, profile, topics=topics)
     decoder = Decoder(profile.limits)
     infos: dict[str, TopicInfo] = {}
@@ -100,9 +108,14 @@ def inspect_recording(
     cameras: defaultdict[str, CameraTrack] = defaultdict(CameraTrack)
     frames: set[str] = set()
     joint_names: dict[str, tuple[str, ...]] = {}
+    awaited = {name for role in Role if (name := recording.topic_of(role)) is not None}
+    end_ns: float | None = None
     for raw in recording.file.source.messages():
-        infos.setdefault(raw.topic, TopicInfo(*raw[:3]))
         stamp_ns = raw.log_time_ns
+        end_ns = stamp_ns + 1e9 * head_s if end_ns is None else end_ns
+        if stamp_ns > end_ns and awaited <= infos.keys():
+            break
+        infos.setdefault(raw.topic, TopicInfo(*raw[:3]))
         if kind_of(raw.schema, raw.message_encoding) is not None:
             try:
                 sample = decoder.decode(raw, with_video=False)

@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Self
 
 from svmdist.errors import RecordingError, UsageError, did_you_mean
-from svmdist.files import open_regular, why
+from svmdist.files import nearest_file, open_regular, why
 from svmdist.profile import Frames, Limits, Profile, Topics
 from svmdist.profile.robot import ARM_TOPICS
 from svmdist.recording.mcap import MAGIC as MCAP_MAGIC
@@ -29,38 +30,37 @@ LOOKS_LIKE = {
     b"\xfd7zXZ": "xz-compressed",
     b"PK\x03\x04": "a zip archive",
     b"\x89HDF": "an HDF5 file",
-    b"\x89PNG": "a PNG image",
-    b"\xff\xd8\xff": "a JPEG image",
     b"version https://git-lfs": "a Git LFS pointer, whose file has not been fetched",
 }
+IMAGES_OR_VIDEO = re.compile(
+    rb"\x89PNG|\xff\xd8\xff|BM|II\*\0|MM\0\*|RIFF....(AVI |WEBP)|....ftyp|\x1aE\xdf\xa3", re.DOTALL
+)
+"""How images and videos begin: PNG, JPEG, BMP, TIFF, WebP, AVI, MP4, Matroska."""
 WHAT_IS_EXPECTED = "an MCAP file, a ROS 1 bag or a rosbag2 folder"
+TO_IMPORT = "`svmdist import` makes a log of images or a video"
 
 
 class Role(StrEnum):
-    """What a topic is needed for; the names are the keys of a profile's `[topics]`."""
+    """What a topic is needed for, a key of a profile's `[topics]`; and the `kind` of its messages."""
 
-    IMAGE = "image"
-    CAMERA_INFO = "camera_info"
-    RIGHT_IMAGE = "right_image"
-    RIGHT_CAMERA_INFO = "right_camera_info"
-    JOINTS = "joints"
-    POSE = "pose"
-    TF = "tf"
-    GROUND_TRUTH_TF = "ground_truth_tf"
-    GROUND_TRUTH_DISTANCE = "ground_truth_distance"
+    kind: Kind
+    IMAGE = "image", Kind.IMAGE
+    CAMERA_INFO = "camera_info", Kind.CAMERA
+    RIGHT_IMAGE = "right_image", Kind.IMAGE
+    RIGHT_CAMERA_INFO = "right_camera_info", Kind.CAMERA
+    JOINTS = "joints", Kind.JOINTS
+    POSE = "pose", Kind.POSE
+    TF = "tf", Kind.TRANSFORMS
+    GROUND_TRUTH_TF = "ground_truth_tf", Kind.TRANSFORMS
+    GROUND_TRUTH_DISTANCE = "ground_truth_distance", Kind.DISTANCE
+
+    def __new__(cls, name: str, kind: Kind) -> Self:
+        """A role by its name and kind."""
+        role = str.__new__(cls, name)
+        role._value_, role.kind = name, kind
+        return role
 
 
-KINDS = {
-    Role.IMAGE: Kind.IMAGE,
-    Role.CAMERA_INFO: Kind.CAMERA,
-    Role.RIGHT_IMAGE: Kind.IMAGE,
-    Role.RIGHT_CAMERA_INFO: Kind.CAMERA,
-    Role.JOINTS: Kind.JOINTS,
-    Role.POSE: Kind.POSE,
-    Role.TF: Kind.TRANSFORMS,
-    Role.GROUND_TRUTH_TF: Kind.TRANSFORMS,
-    Role.GROUND_TRUTH_DISTANCE: Kind.DISTANCE,
-}
 RIGHT = (Role.RIGHT_IMAGE, Role.RIGHT_CAMERA_INFO)
 NAMED = frozenset({Role.GROUND_TRUTH_TF, *RIGHT})
 """Roles whose topics must be named: any transforms could pass for truth, any image for the right one."""
@@ -88,11 +88,14 @@ class TopicChoice:
 
     def require(self, role: Role) -> str:
         """Name the topic of a role; RecordingError lists the candidates, or the topics there are."""
-        kind = KINDS[role]
+        kind = role.kind
         override, candidates = self.overrides.get(role), self._candidates(kind)
         listed = sanitize_list(f"{info.topic} ({info.schema or 'no schema'})" for info in self.infos)
         there_are = f"the topics are {listed}" if listed else "the recording has no topics"
         if override is not None and override not in candidates:
+            if override not in {info.topic for info in self.infos} and candidates:
+                known = did_you_mean(sanitize(override), map(sanitize, candidates))
+                raise RecordingError(f"{self.name}: no topic {sanitize(override)} with {kind}: {known}")
             raise RecordingError(f"{self.name}: topic {sanitize(override)} carries no {kind}; {there_are}")
         wanted: str | None = override or getattr(self.wanted, role)
         if wanted in candidates:
@@ -102,8 +105,10 @@ class TopicChoice:
             return fitting[0]
         expected = f" (the profile expects {wanted})" if wanted else ""
         if fitting:
-            several = f"several topics carry {kind}{expected}; choose one of {sanitize_list(fitting)}"
-            raise RecordingError(f"{self.name}: {several}")
+            raise RecordingError(
+                f"{self.name}: several topics carry {kind}{expected}: let `svmdist profile new` write a profile of"
+                f" this log, or choose one with --topic {role}=TOPIC: {sanitize_list(fitting)}"
+            )
         others = [topic for topic in candidates if topic in {getattr(self.wanted, right) for right in RIGHT}]
         of_right = f"; {sanitize_list(others)} is the right view's" if others and role not in RIGHT else ""
         raise RecordingError(f"{self.name}: no topic with {kind} for {role}{expected}{of_right}; {there_are}")
@@ -199,22 +204,22 @@ def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) ->
 
 
 def open_source(path: LogPath, limits: Limits) -> Source:
-    """Find out what a path is, and open it; RecordingError says in one line why it cannot be a recording.
-
-    The modules of other formats are imported when a file of theirs is opened: MCAP starts sooner without them.
-    """
+    """Find out what a path is, and open it; RecordingError says in one line why it cannot be a recording."""
     try:
         if not isinstance(path, RemoteFile) and path.is_dir():
             if not (path / METADATA_FILE).is_file():
-                detail = f"a directory without {METADATA_FILE}"
-                raise RecordingError(f"{path}: is {detail}; expected {WHAT_IS_EXPECTED}")
+                raise RecordingError(
+                    f"{path}: is a directory without .mcap, .bag or {METADATA_FILE}; expected {WHAT_IS_EXPECTED};"
+                    f" {TO_IMPORT}"
+                )
             from svmdist.recording.rosbag import FolderSource
 
             return FolderSource(path, limits)
         with open_regular(path) as file:
             start = file.read(64)
-    except FileNotFoundError:
-        raise RecordingError(f"{path}: no such file") from None
+    except FileNotFoundError as problem:
+        near = nearest_file(problem.filename) if problem.filename else ""  # of a URL nothing is known
+        raise RecordingError(f"{path}: no such file{near}") from None
     except (OSError, ValueError) as problem:
         raise RecordingError(f"{path}: cannot read: {why(problem)}") from None
     return _open_file(path, start, limits)
@@ -231,9 +236,13 @@ def _open_file(path: LogPath, start: bytes, limits: Limits) -> Source:
         raise RecordingError(f"{path}: is empty; expected {WHAT_IS_EXPECTED}")
     elif MCAP_MAGIC.startswith(start):
         raise RecordingError(f"{path}: truncated at byte {len(start)}, inside the magic of an MCAP file")
+    elif IMAGES_OR_VIDEO.match(start):
+        raise RecordingError(f"{path}: is no recording but an image or a video: {TO_IMPORT}")
     else:
         found = next((what for magic, what in LOOKS_LIKE.items() if start.startswith(magic)), None)
-        raise RecordingError(f"{path}: is {found or 'not a recording'}; expected {WHAT_IS_EXPECTED}")
+        raise RecordingError(
+            f"{path}: is {found or 'not a recording'}; expected {WHAT_IS_EXPECTED}; {TO_IMPORT}"
+        )
     topics = {info.topic for info in source.topics() if info.message_encoding == "cdr"}
     first = next(iter(source.messages(topics)), None) if topics else None
     if first is not None and first.data.startswith(ZSTD_MAGIC):  # CDR begins with a zero byte

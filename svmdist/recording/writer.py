@@ -211,10 +211,7 @@ class RecordingWriter:
         return self
 
     def write(self, topic: str, sample: samples.Sample | EncodedSample) -> None:
-        """Append a sample, which may be encoded already; its stamp becomes the log time and the publish time.
-
-        Raises OutputError when the file cannot be written, ValueError for a topic that carries another type.
-        """
+        """Append a sample, its stamp as log time; OutputError, ValueError for a topic of another type."""
         if not isinstance(sample, EncodedSample):
             sample = encode(sample, self._jpeg_quality)
         stamp_ns, needed_bytes = sample.stamp_ns, MESSAGE_HEAD_BYTES + len(sample.data)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from svmdist.drawing import FrameDrawing
 from svmdist.errors import OutputError
 from svmdist.files import atomic_file
 from svmdist.recording import viewer_messages
@@ -18,14 +19,17 @@ from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.summary import copied_messages
 from svmdist.recording.topics import Role
 from svmdist.recording.writer import EncodedSample, RecordingWriter
-from svmdist.report.panels import draw_on
+from svmdist.report.on_image import draw_on
 from svmdist.report.rows import estimate_fields
+from svmdist.results import FrameResult
 from svmdist.samples import Image
+from svmdist.transforms import Array
 from svmdist.workflows.frame_drawing import DrawnFrame
 from svmdist.workflows.request import Setup
 
 ANNOTATIONS = "annotations"  # below the image's topic: viewers that go by names lay it over the image
 SCENE_TOPIC, TF_TOPIC, LOG_TOPIC = "/svmdist/scene", "/svmdist/tf", "/svmdist/log"
+SURFACE_TOPIC = "/svmdist/surface"
 TIME_BASE = Fraction(1, 1000)  # frames are shown at their stamps: a log has no constant rate
 CODECS = ("libx264", "mpeg4")
 """The first that this build of FFmpeg has. H.264 plays everywhere; MPEG-4 is part of every build."""
@@ -62,18 +66,37 @@ def _annotations(
             fields = estimate_fields(result, setup.method, frame.alarms.get(result.instrument))
             message = viewer_messages.distance_estimate(fields, stamp_ns)
             yield f"/svmdist/{result.instrument}/distance", message
-        poses = [
-            (f"{result.instrument}_tool_estimate", result.tool.pose.T_camera_tool)
-            for result in results
-            if result.measured and result.tool is not None
-        ]
-        if poses:
+        if poses := tool_poses(results):
             yield TF_TOPIC, viewer_messages.tool_transforms(poses, frame_id, stamp_ns)
         names = [result.instrument for result in results]
         yield SCENE_TOPIC, viewer_messages.scene_update(drawing, names, frame_id)
-        for line in drawing.lines:
-            if not line.measured or line.alarm:
-                yield LOG_TOPIC, viewer_messages.log_line(line.text, stamp_ns, is_warning=True)
+        yield from _surface(frame, frame_id)
+        for text in warnings(drawing):
+            yield LOG_TOPIC, viewer_messages.log_line(text, stamp_ns, is_warning=True)
+
+
+def tool_poses(results: Iterable[FrameResult]) -> list[tuple[str, Array]]:
+    """Frames of the measured tools by their names, and `T_camera_tool`, shape (4, 4)."""
+    measured = ((one.instrument, one.tool) for one in results if one.measured)
+    return [(f"{name}_tool_estimate", tool.pose.T_camera_tool) for name, tool in measured if tool is not None]
+
+
+def warnings(drawing: FrameDrawing) -> list[str]:
+    """The lines of rejections and alarms."""
+    return [line.text for line in drawing.lines if line.warns]
+
+
+def _surface(frame: DrawnFrame, frame_id: str) -> Iterator[tuple[str, EncodedSample]]:
+    """The tissue's surface where a method looked for it in both views, with an instrument there or not."""
+    frames = frame.replayed.frames
+    surface = frames[0].scene.found.get("stereo_surface") if frames else None
+    if surface is None:
+        return
+    seen = frames[0].scene.observation
+    colours = surface.colours(seen.image_bgr, seen.camera)
+    std_m = surface.grid_std_m[surface.is_seen]
+    message = viewer_messages.point_cloud(surface.points_m, std_m, colours, frame_id, frame.drawing.stamp_ns)
+    yield SURFACE_TOPIC, message
 
 
 def write_video(frames: Iterable[DrawnFrame], path: Path, recording: Recording, *_: object) -> None:

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.drawing import ALARM_COLOUR, ESTIMATE_COLOUR, LOST_COLOUR, TRUTH_COLOUR, Rgb
 from svmdist.estimation.alarms import AlarmEvent
 from svmdist.metrics import interval_coverage
 from svmdist.report.tables import counted
@@ -24,6 +25,13 @@ Role = Literal[
     "estimate", "error", "truth", "interval", "lost", "threshold", "model", "limit", "consistency", "alarm"
 ]  # fmt: skip
 """What a curve shows: it decides on the colour, and on the dash of a line."""
+COLOURS: dict[Role, Rgb] = {
+    **dict.fromkeys(("estimate", "error", "interval", "consistency"), ESTIMATE_COLOUR),
+    **dict.fromkeys(("truth", "model", "limit"), TRUTH_COLOUR),
+    **dict.fromkeys(("alarm", "threshold"), ALARM_COLOUR),
+    "lost": LOST_COLOUR,
+}
+"""The same in print and on pages, and of alarms the same as in pictures."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +124,7 @@ def distance_over_time(series: Series, alarm_below_m: float | None = None) -> Ch
         text += f" The estimated {name} runs from {least:.1f} to {most:.1f} mm."
     curves = []
     if spans:
-        text += f" {len(spans)} spans were not measured; they are shaded."
+        text += f" Not measured: {counted(len(spans), 'span')}, shaded."
         begins, ends = np.array(spans).T
         curves.append(Curve("spans", "lost", "not measured", begins, ends))
     line = []
@@ -224,7 +232,7 @@ def calibration(group: Sequence[Series]) -> Chart:
     hover = "stated %{x:g} %: %{y:.1f} % inside<extra></extra>"
     levels, ends = 100.0 * np.array(LEVELS), np.array([50.0, 100.0])
     curves = [
-        Curve("line", "limit", "as stated", ends, ends),
+        Curve("line", "limit", "ideal", ends, ends),
         Curve("line", "estimate", "truths inside", levels, np.array(held), hover=hover),
     ]
     text = (

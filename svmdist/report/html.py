@@ -25,7 +25,7 @@ from svmdist.metrics import COUNT, LENGTH, SECONDS, SHARE, TEXT, Unit
 from svmdist.recording.log import Recording
 from svmdist.report import charts
 from svmdist.report.charts import Chart, Curve, Role, runs
-from svmdist.report.panels import draw_on
+from svmdist.report.on_image import draw_on
 from svmdist.report.scores import remarks, validation_tables
 from svmdist.report.tables import Column, Table, counted, row_of
 from svmdist.report.writers import Results
@@ -39,22 +39,12 @@ from svmdist.workflows.series import Series, series_of, worst_frames
 from svmdist.workflows.validate import Validation
 
 WORST_COUNT = 10
-JPEG_QUALITY, MAX_WIDTH_PX = 80, 960
+JPEG_QUALITY, MIN_WIDTH_PX, MAX_WIDTH_PX = 80, 480, 960
 PACKAGES = ("svmdist", "numpy", "opencv-python-headless", "mcap", "protobuf", "plotly")
 MAX_MARKERS = 2000  # more points than these are drawn as a line, or thinned out evenly where they are no line
-COLOURS: dict[Role, tuple[str, str]] = {
-    "estimate": ("#3a86c8", "solid"),
-    "error": ("#3a86c8", "solid"),
-    "truth": ("#d55e00", "dash"),
-    "interval": ("rgba(86,180,233,0.30)", ""),
-    "lost": ("rgba(213,94,0,0.18)", ""),
-    "alarm": ("rgba(204,121,167,0.28)", ""),
-    "threshold": ("#e69f00", "dot"),
-    "model": ("#d55e00", "solid"),
-    "limit": ("#d55e00", "dash"),
-    "consistency": ("#cc79a7", "solid"),
-}
-"""Colours that differ with any colour vision, on white and on black (after Okabe & Ito 2008); and dashes."""
+DASHES: dict[Role, str] = {"truth": "dash", "limit": "dash", "threshold": "dot"}
+THUMBNAIL_LETTERS = 1 / 26  # over the width: pictures of frames are shown small
+AREA_ALPHA = 0.3
 
 
 @dataclass(frozen=True)
@@ -139,7 +129,15 @@ def _worst(
         given = log.read, request.setup, request.alarms, None, jobs, wanted[name], steps.advance
         for drawn in drawn_frames(*given):
             if drawn.replayed.image_bgr is not None:
-                pictures[name, drawn.number] = _jpeg(draw_on(drawn.replayed.image_bgr, drawn.drawing))
+                pictures[name, drawn.number] = _jpeg(
+                    draw_on(
+                        drawn.replayed.image_bgr,
+                        drawn.drawing,
+                        lines=False,
+                        least_px=MIN_WIDTH_PX,
+                        letters=THUMBNAIL_LETTERS,
+                    )
+                )
     captions = {
         (one.series.recording, one.number): f"{one.series.recording}, {one.in_words}" for one in chosen
     }
@@ -208,7 +206,7 @@ def page(report: Report) -> str:
         autoescape=True, finalize=lambda value: printable(value) if type(value) is str else value,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters["base64"] = lambda data: base64.b64encode(data).decode("ascii")
+    environment.filters |= {"base64": lambda data: base64.b64encode(data).decode("ascii"), "zip": zip}
     template = environment.from_string(files("svmdist.report").joinpath("page.html.j2").read_text("utf-8"))
     sections = _sections(report)
     data = ",".join(
@@ -283,8 +281,9 @@ def plotly_figure(chart: Chart) -> go.Figure:
 
 def _traces(curve: Curve, sharing: int) -> Iterator[tuple[Array, Array, dict[str, Any]]]:
     """The traces of a curve: x, y, and how they look; `sharing` curves of dots share the room."""
-    colour, dash = COLOURS[curve.role]
-    area = {"mode": "lines", "line": {"width": 0}, "fillcolor": colour, "hoverinfo": "skip"}
+    rgb, dash = ",".join(map(str, charts.COLOURS[curve.role])), DASHES.get(curve.role, "solid")
+    colour, sheer = f"rgb({rgb})", f"rgba({rgb},{AREA_ALPHA})"
+    area = {"mode": "lines", "line": {"width": 0}, "fillcolor": sheer, "hoverinfo": "skip"}
     if curve.form == "line":
         yield from _line(curve, colour, dash)
     elif curve.form == "band":
@@ -298,7 +297,7 @@ def _traces(curve: Curve, sharing: int) -> Iterator[tuple[Array, Array, dict[str
         count = len(curve.x)
         kept = np.linspace(0, max(count - 1, 0), min(count, MAX_MARKERS // sharing))
         chosen = np.unique(kept.round().astype(int))
-        marker: dict[str, Any] = {"color": COLOURS["estimate"][0], "size": 5, "opacity": 0.6}
+        marker: dict[str, Any] = {"color": colour, "size": 5, "opacity": 0.6}
         if curve.colour_by is not None:
             bar = {"title": {"text": curve.name}, "thickness": 12}
             marker |= {"color": curve.colour_by[chosen].astype(np.float32), "colorscale": "Cividis",
@@ -323,10 +322,7 @@ def _line(curve: Curve, colour: str, dash: str) -> Iterator[tuple[Array, Array, 
 
 
 def _outlines(curve: Curve) -> tuple[Array, Array]:
-    """The outline of the area of a band for each run of frames that have both of its curves.
-
-    As a fill between two traces it would reach across what was not measured. Frames that stand alone have a width.
-    """
+    """A band's outline for each run of frames, not across what was not measured; lone frames have a width."""
     assert curve.low is not None
     x, y = list[Array](), list[Array]()
     reach_s, gap = _reach_s(curve.x), np.array([np.nan])

@@ -1,128 +1,42 @@
-"""A frame's drawing as pixels: on its image, and in panels, one for each phase of a method or for its masks."""
+"""A frame in panels, one for each phase of a method, or its masks, and the nearest clearance from the side."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
 
-from svmdist.drawing import ALARM_COLOUR, COLOURS, Form, FrameDrawing, Label, Part, Rgb, Shape
-from svmdist.errors import printable
+from svmdist.drawing import COLOURS, WHITE, Form, FrameDrawing, Label, Part, Rgb, Shape
 from svmdist.estimation.methods import REGISTRY, Phase
-from svmdist.files import atomic_file
+from svmdist.geometry import Mesh, Plane
+from svmdist.report.on_image import (
+    DARK,
+    bgr,
+    draw_on,
+    enlarged,
+    status_lines,
+    text_size,
+    under,
+    within_reach,
+    write_text,
+)
 from svmdist.samples import Image
+from svmdist.transforms import Array
 from svmdist.vision.marker import EDGE_MARGIN_PX, padded_template
 from svmdist.workflows.frame_drawing import DrawnFrame, contours_of, virtual_marker
 
-FONT = cv2.FONT_HERSHEY_SIMPLEX
-WHITE: Rgb = (255, 255, 255)
-DARK = (20, 20, 20)
-SUBPIXEL_BITS = 4
-LIMIT_PX = 20_000.0  # OpenCV's drawing wraps around far outside of the image
-SMALL = (Part.INLIER, Part.MATCH)
-COLUMNS = 3
-TINT = 0.45
-LEAST_WIDTH_PX = 900
-"""Smaller images are enlarged for masks, so that letters stay smaller than what they name."""
+COLUMNS = 2
+TINT = 0.6
+PANEL_LETTERS = 1 / 34  # two panels stand side by side on a page
+PANEL_PX, MASKS_PX = 600, 900
+"""Least widths of a panel and of a picture of masks: smaller images are enlarged, so that letters hide less of them."""
 NEAR_FAR_PERCENT = (5.0, 95.0)
-Box = tuple[int, int, int, int]
-
-
-def bgr(colour: Rgb) -> tuple[int, int, int]:
-    """The colour as OpenCV has it."""
-    return colour[2], colour[1], colour[0]
-
-
-def write_picture(path: Path, picture: Image) -> None:
-    """Write a PNG; raises OutputError where that fails."""
-    with atomic_file(path) as file:
-        file.write(cv2.imencode(".png", picture)[1].tobytes())
-
-
-def draw_on(
-    image_bgr: Image, drawing: FrameDrawing, *, parts: Collection[Part] | None = None, lines: bool = True
-) -> Image:
-    """A copy of an image, shape (h, w, 3) in BGR, with a drawing on it, or some of its `parts`; `lines` at the top."""
-    pixels = np.array(image_bgr, order="C")
-    unit_px = max(1, pixels.shape[1] // 640)
-    for shape in drawing.shapes:
-        if parts is None or shape.part in parts:
-            _draw(pixels, shape, unit_px)
-    written: list[Box] = []
-    for label in drawing.labels:
-        if parts is None or label.part in parts:
-            written.append(_write_beside(pixels, label, written))
-    if lines:
-        for row, line in enumerate(drawing.lines):
-            colour = ALARM_COLOUR if line.alarm or not line.measured else WHITE
-            _write_row(pixels, printable(line.text), row, colour)
-    return pixels
-
-
-def _draw(pixels: Image, shape: Shape, unit_px: int) -> None:
-    colour = bgr(COLOURS[shape.part])
-    near = np.clip(np.nan_to_num(shape.points_px, nan=-LIMIT_PX), -LIMIT_PX, LIMIT_PX)
-    points = np.asarray(np.round(near * (1 << SUBPIXEL_BITS)), np.int32)
-    if shape.form is Form.POINTS:
-        radius = (2 if shape.part in SMALL else 4) * unit_px << SUBPIXEL_BITS
-        for x, y in points.tolist():
-            if shape.part not in SMALL:
-                grown = radius + (unit_px << SUBPIXEL_BITS)
-                cv2.circle(pixels, (x, y), grown, DARK, cv2.FILLED, cv2.LINE_AA, SUBPIXEL_BITS)
-            cv2.circle(pixels, (x, y), radius, colour, cv2.FILLED, cv2.LINE_AA, SUBPIXEL_BITS)
-        return
-    is_closed = shape.form is Form.LOOP
-    if shape.part in (Part.DISTANCE, Part.BETWEEN):
-        cv2.polylines(pixels, [points], is_closed, DARK, 4 * unit_px, cv2.LINE_AA, SUBPIXEL_BITS)
-    cv2.polylines(pixels, [points], is_closed, colour, 2 * unit_px, cv2.LINE_AA, SUBPIXEL_BITS)
-
-
-def _letters(pixels: Image) -> tuple[float, int]:
-    scale = max(0.35, pixels.shape[1] / 1500.0)
-    return scale, max(1, round(1.6 * scale))
-
-
-def _write_beside(pixels: Image, label: Label, written: Sequence[Box]) -> Box:
-    """Write a label inside of the image, on dark ground, below what stands there already; gives the box it covers."""
-    text, (scale, thickness) = printable(label.text), _letters(pixels)
-    (width, height), below = cv2.getTextSize(text, FONT, scale, thickness)
-    place = np.clip(np.nan_to_num(label.place_px), -LIMIT_PX, LIMIT_PX)
-    x = int(np.clip(place[0] + 6, 2, max(2, pixels.shape[1] - width - 4)))
-    y = int(np.clip(place[1] - 6, height + 4, max(height + 4, pixels.shape[0] - below - 3)))
-    for left, top, right, bottom in sorted(written, key=lambda box: box[1]):
-        if x - 2 < right and left < x + width + 2 and y - height - 3 < bottom and top < y + below:
-            y = bottom + height + 4
-    cv2.rectangle(pixels, (x - 2, y - height - 3), (x + width + 2, y + below), DARK, cv2.FILLED)
-    cv2.putText(pixels, text, (x, y), FONT, scale, bgr(COLOURS[label.part]), thickness, cv2.LINE_AA)
-    return x - 2, y - height - 3, x + width + 2, y + below
-
-
-def _write_row(pixels: Image, text: str, row: int, colour: Rgb) -> None:
-    """Write a line at the top left, as much of it as the image is wide."""
-    scale, thickness = _letters(pixels)
-    (width, _), _ = cv2.getTextSize(text, FONT, scale, thickness)
-    # Rows are alike, whatever their letters.
-    (_, height), below = cv2.getTextSize("Mg", FONT, scale, thickness)
-    room = pixels.shape[1] - 8
-    if width > room:
-        text, width = text[: max(1, len(text) * room // width - 3)] + "...", room
-    top = row * (height + below + 6)
-    cv2.rectangle(pixels, (0, top), (width + 8, top + height + below + 6), DARK, cv2.FILLED)
-    cv2.putText(pixels, text, (4, top + height + 3), FONT, scale, bgr(colour), thickness, cv2.LINE_AA)
-
-
-def _under(lines: Sequence[tuple[str, Rgb] | str], pixels: Image, scale: float = 0.7) -> Image:
-    (_, height), below = cv2.getTextSize("Mg", FONT, scale, 1)
-    step = height + below + 8
-    bar = np.full((step * len(lines) + 8, pixels.shape[1], 3), DARK, np.uint8)
-    for at, line in enumerate(lines):
-        text, colour = line if isinstance(line, tuple) else (line, WHITE)
-        place = (8, at * step + height + 6)
-        cv2.putText(bar, printable(text), place, FONT, scale, bgr(colour), 1, cv2.LINE_AA)
-    return np.vstack([bar, pixels])
+SIDE_REACH_M, SLANT = 0.009, 0.3
+"""Half of the least height of a side view; and the slope over which a clearance runs across the depth, too."""
+CUT_REACH_M = 0.001  # points of a surface so near to a cut are shown in it
+BAR_LENGTHS_MM = (1, 2, 5, 10, 20, 50, 100)
 
 
 def _tinted(pixels: Image, parts: Sequence[tuple[Part, Image | None]]) -> Image:
@@ -141,9 +55,9 @@ def masks_picture(frame: DrawnFrame, title: str) -> Image:
         return phases_picture(frame, title)
     masks, image = frames[0].scene.left.masks, frames[0].scene.observation.image_bgr
     lines: list[tuple[str, Rgb] | str] = [title]
-    shapes, labels = list[Shape](), []
+    shapes, labels = list[Shape](), list[Label]()
     named = {"tissue": (Part.TISSUE, masks.tissue), "shaft": (Part.SHAFT, masks.shaft),
-             "distal part": (Part.INSTRUMENT, masks.instrument)}  # fmt: skip
+             "distal part": (Part.WRIST, masks.instrument)}  # fmt: skip
     for name, (part, mask) in named.items():
         share = "not in the profile" if mask is None else f"{100.0 * np.mean(mask > 0):.1f} % of the image"
         lines.append((f"{name}: {share}", COLOURS[part]))
@@ -155,25 +69,24 @@ def masks_picture(frame: DrawnFrame, title: str) -> Image:
         for one in frames:
             places = np.argwhere(one.left.masks.instrument)[:, ::-1]
             if len(places):
-                labels.append(Label(Part.INSTRUMENT, places.mean(0), one.arm.profile.instrument_name))
+                labels.append(Label(Part.WRIST, places.mean(0), one.arm.profile.instrument_name))
     else:
-        lines += [("sides of each shaft", COLOURS[Part.MARKER]), ("its end, and the tip", COLOURS[Part.TIP])]
+        owners = [_owner(frame, seen.mask) for seen in masks.seen]
         lines += [] if masks.seen else ["no instrument"]
-        for at, seen in enumerate(masks.seen):
-            shapes += [Shape(Part.MARKER, Form.LINE, np.asarray(side)) for side in seen.sides]
+        lines += [
+            ("lines: sides of each shaft", COLOURS[Part.SHAFT]),
+            ("dots: its end, and the tip", COLOURS[Part.TIP]),
+        ]
+        lines += [("other instruments", COLOURS[Part.OTHER])] if any(owners) and not all(owners) else []
+        for at, (seen, owner) in enumerate(zip(masks.seen, owners, strict=True)):
+            part = Part.SHAFT if owner or not any(owners) else Part.OTHER
+            shapes += [Shape(part, Form.LINE, np.asarray(side)) for side in seen.sides]
             shapes.append(Shape(Part.TIP, Form.POINTS, np.stack([seen.end_px, seen.tip_px])))
-            name = _owner(frame, seen.mask) or f"instrument {at + 1}"
             place_px = 0.5 * (seen.entry_px + seen.end_px)
-            labels.append(Label(Part.MARKER, place_px, f"{name}  {seen.evidence:.2f}"))
+            labels.append(Label(part, place_px, f"{owner or f'instrument {at + 1}'}  {seen.evidence:.2f}"))
     tinted = _tinted(image, [(part, mask) for part, mask in named.values() if part is not Part.TISSUE])
-    times = max(1, -(-LEAST_WIDTH_PX // image.shape[1]))
-    large = cv2.resize(tinted, None, fx=times, fy=times, interpolation=cv2.INTER_NEAREST)
-    drawing = FrameDrawing(
-        frame.drawing.stamp_ns,
-        tuple(replace(one, points_px=(one.points_px + 0.5) * times - 0.5) for one in shapes),
-        tuple(replace(one, place_px=(one.place_px + 0.5) * times - 0.5) for one in labels),
-    )
-    return _under(lines, draw_on(np.asarray(large, np.uint8), drawing, lines=False))
+    drawing = FrameDrawing(frame.drawing.stamp_ns, tuple(shapes), tuple(labels))
+    return under(lines, draw_on(tinted, drawing, least_px=MASKS_PX))
 
 
 def _owner(frame: DrawnFrame, mask: Image) -> str:
@@ -185,24 +98,35 @@ def _owner(frame: DrawnFrame, mask: Image) -> str:
 
 def phases_picture(frame: DrawnFrame, title: str, method: str = "") -> Image:
     """All phases of a method in a grid, shape (h, w, 3) in BGR; of a frame that could not be read its status only."""
-    lines, image = [title, *(line.text for line in frame.drawing.lines)], frame.replayed.image_bgr
+    lines: list[tuple[str, Rgb] | str] = [title, *status_lines(frame.drawing)]
+    image = frame.replayed.image_bgr
     if image is None or not frame.replayed.frames:
-        return _under(lines, np.zeros((40, 960, 3), np.uint8))
+        return under(lines, np.zeros((40, 960, 3), np.uint8))
     panels = []
     for name in REGISTRY[method].draws:
-        phase = _PHASES[name]
+        phase, scale = _PHASES[name], None
         if isinstance(phase, tuple):
-            panel = draw_on(image, frame.drawing, parts=phase, lines=False)
+            drawing, letters = frame.drawing, PANEL_LETTERS
+            panel = draw_on(image, drawing, parts=phase, lines=False, least_px=PANEL_PX, letters=letters)
+            depths_m = [one.start_m[2] for one in drawing.segments]
+            if phase is _RESULT and depths_m:
+                fx = frame.replayed.frames[0].scene.lens.K[0, 0] * panel.shape[1] / image.shape[1]
+                scale = fx / float(np.mean(depths_m)), "at the tip's depth"
+        elif phase is not _side_view:
+            panel = enlarged(phase(frame, np.array(image)), PANEL_PX)
+        elif (seen := _side_view(frame, image)) is not None:
+            panel, scale = seen[0], (seen[1], "(camera above)")
         else:
-            panel = phase(frame, np.array(image))
-        panels.append(_under([name], panel, max(0.6, panel.shape[1] / 1100.0)))
-    columns = min(len(panels), 2 if len(panels) in (2, 4) else COLUMNS)
+            continue
+        panel = under([name], panel, PANEL_LETTERS)
+        panels.append(panel if scale is None else _with_scale(panel, *scale))
+    columns = min(len(panels), COLUMNS)
     height, width = panels[0].shape[:2]
     sheet = np.full((-(-len(panels) // columns) * height, columns * (width + 4), 3), DARK, np.uint8)
     for at, panel in enumerate(panels):
         y, x = at // columns * height, at % columns * (width + 4)
         sheet[y : y + height, x : x + width] = panel
-    return _under(lines, sheet)
+    return under(lines, sheet, 1.15 * PANEL_LETTERS / columns)
 
 
 def _segmentation(frame: DrawnFrame, _: Image) -> Image:
@@ -212,7 +136,7 @@ def _segmentation(frame: DrawnFrame, _: Image) -> Image:
     for one in frame.replayed.frames:
         masks = one.left.masks_as_recorded if recorded else one.left.masks
         parts += [] if parts else [(Part.TISSUE, masks.tissue)]
-        parts += [(Part.INSTRUMENT, masks.instrument), (Part.SHAFT, None if recorded else masks.shaft)]
+        parts += [(Part.WRIST, masks.instrument), (Part.SHAFT, None if recorded else masks.shaft)]
     return _tinted(first.scene.observation.image_bgr, parts)
 
 
@@ -257,7 +181,7 @@ def _surface(frame: DrawnFrame, pixels: Image) -> Image:
     """Points of the stereo surface, coloured by depth: yellow is near, violet far."""
     scene = frame.replayed.frames[0].scene
     surface = scene.found.get("stereo_surface")
-    if surface is None or len(surface.points_m) == 0:
+    if surface is None:
         return pixels
     depth_m = surface.points_m[:, 2]
     near_m, far_m = np.percentile(depth_m, NEAR_FAR_PERCENT)
@@ -268,17 +192,100 @@ def _surface(frame: DrawnFrame, pixels: Image) -> Image:
     return pixels
 
 
-_RESULT = (Part.TIP, Part.TISSUE, Part.MARKER, Part.POSE, Part.DISTANCE, Part.BETWEEN)
-_PHASES: dict[Phase, Callable[[DrawnFrame, Image], Image] | tuple[Part, ...]] = {
+def _side_view(frame: DrawnFrame, pixels: Image) -> tuple[Image, float] | None:
+    """The nearest clearance from the side: depth runs down, and the tissue is cut along the clearance or the shaft.
+
+    Gives the picture and its scale in px per m; None where nothing was measured.
+    """
+    drawing = frame.drawing
+    measured = {one.name: one for one in drawing.segments if one.part is Part.DISTANCE}
+    pairs = [
+        (measured[key], body)
+        for name, body in drawing.bodies.items()
+        if (key := f"{name} {Part.DISTANCE}") in measured
+    ]
+    if not pairs:
+        return None
+    segment, body = min(pairs, key=lambda one: float(np.linalg.norm(one[0].end_m - one[0].start_m)))
+    along_m, middle_m = segment.end_m - segment.start_m, 0.5 * (segment.start_m + segment.end_m)
+    length_m, shaft_m = float(np.linalg.norm(along_m)), body.end_m[0] - body.start_m[0]
+    across = along_m if np.linalg.norm(along_m[:2]) > SLANT * length_m else shaft_m
+    right = np.array([across[0], across[1], 0.0]) / max(float(np.linalg.norm(across[:2])), 1e-9)
+    right *= 1.0 if right[0] >= 0.0 else -1.0
+    canvas = np.full_like(enlarged(pixels, PANEL_PX), DARK)
+    height, width = canvas.shape[:2]
+    px_per_m = 0.5 * height / max(SIDE_REACH_M, 1.5 * length_m)
+    axes = np.stack([right, [0.0, 0.0, 1.0]], 1) * px_per_m
+
+    # The contact stands aside, so that there is room for its label.
+    place_px = np.array([(0.64 if shaft_m @ right < 0.0 else 0.36) * width, 0.5 * height])
+
+    def seen(points_m: Array) -> Array:
+        return np.asarray((points_m - middle_m) @ axes + place_px)
+
+    normal = np.cross(right, [0.0, 0.0, 1.0])
+    shapes = [Shape(Part.TISSUE, Form.LINE, seen(cut)) for cut in _cut(drawing, middle_m, normal)]
+    if drawing.cloud_m is not None:
+        is_near = np.abs((drawing.cloud_m - middle_m) @ normal) < CUT_REACH_M
+        shapes.append(Shape(Part.TISSUE, Form.POINTS, seen(drawing.cloud_m[is_near])))
+    filled = {part: np.zeros((height, width), np.uint8) for part in (Part.SHAFT, Part.WRIST)}
+    circle = np.array(cv2.ellipse2Poly((0, 0), (1000, 1000), 0, 0, 360, 12)) * 1e-3
+    for at, radius_m in enumerate(body.radius_m):
+        ends = (seen(one[at]) + radius_m * px_per_m * circle for one in (body.start_m, body.end_m))
+        hull = cv2.convexHull(np.rint(within_reach(np.concatenate([*ends]))).astype(np.int32))
+        cv2.fillConvexPoly(filled[Part.WRIST if at else Part.SHAFT], hull, 255)
+    shapes += [outline for part, mask in filled.items() for outline in contours_of(mask, part)]
+    canvas = _tinted(canvas, list(filled.items()))
+    ends_px = seen(np.stack([segment.start_m, segment.end_m]))
+    shapes.append(Shape(Part.DISTANCE, Form.LINE, ends_px))
+    label = Label(Part.DISTANCE, ends_px.mean(0), f"{segment.name.removesuffix(Part.DISTANCE)}{segment.text}")
+    drawn = FrameDrawing(drawing.stamp_ns, tuple(shapes), (label,))
+    return draw_on(canvas, drawn, letters=PANEL_LETTERS), px_per_m
+
+
+def _cut(drawing: FrameDrawing, through_m: Array, normal: Array) -> list[Array]:
+    """Where a plane through a point (3,) with a normal (3,) cuts the tissue: lines, shape (2, 3) each, in m."""
+    surface = drawing.tissue
+    if isinstance(surface, Plane):
+        along = np.cross(surface.normal, normal)
+        foot_m = through_m + (surface.offset_m - surface.normal @ through_m) * surface.normal
+        return [np.stack([foot_m - along, foot_m + along])]
+    if not isinstance(surface, Mesh):
+        return []
+    a_m = surface.triangles_m
+    b_m = np.roll(a_m, -1, axis=1)
+    off_a, off_b = (a_m - through_m) @ normal, (b_m - through_m) @ normal
+    is_cut = (off_a < 0.0) != (off_b < 0.0)  # two edges of a face, or none
+    share = (off_a / np.where(is_cut, off_a - off_b, 1.0))[..., None]
+    return list((a_m + share * (b_m - a_m))[is_cut].reshape(-1, 2, 3))
+
+
+def _with_scale(panel: Image, px_per_m: float, where: str) -> Image:
+    """A panel with a scale bar in its title, and what it holds for."""
+    letter_px, width = PANEL_LETTERS * panel.shape[1], panel.shape[1]
+    fitting = (mm for mm in BAR_LENGTHS_MM[::-1] if mm * 1e-3 * px_per_m <= 0.25 * width)
+    length_mm = next(fitting, BAR_LENGTHS_MM[0])
+    text = f"{length_mm} mm {where}"
+    left = round(width - text_size(text, letter_px)[2] - letter_px)
+    write_text(panel, text, (left, 1.5 * letter_px), letter_px, WHITE)
+    right, middle = round(left - letter_px), round(letter_px)
+    begin = round(right - length_mm * 1e-3 * px_per_m)
+    cv2.line(panel, (begin, middle), (right, middle), WHITE, max(2, round(0.3 * letter_px)))
+    return panel
+
+
+_RESULT = (Part.TIP, Part.TISSUE, Part.MARKER, Part.DISTAL_MARKER, Part.POSE, Part.DISTANCE, Part.BETWEEN)
+_PHASES: dict[Phase, Callable[[DrawnFrame, Image], Any] | tuple[Part, ...]] = {
     "segmentation": _segmentation,
-    "contours": (Part.TISSUE, Part.INSTRUMENT),
+    "contours": (Part.TISSUE, Part.WRIST),
     "marker": _marker,
     "matches": _matches,
     "outline and distance": _RESULT,
-    "edges": (Part.SHAFT,),
-    "tip": (Part.MARKER, Part.TIP),
+    "edges and tip": (Part.SHAFT, Part.DISTAL_MARKER, Part.TIP),
+    "tip": (Part.DISTAL_MARKER, Part.TIP),
     "tag": (Part.TAG,),
     "surface": _surface,
     "distance": _RESULT,
+    "side view": _side_view,
 }
 """What each phase draws on a copy of the image: a function's picture, or these parts of the drawing."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any, Literal
@@ -33,19 +33,20 @@ from svmdist.workflows.validate import Validation
 COLUMN_IN, PAGE_IN, PANEL_IN, SCORE_IN = 3.5, 7.16, 2.2, 2.8
 """Widths of a column and of a page in print, and heights of a panel and of a recording's two panels, in inches."""
 DPI = 300
+HANDLE_IN, LETTER_IN = 0.5, 0.058  # of a legend, with the room between two entries
 MARKERS = "osD^v<>Ph*Xd"  # markers that differ at a size of 4 points, in the order in which they are taken
 STYLES: dict[Role, dict[str, Any]] = {
-    "estimate": {"color": "#1f5fa8", "linewidth": 1.0, "marker": ".", "markersize": 3},
-    "error": {"color": "0.25", "linewidth": 0.9, "marker": ".", "markersize": 2},
-    "truth": {"color": "#c1272d", "linewidth": 1.4, "linestyle": "--"},
-    "interval": {"color": "#b9cfe8", "linewidth": 0.0},
-    "lost": {"color": "0.88", "linewidth": 0.0},
-    "alarm": {"facecolor": "none", "edgecolor": "0.78", "hatch": "////", "linewidth": 0.0},
-    "threshold": {"color": "#e08a1e", "linewidth": 0.9, "linestyle": ":"},
-    "model": {"color": "0.0", "linewidth": 1.0},
-    "limit": {"color": "0.0", "linewidth": 0.8, "linestyle": "--"},
+    "estimate": {"linewidth": 1.0, "marker": ".", "markersize": 3},
+    "error": {"linewidth": 0.9, "marker": ".", "markersize": 2},
+    "truth": {"linewidth": 1.4, "linestyle": "--"},
+    "interval": {"linewidth": 0.0, "alpha": 0.3},
+    "lost": {"linewidth": 0.0, "alpha": 0.35},
+    "alarm": {"facecolor": "none", "hatch": "////", "linewidth": 0.0, "alpha": 0.4},
+    "threshold": {"linewidth": 0.9, "linestyle": ":"},
+    "model": {"linewidth": 1.0},
+    "limit": {"linewidth": 0.8, "linestyle": "--"},
 }
-"""Estimate and truth are blue and red, as in the paper."""
+"""How curves of the charts' colours are drawn."""
 REFERENCE_NAMES = {
     Reference.GROUND_TRUTH: "simulator",
     Reference.TF: "transforms of the log",
@@ -86,7 +87,8 @@ def plain_name(text: str) -> str:
 def _draw_curves(axes: Axes, curves: Sequence[Curve]) -> None:
     """Draw curves with their labels; dots of several series differ by marker and grey."""
     for at, curve in enumerate(curves):
-        style, label = STYLES[curve.role], plain_name(curve.name)
+        colour, label = tuple(level / 255.0 for level in charts.COLOURS[curve.role]), plain_name(curve.name)
+        style = {"edgecolor" if curve.role == "alarm" else "color": colour, **STYLES[curve.role]}
         if curve.form == "line":
             axes.plot(curve.x, curve.y, label=label, **style)
         elif curve.form == "band":
@@ -124,7 +126,7 @@ def draw_series(series: Sequence[Series], kind: SeriesPlot, alarm_below_m: float
     across = 2 if kind == "residuals" else 1
     rows, height_in = len(panels) // across, PANEL_IN if kind == "time" else 1.3 * PANEL_IN
     width_in = COLUMN_IN if kind in ("bland-altman", "calibration") else PAGE_IN
-    figure = Figure(figsize=(width_in, height_in * rows), layout="constrained")
+    figure, legend = Figure(figsize=(width_in, height_in * rows), layout="constrained"), dict[str, Any]()
     for at, (chart, title) in enumerate(panels):
         axes = figure.add_subplot(rows, across, at + 1)
         _draw_curves(axes, chart.curves)
@@ -132,15 +134,32 @@ def draw_series(series: Sequence[Series], kind: SeriesPlot, alarm_below_m: float
             axes.axhline(0.0, color="0.0", linewidth=0.6)
         axes.set(xlabel=chart.x_title, ylabel=chart.y_title)
         axes.set_title(title, loc="left")
-        axes.legend(loc="best", ncols=2 if chart.over_time else 1)
+        legend |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+        if len(chart.curves) > 1 and width_in == COLUMN_IN:  # each panel has curves of its own
+            axes.legend(loc="upper left", bbox_to_anchor=(0.0, 0.0), borderaxespad=4.5, ncols=2)
+    if width_in != COLUMN_IN:
+        _legend(figure, legend)
     return figure
 
 
-def draw(validation: Validation) -> Figure:
-    """Draw Fig. 6 of the paper: truth and estimate of each log above the error, in two columns for several.
+def _legend(figure: Figure, handles: Mapping[str, Any]) -> None:
+    """A legend below all panels, as wide as the figure at most."""
+    columns = _columns(handles, figure.get_figwidth())
+    figure.legend(handles.values(), handles.keys(), loc="outside lower left", ncols=columns)
 
-    Drawn is the clearance, else the spatial, else the planar distance, against the strongest reference.
-    """
+
+def _columns(labels: Iterable[str], width_in: float) -> int:
+    """How many columns of a legend's labels stand side by side."""
+    wide_in = [HANDLE_IN + LETTER_IN * len(label) for label in labels]
+    for columns in range(len(wide_in), 1, -1):  # filled one after the other
+        rows = -(-len(wide_in) // columns)
+        if sum(max(wide_in[at : at + rows]) for at in range(0, len(wide_in), rows)) <= width_in:
+            return columns
+    return 1
+
+
+def draw(validation: Validation) -> Figure:
+    """Fig. 6 of the paper, in two columns for several logs: truth and estimate of a distance, and the error."""
     scores = [score for score in validation.scores if score.reference is validation.reference]
     columns = 1 if len(scores) == 1 else 2
     rows = -(-len(scores) // columns)
@@ -153,7 +172,7 @@ def draw(validation: Validation) -> Figure:
         lower = figure.add_subplot(cell[1], sharex=upper)
         _draw_score(upper, lower, score, validation.alarm_rules)
         legend |= {label: handle for handle, label in zip(*upper.get_legend_handles_labels(), strict=True)}
-    figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=2 * columns)
+    _legend(figure, legend)
     return figure
 
 
@@ -209,7 +228,7 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
     )
     looks = {group: (grey, marker, 4.0) for group, (grey, marker) in zip(others, kinds, strict=False)}
     known = [key for key in NAMES if any(metrics[f"{key}rmse_m"].of(score.figures) for score in scores)]
-    legend_rows = -(-len(groups) // 4) if len(groups) > 1 else 0
+    legend_rows = -(-len(groups) // _columns(map(str, groups), PAGE_IN)) if len(groups) > 1 else 0
     height_in = 2 * (LINE_IN * len(methods) + HEAD_IN) + 0.17 * legend_rows + 0.25
     figure = Figure(figsize=(PAGE_IN, height_in), layout="constrained")
     axes = figure.subplots(2, 1 + len(known), squeeze=False, sharey=True)
@@ -243,7 +262,7 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
         panel.tick_params(labelsize=7, labelleft=panel in axes[:, 0])
     if len(groups) > 1:
         by_label = dict(zip(*reversed(axes[0, 0].get_legend_handles_labels()), strict=True))
-        figure.legend(by_label.values(), by_label.keys(), loc="outside lower left", ncols=4)
+        _legend(figure, by_label)
     return figure
 
 

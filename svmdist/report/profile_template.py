@@ -44,8 +44,9 @@ class InstrumentSizes(StrictModel):
         radius_m = self.shaft_radius_m
         found = {
             **self.model_dump(exclude_none=True),
-            "shaft_end_m": 1.9 * radius_m,
-            "shaft_end_std_m": 0.4 * radius_m,
+            # Of real ones the dark part ended 0.5 (thrust) to 2 radii (SuPer Deep) before the hinge.
+            "shaft_end_m": 1.25 * radius_m,
+            "shaft_end_std_m": 0.75 * radius_m,
             "wrist_radius_m": 0.68 * radius_m,
             "knuckle_radius_m": 0.44 * radius_m,
             "jaw_radius_m": 0.22 * radius_m,
@@ -93,7 +94,7 @@ def profile_text(draft: ProfileDraft) -> str:
     if draft.plane is not None:
         plane = draft.plane.tissue
         tissue = _block(
-            "scene_plane" if draft.plane.is_guess else "surface",
+            "surface",
             pair_count=draft.plane.pair_count,
             normal=", ".join(f"{value:.4f}" for value in plane.plane_normal),
             distance_m=f"{plane.plane_distance_m:.4f}",

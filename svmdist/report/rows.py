@@ -1,23 +1,26 @@
-"""Rows of estimates and of poses: the one table of their columns, and trajectories as evo reads them."""
+"""Rows of estimates, of poses and of a surface's points: their columns, and the files that evo and viewers read."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.estimation.alarms import AlarmState
+from svmdist.files import atomic_file
 from svmdist.metrics import COUNT, LENGTH, PIXELS, RADIANS, RATIO, SECONDS, SPEED, TEXT, Unit
 from svmdist.report.tables import Cell, Column, Row, keys_of, row_of, text_width
+from svmdist.report.writers import Results
 from svmdist.results import FrameResult, ToolPose
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
 if TYPE_CHECKING:
-    from svmdist.report.writers import Results
+    from svmdist.workflows.surface import TissueSurface
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,7 @@ def _several(
         yield Column(keys.format(name), unit, heading.format(name), of, meaning, given_by)
 
 
+STANDARD_DEVIATION = "its standard deviation; ±1.96 of it is the 95 % interval"
 # fmt: off
 ESTIMATE_COLUMNS: tuple[Column, ...] = (
     Column("recording", TEXT, "recording", "",
@@ -56,8 +60,8 @@ ESTIMATE_COLUMNS: tuple[Column, ...] = (
     Column("time_s", Unit("s", "s", digits=3), "t [s]", "result.seconds", stored=False),
     Column("status", TEXT, "status", lambda e: str(e.result.status), "`ok`, or why there is no distance", "all",
            "status"),
-    Column("distance_m", LENGTH, "distance [mm]", "result.distances.planar.value_m",
-           "planar distance: tool origin to tissue origin in the camera's xy plane", "all", "planar_m"),
+    Column("distance_m", LENGTH, "distance [mm]", "result.distances.main.value_m",
+           "`clearance_m` where the method measures it, else `planar_m`", "all"),
     *_several("tool_{}_px", "result.image.tool_px.{}", "x y", PIXELS, "the tool in the image", "all", "tool {} [px]"),
     *_several("tissue_{}_px", "result.image.tissue_px.{}", "x y", PIXELS,
               "centroid of the tissue's completed outline", "all", "tissue {} [px]"),
@@ -78,12 +82,11 @@ ESTIMATE_COLUMNS: tuple[Column, ...] = (
     Column("clearance_m", LENGTH, "clearance [mm]", "result.distances.clearance.value_m",
            "smallest distance between the surfaces of instrument and tissue; negative: penetration depth",
            "3D, with `[instrument]`", "clearance_m"),
-    Column("distance_std_m", LENGTH, "", "result.distances.planar.std_m",
-           "standard deviation of `distance_m`", "3D", "planar_std_m"),
+    Column("distance_std_m", LENGTH, "", "result.distances.main.std_m", STANDARD_DEVIATION, "3D"),
     Column("spatial_std_m", LENGTH, "", "result.distances.spatial.std_m",
-           "standard deviation of `spatial_m`", "3D", "spatial_std_m"),
-    Column("clearance_std_m", LENGTH, "± [mm]", "result.distances.clearance.std_m",
-           "standard deviation of `clearance_m`; ±1.96 of it is the 95 % interval", "3D", "clearance_std_m"),
+           STANDARD_DEVIATION, "3D", "spatial_std_m"),
+    Column("clearance_std_m", LENGTH, "", "result.distances.clearance.std_m",
+           STANDARD_DEVIATION, "3D", "clearance_std_m"),
     *_several("tool_{}_m", "pose.position_m.{}", "x y z", LENGTH, "the tool's origin in the camera frame", "3D"),
     *_several("axis_{}", "pose.axis.{}", "x y z", RATIO,
               "unit vector along the shaft towards the tip, in the camera frame", "3D"),
@@ -101,7 +104,7 @@ ESTIMATE_COLUMNS: tuple[Column, ...] = (
            width=10),
     Column("instrument_clearance_m", LENGTH, "to other [mm]", "result.distances.to_instrument.value_m",
            "smallest distance from the surface of another instrument", "3D, two instruments", "to_instrument_m"),
-    Column("instrument_clearance_std_m", LENGTH, "± [mm]", "result.distances.to_instrument.std_m",
+    Column("instrument_clearance_std_m", LENGTH, "", "result.distances.to_instrument.std_m",
            "its standard deviation", "3D, two instruments", "to_instrument_std_m"),
     *_several("instrument_direction_{}", "result.distances.to_instrument.direction.{}", "x y z", RATIO,
               "its direction towards the other instrument, in the camera frame", "3D, two instruments"),
@@ -113,29 +116,34 @@ ESTIMATE_COLUMNS: tuple[Column, ...] = (
            "standard deviation of the shaft's direction about the worse of two axes across it", "3D"),
     Column("consistency", RATIO, "", "result.consistency",
            "normalised innovations squared, averaged over 1.5 s; 1 or less is as expected", "`fused`", "consistency"),
-    *(Column(f"tool_q{axis}", RATIO, "", f"quaternion_xyzw.{at}", stored=False) for at, axis in enumerate("xyzw")),
+    *_several("tool_q{}", "quaternion_xyzw.{}", "x y z w", RATIO, "the tool's rotation in the camera frame", "3D"),
     *(Column(key, LENGTH, "", f"result.distances.clearance.interval_m.{at}", field=key, stored=False)
       for at, key in enumerate(("clearance_low_m", "clearance_high_m"))),
+    Column("planar_m", LENGTH, "planar [mm]", "result.distances.planar.value_m",
+           "planar distance: tool origin to tissue origin in the camera's xy plane", "all", "planar_m"),
+    Column("planar_std_m", LENGTH, "", "result.distances.planar.std_m", STANDARD_DEVIATION, "3D", "planar_std_m"),
+    Column("distance_half_m", LENGTH, "± [mm]", "result.distances.main.half_m", stored=False),
+    Column("instrument_half_m", LENGTH, "± [mm]", "result.distances.to_instrument.half_m", stored=False),
 )
 """The contract: columns may be added at the end, none is renamed or removed."""
 # fmt: on
 ESTIMATE_KEYS = keys_of(ESTIMATE_COLUMNS)
 
 SHOWN = (
-    "recording time_s status distance_m spatial_m clearance_m clearance_std_m tool_x_px tool_y_px tissue_x_px"
+    "recording time_s status distance_m distance_half_m spatial_m planar_m tool_x_px tool_y_px tissue_x_px"
     " tissue_y_px tool_area_px tissue_area_px keypoint_count match_count inlier_count"
 )
 """The columns of the readable table, in their order."""
-OF_SEVERAL = " instrument instrument_clearance_m instrument_clearance_std_m"
+OF_SEVERAL = " instrument instrument_clearance_m instrument_half_m"
 """Shown too where a log has several instruments."""
 OF_ALARMS = " alarm closing_speed_m_s time_to_contact_s"  # shown too where alarms are asked for
 DISPENSABLE = (
     "keypoint_count match_count inlier_count tool_area_px tissue_area_px tissue_x_px tissue_y_px tool_x_px"
-    " tool_y_px recording instrument_clearance_std_m "
+    " tool_y_px recording instrument_half_m "
 )
 """Columns that a narrow terminal leaves out, in this order; then come those of the other kind of method."""
-DISPENSABLE_IN_3D = "distance_m spatial_m closing_speed_m_s instrument_clearance_m clearance_std_m"
-DISPENSABLE_IN_THE_PLANE = "instrument_clearance_m clearance_std_m clearance_m spatial_m"
+DISPENSABLE_IN_3D = "planar_m spatial_m closing_speed_m_s instrument_clearance_m distance_half_m"
+DISPENSABLE_IN_THE_PLANE = "instrument_clearance_m distance_half_m spatial_m planar_m"
 
 
 def shown_columns(
@@ -181,10 +189,7 @@ def pose_rows(stamps_ns: NDArray[np.int64], poses: Array) -> Iterator[dict[str, 
 
 
 def tum_lines(results: Results, *_: object) -> Iterator[str]:
-    """A trajectory as evo reads it, a line per row with a pose: `timestamp x y z qx qy qz qw`.
-
-    Time is in s with all nine decimals. Of estimates, these are the tool's poses in the camera frame.
-    """
+    """Lines as evo reads them, `timestamp x y z qx qy qz qw`; of estimates the tool's, in the camera's frame."""
     of_tool = "tool_x_m" in results.keys
     if of_tool:
         yield "# timestamp tx ty tz qx qy qz qw\n"
@@ -193,3 +198,44 @@ def tum_lines(results: Results, *_: object) -> Iterator[str]:
         if all(isinstance(number, float) for number in numbers):
             seconds, nanoseconds = divmod(int(row["stamp_ns"] or 0), 1_000_000_000)
             yield f"{seconds}.{nanoseconds:09d} {' '.join(f'{number:.17g}' for number in numbers)}\n"
+
+
+AXES, COLOURS = "xyz", ("red", "green", "blue")
+CLOUD_COLUMNS = (
+    *(Column(f"{axis}_m", LENGTH) for axis in AXES),
+    *(Column(f"normal_{axis}", RATIO) for axis in AXES),
+    Column("std_m", LENGTH),
+    *(Column(colour, COUNT) for colour in COLOURS),
+)
+PLY_NAMES = {f"{axis}_m": axis for axis in AXES} | {f"normal_{axis}": f"n{axis}" for axis in AXES}
+"""The names that viewers know; others stay."""
+
+
+def cloud_results(surface: TissueSurface) -> Results:
+    """A row for each point."""
+    numbers = np.column_stack([surface.points_m, surface.normals, surface.std_m]).tolist()
+    keys = [column.key for column in CLOUD_COLUMNS]
+    rows = (
+        dict(zip(keys, [*a, *b], strict=True)) for a, b in zip(numbers, surface.rgb.tolist(), strict=True)
+    )
+    return Results(CLOUD_COLUMNS, rows)
+
+
+def write_ply(results: Results, path: Path) -> None:
+    """Write points atomically as a binary PLY, lengths in m as 32-bit floats; raises OutputError."""
+    kinds = [(PLY_NAMES.get(key, key), "u1" if key in COLOURS else "<f4") for key in results.keys]
+    vertices = np.array([tuple(row[key] for key in results.keys) for row in results.rows], kinds)
+    properties = [f"property {'uchar' if kind == 'u1' else 'float'} {name}" for name, kind in kinds]
+    head = ("ply", "format binary_little_endian 1.0", "comment svmdist: m, in the left camera's frame")
+    lines = (*head, f"element vertex {len(vertices)}", *properties, "end_header", "")
+    with atomic_file(path) as file:
+        file.write("\n".join(lines).encode("ascii"))
+        file.write(vertices.tobytes())
+
+
+def write_npz(results: Results, path: Path) -> None:
+    """Write an array for each column atomically, shape (n,); raises OutputError."""
+    rows = list(results.rows)
+    columns: dict[str, Any] = {key: np.array([row[key] for row in rows]) for key in results.keys}
+    with atomic_file(path) as file:
+        np.savez_compressed(file, **columns)

@@ -31,6 +31,10 @@ FIGURE_NOTE = (
     " ms: processor time of the method per frame, with its detections, without reading, decoding and degrading."
     " –: the method does not estimate it."
 )
+PAIR_NOTE = (
+    "Differences of two methods say nothing about which of them is right. / σ: RMSE of differences over their joint"
+    " standard deviations; about 1 where both are honest and independent, – where either states none."
+)
 BLUR_NOTE = (
     "The paper's columns are Table I as published. The paper states no kernels, has no row without blur, and used"
     " another scene. Counts are means per frame. The virtual marker is pasted after the blur, so it stays sharp."
@@ -112,12 +116,19 @@ def validation_tables(validation: Validation) -> list[Table]:
         # Lengths in mm, as the title says: a unit in every heading would not fit a terminal.
         columns += [metric_column(metric), *_INTERVALS.get(metric.key, [])]
     title = f"{first.method}, {how}; errors and σ (of the truth) in mm; 95 %: bootstrap interval"
-    tables = [Table.of(title, columns, *([row_of(columns, score) for score in part] for part in parts))]
+    # Where a reference has the tool alone, its table says all.
+    shown = [[row_of(columns, score) for score in part if score.planar or not score.tool] for part in parts]
+    tables = [Table.of(title, columns, *shown)] if any(shown) else []
     if any(score.spatial or score.clearance for part in parts for score in part):
         metrics = within(metric_table.distance_metrics(), Output.DISTANCE_TABLE)
         columns = [_NAME, _AGAINST, Column("distance", TEXT, "distance"), *map(metric_column, metrics)]
         title = "in 3D; errors and σ (of the truth) in mm; in 95 %: truths inside the stated interval"
         tables.append(Table.of(title, columns, *(_distance_rows(part, metrics) for part in parts)))
+    if any(score.tool for part in parts for score in part):
+        metrics = [metric_table.COVERAGE, *within(metric_table.tool_metrics(), Output.TOOL_TABLE)]
+        columns = [_NAME, _AGAINST, *map(metric_column, metrics)]
+        rows = ([row_of(columns, score) for score in part if score.tool] for part in parts)
+        tables.append(Table.of(f"{first.method}, the tool's pose; errors of position in mm", columns, *rows))
     if (rules := validation.alarm_rules) is not None:
         alarms = within(metric_table.score_metrics(), Output.ALARM_TABLE)
         alarms.sort(key=lambda metric: ["unsafe", "alarm_recall", metric.key].index(metric.key))
@@ -147,7 +158,7 @@ def remarks(validation: Validation) -> list[str]:
             unsafe = score.alarms.unsafe_unjudged_count
             missed = f", {unsafe} of them unsafe, which count as missed" if unsafe else ""
             found.append(f"no clearance to alarm by: {score.alarms.unjudged_count} frames{missed}")
-        if score.unpaired_count:
+        if score.unpaired_count and (score.planar or not score.tool):
             found.append(f"measured where there is no {score.reference}: {score.unpaired_count}")
         if score.lag and score.lag.lag_s != 0.0 and (before := score.uncorrected):
             found.append(f"lag {score.lag.lag_s * 1e3:+.1f} ms (confidence {score.lag.confidence:.2f})")
@@ -164,28 +175,41 @@ def compare_columns() -> list[Column]:
     """The columns of a comparison."""
     labels = [Column("group", TEXT, of=lambda score: str(score.group)), Column("method", TEXT, "method")]
     after = [Column(key, TEXT, of=f"group.{key}") for key in ("scenario", "degradation")]
-    after.append(Column("instrument", TEXT))
+    after += [Column("instrument", TEXT), Column("against", TEXT, of=lambda score: score.against or None)]
     metrics = of_part(within(metric_table.figure_metrics(), Output.FIGURES), "figures")
     return _in_order(labels, metrics, after)
 
 
 def compare_results(scores: Sequence[MethodScore]) -> Results:
     """One row per group and method; one table per group, since one of all would be too wide for a terminal."""
-    columns, tables = compare_columns(), []
-    shown = [Column("method", TEXT, "method")]
-    # The columns of a distance stand below its name, and the time is the last one.
-    metrics = within(metric_table.figure_metrics(), Output.FIGURE_TABLE)
+    columns, tables, is_paired = compare_columns(), [], any(score.against for score in scores)
+    for (group, paired), members in groupby(scores, lambda score: (score.group, bool(score.against))):
+        rows = [row_of(columns, score) for score in members]
+        frames = counted(int(rows[0]["frame_count"] or 0), "frame")
+        title = f"{group}: {counted(len(rows), 'method')} on {frames}"
+        if paired:
+            rows = [row | {"method": f"{row['method']} − {row['against']}"} for row in rows]
+            title = f"{group}: methods against each other, where both measured, of {frames}"
+        tables.append(Table.of(title, _figures_shown(rows, is_paired, paired), rows))
+    notes = [FIGURE_NOTE, PAIR_NOTE] if is_paired else [FIGURE_NOTE]
+    return Results(columns, [row_of(columns, score) for score in scores], tables=tables, notes=notes)
+
+
+def _figures_shown(rows: Sequence[Row], with_tool: bool, paired: bool) -> list[Column]:
+    """The columns of a comparison's table: those of a distance below its name, the time last."""
+    shown = [Column("method", TEXT, "difference" if paired else "method")]
+    metrics = within(metric_table.figure_metrics(), Output.PAIR_TABLE if paired else Output.FIGURE_TABLE)
     metrics.sort(key=lambda metric: metric.key == "ms_per_frame")
     for name, of in groupby(metrics, lambda metric: metric.group.replace("clearance", "clear.")):
-        for index, metric in enumerate(of):
+        group = list(of)
+        has_any = any(row[metric.key] is not None for row in rows for metric in group)
+        if (with_tool and not has_any) or (name == "tool" and not with_tool):
+            continue
+        for index, metric in enumerate(group):
             title = metric.narrow_title or metric.title
             heading = f"{'' if index else name}\n{title}" if name else title.replace(" ", "\n")
             shown.append(metric_column(metric, heading))
-    for group, members in groupby(scores, lambda score: score.group):
-        rows = [row_of(columns, score) for score in members]
-        frames = counted(int(rows[0]["frame_count"] or 0), "frame")
-        tables.append(Table.of(f"{group}: {counted(len(rows), 'method')} on {frames}", shown, rows))
-    return Results(columns, [row_of(columns, score) for score in scores], tables=tables, notes=[FIGURE_NOTE])
+    return shown
 
 
 BLUR_COLUMNS = (

@@ -28,6 +28,7 @@ class Holds(Flag):
     FRAMES = auto()  # images with what was found and measured drawn on them
     REPORT = auto()
     PLOT = auto()
+    CLOUD = auto()  # points of a surface
 
 
 ANY_ROWS = Holds.ROWS | Holds.POSES | Holds.TABLES | Holds.FIGURES
@@ -77,8 +78,8 @@ class Writer:
 # fmt: off
 WRITERS = (
     Writer("table", ("", ".txt", ".log", ".out"), Holds.ROWS | Holds.TABLES | Holds.FIGURES, "tables:table_lines"),
-    Writer("csv", (".csv",), ANY_ROWS, "tables:csv_lines"),
-    Writer("json", (".json",), ANY_ROWS, "tables:json_document", is_json=True),
+    Writer("csv", (".csv",), ANY_ROWS | Holds.CLOUD, "tables:csv_lines"),
+    Writer("json", (".json",), ANY_ROWS | Holds.CLOUD, "tables:json_document", is_json=True),
     Writer("jsonl", (".jsonl",), Holds.ROWS, "tables:json_lines", is_json=True),
     Writer("tum", (".tum",), Holds.ROWS | Holds.POSES, "rows:tum_lines"),
     Writer("latex", (".tex",), Holds.FIGURES, "tables:latex"),
@@ -87,7 +88,9 @@ WRITERS = (
            needs=("Parquet", "parquet", "pyarrow")),
     Writer("mcap", (".mcap",), Holds.FRAMES, "annotated:write_annotated", is_text=False),
     Writer("mp4", (".mp4",), Holds.FRAMES, "annotated:write_video", is_text=False, needs=("a video", "video", "av")),
+    Writer("rrd", (".rrd",), Holds.FRAMES, "rerun_log:write_rrd", is_text=False, needs=(".rrd", "rerun", "rerun")),
     Writer("html", (".html", ".htm"), Holds.REPORT, is_text=False, needs=("a report", "report", "plotly", "jinja2")),
+    *(Writer(name, (f".{name}",), Holds.CLOUD, f"rows:write_{name}", is_text=False) for name in ("ply", "npz")),
     *(Writer(name, (f".{name}",), Holds.PLOT, is_text=False) for name in ("png", "svg", "pdf")),
 )
 """Every format that a command writes. A new one is an entry here."""
@@ -100,10 +103,7 @@ def names_of(holds: Holds) -> tuple[str, ...]:
 
 
 def choose_writer(given: str | None, output: Path | None, holds: Holds) -> Writer:
-    """The writer of what a command gives: the named one, else that of the file's ending, else that of plain text.
-
-    Raises UsageError for a name or an ending that does not fit; OutputError where a package is missing.
-    """
+    """The writer by name, else by the file's ending, else of plain text; UsageError, OutputError."""
     able = [writer for writer in WRITERS if writer.holds & holds]
     ending = "" if output is None else output.suffix.lower()
     by_ending = next((writer for writer in able if ending in writer.endings), None)

@@ -157,10 +157,7 @@ class TissueClearance:
 
 
 class InstrumentClearance(BulletWorld):
-    """Clearances between the instruments of two scenes that share a world, by Bullet; a context manager.
-
-    Bullet measures convex hulls: those of the parts are the parts, but for 0.1 mm of the bridge.
-    """
+    """Clearances between two scenes' instruments, by Bullet: of convex hulls, which the parts are but for 0.1 mm."""
 
     def __init__(self, first: Scene, second: Scene) -> None:
         super().__init__()

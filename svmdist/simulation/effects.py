@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.camera import Camera
-from svmdist.perturbations.chosen import Perturbations
+from svmdist.perturbations import Perturbations
 from svmdist.samples import Image
 from svmdist.transforms import Array, inverse, transform_points
 
@@ -56,10 +56,7 @@ def distortion_coefficients(strength: float) -> Array:
 
 @dataclass(frozen=True)
 class Lens:
-    """Brown–Conrady distortion of pinhole images of the camera `wide`, which sees all that the lens shows.
-
-    `column_px` and `row_px`, float32 (h, w), are where in the pinhole image each pixel is seen.
-    """
+    """Distortion of images of the pinhole camera `wide`: where in them each pixel is, float32 (h, w) both."""
 
     wide: Camera
     column_px: NDArray[np.float32]
@@ -119,10 +116,7 @@ class Surfaces:
 
 @dataclass(frozen=True)
 class Lamp:
-    """The lamp's position in a camera's frame, shape (3,), and what it sees of moving things, with the camera's K.
-
-    `depth_m`, float32 (h, w), has the depths of a pinhole camera at the lamp; None where there is no shadow.
-    """
+    """The lamp in a camera's frame, (3,), and depths seen there with its K, float32 (h, w); None: no shadow."""
 
     position_m: Array
     depth_m: Depths | None

@@ -16,7 +16,7 @@ import numpy as np
 
 from svmdist.errors import KinematicsError, SimulationError, UsageError
 from svmdist.kinematics import forward_kinematics, solve_position
-from svmdist.perturbations.chosen import UNPERTURBED
+from svmdist.perturbations import UNPERTURBED
 from svmdist.profile import Profile
 from svmdist.simulation.clearance import InstrumentClearance, TissueClearance
 from svmdist.simulation.scene import Options, Scene, make_scene
@@ -133,10 +133,7 @@ def plan_motion(scenario: Scenario, progress: Array, stage: Stage) -> Motion:
 
 
 def _waves(rng: np.random.Generator, s: Array, stage: Stage, *, crosses_field: bool) -> Motion:
-    """A closed figure; `calibration` crosses the whole field nine times each way.
-
-    Heights run on their own frequency, so that they do not go with the position.
-    """
+    """A closed figure, whose height has its own frequency; `calibration` crosses the field nine times each way."""
     phases = rng.uniform(0.0, 2.0 * np.pi, 3)
     if crosses_field:
         amplitudes_m, cycles = (*FIELD_M, 0.002), (5, 4, 7.3)

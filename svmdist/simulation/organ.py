@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.geometry.distance import point_to_triangle
-from svmdist.perturbations.chosen import UNPERTURBED, Perturbations
+from svmdist.perturbations import UNPERTURBED, Perturbations
 from svmdist.simulation.meshes import TEXTURE_SPAN_M, DrawnMesh, smooth_normals
 from svmdist.transforms import Array, polygon_centroid
 
@@ -56,10 +56,7 @@ class Organ:
     height_m: float
 
     def heights_m(self, xy_m: Array, z_m: Array | None = None) -> Array:
-        """Heights over points, shape (n, 2): shape (n,), -inf beside the organ; exactly those of the triangles.
-
-        The vertices may have other heights `z_m`, shape (v,).
-        """
+        """Heights, (n,), of triangles over points, (n, 2), -inf beside; vertices may have others, `z_m`, (v,)."""
         vertices_m, count = self.mesh.vertices_m, len(self.outline_m)
         z_m = vertices_m[:, 2] if z_m is None else z_m
         apex_m = vertices_m[0, :2]

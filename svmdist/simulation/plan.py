@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.kinematics import DHChain, chain_of, forward_kinematics, link_transforms
+from svmdist.perturbations import Place
 from svmdist.perturbations.calibration import built_profile
-from svmdist.perturbations.joints import JointPerturber, JointUnits, reported_late
-from svmdist.perturbations.table import Place
+from svmdist.perturbations.joints import JointUnits, reported_joints, reported_late
 from svmdist.profile import Profile
 from svmdist.samples import JointSample, PoseSample, Sample, TransformSample
 from svmdist.simulation.motion import Scenario, make_other_arms, make_trajectory
@@ -44,10 +44,7 @@ _ENCODER_STREAM, _JOINT_STREAM, _CAMERA_BASE_STREAM = 10, 12, 13
 
 @dataclass(frozen=True)
 class NominalKinematics:
-    """What is added to the true joints, in rad or m, shape (n_joints,), and the nominal `T_camera_base`, (4, 4).
-
-    `chain` is the robot as its profile describes it.
-    """
+    """What is added to true joints, rad or m, (n_joints,), the nominal `T_camera_base`, the profile's chain."""
 
     joint_offsets: Array
     T_camera_base: Array
@@ -232,13 +229,10 @@ def make_plan(
         reported = exact
         if perturbations.changes(Place.JOINTS) or perturbations.changes(Place.CLOCK):
             late = reported_late(exact[with_joints], joints, perturbations)
-            perturber = JointPerturber(JointUnits.of(view), perturbations, seed, number)
-            samples = [
-                perturber.perturbed(row, stamp) for row, stamp in zip(late, joints.tolist(), strict=True)
-            ]
+            samples = reported_joints(late, joints, JointUnits.of(view), perturbations, seed, number)
             # Interpolated between samples, where only transforms are written.
             seconds, at_s = 1e-9 * (stamps - joints[0]), 1e-9 * (joints - joints[0])
-            reported = np.column_stack([np.interp(seconds, at_s, joint) for joint in np.array(samples).T])
+            reported = np.column_stack([np.interp(seconds, at_s, joint) for joint in samples.T])
         name = view.instrument_name
         defaults = TOPICS | {"joints": f"/{name}/measured_js", "pose": f"/{name}/measured_cp"}
         defaults["ground_truth_distance"] = distance

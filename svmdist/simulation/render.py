@@ -23,8 +23,7 @@ from svmdist.perturbations.images import dimmed
 from svmdist.samples import Image
 from svmdist.simulation.bullet import BulletWorld, quiet
 from svmdist.simulation.effects import LAMP_M, NO_PART, Depths, Lamp, Shader, Surfaces
-from svmdist.simulation.instrument import Part, Rgba
-from svmdist.simulation.meshes import DrawnMesh, make_floor, make_retractor
+from svmdist.simulation.meshes import DrawnMesh, Part, Rgba, make_floor, make_retractor
 from svmdist.simulation.organ import Organ
 from svmdist.simulation.plan import SceneState
 from svmdist.simulation.scene import Scene, raised
@@ -77,10 +76,7 @@ class Picture:
 
 
 class DrawnWorld(BulletWorld):
-    """A physics world in which bodies are drawn; a context manager.
-
-    `still` puts the tissue and the floor into it, `moving` the parts of all arms and the retractor.
-    """
+    """A physics world that is drawn, a context manager: `still` adds tissue and floor, `moving` all else."""
 
     def __init__(self, scenes: Sequence[Scene], *, still: bool, moving: bool) -> None:
         super().__init__()

@@ -13,13 +13,12 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.errors import SimulationError
 from svmdist.kinematics import DHChain, chain_of, frame_transforms
+from svmdist.perturbations import UNPERTURBED, Perturbations, World
 from svmdist.perturbations.calibration import plane_tilt, right_turn, zoomed_camera
-from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, World
 from svmdist.profile import Profile
 from svmdist.samples import Image
 from svmdist.simulation.effects import Lens, distortion_coefficients
-from svmdist.simulation.instrument import Part, make_parts, make_plate
-from svmdist.simulation.meshes import floor_texture, tissue_texture
+from svmdist.simulation.meshes import Part, floor_texture, make_parts, make_plate, tissue_texture
 from svmdist.simulation.organ import Organ, make_organ
 from svmdist.transforms import Array, inverse, make_transform, rotation_z
 from svmdist.vision.degradations import require_degradation

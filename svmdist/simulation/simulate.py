@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import cached_property
-from typing import Self
 
 import cv2
 import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
+from svmdist.perturbations import Place
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera, zoomed_camera
 from svmdist.perturbations.images import subsampled
-from svmdist.perturbations.table import Place
 from svmdist.samples import (
     CameraSample,
     DistanceSample,
@@ -39,10 +38,7 @@ Noise = tuple[Array | None, ...]
 
 
 class Sensors:
-    """The left and the right camera: noise, colour resolution and degradations by seed.
-
-    Only the noise has an order: `generators` are the cameras' random streams, where the next image begins.
-    """
+    """The cameras' noise, chroma and degradations by seed; `generators`: where the next image's noise begins."""
 
     def __init__(self, camera: Camera, seed: int, noise: float, options: Options) -> None:
         self._shape, self._seed, self._noise = (camera.height_px, camera.width_px, 3), seed, noise
@@ -69,18 +65,17 @@ class Sensors:
         return image
 
 
-class Simulator:
+class Simulator(ExitStack):
     """Makes the samples of a plan, block by block in any order; a context manager with physics worlds of its own."""
 
     def __init__(self, plan: Plan) -> None:
+        super().__init__()
         self._plan = plan
         self.sensors = Sensors(plan.scene.camera, plan.scene.seed, plan.noise, plan.options)
         scene, *others = scenes = [arm.scene for arm in plan.arms]
         self._tissue = TissueClearance(scenes)
-        with ExitStack() as stack:
-            self._between = [stack.enter_context(InstrumentClearance(scene, other)) for other in others]
-            self._view = stack.enter_context(Renderer(scenes))
-            self._stack = stack.pop_all()
+        self._between = [self.enter_context(InstrumentClearance(scene, other)) for other in others]
+        self._view = self.enter_context(Renderer(scenes))
 
     def samples(self, block: Block, noise: Noise) -> Iterator[tuple[str, Sample]]:
         """Yield (topic, sample) of a block, given the noise of its image."""
@@ -164,12 +159,6 @@ class Simulator:
         self._view.pose(state, self._tissue.indented(state.q, state.offset_m))
         count = len(self.sensors.generators)
         return [self._view.draw(camera, turn=number * count + camera) for camera in range(count)]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_problem: object) -> None:
-        self._stack.close()
 
 
 def _distance(stamp_ns: int, between_m: Array, clearance_m: float) -> DistanceSample:

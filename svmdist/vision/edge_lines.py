@@ -23,9 +23,11 @@ END_REACH_WIDTHS = 2.0  # how far beyond a rough side its continuation is follow
 NEIGHBOURS = 33  # profiles whose common change of colour says which way an edge goes
 SCATTER_STDS = 2.5  # of the points' scatter, within which they are on the line
 FAINT = 0.3  # the slope of a point of an edge over that of most of them, below which it is none
-SPACING_PX, MOST_PROFILES = 1.5, 150  # between profiles; and along a rough side, where that would be more
+SLOPE_REACH = 4.0  # of the filter that makes slopes, over its scale
+SPACING_PX, MOST_PROFILES = 1.5, 100  # between profiles; and along a rough side, where that would be more
 PEAK_REACH_PX = 2.0  # from a line to a profile's own edge, at least
 ROUGH_PX = 1.5  # of a rough side off its edge, in pixels of the working image that it was found in
+END_PROFILES = 5  # beyond an end, of which most must be seen
 REFINEMENTS = 3  # how often the line is looked at anew
 WINDOW = 3.0
 """Where a profile's own edge is sought, over how far it may be off: of texture a third is that near, of an edge all."""
@@ -40,7 +42,7 @@ UNSEEN_SHARE = 0.15
 class Profiles:
     """Slopes of three channels across a segment (3, n, k) at `offsets` (k,) px, what is seen (n, k), their scale."""
 
-    slopes: Array
+    slopes: NDArray[np.float32]
     offsets: Array
     seen: NDArray[np.bool_]
     sigma_px: float
@@ -65,13 +67,17 @@ def _profiles_across(
     window = bgr[top : max(int(y.max()) + 3, top + 1), left : max(int(x.max()) + 3, left + 1)]
     places = ((x - left).astype(np.float32), (y - top).astype(np.float32))
     values = cv2.remap(window.astype(np.float32), *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    kernel = slope_filter(len(offsets), sigma_px).astype(np.float32)
-    slopes = np.ascontiguousarray(np.moveaxis(values, 2, 0)) @ kernel
-    return Profiles(np.asarray(slopes, np.float64), offsets, seen, sigma_px)
+    kernel = slope_filter(2 * int(SLOPE_REACH * sigma_px / STEP_PX) + 1, sigma_px)
+    middle = kernel[:, len(kernel) // 2][None].astype(np.float32)  # which OpenCV correlates with
+    slopes = np.moveaxis(cv2.filter2D(values, -1, middle, borderType=cv2.BORDER_REPLICATE), 2, 0)
+    return Profiles(np.ascontiguousarray(slopes), offsets, seen, sigma_px)
 
 
-def _points_near(profiles: Profiles, place: Array, reach_px: float) -> Array:
-    """Sub-pixel offset of each profile's edge near a line at offsets `place`, shape (n,); NaN where there is none."""
+def _points_near(profiles: Profiles, place: Array, reach_px: float) -> tuple[Array, Array]:
+    """Sub-pixel offset of each profile's edge near a line at offsets `place`, shape (n,), NaN where there is none.
+
+    And how wide that edge is, shape (n,): the variance in px² of a Gaussian with the slope's peak.
+    """
     slopes, offsets, seen = profiles.slopes, profiles.offsets, profiles.seen
     rows = np.arange(len(place))
     column = np.rint((place - offsets[0]) / STEP_PX).astype(int)
@@ -79,9 +85,9 @@ def _points_near(profiles: Profiles, place: Array, reach_px: float) -> Array:
     columns = np.clip(column[:, None] + np.arange(-reach, reach + 1), 1, len(offsets) - 2)
     change = slopes[:, rows[:, None], columns].sum(2)  # (3, n)
     kernel = np.ones((1, NEIGHBOURS))
-    change = np.asarray(cv2.filter2D(change, -1, kernel, borderType=cv2.BORDER_REPLICATE), np.float64)
+    change = cv2.filter2D(change, -1, kernel, borderType=cv2.BORDER_REPLICATE)
     change = change / np.maximum(np.linalg.norm(change, axis=0), 1e-9)
-    slope = np.einsum("cn,cnk->nk", change, slopes)
+    slope = (change[:, :, None] * slopes).sum(0)
     window = slope[rows[:, None], columns]
     best = np.argmax(window, 1)
     peak = columns[rows, best]
@@ -91,7 +97,9 @@ def _points_near(profiles: Profiles, place: Array, reach_px: float) -> Array:
     good &= top > least_slope(MIN_CONTRAST_LEVELS, profiles.sigma_px)
     # What is much fainter than most of the edge is texture beside it.
     good &= top > FAINT * (median(top[good]) if good.any() else 0.0)
-    return np.asarray(offsets[peak] + peak_shift_px(before, top, after, good))
+    ratio = np.where(good, before * after, 0.25) / np.where(good, top * top, 1.0)
+    width_px2 = -(STEP_PX**2) / np.log(np.clip(ratio, 1e-9, 1.0 - 1e-3))
+    return np.asarray(offsets[peak] + peak_shift_px(before, top, after, good)), width_px2
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +107,9 @@ class EdgeLine:
     """An edge from the border to where it stops being straight.
 
     `points_px`, shape (n, 2), are its sub-pixel points from the border to the end, most of them within `within_px` of
-    the line from `start_px` to `end_px`, shape (2,). `ends` is False where it goes on as far as was looked. Without
-    points the line is known by its `covariance`, (2, 2) in px², of its offsets at both ends.
+    the line from `start_px` to `end_px`, shape (2,). `ends` is False where it goes on as far as was looked, or to where
+    nothing can be seen. Without points the line is known by its `covariance`, (2, 2) in px², of its offsets at both
+    ends. `blur_px` is the deviation of the edge's own blur.
     """
 
     start_px: Array
@@ -109,6 +118,7 @@ class EdgeLine:
     ends: bool
     within_px: float = 0.0
     covariance: Array | None = None
+    blur_px: float = 0.0
 
     @property
     def direction(self) -> Array:
@@ -140,13 +150,12 @@ def edge_line(
     straight_px = max(STRAIGHT_PX, STRAIGHT_WIDTHS * width_px)
     bounds_px = straight_px, max(straight_px, ROUGH_PX * rough_px)
     fine_px = max(PEAK_REACH_PX, WINDOW * straight_px)
-    off_px, line = np.full(len(at), np.nan), (0.0, 0.0, length_px)
-    # Its points are sought about the line through them, which may lie beyond what was looked at before, farther on.
-    for reach_px in (max(WINDOW * ROUGH_PX * rough_px, fine_px), *[fine_px] * (REFINEMENTS - 1)):
-        place = line[0] + line[1] * at
-        feet_px = start + at[:, None] * along + place[:, None] * across
-        profiles = _profiles_across(bgr, feet_px, across, reach_px, SLOPE_SIGMA_PX, picture)
-        off_px = place + _points_near(profiles, np.zeros(len(at)), reach_px)
+    wide_px = max(WINDOW * ROUGH_PX * rough_px, fine_px)
+    feet_px = start + at[:, None] * along
+    profiles = _profiles_across(bgr, feet_px, across, wide_px + fine_px, SLOPE_SIGMA_PX, picture)
+    off_px, width_px2, line = np.full(len(at), np.nan), np.zeros(len(at)), (0.0, 0.0, length_px)
+    for reach_px in (wide_px, *[fine_px] * (REFINEMENTS - 1)):
+        off_px, width_px2 = _points_near(profiles, line[0] + line[1] * at, reach_px)
         found = _ending_line(at, off_px, line[2], bounds_px)
         if found is None:
             return None
@@ -165,8 +174,12 @@ def edge_line(
 
     ends_at = np.array([0.0, end_at])
     first, last = points(ends_at, offset_px + slope * ends_at)
-    ends = bool(end_at < at[-1] - 2.0 * spacing_px)
-    return EdgeLine(first, last, points(at[used], off_px[used]), ends, straight_px)
+    beyond = (at > end_at) & (at < end_at + END_PROFILES * spacing_px)
+    column = np.clip(np.rint((offset_px + slope * at - profiles.offsets[0]) / STEP_PX).astype(int), 0, None)
+    shown = profiles.seen[np.arange(len(at)), np.minimum(column, profiles.seen.shape[1] - 1)]
+    ends = bool(end_at < at[-1] - 2.0 * spacing_px and shown[beyond].mean() > 0.5)
+    blur_px = float(np.sqrt(max(median(width_px2[on_line]) - SLOPE_SIGMA_PX**2, 0.0)))
+    return EdgeLine(first, last, points(at[used], off_px[used]), ends, straight_px, None, blur_px)
 
 
 def _ending_line(

@@ -19,6 +19,7 @@ from svmdist.vision.network import OnnxSegmenter
 # A black border differs from the darkest thing in the image by no more: noise and compression
 BORDER_LEVELS = 6.0
 BORDER_FLOOR_LEVEL = 10.0  # what is darker than this is border, whatever the darkest thing is
+BORDER_SHARE = 0.005  # of all pixels, that are no brighter than the darkest things
 BORDER_FRACTION = 0.4  # of the picture's median; a border is darker, though haze may lift it
 # Added to levels before their logarithm is taken: noise of one or two levels must not be a colour
 LEVEL_OFFSET = 8.0
@@ -49,6 +50,13 @@ class Evidence:
         self.bgr = np.asarray(cv2.resize(bgr, size, interpolation=how), np.uint8)
         self.picture = picture_of(self.bgr)
         self._appearance = appearance
+        self.hidden = np.zeros_like(self.picture)
+
+    def hide(self, mask: Image) -> None:
+        """Take what is marked in the image, shape (h, w), for nothing: neither its colours nor its borders tell."""
+        size = self.picture.shape[::-1]
+        smaller = cv2.resize(mask, size, interpolation=cv2.INTER_AREA)
+        self.hidden |= np.where(smaller > 0, 255, 0).astype(np.uint8)
 
     @cached_property
     def core(self) -> Image:
@@ -100,7 +108,9 @@ class Evidence:
         appearance = self._appearance or learnt_from([self.example])
         if appearance is not None:
             odds = odds + appearance.of(self)
-        return np.where(self.core > 0, odds, -MOST_ODDS).astype(np.float32)
+        odds = np.where(self.core > 0, odds, -MOST_ODDS).astype(np.float32)
+        odds[self.hidden > 0] = 0.0
+        return odds
 
     @property
     def example(self) -> Example:
@@ -122,12 +132,15 @@ def _network() -> OnnxSegmenter:
 
 def picture_of(bgr: Image) -> Image:
     """Mask, shape (h, w), of the picture inside its border, whatever its shape; all of an image without a border."""
-    value = bgr.max(axis=2)
-    floor = float(np.percentile(value, 0.5))
+    blue, green, red = cv2.split(bgr)  # NumPy's maximum along the short axis takes twenty times as long
+    value = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
+    counts = np.cumsum(np.bincount(value.ravel(), minlength=256))
+    floor = int(np.searchsorted(counts, BORDER_SHARE * counts[-1]))
     level = max(floor + BORDER_LEVELS, BORDER_FLOOR_LEVEL)
-    above = value[value > level]
     whole = np.full(bgr.shape[:2], 255, np.uint8)
-    if not len(above) or floor > BORDER_FRACTION * float(np.median(above)):
+    dark = counts[int(level)]
+    median = int(np.searchsorted(counts, 0.5 * (dark + counts[-1])))
+    if dark == counts[-1] or floor > BORDER_FRACTION * median:
         return whole
     view = field_of_view(np.asarray(255 * (value <= level), np.uint8))
     return view if view.any() else whole

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -29,11 +29,11 @@ Found = tuple[Outline, Mask, float]
 """An instrument in a working image: its shaft's outline, its mask, (h, w), and how sure it is, from 0 to 1."""
 
 
-def find_instruments(evidence: Evidence) -> list[Found]:
-    """The instruments of an image, the surest first."""
+def find_instruments(evidence: Evidence, strips: Iterable[Outline] | None = None) -> list[Found]:
+    """The instruments of an image, the surest first; with strips only those near them."""
     found: list[Found] = []
     taken = np.zeros_like(evidence.core)
-    for rough in rough_outlines(evidence):
+    for rough in rough_outlines(evidence, strips):
         if _is_taken(rough, taken):
             continue
         outline = sharpened(rough, evidence)
@@ -66,6 +66,7 @@ def _is_taken(outline: Outline, taken: Image) -> bool:
 
 def _belonging(outline: Outline, evidence: Evidence) -> Mask:
     """What belongs to the instrument with a shaft: all between its sides, and evidence that hangs together with it."""
+    outline = outline.whole
     height, width = evidence.core.shape
     x, y = np.arange(width, dtype=np.float32)[None, :], np.arange(height, dtype=np.float32)[:, None]
     depth = np.full((height, width), np.inf, np.float32)
@@ -79,7 +80,7 @@ def _belonging(outline: Outline, evidence: Evidence) -> Mask:
     along = (x - float(end[0])) * float(ux) + (y - float(end[1])) * float(uy)
     across = np.abs((y - float(end[1])) * float(ux) - (x - float(end[0])) * float(uy))
     width_px = float(np.linalg.norm(outline.sides[1, 1] - outline.sides[0, 1]))
-    likely = (evidence.odds > 0.0) & (evidence.core > 0)
+    likely = ((evidence.odds > 0.0) | (evidence.hidden > 0)) & (evidence.core > 0)
     strip = (along < 0.0) & (depth > 0.0)
     beside = (along < 0.0) & (depth > -BESIDE_WIDTHS * outline.width_px - 1.0) & likely
     distal = (along >= -0.3 * width_px) & (along < DISTAL_WIDTHS * width_px) & likely
@@ -121,26 +122,25 @@ def _example(evidence: Evidence, found: Sequence[Found]) -> Example:
 class SeenInstrument:
     """An instrument that comes in from the picture's border, in pixels of the image it was found in.
 
-    `mask` (h, w) is all of it; `shaft` (h, w) its part between two straight sides, `distal` (h, w) wrist and jaws.
-    `sides`, shape (2, 2, 2), holds the ends of both sides as (x, y), at the border first. `end_px` (2,) is the middle
-    of the shaft's end, where the outline stops being that of a cylinder, and `tip_px` (2,) what of the instrument is
-    farthest along the axis from there. `evidence`, from 0 to 1, says how sure it is that this is an instrument.
+    `small_mask` is its mask in the working image, of whose pixels one is `pixel_px` wide; the image has the `size`
+    (h, w). `sides`, shape (2, 2, 2), holds the ends of both sides as (x, y), at the border first. `end_px` (2,) is the
+    middle of the shaft's end. `evidence`, from 0 to 1, says how sure it is that this is an instrument.
     `side_covariance` (2, 2, 2) is that of each side's offsets at both ends in px², `end_std_px` the end's deviation
-    along the axis, infinite where the shaft goes on to the border, and `ends_dark` says that it is the end of the dark
-    part and not of the outline; `pixel_px` is the working image's pixel.
+    along the axis, infinite where the shaft goes on to the border, and `ends_dark` says that it is the end of a part
+    and not of the outline: the other one of both, `other_px` further along, has a probability of `other_share`.
     """
 
-    mask: Image
-    shaft: Image
-    distal: Image
+    small_mask: Mask
+    size: tuple[int, int]
     sides: Array
     end_px: Array
-    tip_px: Array
     evidence: float
     side_covariance: Array = field(default_factory=lambda: np.zeros((2, 2, 2)))
     end_std_px: float = np.inf
     ends_dark: bool = False
     pixel_px: float = 2.0
+    other_px: float = 0.0
+    other_share: float = 0.0
 
     @property
     def entry_px(self) -> Array:
@@ -152,27 +152,50 @@ class SeenInstrument:
         """Distance of both sides at the shaft's end."""
         return float(np.linalg.norm(self.sides[0, 1] - self.sides[1, 1]))
 
+    @property
+    def axis(self) -> Array:
+        """Unit vector from the border to the end, shape (2,)."""
+        along = self.end_px - self.entry_px
+        return np.asarray(along / max(float(np.linalg.norm(along)), 1e-9))
+
+    @cached_property
+    def mask(self) -> Image:
+        """All of it, shape (h, w)."""
+        return _enlarged(self.small_mask.astype(np.uint8) * 255, self.size)
+
+    @cached_property
+    def shaft(self) -> Image:
+        """What of it is before the shaft's end, shape (h, w)."""
+        x, y = (np.arange(count, dtype=np.float32) for count in self.size[::-1])
+        across, down = (x - float(self.end_px[0])) * float(self.axis[0]), y - float(self.end_px[1])
+        is_before = across[None, :] < -(down * float(self.axis[1]))[:, None]
+        return np.where(is_before, self.mask, 0).astype(np.uint8)
+
+    @cached_property
+    def distal(self) -> Image:
+        """Wrist and jaws, shape (h, w)."""
+        return np.asarray(cv2.subtract(self.mask, self.shaft), np.uint8)
+
+    @cached_property
+    def tip_px(self) -> Array:
+        """What of it is farthest along the axis beyond the end, shape (2,)."""
+        rows, columns = np.nonzero(self.small_mask)
+        places = (np.stack([columns, rows], axis=1) + 0.5) * self.pixel_px - 0.5 - self.end_px
+        ahead = places @ self.axis
+        farthest = ahead.max(initial=0.0)
+        if farthest <= 0.0:
+            return self.end_px
+        return np.asarray(self.end_px + places[ahead > farthest - 2.0 * self.pixel_px].mean(0))
+
 
 def seen_instrument(found: Found, evidence: Evidence) -> SeenInstrument:
     """An instrument of a working image in the pixels of the image that it was made of."""
-    outline, rough_mask, score = found
-    height, width = evidence.size
-    mask = _enlarged(rough_mask.astype(np.uint8) * 255, evidence.size)
-    axis, end = outline.axis, outline.sides[:, 1].mean(0)
-    rows, columns = np.nonzero(rough_mask)
-    places = np.stack([columns, rows], axis=1) - end
-    ahead = places @ axis
-    tip = end + places[ahead > ahead.max(initial=0.0) - 2.0].mean(0) if (ahead > 0.0).any() else end
-    sides, end_px, tip_px = (
-        np.asarray((one + 0.5) / evidence.scale - 0.5) for one in (outline.sides, end, tip)
-    )
-    x, y = np.arange(width, dtype=np.float32)[None, :], np.arange(height, dtype=np.float32)[:, None]
-    along = (x - float(end_px[0])) * float(axis[0]) + (y - float(end_px[1])) * float(axis[1])
-    shaft = np.where(along < 0.0, mask, 0).astype(np.uint8)
-    distal = np.asarray(cv2.subtract(mask, shaft), np.uint8)
+    outline, mask, score = found
+    sides, end_px = (np.asarray((one + 0.5) / evidence.scale - 0.5) for one in (outline.sides, outline.end))
     pixel_px = 1.0 / evidence.scale
     known = pixel_px**2 * outline.covariance, pixel_px * outline.end_std_px, outline.ends_dark
-    return SeenInstrument(mask, shaft, distal, sides, end_px, tip_px, score, *known, pixel_px)
+    other = pixel_px * outline.other_px, outline.other_share
+    return SeenInstrument(mask, evidence.size, sides, end_px, score, *known, pixel_px, *other)
 
 
 def _enlarged(mask: Image, size: tuple[int, int]) -> Image:
@@ -191,10 +214,26 @@ class AutoMasks:
         self._appearance = appearance or learnt_appearance([bgr], settings)
         self._evidence = Evidence(bgr, settings, self._appearance)
 
+    def hide(self, mask: Image) -> None:
+        """Take what is marked, shape (h, w), for nothing, before anything is sought: a tag's plate on an instrument."""
+        self._evidence.hide(mask)
+
     @cached_property
     def seen(self) -> tuple[SeenInstrument, ...]:
         """The instruments, the surest first."""
         return tuple(seen_instrument(found, self._evidence) for found in find_instruments(self._evidence))
+
+    def seek(self, sides: Array) -> None:
+        """Add the instrument near two sides, (2, 2, 2) in px, where evidence bears one out that is not yet seen."""
+        taken = self._union([one.mask for one in self.seen])
+        if _is_taken(Outline(sides), taken):
+            return
+        rough = Outline((sides + 0.5) * self._evidence.scale - 0.5)
+        found = [seen_instrument(one, self._evidence) for one in find_instruments(self._evidence, (rough,))]
+        if found and not _is_taken(Outline(found[0].sides), taken):
+            self.__dict__["seen"] = (*self.seen, found[0])
+            for name in ("tissue", "instrument", "shaft"):
+                self.__dict__.pop(name, None)
 
     @cached_property
     def picture(self) -> Image:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property, lru_cache
+from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
@@ -107,9 +108,13 @@ def _is_rectified(left: Camera, right: RightView) -> bool:
 
 
 def _beside(left: Camera, right: RightView) -> RightView:
-    """The right view turned parallel to the left one, with the left one's K."""
+    """The right view turned parallel to the left one, with the left one's K, moved along the rows to show the same."""
     R_left_right, place_m = right.T_left_right[:3, :3], right.T_left_right[:3, 3]
-    ideal = replace(left.pinhole, frame_id=right.camera.frame_id, P=None, R_rectified_camera=None)
+    middle = np.array([0.5 * (right.camera.width_px - 1), 0.5 * (right.camera.height_px - 1), 1.0])
+    seen = left.K @ R_left_right @ np.linalg.solve(right.camera.K, middle)
+    K = left.K.copy()
+    K[0, 2] += round(0.5 * (left.width_px - 1) - float(seen[0] / seen[2]))
+    ideal = replace(left.pinhole, frame_id=right.camera.frame_id, P=None, R_rectified_camera=None, K=K)
     image = _mapped(right.image_bgr, right.camera, R_left_right, ideal)
     return replace(right, image_bgr=image, camera=ideal, T_left_right=make_transform(np.eye(3), place_m))
 
@@ -132,6 +137,14 @@ def _maps(
     else:
         maps = cv2.initUndistortRectifyMap(K_from, D_from, *rest)
     return np.asarray(maps[0]), np.asarray(maps[1])
+
+
+@runtime_checkable
+class Hiding(Protocol):
+    """Masks that leave out what is no part of an instrument, though it is on one."""
+
+    def hide(self, mask: Image) -> None:
+        """Take what is marked, shape (h, w), for nothing."""
 
 
 class FrameContext:
@@ -205,4 +218,10 @@ class FrameContext:
     def masks_as_recorded(self) -> Masks:
         """What is what in the image as it is."""
         image = self.hsv_as_recorded if self._segmenter.uses_colours else self.bgr_as_recorded
-        return self._segmenter.masks(image)
+        masks = self._segmenter.masks(image)
+        if isinstance(masks, Hiding) and self._tag_rules is not None:
+            from svmdist.vision.tags import tag_plate
+
+            for corners_px in self.tags.values():
+                masks.hide(tag_plate(corners_px, self.shape, self._tag_rules[1]))
+        return masks

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.least_squares import huber_weights, scale_of
-from svmdist.transforms import Array, cross, skew
+from svmdist.transforms import Array, skew
 
 POINT_CORRELATION_PX = 2.0  # neighbouring edge points share pixels: those closer along the edge err alike
 MIN_POINT_STD_PX = 0.05  # what pixel grid and interpolation leave even without noise
@@ -36,20 +35,6 @@ class Line:
     def direction(self) -> Array:
         """Unit vector along the line, the normal turned by a quarter turn, shape (2,)."""
         return np.array([-self.normal[1], self.normal[0]])
-
-
-def undistorted(camera: Camera, points_px: Array) -> Array:
-    """Points, shape (n, 2) in px, on the plane z = 1 of the camera frame, without distortion."""
-    if len(points_px) == 0:
-        return np.zeros((0, 2))
-    if not np.any(camera.D):
-        (fx, skew, cx), (_, fy, cy), _ = camera.K
-        y = (points_px[:, 1] - cy) / fy
-        return np.stack([(points_px[:, 0] - cx - skew * y) / fx, y], -1)
-    criteria = (cv2.TERM_CRITERIA_MAX_ITER | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
-    bent = np.ascontiguousarray(points_px, np.float64).reshape(-1, 1, 2)
-    straight = cv2.undistortPoints(bent, camera.K, camera.D, None, None, None, criteria)
-    return np.asarray(straight, np.float64).reshape(-1, 2)
 
 
 def fit_line(
@@ -164,7 +149,7 @@ def tangent_plane(line: Line, inside: Array) -> TangentPlane:
 def axis_of_cylinder(first: TangentPlane, second: TangentPlane, radius_m: float) -> CylinderAxis | None:
     """The axis of a cylinder of known radius between two planes; None where the planes nearly coincide."""
     n1, n2 = first.normal, second.normal
-    across = cross(n1, n2)
+    across = np.cross(n1, n2)
     sine, cosine = float(np.linalg.norm(across)), float(n1 @ n2)
     if sine < MIN_SINE:
         return None
@@ -190,9 +175,9 @@ def tangent_normal(
     foot = point_m - direction * np.sum(point_m * direction)
     distance_m = np.sqrt(np.sum(foot * foot))
     sine = radius_m / distance_m if distance_m > radius_m else np.nan
-    towards, left = foot / distance_m, cross(direction, foot) / distance_m
+    towards, left = foot / distance_m, np.cross(direction, foot) / distance_m
     normal = sine * towards + side * np.sqrt(1.0 - sine * sine) * left
-    e = cross(normal, direction)
+    e = np.cross(normal, direction)
     beside = e / float(e @ point_m)
     by_direction = np.outer(float(direction @ point_m) * beside - direction, normal)
     return normal, -np.outer(beside, normal), by_direction

@@ -19,6 +19,7 @@ from svmdist.samples import Image
 from svmdist.vision.colour import Masks, field_of_view
 
 MARGIN = 0.02  # from the border, over the image's width, where a part may end: networks are coarse
+VIEW_PX = 480  # longer side of the image, about, in which the view is looked for
 LEAST_AREA = 0.003  # an instrument's least part of the picture, as of `auto`
 BLACK_LEVEL = 24  # of 255, in every channel: video codes black as 16, and noise of a few levels lies on it
 # OpenCV's convolutions give the largest float in place of infinity and of what is no number
@@ -55,7 +56,7 @@ class ClassMasks(Masks):
     @cached_property
     def black(self) -> Image:
         """Pixels as black as the border around an endoscope's view, which no class represents."""
-        return np.asarray(cv2.inRange(self._image_bgr, np.full(3, 0), np.full(3, BLACK_LEVEL)), np.uint8)
+        return _black(self._image_bgr)
 
     def _kept(self, mask: Image) -> Image:
         return mask if self._from_border is None else np.asarray(mask & self._from_border, np.uint8)
@@ -110,28 +111,58 @@ class OnnxSegmenter:
 
     def masks(self, bgr: Image, /) -> ClassMasks:
         """The masks of an image, shape (h, w, 3) in BGR as recorded."""
-        height, width = bgr.shape[:2]
-        output = self._run(bgr)
+        left, top, width, height = self.view(bgr) if self._rules.crop_to_view else (0, 0, *bgr.shape[1::-1])
+        output = self._run(np.ascontiguousarray(bgr[top : top + height, left : left + width]))
         if _has_scores(output):
-            labels = _best_class(np.asarray(output[0], np.float32), (width, height))
+            inside = _best_class(np.asarray(output[0], np.float32), (width, height))
         else:
-            labels = np.asarray(output.reshape(output.shape[-2:]), np.int32)
-            enlarged = cv2.resize(labels, (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
-            labels = np.asarray(enlarged, np.int32)
+            inside = np.asarray(output.reshape(output.shape[-2:]), np.int32)
+            enlarged = cv2.resize(inside, (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
+            inside = np.asarray(enlarged, np.int32)
+        labels = np.full(bgr.shape[:2], -1, np.int32)  # outside of the view: no class
+        labels[top : top + height, left : left + width] = inside
         return ClassMasks(bgr, labels, self._rules)
+
+    @staticmethod
+    def view(bgr: Image) -> tuple[int, int, int, int]:
+        """Left, top, width and height in px of the box around what the endoscope shows; all of a dark image."""
+        height, width = bgr.shape[:2]
+        step = max(1, max(height, width) // VIEW_PX)
+        left, top, wide, high = cv2.boundingRect(
+            field_of_view(_black(np.ascontiguousarray(bgr[::step, ::step])))
+        )
+        if not wide:
+            return 0, 0, width, height
+        left, top, right, bottom = (step * side for side in (left, top, left + wide, top + high))
+        return left, top, min(right, width) - left, min(bottom, height) - top
 
     def scores(self, image_bgr: Image) -> NDArray[np.float32]:
         """The classes' scores, (C, h', w'), of a BGR image, by a network that gives scores."""
         return np.asarray(self._run(image_bgr)[0], np.float32)
 
+    def scores_and_keypoints(self, image_bgr: Image) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Scores (4, h', w') and keypoints' log-odds (4, h', w') of a BGR image, by the network that ships.
+
+        Scores are logarithms of the classes' probabilities, up to a constant of each pixel. Of keypoints: that a pixel
+        is within 1/64 of the image's width of where a shaft enters the view, where one ends, a hinge of jaws, a tip.
+        Both are calibrated on drawn pictures. Give it what `view` leaves of the image.
+        """
+        outputs = self._outputs(image_bgr)
+        scores, keypoints = (np.asarray(outputs[name][0], np.float32) for name in (self._output, "keypoints"))
+        return scores, keypoints
+
+    def _outputs(self, image_bgr: Image) -> dict[str, Tensor]:
+        """All outputs by name: OpenCV 5 gives all or one."""
+        blob, names = network_input(image_bgr, self._rules), self._net.getUnconnectedOutLayersNames()
+        with self._lock, _quiet():
+            self._net.setInput(blob)
+            return dict(zip(names, map(np.asarray, self._net.forward(names)), strict=True))
+
     def _run(self, image_bgr: Image) -> Tensor:
         """The network's output, checked: (1, C, h', w') scores, or (1, 1, h', w') or (1, h', w') labels."""
         rules, where = self._rules, f"{self._rules.model}: output {self._output}"
-        blob = network_input(image_bgr, rules)
         try:
-            with self._lock, _quiet():
-                self._net.setInput(blob)
-                output = np.asarray(self._net.forward(self._output))
+            output = self._outputs(image_bgr)[self._output]
         except (cv2.error, MemoryError) as problem:
             raise ProfileError(f"{rules.model}: {_why_not_run(problem, rules)}") from None
         if output.ndim not in (3, 4) or output.shape[0] != 1 or 0 in output.shape:
@@ -147,6 +178,10 @@ class OnnxSegmenter:
                 " holds fractions; class scores need two channels or more"
             )
         return output
+
+
+def _black(bgr: Image) -> Image:
+    return np.asarray(cv2.inRange(bgr, np.full(3, 0), np.full(3, BLACK_LEVEL)), np.uint8)
 
 
 def _has_scores(output: Tensor) -> bool:

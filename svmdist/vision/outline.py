@@ -19,6 +19,7 @@ RIM_PX = 3  # width of the rim
 LEAST_RIM_PX = 6  # pixels of such a place
 MOST_PLACES, STARTS_PER_PLACE = 5, 2
 ANGLES = 60  # directions that are tried at each of them
+ALONG_PX, ACROSS_PX = 3.0, 1.5  # between samples of such a strip
 START_LENGTHS = (0.12, 0.25, 0.4)  # of the strip that is tried, over the working image's width
 MARGIN = 0.10  # how far beside such a place the strip may lie, over the same
 LEAST_TURN_RAD = 0.25  # of two starts at one place
@@ -33,6 +34,7 @@ EDGE_LEVELS = 8.0  # of 255: steps of so much are as likely noise
 EDGE_STD_PX = 0.4  # of a side in the working image: what all its points have in common
 MOST_POINTS = 5.0  # points of a side that err independently, beside that
 LEAST_AGREEMENT = 0.1  # of what stations vary by, over their own variance
+MOST_DISAGREEMENT = 30.0  # the same of a side that is no line
 CAUCHY = 2.5  # deviations at which a station counts half
 END_CLEAR = 0.15  # of the width: what is nearer to the end may not be the shaft's side any more
 FOCAL_WIDTHS = 1.1  # focal length over the image's width, as endoscopes have it
@@ -44,15 +46,26 @@ TILT = (1.0, 0.6)  # tangent of the axis' angle to the image plane: mean and dev
 class Outline:
     """Two straight sides in px, (2, 2, 2): side, border and inner end, (x, y).
 
-    `covariance` (2, 2, 2) is that of each side's offsets at both its ends; `end_std_px` how well the end is known along
-    the axis, infinite where the shaft leaves the picture. `ends_dark` says that the dark part ends there, and the
-    outline goes on.
+    `covariance` (2, 2, 2) is that of each side's offsets at both its ends. The shaft ends `end_px` along the axis from
+    the border, at the sides' ends where that is None, and the outline `whole_px`; `end_std_px` is how well the end is
+    known, infinite where the shaft leaves the picture. `ends_dark` says that a part ends there and the outline goes on;
+    with a probability of `other_share` it is the other one of both that ends the shaft, `other_px` further on.
     """
 
     sides: Array
     covariance: Array = field(default_factory=lambda: np.zeros((2, 2, 2)))
+    end_px: float | None = None
+    whole_px: float | None = None
     end_std_px: float = np.inf
     ends_dark: bool = False
+    other_px: float = 0.0
+    other_share: float = 0.0
+
+    @property
+    def end(self) -> Array:
+        """The middle of the shaft's end, shape (2,)."""
+        along_px = self.length_px if self.end_px is None else self.end_px
+        return np.asarray(self.at(np.array([along_px])).mean((0, 1)))
 
     @cached_property
     def start(self) -> Array:
@@ -94,7 +107,14 @@ class Outline:
         ends = np.array([start_px, end_px])
         share = ends / max(self.length_px, 1e-9)
         J = np.stack([1.0 - share, share], -1)
-        return replace(self, sides=self.at(ends), covariance=J @ self.covariance @ J.T)
+        others = [None if one is None else one - start_px for one in (self.end_px, self.whole_px)]
+        cut = replace(self, sides=self.at(ends), covariance=J @ self.covariance @ J.T)
+        return replace(cut, end_px=others[0], whole_px=others[1])
+
+    @property
+    def whole(self) -> Outline:
+        """The same as far as the outline goes, beyond the shaft's end, too."""
+        return self if self.whole_px is None else self.cut(0.0, self.whole_px)
 
     def across(self, along_px: Array, shares: Array) -> Array:
         """Points between both sides, 0 at the first and 1 at the second, shape (n, m, 2)."""
@@ -139,27 +159,30 @@ def _strips(clipped: Floats, core: Image, entry: Array, reach_px: float) -> Iter
     if not len(u):
         return
     normal = np.stack([-u[:, 1], u[:, 0]], -1)
-    along, off = np.arange(2.0, START_LENGTHS[-1] * width, 3.0), np.arange(-reach_px, reach_px + 1.0, 1.5)
+    along, off = (
+        np.arange(2.0, START_LENGTHS[-1] * width, ALONG_PX),
+        np.arange(-reach_px, reach_px + 1.0, ACROSS_PX),
+    )
     places = entry + along[None, :, None, None] * u[:, None, None] + off[:, None] * normal[:, None, None]
     total = np.cumsum(sampled(clipped, places), axis=1)  # (angles, along, off)
     best: list[tuple[float, int, int, int, int]] = []
     for length in START_LENGTHS:
-        last = min(int(length * width / 3.0), len(along)) - 1
+        last = min(int(length * width / ALONG_PX), len(along)) - 1
         profile = np.concatenate([np.zeros((len(u), 1)), np.cumsum(total[:, last], axis=1)], axis=1)
         low = np.minimum.accumulate(profile, axis=1)  # the best interval (Kadane 1984)
-        high_at = np.argmax(profile - low, axis=1)
-        for at, high in enumerate(high_at):
-            low_at = int(np.argmin(profile[at, : high + 1]))
-            inside = profile[at, high] - profile[at, low_at]
-            strip_px = 1.5 * (high - low_at)
-            if LEAST_WIDTH_PX <= strip_px <= MOST_WIDTH * width:
-                score = (2.0 * inside - profile[at, -1]) / np.sqrt(last + 1.0)
-                best.append((float(score), at, low_at, int(high), last))
+        columns = np.arange(profile.shape[1])
+        begins = np.maximum.accumulate(np.where(profile == low, columns, 0), axis=1)
+        rows, last_at = np.arange(len(u)), np.argmax(profile - low, axis=1)
+        inside, first_at = (profile - low)[rows, last_at], begins[rows, last_at]
+        strip_px = ACROSS_PX * (last_at - first_at)
+        score = (2.0 * inside - profile[:, -1]) / np.sqrt(last + 1.0)
+        fits = np.flatnonzero((strip_px >= LEAST_WIDTH_PX) & (strip_px <= MOST_WIDTH * width))
+        best += [(float(score[at]), int(at), int(first_at[at]), int(last_at[at]), last) for at in fits]
     kept: list[int] = []
     for _, at, low_at, high, last in sorted(best, reverse=True):
         if len(kept) < STARTS_PER_PLACE and all(u[at] @ u[other] < np.cos(LEAST_TURN_RAD) for other in kept):
             kept.append(at)
-            edges = off[0] + 1.5 * np.array([low_at, high]) - 0.75
+            edges = off[0] + ACROSS_PX * (np.array([low_at, high]) - 0.5)
             ends = np.array([0.0, along[last]])
             yield Outline(entry + ends[None, :, None] * u[at] + edges[:, None, None] * normal[at])
 
@@ -252,7 +275,7 @@ def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_wei
         moved = np.asarray(np.linalg.solve(A, b).reshape(2, 2), np.float64)
     # The posterior of one station is as wide as the edge's blur; how well they agree tells more of the line.
     agreement = (weight * (at - mean) ** 2).sum() / max(weight_cap.sum(), 1e-9)
-    known = np.linalg.inv((A - prior) / float(np.clip(agreement, LEAST_AGREEMENT, 1.0)) + prior)
+    known = np.linalg.inv((A - prior) / float(np.clip(agreement, LEAST_AGREEMENT, MOST_DISAGREEMENT)) + prior)
     covariance = np.stack([known[:2, :2], known[2:, 2:]]) + EDGE_STD_PX**2 * np.eye(2)
     new = Outline(outline.sides + moved[..., None] * profiles.outward[:, None], covariance)
     fits = LEAST_WIDTH_PX <= new.width_px <= MOST_WIDTH * evidence.core.shape[1] and _widths(new).min() > 1.0
@@ -268,7 +291,7 @@ def _log_posterior(
     evidence: Evidence, places: Array, step_px: float, region_weight: float
 ) -> tuple[Array, NDArray[np.bool_]]:
     """log p of the edge at each of the places (2, n, m, 2), by what is inside of it and by the step; what is seen."""
-    seen = sampled(evidence.core, places, nearest=True) > 0
+    seen = sampled(evidence.core & ~evidence.hidden, places, nearest=True) > 0
     odds = np.where(seen, sampled(evidence.odds, places), 0.0) * (step_px / CORRELATION_PX)
     region = np.cumsum(odds, 2) - 0.5 * odds
     # Of linear brightness: in logarithms a blurred edge moves to its dark side.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,15 +27,26 @@ MARGINS = np.array(
     [0.08, 0.14, 0.20, 0.26, 0.74, 0.80, 0.86, 0.92]
 )  # over the width, where wrists are narrower
 MIDDLE = np.linspace(0.2, 0.8, 5)
-PART_WEIGHT = 1.5  # of what the network sees as wrist and jaws, while the sides are not yet known
 LEAST_LENGTH = 0.8  # over the width, that a fit keeps of a shaft
 MOST_MARGIN = 3.0  # odds of a margin
+LONGEST_WRIST = 6.0  # of wrist and jaws as wide as the shaft, over its width: closed ones of 20 mm on 5 mm
+WRIST_SHARE = 0.6  # of instruments whose outline goes on beyond the shaft's end
+MOST_PART, PART_WIDTHS = 2.0, 0.5  # odds of a pixel's part, and over how many widths they err alike
+STEP_WIDTHS = 0.4  # over which colour is averaged before and after a change
+MATERIAL_STEP, MATERIAL_WEIGHT = 0.15, 2.5
+"""Changes of log(R/G), log(G/B) and of light along a shaft itself; they are so sure as two that are independent."""
+MOST_MATERIAL = 5.0  # odds of the clearest change: bands, plates, blood and parts of the wrist are as clear
+LONGEST_CLEVIS = 1.5  # of an outline beyond the shaft's end that has straight sides, too
+LEAST_SHARE = 1e-3  # of an end that is worth a thought
+STILL_OUTLINE = 0.3  # of the width: an end so far before that of the outline is that of a part
 
 
-def ended(outline: Outline, evidence: Evidence, part_weight: float) -> Outline:
-    """The outline up to where both its margins stop being instrument.
+def ended(outline: Outline, evidence: Evidence) -> Outline:
+    """The outline as far as its sides go, with the end of the shaft, and how far that is spread along the axis.
 
-    With a weight for it, also where the network sees the distal part begin.
+    Both margins say where the outline ends; the shaft ends there, or anywhere a wrist's length before. Where in that
+    stretch, say what it is made of and the parts' classes: both are log-odds of places along the axis. The likelier of
+    both is the end, and the other one is kept beside it.
     """
     along = np.arange(0.5, 1.2 * float(np.hypot(*evidence.core.shape)))
     places = outline.across(along, MARGINS)
@@ -45,27 +56,73 @@ def ended(outline: Outline, evidence: Evidence, part_weight: float) -> Outline:
         return outline
     along, places = along[:last], places[:last]
     odds = np.clip(sampled(evidence.odds, places), -MOST_MARGIN, MOST_MARGIN)
-    speaks = np.minimum(odds[:, :4].mean(1), odds[:, 4:].mean(1))
-    if part_weight:
-        part = sampled(evidence.scores[1], outline.across(along, MIDDLE)).mean(1)
-        speaks = speaks + part_weight * np.clip(part, -2.0, 0.0)
-    total = np.cumsum(speaks) / CORRELATION_PX
-    total[along < min(LEAST_LENGTH * outline.width_px, along[-1] - 2.0)] = -np.inf
-    p = np.exp(np.maximum(total - total.max(), -50.0))
+    margins = np.cumsum(np.minimum(odds[:, :4].mean(1), odds[:, 4:].mean(1))) / CORRELATION_PX
+    outline_ends = np.exp(np.maximum(margins - margins.max(), -50.0))
+    outline_ends /= outline_ends.sum()
+    wrist_px = max(1, round(LONGEST_WRIST * outline.width_px))
+    total = np.concatenate([np.cumsum(outline_ends[::-1])[::-1], np.zeros(wrist_px)])
+    possible = (1.0 - WRIST_SHARE) * outline_ends + WRIST_SHARE / wrist_px * (total[:last] - total[wrist_px:])
+
+    middle = outline.across(along, MIDDLE)
+    is_instrument = 1.0 / (1.0 + np.exp(-sampled(evidence.odds, middle).mean(1)))
+    # What comes in is surely shaft: half of its own log-odds are no more than the image's.
+    part = sampled(evidence.scores[1], middle).mean(1)
+    part -= 0.5 * max(float(np.median(part[: 1 + int(0.5 * (outline_ends @ along))])), 0.0)
+    part[sampled(evidence.hidden, middle, nearest=True).max(1) > 0] = 0.0
+    parts = np.cumsum(is_instrument * np.clip(part, -MOST_PART, MOST_PART)) / (PART_WIDTHS * outline.width_px)
+    log_p = np.log(possible + 1e-30) + parts + _material(outline, middle, evidence)
+    log_p[along < min(LEAST_LENGTH * outline.width_px, along[-1] - 2.0)] = -np.inf
+    p = np.exp(np.maximum(log_p - log_p.max(), -50.0))
     p /= p.sum()
-    mean = float(p @ along)
-    std_px = np.inf if mean > along[-1] - 2.5 else float(np.sqrt(p @ (along - mean) ** 2)) + 1.0
-    return replace(outline.cut(0.0, mean), end_std_px=std_px)
+    whole = float(outline_ends @ along)
+    of_part = along < whole - STILL_OUTLINE * outline.width_px
+    is_part = float(p[of_part].sum()) > 0.5
+    own, other = (p * of_part, p * ~of_part) if is_part else (p * ~of_part, p * of_part)
+    other_share = float(other.sum())
+    mean = float(own @ along) / float(own.sum())
+    std_px = np.inf if mean > along[-1] - 2.5 else float(np.sqrt(own @ (along - mean) ** 2 / own.sum())) + 1.0
+    # A collar or clevis is as wide as the shaft; what is longer are jaws, which narrow as it seems to.
+    sides_px = max(mean, whole) if whole - mean < LONGEST_CLEVIS * outline.width_px else mean
+    return replace(
+        outline.cut(0.0, sides_px),
+        end_px=mean,
+        whole_px=whole,
+        end_std_px=std_px,
+        ends_dark=is_part,
+        other_px=float(other @ along) / max(other_share, 1e-9) - mean if other_share > LEAST_SHARE else 0.0,
+        other_share=other_share,
+    )
 
 
-def rough_outlines(evidence: Evidence) -> list[Outline]:
-    """Outlines where the evidence is, from every place where an instrument may come in, the most of it first."""
+def _material(outline: Outline, middle: Array, evidence: Evidence) -> Array:
+    """Log-odds of a shaft's end at places along the axis by how colour and light change there, (n,), of (n, m, 2)."""
+    colours = np.sort(sampled(evidence.colours, middle), axis=1)[:, middle.shape[1] // 2]  # their medians
+    half = max(3, round(STEP_WIDTHS * outline.width_px))
+    count = len(colours)
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(colours, axis=0)])
+    at = np.arange(count)
+    before, after = np.maximum(at - half, 0), np.minimum(at + half, count)
+    step = (total[after] - total[at]) / np.maximum(after - at, 1)[:, None]
+    step -= (total[at] - total[before]) / np.maximum(at - before, 1)[:, None]
+    change = np.sqrt((step**2).sum(1))
+    change[(at < half) | (at > count - half)] = 0.0
+    hidden = np.cumsum(np.append(0.0, sampled(evidence.hidden, middle, nearest=True).max(1)))
+    is_hidden = hidden[after] > hidden[before]
+    change[is_hidden] = 0.0
+    odds = MATERIAL_WEIGHT * np.log1p((change / MATERIAL_STEP) ** 2)
+    odds *= min(1.0, MOST_MATERIAL / max(float(odds.max()), 1e-9))
+    return np.where(is_hidden, 0.5 * MOST_MATERIAL, odds)  # there may be a change, and there may be none
+
+
+def rough_outlines(evidence: Evidence, strips: Iterable[Outline] | None = None) -> list[Outline]:
+    """Outlines where the evidence is, from strips or every place where an instrument may come in, the most first."""
     found: list[tuple[float, Outline]] = []
-    for strip in starts(evidence):
+    for strip in starts(evidence) if strips is None else strips:
         outline = from_border(strip, evidence)
         if outline is not None:
-            outline = _fitted_at(ended(outline, evidence, PART_WEIGHT), evidence, SCALES[:1])
+            outline = fitted(ended(outline, evidence), evidence, *SCALES[0])
         if outline is not None:
+            outline = ended(outline, evidence)
             score = judged(outline, evidence).evidence
             if score > LEAST_ROUGH_EVIDENCE:
                 found.append((score * np.sqrt(outline.length_px * outline.width_px), outline))
@@ -74,50 +131,12 @@ def rough_outlines(evidence: Evidence) -> list[Outline]:
 
 def sharpened(outline: Outline, evidence: Evidence) -> Outline | None:
     """A rough outline where the edges are."""
-    sharp = _fitted_at(outline, evidence, SCALES[1:])
-    if sharp is None:
-        return None
-    whole = ended(sharp, evidence, 0.0)
-    dark_px = dark_part_px(whole, evidence)
-    if dark_px is None or whole.length_px - dark_px < LONGEST_CLEVIS * whole.width_px:
-        return whole
-    # Jaws that narrow as the shaft does: the outline goes on to their tips.
-    return replace(whole.cut(0.0, dark_px), end_std_px=DARK_END_STD * whole.width_px, ends_dark=True)
-
-
-def _fitted_at(outline: Outline, evidence: Evidence, scales: Sequence[tuple[float, float]]) -> Outline | None:
-    for reach_widths, region_weight in scales:
+    for reach_widths, region_weight in SCALES[1:]:
         moved = fitted(outline, evidence, reach_widths, region_weight)
         if moved is None:
             return None
-        outline = ended(moved, evidence, PART_WEIGHT)
-        dark_px = dark_part_px(outline, evidence)
-        outline = outline if dark_px is None else outline.cut(0.0, dark_px)
+        outline = ended(moved, evidence)
     return outline
-
-
-STEP = 0.35  # of the logarithm of light from a dark shaft to a steel wrist; along a shaft it changes slowly
-STEP_WIDTHS = 0.4  # over which the light is averaged before and after the step
-LONGEST_CLEVIS = 1.5  # of an outline beyond the dark part, over the width: what is longer is wrist and jaws
-DARK_END_STD = 0.3  # of the dark part's end, over the width
-
-
-def dark_part_px(outline: Outline, evidence: Evidence) -> float | None:
-    """How long the dark part of a shaft is, where it ends within the outline."""
-    along = np.arange(0.5, outline.length_px)
-    half = max(3, round(STEP_WIDTHS * outline.width_px))
-    first = max(half, round(LEAST_LENGTH * outline.width_px))
-    if len(along) < first + 2 * half:
-        return None
-    light = np.median(sampled(evidence.colours[..., 2], outline.across(along, MIDDLE)), axis=1)
-    total = np.concatenate([[0.0], np.cumsum(light)])
-    at = np.arange(first, len(along) - 2 * half + 1)
-    before, after, beyond = (
-        (total[at + high] - total[at + low]) / half for low, high in ((-half, 0), (0, half), (half, 2 * half))
-    )
-    step = np.minimum(after, beyond + 0.5 * STEP) - before
-    best = int(np.argmax(step))
-    return float(along[at[best]]) if step[best] > STEP else None
 
 
 LEAST_WIDTHS = 0.6  # of a shaft's length, over its width
@@ -131,18 +150,23 @@ LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by ch
 
 @dataclass(frozen=True)
 class Judged:
-    """Shares from 0 to 1: of the strip that is evidence, of what is beside that is not, of both sides with a step."""
+    """Shares from 0 to 1: of the strip that is evidence, of what is beside that is not, of both sides with a step.
+
+    `entering` is that of its third at the border which is not hidden: without it a wrist may pass for a shaft.
+    """
 
     inside: float
     beside: float
     stepped: float
     length_px: float
     length_widths: float
+    entering: float = 1.0
 
     @property
     def is_accepted(self) -> bool:
         """Whether this is an instrument."""
         is_shaft = self.length_widths > LEAST_WIDTHS and self.length_px > LEAST_LENGTH_PX
+        is_shaft &= self.entering > 0.5
         return is_shaft and self.inside > 0.75 and self.beside > 0.5 and self.evidence > LEAST_EVIDENCE
 
     @property
@@ -157,7 +181,8 @@ class Judged:
 
 
 def judged(outline: Outline, evidence: Evidence) -> Judged:
-    """What evidence and image say of an outline."""
+    """What evidence and image say of an outline, as far as it goes: a part of anything may be straight."""
+    outline = outline.whole
     share = np.linspace(0.03, 0.97, STATIONS)
     along = share * outline.length_px
 
@@ -184,10 +209,12 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
     )
     good = (step.max(2) > EDGE_LEVELS) & straight
     stepped = float(good[whole].mean()) if whole.any() else 0.0
+    shown = sampled(evidence.hidden, outline.across(along, MIDDLE), nearest=True) == 0
     return Judged(
         inside,
         min(free, default=0.0),
         stepped,
         outline.length_px,
         outline.length_px / outline.width_px,
+        float(shown[: STATIONS // 3].mean()),
     )

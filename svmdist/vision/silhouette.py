@@ -139,6 +139,8 @@ def _attached(body: NDArray[np.bool_], shaft: NDArray[np.bool_]) -> NDArray[np.b
     return np.asarray(labels == np.bincount(own).argmax()) if len(own) else np.zeros_like(body)
 
 
+IN_BLUR = FROM_ONE_END  # optics blur light, and cameras bend its scale: the step is within one deviation of the blur
+BEYOND_WIDTHS = (0.15, 0.65)  # beyond an outline's end, over its width, where a narrower wrist is to be seen
 ENDS_APART = 0.3  # of an end over the distance of both: deviation of a uniform distribution between them
 
 
@@ -148,7 +150,8 @@ class Silhouette:
 
     `end_px` (2,) is the middle between both ends, None where the shaft goes on to the border of the picture; `std_px`
     is its deviation along the shaft; `is_outline` is False where the dark part ends there and the outline goes on.
-    `wrist` is None where no wrist is seen beyond.
+    The other one of these is `other_px` further along, and the shaft's end by a probability of `other_share`; of an
+    outline, `narrows` is how likely something narrower goes on. `wrist` is None where no wrist is seen beyond.
     """
 
     edges: tuple[EdgeLine, EdgeLine]
@@ -156,6 +159,9 @@ class Silhouette:
     std_px: float
     wrist: WristPoint | None
     is_outline: bool = True
+    other_px: float = 0.0
+    other_share: float = 0.0
+    narrows: float = 0.0
 
     @property
     def towards_tip(self) -> Array:
@@ -172,6 +178,11 @@ class Silhouette:
     def width_px(self) -> float:
         """Between both edges, at the end."""
         return _width_px(*self.edges)
+
+    @property
+    def width_std(self) -> float:
+        """Deviation of the width over it by what both edges get wrong alike: the outline is anywhere in their blur."""
+        return float(IN_BLUR * sum(edge.blur_px for edge in self.edges) / self.width_px)
 
     @property
     def length_widths(self) -> float:
@@ -205,8 +216,10 @@ def find_silhouette(
         return Silhouette((first, second), None, np.inf, None)
     if seen.ends_dark:
         point = _wrist_point(bgr, seen.mask, seen.end_px, along, width_px, wrist)
-        return Silhouette((first, second), seen.end_px, seen.end_std_px, point, is_outline=False)
-    ends = ends or [seen.end_px]
+        std_px = float(np.hypot(seen.end_std_px, MIN_END_STD_WIDTHS * width_px))
+        other = seen.other_px, seen.other_share
+        return Silhouette((first, second), seen.end_px, std_px, point, False, *other)
+    found, ends = bool(ends), ends or [seen.end_px]
     places = [float(end @ along) for end in ends]
     # One edge may fade before the other, on dark tissue; beyond the cylinder neither stays on its line.
     apart_px = max(places) - min(places)
@@ -215,14 +228,26 @@ def find_silhouette(
     middle_px = 0.5 * (first.end_px + second.end_px)
     end_px = middle_px + (place - float(middle_px @ along)) * along
     std_px = MIN_END_STD_WIDTHS * width_px + ENDS_APART * (apart_px if len(places) == 2 else width_px)
+    std_px = max(std_px, 0.0 if found else seen.end_std_px)
     point = _wrist_point(bgr, seen.mask, end_px, along, width_px, wrist)
-    return Silhouette((first, second), end_px, std_px, point)
+    narrows = _goes_on(seen, end_px, along, width_px)
+    return Silhouette((first, second), end_px, std_px, point, True, seen.other_px, seen.other_share, narrows)
+
+
+def _goes_on(seen: SeenInstrument, end_px: Array, along: Array, width_px: float) -> float:
+    """Which part of a stretch of the axis beyond an end is the instrument's."""
+    ahead_px = np.linspace(*BEYOND_WIDTHS, 9)[:, None] * width_px
+    places = np.rint((end_px + ahead_px * along + 0.5) / seen.pixel_px - 0.5).astype(int)
+    height, width = seen.small_mask.shape
+    inside = ((places >= 0) & (places < [width, height])).all(1)
+    x, y = np.clip(places, 0, [width - 1, height - 1]).T
+    return float(np.mean(seen.small_mask[y, x] & inside))
 
 
 def _soft_line(seen: SeenInstrument, side: int) -> EdgeLine:
     """A side as the evidence has it, where the image has no sharp edge."""
     start, end = seen.sides[side]
-    return EdgeLine(start, end, np.zeros((0, 2)), False, 0.0, seen.side_covariance[side])
+    return EdgeLine(start, end, np.zeros((0, 2)), False, 0.0, seen.side_covariance[side], seen.pixel_px)
 
 
 def _agrees(edge: EdgeLine, seen: SeenInstrument, side: int) -> bool:

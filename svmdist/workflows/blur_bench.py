@@ -17,6 +17,7 @@ from svmdist.vision.degradations import Blur
 from svmdist.vision.marker import EDGE_MARGIN_PX, detect_orb, paste_marker
 from svmdist.vision.regions import find_region
 from svmdist.workflows.parallel import Steps
+from svmdist.workflows.references import Truth
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import BlurCondition, Request
 from svmdist.workflows.scores import Readings
@@ -52,10 +53,7 @@ TABLE_I: Mapping[Blur, PrintedRow] = {
 
 @dataclass(frozen=True, slots=True)
 class BlurRow:
-    """One blur over all frames. Counts and areas are means over the frames where they exist, else None.
-
-    `keypoint_count` and `contour_area_px` are of the instrument alone; the others are with the marker.
-    """
+    """One blur over all frames, means where they exist; features and area of the instrument alone come first."""
 
     blur: Blur
     kernel_px: int
@@ -87,10 +85,7 @@ def blur_tallies(
     kernels_px: Mapping[Blur, int],
     steps: Steps | None = None,
 ) -> dict[Blur, BlurTally]:
-    """Degrade every frame of one recording by every blur, measure it, and count; each image is a step.
-
-    The marker is virtual: it is pasted on the degraded image and is not degraded itself.
-    """
+    """Degrade each frame by every blur, paste the marker behind it, measure and count; an image is a step."""
     tallies = {blur: BlurTally() for blur in kernels_px}
     readings = {blur: Readings() for blur in kernels_px}
     conditions = [BlurCondition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]
@@ -106,7 +101,7 @@ def blur_tallies(
     for blur, found in readings.items():
         tallies[blur].frame_count = len(found)
         tallies[blur].measured_count = len(found) - found.rejected.total()
-        pairs = found.pairs("planar", truth.at(found.stamps_ns))
+        pairs = found.pairs("planar", Truth(truth.at(found.stamps_ns).values))
         tallies[blur].squared_errors_m2 = ((pairs.estimate_m - pairs.truth_m) ** 2).tolist()
     return tallies
 

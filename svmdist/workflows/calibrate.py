@@ -17,7 +17,6 @@ from svmdist.errors import CalibrationError, KinematicsError, RecordingError
 from svmdist.estimation import plane_mapping
 from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye
 from svmdist.estimation.instrument.error_model import ErrorModel
-from svmdist.geometry import pixel_rays
 from svmdist.kinematics import chain_of, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
@@ -66,7 +65,7 @@ def collect_part(
         raise CalibrationError(f"{recording.name}: one camera is calibrated: {changes[0]}")
     if camera.has_distortion and len(tool_px):
         # Planar methods measure as if the lens were ideal; results have pixels of the recorded image.
-        tool_px = camera.pinhole.project(pixel_rays(camera, tool_px))
+        tool_px = camera.pinhole.project(camera.rays(tool_px))
     truth = recording.transform_track(frames.camera, frames.tool, ground_truth=True)
     tool = truth.at(stamps_ns)
     samples = plane_mapping.CalibrationSamples(tool_px[tool.valid], tool.values[tool.valid, :2, 3])

@@ -2,31 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 
+from svmdist.camera import stereo_transform
+from svmdist.errors import CalibrationError, RecordingError, UsageError
 from svmdist.estimation.methods import REGISTRY
-from svmdist.profile import Profile
-from svmdist.recording.log import Recording
+from svmdist.profile import DEFAULT_PROFILE, Profile
+from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs
-from svmdist.recording.summary import RecordingSummary
+from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role
+from svmdist.remote import LogPath
 from svmdist.samples import Observation, Rejection
 from svmdist.vision.colour import to_grey
 from svmdist.vision.tags import find_tags
+from svmdist.workflows.request import LOG, Setup
 
 IMAGES = ("image", "camera_info")
 COMMANDS = {
     "calibrate": (*IMAGES, "ground_truth_tf"),
     "validate": (*IMAGES, "reference"),
-    "compare": (*IMAGES, "ground_truth_distance"),
+    "compare": IMAGES,
     "blur-bench": (*IMAGES, "ground_truth_distance"),
     "fk": ("joints",),
 }
 """What each command but `estimate` needs: topics by role, and inputs as of a method."""
 PARTS = ("fiducial", "instrument", "robot", "tissue")
 """Tables of a profile that methods need."""
-DEFAULT_METHOD = "overlay"  # of `estimate`
+PREFERRED = ("fused", "stereo", "fiducial", "shaft", "overlay", "centroid", "kinematic")
+"""What `auto` is: the first of these that a log can serve. The more that a method takes, the better it is."""
+LOOKED_AT = 8  # logs, of many
+HEAD_S = 2.0  # of a log
 TAG_IMAGES = 8  # that a tag is looked for in, spread over the log
 
 
@@ -58,17 +68,56 @@ def capabilities(
 ) -> tuple[Capability, ...]:
     """What this recording lacks for each command that reads recordings; `tags` is what `look_for_tag` found."""
     methods = method_capabilities(summary, profile, tags)
-    profile = _seen_by_first(summary, profile)
-    missing = {name: _missing(needs, summary, profile) for name, needs in COMMANDS.items()}
-    (default,) = (method for method in methods if method.name == DEFAULT_METHOD)
-    images, note = _missing(IMAGES, summary, profile), ""
-    if not images and not default.served:
-        lacks = f"the default method {DEFAULT_METHOD} lacks {'; '.join(default.missing)}"
-        if others := " or ".join(method.name for method in methods if method.served):
-            note = f"with --method {others}; {lacks}"
-        else:
-            images = (f"a method that log and profile serve ({lacks})",)
-    return (Capability("estimate", images, note), *(Capability(*of) for of in missing.items()))
+    missing = {
+        name: _missing(needs, summary, _seen_by_first(summary, profile)) for name, needs in COMMANDS.items()
+    }
+    best = next(
+        (name for name in PREFERRED for method in methods if method.name == name and method.served), ""
+    )
+    lacks = (misfit,) if (misfit := _misfit(summary, profile)) else () if best else methods[0].missing
+    return (
+        Capability("estimate", lacks, f"by {best}" if best and not lacks else ""),
+        *(Capability(*of) for of in missing.items()),
+    )
+
+
+def best_method(
+    paths: Sequence[LogPath], profile: Profile, topics: Mapping[str, str] | None = None
+) -> tuple[str, str]:
+    """The best method that most of the logs can serve, of many those of some, and why it is that one, in words.
+
+    Raises UsageError where none can be served, or none of the logs is one of the profile.
+    """
+    few = list[RecordingSummary]()
+    for path in paths[:: -(-len(paths) // LOOKED_AT)]:
+        with suppress(RecordingError):  # whoever measures it says so
+            few.append(inspect_recording(path, profile, topics=topics, head_s=HEAD_S))
+    few = [one for one in few if set(IMAGES) <= set(one.roles)]  # of the others, too
+    summaries = [one for one in few if not _misfit(one, profile)]
+    if not summaries:
+        if few:
+            raise UsageError(f"{few[-1].path}: {_misfit(few[-1], profile)}")
+        return "kinematic", "no log could be looked at"
+    for with_tags in (False, True):  # a tag is looked for in all of a log, and only where it matters
+        served, lacks = Counter[str](), dict[str, tuple[str, ...]]()
+        for summary in summaries:
+            tags = None
+            with suppress(RecordingError):  # whoever measures it says so
+                if with_tags:
+                    tags = look_for_tag(open_recording(summary.path, profile, topics=topics), profile)
+            for method in method_capabilities(summary, profile, tags):
+                served[method.name] += method.served
+                lacks.setdefault(method.name, method.missing)
+        best = max(PREFERRED, key=served.__getitem__)  # the first of several
+        if best != "fiducial":
+            break
+    above = PREFERRED[: PREFERRED.index(best)] if served[best] else PREFERRED
+    why = [f"{name} lacks {'; '.join(lacks[name])}" for name in above if lacks.get(name)]
+    if not served[best]:
+        raise UsageError(
+            f"{paths[0]}: no method can measure this log with profile {profile.name}: {'. '.join(why)}"
+        )
+    return best, f"the best that the log can serve{', as ' if why else ''}{', and '.join(why)}"
 
 
 def method_capabilities(
@@ -79,6 +128,49 @@ def method_capabilities(
     return tuple(
         Capability(method.name, _missing((*IMAGES, *method.inputs), summary, profile, tags))
         for method in REGISTRY.values()
+    )
+
+
+def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup, ...]:
+    """Those setups that a log can serve; the others are remarked, with their reasons.
+
+    Raises RecordingError where there is none.
+    """
+    profile, topics = setups[0].profile, recording.origin.topics
+    summary = inspect_recording(recording.path, profile, topics=topics, head_s=HEAD_S)
+    lacks = {one.name: one.missing for one in method_capabilities(summary, profile)}
+    left: tuple[Setup, ...] = ()
+    reasons = []
+    for setup in setups:
+        if setup.own is None and lacks.get(setup.method):
+            reasons.append(f"{setup.method} lacks {'; '.join(lacks[setup.method])}")
+            continue
+        try:
+            setup.require_camera(recording)
+        except CalibrationError as problem:
+            reasons.append(f"{setup.method}: {str(problem).removeprefix(f'{recording.name}: ')}")
+        else:
+            left += (setup,)
+    if not left:
+        raise RecordingError(
+            f"no method can measure this log with profile {profile.name}: {'. '.join(reasons)}"
+        )
+    for reason in reasons:
+        LOG.info("note: %s: without %s", recording.name, reason)
+    return left
+
+
+def _misfit(summary: RecordingSummary, profile: Profile) -> str:
+    """Why a log is none of the profile that is taken where none is given: neither made by it, nor with its joints."""
+    is_its_own = summary.metadata.get("profile") == profile.name or (
+        "joints" in summary.roles and not _missing_chain(summary, profile)
+    )
+    if is_its_own or profile.name != DEFAULT_PROFILE:
+        return ""
+    stem = Path(str(summary.path)).stem
+    return (
+        f"not a log of profile {profile.name}, the simulator's: write one with `svmdist profile new {summary.path}"
+        f" -o {stem}.toml` and give --profile {stem}.toml"
     )
 
 
@@ -143,6 +235,10 @@ def _missing(
         "right_image": topics("right_image", "right_camera_info")
         or unless(
             summary.roles["right_image"] != summary.roles.get("image"), "a left image: it has the right"
+        )
+        or unless(
+            _has_baseline(summary),
+            "the distance of the cameras (`svmdist import --baseline`)",
         ),
         "joints": topics("joints") + _missing_chain(summary, profile),
         "reference": _missing_reference(summary, profile),
@@ -154,16 +250,22 @@ def _missing(
     return tuple(words for need in needs for words in lacking[need])
 
 
+def _has_baseline(summary: RecordingSummary) -> bool:
+    """Whether the calibrations say where the right camera stands; True where they cannot be told yet."""
+    found = [
+        summary.cameras.get(summary.roles.get(role, "")) for role in ("camera_info", "right_camera_info")
+    ]
+    left, right = (track.runs[0].camera if track and track.runs else None for track in found)
+    return left is None or right is None or stereo_transform(left, right) is not None
+
+
 def _missing_reference(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:
     if "ground_truth_distance" in summary.roles:
         return ()
-    tissue, missing = profile.frames.tissue, []
     has_chain = "joints" in summary.roles and not _missing_chain(summary, profile)
-    if not (has_chain or "pose" in summary.roles or profile.frames.tool in summary.frames):
-        missing.append("the tool's pose (transforms, a pose topic or joint states)")
-    if not ("ground_truth_tf" in summary.roles or tissue in summary.frames):
-        missing.append(f"the tissue's place (a transform to {tissue}, or --truth-tf)")
-    return tuple(missing)
+    if has_chain or "pose" in summary.roles or profile.frames.tool in summary.frames:
+        return ()
+    return ("the tool's pose (transforms, a pose topic or joint states)",)
 
 
 def _missing_chain(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:

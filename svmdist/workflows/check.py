@@ -185,8 +185,8 @@ def checked(
         for name, arm in zip(names, arms, strict=True)
     }
     places: dict[str, list[dict[str, ToolPose]]] = {name: [] for name in names}
-    order = list(dict.fromkeys(np.linspace(0, len(spread) - 1, least).round().astype(int).tolist()))
-    order += [place for place in range(len(spread)) if place not in order]
+    first = np.linspace(0, len(spread) - 1, least).round().astype(int).tolist()
+    order = list(dict.fromkeys([*first, *range(len(spread))])) if spread else []
     looked: dict[int, Looked] = {}
     matches: list[Matches] = []
 

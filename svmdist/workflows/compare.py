@@ -1,21 +1,24 @@
-"""Compare: the figures of every method on every log under every condition, against the true distances."""
+"""Compare: the figures of every method on every log under every condition, against the truth and each other."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from svmdist.errors import RecordingError
 from svmdist.metrics import coverage
 from svmdist.recording.log import Recording
 from svmdist.recording.source import Health
 from svmdist.recording.topics import Role
-from svmdist.tracks import DistanceTrack
 from svmdist.workflows import parallel
-from svmdist.workflows.references import truth_follows_images
+from svmdist.workflows.capabilities import served_setups
+from svmdist.workflows.given import require_distinct
+from svmdist.workflows.references import ANY_TRUTH, Reference, Truth, truth_at, truth_follows_images
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import CLEAN, LogCondition, PerturbedCondition, Setup
-from svmdist.workflows.scores import DISTANCES, DistanceScore, Readings, pooled_score, score_pairs
+from svmdist.workflows.scores import SCORED, DistanceScore, Readings, pooled_score, score_pairs
 
 GroupBy = Callable[[Mapping[str, str]], str]  # names the group of a recording by its metadata
 
@@ -57,6 +60,8 @@ class Figures:
     planar: DistanceScore | None
     spatial: DistanceScore | None
     clearance: DistanceScore | None
+    tool: DistanceScore | None = None
+    rotation: DistanceScore | None = None
 
     @property
     def coverage(self) -> float:
@@ -71,12 +76,16 @@ class Figures:
 
 @dataclass(frozen=True)
 class MethodScore:
-    """One method on one group of frames, and the instrument that it measured."""
+    """One method on one group of frames, and the instrument that it measured; `against` is another one, or the truth.
+
+    Two methods differ by their joint standard deviation, and their frames are those that both measured.
+    """
 
     group: Group
     method: str
     figures: Figures
     instrument: str = ""
+    against: str = ""
 
 
 def compare(
@@ -86,9 +95,9 @@ def compare(
     *,
     jobs: int | None = None,
 ) -> list[MethodScore]:
-    """Run every setup on every recording under every condition; RecordingError without an image or true distances."""
-    runs = [run for one in recordings for run in measure_runs(one, setups, conditions, jobs=jobs)]
-    return compared(runs, [setup.method for setup in setups])
+    """Run every setup on every recording under every condition; RecordingError without an image or a comparison."""
+    require_distinct([setup.method for setup in setups])
+    return compared([run for one in recordings for run in measure_runs(one, setups, conditions, jobs=jobs)])
 
 
 def measure_runs(
@@ -102,19 +111,25 @@ def measure_runs(
 ) -> list[MethodScore]:
     """A score for every condition, setup and instrument of a recording, in that order.
 
+    Then the differences of two methods: of all where the log has no ground truth, else of those of others from ours.
     Processes share conditions or methods; `jobs` threads work ahead where nothing can be shared. `advance` is called
-    for every image, condition and setup; `by` groups by other metadata than the scenario. Raises RecordingError where
-    the recording has no ground-truth distances; another instrument than the first is left out where it has none.
+    for every image, condition and setup; `by` groups by other metadata than the scenario. A method that the log cannot
+    serve is left out, with a remark. Raises RecordingError where
+    the recording has no ground-truth distances, and nothing to compare; another instrument than the first is left out
+    where it has no truth that the first has.
     """
     jobs = parallel.usable_cores() if jobs is None else jobs
-    first, *others = recording.instruments
-    role = Role.GROUND_TRUTH_DISTANCE
-    names = [first, *(name for name in others if recording.for_instrument(name).topic_of(role) is not None)]
-    truths = {name: recording.for_instrument(name).distance_track() for name in names}
+    first = recording.instruments[0]
+    views = {name: recording.for_instrument(name) for name in recording.instruments}
+    known = [name for name, view in views.items() if view.topic_of(Role.GROUND_TRUTH_DISTANCE) is not None]
+    if first not in known and len(setups) == 1:
+        views[first].distance_track()  # raises
+    names = [name for name in views if name in known or first not in known]
+    setups = [setup.for_log(recording) for setup in served_setups(recording, setups)]
     parts = _parts(setups, len(conditions), jobs)
-    if jobs == 1 or len(parts) == 1 or recording.origin is None or parallel.is_worker():
+    if jobs == 1 or parallel.is_worker():
         parts = [(range(len(conditions)), range(len(setups)))]
-    work = _Work(recording, truths, conditions, setups, max(1, jobs // len(parts)))
+    work = _Work(recording, names, known, conditions, setups, max(1, jobs // len(parts)))
     if len(parts) > 1:
         processes = parallel.each_in_processes(work.in_worker, parts, jobs, on_step=advance)
         ended = [found for _, found in processes]
@@ -124,22 +139,34 @@ def measure_runs(
         found = {place: figures for figures_at, _ in ended for place, figures in figures_at.items()}
     else:
         found = work.measure(parts[0], advance)
-    return [
-        MethodScore(group_of(recording, conditions[at], name, by), setups[of].method, figures, name)
-        for (at, of, name), figures in sorted(found.items(), key=lambda one: one[0][:2])
-    ]
+    methods, scores = [setup.method for setup in setups], []
+    for (at, of, name), (rows, truth, seconds) in sorted(found.items(), key=lambda one: one[0][:2]):
+        group = group_of(recording, conditions[at], name, by)
+        scores.append(MethodScore(group, methods[of], _figures(rows, truth, seconds), name))
+        for place in range(of + 1, len(setups)):
+            if truth is None or setups[of].is_given != setups[place].is_given:
+                differences = _figures(found[at, place, name][0], rows.truth, np.nan, rows)
+                scores.append(MethodScore(group, methods[place], differences, name, methods[of]))
+    return sorted(scores, key=lambda score: bool(score.against))
+
+
+def _figures(rows: Readings, truth: Truth | None, seconds: float, other: Readings | None = None) -> Figures:
+    """The figures of rows; without a truth their counts."""
+    unmeasured = rows.rejected.total()
+    if other is not None:
+        unmeasured = int(np.count_nonzero(rows.is_rejected | other.is_rejected))
+    scores = (None if truth is None else score_pairs(rows.pairs(name, truth, other=other)) for name in SCORED)
+    return Figures(len(rows), len(rows) - unmeasured, seconds, *scores)
 
 
 Part = tuple[Sequence[int], Sequence[int]]
 """What one process measures: the places of its conditions and of its setups."""
-Found = dict[tuple[int, int, str], Figures]  # by the places of condition and setup, and by instrument
+Found = dict[tuple[int, int, str], tuple[Readings, Truth | None, float]]
+"""Rows, what is true of them where that is known, and seconds, by the places of condition and setup, and instrument."""
 
 
 def _parts(setups: Sequence[Setup], condition_count: int, jobs: int) -> list[Part]:
-    """Deal the work out to processes: by conditions, and by methods where those are too few.
-
-    A part reads and decodes the recording once more, so that there are no more of them than even the load.
-    """
+    """Deal work out by conditions, and by methods where they are few: each part reads the log once more."""
     size = -(-condition_count // min(condition_count, CHUNKS_PER_PROCESS * jobs))
     chunks = [range(start, min(start + size, condition_count)) for start in range(0, condition_count, size)]
     groups: list[Sequence[int]] = [range(len(setups))]
@@ -152,10 +179,11 @@ def _parts(setups: Sequence[Setup], condition_count: int, jobs: int) -> list[Par
 
 @dataclass(frozen=True)
 class _Work:
-    """A recording, the true distances of its instruments, and all that it is measured by, with so many threads."""
+    """A recording, its instruments and those with a truth, and all that it is measured by, with so many threads."""
 
     recording: Recording
-    truths: Mapping[str, DistanceTrack]
+    names: Sequence[str]
+    known: Sequence[str]
     conditions: Sequence[LogCondition]
     setups: Sequence[Setup]
     threads: int
@@ -178,9 +206,9 @@ class _Work:
             if isinstance(condition, PerturbedCondition):  # alone
                 read = self.recording.perturbed(condition.perturbations, profile)
                 setups = [setup.perturbed(condition.perturbations, read.world_seed) for setup in setups]
-        keys = [(place, of, name) for place in at for of in setups_at for name in self.truths]
+        keys = [(place, of, name) for place in at for of in setups_at for name in self.names]
         readings, seconds = {key: Readings() for key in keys}, dict.fromkeys(keys, 0.0)
-        for replayed in replay(read, setups, conditions, wanted=list(self.truths), jobs=self.threads):
+        for replayed in replay(read, setups, conditions, wanted=self.names, jobs=self.threads):
             results = [pair for lane in replayed for pair in zip(lane.results, lane.seconds, strict=True)]
             for key, (result, spent_s) in zip(keys, results, strict=True):
                 readings[key].add(result)
@@ -189,11 +217,13 @@ class _Work:
                 advance()
         found: Found = {}
         for key, rows in readings.items():
-            own, count, lag = read.for_instrument(key[2]), len(rows), read.lag
-            follows = lag is None or truth_follows_images(own, profile.for_instrument(key[2]))
-            sampled = self.truths[key[2]].at(rows.stamps_ns - (0 if lag is None or follows else lag.lag_ns))
-            distances = (score_pairs(rows.pairs(one, sampled)) for one in DISTANCES)
-            found[key] = Figures(count, count - rows.rejected.total(), seconds[key], *distances)
+            own, of_name = read.for_instrument(key[2]), profile.for_instrument(key[2])
+            lag, truth = read.lag, None
+            if key[2] in self.known:
+                follows = lag is None or truth_follows_images(own, of_name)
+                at_ns = rows.stamps_ns - (0 if lag is None or follows else lag.lag_ns)
+                truth = truth_at(own, of_name, Reference.GROUND_TRUTH, at_ns, "corrected", ANY_TRUTH)
+            found[key] = rows, truth, np.nan if self.setups[key[1]].is_given else seconds[key]
         return found
 
 
@@ -219,40 +249,35 @@ def pooled_figures(figures: Sequence[Figures]) -> Figures:
         sum(one.frame_count for one in figures),
         sum(one.measured_count for one in figures),
         sum(one.seconds for one in figures),
-        *(pooled_score([getattr(one, name) for one in figures]) for name in DISTANCES),
+        *(pooled_score([getattr(one, name) for one in figures]) for name in SCORED),
     )
 
 
-def compared(runs: Sequence[MethodScore], methods: Sequence[str]) -> list[MethodScore]:
-    """The scores of recordings by group and over groups; RecordingError where there is no image.
-
-    Scores stand per scenario and degradation; then, where there are several of both, per degradation over all
-    scenarios; then over all.
-    """
+def compared(runs: Sequence[MethodScore]) -> list[MethodScore]:
+    """Scores by group, by degradation over all scenarios where both differ, and over all; RecordingError."""
     if not any(run.figures.frame_count for run in runs):
         raise RecordingError("there is no image to measure in these recordings")
     kinds = {(run.group.scenario, run.group.degradation) for run in runs}
-    scores = _pooled(runs, [run.group for run in runs], methods)
+    scores = _pooled(runs, [run.group for run in runs])
     if all(len(set(several)) > 1 for several in zip(*kinds, strict=True)):
         groups = [
             replace(run.group, scenario=ALL, degradation=run.group.degradation or "clean") for run in runs
         ]
-        scores += _pooled(runs, groups, methods)
+        scores += _pooled(runs, groups)
     if len(kinds) > 1:
         groups = [replace(run.group, scenario=ALL, degradation=ALL) for run in runs]
-        scores += _pooled(runs, groups, methods)
+        scores += _pooled(runs, groups)
     return scores
 
 
-def _pooled(
-    runs: Sequence[MethodScore], groups: Sequence[Group], methods: Sequence[str]
-) -> list[MethodScore]:
-    """The scores of each group of runs, in the order of the methods."""
-    members: dict[Group, list[MethodScore]] = {}
+def _pooled(runs: Sequence[MethodScore], groups: Sequence[Group]) -> list[MethodScore]:
+    """The scores of each group of runs, in the order of the methods: that of the first runs."""
+    members: dict[Group, dict[tuple[str, str], list[MethodScore]]] = {}
     for run, group in zip(runs, groups, strict=True):
-        members.setdefault(group, []).append(replace(run, group=group))
+        of_group = members.setdefault(group, {})
+        of_group.setdefault((run.against, run.method), []).append(replace(run, group=group))
     return [
-        replace(of[0], method=name, figures=pooled_figures([run.figures for run in of if run.method == name]))
-        for of in members.values()
-        for name in dict.fromkeys(methods)
+        replace(of[0], figures=pooled_figures([run.figures for run in of]))
+        for of_group in members.values()
+        for _, of in sorted(of_group.items(), key=lambda one: bool(one[0][0]))
     ]

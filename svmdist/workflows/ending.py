@@ -27,11 +27,16 @@ class Ending:
     refused: dict[str, int] = field(default_factory=dict)
     events: list[AlarmEvent] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
+    least: FrameResult | None = None  # the row of the smallest clearance
 
     def add(self, row: FrameResult, watches: Mapping[str, AlarmWatch]) -> AlarmState | None:
         """Count a row, and judge it by the alarms of its instrument; None without any."""
         details = self.tally.setdefault(str(row.status), {})
         details[row.detail] = details.get(row.detail, 0) + 1
+        least = None if self.least is None else self.least.distances.clearance
+        found = row.distances.clearance if row.measured else None
+        if found is not None and (least is None or found.value_m < least.value_m):
+            self.least = row
         for name in (*row.accepted, *row.refused):
             self.seen[name] = self.seen.get(name, 0) + 1
         for name in row.refused:
@@ -43,6 +48,17 @@ class Ending:
         self.remarks = list(remarks)
         every = (event for watch in watches.values() for event in watch.events)
         self.events = sorted(every, key=lambda event: event.start_s)
+
+    @property
+    def least_in_words(self) -> str:
+        """The smallest clearance, with its interval, and where it is; raises ValueError without any."""
+        if self.least is None or (clearance := self.least.distances.clearance) is None:
+            raise ValueError("no clearance was measured")
+        half = "" if clearance.half_m is None else f" ± {clearance.half_m * 1e3:.2f}"
+        return (
+            f"smallest clearance {clearance.value_m * 1e3:.2f}{half} mm at {self.least.seconds:.2f} s"
+            f" (frame {self.least.number}, {self.least.instrument})"
+        )
 
     @property
     def statuses(self) -> dict[str, int]:
@@ -76,7 +92,7 @@ def remarks_in_words(endings: Mapping[str, Ending]) -> Iterator[str]:
 
 
 def alarms_in_words(endings: Mapping[str, Ending], rules: AlarmRules) -> str:
-    """How many alarms logs had, the first and the longest of them, and the smallest clearance."""
+    """How many alarms logs had, and the first and the longest of them."""
     every = [(log, event) for log, one in endings.items() for event in one.events]
     instruments = {event.instrument for _, event in every}
 
@@ -88,12 +104,8 @@ def alarms_in_words(endings: Mapping[str, Ending], rules: AlarmRules) -> str:
     if every:
         first_log, first = every[0]
         long_log, longest = max(every, key=lambda one: one[1].duration_s)
-        near_log, nearest = min(every, key=lambda one: one[1].least_m)
         said += f": first at {first.start_s:.2f} s {at(first_log, first, first.start_number)}"
         said += f", longest {longest.duration_s:.2f} s {at(long_log, longest, longest.start_number)}"
-        said += f", smallest clearance {nearest.least_m * 1e3:.2f}"
-        said += " mm" if nearest.least_half_m is None else f" ± {nearest.least_half_m * 1e3:.2f} mm"
-        said += f" {at(near_log, nearest, nearest.least_number)}"
     statuses = [(status, count) for one in endings.values() for status, count in one.statuses.items()]
     if lost := sum(count for status, count in statuses if status != Status.OK):
         said += f"; {lost} frames without a clearance raise none, which does not make them safe"

@@ -18,7 +18,6 @@ from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import shaft_sections
 from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, ShaftDetection
 from svmdist.estimation.planar import mark, template_features
-from svmdist.geometry import Mesh
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import LEFT_IMAGES
 from svmdist.recording.topics import Role
@@ -59,10 +58,7 @@ def drawn_frames(
     numbers: Collection[int] | None = None,
     on_image: Callable[[], None] | None = None,
 ) -> Iterator[DrawnFrame]:
-    """Replay a recording and draw every image, or those of some numbers; with `rules`, alarms are watched.
-
-    Images after the last of these numbers are not read. `on_image` is called for every image that is.
-    """
+    """Replay and draw every image, or some `numbers` up to the last; `on_image` is called for each one read."""
     watches = alarm_watches(recording.instruments, rules)
     for (replayed,) in replay(recording, [setup], wanted=wanted, jobs=jobs):
         number, seconds = replayed.results[0].number, replayed.results[0].seconds
@@ -128,16 +124,17 @@ def frame_drawing(
         if (seen := shaft_sections(frame.left.camera, capsules)) is not None:
             outline = Shape(Part.POSE, Form.LOOP, seen.outline_px, result.instrument)
             shapes.append(_through_lens(outline, scene.lens))
-    tissue = scene.found.get("tissue")
-    mesh = tissue.pose.surface if tissue is not None and tissue.pose is not None else None
+    tissue, cloud = (scene.found.get(name) for name in ("tissue", "stereo_surface"))
+    surfaces = (of for one in frames if (of := one.left.found.get("measured_surface")) is not None)
     return FrameDrawing(
         results[0].stamp_ns,
         tuple(shapes),
         tuple(labels.values()),
         lines,
         bodies,
-        mesh if isinstance(mesh, Mesh) else None,
+        next(surfaces, tissue.pose.surface if tissue is not None and tissue.pose is not None else None),
         tuple(one for result in results for one in segments(result)),
+        None if cloud is None else cloud.points_m,
     )
 
 
@@ -154,9 +151,9 @@ def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup
             yield from _contours(left.masks_as_recorded.tissue, organ, Part.TISSUE)
             yield Shape(Part.TISSUE, Form.POINTS, np.atleast_2d(organ.centroid_px))
         if instrument is not None:
-            yield from _contours(left.masks_as_recorded.instrument, instrument, Part.INSTRUMENT, name)
+            yield from _contours(left.masks_as_recorded.instrument, instrument, Part.WRIST, name)
         if (region := found.get("region")) is not None:
-            yield from _contours(left.masks.instrument, region, Part.INSTRUMENT, name)
+            yield from _contours(left.masks.instrument, region, Part.WRIST, name)
         if (distal := found.get("distal_marker")) is not None:
             yield _distal_marker(distal, name)
         if (shaft := found.get("shaft")) is not None and (outline := found.get("shaft_region")) is not None:
@@ -212,10 +209,10 @@ def _distal_marker(distal: DistalMarker, name: str) -> Shape:
     circle = distal if distal.disc is None else distal.disc
     centre_px, radius_px = circle.centre_px, circle.radius_px
     if radius_px is None:
-        return Shape(Part.MARKER, Form.POINTS, np.atleast_2d(centre_px), name)
+        return Shape(Part.DISTAL_MARKER, Form.POINTS, np.atleast_2d(centre_px), name)
     angles = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS, endpoint=False)
     around = np.column_stack([np.cos(angles), np.sin(angles)])
-    return Shape(Part.MARKER, Form.LOOP, centre_px + radius_px * around, name)
+    return Shape(Part.DISTAL_MARKER, Form.LOOP, centre_px + radius_px * around, name)
 
 
 def _shaft(frame: Frame, shaft: ShaftDetection, region: ShaftRegion, name: str) -> Iterator[Shape]:
@@ -320,7 +317,11 @@ def segments(result: FrameResult) -> Iterator[Segment]:
 def distance_shapes(result: FrameResult, lens: Camera) -> list[tuple[Shape, Label]]:
     """The lines of a result's distances in the recorded image, with their lengths beside them."""
     seen = [one for one in segments(result) if min(one.start_m[2], one.end_m[2]) > 0.0]
-    drawn = [(one.part, lens.project(np.stack([one.start_m, one.end_m])), one.text) for one in seen]
+    who = {Part.DISTANCE: result.instrument, Part.BETWEEN: "between"}
+    drawn = [
+        (one.part, lens.project(np.stack([one.start_m, one.end_m])), f"{who[one.part]} {one.text}".strip())
+        for one in seen
+    ]
     shown, ends = _shown_distance(result), (result.image.tool_px, result.image.tissue_px)
     if shown and shown[0] != "clearance" and None not in ends:
         drawn.append((Part.DISTANCE, np.array(ends), f"{shown[0]} {in_words(shown[1])}"))

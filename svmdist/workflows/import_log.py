@@ -19,6 +19,7 @@ import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import SourceError, SvmdistError, UsageError
+from svmdist.files import nearest_file
 from svmdist.importing import tables as table_files
 from svmdist.importing.calibration import CalibrationOptions, Crop, complete, stated_cameras
 from svmdist.importing.images import Video, list_images, matching, require_one_view
@@ -210,7 +211,7 @@ def _open_views(options: ViewOptions) -> list[View]:
     sources = [source for source in (options.source, options.right) if source is not None]
     for source in sources:
         if not source.exists():
-            raise SourceError(f"{source}: no such folder or video")
+            raise SourceError(f"{source}: no such folder or video{nearest_file(source)}")
         if source.is_dir() != options.source.is_dir():
             raise UsageError(
                 f"{source}: {'is' if source.is_dir() else 'is no'} folder, and {options.source}"

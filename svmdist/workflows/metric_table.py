@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from svmdist.metrics import COUNT, LENGTH, RATIO, SECONDS, SHARE, TEXT, Unit
+from svmdist.metrics import COUNT, DEGREES, LENGTH, RATIO, SECONDS, SHARE, TEXT, Unit
 
 Value = str | int | float | None
 
@@ -35,6 +35,8 @@ class Output(Flag):
     ALARM_TABLE = auto()
     FIGURES = auto()  # of `compare` and `blur-bench`
     FIGURE_TABLE = auto()
+    TOOL_TABLE = auto()  # of `validate`
+    PAIR_TABLE = auto()  # of `compare`: one method against another
 
 
 class Tolerance(BaseModel):
@@ -107,8 +109,10 @@ SCORES, FIGURES = Output.SCORES, Output.FIGURES
 SCORE_TABLE = SCORES | Output.SCORE_TABLE
 ALARM_TABLE = SCORES | Output.ALARM_TABLE
 REPLAY = FIGURES | Output.FIGURE_TABLE
+PAIRS = Output.PAIR_TABLE
 EVERYWHERE = SCORE_TABLE | Output.DISTANCE_TABLE | REPLAY
 IN_3D = SCORES | REPLAY
+TOOL_TABLE = SCORES | FIGURES | Output.TOOL_TABLE
 
 # Room for another build of OpenCV, which moves a homography's corners by up to 1e-3 px and may flip a match; not for
 # another result. A frame that is no longer measured has no such excuse.
@@ -122,7 +126,7 @@ FRAME_COUNT = Metric(
     "frame_count", COUNT, lambda s: s.frame_count, "Number of frames.", outputs=SCORES | FIGURES)
 COVERAGE = Metric(
     "coverage", SHARE, lambda s: s.coverage, "Share of the frames that were measured.",
-    HIGHER, "cov. %", SCORE_TABLE | REPLAY, Tolerance(absolute=0.0))
+    HIGHER, "cov. %", SCORE_TABLE | REPLAY | PAIRS, Tolerance(absolute=0.0))
 
 COUNTS = (
     Metric("sample_count", COUNT, lambda s: s.sample_count, "Measured frames with a truth.",
@@ -136,16 +140,16 @@ ERRORS = (
     Metric("count", COUNT, lambda d: d.statistics.count, "Number of pairs.",
            title="n", outputs=Output.DISTANCE_TABLE),
     Metric("r_squared", RATIO, lambda d: d.statistics.r_squared,
-           "Coefficient of determination, 1 - SS_res / SS_tot against the identity line; grows with the truth's range.",
+           "Coefficient of determination, 1 - SS_res / SS_tot against the identity line.",
            HIGHER, "R²", EVERYWHERE, R_SQUARED_TOLERANCE, FIGURES, source="the paper's eq. (36)"),
     Metric("rmse_m", LENGTH, lambda d: d.statistics.rmse, "Root of the mean squared error.",
-           LOWER, "RMSE", EVERYWHERE, RMSE_TOLERANCE, IN_3D, RMSE_TOLERANCE),
+           LOWER, "RMSE", EVERYWHERE | PAIRS, RMSE_TOLERANCE, IN_3D | PAIRS, RMSE_TOLERANCE),
     Metric("mae_m", LENGTH, lambda d: d.statistics.mae, "Mean of the absolute error.",
            LOWER, "MAE", SCORE_TABLE),
     Metric("median_abs_error_m", LENGTH, lambda d: d.statistics.median_abs_error,
            "Median of the absolute error.", LOWER, "med.", SCORE_TABLE),
     Metric("p95_abs_error_m", LENGTH, lambda d: d.statistics.p95_abs_error,
-           "95th percentile of the absolute error.", LOWER, "p95", EVERYWHERE, P95_TOLERANCE, IN_3D),
+           "95th percentile of the absolute error.", LOWER, "p95", EVERYWHERE | PAIRS, P95_TOLERANCE, IN_3D | PAIRS),
     Metric("max_abs_error_m", LENGTH, lambda d: d.statistics.max_abs_error, "Largest absolute error.",
            LOWER, "max", SCORE_TABLE),
     Metric("bias_m", LENGTH, lambda d: d.statistics.bias, "Mean of estimate minus truth; best at 0.",
@@ -159,11 +163,37 @@ ERRORS = (
 
 INTERVALS = (
     Metric("interval_coverage", SHARE, lambda d: d.interval_coverage,
-           "Share of truths inside the stated 95 % interval, estimate ± 1.96 standard deviations; best at 0.95.",
+           "Share of truths inside estimate ± 1.96 standard deviations; best at 0.95.",
            title="in 95 %", narrow_title="∈95 %",
            outputs=SCORES | Output.DISTANCE_TABLE | REPLAY, outputs_in_3d=IN_3D),
+    Metric("normalized_rmse", Unit("1", digits=2), lambda d: d.normalized_rmse,
+           "RMSE of errors over their (joint) standard deviations; best at 1.",
+           title="/ σ", outputs=SCORES | FIGURES | PAIRS, outputs_in_3d=SCORES | FIGURES | PAIRS, is_late=True),
 )
 """Whether the stated standard deviations of a distance are honest."""
+
+POSITION_ERRORS = "Errors of the tool's position: RMSE, median, 95th percentile."
+ROTATION_ERRORS = "Errors of the tool's rotation: median, 95th percentile."
+TOOL = (
+    Metric("tool_sample_count", COUNT, lambda d: d.statistics.count, "Measured frames with a true pose of the tool.",
+           title="n", outputs=TOOL_TABLE),
+    Metric("tool_rmse_m", LENGTH, lambda d: d.statistics.rmse, POSITION_ERRORS,
+           LOWER, "RMSE", TOOL_TABLE | REPLAY | PAIRS, RMSE_TOLERANCE),
+    Metric("tool_median_abs_error_m", LENGTH, lambda d: d.statistics.median_abs_error,
+           POSITION_ERRORS, LOWER, "med.", TOOL_TABLE),
+    Metric("tool_p95_abs_error_m", LENGTH, lambda d: d.statistics.p95_abs_error,
+           POSITION_ERRORS, LOWER, "p95", TOOL_TABLE | REPLAY | PAIRS),
+    Metric("tool_interval_coverage", SHARE, lambda d: d.interval_coverage,
+           "Share of true positions within 2.80 times `tool_std_m`, the 95 % of an isotropic error.",
+           title="in 95 %", outputs=TOOL_TABLE),
+)
+ROTATION = (
+    Metric("rotation_median_rad", DEGREES, lambda d: d.statistics.median_abs_error,
+           ROTATION_ERRORS, LOWER, "rot. °", TOOL_TABLE | REPLAY | PAIRS),
+    Metric("rotation_p95_rad", DEGREES, lambda d: d.statistics.p95_abs_error,
+           ROTATION_ERRORS, LOWER, "p95 °", TOOL_TABLE),
+)
+"""How far the tool's poses are from the true ones."""
 
 UNPAIRED = Metric("unpaired_count", COUNT, lambda s: s.unpaired_count, "Measured frames without a truth.")
 
@@ -171,18 +201,18 @@ def bounds(key: str, unit: Unit) -> list[Metric]:
     """Metrics of a bootstrap interval of a metric, which is a part of scores."""
     name, suffix = key.removesuffix("_m"), "_m" if key.endswith("_m") else ""
     declared = [
-        Metric(f"{name}_{side}{suffix}", unit, attrgetter(side), f"{word} bound of the 95 % interval of `{key}`.",
+        Metric(f"{name}_{side}{suffix}", unit, attrgetter(side), f"95 % interval of `{key}`.",
                source="moving-block bootstrap, Künsch 1989")
-        for side, word in (("low", "Lower"), ("high", "Upper"))
+        for side in ("low", "high")
     ]
     return of_part(declared, f"{name}_interval{suffix}")
 
 
 MARKS = (
     Metric("fitted_on", COUNT, lambda s: s.fitted_on,
-           "Whether the calibration was fitted on this log, which is then left out of the overall score."),
+           "Whether the calibration was fitted on this log: left out of the overall score."),
     Metric("rejected", TEXT, lambda s: " ".join(f"{reason}={count}" for reason, count in s.rejected.items()),
-           "The frames that could not be measured: a count for each status."),
+           "Frames that could not be measured, by status."),
 )
 LAG = (
     Metric("lag_s", SECONDS, lambda lag: lag.lag_s, "Time by which image stamps are late; it was taken off."),
@@ -190,10 +220,11 @@ LAG = (
            "How much better this lag explains the images than its best rival: 1 - J_best / J_rival.", HIGHER),
 )
 UNCORRECTED = (
-    Metric("r_squared_uncorrected", RATIO, lambda e: e.r_squared, "`r_squared` with the lag left in.", HIGHER),
-    Metric("rmse_uncorrected_m", LENGTH, lambda e: e.rmse, "`rmse_m` with the lag left in.", LOWER),
+    Metric("r_squared_uncorrected", RATIO, lambda e: e.r_squared, "The same with the lag left in.", HIGHER),
+    Metric("rmse_uncorrected_m", LENGTH, lambda e: e.rmse, "The same with the lag left in.", LOWER),
 )
 
+LEADS = "Median and shortest time from the start of an alarm to its event; negative where it came late."
 ALARMS = (
     Metric("unsafe", COUNT, lambda a: f"{a.unsafe_count} of {a.frame_count}", "Unsafe frames, and all.",
            title="unsafe", outputs=Output.ALARM_TABLE),
@@ -201,9 +232,9 @@ ALARMS = (
     Metric("alarm_unsafe_count", COUNT, lambda a: a.unsafe_count,
            "Unsafe frames: those whose true clearance is below the threshold."),
     Metric("alarm_unjudged_count", COUNT, lambda a: a.unjudged_count,
-           "Frames without an estimated clearance, which raise no alarm.", LOWER),
+           "Frames without an estimated clearance: no alarm.", LOWER),
     Metric("alarm_unsafe_unjudged_count", COUNT, lambda a: a.unsafe_unjudged_count,
-           "Those of them that are unsafe: in the recall they count as missed.", LOWER),
+           "Those of them that are unsafe; missed, for the recall.", LOWER),
     Metric("alarm_precision", SHARE, lambda a: a.precision, "Share of the alarmed frames that are unsafe.",
            HIGHER, "precision", ALARM_TABLE),
     Metric("alarm_recall", SHARE, lambda a: a.recall, "Share of the unsafe frames that are alarmed.",
@@ -219,10 +250,9 @@ ALARMS = (
            "Events: unbroken stretches of unsafe frames that begin inside the recording."),
     Metric("alarm_missed_event_count", COUNT, lambda a: a.missed_event_count, "Events without an alarm.", LOWER),
     Metric("alarm_lead_median_s", SECONDS, lambda a: a.median_lead_s,
-           "Median time from the start of an alarm to its event; negative where the alarm came late.",
-           HIGHER, "lead", ALARM_TABLE),
+           LEADS, HIGHER, "lead", ALARM_TABLE),
     Metric("alarm_lead_min_s", SECONDS, lambda a: a.min_lead_s,
-           "Shortest time from the start of an alarm to its event.", HIGHER, "least", ALARM_TABLE),
+           LEADS, HIGHER, "least", ALARM_TABLE),
 )
 """How alarms did, with `--alarm-below`. Recall is stored with the share of false alarms: alarming always has a
 recall of 1."""
@@ -232,7 +262,7 @@ REPLAYS = (
     Metric("measured_count", COUNT, lambda f: f.measured_count, "Measured frames.", HIGHER, outputs=FIGURES),
     COVERAGE,
     Metric("ms_per_frame", Unit("ms", "ms", digits=0), lambda f: f.ms_per_frame,
-           "Time per frame of the method alone, without reading, decoding and degrading.", LOWER, "ms", REPLAY),
+           "Processor time per frame of the method alone.", LOWER, "ms", REPLAY),
 )
 """What `compare` and the degradation grid tell beside the distances."""
 # fmt: on
@@ -256,7 +286,14 @@ def score_metrics() -> list[Metric]:
         *of_distance(distance_metrics(), "spatial"),
         *of_distance(distance_metrics(), "clearance"),
         *of_part(ALARMS, "alarms"),
+        *tool_metrics(),
     ]
+
+
+def tool_metrics() -> list[Metric]:
+    """All metrics of the tool's pose, of scores and figures."""
+    parts = [*of_part(TOOL, "tool"), *of_part(ROTATION, "rotation")]
+    return [replace(one, group="tool", is_late=True) for one in parts]
 
 
 def distance_metrics() -> tuple[Metric, ...]:
@@ -267,7 +304,7 @@ def distance_metrics() -> tuple[Metric, ...]:
 def figure_metrics() -> list[Metric]:
     """All metrics of the figures of a replay, in the order of their columns."""
     distances = (of_distance(distance_metrics(), distance) for distance in ("planar", "spatial", "clearance"))
-    return [*REPLAYS, *(metric for metrics in distances for metric in metrics)]
+    return [*REPLAYS, *(metric for metrics in distances for metric in metrics), *tool_metrics()]
 
 
 def stored_metrics() -> dict[str, Metric]:

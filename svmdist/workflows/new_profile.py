@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ import numpy as np
 from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.scene import Scene
-from svmdist.estimation.tissue_tracking import depth_biases
+from svmdist.estimation.surface import depth_biases
 from svmdist.least_squares import scale_of
 from svmdist.profile import Profile, Topics, load_profile
 from svmdist.profile.robot import CameraError, Robot, Tissue
@@ -29,7 +29,6 @@ from svmdist.transforms import Array
 from svmdist.vision.colour import DistinctColour, find_distinct_colour
 from svmdist.vision.find_instruments import AutoSegmenter
 from svmdist.vision.frame_context import as_pinholes
-from svmdist.vision.stereo import StereoPlane, fit_plane
 from svmdist.workflows.capabilities import observations_of
 from svmdist.workflows.check import row_offset_to_remove_px, views_contradiction
 
@@ -45,20 +44,14 @@ VIEWS_COMPARED = 4  # of them, against the cameras
 MOST_IMAGES = 0.6  # share of the images that an instrument is at least visible in
 MIN_PLANES = 3
 LEAST_PLANE_STD_M, LEAST_TILT_STD_RAD, LEAST_SURFACE_STD_M = 1e-3, 0.05, 1e-3
-SCENE_PLANE_STD_M = 3e-3  # a plane of all of a scene is off by as much where the tool works
-UNSEEN_SURFACE_STD_M = 5e-3  # organs stand so far off the plane that most of a scene lies on
 POINTS_PER_PAIR = 500
-FIRST_GUESS = Tissue(
-    plane_distance_m=0.1
-)  # where an endoscope works; a surface by stereo does not depend on it
+FIRST_GUESS = Tissue(plane_distance_m=0.1)
+"""Where an endoscope works; a surface by stereo does not depend on it."""
 
 
 @dataclass(frozen=True)
 class InstrumentDraft:
-    """An instrument: its topics, frames, and the shipped profile whose chain fits its joints.
-
-    `entry` is the side of the picture that it comes in from, where nothing else distinguishes instruments.
-    """
+    """An instrument, the shipped profile whose chain fits its joints; else the side of the picture it enters by."""
 
     name: str
     joints: str | None
@@ -72,11 +65,10 @@ class InstrumentDraft:
 
 @dataclass(frozen=True)
 class TissueDraft:
-    """A plane by so many pairs of views: through the tissue's own surface, or, where that `is_guess`, of the scene."""
+    """The plane through the tissue's surface, by so many pairs of views."""
 
     tissue: Tissue
     pair_count: int
-    is_guess: bool
 
 
 @dataclass(frozen=True)
@@ -118,19 +110,21 @@ def draft_profile(
     recording = open_recording(path, _blank(roles.topics))
     camera = recording.camera
     count = next(topic.message_count for topic in summary.topics if topic.topic == roles.topics["image"])
-    images: list[Image] = []
-    planes: list[StereoPlane | None] = []
     observations = list(observations_of(recording, count // LOOKED_AT))
     if said := views_contradiction(observations[:VIEWS_COMPARED], blank):
         raise RecordingError(f"{path.name}: no profile of it would be right: {said}")
-    for seen in map(as_pinholes, observations):
-        images.append(seen.image_bgr)
-        if seen.right is not None and (baseline_m := float(seen.right.T_left_right[0, 3])) > 0:
-            planes.append(fit_plane(seen.image_bgr, seen.right.image_bgr, seen.camera.K, baseline_m))
+    images = [as_pinholes(seen).image_bgr for seen in observations]
     instruments = tuple(
         _instrument(name, own, summary, path, blank, len(roles.instruments))
         for name, own in roles.instruments.items()
-    ) or _instruments_by_sides(images)
+    )
+    has_base = bool(instruments) and {camera.frame_id, instruments[0].base} <= set(summary.frames)
+    if not has_base and len(instruments) != 1:  # nothing else tells them apart
+        seen = _instruments_by_sides(images)
+        if len(seen) == len(instruments):
+            pairs = zip(instruments, seen, strict=True)
+            instruments = tuple(replace(one, entry=other.entry) for one, other in pairs)
+        instruments = instruments or seen
     return ProfileDraft(
         name,
         path.name,
@@ -140,26 +134,24 @@ def draft_profile(
         camera.frame_id or "camera",
         instruments,
         find_distinct_colour(images, len(instruments)),
-        _surface(recording, observations, images) or _plane([plane for plane in planes if plane is not None]),
+        _surface(recording, observations, images),
         instrument or (UNKNOWN_INSTRUMENT if instruments[0].chain is None else DA_VINCI_INSTRUMENT),
-        {camera.frame_id, instruments[0].base} <= set(summary.frames),
+        has_base,
         len(images),
     )
 
 
 def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
-    """Find topics by schemas and by the names that recorders give; `given` chooses some by role.
-
-    Raises RecordingError where topics are missing or the choice is the user's, UsageError for an unknown role.
-    """
+    """Topics by schemas and usual names, or as `given` by role; RecordingError, UsageError."""
     there = [topic.topic for topic in summary.topics]
     for role, chosen in given.items():
         if role not in list(Role):
             raise UsageError(f"no role {role} for a topic: {did_you_mean(role, list(Role))}")
         if chosen not in there:
-            missing = f"no topic {sanitize(chosen)} for {sanitize(role)}"
-            listed = sanitize_list(there) or "none"
-            raise RecordingError(f"{summary.path.name}: {missing}; the topics are {listed}")
+            known = did_you_mean(sanitize(chosen), map(sanitize, there))
+            raise RecordingError(
+                f"{summary.path.name}: no topic {sanitize(chosen)} for {sanitize(role)}: {known}"
+            )
 
     def carrying(kind: str, *unwanted: str) -> list[str]:
         topics = [topic.topic for topic in summary.topics if topic.kind == kind and topic.message_count]
@@ -294,51 +286,19 @@ def _surface(
     points_m = np.concatenate(clouds)
     normal = np.linalg.svd(points_m - points_m.mean(0), full_matrices=False)[2][2]
     normal *= -np.sign(normal[2])
+    if normal[2] > -0.3:  # too steep for a surface that an endoscope looks at
+        return None
     distances_m = np.array([-np.mean(cloud @ normal) for cloud in clouds])
     heights_m = points_m @ normal - np.mean(points_m @ normal)
     distance_std_m = np.hypot(np.median(stds_m), scale_of(distances_m - np.median(distances_m)))
-    return _tissue(
-        normal,
-        float(np.median(distances_m)),
-        (float(distance_std_m), 0.0, float(np.sqrt(np.mean(heights_m**2)))),
-        len(clouds),
-    )
-
-
-def _plane(planes: Sequence[StereoPlane]) -> TissueDraft | None:
-    """The median of several planes of the scene, and their spread."""
-    if len(planes) < MIN_PLANES:
-        return None
-    normals = np.array([plane.normal for plane in planes])
-    distances_m = np.array([plane.distance_m for plane in planes])
-    normal = np.median(normals, axis=0)
-    normal /= np.linalg.norm(normal)
-    tilt_std_rad = scale_of(np.arccos(np.clip(normals @ normal, -1.0, 1.0)))
-    distance_m = float(np.median(distances_m))
-    surface_std_m = max(float(np.median([plane.surface_std_m for plane in planes])), UNSEEN_SURFACE_STD_M)
-    stds = (max(scale_of(distances_m - distance_m), SCENE_PLANE_STD_M), tilt_std_rad, surface_std_m)
-    return _tissue(normal, distance_m, stds, len(planes), is_guess=True)
-
-
-def _tissue(
-    normal: Array,
-    distance_m: float,
-    stds: tuple[float, float, float],
-    pair_count: int,
-    is_guess: bool = False,
-) -> TissueDraft | None:
-    """A plane with deviations of its distance in m, its tilt in rad and the surface over it in m; None if steep."""
-    if normal[2] > -0.3:
-        return None
-    distance_std_m, tilt_std_rad, surface_std_m = stds
     tissue = Tissue.model_construct(  # what is found is written down, plausible or not
         plane_normal=tuple(normal.tolist()),
-        plane_distance_m=distance_m,
-        plane_distance_std_m=max(distance_std_m, LEAST_PLANE_STD_M),
-        plane_tilt_std_rad=max(tilt_std_rad, LEAST_TILT_STD_RAD),
-        surface_std_m=max(surface_std_m, LEAST_SURFACE_STD_M),
+        plane_distance_m=float(np.median(distances_m)),
+        plane_distance_std_m=max(float(distance_std_m), LEAST_PLANE_STD_M),
+        plane_tilt_std_rad=LEAST_TILT_STD_RAD,
+        surface_std_m=max(float(np.sqrt(np.mean(heights_m**2))), LEAST_SURFACE_STD_M),
     )
-    return TissueDraft(tissue, pair_count, is_guess)
+    return TissueDraft(tissue, len(clouds))
 
 
 def _instrument(

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from svmdist.errors import OutputError, RecordingError, SvmdistError, UsageError
-from svmdist.perturbations.chosen import Perturbations, draw_world
+from svmdist.perturbations import Perturbations, draw_world
 from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.writer import EncodedSample, RecordingWriter, encode
@@ -111,11 +111,7 @@ def _version(package: str) -> str:
 
 
 def encoded_samples(plan: Plan, jobs: int, jpeg_quality: int | None) -> Generator[tuple[str, EncodedSample]]:
-    """Yield (topic, sample) of a plan in the order of time, made by `jobs` processes or fewer.
-
-    Recordings of few images are made in this process, which is faster then. Raises WorkerDiedError where a process is
-    killed, and what a worker raised. The workers end with the iterator.
-    """
+    """Yield (topic, sample) of a plan in order, by `jobs` processes, or here for few images; WorkerDiedError."""
     require_pybullet()  # before there are workers, each of which would report it
     workers = min(jobs, len(plan.blocks) // FRAMES_PER_WORKER)
     with parallel.one_opencv_thread():  # the cores are taken
@@ -182,10 +178,7 @@ class Episodes:
 
 
 def episode_paths(output: Path, scenario: str, first_seed: int, count: int) -> list[Path]:
-    """The files of episodes: by a pattern with {seed} or {episode}, else SCENARIO-SEED.mcap in a folder.
-
-    The folder is made. Raises UsageError for a name that would be the same for all, and OutputError.
-    """
+    """Files by a pattern with {seed} or {episode}, else in a folder, which is made; UsageError, OutputError."""
     seeds = range(first_seed, first_seed + count)
     if SEED in str(output) or NUMBER in str(output):
         width = len(str(count))

@@ -15,8 +15,9 @@ from svmdist.estimation.plane_mapping import Equations
 from svmdist.kinematics import chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
+from svmdist.recording.topics import Role
 from svmdist.tracks import MAX_GAP_NS, Sampled
-from svmdist.transforms import Stamps
+from svmdist.transforms import Array, Stamps
 
 KINEMATICS_PRINTED_NOTE = (
     "eq. (28) as printed is the zero matrix, which makes (31) zero everywhere: the identity stands in for it;"
@@ -33,12 +34,18 @@ class Reference(StrEnum):
     """svmdist's own truth, from the simulator."""
     TF = "tf"
     """A pair of transforms of the log, as a tracking system publishes them."""
+    SURFACE = "surface"
+    """The tool by transforms or poses, the tissue by the surface that both views show."""
+    PLANE = "plane"
+    """The same, with the tissue where each image shows it on the profile's plane."""
     POSE = "pose"
     """A pose topic for the tool, as CRTK's measured_cp."""
     KINEMATICS = "kinematics"
     """DH kinematics of the log's joint states: eqs. (31)–(35), as in the paper."""
 
 
+BY_POSES = (Reference.SURFACE, Reference.PLANE)
+"""References whose tissue is seen in the images: their distances are those of given poses."""
 PoseAt = Callable[[Stamps], Sampled]
 """Stamps, shape (n,), to poses, shape (n, 4, 4), and which of them are known."""
 
@@ -60,6 +67,12 @@ class TruthRules:
         if self.tool_frames is not None:
             return (Reference.TF, Reference.KINEMATICS)
         return (Reference.GROUND_TRUTH, Reference.KINEMATICS)
+
+    def of(self, log: Recording) -> tuple[Reference, ...]:
+        """Those to try on a log: without ground truth in it, and any named, also its poses."""
+        named = self.references or self.tool_frames
+        has_truth = log.topic_of(Role.GROUND_TRUTH_DISTANCE) or log.topic_of(Role.GROUND_TRUTH_TF)
+        return self.wanted if named or has_truth else (*self.wanted, Reference.POSE)
 
 
 ANY_TRUTH = TruthRules()
@@ -87,41 +100,59 @@ def truth_rules(
     return TruthRules(references, tool, tissue, max_gap_ns)
 
 
-def distance_truth(
+@dataclass(frozen=True)
+class Truth:
+    """What holds at n stamps: planar, spatial distance and clearance in m, (n, 3), and `T_camera_tool`, (n, 4, 4).
+
+    NaN stands for what is not known; None for poses that are not known at all.
+    """
+
+    distances_m: Array
+    T_camera_tool: Array | None = None
+
+
+def truth_at(
     recording: Recording,
     profile: Profile,
     reference: Reference,
     stamps_ns: Stamps,
     equations: Equations,
     rules: TruthRules,
-) -> Sampled:
-    """Planar, spatial distance and clearance by a reference in m, shape (n, 3), at stamps; NaN for what it has not.
+) -> Truth:
+    """What a reference says at stamps; without the tissue's place in the log, the tool alone.
 
     Raises RecordingError or KinematicsError where the log has no such reference.
     """
-    unknown_m = np.full(len(stamps_ns), np.nan)
-    if reference is Reference.GROUND_TRUTH:
-        return recording.distance_track().at(stamps_ns, rules.max_gap_ns)
+    unknown_m, tool = np.full(len(stamps_ns), np.nan), None
+    is_truth = reference is Reference.GROUND_TRUTH
     if reference is Reference.KINEMATICS and equations == "printed":
         # eqs. (33)–(35) as published, on the tool in the base frame, which the identity for (28) leaves. The
         # translation of the last row is zero, so that (30)'s reflection leaves the position as it is.
-        tool = _kinematic_poses(recording, profile, rules.max_gap_ns)(stamps_ns)
-        displacement_cm = paper.displacement_cm_as_published(tool.values[:, :3, 3])
-        planar_m = paper.planar_distance_cm(displacement_cm) / 100.0
-        return Sampled(np.stack([planar_m, unknown_m, unknown_m], -1), tool.valid)
-    tool = tool_track(recording, profile, reference, rules)(stamps_ns)
-    frames = profile.frames
-    pair, is_truth = rules.tissue_frames or (frames.camera, frames.tissue), rules.tissue_frames is None
-    tissue = recording.transform_track(*pair, ground_truth=is_truth).at(stamps_ns, rules.max_gap_ns)
-    tool_m, tissue_m = tool.values[:, :3, 3], tissue.values[:, :3, 3]
+        in_base = _kinematic_poses(recording, profile, rules.max_gap_ns)(stamps_ns)
+        displacement_cm = paper.displacement_cm_as_published(in_base.values[:, :3, 3])
+        planar_m = np.where(in_base.valid, paper.planar_distance_cm(displacement_cm) / 100.0, np.nan)
+        return Truth(np.stack([planar_m, unknown_m, unknown_m], -1))
+    has_truth = recording.topic_of(Role.GROUND_TRUTH_TF) is not None
+    if has_truth or not is_truth:
+        found = tool_track(recording, profile, reference, rules)(stamps_ns)
+        tool = np.where(found.valid[:, None, None], found.values, np.nan)
+    if is_truth:
+        return Truth(recording.distance_track().at(stamps_ns, rules.max_gap_ns).values, tool)
+    if tool is None or not (rules.tissue_frames or has_truth):
+        return Truth(np.stack([unknown_m] * 3, -1), tool)
+    pair = rules.tissue_frames or (profile.frames.camera, profile.frames.tissue)
+    tissue = recording.transform_track(*pair, ground_truth=rules.tissue_frames is None)
+    tool_m, tissue_m = tool[:, :3, 3], tissue.at(stamps_ns, rules.max_gap_ns).values[:, :3, 3]
     planar_m = paper.planar_distance_cm(paper.displacement_cm_corrected(tool_m, tissue_m)) / 100.0
     spatial_m = np.linalg.norm(tissue_m - tool_m, axis=-1)
-    return Sampled(np.stack([planar_m, spatial_m, unknown_m], -1), tool.valid & tissue.valid)
+    return Truth(np.stack([planar_m, spatial_m, unknown_m], -1), tool)
 
 
 def tool_track(log: Recording, profile: Profile, reference: Reference, rules: TruthRules) -> PoseAt:
     """`T_camera_tool` by a reference; raises RecordingError or KinematicsError where the log has no such one."""
     frames, gap_ns = profile.frames, rules.max_gap_ns
+    if reference in BY_POSES:
+        reference = Reference.TF if rules.tool_frames else Reference.POSE
     if reference in (Reference.GROUND_TRUTH, Reference.TF):
         is_truth = reference is Reference.GROUND_TRUTH
         pair = (not is_truth and rules.tool_frames) or (frames.camera, frames.tool)
@@ -132,15 +163,25 @@ def tool_track(log: Recording, profile: Profile, reference: Reference, rules: Tr
         in_frame: PoseAt = partial(poses.at, max_gap_ns=gap_ns)
     else:
         frame, in_frame = frames.base, _kinematic_poses(log, profile, gap_ns)
-    if frame == frames.camera:
-        return in_frame
-    nominal = log.transform_track(frames.camera, frame)
+    return in_camera(log, profile, frame, in_frame, gap_ns)
 
-    def in_camera(stamps_ns: Stamps) -> Sampled:
-        T_camera_frame, T_frame_tool = nominal.at(stamps_ns, gap_ns), in_frame(stamps_ns)
+
+def in_camera(
+    log: Recording, profile: Profile, frame: str, in_frame: PoseAt, max_gap_ns: int = MAX_GAP_NS
+) -> PoseAt:
+    """Poses in a frame as poses in the camera frame, by the log's transforms; a frame without a name is the camera's.
+
+    Raises RecordingError where the log does not link them.
+    """
+    if frame in ("", "camera", profile.frames.camera) or frame == log.logged_camera.frame_id:
+        return in_frame
+    nominal = log.transform_track(profile.frames.camera, frame)
+
+    def at(stamps_ns: Stamps) -> Sampled:
+        T_camera_frame, T_frame_tool = nominal.at(stamps_ns, max_gap_ns), in_frame(stamps_ns)
         return Sampled(T_camera_frame.values @ T_frame_tool.values, T_camera_frame.valid & T_frame_tool.valid)
 
-    return in_camera
+    return at
 
 
 def _kinematic_poses(recording: Recording, profile: Profile, max_gap_ns: int) -> PoseAt:

@@ -114,7 +114,8 @@ class MultiInstrumentEstimator:
         self._calibrated = camera if setup.is_calibrated else None
         self._estimators = [setup.estimator_for(arm) for arm in arms]
         self._arms = tuple(arms)
-        self._doubts = {name: one.doubt(setup.method) for name, one in checks.items()}
+        self._is_given = setup.is_given
+        self._doubts = {name: one.doubt(setup.method) for name, one in checks.items() if setup.own is None}
         self.needs: Needs = self._estimators[0].needs
         self.keeps_state: bool = self._estimators[0].keeps_state
 
@@ -136,7 +137,7 @@ class MultiInstrumentEstimator:
             if named.measured and said:
                 named = replace(named.rejected(Status.INCONSISTENT, said), distances=Distances())
             results.append(named.doubted(frame.doubt) if frame.doubt else named)
-        if len(results) > 1:
+        if len(results) > 1 and not self._is_given:
             from svmdist.estimation.distances import with_clearance_between
 
             results = with_clearance_between(results, [arm.body for arm in self._arms])
@@ -181,7 +182,7 @@ class _Replay:
         wanted: Sequence[str] | None,
     ) -> None:
         self._recording = recording
-        setups = [setup.knowing(recording.lag) for setup in setups]
+        setups = [setup.for_log(recording).knowing(recording.lag) for setup in setups]
         self._setup = setups[0]
         for setup in setups:
             setup.require_camera(recording)
@@ -197,7 +198,8 @@ class _Replay:
         self._row_offset_px = 0.0
         self._looked: dict[tuple[int, int], Looked] = {}
         self._checks: list[dict[str, Checks]] = [{} for _ in conditions]
-        if not all(setup.is_planar for setup in setups):
+        self._are_given = all(setup.is_given for setup in setups)
+        if not all(setup.is_planar or setup.is_given for setup in setups):
             self._compare(any(setup.needs_right_view for setup in setups))
         elif isinstance(self._setup.segmenter, LearningSegmenter):
             spread = spread_observations(recording, images_to_look_at(self._setup.segmenter))
@@ -211,10 +213,10 @@ class _Replay:
         profile, health = self._setup.profile, self._recording.health
         spread = spread_observations(self._recording, images_to_look_at(self._setup.segmenter))
         self._segmenters = adapted_segmenters(self._setup.segmenter, spread, self._conditions)
-        if profile.tissue is None:
-            return
         if needs_rows:
             self._row_offset_px = row_offset_to_remove_px(first_of(spread, profile), profile)
+        if profile.tissue is None:
+            return
         for at, (condition, segmenter) in enumerate(zip(self._conditions, self._segmenters, strict=True)):
 
             def looked(number: int, seen: tuple[Observation, ...]) -> Looked:
@@ -266,7 +268,7 @@ class _Replay:
     def _association(self) -> Association | None:
         """What tells the instruments apart; None where there is one, and images show no others as such."""
         is_alone = len(self._arms) == 1 and not isinstance(self._setup.profile.segmentation, AutoSegmentation)
-        if is_alone:
+        if is_alone or self._are_given:
             return None
         from svmdist.estimation.association import Association
 
@@ -304,7 +306,10 @@ class _Replay:
             prefetch(scene, ("left.masks.seen", "right.masks.seen"))
             return _Ahead(scene, None, (None,) * len(lanes), spent_s)
         if looked is None:
-            frames = [Frame.of(scene, self._arms[0], found[0], self._arms[0].state_at(seen))]
+            frames = [
+                Frame.of(scene, arm, one, arm.state_at(one))
+                for arm, one in zip(self._arms, found, strict=True)
+            ]
         else:
             frames = list(looked.frames)
         spent_s |= prefetch(frames[0], self._needs.frame)

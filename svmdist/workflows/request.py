@@ -21,8 +21,8 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
 from svmdist.estimation.scene import Arm
+from svmdist.perturbations import Perturbations, require_at_replay
 from svmdist.perturbations.calibration import stated_profile
-from svmdist.perturbations.chosen import Perturbations, require_at_replay
 from svmdist.perturbations.images import perturbed_image, perturbed_right_view
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.log import KnownLag, Recording, open_recording
@@ -127,20 +127,29 @@ LOG = logging.getLogger("svmdist")
 
 @runtime_checkable
 class OwnMethod(Protocol):
-    """Anything with `estimate(frame)`. A `name` is shown in results; the class's name stands in for it."""
+    """Anything with `estimate(frame)`. A `name` is shown in results; the class's name stands in for it.
+
+    One that has `for_log(recording)` is what this gives for each log.
+    """
 
     def estimate(self, frame: Frame) -> FrameResult:
         """Measure one frame; one that cannot be measured is a result with a status that says why."""
+
+
+def needs_of(method: OwnMethod) -> Needs:
+    """What an own method takes of a log: both views where it does not say."""
+    needs: Needs = getattr(method, "needs", Needs(right_view=True))
+    return needs
 
 
 class OwnEstimator:
     """An own method as the replay takes it: each instrument has a copy, and frames come in the order of the log."""
 
     keeps_state = True
-    needs = Needs(right_view=True)
 
     def __init__(self, method: OwnMethod) -> None:
         self.name = str(getattr(method, "name", type(method).__name__))
+        self.needs = needs_of(method)
         self._method = copy.deepcopy(method)
 
     def estimate(self, frame: Frame) -> FrameResult:
@@ -180,7 +189,12 @@ class Setup:
     @property
     def is_planar(self) -> bool:
         """Whether the method measures in the paper's plane."""
-        return self.method in PLANAR_METHODS
+        return self.own is None and self.method in PLANAR_METHODS
+
+    @property
+    def is_given(self) -> bool:
+        """Whether its rows are what others stated, and no image refutes them."""
+        return bool(getattr(self.own, "is_given", False))
 
     @property
     def is_calibrated(self) -> bool:
@@ -190,7 +204,7 @@ class Setup:
     @property
     def needs_right_view(self) -> bool:
         """Whether the method measures by both views."""
-        return self.own is not None or self.method in ("stereo", "fused")
+        return self.method in ("stereo", "fused") if self.own is None else needs_of(self.own).right_view
 
     def require_camera(self, recording: Recording) -> None:
         """Raise CalibrationError for a recording of another camera than the calibration's."""
@@ -200,6 +214,11 @@ class Setup:
     def estimator_for(self, arm: Arm) -> Estimator:
         """Make the estimator of one instrument."""
         return OwnEstimator(self.own) if self.own else make_estimator(self.method, arm, self.mapping)
+
+    def for_log(self, recording: Recording) -> Setup:
+        """The same with an own method as it is for a log; raises what that raises."""
+        bind: Callable[[Recording], OwnMethod] | None = getattr(self.own, "for_log", None)
+        return self if bind is None else replace(self, own=bind(recording))
 
     def for_instrument(self, name: str) -> Setup:
         """The same for one of the profile's instruments."""
@@ -278,7 +297,8 @@ def prepare(
 ) -> Setup:
     """Load what a measurement needs, by names and paths; a `Profile`, and an own method, are taken as they are.
 
-    A planar method takes the given calibration, else the profile's; `hand_eye` is a file in place of the profile's.
+    A planar method takes the given calibration, else the profile's, and the paper's `equations` corrected or printed;
+    `hand_eye` is a file in place of the profile's.
     Raises ProfileError, CalibrationError or UsageError.
     """
     if isinstance(method, str) and method not in METHODS:
@@ -316,3 +336,19 @@ def prepare(
 
         require_tissue(loaded)
     return setup
+
+
+def prepare_every(
+    profile: str | Path | Profile = DEFAULT_PROFILE,
+    calibration: Path | None = None,
+    hand_eye: Path | None = None,
+) -> tuple[Setup, ...]:
+    """Every method that a profile serves; the others are remarked. Raises what `prepare` does where none is served."""
+    setups: tuple[Setup, ...] = ()
+    for method in METHODS:
+        given = calibration if method in PLANAR_METHODS else None
+        try:
+            setups += (prepare(profile, method, "corrected", given, hand_eye),)
+        except CalibrationError as problem:
+            LOG.info("note: without %s: %s", method, problem)
+    return setups

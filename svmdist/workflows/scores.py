@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -18,14 +19,26 @@ from svmdist.estimation.methods import PLANAR_METHODS, SPATIAL_METHODS
 from svmdist.estimation.plane_mapping import Equations
 from svmdist.profile import Profile
 from svmdist.recording.log import KnownLag, Recording
-from svmdist.results import FrameResult
-from svmdist.tracks import Sampled
-from svmdist.transforms import Array, Stamps
+from svmdist.results import Z_95, FrameResult
+from svmdist.tracks import Mask
+from svmdist.transforms import (
+    Array,
+    Stamps,
+    known_rotations,
+    make_transform,
+    quaternion_xyzw_from_rotation,
+    rotation_angle,
+)
 from svmdist.workflows import references
+from svmdist.workflows.references import Truth
 from svmdist.workflows.request import Setup
 
 BOOTSTRAP_SEED = 36
+SPHERE_95 = 2.7955
+"""Standard deviations of an isotropic error in 3D that 95 % of positions are within: sqrt(χ²(0.95; 3))."""
 DISTANCES = ("planar", "spatial", "clearance")
+SCORED = (*DISTANCES, "tool", "rotation")
+NUMBERS = 16  # of a row: its pixel, distances with deviations, the tool's deviation, position and quaternion
 
 
 @dataclass(frozen=True)
@@ -49,9 +62,16 @@ class DistanceScore:
     interval_coverage: float | None
     pairs: Pairs = field(repr=False)
 
+    @property
+    def normalized_rmse(self) -> float | None:
+        """The root of the mean squared error over its standard deviation; None without any."""
+        known = np.isfinite(self.pairs.std_m) & (self.pairs.std_m > 0.0)
+        errors = (self.pairs.estimate_m - self.pairs.truth_m)[known] / self.pairs.std_m[known]
+        return float(np.sqrt(np.mean(errors**2))) if known.any() else None
+
 
 class Readings:
-    """The numbers that scoring takes from rows, collected as they arrive: 72 bytes per row."""
+    """The numbers that scoring takes from rows, collected as they arrive: 136 bytes per row."""
 
     def __init__(self, rows: Iterable[FrameResult] = ()) -> None:
         self._stamps_ns = array("q")
@@ -64,16 +84,20 @@ class Readings:
         return len(self._stamps_ns)
 
     def add(self, row: FrameResult) -> None:
-        """Take the tool's pixel and each distance from a row; NaN where it has none."""
+        """Take the tool's pixel, each distance and the tool's pose from a row; NaN where it has none."""
         self._stamps_ns.append(row.stamp_ns)
         numbers = [*(row.image.tool_px or (np.nan, np.nan))]
         for found in (getattr(row.distances, name) for name in DISTANCES):
             std_m = np.nan if found is None or found.std_m is None else found.std_m
             numbers += [np.nan if found is None else found.value_m, std_m]
+        if row.tool is not None:
+            pose = row.tool.pose
+            turned = quaternion_xyzw_from_rotation(pose.T_camera_tool[:3, :3])
+            numbers += [pose.position_std_m, *pose.position_m.tolist(), *turned.tolist()]
         if not row.measured:
             self.rejected[str(row.status)] += 1
-            numbers = [np.nan] * len(numbers)
-        self._numbers.extend(numbers)
+            numbers = []
+        self._numbers.extend(numbers + [np.nan] * (NUMBERS - len(numbers)))
 
     @property
     def stamps_ns(self) -> Stamps:
@@ -83,24 +107,52 @@ class Readings:
     @property
     def tool_px(self) -> Array:
         """Where the tool was seen, shape (n, 2); NaN where it was not."""
-        return self._pairs[:, 0]
+        return self._table[:, :2]
 
     def distance(self, name: str) -> tuple[Array, Array]:
         """Estimates and standard deviations of a distance in m, shape (n,) each."""
-        estimate_m, std_m = self._pairs[:, 1 + DISTANCES.index(name)].T
+        at = 2 + 2 * DISTANCES.index(name)
+        estimate_m, std_m = self._table[:, at : at + 2].T
         return estimate_m, std_m
 
     @property
-    def _pairs(self) -> Array:
-        return np.array(self._numbers, np.float64).reshape(-1, 1 + len(DISTANCES), 2)
+    def is_rejected(self) -> Mask:
+        """Which rows have no number, shape (n,)."""
+        return np.asarray(np.isnan(self._table).all(axis=1))
 
-    def pairs(self, name: str, truth: Sampled, stamps_ns: Stamps | None = None) -> Pairs:
-        """Pair a distance with its truth at the rows' stamps, or at others, shape (n,); pairs without a value go."""
-        estimate_m, std_m = self.distance(name)
-        truth_m = truth.values[:, DISTANCES.index(name)]
-        kept = truth.valid & np.isfinite(truth_m) & np.isfinite(estimate_m)
+    @property
+    def truth(self) -> Truth:
+        """The distances and poses of these rows, to hold others against."""
+        table = self._table
+        return Truth(table[:, 2:8:2], make_transform(known_rotations(table[:, 12:]), table[:, 9:12]))
+
+    @property
+    def _table(self) -> Array:
+        return np.array(self._numbers, np.float64).reshape(-1, NUMBERS)
+
+    def pairs(
+        self, name: str, truth: Truth, stamps_ns: Stamps | None = None, other: Readings | None = None
+    ) -> Pairs:
+        """Pair a distance with its truth at the rows' stamps, or at others, shape (n,); pairs without a value go.
+
+        `tool` and `rotation` are how far it is from its true pose, in m and rad, paired with zero. A truth by `other`
+        estimates adds their deviations.
+        """
+        if name in DISTANCES:
+            (estimate, std), true = self.distance(name), truth.distances_m[:, DISTANCES.index(name)]
+            others = None if other is None else other.distance(name)[1]
+        else:
+            T, true = self.truth.T_camera_tool, np.zeros(len(self))
+            of, others = truth.T_camera_tool, None if other is None else SPHERE_95 / Z_95 * other._table[:, 8]
+            std, estimate = SPHERE_95 / Z_95 * self._table[:, 8], np.full(len(self), np.nan)
+            if of is not None and T is not None and name == "tool":
+                estimate = np.linalg.norm(T[:, :3, 3] - of[:, :3, 3], axis=1)
+            elif of is not None and T is not None:
+                estimate, std = rotation_angle(T[:, :3, :3], of[:, :3, :3]), estimate
+        std = std if others is None else np.hypot(std, others)
+        kept = np.isfinite(true) & np.isfinite(estimate)
         at_ns = self.stamps_ns if stamps_ns is None else stamps_ns
-        return Pairs(at_ns[kept], estimate_m[kept], truth_m[kept], std_m[kept])
+        return Pairs(at_ns[kept], estimate[kept], true[kept], std[kept])
 
 
 def pooled(parts: Sequence[Pairs]) -> Pairs:
@@ -136,11 +188,11 @@ def require_clearance(method: str, profile: Profile | None = None) -> None:
 
 
 def score_alarms(
-    rows: Sequence[FrameResult], truth: Sampled, stamps_ns: Stamps, rules: AlarmRules
+    rows: Sequence[FrameResult], truth: Truth, stamps_ns: Stamps, rules: AlarmRules
 ) -> metrics.AlarmStatistics:
     """Score the alarms of all rows at their true clearances; RecordingError where none of these is known."""
-    clearance_m = truth.values[:, DISTANCES.index("clearance")]
-    known = truth.valid & np.isfinite(clearance_m)
+    clearance_m = truth.distances_m[:, DISTANCES.index("clearance")]
+    known = np.isfinite(clearance_m)
     if not known.any():
         raise RecordingError("there is no frame with a true clearance to score alarms against")
     watch, order = AlarmWatch(rules), np.argsort(stamps_ns, kind="stable")
@@ -172,6 +224,8 @@ class Score:
     uncorrected: metrics.ErrorStatistics | None = None
     spatial: DistanceScore | None = None
     clearance: DistanceScore | None = None
+    tool: DistanceScore | None = None  # how far its position is off, and by how much it is turned, in rad
+    rotation: DistanceScore | None = None
     alarms: metrics.AlarmStatistics | None = None
     instrument: str = ""
     start_ns: int = 0  # stamp of the first image of the log
@@ -241,19 +295,29 @@ def score_rows(
     rules: references.TruthRules = references.ANY_TRUTH,
     lag: LagEstimate | None = None,
     alarms: AlarmRules | None = None,
+    by: Readings | None = None,
 ) -> Score:
-    """Score the estimates of one recording, shape (n_frames,), against one reference."""
+    """Score the estimates of one recording, shape (n_frames,), against one reference.
 
-    def truth_at(at_ns: Stamps) -> Sampled:
-        return references.distance_truth(recording, setup.profile, reference, at_ns, setup.equations, rules)
+    Of a reference whose tissue is seen in the images, `by` are its rows. Raises RecordingError or KinematicsError where
+    the log does not have the reference, or that has nothing of what was estimated.
+    """
+
+    def truth_of(at_ns: Stamps) -> Truth:
+        if by is not None:
+            return by.truth
+        return references.truth_at(recording, setup.profile, reference, at_ns, setup.equations, rules)
 
     readings = Readings(rows)
     lag_ns = truth_lag_ns(recording, setup, reference, lag)
     stamps_ns = readings.stamps_ns - lag_ns
-    truth = truth_at(stamps_ns)
-    planar, spatial, clearance = (readings.pairs(distance, truth, stamps_ns) for distance in DISTANCES)
+    truth = truth_of(stamps_ns)
+    planar, *others = (readings.pairs(name, truth, stamps_ns) for name in SCORED)
+    spatial, clearance, tool, rotation = map(score_pairs, others)
+    if tool is None and not np.isfinite(truth.distances_m).any() and len(rows) > readings.rejected.total():
+        raise RecordingError("it has no tissue to measure to; --truth plane takes the profile's")
     is_truth = reference is references.Reference.GROUND_TRUTH
-    unshifted = readings.pairs("planar", truth_at(readings.stamps_ns)) if lag_ns else planar
+    unshifted = readings.pairs("planar", truth_of(readings.stamps_ns)) if lag_ns else planar
     return Score(
         *(recording.name, setup.method, setup.equations, reference, len(rows)),
         dict(sorted(readings.rejected.items())),
@@ -261,8 +325,7 @@ def score_rows(
         setup.was_fitted_on(recording),
         lag,
         metrics.error_statistics(unshifted.estimate_m, unshifted.truth_m),
-        score_pairs(spatial),
-        score_pairs(clearance),
+        *(spatial, clearance, tool, rotation),
         score_alarms(rows, truth, stamps_ns, alarms) if alarms and is_truth else None,
         start_ns=rows[0].stamp_ns - round(rows[0].seconds * 1e9) if rows else 0,
         alarm_events=tuple(alarm_events(rows, alarms)),
@@ -275,6 +338,9 @@ def pool_scores(scores: Sequence[Score], named: str = "overall") -> Score:
     scores = sorted(scores, key=lambda score: (score.recording, score.pairs.stamps_ns[:1].tolist()))
     rejected = sum((Counter(score.rejected) for score in scores), Counter[str]())
     alarms = [score.alarms for score in scores if score.alarms]
+    measured: dict[str, Any] = {
+        name: pooled_score([getattr(one, name) for one in scores]) for name in SCORED[1:]
+    }
     return replace(
         scores[0],
         recording=named,
@@ -284,8 +350,7 @@ def pool_scores(scores: Sequence[Score], named: str = "overall") -> Score:
         fitted_on=False,
         lag=None,
         uncorrected=None,
-        spatial=pooled_score([score.spatial for score in scores]),
-        clearance=pooled_score([score.clearance for score in scores]),
+        **measured,
         alarms=metrics.pooled_alarms(alarms) if alarms else None,
         alarm_events=(),
     )

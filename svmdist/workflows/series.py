@@ -13,11 +13,12 @@ from svmdist.estimation.alarms import AlarmEvent, alarm_events
 from svmdist.results import Z_95
 from svmdist.transforms import Array
 from svmdist.workflows.estimate import Measured
-from svmdist.workflows.references import Reference, distance_truth
+from svmdist.workflows.references import Reference, truth_at
 from svmdist.workflows.request import Request
 from svmdist.workflows.scores import DISTANCES, Readings, truth_lag_ns
 
 PREFERRED = ("clearance", "spatial", "planar")
+APART_S = 1.0  # between two of the worst frames
 
 
 @dataclass(frozen=True)
@@ -101,12 +102,23 @@ class WorstFrame:
 
 
 def worst_frames(series: Sequence[Series], count: int) -> list[WorstFrame]:
-    """The worst frames of several instruments, each image once, the worst first."""
-    frames = [WorstFrame(at, one, bad_m) for one in series for at, bad_m in enumerate(one.badness_m.tolist())]
-    worst: dict[int, WorstFrame] = {}
-    for frame in sorted(frames, key=lambda frame: -frame.badness_m):
-        worst.setdefault(frame.number, frame)
-    return list(worst.values())[:count]
+    """The worst frames of several instruments, the worst first: a second apart, for neighbours show the same.
+
+    Where a log is too short for that many, nearer ones, too; each image once.
+    """
+    every = [WorstFrame(at, one, bad_m) for one in series for at, bad_m in enumerate(one.badness_m.tolist())]
+    ranked, worst = sorted(every, key=lambda frame: -frame.badness_m), list[WorstFrame]()
+    for apart_s in (APART_S, 0.0):
+        for frame in ranked:
+            if len(worst) < count and all(_are_apart(frame, one, apart_s) for one in worst):
+                worst.append(frame)
+    return sorted(worst, key=lambda frame: -frame.badness_m)
+
+
+def _are_apart(one: WorstFrame, other: WorstFrame, apart_s: float) -> bool:
+    between_s = abs(one.series.seconds[one.at] - other.series.seconds[other.at])
+    is_other = one.series.recording != other.series.recording
+    return is_other or (one.number != other.number and bool(between_s >= apart_s))
 
 
 def series_of(
@@ -126,9 +138,8 @@ def series_of(
         at_ns = readings.stamps_ns - truth_lag_ns(recording, setup, asked, one.lag)
         truths = {name: np.full(len(rows), np.nan) for name in PREFERRED}
         try:
-            truth = distance_truth(recording, setup.profile, asked, at_ns, setup.equations, request.rules)
-            true_m = np.where(truth.valid[:, None], truth.values, np.nan)
-            truths = dict(zip(DISTANCES, true_m.T, strict=True))
+            truth = truth_at(recording, setup.profile, asked, at_ns, setup.equations, request.rules)
+            truths = dict(zip(DISTANCES, truth.distances_m.T, strict=True))
         except (RecordingError, KinematicsError):
             if reference is not None:
                 raise

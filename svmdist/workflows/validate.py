@@ -16,11 +16,14 @@ from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules, alarm_watches
 from svmdist.files import read_regular, why, write_atomically
 from svmdist.recording.log import Recording
+from svmdist.results import FrameResult
 from svmdist.workflows.ending import Ending
-from svmdist.workflows.estimate import Keep, Measured, estimate, given_lag, recording_lag, with_lag
+from svmdist.workflows.estimate import Keep, Measured, given_lag, recording_lag, with_lag
+from svmdist.workflows.given import Given
 from svmdist.workflows.metric_table import FIRST_KEYS, Better, Tolerance, cells, stored_metrics
 from svmdist.workflows.parallel import Steps
-from svmdist.workflows.references import KINEMATICS_PRINTED_NOTE, Reference
+from svmdist.workflows.references import BY_POSES, KINEMATICS_PRINTED_NOTE, Reference
+from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Request
 from svmdist.workflows.scores import Readings, Score, pool_scores, require_clearance, score_rows
 
@@ -101,7 +104,7 @@ def combine(parts: Sequence[Scored], request: Request, groups: Sequence[str] = (
 def _pooled(scores: Sequence[Score], request: Request, named: str = "overall") -> list[Score]:
     """By instrument and reference, without the scores of what the calibration was fitted on."""
     found = []
-    for name, reference in product(request.setup.profile.instrument_names, request.rules.wanted):
+    for name, reference in product(request.setup.profile.instrument_names, Reference):
         label = named if name == request.setup.profile.instrument_name else f"{named} {name}"
         of = [one for one in scores if (one.instrument, one.reference) == (name, reference)]
         if counted := [one for one in of if not one.fitted_on]:
@@ -125,7 +128,8 @@ def score_recording(
     each = len(request.instruments or recording.instruments) + (lag == "auto" and not planar)
     steps.total = count and count * each
     read, found = (recording, given_lag(lag)) if planar else with_lag(recording, request, jobs, steps.advance)
-    every = list(steps.of(estimate(read, setup, request.instruments, jobs)))
+    wanted = rules.of(recording)
+    every, by = _measured(read, request, [one for one in wanted if one in BY_POSES], jobs, steps)
     if not every:
         raise RecordingError(f"{recording.name}: there is no image to measure")
     scores, missing = [], []
@@ -143,21 +147,40 @@ def score_recording(
             offset = recording_lag(Readings(rows), view, seen.profile, rules)
         if not offset.told:
             notes.append(f"{label}: the lag cannot be told and 0 is used: {offset.reason}")
-        for reference in rules.wanted:
+        for reference in wanted:
+            poses = (
+                Readings(row for row in by[reference] if row.instrument == name) if reference in by else None
+            )
             try:
-                score = score_rows(rows, view, seen, reference, rules, offset, request.alarms)
+                score = score_rows(rows, view, seen, reference, rules, offset, request.alarms, poses)
             except (RecordingError, KinematicsError) as problem:
                 missing.append(f"{label}: no {reference} to compare with: {problem}")
             else:
                 scores.append(replace(score, recording=label, instrument=name))
     if not scores or (request.alarms and scores[0].alarms is None):
-        raise RecordingError("; ".join(missing))
+        methods = "`svmdist compare` sets methods against each other, without a truth"
+        raise RecordingError("; ".join([*missing, methods]))
     if keep is not None:
         keep(Measured(recording, read, tuple(every), scores[0].lag))
     notes += missing
     if setup.equations == "printed" and Reference.KINEMATICS in {score.reference for score in scores}:
         notes.append(KINEMATICS_PRINTED_NOTE)
     return Scored(tuple(scores), tuple(notes), ending)
+
+
+def _measured(
+    read: Recording, request: Request, references: Sequence[Reference], jobs: int | None, steps: Steps
+) -> tuple[list[FrameResult], dict[Reference, list[FrameResult]]]:
+    """The rows of a recording, and in the same pass those of references whose tissue is seen in the images."""
+    given = [Given(str(one), rules=request.rules, on_surface=one is Reference.SURFACE) for one in references]
+    setups = [request.setup, *(replace(request.setup, method=one.name, own=one) for one in given)]
+    every: list[FrameResult] = []
+    others: dict[Reference, list[FrameResult]] = {one: [] for one in references}
+    for first, *rest in replay(read, setups, wanted=request.instruments, jobs=jobs):
+        every += steps.of(iter(first.results))
+        for rows, replayed in zip(others.values(), rest, strict=True):
+            rows.extend(replayed.results)
+    return every, others
 
 
 SCHEMA: Literal["svmdist.baseline/1"] = "svmdist.baseline/1"

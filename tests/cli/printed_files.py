@@ -16,6 +16,7 @@ from svmdist.profile import load_profile, profile_path
 from svmdist.recording.log import open_recording
 from svmdist.samples import Image
 from tests.conftest import REPOSITORY
+from tests.reading import read_observations
 
 RECORDINGS = REPOSITORY / "recordings"
 FIRST_FRAME, FRAME_COUNT = 40, 6  # in which most of the shaft is in the picture
@@ -26,7 +27,7 @@ IN_ENDOSCOPE_FRAME = {"tool": "tracker", "tissue": "tissue"}
 def golden_pairs() -> tuple[Camera, list[tuple[Image, Image]]]:
     """The camera, and both views of some frames from the middle of a golden log."""
     recording = open_recording(RECORDINGS / "3d" / "contact.mcap", load_profile())
-    observations = islice(recording.observations(), FIRST_FRAME, FIRST_FRAME + FRAME_COUNT)
+    observations = islice(read_observations(recording), FIRST_FRAME, FIRST_FRAME + FRAME_COUNT)
     pairs = [(one.image_bgr, one.right.image_bgr) for one in observations]
     return recording.camera, pairs
 

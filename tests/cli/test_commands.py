@@ -3,14 +3,17 @@
 import hashlib
 import json
 import os
+import re
+import shlex
 import shutil
 import subprocess
 import sys
 import tomllib
+from pathlib import Path
 
 import pytest
 
-from svmdist.profile import load_profile
+from svmdist.profile import load_profile, profile_path
 from svmdist.recording.log import open_recording
 from svmdist.report.rows import ESTIMATE_KEYS
 from tests.conftest import ended
@@ -38,6 +41,32 @@ def test_all_forms_of_rows_agree(cli, tmp_path, calibrated):
         path = tmp_path / f"out.{form}"
         assert cli("estimate", *calibrated, "-o", path).out == ""
         assert path.read_text() == cli("estimate", *calibrated, "-f", form, "-o", "-").out
+
+
+def test_estimate_ends_with_a_command_that_shows_the_smallest_clearance(cli, golden, tmp_path, monkeypatch):
+    """Which runs as it is printed; where nothing is measured, one that shows what was segmented."""
+    monkeypatch.chdir(tmp_path)
+    last = cli("estimate", golden / "3d" / "duo.mcap", "--every", "40").err.splitlines()[-1]
+    said, _, command = last.partition(": svmdist ")
+    assert "smallest clearance" in said
+    assert cli(*shlex.split(command)).out.strip().endswith(".png")
+    none = cli(
+        "estimate", golden / "3d" / "contact.mcap", "--method", "shaft", "--profile", blind(tmp_path), code=1
+    )
+    assert f"svmdist show {golden / '3d' / 'contact.mcap'} --masks --profile" in none.err
+
+
+def blind(folder: Path) -> Path:
+    """A profile whose colours are those of nothing."""
+    path = folder / "blind.toml"
+    text = profile_path("psm13").read_text("utf-8").replace('calibration = "psm13.calibration.toml"', "")
+    path.write_text(re.sub(r"(?m)^value = .*$", "value = [254, 255]", text))
+    return path
+
+
+def test_help_of_a_command_by_its_name(cli):
+    assert cli("help", "profile", "new").out == cli("profile", "new", "--help").out
+    assert cli("help").out == cli("--help").out
 
 
 def test_an_annotated_recording_is_replaced_only_by_force(cli, tmp_path, synthetic_log):

@@ -14,6 +14,7 @@ from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample
 from tests.conftest import REPOSITORY, started
+from tests.reading import read_images
 
 INTERRUPTED, TERMINATED = "svmdist: interrupted", "svmdist: terminated"
 
@@ -60,7 +61,7 @@ def test_while_a_log_is_recorded(tmp_path, number, code, said, jobs):
     lines = [line for line in err.splitlines() if "frames/s" not in line]  # the progress of a slow machine
     assert lines == [f"{said}; what was recorded until then is in {part}"]
     assert list(tmp_path.iterdir()) == [part]
-    assert any(isinstance(image, ImageSample) for image in open_recording(part, load_profile()).images())
+    assert any(isinstance(image, ImageSample) for image in read_images(open_recording(part, load_profile())))
 
 
 def test_with_a_progress_bar_on_a_terminal(golden):

@@ -1,6 +1,7 @@
 """Many logs from the command line: folders, globs and URLs; one bad log; results that stay; groups and summaries."""
 
 import csv
+import re
 from pathlib import Path
 
 import pytest
@@ -59,7 +60,7 @@ def test_every_command_gives_the_same_for_any_number_of_processes(cli, folder, c
         for row in rows:
             row.pop("ms_per_frame", None)
         # A slow machine reports its progress, too.
-        said = [line for line in outcome.err.splitlines() if not line.startswith("svmdist: measuring")]
+        said = [line for line in outcome.err.splitlines() if not re.match(r"svmdist: \w+: \d+ of", line)]
         found.append((rows, said))
     assert all(one == found[0] for one in found)
     assert found[0][0]
@@ -68,8 +69,8 @@ def test_every_command_gives_the_same_for_any_number_of_processes(cli, folder, c
 def test_a_bad_log_is_told_at_the_end_and_stops_nothing(cli, with_bad, folder):
     """Exit code 3, with the rows of all others; a log that is cut gives what it has."""
     outcome = cli("estimate", with_bad, "-f", "csv", "--jobs", "2", code=3)
-    first, *_, last = outcome.err.splitlines()
-    assert first.endswith("frames measured (100.0%)")
+    *_, last = outcome.err.splitlines()
+    assert "frames measured (100.0%)\n" in outcome.err
     assert "left out: " in last
     assert "junk.mcap: is not a recording" in last
     good = [row for row in outcome.rows if row["recording"].startswith("log")]

@@ -1,11 +1,11 @@
 """Options that many commands have, remarks and progress, and how logs are named."""
 
-import logging
-
 import pytest
+import typer
 
 from svmdist.cli import output
 from svmdist.cli.logs import named_logs
+from svmdist.cli.main import app
 from tests.synthetic import write_log
 
 
@@ -50,13 +50,31 @@ def test_every_measuring_command_takes_what_the_guide_says(cli, option, commands
     assert all(option in cli(command, "--help").out for command in commands.split())
 
 
-def test_progress_is_a_line_every_ten_seconds(caplog):
-    times = iter([0.0, 1.0, 10.0, 15.0, 20.5])
-    advance = output._lines("measuring", "rows", lambda: next(times))
-    with caplog.at_level(logging.INFO, "svmdist"):
-        for done, total in ((1, 40), (10, 40), (15, None), (20, None)):
-            advance(done, total)
-    assert caplog.messages == ["measuring: 10 of 40 rows, 1.0 rows/s", "measuring: 20 rows, 1.0 rows/s"]
+def test_help_fits_a_screen_or_two_and_has_every_option(cli):
+    text = cli("estimate", "--help").out
+    assert len(text.splitlines()) <= 60
+    assert max(map(len, text.splitlines())) <= 80
+    assert text.index("Examples:") < text.index("Input:") < text.index("Method:") < text.index("Output:")
+    parameters = typer.main.get_command(app).commands["estimate"].params
+    assert not [
+        one for one in parameters if not one.hidden and (one.opts[0] not in text and one.metavar not in text)
+    ]
+
+
+def test_json_is_a_format_and_colours_may_be_forced(cli, synthetic_log, monkeypatch):
+    assert cli("info", synthetic_log, "--json").out == cli("info", synthetic_log, "-f", "json").out
+    command = ("compare", synthetic_log, "--method", "kinematic", "--every", "10")
+    assert "\x1b[" not in cli(*command).out
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    assert "\x1b[" in cli(*command).out
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert "\x1b[" not in cli(*command).out
+
+
+def test_progress_says_how_far_it_is():
+    assert output._how_far(10, 40, "rows", 10.0) == "10 of 40 rows, 1.0 rows/s, 30 s left"
+    assert output._how_far(20, None, "rows", 20.0) == "20 rows, 1.0 rows/s"
 
 
 def test_logs_are_named_by_files_folders_and_globs(tmp_path):
@@ -65,3 +83,11 @@ def test_logs_are_named_by_files_folders_and_globs(tmp_path):
         (tmp_path / folder).mkdir()
         write_log(tmp_path / folder / "x.mcap", frame_count=1)
     assert [log.name for log in named_logs([tmp_path / "a", tmp_path / "*" / "*.mcap"])] == ["a/x", "b/x"]
+
+
+def test_a_window_without_images_says_so(golden, cli):
+    """Nothing to compare and nothing to measure is one sentence."""
+    assert (
+        "none between --start and --end"
+        in cli("estimate", golden / "sweep.mcap", "--start", "100", code=1).err
+    )

@@ -34,9 +34,8 @@ NOT_RUN = {
     "python -m benchmarks.robustness LOG.mcap --write": "measures a log in many worlds for minutes",
     "python -m benchmarks.alarms LOG.mcap --write": "measures logs by every method for minutes",
     "python -m benchmarks.generated_pages": "another test compares its pages with the code",
-    "python -m benchmarks.real_images sets --out real-images --write": "needs the sets that the lines above clone",
+    "python -m benchmarks.real sets --out real-images --write": "needs the sets that the lines above clone",
     "python -m benchmarks.masks sets --renders 400": "needs the sets that the line above clones",
-    "--group docs mkdocs serve": "serves until it is stopped; .ci/run builds the site",
 }
 """Calls of `uv run` that are not made, each with the reason."""
 OTHER_PROGRAMS = {

@@ -5,7 +5,8 @@ import numpy as np
 
 from svmdist.drawing import COLOURS, Part
 from svmdist.recording.log import open_recording
-from svmdist.report.panels import bgr, phases_picture
+from svmdist.report.on_image import bgr
+from svmdist.report.panels import phases_picture
 from svmdist.workflows.frame_drawing import drawn_frames
 from svmdist.workflows.request import prepare
 
@@ -16,22 +17,21 @@ def has_colour(picture: np.ndarray, part: Part) -> int:
 
 def test_the_phases_of_overlay_are_five_panels_of_the_images_size(golden, cli, tmp_path):
     log = golden / "sweep.mcap"
-    shown = cli("show", log, "--frame", 3, "-o", tmp_path).out
+    shown = cli("show", log, "--method", "overlay", "--frame", 3, "-o", tmp_path).out
     assert shown == f"{tmp_path / 'sweep-00003.png'}\n"
     picture = cv2.imread(str(tmp_path / "sweep-00003.png"))
-    assert picture.shape[1] == 3 * 644
-    assert 2 * 480 < picture.shape[0] < 2 * 480 + 200
-    left, middle, right = (picture[:600, x : x + 640] for x in (0, 644, 1288))
-    assert has_colour(middle, Part.TISSUE) > 500  # its contour
+    assert picture.shape[1] == 2 * 644
+    assert 3 * 480 < picture.shape[0] < 3 * 480 + 240
+    left, right = (picture[:560, x : x + 640] for x in (0, 644))
+    assert has_colour(right, Part.TISSUE) > 500  # its contour
     assert has_colour(left, Part.TISSUE) == 0  # the segmentation is a tint
-    white = (right == 255).all(2).sum()
-    assert white > 1000  # the marker's rim
-    matches = picture[620:, :640]
+    marker, matches = (picture[640:1080, x : x + 640] for x in (0, 644))
+    assert (marker == 255).all(2).sum() > 1000  # the marker's rim
     assert has_colour(matches, Part.INLIER) > 1000
 
 
 def test_every_method_has_panels_for_what_it_found(golden):
-    for method, part in (("fiducial", Part.TAG), ("shaft", Part.SHAFT), ("fused", Part.MARKER)):
+    for method, part in (("fiducial", Part.TAG), ("shaft", Part.SHAFT), ("fused", Part.DISTAL_MARKER)):
         setup = prepare(method=method)
         recording = open_recording(golden / "3d" / "duo.mcap", setup.profile)
         (frame,) = drawn_frames(recording, setup, numbers=[0], jobs=1)
@@ -41,7 +41,7 @@ def test_every_method_has_panels_for_what_it_found(golden):
 def test_at_takes_the_nearest_image_and_worst_the_worst(golden, cli, tmp_path):
     log = golden / "sweep.mcap"
     assert cli("show", log, "--at", 0.52, "-o", tmp_path).out.endswith("sweep-00005.png\n")
-    worst = cli("show", log, "--worst", 2, "-o", tmp_path)
+    worst = cli("show", log, "--method", "overlay", "--worst", 2, "-o", tmp_path)
     assert len(worst.out.splitlines()) == worst.err.count("planar error") == 2
 
 

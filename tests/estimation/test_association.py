@@ -5,10 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from svmdist.camera import Camera
+from svmdist.estimation.across_views import disagreement
 from svmdist.estimation.association import EntryTracker
 from svmdist.estimation.region_tracking import Blob, Gaussian, NominalPlace, RegionTracker
-from svmdist.transforms import Array
+from svmdist.profile.robot import Instrument
+from svmdist.profile.settings import AssociationSettings
+from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.find_instruments import SeenInstrument
+from svmdist.vision.lines import tangent_normal
 
 WIDTH_PX, HEIGHT_PX, RADIUS_PX, FOCAL_PX, DEPTH_M = 640, 480, 11.0, 554.0, 0.09
 RATE_HZ, COUNT = 8.0, 64
@@ -52,7 +57,7 @@ def follow(seed: int, dropout: float, blind_from: int = COUNT) -> Array:
     rng = np.random.default_rng(seed)
     paths = crossing_paths(rng)
     errors_m = rng.normal(0.0, 0.025, (2, 3)) * [1.0, 1.0, 0.5]
-    tracker = RegionTracker(2, WIDTH_PX, HEIGHT_PX)
+    tracker = RegionTracker(2, WIDTH_PX, HEIGHT_PX, AssociationSettings())
     named = swapped = 0
     for frame, positions in enumerate(paths):
         pixels = pixels_of(positions)
@@ -100,8 +105,8 @@ SECOND = 10**9
 
 def entering(entry: Sequence[float], end: Sequence[float]) -> SeenInstrument:
     """An instrument that comes in at one pixel and ends at another."""
-    sides, tip = np.array([[entry, end], [entry, end]], np.float64), np.array(end, float)
-    return SeenInstrument(*[np.zeros((1, 1), np.uint8)] * 3, sides, tip, tip, 0.5)
+    sides = np.array([[entry, end], [entry, end]], np.float64)
+    return SeenInstrument(np.zeros((1, 1), np.bool_), (1, 1), sides, np.array(end, float), 0.5)
 
 
 def test_from_left_to_right_in_the_order_of_the_profile():
@@ -133,3 +138,36 @@ def test_tips_that_cross_keep_their_names():
             named = watch.update(step * SECOND // 8, found)
             for name, one in enumerate(named):
                 assert one.seen is None or one.doubt or shown[one.seen] == name
+
+
+def shaft_seen(camera: Camera, T_camera_left: Array, end_m: Array, direction: Array) -> SeenInstrument:
+    """A shaft of 4 mm radius with 40 mm in view, in a camera that is elsewhere than the left one."""
+    ends_m = np.array([end_m - 0.04 * direction, end_m]) @ T_camera_left[:3, :3].T + T_camera_left[:3, 3]
+    along = T_camera_left[:3, :3] @ direction
+    normals = [tangent_normal(ends_m[1], along, 0.004, side)[0] for side in (-1, 1)]
+    sides = np.array([camera.project(ends_m - 0.004 * normal) for normal in normals])
+    end_px, none = sides[:, 1].mean(0), np.zeros((2, 2), np.bool_)
+    return SeenInstrument(none, (2, 2), sides, end_px, 1.0, np.full((2, 2, 2), 0.1) * np.eye(2), 3.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_shaft_is_told_in_the_right_view_by_its_depth(seed):
+    """Of two shafts 15 mm apart both views' own agree within 4 deviations, and the other is beyond 24 squared."""
+    rng = np.random.default_rng(seed)
+    camera = Camera(1280, 1024, np.array([[900.0, 0, 640], [0, 900.0, 512], [0, 0, 1]]))
+    T_right_left = make_transform(rotation_of([0.0, 0.05, 0.01]), [-0.005, 0.0005, 0.0])
+    instrument = Instrument(
+        shaft_radius_m=0.004,
+        shaft_length_m=0.3,
+        wrist_radius_m=0.003,
+        knuckle_radius_m=0.002,
+        jaw_length_m=0.01,
+        jaw_radius_m=0.001,
+    )
+    first_m, direction = rng.uniform([-0.02, -0.02, 0.09], [0.02, 0.02, 0.13]), np.array([0.8, 0.2, 0.57])
+    direction /= np.linalg.norm(direction)
+    other_m = first_m + np.array([0.0, 0.015, rng.uniform(-0.01, 0.01)])
+    left = shaft_seen(camera, np.eye(4), first_m, direction)
+    own, other = (shaft_seen(camera, T_right_left, at_m, direction) for at_m in (first_m, other_m))
+    assert disagreement(left, own, (camera, camera), T_right_left, instrument) < 16.0
+    assert disagreement(left, other, (camera, camera), T_right_left, instrument) > 24.0

@@ -52,7 +52,7 @@ coefficients = st.builds(
 )
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=50)
 @given(coefficients, coefficients)
 def test_known_quadratics_are_recovered(x, y):
     """Noise-free samples give back all six coefficients within 1e-9, and residuals of zero."""

@@ -8,7 +8,6 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.estimation.distances import between_std_m, measured, with_clearance_between
-from svmdist.estimation.frame import frame_of
 from svmdist.estimation.instrument.model import InstrumentModel, wrist_in_tool
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue import TissuePose
@@ -19,7 +18,7 @@ from svmdist.samples import JointSample, Observation, Status
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_x, rotation_z
 from svmdist.vision.segmentation import make_segmenter
 from tests.jacobian import nudged
-from tests.measuring import flat
+from tests.measuring import flat, frame_of
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)

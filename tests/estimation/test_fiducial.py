@@ -8,8 +8,10 @@ import pytest
 
 from svmdist import kinematics
 from svmdist.camera import Camera
+from svmdist.estimation.instrument.measurement import EXACT
 from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
 from svmdist.estimation.one_view import tool_from_tag
+from svmdist.estimation.scene import Arm
 from svmdist.kinematics import DHChain
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import load_profile
@@ -93,10 +95,11 @@ def test_a_length_moves_the_tool_along_its_own_axis(name):
     q = 0.4 * chain.lower + 0.6 * chain.upper
     tag = TagPose(make_transform(rotation_x(2.0), [0.0, 0.0, 0.09]), np.zeros((6, 6)), 0.0, 0.8)
     error = KinematicError(joint_std_rad=0.0, joint_std_m=0.0, play_std_rad=0.0, length_std_m=4e-4)
+    arm = Arm(profile.model_copy(update={"fiducial": fiducial, "kinematic_error": error}))
+    arm.deviations = EXACT
 
     def tool_m(chain: DHChain) -> Array:
-        robot = RobotState(chain, 0, q)
-        return tool_from_tag(tag, fiducial, robot, error).position_m
+        return tool_from_tag(arm, CAMERA, tag, RobotState(chain, 0, q)).position_m
 
     expected = np.zeros((3, 3))
     for index in range(kinematics.row_index(chain, fiducial.link) + 1, len(chain.rows)):
@@ -106,7 +109,7 @@ def test_a_length_moves_the_tool_along_its_own_axis(name):
             moved_m = (tool_m(replace(chain, rows=tuple(rows))) - tool_m(chain)) / 1e-6 * 4e-4
             expected += np.outer(moved_m, moved_m)
     assert np.trace(expected) > 0.0
-    found = tool_from_tag(tag, fiducial, RobotState(chain, 0, q), error).position_covariance
+    found = tool_from_tag(arm, CAMERA, tag, RobotState(chain, 0, q)).position_covariance
     np.testing.assert_allclose(found, expected, atol=1e-14)
 
 

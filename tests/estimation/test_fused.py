@@ -20,6 +20,7 @@ from svmdist.simulation.plan import draw_nominal_kinematics
 from svmdist.simulation.scene import make_scene as simulated_scene
 from svmdist.transforms import Array
 from tests.measuring import Measuring
+from tests.reading import read_observations
 from tests.shipped import CHAIN, POSTURE, PROFILE
 from tests.synthetic import START_NS, SyntheticScene, make_scene
 
@@ -116,7 +117,7 @@ def test_fused_rejects_an_outlier_and_follows_a_base_that_jumped(scene, profile)
 def test_a_camera_that_is_bumped_costs_three_rows_and_gives_none_that_is_wrong(golden, bump_m):
     """The transform from camera to base is off by as much from one frame on; ground truth is of before and after."""
     recording = open_recording(golden / "3d" / "contact.mcap", PROFILE)
-    seen = [one for one in islice(recording.observations(), 36) if isinstance(one, Observation)]
+    seen = [one for one in islice(read_observations(recording), 36) if isinstance(one, Observation)]
     estimator, truth = Measuring("fused", PROFILE), recording.distance_track()
     off_m = []
     for number, one in enumerate(seen):

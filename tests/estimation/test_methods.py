@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 
 from svmdist.errors import ProfileError
-from svmdist.estimation.frame import Frame, frame_of
+from svmdist.estimation.frame import Frame
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
 from svmdist.estimation.scene import Arm
 from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.vision.segmentation import make_segmenter
 from svmdist.workflows.calibrate import PIXELS_AS_THEY_ARE
+from tests.measuring import frame_of
+from tests.reading import read_observations
 from tests.shipped import PROFILE
 
 REQUIRES = {
@@ -35,7 +37,7 @@ def made(method: str) -> Estimator:
 def seen(golden: Path) -> list[Observation]:
     """The first frames of a rendered log with both views, joints and transforms."""
     recording = open_recording(golden / "3d" / "contact.mcap", PROFILE)
-    return [one for one in islice(recording.observations(), 3) if isinstance(one, Observation)]
+    return [one for one in islice(read_observations(recording), 3) if isinstance(one, Observation)]
 
 
 def fresh(seen: Observation) -> Frame:

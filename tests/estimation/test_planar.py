@@ -129,7 +129,7 @@ def check_consistent(row) -> None:
 
 
 @pytest.mark.parametrize("method", PLANAR)
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(x=st.floats(2.0, 637.0), y=st.floats(2.0, 477.0), seed=st.integers(0, 50))
 def test_places_are_found_all_over_the_image(method, x, y, seed):
     """Tool and tissue to 1 px of the centroid of what is left to see, wherever the tool is; the distance to 0.3 mm."""

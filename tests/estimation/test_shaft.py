@@ -1,19 +1,25 @@
 """The method shaft on pictures that the simulator never drew: any side, size, frame and background."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.frame import frame_of
 from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.model import InstrumentModel, shaft_sections
+from svmdist.estimation.instrument.shaft_detection import NO_SHAFT, Rim
+from svmdist.estimation.instrument.shaft_model import ShaftSizes
 from svmdist.estimation.scene import Arm
 from svmdist.profile import Profile, load_profile
+from svmdist.profile.robot import Instrument
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.results import Failure
 from svmdist.samples import Observation
+from svmdist.vision.find_instruments import SeenInstrument
 from svmdist.vision.segmentation import make_segmenter
+from tests.measuring import frame_of
 from tests.pictures import END_M, PALE_BGR, RED_BGR, WRIST_M, ShaftImage, entering_from
 
 PROFILE = load_profile().model_copy(update={"fiducial": None})
@@ -125,3 +131,34 @@ def test_a_shaft_out_of_focus_is_measured(side):
 @pytest.mark.parametrize("grey", [0, 150])
 def test_an_image_without_an_instrument_says_so(grey):
     assert isinstance(find_tool(Observation(0, np.full((480, 640, 3), grey, np.uint8), SMALL)), Failure)
+
+
+ENDS = ShaftSizes(Instrument(**{**dict(PROFILE.instrument), "outline_end_m": 0.004, "shaft_end_m": 0.005}))
+
+
+@pytest.mark.parametrize(("other_px", "kept"), [(90.0, True), (200.0, False)])
+def test_two_ends_are_those_of_shaft_and_wrist_or_one_is_nothing(other_px, kept):
+    """A dark part that ends 9 mm before the outline is the shaft; one 20 mm before it is a band, blood or a label."""
+    sides = np.array([[[0.0, 0.0], [300.0, 0.0]], [[0.0, 80.0], [300.0, 80.0]]])
+    end_px, small = np.array([300.0, 40.0]), np.zeros((2, 2), np.bool_)
+    seen = SeenInstrument(
+        small, (2, 2), sides, end_px, 1.0, ends_dark=True, other_px=other_px, other_share=0.5
+    )
+    likelier = ENDS.with_likelier_end(seen, 2e-4)
+    assert likelier.ends_dark is kept
+    assert likelier.other_share < 0.2
+    assert likelier.end_px[0] == pytest.approx(300.0 if kept else 300.0 + other_px)
+
+
+def test_an_outline_beyond_which_nothing_is_seen_ends_anywhere_up_to_the_tips():
+    """With a wrist seen beyond it, it is the shaft's; where another end is possible, the deviation reaches it."""
+
+    def ahead(**known: float) -> tuple[float, float]:
+        rim = Rim(np.zeros(2), np.array([1.0, 0.0]), 3.0, is_outline=True, **known)
+        return ENDS.rim_ahead(replace(NO_SHAFT, rim=rim), 2e-4, 0.009)
+
+    assert ahead(narrows=1.0) == pytest.approx((0.004, ENDS.outline_end_std_m))
+    mean_m, std_m = ahead(narrows=0.0)
+    near_m, tip_m = 0.004, 0.017
+    assert mean_m - 2.0 * std_m < near_m < tip_m < mean_m + 2.0 * std_m
+    assert ahead(narrows=1.0, other_radii=-3.0, other_share=0.3)[1] > 1e-3

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.frame import frame_of
 from svmdist.estimation.instrument.factors import Expected, MarkerPair, marked, of_images, pair_markers
 from svmdist.estimation.scene import Arm
 from svmdist.profile import load_profile
@@ -18,7 +17,7 @@ from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.frame_context import as_pinholes
 from svmdist.vision.segmentation import make_segmenter
 from svmdist.vision.stereo import RectifiedPair
-from tests.measuring import Measuring
+from tests.measuring import Measuring, frame_of
 from tests.pictures import RED_BGR, ShaftImage, entering_from
 from tests.synthetic import make_scene
 

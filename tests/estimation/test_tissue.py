@@ -12,9 +12,9 @@ import pytest
 import trimesh
 
 from svmdist.camera import Camera
-from svmdist.estimation.distances import behind_tissue
 from svmdist.estimation.dome import DomeModel
 from svmdist.estimation.instrument.shaft_model import ShaftSizes
+from svmdist.estimation.instrument.verification import contradiction
 from svmdist.estimation.tissue import TissuePose, detect_tissue, tissue_frame
 from svmdist.geometry import Capsules, Cloud
 from svmdist.geometry.distance import separation
@@ -26,6 +26,7 @@ from svmdist.samples import Observation, Status
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import Array, rotation_z, transform_points
 from tests.measuring import Measuring
+from tests.reading import read_observations
 from tests.shipped import PROFILE
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
@@ -144,7 +145,7 @@ def test_clearance_is_nearer_to_the_truth_than_with_the_dome(tmp_path, golden):
     lines = f'mesh = "organ.obj"\nmesh_unit = "mm"\nmesh_yaw_rad = {yaw_rad}\nmesh_position_m = {offset.tolist()}\n'
     meshed = profile_with(tmp_path, lines)
     recording = open_recording(golden / "contact.mcap", shipped)
-    seen = [each for each in recording.observations() if isinstance(each, Observation)][::10]
+    seen = [each for each in read_observations(recording) if isinstance(each, Observation)][::10]
     truth = recording.distance_track().at(np.array([each.stamp_ns for each in seen]))
     rmse_m = []
     for profile in (shipped, meshed):
@@ -163,7 +164,7 @@ def test_a_surface_that_both_views_show_needs_no_shape_from_the_profile(tmp_path
     rough = {"plane_distance_m": plane_distance_m, "plane_distance_std_m": 0.01}
     bare = bare.model_copy(update={"tissue": bare.tissue.model_copy(update=rough)})
     recording = open_recording(golden / "3d" / "contact.mcap", bare)
-    seen = [each for each in islice(recording.observations(), 36) if isinstance(each, Observation)][::7]
+    seen = [each for each in islice(read_observations(recording), 36) if isinstance(each, Observation)][::7]
     truth = recording.distance_track().at(np.array([each.stamp_ns for each in seen]))
     fused = Measuring("fused", bare)
     rows = [fused.estimate(each) for each in seen]
@@ -185,8 +186,8 @@ def test_where_an_outline_ends_is_as_uncertain_as_clevises_differ():
 @pytest.mark.parametrize(
     ("behind_m", "std_m", "is_refused"), [(-5e-3, 2e-3, False), (4e-2, 2e-3, True), (4e-2, 2e-2, False)]
 )
-def test_a_tool_behind_a_measured_surface_is_not_far_from_it(behind_m, std_m, is_refused):
-    """Points have no inside: a tool behind the tissue's plane by more than is uncertain would seem safe."""
+def test_a_tool_behind_the_tissue_is_not_far_from_it(behind_m, std_m, is_refused):
+    """A measured surface has no inside: a tool behind the tissue's plane by more than is uncertain would seem safe."""
     frame = SimpleNamespace(arm=SimpleNamespace(profile=PROFILE))
     T = np.eye(4)
     T[2, 3] = PROFILE.tissue.plane_distance_m + behind_m
@@ -194,4 +195,4 @@ def test_a_tool_behind_a_measured_surface_is_not_far_from_it(behind_m, std_m, is
     tissue = TissuePose(
         np.array([0.0, 0.0, 0.112]), 1e-6 * np.eye(3), Cloud(np.zeros((1, 3))), 1e-3, is_measured=True
     )
-    assert bool(behind_tissue(frame, pose, tissue)) == is_refused
+    assert bool(contradiction(frame, pose, None, tissue)) == is_refused

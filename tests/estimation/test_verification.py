@@ -18,6 +18,7 @@ from svmdist.simulation.scene import make_scene
 from svmdist.transforms import inverse, transform_points
 from tests.golden import IN_3D, REAL
 from tests.measuring import Measuring
+from tests.reading import read_observations
 from tests.shipped import PROFILE
 
 PLAIN_LOGS = ("sweep", "random", "approach")
@@ -39,7 +40,7 @@ GREY_BGR, TISSUE_BGR = (150, 150, 150), (90, 80, 200)
 def frames_of(path: Path) -> list[Observation]:
     """Some frames of a log, with the instrument in view."""
     recording = open_recording(path, PROFILE)
-    return [one for one in islice(recording.observations(), 20, 60, 8) if isinstance(one, Observation)]
+    return [one for one in islice(read_observations(recording), 20, 60, 8) if isinstance(one, Observation)]
 
 
 @pytest.fixture(scope="module", params=PLAIN_LOGS)

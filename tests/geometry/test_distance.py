@@ -86,18 +86,6 @@ def test_segment_to_triangle_agrees_with_densely_sampled_trimesh():
         assert sampled - exact <= np.linalg.norm(end - start) / 8000 + EXACT
 
 
-def test_spheres_to_a_mesh_agree_with_trimesh():
-    """A capsule without length is a point with a radius: trimesh's signed distance, inside and outside."""
-    rng = np.random.default_rng(3)
-    mesh = icosphere()
-    reference = trimesh.Trimesh(mesh.vertices_m, mesh.faces, process=False)
-    for point in rng.uniform(-1.6, 1.6, (60, 3)):
-        found = separation(Capsules(point[None], point[None], np.array([0.1])), mesh)
-        signed = -trimesh.proximity.signed_distance(reference, point[None])[0]
-        assert found.distance_m == pytest.approx(signed - 0.1, abs=EXACT)
-        assert_consistent(found)
-
-
 def test_depth_in_a_box_is_that_of_the_tip_or_the_deepest_point():
     """Of a needle that ends in it, of an axis that runs through it."""
     needle = capsule([0.1, 0.2, 0.4], [0.1, 0.2, 3.0], 0.01)
@@ -167,11 +155,10 @@ def test_many_capsules_against_many_agree_with_every_pair_in_turn():
         expected = (every - a.radius_m[:, None] - b.radius_m[None]).min()
         assert found.distance_m == pytest.approx(expected, abs=EXACT)
         assert_consistent(found)
-        back, other = found.reversed(), capsule_separation(b, a)
-        assert_consistent(back)
-        assert (back.capsule, back.distance_m) == (other.capsule, pytest.approx(other.distance_m, abs=EXACT))
-        np.testing.assert_allclose(back.direction, other.direction, atol=1e-7)
-        np.testing.assert_allclose(back.on_instrument_m, other.on_instrument_m, atol=1e-7)
+        back = capsule_separation(b, a)
+        assert back.distance_m == pytest.approx(found.distance_m, abs=EXACT)
+        np.testing.assert_allclose(-back.direction, found.direction, atol=1e-7)
+        np.testing.assert_allclose(back.on_tissue_m, found.on_instrument_m, atol=1e-7)
 
 
 def test_the_nearest_point_of_a_large_cloud_is_found():

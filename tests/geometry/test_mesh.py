@@ -8,9 +8,8 @@ import pytest
 import trimesh
 
 from svmdist.errors import ProfileError
-from svmdist.geometry import Capsules
+from svmdist.geometry import MAX_TRIANGLES, Capsules, read_closed_mesh
 from svmdist.geometry.distance import separation
-from svmdist.geometry.mesh import MAX_TRIANGLES, read_closed_mesh
 
 
 def organ() -> trimesh.Trimesh:

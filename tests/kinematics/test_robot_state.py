@@ -38,7 +38,7 @@ def test_a_state_without_the_camera_still_knows_its_base_frame():
     assert state.camera_failure == Failure("no transform from the camera to the base")
     np.testing.assert_array_equal(state.T_base_tool, state_of().T_base_tool)
     with pytest.raises(ValueError, match="no transform from the camera to the base"):
-        _ = state.T_camera_tool
+        _ = state.T_camera_link(None)
 
 
 def test_poses_are_those_of_forward_kinematics():
@@ -48,10 +48,9 @@ def test_poses_are_those_of_forward_kinematics():
     assert (state.stamp_ns, state.camera_failure) == (7, None)
     frames = kinematics.frame_transforms(CHAIN, POSTURE)
     np.testing.assert_allclose(state.T_base_tool, kinematics.forward_kinematics(CHAIN, POSTURE), atol=1e-13)
-    np.testing.assert_allclose(state.T_camera_tool, T_CAMERA_BASE @ state.T_base_tool, atol=1e-13)
+    np.testing.assert_allclose(state.T_camera_link(None), T_CAMERA_BASE @ state.T_base_tool, atol=1e-13)
     np.testing.assert_allclose(state.T_camera_link(link), T_CAMERA_BASE @ state.T_base_link(link), atol=1e-13)
     np.testing.assert_allclose(state.T_base_link(link), frames[kinematics.row_index(CHAIN, link)], atol=1e-13)
-    np.testing.assert_allclose(state.T_camera_link(None), state.T_camera_tool, atol=1e-13)
     for row, (direction, point_m) in enumerate(state.joint_axes):
         expected = kinematics.joint_axis(CHAIN, frames, row)
         np.testing.assert_allclose(direction, expected[0], atol=1e-13)

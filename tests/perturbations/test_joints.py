@@ -8,17 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from svmdist.perturbations.chosen import Perturbations, parse_perturbations
+from svmdist.perturbations import Perturbations, parse_perturbations
 from svmdist.perturbations.joints import (
     METRES_PER_DEG,
-    JointPerturber,
     JointUnits,
     ReplayedWorld,
     late_stamps_ns,
+    reported_joints,
     reported_late,
 )
 from svmdist.profile import load_profile
-from svmdist.samples import JointSample
 from svmdist.transforms import Array
 
 PROFILE = load_profile()
@@ -31,8 +30,8 @@ PATHS = arrays(np.float64, st.tuples(st.integers(1, 40), st.just(3)), elements=s
 
 def leads(path: Array, half_width: float) -> Array:
     units = JointUnits(("a", "b", "c"), {}, np.ones(3), np.ones(3))
-    perturber = JointPerturber(units, Perturbations((("backlash", half_width),)), 1)
-    return np.array([perturber.perturbed(row, 0) - row for row in path])
+    backlash = Perturbations((("backlash", half_width),))
+    return reported_joints(path, np.zeros(len(path), np.int64), units, backlash, 1) - path
 
 
 @given(PATHS, st.floats(0.0, 1.0))
@@ -60,8 +59,7 @@ def test_a_lead_knows_no_speed(path, half_width, repeats):
 
 
 def perturb(text: str, q: Array, seed: int = 1, arm: int = 0) -> Array:
-    perturber = JointPerturber(UNITS, parse_perturbations(text), seed, arm)
-    return np.array([perturber.perturbed(row, STEP_NS * index) for index, row in enumerate(q)])
+    return reported_joints(q, STEP_NS * np.arange(len(q)), UNITS, parse_perturbations(text), seed, arm)
 
 
 def still(count: int) -> Array:
@@ -110,13 +108,15 @@ def test_seed_and_arm_draw_apart():
 
 
 def test_a_log_of_other_order_names_and_joints_is_perturbed_alike():
-    q = np.random.default_rng(2).normal(size=len(NAMES))
-    text = parse_perturbations("joint_noise=1,backlash=1")
-    whole = JointPerturber(UNITS, text, 1).perturbed(q, 0)
+    q = np.random.default_rng(2).normal(size=(3, len(NAMES)))
     order = [WRIST, NAMES.index("yaw")]
     names = [*(NAMES[index] for index in order), "gripper"]
-    found = JointPerturber(UNITS, text, 1).of_log(names, np.array([*q[order], 0.5]), 0)
-    np.testing.assert_array_equal(found, [*whole[order], 0.5])
+    world = ReplayedWorld(parse_perturbations("joint_noise=1,backlash=1"), PROFILE, 1)
+    _, found = world.reported(
+        "PSM1", names, STEP_NS * np.arange(3), np.column_stack([q[:, order], np.ones(3)])
+    )
+    whole = perturb("joint_noise=1,backlash=1", q)
+    np.testing.assert_array_equal(found, np.column_stack([whole[:, order], np.ones(3)]))
 
 
 @given(st.integers(-9, 9), st.integers(20, 60))
@@ -141,22 +141,3 @@ def test_a_lag_that_drifts_grows_with_time():
     ramp = 1e-9 * stamps[:, None].astype(float)
     late = reported_late(ramp, stamps, growing)
     np.testing.assert_allclose(ramp[1000] - late[1000], 0.025, rtol=0.01)
-
-
-def replayed(chosen: Perturbations, q: Array, lag_ns: int = 0) -> list[JointSample]:
-    joints = ReplayedWorld(chosen, PROFILE, 1, lag_ns).joints_of("PSM1")
-    samples = [JointSample(1000 + STEP_NS * index, NAMES, row) for index, row in enumerate(q)]
-    return [found for sample in samples for found in joints.replayed(sample)]
-
-
-@pytest.mark.parametrize("lag_ns", [STEP_NS, -STEP_NS])
-def test_a_lag_that_is_taken_off_moves_stamps_alone(lag_ns):
-    """No sample is added or lost, and it comes on top of what a perturbed world does."""
-    q = np.cumsum(np.full((5, len(NAMES)), 0.01), axis=0)
-    found = replayed(Perturbations(), q, lag_ns)
-    assert [joint.stamp_ns for joint in found] == [1000 + STEP_NS * at + lag_ns for at in range(5)]
-    np.testing.assert_array_equal([joint.positions for joint in found], q)
-    backlash = parse_perturbations("backlash=0.5")
-    for joint, expected in zip(replayed(backlash, q, lag_ns), replayed(backlash, q), strict=True):
-        assert joint.stamp_ns == expected.stamp_ns + lag_ns
-        np.testing.assert_array_equal(joint.positions, expected.positions)

@@ -9,15 +9,17 @@ from hypothesis import strategies as st
 
 from benchmarks.generated_pages import DOCS
 from svmdist.errors import UsageError
-from svmdist.perturbations.chosen import (
+from svmdist.perturbations import (
+    TABLE,
     UNPERTURBED,
+    Normal,
     Perturbations,
+    Uniform,
     World,
     direction,
     draw_world,
     parse_perturbations,
 )
-from svmdist.perturbations.table import TABLE, Normal, Uniform
 from svmdist.profile import Profile, load_profile
 
 SEEDS = range(1000)

@@ -1,4 +1,4 @@
-"""Bombs: small files that ask for gigabytes are refused within 2 s and 512 MiB."""
+"""Bombs: small files that ask for gigabytes are refused within 512 MiB; `benchmarks.speed` has the time it takes."""
 
 import struct
 import subprocess
@@ -18,28 +18,24 @@ from .faults import chunk_body, join
 
 MAGIC = b"\x89MCAP0\r\n"
 GIB = 1 << 30
+ROOT = Path(__file__).parents[2]
 READ = """
-import sys, time
+import sys
 from svmdist.errors import RecordingError
 from svmdist.profile import load_profile
 from svmdist.recording.summary import inspect_recording
 from svmdist.recording.log import open_recording
 from svmdist.samples import Rejection
-started = time.process_time()
+from tests.reading import read_images
 try:
     inspect_recording(sys.argv[1], load_profile())
-    inspected = time.process_time() - started
-    assert inspected < 2.0, f"to inspect it took {inspected} s"
-    started = time.process_time()
     recording = open_recording(sys.argv[1], load_profile(), topics={"image": "/image"})
-    found = list(recording.images())
+    found = list(read_images(recording))
     assert all(isinstance(item, Rejection) for item in found), found
     assert not recording.health.is_clean
     reasons = recording.health.describe()
 except RecordingError as problem:
     reasons = [str(problem)]
-seconds = time.process_time() - started
-assert seconds < 2.0, f"took {seconds} s"
 # Not ru_maxrss: a process inherits that of the one which started it.
 peak_kib = next(line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM:"))
 peak_mib = int(peak_kib) / 1024
@@ -110,6 +106,6 @@ def test_bombs_are_refused(tmp_path, bomb):
     path = tmp_path / "bomb.mcap"
     BOMBS[bomb](path)
     command = [sys.executable, "-c", READ, path]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip()

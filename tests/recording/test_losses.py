@@ -7,6 +7,7 @@ import pytest
 
 from svmdist.recording.log import open_recording
 from svmdist.recording.source import MAX_LISTED_LOSSES, Health, Loss, LossKind
+from tests.reading import read_images
 
 from .builders import rewrite, scene, write_scene
 from .faults import CHUNK_OPCODE, MAGIC_BYTES, Reading, chunks, join, read, split
@@ -89,7 +90,7 @@ def test_a_cut_file_says_so_once_with_its_figures(data, tmp_path, profile):
     recording = open_recording(path, profile)
     expected = sum(count for _, count in chunks(data)[:3])
     for _ in range(3):
-        list(recording.images())
+        list(read_images(recording))
     line = f"truncated at byte {path.stat().st_size}, {expected} messages recovered"
     assert recording.health.describe() == (line,)
     assert recording.metadata == {"scenario": "test", "seed": "7"}

@@ -18,6 +18,7 @@ from svmdist.recording.source import LossKind
 from svmdist.recording.summary import inspect_recording
 from svmdist.recording.writer import RecordingWriter, encode, message_class_of
 from svmdist.transforms import Array, inverse, make_transform
+from tests.reading import read_observations
 
 from .builders import CAMERA, PERIOD_NS, Entry, pose, scene, write_messages, write_scene
 from .faults import CHUNK_OPCODE, MAGIC_BYTES, join, split
@@ -49,7 +50,7 @@ def with_right(entries: list[Entry], shift_ns: int = 0, late: int = 0) -> list[E
 
 
 def observations(path: Path, profile: Profile, **topics: str) -> list[samples.Observation]:
-    found = list(open_recording(path, profile, topics=topics).observations())
+    found = list(read_observations(open_recording(path, profile, topics=topics)))
     assert all(isinstance(item, samples.Observation) for item in found)
     return [item for item in found if isinstance(item, samples.Observation)]
 
@@ -138,7 +139,7 @@ def test_the_right_topics_leave_the_left_ones_to_be_found(tmp_path, profile):
     assert recording.topic_of("right_image") == RIGHT_IMAGE
     unnamed = profile.model_copy(update={"topics": type(profile.topics)()})
     with pytest.raises(RecordingError, match="several topics"):
-        open_recording(path, unnamed).observations()
+        read_observations(open_recording(path, unnamed))
     topics = {"right_image": RIGHT_IMAGE, "right_camera_info": RIGHT_INFO}
     assert open_recording(path, unnamed, topics=topics).topic_of("image") == "/ECM/left/image"
     assert observations(path, unnamed, **topics)[0].right is not None
@@ -227,7 +228,7 @@ def test_losses_are_in_file_order_whenever_they_are_found(tmp_path, profile):
 def observed(path: Path, profile: Profile) -> tuple[list[int], int, bool]:
     """The stamps of the observations, how many have joints, and whether nothing was lost."""
     recording = open_recording(path, profile)
-    found = [one for one in recording.observations() if isinstance(one, samples.Observation)]
+    found = [one for one in read_observations(recording) if isinstance(one, samples.Observation)]
     return (
         [one.stamp_ns for one in found],
         sum(one.joints is not None for one in found),

@@ -1,29 +1,21 @@
 """Logs of other recorders hold the same scene; broken ones end in a result, a counted loss or a clear error."""
 
-import random
 import sqlite3
-import time
 from collections.abc import Callable
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from rosbags.rosbag1 import Writer as Bag1Writer
 from rosbags.rosbag2 import StoragePlugin
 
 from svmdist.errors import RecordingError
-from svmdist.profile import Limits
-from svmdist.recording.images import ImageError
 from svmdist.recording.log import open_recording
-from svmdist.recording.messages import KINDS, DecodeError, Decoder, EncodedImage
-from svmdist.recording.source import RawMessage
 from svmdist.samples import Observation
+from tests.reading import read_observations
 
 from .builders import Entry, pose, scene
-from .faults import mutate_body
 from .other_recorders import (
     Message,
     header,
@@ -33,7 +25,6 @@ from .other_recorders import (
     write_rosbag1,
     write_rosbag2,
 )
-from .test_faults import read_everything
 
 MCAP, SQLITE, BAG1 = StoragePlugin.MCAP, StoragePlugin.SQLITE3, Bag1Writer.CompressionFormat
 WRITERS: dict[str, Callable[[Path, list[Message]], Path]] = {
@@ -60,7 +51,7 @@ def folder(tmp_path: Path, entries: list[Entry]) -> Path:
 def test_the_same_scene_comes_out(tmp_path, native, entries, profile, recorder):
     ours = open_recording(native, profile)
     theirs = open_recording(WRITERS[recorder](tmp_path, ros_messages(entries)), profile)
-    for mine, other in zip(ours.observations(), theirs.observations(), strict=True):
+    for mine, other in zip(read_observations(ours), read_observations(theirs), strict=True):
         assert isinstance(mine, Observation)
         assert mine.stamp_ns == other.stamp_ns
         np.testing.assert_array_equal(mine.image_bgr, other.image_bgr)
@@ -150,35 +141,3 @@ def test_an_unsupported_rosbag2_says_what_it_is(folder, profile):
         metadata.write_text(changed)
         with pytest.raises(RecordingError, match=reason):
             open_recording(folder, profile)
-
-
-@pytest.mark.parametrize("count", [150, pytest.param(4000, marks=pytest.mark.fault)])
-@pytest.mark.parametrize("kind", ["ros1 bag", "ros1 bag bz2", "ros1 bag lz4", "bare db3", "ros2 mcap"])
-def test_mutants_of_other_recorders_logs(tmp_path, profile, kind, count):
-    rng = random.Random(6)
-    data = WRITERS[kind](tmp_path, ros_messages(scene(3))).read_bytes()
-    path = tmp_path / "mutant"
-    for number in range(count):
-        mutant = data
-        for _ in range(rng.choice((1, 1, 3))):
-            start = rng.randrange(len(mutant))
-            end = min(len(mutant), start + rng.choice((8, 64, 512)))
-            mutant = mutant[:start] + mutate_body(mutant[start:end], rng) + mutant[end:]
-        path.write_bytes(mutant if rng.random() < 0.8 else mutant[: rng.randrange(1, len(mutant))])
-        started_s = time.process_time()
-        read_everything(path, profile)
-        assert time.process_time() - started_s < 5.0, number
-
-
-ALL_SCHEMAS = [(encoding, schema) for encoding, schemas in KINDS.items() for schema in schemas]
-
-
-@settings(max_examples=300)
-@given(st.sampled_from(ALL_SCHEMAS), st.binary(max_size=200), st.integers(0, 2**64 - 1))
-def test_random_bytes_as_any_message(kind, data, log_time_ns):
-    """Decoded with all its pixels: only the two expected errors may come out."""
-    for each in (data, b"\0\1\0\0" + data):
-        with suppress(DecodeError, ImageError):
-            sample = Decoder(Limits()).decode(RawMessage("/t", kind[1], kind[0], log_time_ns, each))
-            if isinstance(sample, EncodedImage):
-                sample.decode()

@@ -19,6 +19,7 @@ from svmdist.samples import (
     TransformsSample,
 )
 from svmdist.transforms import Array, inverse
+from tests.reading import read_observations
 
 from .builders import CAMERA, Entry, pose, write_messages, write_scene
 
@@ -37,7 +38,7 @@ def test_a_corrupt_image_is_rejected_and_the_rest_is_read(tmp_path, profile):
     for number, data in enumerate((good, broken, b"\xff\xff", small, last), 1):
         rows.append(("/ECM/left/image", IMAGE, "protobuf", data, number))
     recording = open_recording(write_messages(tmp_path / "a.mcap", rows), profile)
-    found = list(recording.observations())
+    found = list(read_observations(recording))
     assert [type(item) for item in found] == [Observation, Rejection, Rejection, Rejection, Observation]
     assert all(item.status is Status.CORRUPT_IMAGE for item in found if isinstance(item, Rejection))
     losses = {(loss.kind, loss.topic) for loss in recording.health.losses}
@@ -58,7 +59,7 @@ def test_joints_meet_the_image_stamps_whatever_the_order_in_the_file(tmp_path, p
             image = ImageSample(max(at_ns + offset_ns, 0), "camera", np.zeros((24, 32, 3), np.uint8))
             rows.append(("/ECM/left/image", IMAGE, encode(image).data, at_ns))
     logged = [(topic, schema, "protobuf", data, at_ns) for topic, schema, data, at_ns in rows]
-    found = list(open_recording(write_messages(tmp_path / "a.mcap", logged), profile).observations())
+    found = list(read_observations(open_recording(write_messages(tmp_path / "a.mcap", logged), profile)))
     assert len(found) >= 9
     for item in found:
         assert isinstance(item, Observation)

@@ -18,6 +18,7 @@ from svmdist.recording.messages import Decoder, EncodedImage, to_sample
 from svmdist.recording.source import RawMessage
 from svmdist.recording.writer import encode, message_class_of
 from svmdist.transforms import make_transform, rotation_from_quaternion_xyzw
+from tests.reading import read_observations
 
 from .builders import CAMERA
 
@@ -66,7 +67,7 @@ def test_a_jpeg_image_survives_nearly():
 
 def test_a_recording_gives_everything_back(native, entries, profile):
     recording = open_recording(native, profile)
-    observations = list(recording.observations())
+    observations = list(read_observations(recording))
     images = [entry.sample for entry in entries if isinstance(entry.sample, samples.ImageSample)]
     assert [o.stamp_ns for o in observations] == [image.stamp_ns for image in images]
     for frame, (observation, image) in enumerate(zip(observations, images, strict=True)):

@@ -42,10 +42,12 @@ NO_RECORDING: dict[str, tuple[bytes | None, str]] = {
     "none.mcap": (None, "no such file"),
     "a\0b": (None, "a"),
     "pipe": (None, "no regular file"),
-    "folder": (None, "a directory without metadata.yaml"),
+    "folder": (None, "a directory without .mcap, .bag or metadata.yaml"),
     "empty": (b"", "is empty"),
     "text": (b"hello, this is text", "is not a recording; expected an MCAP file"),
     "begun.mcap": (b"\x89MCAP", "truncated at byte 5"),
+    "frame.png": (b"\x89PNG\r\n", "svmdist import"),
+    "film.mp4": (b"\0\0\0\x20ftypisom", "svmdist import"),
     "gzip": (gzip.compress(b"x"), "gzip-compressed"),
     "old.bag": (b"#ROSBAG V1.2\n", "version 1"),
     "pointer.mcap": (b"version https://git-lfs.github.com/spec/v1\n", "Git LFS pointer"),
@@ -129,7 +131,7 @@ def test_roles_without_a_topic_or_with_a_wrong_one_are_errors():
     """The topics are listed, sanitized, for they come from the file; an override counts even where none is needed."""
     given = {"overrides": {"image": "/j"}}
     for rows, options, message in (
-        (CAMERAS[:2], {}, "choose one of /a, /b"),
+        (CAMERAS[:2], {}, "choose one with --topic image=TOPIC: /a, /b"),
         ((("/j\n", ""),), {}, r"no topic with images for image; the topics are /j\\n \(no schema\)"),
         ((), {}, "the recording has no topics"),
         ((("/j", JOINTS),), given, "topic /j carries no images"),

@@ -8,6 +8,7 @@ from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 
 from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample
+from tests.reading import read_images
 
 from .builders import write_messages
 
@@ -56,7 +57,7 @@ def test_after_a_broken_frame_nothing_until_the_next_key_frame(tmp_path, profile
         for number, data in enumerate(messages[first:], first + 1)
     ]
     path = write_messages(tmp_path / "a.mcap", rows)
-    images = list(open_recording(path, profile, topics={"image": "/video"}).images())
+    images = list(read_images(open_recording(path, profile, topics={"image": "/video"})))
     lost = range(3, 8) if first else range(11, 16) if damage in broken else range(0)
     assert len(images) == FRAME_COUNT - first
     for number, image in enumerate(images, first):

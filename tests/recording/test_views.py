@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from svmdist.perturbations.chosen import Perturbations
+from svmdist.perturbations import Perturbations
 from svmdist.profile import load_profile
 from svmdist.recording import mcap
 from svmdist.recording.log import KnownLag, Recording, open_recording
@@ -15,6 +15,7 @@ from svmdist.recording.observations import Window
 from svmdist.samples import Observation
 from svmdist.workflows.request import Request, prepare
 from svmdist.workflows.validate import validate
+from tests.reading import read_observations
 from tests.synthetic import make_scene, write_log
 
 VIEWS = {
@@ -38,7 +39,7 @@ def test_a_view_can_be_sent_to_another_process(tmp_path, view):
     assert (theirs.name, theirs.lag, theirs.world_seed) == (mine.name, mine.lag, mine.world_seed)
     assert theirs.origin == mine.origin
     np.testing.assert_array_equal(theirs.joint_track().positions, mine.joint_track().positions)
-    for one, two in zip(mine.observations(), theirs.observations(), strict=True):
+    for one, two in zip(read_observations(mine), read_observations(theirs), strict=True):
         assert isinstance(one, Observation)
         assert repr((two.stamp_ns, two.joints)) == repr((one.stamp_ns, one.joints))
 

@@ -12,6 +12,7 @@ from svmdist.errors import UsageError
 from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import DistanceSample, ImageSample
+from tests.reading import read_images
 
 from .builders import scene, write_scene
 
@@ -87,7 +88,7 @@ def test_an_interrupted_recording_keeps_its_part(tmp_path, profile):
         record()
     assert not path.exists()
     part = open_recording(tmp_path / "a.mcap.part", profile)
-    assert len(list(part.images())) == 4
+    assert len(list(read_images(part))) == 4
     assert part.metadata == {"seed": "1"}
     assert "truncated" in part.health.describe()[0]
     with pytest.raises(UsageError, match="interrupted"):

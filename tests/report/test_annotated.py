@@ -15,6 +15,8 @@ import pytest
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
 from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from svmdist.camera import Camera
@@ -23,7 +25,7 @@ from svmdist.recording.distance_estimate_pb2 import DistanceEstimate
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.summary import TRUE_SUFFIX
 from svmdist.report.annotated import write_annotated, write_video
-from svmdist.report.panels import draw_on
+from svmdist.report.on_image import draw_on
 from svmdist.results import FrameResult
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.frame_drawing import DrawnFrame, drawn_frames
@@ -38,6 +40,7 @@ ANNOTATION_TOPICS = {
     "/svmdist/PSM2/distance",
     "/svmdist/tf",
     "/svmdist/scene",
+    "/svmdist/surface",
     "/svmdist/log",
 }
 
@@ -82,6 +85,17 @@ def test_every_message_of_the_log_is_copied_and_the_images_bit_for_bit(annotated
         assert len(after[topic]) == len(messages), topic
         if topic != "/ground_truth/tf":
             assert after[topic] == messages, topic
+
+
+def test_the_surface_of_each_image_is_a_cloud(annotated):
+    """As many points as its data hold, on the tissue: 0.1 m before the camera, within the organ's centimetres."""
+    for cloud in messages_of(annotated[0], "/svmdist/surface", PointCloud)[::20]:
+        kinds = {PackedElementField.FLOAT32: "<f4", PackedElementField.UINT8: "u1"}
+        points = np.frombuffer(cloud.data, [(field.name, kinds[field.type]) for field in cloud.fields])
+        assert points.itemsize == cloud.point_stride
+        assert len(points) > 250  # the organ is a sixth of 30,000 px, in cells of 16
+        assert np.percentile(points["z"], (1, 99)) == pytest.approx([0.104, 0.104], abs=0.008)
+        assert np.median(points["red"]) > np.median(points["green"]) + 40
 
 
 def test_no_frame_of_the_copy_has_two_parents(annotated):
@@ -168,26 +182,57 @@ def test_the_layout_names_topics_that_are_written(annotated):
     assert fields <= {field.name for field in DistanceEstimate.DESCRIPTOR.fields}
 
 
-def test_rerun_shows_image_camera_transforms_and_text(annotated, tmp_path):
-    """Rerun's own importer, as `rerun FILE` runs it."""
-    pytest.importorskip("rerun", reason="rerun-sdk has no wheel for this platform")
-    # A home of its own: the program writes its settings there, and says what it would collect at first.
-    own = os.environ | {"HOME": str(tmp_path), "XDG_CONFIG_HOME": str(tmp_path)}
+def rerun(folder: Path, *arguments: object) -> str:
+    """What the `rerun` program prints, with a home of its own: it writes its settings there."""
+    own = os.environ | {"HOME": str(folder), "XDG_CONFIG_HOME": str(folder)}
+    command = [sys.executable, "-m", "rerun", *map(str, arguments)]
+    done = subprocess.run(command, env=own, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
-    def rerun(*arguments: object) -> str:
-        command = [sys.executable, "-m", "rerun", *map(str, arguments)]
-        done = subprocess.run(command, env=own, capture_output=True, text=True, timeout=120, check=False)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
 
-    rerun("mcap", "convert", annotated[0].path, "-o", tmp_path / "duo.rrd")
+def contents(path: Path) -> tuple[dict[str, set[str]], Counter[str]]:
+    """The columns and rows of each entity of a recording of Rerun's."""
     columns, rows = defaultdict[str, set[str]](set), Counter[str]()
-    for count, entity, found in re.findall(
-        r"with (\d+) rows .* - (/\S+) - data columns: \[(.*)\]", rerun("rrd", "print", tmp_path / "duo.rrd")
-    ):
+    printed = rerun(path.parent, "rrd", "print", path)
+    for count, entity, found in re.findall(r"with (\d+) rows .* - (/\S.*) - data columns: \[(.*)\]", printed):
         if "McapChannel:id" not in found:
             columns[entity] |= set(found.split())
             rows[entity] += int(count)
+    return columns, rows
+
+
+def test_a_log_for_rerun_holds_all_that_is_drawn(annotated, tmp_path):
+    """With every frame, and Rerun's own verification; in space, what Foxglove's scene has."""
+    pytest.importorskip("rerun", reason="rerun-sdk has no wheel for this platform")
+    from svmdist.report.rerun_log import write_rrd
+
+    copy, frames, setup = annotated
+    write_rrd(iter(frames[:5]), tmp_path / "duo.rrd", copy, setup)
+    rerun(tmp_path, "rrd", "verify", tmp_path / "duo.rrd")
+    columns, rows = contents(tmp_path / "duo.rrd")
+    assert {"EncodedImage:blob", "Pinhole:image_from_camera"} <= columns["/camera/image"]
+    for name in ("tissue", "shaft", "pose", r"distal\ marker", "distance", "between"):
+        assert "LineStrips2D:strips" in columns[f"/camera/image/drawn/{name}"], name
+    assert "Points2D:labels" in columns["/camera/image/drawn/labels"]
+    for name in ("PSM1", "PSM2"):
+        assert rows[f"/distances/{name}/clearance"] == rows[f"/distances/{name}/clearance_high"] == 5
+        assert "Transform3D:translation" in columns[f"/camera/scene/{name}_tool_estimate"]
+        assert rows[rf"/camera/scene/{name}\ instrument"] == rows[rf"/camera/scene/{name}\ distance"] == 5
+    assert "Mesh3D:vertex_positions" in columns["/camera/scene/tissue"]
+
+
+def test_without_rerun_a_line_names_the_extra(golden, cli, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    refused = cli("estimate", golden / "sweep.mcap", "-o", tmp_path / "none.rrd", code=1)
+    assert "svmdist[rerun]" in refused.line
+
+
+def test_rerun_shows_image_camera_transforms_and_text(annotated, tmp_path):
+    """Rerun's own importer, as `rerun FILE` runs it."""
+    pytest.importorskip("rerun", reason="rerun-sdk has no wheel for this platform")
+    rerun(tmp_path, "mcap", "convert", annotated[0].path, "-o", tmp_path / "duo.rrd")
+    columns, rows = contents(tmp_path / "duo.rrd")
     assert columns["/ECM/left/image"] >= {"EncodedImage:blob", "EncodedImage:media_type"}
     assert "Pinhole:image_from_camera" in columns["/ECM/left/camera_info"]
     for topic in ("/tf", "/svmdist/tf", "/ground_truth/tf"):

@@ -7,12 +7,13 @@ import pytest
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from svmdist.camera import Camera
-from svmdist.drawing import Form, FrameDrawing, Part
+from svmdist.drawing import Form, FrameDrawing, Label, Part, Shape, StatusLine
 from svmdist.estimation.alarms import AlarmState
 from svmdist.geometry import Capsules
+from svmdist.geometry.distance import separation
 from svmdist.recording.log import open_recording
 from svmdist.recording.viewer_messages import scene_update
-from svmdist.report.panels import draw_on
+from svmdist.report.on_image import draw_on
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 from svmdist.vision.frame_context import seen_through
@@ -113,6 +114,9 @@ def test_a_clearance_is_a_segment_of_its_length_that_starts_on_the_instrument(du
         nearest = body.start_m + np.clip(share, 0.0, 1.0)[:, None] * along
         off_m = np.abs(np.linalg.norm(nearest - segment.start_m, axis=1) - body.radius_m)
         assert off_m.min() < 1e-9
+        end_m = segment.end_m[None]
+        on_tissue = separation(Capsules(end_m, end_m, np.zeros(1)), drawing.tissue)
+        assert on_tissue.distance_m == pytest.approx(0.0, abs=1e-4)  # each has its own height of it
         assert f"{clearance.value_m * 1e3:.2f} mm" in segment.text
         lens = replayed.frames[0].scene.lens
         line_px = points_of(drawing, Part.DISTANCE, result.instrument)
@@ -130,7 +134,7 @@ def test_what_was_found_of_each_instrument_is_drawn_where_it_is(duo):
         assert corners_px is not None
         np.testing.assert_allclose(points_of(drawing, Part.TAG, result.instrument), corners_px)
         region = frame.left.region
-        contours_px = points_of(drawing, Part.INSTRUMENT, result.instrument)
+        contours_px = points_of(drawing, Part.WRIST, result.instrument)
         low, high = region.hull.reshape(-1, 2).min(0), region.hull.reshape(-1, 2).max(0)
         np.testing.assert_allclose([contours_px.min(0), contours_px.max(0)], [low, high], atol=1.0)
         # The shaft's edges lie in their tangent planes.
@@ -190,3 +194,18 @@ def test_a_picture_changes_where_the_drawing_is_and_nowhere_else(sweep):
     assert len(rows) > 4 * 40  # four sides of a marker of 64 px or more
     places = np.column_stack([columns, rows])
     assert ((places >= low) & (places <= high)).all()
+
+
+@pytest.mark.parametrize("size_px", [(320, 240), (640, 480), (1920, 1080)])
+def test_no_label_hides_what_was_measured_or_another_label(size_px):
+    """Nor does the header: lines and ends are as they are without labels, wherever they lie in an image of any size."""
+    rng, ground = np.random.default_rng(1), np.full((*size_px[::-1], 3), 90, np.uint8)
+    for _ in range(20):
+        ends_px = [rng.uniform(0.05, 0.95, (2, 2)) * size_px for _ in range(2)]
+        shapes = tuple(Shape(Part.DISTANCE, Form.LINE, ends) for ends in ends_px)
+        labels = tuple(Label(Part.DISTANCE, ends.mean(0), "PSM1 12.34 mm [10.00, 14.00]") for ends in ends_px)
+        bare = draw_on(ground, FrameDrawing(0, shapes))
+        lines = (StatusLine("PSM1 fused: clearance 12.34 mm", True),)
+        drawn = draw_on(ground, FrameDrawing(0, shapes, labels, lines))
+        x, y = np.rint(np.concatenate([np.linspace(*ends, 50) for ends in ends_px])).astype(int).T
+        assert (drawn[y, x] == bare[y, x]).all()

@@ -148,7 +148,18 @@ def test_the_texts_say_what_the_plots_show():
 
 def test_validate_writes_a_report_with_its_plots_and_worst_frames(golden, cli, tmp_path):
     output, log = tmp_path / "report.html", golden / "occlusion.mcap"
-    options = ("--truth", "ground_truth", "--lag", "auto", "-f", "json", "--report", output)
+    options = (
+        "--method",
+        "overlay",
+        "--truth",
+        "ground_truth",
+        "--lag",
+        "auto",
+        "-f",
+        "json",
+        "--report",
+        output,
+    )
     outcome = cli("validate", log, *options)
     text = output.read_text()
     score = outcome.json["recordings"][0]
@@ -183,7 +194,7 @@ def browser() -> Iterator[Any]:
 @pytest.mark.slow
 @pytest.mark.parametrize(("every", "scheme"), [(None, "light"), (3, "dark")])
 def test_ten_thousand_frames_are_shown_in_a_browser(browser, tmp_path, every, scheme):
-    """Below 10 MB and 3 s of processor time, on a phone too; plots hover, zoom together, and follow the colours."""
+    """Below 10 MB and 20,000 nodes, on a phone too; plots hover, zoom together, and follow the colours."""
     path = tmp_path / "report.html"
     write_report(make_report(make_series(10_000, every=every)), path)
     assert path.stat().st_size < 10e6
@@ -199,8 +210,9 @@ def test_ten_thousand_frames_are_shown_in_a_browser(browser, tmp_path, every, sc
     measuring = shown.context.new_cdp_session(shown)
     measuring.send("Performance.enable")
     values = {one["name"]: one["value"] for one in measuring.send("Performance.getMetrics")["metrics"]}
-    # The page's own processor time: a clock on the wall would measure what else the machine does.
-    assert 0.0 < values["ProcessTime"] < 3.0
+    # What it draws, not how long that takes: seconds are the machine's (`benchmarks.speed` has their ratio).
+    assert 0 < values["Nodes"] < 20_000
+    assert values["JSHeapUsedSize"] < 100 << 20
     assert shown.evaluate("document.documentElement.scrollWidth") == 390
     ground, letters = (
         sum(map(int, re.findall(r"\d+", shown.evaluate(found))[:3])) / 3

@@ -127,8 +127,9 @@ def test_agreement_calibration_and_residuals():
     assert figure.get_figwidth() == COLUMN_IN
     held = drawn(draw_series([series], "calibration").axes[0])["truths inside"]
     assert held[0] == pytest.approx(100 * np.mean(np.abs(error_mm) <= 0.67449 * std_mm), abs=1e-6)
-    over_time, _ = draw_series([series, make_series(40, "other")], "residuals").axes
-    assert [text.get_text() for text in over_time.get_legend().get_texts()] == ["log PSM1", "other PSM1"]
+    figure = draw_series([series, make_series(40, "other")], "residuals")
+    over_time, _ = figure.axes
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["log PSM1", "other PSM1"]
     assert "fused" in over_time.get_title(loc="left")
     blind = replace(series, truth_m=np.full(300, np.nan))
     with pytest.raises(OutputError, match="no frame has a truth"):

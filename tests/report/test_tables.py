@@ -58,7 +58,7 @@ def test_characters_that_drive_a_terminal_are_replaced(code):
         assert "a\N{REPLACEMENT CHARACTER}" in text
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(
     st.text(max_size=30)
     | st.sampled_from(["=1+1", "+1", "-1", "@SUM(A1)", "=cmd|' /C calc'!A0", "\t=1", "\r=1"])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from svmdist.kinematics import solve_position
-from svmdist.perturbations.chosen import UNPERTURBED, Perturbations, parse_perturbations
+from svmdist.perturbations import UNPERTURBED, Perturbations, parse_perturbations
 from svmdist.profile import Profile, load_profile
 from svmdist.samples import Sample
 from svmdist.simulation.motion import Scenario

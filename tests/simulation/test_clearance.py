@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from svmdist.geometry import Mesh
 from svmdist.kinematics import forward_kinematics
-from svmdist.perturbations.chosen import UNPERTURBED
+from svmdist.perturbations import UNPERTURBED
 from svmdist.profile import Profile
 from svmdist.simulation.motion import SCENARIOS, Scenario, Stage, cubic_spline, plan_motion
 from svmdist.simulation.scene import Options, Scene, make_scene, raised

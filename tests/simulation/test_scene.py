@@ -6,7 +6,7 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from svmdist.errors import SimulationError, UsageError
-from svmdist.simulation.instrument import make_plate
+from svmdist.simulation.meshes import make_plate
 from svmdist.simulation.motion import Scenario
 from svmdist.simulation.organ import LIMIT, make_organ
 from svmdist.simulation.scene import BREATHING_HZ, PULSE_HZ, Options, make_scene

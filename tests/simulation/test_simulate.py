@@ -14,9 +14,8 @@ from svmdist import samples
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import SimulationError
 from svmdist.kinematics import forward_kinematics
-from svmdist.perturbations.chosen import World, draw_world, parse_perturbations
+from svmdist.perturbations import TABLE, Place, World, draw_world, parse_perturbations
 from svmdist.perturbations.images import perturbed_image, perturbed_right_view
-from svmdist.perturbations.table import TABLE, Place
 from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
 from svmdist.simulation.bullet import how_to_install, load_pybullet
@@ -25,6 +24,7 @@ from svmdist.simulation.plan import draw_nominal_kinematics
 from svmdist.simulation.scene import Options, make_scene
 from svmdist.transforms import inverse, rotation_angle
 from tests.conftest import REPOSITORY
+from tests.reading import read_images, read_observations
 from tests.simulation.conftest import chosen, perturbed, simulate
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
@@ -103,7 +103,7 @@ def test_every_topic_is_there_in_order_and_truth_with_every_image(profile):
 def test_the_plain_recording_is_that_of_the_golden_log(golden, profile):
     """Two frames of a log that was made long ago: each pixel and joint; clearances to what Bullet was off then."""
     recording = open_recording(golden / "sweep.mcap", profile)
-    nominal, truth, logged = recording.joint_track(), recording.distance_track(), recording.images()
+    nominal, truth, logged = recording.joint_track(), recording.distance_track(), read_images(recording)
     drawn = 0
     for _, sample in simulate(Scenario("sweep", 1), profile):
         match sample:
@@ -288,7 +288,7 @@ def test_a_log_of_a_perturbed_world_is_the_plain_log_perturbed_at_replay(profile
         record(Recipe(SHORT, profile, options), path, jobs=1)
     ideal, recorded = (open_recording(path, profile) for path in paths)
     replayed = ideal.perturbed(chosen(text), profile)
-    for one, other in zip(recorded.observations(), replayed.observations(), strict=True):
+    for one, other in zip(read_observations(recorded), read_observations(replayed), strict=True):
         assert isinstance(one, samples.Observation)
         assert isinstance(other, samples.Observation)
         np.testing.assert_allclose(other.joints.positions, one.joints.positions, atol=1e-6)

@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.masks import iou
 from svmdist.samples import Image
 from svmdist.vision.evidence import picture_of
 from svmdist.vision.find_instruments import AutoSegmenter
 from tests.pictures import BORDERS, surgery_image
-from training.scene import iou
 
 
 def instruments(bgr: Image) -> np.ndarray:
@@ -60,6 +60,20 @@ def test_sides_run_along_the_outline():
     assert len(off_px) >= 12
     assert np.median(np.median(off_px, axis=1)) < 1.5
     assert np.median(np.percentile(off_px, 90, axis=1)) < 4.0
+
+
+def test_what_was_seen_is_found_again_where_it_was():
+    """Of sides a fifth of the width beside it the same instrument is found, once; in bare tissue none."""
+    one, bare = surgery_image(1, count=1), surgery_image(1, count=0)
+    (seen,) = AutoSegmenter().masks(one.bgr).seen
+    sides = seen.sides + 0.2 * seen.width_px / np.sqrt(2.0)
+    again, without = AutoSegmenter().masks(one.bgr), AutoSegmenter().masks(bare.bgr)
+    again.__dict__["seen"] = ()
+    for _ in range(2):
+        again.seek(sides)
+        without.seek(sides)
+    assert [iou(found.mask > 0, seen.mask > 0) > 0.9 for found in again.seen] == [True]
+    assert without.seen == ()
 
 
 def test_highlights_at_the_border_are_no_instruments():

@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.estimation.surface import fit_surface
+from svmdist.profile.settings import StereoSettings
 from svmdist.transforms import Array
+from svmdist.vision.disparity import DisparityMap, disparity_map
 from svmdist.vision.stereo import agreed_offset, corresponding_points
 
 HEIGHT, WIDTH = 240, 320
@@ -26,31 +27,49 @@ def _disparity(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return 27.0 + 1.5 * ((u - 160) / 100) + 2.0 * (1 - ((u - 170) / 110) ** 2 - ((v - 120) / 110) ** 2)
 
 
-@pytest.mark.parametrize("noise", [0.0, 2.0])
-def test_a_smooth_disparity_is_found_to_a_tenth_of_a_pixel(noise):
-    """On texture of 14 grey levels with sensor noise, the surface is right to 0.1 px rms inside the region."""
-    rng = np.random.default_rng(3)
-    texture = textured((HEIGHT, WIDTH + 120), 14.0, 6.0, rng)
+def views_of(disparity, rng: np.random.Generator, rows_px: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """A textured pair with a disparity by left pixels, the right view's rows so far below the left one's."""
+    texture = textured((HEIGHT, WIDTH + 120), 14.0, 4.0, rng)
     u, v = np.meshgrid(np.arange(WIDTH, dtype=np.float64), np.arange(HEIGHT, dtype=np.float64))
     source = u.copy()
     for _ in range(20):  # u_left = u_right + d(u_left): a contraction, d changes slowly
-        source = u + _disparity(source, v)
+        source = u + disparity(source, v)
     # The left pixel u shows the texture at u + 60; the right pixel that shows the same is u - d(u, v).
+    places = ((u, v), (source, v - rows_px))
     left, right = (
-        noisy(
-            cv2.remap(texture, (at + 60).astype(np.float32), v.astype(np.float32), cv2.INTER_CUBIC),
-            noise,
-            rng,
-        )
-        for at in (u, source)
+        noisy(cv2.remap(texture, *(one.astype(np.float32) for one in (x + 60, y)), cv2.INTER_CUBIC), 2.0, rng)
+        for x, y in places
     )
+    return left, right
+
+
+def matched(left: np.ndarray, right: np.ndarray) -> DisparityMap | None:
     region = cv2.ellipse(np.zeros((HEIGHT, WIDTH), np.uint8), (175, 120), (100, 90), 0, 0, 360, 255, -1)
-    surface = fit_surface(left, right, region, np.full_like(region, 255), 10, 60)
-    assert surface is not None
-    rows, columns = np.nonzero(cv2.erode(region, np.ones((21, 21), np.uint8)))
-    points = np.stack([columns, rows], -1).astype(np.float64)
-    error = surface.at(points) - _disparity(points[:, 0], points[:, 1])
-    assert float(np.sqrt(np.mean(error**2))) < 0.1
+    masks = region, np.full_like(region, 255)
+    return disparity_map((left, right), masks, (1.0, 150.0), StereoSettings(), 10**6)
+
+
+@pytest.mark.parametrize("rows_px", [0.0, 1.2])
+@pytest.mark.parametrize("slope", [0.0, 0.08])
+def test_a_surface_is_found_within_its_deviations(rows_px, slope):
+    """A dome and a steep plane: most of it is seen, to a tenth of a pixel, and as well as is stated."""
+    shape = _disparity if slope == 0.0 else (lambda u, v: 30.0 + slope * (u - 160) - 0.5 * slope * (v - 120))
+    found = matched(*views_of(shape, np.random.default_rng(3), rows_px))
+    assert found is not None
+    error_px = (found.disparity_px - shape(*np.meshgrid(found.columns_px, found.rows_px)))[found.is_seen]
+    assert len(error_px) > 0.7 * np.pi * 95 * 85 / 16
+    assert float(np.sqrt(np.mean(error_px**2))) < 0.1
+    assert np.mean(np.abs(error_px) < 2.0 * found.std_px[found.is_seen]) > 0.9
+
+
+def test_views_of_different_places_match_nowhere():
+    """Neither noise nor another texture of the same kind is taken for a surface."""
+    rng = np.random.default_rng(5)
+    left, _ = views_of(_disparity, rng)
+    other, _ = views_of(_disparity, rng)
+    for right in (other, noisy(np.full_like(left, 120), 2.0, rng)):
+        found = matched(left, right)
+        assert found is None or np.count_nonzero(found.is_seen) < 0.1 * np.pi * 100 * 90 / 16
 
 
 @pytest.mark.parametrize("rows_px", [-3.4, 0.0, 1.5, 5.0])

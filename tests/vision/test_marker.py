@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from svmdist.vision import marker
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.floats(-5, 165), st.floats(-5, 125), st.sampled_from([48, 49, 96]), st.sampled_from([20, 31]))
 def test_pasting_puts_the_middle_within_half_a_pixel(x, y, size_px, margin_px):
     """The marker's middle lies within half a pixel of the asked place, inside the image."""

@@ -6,14 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.masks import instruments_of
+from benchmarks.masks import instruments_of, iou
 from svmdist.errors import ProfileError
 from svmdist.profile import load_profile
 from svmdist.profile.segmentation import ClassRegion, OnnxSegmentation
 from svmdist.vision.network import OnnxSegmenter
 from tests.onnx_file import node, tensor, value_info, write_classifier, write_model
 from tests.pictures import surgery_image
-from training.scene import iou
 
 WEIGHTS = np.array([[0.0, 0.0, 0.0], [1.0, -0.8, -0.1], [-1.0, 0.4, 0.7], [-0.5, -0.6, -0.4]])
 BIAS = np.array([0.02, 0.0, -0.01, 0.45])

@@ -37,7 +37,7 @@ def test_a_region_passes_its_gate_only_if_larger(width, passes):
         assert region.area_px == 55
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1))
 def test_a_regions_count_and_centroid_are_those_of_its_pixels(seed):
     """For random blobs with all parts above the gate, count and centroid equal NumPy's, within 1e-9 px."""

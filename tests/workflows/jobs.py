@@ -15,6 +15,7 @@ from svmdist.recording.log import Recording
 from svmdist.transforms import Array
 from svmdist.workflows.parallel import is_worker
 from svmdist.workflows.request import LOG, Request
+from tests.reading import read_images
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ def count_images(
     while what == "held" and not (Path(folder) / "open").exists():
         time.sleep(0.01)
     count = 0
-    for number, _ in enumerate(recording.images()):
+    for number, _ in enumerate(read_images(recording)):
         yield {"recording": name, "number": number, "nothing": None}
         count += 1
     return Counted(count, np.array([1.5, np.nan, count]), {"name": name})

@@ -5,12 +5,19 @@ from pathlib import Path
 
 import pytest
 
+from svmdist.errors import UsageError
 from svmdist.estimation.methods import METHODS
 from svmdist.profile import Profile, load_profile
 from svmdist.recording.source import Health
 from svmdist.recording.summary import RecordingSummary, TopicSummary
 from svmdist.recording.topics import Role
-from svmdist.workflows.capabilities import Capability, capabilities, instruments_in, method_capabilities
+from svmdist.workflows.capabilities import (
+    Capability,
+    best_method,
+    capabilities,
+    instruments_in,
+    method_capabilities,
+)
 
 PROFILE = load_profile()
 assert PROFILE.robot is not None
@@ -96,16 +103,51 @@ def test_each_part_of_log_and_profile_is_needed_by_its_own_methods(summary, prof
         assert set(lacking(capabilities(summary, profile))) == commands
 
 
-def test_the_reference_of_validation_is_truth_or_poses_of_tool_and_tissue():
-    """Any of the tool's sources will do; each side that is missing is named."""
+@pytest.mark.parametrize(
+    ("log", "changes", "best"),
+    [
+        ("3d/contact.mcap", {}, "fused"),
+        ("3d/contact.mcap", {"robot": None}, "overlay"),
+        ("3d/contact.mcap", {"hand_eye": None, "frames": {"camera": "elsewhere"}}, "stereo"),
+        ("sweep.mcap", {"tissue": None}, "overlay"),
+        ("sweep.mcap", {"tissue": None, "calibration": None}, ""),
+    ],
+)
+def test_auto_is_the_best_method_that_log_and_profile_serve(golden, log, changes, best):
+    """It says what better ones lack; where no method can measure, the lacks of all are told."""
+    profile = PROFILE.model_copy(
+        update={
+            name: PROFILE.frames.model_copy(update=value) if name == "frames" else value
+            for name, value in changes.items()
+        }
+    )
+    if not best:
+        with pytest.raises(UsageError, match=r"no method can measure .* fused lacks \[tissue\]"):
+            best_method([golden / log], profile)
+        return
+    found, why = best_method([golden / log], profile)
+    assert found == best
+    assert ("fused lacks" in why) == (best != "fused")
+
+
+def test_a_log_that_is_none_of_the_default_profile_s_names_what_makes_one(golden, tmp_path):
+    """Neither made with it nor with its joints: its colours and sizes are another scene's."""
+    foreign = replace(FULL, metadata={}, joint_names={})
+    (estimate,) = [one for one in capabilities(foreign, PROFILE) if one.name == "estimate"]
+    assert "svmdist profile new a.mcap -o a.toml" in estimate.missing[0]
+    mine = PROFILE.model_copy(update={"name": "mine"})
+    assert lacking(capabilities(foreign, mine)).keys() <= {"fk"}
+
+
+def test_the_reference_of_validation_is_truth_or_the_tool_s_poses():
+    """Any of the tool's sources will do; where there is none, that is said."""
     truthless = ("ground_truth_distance", "ground_truth_tf", "pose", "joints")
-    both = lacking(capabilities(without(*truthless, frames=()), PROFILE))["validate"]
-    assert [each.split(" (")[0] for each in both] == ["the tool's pose", "the tissue's place"]
+    (missing,) = lacking(capabilities(without(*truthless, frames=()), PROFILE))["validate"]
+    assert missing.startswith("the tool's pose")
     for source in ("pose", "joints"):
         roles = set(truthless) - {source}
-        (place,) = lacking(capabilities(without(*roles, frames=()), PROFILE))["validate"]
-        assert place.startswith("the tissue's place")
-    served = without(*truthless, frames=(FRAMES.tool, FRAMES.tissue))
+        assert "validate" not in lacking(capabilities(without(*roles, frames=()), PROFILE))
+    served = without(*truthless, frames=(FRAMES.tool,))
     assert "validate" not in lacking(capabilities(served, PROFILE))
 
 

@@ -155,9 +155,9 @@ def test_losses_are_listed_once_in_the_file_s_order(tmp_path):
     assert [loss.topic for loss in losses[0]] == ["/ECM/right/image", "/ECM/left/image", "/ECM/right/image"]
 
 
-def test_a_log_without_truth_is_refused_before_the_work(tmp_path):
+def test_one_method_on_a_log_without_truth_is_refused_before_the_work(tmp_path):
     path = write_log(tmp_path / "bare.mcap", change=without("/ground_truth/distance"))
     steps: list[int] = []
     with pytest.raises(RecordingError, match="ground_truth_distance"):
-        measure_runs(open_recording(path, SETUPS[0].profile), SETUPS, advance=lambda: steps.append(1))
+        measure_runs(open_recording(path, SETUPS[0].profile), SETUPS[:1], advance=lambda: steps.append(1))
     assert not steps

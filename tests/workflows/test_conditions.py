@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from svmdist.errors import UsageError
-from svmdist.perturbations.chosen import Perturbations, parse_perturbations
+from svmdist.perturbations import Perturbations, parse_perturbations
 from svmdist.profile import load_profile
 from svmdist.recording.log import Recording, open_recording
 from svmdist.samples import Observation, RightView
@@ -175,10 +175,9 @@ def test_a_world_changes_images_only_where_it_concerns_them():
 def test_a_replay_refuses_what_must_be_recorded(monkeypatch):
     from dataclasses import replace
 
-    from svmdist.perturbations import chosen, table
+    from svmdist.perturbations import TABLE
 
-    entry = replace(table.TABLE["focal"], name="nowhere", at_replay=False)
-    monkeypatch.setitem(table.TABLE, "nowhere", entry)
-    assert chosen.TABLE is table.TABLE
+    entry = replace(TABLE["focal"], name="nowhere", at_replay=False)
+    monkeypatch.setitem(TABLE, "nowhere", entry)
     with pytest.raises(UsageError, match="nowhere cannot be applied at replay: the choices are backlash"):
         PerturbedCondition(Perturbations((("nowhere", 1.0),)))

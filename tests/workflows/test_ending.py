@@ -36,14 +36,11 @@ def test_what_was_refused_and_what_it_contradicts():
 
 
 def test_alarms_are_counted_and_named():
-    """The first, the longest, the nearest; with the log where there are several. No alarm is said, too."""
+    """The first and the longest; with the log where there are several. No alarm is said, too."""
     far, near = ending([0.02, 0.03]), ending([0.02, 0.004, 0.02, 0.002, 0.001])
     rows = "frames without a clearance raise none, which does not make them safe"
     rule = "(clearance below 5 mm likely, P ≥ 0.5)"
     assert alarms_in_words({"a": far}, RULES) == f"no alarm {rule}; 1 {rows}"
     said = alarms_in_words({"a": far, "b": near}, RULES)
-    assert said == (
-        f"2 alarms {rule}: first at 0.10 s (b, frame 1), longest 0.10 s (b, frame 3), smallest clearance 1.00 ±"
-        f" 1.96 mm (b, frame 4); 2 {rows}"
-    )
+    assert said == (f"2 alarms {rule}: first at 0.10 s (b, frame 1), longest 0.10 s (b, frame 3); 2 {rows}")
     assert "first at 0.10 s (frame 1)" in alarms_in_words({"b": near}, RULES)

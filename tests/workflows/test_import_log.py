@@ -14,6 +14,7 @@ from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.messages import message_class
 from svmdist.samples import Image, ImageSample, Observation
 from svmdist.workflows.import_log import ImportOptions, ViewOptions, import_log
+from tests.reading import read_images, read_observations
 
 CAMERA = (60.0, 61.0, 31.0, 23.0)
 PAIR = CalibrationOptions(intrinsics=(CAMERA, None), baseline_m=0.005)
@@ -29,7 +30,7 @@ def _open(path: Path) -> Recording:
 
 
 def _images(recording: Recording) -> list[ImageSample]:
-    return [image for image in recording.images() if isinstance(image, ImageSample)]
+    return [image for image in read_images(recording) if isinstance(image, ImageSample)]
 
 
 def _messages(path: Path, topic: str) -> list[bytes]:
@@ -50,7 +51,7 @@ def test_two_views_pass_through(tmp_path):
         expected = [(tmp_path / f"{number}{suffix}").read_bytes() for number in (1, 2, 10)]
         assert _messages(result.path, f"/ECM/{side}/image") == expected
     recording = _open(result.path)
-    observations = [one for one in recording.observations() if isinstance(one, Observation)]
+    observations = [one for one in read_observations(recording) if isinstance(one, Observation)]
     assert [one.stamp_ns for one in observations] == [10**9, 10**9 + 250_000_000, 10**9 + 500_000_000]
     assert all(one.right is not None for one in observations)
     assert recording.right_camera is not None
@@ -114,7 +115,7 @@ def test_stamps_of_names_poses_and_joints(tmp_path):
     )
     recording = _open(import_log(options, tmp_path / "out.mcap").path)
     stamps = [(1_700_000_000 + number) * 10**9 + 500_000_000 for number in range(3)]
-    observations = [one for one in recording.observations() if isinstance(one, Observation)]
+    observations = [one for one in read_observations(recording) if isinstance(one, Observation)]
     assert [one.stamp_ns for one in observations] == stamps
     joints = [one.joints.positions.tolist() for one in observations if one.joints]
     assert joints == [[0.0, 0.2], [0.1, 0.2], [0.2, 0.2]]

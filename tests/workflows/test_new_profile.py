@@ -20,7 +20,6 @@ from svmdist.recording.writer import RecordingWriter
 from svmdist.report.profile_template import instrument_sizes, instrument_table, profile_text
 from svmdist.samples import CameraSample, ImageSample, PoseSample
 from svmdist.vision.colour import find_distinct_colour
-from svmdist.vision.stereo import fit_plane
 from svmdist.workflows.new_profile import draft_profile, find_roles, shipped_robot
 from tests.conftest import REPOSITORY
 
@@ -119,35 +118,6 @@ def test_choices_are_the_users(tmp_path):
     chosen = find_roles(inspect_recording(tmp_path / "two.mcap", load_profile()), {"image": "/scope/image"})
     assert chosen.topics["camera_info"] == "/scope/camera_info"
     assert chosen.other_images == ("/room/image",)
-
-
-def _textured(rng: np.random.Generator, shape: tuple[int, int]) -> np.ndarray:
-    noise = cv2.GaussianBlur(rng.normal(size=shape), (0, 0), 1.5)
-    return np.clip(128 + 500 * noise, 0, 255).astype(np.uint8)
-
-
-@pytest.mark.parametrize("row_offset_px", [0, 1])
-def test_plane_of_a_pair(row_offset_px):
-    """A drawn plane is found within 1° and 1 % of its distance, also where rows are off by a pixel."""
-    K, baseline_m = CAMERA.K, 0.005
-    normal = np.array([0.15, -0.35, -0.92])
-    normal /= np.linalg.norm(normal)
-    distance_m = 0.1
-    texture = _textured(np.random.default_rng(1), (480, 900))
-    v, u = np.mgrid[:480, :640].astype(np.float64)
-    rays = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1], np.ones_like(u)], -1)
-    disparity_px = K[0, 0] * baseline_m * -(rays @ normal) / distance_m
-    left = cv2.remap(texture, (u + 100).astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR)
-    # The right image at x shows what the left one has at x + d(x): d is linear, solved for along each row.
-    slope = disparity_px[0, 1] - disparity_px[0, 0]
-    u_left = (u + disparity_px - slope * u) / (1.0 - slope)
-    right = cv2.remap(texture, (u_left + 100).astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR)
-    right = np.roll(right, -row_offset_px, 0)
-    pair = [cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for image in (left, right)]
-    plane = fit_plane(pair[0], pair[1], K, baseline_m)
-    assert np.degrees(np.arccos(np.clip(plane.normal @ normal, -1, 1))) < 1.0
-    assert plane.distance_m == pytest.approx(distance_m, rel=0.01)
-    assert plane.row_offset_px == row_offset_px
 
 
 def _scene(places: list[tuple[int, int]], bgr: tuple[int, int, int]) -> np.ndarray:

@@ -9,9 +9,8 @@ from svmdist.errors import RecordingError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
-from svmdist.tracks import Sampled
 from svmdist.workflows import scores
-from svmdist.workflows.references import Reference
+from svmdist.workflows.references import Reference, Truth
 from svmdist.workflows.series import Series, worst_frames
 
 
@@ -28,10 +27,7 @@ ROWS = [
     result_of(30, Status.OK, planar=Distance(2.0)),
     result_of(40, Status.OK, planar=Distance(3.0), clearance=Distance(0.5)),
 ]
-TRUTH = Sampled(
-    np.array([[1.1, 1.4, np.nan], [2.0, 2.0, 0.3], [2.1, 2.0, 0.3], [3.1, 3.0, 0.4]]),
-    np.array([True, True, True, False]),
-)
+TRUTH = Truth(np.array([[1.1, 1.4, np.nan], [2.0, 2.0, 0.3], [2.1, 2.0, 0.3], [np.nan] * 3]))
 
 
 def test_only_measured_rows_with_a_truth_make_pairs():
@@ -51,8 +47,7 @@ def test_only_measured_rows_with_a_truth_make_pairs():
 
 def test_no_rows_make_no_pairs():
     """Without rows there are arrays of length 0, and no score."""
-    none = Sampled(np.empty((0, 3)), np.empty(0, np.bool_))
-    pairs = scores.Readings().pairs("spatial", none)
+    pairs = scores.Readings().pairs("spatial", Truth(np.empty((0, 3))))
     assert len(pairs) == 0
     assert scores.score_pairs(pairs) is None
     assert scores.pooled_score([None, scores.score_pairs(pairs)]) is None
@@ -79,10 +74,9 @@ WITH_ALARMS = [
 ]
 
 
-def true_clearance(*clearance_m: float) -> Sampled:
+def true_clearance(*clearance_m: float) -> Truth:
     """True clearances at the stamps."""
-    values = np.array(clearance_m)
-    return Sampled(np.stack([values] * 3, -1), np.ones(len(values), np.bool_))
+    return Truth(np.stack([np.array(clearance_m)] * 3, -1))
 
 
 def test_frames_without_a_true_clearance_are_left_out():

@@ -12,12 +12,13 @@ import pytest
 from mcap.reader import make_reader
 
 from svmdist.errors import SvmdistError, UsageError
-from svmdist.perturbations.chosen import parse_perturbations
+from svmdist.perturbations import parse_perturbations
 from svmdist.profile import Profile, load_profile
 from svmdist.recording.log import open_recording
 from svmdist.simulation.motion import Scenario
 from svmdist.simulation.scene import Options
 from tests.conftest import started
+from tests.reading import read_images
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.workflows import record as record_module
@@ -151,7 +152,7 @@ def test_whatever_ends_it_no_file_under_a_final_name_is_incomplete(tmp_path, cou
         assert left <= {"log.mcap", "log.mcap.part"}, left
         if path.exists():
             recording = open_recording(path, load_profile())
-            assert len(list(recording.images())) == FRAMES
+            assert len(list(read_images(recording))) == FRAMES
             assert recording.health.is_clean
         else:
             assert process.returncode != 0

@@ -16,6 +16,7 @@ from svmdist.samples import CameraSample, ImageSample
 from svmdist.workflows import replay
 from svmdist.workflows.check import first_of, row_offset, row_offset_to_remove_px, spread_observations
 from svmdist.workflows.request import prepare
+from tests.reading import read_images, read_observations
 
 CAMERA = Camera.from_horizontal_fov(420, 280, np.pi / 3)
 BASELINE_M = 0.005
@@ -76,7 +77,7 @@ def test_every_scene_has_it_removed(tmp_path, monkeypatch):
     disparity_px = CAMERA.K[0, 0] * BASELINE_M / 0.1
     for alone, together in zip(seen[1], seen[3], strict=True):
         np.testing.assert_array_equal(alone, together)
-    left = next(iter(open_recording(path, PROFILE).images())).image_bgr
+    left = next(iter(read_images(open_recording(path, PROFILE)))).image_bgr
     level = cv2.warpAffine(
         left, np.array([[1.0, 0.0, -disparity_px], [0.0, 1.0, 0.0]]), (420, 280), None, cv2.INTER_CUBIC
     )
@@ -87,8 +88,8 @@ def test_every_scene_has_it_removed(tmp_path, monkeypatch):
 def test_views_of_different_times_are_paired_as_the_profile_allows(tmp_path):
     """Four milliseconds are too many by default, and not where the profile says so; the delay is told."""
     path = log(tmp_path / "apart.mcap", 0.0, apart_ns=4_000_000)
-    assert all(one.right is None for one in open_recording(path, PROFILE).observations())  # type: ignore[union-attr]
+    assert all(one.right is None for one in read_observations(open_recording(path, PROFILE)))  # type: ignore[union-attr]
     limits = PROFILE.limits.model_copy(update={"pair_tolerance_s": 5e-3})
     allowing = PROFILE.model_copy(update={"limits": limits})
-    for one in open_recording(path, allowing).observations():
+    for one in read_observations(open_recording(path, allowing)):
         assert one.right.delay_s == pytest.approx(4e-3)  # type: ignore[union-attr]

@@ -16,6 +16,7 @@ from svmdist.workflows.references import Reference, TruthRules
 from svmdist.workflows.request import Request, prepare
 from svmdist.workflows.validate import validate
 from tests.measuring import Measuring, flat
+from tests.reading import read_observations
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
 from svmdist.simulation.motion import Scenario
@@ -110,7 +111,7 @@ def test_one_instrument_is_as_ever(synthetic_log):
     assert recording.instruments == ("PSM1",)
     # The synthetic log has one camera: what it says of the tissue is not verified.
     alone = Measuring(setup.method, setup.with_tissue_std(setup.profile.tissue.unverified_std_m).profile)
-    plain = [alone.estimate(seen) for seen in recording.observations() if isinstance(seen, Observation)]
+    plain = [alone.estimate(seen) for seen in read_observations(recording) if isinstance(seen, Observation)]
     named = [flat(row) for row in estimate(recording, setup)]
     assert all(row.instrument == "PSM1" and row.instrument_clearance_m is None for row in named)
     assert [vars(row) | {"instrument": ""} for row in named] == [vars(row) for row in plain]

@@ -24,6 +24,7 @@ from svmdist.workflows.validate import (
     validate,
 )
 from tests.measuring import flat
+from tests.reading import read_images
 from tests.synthetic import without, write_log
 
 SETUP = prepare(method="kinematic")
@@ -39,7 +40,7 @@ def recording(synthetic_log: Path) -> Recording:
 
 def rows_of(recording: Recording, error_m: float = ERROR_M) -> list[FrameResult]:
     """Rows that are `error_m` too long in 3D and exact in the plane, at the stamps of the images."""
-    stamps_ns = np.array([image.stamp_ns for image in recording.images()], np.int64)
+    stamps_ns = np.array([image.stamp_ns for image in read_images(recording)], np.int64)
     truth = recording.distance_track().at(stamps_ns)
     return [
         FrameResult(

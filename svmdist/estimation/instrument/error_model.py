@@ -80,7 +80,7 @@ class ErrorModel:
 
     def anchor_m(self, robot: RobotState) -> Array:
         """The tool's nominal position, shape (3,) in the camera frame."""
-        return np.asarray(robot.T_camera_tool[:3, 3])
+        return np.asarray(robot.T_camera_link(None)[:3, 3])
 
     def prior(self, robot: RobotState) -> Array:
         """Covariance of the error state that the profile states, shape (n, n).

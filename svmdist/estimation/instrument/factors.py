@@ -7,11 +7,12 @@ marker stand here.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from svmdist.camera import Camera
+from svmdist.estimation.across_views import matched_place
 from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import (
@@ -27,6 +28,7 @@ from svmdist.estimation.instrument.measurement_kinds import (
 )
 from svmdist.estimation.instrument.shaft_detection import (
     BORDER_STD_PER_BLUR,
+    FARTHEST_M,
     marker_centre,
 )
 from svmdist.estimation.instrument.shaft_model import ShaftSizes, shaft_frames
@@ -64,6 +66,9 @@ OTHER_PART_PLACE = 3.0  # over the marker's radius: a ring or a clip, anywhere o
 LASTING_SIZE = 0.75  # of the variance of the marker's radius: light and blood stay
 WRIST_LASTING = 0.5  # of the variance of a point on the outline of a wrist: its shape is as it is
 JAW_TIP_STD = 0.35  # of an outline's tip over the length of closed, straight jaws: they open and turn
+MATCH_STD_PX, MATCH_STEP_PX = 1.0, 0.5  # of a wrist in both views: they show other sides of it, by a pixel
+MATCH_REACH = 3.0  # how far from the outlines' disparity it is sought, in deviations of that
+MATCH_WIDTHS = 0.35  # how far the compared wrist reaches to either side, over the shaft's width
 TOOL_SPEED_M_S = 0.05  # standard deviation along each axis: the tool stands elsewhere in a later view
 
 
@@ -196,10 +201,13 @@ def pair_markers(frame: Frame, pair: RectifiedPair, expected: Expected | None = 
         std_px = float(np.hypot(DISPARITY_NOISE_PX, LASTING_DISPARITY * one.radius_px))
         return pair_markers(frame, pair, Expected(depth_m, std_px / disparity_px))
     if one.area_px == 0.0:  # on an outline
-        variance_px2 = one.std_px**2 + other.std_px**2
-        return MarkerPair(
-            one, other, disparity_px, float(np.sqrt(variance_px2)), float(np.sqrt(variance_px2)), expected
-        )
+        std_px = float(np.hypot(one.std_px, other.std_px))
+        matched = _matched(frame, pair, one, disparity_px, std_px)
+        if matched is not None:
+            # What is next to the tool's origin, by as far as that is not known, may be as much deeper.
+            disparity_px, other = matched[0], replace(other, pixel=matched[1])
+            std_px = float(np.hypot(MATCH_STD_PX, one.std_px * disparity_px / pair.K[0, 0]))
+        return MarkerPair(one, other, disparity_px, std_px, std_px, expected)
     # From further aside other parts of it are hidden; what one view shows more of moves its middle by up to half.
     aside = max(1.0, pair.baseline_m / depth_m / ASIDE_RAD)
     uneven = abs(one.area_px - other.area_px) / (one.area_px + other.area_px)
@@ -208,6 +216,23 @@ def pair_markers(frame: Frame, pair: RectifiedPair, expected: Expected | None = 
     lasting = aside * float(np.hypot(LASTING_DISPARITY, PART_DISPARITY * max(one.hidden, other.hidden)))
     std_px = float(np.hypot(DISPARITY_NOISE_PX, one.radius_px * noise))
     return MarkerPair(one, other, disparity_px, std_px, one.radius_px * lasting, expected)
+
+
+def _matched(
+    frame: Frame, pair: RectifiedPair, one: SeenMarker, disparity_px: float, std_px: float
+) -> tuple[float, Array] | None:
+    """Disparity and right pixel of what the left view shows where the wrist is, near those that its outlines have."""
+    scene, silhouette, right = frame.scene, frame.left.silhouette, frame.scene.observation.right
+    if scene.right is None or silhouette is None or right is None:
+        return None
+    first_px = max(disparity_px - MATCH_REACH * std_px, pair.disparity_at(FARTHEST_M))
+    tried_px = np.arange(first_px, disparity_px + MATCH_REACH * std_px, MATCH_STEP_PX)
+    points_m = pair.points(np.tile(pair.to_rows(one.pixel), (len(tried_px), 1)), tried_px)
+    T_right_left = inverse(right.T_left_right)
+    places_px = right.camera.project(points_m @ T_right_left[:3, :3].T + T_right_left[:3, 3])
+    views = scene.left.grey, scene.right.grey
+    at = matched_place(views, one.pixel, MATCH_WIDTHS * silhouette.width_px, places_px)
+    return None if at is None else (float(tried_px[at]), places_px[at])
 
 
 def of_images(
@@ -263,6 +288,9 @@ def sides(view: View, arm: Arm, lasting_share: float = 0.0) -> Iterator[LinkMeas
     instrument, axis = arm.profile.instrument, arm.shaft_axis
     if instrument is None or axis is None:
         return
+    # What both edges get wrong alike is to the tool what a wrong radius is.
+    radius_std = float(np.hypot(arm.deviations.shaft_radius_fraction, view.shaft.width_std))
+    deviations = replace(arm.deviations, shaft_radius_fraction=radius_std)
     for contour in view.shaft.contours:
         _, axes = np.linalg.eigh(contour.plane.covariance)
         across = axes[:, 1:].T
@@ -279,7 +307,7 @@ def sides(view: View, arm: Arm, lasting_share: float = 0.0) -> Iterator[LinkMeas
             contour.side,
             lasting_share * covariance,
             focal_px=_focal_px(view.camera),
-            deviations=arm.deviations,
+            deviations=deviations,
             correlation_time_s=arm.profile.settings.filter.edge_correlation_time_s,
         )
 
@@ -291,11 +319,9 @@ def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
         return
     if view.shaft.is_stub and view.distal_marker is not None:  # what ends there may be anything dark
         return
-    sizes = ShaftSizes(instrument)
-    ahead_m, radius_m = -sizes.neck_m, sizes.radius_m
-    std_m = sizes.neck_std_m(arm.profile.settings.shaft.end_model_std_m)
-    if rim.is_outline:
-        ahead_m, radius_m, std_m = sizes.outline_end_m, 0.0, sizes.outline_end_std_m
+    chain, sizes = arm.required_chain, ShaftSizes(instrument)
+    reach_m = float(np.linalg.norm(shaft_frames(chain, np.zeros(len(chain.joint_names)))[1][:3, 3]))
+    ahead_m, std_m = sizes.rim_ahead(view.shaft, arm.profile.settings.shaft.end_model_std_m, reach_m)
     yield EndMeasurement(
         "end",
         axis.link,
@@ -306,7 +332,7 @@ def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
         hinge_on_link(arm.required_chain, axis.link),
         axis.axis,
         ahead_m,
-        radius_m,
+        0.0 if rim.is_outline else sizes.radius_m,
         std_m,
         deviations=arm.deviations,
     )

@@ -132,11 +132,14 @@ def _located(
     judged = kalman.update(measured)
     if not judged:
         return Failure("the fit does not converge")
-    degrees = sum(result.degrees_of_freedom for result in judged)
-    refused = [result for result in judged if not result.is_accepted]
     doubt = kalman.consistency.doubt
-    if sum(result.degrees_of_freedom for result in refused) > MAX_REFUSED_SHARE * degrees:
-        doubt = f"{', '.join(result.name for result in refused)} do not fit the rest"
+    # Without joints nothing but the other edges says which of them is wrong: it may be those of another instrument.
+    for source in ("", "shaft") if isinstance(frame.robot, Failure) else ("",):
+        told = [result for result in judged if source in ("", result.source)]
+        refused = [result for result in told if not result.is_accepted]
+        share = 0.0 if source else MAX_REFUSED_SHARE * sum(result.degrees_of_freedom for result in told)
+        if sum(result.degrees_of_freedom for result in refused) > share:
+            doubt = f"{', '.join(result.name for result in refused)} do not fit the rest"
     axis = frame.arm.shaft_axis
     assert axis is not None  # the model has its frame
     hinge = kalman.hinge(axis.link, hinge_on_link(chain, axis.link))

@@ -12,7 +12,7 @@ from svmdist.camera import Camera
 from svmdist.profile import Profile
 from svmdist.profile.hand_eye import BASELINE, FOCAL_LENGTH, PRINCIPAL_POINT, SHAFT_RADIUS, TAG_SIZE
 from svmdist.profile.robot import CameraError
-from svmdist.transforms import Array, cross, skew
+from svmdist.transforms import Array, skew
 
 FOR_EVER_S = np.inf
 MIN_DEPTH_M = 1e-3  # what is nearer to the camera, or behind it, has no image
@@ -138,7 +138,7 @@ def edge_by_radius(p_axis_m: Array, axis: Array, radius_m: Array, side: Array) -
     foot_m = p_axis_m - (axis * p_axis_m).sum(-1, keepdims=True) * axis
     square = (foot_m * foot_m).sum(-1)
     beside_m = side * np.sqrt(np.maximum(square - radius_m**2, NEAR_M**2))
-    e = beside_m[..., None] * foot_m - radius_m[..., None] * cross(axis, foot_m)
+    e = beside_m[..., None] * foot_m - radius_m[..., None] * np.cross(axis, foot_m)
     return np.asarray(e / (square * beside_m)[..., None])
 
 

@@ -22,7 +22,7 @@ from svmdist.estimation.instrument.shadows import (
 from svmdist.least_squares import median, scale_of
 from svmdist.profile.settings import DistalMarkerSettings, ShaftSettings
 from svmdist.samples import Image
-from svmdist.transforms import Array, cross
+from svmdist.transforms import Array
 from svmdist.vision.edges import (
     Disc,
     edge_blur_px,
@@ -38,12 +38,11 @@ from svmdist.vision.lines import (
     fit_line,
     line_between,
     tangent_plane,
-    undistorted,
     without_perspective,
 )
 from svmdist.vision.regions import Region
 from svmdist.vision.shaft_segmentation import ShaftRegion, Side
-from svmdist.vision.silhouette import Silhouette, WristPoint
+from svmdist.vision.silhouette import FROM_ONE_END, Silhouette, WristPoint
 
 EDGE_REACH_FRACTION = (
     0.007  # how far sub-pixel edges are searched from the mask's contour, over the image's width
@@ -66,6 +65,9 @@ MAX_LOG_RATIO = 0.25  # between radii by circle and area: further apart they are
 BORDER_POINTS = 8.0  # of the border that err independently: it is cut by fork and jaws, each over an eighth
 BORDER_STD_PER_BLUR = (
     0.1  # what neighbours of other colours within the border's blur shift it, over that blur
+)
+WHOLE_REACH = (
+    1.1  # of a whole marker's farthest points over the radius by its area: fork and jaws cut a fifth of it
 )
 CENTROID_STD = 0.045  # by how much hidden parts move the region's centroid, over the radius
 
@@ -98,7 +100,12 @@ def detect_distal_marker(
         return DistalMarker(region.centroid_px, std_px, None, 0.0, None, region.area_px)
     whole_px = disc.radius_px / settings.visible_radius
     own_px = np.hypot(disc.scatter_px / np.sqrt(BORDER_POINTS), BORDER_STD_PER_BLUR * disc.blur_px)
-    radius_std_px = float(np.hypot(settings.radius_std * whole_px, own_px))
+    # A part of a disc is longer than wide, and the whole is as wide as that is long, or less.
+    reach_px = cv2.minEnclosingCircle(region.hull.astype(np.float32))[1] + 0.5
+    hidden = max(0.0, reach_px / float(np.sqrt(region.area_px / np.pi)) - WHOLE_REACH)
+    radius_std_px = float(
+        np.linalg.norm([settings.radius_std * whole_px, own_px, FROM_ONE_END * hidden * whole_px])
+    )
     std_px = CENTROID_STD * whole_px
     return DistalMarker(disc.centre_px, std_px, whole_px, radius_std_px, disc, region.area_px)
 
@@ -156,12 +163,19 @@ class Contour:
 
 @dataclass(frozen=True, slots=True)
 class Rim:
-    """The shaft's end on its middle line: pixel (2,), direction to the tip (2,); by the outline or the dark part."""
+    """The shaft's end on its middle line: pixel (2,), direction to the tip (2,); by the outline or the dark part.
+
+    With a probability of `other_share` it is the end of the other one of these, as many radii further along; `narrows`
+    is how likely an outline goes on narrower there.
+    """
 
     pixel: Array
     towards_tip: Array
     std_px: float
     is_outline: bool = False
+    other_radii: float = 0.0
+    other_share: float = 0.0
+    narrows: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +185,7 @@ class ShaftDetection:
     `towards_tip` (2,) is the direction of the shaft's middle line in the image, None where nothing tells it.
     `is_stub` says that less of the shaft is visible than tells its sides from other things: twice its width of a dark
     part, 1.25 times of an outline. `wrist` is where the tool's origin is in the outline of a whole instrument.
+    `width_std` is the deviation over the width of what both contours get wrong alike.
     """
 
     contours: tuple[Contour, ...]
@@ -179,6 +194,7 @@ class ShaftDetection:
     middle_px: Array | None
     is_stub: bool
     wrist: WristPoint | None = None
+    width_std: float = 0.0
 
 
 NO_SHAFT = ShaftDetection((), None, None, None, True)
@@ -237,7 +253,7 @@ def detect_silhouette(silhouette: Silhouette | None, camera: Camera, radius_m: f
         if edge.covariance is None:
             line = _line_through(edge.points_px, camera, inlier_px, OUTLINE_SHADING_STD_PX)
         else:
-            ends = undistorted(camera, np.stack([edge.start_px, edge.end_px]))
+            ends = camera.rays(np.stack([edge.start_px, edge.end_px]))[:, :2]
             line = line_between(ends, edge.covariance / float(camera.K[0, 0]) ** 2)
         contour = None if line is None else _contour_of(line, middle_px, outward, towards_tip, camera)
         if contour is not None and all(contour.side != other.side for other in contours):
@@ -245,8 +261,12 @@ def detect_silhouette(silhouette: Silhouette | None, camera: Camera, radius_m: f
     if len(contours) == 2 and not _can_stand(contours, silhouette, camera, radius_m):
         return NO_SHAFT
     end_px = silhouette.end_px
-    rim = None if end_px is None else Rim(end_px, towards_tip, silhouette.std_px, silhouette.is_outline)
-    return ShaftDetection(tuple(contours), rim, towards_tip, middle_px, silhouette.is_stub, silhouette.wrist)
+    rim = None
+    if end_px is not None:
+        other = 2.0 * silhouette.other_px / silhouette.width_px, silhouette.other_share
+        rim = Rim(end_px, towards_tip, silhouette.std_px, silhouette.is_outline, *other, silhouette.narrows)
+    seen = silhouette.is_stub, silhouette.wrist, silhouette.width_std
+    return ShaftDetection(tuple(contours), rim, towards_tip, middle_px, *seen)
 
 
 def _can_stand(contours: Sequence[Contour], silhouette: Silhouette, camera: Camera, radius_m: float) -> bool:
@@ -255,9 +275,9 @@ def _can_stand(contours: Sequence[Contour], silhouette: Silhouette, camera: Came
     if axis is None:
         return False
     place_px = silhouette.middle_px if silhouette.end_px is None else silhouette.end_px
-    ray = np.append(undistorted(camera, place_px[None])[0], 1.0)
+    ray = camera.rays(place_px)[0]
     # Where the ray passes the axis: the middle of what both planes leave of it.
-    across = cross(axis.direction, cross(ray, axis.direction))
+    across = np.cross(axis.direction, np.cross(ray, axis.direction))
     depth_m = float(axis.point_m @ across) / float(ray @ across)
     # Its wrist was taken for the taper of a shaft that comes from behind the camera.
     is_steep = abs(float(axis.direction[2])) > MOST_STEEP and silhouette.length_widths < STEEP_LENGTH_WIDTHS
@@ -279,13 +299,13 @@ def _line_through(
 ) -> Line | None:
     """The line on z = 1 through most of an edge's points, shape (n, 2) in px."""
     unit = 1.0 / float(camera.K[0, 0])
-    points = undistorted(camera, points_px)
+    points = camera.rays(points_px)[:, :2]
     return fit_line(points, unit, MIN_LINE_POINTS, inlier_px, systematic_px, correlation_px)
 
 
 def _contour_of(line: Line, middle_px: Array, outward: Array, towards_tip: Array, camera: Camera) -> Contour:
     """The contour on a line of z = 1; `middle_px` is on the shaft, `outward` leads off it, (2,)."""
-    plane = tangent_plane(line, undistorted(camera, middle_px[None])[0])
+    plane = tangent_plane(line, camera.rays(middle_px)[0, :2])
     right = towards_tip[0] * outward[1] - towards_tip[1] * outward[0]
     return Contour(plane, 1 if right > 0 else -1)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,9 +16,12 @@ from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import Instrument
 from svmdist.results import Failure
 from svmdist.transforms import Array, inverse, make_transform
-from svmdist.vision.lines import CylinderAxis, apparent_radius_px, axis_of_cylinder, undistorted
+from svmdist.vision.find_instruments import SeenInstrument
+from svmdist.vision.lines import CylinderAxis, apparent_radius_px, axis_of_cylinder
+from svmdist.vision.outline_search import LONGEST_WRIST
 from svmdist.vision.silhouette import WristShape
 
+FORESHORTENED = 0.15  # of a length along the shaft over its width: shafts are tilted by 30° or so
 OUTLINE_END_STD_RADII = 0.25  # of the cylinder's end in an outline: clevises differ, a bent wrist hides them
 UNKNOWN_END = 0.5  # deviation of the distance from hinge to the shaft's end where none is stated, over itself
 CLEVIS_PER_RADIUS = 0.9
@@ -62,6 +65,49 @@ class ShaftSizes:
             return OUTLINE_END_STD_RADII * self.radius_m
         return 0.5 * (CLEVIS_PER_RADIUS * self.radius_m + self.neck_m)
 
+    def with_likelier_end(self, seen: SeenInstrument, stated_std_m: float) -> SeenInstrument:
+        """The instrument with the other one of its two ends, where these are not as far apart as shaft and wrist are.
+
+        What ends on a shaft without being its end is anywhere in the stretch that was searched.
+        """
+        if not 0.0 < seen.other_share < 1.0:
+            return seen
+        apart_m = abs(seen.other_px) / seen.width_px * 2.0 * self.radius_m
+        std_m = np.hypot(
+            np.hypot(self.neck_std_m(stated_std_m), self.outline_end_std_m), FORESHORTENED * apart_m
+        )
+        off = (apart_m - self.neck_m - self.outline_end_m) / std_m
+        anywhere = np.sqrt(2.0 * np.pi) * std_m / (LONGEST_WRIST * 2.0 * self.radius_m)
+        told = float(np.exp(-0.5 * off**2) / anywhere)
+        own, other = 1.0 - seen.other_share, seen.other_share
+        own, other = (own * told, other) if seen.ends_dark else (own, other * told)
+        share = other / (own + other)
+        if share <= 0.5:
+            return replace(seen, other_share=share)
+        end_px = seen.end_px + seen.other_px * seen.axis
+        moved = replace(seen, end_px=end_px, ends_dark=not seen.ends_dark)
+        return replace(moved, other_px=-seen.other_px, other_share=1.0 - share)
+
+    def rim_ahead(self, shaft: ShaftDetection, stated_std_m: float, reach_m: float) -> tuple[float, float]:
+        """How far beyond the hinge a shaft's rim is, by all that it may be, and the deviation of that.
+
+        `reach_m` is from the hinge to the tool: wrist and jaws in line with a shaft look like more of it, so that an
+        outline beyond which nothing is seen may be that of anything up to their tips.
+        """
+        rim = shaft.rim
+        assert rim is not None  # who asks has one
+        dark = -self.neck_m, self.neck_std_m(stated_std_m)
+        outline = self.outline_end_m, self.outline_end_std_m
+        own, other = (outline, dark) if rim.is_outline else (dark, outline)
+        beyond_m = reach_m + self.instrument.jaw_length_m - own[0]
+        is_tip = 1.0 - rim.narrows if rim.is_outline and shaft.wrist is None else 0.0
+        share = np.array([(1.0 - rim.other_share) * (1.0 - is_tip), rim.other_share, 0.0])
+        share[2] = 1.0 - share.sum()
+        ahead_m = np.array([own[0], other[0] - rim.other_radii * self.radius_m, own[0] + 0.5 * beyond_m])
+        variance_m2 = np.square([own[1], other[1], np.hypot(own[1], beyond_m / np.sqrt(12.0))])
+        mean_m = float(share @ ahead_m)
+        return mean_m, float(np.sqrt(share @ (variance_m2 + (ahead_m - mean_m) ** 2)))
+
 
 @dataclass(frozen=True, slots=True)
 class ShaftModel(ShaftSizes):
@@ -86,14 +132,15 @@ class ShaftModel(ShaftSizes):
             R_camera_shaft = np.asarray((robot.T_camera_base @ T_base_shaft)[:3, :3])
         return cls(instrument, q, T_base_shaft, T_shaft_tool, R_camera_shaft)
 
-    @property
-    def wrist_shape(self) -> WristShape:
-        """What is to be seen beyond the outline's end, with the wrist straight."""
+    def wrist_shape(self, *, ends_dark: bool) -> WristShape:
+        """What is to be seen beyond the end of the outline, or of the dark part, with the wrist straight."""
         reach_m = float(np.linalg.norm(self.T_shaft_tool[:3, 3]))
-        ahead_m, jaw_m = max(reach_m - self.outline_end_m, 0.0), self.instrument.jaw_length_m
+        end_m, std_m = self.outline_end_m, self.outline_end_std_m
+        if ends_dark:
+            end_m, std_m = -self.neck_m, self.neck_std_m(0.0)
+        ahead_m, jaw_m = max(reach_m - end_m, 0.0), self.instrument.jaw_length_m
         length_m = ahead_m + jaw_m
-        std = self.outline_end_std_m * jaw_m / length_m**2
-        return WristShape(ahead_m / length_m, length_m / (2.0 * self.radius_m), std)
+        return WristShape(ahead_m / length_m, length_m / (2.0 * self.radius_m), std_m * jaw_m / length_m**2)
 
 
 def shaft_frames(chain: DHChain, q: Array) -> tuple[Array, Array]:
@@ -152,7 +199,7 @@ def _start_from_nominal(
         return Failure("a side of the shaft is not to be seen")
     if marker is None or marker.radius_px is None:
         return Failure("neither both sides of the shaft nor a whole distal marker")
-    ray = _ray(marker.centre_px, camera)
+    ray = camera.rays(marker.centre_px)[0]
     tool_m = apparent_radius_px(ray, model.instrument.knuckle_radius_m, camera) / marker.radius_px * ray
     return make_transform(R_nominal, tool_m - R_nominal @ model.T_shaft_tool[:3, 3])
 
@@ -162,7 +209,7 @@ def _turned_to_tip(
 ) -> Array | None:
     d = axis.direction
     if shaft.towards_tip is not None and shaft.middle_px is not None:
-        x, y, _ = _ray(shaft.middle_px, camera)
+        x, y, _ = camera.rays(shaft.middle_px)[0]
         flow = np.array([d[0] - x * d[2], d[1] - y * d[2]])
         return d if flow @ shaft.towards_tip > 0 else -d
     if R_nominal is None:
@@ -180,10 +227,10 @@ def _along_axis(
 ) -> Array | None:
     """The hinge: where the axis passes the landmark's ray, less the landmark's place on the straight tool."""
     if shaft.rim is not None:
-        ray = _ray(shaft.rim.pixel, camera)
+        ray = camera.rays(shaft.rim.pixel)[0]
         ahead_m = model.outline_end_m if shaft.rim.is_outline else -model.neck_m
     elif marker is not None:
-        ray, ahead_m = _ray(marker.centre_px, camera), float(model.T_shaft_tool[2, 3])
+        ray, ahead_m = camera.rays(marker.centre_px)[0], float(model.T_shaft_tool[2, 3])
     else:
         return None
     ray = ray / np.linalg.norm(ray)
@@ -199,8 +246,3 @@ def _frame_about(d: Array, R_nominal: Array | None) -> Array:
     y = np.cross(d, x)
     y /= np.linalg.norm(y)
     return np.stack([np.cross(y, d), y, d], -1)
-
-
-def _ray(pixel: Array, camera: Camera) -> Array:
-    x, y = undistorted(camera, pixel[None])[0]
-    return np.array([x, y, 1.0])

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.geometry import pixel_rays
 from svmdist.least_squares import Steps, minimise
 from svmdist.samples import Image
 from svmdist.transforms import Array, make_transform, rotation_angle
@@ -166,5 +165,5 @@ def _pixels_around(image_grey: Image, corners_px: Array, camera: Camera) -> TagP
     y, x = np.nonzero(mask)
     points_px = np.column_stack([x + x0, y + y0]).astype(np.float64)
     brightness = image_grey[y + y0, x + x0].astype(np.float64)
-    rays = np.ascontiguousarray(pixel_rays(camera, points_px).T)
+    rays = np.ascontiguousarray(camera.rays(points_px).T)
     return TagPixels(brightness, rays, float(camera.K[0, 0]))

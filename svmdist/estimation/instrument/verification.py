@@ -17,11 +17,12 @@ from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.factors import OTHER_PART_PLACE
 from svmdist.estimation.instrument.model import HINGE, ShaftSections, shaft_sections
 from svmdist.estimation.instrument.shaft_detection import DistalMarker
+from svmdist.estimation.tissue import TissuePose, require_tissue, tissue_plane
 from svmdist.geometry import Capsules
-from svmdist.profile.robot import CameraError, Instrument
+from svmdist.profile.robot import CameraError, Instrument, Tissue
 from svmdist.results import ToolPose
-from svmdist.transforms import Array
-from svmdist.vision.lines import apparent_radius_px, undistorted
+from svmdist.transforms import Array, inverse
+from svmdist.vision.lines import apparent_radius_px
 
 MAX_DEVIATIONS = 4.0  # two normal errors are beyond it in 1 of 3,000 frames, and priors are rounded
 HALF_HIDDEN = 0.2  # deviation of a disc's centroid over its radius: hiding one half moves it by 0.42
@@ -38,19 +39,30 @@ MIN_LENGTH = 2.0  # of the visible shaft, in half widths, for the same reason
 MIN_SHARE = 0.3  # of a section that is instrument within reach: less is a speck or a shadow
 MIN_INSIDE = 0.8  # of a section that is dark as the shaft: it may have a shadow around it
 BAR_WIDTHS = (0.7, 1.4)  # of a shaft elsewhere over the projected one: as far as it may be nearer or farther
+MIN_SHOWN = 0.8  # of a projected shaft that is made of outlines, what must be on the instrument
 MAX_BESIDE = 0.7  # of the sections, beyond which the shaft is beside the instrument
 
 
-def contradiction(frame: Frame, pose: ToolPose, body: Capsules | None) -> str:
-    """Why the left image refutes a pose, with the instrument's capsules in the camera frame; empty where it does not.
+def contradiction(
+    frame: Frame, pose: ToolPose, body: Capsules | None, tissue: TissuePose, *, is_by_outline: bool = False
+) -> str:
+    """Why images and tissue refute a pose, with the instrument's capsules in the camera frame; empty where they do not.
 
-    A tool beyond the picture is refuted only by what is seen of it in the picture.
+    A tool beyond the picture is refuted only by what is seen of it in the picture. `is_by_outline`: the images are all
+    that it is made of, so that each view must show the instrument where the shaft is projected.
     """
-    if not pose.position_m[2] > 0.0:
-        return "the tool is behind the camera"
+    if said := _out_of_place(pose, tissue, require_tissue(frame.arm.profile)):
+        return said
     instrument = frame.arm.profile.instrument
     if instrument is None or body is None:
         return ""
+    if is_by_outline:
+        views, right = [(frame.left, body)], frame.scene.observation.right
+        if frame.right is not None and right is not None:
+            views.append((frame.right, body.transformed(inverse(right.T_left_right))))
+        for view, there in views:
+            if view.masks.seen and (shown := _share_shown(view, there)) < MIN_SHOWN:
+                return f"of the projected shaft only {shown:.0%} is on the instrument in the image"
     error, shaft = frame.arm.profile.camera_error, None
     sections = shaft_sections(frame.left.camera, body)
     if sections is not None and sections.length_px >= MIN_LENGTH * np.max(sections.half_px):
@@ -61,6 +73,33 @@ def contradiction(frame: Frame, pose: ToolPose, body: Capsules | None) -> str:
         share = f"{shaft.inside:.0%} of it is on it"
         return f"the projected shaft lies beside the instrument in the image: {share}"
     return ""
+
+
+def _out_of_place(pose: ToolPose, seen: TissuePose, stated: Tissue) -> str:
+    """Whether the tool is behind the camera, or behind the plane that the tissue lies on, where no instrument is.
+
+    A part of a marker seems far away as a whole one, and points of a measured surface have no inside.
+    """
+    if not pose.position_m[2] > 0.0:
+        return "the tool is behind the camera"
+    plane = tissue_plane(stated)
+    below_m = plane.offset_m - float(plane.normal @ pose.position_m)
+    aside_m = float(np.linalg.norm(np.cross(plane.normal, pose.position_m - seen.position_m)))
+    parts_m = (stated.plane_tilt_std_rad * aside_m, seen.surface_std_m, stated.surface_std_m)
+    variance_m2 = float(plane.normal @ (seen.covariance + pose.position_covariance) @ plane.normal)
+    if below_m <= MAX_DEVIATIONS * np.sqrt(variance_m2 + np.sum(np.square(np.array(parts_m)))):
+        return ""
+    return f"the tool is {1e3 * below_m:.0f} mm behind the plane that the tissue lies on"
+
+
+def _share_shown(view: View, body: Capsules) -> float:
+    """Which part of the projected shaft is the instrument in a view's image; 1 where it is not in view."""
+    sections = shaft_sections(view.camera, body)
+    if sections is None:
+        return 1.0
+    offset = np.linspace(-0.95, 0.95, 20)[None, :, None] * sections.half_px[:, None, None]
+    own, known = _sampled(view, sections.middles_px[:, None] + offset * sections.across[:, None])
+    return float(np.count_nonzero(own)) / np.count_nonzero(known) if known.any() else 1.0
 
 
 def _off_marker(
@@ -78,7 +117,7 @@ def _off_marker(
         std_px = np.hypot(HALF_HIDDEN * radius_px, _calibration_std_px(pixel, camera, error))
         variance_m2 = (std_px * marker_m[2] / camera.K[0, 0]) ** 2 + place_std_m**2
         information = np.linalg.inv(pose.position_covariance + variance_m2 * np.eye(3))
-        ray = np.append(undistorted(camera, pixel[None])[0], 1.0)
+        ray = camera.rays(pixel)[0]
         along = max(float(ray @ information @ marker_m), 0.0) ** 2 / float(ray @ information @ ray)
         return float(np.sqrt(max(float(marker_m @ information @ marker_m) - along, 0.0)))
 
@@ -168,7 +207,7 @@ class _ShaftEvidence:
         if np.count_nonzero(is_seen) < MIN_SECTIONS:
             return None
         is_beside = np.where(is_near, is_off, has_bar)
-        half = 0.5 * (end - begin)[is_near & np.isfinite(end - begin)]
+        half = 0.5 * (end - begin)[is_near & np.isfinite(end - begin) & (end > begin)]
         width_std = np.hypot(float(np.max(own_px / seen.half_px)), _depth_std(pose))
         narrower = -np.log(np.median(half)) / width_std if len(half) >= MIN_SECTIONS else np.nan
         return _ShaftEvidence(

@@ -1,0 +1,1 @@
+"""The sets of real images: a module for each, which makes its logs and scores them."""

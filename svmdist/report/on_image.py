@@ -1,0 +1,195 @@
+"""A frame's drawing as pixels on its image: shapes, labels that hide nothing measured, and lines of text above."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from svmdist.drawing import COLOURS, WHITE, Form, FrameDrawing, Label, Part, Rgb, Shape
+from svmdist.errors import printable
+from svmdist.files import atomic_file
+from svmdist.samples import Image
+from svmdist.transforms import Array
+
+FONT = cv2.FONT_HERSHEY_SIMPLEX
+DARK = (20, 20, 20)
+SUBPIXEL_BITS = 4
+LIMIT_PX = 20_000.0  # OpenCV's drawing wraps around far outside of the image
+SMALL = (Part.INLIER, Part.MATCH)
+MEASURED = (Part.DISTANCE, Part.BETWEEN)
+LETTERS, LEAST_LETTER_PX = 1 / 44, 9.0
+"""Height of a capital letter over the picture's width, and the least one that can be read."""
+Box = tuple[float, float, float, float]
+
+
+def bgr(colour: Rgb) -> tuple[int, int, int]:
+    """The colour as OpenCV has it."""
+    return colour[2], colour[1], colour[0]
+
+
+def write_picture(path: Path, picture: Image) -> None:
+    """Write a PNG; raises OutputError where that fails."""
+    with atomic_file(path) as file:
+        file.write(cv2.imencode(".png", picture)[1].tobytes())
+
+
+def draw_on(
+    image_bgr: Image,
+    drawing: FrameDrawing,
+    *,
+    parts: Collection[Part] | None = None,
+    lines: bool = True,
+    least_px: int = 0,
+    letters: float = LETTERS,
+) -> Image:
+    """A copy of an image, shape (h, w, 3) in BGR, with a drawing on it, or some of its `parts`; `lines` at the top.
+
+    It is enlarged to `least_px`. Labels, with letters of that share of its width, hide no measured line, tip or label.
+    """
+    pixels = enlarged(image_bgr, least_px)
+    times, unit_px = pixels.shape[1] / image_bgr.shape[1], max(1, pixels.shape[1] // 640)
+    shapes = [replace(one, points_px=(one.points_px + 0.5) * times - 0.5)
+              for one in drawing.shapes if parts is None or one.part in parts]  # fmt: skip
+    for shape in sorted(shapes, key=lambda one: one.part in MEASURED):  # what is measured lies on top
+        _draw(pixels, shape, unit_px)
+    measured = [within_reach(one.points_px) for one in shapes if one.part in MEASURED]
+    measured += [within_reach(one.points_px).repeat(2, 0)[:2] for one in shapes if one.part is Part.TIP]
+    taken, letter_px = list[Box](), max(LEAST_LETTER_PX, letters * pixels.shape[1])
+    if lines and drawing.lines:
+        bar, width = _bar(status_lines(drawing), pixels.shape[1], letter_px)
+        is_hiding = any((ends[:, 1] < bar.shape[0] + letter_px).any() for ends in measured)
+        top = max(0, pixels.shape[0] - bar.shape[0]) if is_hiding else 0
+        bar = bar[: pixels.shape[0], :width]
+        pixels[top : top + bar.shape[0], :width] = bar
+        taken.append((0, top, width, top + bar.shape[0]))
+    for label in drawing.labels:
+        if parts is None or label.part in parts:
+            _write_beside(pixels, label, (label.place_px + 0.5) * times - 0.5, measured, taken, letter_px)
+    return pixels
+
+
+def status_lines(drawing: FrameDrawing) -> list[tuple[str, Rgb]]:
+    """The status lines of a drawing, with their colours."""
+    return [(line.text, line.colour) for line in drawing.lines]
+
+
+def enlarged(image: Image, least_px: int) -> Image:
+    """A copy of an image as many whole times as large as it takes to be so wide."""
+    times = max(1, -(-least_px // image.shape[1]))
+    return np.array(image.repeat(times, 0).repeat(times, 1), order="C")
+
+
+def within_reach(points_px: Array) -> Array:
+    """Points in px that OpenCV can draw; those without a place are far outside."""
+    return np.clip(np.nan_to_num(points_px, nan=-LIMIT_PX), -LIMIT_PX, LIMIT_PX)
+
+
+def _draw(pixels: Image, shape: Shape, unit_px: int) -> None:
+    colour = bgr(COLOURS[shape.part])
+    points = np.asarray(np.round(within_reach(shape.points_px) * (1 << SUBPIXEL_BITS)), np.int32)
+    is_dots, is_measured = shape.form is Form.POINTS, shape.part in MEASURED
+    if not is_dots:
+        for tone, width in ((DARK, 4), (colour, 2)) if is_measured else ((colour, 2),):
+            cv2.polylines(
+                pixels, [points], shape.form is Form.LOOP, tone, width * unit_px, cv2.LINE_AA, SUBPIXEL_BITS
+            )
+    radius = 2 if shape.part in SMALL else 3 if is_measured else 4
+    for x, y in points.tolist() if is_dots or is_measured else ():
+        for tone, reach in ((DARK, radius + 1), (colour, radius))[shape.part in SMALL :]:
+            grown = reach * unit_px << SUBPIXEL_BITS
+            cv2.circle(pixels, (x, y), grown, tone, cv2.FILLED, cv2.LINE_AA, SUBPIXEL_BITS)
+
+
+def text_size(text: str, letter_px: float) -> tuple[float, int, int, int]:
+    """Scale and thickness of letters of a height, and a text's width and how far it reaches below its line."""
+    scale = letter_px / 21.0  # of the font
+    thickness = max(1, round(scale))
+    (width, _), below = cv2.getTextSize(text, FONT, scale, thickness)
+    return scale, thickness, width, below
+
+
+def write_text(pixels: Image, text: str, place: tuple[float, float], letter_px: float, colour: Rgb) -> None:
+    """Write a text whose line begins at a place (x, y)."""
+    scale, thickness, *_ = text_size(text, letter_px)
+    left_below = round(place[0]), round(place[1])
+    cv2.putText(pixels, text, left_below, FONT, scale, bgr(colour), thickness, cv2.LINE_AA)
+
+
+def _write_beside(
+    pixels: Image, label: Label, place: Array, measured: Sequence[Array], taken: list[Box], letter_px: float
+) -> None:
+    """Write a label on dark ground at the nearest place that is free, with a line to what it names if that is far."""
+    text, place = printable(label.text), within_reach(place)
+    _, _, width, _ = text_size(text, letter_px)
+    half = np.array([0.5 * width + 0.4 * letter_px, 0.95 * letter_px])
+    high, low = half + 1, np.maximum(half + 1, np.array(pixels.shape[1::-1]) - half - 1)
+    boxes = [_box(np.clip(place + offset, high, low), half) for offset in _offsets(half, letter_px)]
+    free = (box for box in boxes if not _hides(box, measured, taken, 0.5 * letter_px))
+    box = next(free, next((one for one in boxes if not _hides(one, measured, (), 0.0)), boxes[0]))
+    left, top, right, bottom = map(round, box)
+    nearest = np.clip(place, (left, top), (right, bottom))
+    gap_px = float(np.linalg.norm(nearest - place))
+    if gap_px > 2.5 * letter_px:
+        end = place + (nearest - place) / gap_px * letter_px
+        begin_px, end_px = ((round(float(one[0])), round(float(one[1]))) for one in (nearest, end))
+        width_px = max(1, pixels.shape[1] // 900)
+        cv2.line(pixels, begin_px, end_px, bgr(COLOURS[label.part]), width_px, cv2.LINE_AA)
+    cv2.rectangle(pixels, (left, top), (right, bottom), DARK, cv2.FILLED)
+    write_text(
+        pixels, text, (left + 0.4 * letter_px, bottom - 0.45 * letter_px), letter_px, COLOURS[label.part]
+    )
+    taken.append(box)
+
+
+def _offsets(half: Array, letter_px: float) -> Iterator[Array]:
+    """Where a label of half a size (2,) may stand, from what it names: around it, ever farther."""
+    angles = np.radians([0, 180, -30, 30, -150, 150, -90, 90, -60, 60, -120, 120])
+    for reach in (0.8, 1.6, 2.8, 4.5, 7.0, 10.0):
+        yield from np.column_stack([np.cos(angles), np.sin(angles)]) * (half + reach * letter_px)
+
+
+def _box(middle: Array, half: Array) -> Box:
+    return (*(middle - half).tolist(), *(middle + half).tolist())
+
+
+def _hides(box: Box, measured: Sequence[Array], taken: Sequence[Box], margin_px: float) -> bool:
+    """Whether a box, with a margin, lies on a measured line or on another box."""
+    left, top, right, bottom = box
+    if any(left < one[2] and one[0] < right and top < one[3] and one[1] < bottom for one in taken):
+        return True
+    x, y = round(left - margin_px), round(top - margin_px)
+    grown = (x, y, round(right + margin_px) - x, round(bottom + margin_px) - y)
+    ends = (np.rint(line).astype(int).tolist() for line in measured)
+    return any(cv2.clipLine(grown, tuple(start), tuple(end))[0] for start, end in ends)
+
+
+def _bar(lines: Sequence[tuple[str, Rgb] | str], width_px: int, letter_px: float) -> tuple[Image, int]:
+    """Lines on dark ground, wrapped where they are longer than the picture is wide; and how wide they are."""
+    rows = list[tuple[str, Rgb]]()
+    for line in lines:
+        text, colour = (line, WHITE) if isinstance(line, str) else line
+        words = printable(text).split(" ")
+        row = words[0]
+        for word in words[1:]:
+            longer = f"{row} {word}"
+            if text_size(longer, letter_px)[2] + letter_px > width_px:
+                rows.append((row, colour))
+                longer = f"  {word}"
+            row = longer
+        rows.append((row, colour))
+    step_px = round(1.9 * letter_px)
+    bar = np.full((step_px * len(rows) + round(0.4 * letter_px), width_px, 3), DARK, np.uint8)
+    for at, (text, colour) in enumerate(rows):
+        write_text(bar, text, (0.5 * letter_px, (at + 1) * step_px - 0.4 * letter_px), letter_px, colour)
+    longest = max((text_size(text, letter_px)[2] for text, _ in rows), default=0)
+    return bar, min(width_px, round(longest + letter_px))
+
+
+def under(lines: Sequence[tuple[str, Rgb] | str], pixels: Image, letters: float = LETTERS) -> Image:
+    """A picture under a bar with lines of text."""
+    bar, _ = _bar(lines, pixels.shape[1], max(LEAST_LETTER_PX, letters * pixels.shape[1]))
+    return np.vstack([bar, pixels])

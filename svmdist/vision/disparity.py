@@ -1,0 +1,336 @@
+"""A disparity map of a rectified pair: semi-global matching, then a fit to sub-pixels that says how sure it is.
+
+Matching (Hirschmüller 2008) finds what belongs together within a pixel. Around it, right(u - d, v) - left(u, v) is
+linear in d: every pixel is a measurement of the disparity, as good as the image is steep there (Lucas and Kanade 1981).
+Cells of pixels are fitted from the whole view down to a few pixels, by planes on what the coarser fit leaves; a finer
+fit is followed as far as it differs from the coarser one by more than its noise does. So the surface may have any
+shape, is smooth where nothing shows its detail, and continues below what hides it, with a deviation that says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.least_squares import scale_of
+from svmdist.profile.settings import StereoSettings
+from svmdist.samples import Image
+from svmdist.transforms import Array
+from svmdist.vision.local_planes import SCALES, Floats, blurred, fit_cells
+
+Bools = NDArray[np.bool_]
+
+COARSE_PX = 160  # width of the views in which the range of disparities is found
+MATCHED_PX = 400  # wider views are matched at half of it: a block shows twice as much, with less noise
+MAX_SHARE = 0.6  # of the width: the largest disparity that is searched
+RANGE_PERCENT = (2.0, 98.0)
+RANGE_SHARE = 0.15  # by which that range is widened, at either end
+UNIQUE_PERCENT = 5  # by which the best match must be better than any other
+CELL_PX = 4  # side of a cell
+SPECKLE_SHARE = 0.002  # of the view: smaller patches of matches that stand alone are mistakes
+MARGIN_PX = 5  # matches as near to an instrument or to the view's border mix two surfaces within one block
+CLIPPED, CLIPPED_PX = (
+    250,
+    7,
+)  # brighter pixels are highlights, which stand elsewhere in the other view; and about them
+SMOOTHING_PX = 1.2  # of both views, so that a step of a pixel stays on a slope
+LEVELLING_SHARE, FLAT_LEVELS = (
+    0.025,
+    3.0,
+)  # half of the window for contrast over the width; contrast of mere noise
+BRIGHTNESS_SHARE = 0.01
+"""How smoothly the views' brightness may differ, over the width: with the camera, light and gloss of wet tissue move.
+What changes no faster than that says nothing about disparity; else it is off by twice the stated deviation."""
+STEPS = 3
+LEAST_LEVELS = 0.25  # noise of 8 bits, and its square
+ROW_STRIDE = 4
+MATCH_INFORMATION, MATCH_SHARE = (0.02, 1.0), 0.3
+"""Of a cell's matches, in 1/px²: bounds, and as a share of what its pixels tell. Both see the same texture."""
+STD_FACTOR, LEAST_STD_PX = 1.5, 0.06  # between deviations so found and errors on warped views; what all share
+FILLED_FACTOR = 2.0  # the same where nothing matched, at rims and below instruments, beside that
+MAX_OFF_PX = 1.5  # of matches from the fit, beside two of its deviations
+MAX_STD_PX = 1.0  # beyond, a place is not matched
+MIN_MATCHED = 0.25  # of a cell
+LEAST_PATCH = 0.01  # of all that is seen: smaller patches are mistakes, or no tissue
+
+
+@dataclass(frozen=True, slots=True)
+class DisparityMap:
+    """Disparity and its standard deviation, shape (h, w) in px, at pixels of the left view: columns (w,), rows (h,).
+
+    It is fitted everywhere; `is_seen` where matches agree. Deviations are of matching alone.
+    """
+
+    columns_px: Array
+    rows_px: Array
+    disparity_px: Array
+    std_px: Array
+    is_seen: Bools
+
+
+def disparity_map(
+    views: tuple[Image, Image],
+    masks: tuple[Image, Image],
+    bounds_px: tuple[float, float],
+    settings: StereoSettings,
+    most_px: int,
+) -> DisparityMap | None:
+    """Match the left and the right grey view, shape (h, w), inside of masks; None where too little agrees.
+
+    The views are reduced until the masked part has no more than `most_px` pixels. Bounds are of disparities.
+    """
+    x, y, width, height = cv2.boundingRect(_eroded(masks[0], 2 * MARGIN_PX + 1))  # without specks
+    step = max(1, int(np.ceil(np.sqrt(width * height / most_px))))
+    rows = slice(max(0, y - MARGIN_PX * step), y + height + MARGIN_PX * step)
+    left, right = (_reduced(view[rows], step) for view in views)
+    inside, inside_right = (_reduced(mask[rows], step, cv2.INTER_NEAREST) for mask in masks)
+    low, high = bounds_px[0] / step, min(bounds_px[1] / step, MAX_SHARE * left.shape[1])
+    found = _range(left, right, inside, inside_right, low, high) if min(left.shape) > 8 * CELL_PX else None
+    if found is None:
+        return None
+    low, high = found
+    whole_px = left.shape[1]
+    # Columns that matches can lie in
+    first = max(0, int(x / step - max(high, 0.0)) - MARGIN_PX)
+    last = int((x + width) / step - min(low, 0.0)) + MARGIN_PX
+    left, right, inside, inside_right = (
+        np.ascontiguousarray(one[:, first:last]) for one in (left, right, inside, inside_right)
+    )
+    levelled = _levelled(left, inside, whole_px), _levelled(right, inside_right, whole_px)
+    matched = semi_global(*levelled, low, high, settings.block_px, 2 if whole_px > MATCHED_PX else 1)
+    fitted = _Fit((left, right), (inside, inside_right), matched, BRIGHTNESS_SHARE * whole_px).run()
+    if fitted is None:
+        return None
+    disparity_px, std_px, is_seen, cells = fitted
+    if cells * CELL_PX**2 * step**2 < settings.min_matches:
+        return None
+    at = step * (CELL_PX * np.arange(max(is_seen.shape)) + 0.5 * (CELL_PX - 1)) + 0.5 * (step - 1)
+    columns_px, rows_px = step * first + at[: is_seen.shape[1]], rows.start + at[: is_seen.shape[0]]
+    return DisparityMap(columns_px, rows_px, step * disparity_px, step * std_px, is_seen)
+
+
+def semi_global(
+    left: Image, right: Image, low_px: float, high_px: float, block_px: int, step: int = 1
+) -> Floats:
+    """Disparity of every left pixel by semi-global matching of views reduced by `step`, shape (h, w) in px.
+
+    NaN where there is none: the best match must be unique, and be found from the right, too.
+    """
+    height, width = left.shape
+    left, right, low_px, high_px = _reduced(left, step), _reduced(right, step), low_px / step, high_px / step
+    low, count = int(np.floor(low_px)), 16 * int(np.ceil((high_px - low_px + 2.0) / 16))
+    # Every column must have all disparities in the image, else OpenCV leaves it out.
+    before, after = max(low + count, 0) + block_px, max(-low, 0) + block_px
+    left, right = (
+        np.asarray(cv2.copyMakeBorder(view, 0, 0, before, after, cv2.BORDER_REPLICATE), np.uint8)
+        for view in (left, right)
+    )
+    matcher = cv2.StereoSGBM.create(
+        minDisparity=low,
+        numDisparities=count,
+        blockSize=block_px,
+        P1=8 * block_px**2,
+        P2=32 * block_px**2,
+        disp12MaxDiff=2,
+        uniquenessRatio=UNIQUE_PERCENT,
+        speckleWindowSize=max(1, round(SPECKLE_SHARE * left.size)),
+        speckleRange=2,
+        mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
+    )
+    fixed_point = np.asarray(matcher.compute(left, right), np.float32)[:, before:-after]
+    matched = step * np.where(fixed_point >= 16 * low, fixed_point / 16.0, np.float32(np.nan))
+    return _enlarged(np.asarray(matched, np.float32), (width, height), cv2.INTER_NEAREST, step)
+
+
+def _range(
+    left: Image, right: Image, inside: Image, inside_right: Image, low: float, high: float
+) -> tuple[float, float] | None:
+    """The disparities that the scene has, in px, by matching small views over all that may be; None without any."""
+    step = max(1, round(left.shape[1] / COARSE_PX))
+    small = [_reduced(view, step) for view in (left, right)]
+    small_inside = [_reduced(mask, step, cv2.INTER_NEAREST) for mask in (inside, inside_right)]
+    levelled = [_levelled(view, mask, view.shape[1]) for view, mask in zip(small, small_inside, strict=True)]
+    matched = semi_global(levelled[0], levelled[1], low / step, high / step, 5)
+    seen = step * matched[np.isfinite(matched) & (small_inside[0] > 0)]
+    if len(seen) < CELL_PX**2:
+        return None
+    least, most = np.percentile(seen, RANGE_PERCENT)
+    more = RANGE_SHARE * (most - least) + 2.0 * step
+    return max(low, float(least - more)), min(high, float(most + more))
+
+
+def _levelled(grey: Image, inside: Image, width_px: int) -> Image:
+    """The view at the same brightness and contrast everywhere inside of a mask: vignetting differs between views."""
+    side = 2 * max(2, round(LEVELLING_SHARE * width_px)) + 1
+    level, used = grey.astype(np.float32), (inside > 0).astype(np.float32)
+
+    def mean(values: Floats) -> Floats:
+        return np.asarray(cv2.blur(values, (side, side)), np.float32)
+
+    share = mean(used) + np.float32(1e-6)
+    middle = mean(level * used) / share
+    spread = np.sqrt(np.maximum(mean(level * level * used) / share - middle**2, 0.0) + FLAT_LEVELS**2)
+    # Without what is outside, whose border would match at the disparity of the instrument there.
+    smooth = blurred(level * used, SMOOTHING_PX) / np.maximum(blurred(used, SMOOTHING_PX), 1e-6)
+    return np.asarray(
+        cv2.addWeighted((smooth - middle) / spread * used, 40.0, used, 0.0, 128.0, dtype=cv2.CV_8U)
+    )
+
+
+class _Fit:
+    """The disparities of cells by matches, and by the brightness of both views along them."""
+
+    def __init__(
+        self, views: tuple[Image, Image], inside: tuple[Image, Image], matched: Floats, brightness_px: float
+    ) -> None:
+        self._left, self._right = (blurred(view.astype(np.float32), SMOOTHING_PX) for view in views)
+        self._brightness_px = brightness_px
+        core = _eroded(inside[0], 2 * MARGIN_PX + 1)
+        self._used_right = _without_highlights(views[1], _eroded(inside[1], MARGIN_PX))
+        height, width = matched.shape
+        self._size = (width // CELL_PX, height // CELL_PX)
+        self._columns, self._rows = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in (width, height)))
+        # What an instrument hides from the right camera has no match, though blocks find one at its border.
+        at = self._columns - np.nan_to_num(matched), self._rows
+        core_right = _eroded(inside[1], 2 * MARGIN_PX + 1)
+        is_matched = np.isfinite(matched) & (core > 0) & (cv2.remap(core_right, *at, cv2.INTER_NEAREST) > 0)
+        share = self._cells(is_matched.astype(np.float32))
+        value = self._cells(np.where(is_matched, matched, 0.0).astype(np.float32))
+        self._is_matched = share > MIN_MATCHED
+        self._share = np.asarray(np.where(self._is_matched, share, 0.0), np.float32)
+        self._matches = np.where(self._is_matched, value / np.maximum(share, 1e-6), 0.0).astype(np.float32)
+        self._used = _without_highlights(views[0], core) * _enlarged(
+            self._is_matched.astype(np.float32), (width, height), cv2.INTER_NEAREST
+        )
+        self._turn: Array = np.zeros(3)  # what rows are off by: an offset, and its change along both axes
+
+    def run(self) -> tuple[Array, Array, Bools, int] | None:
+        """Disparities and deviations of the cells in px, which are seen, and their number."""
+        if np.count_nonzero(self._is_matched) < CELL_PX**2:
+            return None
+        fitted, variance = fit_cells(self._share, self._share * self._matches)
+        is_near, is_seen, std_px = self._is_matched, self._is_matched, variance
+        for _ in range(STEPS):
+            measured = self._by_brightness(fitted)
+            if measured is None:
+                return None
+            by_matches = self._share * np.clip(MATCH_SHARE * measured[0], *MATCH_INFORMATION)
+            information, total = measured[0] + by_matches, measured[1] + by_matches * self._matches
+            fitted, variance = fit_cells(information * is_near, total * is_near)
+            std_px = _std_px(variance)
+            is_near = self._is_matched & (np.abs(self._matches - fitted) < MAX_OFF_PX + 2.0 * std_px)
+            is_seen = _without_patches(is_near & (std_px < MAX_STD_PX))
+        if not is_seen.any():
+            return None
+        # Continued below what hides it by what is seen alone.
+        filled, variance = fit_cells(information * is_seen, total * is_seen)
+        fitted = np.where(is_seen, fitted, filled)
+        std_px = np.where(is_seen, std_px, FILLED_FACTOR * _std_px(variance))
+        return fitted.astype(np.float64), std_px.astype(np.float64), is_seen, int(np.count_nonzero(is_seen))
+
+    def _by_brightness(self, fitted: Floats) -> tuple[Floats, Floats] | None:
+        """Information of cells about disparity, and that times its value, linear about `fitted`; mends the rows."""
+        height, width = self._left.shape
+        u, v = (self._columns - 0.5 * width) / width, (self._rows - 0.5 * height) / width
+        disparity = _enlarged(fitted, (width, height))
+        rows = self._rows + self._turn[0] + self._turn[1] * u + self._turn[2] * v
+        at = self._columns - disparity, rows.astype(np.float32)
+        seen, used = (
+            np.asarray(cv2.remap(one, *at, cv2.INTER_LINEAR, None, cv2.BORDER_CONSTANT, 0), np.float32)
+            for one in (self._right, self._used_right)
+        )
+        usable = np.asarray(self._used * (used > 0.99), np.float32)
+        error = seen - self._left
+        error = error - _smooth_share(error, usable, self._brightness_px)
+        few = np.s_[::ROW_STRIDE, ::ROW_STRIDE]
+        some = error[few][usable[few] > 0]
+        if len(some) < CELL_PX**2:
+            return None
+        noise = np.float32(scale_of(some.astype(np.float64)) + LEAST_LEVELS)
+        weight = usable / (1.0 + (error / (2.0 * noise)) ** 2)
+        self._turn -= _row_turn(*(one[few] for one in (_slope(self._left, 0, 1), error, weight, u, v)))
+        # left(u) = right(u - d), so that the right image's slope there is the left one's over 1 - d'.
+        along = 0.5 * (_slope(self._left) + _slope(seen)) / np.maximum(1.0 - _slope(disparity), 0.5)
+        along -= _smooth_share(along, usable, self._brightness_px)
+        gain = weight * along
+        information = self._cells(gain * along)
+        total = self._cells(gain * error) + information * fitted
+        square, share = (blurred(self._cells(one), SCALES[2]) for one in (weight * error**2, weight))
+        # Smoothed noise is alike within some pixels: of a cell's so many count.
+        independent = CELL_PX**2 / (4.0 * np.pi * SMOOTHING_PX**2)
+        certainty = independent / np.maximum(square / np.maximum(share, 1e-6), LEAST_LEVELS)
+        return np.asarray(information * certainty, np.float32), np.asarray(total * certainty, np.float32)
+
+    def _cells(self, values: Floats) -> Floats:
+        """Means over the cells."""
+        width, height = self._size
+        whole = np.ascontiguousarray(values[: height * CELL_PX, : width * CELL_PX])
+        return np.asarray(cv2.resize(whole, self._size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _std_px(variance: Floats) -> Floats:
+    return np.asarray(np.sqrt(STD_FACTOR**2 * variance + LEAST_STD_PX**2), np.float32)
+
+
+def _row_turn(slope: Floats, error: Floats, weight: Floats, u: Floats, v: Floats) -> Array:
+    """By what offset and turn of the right rows the error is less, (3,): rectified rows are a pixel or two off."""
+    B = np.stack([np.ones_like(u), u, v], -1).reshape(-1, 3)
+    pull = weight * slope
+    normal = (B * (pull * slope).reshape(-1, 1)).T @ B
+    normal += np.diag([1e-6, 0.01, 0.01]) * (normal[0, 0] + 1e-6)
+    return np.asarray(np.linalg.solve(normal, B.T @ (pull * error).ravel()), np.float64)
+
+
+def _smooth_share(error: Floats, weight: Floats, sigma_px: float) -> Floats:
+    """What of an error changes but slowly over the view: brightness, shadow and gloss."""
+    height, width = error.shape
+    size = (max(1, width // 8), max(1, height // 8))
+    value, share = (
+        blurred(np.asarray(cv2.resize(one, size, interpolation=cv2.INTER_AREA), np.float32), sigma_px / 8.0)
+        for one in (error * weight, weight)
+    )
+    return np.asarray(cv2.resize(value / np.maximum(share, 1e-4), (width, height)), np.float32)
+
+
+def _without_patches(is_seen: Bools) -> Bools:
+    """Without what is a cell wide, or stands alone and is small."""
+    opened = cv2.morphologyEx(is_seen.astype(np.uint8), cv2.MORPH_OPEN, _square(2))
+    count, labels, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
+    areas = statistics[:, cv2.CC_STAT_AREA]
+    kept = areas >= LEAST_PATCH * max(int(areas[1:].sum()), 1)
+    kept[0] = False
+    return np.asarray(kept[labels]) if count > 1 else np.zeros_like(is_seen)
+
+
+def _without_highlights(grey: Image, inside: Image) -> Floats:
+    """Ones inside, but for highlights."""
+    clipped = cv2.dilate((grey >= CLIPPED).astype(np.uint8), _square(CLIPPED_PX))
+    return np.asarray((inside > 0) & (clipped == 0), np.float32)
+
+
+def _eroded(mask: Image, side: int) -> Image:
+    """The mask without its border; also where that is the view's."""
+    return np.asarray(cv2.erode(mask, _square(side), borderType=cv2.BORDER_CONSTANT, borderValue=0), np.uint8)
+
+
+def _slope(values: Floats, x: int = 1, y: int = 0) -> Floats:
+    return np.asarray(cv2.Sobel(values, cv2.CV_32F, x, y, ksize=3), np.float32) / 8.0
+
+
+def _square(side: int) -> Image:
+    return np.ones((side, side), np.uint8)
+
+
+def _enlarged(cells: Floats, size: tuple[int, int], how: int = cv2.INTER_LINEAR, by: int = CELL_PX) -> Floats:
+    height, width = cells.shape
+    whole = cv2.resize(cells, (width * by, height * by), interpolation=how)
+    right, below = size[0] - whole.shape[1], size[1] - whole.shape[0]
+    return np.asarray(cv2.copyMakeBorder(whole, 0, below, 0, right, cv2.BORDER_REPLICATE), np.float32)
+
+
+def _reduced(image: Image, step: int, how: int = cv2.INTER_AREA) -> Image:
+    size = (image.shape[1] // step, image.shape[0] // step)
+    return image if step == 1 else np.asarray(cv2.resize(image, size, interpolation=how), np.uint8)

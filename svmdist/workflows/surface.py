@@ -1,0 +1,100 @@
+"""The tissue's surface in one pair of a log's images, at full resolution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from svmdist.errors import RecordingError, UsageError
+from svmdist.estimation.instrument.measurement import Deviations
+from svmdist.estimation.scene import Scene
+from svmdist.estimation.surface import ALL_PX
+from svmdist.profile import Profile
+from svmdist.recording.log import Recording
+from svmdist.recording.topics import Role
+from svmdist.results import Failure
+from svmdist.samples import Rejection
+from svmdist.transforms import Array
+from svmdist.vision.segmentation import make_segmenter
+from svmdist.workflows.check import (
+    PAIRS,
+    adapted_segmenters,
+    first_of,
+    images_to_look_at,
+    row_offset_to_remove_px,
+    spread_observations,
+)
+from svmdist.workflows.request import CLEAN
+
+
+@dataclass(frozen=True, slots=True)
+class TissueSurface:
+    """Points of the tissue in the left camera's frame, in m: `points_m` and `normals`, shape (n, 3).
+
+    `std_m`, shape (n,), is the standard deviation along the line of sight, by matching and calibration; `rgb`, (n, 3),
+    the colour in the left image. Normals have length 1 and point to the camera. `share` of the tissue in the left image
+    is seen. `number` counts the log's images from 0; `stamp_ns` and `frame_id` are the image's.
+    """
+
+    points_m: Array
+    normals: Array
+    std_m: Array
+    rgb: NDArray[np.uint8]
+    share: float
+    number: int
+    stamp_ns: int
+    frame_id: str
+
+    @property
+    def quantiles_m(self) -> tuple[float, float, float]:
+        """The nearest depth, half of the points' deviation, the farthest depth; of 1 and 99 % of the points."""
+        near_m, far_m = np.percentile(self.points_m[:, 2], (1.0, 99.0))
+        return float(near_m), float(np.median(self.std_m)), float(far_m)
+
+
+def tissue_surface(recording: Recording, profile: Profile, number: int) -> TissueSurface:
+    """The surface that both views of an image, by its number from 0, show: with instruments in view or without.
+
+    Raises RecordingError where the log has no right view, or the image shows no surface; UsageError without the image.
+    """
+    if recording.topic_of(Role.RIGHT_IMAGE) is None or recording.right_camera is None:
+        raise RecordingError(
+            f"{recording.name}: a surface needs a calibrated right view, which it has not: `svmdist import` takes two"
+        )
+    segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
+    spread = spread_observations(recording, images_to_look_at(segmenter))
+    (segmenter,) = adapted_segmenters(segmenter, spread, [CLEAN])
+    row_offset_px = row_offset_to_remove_px(first_of(spread, profile), profile)
+    images = recording.encoded_observations(recording.instruments[:1], PAIRS)
+    chosen = next(islice(images, number, None), None)
+    if chosen is None:
+        raise UsageError(f"{recording.name} has no image {number}")
+    found, where = chosen.decode().found, f"{recording.name}: frame {number}"
+    if isinstance(found, Rejection):
+        raise RecordingError(f"{where} cannot be read: {found.detail or found.status}")
+    scene = Scene(found[0], profile, segmenter, row_offset_px)
+    pair, right, seen = scene.stereo_pair, scene.observation.right, scene.observation
+    if isinstance(pair, Failure) or right is None:
+        raise RecordingError(
+            f"{where} shows no surface: {pair.reason if isinstance(pair, Failure) else 'no pair'}"
+        )
+    surface = scene.surface(most_px=ALL_PX)
+    if surface is None:
+        raise RecordingError(
+            f"{where}: too little of the tissue is found in both views (svmdist show --masks)"
+        )
+    is_seen = surface.is_seen
+    std_m = surface.deviations_m(seen.camera, right, Deviations.of(profile))[is_seen]
+    return TissueSurface(
+        surface.points_m,
+        surface.normals[is_seen],
+        std_m,
+        np.ascontiguousarray(surface.colours(seen.image_bgr, seen.camera)[:, ::-1]),
+        surface.share,
+        number,
+        seen.stamp_ns,
+        recording.logged_camera.frame_id,
+    )
