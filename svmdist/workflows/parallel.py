@@ -199,7 +199,7 @@ def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
             os.environ[SOCKETS] = get_temp_dir()
             forkserver.ensure_running()
             del os.environ[SOCKETS]
-    pools: list[ProcessPoolExecutor] = []
+    pools: list[Any] = []
     others = set(multiprocessing.active_children())
 
     def make(workers: int, begin: Callable[[], object]) -> Any:
@@ -212,6 +212,11 @@ def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
     except BaseException:
         for process in set(multiprocessing.active_children()) - others:
             process.terminate()
+            process.join()
+        for pool in pools:
+            # A worker that ended in the midst of a result leaves a pool that waits for the rest of it, since this
+            # process could still write it, until it no longer can.
+            pool._result_queue._writer.close()
         raise
     finally:
         for pool in pools:

@@ -6,6 +6,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import cv2
 import pytest
@@ -153,6 +154,30 @@ def test_an_error_ends_all_processes_at_once():
     with pytest.raises(RecordingError, match="broken"):
         list(each_in_processes(one_fails, [1, 0], 2))
     assert time.monotonic() - start_s < 30
+    assert not multiprocessing.active_children()
+
+
+def large(path: Path) -> bytes:
+    path.touch()
+    return bytes(150 << 20)
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.1, 0.2, 0.3])
+def test_an_error_ends_a_process_in_the_midst_of_a_result(tmp_path, after_s):
+    """A part of a result is not waited for: at one of these times, at least, this has only come in part."""
+
+    def fail():
+        with pytest.raises(RecordingError), process_pool(1) as pool:
+            pool.submit(large, tmp_path / "made")
+            while not (tmp_path / "made").exists():
+                time.sleep(0.001)
+            time.sleep(after_s)
+            raise RecordingError("broken")
+
+    failing = threading.Thread(target=fail, daemon=True)
+    failing.start()
+    failing.join(60.0)
+    assert not failing.is_alive()
     assert not multiprocessing.active_children()
 
 
