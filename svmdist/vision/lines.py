@@ -175,9 +175,9 @@ def tangent_normal(
     foot = point_m - direction * np.sum(point_m * direction)
     distance_m = np.sqrt(np.sum(foot * foot))
     sine = radius_m / distance_m if distance_m > radius_m else np.nan
-    towards, left = foot / distance_m, np.cross(direction, foot) / distance_m
+    towards, left = foot / distance_m, skew(direction) @ foot / distance_m
     normal = sine * towards + side * np.sqrt(1.0 - sine * sine) * left
-    e = np.cross(normal, direction)
+    e = skew(normal) @ direction
     beside = e / float(e @ point_m)
     by_direction = np.outer(float(direction @ point_m) * beside - direction, normal)
     return normal, -np.outer(beside, normal), by_direction

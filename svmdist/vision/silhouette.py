@@ -191,8 +191,12 @@ class Silhouette:
 
     @property
     def is_stub(self) -> bool:
-        """Whether less of the shaft's length is seen than it is wide, by a quarter more."""
-        return self.length_widths < 1.25
+        """Whether less of the shaft's length is seen than it is wide, by a quarter more, or less of sharp edges.
+
+        What has no edges where the evidence ends may be anything: the arm behind an instrument, or a blot.
+        """
+        sharp_px = sum(edge.length_px for edge in self.edges if edge.covariance is None)
+        return min(self.length_widths, 0.5 * sharp_px / self.width_px) < 1.25
 
 
 def find_silhouette(

@@ -8,6 +8,7 @@ from benchmarks.masks import iou
 from svmdist.samples import Image
 from svmdist.vision.evidence import picture_of
 from svmdist.vision.find_instruments import AutoSegmenter
+from svmdist.vision.silhouette import WristShape, find_silhouette
 from tests.pictures import BORDERS, surgery_image
 
 
@@ -60,6 +61,21 @@ def test_sides_run_along_the_outline():
     assert len(off_px) >= 12
     assert np.median(np.median(off_px, axis=1)) < 1.5
     assert np.median(np.percentile(off_px, 90, axis=1)) < 4.0
+
+
+def test_sides_without_an_edge_are_those_of_no_shaft():
+    """Where the image has sharp edges these are a shaft's; the same sides in an image without any tell nothing."""
+    told = 0
+    for one in map(surgery_image, range(6)):
+        for seen in AutoSegmenter().masks(one.bgr).seen:
+            sharp = find_silhouette(one.bgr, seen, None, WristShape(0.3, 2.0))
+            if sharp is None or sharp.is_stub:
+                continue
+            told += 1
+            flat = np.full_like(one.bgr, 120)
+            soft = find_silhouette(flat, seen, None, WristShape(0.3, 2.0))
+            assert soft is None or soft.is_stub
+    assert told >= 6
 
 
 def test_what_was_seen_is_found_again_where_it_was():

@@ -138,7 +138,7 @@ def edge_by_radius(p_axis_m: Array, axis: Array, radius_m: Array, side: Array) -
     foot_m = p_axis_m - (axis * p_axis_m).sum(-1, keepdims=True) * axis
     square = (foot_m * foot_m).sum(-1)
     beside_m = side * np.sqrt(np.maximum(square - radius_m**2, NEAR_M**2))
-    e = beside_m[..., None] * foot_m - radius_m[..., None] * np.cross(axis, foot_m)
+    e = beside_m[..., None] * foot_m - radius_m[..., None] * (skew(axis) @ foot_m[..., None])[..., 0]
     return np.asarray(e / (square * beside_m)[..., None])
 
 
