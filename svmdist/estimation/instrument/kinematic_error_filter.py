@@ -6,7 +6,7 @@ Little and Taylor 1989 for Student's t), so that nothing is refused by a gate th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -33,6 +33,8 @@ from svmdist.transforms import Array, skew
 
 MAX_ITERATIONS = 12
 SETTLED = 1e-2  # of a standard deviation: a state that moves nothing by more has come to rest
+MAX_SEARCH = 24  # iterations from a start, halved steps among them
+SINGULAR = 1e-9  # of a variance: constants that move together leave a prior without an inverse
 UNSEEN_SQUARE = 50.0  # a start pays for a measurement that it cannot see as for one so far off
 JUMP = np.diag([0.02**2] * 3 + [0.05**2] * 3)  # m², rad²: an endoscope that is pushed
 JUMP_PRICE = 13.8  # twice the logarithm of how rarely that happens: in one frame of a thousand
@@ -280,14 +282,18 @@ def most_probable(
     """The state that prior and heavy-tailed measurements make the most probable, from x; None where one is unseen.
 
     A tracked measurement is weighed by the worse of its first innovation and its last residual: what constants and
-    biases would have to give way for is no less wild for their giving way.
+    biases would have to give way for is no less wild for their giving way. From a start, which may be far off, a step
+    that makes the state less probable is halved: where it leads, sharp edges would look like outliers.
     """
     P, size = state.P, state.model.size
     noises = [np.asarray(measurement.covariance) for measurement in measurements]
     degrees = np.array([len(noise) for noise in noises])
     deviations, moved = np.sqrt(np.diag(P) + 1e-18), np.inf
     weights, first = np.ones(len(noises)), np.zeros(0)
-    for _ in range(MAX_ITERATIONS):
+    unlikely = _unlikely(P, deviations) if is_robust and not is_tracking else None
+    best: tuple[Array, Solution | None] = x, None
+    least = np.inf
+    for _ in range(MAX_ITERATIONS if unlikely is None else MAX_SEARCH):
         there = state.retracted(x)
         parts = there.linearise(measurements)
         if not all(part.is_finite for part in parts):
@@ -304,6 +310,14 @@ def most_probable(
             [_square(innovation[at], S[at, at] + noise) for at, noise in zip(rows, noises, strict=True)]
         )
         residuals = np.array([_square(residual[at], noise) for at, noise in zip(rows, noises, strict=True)])
+        if unlikely is not None:
+            cost = unlikely(x) + float((NU + degrees) @ np.log1p(residuals / NU))
+            if cost > least + SETTLED:
+                x, moved = 0.5 * (x + best[0]), 0.5 * moved
+                if moved < SETTLED:
+                    break
+                continue
+            least = cost
         first = first if len(first) else innovations
         if is_robust:
             before = first if is_tracking else innovations
@@ -316,11 +330,20 @@ def most_probable(
         longer = float(max(np.max(np.abs(step) / deviations), np.max(np.abs(H @ step) / np.sqrt(np.diag(R)))))
         if longer > moved:  # it swings: half of the way
             step, longer = 0.5 * step, 0.5 * longer
+        judged = first if is_tracking else innovations
+        nis = float(innovation @ solved[:, -1])
+        found = Solution(x + step, H, R, K, judged, residuals, weights, nis)
+        if longer < SETTLED:
+            return found
+        best = x, found if unlikely is None else replace(found, x=x)
         x, moved = x + step, longer
-        if moved < SETTLED:
-            break
-    judged = first if is_tracking else innovations
-    return Solution(x, H, R, K, judged, residuals, weights, float(innovation @ solved[:, -1]))
+    return best[1]
+
+
+def _unlikely(P: Array, deviations: Array) -> Callable[[Array], float]:
+    """Minus twice the logarithm of a state's probability under the prior, but for a constant."""
+    root = np.linalg.cholesky(P / np.outer(deviations, deviations) + SINGULAR * np.eye(len(P)))
+    return lambda x: float(np.sum(np.linalg.solve(root, x / deviations) ** 2))
 
 
 def as_measurement(pose: ToolPose) -> PoseMeasurement:
