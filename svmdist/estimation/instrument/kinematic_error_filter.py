@@ -14,6 +14,7 @@ import numpy as np
 
 from svmdist.estimation.instrument.consistency import (
     NU,
+    REFUSED_WEIGHT,
     Consistency,
     GatingResult,
     chi_square_bound,
@@ -57,6 +58,21 @@ class Solution:
     residuals: Array
     weights: Array
     nis: float
+
+    @property
+    def refuses(self) -> bool:
+        """Whether it refuses a measurement."""
+        return bool((self.weights <= REFUSED_WEIGHT).any())
+
+
+@dataclass(frozen=True, slots=True)
+class _Begun:
+    """A start by its number, what it costs where it leads, the state there, and whether that refuses a measurement."""
+
+    index: int
+    cost: float = np.inf
+    x: Array | None = None
+    refuses: bool = True
 
 
 Start = tuple[ToolPose | None, Sequence[LinkMeasurement]]
@@ -107,26 +123,31 @@ class KinematicErrorFilter:
         """Forget what was measured and begin where prior and measurements are the most probable; gives which start.
 
         A start is where to linearise first, never a measurement of its own. One that an earlier one led to the
-        neighbourhood of would lead to the same.
+        neighbourhood of would lead to the same. Where the best refuses a measurement, small steps are tried, too.
         """
+        found = self._best_of(starts, descends=False)
+        if found.refuses:
+            found = min(found, self._best_of(starts, descends=True), key=lambda one: one.cost)
+        self._begin_at(starts[found.index][0])
+        self._start_x = self._start_x if found.x is None else found.x[: self._model.size]
+        return found.index
+
+    def _best_of(self, starts: Sequence[Start], *, descends: bool) -> _Begun:
         every = {measurement.name: measurement for _, seen in starts for measurement in seen}
-        best, least, best_x, last = 0, np.inf, None, None
-        found: list[ToolPose] = []
+        best, places = _Begun(0), list[ToolPose]()
         for index, (pose, seen) in enumerate(starts):
-            if pose is not None and any(pose_distance(pose, tool) < chi_square_bound(6) for tool in found):
+            if pose is not None and any(pose_distance(pose, tool) < chi_square_bound(6) for tool in places):
                 continue
-            last, (cost, x) = index, self._cost(pose, seen)
-            if x is None:
+            solved = self._solved(pose, seen, descends)
+            if solved is None:
                 continue
-            T_camera_tool = self._state.retracted(x).link(None).T_camera_link
-            found.append(ToolPose(T_camera_tool, np.zeros((6, 6)), T_camera_tool[:3, 0]))
+            T_camera_tool = self._state.retracted(solved.x).link(None).T_camera_link
+            places.append(ToolPose(T_camera_tool, np.zeros((6, 6)), T_camera_tool[:3, 0]))
+            cost = _robust_cost(solved, seen)
             for name in every.keys() - {measurement.name for measurement in seen}:
                 cost += _heavy_tailed(UNSEEN_SQUARE, every[name].covariance)
-            if cost < least:
-                best, least, best_x = index, cost, x[: self._model.size]
-        if best != last:
-            self._begin_at(starts[best][0])
-        self._start_x = self._start_x if best_x is None else best_x
+            if cost < best.cost:
+                best = _Begun(index, cost, solved.x, solved.refuses)
         return best
 
     def update(self, measurements: Sequence[LinkMeasurement]) -> tuple[GatingResult, ...]:
@@ -141,7 +162,11 @@ class KinematicErrorFilter:
         if seen:
             state.augment_state([parts[index] for index in visible])
             x = self._padded(np.zeros(self._model.size) if start is None else start)
-            found = most_probable(state, seen, x, is_tracking=start is None)
+            found = (
+                most_probable(state, seen, x, is_tracking=True)
+                if start is None
+                else most_probable_from(state, seen, x)
+            )
             if found is not None:
                 for measurement, nis, weight in zip(seen, found.innovations, found.weights, strict=True):
                     size = len(measurement.covariance)
@@ -253,22 +278,34 @@ class KinematicErrorFilter:
             found = most_probable(state, at, found.x, is_robust=False) or found
         self._start_x = found.x
 
-    def _cost(
-        self, pose: ToolPose | None, measurements: Sequence[LinkMeasurement]
-    ) -> tuple[float, Array | None]:
-        """Minus twice the logarithm of the robust posterior where a start leads to, and the state there."""
+    def _solved(
+        self, pose: ToolPose | None, measurements: Sequence[LinkMeasurement], descends: bool
+    ) -> Solution | None:
+        """Where a start leads to; None where it sees nothing, or a measurement is unseen there."""
         if not measurements:
-            return np.inf, None
+            return None
         self._begin_at(pose)
         x = np.zeros(len(self._state.P)) if self._start_x is None else self._start_x
         parts = self._state.retracted(x).linearise(measurements)
         if not all(part.is_finite for part in parts):
-            return np.inf, None
+            return None
         self._state.augment_state(parts)
-        found = most_probable(self._state, measurements, self._padded(x))
-        if found is None:
-            return np.inf, None
-        return _robust_cost(found, measurements), found.x
+        return most_probable(self._state, measurements, self._padded(x), descends=descends)
+
+
+def most_probable_from(
+    state: ErrorState, measurements: Sequence[LinkMeasurement], x: Array
+) -> Solution | None:
+    """The most probable state from a start; None where a measurement is unseen there.
+
+    Long steps pass over minima in which a shaft's own sharp edges look like outliers, and may lead into one. Where
+    something is refused, steps that never make the state less probable are tried, too: the more probable one counts.
+    """
+    found = most_probable(state, measurements, x)
+    if found is not None and not found.refuses:
+        return found
+    ways = [one for one in (found, most_probable(state, measurements, x, descends=True)) if one is not None]
+    return min(ways, key=lambda one: _robust_cost(one, measurements), default=None)
 
 
 def most_probable(
@@ -278,19 +315,20 @@ def most_probable(
     *,
     is_robust: bool = True,
     is_tracking: bool = False,
+    descends: bool = False,
 ) -> Solution | None:
     """The state that prior and heavy-tailed measurements make the most probable, from x; None where one is unseen.
 
     A tracked measurement is weighed by the worse of its first innovation and its last residual: what constants and
-    biases would have to give way for is no less wild for their giving way. From a start, which may be far off, a step
-    that makes the state less probable is halved: where it leads, sharp edges would look like outliers.
+    biases would have to give way for is no less wild for their giving way. Where it `descends`, a step that makes the
+    state less probable is halved.
     """
     P, size = state.P, state.model.size
     noises = [np.asarray(measurement.covariance) for measurement in measurements]
     degrees = np.array([len(noise) for noise in noises])
     deviations, moved = np.sqrt(np.diag(P) + 1e-18), np.inf
     weights, first = np.ones(len(noises)), np.zeros(0)
-    unlikely = _unlikely(P, deviations) if is_robust and not is_tracking else None
+    unlikely = _unlikely(P, deviations) if descends else None
     best: tuple[Array, Solution | None] = x, None
     least = np.inf
     for _ in range(MAX_ITERATIONS if unlikely is None else MAX_SEARCH):
