@@ -276,7 +276,8 @@ def _log_tally(tallies: Sequence[Mapping[str, Mapping[str, int]]]) -> ExitCode:
     total = sum(details.total() for details in counts.values())
     measured = counts.pop("ok", Counter()).total()
     if total == 0:
-        LOG.error("no frame to measure: the log has no image, or none between --start and --end")
+        reason = "the log has no image, or none between --start and --end; `svmdist info` says how long it is"
+        LOG.error("no frame to measure: %s", reason)
         return ExitCode.UNUSABLE
     lost = []
     for status, details in sorted(counts.items()):

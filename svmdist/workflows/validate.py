@@ -298,7 +298,8 @@ def load_baseline(path: Path) -> Baseline:
     try:
         return Baseline.model_validate_json(read_regular(path, MAX_FILE_BYTES).decode("utf-8"))
     except OSError as problem:
-        raise RecordingError(f"{path}: cannot read the baseline: {why(problem)}") from None
+        made = "; `validate --write-baseline` makes one" if isinstance(problem, FileNotFoundError) else ""
+        raise RecordingError(f"{path}: cannot read the baseline: {why(problem)}{made}") from None
     except (ValidationError, UnicodeDecodeError, RecursionError) as problem:
         first = str(problem).splitlines()[0]
         raise RecordingError(f"{path}: not a baseline of schema {SCHEMA}: {first}") from None
