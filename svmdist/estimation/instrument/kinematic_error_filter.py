@@ -35,7 +35,7 @@ from svmdist.transforms import Array, skew
 MAX_ITERATIONS = 12
 SETTLED = 1e-2  # of a standard deviation: a state that moves nothing by more has come to rest
 MAX_SEARCH = 24  # iterations from a start, halved steps among them
-SINGULAR = 1e-9  # of a variance: constants that move together leave a prior without an inverse
+SINGULAR = 1e-9  # the least eigenvalue of the prior as correlations: constants may move together
 UNSEEN_SQUARE = 50.0  # a start pays for a measurement that it cannot see as for one so far off
 JUMP = np.diag([0.02**2] * 3 + [0.05**2] * 3)  # m², rad²: an endoscope that is pushed
 JUMP_PRICE = 13.8  # twice the logarithm of how rarely that happens: in one frame of a thousand
@@ -380,8 +380,9 @@ def most_probable(
 
 def _unlikely(P: Array, deviations: Array) -> Callable[[Array], float]:
     """Minus twice the logarithm of a state's probability under the prior, but for a constant."""
-    root = np.linalg.cholesky(P / np.outer(deviations, deviations) + SINGULAR * np.eye(len(P)))
-    return lambda x: float(np.sum(np.linalg.solve(root, x / deviations) ** 2))
+    variances, axes = np.linalg.eigh(P / np.outer(deviations, deviations))
+    variances = np.maximum(variances, SINGULAR)
+    return lambda x: float(np.sum((axes.T @ (x / deviations)) ** 2 / variances))
 
 
 def as_measurement(pose: ToolPose) -> PoseMeasurement:
