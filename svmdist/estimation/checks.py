@@ -32,7 +32,7 @@ from svmdist.estimation.comparison import (
 )
 from svmdist.estimation.dome import INNER_RADIUS
 from svmdist.estimation.frame import Frame
-from svmdist.estimation.instrument.factors import marker_in
+from svmdist.estimation.instrument.distal_marker import marker_in
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import joints_of, wrist_in_tool
 from svmdist.estimation.scene import Arm, Scene

@@ -10,8 +10,9 @@ import numpy as np
 from svmdist.estimation.distances import measured, with_tissue, with_tool
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound, with_detections
+from svmdist.estimation.instrument.distal_marker import Expected, MarkerPair, pair_markers
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.estimation.instrument.factors import Expected, MarkerPair, of_images, pair_markers, tag
+from svmdist.estimation.instrument.factors import of_images, tag
 from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.kinematic_error_filter import (
     KinematicErrorFilter,

@@ -9,8 +9,9 @@ import numpy as np
 from svmdist.estimation.distances import measured, with_tissue
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.instrument.consistency import with_detections
+from svmdist.estimation.instrument.distal_marker import MarkerPair, pair_markers
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.estimation.instrument.factors import DISPARITY, MarkerPair, pair_markers
+from svmdist.estimation.instrument.factors import DISPARITY
 from svmdist.estimation.instrument.image_pose import ImagePose, pose_by_pair
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.one_view import uncertainty

@@ -8,8 +8,8 @@ import numpy as np
 
 from svmdist.estimation.comparison import DISPARITY, KINEMATICS, MARKER, SHAFT, TAG
 from svmdist.estimation.frame import Frame
+from svmdist.estimation.instrument.distal_marker import pair_markers
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.estimation.instrument.factors import pair_markers
 from svmdist.estimation.one_view import tool_from_tag
 from svmdist.estimation.stereo import nominal_orientation_pose
 from svmdist.results import Failure, ToolPose

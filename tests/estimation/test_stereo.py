@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.factors import Expected, MarkerPair, marked, of_images, pair_markers
+from svmdist.estimation.instrument.distal_marker import Expected, MarkerPair, pair_markers
+from svmdist.estimation.instrument.factors import marked, of_images
 from svmdist.estimation.scene import Arm
 from svmdist.profile import load_profile
 from svmdist.results import FrameResult

@@ -1,19 +1,18 @@
 """The factors of a tool's pose: what one view or a pair shows of the instrument, each as a measurement of a link.
 
-They are written once, for methods with and without memory; the view is an argument. All noise constants of the distal
-marker stand here.
+They are written once, for methods with and without memory; the view is an argument.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.across_views import matched_place
 from svmdist.estimation.frame import Frame, View
+from svmdist.estimation.instrument.distal_marker import WRIST, Expected, MarkerPair, SeenMarker, marker_in
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import (
     MARKER,
@@ -26,213 +25,19 @@ from svmdist.estimation.instrument.measurement_kinds import (
     PoseMeasurement,
     SizeMeasurement,
 )
-from svmdist.estimation.instrument.shaft_detection import (
-    BORDER_STD_PER_BLUR,
-    FARTHEST_M,
-    marker_centre,
-)
 from svmdist.estimation.instrument.shaft_model import ShaftSizes, shaft_frames
 from svmdist.estimation.scene import Arm
 from svmdist.kinematics import DHChain, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, inverse
-from svmdist.vision.stereo import RectifiedPair
 
-WRIST, DISPARITY = "wrist", "disparity"
-# Deviations over the marker's radius. What lasts is a state of the filter, and reaches the interval as such.
-VISIBLE_MIDDLE = 0.05  # lasts: geometry, 6 % of the disc hidden on one side moves the middle of the rest so
-SHADING_BIAS = (
-    0.12  # lasts, over the light's angle in rad: geometry, half of √(1 - 0.97²), Lambert's dark limb
-)
-LASTING_DISPARITY = (
-    0.016  # lasts: blood and shading differ in each view, by 0.1 to 0.2 px at 12 px when simulated
-)
-CENTRE_NOISE = 0.02  # pixels, light and angle of view, when simulated: a quarter of a pixel at 12 px
-UNKNOWN_SHAPE = 0.33  # of what is seen, where no size is known: of half a disc the middle is 0.42 radii off
-DISPARITY_NOISE = 0.008  # when simulated, from 3° aside: jaws hide other parts in the other view
-INTERLACED_DISPARITY_NOISE = 0.03  # colours of both fields are mixed, 0.4 px at 12 px
-PART_DISPARITY = 0.15  # and over the hidden part: from 3° aside its middle moves by a quarter more or less
-DISPARITY_NOISE_PX = 0.05  # that of two centroids of some hundred pixels
-EVEN_AREA_FRACTION = 0.02  # by which areas in both views differ when nothing is wrong, over their sum
-ASIDE_RAD = 0.056  # the angle between the views that these are stated for: 5 mm at 90 mm
-ROW_TOLERANCE_PX = 3.0  # rectified points lie on one row; the marker is cut differently in each view
-WHOLE_AREA_SPREAD = 0.1  # of a whole marker over its disc's: jaws hide some, a fork adds
-MIN_VISIBLE_FRACTION = 0.4  # of a whole marker's area: with less of it, it may be any coloured part
-MAX_AREA_FRACTION = (
-    1.44  # the same above: a sphere shows no more than its disc, and light a fifth of its radius
-)
-OTHER_PART_PLACE = 3.0  # over the marker's radius: a ring or a clip, anywhere on the distal part
+DISPARITY = "disparity"
+# Over the marker's radius and the light's angle in rad: geometry, half of √(1 - 0.97²), Lambert's dark limb; it lasts
+SHADING_BIAS = 0.12
 LASTING_SIZE = 0.75  # of the variance of the marker's radius: light and blood stay
-WRIST_LASTING = 0.5  # of the variance of a point on the outline of a wrist: its shape is as it is
 JAW_TIP_STD = 0.35  # of an outline's tip over the length of closed, straight jaws: they open and turn
-MATCH_STD_PX, MATCH_STEP_PX = 1.0, 0.5  # of a wrist in both views: they show other sides of it, by a pixel
-MATCH_REACH = 3.0  # how far from the outlines' disparity it is sought, in deviations of that
-MATCH_WIDTHS = 0.35  # how far the compared wrist reaches to either side, over the shaft's width
 TOOL_SPEED_M_S = 0.05  # standard deviation along each axis: the tool stands elsewhere in a later view
-
-
-@dataclass(frozen=True, slots=True)
-class Expected:
-    """The depth at which the tool is expected, and its standard deviation over it."""
-
-    depth_m: float
-    std_fraction: float
-
-    @classmethod
-    def of(cls, pose: ToolPose) -> Expected | None:
-        """By a predicted pose; None where that is behind the camera."""
-        depth_m = float(pose.position_m[2])
-        return cls(depth_m, float(np.sqrt(pose.covariance[2, 2])) / depth_m) if depth_m > 0.0 else None
-
-
-@dataclass(frozen=True, slots=True)
-class SeenMarker:
-    """Where a view shows the tool's origin: pixel (2,), its noise in px, and what stays of its error.
-
-    `part_std_m` is how far the visible part's middle may be off the marker's, along each axis; `radius_px` the radius
-    of the whole, of which a fraction `hidden` is not to be seen. What is of another size is another part.
-    """
-
-    name: str
-    pixel: Array
-    std_px: float
-    place_std_m: float
-    part_std_m: float
-    radius_px: float
-    area_px: float = 0.0
-    hidden: float = 0.0
-    is_other_part: bool = False
-
-    @property
-    def bias_name(self) -> str:
-        """What lasts of its error is of one thing on the instrument."""
-        return "other part" if self.is_other_part else self.name
-
-    @property
-    def shaded_px(self) -> float:
-        """Radius of what light from the camera shades to one side; 0 of an outline."""
-        return self.radius_px if self.area_px > 0.0 else 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class MarkerPair:
-    """The tool's origin in both views: disparity where rows correspond, its noise and what lasts of its error, in px.
-
-    `expected` is the depth that sizes were compared at.
-    """
-
-    left: SeenMarker
-    right: SeenMarker
-    disparity_px: float
-    std_px: float
-    lasting_std_px: float
-    expected: Expected
-
-    @property
-    def total_std_px(self) -> tuple[float, float]:
-        """Standard deviations of the pixel and of the disparity, where they are seen once."""
-        px_per_m = self.left.radius_px * self.left.part_std_m
-        return float(np.hypot(self.left.std_px, px_per_m)), float(np.hypot(self.std_px, self.lasting_std_px))
-
-
-def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | None:
-    """The distal marker, or the tool's origin in the outline of its wrist; what is expected tells what of it is hidden.
-
-    What hides a side of a disc moves the middle of the rest by half of what is missing. Of another size than the
-    marker, what is coloured is somewhere about the tool's origin.
-    """
-    marker, instrument = view.distal_marker, arm.profile.instrument
-    if marker is None:
-        wrist = view.shaft.wrist
-        if wrist is None:
-            return None
-        share = 0.0 if expected is None else WRIST_LASTING
-        lasting_m = 0.0 if expected is None else wrist.std_px * expected.depth_m / float(view.camera.K[0, 0])
-        std_px = float(np.sqrt(1.0 - share)) * wrist.std_px
-        return SeenMarker(WRIST, wrist.pixel, std_px, float(np.sqrt(share)) * lasting_m, 0.0, wrist.std_px)
-    seen_px = float(np.sqrt(marker.area_px / np.pi))
-    if instrument is None:
-        std_px, hidden = UNKNOWN_SHAPE * seen_px, UNKNOWN_SHAPE
-        return SeenMarker(MARKER, marker.centre_px, std_px, 0.0, 0.0, seen_px, marker.area_px, hidden)
-    radius_m, place_std_m = instrument.knuckle_radius_m, instrument.knuckle_position_std_m
-    if expected is None:
-        size_px = marker.radius_px or seen_px
-        return SeenMarker(MARKER, marker.centre_px, marker.std_px, place_std_m, 0.0, size_px, marker.area_px)
-    whole_px = float(view.camera.K[0, 0]) * radius_m / expected.depth_m
-    whole, unknown = (seen_px / whole_px) ** 2, expected.std_fraction
-    tolerance = np.exp(4.0 * np.hypot(unknown, instrument.knuckle_radius_std_fraction))
-    is_other = not MIN_VISIBLE_FRACTION / tolerance <= whole <= MAX_AREA_FRACTION * tolerance
-    wrong = max(0.0, abs(1.0 - whole) - WHOLE_AREA_SPREAD)
-    pixel, blur_px = marker_centre(marker, view.camera, expected.depth_m, radius_m)
-    hidden = 0.0 if is_other else float(np.hypot(0.5 * wrong, unknown))  # jaws that move hide other parts
-    return SeenMarker(
-        MARKER,
-        pixel,
-        float(np.hypot(whole_px * np.hypot(CENTRE_NOISE, hidden), BORDER_STD_PER_BLUR * blur_px)),
-        float(np.hypot(VISIBLE_MIDDLE * radius_m, place_std_m)),
-        OTHER_PART_PLACE * radius_m if is_other else 0.0,
-        whole_px,
-        marker.area_px,
-        max(0.0, abs(np.sqrt(whole) - 1.0) - 0.5 * WHOLE_AREA_SPREAD),
-        is_other,
-    )
-
-
-def pair_markers(frame: Frame, pair: RectifiedPair, expected: Expected | None = None) -> MarkerPair | Failure:
-    """The tool's origin in both views, sized where it is expected, or where its own disparity puts it."""
-    arm, left, right = frame.arm, frame.left, frame.right
-    one, other = (None if view is None else marker_in(view, arm, expected) for view in (left, right))
-    if one is None or other is None or one.name != other.name:
-        return Failure("the instrument is seen in one view only")
-    left_at, right_at = pair.to_rows(one.pixel), pair.to_rows(other.pixel, right=True)
-    if abs(left_at[1] - right_at[1]) > ROW_TOLERANCE_PX + one.std_px + other.std_px:
-        return Failure("the views do not agree on the instrument")
-    disparity_px, far_m = (
-        pair.disparity_px(float(left_at[0]), float(right_at[0])),
-        arm.profile.stereo_in_range.far_m,
-    )
-    if disparity_px <= pair.disparity_at(far_m):
-        return Failure(
-            f"the instrument's disparity, {disparity_px:.1f} px, is that of a point beyond {far_m} m"
-        )
-    depth_m = float(pair.point(one.pixel, disparity_px)[0][2])
-    if expected is None:
-        std_px = float(np.hypot(DISPARITY_NOISE_PX, LASTING_DISPARITY * one.radius_px))
-        return pair_markers(frame, pair, Expected(depth_m, std_px / disparity_px))
-    if one.area_px == 0.0:  # on an outline
-        std_px = float(np.hypot(one.std_px, other.std_px))
-        matched = _matched(frame, pair, one, disparity_px, std_px)
-        if matched is not None:
-            # What is next to the tool's origin, by as far as that is not known, may be as much deeper.
-            disparity_px, other = matched[0], replace(other, pixel=matched[1])
-            std_px = float(np.hypot(MATCH_STD_PX, one.std_px * disparity_px / pair.K[0, 0]))
-        return MarkerPair(one, other, disparity_px, std_px, std_px, expected)
-    # From further aside other parts of it are hidden; what one view shows more of moves its middle by up to half.
-    aside = max(1.0, pair.baseline_m / depth_m / ASIDE_RAD)
-    uneven = abs(one.area_px - other.area_px) / (one.area_px + other.area_px)
-    noise = aside * (INTERLACED_DISPARITY_NOISE if frame.scene.is_interlaced else DISPARITY_NOISE)
-    noise = float(np.hypot(noise, max(0.0, uneven - EVEN_AREA_FRACTION)))
-    lasting = aside * float(np.hypot(LASTING_DISPARITY, PART_DISPARITY * max(one.hidden, other.hidden)))
-    std_px = float(np.hypot(DISPARITY_NOISE_PX, one.radius_px * noise))
-    return MarkerPair(one, other, disparity_px, std_px, one.radius_px * lasting, expected)
-
-
-def _matched(
-    frame: Frame, pair: RectifiedPair, one: SeenMarker, disparity_px: float, std_px: float
-) -> tuple[float, Array] | None:
-    """Disparity and right pixel of what the left view shows where the wrist is, near those that its outlines have."""
-    scene, silhouette, right = frame.scene, frame.left.silhouette, frame.scene.observation.right
-    if scene.right is None or silhouette is None or right is None:
-        return None
-    first_px = max(disparity_px - MATCH_REACH * std_px, pair.disparity_at(FARTHEST_M))
-    tried_px = np.arange(first_px, disparity_px + MATCH_REACH * std_px, MATCH_STEP_PX)
-    points_m = pair.points(np.tile(pair.to_rows(one.pixel), (len(tried_px), 1)), tried_px)
-    T_right_left = inverse(right.T_left_right)
-    places_px = right.camera.project(points_m @ T_right_left[:3, :3].T + T_right_left[:3, 3])
-    views = scene.left.grey, scene.right.grey
-    at = matched_place(views, one.pixel, MATCH_WIDTHS * silhouette.width_px, places_px)
-    return None if at is None else (float(tried_px[at]), places_px[at])
 
 
 def of_images(

@@ -13,13 +13,8 @@ import numpy as np
 
 from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.consistency import GatingResult
-from svmdist.estimation.instrument.factors import (
-    DISPARITY,
-    MarkerPair,
-    hinge_on_link,
-    of_images,
-    pair_markers,
-)
+from svmdist.estimation.instrument.distal_marker import MarkerPair, pair_markers
+from svmdist.estimation.instrument.factors import DISPARITY, hinge_on_link, of_images
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.shaft_detection import wrist_marker

@@ -1,20 +1,17 @@
 """The error-state filter: the state that heavy-tailed measurements make the most probable, and where to start.
 
-Every update is a maximum a posteriori estimate by iterated, reweighted Gauss–Newton (Bell and Cathey 1993; Lange,
-Little and Taylor 1989 for Student's t), so that nothing is refused by a gate that was set before the fit.
+Every update is a maximum a posteriori estimate (`most_probable`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from svmdist.estimation.instrument.consistency import (
-    NU,
-    REFUSED_WEIGHT,
     Consistency,
     GatingResult,
     chi_square_bound,
@@ -24,7 +21,16 @@ from svmdist.estimation.instrument.corrected_links import Correction
 from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.instrument.measurement import LinkMeasurement, SharedBias
 from svmdist.estimation.instrument.measurement_kinds import PoseMeasurement
-from svmdist.estimation.instrument.state import ErrorState, Linearised, block_diagonal
+from svmdist.estimation.instrument.most_probable import (
+    Solution,
+    evidence,
+    heavy_tailed,
+    most_probable,
+    most_probable_from,
+    normalised_square,
+    robust_cost,
+)
+from svmdist.estimation.instrument.state import ErrorState, Linearised
 from svmdist.kinematics import DHChain, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import KinematicError
@@ -32,37 +38,10 @@ from svmdist.profile.settings import FilterSettings
 from svmdist.results import Hinge, ToolPose, across_std_rad
 from svmdist.transforms import Array, skew
 
-MAX_ITERATIONS = 12
-SETTLED = 1e-2  # of a standard deviation: a state that moves nothing by more has come to rest
-MAX_SEARCH = 24  # iterations from a start, halved steps among them
-SINGULAR = 1e-9  # the least eigenvalue of the prior as correlations: constants may move together
 UNSEEN_SQUARE = 50.0  # a start pays for a measurement that it cannot see as for one so far off
 JUMP = np.diag([0.02**2] * 3 + [0.05**2] * 3)  # m², rad²: an endoscope that is pushed
 JUMP_PRICE = 13.8  # twice the logarithm of how rarely that happens: in one frame of a thousand
 TINY_POSE = np.diag([1e-10] * 3 + [1e-8] * 3)  # m², rad²: an image's pose is never surer
-
-
-@dataclass(frozen=True, slots=True)
-class Solution:
-    """The most probable change x of the state, derivatives, noise and gain there; judged per measurement.
-
-    `innovations` are normalised squares against prior and noise, `residuals` those that are left against noise alone,
-    `weights` those of Student's t; `nis` is the square of all of them together.
-    """
-
-    x: Array
-    H: Array
-    R: Array
-    K: Array
-    innovations: Array
-    residuals: Array
-    weights: Array
-    nis: float
-
-    @property
-    def refuses(self) -> bool:
-        """Whether it refuses a measurement."""
-        return bool((self.weights <= REFUSED_WEIGHT).any())
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,9 +122,9 @@ class KinematicErrorFilter:
                 continue
             T_camera_tool = self._state.retracted(solved.x).link(None).T_camera_link
             places.append(ToolPose(T_camera_tool, np.zeros((6, 6)), T_camera_tool[:3, 0]))
-            cost = _robust_cost(solved, seen)
+            cost = robust_cost(solved, seen)
             for name in every.keys() - {measurement.name for measurement in seen}:
-                cost += _heavy_tailed(UNSEEN_SQUARE, every[name].covariance)
+                cost += heavy_tailed(UNSEEN_SQUARE, every[name].covariance)
             if cost < best.cost:
                 best = _Begun(index, cost, solved.x, solved.refuses)
         return best
@@ -253,7 +232,7 @@ class KinematicErrorFilter:
         moved = most_probable(there, measurements, np.zeros(len(there.P)))
         if moved is None:
             return False
-        return _evidence(moved, there.P, measurements) + JUMP_PRICE < _evidence(
+        return evidence(moved, there.P, measurements) + JUMP_PRICE < evidence(
             found, self._state.P, measurements
         )
 
@@ -293,129 +272,14 @@ class KinematicErrorFilter:
         return most_probable(self._state, measurements, self._padded(x), descends=descends)
 
 
-def most_probable_from(
-    state: ErrorState, measurements: Sequence[LinkMeasurement], x: Array
-) -> Solution | None:
-    """The most probable state from a start; None where a measurement is unseen there.
-
-    Long steps pass over minima in which a shaft's own sharp edges look like outliers, and may lead into one. Where
-    something is refused, steps that never make the state less probable are tried, too: the more probable one counts.
-    """
-    found = most_probable(state, measurements, x)
-    if found is not None and not found.refuses:
-        return found
-    ways = [one for one in (found, most_probable(state, measurements, x, descends=True)) if one is not None]
-    return min(ways, key=lambda one: _robust_cost(one, measurements), default=None)
-
-
-def most_probable(
-    state: ErrorState,
-    measurements: Sequence[LinkMeasurement],
-    x: Array,
-    *,
-    is_robust: bool = True,
-    is_tracking: bool = False,
-    descends: bool = False,
-) -> Solution | None:
-    """The state that prior and heavy-tailed measurements make the most probable, from x; None where one is unseen.
-
-    A tracked measurement is weighed by the worse of its first innovation and its last residual: what constants and
-    biases would have to give way for is no less wild for their giving way. Where it `descends`, a step that makes the
-    state less probable is halved.
-    """
-    P, size = state.P, state.model.size
-    noises = [np.asarray(measurement.covariance) for measurement in measurements]
-    degrees = np.array([len(noise) for noise in noises])
-    deviations, moved = np.sqrt(np.diag(P) + 1e-18), np.inf
-    weights, first = np.ones(len(noises)), np.zeros(0)
-    unlikely = _unlikely(P, deviations) if descends else None
-    best: tuple[Array, Solution | None] = x, None
-    least = np.inf
-    for _ in range(MAX_ITERATIONS if unlikely is None else MAX_SEARCH):
-        there = state.retracted(x)
-        parts = there.linearise(measurements)
-        if not all(part.is_finite for part in parts):
-            return None
-        H = state.full_jacobian(parts)
-        residual = np.concatenate([part.residual for part in parts]) - H[:, size:] @ there.bias_mean
-        innovation = residual + H @ x
-        # Solved with a unit-free H P: the units of the state differ by orders of magnitude.
-        HP = H @ P
-        S = HP @ H.T
-        ends = np.cumsum(degrees)
-        rows = [slice(end - count, end) for end, count in zip(ends, degrees, strict=True)]
-        innovations = np.array(
-            [_square(innovation[at], S[at, at] + noise) for at, noise in zip(rows, noises, strict=True)]
-        )
-        residuals = np.array([_square(residual[at], noise) for at, noise in zip(rows, noises, strict=True)])
-        if unlikely is not None:
-            cost = unlikely(x) + float((NU + degrees) @ np.log1p(residuals / NU))
-            if cost > least + SETTLED:
-                x, moved = 0.5 * (x + best[0]), 0.5 * moved
-                if moved < SETTLED:
-                    break
-                continue
-            least = cost
-        first = first if len(first) else innovations
-        if is_robust:
-            before = first if is_tracking else innovations
-            weights = student_weight(np.maximum(before, residuals), degrees)
-        R = block_diagonal([noise / weight for noise, weight in zip(noises, weights, strict=True)])
-        solved = np.linalg.solve(S + R, np.column_stack([HP, innovation]))
-        K = np.asarray(solved[:, :-1].T, np.float64)
-        step = K @ innovation - x
-        # In deviations of the prior, and of what is measured: a prior that knows nothing has large ones.
-        longer = float(max(np.max(np.abs(step) / deviations), np.max(np.abs(H @ step) / np.sqrt(np.diag(R)))))
-        if longer > moved:  # it swings: half of the way
-            step, longer = 0.5 * step, 0.5 * longer
-        judged = first if is_tracking else innovations
-        nis = float(innovation @ solved[:, -1])
-        found = Solution(x + step, H, R, K, judged, residuals, weights, nis)
-        if longer < SETTLED:
-            return found
-        best = x, found if unlikely is None else replace(found, x=x)
-        x, moved = x + step, longer
-    return best[1]
-
-
-def _unlikely(P: Array, deviations: Array) -> Callable[[Array], float]:
-    """Minus twice the logarithm of a state's probability under the prior, but for a constant."""
-    variances, axes = np.linalg.eigh(P / np.outer(deviations, deviations))
-    variances = np.maximum(variances, SINGULAR)
-    return lambda x: float(np.sum((axes.T @ (x / deviations)) ** 2 / variances))
-
-
 def as_measurement(pose: ToolPose) -> PoseMeasurement:
     """A pose by the images as a measurement of the tool."""
     C = pose.covariance + TINY_POSE
     return PoseMeasurement("pose", None, np.eye(4), pose.T_camera_tool, C, np.zeros((6, 6)))
 
 
-def _robust_cost(found: Solution, measurements: Sequence[LinkMeasurement]) -> float:
-    """Minus twice the logarithm of prior and heavy-tailed likelihood at a solution, but for constants."""
-    fits = zip(found.residuals, measurements, strict=True)
-    of_prior = found.nis - float(found.weights @ found.residuals)
-    return of_prior + sum(_heavy_tailed(float(square), seen.covariance) for square, seen in fits)
-
-
-def _evidence(found: Solution, P: Array, measurements: Sequence[LinkMeasurement]) -> float:
-    """Minus twice the logarithm of the measurements' probability under a prior (Laplace's approximation)."""
-    told = np.linalg.slogdet(found.H @ P @ found.H.T + found.R)[1] - np.linalg.slogdet(found.R)[1]
-    return _robust_cost(found, measurements) + float(told)
-
-
 def pose_distance(image: ToolPose, predicted: ToolPose) -> float:
     """Squared deviation of an image's pose from a predicted one: six degrees of freedom."""
     found = as_measurement(image).linearise(predicted.T_camera_tool)
     J = found.derivative
-    return _square(found.residual, image.covariance + TINY_POSE + J @ predicted.covariance @ J.T)
-
-
-def _square(v: Array, S: Array) -> float:
-    return float(v @ np.linalg.solve(S, v))
-
-
-def _heavy_tailed(square: float, covariance: Array) -> float:
-    """Minus twice the logarithm of Student's density, but for a constant."""
-    size = len(covariance)
-    return (NU + size) * float(np.log1p(square / NU)) + float(np.linalg.slogdet(covariance)[1])
+    return normalised_square(found.residual, image.covariance + TINY_POSE + J @ predicted.covariance @ J.T)

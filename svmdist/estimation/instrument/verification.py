@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.estimation.frame import Frame, View
-from svmdist.estimation.instrument.factors import OTHER_PART_PLACE
+from svmdist.estimation.instrument.distal_marker import OTHER_PART_PLACE
 from svmdist.estimation.instrument.model import HINGE, ShaftSections, shaft_sections
 from svmdist.estimation.instrument.shaft_detection import DistalMarker
 from svmdist.estimation.tissue import TissuePose, require_tissue, tissue_plane

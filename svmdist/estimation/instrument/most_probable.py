@@ -1,0 +1,166 @@
+"""The most probable state, given a prior and heavy-tailed measurements, from a start.
+
+Maximum a posteriori by iterated, reweighted Gauss–Newton (Bell and Cathey 1993; Lange, Little and Taylor 1989 for
+Student's t), so that nothing is refused by a gate that was set before the fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from svmdist.estimation.instrument.consistency import NU, REFUSED_WEIGHT, student_weight
+from svmdist.estimation.instrument.measurement import LinkMeasurement
+from svmdist.estimation.instrument.state import ErrorState, block_diagonal
+from svmdist.transforms import Array
+
+MAX_ITERATIONS = 12
+SETTLED = 1e-2  # of a standard deviation: a state that moves nothing by more has come to rest
+MAX_SEARCH = 24  # iterations from a start, halved steps among them
+SINGULAR = 1e-9  # the least eigenvalue of the prior as correlations: constants may move together
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """The most probable change x of the state, derivatives, noise and gain there; judged per measurement.
+
+    `innovations` are normalised squares against prior and noise, `residuals` those that are left against noise alone,
+    `weights` those of Student's t; `nis` is the square of all of them together.
+    """
+
+    x: Array
+    H: Array
+    R: Array
+    K: Array
+    innovations: Array
+    residuals: Array
+    weights: Array
+    nis: float
+
+    @property
+    def refuses(self) -> bool:
+        """Whether it refuses a measurement."""
+        return bool((self.weights <= REFUSED_WEIGHT).any())
+
+
+def most_probable_from(
+    state: ErrorState, measurements: Sequence[LinkMeasurement], x: Array
+) -> Solution | None:
+    """The most probable state from a start; None where a measurement is unseen there.
+
+    Long steps pass over minima in which a shaft's own sharp edges look like outliers, and may lead into one. Where
+    something is refused, steps that never make the state less probable are tried, too: the more probable one counts.
+    """
+    found = most_probable(state, measurements, x)
+    if found is not None and not found.refuses:
+        return found
+    ways = [one for one in (found, most_probable(state, measurements, x, descends=True)) if one is not None]
+    return min(ways, key=lambda one: robust_cost(one, measurements), default=None)
+
+
+def most_probable(
+    state: ErrorState,
+    measurements: Sequence[LinkMeasurement],
+    x: Array,
+    *,
+    is_robust: bool = True,
+    is_tracking: bool = False,
+    descends: bool = False,
+) -> Solution | None:
+    """The state that prior and heavy-tailed measurements make the most probable, from x; None where one is unseen.
+
+    A tracked measurement is weighed by the worse of its first innovation and its last residual: what constants and
+    biases would have to give way for is no less wild for their giving way. Where it `descends`, a step that makes the
+    state less probable is halved.
+    """
+    P, size = state.P, state.model.size
+    noises = [np.asarray(measurement.covariance) for measurement in measurements]
+    degrees = np.array([len(noise) for noise in noises])
+    deviations, moved = np.sqrt(np.diag(P) + 1e-18), np.inf
+    weights, first = np.ones(len(noises)), np.zeros(0)
+    unlikely = _unlikely(P, deviations) if descends else None
+    best: tuple[Array, Solution | None] = x, None
+    least = np.inf
+    for _ in range(MAX_ITERATIONS if unlikely is None else MAX_SEARCH):
+        there = state.retracted(x)
+        parts = there.linearise(measurements)
+        if not all(part.is_finite for part in parts):
+            return None
+        H = state.full_jacobian(parts)
+        residual = np.concatenate([part.residual for part in parts]) - H[:, size:] @ there.bias_mean
+        innovation = residual + H @ x
+        # Solved with a unit-free H P: the units of the state differ by orders of magnitude.
+        HP = H @ P
+        S = HP @ H.T
+        ends = np.cumsum(degrees)
+        rows = [slice(end - count, end) for end, count in zip(ends, degrees, strict=True)]
+        innovations = np.array(
+            [
+                normalised_square(innovation[at], S[at, at] + noise)
+                for at, noise in zip(rows, noises, strict=True)
+            ]
+        )
+        residuals = np.array(
+            [normalised_square(residual[at], noise) for at, noise in zip(rows, noises, strict=True)]
+        )
+        if unlikely is not None:
+            cost = unlikely(x) + float((NU + degrees) @ np.log1p(residuals / NU))
+            if cost > least + SETTLED:
+                x, moved = 0.5 * (x + best[0]), 0.5 * moved
+                if moved < SETTLED:
+                    break
+                continue
+            least = cost
+        first = first if len(first) else innovations
+        if is_robust:
+            before = first if is_tracking else innovations
+            weights = student_weight(np.maximum(before, residuals), degrees)
+        R = block_diagonal([noise / weight for noise, weight in zip(noises, weights, strict=True)])
+        solved = np.linalg.solve(S + R, np.column_stack([HP, innovation]))
+        K = np.asarray(solved[:, :-1].T, np.float64)
+        step = K @ innovation - x
+        # In deviations of the prior, and of what is measured: a prior that knows nothing has large ones.
+        longer = float(max(np.max(np.abs(step) / deviations), np.max(np.abs(H @ step) / np.sqrt(np.diag(R)))))
+        if longer > moved:  # it swings: half of the way
+            step, longer = 0.5 * step, 0.5 * longer
+        judged = first if is_tracking else innovations
+        nis = float(innovation @ solved[:, -1])
+        found = Solution(x + step, H, R, K, judged, residuals, weights, nis)
+        if longer < SETTLED:
+            return found
+        best = x, found if unlikely is None else replace(found, x=x)
+        x, moved = x + step, longer
+    return best[1]
+
+
+def _unlikely(P: Array, deviations: Array) -> Callable[[Array], float]:
+    """Minus twice the logarithm of a state's probability under the prior, but for a constant."""
+    variances, axes = np.linalg.eigh(P / np.outer(deviations, deviations))
+    variances = np.maximum(variances, SINGULAR)
+    return lambda x: float(np.sum((axes.T @ (x / deviations)) ** 2 / variances))
+
+
+def robust_cost(found: Solution, measurements: Sequence[LinkMeasurement]) -> float:
+    """Minus twice the logarithm of prior and heavy-tailed likelihood at a solution, but for constants."""
+    fits = zip(found.residuals, measurements, strict=True)
+    of_prior = found.nis - float(found.weights @ found.residuals)
+    return of_prior + sum(heavy_tailed(float(square), seen.covariance) for square, seen in fits)
+
+
+def evidence(found: Solution, P: Array, measurements: Sequence[LinkMeasurement]) -> float:
+    """Minus twice the logarithm of the measurements' probability under a prior (Laplace's approximation)."""
+    told = np.linalg.slogdet(found.H @ P @ found.H.T + found.R)[1] - np.linalg.slogdet(found.R)[1]
+    return robust_cost(found, measurements) + float(told)
+
+
+def normalised_square(v: Array, S: Array) -> float:
+    """The square of v, (n,), over its covariance S, (n, n)."""
+    return float(v @ np.linalg.solve(S, v))
+
+
+def heavy_tailed(square: float, covariance: Array) -> float:
+    """Minus twice the logarithm of Student's density, but for a constant."""
+    size = len(covariance)
+    return (NU + size) * float(np.log1p(square / NU)) + float(np.linalg.slogdet(covariance)[1])
