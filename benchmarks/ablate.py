@@ -15,9 +15,10 @@ import numpy as np
 
 from benchmarks.generated_pages import DOCS, ROOT, table, write_table
 from benchmarks.robustness import cell
-from svmdist.estimation import fused, tissue_tracking
+from svmdist.estimation import fused
 from svmdist.estimation.instrument import consistency
 from svmdist.estimation.instrument.factors import of_images
+from svmdist.estimation.tissue import tracking as tissue_tracking
 from svmdist.perturbations import parse_perturbations
 from svmdist.recording.log import open_recording
 from svmdist.workflows.compare import measure_runs

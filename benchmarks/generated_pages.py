@@ -17,7 +17,7 @@ from svmdist.perturbations import TABLE
 from svmdist.profile.settings import Settings
 from svmdist.profile.toml import StrictModel
 from svmdist.report.rows import ESTIMATE_COLUMNS
-from svmdist.workflows.metric_table import Output, Tolerance, figure_metrics, score_metrics
+from svmdist.workflows.scoring.metric_table import Output, Tolerance, figure_metrics, score_metrics
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"

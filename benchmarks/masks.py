@@ -25,7 +25,7 @@ from benchmarks.generated_pages import table_row
 from svmdist.profile.segmentation import INSTRUMENTS, OnnxSegmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
-from svmdist.vision.find_instruments import AutoSegmenter
+from svmdist.vision.instruments.find_instruments import AutoSegmenter
 from svmdist.vision.network import OnnxSegmenter
 from svmdist.vision.segmentation import Segmenter
 from training.instruments import DISTAL

@@ -16,7 +16,7 @@ from svmdist.perturbations import parse_perturbations
 from svmdist.recording.log import open_recording
 from svmdist.workflows.compare import MethodScore, measure_runs
 from svmdist.workflows.request import CLEAN, PerturbedCondition, prepare
-from svmdist.workflows.scores import pooled_score
+from svmdist.workflows.scoring.scores import pooled_score
 
 METHODS = ("fiducial", "shaft", "stereo", "fused")
 WORLDS = (

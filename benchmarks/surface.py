@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from benchmarks.generated_pages import table
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.scene import Scene
-from svmdist.estimation.surface import ALL_PX
+from svmdist.estimation.tissue.surface import ALL_PX
 from svmdist.perturbations import Perturbations
 from svmdist.profile import load_profile
 from svmdist.profile.settings import StereoSettings
@@ -31,7 +31,7 @@ from svmdist.simulation.scene import Options, make_scene
 from svmdist.transforms import Array, inverse, transform_points
 from svmdist.vision.colour import to_grey
 from svmdist.vision.disparity import disparity_map
-from svmdist.vision.evidence import picture_of
+from svmdist.vision.instruments.evidence import picture_of
 from svmdist.vision.segmentation import make_segmenter
 from svmdist.vision.stereo import RectifiedPair
 from svmdist.workflows.check import PAIRS, first_of, row_offset_to_remove_px, spread_observations

@@ -26,9 +26,9 @@ from svmdist.workflows.compare import compare as _compare
 from svmdist.workflows.ending import Ending, alarms_in_words
 from svmdist.workflows.estimate import estimate as _estimate
 from svmdist.workflows.estimate import with_lag
-from svmdist.workflows.given import given_estimates
-from svmdist.workflows.references import TruthRules
 from svmdist.workflows.request import Lag, OwnMethod, Request, Setup, prepare, prepare_every
+from svmdist.workflows.scoring.given import given_estimates
+from svmdist.workflows.scoring.references import TruthRules
 from svmdist.workflows.surface import TissueSurface
 from svmdist.workflows.surface import tissue_surface as _surface
 from svmdist.workflows.validate import Validation

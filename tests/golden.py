@@ -12,7 +12,7 @@ from filelock import FileLock
 import svmdist
 from svmdist.results import FrameResult
 from svmdist.transforms import Array
-from svmdist.workflows.scores import DISTANCES
+from svmdist.workflows.scoring.scores import DISTANCES
 
 RECORDINGS = Path(__file__).resolve().parent.parent / "recordings"
 PLANAR = ("calibration", "sweep", "approach", "contact", "occlusion", "random")

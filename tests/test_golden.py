@@ -15,9 +15,9 @@ from svmdist.profile import load_profile, profile_path
 from svmdist.recording.log import open_recording
 from svmdist.workflows.calibrate import collect_part, fit_parts
 from svmdist.workflows.estimate import predictor
-from svmdist.workflows.references import ANY_TRUTH, Reference, tool_track
 from svmdist.workflows.request import Request, Setup
-from svmdist.workflows.scores import Score
+from svmdist.workflows.scoring.references import ANY_TRUTH, Reference, tool_track
+from svmdist.workflows.scoring.scores import Score
 from svmdist.workflows.validate import Validation, find_regressions, load_baseline
 from tests.golden import IN_3D, PLANAR, REAL, RECORDINGS, GoldenRows
 from tests.shipped import EXACT_PROFILE

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from svmdist.vision.evidence import picture_of
+from svmdist.vision.instruments.evidence import picture_of
 from svmdist.vision.network import OnnxSegmenter
 from training.backgrounds import Array, Size
 from training.instruments import DISTAL, INSTRUMENT, NO_INSTRUMENT, OTHER, SHAFT, TISSUE, UNKNOWN

@@ -67,8 +67,8 @@ class Compare(GoldenLogOptions, CalibrationOption, LagOption, WindowOptions, Gro
     def _run(self) -> ExitCode:
         from svmdist.report.scores import compare_results
         from svmdist.workflows.compare import MethodScore, compared
-        from svmdist.workflows.given import given_estimates, require_distinct
         from svmdist.workflows.request import Request, prepare, prepare_every
+        from svmdist.workflows.scoring.given import given_estimates, require_distinct
 
         writer = self.writer(self.paths, Holds.FIGURES)
         output.require_plot(self.save_plot, self.paths, self.plot)

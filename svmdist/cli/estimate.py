@@ -53,7 +53,7 @@ class PictureOptions(OutputOptions):
         measured = run.kept()
         if self.save_plot:
             from svmdist.report import plots
-            from svmdist.workflows.series import series_of
+            from svmdist.workflows.scoring.series import series_of
 
             if result and kind == "fig6":
                 plots.save_figure(self.save_plot, plots.draw, result)

@@ -314,7 +314,7 @@ class MeasureOptions(MethodOptions, InstrumentOption, LagOption, AlarmOptions, W
     def request(self, paths: Sequence[LogPath]) -> Request:
         """What is asked of each log, checked before the work; raises UsageError, ProfileError or CalibrationError."""
         from svmdist.workflows.request import Request
-        from svmdist.workflows.scores import require_clearance
+        from svmdist.workflows.scoring.scores import require_clearance
 
         lag, alarms, window, setup = self.given_lag, self.alarms, self.window, self.setup(paths)
         if alarms:

@@ -126,7 +126,7 @@ def _is_one_picture(path: Path, count: int) -> bool:
 def _worst(recording: Recording, request: Request, count: int, jobs: int | None) -> set[int]:
     """The numbers of the worst frames of any instrument; says of each how bad it is."""
     from svmdist.workflows.estimate import Measured, estimate
-    from svmdist.workflows.series import series_of, worst_frames
+    from svmdist.workflows.scoring.series import series_of, worst_frames
 
     instruments = request.instruments or recording.instruments
     images = recording.image_count()

@@ -111,14 +111,14 @@ class Validate(GoldenLogOptions, MeasureOptions, GroupOption, PictureOptions):
         """What measures, or what others measured."""
         if self.estimates is None:
             return super().setup(paths)
-        from svmdist.workflows.given import given_estimates
         from svmdist.workflows.request import prepare
+        from svmdist.workflows.scoring.given import given_estimates
 
         return prepare(self.profile, given_estimates(self.estimates), self.equations, None, self.hand_eye)
 
     def request(self, paths: Sequence[LogPath]) -> Request:
         """The measurement, and what it is scored against."""
-        from svmdist.workflows.references import Reference, truth_rules
+        from svmdist.workflows.scoring.references import Reference, truth_rules
 
         request = super().request(paths)
         references = tuple(Reference(str(choice)) for choice in dict.fromkeys(self.truth or [])) or None

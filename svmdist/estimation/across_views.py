@@ -9,7 +9,7 @@ from svmdist.camera import Camera
 from svmdist.profile.robot import Instrument
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.find_instruments import SeenInstrument
+from svmdist.vision.instruments.find_instruments import SeenInstrument
 from svmdist.vision.lines import (
     axis_of_cylinder,
     line_between,

@@ -25,8 +25,8 @@ from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile.robot import EntrySide
 from svmdist.samples import Image, Observation
 from svmdist.transforms import Array, inverse
-from svmdist.vision.find_instruments import AutoMasks, SeenInstrument
 from svmdist.vision.frame_context import FrameContext
+from svmdist.vision.instruments.find_instruments import AutoMasks, SeenInstrument
 
 PLACED_FRACTION = 0.05  # of the width: a hidden region less certain than this assigns no shaft
 SIDE_STD = 0.25  # from the middle of its side, over the image's size, for a new instrument

@@ -30,13 +30,13 @@ from svmdist.estimation.comparison import (
     VIEWS,
     Difference,
 )
-from svmdist.estimation.dome import INNER_RADIUS
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.distal_marker import marker_in
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import joints_of, wrist_in_tool
 from svmdist.estimation.scene import Arm, Scene
-from svmdist.estimation.surface import depth_biases
+from svmdist.estimation.tissue.dome import INNER_RADIUS
+from svmdist.estimation.tissue.surface import depth_biases
 from svmdist.geometry import Mesh
 from svmdist.geometry.distance import signed_distances
 from svmdist.kinematics import rows_behind_insertion

@@ -21,7 +21,7 @@ from svmdist.results import Failure, ToolPose
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.colour import field_of_view
-from svmdist.vision.find_instruments import SeenInstrument
+from svmdist.vision.instruments.find_instruments import SeenInstrument
 
 # A tool's nominal depth is taken to be at least this, since its pixel diverges towards the camera
 MIN_DEPTH_M = 0.02

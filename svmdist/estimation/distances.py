@@ -10,7 +10,7 @@ import numpy as np
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.instrument.verification import contradiction
-from svmdist.estimation.tissue import TissuePose
+from svmdist.estimation.tissue.detection import TissuePose
 from svmdist.geometry.distance import Separation, capsule_separation, separation
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose, as_pixel, as_vector
 from svmdist.samples import Status

@@ -23,7 +23,7 @@ from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.one_view import tool_from_tag
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.stereo import StereoEstimator
-from svmdist.estimation.tissue_tracking import FollowedTissue
+from svmdist.estimation.tissue.tracking import FollowedTissue
 from svmdist.results import Distances, Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import JointSample, Status
 

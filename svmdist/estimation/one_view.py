@@ -13,8 +13,8 @@ from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.model import wrist_in_tool
 from svmdist.estimation.instrument.tag_pose import TagPose
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.tissue import require_tissue
-from svmdist.estimation.tissue_tracking import TissueTracker
+from svmdist.estimation.tissue.detection import require_tissue
+from svmdist.estimation.tissue.tracking import TissueTracker
 from svmdist.kinematics import row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import KinematicError

@@ -8,8 +8,8 @@ from typing import Any
 from svmdist.errors import ProfileError
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import InstrumentModel
-from svmdist.estimation.surface import StereoSurface, detect_stereo_surface
-from svmdist.estimation.tissue import TissueDetection, detect_tissue
+from svmdist.estimation.tissue.detection import TissueDetection, detect_tissue
+from svmdist.estimation.tissue.surface import StereoSurface, detect_stereo_surface
 from svmdist.kinematics import DHChain, ShaftAxis, chain_of, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile

@@ -16,8 +16,8 @@ from svmdist.estimation.instrument.image_pose import ImagePose, pose_by_pair
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.one_view import uncertainty
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.tissue import require_tissue
-from svmdist.estimation.tissue_tracking import surface_by_stereo
+from svmdist.estimation.tissue.detection import require_tissue
+from svmdist.estimation.tissue.tracking import surface_by_stereo
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import Rejection, RightView, Status
 from svmdist.transforms import inverse

@@ -35,7 +35,7 @@ from svmdist.workflows.estimate import Measured
 from svmdist.workflows.frame_drawing import drawn_frames
 from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.request import Request, Setup
-from svmdist.workflows.series import Series, series_of, worst_frames
+from svmdist.workflows.scoring.series import Series, series_of, worst_frames
 from svmdist.workflows.validate import Validation
 
 WORST_COUNT = 10

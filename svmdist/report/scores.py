@@ -14,11 +14,11 @@ from svmdist.estimation.methods import PLANAR_METHODS
 from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Unit, coverage
 from svmdist.report.tables import Column, Row, Table, counted, finite, metric_column, row_of
 from svmdist.report.writers import Results
-from svmdist.workflows import metric_table
 from svmdist.workflows.blur_bench import BlurRow
 from svmdist.workflows.compare import MethodScore
-from svmdist.workflows.metric_table import Metric, Output, cells, of_part, within
-from svmdist.workflows.scores import Score
+from svmdist.workflows.scoring import metric_table
+from svmdist.workflows.scoring.metric_table import Metric, Output, cells, of_part, within
+from svmdist.workflows.scoring.scores import Score
 from svmdist.workflows.validate import PAPER_R_SQUARED, Validation
 
 VALIDATION_SCHEMA = "svmdist.validation/1"

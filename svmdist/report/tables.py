@@ -23,7 +23,7 @@ if TYPE_CHECKING:  # rows that are written as they come need no layout, and star
     from rich.table import Table as RichTable
 
     from svmdist.report.writers import Results
-    from svmdist.workflows.metric_table import Metric
+    from svmdist.workflows.scoring.metric_table import Metric
 
 Cell = str | int | float | None
 Row = Mapping[str, Cell]

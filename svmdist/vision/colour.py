@@ -15,7 +15,7 @@ from svmdist.profile.settings import ExposureSettings
 from svmdist.samples import Image
 
 if TYPE_CHECKING:
-    from svmdist.vision.find_instruments import SeenInstrument
+    from svmdist.vision.instruments.find_instruments import SeenInstrument
 
 SAMPLING_PX = 4  # levels are counted on every n-th row and column, enough for a percentile
 BORDER_FRACTION = 0.2  # of the bright level; what is darker may be the endoscope's black border

@@ -15,7 +15,7 @@ from svmdist.samples import Image
 from svmdist.vision.colour import HsvSegmenter, Masks
 
 if TYPE_CHECKING:
-    from svmdist.vision.find_instruments import SeenInstrument
+    from svmdist.vision.instruments.find_instruments import SeenInstrument
 
 DEFAULT = AutoSettings()
 
@@ -48,7 +48,7 @@ def make_segmenter(rules: Segmentation, auto: AutoSettings = DEFAULT) -> Segment
     if isinstance(rules, HsvSegmentation):
         return HsvSegmenter(rules)
     if isinstance(rules, AutoSegmentation):
-        from svmdist.vision.find_instruments import AutoSegmenter
+        from svmdist.vision.instruments.find_instruments import AutoSegmenter
 
         return AutoSegmenter(auto)
     from svmdist.vision.network import OnnxSegmenter

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.edge_lines import ROUGH_PX, EdgeLine, edge_line
-from svmdist.vision.find_instruments import SeenInstrument
+from svmdist.vision.instruments.find_instruments import SeenInstrument
 
 MIN_SIDE_PER_WIDTH = 0.5  # the shorter side over the shaft's width: less of it does not tell where it points
 MOST_OFF_STDS = 2.5  # of a sharp edge from the rough side it was sought at

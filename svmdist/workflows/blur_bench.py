@@ -17,10 +17,10 @@ from svmdist.vision.degradations import Blur
 from svmdist.vision.marker import EDGE_MARGIN_PX, detect_orb, paste_marker
 from svmdist.vision.regions import find_region
 from svmdist.workflows.parallel import Steps
-from svmdist.workflows.references import Truth
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import BlurCondition, Request
-from svmdist.workflows.scores import Readings
+from svmdist.workflows.scoring.references import Truth
+from svmdist.workflows.scoring.scores import Readings
 
 DEFAULT_KERNELS_PX: Mapping[Blur, int] = {
     Blur.NONE: 1,

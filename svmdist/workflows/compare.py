@@ -14,11 +14,11 @@ from svmdist.recording.source import Health
 from svmdist.recording.topics import Role
 from svmdist.workflows import parallel
 from svmdist.workflows.capabilities import served_setups
-from svmdist.workflows.given import require_distinct
-from svmdist.workflows.references import ANY_TRUTH, Reference, Truth, truth_at, truth_follows_images
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import CLEAN, LogCondition, PerturbedCondition, Setup
-from svmdist.workflows.scores import SCORED, DistanceScore, Readings, pooled_score, score_pairs
+from svmdist.workflows.scoring.given import require_distinct
+from svmdist.workflows.scoring.references import ANY_TRUTH, Reference, Truth, truth_at, truth_follows_images
+from svmdist.workflows.scoring.scores import SCORED, DistanceScore, Readings, pooled_score, score_pairs
 
 GroupBy = Callable[[Mapping[str, str]], str]  # names the group of a recording by its metadata
 

@@ -16,10 +16,10 @@ from svmdist.recording.log import KnownLag, Recording
 from svmdist.results import FrameResult
 from svmdist.tracks import Mask
 from svmdist.transforms import Array, Stamps
-from svmdist.workflows.references import PoseAt, Reference, TruthRules, tool_track
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Lag, Request, Setup
-from svmdist.workflows.scores import Readings
+from svmdist.workflows.scoring.references import PoseAt, Reference, TruthRules, tool_track
+from svmdist.workflows.scoring.scores import Readings
 
 FOUND_LAG_STD_S = 0.01
 """The middle of an instrument that enters the image or is partly hidden moves otherwise than its tool: lags that are

@@ -15,7 +15,7 @@ import numpy as np
 from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.scene import Scene
-from svmdist.estimation.surface import depth_biases
+from svmdist.estimation.tissue.surface import depth_biases
 from svmdist.least_squares import scale_of
 from svmdist.profile import Profile, Topics, load_profile
 from svmdist.profile.robot import CameraError, Robot, Tissue
@@ -27,8 +27,8 @@ from svmdist.recording.topics import Role, is_right
 from svmdist.samples import Image, Observation
 from svmdist.transforms import Array
 from svmdist.vision.colour import DistinctColour, find_distinct_colour
-from svmdist.vision.find_instruments import AutoSegmenter
 from svmdist.vision.frame_context import as_pinholes
+from svmdist.vision.instruments.find_instruments import AutoSegmenter
 from svmdist.workflows.capabilities import observations_of
 from svmdist.workflows.check import row_offset_to_remove_px, views_contradiction
 

@@ -33,7 +33,7 @@ from svmdist.results import FrameResult
 from svmdist.samples import Image, Observation
 from svmdist.vision import degradations
 from svmdist.vision.segmentation import Segmenter, make_segmenter
-from svmdist.workflows.references import ANY_TRUTH, TruthRules
+from svmdist.workflows.scoring.references import ANY_TRUTH, TruthRules
 
 REPLAY_SEED = 36
 LEFT, RIGHT = 0, 1
@@ -332,7 +332,7 @@ def prepare(
     # A network or a mesh that cannot be used is told before a recording is opened.
     _ = setup.segmenter
     if not is_planar:
-        from svmdist.estimation.tissue import require_tissue
+        from svmdist.estimation.tissue.detection import require_tissue
 
         require_tissue(loaded)
     return setup

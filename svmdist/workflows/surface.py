@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.scene import Scene
-from svmdist.estimation.surface import ALL_PX
+from svmdist.estimation.tissue.surface import ALL_PX
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.recording.topics import Role

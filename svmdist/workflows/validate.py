@@ -19,13 +19,13 @@ from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
 from svmdist.workflows.ending import Ending
 from svmdist.workflows.estimate import Keep, Measured, given_lag, recording_lag, with_lag
-from svmdist.workflows.given import Given
-from svmdist.workflows.metric_table import FIRST_KEYS, Better, Tolerance, cells, stored_metrics
 from svmdist.workflows.parallel import Steps
-from svmdist.workflows.references import BY_POSES, KINEMATICS_PRINTED_NOTE, Reference
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Request
-from svmdist.workflows.scores import Readings, Score, pool_scores, require_clearance, score_rows
+from svmdist.workflows.scoring.given import Given
+from svmdist.workflows.scoring.metric_table import FIRST_KEYS, Better, Tolerance, cells, stored_metrics
+from svmdist.workflows.scoring.references import BY_POSES, KINEMATICS_PRINTED_NOTE, Reference
+from svmdist.workflows.scoring.scores import Readings, Score, pool_scores, require_clearance, score_rows
 
 PAPER_R_SQUARED = 0.78  # the paper's own figure (sec. IV); its scene differs from every scene here
 

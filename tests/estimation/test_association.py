@@ -12,7 +12,7 @@ from svmdist.estimation.region_tracking import Blob, Gaussian, NominalPlace, Reg
 from svmdist.profile.robot import Instrument
 from svmdist.profile.settings import AssociationSettings
 from svmdist.transforms import Array, make_transform, rotation_of
-from svmdist.vision.find_instruments import SeenInstrument
+from svmdist.vision.instruments.find_instruments import SeenInstrument
 from svmdist.vision.lines import tangent_normal
 
 WIDTH_PX, HEIGHT_PX, RADIUS_PX, FOCAL_PX, DEPTH_M = 640, 480, 11.0, 554.0, 0.09

@@ -17,7 +17,7 @@ from svmdist.profile.robot import Instrument
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.results import Failure
 from svmdist.samples import Observation
-from svmdist.vision.find_instruments import SeenInstrument
+from svmdist.vision.instruments.find_instruments import SeenInstrument
 from svmdist.vision.segmentation import make_segmenter
 from tests.measuring import frame_of
 from tests.pictures import END_M, PALE_BGR, RED_BGR, WRIST_M, ShaftImage, entering_from

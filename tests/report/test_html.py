@@ -15,8 +15,8 @@ from svmdist.estimation.alarms import AlarmEvent
 from svmdist.report import charts
 from svmdist.report.html import WORST_COUNT, Report, page, plotly_figure, write_report
 from svmdist.report.tables import Table
-from svmdist.workflows.references import Reference
-from svmdist.workflows.series import Series
+from svmdist.workflows.scoring.references import Reference
+from svmdist.workflows.scoring.series import Series
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = ("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",

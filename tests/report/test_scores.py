@@ -18,8 +18,8 @@ from svmdist.report.scores import (
 )
 from svmdist.report.tables import csv_lines, keys_of, render
 from svmdist.workflows.compare import Figures, Group, MethodScore
-from svmdist.workflows.references import Reference
-from svmdist.workflows.scores import Pairs, Score, score_pairs
+from svmdist.workflows.scoring.references import Reference
+from svmdist.workflows.scoring.scores import Pairs, Score, score_pairs
 from svmdist.workflows.validate import Validation
 
 START_NS = 1_700_000_000_000_000_000

@@ -6,8 +6,8 @@ import pytest
 
 from benchmarks.masks import iou
 from svmdist.samples import Image
-from svmdist.vision.evidence import picture_of
-from svmdist.vision.find_instruments import AutoSegmenter
+from svmdist.vision.instruments.evidence import picture_of
+from svmdist.vision.instruments.find_instruments import AutoSegmenter
 from svmdist.vision.silhouette import WristShape, find_silhouette
 from tests.pictures import BORDERS, surgery_image
 

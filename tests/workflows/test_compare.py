@@ -18,8 +18,8 @@ from svmdist.samples import CameraSample, ImageSample, Sample
 from svmdist.simulation.scene import Options
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.compare import Group, MethodScore, compare, group_of, measure_runs
-from svmdist.workflows.references import Reference, TruthRules
 from svmdist.workflows.request import CLEAN, Condition, Request, prepare
+from svmdist.workflows.scoring.references import Reference, TruthRules
 from svmdist.workflows.validate import validate
 from tests.synthetic import START_NS, make_scene, samples, without, write_log
 

@@ -14,11 +14,11 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.metrics import alarm_statistics
 from svmdist.report import scores
 from svmdist.report.tables import csv_lines, keys_of, render
-from svmdist.workflows import metric_table
 from svmdist.workflows.compare import Figures, Group, MethodScore
-from svmdist.workflows.metric_table import EVERYWHERE, IN_3D, LENGTH, Better, Metric, Tolerance
-from svmdist.workflows.references import Reference
-from svmdist.workflows.scores import Pairs, Score, score_pairs
+from svmdist.workflows.scoring import metric_table
+from svmdist.workflows.scoring.metric_table import EVERYWHERE, IN_3D, LENGTH, Better, Metric, Tolerance
+from svmdist.workflows.scoring.references import Reference
+from svmdist.workflows.scoring.scores import Pairs, Score, score_pairs
 from svmdist.workflows.validate import StoredScore, Validation, load_baseline, save_baseline
 
 SCORE_COLUMNS = """

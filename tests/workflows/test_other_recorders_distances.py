@@ -13,8 +13,8 @@ from svmdist.results import FrameResult
 from svmdist.samples import Sample, TransformSample, TransformsSample
 from svmdist.transforms import make_transform, rotation_z
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.references import Reference, truth_rules
 from svmdist.workflows.request import Request, Setup, prepare
+from svmdist.workflows.scoring.references import Reference, truth_rules
 from svmdist.workflows.validate import Validation, validate
 from tests.measuring import flat
 from tests.recording.builders import Entry

@@ -9,9 +9,9 @@ from svmdist.errors import RecordingError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
-from svmdist.workflows import scores
-from svmdist.workflows.references import Reference, Truth
-from svmdist.workflows.series import Series, worst_frames
+from svmdist.workflows.scoring import scores
+from svmdist.workflows.scoring.references import Reference, Truth
+from svmdist.workflows.scoring.series import Series, worst_frames
 
 
 def result_of(

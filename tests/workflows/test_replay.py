@@ -18,7 +18,7 @@ from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample, Sample, Status
 from svmdist.vision.degradations import Degradation
-from svmdist.vision.find_instruments import AutoSegmenter
+from svmdist.vision.instruments.find_instruments import AutoSegmenter
 from svmdist.workflows.check import adapted_segmenters, spread_observations
 from svmdist.workflows.replay import MultiInstrumentEstimator, Place, Replayed, replay
 from svmdist.workflows.request import CLEAN, Condition, Setup, prepare

@@ -12,8 +12,8 @@ from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.workflows.compare import compare
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.references import Reference, TruthRules
 from svmdist.workflows.request import Request, prepare
+from svmdist.workflows.scoring.references import Reference, TruthRules
 from svmdist.workflows.validate import validate
 from tests.measuring import Measuring, flat
 from tests.reading import read_observations

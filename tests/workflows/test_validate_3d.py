@@ -13,9 +13,9 @@ from svmdist.report.scores import score_columns
 from svmdist.report.tables import row_of
 from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import Status
-from svmdist.workflows.references import Reference, TruthRules
 from svmdist.workflows.request import Request, prepare
-from svmdist.workflows.scores import Score, pool_scores, score_rows
+from svmdist.workflows.scoring.references import Reference, TruthRules
+from svmdist.workflows.scoring.scores import Score, pool_scores, score_rows
 from svmdist.workflows.validate import (
     Validation,
     find_regressions,

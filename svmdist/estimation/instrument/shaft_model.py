@@ -16,9 +16,9 @@ from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import Instrument
 from svmdist.results import Failure
 from svmdist.transforms import Array, inverse, make_transform
-from svmdist.vision.find_instruments import SeenInstrument
+from svmdist.vision.instruments.find_instruments import SeenInstrument
+from svmdist.vision.instruments.outline_search import LONGEST_WRIST
 from svmdist.vision.lines import CylinderAxis, apparent_radius_px, axis_of_cylinder
-from svmdist.vision.outline_search import LONGEST_WRIST
 from svmdist.vision.silhouette import WristShape
 
 FORESHORTENED = 0.15  # of a length along the shaft over its width: shafts are tilted by 30° or so

@@ -17,7 +17,7 @@ from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.distal_marker import OTHER_PART_PLACE
 from svmdist.estimation.instrument.model import HINGE, ShaftSections, shaft_sections
 from svmdist.estimation.instrument.shaft_detection import DistalMarker
-from svmdist.estimation.tissue import TissuePose, require_tissue, tissue_plane
+from svmdist.estimation.tissue.detection import TissuePose, require_tissue, tissue_plane
 from svmdist.geometry import Capsules
 from svmdist.profile.robot import CameraError, Instrument, Tissue
 from svmdist.results import ToolPose

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.evidence import SQUARE_3, Evidence, Floats
+from svmdist.vision.instruments.evidence import SQUARE_3, Evidence, Floats
 
 START_ODDS = 0.5  # from which on a pixel of the rim belongs to a place where an instrument comes in
 RIM_PX = 3  # width of the rim

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.distances import with_tool
 from svmdist.estimation.frame import Frame, Needs
-from svmdist.estimation.tissue_tracking import surface_by_stereo
+from svmdist.estimation.tissue.tracking import surface_by_stereo
 from svmdist.geometry.distance import separation
 from svmdist.importing.estimates import DISTANCES, TEXTS, Rows, read_estimates
 from svmdist.importing.tables import require_common_time
@@ -25,8 +25,8 @@ from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, Tool
 from svmdist.samples import Status
 from svmdist.tracks import MAX_GAP_NS, Sampled, sort_stamps
 from svmdist.transforms import Stamps
-from svmdist.workflows.references import Reference, TruthRules, in_camera, tool_track
 from svmdist.workflows.request import LOG
+from svmdist.workflows.scoring.references import Reference, TruthRules, in_camera, tool_track
 
 TOPIC = "topic:"
 UNKNOWN = np.full(3, np.nan)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.transforms import Array
-from svmdist.vision.evidence import Evidence, Floats
-from svmdist.vision.outline import (
+from svmdist.vision.instruments.evidence import Evidence, Floats
+from svmdist.vision.instruments.outline import (
     CORRELATION_PX,
     EDGE_LEVELS,
     STATIONS,

@@ -6,21 +6,21 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from svmdist.estimation.dome import INNER_RADIUS, DomeModel
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import SharedBias
 from svmdist.estimation.instrument.state import Linearised
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.surface import depth_biases
-from svmdist.estimation.tissue import (
+from svmdist.estimation.tissue.detection import (
     TissueDetection,
     TissuePose,
     ray_on_plane_biases,
     require_tissue,
     tissue_plane,
 )
+from svmdist.estimation.tissue.dome import INNER_RADIUS, DomeModel
+from svmdist.estimation.tissue.surface import depth_biases
 from svmdist.geometry import Cloud
 from svmdist.least_squares import median, scale_of
 from svmdist.profile.robot import Tissue

@@ -13,9 +13,9 @@ from svmdist.estimation.alarms import AlarmEvent, alarm_events
 from svmdist.results import Z_95
 from svmdist.transforms import Array
 from svmdist.workflows.estimate import Measured
-from svmdist.workflows.references import Reference, truth_at
 from svmdist.workflows.request import Request
-from svmdist.workflows.scores import DISTANCES, Readings, truth_lag_ns
+from svmdist.workflows.scoring.references import Reference, truth_at
+from svmdist.workflows.scoring.scores import DISTANCES, Readings, truth_lag_ns
 
 PREFERRED = ("clearance", "spatial", "planar")
 APART_S = 1.0  # between two of the worst frames

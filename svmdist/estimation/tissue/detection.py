@@ -9,8 +9,8 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import ProfileError
-from svmdist.estimation.dome import DomeModel
 from svmdist.estimation.instrument.measurement import SharedBias
+from svmdist.estimation.tissue.dome import DomeModel
 from svmdist.geometry import Cloud, Mesh, Plane, Surface, meet_plane, read_closed_mesh
 from svmdist.profile import Profile
 from svmdist.profile.hand_eye import FOCAL_LENGTH, PRINCIPAL_POINT

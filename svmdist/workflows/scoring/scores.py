@@ -29,9 +29,9 @@ from svmdist.transforms import (
     quaternion_xyzw_from_rotation,
     rotation_angle,
 )
-from svmdist.workflows import references
-from svmdist.workflows.references import Truth
 from svmdist.workflows.request import Setup
+from svmdist.workflows.scoring import references
+from svmdist.workflows.scoring.references import Truth
 
 BOOTSTRAP_SEED = 36
 SPHERE_95 = 2.7955

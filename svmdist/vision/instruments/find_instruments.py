@@ -13,9 +13,16 @@ from numpy.typing import NDArray
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.evidence import SQUARE_3, Appearance, Evidence, Example, learnt_from, tissue_of
-from svmdist.vision.outline import Outline
-from svmdist.vision.outline_search import judged, rough_outlines, sharpened
+from svmdist.vision.instruments.evidence import (
+    SQUARE_3,
+    Appearance,
+    Evidence,
+    Example,
+    learnt_from,
+    tissue_of,
+)
+from svmdist.vision.instruments.outline import Outline
+from svmdist.vision.instruments.outline_search import judged, rough_outlines, sharpened
 
 MOST_OVERLAP = 0.3  # of the smaller of two strips: those of more are one instrument
 DISTAL_WIDTHS = 4.5  # how far wrist and jaws reach beyond the end of the shaft, over its width there

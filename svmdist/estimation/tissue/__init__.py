@@ -1,0 +1,1 @@
+"""The tissue: where it lies, its surface by both views, its shape, and how it moves."""

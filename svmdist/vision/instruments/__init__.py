@@ -1,0 +1,1 @@
+"""Instruments without colours from the user: evidence, outlines, masks."""

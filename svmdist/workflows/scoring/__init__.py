@@ -1,0 +1,1 @@
+"""Scoring: estimates, ours or given, held against references, and their figures."""
