@@ -94,6 +94,19 @@ def panels(root: Path) -> Masked:
         yield np.ascontiguousarray(image), (classes == GRASPER_BGR).all(-1) | (classes == HOOK_BGR).all(-1)
 
 
+def _polygons(images: str, labels: str) -> Callable[[Path], Masked]:
+    """Images, given as a pattern, with outlines by labelme in a file of the same name, in a folder beside theirs."""
+
+    def read(root: Path) -> Masked:
+        for path in sorted(root.glob(images)):
+            outlines = json.loads((path.parent / labels / f"{path.stem}.json").read_text("utf-8"))["shapes"]
+            image = _read(path)
+            points = [one["points"] for one in outlines if len(one["points"]) > 2]
+            yield image, filled(points, (image.shape[0], image.shape[1]))
+
+    return read
+
+
 def _figure(root: Path) -> Masked:
     figure = _read(root / "images/grid-1-41.png")
     parts = (figure[195:377, 34:263, 2] > 127).astype(np.uint8)  # by black lines, which are closed here
@@ -126,6 +139,16 @@ SETS: dict[str, tuple[str, str, Callable[[Path], Masked]]] = {
         "luiscarlosgph/endotip",
         "box trainer, 980x988",
         _single("data/demo.jpg", "data/demo_seg.png", 127),
+    ),
+    "EndoVis 2015": (
+        "Warlord437/Surgical-Image-Segmentation",
+        "operations, 640x480",
+        _polygons("t*/img_*_raw.png", "."),
+    ),
+    "Cholec80": (
+        "labdeeman7/cholec_instance_seg",
+        "operation, 854x480",
+        _polygons("utilities/_sample_files/*/img_dir/*.png", "../ann_dir"),
     ),
 }
 """Each set's public repository, what it shows, and how its images are read from the folder of that repository."""
