@@ -34,6 +34,7 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
     masks = {
         kind: [labelled(folder, kind, one) for one in paths] for kind in ("toolmask", "MidLine", "Tooltip")
     }
+    labelled_end_px = [np.argwhere(mask).mean(0)[::-1] for mask in masks["Tooltip"]]
     end_m = profile.instrument.shaft_end_m or 0.0
     beside_px, turned_deg, end_px, on = [], [], [], []
     for row in rows:
@@ -45,13 +46,11 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
         beside_px.append(float(np.abs((shown - middle) @ [-along[1], along[0]]).mean()))
         cosine = abs(float((shown[-1] - shown[0]) @ along)) / float(np.linalg.norm(shown[-1] - shown[0]))
         turned_deg.append(float(np.degrees(np.arccos(min(1.0, cosine)))))
-        end_px.append(float(np.linalg.norm(shown[0] - np.argwhere(masks["Tooltip"][n]).mean(0)[::-1])))
+        end_px.append(float(np.linalg.norm(shown[0] - labelled_end_px[n])))
         seen, lit = masks["toolmask"][n], picture_of(pictures[n]) > 0
         on.append(common.on_instrument(pose, K, seen, profile.instrument.shaft_radius_m, lit | seen))
     found = peer.found(pictures, K, profile.instrument.shaft_radius_m)
-    ends = [
-        float(np.linalg.norm(rod.end_px - np.argwhere(masks["Tooltip"][n]).mean(0)[::-1])) for n, rod in found
-    ]
+    ends = [float(np.linalg.norm(rod.end_px - labelled_end_px[n])) for n, rod in found]
     count = f"{len(rows)}/{total}"
     yield common.Line("laparoscopy", "`shaft`", "mid-line", common.Figures(count, "px", beside_px, on))
     yield common.Line("laparoscopy", "`shaft`", "its direction", common.Figures(count, "°", turned_deg))
