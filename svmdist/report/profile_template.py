@@ -51,7 +51,7 @@ class InstrumentSizes(StrictModel):
             "knuckle_radius_m": 0.44 * radius_m,
             "jaw_radius_m": 0.22 * radius_m,
         }
-        sizes = ShaftSizes(Instrument.model_construct(**{**UNSTATED, **found}))
+        sizes = ShaftSizes(Instrument.model_construct(**{**UNSTATED, **found}), 0.0)
         found |= {"outline_end_m": sizes.outline_end_m, "outline_end_std_m": sizes.outline_end_std_m}
         return {key: value if isinstance(value, str) else f"{value:.2g}" for key, value in found.items()}
 

@@ -124,9 +124,10 @@ def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
         return
     if view.shaft.is_stub and view.distal_marker is not None:  # what ends there may be anything dark
         return
-    chain, sizes = arm.required_chain, ShaftSizes(instrument)
+    chain = arm.required_chain
     reach_m = float(np.linalg.norm(shaft_frames(chain, np.zeros(len(chain.joint_names)))[1][:3, 3]))
-    ahead_m, std_m = sizes.rim_ahead(view.shaft, arm.profile.settings.shaft.end_model_std_m, reach_m)
+    sizes = ShaftSizes(instrument, reach_m)
+    ahead_m, std_m = sizes.rim_ahead(view.shaft, arm.profile.settings.shaft.end_model_std_m)
     yield EndMeasurement(
         "end",
         axis.link,

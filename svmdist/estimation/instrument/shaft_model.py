@@ -30,9 +30,10 @@ CLEVIS_PER_RADIUS = 0.9
 
 @dataclass(frozen=True, slots=True)
 class ShaftSizes:
-    """The sizes of a shaft as the profile states them, or as others of its sizes suggest."""
+    """The sizes of a shaft as the profile states them, or as others suggest; `reach_m` is from hinge to tool."""
 
     instrument: Instrument
+    reach_m: float
 
     @property
     def radius_m(self) -> float:
@@ -68,17 +69,20 @@ class ShaftSizes:
     def with_likelier_end(self, seen: SeenInstrument, stated_std_m: float) -> SeenInstrument:
         """The instrument with the other one of its two ends, where these are not as far apart as shaft and wrist are.
 
-        What ends on a shaft without being its end is anywhere in the stretch that was searched.
+        What ends on a shaft without being its end is anywhere in the stretch that was searched. The outline is as
+        likely that of the wrist up to where it narrows as that of anything up to the jaws' tips.
         """
         if not 0.0 < seen.other_share < 1.0:
             return seen
         apart_m = abs(seen.other_px) / seen.width_px * 2.0 * self.radius_m
+        near_m = self.neck_m + self.outline_end_m
+        far_m = max(self.neck_m + self.reach_m + self.instrument.jaw_length_m, near_m)
         std_m = np.hypot(
             np.hypot(self.neck_std_m(stated_std_m), self.outline_end_std_m), FORESHORTENED * apart_m
         )
-        off = (apart_m - self.neck_m - self.outline_end_m) / std_m
-        anywhere = np.sqrt(2.0 * np.pi) * std_m / (LONGEST_WRIST * 2.0 * self.radius_m)
-        told = float(np.exp(-0.5 * off**2) / anywhere)
+        off = np.array([apart_m - near_m, max(0.0, apart_m - far_m)]) / std_m
+        spread_m = np.array([np.sqrt(2.0 * np.pi) * std_m, far_m])
+        told = LONGEST_WRIST * 2.0 * self.radius_m * float(np.mean(np.exp(-0.5 * off**2) / spread_m))
         own, other = 1.0 - seen.other_share, seen.other_share
         own, other = (own * told, other) if seen.ends_dark else (own, other * told)
         share = other / (own + other)
@@ -88,18 +92,18 @@ class ShaftSizes:
         moved = replace(seen, end_px=end_px, ends_dark=not seen.ends_dark)
         return replace(moved, other_px=-seen.other_px, other_share=1.0 - share)
 
-    def rim_ahead(self, shaft: ShaftDetection, stated_std_m: float, reach_m: float) -> tuple[float, float]:
+    def rim_ahead(self, shaft: ShaftDetection, stated_std_m: float) -> tuple[float, float]:
         """How far beyond the hinge a shaft's rim is, by all that it may be, and the deviation of that.
 
-        `reach_m` is from the hinge to the tool: wrist and jaws in line with a shaft look like more of it, so that an
-        outline beyond which nothing is seen may be that of anything up to their tips.
+        Wrist and jaws in line with a shaft look like more of it, so that an outline beyond which nothing is seen may be
+        that of anything up to their tips.
         """
         rim = shaft.rim
         assert rim is not None  # who asks has one
         dark = -self.neck_m, self.neck_std_m(stated_std_m)
         outline = self.outline_end_m, self.outline_end_std_m
         own, other = (outline, dark) if rim.is_outline else (dark, outline)
-        beyond_m = reach_m + self.instrument.jaw_length_m - own[0]
+        beyond_m = self.reach_m + self.instrument.jaw_length_m - own[0]
         is_tip = 1.0 - rim.narrows if rim.is_outline and shaft.wrist is None else 0.0
         share = np.array([(1.0 - rim.other_share) * (1.0 - is_tip), rim.other_share, 0.0])
         share[2] = 1.0 - share.sum()
@@ -130,15 +134,15 @@ class ShaftModel(ShaftSizes):
         R_camera_shaft = None
         if isinstance(robot, RobotState) and robot.T_camera_base is not None:
             R_camera_shaft = np.asarray((robot.T_camera_base @ T_base_shaft)[:3, :3])
-        return cls(instrument, q, T_base_shaft, T_shaft_tool, R_camera_shaft)
+        reach_m = float(np.linalg.norm(T_shaft_tool[:3, 3]))
+        return cls(instrument, reach_m, q, T_base_shaft, T_shaft_tool, R_camera_shaft)
 
     def wrist_shape(self, *, ends_dark: bool) -> WristShape:
         """What is to be seen beyond the end of the outline, or of the dark part, with the wrist straight."""
-        reach_m = float(np.linalg.norm(self.T_shaft_tool[:3, 3]))
         end_m, std_m = self.outline_end_m, self.outline_end_std_m
         if ends_dark:
             end_m, std_m = -self.neck_m, self.neck_std_m(0.0)
-        ahead_m, jaw_m = max(reach_m - end_m, 0.0), self.instrument.jaw_length_m
+        ahead_m, jaw_m = max(self.reach_m - end_m, 0.0), self.instrument.jaw_length_m
         length_m = ahead_m + jaw_m
         return WristShape(ahead_m / length_m, length_m / (2.0 * self.radius_m), std_m * jaw_m / length_m**2)
 
