@@ -88,7 +88,7 @@ class ShaftSettings(StrictModel):
     end_model_std_m: float = Field(default=0.0002, ge=0.0, lt=0.1)  # standard deviation of the end
     unknown_bend_rad: float = Field(default=0.8, gt=0.0, lt=3.2)
     """Standard deviation of the wrist's bend about each axis without joints: any bend within 1.4 rad is as likely."""
-    max_position_std_m: float = Field(default=0.02, gt=0.0, lt=1.0)
+    max_position_std_m: float = Field(default=0.015, gt=0.0, lt=1.0)
     """Along any direction up to 10 cm, in proportion beyond; a position less certain is no measurement."""
 
 
@@ -112,7 +112,7 @@ class StereoSettings(StrictModel):
     row_pairs: int = Field(default=4, ge=0, le=100)
     """Pairs of a log's beginning that the offset between the rows of both views is found from; 0: no offset."""
     max_row_offset_px: float = Field(default=8.0, gt=0.0, le=100.0)  # the largest such offset
-    max_depth_std_m: Positive = 0.02  # largest standard deviation up to 10 cm, in proportion beyond
+    max_depth_std_m: Positive = 0.008  # largest standard deviation up to 10 cm, in proportion beyond
 
 
 class TagSettings(StrictModel):
