@@ -22,8 +22,6 @@ from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import Status
 from svmdist.transforms import Array, inverse, skew
 
-BOUND_AT_M = 0.1  # from an endoscope to a tool at work
-
 
 class KinematicEstimator:
     """`--method kinematic`: nothing of the tool is taken from the image. Keeps the tissue's pose between frames."""
@@ -132,12 +130,8 @@ class FiducialEstimator:
 
 
 def uncertainty(pose: ToolPose, max_std_m: float) -> str:
-    """Why a position is too uncertain, by a bound that grows with the distance beyond `BOUND_AT_M`; empty if it is not.
-
-    What an image tells of depth is a share of it.
-    """
-    share = max(1.0, float(np.linalg.norm(pose.position_m)) / BOUND_AT_M)
-    is_known = pose.position_std_m <= share * max_std_m  # NaN is not
+    """Why a position is too uncertain; empty if it is not."""
+    is_known = pose.position_std_m <= max_std_m  # NaN is not
     return "" if is_known else f"the position is uncertain by {pose.position_std_m * 1e3:.1f} mm"
 
 

@@ -23,6 +23,8 @@ from svmdist.samples import Rejection, RightView, Status
 from svmdist.transforms import inverse
 from svmdist.vision.stereo import RectifiedPair
 
+BOUND_AT_M = 0.1  # from an endoscope to a tool at work
+
 
 def nominal_orientation_pose(
     markers: MarkerPair, pair: RectifiedPair, right: RightView, nominal: ToolPose, deviations: Deviations
@@ -98,7 +100,9 @@ class StereoEstimator:
             return Rejection(frame.stamp_ns, Status.NO_INSTRUMENT, found.reason)
         if found.doubt:
             return Rejection(frame.stamp_ns, Status.INCONSISTENT, found.doubt)
-        if said := uncertainty(found.pose, self._profile.stereo_in_range.max_depth_std_m):
+        # What a disparity tells of depth is a share of it.
+        share = max(1.0, float(np.linalg.norm(found.pose.position_m)) / BOUND_AT_M)
+        if said := uncertainty(found.pose, share * self._profile.stereo_in_range.max_depth_std_m):
             return Rejection(frame.stamp_ns, Status.UNCERTAIN, said)
         return found
 

@@ -25,7 +25,7 @@ from svmdist.estimation.instrument.measurement_kinds import (
     PoseMeasurement,
     SizeMeasurement,
 )
-from svmdist.estimation.instrument.shaft_model import ShaftSizes, shaft_frames
+from svmdist.estimation.instrument.shaft_model import JAW_TIP_STD, ShaftSizes, shaft_frames
 from svmdist.estimation.scene import Arm
 from svmdist.kinematics import DHChain, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
@@ -36,7 +36,6 @@ DISPARITY = "disparity"
 # Over the marker's radius and the light's angle in rad: geometry, half of √(1 - 0.97²), Lambert's dark limb; it lasts
 SHADING_BIAS = 0.12
 LASTING_SIZE = 0.75  # of the variance of the marker's radius: light and blood stay
-JAW_TIP_STD = 0.35  # of an outline's tip over the length of closed, straight jaws: they open and turn
 TOOL_SPEED_M_S = 0.05  # standard deviation along each axis: the tool stands elsewhere in a later view
 
 

@@ -24,6 +24,7 @@ from svmdist.vision.silhouette import WristShape
 FORESHORTENED = 0.15  # of a length along the shaft over its width: shafts are tilted by 30° or so
 OUTLINE_END_STD_RADII = 0.25  # of the cylinder's end in an outline: clevises differ, a bent wrist hides them
 UNKNOWN_END = 0.5  # deviation of the distance from hinge to the shaft's end where none is stated, over itself
+JAW_TIP_STD = 0.35  # of an outline's tip over the length of closed, straight jaws: they open and turn
 CLEVIS_PER_RADIUS = 0.9
 """The clevis of a da Vinci instrument of 8 mm reaches so far beyond the wrist's pitch axis, over the shaft's radius."""
 
@@ -70,19 +71,22 @@ class ShaftSizes:
         """The instrument with the other one of its two ends, where these are not as far apart as shaft and wrist are.
 
         What ends on a shaft without being its end is anywhere in the stretch that was searched. The outline is as
-        likely that of the wrist up to where it narrows as that of anything up to the jaws' tips.
+        likely that of the wrist, where it narrows, as that of straight jaws, at their tips.
         """
         if not 0.0 < seen.other_share < 1.0:
             return seen
         apart_m = abs(seen.other_px) / seen.width_px * 2.0 * self.radius_m
-        near_m = self.neck_m + self.outline_end_m
-        far_m = max(self.neck_m + self.reach_m + self.instrument.jaw_length_m, near_m)
-        std_m = np.hypot(
+        jaw_m = self.instrument.jaw_length_m
+        near_m, far_m = self.neck_m + self.outline_end_m, self.neck_m + self.reach_m + jaw_m
+        near_std_m = np.hypot(
             np.hypot(self.neck_std_m(stated_std_m), self.outline_end_std_m), FORESHORTENED * apart_m
         )
-        off = np.array([apart_m - near_m, max(0.0, apart_m - far_m)]) / std_m
-        spread_m = np.array([np.sqrt(2.0 * np.pi) * std_m, far_m])
-        told = LONGEST_WRIST * 2.0 * self.radius_m * float(np.mean(np.exp(-0.5 * off**2) / spread_m))
+        far_std_m = np.linalg.norm([near_std_m, JAW_TIP_STD * jaw_m, self.instrument.body_std_m])
+        std_m = np.array([near_std_m, far_std_m])
+        p = np.exp(-0.5 * ((apart_m - np.array([near_m, far_m])) / std_m) ** 2) / (
+            np.sqrt(2.0 * np.pi) * std_m
+        )
+        told = LONGEST_WRIST * 2.0 * self.radius_m * float(p.mean())
         own, other = 1.0 - seen.other_share, seen.other_share
         own, other = (own * told, other) if seen.ends_dark else (own, other * told)
         share = other / (own + other)
