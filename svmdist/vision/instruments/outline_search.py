@@ -145,9 +145,7 @@ LEAST_EVIDENCE = 0.47  # nearly all real instruments have more, and of glare, fa
 STEP_REACH_PX = 4  # from a side, where the steepest step across it is sought
 STRAIGHT_PX, STRAIGHT_WIDTHS = 1.5, 0.05
 """Of those steps off a common line, in px or over the width: of glare's jagged edge few are that near."""
-LEAST_NETWORK = (
-    1.0  # fascia, gauze and a drape at the border had 0.4 to 1.1, nine of ten shafts in operations more
-)
+LEAST_NETWORK = 1.0  # fascia, gauze and a drape at the border had 0.4 to 1.1, nine of ten true shafts more
 LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by chance
 
 
