@@ -145,6 +145,7 @@ LEAST_EVIDENCE = 0.47  # nearly all real instruments have more, and of glare, fa
 STEP_REACH_PX = 4  # from a side, where the steepest step across it is sought
 STRAIGHT_PX, STRAIGHT_WIDTHS = 1.5, 0.05
 """Of those steps off a common line, in px or over the width: of glare's jagged edge few are that near."""
+LEAST_NETWORK = 1.0  # fascia, gauze and a drape at the border had 0.4 to 1.1, nine of ten true shafts more
 LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by chance
 
 
@@ -153,6 +154,7 @@ class Judged:
     """Shares from 0 to 1: of the strip that is evidence, of what is beside that is not, of both sides with a step.
 
     `entering` is that of its third at the border which is not hidden: without it a wrist may pass for a shaft.
+    `network` is the mean of the network's log-odds between the sides.
     """
 
     inside: float
@@ -161,12 +163,13 @@ class Judged:
     length_px: float
     length_widths: float
     entering: float = 1.0
+    network: float = np.inf
 
     @property
     def is_accepted(self) -> bool:
         """Whether this is an instrument."""
         is_shaft = self.length_widths > LEAST_WIDTHS and self.length_px > LEAST_LENGTH_PX
-        is_shaft &= self.entering > 0.5
+        is_shaft &= self.entering > 0.5 and self.network > LEAST_NETWORK
         return is_shaft and self.inside > 0.75 and self.beside > 0.5 and self.evidence > LEAST_EVIDENCE
 
     @property
@@ -189,7 +192,11 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
     def odds_at(places: Array) -> tuple[Floats, NDArray[np.bool_]]:
         return sampled(evidence.odds, places), sampled(evidence.core, places, nearest=True) > 0
 
-    odds, seen = odds_at(outline.across(along, np.linspace(0.06, 0.94, 9)))
+    places = outline.across(along, np.linspace(0.06, 0.94, 9))
+    odds, seen = odds_at(places)
+    network = np.inf  # it is not asked
+    if evidence.settings.network_weight > 0.0 and seen.any():
+        network = float(sampled(evidence.scores[0], places)[seen].mean())
     inside = float((odds > 0.0)[seen].mean()) if seen.any() else 0.0
     free = []
     for side in (np.array([-0.15, -0.25, -0.35]), np.array([1.15, 1.25, 1.35])):
@@ -217,4 +224,5 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
         outline.length_px,
         outline.length_px / outline.width_px,
         float(shown[: STATIONS // 3].mean()),
+        network,
     )
