@@ -25,7 +25,7 @@ from svmdist.estimation.instrument.measurement_kinds import (
     PoseMeasurement,
     SizeMeasurement,
 )
-from svmdist.estimation.instrument.shaft_model import JAW_TIP_STD, ShaftSizes, shaft_frames
+from svmdist.estimation.instrument.shaft_model import JAW_TIP_STD, ShaftModel, shaft_frames
 from svmdist.estimation.scene import Arm
 from svmdist.kinematics import DHChain, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
@@ -123,9 +123,7 @@ def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
         return
     if view.shaft.is_stub and view.distal_marker is not None:  # what ends there may be anything dark
         return
-    chain = arm.required_chain
-    reach_m = float(np.linalg.norm(shaft_frames(chain, np.zeros(len(chain.joint_names)))[1][:3, 3]))
-    sizes = ShaftSizes(instrument, reach_m)
+    sizes = ShaftModel.of(Failure(""), arm.required_chain, instrument)
     ahead_m, std_m = sizes.rim_ahead(view.shaft, arm.profile.settings.shaft.end_model_std_m)
     yield EndMeasurement(
         "end",

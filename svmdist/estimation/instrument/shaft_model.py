@@ -46,6 +46,11 @@ class ShaftSizes:
         """From the hinge back to where the dark shaft ends."""
         return self.instrument.shaft_end_m or NECK_PER_RADIUS * self.instrument.wrist_radius_m
 
+    @property
+    def tip_m(self) -> float:
+        """From the hinge on to the tips of straight jaws."""
+        return self.reach_m + self.instrument.jaw_length_m
+
     def neck_std_m(self, stated_std_m: float) -> float:
         """How wrong that may be; `stated_std_m` is of a length that the profile gives without a deviation."""
         if (std_m := self.instrument.shaft_end_std_m) is not None:
@@ -76,12 +81,13 @@ class ShaftSizes:
         if not 0.0 < seen.other_share < 1.0:
             return seen
         apart_m = abs(seen.other_px) / seen.width_px * 2.0 * self.radius_m
-        jaw_m = self.instrument.jaw_length_m
-        near_m, far_m = self.neck_m + self.outline_end_m, self.neck_m + self.reach_m + jaw_m
+        near_m, far_m = self.neck_m + self.outline_end_m, self.neck_m + self.tip_m
         near_std_m = np.hypot(
             np.hypot(self.neck_std_m(stated_std_m), self.outline_end_std_m), FORESHORTENED * apart_m
         )
-        far_std_m = np.linalg.norm([near_std_m, JAW_TIP_STD * jaw_m, self.instrument.body_std_m])
+        far_std_m = np.linalg.norm(
+            [near_std_m, JAW_TIP_STD * self.instrument.jaw_length_m, self.instrument.body_std_m]
+        )
         std_m = np.array([near_std_m, far_std_m])
         p = np.exp(-0.5 * ((apart_m - np.array([near_m, far_m])) / std_m) ** 2) / (
             np.sqrt(2.0 * np.pi) * std_m
@@ -107,7 +113,7 @@ class ShaftSizes:
         dark = -self.neck_m, self.neck_std_m(stated_std_m)
         outline = self.outline_end_m, self.outline_end_std_m
         own, other = (outline, dark) if rim.is_outline else (dark, outline)
-        beyond_m = self.reach_m + self.instrument.jaw_length_m - own[0]
+        beyond_m = self.tip_m - own[0]
         is_tip = 1.0 - rim.narrows if rim.is_outline and shaft.wrist is None else 0.0
         share = np.array([(1.0 - rim.other_share) * (1.0 - is_tip), rim.other_share, 0.0])
         share[2] = 1.0 - share.sum()
