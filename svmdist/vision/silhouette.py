@@ -229,10 +229,13 @@ def find_silhouette(
     apart_px = max(places) - min(places)
     agree = apart_px <= ENDS_AGREE_WIDTHS * width_px
     place = float(np.mean(places)) if agree else max(places)
-    middle_px = 0.5 * (first.end_px + second.end_px)
-    end_px = middle_px + (place - float(middle_px @ along)) * along
     std_px = MIN_END_STD_WIDTHS * width_px + ENDS_APART * (apart_px if len(places) == 2 else width_px)
     std_px = max(std_px, 0.0 if found else seen.end_std_px)
+    # Sharp edges stop where steel begins, evidence may go on along the wrist: the end is anywhere between.
+    half_px = 0.5 * max(float(seen.end_px @ along) - place, 0.0)
+    std_px = float(np.hypot(std_px, FROM_ONE_END * half_px))
+    middle_px = 0.5 * (first.end_px + second.end_px)
+    end_px = middle_px + (place + half_px - float(middle_px @ along)) * along
     point = _wrist_point(bgr, seen.mask, end_px, along, width_px, wrist)
     narrows = _goes_on(seen, end_px, along, width_px)
     return Silhouette((first, second), end_px, std_px, point, True, seen.other_px, seen.other_share, narrows)

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from benchmarks.masks import iou
+from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
-from svmdist.vision.instruments.evidence import picture_of
-from svmdist.vision.instruments.find_instruments import AutoSegmenter
+from svmdist.vision.instruments.evidence import Evidence, picture_of
+from svmdist.vision.instruments.find_instruments import AutoSegmenter, SeenInstrument
 from svmdist.vision.silhouette import WristShape, find_silhouette
 from tests.pictures import BORDERS, surgery_image
 
@@ -45,6 +46,36 @@ def test_the_picture_inside_its_border(border):
         assert masks.shaft is not None
         assert not (masks.shaft[outside] > 0).any()
         assert not (masks.tissue[outside] > 0).any()
+
+
+def test_instruments_come_in_where_light_ends():
+    """Between the black border and the light there is picture, too dark to show a shaft: none comes in behind it."""
+    bgr = np.zeros((240, 320, 3), np.uint8)
+    for axes, level in (((150, 110), 14), ((110, 80), 120)):
+        cv2.ellipse(bgr, (160, 120), axes, 0.0, 0, 360, (level, level, level), cv2.FILLED)
+    image = Evidence(bgr, AutoSettings())
+    assert iou(image.picture > 0, bgr[..., 0] > 0) > 0.97
+    assert iou(image.core > 0, cv2.erode(bgr[..., 0], np.ones((5, 5), np.uint8)) > 60) > 0.97
+
+
+def test_the_end_is_between_that_of_edges_and_that_of_evidence():
+    """A wrist as bright as what is behind it has no edges; a shaft's end may be where these stop, or beyond."""
+    bgr = np.full((240, 320, 3), 120, np.uint8)
+    bgr[100:140, :200] = 30
+    mask = np.zeros((240, 320), np.bool_)
+    mask[100:140, :230] = True
+    sides = np.array([[[0.0, 99.5], [230.0, 99.5]], [[0.0, 139.5], [230.0, 139.5]]])
+    found = [
+        find_silhouette(bgr, seen, None, WristShape(0.3, 2.0))
+        for end in (200.0, 230.0)
+        for seen in [
+            SeenInstrument(mask, (240, 320), sides, np.array([end, 119.5]), 1.0, end_std_px=2.0, pixel_px=1.0)
+        ]
+    ]
+    (at_edges, beyond) = (one for one in found if one is not None and one.end_px is not None)
+    assert at_edges.end_px[0] == pytest.approx(200.0, abs=2.0)
+    assert beyond.end_px[0] == pytest.approx(215.0, abs=2.0)
+    assert abs(beyond.end_px[0] - 200.0) < 2.0 * beyond.std_px
 
 
 def test_sides_run_along_the_outline():

@@ -20,6 +20,9 @@ from svmdist.vision.network import OnnxSegmenter
 BORDER_LEVELS = 6.0
 BORDER_FLOOR_LEVEL = 10.0  # what is darker than this is border, whatever the darkest thing is
 BORDER_SHARE = 0.005  # of all pixels, that are no brighter than the darkest things
+LIT_LEVELS = (
+    18.0  # the same of what light reaches: in the dark before a border a shaft is as dark as all else
+)
 BORDER_FRACTION = 0.4  # of the picture's median; a border is darker, though haze may lift it
 # Added to levels before their logarithm is taken: noise of one or two levels must not be a colour
 LEVEL_OFFSET = 8.0
@@ -60,8 +63,9 @@ class Evidence:
 
     @cached_property
     def core(self) -> Image:
-        """The picture without its outermost 2 px, where the optics fade."""
-        return np.asarray(cv2.erode(self.picture, SQUARE_5, borderValue=0), np.uint8)
+        """What light reaches of the picture, without its outermost 2 px, where the optics fade."""
+        lit = picture_of(self.bgr, LIT_LEVELS) & self.picture
+        return np.asarray(cv2.erode(lit, SQUARE_5, borderValue=0), np.uint8)
 
     @cached_property
     def bgr_float(self) -> Floats:
@@ -130,13 +134,16 @@ def _network() -> OnnxSegmenter:
     return OnnxSegmenter(OnnxSegmentation.model_validate({"method": "onnx", "model": SHIPPED}))
 
 
-def picture_of(bgr: Image) -> Image:
-    """Mask, shape (h, w), of the picture inside its border, whatever its shape; all of an image without a border."""
+def picture_of(bgr: Image, border_levels: float = BORDER_LEVELS) -> Image:
+    """Mask, shape (h, w), of the picture inside its border, whatever its shape; all of an image without a border.
+
+    The border is no brighter than the darkest things by more than `border_levels`.
+    """
     blue, green, red = cv2.split(bgr)  # NumPy's maximum along the short axis takes twenty times as long
     value = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
     counts = np.cumsum(np.bincount(value.ravel(), minlength=256))
     floor = int(np.searchsorted(counts, BORDER_SHARE * counts[-1]))
-    level = max(floor + BORDER_LEVELS, BORDER_FLOOR_LEVEL)
+    level = max(floor + border_levels, BORDER_FLOOR_LEVEL)
     whole = np.full(bgr.shape[:2], 255, np.uint8)
     dark = counts[int(level)]
     median = int(np.searchsorted(counts, 0.5 * (dark + counts[-1])))
