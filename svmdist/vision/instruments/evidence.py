@@ -53,13 +53,18 @@ class Evidence:
         self.bgr = np.asarray(cv2.resize(bgr, size, interpolation=how), np.uint8)
         self.picture = picture_of(self.bgr)
         self._appearance = appearance
-        self.hidden = np.zeros_like(self.picture)
+        self.hidden, self.hides = np.zeros_like(self.picture), False
 
     def hide(self, mask: Image) -> None:
         """Take what is marked in the image, shape (h, w), for nothing: neither its colours nor its borders tell."""
         size = self.picture.shape[::-1]
         smaller = cv2.resize(mask, size, interpolation=cv2.INTER_AREA)
         self.hidden |= np.where(smaller > 0, 255, 0).astype(np.uint8)
+        self.hides = True
+
+    def learn(self, appearance: Appearance | None) -> None:
+        """Take colours for what they were in other images, before anything is sought."""
+        self._appearance = appearance
 
     @cached_property
     def core(self) -> Image:

@@ -107,9 +107,9 @@ class Outline:
         ends = np.array([start_px, end_px])
         share = ends / max(self.length_px, 1e-9)
         J = np.stack([1.0 - share, share], -1)
-        others = [None if one is None else one - start_px for one in (self.end_px, self.whole_px)]
-        cut = replace(self, sides=self.at(ends), covariance=J @ self.covariance @ J.T)
-        return replace(cut, end_px=others[0], whole_px=others[1])
+        end, whole = (None if one is None else one - start_px for one in (self.end_px, self.whole_px))
+        covariance = J @ self.covariance @ J.T
+        return replace(self, sides=self.at(ends), covariance=covariance, end_px=end, whole_px=whole)
 
     @property
     def whole(self) -> Outline:
@@ -163,7 +163,8 @@ def _strips(clipped: Floats, core: Image, entry: Array, reach_px: float) -> Iter
         np.arange(2.0, START_LENGTHS[-1] * width, ALONG_PX),
         np.arange(-reach_px, reach_px + 1.0, ACROSS_PX),
     )
-    places = entry + along[None, :, None, None] * u[:, None, None] + off[:, None] * normal[:, None, None]
+    lines = (entry + off[:, None] * normal[:, None]).astype(np.float32)  # (angles, off, 2)
+    places = lines[:, None] + (along[None, :, None, None] * u[:, None, None]).astype(np.float32)
     total = np.cumsum(sampled(clipped, places), axis=1)  # (angles, along, off)
     best: list[tuple[float, int, int, int, int]] = []
     for length in START_LENGTHS:
@@ -190,7 +191,7 @@ def _strips(clipped: Floats, core: Image, entry: Array, reach_px: float) -> Iter
 def from_border(outline: Outline, evidence: Evidence) -> Outline | None:
     """The outline from where its axis comes into the picture; None where that is not in view."""
     end_px = outline.length_px
-    along = np.arange(end_px, end_px - 2.0 * max(evidence.core.shape), -1.0)
+    along = np.arange(end_px, end_px - 1.0 - float(np.hypot(*evidence.core.shape)), -1.0)
     seen = sampled(evidence.core, outline.across(along, np.array([0.5])), nearest=True)[:, 0] > 0
     first = int(np.argmax(seen))
     if not seen[first]:

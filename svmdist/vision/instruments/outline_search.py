@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.least_squares import median
 from svmdist.transforms import Array
 from svmdist.vision.instruments.evidence import Evidence, Floats
 from svmdist.vision.instruments.outline import (
@@ -27,6 +28,7 @@ MARGINS = np.array(
     [0.08, 0.14, 0.20, 0.26, 0.74, 0.80, 0.86, 0.92]
 )  # over the width, where wrists are narrower
 MIDDLE = np.linspace(0.2, 0.8, 5)
+WITHIN = np.linspace(0.06, 0.94, 9)
 LEAST_LENGTH = 0.8  # over the width, that a fit keeps of a shaft
 MOST_MARGIN = 3.0  # odds of a margin
 LONGEST_WRIST = 6.0  # of wrist and jaws as wide as the shaft, over its width: closed ones of 20 mm on 5 mm
@@ -67,8 +69,9 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
     is_instrument = 1.0 / (1.0 + np.exp(-sampled(evidence.odds, middle).mean(1)))
     # What comes in is surely shaft: half of its own log-odds are no more than the image's.
     part = sampled(evidence.scores[1], middle).mean(1)
-    part -= 0.5 * max(float(np.median(part[: 1 + int(0.5 * (outline_ends @ along))])), 0.0)
-    part[sampled(evidence.hidden, middle, nearest=True).max(1) > 0] = 0.0
+    part -= 0.5 * max(median(part[: 1 + int(0.5 * (outline_ends @ along))]), 0.0)
+    if evidence.hides:
+        part[sampled(evidence.hidden, middle, nearest=True).max(1) > 0] = 0.0
     parts = np.cumsum(is_instrument * np.clip(part, -MOST_PART, MOST_PART)) / (PART_WIDTHS * outline.width_px)
     log_p = np.log(possible + 1e-30) + parts + _material(outline, middle, evidence)
     log_p[along < min(LEAST_LENGTH * outline.width_px, along[-1] - 2.0)] = -np.inf
@@ -106,8 +109,10 @@ def _material(outline: Outline, middle: Array, evidence: Evidence) -> Array:
     step -= (total[at] - total[before]) / np.maximum(at - before, 1)[:, None]
     change = np.sqrt((step**2).sum(1))
     change[(at < half) | (at > count - half)] = 0.0
-    hidden = np.cumsum(np.append(0.0, sampled(evidence.hidden, middle, nearest=True).max(1)))
-    is_hidden = hidden[after] > hidden[before]
+    is_hidden = np.zeros(count, np.bool_)
+    if evidence.hides:
+        hidden = np.cumsum(np.append(0.0, sampled(evidence.hidden, middle, nearest=True).max(1)))
+        is_hidden = hidden[after] > hidden[before]
     change[is_hidden] = 0.0
     odds = MATERIAL_WEIGHT * np.log1p((change / MATERIAL_STEP) ** 2)
     odds *= min(1.0, MOST_MATERIAL / max(float(odds.max()), 1e-9))
@@ -119,13 +124,14 @@ def rough_outlines(evidence: Evidence, strips: Iterable[Outline] | None = None) 
     found: list[tuple[float, Outline]] = []
     for strip in starts(evidence) if strips is None else strips:
         outline = from_border(strip, evidence)
-        if outline is not None:
+        if outline is not None and judged_by_network(outline, evidence) > LEAST_STRIP_NETWORK:
             outline = fitted(ended(outline, evidence), evidence, *SCALES[0])
-        if outline is not None:
+            if outline is None:
+                continue
             outline = ended(outline, evidence)
-            score = judged(outline, evidence).evidence
-            if score > LEAST_ROUGH_EVIDENCE:
-                found.append((score * np.sqrt(outline.length_px * outline.width_px), outline))
+            score = judged(outline, evidence)
+            if score.evidence > LEAST_ROUGH_EVIDENCE and score.network > LEAST_ROUGH_NETWORK:
+                found.append((score.evidence * np.sqrt(outline.length_px * outline.width_px), outline))
     return [outline for _, outline in sorted(found, key=lambda one: -one[0])]
 
 
@@ -146,6 +152,8 @@ STEP_REACH_PX = 4  # from a side, where the steepest step across it is sought
 STRAIGHT_PX, STRAIGHT_WIDTHS = 1.5, 0.05
 """Of those steps off a common line, in px or over the width: of glare's jagged edge few are that near."""
 LEAST_NETWORK = 1.0  # fascia, gauze and a drape at the border had 0.4 to 1.1, nine of ten true shafts more
+LEAST_STRIP_NETWORK, LEAST_ROUGH_NETWORK = -0.5, 0.5
+"""Those of what becomes a shaft are more, those of half of the rest less."""
 LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by chance
 
 
@@ -183,6 +191,15 @@ class Judged:
         )
 
 
+def judged_by_network(outline: Outline, evidence: Evidence) -> float:
+    """The mean of the network's log-odds between the sides; infinite where it is not asked, or nothing is seen."""
+    places = outline.across(np.linspace(0.03, 0.97, STATIONS) * outline.length_px, WITHIN)
+    seen = sampled(evidence.core, places, nearest=True) > 0
+    if evidence.settings.network_weight == 0.0 or not seen.any():
+        return np.inf
+    return float(sampled(evidence.scores[0], places)[seen].mean())
+
+
 def judged(outline: Outline, evidence: Evidence) -> Judged:
     """What evidence and image say of an outline, as far as it goes: a part of anything may be straight."""
     outline = outline.whole
@@ -192,11 +209,7 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
     def odds_at(places: Array) -> tuple[Floats, NDArray[np.bool_]]:
         return sampled(evidence.odds, places), sampled(evidence.core, places, nearest=True) > 0
 
-    places = outline.across(along, np.linspace(0.06, 0.94, 9))
-    odds, seen = odds_at(places)
-    network = np.inf  # it is not asked
-    if evidence.settings.network_weight > 0.0 and seen.any():
-        network = float(sampled(evidence.scores[0], places)[seen].mean())
+    odds, seen = odds_at(outline.across(along, WITHIN))
     inside = float((odds > 0.0)[seen].mean()) if seen.any() else 0.0
     free = []
     for side in (np.array([-0.15, -0.25, -0.35]), np.array([1.15, 1.25, 1.35])):
@@ -224,5 +237,5 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
         outline.length_px,
         outline.length_px / outline.width_px,
         float(shown[: STATIONS // 3].mean()),
-        network,
+        judged_by_network(outline, evidence),
     )
