@@ -25,6 +25,7 @@ from benchmarks.generated_pages import table_row
 from svmdist.profile.segmentation import INSTRUMENTS, OnnxSegmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
+from svmdist.vision.instruments.evidence import BINS, Appearance
 from svmdist.vision.instruments.find_instruments import AutoSegmenter
 from svmdist.vision.network import OnnxSegmenter
 from svmdist.vision.segmentation import Segmenter
@@ -166,6 +167,7 @@ def _segmenters(images: Sequence[Image]) -> dict[str, Segmenter]:
     for name, settings in (("`auto`", {}), ("`auto` without the network", {"network_weight": 0.0})):
         auto = AutoSegmenter(AutoSettings.model_validate(settings))
         found[name] = auto.adapted_to(images) if len(images) > 1 else auto
+    found["`auto` without colours"] = AutoSegmenter(AutoSettings(), Appearance(np.zeros(BINS, np.float32)))
     for name, from_border in (("network", False), ("network, from the border", True)):
         rules = {**INSTRUMENTS, "method": "onnx", "model": "svmdist:instruments", "from_border": from_border}
         found[name] = OnnxSegmenter(OnnxSegmentation.model_validate(rules))

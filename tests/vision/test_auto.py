@@ -109,6 +109,22 @@ def test_sides_without_an_edge_are_those_of_no_shaft():
     assert told >= 6
 
 
+def test_instruments_without_a_straight_shaft_are_no_tissue():
+    """What hangs in the middle of a picture comes in from nowhere: there is no shaft to measure, but no tissue."""
+    covered = []
+    for seed in range(6):
+        one, bare = surgery_image(seed, count=1), surgery_image(seed, count=0)
+        inner = cv2.erode(one.picture, np.ones((91, 91), np.uint8), borderValue=0) > 0
+        floating = inner & (one.instruments > 0)
+        masks = AutoSegmenter().masks(np.where(floating[..., None], one.bgr, bare.bgr))
+        if masks.seen or np.count_nonzero(floating) < 0.01 * floating.size:
+            continue
+        covered.append(float((masks.instrument[floating] > 0).mean()))
+        assert not (masks.tissue & masks.instrument).any()
+    assert len(covered) >= 3
+    assert np.median(covered) > 0.7
+
+
 def test_what_was_seen_is_found_again_where_it_was():
     """Of sides a fifth of the width beside it the same instrument is found, once; in bare tissue none."""
     one, bare = surgery_image(1, count=1), surgery_image(1, count=0)

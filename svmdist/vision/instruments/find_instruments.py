@@ -22,13 +22,14 @@ from svmdist.vision.instruments.evidence import (
     tissue_of,
 )
 from svmdist.vision.instruments.outline import Outline
-from svmdist.vision.instruments.outline_search import judged, rough_outlines, sharpened
+from svmdist.vision.instruments.outline_search import LEAST_NETWORK, judged, rough_outlines, sharpened
 
 MOST_OVERLAP = 0.3  # of the smaller of two strips: those of more are one instrument
 DISTAL_WIDTHS = 4.5  # how far wrist and jaws reach beyond the end of the shaft, over its width there
 DISTAL_HALF_WIDTHS = 1.3  # how far they reach to either side of its axis, over its width
 BESIDE_WIDTHS = 0.08  # how far evidence beside a side is still that of the shaft, over its width
 NEAR_PX = 9  # what is so near to an instrument in the working image teaches nothing of the background
+SURE = 2.0  # odds of a pixel of an instrument that shows no straight shaft
 MOST_HOLE = 0.003  # of the picture: glare and blood; through a larger hole tissue is seen
 
 Mask = NDArray[np.bool_]
@@ -107,12 +108,25 @@ def _without_holes(mask: Mask, most_px: float) -> Mask:
     return np.asarray(mask | np.isin(labels, small))
 
 
+def sure_parts(evidence: Evidence) -> Mask:
+    """Connected parts of a working image, shape (h, w), that are instrument for sure, whatever their shape."""
+    sure = np.asarray((evidence.odds > SURE) & (evidence.core > 0), np.uint8)
+    sure = np.asarray(cv2.morphologyEx(sure, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
+    count, parts, statistics, _ = cv2.connectedComponentsWithStats(sure)
+    area = statistics[:, cv2.CC_STAT_AREA]
+    network = np.bincount(parts.ravel(), evidence.scores[0].ravel(), count) / np.maximum(area, 1)
+    kept = (network > LEAST_NETWORK) & (area > evidence.settings.least_area * cv2.countNonZero(evidence.core))
+    kept[0] = False
+    return np.asarray(kept[parts])
+
+
 def learnt_appearance(bgrs: Sequence[Image], settings: AutoSettings) -> Appearance | None:
     """What instruments look like in images of one log, (h, w, 3) each; None where none of them shows one for sure."""
-    first = learnt_from([Evidence(bgr, settings).example for bgr in bgrs])
+    every = [Evidence(bgr, settings) for bgr in bgrs]
+    first = learnt_from([evidence.example for evidence in every])
     examples = []
-    for bgr in bgrs:
-        evidence = Evidence(bgr, settings, first)
+    for evidence in every:
+        evidence.learn(first)
         if found := find_instruments(evidence):
             examples.append(_example(evidence, found))
     return learnt_from(examples) or first
@@ -243,6 +257,11 @@ class AutoMasks:
                 self.__dict__.pop(name, None)
 
     @cached_property
+    def _others(self) -> Image:
+        """Instruments without a straight shaft: parts that network and colours together are sure of, shape (h, w)."""
+        return _enlarged(255 * sure_parts(self._evidence).astype(np.uint8), self._evidence.size)
+
+    @cached_property
     def picture(self) -> Image:
         """What of the image is picture: not the black border around it."""
         return _enlarged(self._evidence.picture, self._evidence.size)
@@ -251,12 +270,15 @@ class AutoMasks:
     def tissue(self) -> Image:
         """What of the picture is no instrument, or the red part of that where it is distinct."""
         tissue = _enlarged(tissue_of(self._evidence), self._evidence.size)
-        return tissue & ~self._union([one.mask for one in self.seen])
+        return tissue & ~self._union([self._others, *(one.mask for one in self.seen)])
 
     @cached_property
     def instrument(self) -> Image:
-        """Wrists and jaws of all instruments: what is beyond the end of each shaft."""
-        return self._union([one.distal for one in self.seen])
+        """Wrists and jaws of all instruments, beyond the end of each shaft, and instruments without a straight one."""
+        others = np.asarray(
+            cv2.subtract(self._others, self._union([one.mask for one in self.seen])), np.uint8
+        )
+        return self._union([others, *(one.distal for one in self.seen)])
 
     @cached_property
     def shaft(self) -> Image | None:
