@@ -1,4 +1,4 @@
-"""IoU of instruments on public images with masks: `auto` and the network that ships, side by side.
+"""IoU of instruments on public images with masks: `auto`, with and without colours, and the network that ships.
 
 `uv run python -m benchmarks.masks FOLDER [--renders N]` runs on whatever of the sets is in FOLDER (`git clone` of the
 repositories in SETS), and on N pictures that are drawn as those of the training are, with other seeds. It prints
@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from benchmarks.generated_pages import table_row
 from svmdist.profile.segmentation import INSTRUMENTS, OnnxSegmentation
-from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.vision.instruments.evidence import BINS, Appearance
 from svmdist.vision.instruments.find_instruments import AutoSegmenter
@@ -164,10 +163,9 @@ def instruments_of(segmenter: Segmenter, bgr: Image) -> Mask:
 def _segmenters(images: Sequence[Image]) -> dict[str, Segmenter]:
     """What segments the images of one set, as it would those of one log."""
     found: dict[str, Segmenter] = {}
-    for name, settings in (("`auto`", {}), ("`auto` without the network", {"network_weight": 0.0})):
-        auto = AutoSegmenter(AutoSettings.model_validate(settings))
-        found[name] = auto.adapted_to(images) if len(images) > 1 else auto
-    found["`auto` without colours"] = AutoSegmenter(AutoSettings(), Appearance(np.zeros(BINS, np.float32)))
+    auto, no_colours = AutoSegmenter(), Appearance(np.zeros(BINS, np.float32))
+    found["`auto`"] = auto.adapted_to(images) if len(images) > 1 else auto
+    found["without colours"] = AutoSegmenter(appearance=no_colours)
     for name, from_border in (("network", False), ("network, from the border", True)):
         rules = {**INSTRUMENTS, "method": "onnx", "model": "svmdist:instruments", "from_border": from_border}
         found[name] = OnnxSegmenter(OnnxSegmentation.model_validate(rules))
