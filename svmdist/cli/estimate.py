@@ -134,7 +134,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         return run.exit_code() or code
 
     def _say_next(self, endings: Mapping[str, Ending], request: Request) -> None:
-        """Log the smallest clearance, and the command that shows it; of what was not found, what was segmented."""
+        """Log the smallest clearance, and the command that shows it; without any, the one that says why."""
         from svmdist.profile import DEFAULT_PROFILE
 
         reading = ["--profile", self.profile] if self.profile != DEFAULT_PROFILE else []
@@ -149,10 +149,12 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
             return
         statuses = set().union(*(ending.statuses for ending in endings.values()))
         for path in list(endings)[:1]:
+            command = ["info", path]  # says what each method lacks
             if statuses & UNSEEN:
-                LOG.info("next: %s", next_command("show", path, "--masks", *reading))
+                command = ["show", path, "--masks"]
             elif statuses & DOUBTED:
-                LOG.info("next: %s", next_command("check", path, *reading))
+                command = ["check", path]
+            LOG.info("next: %s", next_command(*command, *reading))
 
     def _require_one_kind(self, writer: Writer) -> None:
         """Raise UsageError where a file of images or a report is asked for, and something else, too."""

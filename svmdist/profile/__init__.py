@@ -12,6 +12,7 @@ from typing import Any
 from pydantic import Field, model_validator
 
 from svmdist.errors import ProfileError, UsageError, did_you_mean
+from svmdist.files import nearest_file
 from svmdist.profile import robot as parts
 from svmdist.profile.hand_eye import HandEye, HandEyeFile, NamedHandEye, load_hand_eye, with_hand_eye
 from svmdist.profile.segmentation import AnySegmentation, AutoSegmentation, ColourRegion
@@ -261,4 +262,9 @@ def profile_path(name_or_path: str | Path) -> Path:
     if not path.suffix and not os.path.exists(path):
         known = did_you_mean(text, shipped_profiles())
         raise ProfileError(f"no profile named {text}: {known}; or give a path to a .toml")
+    if not os.path.lexists(path):
+        near = nearest_file(path)
+        raise ProfileError(
+            f"{path}: no such file{near or f'; `svmdist profile new LOG -o {path}` writes one'}"
+        )
     return path

@@ -134,7 +134,7 @@ def method_capabilities(
 def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup, ...]:
     """Those setups that a log can serve; the others are remarked, with their reasons.
 
-    Raises RecordingError where there is none.
+    Raises RecordingError where there is none, and where the log is another one than the default profile's.
     """
     profile, topics = setups[0].profile, recording.origin.topics
     summary = inspect_recording(recording.path, profile, topics=topics, head_s=HEAD_S)
@@ -151,6 +151,8 @@ def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup,
             reasons.append(f"{setup.method}: {str(problem).removeprefix(f'{recording.name}: ')}")
         else:
             left += (setup,)
+    if reasons and (misfit := _misfit(summary, profile)):
+        raise RecordingError(f"{summary.path}: {misfit}")
     if not left:
         raise RecordingError(
             f"no method can measure this log with profile {profile.name}: {'. '.join(reasons)}"

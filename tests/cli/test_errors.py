@@ -110,6 +110,13 @@ ERRORS = [
     ("estimate small.mcap --method overlay", 1, "320x240"),
     ("estimate red\x1b[31m.mcap", 1, "red\N{REPLACEMENT CHARACTER}[31m.mcap: is not a recording"),
     ("estimate log.mcap --profile key.toml", 1, "key.toml: unknown key segmentation.tissue.min_aera_px"),
+    (
+        "estimate log.mcap --profile none.toml",
+        1,
+        "no such file; `svmdist profile new LOG -o none.toml` writes",
+    ),
+    ("estimate log.mcap --profile sizeles.toml", 1, "no such file: did you mean sizeless.toml?"),
+    ("compare foreign.mcap", 1, "foreign.mcap: not a log of profile psm13, the simulator's: write one with"),
     ("estimate log.mcap --method overlay --profile uncalibrated.toml", 1, "svmdist calibrate"),
     ("profile new junk.mcap", 1, "junk.mcap"),
     ("profile new none.mcap", 1, "none.mcap"),
@@ -144,6 +151,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("errors")
     write_log(made / "log.mcap", frame_count=6)
     write_log(made / "two.mcap", frame_count=1)
+    write_log(made / "foreign.mcap", frame_count=2, change=without("PSM1"))
     write_log(made / "blind.mcap", frame_count=3, change=without("image"))
     write_log(made / "small.mcap", make_scene(320, 240), frame_count=3)
     (made / "junk.mcap").write_text("junk")
@@ -183,10 +191,13 @@ def test_lengths_have_a_unit():
     [("fused", "no_joints (no joints near the image)"), ("stereo", "no_stereo (no right view)")],
 )
 def test_a_method_says_what_the_log_lacks(cli, tmp_path, method, said):
-    """Frames without what a method needs are rows with a reason and its detail, and the last line has both."""
+    """Frames without what a method needs are rows with a reason, the last but one line has it, and then `info`."""
     path = write_log(tmp_path / "still.mcap", frame_count=3, change=without("PSM1"))
     outcome = cli("estimate", path, "--method", method, "-f", "csv", code=1)  # nothing was measured
-    assert outcome.line == f"svmdist: 0 of 3 frames measured (0.0%); 3 {said}"
+    assert outcome.err.splitlines() == [
+        f"svmdist: 0 of 3 frames measured (0.0%); 3 {said}",
+        f"svmdist: next: svmdist info {path}",
+    ]
     assert [f"{row['status']} ({row['detail']})" for row in outcome.rows] == [said] * 3
 
 
@@ -221,7 +232,7 @@ def test_joints_where_no_joint_can_be(cli, tmp_path, place_m):
 
     path = write_log(tmp_path / "far.mcap", frame_count=3, change=far_away)
     for method in ("kinematic", "fused"):
-        line = cli("estimate", path, "--method", method, "-f", "csv", code=1).line
+        line, _ = cli("estimate", path, "--method", method, "-f", "csv", code=1).err.splitlines()
         assert line.startswith("svmdist: 0 of 3 frames measured (0.0%); 3 no_joints (joint insertion is at ")
 
 

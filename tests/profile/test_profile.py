@@ -174,7 +174,11 @@ def test_a_rotation_of_the_tool_becomes_a_transform(tmp_path):
             b"schema = 1\nmethod = 2\nx = 3",
             "not a profile file: expected the keys .* found 'schema', 'method'",
         ),
-        ("none.toml", None, r"none\.toml: cannot read: No such file"),
+        (
+            "none.toml",
+            None,
+            r"none\.toml: no such file; `svmdist profile new LOG -o \S+none\.toml` writes one",
+        ),
         ("", None, "cannot read: Is a directory"),
         ("a.toml", b'name = "x"\nhue = [1, = 2]\n', r"a\.toml: not a TOML file: .*line 2, column 11"),
         ("a.toml", 'name = "Ger\xe4t"'.encode("latin-1"), r"a\.toml: not a TOML file: byte 11 is not UTF-8"),
