@@ -191,7 +191,7 @@ def _strips(clipped: Floats, core: Image, entry: Array, reach_px: float) -> Iter
 def from_border(outline: Outline, evidence: Evidence) -> Outline | None:
     """The outline from where its axis comes into the picture; None where that is not in view."""
     end_px = outline.length_px
-    along = np.arange(end_px, end_px - 1.0 - float(np.hypot(*evidence.core.shape)), -1.0)
+    along = np.arange(end_px, end_px - 2.0 * max(evidence.core.shape), -1.0)
     seen = sampled(evidence.core, outline.across(along, np.array([0.5])), nearest=True)[:, 0] > 0
     first = int(np.argmax(seen))
     if not seen[first]:
