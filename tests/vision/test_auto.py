@@ -7,8 +7,10 @@ import pytest
 from benchmarks.masks import iou
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
-from svmdist.vision.instruments.evidence import Evidence, picture_of
+from svmdist.vision.instruments.evidence import BINS, Appearance, Evidence, picture_of
 from svmdist.vision.instruments.find_instruments import AutoSegmenter, SeenInstrument
+from svmdist.vision.instruments.outline import Outline
+from svmdist.vision.instruments.outline_search import judged
 from svmdist.vision.silhouette import WristShape, find_silhouette
 from tests.pictures import BORDERS, surgery_image
 
@@ -137,6 +139,24 @@ def test_what_was_seen_is_found_again_where_it_was():
         without.seek(sides)
     assert [iou(found.mask > 0, seen.mask > 0) > 0.9 for found in again.seen] == [True]
     assert without.seen == ()
+
+
+def test_a_shaft_is_instrument_along_both_sides():
+    """Of a strip that is twice as wide as the shaft, with sharp sides, the network takes one side for background."""
+    bgr = np.full((240, 320, 3), 60, np.uint8)
+    bgr[100:140, :200], bgr[:2] = 160, 0
+    outline = Outline(np.array([[[0.0, 99.5], [200.0, 99.5]], [[0.0, 139.5], [200.0, 139.5]]]))
+    accepted = []
+    for first_row in (100, 112):
+        image = Evidence(bgr, AutoSettings(), Appearance(np.zeros(BINS, np.float32)))
+        odds = np.full((2, 240, 320), -2.0, np.float32)
+        odds[:, 100:140, :200] = 1.0
+        image.odds = odds[0].copy()
+        odds[:, 100:140, :200] = -0.5
+        odds[:, first_row:140, :200] = 4.0
+        image.scores = odds
+        accepted.append(judged(outline, image).is_accepted)
+    assert accepted == [True, False]
 
 
 def test_highlights_at_the_border_are_no_instruments():

@@ -29,6 +29,7 @@ MARGINS = np.array(
 )  # over the width, where wrists are narrower
 MIDDLE = np.linspace(0.2, 0.8, 5)
 WITHIN = np.linspace(0.06, 0.94, 9)
+INSIDE_OF_SIDES = (np.linspace(0.04, 0.25, 4), np.linspace(0.75, 0.96, 4))
 LEAST_LENGTH = 0.8  # over the width, that a fit keeps of a shaft
 MOST_MARGIN = 3.0  # odds of a margin
 LONGEST_WRIST = 6.0  # of wrist and jaws as wide as the shaft, over its width: closed ones of 20 mm on 5 mm
@@ -162,7 +163,7 @@ class Judged:
     """Shares from 0 to 1: of the strip that is evidence, of what is beside that is not, of both sides with a step.
 
     `entering` is that of its third at the border which is not hidden: without it a wrist may pass for a shaft.
-    `network` is the mean of the network's log-odds between the sides.
+    `network` is the mean of the network's log-odds between the sides, `network_beside` that inside of the weaker one.
     """
 
     inside: float
@@ -172,12 +173,13 @@ class Judged:
     length_widths: float
     entering: float = 1.0
     network: float = np.inf
+    network_beside: float = np.inf
 
     @property
     def is_accepted(self) -> bool:
         """Whether this is an instrument."""
         is_shaft = self.length_widths > LEAST_WIDTHS and self.length_px > LEAST_LENGTH_PX
-        is_shaft &= self.entering > 0.5 and self.network > LEAST_NETWORK
+        is_shaft &= self.entering > 0.5 and self.network > LEAST_NETWORK and self.network_beside > 0.0
         return is_shaft and self.inside > 0.75 and self.beside > 0.5 and self.evidence > LEAST_EVIDENCE
 
     @property
@@ -191,9 +193,9 @@ class Judged:
         )
 
 
-def judged_by_network(outline: Outline, evidence: Evidence) -> float:
-    """The mean of the network's log-odds between the sides; infinite where it is not asked, or nothing is seen."""
-    places = outline.across(np.linspace(0.03, 0.97, STATIONS) * outline.length_px, WITHIN)
+def judged_by_network(outline: Outline, evidence: Evidence, shares: Array = WITHIN) -> float:
+    """The mean of the network's log-odds at shares of the width; infinite where it is not asked, or nothing is seen."""
+    places = outline.across(np.linspace(0.03, 0.97, STATIONS) * outline.length_px, shares)
     seen = sampled(evidence.core, places, nearest=True) > 0
     if evidence.settings.network_weight == 0.0 or not seen.any():
         return np.inf
@@ -238,4 +240,5 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
         outline.length_px / outline.width_px,
         float(shown[: STATIONS // 3].mean()),
         judged_by_network(outline, evidence),
+        min(judged_by_network(outline, evidence, shares) for shares in INSIDE_OF_SIDES),
     )
