@@ -62,6 +62,9 @@ def test_alarms_and_a_window_from_python(golden):
     assert "1 alarm" in repr(estimates)
     assert repr(estimates).splitlines()[0] in estimates._repr_html_()
     assert set(dir(svmdist)) == set(svmdist.__all__)
+    for window in ({"start_s": np.inf}, {"start_s": np.nan}, {"start_s": 2.0, "end_s": 1.0}):
+        with pytest.raises(svmdist.errors.UsageError, match="--start"):
+            svmdist.estimate(recording, **window)
     with pytest.raises(svmdist.errors.RecordingError):
         svmdist.open_recording("none.mcap")
 

@@ -47,11 +47,16 @@ def _one_line() -> Iterator[None]:
         LOG.warning(with_notes("interrupted", problem))
         sys.exit(ExitCode.INTERRUPTED)
     except typer.BadParameter as problem:
-        found = re.fullmatch(r"(?:Value error, )?'(.*)' is not one of (.*)\.", problem.message)
-        if found:
-            name, choices = found[1], re.findall(r"'([^']*)'", found[2])
+        choice = re.fullmatch(r"(?:Value error, )?'(.*)' is not one of (.*)\.", problem.message)
+        if choice:
+            name, choices = choice[1], re.findall(r"'([^']*)'", choice[2])
             problem.message = f"{name}: {did_you_mean(name, choices)}"
         said = problem.format_message()
+        wanted = re.fullmatch(r"Input should be (.+?)(?:, unable to .*)?", problem.message)
+        if wanted and problem.param is not None:
+            cause: Any = problem.__cause__  # of pydantic
+            found = cause.errors()[0]["input"]
+            said = f"{problem.param.opts[0]} {found}: expected {problem.param.metavar}, {wanted[1]}"
         if said.startswith("Missing") and problem.ctx is not None:
             said += f" `{problem.ctx.command_path} -h` has examples."
         raise UsageError(said) from None

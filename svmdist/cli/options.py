@@ -179,8 +179,6 @@ class WindowOptions(Options):
         """The window that the options name, None for all images; raises UsageError for one without any."""
         if (self.start, self.end, self.every) == (0.0, None, 1):
             return None
-        if self.end is not None and self.end < self.start:
-            raise UsageError(f"--end {self.end:g}: is before --start {self.start:g}")
         from svmdist.recording.observations import Window
 
         return Window(self.start, math.inf if self.end is None else self.end, self.every)

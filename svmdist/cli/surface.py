@@ -68,10 +68,12 @@ def image_number(recording: Recording, frame: int | None, at_s: float | None) ->
     if frame is None and at_s is None:
         return None
     stamps_ns = image_stamps_ns(recording)
-    if frame is None:
-        assert at_s is not None
+    if at_s is not None:
+        last_s = round((max(stamps_ns) - stamps_ns[0]) * 1e-9, 3)
+        if at_s > last_s:
+            raise UsageError(f"--at {at_s:g}: the log has {last_s:g} s")
         return min(range(len(stamps_ns)), key=lambda n: abs((stamps_ns[n] - stamps_ns[0]) * 1e-9 - at_s))
-    if frame >= len(stamps_ns):
+    if frame is not None and frame >= len(stamps_ns):
         last = len(stamps_ns) - 1
         raise UsageError(f"--frame {frame}: {recording.path} has {last + 1} images, 0 to {last}")
     return frame

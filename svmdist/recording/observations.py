@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.camera import Camera
+from svmdist.errors import UsageError
 from svmdist.recording.cameras import Cameras, RightCamera
 from svmdist.recording.images import ImageError
 from svmdist.recording.messages import EncodedImage
@@ -143,16 +144,25 @@ OUT_OF_ORDER_S = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Images from `start_s` to `end_s` after the first one, both included, and of these every `every`-th one."""
+    """Images from `start_s` to `end_s` after the first one, both included, and of these every `every`-th one.
+
+    Raises UsageError for a start that is no time, and an end before it.
+    """
 
     start_s: float = 0.0
     end_s: float = math.inf
     every: int = 1
 
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.start_s < math.inf:
+            raise UsageError(f"--start {self.start_s:g}: expected seconds after the first image, as in 2.5")
+        if not self.end_s >= self.start_s:
+            raise UsageError(f"--end {self.end_s:g}: is before --start {self.start_s:g}")
+
     def holds(self, at_ns: Any) -> Any:
         """Whether times since the first image, one or an array, lie between start and end."""
-        # In whole nanoseconds: an image at exactly 0.1 s is inside of a window that begins at 0.1 s.
-        return (at_ns >= round(self.start_s * 1e9)) & (at_ns <= self.end_s * 1e9 + 0.5)
+        # To the nearest nanosecond: an image at exactly 0.1 s is inside of a window that begins at 0.1 s.
+        return (at_ns >= self.start_s * 1e9 - 0.5) & (at_ns <= self.end_s * 1e9 + 0.5)
 
     def of(self, images: Iterable[EncodedObservation]) -> Iterator[EncodedObservation]:
         """The images inside, each with its number among all and its time since the first one."""

@@ -60,6 +60,19 @@ ERRORS = [
     ("estimate log.mcap --lag soon", 2, "expected auto or seconds"),
     ("estimate log.mcap --lag 1e9", 2, "within ±3600"),
     ("estimate log.mcap --start 3 --end 2", 2, "is before --start"),
+    *(
+        (f"{command} --start {start}", 2, "--start inf: expected seconds after the first image, as in 2.5")
+        for command in ("estimate log.mcap", "fk log.mcap", "compare log.mcap", "hand-eye log.mcap")
+        for start in ("inf", "1e400")
+    ),
+    ("fk log.mcap --start 1e300", 1, "no joint state is between --start and --end"),
+    ("estimate log.mcap --start nan", 2, "--start nan: expected SECONDS, greater than or equal to 0"),
+    ("estimate log.mcap --end 2s", 2, "--end 2s: expected SECONDS, a valid number"),
+    ("estimate log.mcap -j 1.5", 2, "--jobs 1.5: expected N, a valid integer"),
+    *(
+        (f"show log.mcap --masks --at {at}", 2, f"--at {said}: the log has 0.5 s")
+        for at, said in (("inf", "inf"), ("1e300", "1e+300"), ("0.501", "0.501"))
+    ),
     ("validate log.mcap --group a,,b", 2, "expected names of metadata"),
     ("show log.mcap --frame 99", 2, "has 6 images, 0 to 5"),
     ("show log.mcap --masks --frame 99", 2, "has 6 images, 0 to 5"),
@@ -134,7 +147,7 @@ ERRORS = [
     ("import images -o out.mcap --calibration no.yaml --rate 1", 1, "no.yaml: cannot read: No such file"),
     ("import images -o out.mcap --right-camera 60,61,31,23", 2, "--right-camera goes with --camera"),
     (CAMERA, 2, "img0.png has no time"),
-    (f"{CAMERA} --rate 0", 2, "'--rate': Input should be greater than or equal to 0.001"),
+    (f"{CAMERA} --rate 0", 2, "--rate 0: expected HZ, greater than or equal to 0.001"),
     (f"{CAMERA} --unit inch", 2, "'--unit': inch: the choices are: cm, m, mm"),
     (f"{CAMERA} --baseline 5mm", 2, "--baseline is of two views"),
     (f"{CAMERA} --distortion 0.1,0.2 --rate 1", 2, "--distortion: expected 4, 5"),
