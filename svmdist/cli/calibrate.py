@@ -43,7 +43,7 @@ class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
         from svmdist.workflows.calibrate import CalibrationPart, collect_part, fit_parts
         from svmdist.workflows.request import Request, Setup
 
-        output.require_output(self.output, self.paths, is_new=not self.force)
+        output.require_toml(self.output, self.paths, force=self.force)
         setup = Setup(load_profile(self.profile, self.hand_eye), self.method)
         request = Request(setup, self.topics, self.window)
         run = Run(self, collect_part, request, CalibrationPart, "measuring", "images")
@@ -82,7 +82,7 @@ class HandEye(options.ProfileOptions, options.InstrumentOption, options.LagOptio
         "--against NAME",
         "kinematics (of the joints), or the robot's pose. Default: kinematics where log and profile have them.",
     )
-    form: str | None = options.format_option(Holds.TABLES)
+    form: str | None = options.format_option(Holds.TABLES, ", of what is printed. Default: ")
     output: Path | None = option(
         "--output -o FILE.toml", 'For the transforms; a profile names it: hand_eye = "FILE.toml".'
     )
@@ -98,7 +98,7 @@ class HandEye(options.ProfileOptions, options.InstrumentOption, options.LagOptio
         from svmdist.workflows.request import Request, prepare
 
         file, path = self.file, self.output
-        output.require_output(path, [file], is_new=not self.force)
+        output.require_toml(path, [file], force=self.force)
         writer = choose_writer(self.form, None, Holds.TABLES)
         lag, window, topics = self.given_lag, self.window, self.topics
         methods = [self.method] if self.method else _served(file, load_profile(self.profile), topics)

@@ -109,7 +109,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
                 f"--group {self.group}: groups the figures of logs: give --summary FILE for them"
             )
         output.require_output(self.summary, self.paths)
-        summary_writer = choose_writer(None, self.summary, Holds.FIGURES)
+        summary_writer = choose_writer(None, self.summary, Holds.FIGURES, "--summary")
         request = self.request(self.paths)
         if writer.name == "tum" and request.setup.is_planar:
             raise UsageError(

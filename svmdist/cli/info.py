@@ -14,7 +14,7 @@ from svmdist.cli.output import (
     ExitCode,
     next_command,
     progress_bar,
-    require_output,
+    require_toml,
     write_lines,
     write_results,
 )
@@ -122,7 +122,7 @@ class New(options.TopicOption):
         from svmdist.workflows.check import check_log, warning
         from svmdist.workflows.new_profile import draft_profile
 
-        require_output(self.output, [self.file], is_new=not self.force)
+        require_toml(self.output, [self.file], force=self.force)
         if self.instrument is not None:
             instrument_sizes(self.instrument)
         name = self.name or self.file.resolve().stem

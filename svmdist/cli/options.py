@@ -8,11 +8,12 @@ from __future__ import annotations
 import inspect
 import logging
 import math
+import os
 import re
 import time
 import typing
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -64,6 +65,7 @@ def function_of(command: type[Options]) -> Callable[..., None]:
     def run(**values: Any) -> None:
         choose_verbosity(quiet=values.pop("quiet"), verbose=values.pop("verbose"))
         begin_s = time.perf_counter()
+        _require_files_apart(values)
         try:
             raise typer.Exit(command(**values)._run() or 0)
         finally:
@@ -75,6 +77,28 @@ def function_of(command: type[Options]) -> Callable[..., None]:
     ]
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return run
+
+
+OUTPUTS = {
+    "output": "-o",
+    "report": "--report",
+    "save_plot": "--save-plot",
+    "summary": "--summary",
+    "write_baseline": "--write-baseline",
+}
+
+
+def _require_files_apart(values: Mapping[str, Any]) -> None:
+    """Raise UsageError where two outputs are one file, or one is `-` and cannot go to stdout."""
+    named: dict[str, str] = {}
+    for name, given in OUTPUTS.items():
+        path = values.get(name)
+        if path == Path("-"):  # where it is stdout, it was read as None
+            raise UsageError(f"{given} -: expected the name of a file; this is not written to stdout")
+        if path is not None and path.parent != Path("/dev"):
+            other = named.setdefault(os.path.realpath(path), given)
+            if other != given:
+                raise UsageError(f"{other} and {given} are both {path}: give each a file of its own")
 
 
 def name_of(command: type[Options]) -> str:
@@ -109,12 +133,12 @@ END = option("--end SECONDS", "End so long after the first image.", min=0.0)
 EVERY = option("--every N", "Take every N-th image only.", 1, min=1)
 
 
-def format_option(holds: Holds) -> Any:
+def format_option(holds: Holds, default: str = ". Default: by the ending of the output, else ") -> Any:
     """Declare `--format`: the formats that can hold what a command gives, the first one where no file is named."""
     names = names_of(holds)
     return option(
         "--format -f NAME",
-        f"{', '.join(names)}. Default: by the ending of the output, else {names[0]}.",
+        f"{', '.join(names)}{default}{names[0]}.",
         autocompletion=lambda incomplete: [name for name in names if name.startswith(incomplete)],
     )
 

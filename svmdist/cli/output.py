@@ -202,10 +202,10 @@ def write_results(results: Results, writer: Writer, output: Path | None) -> None
     write_lines(writer.write(results, width, colour), output, is_json=writer.is_json)
 
 
-def require_output(output: Path | None, inputs: Iterable[LogPath] = (), *, is_new: bool = False) -> None:
+def require_output(output: Path | None, inputs: Iterable[LogPath] = ()) -> None:
     """Fail before the work rather than after it: raise OutputError for a file that cannot be written.
 
-    Raises UsageError where it is one of the inputs, or exists though it shall be new.
+    Raises UsageError where it is one of the inputs.
     """
     if output is None:
         if sys.stdout is None:  # as `svmdist … >&-` has it
@@ -229,7 +229,16 @@ def require_output(output: Path | None, inputs: Iterable[LogPath] = (), *, is_ne
             LOG.debug("replaces %s", output)
     if not os.access(output.parent if found is None else output, os.W_OK):
         raise OutputError(f"{output}: cannot write: permission denied")
-    if found is not None and is_new:
+
+
+def require_toml(output: Path | None, inputs: Iterable[LogPath], *, force: bool) -> None:
+    """The same of a file of settings; raises UsageError also for another ending, and where it exists already."""
+    require_output(output, inputs)
+    if output is None:
+        return
+    if output.suffix.lower() != ".toml":
+        raise UsageError(f"-o {output}: is written as TOML: give it the ending .toml")
+    if output.exists() and not force:
         raise UsageError(f"{output}: exists already; give another name, or --force to replace it")
 
 

@@ -41,8 +41,6 @@ class Surface(options.ReadOptions, options.OutputOptions):
         from svmdist.workflows.surface import tissue_surface
 
         writer = self.writer([self.file], Holds.CLOUD)
-        if not writer.is_text and self.output is None:
-            raise UsageError(f"--format {writer.name} needs a file: give --output")
         setup = Setup.reading(self.profile, self.hand_eye)
         with progress_bar(f"looking at {self.file.name}"):
             recording = Request(setup, self.topics).open(self.file, self.file.stem)

@@ -102,19 +102,19 @@ def names_of(holds: Holds) -> tuple[str, ...]:
     return tuple(writer.name for writer in WRITERS if writer.holds & holds)
 
 
-def choose_writer(given: str | None, output: Path | None, holds: Holds) -> Writer:
+def choose_writer(given: str | None, output: Path | None, holds: Holds, option: str = "-o") -> Writer:
     """The writer by name, else by the file's ending, else of plain text; UsageError, OutputError."""
     able = [writer for writer in WRITERS if writer.holds & holds]
     ending = "" if output is None else output.suffix.lower()
     by_ending = next((writer for writer in able if ending in writer.endings), None)
     if given is not None:
-        if by_ending is not None and not by_ending.holds & ANY_ROWS:
-            written = f"{output} is written as {by_ending.name}"
-            raise UsageError(f"--format {given}: {written}; leave out one of them")
-        named = {writer.name: writer for writer in able if writer.holds & ANY_ROWS}
+        named = {one.name: one for one in able if one is by_ending or one.holds & (ANY_ROWS | Holds.CLOUD)}
         if given not in named:
             raise UsageError(f"--format {given}: {did_you_mean(given, named)}")
         chosen = named[given]
+        if by_ending not in (None, chosen) and not by_ending.holds & chosen.holds & ANY_ROWS:
+            written = f"{output} is written as {by_ending.name}"
+            raise UsageError(f"--format {given}: {written}; leave out one of them")
     elif by_ending is not None:
         chosen = by_ending
     elif ending in WRITERS[0].endings or (output is not None and output.parent == Path("/dev")):
@@ -122,10 +122,12 @@ def choose_writer(given: str | None, output: Path | None, holds: Holds) -> Write
     else:
         plain, *others = able if able[0].name == "table" else (able[0], *able)
         choices = ", ".join(sorted(end for writer in others for end in writer.endings))
-        hint = "; svmdist validate --report FILE.html writes a report" if ending in {".html", ".htm"} else ""
+        hint = "; or give --format" if option == "-o" else ""
+        if ending in {".html", ".htm"}:
+            hint += "; svmdist validate --report FILE.html writes a report"
         raise UsageError(
-            f"-o {output}: no format has the ending {ending}: the choices are {choices}, and .txt for"
-            f" {'a table' if plain.name == 'table' else plain.name.upper()}; or give --format{hint}"
+            f"{option} {output}: no format has the ending {ending}: the choices are {choices}, and .txt for"
+            f" {'a table' if plain.name == 'table' else plain.name.upper()}{hint}"
         )
     if not chosen.is_text and output is None:
         raise UsageError(f"--format {chosen.name} is no text: give a file with -o FILE{chosen.endings[0]}")
@@ -136,9 +138,9 @@ def choose_writer(given: str | None, output: Path | None, holds: Holds) -> Write
 
 
 def plot_format(path: Path) -> str:
-    """The format of a plot by its path's ending; raises OutputError, which lists the choices, for another one."""
+    """The format of a plot by its path's ending; raises UsageError, which lists the choices, for another one."""
     ending, choices = path.suffix.lower(), names_of(Holds.PLOT)
     if ending.lstrip(".") not in choices:
         found = f"a {ending}" if ending else "a file without an ending"
-        raise OutputError(f"{path}: cannot draw {found}: the choices are {', '.join(choices)}")
+        raise UsageError(f"--save-plot {path}: cannot draw {found}: the choices are {', '.join(choices)}")
     return ending.lstrip(".")

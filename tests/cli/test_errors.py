@@ -100,6 +100,23 @@ ERRORS = [
     ("show log.mcap --masks --worst 2", 2, "--masks"),
     # Output.
     ("estimate log.mcap -o a.html --report b.html", 2, "leave out one"),
+    ("estimate log.mcap -o a.csv --summary ./a.csv", 2, "-o and --summary are both a.csv: give each a file"),
+    (
+        "estimate log.mcap --report a.html --save-plot images/../a.html",
+        2,
+        "--report and --save-plot are both",
+    ),
+    ("validate log.mcap -o a.json --write-baseline a.json", 2, "-o and --write-baseline are both a.json"),
+    ("compare log.mcap -o a.png --save-plot a.png", 2, "-o and --save-plot are both a.png"),
+    *(
+        (f"{command} -", 2, f"{command.split()[-1]} -: expected the name of a file")
+        for command in ("estimate log.mcap --summary", "calibrate log.mcap -o", "hand-eye log.mcap -o")
+    ),
+    *(
+        (f"{command} log.mcap -o a.json", 2, "-o a.json: is written as TOML: give it the ending .toml")
+        for command in ("calibrate", "hand-eye", "profile new")
+    ),
+    ("estimate log.mcap --summary a.foo", 2, "--summary a.foo: no format has the ending .foo"),
     ("estimate log.mcap -o a.mp4 --report b.html", 2, "by itself"),
     ("estimate log.mcap -o a.mcap --resume x", 2, "by itself"),
     ("estimate log.mcap --summary s.csv -o a.mp4", 2, "write a.mp4 by itself"),
@@ -109,7 +126,7 @@ ERRORS = [
     ("estimate log.mcap two.mcap -o a.mcap", 2, "holds one recording"),
     ("fk log.mcap two.mcap -f tum", 2, "one trajectory"),
     ("validate log.mcap --report report.pdf", 2, ".html"),
-    ("estimate none.mcap --save-plot a.jpeg", 1, "cannot draw a .jpeg"),
+    ("estimate none.mcap --save-plot a.jpeg", 2, "--save-plot a.jpeg: cannot draw a .jpeg"),
     ("show log.mcap -o six.png", 2, "6 are asked for"),
     ("show log.mcap --frame 3 -o seen.pdf", 2, "in .png, or a folder"),
     *((f"{name} log.mcap -o nowhere/a.csv", 1, "nowhere") for name in ("estimate", "validate", "blur-bench")),

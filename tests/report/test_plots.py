@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from svmdist.errors import OutputError
+from svmdist.errors import OutputError, UsageError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.report.charts import pooled
 from svmdist.report.plots import COLUMN_IN, PAGE_IN, draw, draw_compare, draw_series, save_figure
@@ -43,16 +43,16 @@ def test_the_plot_is_written_in_the_format_of_its_suffix(tmp_path, suffix, magic
 
 
 @pytest.mark.parametrize(
-    ("name", "reason"),
+    ("name", "error", "reason"),
     [
-        ("plot.jpg", r"cannot draw a \.jpg: the choices are png, svg, pdf$"),
-        ("plot", r"cannot draw a file without an ending"),
-        ("no folder/plot.png", r"plot\.png: cannot write: No such file"),
+        ("plot.jpg", UsageError, r"cannot draw a \.jpg: the choices are png, svg, pdf$"),
+        ("plot", UsageError, r"cannot draw a file without an ending"),
+        ("no folder/plot.png", OutputError, r"plot\.png: cannot write: No such file"),
     ],
 )
-def test_what_cannot_be_drawn_is_one_line(tmp_path, name, reason):
+def test_what_cannot_be_drawn_is_one_line(tmp_path, name, error, reason):
     """And nothing is written."""
-    with pytest.raises(OutputError, match=reason):
+    with pytest.raises(error, match=reason):
         save_figure(tmp_path / name, draw, validation("sweep"))
     assert list(tmp_path.iterdir()) == []
 

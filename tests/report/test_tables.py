@@ -201,6 +201,11 @@ def _broken() -> Iterator[tables.Row]:
         (None, "a.html", Holds.FIGURES, "", "--report FILE.html"),
         (None, "a.txt.gz", Holds.POSES, "", ".csv, .json, .parquet, .tum, and .txt for CSV"),
         ("csv", "a.mp4", Holds.ROWS | Holds.FRAMES, "", "written as mp4; leave out one"),
+        ("mp4", "a.mp4", Holds.ROWS | Holds.FRAMES, "mp4", ""),
+        ("ply", "a.ply", Holds.CLOUD, "ply", ""),
+        ("ply", "a.csv", Holds.CLOUD, "", "written as csv; leave out one"),
+        ("stl", None, Holds.CLOUD, "", "the choices are: csv, json, npz, ply"),
+        ("ply", None, Holds.CLOUD, "", "is no text: give a file with -o FILE.ply"),
         ("parquet", None, Holds.ROWS, "", "is no text: give a file with -o FILE.parquet"),
     ],
 )
