@@ -306,6 +306,7 @@ def _connected(address: str) -> Any:
     """A client of the scheduler, once there are workers; SvmdistError where it does not answer in time."""
     try:
         from distributed import Client
+        from distributed.comm.addressing import get_address_host_port
     except ImportError:
         raise UsageError(
             "--scheduler needs the package distributed, which is not installed: pip install 'svmdist[cluster]'"
@@ -313,6 +314,7 @@ def _connected(address: str) -> Any:
     for name in ("distributed", "tornado.application", "asyncio"):  # they print what is handled here
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
+        get_address_host_port(address)  # a client of a wrong one could not be closed
         client: Any = Client(address, timeout=f"{CONNECT_S}s", set_as_default=False)
     except ValueError as problem:
         reason = without_secrets(str(problem), address)

@@ -173,5 +173,12 @@ def test_a_cluster_gives_the_same(cluster, logs, tmp_path):
     cluster.scheduler.wait()
     with pytest.raises(SvmdistError, match="cannot connect"):
         measure_logs(job, logs, scheduler=cluster.address)
-    with pytest.raises(UsageError, match="expected one as in tcp://host:8786"):
-        measure_logs(job, logs, scheduler="nonsense://x")
+
+
+@pytest.mark.parametrize("address", ["foo", "foo:x", "nonsense://x:1"])
+def test_a_scheduler_without_an_address_is_not_asked(monkeypatch, logs, tmp_path, address):
+    """A client of it could not be closed: Dask would complain when the process ends."""
+    distributed = pytest.importorskip("distributed", reason="the extra cluster is not installed")
+    monkeypatch.setattr(distributed, "Client", lambda *_, **__: pytest.fail("a client is made"))
+    with pytest.raises(UsageError, match=f"--scheduler {address}: .*expected one as in tcp://host:8786"):
+        measure_logs(job_in(tmp_path), logs, scheduler=address)
