@@ -89,13 +89,17 @@ class Validate(GoldenLogOptions, MeasureOptions, GroupOption, PictureOptions):
         measure, kind_of = validate.score_recording, validate.Scored
         run = Run(self, measure, request, kind_of, "validating", "rows", (), keeps, keys)
         result = validate.combine(run.finish(), request, run.groups)
+        lacking = {line for scored in run.results for line in scored.lacking}
         for note in result.notes:
-            LOG.info("note: %s", note)
+            if note in lacking:
+                LOG.error("loss: %s", note)
+            else:
+                LOG.info("note: %s", note)
         output.write_results(validation_results(result), writer, self.output)
         self.say_choice()
         log_ending({log.name: scored.ending for log, _, scored in run.measured}, request)
         self.draw(run, request, result, kind)
-        code = run.exit_code()
+        code = max(run.exit_code(), ExitCode.LOSS if lacking else ExitCode.CLEAN)
         if self.write_baseline:
             validate.save_baseline(validate.make_baseline(result), self.write_baseline)
         if stored:

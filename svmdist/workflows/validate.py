@@ -32,11 +32,12 @@ PAPER_R_SQUARED = 0.78  # the paper's own figure (sec. IV); its scene differs fr
 
 @dataclass(frozen=True)
 class Scored:
-    """The scores of one recording, remarks on it, and how its rows ended."""
+    """The scores of one recording, remarks on it, how its rows ended; of the remarks, the lack of a truth asked for."""
 
     scores: tuple[Score, ...]
     notes: tuple[str, ...]
     ending: Ending
+    lacking: tuple[str, ...] = ()
 
     @property
     def statuses(self) -> dict[str, int]:
@@ -132,7 +133,8 @@ def score_recording(
     every, by = _measured(read, request, [one for one in wanted if one in BY_POSES], jobs, steps)
     if not every:
         raise RecordingError(f"{recording.name}: there is no image to measure")
-    scores, missing = [], []
+    asked_for = rules.references or (Reference.TF,) * bool(rules.tool_frames)
+    scores, missing, lacking = [], [], []
     names = dict.fromkeys(row.instrument for row in every)
     watches, ending = alarm_watches(names, request.alarms), Ending(tuple(names))
     for row in every:
@@ -155,6 +157,8 @@ def score_recording(
                 score = score_rows(rows, view, seen, reference, rules, offset, request.alarms, poses)
             except (RecordingError, KinematicsError) as problem:
                 missing.append(f"{label}: no {reference} to compare with: {problem}")
+                if reference in asked_for:
+                    lacking.append(missing[-1])
             else:
                 scores.append(replace(score, recording=label, instrument=name))
     if not scores or (request.alarms and scores[0].alarms is None):
@@ -165,7 +169,7 @@ def score_recording(
     notes += missing
     if setup.equations == "printed" and Reference.KINEMATICS in {score.reference for score in scores}:
         notes.append(KINEMATICS_PRINTED_NOTE)
-    return Scored(tuple(scores), tuple(notes), ending)
+    return Scored(tuple(scores), tuple(notes), ending, tuple(lacking))
 
 
 def _measured(

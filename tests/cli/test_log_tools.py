@@ -83,7 +83,7 @@ def scores(outcome: Outcome) -> dict[str, dict[str, object]]:
 
 
 def test_the_choices_of_truth_agree(cli, tmp_path, synthetic_calibration):
-    """Ground truth, a tf pair, a pose topic and kinematics of one exact scene give one figure."""
+    """Ground truth, a tf pair, a pose topic and kinematics of one exact scene give one figure; a lack is a loss."""
     path = write_with_poses(tmp_path / "a.mcap")
     common = ("validate", path, "--calibration", synthetic_calibration, "-f", "json")
     pairs = ("--truth-tf", "camera:tool", "--truth-tf", "camera:tissue")
@@ -93,6 +93,9 @@ def test_the_choices_of_truth_agree(cli, tmp_path, synthetic_calibration):
     assert set(by_pair) == {"tf", "kinematics"}
     by_pose = scores(cli(*common, *pairs, "--truth", "pose"))
     assert set(by_pose) == {"pose"}
+    without_tf = cli(*common, "--truth-tf", "camera:none", code=3)
+    assert set(scores(without_tf)) == {"kinematics"}
+    assert "svmdist: loss: a: no tf to compare with: no frame none in the transforms" in without_tf.err
     expected = by_default["ground_truth"]
     for score in (by_default["kinematics"], *by_pair.values(), *by_pose.values()):
         assert score["rmse_m"] == pytest.approx(expected["rmse_m"], abs=1e-9)
