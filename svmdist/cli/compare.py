@@ -84,7 +84,9 @@ class Compare(GoldenLogOptions, CalibrationOption, LagOption, WindowOptions, Gro
             setups = prepare_every(self.profile, self.calibration, self.hand_eye)
         setups += tuple(prepare(self.profile, one, hand_eye=self.hand_eye) for one in given)
         request = Request(setups[0], self.topics, self.window, lag=lag, conditions=tuple(conditions))
-        run = Run(self, compare_log, request, list[MethodScore], "comparing", options=(setups, keys))
+        run = Run(
+            self, compare_log, request, list[MethodScore], "comparing", options=(setups, keys), keys=keys
+        )
         scores = compared([one for runs in run.finish() for one in runs])
         output.write_results(compare_results(scores), writer, self.output)
         if self.save_plot:

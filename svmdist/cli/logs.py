@@ -16,7 +16,7 @@ from urllib.parse import unquote
 
 from svmdist.cli.options import JOBS, Options, argument, option
 from svmdist.cli.output import LOG, ExitCode, progress_bar, terminal_width, with_name
-from svmdist.errors import RecordingError, UsageError
+from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.files import why
 from svmdist.remote import LogPath, RemoteFile, is_url, listed_urls
 
@@ -232,7 +232,11 @@ class Run(Generic[Result]):
         return self._kept
 
     def exit_code(self) -> ExitCode:
-        """Say what was lost in reading, and which logs were left out and why; the exit code tells of either."""
+        """Say what was lost, which logs were left out and why, and which keys no log has; a loss gives its code."""
+        known = {key for _, one in self.outcomes if one.failure is None for key in one.metadata}
+        for key in self._keys:
+            if key not in known:
+                LOG.warning("warning: --group %s: no log has it: %s", key, did_you_mean(key, known))
         codes = [log_losses(log.path, one.health) for log, one in self.outcomes if one.failure is None]
         for log, one in self.outcomes:
             if one.failure is not None:

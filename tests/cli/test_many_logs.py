@@ -109,6 +109,15 @@ def test_the_summary_ranks_logs_and_groups_them(cli, with_bad, tmp_path):
     assert together[-1]["reason"] == "1 of 5 logs failed"
 
 
+@pytest.mark.parametrize("command", ["validate", "compare", "estimate --summary {}/summary.csv"])
+def test_a_group_by_what_no_log_has_is_warned_of(cli, folder, tmp_path, command):
+    """Once, with the nearest key; keys that some log has are not named."""
+    options = ("--method", "kinematic", "--jobs", 1, "--group", "scenari,seed")
+    found = cli(*command.format(tmp_path).split(), folder, *options)
+    assert found.err.count("--group") == 1
+    assert "warning: --group scenari: no log has it: did you mean scenario? The choices are: " in found.err
+
+
 @pytest.mark.slow
 def test_groups_of_validate_and_compare(cli, folder):
     scores = cli("validate", folder, "-f", "csv", "--group", "scenario").rows
