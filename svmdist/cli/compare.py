@@ -39,7 +39,7 @@ class Compare(GoldenLogOptions, CalibrationOption, LagOption, WindowOptions, Gro
       One of them under every degradation and severity:
         svmdist compare log.mcap --method fused --degrade all
       Yours beside ours:
-        svmdist compare log.mcap --method fused --estimates mine=poses.tum --estimates topic:/tracker/pose
+        svmdist compare log.mcap --method fused --estimates mine=poses.tum
       A table and a figure for a paper:
         svmdist compare log.mcap -f latex --save-plot methods.pdf
     """

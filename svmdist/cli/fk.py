@@ -48,7 +48,11 @@ class Fk(LogOptions, ReadOptions, WindowOptions, OutputOptions):
         several = len(self.logs) > 1
         if writer.name == "tum" and several:
             raise UsageError(f"--format tum writes one trajectory, and {len(self.logs)} logs are given")
-        topics = self.topics | ({"joints": self.joints} if self.joints else {})
+        topics = self.topics
+        if self.joints and topics.setdefault("joints", self.joints) != self.joints:
+            raise UsageError(
+                f"--joints {self.joints} and --topic joints={topics['joints']}: give one of them"
+            )
         request = Request(Setup.reading(self.profile, self.hand_eye), topics, self.window)
         run = Run(self, pose_rows_of, request, int, "computing", options=(self.in_camera, several))
         columns = (*POSE_COLUMNS, Column("recording", TEXT)) if several else POSE_COLUMNS

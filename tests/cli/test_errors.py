@@ -39,6 +39,7 @@ ERRORS = [
     ("blur-bench log.mcap --kernel gaussian=4", 2, "an odd size"),
     ("estimate log.mcap --topic image", 2, "expected ROLE=TOPIC"),
     ("estimate log.mcap --topic imago=/left/image_raw", 2, "did you mean image?"),
+    ("fk log.mcap --joints /a --topic joints=/b", 2, "--joints /a and --topic joints=/b: give one of them"),
     ("estimate log.mcap --topic image=/none", 1, "/ECM/left/image"),
     ("estimate log.mcap --topic image=/tf", 1, "/tf"),
     (

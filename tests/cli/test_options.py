@@ -61,6 +61,11 @@ def test_help_fits_a_screen_or_two_and_has_every_option(cli):
     ]
 
 
+@pytest.mark.parametrize("command", [*typer.main.get_command(app).commands, "profile new"])
+def test_no_line_of_help_is_wider_than_a_terminal(cli, command):
+    assert max(map(len, cli(*command.split(), "--help").out.splitlines())) <= 80
+
+
 def test_json_is_a_format_and_colours_may_be_forced(cli, synthetic_log, monkeypatch):
     assert cli("info", synthetic_log, "--json").out == cli("info", synthetic_log, "-f", "json").out
     command = ("compare", synthetic_log, "--method", "kinematic", "--every", "10")
