@@ -28,11 +28,14 @@ XML = re.compile(r"\s*<(\?xml|opencv_storage)")
 DECLARATION = re.compile(r"<!(?!--)")
 """Of types and entities, a few of which stand for millions of characters."""
 K_KEYS = ("camera_matrix", "K", "k", "cameraMatrix", "Camera_Matrix", "intrinsic_matrix")
-D_KEYS = ("distortion_coefficients", "D", "d", "distCoeffs", "dist_coeffs", "Distortion_Coefficients")
+D_KEYS = (
+    *("distortion_coefficients", "D", "d", "distCoeffs", "dist_coeffs", "Distortion_Coefficients"),
+    *("distortion_coeffs", "dist_coeff", "distCoeff", "dist", "distortion"),
+)
 WIDTH_KEYS = ("image_width", "width", "image_Width")
 HEIGHT_KEYS = ("image_height", "height", "image_Height")
 PAIR_K_KEYS = (("M1", "M2"), ("K1", "K2"), ("cameraMatrix1", "cameraMatrix2"))
-PAIR_D_KEYS = (("D1", "distCoeffs1"), ("D2", "distCoeffs2"))
+PAIR_D_KEYS = tuple(tuple(f"{key}{side}" for key in D_KEYS) for side in "12")
 FORMS = "camera_info of ROS (camera_matrix or K), OpenCV (camera_matrix, or M1, D1, M2, D2, R, T), Kalibr (cam0, cam1)"
 PLAUSIBLE_BASELINE_M = (2e-4, 1.0)
 """An endoscope's is about 5 mm; beyond these bounds the unit is another one."""
@@ -127,10 +130,11 @@ def complete(
                 " length in mm is multiplied by the image's width in px over the sensor's in mm"
             )
         if not (0 < K[0, 2] < size_px[0] and 0 < K[1, 2] < size_px[1]):
-            raise SourceError(
-                f"the principal point ({K[0, 2]:g}, {K[1, 2]:g}) is outside of {of}: if they were scaled since"
-                " calibration, say --calibrated-at WIDTHxHEIGHT"
-            )
+            remedy = "were scaled since calibration, say --calibrated-at WIDTHxHEIGHT"
+            if size_px[1] > 2 * size_px[0]:  # as halves of pictures that are higher than wide
+                remedy = "hold one view above the other, which is not read, split them first"
+            point = f"the principal point ({K[0, 2]:g}, {K[1, 2]:g})"
+            raise SourceError(f"{point} is outside of {of}: if they {remedy}")
         x_px, y_px, width_px, height_px = crop or (0, 0, *size_px)
         if x_px + width_px > size_px[0] or y_px + height_px > size_px[1]:
             raise SourceError(f"--crop goes beyond {of}")
@@ -219,7 +223,9 @@ def read_calibration(path: Path, unit_m: float = 1.0) -> tuple[StatedCamera, ...
 
 
 def _yaml_document(text: str) -> Any:
-    return next(iter(yaml.load_all(text, _Loader)), None)
+    return next(
+        iter(yaml.load_all(text.expandtabs(), _Loader)), None
+    )  # JSON may be indented by tabs, YAML not
 
 
 def _xml_document(text: str) -> Any:
@@ -275,7 +281,7 @@ def _kalibr(document: Document, unit_m: float) -> tuple[StatedCamera, ...]:
         size = _numbers(entry, ("resolution",), None)
         size_px = None if size is None or size.size != 2 else (int(size[0]), int(size[1]))
         model, entry["K"] = str(entry.get("distortion_model", "")), _intrinsic_matrix(*intrinsics)
-        cameras.append(_camera(entry, ("K",), ("distortion_coeffs",), model, size_px))
+        cameras.append(_camera(entry, ("K",), D_KEYS, model, size_px))
     if len(cameras) == 1:
         return tuple(cameras)
     T_cam1_cam0 = _numbers(document["cam1"], ("T_cn_cnm1",), (4, 4))
@@ -286,7 +292,13 @@ def _kalibr(document: Document, unit_m: float) -> tuple[StatedCamera, ...]:
 
 def _camera(document: Document, K_keys: Keys, D_keys: Keys, model: str, size_px: Size) -> StatedCamera:
     K, D = _numbers(document, K_keys, (3, 3)), _numbers(document, D_keys, None)
-    D = np.zeros(0) if D is None else D
+    if D is None:
+        others = [str(key) for key, value in document.items() if isinstance(value, list | dict)]
+        if unread := [key for key in others if "dist" in key.lower() and key not in D_keys]:
+            raise ValueError(
+                f"expected distortion as {', '.join(D_keys)}; found {', '.join(unread)}: rename it"
+            )
+        D = np.zeros(0)
     if K is None or not (K[0, 0] > 0 and K[1, 1] > 0):
         found = "no camera matrix" if K is None else f"fx = {K[0, 0]:g}, fy = {K[1, 1]:g}"
         raise ValueError(f"the camera is not calibrated: {found}")

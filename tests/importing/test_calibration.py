@@ -27,7 +27,7 @@ FRAMES = ("camera", "camera_right")
 
 
 def _write(path: Path, document: object) -> Path:
-    path.write_text(json.dumps(document))  # which is YAML, too
+    path.write_text(json.dumps(document, indent="\t"))  # which is YAML, too, but for the tabs
     return path
 
 
@@ -49,6 +49,17 @@ def test_ros_camera_info(tmp_path):
         np.testing.assert_allclose(camera.D, D)
         assert camera.size_px == (640, 480)
         np.testing.assert_allclose(camera.P.ravel(), P)
+
+
+@pytest.mark.parametrize(
+    "key", ["D", "d", "dist", "dist_coeff", "dist_coeffs", "distortion", "distortion_coeffs"]
+)
+def test_distortion_has_many_names(tmp_path, key):
+    """Of one camera, and with a number behind them of a pair."""
+    T = {"T": [-0.0053, 0.0, 0.0]}
+    for document in ({"K": K, key: [D]}, PAIR | T | {f"{key}1": [D], f"{key}2": [D]}):
+        for camera in calibration.read_calibration(_write(tmp_path / "a.yaml", document)):
+            np.testing.assert_allclose(camera.D, D)
 
 
 @pytest.mark.parametrize("form", ["matrix", "vector", "numbers"])
@@ -118,6 +129,8 @@ def test_pair_stands_where_it_says(tmp_path, form, unit_m):
         ({"K": [0.0] * 9}, "not calibrated"),
         ({"K": K, "D": D, "distortion_model": "ftheta"}, "ftheta"),
         ({"K": K, "D": [0.1, 0.2, 0.3]}, "found 3"),
+        ({"K": K, "lens_distortion": D}, "distortion; found lens_distortion: rename it"),
+        (PAIR | {"left_dist": {"data": D}}, "distortion1; found left_dist: rename it"),
         ({"K": K, "image_width": "wide", "image_height": 4}, "found 'wide'"),
         ({"cam0": {"camera_model": "omni"}}, "only pinhole"),
         ({"cam0": {"intrinsics": [1.0]}}, "fu, fv, pu, pv"),
@@ -203,6 +216,7 @@ def test_scaled_and_cropped_images():
     np.testing.assert_allclose(stereo_transform(*small), stereo_transform(*whole))
     for size_px, calibrated_px, said in (
         ((320, 180), (640, 480), "another aspect"),
+        ((320, 960), None, "outside of the images of 320x960 px: if they hold one view above the other"),
         ((210, 158), (420, 316), "--crop goes beyond the images of 210x158 px"),
     ):
         with pytest.raises(SourceError, match=said):
