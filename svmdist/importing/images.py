@@ -23,10 +23,13 @@ SIDE = re.compile(r"(?<![A-Za-z])(?i:left|right|l|r)(?![A-Za-z])|(?<=[a-z0-9])(?
 def list_images(folder: Path, pattern: str | None = None) -> list[Path]:
     """The images of a folder, by a pattern such as `*_L.jpg`, in natural order."""
     with reading(folder, SourceError):
-        every = sorted((path for path in folder.iterdir() if path.is_file()), key=_natural_key)
-    images = [path for path in every if path.suffix.lower() in SUFFIXES]
+        every = sorted(folder.iterdir(), key=_natural_key)
+        images = [path for path in every if path.suffix.lower() in SUFFIXES and path.is_file()]
+        folders = [path.name for path in every if path.is_dir()]
     if not images:
         found = f"{len(every)} other files" if every else "nothing"
+        if folders:
+            found = f"the folders {', '.join(folders[:8])}: give one, or one for each view"
         raise SourceError(f"{folder}: no images ({', '.join(sorted(SUFFIXES))}); found {found}")
     if chosen := [path for path in images if pattern is None or path.match(pattern)]:
         return chosen

@@ -100,7 +100,9 @@ def read_times(path: Path, names: Sequence[str]) -> list[int]:
         stamp = next((at for at in columns if at != image and is_number(table.rows[0][at])), None)
         image = next((at for at in columns if at != stamp), None) if image is None else image
     if stamp is None:
-        raise SourceError(f"{path}: no column of times; expected a name such as stamp_ns or timestamp")
+        last = ", ".join(table.rows[-1])[:60]
+        expected = "expected a time as a number of s, ms, us or ns"
+        raise table.fail(len(table.rows) - 1, f"{expected}, found {last!r}")
     stamps = table.stamps_ns(stamp)
     if image is None:
         if len(stamps) != len(names):

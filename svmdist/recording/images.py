@@ -229,7 +229,7 @@ def read_file(path: Path, limits: Limits) -> bytes | Image:
     try:
         if still_format(data):
             return data
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
         if image is None:
             raise ImageError(f"not an image that can be decoded ({data[:8].hex(' ') or 'an empty file'})")
         if image.dtype != np.uint8:

@@ -75,6 +75,10 @@ def test_times(tmp_path):
     ):
         path.write_text(text)
         assert read_times(path, IMAGES.names) == [1_500_000_000, 2_500_000_000], text
+    path.write_text("1_L.jpg,2024-05-01T10:00:00\n2_L.jpg,2024-05-01T10:00:01\n")
+    said = r"line 2: expected a time as a number of s, ms, us or ns, found '2_L\.jpg, 2024-05-01T10:00:01'"
+    with pytest.raises(SourceError, match=said):
+        read_times(path, IMAGES.names)
 
 
 def test_stamps():

@@ -176,9 +176,11 @@ def test_a_png_file_passes_through_and_others_are_decoded_or_refused(tmp_path):
     np.testing.assert_array_equal(images.decode_file(data, "a.png", LIMITS), IMAGE)
     np.testing.assert_array_equal(images.read_file(tmp_path / "a.bmp", LIMITS), IMAGE)
     (tmp_path / "no.bmp").write_bytes(b"BMno")
+    (tmp_path / "nothing.png").touch()
     for name, reason in (
         ("deep.tiff", "16 bits; 8 are expected"),
         ("no.bmp", r"no.bmp: not an image that can be decoded"),
+        ("nothing.png", r"nothing.png: not an image that can be decoded \(an empty file\)"),
         ("", "cannot read"),
     ):
         with pytest.raises(SourceError, match=reason):

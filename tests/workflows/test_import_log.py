@@ -165,6 +165,12 @@ NUMBERS = ("1_L.png", "2_L.png", "1_R.png")
 PAIRED = {"pattern": "*_L.png", "right_pattern": "*_R.png", "rate_hz": 1.0}
 WRONG = {
     "empty": ((), {"rate_hz": 1.0}, ONE, "no images"),
+    "parent": (
+        ("left/1.png", "right/1.png"),
+        {"rate_hz": 1.0},
+        PAIR,
+        "found the folders left, right: give one, or one for each view",
+    ),
     "no times": (NUMBERS[:2], {}, ONE, "has no time"),
     "no camera": (NUMBERS[:2], {"rate_hz": 1.0}, CalibrationOptions(), "a camera needs a calibration"),
     "lonely": (NUMBERS, PAIRED, PAIR, "2_L.png: there is no right image"),
@@ -197,6 +203,7 @@ WRONG = {
 
 
 def _write(path: Path, kind: str) -> None:
+    path.parent.mkdir(exist_ok=True)
     image = _picture(1, int(kind) if kind in ("60", "65") else 64)
     data = cv2.imencode(".png", image.astype(np.uint16) if kind == "16" else image)[1].tobytes()
     path.write_bytes(b"no image" * 50 if kind == "text" else data[:-30] if kind == "cut" else data)
