@@ -37,10 +37,15 @@ def list_images(folder: Path, pattern: str | None = None) -> list[Path]:
 
 
 def require_one_view(images: Sequence[Path]) -> None:
-    """Raise SourceError where the names are of both views: they differ in numbers, and in a left and a right."""
+    """Raise SourceError where the names are of both views: they differ in numbers, and in a left and a right.
+
+    The last of several numbers is the view's where it is 0 or 1 in all names, or 1 or 2, as in `0007_cam1.png`.
+    """
+    last = [DIGITS.findall(path.stem)[1:][-1:] for path in images]
+    is_side = len(images) > 2 and {tuple(map(int, one)) for one in last} in ({(0,), (1,)}, {(1,), (2,)})
     found: dict[str, tuple[list[str], Path]] = {}
-    for path in images:
-        sides = [side[0].lower() for side in SIDE.findall(path.stem)]
+    for path, number in zip(images, last, strict=True):
+        sides = [side[0].lower() for side in SIDE.findall(path.stem)] + number * is_side
         before, other = found.setdefault(DIGITS.sub("#", SIDE.sub("*", path.stem)), (sides, path))
         if before != sides:
             raise SourceError(
@@ -50,33 +55,38 @@ def require_one_view(images: Sequence[Path]) -> None:
 
 
 def matching(left: Sequence[Path], right: Sequence[Path]) -> list[Path]:
-    """The right view's files in the order of the left one's, by the last numbers in their names."""
-    keys = {_number(path): path for path in right}
-    if len(keys) < len(right):
-        raise SourceError(f"{right[0].parent}: right images whose names have the same last number")
-    for path in left:
-        if _number(path) not in keys:
+    """The right view's files in the order of the left one's, by the last numbers that differ in their names."""
+    lefts, rights = _by_number(left), _by_number(right)
+    for view, others, side in ((lefts, rights, "right"), (rights, lefts, "left")):
+        if lonely := [path for number, path in view.items() if number not in others]:
+            like = next(iter(others.values())).name
+            raise SourceError(f"{lonely[0]}: there is no {side} image of that number, as {like} has one")
+    return [rights[number] for number in lefts]
+
+
+def _by_number(view: Sequence[Path]) -> dict[int | str, Path]:
+    found: dict[int | str, Path] = {}
+    for number, path in zip(_numbers([path.name for path in view]), view, strict=True):
+        if (other := found.setdefault(number, path)) is not path:
             raise SourceError(
-                f"{path.name}: there is no right image of that number, as {right[0].name} has one"
+                f"{path.parent}: {other.name} and {path.name} have one last number, by which views are paired"
             )
-    matched = [keys[_number(path)] for path in left]
-    if len(right) > len(left):
-        lonely = min(set(right) - set(matched), key=_natural_key)
-        raise SourceError(f"{lonely.name}: there is no left image of that number, as {left[0].name} has one")
-    return matched
+    return found
 
 
 def numbers_of(names: Sequence[str]) -> dict[int, int]:
-    """The place of each image by the last number of its name; empty where two have the same, or one has none."""
-    places = {_number(Path(name)): place for place, name in enumerate(names)}
-    numbered = {number: place for number, place in places.items() if isinstance(number, int)}
-    return numbered if len(numbered) == len(names) else {}
+    """The place of each image by its number; empty where two have the same, or one has none."""
+    places = {number: at for at, number in enumerate(_numbers(names)) if isinstance(number, int)}
+    return places if len(places) == len(names) else {}
 
 
-def _number(path: Path) -> int | str:
-    """The last number of a file's name, else its name."""
-    numbers = DIGITS.findall(path.stem)
-    return int(numbers[-1]) if numbers else path.stem
+def _numbers(names: Sequence[str]) -> list[int | str]:
+    """The last number of each file's name that is not the same in all of them, else its name."""
+    stems = [Path(name).stem for name in names]
+    found = [DIGITS.findall(stem) for stem in stems]
+    while len(found) > 1 and all(found) and len({numbers[-1] for numbers in found}) == 1:
+        found = [numbers[:-1] for numbers in found]
+    return [int(numbers[-1]) if numbers else stem for numbers, stem in zip(found, stems, strict=True)]
 
 
 def _natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:

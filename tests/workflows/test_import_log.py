@@ -38,17 +38,19 @@ def _messages(path: Path, topic: str) -> list[bytes]:
     return [message_class(raw.schema).FromString(raw.data).data for raw in raws]
 
 
-def test_two_views_pass_through(tmp_path):
+@pytest.mark.parametrize("ends", [("_L.jpg", "_R.png"), ("_cam0.jpg", "_cam1.png")])
+def test_two_views_pass_through(tmp_path, ends):
     """Files of both views are in the log as they are, paired by number, with stamps and a baseline."""
     for number in (1, 2, 10):
-        cv2.imwrite(str(tmp_path / f"{number}_L.jpg"), _picture(number))
-        cv2.imwrite(str(tmp_path / f"{number}_R.png"), _picture(100 + number))
-    views = ViewOptions(tmp_path, pattern="*_L.jpg", right_pattern="*_R.png", rate_hz=4.0, start_ns=10**9)
+        for side, end in enumerate(ends):
+            cv2.imwrite(str(tmp_path / f"{number}{end}"), _picture(100 * side + number))
+    patterns = [f"*{end}" for end in ends]
+    views = ViewOptions(tmp_path, None, *patterns, rate_hz=4.0, start_ns=10**9)
     result = import_log(ImportOptions(views, PAIR), tmp_path / "out.mcap")
     assert result.counts["/ECM/left/image"] == result.counts["/ECM/right/image"] == 3
     assert result.has_baseline is True
-    for side, suffix in (("left", "_L.jpg"), ("right", "_R.png")):
-        expected = [(tmp_path / f"{number}{suffix}").read_bytes() for number in (1, 2, 10)]
+    for side, end in zip(("left", "right"), ends, strict=True):
+        expected = [(tmp_path / f"{number}{end}").read_bytes() for number in (1, 2, 10)]
         assert _messages(result.path, f"/ECM/{side}/image") == expected
     recording = _open(result.path)
     observations = [one for one in read_observations(recording) if isinstance(one, Observation)]
@@ -92,7 +94,7 @@ def test_cropped(tmp_path):
 def test_other_formats_are_decoded(tmp_path):
     """BMP, TIFF and grey images become PNG with the same pixels."""
     pixels = [_picture(1), _picture(2), np.repeat(_picture(3)[..., :1], 3, axis=2)]
-    for name, image in zip(("a1.bmp", "a2.tiff", "a3.pgm"), pixels, strict=True):
+    for name, image in zip(("a1.bmp", "a2.tiff", "b1.pgm"), pixels, strict=True):
         cv2.imwrite(str(tmp_path / name), image[..., 0] if name.endswith("pgm") else image)
     result = import_log(ImportOptions(ViewOptions(tmp_path, rate_hz=1.0), ONE), tmp_path / "out.mcap")
     for found, expected in zip(_images(_open(result.path)), pixels, strict=True):
@@ -184,6 +186,21 @@ WRONG = {
         {"pattern": "*.png", "rate_hz": 1.0},
         ONE,
         "1_L.png and 1_R.png are of two views",
+    ),
+    **{
+        f"both views by {ends}": (
+            [f"0{number}_{end}.png" for number in (1, 2) for end in ends],
+            {"rate_hz": 1.0},
+            ONE,
+            f"01_{ends[0]}.png and 01_{ends[1]}.png are of two views",
+        )
+        for ends in (("cam0", "cam1"), ("cam1", "cam2"), ("0", "1"))
+    },
+    "one number": (
+        ("1_L.png", "2_L.png", "a2_L.png", "1_R.png"),
+        PAIRED,
+        PAIR,
+        "2_L.png and a2_L.png have one last number",
     ),
     "both times": (
         ("1700000000.500_left.png", "1700000000.503_right.png"),
