@@ -17,7 +17,7 @@ from svmdist.cli.options import (
     parse_length_m,
     parse_number,
 )
-from svmdist.cli.output import LOG, next_command, progress_bar, require_output
+from svmdist.cli.output import LOG, ExitCode, next_command, progress_bar, require_output
 from svmdist.errors import UsageError
 
 INSTRUMENT = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
@@ -79,7 +79,7 @@ class Import(Options):
     )
     force: bool = FORCE
 
-    def _run(self) -> None:
+    def _run(self) -> ExitCode:
         from svmdist.importing.calibration import CalibrationOptions
         from svmdist.importing.tables import parse_stamp_ns
         from svmdist.workflows.import_log import ImportOptions, ViewOptions, import_log
@@ -120,7 +120,10 @@ class Import(Options):
         LOG.info("%s: %s; %.2f MB", path, ", ".join(counted), result.size_bytes / 1e6)
         if result.has_baseline is False:
             LOG.info("no baseline is known: stereo needs --baseline, or a calibration of the pair")
+        for loss in result.losses:
+            LOG.error("loss: %s", loss)
         LOG.info("next: %s", next_command("profile", "new", path, "-o", f"{path.stem}.toml"))
+        return ExitCode.LOSS if result.losses else ExitCode.CLEAN
 
 
 def _numbers(name: str, text: str) -> tuple[float, ...]:

@@ -96,29 +96,55 @@ def _natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
 
 
 class Video:
-    """The first video stream of a file: its size, and the time in ns of every image after the first one."""
+    """The first video stream of a file: its size, and the time in ns of every image after the first one.
+
+    When `images` has given all that can be read, `losses` has what cannot, by the place of the first one.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._av = optional_package("av", "video", f"{path}: a video", SourceError)
         with self._stream() as (container, stream):
-            times = {packet.pts for packet in container.demux(stream) if packet.pts is not None}
+            found = [packet.pts for packet in container.demux(stream) if packet.size]
             self.size_px: tuple[int, int] = (stream.width, stream.height)
-            base = stream.time_base
+            base, rate_hz, stated = stream.time_base, stream.average_rate or 0, stream.frames
+        times = {pts for pts in found if pts is not None}
         if not times:
             raise SourceError(f"{path}: a video whose images have no times")
+        self.losses: dict[int, str] = {}
         self._times = sorted(times)
+        is_cut = round((self._times[-1] - self._times[0]) * base * rate_hz) + 1 < stated
+        self._cut_count = max(0, stated - len(found)) if is_cut else 0  # else the recorder had dropped them
         self.times_ns = [round((pts - self._times[0]) * base * 10**9) for pts in self._times]
 
     def images(self, every: int = 1) -> Iterator[tuple[int, Image]]:
-        """Give each n-th image, BGR, shape (height, width, 3), with its place among `times_ns`."""
+        """Give each n-th image, BGR, shape (height, width, 3), with its place among `times_ns`.
+
+        What is damaged is left out up to the next key frame. Raises SourceError where nothing is left.
+        """
         places = {pts: place for place, pts in enumerate(self._times)}
+        lost = set(places.values())
+        is_damaged, needs_key_frame = self._cut_count > 0, False
         with self._stream() as (container, stream):
-            stream.thread_type = "AUTO"
-            for frame in container.decode(stream):
-                place = places.get(frame.pts)
-                if place is not None and place % every == 0:
-                    yield place, np.asarray(frame.to_ndarray(format="bgr24"), np.uint8)
+            for packet in container.demux(stream):
+                needs_key_frame = packet.is_corrupt or (needs_key_frame and not packet.is_keyframe)
+                try:
+                    frames = [] if needs_key_frame and packet.size else packet.decode()
+                except self._av.error.FFmpegError:
+                    frames, needs_key_frame = [], True
+                    stream.codec_context.flush_buffers()
+                is_damaged |= needs_key_frame
+                for frame in frames:
+                    place = places.get(frame.pts)
+                    lost.discard(place)
+                    if place is not None and place % every == 0:
+                        yield place, np.asarray(frame.to_ndarray(format="bgr24"), np.uint8)
+        if is_damaged and (count := len(lost) + self._cut_count):
+            first, total = min(lost, default=len(places)), len(places) + self._cut_count
+            said = f"{self._path}: damaged or cut at image {first + 1} of {total}; {count} left out"
+            if len(lost) == len(places):
+                raise SourceError(said)
+            self.losses[first] = said
 
     @contextmanager
     def _stream(self) -> Iterator[tuple[Any, Any]]:

@@ -222,24 +222,27 @@ class VideoDecoder:
         return np.asarray(frames[0].to_ndarray(format="bgr24"), np.uint8)
 
 
-def read_file(path: Path, limits: Limits) -> bytes | Image:
-    """The bytes of a PNG or JPEG, or the pixels of another format by OpenCV; SourceError where it is no image."""
+def read_file(path: Path, limits: Limits) -> tuple[bytes | Image, tuple[int, int]]:
+    """The bytes of a PNG or JPEG, or the pixels of another format by OpenCV, with width and height in px.
+
+    Raises SourceError, which names the path, where it is no image.
+    """
     with reading(path, SourceError):
         data = read_regular(path, limits.image_bytes)
     try:
         if still_format(data):
-            return data
+            return data, still_size(data, limits)
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
         if image is None:
             raise ImageError(f"not an image that can be decoded ({data[:8].hex(' ') or 'an empty file'})")
         if image.dtype != np.uint8:
             raise ImageError(f"an image of {8 * image.dtype.itemsize} bits; 8 are expected")
-        check_dimensions(image.shape[1], image.shape[0], limits)
+        size_px = image.shape[1], image.shape[0]
+        check_dimensions(*size_px, limits)
     except (cv2.error, ImageError) as problem:
         raise SourceError(f"{path}: {' '.join(str(problem).split())}") from None
-    return np.asarray(
-        cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image[..., :3], np.uint8
-    )
+    pixels = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image[..., :3]
+    return np.asarray(pixels, np.uint8), size_px
 
 
 def decode_file(data: bytes, name: str, limits: Limits) -> Image:

@@ -12,7 +12,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import version
-from itertools import islice
+from itertools import groupby, islice
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ from svmdist.importing import tables as table_files
 from svmdist.importing.calibration import CalibrationOptions, Crop, complete, stated_cameras
 from svmdist.importing.images import Video, list_images, matching, require_one_view
 from svmdist.profile import Limits, load_profile
-from svmdist.recording.images import ImageError, decode_file, read_file, still_size
+from svmdist.recording.images import decode_file, read_file
 from svmdist.recording.writer import EncodedSample, RecordingWriter, encode_still
 from svmdist.samples import (
     CameraSample,
@@ -72,6 +73,11 @@ class ViewOptions:
         """How many views there are."""
         return 2 if self.side_by_side or self.has_right_source else 1
 
+    @property
+    def takes_parts(self) -> bool:
+        """Whether the log has parts of the pictures, which have to be decoded for it."""
+        return self.side_by_side or self.crop is not None
+
 
 @dataclass(frozen=True)
 class ImportOptions:
@@ -87,22 +93,27 @@ class ImportOptions:
 
 @dataclass(frozen=True)
 class ImportResult:
-    """What was written: numbers of messages by topic, and whether a pair has a known baseline."""
+    """What was written: numbers of messages by topic, whether a pair has a known baseline, and what was left out."""
 
     path: Path
     counts: dict[str, int]
     size_bytes: int
     has_baseline: bool | None
+    losses: list[str]
 
 
 @dataclass(frozen=True)
 class View:
-    """One stream of pictures of one size; `read` gives (place, picture) of every `ViewOptions.every`-th in order."""
+    """One stream of pictures of one size; `read` gives (place, picture) of every `ViewOptions.every`-th in order.
+
+    It leaves out what cannot be read, and says so in `losses`, by the place.
+    """
 
     names: list[str]
     stamps_ns: list[int]
     size_px: tuple[int, int]
     read: Callable[[], Iterator[tuple[int, Picture]]]
+    losses: dict[int, str]
 
 
 def import_log(
@@ -144,13 +155,15 @@ def import_log(
                 writer.part_path.unlink(missing_ok=True)
         raise
     has_baseline = None if given.count == 1 else T_left_right is not None
-    return ImportResult(output, dict(counts), output.stat().st_size, has_baseline)
+    losses = [loss for view in views for loss in view.losses.values()]
+    return ImportResult(output, dict(counts), output.stat().st_size, has_baseline, losses)
 
 
 def _image_messages(
     views: Sequence[View], at: int, cameras: Sequence[Camera], options: ImportOptions
 ) -> Iterator[Message]:
-    for stamp_ns, parts in _pictures(views[at], options.views):
+    for place, parts in _pictures(views[at], options.views):
+        stamp_ns = views[at].stamps_ns[place]
         for side, part in enumerate(parts, at):
             if isinstance(part, bytes):
                 message: Sample | EncodedSample = encode_still(stamp_ns, FRAMES[side], part, LIMITS)
@@ -161,15 +174,15 @@ def _image_messages(
 
 
 def _pictures(view: View, options: ViewOptions) -> Iterator[tuple[int, Sequence[Picture]]]:
-    """The stamps of a stream, each with its picture, cropped, or with both that stand side by side."""
+    """The places of a stream, each with its picture, cropped, or with both that stand side by side."""
     for place, picture in view.read():
         parts: Sequence[Picture] = [picture]
-        if options.side_by_side or options.crop:
-            image = decoded(picture, view.names[place])
-            halves = np.split(image, 2, axis=1) if options.side_by_side else [image]
+        if options.takes_parts:
+            assert not isinstance(picture, bytes)  # decoded where it is read
+            halves = np.split(picture, 2, axis=1) if options.side_by_side else [picture]
             x, y, width, height = options.crop or (0, 0, *halves[0].shape[1::-1])
             parts = [np.ascontiguousarray(half[y : y + height, x : x + width]) for half in halves]
-        yield view.stamps_ns[place], parts
+        yield place, parts
 
 
 def decoded(picture: Picture, name: str) -> Image:
@@ -180,10 +193,15 @@ def decoded(picture: Picture, name: str) -> Image:
 def _pairs(
     views: Sequence[View], cameras: Sequence[Camera], T_left_right: Array, options: ImportOptions
 ) -> Iterator[Observation]:
-    """Both views at each time, in order; from two streams those that stand at one place."""
-    for each in zip(*(_pictures(view, options.views) for view in views), strict=False):
-        left, right = (decoded(part, "the picture") for _, parts in each for part in parts)
-        yield Observation(each[0][0], left, cameras[0], right=RightView(right, cameras[1], T_left_right))
+    """Both views at each time, in order; from two streams those that stand at one place and can be decoded."""
+    by_place = itemgetter(0)
+    pictures = heapq.merge(*(_pictures(view, options.views) for view in views), key=by_place)
+    for place, each in groupby(pictures, by_place):
+        with suppress(SourceError):  # a file is stored as it is
+            images = [decoded(part, "") for _, parts in each for part in parts]
+            if len(images) == 2:
+                right = RightView(images[1], cameras[1], T_left_right)
+                yield Observation(views[0].stamps_ns[place], images[0], cameras[0], right=right)
 
 
 def _table_messages(options: ImportOptions, times: table_files.ImageTimes) -> list[list[Message]]:
@@ -229,7 +247,7 @@ def _file_views(options: ViewOptions) -> list[View]:
     names = [path.name for path in left]
     if not options.has_right_source:
         require_one_view(left)
-        return [_file_view(left, _stamps(options, names), options.every)]
+        return [_file_view(left, _stamps(options, names), options)]
     folder = options.right or options.source
     right = list_images(folder, options.right_pattern or (options.pattern if options.right else None))
     if set(right) & set(left):
@@ -244,29 +262,35 @@ def _file_views(options: ViewOptions) -> list[View]:
         right_stamps = own
     else:
         right = matching(left, right)
-    return [_file_view(left, stamps, options.every), _file_view(right, right_stamps, options.every)]
+    return [_file_view(left, stamps, options), _file_view(right, right_stamps, options)]
 
 
-def _file_view(paths: Sequence[Path], stamps_ns: list[int], every: int) -> View:
-    def picture_of(path: Path) -> tuple[Picture, tuple[int, int]]:
-        picture = read_file(path, LIMITS)
-        try:
-            if isinstance(picture, bytes):
-                return picture, still_size(picture, LIMITS)
-        except ImageError as problem:
-            raise SourceError(f"{path.name}: {problem}") from None
-        return picture, (picture.shape[1], picture.shape[0])
+def _file_view(paths: Sequence[Path], stamps_ns: list[int], options: ViewOptions) -> View:
+    losses: dict[int, str] = {}
+
+    def pictures() -> Iterator[tuple[int, Picture, tuple[int, int]]]:
+        for place in range(0, len(paths), options.every):
+            try:
+                picture, found_px = read_file(paths[place], LIMITS)
+                if options.takes_parts:
+                    picture = decoded(picture, str(paths[place]))
+            except SourceError as problem:
+                losses[place] = str(problem)
+            else:
+                yield place, picture, found_px
 
     def read() -> Iterator[tuple[int, Picture]]:
-        for place in range(0, len(paths), every):
-            picture, (width_px, height_px) = picture_of(paths[place])
+        for place, picture, (width_px, height_px) in pictures():
             if (width_px, height_px) != size_px:
-                first = f"{paths[0].name} has {size_px[0]}x{size_px[1]} px"
-                raise SourceError(f"{paths[place].name}: {width_px}x{height_px} px; {first}")
+                expected = f"{paths[first].name} has {size_px[0]}x{size_px[1]} px"
+                raise SourceError(f"{paths[place]}: {width_px}x{height_px} px; {expected}")
             yield place, picture
 
-    _, size_px = picture_of(paths[0])
-    return View([path.name for path in paths], stamps_ns, size_px, read)
+    try:
+        first, _, size_px = next(pictures())
+    except StopIteration:
+        raise SourceError(losses[0]) from None
+    return View([path.name for path in paths], stamps_ns, size_px, read, losses)
 
 
 def _video_views(options: ViewOptions, sources: Sequence[Path]) -> list[View]:
@@ -281,7 +305,10 @@ def _video_views(options: ViewOptions, sources: Sequence[Path]) -> list[View]:
             raise SourceError(f"{path}: {len(video.times_ns)} images; {sources[0]} has {count}")
     names = [f"image {place} of {sources[0].name}" for place in range(len(videos[0].times_ns))]
     stamps = _stamps(options, names, videos[0].times_ns)
-    return [View(names, stamps, video.size_px, partial(video.images, options.every)) for video in videos]
+    return [
+        View(names, stamps, video.size_px, partial(video.images, options.every), video.losses)
+        for video in videos
+    ]
 
 
 def _stamps(options: ViewOptions, names: list[str], times_ns: Sequence[int] | None = None) -> list[int]:

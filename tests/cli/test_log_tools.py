@@ -215,6 +215,9 @@ def test_images_are_imported(cli, tmp_path, options, baseline, camera):
     assert ("no baseline is known" in outcome.err) == baseline
     shown = cli("info", log).out
     assert all(part in shown for part in (camera, "imported_from endoscope", "health      clean"))
+    (images / "img2.png").touch()
+    said = cli("import", images, *options, "--rate", "25", "-o", log, "--force", code=3).err
+    assert f"svmdist: loss: {images / 'img2.png'}: not an image that can be decoded (an empty file)\n" in said
 
 
 @pytest.mark.slow

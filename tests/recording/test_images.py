@@ -170,11 +170,14 @@ def test_sizes_that_contradict_each_other_are_refused(encoding):
 def test_a_png_file_passes_through_and_others_are_decoded_or_refused(tmp_path):
     for name, image in (("a.png", IMAGE), ("a.bmp", IMAGE), ("deep.tiff", IMAGE.astype(np.uint16))):
         cv2.imwrite(str(tmp_path / name), image)
-    data = images.read_file(tmp_path / "a.png", LIMITS)
+    data, size_px = images.read_file(tmp_path / "a.png", LIMITS)
+    assert size_px == (IMAGE.shape[1], IMAGE.shape[0])
     assert isinstance(data, bytes)
     assert data == (tmp_path / "a.png").read_bytes()
     np.testing.assert_array_equal(images.decode_file(data, "a.png", LIMITS), IMAGE)
-    np.testing.assert_array_equal(images.read_file(tmp_path / "a.bmp", LIMITS), IMAGE)
+    pixels, size_px = images.read_file(tmp_path / "a.bmp", LIMITS)
+    np.testing.assert_array_equal(pixels, IMAGE)
+    assert size_px == (IMAGE.shape[1], IMAGE.shape[0])
     (tmp_path / "no.bmp").write_bytes(b"BMno")
     (tmp_path / "nothing.png").touch()
     for name, reason in (

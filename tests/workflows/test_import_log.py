@@ -1,5 +1,6 @@
 """Import: what is in the files is in the log, byte by byte where that is possible."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -143,24 +144,102 @@ def test_own_stamps_of_both_views(tmp_path):
     assert stamps["/ECM/right/image"] == [stamp + 200_000 for stamp in stamps["/ECM/left/image"]]
 
 
+def _write_video(
+    path: Path, codec: str, pixels: str, images: Sequence[Image], dropped: int | None = None
+) -> list[bytes]:
+    """Write images but a dropped one with a key frame every four, and give their packets."""
+    av, packets = pytest.importorskip("av"), []
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=25)
+        stream.width, stream.height, stream.pix_fmt, stream.codec_context.gop_size = 64, 48, pixels, 4
+        stream.options = {"sc_threshold": "1000000000"}  # none where the scene changes
+        for place, image in enumerate(images):
+            frame = av.VideoFrame.from_ndarray(image, format="bgr24").reformat(format=pixels)
+            frame.pts = place
+            encoded = [] if place == dropped else stream.encode(frame)
+            packets += map(bytes, encoded)
+            container.mux(encoded)
+        container.mux(stream.encode())
+    return packets
+
+
 def test_video(tmp_path):
     """A video's images and times are in the log; lossless video without a bit of difference."""
-    av = pytest.importorskip("av")
     images = [_picture(number) for number in range(5)]
     path = tmp_path / "endoscope.mkv"
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("ffv1", rate=25)
-        stream.width, stream.height, stream.pix_fmt = 64, 48, "bgr0"
-        for image in images:
-            frame = av.VideoFrame.from_ndarray(image, format="bgr24").reformat(format="bgr0")
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
+    _write_video(path, "ffv1", "bgr0", images)
     views = ViewOptions(path, start_ns=7 * 10**9, every=2)
     result = import_log(ImportOptions(views, ONE), tmp_path / "out.mcap")
     found = _images(_open(result.path))
     assert [image.stamp_ns for image in found] == [7 * 10**9, 7_080_000_000, 7_160_000_000]
     for image, place in zip(found, (0, 2, 4), strict=True):
         np.testing.assert_array_equal(image.image_bgr, images[place])
+
+
+@pytest.mark.parametrize(
+    ("damage", "places", "said"),
+    [
+        ("none", range(12), []),
+        ("dropped", (0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11), []),  # by the recorder: AVI counts it
+        ("cut", range(6), ["damaged or cut at image 7 of 12; 6 left out"]),
+        ("damaged", (0, 1, 2, 3, 4, 8, 9, 10, 11), ["damaged or cut at image 6 of 12; 3 left out"]),
+    ],
+)
+def test_what_is_damaged_of_a_video_is_left_out(tmp_path, damage, places, said):
+    """All that is whole is in the log at its time, and nothing up to the next key frame; the loss is told."""
+    path = tmp_path / "a.avi"
+    images = [np.full((48, 64, 3), 20 * n, np.uint8) for n in range(12)]
+    packets = _write_video(path, "mpeg4", "yuv420p", images, 5 if damage == "dropped" else None)
+    data = path.read_bytes()
+    if damage == "cut":
+        data = data[: data.index(packets[6]) + len(packets[6]) // 2]
+    if damage == "damaged":
+        data = data.replace(packets[5], bytes(len(packets[5])))
+    path.write_bytes(data)
+    result = import_log(ImportOptions(ViewOptions(path), ONE), tmp_path / "out.mcap")
+    assert result.losses == [f"{path}: {one}" for one in said]
+    found = _images(_open(result.path))
+    assert [image.stamp_ns for image in found] == [40_000_000 * place for place in places]
+    for image, place in zip(found, places, strict=True):
+        assert abs(image.image_bgr.mean() - 20 * place) < 10
+    for packet in packets:
+        data = data.replace(packet, bytes(len(packet)))
+    path.write_bytes(data)
+    with pytest.raises(SourceError, match=r"damaged or cut at image 1 of 1[12]; 1[12] left out"):
+        import_log(ImportOptions(ViewOptions(path), ONE), tmp_path / "none.mcap")
+    assert not (tmp_path / "none.mcap").exists()
+
+
+@pytest.mark.parametrize(
+    ("kind", "crop", "said"),
+    [
+        ("cut", None, "a PNG that ends early"),
+        ("text", None, "not an image that can be decoded"),
+        ("16", None, "a PNG of 16 bits"),
+        ("grey", None, None),  # a file is stored as it is
+        ("grey", (0, 0, 32, 32), "premature end of data"),
+    ],
+)
+@pytest.mark.parametrize("damaged", ["1_L.png", "2_R.png"])
+def test_a_damaged_image_is_left_out(tmp_path, monkeypatch, damaged, kind, crop, said):
+    """The others keep their stamps and their partners."""
+    for name in (*NUMBERS, "2_R.png", "3_L.png", "3_R.png"):
+        cv2.imwrite(str(tmp_path / name), _picture(int(name[0])))
+    _write(tmp_path / damaged, kind)
+    pairs: list[Observation] = []
+    monkeypatch.setattr("svmdist.workflows.import_log.views_contradiction", lambda few, _: pairs.extend(few))
+    result = import_log(
+        ImportOptions(ViewOptions(tmp_path, **PAIRED, crop=crop), PAIR), tmp_path / "out.mcap"
+    )
+    assert len(result.losses) == (said is not None)
+    assert all(loss.startswith(f"{tmp_path / damaged}: ") and said in loss for loss in result.losses)
+    places = [place for place in range(3) if place != int(damaged[0]) - 1]
+    assert [one.stamp_ns for one in pairs] == [10**9 * place for place in places]
+    for pair in pairs:
+        np.testing.assert_array_equal(pair.image_bgr, pair.right.image_bgr)
+    for side in ("left", "right"):
+        is_lost = said is not None and side[0].upper() in damaged
+        assert result.counts[f"/ECM/{side}/image"] == (2 if is_lost else 3)
 
 
 NUMBERS = ("1_L.png", "2_L.png", "1_R.png")
@@ -177,9 +256,7 @@ WRONG = {
     "no camera": (NUMBERS[:2], {"rate_hz": 1.0}, CalibrationOptions(), "a camera needs a calibration"),
     "lonely": (NUMBERS, PAIRED, PAIR, "2_L.png: there is no right image"),
     "size": ((*NUMBERS, "2_R.png 60"), PAIRED, PAIR, "60x48 px; 1_R.png has 64x48 px"),
-    "cut": ((*NUMBERS, "2_R.png cut"), PAIRED, PAIR, "2_R.png: a PNG that ends early"),
-    "no image": ((*NUMBERS, "2_R.png text"), PAIRED, PAIR, "image that can be decoded"),
-    "16 bits": ((*NUMBERS, "2_R.png 16"), PAIRED, PAIR, "16 bits"),
+    "all damaged": (("1.png 16", "2.png cut"), {"rate_hz": 1.0}, ONE, "images/1.png: a PNG of 16 bits"),
     "same": (NUMBERS, {"right_pattern": "*_L.png", "rate_hz": 1.0}, PAIR, "the same images"),
     "both views": (
         NUMBERS,
@@ -223,6 +300,9 @@ def _write(path: Path, kind: str) -> None:
     path.parent.mkdir(exist_ok=True)
     image = _picture(1, int(kind) if kind in ("60", "65") else 64)
     data = cv2.imencode(".png", image.astype(np.uint16) if kind == "16" else image)[1].tobytes()
+    if kind == "grey":  # whole by its marks, and half of it is not there
+        data = cv2.imencode(".jpg", image)[1].tobytes()
+        data = data[: len(data) // 2] + data[-2:]
     path.write_bytes(b"no image" * 50 if kind == "text" else data[:-30] if kind == "cut" else data)
 
 
