@@ -250,29 +250,31 @@ class RegionTracker:
         hypotheses = ranked_assignments(cost, self._extra_region_cost, self._settings.miss_cost)
         best_cost, best = hypotheses[0]
         found = list(best)
-        missed = [j for j, a in enumerate(best) if a is None and not self._is_uncertain(expected[j])]
+        uncertain = [self._is_uncertain(where) for where in expected]
+        missed = [j for j, a in enumerate(best) if a is None and not uncertain[j]]
         for i, a in enumerate(best):
             if a is None:
                 continue
-            if self._is_uncertain(expected[i]):
-                # Another region for this one, or this region for another one.
-                others = [c for c, h in hypotheses if h[i] != a and (h[i] is not None or a in h)]
-                if min(others, default=np.inf) - best_cost < MARGIN:
-                    found[i] = None
-            elif any(
-                self._may_hold(blobs[a], self._tracks[i], expected[j], cost[j, a] - cost[i, a])
-                for j in missed
-            ):
+            # This region for another one, seen elsewhere or not; of one that may be anywhere, another region, too.
+            is_new, is_first = uncertain[i], self._tracks[i].alone is None and not uncertain[i]
+            others = [
+                c
+                for c, h in hypotheses
+                if h[i] != a
+                and ((is_new and h[i] is not None) or (a in h and not (is_first and uncertain[h.index(a)])))
+            ]
+            is_contested = min(others, default=np.inf) - best_cost < (MARGIN if is_new else CONTEST)
+            if is_contested or any(self._may_hold(blobs[a], self._tracks[i], expected[j]) for j in missed):
                 found[i] = None
         return found
 
-    def _may_hold(self, blob: Blob, track: _Track, missed: Gaussian | None, excess: float) -> bool:
-        """Whether a track's region may as well be, or hold, that of an instrument which has none."""
+    def _may_hold(self, blob: Blob, track: _Track, missed: Gaussian | None) -> bool:
+        """Whether a track's region may hold that of an instrument which has none, too."""
         if missed is None or track.alone is None:
-            return excess < CONTEST
+            return False
         reach_px = 2.0 * blob.radius_px + 3.0 * missed.std_px
         near = float(np.linalg.norm(missed.mean - blob.centre_px)) < reach_px
-        return excess < CONTEST or (near and blob.area_px > MERGED_AREA * track.alone.area_px)
+        return near and blob.area_px > MERGED_AREA * track.alone.area_px
 
     def _is_uncertain(self, where: Gaussian | None) -> bool:
         return where is None or where.std_px > UNCERTAIN_FRACTION * self._width_px

@@ -171,3 +171,17 @@ def test_a_shaft_is_told_in_the_right_view_by_its_depth(seed):
     own, other = (shaft_seen(camera, T_right_left, at_m, direction) for at_m in (first_m, other_m))
     assert disagreement(left, own, (camera, camera), T_right_left, instrument) < 16.0
     assert disagreement(left, other, (camera, camera), T_right_left, instrument) > 24.0
+
+
+@pytest.mark.parametrize(("off_px", "is_named"), [(0.0, True), (10.0, False)])
+def test_a_region_beside_its_track_may_be_one_not_yet_seen(off_px, is_named):
+    """Where the robot puts another instrument there, however roughly, a region off its track's path is contested."""
+    tracker, at_px = RegionTracker(2, WIDTH_PX, HEIGHT_PX, AssociationSettings()), np.array([300.0, 200.0])
+    stds_px, p = (10.0, 0.15 * WIDTH_PX), np.array([0.0, 0.0, 0.1])
+    places = [NominalPlace(Gaussian(at_px, std_px**2 * np.eye(2)), p, FOCAL_PX / p[2]) for std_px in stds_px]
+    for frame in range(12):
+        seen_px = at_px + np.array([off_px if frame == 11 else 0.0, 0.0])
+        blobs = [Blob(seen_px, np.pi * RADIUS_PX**2)]
+        first, second = tracker.update(frame * int(1e9 / RATE_HZ), places, blobs)
+        assert second.blob is None
+    assert (first.blob == 0) == is_named
