@@ -11,10 +11,11 @@ from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.instrument.verification import contradiction
 from svmdist.estimation.tissue.detection import TissuePose
+from svmdist.geometry import Capsules
 from svmdist.geometry.distance import Separation, capsule_separation, separation
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose, as_pixel, as_vector
 from svmdist.samples import Status
-from svmdist.transforms import Array
+from svmdist.transforms import Array, make_transform
 
 
 def with_tissue(frame: Frame) -> FrameResult:
@@ -54,7 +55,8 @@ def measured(
         capsules = frame.arm.body.posed(pose, tool.joints, tool.has_plate)
         gap = separation(capsules, tissue.surface)
         frame.left.found["measured_surface"] = tissue.surface  # for drawings
-        std_m = float(np.hypot(clearance_std_m(gap, pose, tissue, coupling), frame.arm.body.surface_std_m))
+        parts_m = clearance_std_m(gap, pose, tissue, coupling), _bent_std_m(gap, capsules, pose, tissue)
+        std_m = float(np.linalg.norm([*parts_m, frame.arm.body.surface_std_m]))
         # With all of an overlap in it: soft tissue has given way, or tool or tissue is elsewhere.
         overlap_std_m = float(np.hypot(std_m, max(-gap.distance_m, 0.0)))
         ends = as_vector(gap.direction), as_vector(gap.on_instrument_m)
@@ -90,6 +92,20 @@ def clearance_std_m(
         variance -= 2.0 * float(_moves(gap.direction, gap.on_instrument_m, pose) @ coupling @ gap.direction)
     variance += tissue.surface_variance_m2(gap.on_tissue_m, gap.direction)
     return float(np.sqrt(max(variance, 0.0)))
+
+
+def _bent_std_m(gap: Separation, capsules: Capsules, pose: ToolPose, tissue: TissuePose) -> float:
+    """What that leaves out: along the direction in which the tool is least sure, another point becomes the closest.
+
+    Separations of the tool moved by ±√3 deviations tell it, as sigma points (Julier and Uhlmann 2004).
+    """
+    variances, axes = np.linalg.eigh(pose.position_covariance)
+    step_m = float(np.sqrt(3.0 * max(variances[-1], 0.0))) * axes[:, -1]
+    squared = -2.0 * float(gap.direction @ step_m) ** 2
+    for moved_m in (step_m, -step_m):
+        moved = capsules.transformed(make_transform(np.eye(3), moved_m))
+        squared += (separation(moved, tissue.surface).distance_m - gap.distance_m) ** 2
+    return float(np.sqrt(max(squared / 6.0, 0.0)))
 
 
 def variance_along(direction: Array, point_m: Array, pose: ToolPose) -> float:
