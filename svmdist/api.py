@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from svmdist.errors import SvmdistError
+from svmdist.errors import SvmdistError, UsageError
 from svmdist.estimation.alarms import AlarmRules, alarm_watches
 from svmdist.metrics import TEXT
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, taking_hand_eye
@@ -152,6 +152,7 @@ def estimate(
         every: Every so-many-th image is measured.
         jobs: Processes; results do not depend on them.
     """
+    (recording,) = _opened(recording)
     if hand_eye is not None:
         origin = recording.origin
         profile = taking_hand_eye(origin.profile, hand_eye)
@@ -189,7 +190,7 @@ def validate(
 
     Raises RecordingError where a recording has no reference.
     """
-    several = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    several = _opened(recordings)
     setup = _setup(several[0], given_estimates(estimates) if estimates else method, calibration)
     request = Request(setup, lag=lag, alarms=alarms, rules=rules or TruthRules())
     return _validate(several, request, jobs)
@@ -197,7 +198,7 @@ def validate(
 
 def compare(
     recordings: Recording | Sequence[Recording],
-    methods: Sequence[Method] | None = None,
+    methods: Method | Sequence[Method] | None = None,
     *,
     estimates: Sequence[str] = (),
     jobs: int | None = None,
@@ -206,15 +207,16 @@ def compare(
 
     Args:
         recordings: One log or several.
-        methods: As in `estimate`.
+        methods: One or several, as in `estimate`.
         estimates: As in `validate`.
         jobs: Processes; results do not depend on them.
     """
-    several = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    several = _opened(recordings)
     given = [_setup(several[0], given_estimates(text)) for text in estimates]
     if methods is None:
         return _compare(several, [*prepare_every(several[0].origin.profile), *given], jobs=jobs)
-    return _compare(several, [*(_setup(several[0], method) for method in methods), *given], jobs=jobs)
+    named = methods if isinstance(methods, Sequence) and not isinstance(methods, str) else [methods]
+    return _compare(several, [*(_setup(several[0], method) for method in named), *given], jobs=jobs)
 
 
 def surface(recording: Recording, frame: int = 0) -> TissueSurface:
@@ -223,7 +225,16 @@ def surface(recording: Recording, frame: int = 0) -> TissueSurface:
     It has points, normals and deviations, in the left camera's frame.
     Raises RecordingError where the log has no right view, or the image shows no surface; UsageError without the image.
     """
+    (recording,) = _opened(recording)
     return _surface(recording, recording.origin.profile, frame)
+
+
+def _opened(recordings: Recording | Sequence[Recording]) -> list[Recording]:
+    several: list[Any] = list(recordings) if isinstance(recordings, list | tuple) else [recordings]
+    for one in several:
+        if not isinstance(one, Recording):
+            raise UsageError(f"expected what svmdist.open_recording gives, found {type(one).__name__}")
+    return several
 
 
 def _setup(recording: Recording, method: Method, calibration: Path | None = None) -> Setup:

@@ -115,3 +115,17 @@ def test_a_view_of_one_instrument_is_measured_as_that_instrument(golden):
     )
     expected = [row.distances.clearance for row in both if row.instrument == "PSM2"]
     assert [row.distances.clearance for row in one] == expected
+
+
+def test_what_is_no_recording_frame_or_method_is_told(golden):
+    recording = svmdist.open_recording(golden / "3d" / "contact.mcap")
+    assert repr(recording).startswith("contact: instruments PSM1; image /ECM/left/image, ")
+    for call, expected in (
+        (lambda: svmdist.estimate("contact.mcap"), "what svmdist.open_recording gives, found str"),
+        (lambda: svmdist.compare([recording, 3]), "what svmdist.open_recording gives, found int"),
+        (lambda: svmdist.estimate(recording, 3), r"an object with estimate\(frame\); found int"),
+        (lambda: svmdist.surface(recording, -1), "the number of an image, 0 or more; found -1"),
+        (lambda: svmdist.compare(recording, "fuse"), "no method fuse: did you mean fused"),
+    ):
+        with pytest.raises(svmdist.errors.UsageError, match=expected):
+            call()

@@ -133,9 +133,11 @@ def _served(file: Path, profile: Profile, topics: dict[str, str]) -> list[str]:
     """The methods that log and profile serve, the surest first; RecordingError where there is none."""
     from svmdist.recording.summary import inspect_recording
     from svmdist.workflows.calibrate import SEEING_METHODS
-    from svmdist.workflows.capabilities import method_capabilities
+    from svmdist.workflows.capabilities import method_capabilities, misfit
 
     summary = inspect_recording(file, profile, topics=topics)
+    if said := misfit(summary, profile):
+        raise RecordingError(f"{file}: {said}")
     found = {one.name: one for one in method_capabilities(summary, profile)}
     if served := [name for name in SEEING_METHODS if found[name].served]:
         return served

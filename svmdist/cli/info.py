@@ -22,8 +22,10 @@ from svmdist.errors import RecordingError, SvmdistError
 from svmdist.report.writers import Holds
 
 if TYPE_CHECKING:
+    from svmdist.estimation.comparison import Checks
     from svmdist.profile import Profile
     from svmdist.recording.log import Recording
+    from svmdist.recording.source import Health
     from svmdist.workflows.request import Request
 
 
@@ -69,20 +71,25 @@ def inspect_log(recording: Recording, request: Request, _threads: int, looks_for
         if looks_for_tag and {"image", "camera_info"} <= set(summary.roles):
             with suppress(RecordingError):  # a calibration that is not usable: the summary says so
                 tags = look_for_tag(recording, profile)
+        found = _checks(recording, profile, summary.health)
         recording.health.join(summary.health)
-        return info_document(summary, profile, tags) | {"checks": _checks(recording, profile)}
+        return info_document(summary, profile, tags) | {"checks": found}
 
 
-def _checks(recording: Recording, profile: Profile) -> dict[str, Any]:
-    """How many comparisons a log allows with a profile, and what contradicts most."""
+def _checks(recording: Recording, profile: Profile, health: Health) -> dict[str, Any]:
+    """How many comparisons a log allows with a profile, and what contradicts most; lost images join `health`."""
     from svmdist.recording.log import open_recording
+    from svmdist.recording.source import LossKind
     from svmdist.workflows.check import check_log, warning
 
-    try:
-        # Read anew: what is lost on the way is told by the summary already.
-        found = check_log(open_recording(recording.path, profile, topics=recording.origin.topics), profile)
-    except SvmdistError:  # what it lacks, or what the profile lacks, stands in the methods' lines
-        return {"count": 0, "contradiction": ""}
+    # Read anew: what else is lost on the way is told by the summary already.
+    again = open_recording(recording.path, profile, topics=recording.origin.topics)
+    found: dict[str, Checks] = {}
+    with suppress(SvmdistError):  # what it lacks, or what the profile lacks, stands in the methods' lines
+        found = check_log(again, profile)
+    for loss in again.health.losses:
+        if loss.kind is LossKind.IMAGE:
+            health.add(loss)
     return {"count": sum(len(one.comparisons) for one in found.values()), "contradiction": warning(found)}
 
 

@@ -90,6 +90,13 @@ class Recording:
     window: obs.Window = obs.ALL_IMAGES
     """Which of its images are read; whatever else it has is read whole."""
 
+    def __repr__(self) -> str:
+        """Its name, what is measured in it, and its topics by role."""
+        topics = ", ".join(f"{role} {topic}" for role in Role if (topic := self.topic_of(role)))
+        return (
+            f"{self.name}: instruments {', '.join(self.instruments)}; {topics or 'no topic of the profile'}"
+        )
+
     def __reduce__(self) -> tuple[Callable[..., Recording], tuple[object, ...]]:
         """Another process opens the same file anew."""
         return _reopened, (self.origin, self.arms, self.world, self.lag, self.alias, self.window)
@@ -365,6 +372,8 @@ class Recording:
     def _unusable(self, what: str, role: Role) -> RecordingError:
         topic, kind = self._require(role), role.kind
         named = f"{self.path.name}: no usable {what} on {sanitize(topic)}"
+        why = next((sanitize(loss.detail) for loss in self.health.losses if loss.topic == topic), "")
+        named = f"{named}: {why}" if why else named
         others = [one.topic for one in self.topics() if kind_of(*one[1:3]) is kind and one.topic != topic]
         return RecordingError(
             f"{named}; other topics with {kind}: {sanitize_list(others)}" if others else named

@@ -14,6 +14,7 @@ from svmdist.estimation.methods import REGISTRY
 from svmdist.profile import DEFAULT_PROFILE, Profile
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs
+from svmdist.recording.source import sanitize_list
 from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role
 from svmdist.remote import LogPath
@@ -74,7 +75,9 @@ def capabilities(
     best = next(
         (name for name in PREFERRED for method in methods if method.name == name and method.served), ""
     )
-    lacks = (misfit,) if (misfit := _misfit(summary, profile)) else () if best else methods[0].missing
+    lacks = () if best else methods[0].missing
+    if said := misfit(summary, profile):
+        lacks = (f"a profile of its own: it is {said}",)
     return (
         Capability("estimate", lacks, f"by {best}" if best and not lacks else ""),
         *(Capability(*of) for of in missing.items()),
@@ -93,10 +96,10 @@ def best_method(
         with suppress(RecordingError):  # whoever measures it says so
             few.append(inspect_recording(path, profile, topics=topics, head_s=HEAD_S))
     few = [one for one in few if set(IMAGES) <= set(one.roles)]  # of the others, too
-    summaries = [one for one in few if not _misfit(one, profile)]
+    summaries = [one for one in few if not misfit(one, profile)]
     if not summaries:
         if few:
-            raise UsageError(f"{few[-1].path}: {_misfit(few[-1], profile)}")
+            raise UsageError(f"{few[-1].path}: {misfit(few[-1], profile)}")
         return "kinematic", "no log could be looked at"
     for with_tags in (False, True):  # a tag is looked for in all of a log, and only where it matters
         served, lacks = Counter[str](), dict[str, tuple[str, ...]]()
@@ -151,8 +154,8 @@ def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup,
             reasons.append(f"{setup.method}: {str(problem).removeprefix(f'{recording.name}: ')}")
         else:
             left += (setup,)
-    if reasons and (misfit := _misfit(summary, profile)):
-        raise RecordingError(f"{summary.path}: {misfit}")
+    if reasons and (said := misfit(summary, profile)):
+        raise RecordingError(f"{summary.path}: {said}")
     if not left:
         raise RecordingError(
             f"no method can measure this log with profile {profile.name}: {'. '.join(reasons)}"
@@ -162,7 +165,7 @@ def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup,
     return left
 
 
-def _misfit(summary: RecordingSummary, profile: Profile) -> str:
+def misfit(summary: RecordingSummary, profile: Profile) -> str:
     """Why a log is none of the profile that is taken where none is given: neither made by it, nor with its joints."""
     is_its_own = summary.metadata.get("profile") == profile.name or (
         "joints" in summary.roles and not _missing_chain(summary, profile)
@@ -222,7 +225,7 @@ def _missing(
     frames, of_profile = profile.frames, f"in profile {profile.name}"
 
     def topics(*roles: str) -> tuple[str, ...]:
-        return tuple(f"a topic for {role}" for role in roles if role not in summary.roles)
+        return tuple(_topic_for(role, summary) for role in roles if role not in summary.roles)
 
     def unless(condition: object, words: str) -> tuple[str, ...]:
         return () if condition else (words,)
@@ -250,6 +253,15 @@ def _missing(
         "tag": unless(not tag, tag),
     }
     return tuple(words for need in needs for words in lacking[need])
+
+
+def _topic_for(role: str, summary: RecordingSummary) -> str:
+    """A topic for a role that has none, and what the log has for it."""
+    found = [one for one in summary.topics if one.kind == Role[role.upper()].kind]
+    unread = [one.topic for one in found if 0 < one.message_count == one.undecodable_count]
+    if unread:
+        return f"a topic for {role}: nothing on {sanitize_list(unread)} can be decoded"
+    return f"a topic for {role}" + (" (of several: choose it with --topic)" if len(found) > 1 else "")
 
 
 def _has_baseline(summary: RecordingSummary) -> bool:

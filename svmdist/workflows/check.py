@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from svmdist.camera import Camera
+from svmdist.errors import RecordingError
 from svmdist.estimation import checks
 from svmdist.estimation.checks import Matches
 from svmdist.estimation.comparison import KINEMATICS, Checks, Difference
@@ -19,7 +20,7 @@ from svmdist.profile import Profile
 from svmdist.profile.robot import Tissue
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import Recording
-from svmdist.recording.observations import EncodedObservation, Needs
+from svmdist.recording.observations import Decoded, EncodedObservation, Needs
 from svmdist.results import Failure, ToolPose
 from svmdist.samples import Image, Observation, Rejection
 from svmdist.transforms import Array
@@ -51,10 +52,14 @@ class Sighted:
         return self.encoded.number
 
     @cached_property
+    def decoded(self) -> Decoded:
+        """The observation of each instrument, or why there is none."""
+        return self.encoded.decode()
+
+    @property
     def seen(self) -> tuple[Observation, ...] | None:
         """The observation of each instrument; None where it cannot be decoded."""
-        found = self.encoded.decode().found
-        return None if isinstance(found, Rejection) else found
+        return None if isinstance(self.decoded.found, Rejection) else self.decoded.found
 
 
 def images_to_look_at(segmenter: Segmenter) -> int:
@@ -240,7 +245,10 @@ def warning(found: Mapping[str, Checks]) -> str:
 
 
 def check_log(recording: Recording, profile: Profile) -> dict[str, Checks]:
-    """All comparisons that a log and a profile allow, by the name of the instrument; RecordingError without images."""
+    """All comparisons that a log and a profile allow, by the name of the instrument; RecordingError without images.
+
+    Images that cannot be used join the log's losses.
+    """
     profile = profile.model_copy(update={"tissue": profile.tissue or SOMEWHERE})
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
     spread = spread_observations(recording, images_to_look_at(segmenter))
@@ -248,6 +256,15 @@ def check_log(recording: Recording, profile: Profile) -> dict[str, Checks]:
     arms = [Arm(profile.for_instrument(name)) for name in recording.instruments]
     row_offset_px = row_offset_to_remove_px(first_of(spread, profile), profile)
     few = spread[:: max(1, -(-len(spread) // (2 * CHECKED)))]
+    for one in few:
+        for loss in one.decoded.losses:
+            recording.health.add(loss, one.decoded.place)
+    if few and not any(one.seen for one in few):
+        why = few[0].decoded.found
+        assert isinstance(why, Rejection)
+        raise RecordingError(
+            f"{recording.name}: no image of {len(few)} can be used: {why.detail or why.status}"
+        )
     found, _ = checked(
         few,
         arms,

@@ -306,6 +306,9 @@ def prepare(
     if equations not in ("corrected", "printed"):
         raise UsageError(f"no equations {equations}: {did_you_mean(equations, ('corrected', 'printed'))}")
     loaded = profile if isinstance(profile, Profile) else load_profile(profile, hand_eye)
+    if not isinstance(method, str | OwnMethod):
+        found = type(method).__name__
+        raise UsageError(f"expected a method's name, or an object with estimate(frame); found {found}")
     if not isinstance(method, str):
         return Setup(loaded, OwnEstimator(method).name, equations, own=method)
     is_planar, is_printed = method in PLANAR_METHODS, equations == "printed"

@@ -14,11 +14,13 @@ from svmdist.estimation.scene import Scene
 from svmdist.estimation.tissue.surface import ALL_PX
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
+from svmdist.recording.summary import inspect_recording
 from svmdist.recording.topics import Role
 from svmdist.results import Failure
 from svmdist.samples import Rejection
 from svmdist.transforms import Array
 from svmdist.vision.segmentation import make_segmenter
+from svmdist.workflows.capabilities import HEAD_S, misfit
 from svmdist.workflows.check import (
     PAIRS,
     adapted_segmenters,
@@ -60,10 +62,12 @@ def tissue_surface(recording: Recording, profile: Profile, number: int) -> Tissu
 
     Raises RecordingError where the log has no right view, or the image shows no surface; UsageError without the image.
     """
+    if not isinstance(number, int) or number < 0:
+        raise UsageError(f"expected the number of an image, 0 or more; found {number}")
     if recording.topic_of(Role.RIGHT_IMAGE) is None or recording.right_camera is None:
-        raise RecordingError(
-            f"{recording.name}: a surface needs a calibrated right view, which it has not: `svmdist import` takes two"
-        )
+        summary = inspect_recording(recording.path, profile, topics=recording.origin.topics, head_s=HEAD_S)
+        needs = "a surface needs a calibrated right view, which it has not: `svmdist import` takes two"
+        raise RecordingError(f"{recording.name}: {misfit(summary, profile) or needs}")
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
     spread = spread_observations(recording, images_to_look_at(segmenter))
     (segmenter,) = adapted_segmenters(segmenter, spread, [CLEAN])

@@ -155,3 +155,18 @@ def test_instruments_by_the_side_they_come_in_from(tmp_path):
     profile = _profile(tmp_path / "two.mcap")
     assert profile.instrument_names == ("PSM1", "PSM2")
     assert (profile.entry, profile.other_instruments[0].entry) == ("right", "left")
+
+
+def test_a_log_without_a_usable_image_is_told_by_all_that_look_at_it(cli, tmp_path):
+    """A camera of another size than the images: no profile, no check, and `info` has the loss."""
+    log, images = tmp_path / "half.mcap", np.full((240, 320, 3), 90, np.uint8)
+    with RecordingWriter(log, {}) as writer:
+        for stamp_ns in (1, 2):
+            writer.write("/scope/image", ImageSample(stamp_ns, "camera", images))
+            writer.write("/scope/camera_info", CameraSample(stamp_ns, CAMERA))
+    why = "320x240 px; the camera has 640x480"
+    for command in (("profile", "new"), ("check",)):
+        assert f"no image of 2 can be used: {why}" in cli(*command, log, code=1).err
+    found = cli("info", log, "-f", "json", code=3)
+    assert why in found.err
+    assert not found.json["is_clean"]
