@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from svmdist.drawing import COLOURS, WHITE, Form, FrameDrawing, Label, Part, Rgb, Shape
 from svmdist.errors import printable
@@ -21,9 +22,12 @@ SUBPIXEL_BITS = 4
 LIMIT_PX = 20_000.0  # OpenCV's drawing wraps around far outside of the image
 SMALL = (Part.INLIER, Part.MATCH)
 MEASURED = (Part.DISTANCE, Part.BETWEEN)
+Pixels = NDArray[np.int32]
+FILLED = (Part.SHAFT, Part.WRIST, Part.POSE, Part.TAG)
+NEAR, HIDDEN = 1e3, 1e6
+"""What a pixel beside something measured costs a label, and one of what is measured or a label, in other pixels."""
 LETTERS, LEAST_LETTER_PX = 1 / 44, 9.0
 """Height of a capital letter over the picture's width, and the least one that can be read."""
-Box = tuple[float, float, float, float]
 
 
 def bgr(colour: Rgb) -> tuple[int, int, int]:
@@ -48,27 +52,35 @@ def draw_on(
 ) -> Image:
     """A copy of an image, shape (h, w, 3) in BGR, with a drawing on it, or some of its `parts`; `lines` at the top.
 
-    It is enlarged to `least_px`. Labels, with letters of that share of its width, hide no measured line, tip or label.
+    It is enlarged to `least_px`. Labels, with letters of that share of its width, hide no measured line, tip or label,
+    and as little of instruments and outlines as they can.
     """
     pixels = enlarged(image_bgr, least_px)
     times, unit_px = pixels.shape[1] / image_bgr.shape[1], max(1, pixels.shape[1] // 640)
-    shapes = [replace(one, points_px=(one.points_px + 0.5) * times - 0.5)
-              for one in drawing.shapes if parts is None or one.part in parts]  # fmt: skip
+    scaled = [replace(one, points_px=(one.points_px + 0.5) * times - 0.5) for one in drawing.shapes]
+    shapes = [one for one in scaled if parts is None or one.part in parts]
     for shape in sorted(shapes, key=lambda one: one.part in MEASURED):  # what is measured lies on top
         _draw(pixels, shape, unit_px)
-    measured = [within_reach(one.points_px) for one in shapes if one.part in MEASURED]
-    measured += [within_reach(one.points_px).repeat(2, 0)[:2] for one in shapes if one.part is Part.TIP]
-    taken, letter_px = list[Box](), max(LEAST_LETTER_PX, letters * pixels.shape[1])
+    letter_px = max(LEAST_LETTER_PX, letters * pixels.shape[1])
+    measured = [_whole(one.points_px) for one in shapes if one.part in MEASURED]
+    measured += [
+        _whole(tip[None].repeat(2, 0)) for one in shapes if one.part is Part.TIP for tip in one.points_px
+    ]
+    cost = (pixels != enlarged(image_bgr, least_px)).any(2).astype(np.float32)
+    instruments = (one for one in scaled if one.form is Form.LOOP and one.part in FILLED)
+    cv2.fillPoly(cost, [_whole(one.points_px) for one in instruments], 1.0)
+    for price, width_px in ((NEAR, round(letter_px)), (HIDDEN, 2 * unit_px)):
+        cv2.polylines(cost, measured, False, price, width_px)
     if lines and drawing.lines:
         bar, width = _bar(status_lines(drawing), pixels.shape[1], letter_px)
         is_hiding = any((ends[:, 1] < bar.shape[0] + letter_px).any() for ends in measured)
         top = max(0, pixels.shape[0] - bar.shape[0]) if is_hiding else 0
         bar = bar[: pixels.shape[0], :width]
         pixels[top : top + bar.shape[0], :width] = bar
-        taken.append((0, top, width, top + bar.shape[0]))
-    for label in drawing.labels:
+        cost[top : top + bar.shape[0], :width] = HIDDEN
+    for label in sorted(drawing.labels, key=lambda one: one.part is Part.BETWEEN):  # it has most room
         if parts is None or label.part in parts:
-            _write_beside(pixels, label, (label.place_px + 0.5) * times - 0.5, measured, taken, letter_px)
+            _write_beside(pixels, label, (label.place_px + 0.5) * times - 0.5, cost, letter_px)
     return pixels
 
 
@@ -86,6 +98,10 @@ def enlarged(image: Image, least_px: int) -> Image:
 def within_reach(points_px: Array) -> Array:
     """Points in px that OpenCV can draw; those without a place are far outside."""
     return np.clip(np.nan_to_num(points_px, nan=-LIMIT_PX), -LIMIT_PX, LIMIT_PX)
+
+
+def _whole(points_px: Array) -> Pixels:
+    return np.rint(within_reach(points_px)).astype(np.int32)
 
 
 def _draw(pixels: Image, shape: Shape, unit_px: int) -> None:
@@ -119,30 +135,39 @@ def write_text(pixels: Image, text: str, place: tuple[float, float], letter_px: 
     cv2.putText(pixels, text, left_below, FONT, scale, bgr(colour), thickness, cv2.LINE_AA)
 
 
-def _write_beside(
-    pixels: Image, label: Label, place: Array, measured: Sequence[Array], taken: list[Box], letter_px: float
-) -> None:
-    """Write a label on dark ground at the nearest place that is free, with a line to what it names if that is far."""
+def _write_beside(pixels: Image, label: Label, place: Array, cost: Array, letter_px: float) -> None:
+    """Write a label on dark ground at the cheapest of the nearest places, with a line to what it names unless at it."""
     text, place = printable(label.text), within_reach(place)
     _, _, width, _ = text_size(text, letter_px)
     half = np.array([0.5 * width + 0.4 * letter_px, 0.95 * letter_px])
     high, low = half + 1, np.maximum(half + 1, np.array(pixels.shape[1::-1]) - half - 1)
-    boxes = [_box(np.clip(place + offset, high, low), half) for offset in _offsets(half, letter_px)]
-    free = (box for box in boxes if not _hides(box, measured, taken, 0.5 * letter_px))
-    box = next(free, next((one for one in boxes if not _hides(one, measured, (), 0.0)), boxes[0]))
-    left, top, right, bottom = map(round, box)
-    nearest = np.clip(place, (left, top), (right, bottom))
-    gap_px = float(np.linalg.norm(nearest - place))
-    if gap_px > 2.5 * letter_px:
-        end = place + (nearest - place) / gap_px * letter_px
-        begin_px, end_px = ((round(float(one[0])), round(float(one[1]))) for one in (nearest, end))
-        width_px = max(1, pixels.shape[1] // 900)
-        cv2.line(pixels, begin_px, end_px, bgr(COLOURS[label.part]), width_px, cv2.LINE_AA)
-    cv2.rectangle(pixels, (left, top), (right, bottom), DARK, cv2.FILLED)
+    middles = (np.clip(place + offset, high, low) for offset in _offsets(half, letter_px))
+    boxes = (np.stack([_whole(middle - half), _whole(middle + half)]) for middle in middles)
+
+    def leader(box: Pixels) -> Pixels:
+        """The points of the line between a box and a letter before the place."""
+        nearest = np.clip(place, *box)
+        gap_px = float(np.linalg.norm(nearest - place))
+        end = place + (nearest - place) * letter_px / max(gap_px, letter_px)
+        return _whole(np.linspace(nearest, end, 2 + round(gap_px)))
+
+    def price(box: Pixels) -> float:
+        (left, top), (right, bottom) = box
+        x, y = np.clip(line := leader(box), 0, np.array(cost.shape[::-1]) - 1).T
+        return float(
+            cost[top : bottom + 1, left : right + 1].sum() + cost[y, x].sum() + letter_px * len(line)
+        )
+
+    box = min(boxes, key=price)
+    line, ((left, top), (right, bottom)) = leader(box), box
+    colour = bgr(COLOURS[label.part])
+    cv2.polylines(pixels, [line], False, colour, max(1, pixels.shape[1] // 900), cv2.LINE_AA)
+    cv2.polylines(cost, [line], False, HIDDEN)
+    for canvas, value in ((pixels, DARK), (cost, HIDDEN)):
+        canvas[top : bottom + 1, left : right + 1] = value
     write_text(
         pixels, text, (left + 0.4 * letter_px, bottom - 0.45 * letter_px), letter_px, COLOURS[label.part]
     )
-    taken.append(box)
 
 
 def _offsets(half: Array, letter_px: float) -> Iterator[Array]:
@@ -150,21 +175,6 @@ def _offsets(half: Array, letter_px: float) -> Iterator[Array]:
     angles = np.radians([0, 180, -30, 30, -150, 150, -90, 90, -60, 60, -120, 120])
     for reach in (0.8, 1.6, 2.8, 4.5, 7.0, 10.0):
         yield from np.column_stack([np.cos(angles), np.sin(angles)]) * (half + reach * letter_px)
-
-
-def _box(middle: Array, half: Array) -> Box:
-    return (*(middle - half).tolist(), *(middle + half).tolist())
-
-
-def _hides(box: Box, measured: Sequence[Array], taken: Sequence[Box], margin_px: float) -> bool:
-    """Whether a box, with a margin, lies on a measured line or on another box."""
-    left, top, right, bottom = box
-    if any(left < one[2] and one[0] < right and top < one[3] and one[1] < bottom for one in taken):
-        return True
-    x, y = round(left - margin_px), round(top - margin_px)
-    grown = (x, y, round(right + margin_px) - x, round(bottom + margin_px) - y)
-    ends = (np.rint(line).astype(int).tolist() for line in measured)
-    return any(cv2.clipLine(grown, tuple(start), tuple(end))[0] for start, end in ends)
 
 
 def _bar(lines: Sequence[tuple[str, Rgb] | str], width_px: int, letter_px: float) -> tuple[Image, int]:

@@ -209,3 +209,13 @@ def test_no_label_hides_what_was_measured_or_another_label(size_px):
         drawn = draw_on(ground, FrameDrawing(0, shapes, labels, lines))
         x, y = np.rint(np.concatenate([np.linspace(*ends, 50) for ends in ends_px])).astype(int).T
         assert (drawn[y, x] == bare[y, x]).all()
+
+
+def test_labels_leave_instruments_free():
+    """Only their lines run over the shaft that they name."""
+    ground = np.full((480, 640, 3), 90, np.uint8)
+    shaft = Shape(Part.SHAFT, Form.LOOP, np.array([[0, 180], [300, 180], [300, 220], [0, 220]], float))
+    labels = tuple(Label(Part.TIP, np.array([x, 200.0]), "a long name of an arm") for x in (150.0, 170.0))
+    bare, drawn = (draw_on(ground, FrameDrawing(0, (shaft,), shown)) for shown in ((), labels))
+    changed = (drawn != bare).any(2)[180:221, :301]
+    assert 0 < changed.sum() < 80
