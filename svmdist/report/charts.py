@@ -176,7 +176,7 @@ def errors_over(group: Sequence[Series], what: str) -> Chart:
     text = "Too few points for a trend."
     if len(truth_mm) > 2 and np.ptp(truth_mm) > 0.0:
         slope = float(np.polyfit(truth_mm, error_mm, 1)[0])
-        text = f"The error changes by {slope * 10:+.2f} mm for each 10 mm of distance."
+        text = f"The error changes by {slope * 10:+z.2f} mm for each 10 mm of distance."
     x_title = "time [s]" if what == "time" else f"true {distance_name(group[0])} [mm]"
     return Chart(f"error over {what}", text, x_title, "error [mm]", curves)
 
@@ -203,11 +203,11 @@ def agreement(group: Sequence[Series]) -> Chart:
     ends = np.array([mean_mm.min(), mean_mm.max()])
     curves = [
         Curve("dots", "error", "frames", mean_mm, error_mm, hover=hover),
-        Curve("line", "model", f"bias {bias:+.2f} mm", ends, np.full(2, bias)),
-        Curve("line", "limit", f"limit {low:+.2f} mm", ends, np.full(2, low)),
-        Curve("line", "limit", f"limit {high:+.2f} mm", ends, np.full(2, high)),
+        Curve("line", "model", f"bias {bias:+z.2f} mm", ends, np.full(2, bias)),
+        Curve("line", "limit", f"limit {low:+z.2f} mm", ends, np.full(2, low)),
+        Curve("line", "limit", f"limit {high:+z.2f} mm", ends, np.full(2, high)),
     ]
-    text = f"Bias {bias:+.2f} mm; 95 % limits of agreement {low:+.2f} to {high:+.2f} mm."
+    text = f"Bias {bias:+z.2f} mm; 95 % limits of agreement {low:+z.2f} to {high:+z.2f} mm."
     titles = ("mean of estimate and truth [mm]", "estimate − truth [mm]")
     return Chart("Bland–Altman", text, *titles, curves)
 
@@ -219,7 +219,7 @@ def distribution(group: Sequence[Series]) -> Chart:
     hover = "%{x:+.2f} mm: %{y} frames<extra></extra>"
     bars = Curve("bars", "error", "frames", 0.5 * (edges[1:] + edges[:-1]), counts, hover=hover)
     low, middle, high = np.percentile(error_mm, [2.5, 50.0, 97.5])
-    text = f"Median error {middle:+.2f} mm; 95 % of the errors are between {low:+.2f} and {high:+.2f} mm."
+    text = f"Median error {middle:+z.2f} mm; 95 % of the errors are between {low:+z.2f} and {high:+z.2f} mm."
     return Chart("distribution of errors", text, "error [mm]", "frames", [bars])
 
 

@@ -12,7 +12,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from svmdist.errors import OutputError, printable
 from svmdist.estimation.alarms import AlarmRules
@@ -85,7 +85,7 @@ def plain_name(text: str) -> str:
 
 
 def _draw_curves(axes: Axes, curves: Sequence[Curve]) -> None:
-    """Draw curves with their labels; dots of several series differ by marker and grey."""
+    """Draw curves with their labels; dots of several series differ by marker and depth."""
     for at, curve in enumerate(curves):
         colour, label = tuple(level / 255.0 for level in charts.COLOURS[curve.role]), plain_name(curve.name)
         style = {"edgecolor" if curve.role == "alarm" else "color": colour, **STYLES[curve.role]}
@@ -97,7 +97,12 @@ def _draw_curves(axes: Axes, curves: Sequence[Curve]) -> None:
             for begin, end in zip(curve.x, curve.y, strict=True):
                 axes.axvspan(begin, end, label=label if begin == curve.x[0] else None, **style)
         else:
-            look: Any = {"marker": "ox^sdv"[at % 6], "color": str(0.15 + 0.25 * (at % 3)), "linewidths": 0.6}
+            look: Any = {
+                "marker": "ox^sdv"[at % 6],
+                "color": colour,
+                "alpha": 1.0 - 0.25 * (at % 3),
+                "linewidths": 0.6,
+            }
             axes.scatter(curve.x, curve.y, s=6.0, label=label, **look)
 
 
@@ -273,5 +278,7 @@ def _decades(panel: Axes, shown: Sequence[float]) -> None:
         panel.set_xlim(left=0.0)
         return
     panel.set_xscale("log")
+    is_short = max(positive) < 100.0 * min(positive)  # two decades
+    panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if is_short else (1.0,)))
     panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     panel.xaxis.set_minor_formatter(NullFormatter())

@@ -77,7 +77,7 @@ class Column:
             return printable("" if value is None else str(value))
         if value is None:
             return "–"
-        return str(value) if self.unit.digits is None else f"{value * self.unit.factor:.{self.unit.digits}f}"
+        return str(value) if self.unit.digits is None else f"{value * self.unit.factor:z.{self.unit.digits}f}"
 
     @property
     def is_text(self) -> bool:

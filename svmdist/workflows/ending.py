@@ -56,7 +56,7 @@ class Ending:
             raise ValueError("no clearance was measured")
         half = "" if clearance.half_m is None else f" ± {clearance.half_m * 1e3:.2f}"
         return (
-            f"smallest clearance {clearance.value_m * 1e3:.2f}{half} mm at {self.least.seconds:.2f} s"
+            f"smallest clearance {clearance.value_m * 1e3:z.2f}{half} mm at {self.least.seconds:.2f} s"
             f" (frame {self.least.number}, {self.least.instrument})"
         )
 

@@ -287,8 +287,8 @@ def _shown_distance(result: FrameResult) -> tuple[str, Distance] | None:
 def in_words(distance: Distance) -> str:
     """A length and its interval in mm: `4.21 mm [3.40, 5.02]`."""
     bounds_m = distance.interval_m
-    interval = f" [{bounds_m[0] * 1e3:.2f}, {bounds_m[1] * 1e3:.2f}]" if bounds_m else ""
-    return f"{distance.value_m * 1e3:.2f} mm{interval}"
+    interval = f" [{bounds_m[0] * 1e3:z.2f}, {bounds_m[1] * 1e3:z.2f}]" if bounds_m else ""
+    return f"{distance.value_m * 1e3:z.2f} mm{interval}"
 
 
 def status_line(result: FrameResult, method: str, alarm: AlarmState | None = None) -> StatusLine:

@@ -174,8 +174,10 @@ def test_methods_stand_side_by_side_with_their_figures():
     assert len(set(looks.values())) == 3
     assert all(len(set(matplotlib.colors.to_rgb(colour))) == 1 for _, colour in looks.values())
     assert draw_compare(scores[3:]).axes[1].get_xscale() == "linear"
-    far = [*scores, MethodScore(Group("sweep"), "z", figures(90.0))]
-    assert draw_compare(far).axes[1].get_xscale() == "log"
+    for far_mm, ticks in ((90.0, ["1", "10", "100"]), (20.0, ["0.2", "0.5", "1", "2", "5", "10", "20"])):
+        axes = draw_compare([*scores, MethodScore(Group("sweep"), "z", figures(far_mm))]).axes[1]
+        assert axes.get_xscale() == "log"
+        assert set(ticks) <= {axes.xaxis.get_major_formatter()(at) for at in axes.get_xticks()}
 
 
 def test_commands_draw_what_they_print(cli, tmp_path, golden):

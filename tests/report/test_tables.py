@@ -84,6 +84,11 @@ def test_what_does_not_exist_is_empty(missing):
     assert COLUMNS[1].show(missing) == "–"
 
 
+def test_what_rounds_to_zero_has_no_sign():
+    assert COLUMNS[1].show(-1e-6) == "0.00"
+    assert COLUMNS[1].show(-1e-5) == "-0.01"
+
+
 @pytest.mark.parametrize("value", [0.1, 1 / 3, 1e-300, 123456789.123456789, np.float64(0.1), 7])
 def test_numbers_survive_the_round_trip(value):
     """A number read back from CSV or JSON equals the one written, bit for bit, also where NumPy made it."""

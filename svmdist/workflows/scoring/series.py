@@ -96,9 +96,9 @@ class WorstFrame:
             return f"{where}: not measured: {series.status[at]}{detail}"
         interval = f"interval ±{series.half_m[at] * 1e3:.2f} mm" if np.isfinite(series.half_m[at]) else ""
         if np.isfinite(series.error_m[at]):
-            error = f"error {series.error_m[at] * 1e3:+.2f} mm"
+            error = f"error {series.error_m[at] * 1e3:+z.2f} mm"
             return f"{where}: {series.distance} {', '.join(filter(None, (error, interval)))}"
-        return f"{where}: {series.distance} {interval or f'{series.estimate_m[at] * 1e3:.2f} mm'}"
+        return f"{where}: {series.distance} {interval or f'{series.estimate_m[at] * 1e3:z.2f} mm'}"
 
 
 def worst_frames(series: Sequence[Series], count: int) -> list[WorstFrame]:
