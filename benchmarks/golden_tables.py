@@ -39,7 +39,7 @@ REAL = (
     ("thrust", "fused", "red joint"),
     ("d-lfd", "stereo", "robot, fitted"),
     ("SuPer Deep", "shaft", "wrist"),
-    ("in vivo", "shaft", "tip; in 15 px"),
+    ("in vivo", "shaft", "tip"),
 )
 """Which rows of real images README.md shows."""
 BLUR = "kernel [px]", "features", "paper", "area [px²]", "paper", "RMSE [mm]"
@@ -54,7 +54,7 @@ def measured(command: str) -> Any:
 
 def millimetres(value_m: float | None, digits: int = 2) -> str:
     """A length, or a dash."""
-    return "–" if value_m is None else f"{1e3 * value_m:.{digits}f}"
+    return "–" if value_m is None else f"{1e3 * value_m:z.{digits}f}"
 
 
 def percent(share: float | None, digits: int = 0) -> str:
@@ -108,9 +108,9 @@ def worlds() -> None:
         *_, frames, error, inside = found[name, f"`{method}`", against][:6]
         rows.append([f"{name}, real: {against}", f"`{method}`", frames, error, inside, "–", "–"])
     count = len(list((ROOT / "worlds").glob("*.mcap")))
-    for method, cells in all_methods("worlds/*.mcap").items():
-        rows.append([f"{count} simulated worlds", f"`{method}`", *cells])
-    headings = ("data", "`--method`", "n/frames", "tool [mm]", "in 95%", "clearance [mm]", "in 95%")
+    for method, (frames, error, *others) in all_methods("worlds/*.mcap").items():
+        rows.append([f"{count} simulated worlds", f"`{method}`", frames, f"{error} mm", *others])
+    headings = ("data", "`--method`", "n/frames", "tool", "in 95%", "clearance [mm]", "in 95%")
     write_table(ROOT / "README.md", "worlds", table(headings, rows))
 
 

@@ -61,11 +61,6 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
     near = [float(np.min(np.linalg.norm(named[numbers[n]][:, 1] - rod.end_px, axis=1))) for n, rod in found]
     other = peer.figures(found, seen, "px", near)
     count = f"{len(rows)}/{sum(len(named[number]) for number in numbers)}"
-    yield common.Line(
-        "in vivo",
-        "`shaft`",
-        "tip; in 15 px",
-        common.Figures(count, "px", tip_px, on, np.array(tip_px) < TIP_PX),
-        other,
-    )
+    unit = f"px; {common.share(np.array(tip_px) < TIP_PX)} in {TIP_PX:g} px"
+    yield common.Line("in vivo", "`shaft`", "tip", common.Figures(count, unit, tip_px, on), other)
     yield common.Line("in vivo", "`shaft`", "joint", common.Figures(count, "px", joint_px))
