@@ -24,6 +24,7 @@ OUTSIDE = {
 FOLDERS = {"schemas": "schemas.md", "recordings": "recordings.md", "docs/decisions": "decisions/README.md"}
 """What a link to a folder leads to."""
 TABLE, TAG = re.compile(r"<table>.*?</table>", re.DOTALL), re.compile(r"<[^>]*>")
+PICTURE = re.compile(r'(<img\b[^>]*\bsrc="([^"]+)"[^>]*>)')
 LINK = re.compile(r"(!?)\[([^\]]*)\]\((?!\w+:|#)([^)#\s]*)(#[^)\s]*)?\)")
 
 
@@ -56,7 +57,7 @@ def on_page_markdown(markdown: str, page: Any, files: Any, **_: Any) -> str:
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """Name the column of each cell of a table, which `site.css` shows where there is no room for columns."""
+    """Link pictures to their full size, and name the column of each cell, which `site.css` shows on narrow screens."""
 
     def named(table: re.Match[str]) -> str:
         head, body = table[0].split("</thead>", 1)
@@ -66,4 +67,4 @@ def on_page_content(html: str, **_: Any) -> str:
         names = cycle(headings)  # rows are as long as their table is wide
         return f"{head}</thead>" + re.sub("<td", lambda _: f'<td data-of="{next(names)}"', body)
 
-    return TABLE.sub(named, html)
+    return TABLE.sub(named, PICTURE.sub(r'<a href="\2">\1</a>', html))
