@@ -35,6 +35,10 @@ NOT_RUN = {
     "python -m benchmarks.alarms LOG.mcap --write": "measures logs by every method for minutes",
     "python -m benchmarks.generated_pages": "another test compares its pages with the code",
     "python -m benchmarks.real sets --out real-images --write": "needs the sets that the lines above clone",
+    "svmdist import thrust/50_images_15-Nov-17-59-04 --pattern *_L.jpg --right-pattern *_R.jpg --rate 1"
+    " --camera 572.22,572.22,378.77,239.29 --baseline 61.95mm -o thrust.mcap": "needs what the line above clones",
+    "svmdist profile new thrust.mcap --instrument large-needle-driver -o thrust.toml": "as the line above",
+    "svmdist estimate thrust.mcap --profile thrust.toml": "as the lines above",
     "python -m benchmarks.masks sets --renders 400": "needs the sets that the line above clones",
 }
 """Calls of `uv run` that are not made, each with the reason."""
