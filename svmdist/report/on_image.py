@@ -55,7 +55,8 @@ def draw_on(
     It is enlarged to `least_px`. Labels, with letters of that share of its width, hide no measured line, tip or label,
     and as little of instruments and outlines as they can.
     """
-    pixels = enlarged(image_bgr, least_px)
+    ground = enlarged(image_bgr, least_px)
+    pixels = ground.copy()
     times, unit_px = pixels.shape[1] / image_bgr.shape[1], max(1, pixels.shape[1] // 640)
     scaled = [replace(one, points_px=(one.points_px + 0.5) * times - 0.5) for one in drawing.shapes]
     shapes = [one for one in scaled if parts is None or one.part in parts]
@@ -66,7 +67,7 @@ def draw_on(
     measured += [
         _whole(tip[None].repeat(2, 0)) for one in shapes if one.part is Part.TIP for tip in one.points_px
     ]
-    cost = (pixels != enlarged(image_bgr, least_px)).any(2).astype(np.float32)
+    cost = (cv2.cvtColor(cv2.absdiff(pixels, ground), cv2.COLOR_BGR2GRAY) > 0).astype(np.float32)
     instruments = (one for one in scaled if one.form is Form.LOOP and one.part in FILLED)
     cv2.fillPoly(cost, [_whole(one.points_px) for one in instruments], 1.0)
     for price, width_px in ((NEAR, round(letter_px)), (HIDDEN, 2 * unit_px)):
@@ -135,7 +136,9 @@ def write_text(pixels: Image, text: str, place: tuple[float, float], letter_px: 
     cv2.putText(pixels, text, left_below, FONT, scale, bgr(colour), thickness, cv2.LINE_AA)
 
 
-def _write_beside(pixels: Image, label: Label, place: Array, cost: Array, letter_px: float) -> None:
+def _write_beside(
+    pixels: Image, label: Label, place: Array, cost: NDArray[np.float32], letter_px: float
+) -> None:
     """Write a label on dark ground at the cheapest of the nearest places, with a line to what it names unless at it."""
     text, place = printable(label.text), within_reach(place)
     _, _, width, _ = text_size(text, letter_px)
