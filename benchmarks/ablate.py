@@ -65,7 +65,7 @@ if __name__ == "__main__":
             with patch.object(place, attribute, by):
                 logs = [open_recording(path, setup.profile) for path in paths]
                 runs = [run for log in logs for run in measure_runs(log, [setup], conditions, jobs=1)]
-            row += [cell(runs), cell(runs, "clearance").partition(",")[0]]
+            row += [cell(runs), cell(runs, "clearance").partition(" [")[0]]
         rows.append(row)
         print(*row, sep=" | ", flush=True)
     if "--write" in sys.argv:
