@@ -124,6 +124,7 @@ def test_what_is_no_recording_frame_or_method_is_told(golden):
         (lambda: svmdist.estimate("contact.mcap"), "what svmdist.open_recording gives, found str"),
         (lambda: svmdist.compare([recording, 3]), "what svmdist.open_recording gives, found int"),
         (lambda: svmdist.estimate(recording, 3), r"an object with estimate\(frame\); found int"),
+        (lambda: svmdist.estimate(recording, every=0), "--every 0: expected 1 or more"),
         (lambda: svmdist.surface(recording, -1), "the number of an image, 0 or more; found -1"),
         (lambda: svmdist.compare(recording, "fuse"), "no method fuse: did you mean fused"),
     ):
