@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, TextIO
 from svmdist.errors import OutputError, UsageError, concealed, printable
 from svmdist.files import FALLBACK, why, write_atomically
 from svmdist.remote import LogPath
-from svmdist.report.writers import plot_format
+from svmdist.report.writers import WRITERS, plot_format
 
 if TYPE_CHECKING:
     from svmdist.report.writers import Results, Writer
@@ -232,11 +232,11 @@ def require_output(output: Path | None, inputs: Iterable[LogPath] = ()) -> None:
 
 
 def require_toml(output: Path | None, inputs: Iterable[LogPath], *, force: bool) -> None:
-    """The same of a file of settings; raises UsageError also for another ending, and where it exists already."""
+    """The same of a file of settings; raises UsageError also for another format's ending, and where it exists."""
     require_output(output, inputs)
     if output is None:
         return
-    if output.suffix.lower() != ".toml":
+    if any(output.suffix.lower() in writer.endings for writer in WRITERS[1:]):
         raise UsageError(f"-o {output}: is written as TOML: give it the ending .toml")
     if output.exists() and not force:
         raise UsageError(f"{output}: exists already; give another name, or --force to replace it")
