@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -144,25 +144,29 @@ def _write_beside(
     _, _, width, _ = text_size(text, letter_px)
     half = np.array([0.5 * width + 0.4 * letter_px, 0.95 * letter_px])
     high, low = half + 1, np.maximum(half + 1, np.array(pixels.shape[1::-1]) - half - 1)
-    middles = (np.clip(place + offset, high, low) for offset in _offsets(half, letter_px))
-    boxes = (np.stack([_whole(middle - half), _whole(middle + half)]) for middle in middles)
+    middles = np.clip(place + _offsets(half, letter_px), high, low)
+    boxes = np.stack([_whole(middles - half), _whole(middles + half)], 1)
+    # What a box hides and how long its line is, all at once; what the line hides, of the cheapest only.
+    last, total = np.array(cost.shape[::-1]) - 1, cv2.integral(cost)
+    left, top, right, bottom = np.clip(boxes + [[0], [1]], 0, last + 1).reshape(-1, 4).T
+    nearest = np.clip(place, boxes[:, 0], boxes[:, 1])
+    counts = 2 + np.rint(np.linalg.norm(nearest - place, axis=1)).astype(int)
+    prices = total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
+    prices += letter_px * counts
 
-    def leader(box: Pixels) -> Pixels:
+    def leader(at: int) -> Pixels:
         """The points of the line between a box and a letter before the place."""
-        nearest = np.clip(place, *box)
-        gap_px = float(np.linalg.norm(nearest - place))
-        end = place + (nearest - place) * letter_px / max(gap_px, letter_px)
-        return _whole(np.linspace(nearest, end, 2 + round(gap_px)))
+        gap_px = float(np.linalg.norm(nearest[at] - place))
+        end = place + (nearest[at] - place) * letter_px / max(gap_px, letter_px)
+        return _whole(np.linspace(nearest[at], end, counts[at]))
 
-    def price(box: Pixels) -> float:
-        (left, top), (right, bottom) = box
-        x, y = np.clip(line := leader(box), 0, np.array(cost.shape[::-1]) - 1).T
-        return float(
-            cost[top : bottom + 1, left : right + 1].sum() + cost[y, x].sum() + letter_px * len(line)
-        )
-
-    box = min(boxes, key=price)
-    line, ((left, top), (right, bottom)) = leader(box), box
+    best, at = np.inf, 0
+    for one in np.argsort(prices, kind="stable").tolist():
+        if prices[one] > best:
+            break
+        x, y = np.clip(leader(one), 0, last).T
+        best, at = min((best, at), (prices[one] + float(cost[y, x].sum()), one))
+    line, ((left, top), (right, bottom)) = leader(at), boxes[at]
     colour = bgr(COLOURS[label.part])
     cv2.polylines(pixels, [line], False, colour, max(1, pixels.shape[1] // 900), cv2.LINE_AA)
     cv2.polylines(cost, [line], False, HIDDEN)
@@ -173,11 +177,12 @@ def _write_beside(
     )
 
 
-def _offsets(half: Array, letter_px: float) -> Iterator[Array]:
-    """Where a label of half a size (2,) may stand, from what it names: around it, ever farther."""
+def _offsets(half: Array, letter_px: float) -> Array:
+    """Where a label of half a size (2,) may stand, from what it names: around it, ever farther, shape (n, 2)."""
     angles = np.radians([0, 180, -30, 30, -150, 150, -90, 90, -60, 60, -120, 120])
-    for reach in (0.8, 1.6, 2.8, 4.5, 7.0, 10.0):
-        yield from np.column_stack([np.cos(angles), np.sin(angles)]) * (half + reach * letter_px)
+    reaches_px = letter_px * np.array([0.8, 1.6, 2.8, 4.5, 7.0, 10.0])
+    around = np.column_stack([np.cos(angles), np.sin(angles)])
+    return np.asarray(around * (half + reaches_px[:, None, None])).reshape(-1, 2)
 
 
 def _bar(lines: Sequence[tuple[str, Rgb] | str], width_px: int, letter_px: float) -> tuple[Image, int]:
