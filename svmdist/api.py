@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
@@ -152,7 +152,7 @@ def estimate(
         every: Every so-many-th image is measured.
         jobs: Processes; results do not depend on them.
     """
-    (recording,) = _opened(recording)
+    _opened([recording])
     if hand_eye is not None:
         origin = recording.origin
         profile = taking_hand_eye(origin.profile, hand_eye)
@@ -215,8 +215,7 @@ def compare(
     given = [_setup(several[0], given_estimates(text)) for text in estimates]
     if methods is None:
         return _compare(several, [*prepare_every(several[0].origin.profile), *given], jobs=jobs)
-    named = methods if isinstance(methods, Sequence) and not isinstance(methods, str) else [methods]
-    return _compare(several, [*(_setup(several[0], method) for method in named), *given], jobs=jobs)
+    return _compare(several, [*(_setup(several[0], one) for one in _each(methods)), *given], jobs=jobs)
 
 
 def surface(recording: Recording, frame: int = 0) -> TissueSurface:
@@ -225,12 +224,17 @@ def surface(recording: Recording, frame: int = 0) -> TissueSurface:
     It has points, normals and deviations, in the left camera's frame.
     Raises RecordingError where the log has no right view, or the image shows no surface; UsageError without the image.
     """
-    (recording,) = _opened(recording)
+    _opened([recording])
     return _surface(recording, recording.origin.profile, frame)
 
 
+def _each(one_or_several: Any) -> list[Any]:
+    is_several = isinstance(one_or_several, Iterable) and not isinstance(one_or_several, str)
+    return list(one_or_several) if is_several else [one_or_several]
+
+
 def _opened(recordings: Recording | Sequence[Recording]) -> list[Recording]:
-    several: list[Any] = list(recordings) if isinstance(recordings, list | tuple) else [recordings]
+    several = _each(recordings)
     for one in several:
         if not isinstance(one, Recording):
             raise UsageError(f"expected what svmdist.open_recording gives, found {type(one).__name__}")

@@ -95,7 +95,7 @@ def clearance_std_m(
 
 
 def _bent_std_m(gap: Separation, capsules: Capsules, pose: ToolPose, tissue: TissuePose) -> float:
-    """What that leaves out: along the direction in which the tool is least sure, another point becomes the closest.
+    """What `clearance_std_m` leaves out: another point becomes the closest along where the tool is least sure.
 
     Separations of the tool moved by ±√3 deviations tell it, as sigma points (Julier and Uhlmann 2004).
     """

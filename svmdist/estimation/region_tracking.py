@@ -255,13 +255,14 @@ class RegionTracker:
         for i, a in enumerate(best):
             if a is None:
                 continue
-            # This region for another one, seen elsewhere or not; of one that may be anywhere, another region, too.
-            is_new, is_first = uncertain[i], self._tracks[i].alone is None and not uncertain[i]
+            is_new, is_known = uncertain[i], self._tracks[i].alone is not None
+            # What may be anywhere does not keep a first detection at a sure place from being named.
+            rivals = [j for j in range(len(best)) if is_new or is_known or not uncertain[j]]
+            # This region for one of those; for one that may be anywhere itself, another region, too.
             others = [
                 c
                 for c, h in hypotheses
-                if h[i] != a
-                and ((is_new and h[i] is not None) or (a in h and not (is_first and uncertain[h.index(a)])))
+                if h[i] != a and (any(h[j] == a for j in rivals) or (is_new and h[i] is not None))
             ]
             is_contested = min(others, default=np.inf) - best_cost < (MARGIN if is_new else CONTEST)
             if is_contested or any(self._may_hold(blobs[a], self._tracks[i], expected[j]) for j in missed):

@@ -20,12 +20,11 @@ from svmdist.estimation.instrument.shaft_detection import DistalMarker
 from svmdist.estimation.tissue.detection import TissuePose, require_tissue, tissue_plane
 from svmdist.geometry import Capsules
 from svmdist.profile.robot import CameraError, Instrument, Tissue
-from svmdist.results import ToolPose
+from svmdist.results import Z_95, ToolPose
 from svmdist.transforms import Array, inverse
 from svmdist.vision.lines import apparent_radius_px
 
 MAX_DEVIATIONS = 4.0  # two normal errors are beyond it in 1 of 3,000 frames, and priors are rounded
-IN_95 = 1.96  # deviations
 HALF_HIDDEN = 0.2  # deviation of a disc's centroid over its radius: hiding one half moves it by 0.42
 MIN_MARKER_AREA = 0.5  # of the projected marker's: less of the colour may be anything
 USUAL_SIZE = (
@@ -89,7 +88,7 @@ def _out_of_place(pose: ToolPose, seen: TissuePose, stated: Tissue) -> str:
     parts_m = (stated.plane_tilt_std_rad * aside_m, seen.surface_std_m, stated.surface_std_m)
     variance_m2 = float(plane.normal @ (seen.covariance + pose.position_covariance) @ plane.normal)
     # Nothing is there, so that an interval that lies behind it as a whole is wrong.
-    if below_m <= IN_95 * np.sqrt(variance_m2 + np.sum(np.square(np.array(parts_m)))):
+    if below_m <= Z_95 * np.sqrt(variance_m2 + np.sum(np.square(np.array(parts_m)))):
         return ""
     return f"the tool is {1e3 * below_m:.0f} mm behind the plane that the tissue lies on"
 
