@@ -148,7 +148,7 @@ def _write_beside(
     boxes = np.stack([_whole(middles - half), _whole(middles + half)], 1)
     # What a box hides and how long its line is, all at once; what the line hides, of the cheapest only.
     last, total = np.array(cost.shape[::-1]) - 1, cv2.integral(cost)
-    left, top, right, bottom = np.clip(boxes + [[0], [1]], 0, last + 1).reshape(-1, 4).T
+    left, top, right, bottom = np.clip(boxes + np.array([[0], [1]]), 0, last + 1).reshape(-1, 4).T
     nearest = np.clip(place, boxes[:, 0], boxes[:, 1])
     counts = 2 + np.rint(np.linalg.norm(nearest - place, axis=1)).astype(int)
     prices = total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
