@@ -94,7 +94,8 @@ def in_order(
             while waiting:
                 yield waiting.popleft().result()
         finally:
-            for future in waiting:
+            # A pool of processes cancels its own: one that ends fails at what others have cancelled.
+            for future in waiting if isinstance(pool, ThreadPoolExecutor) else ():
                 future.cancel()
 
 
