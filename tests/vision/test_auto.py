@@ -1,5 +1,7 @@
 """Instruments in random pictures: found where there are any, none in bare tissue, whatever border and light."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -96,7 +98,7 @@ def test_sides_run_along_the_outline():
     assert np.median(np.percentile(off_px, 90, axis=1)) < 4.0
 
 
-def test_sides_without_an_edge_are_those_of_no_shaft():
+def test_sides_without_an_edge_are_those_of_no_shaft_unless_the_network_is_sure():
     """Where the image has sharp edges these are a shaft's; the same sides in an image without any tell nothing."""
     told = 0
     for one in map(surgery_image, range(6)):
@@ -106,8 +108,13 @@ def test_sides_without_an_edge_are_those_of_no_shaft():
                 continue
             told += 1
             flat = np.full_like(one.bgr, 120)
-            soft = find_silhouette(flat, seen, None, WristShape(0.3, 2.0))
-            assert soft is None or soft.is_stub
+            unsure, sure = (
+                find_silhouette(flat, replace(seen, is_sure=is_sure), None, WristShape(0.3, 2.0))
+                for is_sure in (False, True)
+            )
+            assert unsure is None
+            assert sure is not None
+            assert all(edge.covariance is not None for edge in sure.edges)
     assert told >= 6
 
 

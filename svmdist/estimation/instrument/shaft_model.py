@@ -210,7 +210,7 @@ def _start_from_nominal(
     marker: DistalMarker | None, model: ShaftModel, camera: Camera, R_nominal: Array | None
 ) -> Array | Failure:
     if R_nominal is None:
-        return Failure("a side of the shaft is not to be seen")
+        return Failure("no long enough part of a shaft is to be seen with both sides")
     if marker is None or marker.radius_px is None:
         return Failure("neither both sides of the shaft nor a whole distal marker")
     ray = camera.rays(marker.centre_px)[0]

@@ -22,19 +22,19 @@ from svmdist.vision.instruments.evidence import (
     tissue_of,
 )
 from svmdist.vision.instruments.outline import Outline
-from svmdist.vision.instruments.outline_search import LEAST_NETWORK, judged, rough_outlines, sharpened
+from svmdist.vision.instruments.outline_search import LEAST_NETWORK, Judged, judged, rough_outlines, sharpened
 
 MOST_OVERLAP = 0.3  # of the smaller of two strips: those of more are one instrument
 DISTAL_WIDTHS = 4.5  # how far wrist and jaws reach beyond the end of the shaft, over its width there
 DISTAL_HALF_WIDTHS = 1.3  # how far they reach to either side of its axis, over its width
 BESIDE_WIDTHS = 0.08  # how far evidence beside a side is still that of the shaft, over its width
 NEAR_PX = 9  # what is so near to an instrument in the working image teaches nothing of the background
-SURE = 2.0  # odds of a pixel of an instrument that shows no straight shaft
+SURE = 2.0  # odds of a pixel of an instrument that shows no straight shaft, or none with sharp edges
 MOST_HOLE = 0.003  # of the picture: glare and blood; through a larger hole tissue is seen
 
 Mask = NDArray[np.bool_]
-Found = tuple[Outline, Mask, float]
-"""An instrument in a working image: its shaft's outline, its mask, (h, w), and how sure it is, from 0 to 1."""
+Found = tuple[Outline, Mask, Judged]
+"""An instrument in a working image: its shaft's outline, its mask, (h, w), and what evidence and image say of it."""
 
 
 def find_instruments(evidence: Evidence, strips: Iterable[Outline] | None = None) -> list[Found]:
@@ -54,10 +54,10 @@ def find_instruments(evidence: Evidence, strips: Iterable[Outline] | None = None
         if np.count_nonzero(mask) < evidence.settings.least_area * max(cv2.countNonZero(evidence.core), 1):
             continue
         taken[mask] = 255
-        found.append((outline, mask, score.evidence))
+        found.append((outline, mask, score))
         if len(found) == evidence.settings.most_instruments:
             break
-    return sorted(found, key=lambda one: -one[2])
+    return sorted(found, key=lambda one: -one[2].evidence)
 
 
 def _filled(outline: Outline, like: Image) -> Image:
@@ -148,7 +148,8 @@ class SeenInstrument:
     middle of the shaft's end. `evidence`, from 0 to 1, says how sure it is that this is an instrument.
     `side_covariance` (2, 2, 2) is that of each side's offsets at both ends in px², `end_std_px` the end's deviation
     along the axis, infinite where the shaft goes on to the border, and `ends_dark` says that it is the end of a part
-    and not of the outline: the other one of both, `other_px` further along, has a probability of `other_share`.
+    and not of the outline: the other one of both, `other_px` further along, has a probability of `other_share`. The
+    network alone `is_sure` that the shaft is one.
     """
 
     small_mask: Mask
@@ -162,6 +163,7 @@ class SeenInstrument:
     pixel_px: float = 2.0
     other_px: float = 0.0
     other_share: float = 0.0
+    is_sure: bool = False
 
     @property
     def entry_px(self) -> Array:
@@ -216,7 +218,10 @@ def seen_instrument(found: Found, evidence: Evidence) -> SeenInstrument:
     pixel_px = 1.0 / evidence.scale
     known = pixel_px**2 * outline.covariance, pixel_px * outline.end_std_px, outline.ends_dark
     other = pixel_px * outline.other_px, outline.other_share
-    return SeenInstrument(mask, evidence.size, sides, end_px, score, *known, pixel_px, *other)
+    is_sure = SURE < score.network < np.inf  # infinite where it was not asked
+    return SeenInstrument(
+        mask, evidence.size, sides, end_px, score.evidence, *known, pixel_px, *other, is_sure
+    )
 
 
 def _enlarged(mask: Image, size: tuple[int, int]) -> Image:
