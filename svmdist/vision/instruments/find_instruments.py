@@ -218,7 +218,8 @@ def seen_instrument(found: Found, evidence: Evidence) -> SeenInstrument:
     pixel_px = 1.0 / evidence.scale
     known = pixel_px**2 * outline.covariance, pixel_px * outline.end_std_px, outline.ends_dark
     other = pixel_px * outline.other_px, outline.other_share
-    is_sure = SURE < score.network < np.inf  # infinite where it was not asked
+    # Infinite where it was not asked; a plate on an instrument may hide its sides.
+    is_sure = SURE < score.network < np.inf and not evidence.hides
     return SeenInstrument(
         mask, evidence.size, sides, end_px, score.evidence, *known, pixel_px, *other, is_sure
     )
