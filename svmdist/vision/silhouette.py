@@ -199,7 +199,10 @@ class Silhouette:
 def find_silhouette(
     bgr: Image, seen: SeenInstrument, picture: Image | None, wrist: WristShape
 ) -> Silhouette | None:
-    """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without two straight edges, or a network that is sure."""
+    """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without two straight edges.
+
+    Where the image has no sharp edge, a side is what the evidence has, if the network is sure of the shaft.
+    """
     sharp = [edge_line(bgr, side, seen.width_px, seen.pixel_px, picture) for side in seen.sides]
     first, second = (
         _soft_line(seen, side) if one is None or not _agrees(one, seen, side) else one
