@@ -13,8 +13,7 @@ from svmdist.transforms import Array
 from svmdist.vision.edge_lines import ROUGH_PX, EdgeLine, edge_line
 from svmdist.vision.instruments.find_instruments import SeenInstrument
 
-MIN_SIDE_PER_WIDTH = 0.5  # the shorter side over the shaft's width: less of it does not tell where it points
-MIN_LENGTH_WIDTHS = 1.25  # of a shaft, and of its sharp edges where the network is not sure of it
+MIN_LENGTH_WIDTHS = 1.25  # of the shorter side, and of sharp edges where the network is not sure
 MOST_OFF_STDS = 2.5  # of a sharp edge from the rough side it was sought at
 MAX_TAPER_RAD = 0.6  # between the sides; a cylinder that points at the camera shows no length
 ENDS_AGREE_WIDTHS = 0.3  # both edges' ends along the shaft: clevises are lopsided
@@ -190,17 +189,13 @@ class Silhouette:
         """Length of the shorter edge, over the width at the end."""
         return min(edge.length_px for edge in self.edges) / self.width_px
 
-    @property
-    def is_stub(self) -> bool:
-        """Whether less of the shaft's length is seen than it is wide, by a quarter more."""
-        return self.length_widths < MIN_LENGTH_WIDTHS
-
 
 def find_silhouette(
     bgr: Image, seen: SeenInstrument, picture: Image | None, wrist: WristShape
 ) -> Silhouette | None:
     """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without two straight edges.
 
+    Nor of what is hardly longer than wide: at the border that is as likely the wrist, which may be narrower.
     Where the image has no sharp edge, a side is what the evidence has, if the network is sure of the shaft.
     """
     sharp = [edge_line(bgr, side, seen.width_px, seen.pixel_px, picture) for side in seen.sides]
@@ -211,11 +206,12 @@ def find_silhouette(
     if first.direction @ second.direction < np.cos(MAX_TAPER_RAD):
         return None
     width_px = _width_px(first, second)
-    if not min(first.length_px, second.length_px) > MIN_SIDE_PER_WIDTH * width_px > 0.0:
+    least_px = MIN_LENGTH_WIDTHS * width_px
+    if not min(first.length_px, second.length_px) >= least_px > 0.0:
         return None
     # What has no sharp edges where the evidence ends may be anything: the arm behind an instrument, or a blot.
     sharp_px = 0.5 * sum(edge.length_px for edge in (first, second) if edge.covariance is None)
-    if sharp_px < MIN_LENGTH_WIDTHS * width_px and not seen.is_sure:
+    if sharp_px < least_px and not seen.is_sure:
         return None
     along = first.direction + second.direction
     along /= np.linalg.norm(along)

@@ -184,7 +184,7 @@ class ShaftDetection:
 
     `towards_tip` (2,) is the direction of the shaft's middle line in the image, None where nothing tells it.
     `is_stub` says that less of the shaft is visible than tells its sides from other things: twice its width of a dark
-    part, 1.25 times of an outline. `wrist` is where the tool's origin is in the outline of a whole instrument.
+    part; no outline is one. `wrist` is where the tool's origin is in the outline of a whole instrument.
     `width_std` is the deviation over the width of what both contours get wrong alike.
     """
 
@@ -239,10 +239,9 @@ def detect_shaft(
 def detect_silhouette(silhouette: Silhouette | None, camera: Camera, radius_m: float) -> ShaftDetection:
     """Contours, end and wrist of a shaft whose silhouette was found, whatever its colour; `NO_SHAFT` for none.
 
-    None is it either that would stand elsewhere than a shaft of its radius can, nor a stub: at the picture's border
-    that is as likely the wrist, which may be narrower, and is no longer than that.
+    None is it either that would stand elsewhere than a shaft of its radius can.
     """
-    if silhouette is None or silhouette.is_stub:
+    if silhouette is None:
         return NO_SHAFT
     towards_tip, middle_px = silhouette.towards_tip, silhouette.middle_px
     contours: list[Contour] = []
@@ -265,8 +264,8 @@ def detect_silhouette(silhouette: Silhouette | None, camera: Camera, radius_m: f
     if end_px is not None:
         other = 2.0 * silhouette.other_px / silhouette.width_px, silhouette.other_share
         rim = Rim(end_px, towards_tip, silhouette.std_px, silhouette.is_outline, *other, silhouette.narrows)
-    seen = silhouette.is_stub, silhouette.wrist, silhouette.width_std
-    return ShaftDetection(tuple(contours), rim, towards_tip, middle_px, *seen)
+    wrist, width_std = silhouette.wrist, silhouette.width_std
+    return ShaftDetection(tuple(contours), rim, towards_tip, middle_px, False, wrist, width_std)
 
 
 def _can_stand(contours: Sequence[Contour], silhouette: Silhouette, camera: Camera, radius_m: float) -> bool:
