@@ -17,6 +17,7 @@ import traceback
 import zlib
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -279,16 +280,15 @@ def measured_on_cluster(
         options = {"expected": version("svmdist"), "pure": False, "retries": RETRIES}
         futures = client.map(measure_on_worker, packed, **options)
         places = {future.key: place for place, future in enumerate(futures)}
-        for future in as_completed(futures, loop=client.loop, raise_errors=False):
-            if future.status == "finished":
-                yield places[future.key], future.result()
-            elif future.status != "error":  # cancelled: its scheduler is gone
+        for future in as_completed(futures, loop=client.loop):
+            try:
+                outcome = future.result()  # one that its worker took along when it died is measured again
+            except KilledWorker:
+                outcome = Outcome(None, "the workers that measured it were lost, every one")
+            except (CancelledError, OSError):
                 lost = f"the scheduler {address} is lost; --resume keeps the results of logs that ended"
-                raise SvmdistError(lost)
-            elif isinstance(problem := future.exception(), KilledWorker):
-                yield places[future.key], Outcome(None, "the workers that measured it were lost, every one")
-            else:
-                raise problem
+                raise SvmdistError(lost) from None
+            yield places[future.key], outcome
     finally:
         with suppress(Exception):
             client.close(timeout=2)
@@ -311,7 +311,12 @@ def _connected(address: str) -> Any:
         raise UsageError(
             "--scheduler needs the package distributed, which is not installed: pip install 'svmdist[cluster]'"
         ) from None
-    for name in ("distributed", "tornado.application", "asyncio"):  # they print what is handled here
+    for name in (
+        "distributed",
+        "distributed.client",
+        "tornado.application",
+        "asyncio",
+    ):  # they print what is handled
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         get_address_host_port(address)  # a client of a wrong one could not be closed

@@ -6,8 +6,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 import pytest
@@ -132,6 +132,9 @@ class DaskCluster:
             process.kill()
             process.wait()
 
+    def kill_worker(self, pid: int) -> None:
+        next(worker for worker in self.workers if worker.pid == pid).kill()
+
     def _start(self, what: str, *arguments: str) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", "dask", what, *arguments, "--no-dashboard"]
         there = os.environ | {"PYTHONPATH": str(REPOSITORY)}
@@ -156,23 +159,44 @@ def test_a_cluster_gives_the_same(cluster, logs, tmp_path):
     calm = seen(measure_logs(job_in(tmp_path / "calm", log1="broken"), logs, jobs=1))
     fates = tmp_path / "fates"
     job = job_in(fates, log1="broken", log3="held")
-    found: list[Any] = []
-    run = Thread(target=lambda: found.extend(measure_logs(job, logs, scheduler=cluster.address)), daemon=True)
-    run.start()
-    end_s = time.monotonic() + 120.0
-    while attempts(fates, "log3") != 1:
-        assert time.monotonic() < end_s, "no worker began the log"
-        time.sleep(0.02)
-    pid = int((fates / "log3.attempts").read_text())
-    next(worker for worker in cluster.workers if worker.pid == pid).kill()
-    (fates / "open").touch()
-    run.join(120)
-    assert seen(found) == calm
+    with ThreadPoolExecutor(1) as aside:
+        run = aside.submit(measure_logs, job, logs, scheduler=cluster.address)
+        end_s = time.monotonic() + 120.0
+        while attempts(fates, "log3") != 1:
+            assert not run.done(), run.exception()
+            assert time.monotonic() < end_s, "no worker began the log"
+            time.sleep(0.02)
+        cluster.kill_worker(int((fates / "log3.attempts").read_text()))
+        (fates / "open").touch()
+        assert seen(run.result()) == calm
     assert attempts(fates, "log3") == 2
     cluster.scheduler.kill()
     cluster.scheduler.wait()
     with pytest.raises(SvmdistError, match="cannot connect"):
         measure_logs(job, logs, scheduler=cluster.address)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="kills processes as POSIX does")
+@pytest.mark.filterwarnings("default")  # of Dask's own
+def test_results_that_go_with_their_worker_come_again(cluster, logs, tmp_path, monkeypatch):
+    """A worker holds what it has measured until the client asks for it, and may be killed in between."""
+    distributed = pytest.importorskip("distributed")
+    calm = seen(measure_logs(job_in(tmp_path / "calm"), logs, jobs=1))
+    fates, as_completed = tmp_path / "fates", distributed.as_completed
+
+    def completed_and_lost(futures: list[Any], **options: Any) -> Iterator[Any]:
+        ended = list(as_completed(futures, **options))
+        cluster.kill_worker(int((fates / "log0.attempts").read_text()))
+        end_s = time.monotonic() + 120.0
+        while all(future.status == "finished" for future in futures):
+            assert time.monotonic() < end_s, "no result was lost"
+            time.sleep(0.001)
+        return iter(ended)
+
+    monkeypatch.setattr(distributed, "as_completed", completed_and_lost)
+    assert seen(measure_logs(job_in(fates), logs, scheduler=cluster.address)) == calm
+    assert attempts(fates, "log0") == 2
 
 
 @pytest.mark.parametrize("address", ["foo", "foo:x", "nonsense://x:1"])
