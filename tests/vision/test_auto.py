@@ -52,6 +52,14 @@ def test_the_picture_inside_its_border(border):
         assert not (masks.tissue[outside] > 0).any()
 
 
+@pytest.mark.parametrize("level", [0, 240, 255])
+def test_an_image_of_one_level_is_all_picture(level):
+    """The lens before a lamp, or covered: nothing is darker than the rest, and there is no instrument."""
+    bgr = np.full((120, 160, 3), level, np.uint8)
+    assert picture_of(bgr).all()
+    assert not AutoSegmenter().masks(bgr).seen
+
+
 def test_instruments_come_in_where_light_ends():
     """Between the black border and the light there is picture, too dark to show a shaft: none comes in behind it."""
     bgr = np.zeros((240, 320, 3), np.uint8)

@@ -148,7 +148,7 @@ def picture_of(bgr: Image, border_levels: float = BORDER_LEVELS) -> Image:
     value = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
     counts = np.cumsum(np.bincount(value.ravel(), minlength=256))
     floor = int(np.searchsorted(counts, BORDER_SHARE * counts[-1]))
-    level = max(floor + border_levels, BORDER_FLOOR_LEVEL)
+    level = min(max(floor + border_levels, BORDER_FLOOR_LEVEL), 255.0)
     whole = np.full(bgr.shape[:2], 255, np.uint8)
     dark = counts[int(level)]
     median = int(np.searchsorted(counts, 0.5 * (dark + counts[-1])))
