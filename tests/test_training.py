@@ -10,7 +10,7 @@ import pytest
 from benchmarks.masks import OUTLINES, PANEL_SIZE, filled, iou, panels
 from tests.conftest import REPOSITORY
 from training import pictures, train
-from training.instruments import DISTAL, INSTRUMENT, OTHER, SHAFT, TISSUE, UNKNOWN, Part, draw
+from training.instruments import DISTAL, INSTRUMENT, NO_INSTRUMENT, OTHER, SHAFT, TISSUE, UNKNOWN, Part, draw
 from training.pictures import augmented, near_keypoints
 from training.scene import HEIGHT, WIDTH, layers, render, rendered
 
@@ -102,12 +102,63 @@ def test_outlines_become_labels_of_real_pictures(tmp_path, monkeypatch):
     assert (labels[:50, :70] == UNKNOWN).all()
     assert (others == OTHER).all()
     assert second.shape == (HEIGHT, WIDTH, 3)
-    drawn, rng, sizes = rendered(0, 3), np.random.default_rng(0), []
+    shown, rng, sizes = pictures.Shown(rendered(0, 3), real), np.random.default_rng(0), []
     for _ in range(30):
-        image, label, _, has_all = pictures.sample(rng, drawn, real, (192, 256))
+        image, label, _, has_all = shown.sample(rng, (192, 256))
         assert not (has_all and (label >= INSTRUMENT).any())
         sizes.append((image.shape, label.shape))
     assert set(sizes) == {((192, 256, 3), (192, 256))}
+
+
+def test_grey_pictures_with_masks_get_the_colours_of_tissue(tmp_path):
+    """Each is read once; the instrument stays about as grey as it was, what is around it does not."""
+    folder = tmp_path / "TransUNet-single" / "datasets" / "set" / "Training"
+    own = cv2.rectangle(np.zeros((320, 470), np.uint8), (100, 0), (200, 319), 255, cv2.FILLED)
+    for name in ("Grayscale Image 1.png", "Grayscale Image 2.png"):
+        for kind, image in (("Grayscale", own // 4 + 90), ("Masks", own)):
+            named = name.replace("Grayscale Image", "Mask") if kind == "Masks" else name
+            path = folder / kind / "all" / named
+            path.parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(path), image)
+    grey = pictures.masked([tmp_path])
+    assert grey is not None
+    images, labels = grey
+    assert images.shape == (1, HEIGHT, WIDTH, 3)
+    assert (labels == INSTRUMENT).mean() == pytest.approx(100 / 470, abs=0.02)
+    assert pictures.masked([tmp_path / "none"]) is None
+    shown, rng, warm = pictures.Shown(rendered(0, 3), grey, grey), np.random.default_rng(0), []
+    for _ in range(60):
+        image, label, _, _ = shown.sample(rng, (192, 256))
+        if not np.isin(label, (DISTAL, SHAFT)).any() and (label == INSTRUMENT).any():
+            redness = image[..., 2] - image[..., 0].astype(float)
+            around = (label == NO_INSTRUMENT) & (image.max(2) > 20)
+            warm.append(redness[around].mean() - redness[label == INSTRUMENT].mean())
+    assert np.percentile(warm, 95) > 10
+
+
+def test_what_was_drawn_earlier_is_rehearsed(tmp_path):
+    """A checkout draws with its own modules; image and label are flipped alike, and no keypoint is known."""
+    package = tmp_path / "tools" / "segmentation_net"
+    package.mkdir(parents=True)
+    drawing = """
+import numpy as np
+def rendered(first, count, folder, processes):
+    labels = np.zeros((count, 192, 256), np.uint8)
+    labels[:, :50, :60] = 3
+    np.save(folder / "0-x-images.npy", np.repeat(80 * labels[..., None], 3, -1))
+    np.save(folder / "0-x-labels.npy", labels)
+"""
+    (package / "dataset.py").write_text(drawing, "utf-8")
+    earlier = pictures.drawn_earlier(tmp_path, 2, 1)
+    shown, rng = pictures.Shown(rendered(0, 1), earlier=earlier), np.random.default_rng(0)
+    corners = set()
+    for _ in range(20):
+        image, label, points, has_all = shown.rehearsed(rng)
+        assert not has_all
+        assert np.isnan(points).all()
+        assert ((image.max(2) > 100) == (label == SHAFT)).all()
+        corners.add(tuple(np.argwhere(label == SHAFT).mean(0)))
+    assert len(corners) == 4
 
 
 def test_masks_of_public_sets(tmp_path):
@@ -134,6 +185,6 @@ def test_training_without_pytorch_is_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.delitem(sys.modules, "training.network", raising=False)
     assert train.main([str(tmp_path / "net.onnx")]) == 1
-    assert "torch is not installed" in capsys.readouterr().err
+    assert "is not installed: pip install torch" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
     assert (REPOSITORY / "svmdist" / "models" / "instruments.onnx").is_file()

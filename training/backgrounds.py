@@ -34,12 +34,30 @@ def fractal(rng: np.random.Generator, size: Size, cells: float, octaves: int = 4
 
 def background(rng: np.random.Generator, size: Size) -> tuple[Array, Array]:
     """A picture without instruments, and which of its pixels are tissue: tissue mostly, else what other rooms have."""
-    make, colour = ((_tissue, _colour_of_tissue), (_room, _any_colour))[rng.choice(2, p=[0.72, 0.28])]
+    make, colour = ((_tissue, colour_of_tissue), (_room, _any_colour))[rng.choice(2, p=[0.66, 0.34])]
     scene = np.tile(colour(rng), (*size, 1)) if rng.random() < 0.2 else make(rng, size)  # a plain one, too
+    if make is _tissue and rng.random() < 0.25:
+        return _pad(rng, scene)
     return scene, np.full(size, make is _tissue)
 
 
-def _colour_of_tissue(rng: np.random.Generator) -> Array:
+def _pad(rng: np.random.Generator, tissue: Array) -> tuple[Array, Array]:
+    """Tissue or silicone as a pad with straight sides that lies on a drape or a table, and what of it is tissue."""
+    height, width = size = tissue.shape[:2]
+    around, pad = _room(rng, size), np.zeros(size, np.uint8)
+    middle, sides = rng.uniform(0.35, 0.65, 2) * (width, height), rng.uniform(0.5, 1.15, 2) * (width, height)
+    corners = cv2.boxPoints((middle.tolist(), sides.tolist(), float(rng.normal(0.0, 20.0))))
+    corners = np.rint(corners + rng.normal(0.0, 0.04, (4, 2)) * width).astype(np.int32)
+    cv2.fillConvexPoly(pad, corners, 1)
+    blur = cv2.GaussianBlur(pad.astype(np.float32), (0, 0), rng.uniform(0.02, 0.08) * width)[..., None]
+    edge = cv2.GaussianBlur(pad.astype(np.float32), (0, 0), rng.uniform(0.5, 2.0))[..., None]
+    around *= rng.uniform(0.15, 1.0) * (1.0 - rng.uniform(0.0, 0.8) * blur)
+    own = tissue * (1.0 - rng.uniform(0.0, 0.6) * (1.0 - np.clip(2.0 * blur - 1.0, 0.0, 1.0)))
+    return np.asarray(around + edge * (own - around), np.float32), pad > 0
+
+
+def colour_of_tissue(rng: np.random.Generator) -> Array:
+    """A tissue's colour at random, in BGR, shape (3,)."""
     _, red, green, blue = TISSUES[rng.choice(len(TISSUES), p=[weight for weight, *_ in TISSUES])]
     return rng.uniform(*red) * np.array([rng.uniform(*blue), rng.uniform(*green), 1.0], np.float32)
 
@@ -66,16 +84,18 @@ def _shading(rng: np.random.Generator, height: Array, steepness: float) -> tuple
 
 def _tissue(rng: np.random.Generator, size: Size) -> Array:
     """Organs side by side, or silicone, each with its colour and texture; vessels, highlights, cavities."""
-    bare = rng.random() < 0.2  # nearly without texture, as silicone and near or blurred tissue are
+    bare = rng.random() < 0.3  # nearly without texture, as silicone and near or blurred tissue are
     octaves = 1 if bare else int(rng.integers(2, 6))
     height = fractal(rng, size, rng.uniform(1.5, 5.0), octaves, rng.uniform(0.3, 0.6))
-    scene = np.tile(_colour_of_tissue(rng), (*size, 1))
+    scene = np.tile(colour_of_tissue(rng), (*size, 1))
     for _ in range(int(rng.integers(0, 6))):  # an organ lies over what was there, and shades it
         edge = fractal(rng, size, rng.uniform(1.2, 4.0), 3, rng.uniform(0.1, 0.5)) - rng.normal(0.5, 0.5)
         covered, shade = _soft(edge, np.exp(rng.uniform(0.5, 4.0))), _soft(edge + rng.uniform(0.1, 0.4), 6.0)
         scene *= 1.0 - rng.uniform(0.0, 0.7) * (1.0 - covered) * shade
-        scene += covered * (_colour_of_tissue(rng) - scene)
+        scene += covered * (colour_of_tissue(rng) - scene)
         height = height + covered[..., 0] * rng.uniform(0.0, 3.0) * np.sqrt(np.clip(edge, 0.0, None))
+    for _ in range(int(rng.integers(1, 4)) if rng.random() < 0.35 else 0):
+        scene = _fold(rng, scene)
     if not bare:
         scene *= (1.0 + rng.uniform(0.02, 0.16) * fractal(rng, size, rng.uniform(8, 50), 3))[..., None]
         vessels = np.exp(-((fractal(rng, size, rng.uniform(2, 8), 3) / rng.uniform(0.01, 0.08)) ** 2))
@@ -87,6 +107,23 @@ def _tissue(rng: np.random.Generator, size: Size) -> Array:
         wet = mirror ** rng.uniform(40, 400) * np.clip(0.5 + fractal(rng, size, 12.0, 1), 0.0, 1.5)
         scene += (rng.uniform(30, 400) * wet)[..., None]
     return np.asarray(np.clip(scene, 0.0, 255.0), np.float32)
+
+
+def _fold(rng: np.random.Generator, scene: Array) -> Array:
+    """With a bowel's loop, a vessel or a fold of fat over it: round as a shaft is, and tissue."""
+    size, half = scene.shape[:2], scene.shape[1] * float(np.exp(rng.uniform(*np.log([0.012, 0.14]))))
+    places = np.mgrid[: size[0], : size[1]][::-1].transpose(1, 2, 0) - rng.uniform(0.1, 0.9, 2) * size[::-1]
+    cosine, sine = np.cos(heading := rng.uniform(0.0, 2.0 * np.pi)), np.sin(heading)
+    along, across = np.moveaxis(places @ np.array([[cosine, -sine], [sine, cosine]]), 2, 0)
+    across += rng.normal(0.0, 0.4) * along**2 / size[1]
+    across += 0.3 * half * rng.exponential(0.5) * fractal(rng, size, 4.0, 2)
+    across /= half * np.exp(rng.normal(0.0, 0.5) * along / size[1])
+    shade = np.sqrt(np.clip(1.0 - across**2, 0.0, 1.0)) * rng.uniform(0.4, 1.0) + rng.uniform(0.1, 0.6)
+    shine = np.exp(-(((across - rng.uniform(-0.6, 0.6)) / rng.uniform(0.05, 0.3)) ** 2))
+    shine *= rng.uniform(0.0, 200.0) * np.clip(0.5 + fractal(rng, size, 10.0, 2), 0.0, 1.0)
+    own = colour_of_tissue(rng) * shade[..., None] + shine[..., None]
+    covered = _soft(1.0 - np.abs(across), half * np.exp(rng.uniform(-1.5, 0.5)))
+    return np.asarray(scene + covered * (own - scene), np.float32)
 
 
 def _soft(field: Array, sharpness: float) -> Array:

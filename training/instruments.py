@@ -35,8 +35,9 @@ def material(rng: np.random.Generator, weights: tuple[float, ...], surroundings:
     contrast *= float(rng.random() < 0.8)  # else plain
     # Insulation and marks are green, blue or yellow, not red as tissue is
     bgr = level * rng.uniform([0.3, 0.7, 0.3] if kind == COLOURED else 0.9, [1.0, 1.0, 1.0])
-    if kind in (GREY, STEEL):
-        bgr += rng.uniform(0.0, 0.4) * (surroundings * level / max(float(surroundings.max()), 1.0) - bgr)
+    # All of them reflect what is around them: dark and white ones, too, look warm over tissue
+    share = rng.uniform(0.0, 0.5) * float(kind in (GREY, STEEL) or rng.random() < 0.6)
+    bgr += share * (surroundings * level / max(float(surroundings.max()), 1.0) - bgr)
     reflection = np.clip(1.0 + contrast * rng.standard_normal(int(rng.integers(4, 14))), 0.1, 2.5)
     steps = np.clip(1.0 + 0.5 * contrast * rng.standard_normal(int(rng.integers(2, 9))), 0.3, 2.0)
     steps *= np.linspace(1.0 + rng.exponential(0.5), 1.0, len(steps))  # nearer to the lamp at its beginning
@@ -106,9 +107,10 @@ def draw(canvas: Array, labels: Array, parts: list[Part]) -> None:
 
 def instrument(rng: np.random.Generator, size: Size, surroundings: Array) -> Parts:
     """Parts of one at random, the nearest to the border first, and its keypoints in px, (5, 2), NaN where none."""
-    near = rng.random() < 0.2  # fills a good part of the picture
-    half = size[1] * float(np.exp(rng.uniform(*np.log([0.06, 0.15] if near else [0.01, 0.075]))))
-    tip = (rng.uniform(-0.1, 1.1, 2) if near else rng.uniform(0.03, 0.97, 2)) * size[::-1]
+    near = rng.random() < 0.25  # fills a good part of the picture
+    half = size[1] * float(np.exp(rng.uniform(*np.log([0.06, 0.18] if near else [0.009, 0.075]))))
+    within = (-0.3, 1.3) if near and rng.random() < 0.5 else (0.03, 0.97)  # the picture, or also beside it
+    tip = rng.uniform(*within, 2) * size[::-1]
     away = _towards(rng.uniform(0.0, 2 * np.pi)) * rng.uniform(0.75, 0.9)  # it comes from any side or corner
     span = tip - (0.5 + away + rng.normal(0.0, 0.15, 2)) * size[::-1]
     heading, least = float(np.arctan2(span[1], span[0])), rng.uniform(4.0, 9.0) * half

@@ -1,109 +1,143 @@
-"""The network, a small U-Net, its training, its calibration, and its way into an ONNX file. Needs PyTorch."""
+"""The network in its ONNX file: PyTorch runs it, goes on training it, and writes it."""
 
 from __future__ import annotations
 
-from itertools import pairwise
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from time import monotonic
+from typing import Any
 
-import cv2
 import numpy as np
+import onnx
 import torch
+from onnx.numpy_helper import from_array, to_array
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from training.backgrounds import Array, Size
-from training.instruments import DISTAL, INSTRUMENT, KEYPOINTS, SHAFT, UNKNOWN
-from training.pictures import Outlined, near_keypoints, sample
-from training.scene import MIDDLE, WIDTH, Drawn
+from training.instruments import DISTAL, INSTRUMENT, SHAFT, UNKNOWN
+from training.pictures import Shown, near_keypoints
+from training.scene import MIDDLE
 
-CLASSES = 4
-CHANNELS = (16, 32, 64, 112, 144)  # of the input's size over 2, 4, 8, 16 and 32
 SIZE: Size = (192, 256)  # of the input, (h, w)
-BATCH, HIGHEST_RATE = 16, 1.5e-3  # pictures of a step; learning rate, which falls as a cosine
+BATCH, HIGHEST_RATE = 16, 4e-4  # pictures of a step; learning rate, which falls as a cosine
+REHEARSED, TEACHING = (
+    5,
+    2.0,
+)  # pictures of a step that are drawn as earlier; weight of what an earlier net says of them
 AVERAGE = 0.998  # of the weights' running mean, what a step keeps; the mean is the result
-TEMPERATURES = np.arange(0.5, 3.0, 0.02)
+OPEN = 0.02  # of a label, what may be any class: people err, and so do their outlines
+Attributes = Mapping[str, Any]
 KEYPOINT_WEIGHT = 12.0  # their loss is small
 # By label: which classes a pixel may have
 ALLOWED = torch.cat([torch.eye(4), torch.tensor([[1, 1, 0, 0], [0, 0, 1, 1], [1, 1, 1, 1]])]) > 0
 
 
-class InstrumentNet(nn.Module):
-    """Scores of classes and log-odds of keypoints, (n, 4, h / 2, w / 2) each, of images (n, 3, h, w), -1 to 1."""
+class Network(nn.Module):
+    """A net of an ONNX file as PyTorch runs it: what it gives, by name, of images (n, 3, h, w) from -1 to 1.
 
-    def __init__(self) -> None:
+    The file that ships holds two, whose log-probabilities it averages: `old`, of drawings alone, and `new`, with
+    `keypoints`, which training goes on with.
+    """
+
+    def __init__(self, path: Path, outputs: Sequence[str] = ("new", "keypoints")) -> None:
         super().__init__()
-        first, second, *_, last = CHANNELS
-        self.stem = nn.Sequential(_convolution(3, first, 2), _convolution(first, first))
-        down = (
-            nn.Sequential(_convolution(less, more, 2), _Residual(more)) for less, more in pairwise(CHANNELS)
-        )
-        self.down = nn.ModuleList(down)
-        self.whole = nn.Sequential(nn.Conv2d(last, last, 1), nn.ReLU())  # what is unusual in the picture
-        up = list(pairwise(CHANNELS[::-1]))
-        self.narrow = nn.ModuleList(nn.Conv2d(more, less, 1, bias=False) for more, less in up)
-        self.filter = nn.ModuleList(_convolution(less, less) for _, less in up)
-        self.skip = nn.ModuleList(nn.Conv2d(less, less, 1) for _, less in up)
-        self.scores = nn.Conv2d(first, CLASSES, 1)
-        self.keypoints = nn.Sequential(_convolution(second, second), nn.Conv2d(second, len(KEYPOINTS), 1))
+        self.file, needed = onnx.load(path), set(outputs)
+        self.nodes: list[Any] = []
+        for node in reversed(self.file.graph.node):
+            if needed & set(node.output):
+                self.nodes.insert(0, node)
+                needed |= set(node.input)
+        self.trained = dict[str, nn.Parameter]()
+        for one in self.file.graph.initializer:
+            if one.name in needed:
+                value = torch.from_numpy(to_array(one).astype(np.float32))
+                layout = torch.channels_last if value.ndim == 4 else torch.contiguous_format
+                self.trained[one.name] = nn.Parameter(value.contiguous(memory_format=layout))
 
-    def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        """Give the scores and the log-odds of images."""
-        levels = [self.stem(image)]
-        for down in self.down:
-            levels.append(down(levels[-1]))
-        deep = levels.pop()
-        deep = deep + self.whole(deep.mean((2, 3), keepdim=True))
-        for narrow, filtered, skip in zip(self.narrow, self.filter, self.skip, strict=True):
-            coarser, deep = deep, filtered(functional.relu(_doubled(narrow(deep)) + skip(levels.pop())))
-        return self.scores(deep), _doubled(self.keypoints(coarser))
+    def forward(self, images: Tensor) -> dict[str, Tensor]:
+        """Give what was asked for, and what leads there."""
+        found = {"image": images, **self.trained}
+        for node in self.nodes:
+            of = {one.name: onnx.helper.get_attribute_value(one) for one in node.attribute}
+            found[node.output[0]] = OPERATORS[node.op_type](of, *(found.get(name) for name in node.input))
+        return found
+
+    def save(self, path: Path) -> None:
+        """Write the file with the trained weights, in the precision that they had."""
+        for one in self.file.graph.initializer:
+            if one.name in self.trained:
+                value = self.trained[one.name].detach().contiguous().numpy().astype(to_array(one).dtype)
+                one.CopyFrom(from_array(value, one.name))
+        onnx.save(self.file, path)
 
 
-def _convolution(less: int, more: int, stride: int = 1) -> nn.Sequential:
-    layer = nn.Conv2d(less, more, 3, stride, 1, bias=False)
-    return nn.Sequential(layer, nn.BatchNorm2d(more), nn.ReLU(inplace=True))
+def _convolved(of: Attributes, image: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
+    return functional.conv2d(image, weight, bias, of["strides"], of["pads"][:2], of["dilations"], of["group"])
 
 
-class _Residual(nn.Module):
-    """Two convolutions that add to what they are given (He et al. 2016)."""
+def _resized(_: Attributes, image: Tensor, __: Tensor | None, scales: Tensor) -> Tensor:
+    factors = tuple(scales.tolist()[2:])
+    return functional.interpolate(image, scale_factor=factors, mode="bilinear", align_corners=False)
 
-    def __init__(self, channels: int) -> None:
-        super().__init__()
-        self.first, self.second = _convolution(channels, channels), _convolution(channels, channels)[:2]
 
-    def forward(self, x: Tensor) -> Tensor:
-        return functional.relu(x + self.second(self.first(x)))
+OPERATORS: dict[str, Callable[..., Tensor]] = {
+    "Add": lambda _, a, b: a + b,
+    "Cast": lambda _, a: a,
+    "Concat": lambda of, *all_: torch.cat(all_, of["axis"]),
+    "Constant": lambda of: torch.from_numpy(to_array(of["value"]).copy()),
+    "Conv": _convolved,
+    "Mul": lambda _, a, b: a * b,
+    "ReduceMean": lambda of, a: a.mean(tuple(of["axes"]), keepdim=True),
+    "Relu": lambda _, a: functional.relu(a),
+    "Resize": _resized,
+}
 
 
 def _doubled(values: Tensor) -> Tensor:
     return functional.interpolate(values, scale_factor=2.0, mode="bilinear", align_corners=False)
 
 
-def train(drawn: Drawn, real: Outlined | None, minutes: float, seed: int) -> InstrumentNet:
-    """Train on one thread for some minutes; gives a network of the mean of the last weights."""
+def train(network: Network, shown: Shown, minutes: float, seed: int, teacher: Network | None = None) -> None:
+    """Go on with a network on one thread for some minutes; its weights are then the mean of the last ones.
+
+    Of what is drawn as earlier it also learns what its teacher says: what that knows of rooms is kept (Li and Hoiem,
+    "Learning without forgetting", 2016).
+    """
     torch.set_num_threads(1)
     torch.manual_seed(seed)
-    rng, net = np.random.default_rng(seed), InstrumentNet()
-    net.to(memory_format=torch.channels_last)
-    mean = AveragedModel(net, multi_avg_fn=get_ema_multi_avg_fn(AVERAGE), use_buffers=True)
-    optimiser = torch.optim.AdamW(net.train().parameters(), HIGHEST_RATE, weight_decay=1e-2)
+    rng, weights = np.random.default_rng(seed), network.trained
+    mean = {name: value.detach().clone() for name, value in weights.items()}
+    optimiser = torch.optim.AdamW(weights.values(), HIGHEST_RATE, weight_decay=1e-3)
+    rehearsed = REHEARSED if teacher else 0
     begun = monotonic()
     while (share := (monotonic() - begun) / (60.0 * minutes)) < 1.0:
-        made = [sample(rng, drawn, real, SIZE) for _ in range(BATCH)]
+        made = [shown.rehearsed(rng) if n < rehearsed else shown.sample(rng, SIZE) for n in range(BATCH)]
         images, labels, points, known = (np.stack(kind) for kind in zip(*made, strict=True))
         near = np.stack([near_keypoints(each, SIZE) for each in points])
-        rate = min(share / 0.02, 0.5 * (1.0 + float(np.cos(np.pi * share))))
+        rate = min(share / 0.03, 0.5 * (1.0 + float(np.cos(np.pi * share))))
         optimiser.param_groups[0]["lr"] = HIGHEST_RATE * max(rate, 1e-3)
-        loss = _loss(net(_to_input(images)), *(torch.from_numpy(kind) for kind in (labels, near, known)))
+        shown_to = _to_input(images)
+        found = network(shown_to)
+        truth = (torch.from_numpy(kind) for kind in (labels, near, known))
+        loss = _loss(found["new"], found["keypoints"], *truth)
+        if teacher:
+            loss = loss + TEACHING * _divergence(found["new"][:rehearsed], teacher, shown_to[:rehearsed])
         optimiser.zero_grad()
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(net.parameters(), 2.0)
+        torch.nn.utils.clip_grad_norm_(list(weights.values()), 2.0)
         optimiser.step()
-        mean.update_parameters(net)
-    net.load_state_dict(mean.module.state_dict())
-    net.eval().to(memory_format=torch.contiguous_format)
-    return net
+        for name, value in weights.items():
+            mean[name].lerp_(value.detach(), 1.0 - AVERAGE)
+    for name, value in weights.items():
+        value.data = mean[name]
+
+
+def _divergence(scores: Tensor, teacher: Network, images: Tensor) -> Tensor:
+    """Kullback and Leibler's, of scores (n, 4, h, w) from what the teacher gives of the same images."""
+    with torch.no_grad():
+        said = teacher(images)["old"].log_softmax(1)
+    return (said.exp() * (said - scores.log_softmax(1))).sum(1).mean()
 
 
 def _to_input(images_bgr: Array) -> Tensor:
@@ -114,42 +148,18 @@ def _to_input(images_bgr: Array) -> Tensor:
 def _entropy(likely: Tensor, labels: Tensor) -> Tensor:
     """Cross-entropy of each picture, shape (n,), of logarithms of probabilities; labels may leave a class open."""
     allowed = likely.masked_fill(~ALLOWED[labels.long()].permute(0, 3, 1, 2), -1e4).logsumexp(1)
+    likely = (1.0 - OPEN) * allowed + OPEN * likely.clamp_min(-12.0).mean(1)
     known = labels != UNKNOWN
-    return -(allowed * known).sum((1, 2)) / (known.sum((1, 2)) + 2000.0)
+    return -(likely * known).sum((1, 2)) / (known.sum((1, 2)) + 2000.0)
 
 
-def _loss(outputs: tuple[Tensor, Tensor], labels: Tensor, near: Tensor, known: Tensor) -> Tensor:
+def _loss(scores: Tensor, near_odds: Tensor, labels: Tensor, near: Tensor, known: Tensor) -> Tensor:
     """Cross-entropies, of keypoints where `known`, and what all instruments lack in overlap (Milletari et al. 2016)."""
-    likely = _doubled(outputs[0]).log_softmax(1)
+    likely = _doubled(scores).log_softmax(1)
     instrument = likely.exp()[:, DISTAL:].sum(1) * (labels != UNKNOWN)
     truth = (labels == DISTAL) | (labels == SHAFT) | (labels == INSTRUMENT)
     both = (instrument * truth).sum((1, 2))
     dice = 1.0 - (2.0 * both + 50.0) / (instrument.sum((1, 2)) + truth.sum((1, 2)) + 50.0)
-    keypoints = functional.binary_cross_entropy_with_logits(outputs[1], near.float(), reduction="none")
+    keypoints = functional.binary_cross_entropy_with_logits(near_odds, near.float(), reduction="none")
     masks = _entropy(likely, labels) + 0.5 * dice
     return (masks + KEYPOINT_WEIGHT * known * keypoints.mean((1, 2, 3))).mean()
-
-
-def calibrate(net: InstrumentNet, drawn: Drawn, real: Outlined | None) -> None:
-    """Divide outputs by the temperatures that make pictures not trained on most likely (Guo et al. 2017)."""
-    for head, (images, truth) in enumerate((real or drawn[:2], drawn[::2])):
-        small = (cv2.resize(one, SIZE[::-1], interpolation=cv2.INTER_AREA) for one in images)
-        with torch.no_grad():
-            found = torch.cat([net(_to_input(one[None]))[head] for one in small])
-        if head:
-            near = np.stack([near_keypoints(one * SIZE[1] / WIDTH, SIZE) for one in truth])
-            loss, of = functional.binary_cross_entropy_with_logits, torch.from_numpy(near).float()
-            losses = [loss(found / t, of) for t in TEMPERATURES]
-        else:
-            labels = torch.from_numpy(truth[:, 1::3, 1::3].copy())
-            losses = [_entropy((found / t).log_softmax(1), labels).mean() for t in TEMPERATURES]
-        temperature = TEMPERATURES[int(np.argmin(losses))]
-        print(f"temperature {temperature:.2f}")
-        for one in (net.scores, net.keypoints[1])[head].parameters():
-            one.data.div_(temperature)
-
-
-def export(net: InstrumentNet, path: Path) -> None:
-    """Write it as ONNX, with an input of one image of the fixed size."""
-    names = {"input_names": ["image"], "output_names": ["scores", "keypoints"], "opset_version": 17}
-    torch.onnx.export(net, (torch.zeros(1, 3, *SIZE),), str(path), **names, dynamo=False)

@@ -1,26 +1,34 @@
-"""Real pictures, whose instruments are outlined by hand, and what training makes of them and of drawn ones."""
+"""Real pictures, with outlines or masks by people, and what training makes of them and of drawn ones."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
 
 from svmdist.vision.instruments.evidence import picture_of
 from svmdist.vision.network import OnnxSegmenter
-from training.backgrounds import Array, Size
+from training.backgrounds import Array, Size, colour_of_tissue, fractal
 from training.instruments import DISTAL, INSTRUMENT, NO_INSTRUMENT, OTHER, SHAFT, TISSUE, UNKNOWN
 from training.scene import HEIGHT, WIDTH, Drawn, filmed, seen
 
 OUTLINES = Path(__file__).with_name("outlines.json")
 """By repository and file: what it shows, outlines of instruments and of what may be one, in permille of its sides."""
+MASKED = "TransUNet-single/datasets/*/*[Tt]raining/Grayscale/*/*.png"
+"""Grey pictures of instruments in WeianWang-OvO/EB-GS-DualNet, beside masks of the same numbers."""
 BAND_PX = 4  # to either side of an outline, where a hand is not sure
 BACKGROUNDS = {"tissue": TISSUE, "room": OTHER, "": NO_INSTRUMENT}
-DRAWN_SHARE, PASTED = 0.4, 0.5  # of the pictures of a step; of the real ones, with instruments of others
+DRAWN_SHARE, PASTED = 0.5, 0.5  # of the pictures of a step; of the real ones, with instruments of others
+GREY_SHARE, TINTED = 0.22, 0.75  # of the real ones that are grey; of these, that get the colours of tissue
 NEAR = 1 / 64  # of the width: how near to a keypoint a pixel counts as on it
 Outlined = tuple[Array, Array]
 """Pictures (n, HEIGHT, WIDTH, 3) in BGR, and their labels (n, HEIGHT, WIDTH)."""
@@ -31,10 +39,41 @@ HELD_OUT = re.compile("images/000(02|27)-")  # two operations
 def outlined(folders: Sequence[Path], held_out: bool = False) -> Outlined | None:
     """The pictures with outlines in checked-out repositories, cropped to what the endoscope shows; None of none."""
     known = json.loads(OUTLINES.read_text("utf-8"))
-    pictures = [(folder / name, one) for folder in folders for name, one in known[folder.name].items()]
+    pictures = [
+        (folder / name, one) for folder in folders for name, one in known.get(folder.name, {}).items()
+    ]
     found = [_outlined(path, **one) for path, one in pictures if held_out == bool(HELD_OUT.search(str(path)))]
     images, labels = zip(*found, strict=True) if found else ((), ())
     return (np.stack(images), np.stack(labels)) if found else None
+
+
+def masked(folders: Sequence[Path]) -> Outlined | None:
+    """The grey pictures with masks in checked-out repositories, each once; None of none."""
+    found: dict[bytes, Outlined] = {}
+    for path in sorted(one for folder in folders for one in folder.glob(MASKED)):
+        image = cv2.imread(str(path))
+        there = path.parents[2] / "Masks" / path.parent.name / path.name.replace("Grayscale Image", "Mask")
+        mask = cv2.imread(str(there), cv2.IMREAD_GRAYSCALE)
+        if image is None or mask is None:
+            continue
+        own = (cv2.resize(mask, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST) > 127).astype(np.uint8)
+        edge = cv2.morphologyEx(own, cv2.MORPH_GRADIENT, np.ones((5, 5), np.uint8)) > 0
+        labels = np.where(edge, UNKNOWN, np.where(own, INSTRUMENT, NO_INSTRUMENT)).astype(np.uint8)
+        shown = np.asarray(cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA), np.uint8)
+        found[cv2.resize(image, (24, 16)).tobytes()] = shown, labels
+    images, masks = zip(*found.values(), strict=True) if found else ((), ())
+    return (np.stack(images), np.stack(masks)) if found else None
+
+
+def drawn_earlier(checkout: Path, count: int, processes: int) -> Outlined:
+    """What an earlier version in a checkout draws, 256x192 px, which its modules do in a process of their own."""
+    with TemporaryDirectory() as folder:
+        call = f"rendered(0, {count}, Path({folder!r}), {processes})"
+        code = f"from pathlib import Path; from tools.segmentation_net.dataset import rendered; {call}"
+        environment = os.environ | {"PYTHONPATH": str(checkout)}
+        subprocess.run([sys.executable, "-c", code], cwd=checkout, env=environment, check=True)
+        images, labels = (np.load(next(Path(folder).glob(f"*-{kind}.npy"))) for kind in ("images", "labels"))
+    return images, labels
 
 
 def _outlined(path: Path, shows: str, outlines: Sequence[Sequence[list[int]]] = ((), ())) -> Outlined:
@@ -60,28 +99,68 @@ def _outlined(path: Path, shows: str, outlines: Sequence[Sequence[list[int]]] = 
     return view, labels
 
 
-def sample(rng: np.random.Generator, drawn: Drawn, real: Outlined | None, size: Size) -> Sample:
-    """A picture, drawn or real, its labels and keypoints, at `size` = (h, w), and whether all keypoints are known."""
-    n = int(rng.integers(len(drawn[0])))
-    image, label, points = (kind[n] for kind in drawn)
-    if real is None or rng.random() < DRAWN_SHARE:
-        return *augmented(rng, image, label, points, size), True
-    over, its, (m, other) = image, label, rng.integers(len(real[0]), size=2)
-    image, label, nowhere = real[0][m], real[1][m], np.full_like(points, np.nan)
-    if (how := rng.random()) >= PASTED:
-        points = nowhere
-    elif how < PASTED / 2:
-        over, its, points = augmented(rng, real[0][other], real[1][other], nowhere, (HEIGHT, WIDTH))
-    if how < PASTED:  # the instruments of a drawn or of another real one
-        own = np.isin(its, (DISTAL, SHAFT, INSTRUMENT)).astype(np.uint8)
-        beside = cv2.dilate(own, np.ones((7, 7), np.uint8))
-        share = cv2.GaussianBlur(own.astype(np.float32), (0, 0), 1.0)[..., None]
-        image = (image + share * (over.astype(np.float32) - image)).astype(np.uint8)
-        label = np.where(own > 0, its, np.where(beside > 0, UNKNOWN, label)).astype(np.uint8)
-    image, label, points = augmented(rng, image, label, points, size)
-    image = _shining(rng, image) if rng.random() < 0.3 else image
-    image = filmed(rng, image) if rng.random() < 0.5 else image
-    return image, label, points, not (label >= INSTRUMENT).any()
+@dataclass(frozen=True)
+class Shown:
+    """What training shows: drawn, real and grey pictures, and those that an earlier version of this folder drew."""
+
+    drawn: Drawn
+    real: Outlined | None = None
+    grey: Outlined | None = None
+    earlier: Outlined | None = None
+
+    def rehearsed(self, rng: np.random.Generator) -> Sample:
+        """A picture drawn as earlier, flipped, and with each channel brighter or darker; its keypoints are unknown."""
+        assert self.earlier is not None
+        n, (down, across) = int(rng.integers(len(self.earlier[0]))), rng.choice([-1, 1], 2).tolist()
+        image, label = (kind[n][::down, ::across] for kind in self.earlier)
+        table = np.clip(np.arange(256)[:, None] * np.exp(rng.normal(0.0, 0.12, 3)), 0, 255).astype(np.uint8)
+        return table[image, range(3)], np.ascontiguousarray(label), np.full((5, 5, 2), np.nan), False
+
+    def sample(self, rng: np.random.Generator, size: Size) -> Sample:
+        """A picture, its labels and keypoints, at `size` = (h, w), and whether all keypoints are known."""
+        n = int(rng.integers(len(self.drawn[0])))
+        image, label, points = (kind[n] for kind in self.drawn)
+        if self.real is None or rng.random() < DRAWN_SHARE:
+            return *augmented(rng, image, label, points, size), True
+        over, its, nowhere, how = image, label, np.full_like(points, np.nan), rng.random()
+        image, label = self._real(rng, GREY_SHARE)
+        if how >= PASTED:
+            points = nowhere
+        elif how < PASTED / 2:
+            over, its, points = augmented(rng, *self._real(rng, 0.5), nowhere, (HEIGHT, WIDTH))
+        if how < PASTED:  # the instruments of a drawn or of another real one
+            own = _instruments(its)
+            beside = cv2.dilate(own, np.ones((7, 7), np.uint8))
+            share = cv2.GaussianBlur(own.astype(np.float32), (0, 0), 1.0)[..., None]
+            image = (image + share * (over.astype(np.float32) - image)).astype(np.uint8)
+            label = np.where(own > 0, its, np.where(beside > 0, UNKNOWN, label)).astype(np.uint8)
+        image, label, points = augmented(rng, image, label, points, size)
+        image = _shining(rng, image) if rng.random() < 0.3 else image
+        image = filmed(rng, image) if rng.random() < 0.5 else image
+        return image, label, points, not (label >= INSTRUMENT).any()
+
+    def _real(self, rng: np.random.Generator, grey_share: float) -> Outlined:
+        is_grey = self.grey is not None and rng.random() < grey_share
+        images, labels = self.grey if is_grey and self.grey else self.real or self.drawn[:2]
+        n = int(rng.integers(len(images)))
+        return _tinted(rng, images[n], labels[n]) if is_grey and rng.random() < TINTED else images[n], labels[
+            n
+        ]
+
+
+def _instruments(label: Array) -> Array:
+    return np.isin(label, (DISTAL, SHAFT, INSTRUMENT)).astype(np.uint8)
+
+
+def _tinted(rng: np.random.Generator, image: Array, label: Array) -> Array:
+    """A grey picture with the colours of two tissues, white in highlights; instruments reflect a little of them."""
+    grey, mix = image[..., :1] / np.float32(255.0), fractal(rng, label.shape, 2.0, 2)[..., None]
+    one, other = (colour / colour.max() for colour in (colour_of_tissue(rng), colour_of_tissue(rng)))
+    colour = other + (one - other) / (1.0 + np.exp(-2.0 * mix))
+    colour += (1.0 - colour) * 0.8 * np.clip(4.0 * grey - 3.0, 0.0, 1.0)
+    own = cv2.GaussianBlur(_instruments(label).astype(np.float32), (0, 0), 1.0)[..., None]
+    colour += own * (1.0 - rng.uniform(0.0, 0.4)) * (1.0 - colour)
+    return np.asarray(np.clip(280.0 * grey * colour, 0.0, 255.0), np.uint8)
 
 
 def _shining(rng: np.random.Generator, image: Array) -> Array:
@@ -98,10 +177,12 @@ def _shining(rng: np.random.Generator, image: Array) -> Array:
 def augmented(rng: np.random.Generator, image: Array, label: Array, points: Array, size: Size) -> Drawn:
     """One picture flipped, turned, nearer or farther, brighter or darker, at `size` = (h, w): not twice the same."""
     scale, middle = np.array(size[::-1]) / (WIDTH, HEIGHT), 0.5 * np.array([WIDTH - 1, HEIGHT - 1])
-    angle, nearer = rng.normal(0.0, 0.25), np.exp(rng.normal(0.06, 0.2) + rng.normal(0.0, 0.06, 2))
+    much = rng.exponential(0.5) if rng.random() < 0.2 else 0.0  # a part of it, in which a shaft is wide
+    angle, nearer = rng.normal(0.0, 0.25), np.exp(rng.normal(0.06, 0.2) + rng.normal(0.0, 0.06, 2) + much)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     turn = scale[:, None] * turn * nearer * rng.choice([-1, 1], 2)
-    shift = scale * (middle + rng.normal(0.0, 0.05, 2) * middle) - turn @ middle
+    aside = rng.normal(0.0, 0.05, 2) + rng.uniform(-1.0, 1.0, 2) * (np.exp(much) - 1.0)
+    shift = scale * (middle + aside * middle) - turn @ middle
     matrix, beyond = np.column_stack([turn, shift]), rng.uniform(0, 15, 3).tolist()
     if rng.random() < 0.5:  # pixels are areas
         image = cv2.GaussianBlur(image, (0, 0), 0.45 / float(scale.mean() * nearer.mean()))

@@ -60,12 +60,27 @@ def render(seed: int) -> Drawn:
     edge = cv2.GaussianBlur(view, (0, 0), rng.uniform(0.4, 1.5)).astype(np.float32)[..., None] / 255.0
     scene = edge * _light_and_colour(rng, scene) + (1.0 - edge) * rng.uniform(0, 12, 3).astype(np.float32)
     image, points, labels = filmed(rng, scene), seen(points, view), np.where(view > 0, labels, OTHER)
+    for _ in range(int(rng.integers(1, 4)) if rng.random() < 0.12 else 0):
+        _overlay(rng, image, labels)
     x, y, width, height = cv2.boundingRect(view)
     image, labels = (one[y : y + height, x : x + width] for one in (image, labels.astype(np.uint8)))
     points = (points - (x, y) + 0.5) * (WIDTH / width, HEIGHT / height) - 0.5
     shown = cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_LINEAR)
     labels = cv2.resize(labels, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST_EXACT)
     return shown, labels, points.astype(np.float32)
+
+
+def _overlay(rng: np.random.Generator, image: Array, labels: Array) -> None:
+    """A box with letters of the robot or the recorder, drawn over a picture, often at its border."""
+    size, box = np.array(image.shape[1::-1]), rng.uniform([0.05, 0.03], [0.35, 0.14])
+    corner = np.where(rng.random(2) < 0.6, rng.choice([0.0, 1.0], 2), rng.random(2)) * (1.0 - box)
+    (x, y), (right, bottom) = np.rint([corner * size, (corner + box) * size]).astype(int).tolist()
+    over = image[y:bottom, x:right]
+    over[:] = over + rng.uniform(0.4, 1.0) * (rng.uniform(0, 90) + rng.uniform(0, 30, 3) - over)
+    word = "".join(rng.choice(list("ABCDEFGHILMNOPRSTUV 0123456789:"), int(rng.integers(1, 14))))
+    letters = cv2.FONT_HERSHEY_SIMPLEX, (bottom - y) / 40.0 * rng.uniform(0.5, 1.1)
+    cv2.putText(image, word, (x + 2, bottom - 3), *letters, rng.uniform(150, 255, 3).tolist(), 1, cv2.LINE_AA)
+    labels[y:bottom, x:right] = OTHER
 
 
 def _light_and_colour(rng: np.random.Generator, scene: Array) -> Array:

@@ -1,6 +1,6 @@
-"""Train the small segmentation network on pictures that are drawn here and on real ones, and write it as ONNX.
+"""Go on training the segmentation network on pictures that are drawn here and on real ones.
 
-`uv run --with torch==2.13.0 --with onnx python -m training.train net.onnx [--pictures FOLDER...]`: one core, two hours.
+`uv run --with torch==2.13.0 --with onnx python -m training.train net.onnx [--pictures FOLDER...]`: one core, an hour.
 """
 
 from __future__ import annotations
@@ -8,35 +8,45 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 
-from training.scene import VALIDATION_SEED, rendered
+from training.scene import rendered
+
+EARLIER = "commit 9154100"  # its drawings taught the old net, which knows silicone and rooms best
+SHIPPED = Path(__file__).parents[1] / "svmdist" / "models" / "instruments.onnx"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Draw, train, calibrate, and write the file."""
+    """Draw, train, and write the file."""
     parser = argparse.ArgumentParser(description=__doc__)
     add = parser.add_argument
     add("model", type=Path, help="the ONNX file to write")
     add("--pictures", type=Path, nargs="*", default=[], help="repositories that are checked out")
-    add("--minutes", type=float, default=100.0)
-    add("--drawn", type=int, default=6000, help="how many pictures are drawn to train on")
-    add("--seed", type=int, default=0, help="of weights, and, times a million, of the pictures")
+    add("--earlier", type=Path, help=f"a checkout of {EARLIER}, whose drawings are rehearsed")
+    add("--start", type=Path, default=SHIPPED, help="the ONNX file to go on from")
+    add("--minutes", type=float, default=50.0)
+    add("--drawn", type=int, default=5000, help="how many pictures are drawn to train on")
+    add("--seed", type=int, default=0, help="of the order, and, times a million, of the pictures")
     add("--processes", type=int, default=1, help="for drawing; training takes one thread")
     given = parser.parse_args(arguments)
     try:
-        from training.network import calibrate, export, train
-        from training.pictures import outlined
+        from training.network import Network, train
+        from training.pictures import Shown, drawn_earlier, masked, outlined
     except ModuleNotFoundError as missing:
         print(f"{missing.name} is not installed: pip install torch==2.13.0 onnx", file=sys.stderr)
         return 1
     cv2.setNumThreads(1)
     drawn = rendered(1_000_000 * given.seed, given.drawn, given.processes)
-    net = train(drawn, outlined(given.pictures), given.minutes, given.seed)
-    calibrate(net, rendered(VALIDATION_SEED, 400, given.processes), outlined(given.pictures, held_out=True))
-    export(net, given.model)
+    network, teacher = Network(given.start), None
+    shown = Shown(drawn, outlined(given.pictures), masked(given.pictures))
+    if given.earlier:
+        shown = replace(shown, earlier=drawn_earlier(given.earlier, 2 * given.drawn, given.processes))
+        teacher = Network(given.start, ("old",))
+    train(network, shown, given.minutes, given.seed, teacher)
+    network.save(given.model)
     print(f"{given.model}: {given.model.stat().st_size / 1e6:.2f} MB")
     return 0
 

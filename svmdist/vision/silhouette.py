@@ -209,9 +209,8 @@ def find_silhouette(
     least_px = MIN_LENGTH_WIDTHS * width_px
     if not min(first.length_px, second.length_px) >= least_px > 0.0:
         return None
-    # What has no sharp edges where the evidence ends may be anything: the arm behind an instrument, or a blot.
-    sharp_px = 0.5 * sum(edge.length_px for edge in (first, second) if edge.covariance is None)
-    if sharp_px < least_px and not seen.is_sure:
+    # What has no sharp edge where the evidence ends may be anything: the arm behind an instrument, or a blot.
+    if not seen.is_sure and any(edge.covariance is not None for edge in (first, second)):
         return None
     along = first.direction + second.direction
     along /= np.linalg.norm(along)
