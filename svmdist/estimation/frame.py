@@ -105,11 +105,9 @@ class View:
         masks, instrument = self.masks, self._arm.profile.instrument
         if not masks.seen or instrument is None:
             return None
-        picture, corners_px = masks.picture, self.tag_corners_px
-        if picture is not None and corners_px is not None:  # its edges are not the shaft's
-            picture = np.asarray(
-                picture & ~tag_plate(corners_px, picture.shape, self._settings.tag), np.uint8
-            )
+        picture, plates = masks.picture, self.context.plates
+        if picture is not None and plates is not None:  # their edges are not the shaft's
+            picture = np.asarray(picture & ~plates, np.uint8)
         model = ShaftModel.of(Failure(""), self._arm.required_chain, instrument)
         seen = model.with_likelier_end(masks.seen[0], self._settings.shaft.end_model_std_m)
         shape = model.wrist_shape(ends_dark=seen.ends_dark)

@@ -147,6 +147,9 @@ class Hiding(Protocol):
         """Take what is marked, shape (h, w), for nothing."""
 
 
+USUAL_TAGS = "36h11", TagSettings()  # AprilTag's own default
+
+
 class FrameContext:
     """One camera image, shape (h, w, 3) in BGR, and what is derived from it.
 
@@ -219,9 +222,19 @@ class FrameContext:
         """What is what in the image as it is."""
         image = self.hsv_as_recorded if self._segmenter.uses_colours else self.bgr_as_recorded
         masks = self._segmenter.masks(image)
-        if isinstance(masks, Hiding) and self._tag_rules is not None:
-            from svmdist.vision.tags import tag_plate
-
-            for corners_px in self.tags.values():
-                masks.hide(tag_plate(corners_px, self.shape, self._tag_rules[1]))
+        if isinstance(masks, Hiding) and self.plates is not None:
+            masks.hide(self.plates)
         return masks
+
+    @cached_property
+    def plates(self) -> Image | None:
+        """Where plates of tags are, shape (h, w); None where no tag is seen, of the profile's family or the usual one.
+
+        Whoever glued a tag to an instrument need not have told: it is as wide as the shaft, and none of its parts.
+        """
+        from svmdist.vision.tags import find_tags, tag_plate
+
+        family, settings = self._tag_rules or USUAL_TAGS
+        tags = self.tags if self._tag_rules else find_tags(self.grey, family, settings)
+        plates = [tag_plate(corners_px, self.shape, settings) for corners_px in tags.values()]
+        return np.asarray(np.bitwise_or.reduce(plates)) if plates else None

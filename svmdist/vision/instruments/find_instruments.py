@@ -29,7 +29,7 @@ DISTAL_WIDTHS = 4.5  # how far wrist and jaws reach beyond the end of the shaft,
 DISTAL_HALF_WIDTHS = 1.3  # how far they reach to either side of its axis, over its width
 BESIDE_WIDTHS = 0.08  # how far evidence beside a side is still that of the shaft, over its width
 NEAR_PX = 9  # what is so near to an instrument in the working image teaches nothing of the background
-SURE = 2.0  # odds of a pixel of an instrument that shows no straight shaft, or none with sharp edges
+SURE = 2.0  # odds of what shows no straight shaft, or a side of one without a sharp edge
 MOST_HOLE = 0.003  # of the picture: glare and blood; through a larger hole tissue is seen
 
 Mask = NDArray[np.bool_]
