@@ -83,8 +83,8 @@ class Scene:
         self.is_interlaced = first is not observation
         self.observation = observation = as_pinholes(first, row_offset_px)
         right = observation.right
-        tags = None if profile.fiducial is None else (profile.fiducial.family, settings.tag)
-        rules = segmenter, settings.exposure, tags
+        family = None if profile.fiducial is None else profile.fiducial.family
+        rules = segmenter, settings.exposure, family, settings.tag
         self.left = FrameContext(observation.image_bgr, *rules)
         self.right = None if right is None else FrameContext(right.image_bgr, *rules)
 

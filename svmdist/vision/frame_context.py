@@ -147,7 +147,7 @@ class Hiding(Protocol):
         """Take what is marked, shape (h, w), for nothing."""
 
 
-USUAL_TAGS = "36h11", TagSettings()  # AprilTag's own default
+USUAL_FAMILY = "36h11"  # of tags: AprilTag's own default
 
 
 class FrameContext:
@@ -162,10 +162,11 @@ class FrameContext:
         bgr: Image,
         segmenter: Segmenter,
         exposure: ExposureSettings,
-        tags: tuple[str, TagSettings] | None,
+        tag_family: str | None,
+        tag_settings: TagSettings,
     ) -> None:
         self.bgr_as_recorded, self._segmenter = bgr, segmenter
-        self._exposure_settings, self._tag_rules = exposure, tags
+        self._exposure_settings, self._tag_family, self._tag_settings = exposure, tag_family, tag_settings
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -208,7 +209,7 @@ class FrameContext:
         """Corners, shape (4, 2) in px, of every tag of the family, by number; none where no family is given."""
         from svmdist.vision.tags import find_tags  # its detectors take a while to import
 
-        return {} if self._tag_rules is None else find_tags(self.grey, *self._tag_rules)
+        return find_tags(self.grey, self._tag_family, self._tag_settings) if self._tag_family else {}
 
     @cached_property
     def masks(self) -> Masks:
@@ -234,7 +235,7 @@ class FrameContext:
         """
         from svmdist.vision.tags import find_tags, tag_plate
 
-        family, settings = self._tag_rules or USUAL_TAGS
-        tags = self.tags if self._tag_rules else find_tags(self.grey, family, settings)
+        settings = self._tag_settings
+        tags = self.tags if self._tag_family else find_tags(self.grey, USUAL_FAMILY, settings)
         plates = [tag_plate(corners_px, self.shape, settings) for corners_px in tags.values()]
         return np.asarray(np.bitwise_or.reduce(plates)) if plates else None

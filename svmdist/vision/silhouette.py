@@ -13,7 +13,7 @@ from svmdist.transforms import Array
 from svmdist.vision.edge_lines import ROUGH_PX, EdgeLine, edge_line
 from svmdist.vision.instruments.find_instruments import SeenInstrument
 
-MIN_LENGTH_WIDTHS = 1.25  # of the shorter side, and of sharp edges where the network is not sure
+MIN_LENGTH_WIDTHS = 1.25  # of the shorter side
 MOST_OFF_STDS = 2.5  # of a sharp edge from the rough side it was sought at
 MAX_TAPER_RAD = 0.6  # between the sides; a cylinder that points at the camera shows no length
 ENDS_AGREE_WIDTHS = 0.3  # both edges' ends along the shaft: clevises are lopsided

@@ -311,12 +311,8 @@ def _connected(address: str) -> Any:
         raise UsageError(
             "--scheduler needs the package distributed, which is not installed: pip install 'svmdist[cluster]'"
         ) from None
-    for name in (
-        "distributed",
-        "distributed.client",
-        "tornado.application",
-        "asyncio",
-    ):  # they print what is handled
+    # They print what is handled here
+    for name in ("distributed", "distributed.client", "tornado.application", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         get_address_host_port(address)  # a client of a wrong one could not be closed
