@@ -33,16 +33,16 @@ NEAR = 1 / 64  # of the width: how near to a keypoint a pixel counts as on it
 Outlined = tuple[Array, Array]
 """Pictures (n, HEIGHT, WIDTH, 3) in BGR, and their labels (n, HEIGHT, WIDTH)."""
 Sample = tuple[Array, Array, Array, bool]
-HELD_OUT = re.compile("images/000(02|27)-")  # two operations
+HELD_OUT = re.compile("images/000(02|27)-")  # two operations, to measure on
 
 
-def outlined(folders: Sequence[Path], held_out: bool = False) -> Outlined | None:
+def outlined(folders: Sequence[Path]) -> Outlined | None:
     """The pictures with outlines in checked-out repositories, cropped to what the endoscope shows; None of none."""
     known = json.loads(OUTLINES.read_text("utf-8"))
     pictures = [
         (folder / name, one) for folder in folders for name, one in known.get(folder.name, {}).items()
     ]
-    found = [_outlined(path, **one) for path, one in pictures if held_out == bool(HELD_OUT.search(str(path)))]
+    found = [_outlined(path, **one) for path, one in pictures if not HELD_OUT.search(str(path))]
     images, labels = zip(*found, strict=True) if found else ((), ())
     return (np.stack(images), np.stack(labels)) if found else None
 
@@ -123,11 +123,11 @@ class Shown:
         if self.real is None or rng.random() < DRAWN_SHARE:
             return *augmented(rng, image, label, points, size), True
         over, its, nowhere, how = image, label, np.full_like(points, np.nan), rng.random()
-        image, label = self._real(rng, GREY_SHARE)
+        image, label = self._one(rng, self.real, GREY_SHARE)
         if how >= PASTED:
             points = nowhere
         elif how < PASTED / 2:
-            over, its, points = augmented(rng, *self._real(rng, 0.5), nowhere, (HEIGHT, WIDTH))
+            over, its, points = augmented(rng, *self._one(rng, self.real, 0.5), nowhere, (HEIGHT, WIDTH))
         if how < PASTED:  # the instruments of a drawn or of another real one
             own = _instruments(its)
             beside = cv2.dilate(own, np.ones((7, 7), np.uint8))
@@ -139,13 +139,13 @@ class Shown:
         image = filmed(rng, image) if rng.random() < 0.5 else image
         return image, label, points, not (label >= INSTRUMENT).any()
 
-    def _real(self, rng: np.random.Generator, grey_share: float) -> Outlined:
-        is_grey = self.grey is not None and rng.random() < grey_share
-        images, labels = self.grey if is_grey and self.grey else self.real or self.drawn[:2]
+    def _one(self, rng: np.random.Generator, real: Outlined, grey_share: float) -> Outlined:
+        """A real picture and its labels; of the grey ones some get the colours of tissue."""
+        grey = self.grey if rng.random() < grey_share else None
+        images, labels = real if grey is None else grey
         n = int(rng.integers(len(images)))
-        return _tinted(rng, images[n], labels[n]) if is_grey and rng.random() < TINTED else images[n], labels[
-            n
-        ]
+        is_tinted = grey is not None and rng.random() < TINTED
+        return _tinted(rng, images[n], labels[n]) if is_tinted else images[n], labels[n]
 
 
 def _instruments(label: Array) -> Array:

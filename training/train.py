@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -40,11 +39,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     cv2.setNumThreads(1)
     drawn = rendered(1_000_000 * given.seed, given.drawn, given.processes)
-    network, teacher = Network(given.start), None
-    shown = Shown(drawn, outlined(given.pictures), masked(given.pictures))
-    if given.earlier:
-        shown = replace(shown, earlier=drawn_earlier(given.earlier, 2 * given.drawn, given.processes))
-        teacher = Network(given.start, ("old",))
+    count = 2 * given.drawn
+    earlier = drawn_earlier(given.earlier, count, given.processes) if given.earlier else None
+    shown = Shown(drawn, outlined(given.pictures), masked(given.pictures), earlier)
+    network, teacher = Network(given.start), Network(given.start, ("old",)) if given.earlier else None
     train(network, shown, given.minutes, given.seed, teacher)
     network.save(given.model)
     print(f"{given.model}: {given.model.stat().st_size / 1e6:.2f} MB")
