@@ -12,6 +12,7 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.edge_lines import ROUGH_PX, EdgeLine, edge_line
 from svmdist.vision.instruments.find_instruments import SeenInstrument
+from svmdist.vision.shadows import edge_within
 
 MIN_LENGTH_WIDTHS = 1.25  # of the shorter side
 MOST_OFF_STDS = 2.5  # of a sharp edge from the rough side it was sought at
@@ -198,11 +199,7 @@ def find_silhouette(
     Nor of what is hardly longer than wide: at the border that is as likely the wrist, which may be narrower.
     Where the image has no sharp edge, a side is what the evidence has, if the network is sure of the shaft.
     """
-    sharp = [edge_line(bgr, side, seen.width_px, seen.pixel_px, picture) for side in seen.sides]
-    first, second = (
-        _soft_line(seen, side) if one is None or not _agrees(one, seen, side) else one
-        for side, one in enumerate(sharp)
-    )
+    first, second = _edges(bgr, seen, picture)
     if first.direction @ second.direction < np.cos(MAX_TAPER_RAD):
         return None
     width_px = _width_px(first, second)
@@ -248,6 +245,21 @@ def _goes_on(seen: SeenInstrument, end_px: Array, along: Array, width_px: float)
     inside = ((places >= 0) & (places < [width, height])).all(1)
     x, y = np.clip(places, 0, [width - 1, height - 1]).T
     return float(np.mean(seen.small_mask[y, x] & inside))
+
+
+def _edges(bgr: Image, seen: SeenInstrument, picture: Image | None) -> list[EdgeLine]:
+    """Both sides: sharp where the image has an edge near that of the evidence, and without the shaft's shadow."""
+    edges: list[EdgeLine] = []
+    for side, rough in enumerate(seen.sides):
+        one = edge_line(bgr, rough, seen.width_px, seen.pixel_px, picture)
+        edges.append(_soft_line(seen, side) if one is None or not _agrees(one, seen, side) else one)
+    sides = [np.stack([one.start_px, one.end_px]) for one in edges]
+    blurs_px = [one.blur_px if one.covariance is None else np.inf for one in edges]
+    within = [
+        edge_within(bgr, sides[side], blurs_px[side], sides[1 - side], blurs_px[1 - side], picture)
+        for side in (0, 1)
+    ]
+    return [one or outer for one, outer in zip(within, edges, strict=True)]
 
 
 def _soft_line(seen: SeenInstrument, side: int) -> EdgeLine:

@@ -126,6 +126,28 @@ def test_sides_without_an_edge_are_those_of_no_shaft_unless_the_network_is_sure(
     assert told >= 6
 
 
+@pytest.mark.parametrize("behind", [(110, 116, 124), (70, 70, 210)], ids=["grey", "red"])
+@pytest.mark.parametrize("light", [1.0, 0.5, 0.25], ids=["sunlit", "shadow", "dark shadow"])
+def test_the_shaft_ends_before_its_own_shadow(behind, light):
+    """A shadow with a penumbra along a side is no part of the shaft, though the evidence has it for one."""
+    half_lit = np.full((240, 320, 1), 1.0)
+    half_lit[140:158] = light
+    half_lit = cv2.GaussianBlur(half_lit, (0, 0), 3.0)[..., None]
+    bgr = half_lit * np.array(behind)
+    bgr[100:140, :200] = 35, 32, 32
+    bgr = cv2.GaussianBlur(bgr, (0, 0), 0.8).astype(np.uint8)
+    below = 139.5 if light == 1.0 else 157.5
+    sides = np.array([[[0.0, 99.5], [200.0, 99.5]], [[0.0, below], [200.0, below]]])
+    mask = np.zeros((240, 320), np.bool_)
+    mask[100 : int(below + 0.5), :200] = True
+    seen = SeenInstrument(
+        mask, (240, 320), sides, sides[:, 1].mean(0), 1.0, end_std_px=2.0, pixel_px=2.0, is_sure=True
+    )
+    found = find_silhouette(bgr, seen, None, WristShape(0.3, 2.0))
+    assert found is not None
+    assert found.width_px == pytest.approx(40.0, abs=0.7)
+
+
 def test_instruments_without_a_straight_shaft_are_no_tissue():
     """What hangs in the middle of a picture comes in from nowhere: there is no shaft to measure, but no tissue."""
     covered = []

@@ -9,16 +9,6 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.shadows import (
-    MIN_LINE_POINTS,
-    PENUMBRA_BLUR_PX,
-    PENUMBRA_RATIO,
-    SHADOW_INLIER_PX,
-    SHADOW_STD_PX,
-    edge_before_shadow,
-    in_view,
-    is_of_shaft,
-)
 from svmdist.least_squares import median, scale_of
 from svmdist.profile.settings import DistalMarkerSettings, ShaftSettings
 from svmdist.samples import Image
@@ -41,6 +31,16 @@ from svmdist.vision.lines import (
     without_perspective,
 )
 from svmdist.vision.regions import Region
+from svmdist.vision.shadows import (
+    MIN_LINE_POINTS,
+    PENUMBRA_BLUR_PX,
+    PENUMBRA_RATIO,
+    SHADOW_INLIER_PX,
+    SHADOW_STD_PX,
+    edge_before_shadow,
+    in_view,
+    is_of_shaft,
+)
 from svmdist.vision.shaft_segmentation import ShaftRegion, Side
 from svmdist.vision.silhouette import FROM_ONE_END, Silhouette, WristPoint
 

@@ -8,6 +8,7 @@ from svmdist.least_squares import median
 from svmdist.profile.settings import ShaftSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
+from svmdist.vision.edge_lines import ROUGH_PX, WINDOW, EdgeLine, edge_line
 from svmdist.vision.edges import RoughEdge, edge_blur_px, edge_points, slope_sigma_px
 from svmdist.vision.shaft_segmentation import ShaftRegion
 
@@ -22,7 +23,7 @@ def in_view(points_px: Array, region: ShaftRegion) -> Array:
     return np.asarray(points_px[region.field_of_view[row, column] > 0])
 
 
-def _core(region: ShaftRegion) -> Array:
+def core_of(region: ShaftRegion) -> Array:
     """Points along the middle of the shaft's region, shape (n, 2) in px."""
     first, second = (np.stack([side.start_px, side.end_px]) for side in (region.first, region.second))
     share = np.linspace(0.06, 0.94, 40)[:, None]
@@ -93,7 +94,7 @@ def is_of_shaft(
     def colour(strip_px: tuple[float, float], sign: float) -> Array:
         return _median_colour(bgr, points_px[:, None] + sign * np.arange(*strip_px)[:, None] * across)
 
-    shaft = _median_colour(bgr, _core(region))
+    shaft = _median_colour(bgr, core_of(region))
     away, beside = colour(OUTSIDE_PX, 1.0) - shaft, colour(inside, -1.0) - shaft
     square = float(away[:2] @ away[:2])
     # Without an edge between them a darker strip is the shaft's own limb.
@@ -115,3 +116,44 @@ def _median_colour(bgr: Image, places_px: Array) -> Array:
         return np.zeros(3)
     blue, green, red = np.log(bgr[row[inside], column[inside]].astype(np.float64) + DARK_LEVEL).T
     return np.asarray(np.median([red - green, blue - green, green], axis=1))
+
+
+CORE = np.array([0.4, 0.5, 0.6])  # from one edge to the other, where the shaft's own colour is looked at
+WITHIN, BESIDE = np.array([0.35, 0.5, 0.65]), np.array([1.5, 2.0, 2.5])
+"""From a shaft's edge to its shadow's, where the shadow is looked at, and what is beside it."""
+LEAST_SHADOW_PX = 3.0  # between both edges: nearer, they are one
+
+
+def edge_within(
+    bgr: Image, outer: Array, blur_px: float, other: Array, other_blur_px: float, picture: Image | None
+) -> EdgeLine | None:
+    """The shaft's edge, where a side of a silhouette is that of its shadow; None where it is its own.
+
+    Sides are (2, 2) in px from the border on; the blur of one without a sharp edge is infinite. Both edges of a shaft
+    are equally far, and as sharp. The one that is less so is a shadow's, if there is a sharp edge within, and what lies
+    between is darker than beside both, and not of the shaft's colour.
+    """
+    sharp_px = PENUMBRA_RATIO * max(PENUMBRA_BLUR_PX, other_blur_px if np.isfinite(other_blur_px) else 0.0)
+    if blur_px <= sharp_px:
+        return None
+    along = (outer[1] - outer[0]) / max(float(np.linalg.norm(outer[1] - outer[0])), 1e-9)
+    across = np.array([-along[1], along[0]])
+    width_px = float(np.mean((other - outer[0]) @ across))
+    across, width_px = across * np.sign(width_px), abs(width_px)
+    reach_px = 0.5 * SHADOW_REACH * width_px
+    inner = edge_line(bgr, outer + reach_px * across, width_px, reach_px / (WINDOW * ROUGH_PX), picture)
+    if inner is None or inner.blur_px > sharp_px:
+        return None
+    feet_px = inner.start_px + np.linspace(0.1, 0.9, 24)[:, None] * (inner.end_px - inner.start_px)
+    shadow_px, shaft_px = (feet_px - outer[0]) @ across, (other.mean(0) - feet_px) @ across
+    if median(shadow_px) < LEAST_SHADOW_PX:
+        return None
+
+    def colour(shares: Array, of_px: Array) -> Array:
+        return _median_colour(bgr, feet_px[:, None] + (shares * of_px[:, None])[..., None] * across)
+
+    shaft, beside = colour(CORE, shaft_px), colour(-BESIDE, shadow_px)
+    away, within = beside - shaft, colour(-WITHIN, shadow_px) - shaft
+    square = float(away[:2] @ away[:2])
+    is_of_shaft = square > MIN_COLOUR**2 and within[:2] @ away[:2] < MAX_SHADOW * square
+    return None if is_of_shaft or away[2] - within[2] < MIN_BRIGHTER else inner
