@@ -13,12 +13,13 @@ from typing import Any
 
 from svmdist.errors import UsageError, did_you_mean
 from svmdist.estimation.instrument.shaft_model import ShaftSizes
-from svmdist.profile.robot import Instrument, Joint
+from svmdist.profile import Topics
+from svmdist.profile.robot import ARM_TOPICS, Instrument, Joint
 from svmdist.profile.toml import StrictModel
 from svmdist.vision.colour import DistinctColour
 from svmdist.workflows.new_profile import InstrumentDraft, ProfileDraft, shipped_robot
 
-ROLES = ("image", "camera_info", "right_image", "right_camera_info", "joints", "pose", "tf")
+ROLES = tuple(Topics.model_fields)
 
 
 class InstrumentSizes(StrictModel):
@@ -125,7 +126,7 @@ def _block(name: str, **values: object) -> str:
 
 
 def _topics(instrument: InstrumentDraft) -> dict[str, str]:
-    return {role: topic for role in ("joints", "pose") if (topic := getattr(instrument, role))}
+    return {role: topic for role in ARM_TOPICS if (topic := getattr(instrument, role))}
 
 
 def _by_colour(mark: DistinctColour, draft: ProfileDraft) -> str:

@@ -61,6 +61,7 @@ class InstrumentDraft:
     chain: str | None
     joint_names: tuple[str, ...] = ()
     entry: str | None = None
+    ground_truth_distance: str | None = None
 
 
 @dataclass(frozen=True)
@@ -186,6 +187,14 @@ def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
         named = [topic for topic in tools if topic.rpartition("/")[2] == preferred]
         for topic in [given[role]] if role in given else named or tools:
             instruments.setdefault(_instrument_name(topic), {}).setdefault(role, topic)
+    truths = [one for one in carrying("transforms") if "ground_truth" in one.lower()]
+    if given.get("ground_truth_tf") or len(truths) == 1:
+        topics["ground_truth_tf"] = given.get("ground_truth_tf") or truths[0]
+    distance = given.get("ground_truth_distance")
+    for topic in [distance] if distance else carrying("true distances"):
+        named = [name for name in instruments if name in topic.split("/")]
+        if len(named) < 2 and instruments:  # more are the distance of two instruments
+            instruments[(named or sorted(instruments))[0]].setdefault("ground_truth_distance", topic)
     others = [topic for topic in images if topic not in topics.values()]
     return LogRoles(topics, dict(sorted(instruments.items())), tuple(others))
 
@@ -318,7 +327,10 @@ def _instrument(
     robots = {profile: shipped_robot(profile) for profile in CHAIN_PROFILES}
     fitting = [profile for profile, robot in robots.items() if not robot.missing_joints(joint_names)]
     longest = max(fitting, key=lambda profile: len(robots[profile].joints), default=None)
-    return InstrumentDraft(name, joints, pose, base, tool, longest, joint_names)
+    distance = topics.get("ground_truth_distance")
+    return InstrumentDraft(
+        name, joints, pose, base, tool, longest, joint_names, ground_truth_distance=distance
+    )
 
 
 def shipped_robot(name: str) -> Robot:

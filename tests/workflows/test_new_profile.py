@@ -87,6 +87,9 @@ def test_of_two_instruments():
     assert profile.instrument_names == ("PSM1", "PSM2")
     assert profile.other_instruments[0].frames.base == "PSM2_base"
     assert profile.other_instruments[0].topics.joints == "/PSM2/measured_js"
+    assert profile.topics.ground_truth_tf == "/ground_truth/tf"
+    truths = profile.topics.ground_truth_distance, profile.other_instruments[0].topics.ground_truth_distance
+    assert truths == ("/ground_truth/distance", "/ground_truth/PSM2/distance")
 
 
 def test_names_of_a_log_cannot_break_the_file(tmp_path):
