@@ -62,7 +62,13 @@ class WristPoint:
 
 
 def _wrist_point(
-    bgr: Image, mask: Image, end_px: Array, along: Array, width_px: float, shape: WristShape
+    bgr: Image,
+    mask: Image,
+    end_px: Array,
+    end_std_px: float,
+    along: Array,
+    width_px: float,
+    shape: WristShape,
 ) -> WristPoint | None:
     """Where the tool's origin is beyond a shaft's end, in an image, shape (h, w, 3); None where no wrist is seen.
 
@@ -110,8 +116,11 @@ def _wrist_point(
     beyond_px = shape.tool_fraction * max(0.0, expected_px - reach_px)
     tip = offset[distance > reach_px - cell_px].mean(0)
     pixel, tip_px = (end_px + place[0] * along + place[1] * across for place in (at, tip))
-    own_std = np.hypot(WRIST_STD, shape.tool_std)
-    return WristPoint(pixel, float(np.hypot(own_std * reach_px, FROM_ONE_END * beyond_px)), tip_px)
+    own_px, from_end_px = (
+        np.hypot(WRIST_STD, shape.tool_std) * reach_px,
+        (1.0 - shape.tool_fraction) * end_std_px,
+    )
+    return WristPoint(pixel, float(np.linalg.norm([own_px, from_end_px, FROM_ONE_END * beyond_px])), tip_px)
 
 
 def _unlike_flanks(patch: Image, flanks: NDArray[np.bool_], v: Array) -> NDArray[np.bool_]:
@@ -194,13 +203,13 @@ class Silhouette:
 def find_silhouette(
     bgr: Image, seen: SeenInstrument, picture: Image | None, wrist: WristShape
 ) -> Silhouette | None:
-    """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without two straight edges.
+    """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without a shaft's straight edges.
 
     Nor of what is hardly longer than wide: at the border that is as likely the wrist, which may be narrower.
     Where the image has no sharp edge, a side is what the evidence has, if the network is sure of the shaft.
     """
     first, second = _edges(bgr, seen, picture)
-    if first.direction @ second.direction < np.cos(MAX_TAPER_RAD):
+    if not seen.shows_shaft or first.direction @ second.direction < np.cos(MAX_TAPER_RAD):
         return None
     width_px = _width_px(first, second)
     least_px = MIN_LENGTH_WIDTHS * width_px
@@ -215,8 +224,8 @@ def find_silhouette(
     if not ends and not np.isfinite(seen.end_std_px):
         return Silhouette((first, second), None, np.inf, None)
     if seen.ends_dark:
-        point = _wrist_point(bgr, seen.mask, seen.end_px, along, width_px, wrist)
         std_px = float(np.hypot(seen.end_std_px, MIN_END_STD_WIDTHS * width_px))
+        point = _wrist_point(bgr, seen.mask, seen.end_px, std_px, along, width_px, wrist)
         other = seen.other_px, seen.other_share
         return Silhouette((first, second), seen.end_px, std_px, point, False, *other)
     found, ends = bool(ends), ends or [seen.end_px]
@@ -232,7 +241,7 @@ def find_silhouette(
     std_px = float(np.hypot(std_px, FROM_ONE_END * half_px))
     middle_px = 0.5 * (first.end_px + second.end_px)
     end_px = middle_px + (place + half_px - float(middle_px @ along)) * along
-    point = _wrist_point(bgr, seen.mask, end_px, along, width_px, wrist)
+    point = _wrist_point(bgr, seen.mask, end_px, std_px, along, width_px, wrist)
     narrows = _goes_on(seen, end_px, along, width_px)
     return Silhouette((first, second), end_px, std_px, point, True, seen.other_px, seen.other_share, narrows)
 

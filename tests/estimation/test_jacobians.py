@@ -68,6 +68,16 @@ def measurements() -> list[LinkMeasurement]:
     ]
 
 
+def test_what_looks_like_the_shafts_end_does_so_in_the_next_frame():
+    """Its deviation in the image is no noise that many frames take away: it lasts as that of the model does."""
+    _, _, _, end, *_ = measurements()
+    assert isinstance(end, EndMeasurement)
+    derivative = end.linearise(T_LINK).derivative
+    by_model = replace(end, model_std_m=1e-3).bias_jacobian(T_LINK, derivative)
+    both = replace(end, model_std_m=1e-3, lasting_std_px=20.0).bias_jacobian(T_LINK, derivative)
+    assert both == pytest.approx(np.copysign(np.hypot(by_model, 20.0), by_model))
+
+
 @pytest.mark.parametrize("measurement", measurements(), ids=lambda measurement: measurement.name)
 def test_derivatives_are_those_of_the_residual(measurement):
     """To 1e-7 of the largest element; rounding over the step leaves 1e-9 px/m of some 1e4."""

@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks.masks import iou
 from svmdist.profile.settings import AutoSettings
+from svmdist.recording.log import open_recording
 from svmdist.samples import Image
 from svmdist.vision.instruments.evidence import BINS, Appearance, Evidence, picture_of
 from svmdist.vision.instruments.find_instruments import AutoSegmenter, SeenInstrument
@@ -15,6 +16,8 @@ from svmdist.vision.instruments.outline import Outline
 from svmdist.vision.instruments.outline_search import judged
 from svmdist.vision.silhouette import WristShape, find_silhouette
 from tests.pictures import BORDERS, surgery_image
+from tests.reading import read_images
+from tests.shipped import PROFILE
 
 
 def instruments(bgr: Image) -> np.ndarray:
@@ -146,6 +149,19 @@ def test_the_shaft_ends_before_its_own_shadow(behind, light):
     found = find_silhouette(bgr, seen, None, WristShape(0.3, 2.0))
     assert found is not None
     assert found.width_px == pytest.approx(40.0, abs=0.7)
+
+
+def test_a_wrist_that_comes_in_from_the_border_is_no_shaft(golden):
+    """A wrist is half as wide as the shaft: taken for it, its depth would be twice as large."""
+    images = [one.image_bgr for one in read_images(open_recording(golden / "3d" / "duo.mcap", PROFILE))]
+    segmenter = AutoSegmenter().adapted_to(images[::8])
+    wrists, shafts = (
+        [one for frame in frames for one in segmenter.masks(images[frame]).seen]
+        for frames in ((27,), (3, 15))
+    )
+    assert [one.shows_shaft for one in wrists] == [False] * 2
+    assert [one.shows_shaft for one in shafts] == [True] * 4
+    assert find_silhouette(images[27], wrists[0], None, WristShape(0.3, 2.0)) is None
 
 
 def test_instruments_without_a_straight_shaft_are_no_tissue():

@@ -36,6 +36,7 @@ DISPARITY = "disparity"
 # Over the marker's radius and the light's angle in rad: geometry, half of √(1 - 0.97²), Lambert's dark limb; it lasts
 SHADING_BIAS = 0.12
 LASTING_SIZE = 0.75  # of the variance of the marker's radius: light and blood stay
+LASTING_END = 0.75  # of the variance of the shaft's end in the image: what looks like it stays
 TOOL_SPEED_M_S = 0.05  # standard deviation along each axis: the tool stands elsewhere in a later view
 
 
@@ -131,12 +132,13 @@ def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
         view.camera,
         rim.pixel,
         rim.towards_tip,
-        np.array([[rim.std_px**2]]),
+        np.array([[(1.0 - LASTING_END) * rim.std_px**2]]),
         hinge_on_link(arm.required_chain, axis.link),
         axis.axis,
         ahead_m,
         0.0 if rim.is_outline else sizes.radius_m,
         std_m,
+        float(np.sqrt(LASTING_END)) * rim.std_px,
         deviations=arm.deviations,
     )
 

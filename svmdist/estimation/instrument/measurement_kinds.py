@@ -251,7 +251,8 @@ class EndMeasurement(LinkMeasurement):
     """Where the shaft's end is along its middle line: `pixel` (2,) along `towards_tip` (2,), with a variance (1, 1).
 
     The end is `ahead_m` before the hinge `p_hinge_m` (3,) on the axis (3,) of the link; of the dark part it is the end
-    of the generatrix that faces the camera, `radius_m` off the axis. `model_std_m` is how wrong `ahead_m` may be.
+    of the generatrix that faces the camera, `radius_m` off the axis. `model_std_m` is how wrong `ahead_m` may be, and
+    `lasting_std_px` what lasts of the error in the image: a band or a plate that is taken for the end stays one.
     """
 
     source = "shaft"
@@ -267,6 +268,7 @@ class EndMeasurement(LinkMeasurement):
     ahead_m: float
     radius_m: float
     model_std_m: float
+    lasting_std_px: float = 0.0
     bias_name: str = "shaft's end"
     correlation_time_s: float = POINT_CORRELATION_TIME_S
     deviations: Deviations = EXACT
@@ -291,8 +293,9 @@ class EndMeasurement(LinkMeasurement):
         return PoseResidual(residual, -(self.towards_tip @ J @ by_pose)[None])
 
     def bias_jacobian(self, T_camera_link: Array, derivative: Array, /) -> Array:
-        """By how far before the hinge the end is, in units of its deviation, shape (1, 1)."""
-        return -self.model_std_m * derivative[:, :3] @ T_camera_link[:3, :3] @ self.axis[:, None]
+        """By where the end is along the shaft, in units of its deviation, shape (1, 1)."""
+        by_place = -derivative[:, :3] @ T_camera_link[:3, :3] @ self.axis[:, None]
+        return np.copysign(np.hypot(self.model_std_m * by_place, self.lasting_std_px), by_place)
 
     def shared_biases(self, _T_camera_link: Array, /) -> tuple[SharedBias, ...]:
         """Focal length and principal point, along the middle line."""

@@ -22,13 +22,21 @@ from svmdist.vision.instruments.evidence import (
     tissue_of,
 )
 from svmdist.vision.instruments.outline import Outline
-from svmdist.vision.instruments.outline_search import LEAST_NETWORK, Judged, judged, rough_outlines, sharpened
+from svmdist.vision.instruments.outline_search import (
+    LEAST_NETWORK,
+    Judged,
+    judged,
+    part_entering,
+    rough_outlines,
+    sharpened,
+)
 
 MOST_OVERLAP = 0.3  # of the smaller of two strips: those of more are one instrument
 DISTAL_WIDTHS = 4.5  # how far wrist and jaws reach beyond the end of the shaft, over its width there
 DISTAL_HALF_WIDTHS = 1.3  # how far they reach to either side of its axis, over its width
 BESIDE_WIDTHS = 0.08  # how far evidence beside a side is still that of the shaft, over its width
 NEAR_PX = 9  # what is so near to an instrument in the working image teaches nothing of the background
+LEAST_ENTERING = 0.0  # log-odds of a shaft against wrist and jaws, of what comes in
 SURE = 2.0  # odds of what shows no straight shaft, or a side of one without a sharp edge
 MOST_HOLE = 0.003  # of the picture: glare and blood; through a larger hole tissue is seen
 
@@ -149,7 +157,7 @@ class SeenInstrument:
     `side_covariance` (2, 2, 2) is that of each side's offsets at both ends in px², `end_std_px` the end's deviation
     along the axis, infinite where the shaft goes on to the border, and `ends_dark` says that it is the end of a part
     and not of the outline: the other one of both, `other_px` further along, has a probability of `other_share`. The
-    network alone `is_sure` that the shaft is one.
+    network alone `is_sure` that the shaft is one; it `shows_shaft` where what comes in is not a wrist already.
     """
 
     small_mask: Mask
@@ -164,6 +172,7 @@ class SeenInstrument:
     other_px: float = 0.0
     other_share: float = 0.0
     is_sure: bool = False
+    shows_shaft: bool = True
 
     @property
     def entry_px(self) -> Array:
@@ -220,8 +229,9 @@ def seen_instrument(found: Found, evidence: Evidence) -> SeenInstrument:
     other = pixel_px * outline.other_px, outline.other_share
     # Infinite where it was not asked; a plate on an instrument may hide its sides.
     is_sure = SURE < score.network < np.inf and not evidence.hides
+    shows_shaft = part_entering(outline, evidence) > LEAST_ENTERING
     return SeenInstrument(
-        mask, evidence.size, sides, end_px, score.evidence, *known, pixel_px, *other, is_sure
+        mask, evidence.size, sides, end_px, score.evidence, *known, pixel_px, *other, is_sure, shows_shaft
     )
 
 

@@ -28,6 +28,7 @@ MARGINS = np.array(
     [0.08, 0.14, 0.20, 0.26, 0.74, 0.80, 0.86, 0.92]
 )  # over the width, where wrists are narrower
 MIDDLE = np.linspace(0.2, 0.8, 5)
+ENTERING = np.linspace(0.05, 0.5, STATIONS // 2)  # along a shaft: what comes in, before anything else begins
 WITHIN = np.linspace(0.06, 0.94, 9)
 INSIDE_OF_SIDES = (np.linspace(0.04, 0.25, 4), np.linspace(0.75, 0.96, 4))
 LEAST_LENGTH = 0.8  # over the width, that a fit keeps of a shaft
@@ -200,6 +201,18 @@ def judged_by_network(outline: Outline, evidence: Evidence, shares: Array = WITH
     if evidence.settings.network_weight == 0.0 or not seen.any():
         return np.inf
     return float(sampled(evidence.scores[0], places)[seen].mean())
+
+
+def part_entering(outline: Outline, evidence: Evidence) -> float:
+    """The network's log-odds of a shaft against wrist and jaws, of what comes in: infinite where it is not asked."""
+    if evidence.settings.network_weight == 0.0:
+        return np.inf
+    reach_px = outline.length_px if outline.end_px is None else outline.end_px
+    places = outline.across(ENTERING * reach_px, MIDDLE)
+    shown = (sampled(evidence.core, places, nearest=True) > 0) & (
+        sampled(evidence.hidden, places, nearest=True) == 0
+    )
+    return median(sampled(evidence.scores[1], places)[shown]) if shown.any() else -np.inf
 
 
 def judged(outline: Outline, evidence: Evidence) -> Judged:
