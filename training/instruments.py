@@ -22,7 +22,7 @@ LEVELS = ((8, 75), (60, 170), (80, 235), (170, 250), (70, 220))
 CONTRASTS = ((0.05, 0.5), (0.05, 0.3), (0.2, 0.7), (0.02, 0.15), (0.05, 0.3))
 GREY, STEEL, COLOURED = 1, 2, 4
 SHAFT_WEIGHTS, DISTAL_WEIGHTS = (0.40, 0.22, 0.24, 0.05, 0.09), (0.12, 0.2, 0.62, 0.03, 0.03)
-KINDS = {"robotic": 0.46, "rigid": 0.42, "tube": 0.12}
+KINDS = {"robotic": 0.42, "rigid": 0.36, "tube": 0.1, "hook": 0.12}
 Parts = tuple[list["Part"], Array]
 Surface = Callable[[Array, Array], Array]
 """Levels of BGR, shape (n, 3), at places across a part, from -1 to 1, and along it, from 0 to 1, shape (n,) each."""
@@ -55,14 +55,17 @@ def material(rng: np.random.Generator, weights: tuple[float, ...], surroundings:
 
 @dataclass(frozen=True)
 class Part:
-    """A straight piece between two points in px, (2,), each with its half-width; round or hollow at its end."""
+    """A straight piece between two points in px, (2,), each with its half-width; round or hollow at its end.
+
+    Without a surface it is a window, through which one sees what is behind.
+    """
 
     begin: Array
     end: Array
     begin_half: float
     end_half: float
     label: int
-    surface: Surface
+    surface: Surface | None
     round_end: float = 0.0
 
 
@@ -81,7 +84,7 @@ def _chain(at: Array, turns: Array, lengths: Array, halves: Array, surface: Surf
 
 def draw(canvas: Array, labels: Array, parts: list[Part]) -> None:
     """Draw parts over what is there; a pixel is a part's where that covers half of it or more."""
-    limits = np.array(labels.shape[::-1])
+    limits, behind = np.array(labels.shape[::-1]), canvas.copy()
     for part in parts:
         reach = max(part.begin_half, part.end_half) * (1.0 + abs(part.round_end)) + 2.0
         low = np.clip(np.floor(np.minimum(part.begin, part.end) - reach), 0, limits).astype(int)
@@ -99,8 +102,9 @@ def draw(canvas: Array, labels: Array, parts: list[Part]) -> None:
         covered = np.clip((1.0 - np.abs(across)) * half + 0.5, 0.0, 1.0)
         covered *= np.clip(np.minimum(along * length, (1.0 - along) * length + bulge) + 0.5, 0.0, 1.0)
         inside = covered > 0.0
-        colours = part.surface(np.clip(across[inside], -1.0, 1.0), along[inside])
         region = (slice(low[1], high[1]), slice(low[0], high[0]))
+        at = np.clip(across[inside], -1.0, 1.0), along[inside]
+        colours = part.surface(*at) if part.surface else behind[region][inside]
         canvas[region][inside] += covered[inside][:, None] * (colours - canvas[region][inside])
         labels[region][covered >= 0.5] = part.label
 
@@ -123,6 +127,8 @@ def instrument(rng: np.random.Generator, size: Size, surroundings: Array) -> Par
     if kind == "tube":  # suction, irrigation, a stapler's barrel: a shaft that ends
         tube = Part(entry, tip, entry_half, half, SHAFT, shaft, rng.uniform(-0.4, 0.6))
         return [tube], np.array([entry, tip, NOWHERE, tip, NOWHERE])
+    if kind == "hook":
+        return _hook(rng, Part(entry, tip, entry_half, half, SHAFT, shaft), heading, surroundings)
     end = tip - along * half * rng.uniform(2.0, 7.0)
     parts, length = [Part(entry, end, entry_half, half, SHAFT, shaft)], float(np.linalg.norm(tip - end))
     # A wrist of one or two links that bends, or a neck; then one or two curved jaws that narrow
@@ -133,27 +139,75 @@ def instrument(rng: np.random.Generator, size: Size, surroundings: Array) -> Par
     length = half * rng.uniform(1.2, 4.5) if kind == "robotic" else max(1.5 * half, length)
     opening = 0.0 if rng.random() < 0.25 else abs(rng.normal(0.0, 0.35))
     halves = np.maximum(half * np.linspace(rng.uniform(0.25, 0.7), rng.uniform(0.08, 0.5), 5), 0.8)
-    tips, ahead = list[Array](), float(turns.sum())
+    tips, ahead, has_windows = list[Array](), float(turns.sum()), rng.random() < 0.2
     for to in (-1, 1) if rng.random() < 0.85 else (1,):
         begin = hinge + to * _towards(ahead + np.pi / 2) * halves[0] * 0.5
         bent = np.array([ahead + to * opening, *[-to * opening * rng.uniform(0.05, 0.2)] * 3])
         jaw, at = _chain(begin, bent, np.full(4, length / 4), halves, steel)
         wrist, tips = wrist + jaw, [*tips, at]
+        if has_windows:  # fenestrated jaws
+            wide = float(halves[1] * rng.uniform(0.4, 0.75))
+            wrist.append(
+                Part(jaw[0].end, 0.3 * jaw[2].begin + 0.7 * jaw[3].end, wide, wide, DISTAL, None, 0.8)
+            )
     return parts + wrist, np.array([entry, end, hinge, tips[0], tips[-1]])
+
+
+def _hook(rng: np.random.Generator, shaft: Part, heading: float, surroundings: Array) -> Parts:
+    """A monopolar hook or spatula, which burns: its insulation narrows, often white, to a bent wire."""
+    along, half = _towards(heading), shaft.end_half
+    tip, thin = shaft.end + along * half * rng.uniform(1.5, 6.0), half * rng.uniform(0.1, 0.4)
+    weights = (0.1, 0.1, 0.1, 0.65, 0.05)
+    sleeve = Part(
+        shaft.end, tip, half * rng.uniform(0.8, 1.0), thin, DISTAL, material(rng, weights, surroundings)
+    )
+    turns = np.array([heading, *rng.choice([-1, 1]) * rng.uniform([0.0, 0.3], [0.4, 1.2])])
+    halves = np.maximum(np.full(4, thin * rng.uniform(0.3, 0.9)), 0.8)
+    lengths = half * rng.uniform([0.2, 0.2, 0.2], [1.5, 0.6, 0.8])
+    wire, at = _chain(tip, turns, lengths, halves, material(rng, DISTAL_WEIGHTS, surroundings))
+    return [shaft, sleeve, *wire], np.array([shaft.begin, shaft.end, NOWHERE, at, NOWHERE])
+
+
+def _letter(rng: np.random.Generator, scene: Array, own: Array, shaft: Part) -> None:
+    """Print on a shaft what makers do: a word, and bars as of a sign or a band."""
+    word = "".join(rng.choice(list("ABCDEGILMNOPRSTUVXZ 0135"), int(rng.integers(2, 12))))
+    text, weight = np.zeros((80, 60 * len(word)), np.uint8), int(rng.integers(3, 14))
+    cv2.putText(text, word, (4, 62), cv2.FONT_HERSHEY_SIMPLEX, 2.2, 255, weight, cv2.LINE_AA)
+    for at in rng.integers(text.shape[1], size=int(rng.integers(0, 3))).tolist():
+        cv2.rectangle(text, (at, 0), (at + int(rng.integers(10, 80)), 80), 255, cv2.FILLED)
+    back = (shaft.begin - shaft.end) / np.linalg.norm(shaft.begin - shaft.end)
+    along = back * rng.choice([-1, 1])
+    across, half = np.array([-along[1], along[0]]), shaft.end_half
+    turn = half * rng.uniform(0.5, 1.7) / 80 * np.column_stack([along, across])
+    middle = shaft.end + half * (rng.uniform(0.0, 10.0) * back + rng.uniform(-0.6, 0.6) * across)
+    matrix = np.column_stack([turn, middle - turn @ [0.5 * text.shape[1], 40.0]])
+    share = cv2.warpAffine(text, matrix, own.shape[::-1]).astype(np.float32) / 255.0
+    share *= (own == SHAFT) * rng.uniform(0.4, 1.0)
+    is_dark = scene[own == SHAFT].mean() < 110 or rng.random() < 0.3
+    level = rng.uniform(150, 300) if is_dark else rng.uniform(0, 50)
+    scene += share[..., None] * (level - scene)
 
 
 def place(rng: np.random.Generator, scene: Array, labels: Array, parts: list[Part]) -> None:
     """Draw an instrument over the scene: its shadow, its parts, what is on them, and blood."""
     size, half, own = labels.shape, parts[0].end_half, np.zeros(labels.shape, np.uint8)
+    behind = scene.copy()
     draw(scene, own, parts)
     mask = own > 0
     if not mask.any():
         return
+    if half > 0.05 * size[1] and rng.random() < 0.5:  # so near that it is out of focus
+        blur_px = rng.uniform(0.5, 4.0)
+        share = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), blur_px)[..., None]
+        behind += share * (cv2.GaussianBlur(scene, (0, 0), blur_px) - behind)
+        scene[:] = behind
     if rng.random() < 0.6:  # its shadow on what is behind it, beside it, soft or hard
         shift = np.array([[1.0, 0.0, rng.normal(0.0, 1.2) * half], [0.0, 1.0, rng.normal(0.3, 1.2) * half]])
         soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), rng.uniform(0.5, 1.0 + 0.6 * half))
         moved = cv2.warpAffine(soft, shift, size[::-1])[~mask]
         scene[~mask] *= 1.0 - rng.uniform(0.1, 0.75) * moved[:, None]
+    if rng.random() < 0.3 and (own == SHAFT).any():
+        _letter(rng, scene, own, parts[0])
     if len(distal := np.argwhere(own == DISTAL)) > 30:  # slots, screws, cables, edges that shine
         details = scene.copy()
         for y, x in distal[rng.integers(len(distal), size=int(rng.integers(0, 16)))].tolist():
