@@ -23,7 +23,7 @@ def in_view(points_px: Array, region: ShaftRegion) -> Array:
     return np.asarray(points_px[region.field_of_view[row, column] > 0])
 
 
-def core_of(region: ShaftRegion) -> Array:
+def _core(region: ShaftRegion) -> Array:
     """Points along the middle of the shaft's region, shape (n, 2) in px."""
     first, second = (np.stack([side.start_px, side.end_px]) for side in (region.first, region.second))
     share = np.linspace(0.06, 0.94, 40)[:, None]
@@ -94,7 +94,7 @@ def is_of_shaft(
     def colour(strip_px: tuple[float, float], sign: float) -> Array:
         return _median_colour(bgr, points_px[:, None] + sign * np.arange(*strip_px)[:, None] * across)
 
-    shaft = _median_colour(bgr, core_of(region))
+    shaft = _median_colour(bgr, _core(region))
     away, beside = colour(OUTSIDE_PX, 1.0) - shaft, colour(inside, -1.0) - shaft
     square = float(away[:2] @ away[:2])
     # Without an edge between them a darker strip is the shaft's own limb.
