@@ -126,15 +126,17 @@ def _text(argument: object) -> str | Path:
 def started(*arguments: object, **options: Any) -> Iterator[subprocess.Popen[str]]:
     """Begin `svmdist` in a process that hears interrupts, with the options of `Popen`, and make sure that it ends.
 
-    A shell starts what it runs in the background with interrupts ignored, and so would children of the tests begin:
-    they have the default where their parent has a handler.
+    A shell starts what it runs in the background with interrupts ignored, and `nohup` with hang-ups, and so would
+    children of the tests begin: they have the default where their parent has a handler.
     """
     command = [sys.executable, "-u", "-m", "svmdist", *map(str, arguments)]
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    heard = [getattr(signal, name) for name in ("SIGINT", "SIGHUP") if hasattr(signal, name)]
+    before = [signal.signal(number, signal.default_int_handler) for number in heard]
     try:
         process = subprocess.Popen(command, text=True, start_new_session=True, **options)
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in zip(heard, before, strict=True):
+            signal.signal(number, handler)
     watchdog = threading.Timer(LIMIT_S, process.kill)
     watchdog.start()
     try:
