@@ -74,7 +74,7 @@ class FusedEstimator:
         start = self._start(frame)
         predicted = start or kalman.tool_pose()
         gating = kalman.update([*self._of_images(frame), *self._tag(frame, predicted)])
-        said = self._watch(frame)
+        said = self._watch(frame, gating)
         height = self._followed.measure_height(frame, kalman)
 
         # The tool with the error found, and the distances from there.
@@ -153,7 +153,7 @@ class FusedEstimator:
         """The tag's factor, which a predicted pose tells from its mirrored one."""
         return tag(frame, self._filter.robot, predicted, self._lasting_share)
 
-    def _watch(self, frame: Frame) -> str:
+    def _watch(self, frame: Frame, gating: Sequence[GatingResult]) -> str:
         """Why the images contradict the prediction; empty where they do not.
 
         Until what agrees has been seen for a while, a filter that has begun anew is hardly surer than the images.
@@ -168,7 +168,10 @@ class FusedEstimator:
             consistency.excess = 1.0 + (1.0 - age / YOUNG_S) * more
         is_off = self._filter.has_jumped
         if not is_off and not consistency.doubt:
-            self._contradictions, self._has_agreed = 0, self._has_agreed or age >= YOUNG_S
+            if any(
+                judged.is_accepted for judged in gating
+            ):  # an image that shows nothing agrees with anything
+                self._contradictions, self._has_agreed = 0, self._has_agreed or age >= YOUNG_S
             return ""
         # What never agreed would begin anew for ever.
         self._contradictions += is_off or self._has_agreed

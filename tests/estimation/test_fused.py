@@ -131,6 +131,28 @@ def test_a_camera_that_is_bumped_costs_three_rows_and_gives_none_that_is_wrong(g
     assert max(off_m[27:]) < 0.5e-3
 
 
+def test_images_that_show_nothing_confirm_nothing(golden):
+    """After a bump every other image is blank: it begins anew as soon as three of the others contradict."""
+    recording = open_recording(golden / "3d" / "contact.mcap", PROFILE)
+    seen = [one for one in islice(read_observations(recording), 36) if isinstance(one, Observation)]
+    estimator, truth = Measuring("fused", PROFILE), recording.distance_track()
+    for number, one in enumerate(seen):
+        assert one.T_camera_base is not None
+        T, is_blank = one.T_camera_base.copy(), number >= 24 and number % 2 == 1
+        T[1, 3] += 0.01 * (number >= 24)
+        blank, shown = np.full_like(one.image_bgr, 120), replace(one, T_camera_base=T)
+        assert one.right is not None
+        if is_blank:
+            shown = replace(shown, image_bgr=blank, right=replace(one.right, image_bgr=blank))
+        found = estimator.result(shown).distances.spatial
+        if number in (24, 26, 28):
+            assert found is None
+        if number in (30, 32, 34):
+            true_m = float(truth.at(np.array([one.stamp_ns])).values[0, 1])
+            assert found is not None
+            assert abs(found.value_m - true_m) < 0.5e-3
+
+
 def test_the_stated_ellipsoid_holds_the_tool():
     """One draw a log, so over seeds: 95 % of the true tools within the 95 % ellipsoid, and along each camera axis.
 
