@@ -168,9 +168,8 @@ class FusedEstimator:
             consistency.excess = 1.0 + (1.0 - age / YOUNG_S) * more
         is_off = self._filter.has_jumped
         if not is_off and not consistency.doubt:
-            if any(
-                judged.is_accepted for judged in gating
-            ):  # an image that shows nothing agrees with anything
+            # An image that shows nothing agrees with anything.
+            if any(judged.is_accepted for judged in gating):
                 self._contradictions, self._has_agreed = 0, self._has_agreed or age >= YOUNG_S
             return ""
         # What never agreed would begin anew for ever.

@@ -179,17 +179,16 @@ def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
         right_camera = given.get("right_camera_info") or _nearest(right, others)
         topics |= {"right_image": right, "right_camera_info": right_camera}
     moving = [topic for topic in carrying("transforms", "ground_truth") if not topic.endswith("tf_static")]
-    if given.get("tf") or len(moving) == 1:
-        topics["tf"] = given.get("tf") or moving[0]
+    truths = [topic for topic in carrying("transforms") if "ground_truth" in topic.lower()]
+    for role, found in {"tf": moving, "ground_truth_tf": truths}.items():
+        if role in given or len(found) == 1:
+            topics[role] = given.get(role) or found[0]
     instruments: dict[str, dict[str, str]] = {}
     for role, kind, preferred in TOOL_TOPICS:
         tools = [topic for topic in carrying(kind, "jaw", "ground_truth") if not OTHER_ARMS.search(topic)]
         named = [topic for topic in tools if topic.rpartition("/")[2] == preferred]
         for topic in [given[role]] if role in given else named or tools:
             instruments.setdefault(_instrument_name(topic), {}).setdefault(role, topic)
-    truths = [one for one in carrying("transforms") if "ground_truth" in one.lower()]
-    if given.get("ground_truth_tf") or len(truths) == 1:
-        topics["ground_truth_tf"] = given.get("ground_truth_tf") or truths[0]
     distance = given.get("ground_truth_distance")
     for topic in [distance] if distance else carrying("true distances"):
         named = [name for name in instruments if name in topic.split("/")]
