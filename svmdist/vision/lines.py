@@ -130,6 +130,11 @@ class CylinderAxis:
     direction: Array
     covariance: Array
 
+    def depth_m(self, ray: Array) -> float:
+        """Where a ray (3,) of unit depth passes the axis, to one side of it as a rule."""
+        across = np.cross(self.direction, np.cross(ray, self.direction))
+        return float(self.point_m @ across) / float(ray @ across)
+
 
 def tangent_plane(line: Line, inside: Array) -> TangentPlane:
     """The plane of a line on z = 1 of the camera frame; `inside`, (2,), is a point on the cylinder's side."""

@@ -42,30 +42,29 @@ FAR_PERCENTILE = 99.0  # of the outline's distances from the shaft's end: its ti
 
 @dataclass(frozen=True, slots=True)
 class WristShape:
-    """A straight wrist beyond the shaft's end: the tool's origin as a fraction of it, its length over the width.
-
-    `tool_std` is how wrong that fraction may be by where the profile has the shaft's end.
-    """
+    """A straight wrist beyond the shaft's end: the tool's origin as a fraction of it, its length over the width."""
 
     tool_fraction: float
     length_widths: float
-    tool_std: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class WristPoint:
-    """The tool's origin in the wrist's outline, (2,) in px, with its deviation, and the jaws' tips, (2,) in px."""
+    """The tool's origin in the wrist's outline, (2,) in px, with its deviation, and the jaws' tips, (2,) in px.
+
+    Where the shaft's end is off along the shaft, so is the origin, by `end_share` of that: the deviation leaves it out.
+    """
 
     pixel: Array
     std_px: float
     tip_px: Array
+    end_share: float
 
 
 def _wrist_point(
     bgr: Image,
     mask: Image,
     end_px: Array,
-    end_std_px: float,
     along: Array,
     width_px: float,
     shape: WristShape,
@@ -116,11 +115,8 @@ def _wrist_point(
     beyond_px = shape.tool_fraction * max(0.0, expected_px - reach_px)
     tip = offset[distance > reach_px - cell_px].mean(0)
     pixel, tip_px = (end_px + place[0] * along + place[1] * across for place in (at, tip))
-    own_px, from_end_px = (
-        np.hypot(WRIST_STD, shape.tool_std) * reach_px,
-        (1.0 - shape.tool_fraction) * end_std_px,
-    )
-    return WristPoint(pixel, float(np.linalg.norm([own_px, from_end_px, FROM_ONE_END * beyond_px])), tip_px)
+    std_px = float(np.hypot(WRIST_STD * reach_px, FROM_ONE_END * beyond_px))
+    return WristPoint(pixel, std_px, tip_px, 1.0 - shape.tool_fraction)
 
 
 def _unlike_flanks(patch: Image, flanks: NDArray[np.bool_], v: Array) -> NDArray[np.bool_]:
@@ -225,7 +221,7 @@ def find_silhouette(
         return Silhouette((first, second), None, np.inf, None)
     if seen.ends_dark:
         std_px = float(np.hypot(seen.end_std_px, MIN_END_STD_WIDTHS * width_px))
-        point = _wrist_point(bgr, seen.mask, seen.end_px, std_px, along, width_px, wrist)
+        point = _wrist_point(bgr, seen.mask, seen.end_px, along, width_px, wrist)
         other = seen.other_px, seen.other_share
         return Silhouette((first, second), seen.end_px, std_px, point, False, *other)
     found, ends = bool(ends), ends or [seen.end_px]
@@ -241,7 +237,7 @@ def find_silhouette(
     std_px = float(np.hypot(std_px, FROM_ONE_END * half_px))
     middle_px = 0.5 * (first.end_px + second.end_px)
     end_px = middle_px + (place + half_px - float(middle_px @ along)) * along
-    point = _wrist_point(bgr, seen.mask, end_px, std_px, along, width_px, wrist)
+    point = _wrist_point(bgr, seen.mask, end_px, along, width_px, wrist)
     narrows = _goes_on(seen, end_px, along, width_px)
     return Silhouette((first, second), end_px, std_px, point, True, seen.other_px, seen.other_share, narrows)
 

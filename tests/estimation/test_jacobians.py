@@ -78,6 +78,28 @@ def test_what_looks_like_the_shafts_end_does_so_in_the_next_frame():
     assert both == pytest.approx(np.copysign(np.hypot(by_model, 20.0), by_model))
 
 
+def test_what_is_found_beyond_a_wrong_end_is_off_with_it():
+    """In the image and in disparity, to the same side, under one name: one error does not look like two."""
+    origin, _, _, end, *_ = measurements()
+    assert isinstance(origin, PointMeasurement)
+    assert isinstance(end, EndMeasurement)
+    ahead_m = 1e-3 * T_LINK[:3, :3] @ end.axis
+    moved = nudged(T_LINK, np.concatenate([ahead_m, np.zeros(3)]))
+    pair = DisparityMeasurement("ideal", None, IDEAL, IDEAL, T_RIGHT_LEFT, 30.0, np.eye(1))
+    for one in (origin, pair):
+        own = {bias.name for bias in one.shared_biases(T_LINK)}
+        assert end.bias_name not in own
+        off = {bias.name: bias for bias in replace(one, with_end_m=ahead_m).shared_biases(T_LINK)}
+        # As if the tool were nearer by as much: what is measured would be what is predicted there.
+        expected = one.linearise(T_LINK).residual - one.linearise(moved).residual
+        assert off[end.bias_name].jacobian[:, 0] == pytest.approx(expected, rel=0.05)
+        assert off[end.bias_name].correlation_time_s == end.correlation_time_s
+    by_end = replace(end, model_std_m=1e-3).bias_jacobian(T_LINK, end.linearise(T_LINK).derivative)
+    assert by_end[0] == pytest.approx(
+        end.linearise(T_LINK).residual - end.linearise(moved).residual, rel=0.05
+    )
+
+
 @pytest.mark.parametrize("measurement", measurements(), ids=lambda measurement: measurement.name)
 def test_derivatives_are_those_of_the_residual(measurement):
     """To 1e-7 of the largest element; rounding over the step leaves 1e-9 px/m of some 1e4."""

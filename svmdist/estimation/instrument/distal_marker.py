@@ -13,9 +13,11 @@ from svmdist.estimation.across_views import matched_place
 from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.measurement_kinds import MARKER
 from svmdist.estimation.instrument.shaft_detection import BORDER_STD_PER_BLUR, FARTHEST_M, marker_centre
+from svmdist.estimation.instrument.shaft_model import ShaftModel
 from svmdist.estimation.scene import Arm
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, inverse
+from svmdist.vision.lines import axis_of_cylinder
 from svmdist.vision.stereo import RectifiedPair
 
 WRIST = "wrist"
@@ -64,7 +66,8 @@ class SeenMarker:
     """Where a view shows the tool's origin: pixel (2,), its noise in px, and what stays of its error.
 
     `part_std_m` is how far the visible part's middle may be off the marker's, along each axis; `radius_px` the radius
-    of the whole, of which a fraction `hidden` is not to be seen. What is of another size is another part.
+    of the whole, of which a fraction `hidden` is not to be seen. What is of another size is another part. `with_end_m`
+    (3,) is in the view's frame how far it is off with the shaft's end, at the deviation of that.
     """
 
     name: str
@@ -76,6 +79,7 @@ class SeenMarker:
     area_px: float = 0.0
     hidden: float = 0.0
     is_other_part: bool = False
+    with_end_m: Array | None = None
 
     @property
     def bias_name(self) -> str:
@@ -120,10 +124,15 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
         wrist = view.shaft.wrist
         if wrist is None:
             return None
-        share = 0.0 if expected is None else WRIST_LASTING
-        lasting_m = 0.0 if expected is None else wrist.std_px * expected.depth_m / float(view.camera.K[0, 0])
-        std_px = float(np.sqrt(1.0 - share)) * wrist.std_px
-        return SeenMarker(WRIST, wrist.pixel, std_px, float(np.sqrt(share)) * lasting_m, 0.0, wrist.std_px)
+        end = _end_error(view, arm)
+        if end is None or instrument is None:
+            return None
+        end_m, px_per_m = end
+        noise_px, lasting_px = np.sqrt([1.0 - WRIST_LASTING, WRIST_LASTING]) * wrist.std_px
+        seen = SeenMarker(
+            WRIST, wrist.pixel, float(noise_px), float(lasting_px / px_per_m), 0.0, wrist.std_px
+        )
+        return replace(seen, with_end_m=wrist.end_share * end_m)
     seen_px = float(np.sqrt(marker.area_px / np.pi))
     if instrument is None:
         std_px, hidden = UNKNOWN_SHAPE * seen_px, UNKNOWN_SHAPE
@@ -152,6 +161,28 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
     )
 
 
+def _end_error(view: View, arm: Arm) -> tuple[Array, float] | None:
+    """How far the shaft's end may be off along the shaft, (3,) in the view's frame, and px per m across the view there.
+
+    None without both sides of the shaft.
+    """
+    shaft, instrument = view.shaft, arm.profile.instrument
+    if shaft.rim is None or instrument is None or len(shaft.contours) < 2:
+        return None
+    first, second = (contour.plane for contour in shaft.contours)
+    axis = axis_of_cylinder(first, second, instrument.shaft_radius_m)
+    if axis is None:
+        return None
+    sizes = ShaftModel.of(Failure(""), arm.required_chain, instrument)
+    _, model_std_m = sizes.rim_ahead(shaft, arm.profile.settings.shaft.end_model_std_m)
+    ray = view.camera.rays(shaft.rim.pixel)[0]
+    depth_m = axis.depth_m(ray)
+    _, J = view.camera.project_with_derivative(depth_m * ray)
+    by_m = float(shaft.rim.towards_tip @ J @ axis.direction)
+    std_m = np.copysign(np.hypot(model_std_m, shaft.rim.std_px / by_m), by_m)
+    return std_m * axis.direction, float(view.camera.K[0, 0]) / depth_m
+
+
 def pair_markers(frame: Frame, pair: RectifiedPair, expected: Expected | None = None) -> MarkerPair | Failure:
     """The tool's origin in both views, sized where it is expected, or where its own disparity puts it."""
     arm, left, right = frame.arm, frame.left, frame.right
@@ -174,7 +205,7 @@ def pair_markers(frame: Frame, pair: RectifiedPair, expected: Expected | None = 
         std_px = float(np.hypot(DISPARITY_NOISE_PX, LASTING_DISPARITY * one.radius_px))
         return pair_markers(frame, pair, Expected(depth_m, std_px / disparity_px))
     if one.area_px == 0.0:  # on an outline
-        std_px = float(np.hypot(one.std_px, other.std_px))
+        std_px = float(np.hypot(one.radius_px, other.radius_px))
         matched = _matched(frame, pair, one, disparity_px, std_px)
         if matched is not None:
             # What is next to the tool's origin, by as far as that is not known, may be as much deeper.

@@ -15,6 +15,7 @@ from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.distal_marker import WRIST, Expected, MarkerPair, SeenMarker, marker_in
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import (
+    LASTING_OUTLINE,
     MARKER,
     POSE_CORRELATION_TIME_S,
     ContourMeasurement,
@@ -36,7 +37,6 @@ DISPARITY = "disparity"
 # Over the marker's radius and the light's angle in rad: geometry, half of √(1 - 0.97²), Lambert's dark limb; it lasts
 SHADING_BIAS = 0.12
 LASTING_SIZE = 0.75  # of the variance of the marker's radius: light and blood stay
-LASTING_END = 0.75  # of the variance of the shaft's end in the image: what looks like it stays
 TOOL_SPEED_M_S = 0.05  # standard deviation along each axis: the tool stands elsewhere in a later view
 
 
@@ -132,13 +132,13 @@ def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
         view.camera,
         rim.pixel,
         rim.towards_tip,
-        np.array([[(1.0 - LASTING_END) * rim.std_px**2]]),
+        np.array([[(1.0 - LASTING_OUTLINE) * rim.std_px**2]]),
         hinge_on_link(arm.required_chain, axis.link),
         axis.axis,
         ahead_m,
         0.0 if rim.is_outline else sizes.radius_m,
         std_m,
-        float(np.sqrt(LASTING_END)) * rim.std_px,
+        float(np.sqrt(LASTING_OUTLINE)) * rim.std_px,
         deviations=arm.deviations,
     )
 
@@ -161,6 +161,7 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
         bias_name=seen.bias_name,
         correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
         deviations=arm.deviations,
+        with_end_m=seen.with_end_m,
     )
     if instrument is None:
         return
@@ -211,6 +212,7 @@ def _disparity(frame: Frame, right: View, markers: MarkerPair, T_right_left: Arr
         deviations=arm.deviations,
         lasting_std_px=markers.lasting_std_px,
         p_link_m=_marker_place_m(arm, left),
+        with_end_m=left.with_end_m,
     )
 
 

@@ -26,9 +26,11 @@ from svmdist.transforms import Array, inverse_right_jacobian, rotation_vector, s
 from svmdist.vision.lines import apparent_radius_px, tangent_normal
 
 MARKER = "distal marker"
+END_BIAS = "shaft's end"
 POINT_CORRELATION_TIME_S = FilterSettings().point_correlation_time_s
 EDGE_CORRELATION_TIME_S = FilterSettings().edge_correlation_time_s
 POSE_CORRELATION_TIME_S = 0.5
+LASTING_OUTLINE = 0.75  # of the variance of what ends an outline in the image: what looks like it stays
 ONE_FRAME_S = 1e-3  # of what is drawn anew in every frame
 
 
@@ -41,13 +43,21 @@ def _point_bias(
     return np.column_stack([std_m * by_offset, part_std_m * by_offset, shading_px * tilt])
 
 
+def _of_end(with_end_m: Array | None, derivative: Array) -> tuple[SharedBias, ...]:
+    """What the shaft's end does to what is off with it, (3,) in the camera frame; nothing without one."""
+    if with_end_m is None:
+        return ()
+    return (SharedBias(END_BIAS, -derivative[:, :3] @ with_end_m[:, None], POINT_CORRELATION_TIME_S),)
+
+
 @dataclass(frozen=True)
 class PointMeasurement(LinkMeasurement):
     """A point of a link, `p_link_m` (3,), seen at a pixel (2,) with a covariance (2, 2) in px².
 
     The point may be off by an offset fixed in the link's frame, of deviation `point_std_m` along each axis, and what is
     visible of it by another one, of `part_std_m`: where a side is hidden, or another part is coloured. Shading may
-    draw the pixel outward by `shading_bias_px` (a deviation) times the tilt of its ray.
+    draw the pixel outward by `shading_bias_px` (a deviation) times the tilt of its ray. What is found between the
+    shaft's end and the tips is off with that end, by `with_end_m` (3,) in the camera frame at the end's deviation.
     """
 
     source = MARKER
@@ -64,6 +74,7 @@ class PointMeasurement(LinkMeasurement):
     bias_name: str = "point"
     correlation_time_s: float = POINT_CORRELATION_TIME_S
     deviations: Deviations = EXACT
+    with_end_m: Array | None = None
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """Measured minus projected, shape (2,), about a pose (4, 4)."""
@@ -82,9 +93,10 @@ class PointMeasurement(LinkMeasurement):
             self.point_std_m, self.part_std_m, self.shading_bias_px, tilt, T_camera_link, derivative
         )
 
-    def shared_biases(self, _T_camera_link: Array, /) -> tuple[SharedBias, ...]:
-        """Focal length and principal point."""
-        return self.deviations.of_pixels(self.pixel, self.camera)
+    def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
+        """Focal length, principal point, and the shaft's end."""
+        by_pose = self.linearise(T_camera_link).derivative
+        return *self.deviations.of_pixels(self.pixel, self.camera), *_of_end(self.with_end_m, by_pose)
 
 
 @dataclass(frozen=True)
@@ -112,6 +124,7 @@ class DisparityMeasurement(LinkMeasurement):
     deviations: Deviations = EXACT
     lasting_std_px: float = 0.0
     p_link_m: Array = field(default_factory=lambda: np.zeros(3))
+    with_end_m: Array | None = None
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """Measured minus predicted, shape (1,), about a pose (4, 4)."""
@@ -135,12 +148,13 @@ class DisparityMeasurement(LinkMeasurement):
         )
 
     def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
-        """Focal length, baseline, the right camera's rotation, and what lasts of the disparity itself."""
+        """Focal length, baseline, the right camera's rotation, the shaft's end, and what lasts of the disparity."""
         p_left_m = T_camera_link[:3, :3] @ self.p_link_m + T_camera_link[:3, 3]
         disparity_px = np.asarray(self.disparity_px, np.float64)
         biases = self.deviations.of_disparity_at(p_left_m, self.right, disparity_px, self.T_right_left)
         lasting = np.array([[self.lasting_std_px]])
-        return (*biases, SharedBias("disparity of the marker", lasting, self.correlation_time_s))
+        of_end = _of_end(self.with_end_m, self.linearise(T_camera_link).derivative)
+        return (*biases, *of_end, SharedBias("disparity of the marker", lasting, self.correlation_time_s))
 
 
 @dataclass(frozen=True)
@@ -269,7 +283,7 @@ class EndMeasurement(LinkMeasurement):
     radius_m: float
     model_std_m: float
     lasting_std_px: float = 0.0
-    bias_name: str = "shaft's end"
+    bias_name: str = END_BIAS
     correlation_time_s: float = POINT_CORRELATION_TIME_S
     deviations: Deviations = EXACT
 

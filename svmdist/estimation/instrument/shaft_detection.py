@@ -274,10 +274,7 @@ def _can_stand(contours: Sequence[Contour], silhouette: Silhouette, camera: Came
     if axis is None:
         return False
     place_px = silhouette.middle_px if silhouette.end_px is None else silhouette.end_px
-    ray = camera.rays(place_px)[0]
-    # Where the ray passes the axis: the middle of what both planes leave of it.
-    across = np.cross(axis.direction, np.cross(ray, axis.direction))
-    depth_m = float(axis.point_m @ across) / float(ray @ across)
+    depth_m = axis.depth_m(camera.rays(place_px)[0])
     # Its wrist was taken for the taper of a shaft that comes from behind the camera.
     is_steep = abs(float(axis.direction[2])) > MOST_STEEP and silhouette.length_widths < STEEP_LENGTH_WIDTHS
     return NEAREST_M < depth_m < FARTHEST_M and not is_steep

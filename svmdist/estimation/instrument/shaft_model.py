@@ -149,12 +149,9 @@ class ShaftModel(ShaftSizes):
 
     def wrist_shape(self, *, ends_dark: bool) -> WristShape:
         """What is to be seen beyond the end of the outline, or of the dark part, with the wrist straight."""
-        end_m, std_m = self.outline_end_m, self.outline_end_std_m
-        if ends_dark:
-            end_m, std_m = -self.neck_m, self.neck_std_m(0.0)
-        ahead_m, jaw_m = max(self.reach_m - end_m, 0.0), self.instrument.jaw_length_m
-        length_m = ahead_m + jaw_m
-        return WristShape(ahead_m / length_m, length_m / (2.0 * self.radius_m), std_m * jaw_m / length_m**2)
+        ahead_m = max(self.reach_m - (-self.neck_m if ends_dark else self.outline_end_m), 0.0)
+        length_m = ahead_m + self.instrument.jaw_length_m
+        return WristShape(ahead_m / length_m, length_m / (2.0 * self.radius_m))
 
 
 def shaft_frames(chain: DHChain, q: Array) -> tuple[Array, Array]:
