@@ -1,7 +1,8 @@
 """thesidjway/Assistive-surgery-project: in-vivo frames of 384x288, with the jaws' joint, length and direction by hand.
 
 The labels are row, column, length and angle: the tip is a length from the joint, against the angle. No calibration
-comes with it: f = 400 px is assumed, so that figures are pixels.
+comes with it: f = 400 px is assumed, so that figures are pixels. Some frames have a label for one of two instruments
+only: a row whose tool points elsewhere than each label is on the other one, and has no truth.
 """
 
 from __future__ import annotations
@@ -20,6 +21,9 @@ SET = Path("Assistive-surgery-project", "laparoscopy_dataset")
 K = common.K_of(400.0, 400.0, 191.5, 143.5)
 RADIUS_M = 0.0025
 TIP_PX = 15.0
+SAME_WAY = (
+    0.5  # cosine of the angle between a row's tool and a label: instruments come in from different sides
+)
 
 
 def labels(folder: Path) -> dict[int, Array]:
@@ -53,14 +57,18 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
     tip_px, joint_px, on = [], [], []
     for row in rows:
         pose, (joints, tips) = common.pose_of(row), np.swapaxes(named[numbers[row.number]], 0, 1)
-        tip_m = pose.T_camera_tool[:3, :3] @ [profile.instrument.jaw_length_m, 0.0, 0.0] + pose.position_m
-        tip_px.append(float(np.min(np.linalg.norm(tips - common.pixel(tip_m, K), axis=1))))
-        joint_px.append(float(np.min(np.linalg.norm(joints - common.pixel(pose.position_m, K), axis=1))))
         on.append(common.on_instrument(pose, K, seen[row.number], profile.instrument.shaft_radius_m))
+        tip_m = pose.T_camera_tool[:3, :3] @ [profile.instrument.jaw_length_m, 0.0, 0.0] + pose.position_m
+        joint, tip = common.pixel(pose.position_m, K), common.pixel(tip_m, K)
+        along, lengths = (tips - joints) @ (tip - joint), np.linalg.norm(tips - joints, axis=1)
+        same = along > SAME_WAY * lengths * np.linalg.norm(tip - joint)
+        if same.any():
+            tip_px.append(float(np.min(np.linalg.norm(tips[same] - tip, axis=1))))
+            joint_px.append(float(np.min(np.linalg.norm(joints[same] - joint, axis=1))))
     found = peer.found(pictures, K, RADIUS_M, 2)
     near = [float(np.min(np.linalg.norm(named[numbers[n]][:, 1] - rod.end_px, axis=1))) for n, rod in found]
     other = peer.figures(found, seen, "px", near)
     count = f"{len(rows)}/{sum(len(named[number]) for number in numbers)}"
-    unit = f"px; {common.share(np.array(tip_px) < TIP_PX)} in {TIP_PX:g} px"
+    unit = f"px; {common.share(np.array(tip_px) < TIP_PX)} of {len(tip_px)} in {TIP_PX:g} px"
     yield common.Line("in vivo", "`shaft`", "tip", common.Figures(count, unit, tip_px, on), other)
     yield common.Line("in vivo", "`shaft`", "joint", common.Figures(count, "px", joint_px))
