@@ -19,7 +19,10 @@ MOST_OFF_STDS = 2.5  # of a sharp edge from the rough side it was sought at
 MAX_TAPER_RAD = 0.6  # between the sides; a cylinder that points at the camera shows no length
 ENDS_AGREE_WIDTHS = 0.3  # both edges' ends along the shaft: clevises are lopsided
 MIN_END_STD_WIDTHS = 0.08  # of the cylinder's end, over the width: ears and bevels hide it
-WRIST_REACH = 1.25  # of wrist and jaws over their straight length: they may come towards the camera
+WRIST_REACH = (
+    2.0  # of wrist and jaws over their straight length: what looks like the shaft's end may be before it
+)
+MOST_REACH = 1.1  # of wrist and jaws that begin at the end: they may come towards the camera
 WRIST_STD = 0.12  # of the tool's origin, over the outline's length beyond the end: jaws open and turn
 MIN_WRIST_WIDTHS = 0.5  # an outline that ends closer behind the cylinder's end shows no wrist
 MIN_WRIST_SHARE = 0.5  # of a straight wrist: less is another tip, or points at the camera by over 60°
@@ -53,12 +56,14 @@ class WristPoint:
     """The tool's origin in the wrist's outline, (2,) in px, with its deviation, and the jaws' tips, (2,) in px.
 
     Where the shaft's end is off along the shaft, so is the origin, by `end_share` of that: the deviation leaves it out.
+    By `excess_px` the outline is longer than wrist and jaws are: the shaft's end is rather nearer to the tips.
     """
 
     pixel: Array
     std_px: float
     tip_px: Array
     end_share: float
+    excess_px: float = 0.0
 
 
 def _wrist_point(
@@ -116,7 +121,8 @@ def _wrist_point(
     tip = offset[distance > reach_px - cell_px].mean(0)
     pixel, tip_px = (end_px + place[0] * along + place[1] * across for place in (at, tip))
     std_px = float(np.hypot(WRIST_STD * reach_px, FROM_ONE_END * beyond_px))
-    return WristPoint(pixel, std_px, tip_px, 1.0 - shape.tool_fraction)
+    excess_px = max(0.0, reach_px - MOST_REACH * expected_px)
+    return WristPoint(pixel, std_px, tip_px, 1.0 - shape.tool_fraction, excess_px)
 
 
 def _unlike_flanks(patch: Image, flanks: NDArray[np.bool_], v: Array) -> NDArray[np.bool_]:
@@ -223,7 +229,7 @@ def find_silhouette(
         std_px = float(np.hypot(seen.end_std_px, MIN_END_STD_WIDTHS * width_px))
         point = _wrist_point(bgr, seen.mask, seen.end_px, along, width_px, wrist)
         other = seen.other_px, seen.other_share
-        return Silhouette((first, second), seen.end_px, std_px, point, False, *other)
+        return Silhouette((first, second), seen.end_px, _end_std_px(std_px, point), point, False, *other)
     found, ends = bool(ends), ends or [seen.end_px]
     places = [float(end @ along) for end in ends]
     # One edge may fade before the other, on dark tissue; beyond the cylinder neither stays on its line.
@@ -239,7 +245,13 @@ def find_silhouette(
     end_px = middle_px + (place + half_px - float(middle_px @ along)) * along
     point = _wrist_point(bgr, seen.mask, end_px, along, width_px, wrist)
     narrows = _goes_on(seen, end_px, along, width_px)
-    return Silhouette((first, second), end_px, std_px, point, True, seen.other_px, seen.other_share, narrows)
+    other = seen.other_px, seen.other_share
+    return Silhouette((first, second), end_px, _end_std_px(std_px, point), point, True, *other, narrows)
+
+
+def _end_std_px(std_px: float, wrist: WristPoint | None) -> float:
+    """The deviation of an end beyond which the outline is longer than a wrist: it is before the shaft's, or is it."""
+    return std_px if wrist is None else float(np.hypot(std_px, FROM_ONE_END * wrist.excess_px))
 
 
 def _goes_on(seen: SeenInstrument, end_px: Array, along: Array, width_px: float) -> float:

@@ -93,6 +93,26 @@ def test_the_end_is_between_that_of_edges_and_that_of_evidence():
     assert abs(beyond.end_px[0] - 200.0) < 2.0 * beyond.std_px
 
 
+@pytest.mark.parametrize("end", [200.0, 130.0], ids=["the end", "a band before it"])
+def test_an_outline_longer_than_a_wrist_says_that_its_end_is_none(end):
+    """Beyond a band the rest of the shaft looks like wrist: the tip is seen, and the end is as uncertain."""
+    bgr = np.full((240, 320, 3), 120, np.uint8)
+    bgr[100:140, :200] = bgr[108:132, 200:280] = 30
+    mask = bgr[..., 0] == 30
+    sides = np.array([[[0.0, 99.5], [end, 99.5]], [[0.0, 139.5], [end, 139.5]]])
+    at = np.array([end, 119.5])
+    seen = SeenInstrument(
+        mask, (240, 320), sides, at, 1.0, end_std_px=2.0, ends_dark=True, pixel_px=1.0, is_sure=True
+    )
+    found = find_silhouette(bgr, seen, None, WristShape(0.3, 2.0))
+    assert found is not None
+    assert found.end_px is not None
+    assert found.wrist is not None
+    assert found.wrist.tip_px == pytest.approx([279.0, 119.5], abs=3.0)
+    assert abs(found.end_px[0] - 200.0) < 2.0 * found.std_px
+    assert found.std_px < (5.0 if end == 200.0 else 45.0)
+
+
 def test_sides_run_along_the_outline():
     """Half of each side is within a pixel and a half of where the painted shaft ends, nine tenths within four."""
     off_px = []
