@@ -73,7 +73,9 @@ class FusedEstimator:
         kalman.predict(robot)
         start = self._start(frame)
         predicted = start or kalman.tool_pose()
-        gating = kalman.update([*self._of_images(frame), *self._tag(frame, predicted)])
+        by_tag = list(self._tag(frame, predicted))
+        shown = [] if self._is_lost(frame, predicted) and not by_tag else self._of_images(frame)
+        gating = kalman.update([*shown, *by_tag])
         said = self._watch(frame, gating)
         height = self._followed.measure_height(frame, kalman)
 
@@ -103,12 +105,21 @@ class FusedEstimator:
         pair = frame.scene.stereo_pair
         if not isinstance(pair, Failure):
             found = self._stereo.tool(frame, pair)
-            if isinstance(found, ImagePose):
+            if isinstance(found, ImagePose) and found.holds_depth:
                 return found.pose
         fit = frame.shaft_pose
-        if not isinstance(fit, Failure) and not fit.doubt and fit.pose.position_std_m < MAX_IMAGE_STD_M:
+        if isinstance(fit, Failure) or fit.doubt or not fit.holds_depth:
+            return None
+        if fit.pose.position_std_m < MAX_IMAGE_STD_M:
             return fit.pose
         return None
+
+    def _is_lost(self, frame: Frame, predicted: ToolPose) -> bool:
+        """Whether neither a place nor the image tells which of the shaft's sides is right: either may lead anywhere."""
+        if self._stereo is None or self._is_located or predicted.position_std_m <= LOCATED_STD_M:
+            return False
+        fit = frame.shaft_pose
+        return isinstance(fit, ImagePose) and not fit.holds_depth
 
     def _start(self, frame: Frame) -> ToolPose | None:
         """Begin anew where it is due, and give the pose to linearise at; None where the filter goes on."""

@@ -10,11 +10,13 @@ from scipy.stats import chi2
 
 from svmdist.estimation.instrument.consistency import Consistency, GatingResult, student_weight
 from svmdist.estimation.instrument.error_model import nominal_tool
+from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.kinematics import forward_kinematics
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
 from svmdist.profile.settings import FilterSettings
 from svmdist.recording.log import open_recording
+from svmdist.results import ToolPose
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.simulation.plan import draw_nominal_kinematics
 from svmdist.simulation.scene import make_scene as simulated_scene
@@ -184,6 +186,22 @@ def test_one_detection_that_contradicts_all_others_is_named():
         marker = [GatingResult(name, 2.0, size, 1.0, "marker") for name, size in (("point", 2), ("far", 12))]
         consistency.add(frame * 100_000_000, [tag, *edges, *marker])
     assert consistency.doubt.endswith("of what the tag shows contradicts the prediction: tag")
+
+
+@pytest.mark.parametrize(
+    ("marker", "holds"),
+    [((), False), (("size", 1.0), True), (("disparity", 1.0), True), (("size", 0.0), False)],
+)
+def test_without_one_of_its_sides_a_shaft_needs_a_marker_to_begin_with(marker, holds):
+    """A wrist that is taken for the shaft is twice as deep, and one of its sides fits: no filter begins there."""
+    T = np.eye(4)
+    pose = ToolPose(T, np.eye(6), T[:3, 2])
+    sides = [
+        GatingResult(f"edge {side}", 1.0, 2, weight, "shaft") for side, weight in (("-1", 0.0), ("+1", 1.0))
+    ]
+    seen = [GatingResult(marker[0], 1.0, 1, marker[1], "distal marker")] if marker else []
+    assert ImagePose(pose, (), "", (*sides, *seen)).holds_depth is holds
+    assert ImagePose(pose, (), "", (sides[1], sides[1])).holds_depth
 
 
 def test_widening_is_the_ratio_of_birge():

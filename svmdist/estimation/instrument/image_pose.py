@@ -42,6 +42,13 @@ class ImagePose:
     gating: tuple[GatingResult, ...] = ()
 
     @property
+    def holds_depth(self) -> bool:
+        """Whether its depth is held: by both sides of the shaft, or by a marker's size or disparity beside them."""
+        if any(judged.is_accepted and judged.name in ("size", DISPARITY) for judged in self.gating):
+            return True
+        return all(judged.is_accepted for judged in self.gating if judged.source == "shaft")
+
+    @property
     def is_by_right_view(self) -> bool:
         """Whether anything in the right view carries it."""
         return any(name == DISPARITY or name.startswith("right ") for name in self.used)
