@@ -43,11 +43,12 @@ def _point_bias(
     return np.column_stack([std_m * by_offset, part_std_m * by_offset, shading_px * tilt])
 
 
-def _of_end(with_end_m: Array | None, derivative: Array) -> tuple[SharedBias, ...]:
-    """What the shaft's end does to what is off with it, (3,) in the camera frame; nothing without one."""
-    if with_end_m is None:
+def _of_end(one: PointMeasurement | DisparityMeasurement, T_camera_link: Array) -> tuple[SharedBias, ...]:
+    """What the shaft's end does to a measurement that is off with it; nothing to others."""
+    if one.with_end_m is None:
         return ()
-    return (SharedBias(END_BIAS, -derivative[:, :3] @ with_end_m[:, None], POINT_CORRELATION_TIME_S),)
+    by_place = -one.linearise(T_camera_link).derivative[:, :3]
+    return (SharedBias(END_BIAS, by_place @ one.with_end_m[:, None], POINT_CORRELATION_TIME_S),)
 
 
 @dataclass(frozen=True)
@@ -95,8 +96,7 @@ class PointMeasurement(LinkMeasurement):
 
     def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
         """Focal length, principal point, and the shaft's end."""
-        by_pose = self.linearise(T_camera_link).derivative
-        return *self.deviations.of_pixels(self.pixel, self.camera), *_of_end(self.with_end_m, by_pose)
+        return *self.deviations.of_pixels(self.pixel, self.camera), *_of_end(self, T_camera_link)
 
 
 @dataclass(frozen=True)
@@ -153,8 +153,11 @@ class DisparityMeasurement(LinkMeasurement):
         disparity_px = np.asarray(self.disparity_px, np.float64)
         biases = self.deviations.of_disparity_at(p_left_m, self.right, disparity_px, self.T_right_left)
         lasting = np.array([[self.lasting_std_px]])
-        of_end = _of_end(self.with_end_m, self.linearise(T_camera_link).derivative)
-        return (*biases, *of_end, SharedBias("disparity of the marker", lasting, self.correlation_time_s))
+        return (
+            *biases,
+            *_of_end(self, T_camera_link),
+            SharedBias("disparity of the marker", lasting, self.correlation_time_s),
+        )
 
 
 @dataclass(frozen=True)
