@@ -21,9 +21,7 @@ SET = Path("Assistive-surgery-project", "laparoscopy_dataset")
 K = common.K_of(400.0, 400.0, 191.5, 143.5)
 RADIUS_M = 0.0025
 TIP_PX = 15.0
-SAME_WAY = (
-    0.5  # cosine of the angle between a row's tool and a label: instruments come in from different sides
-)
+SAME_WAY = 0.5  # cosine between a row's tool and a label: instruments come in from different sides
 
 
 def labels(folder: Path) -> dict[int, Array]:

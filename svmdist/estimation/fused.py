@@ -110,16 +110,14 @@ class FusedEstimator:
         fit = frame.shaft_pose
         if isinstance(fit, Failure) or fit.doubt or not fit.holds_depth:
             return None
-        if fit.pose.position_std_m < MAX_IMAGE_STD_M:
-            return fit.pose
-        return None
+        return fit.pose if fit.pose.position_std_m < MAX_IMAGE_STD_M else None
 
     def _is_lost(self, frame: Frame, predicted: ToolPose) -> bool:
         """Whether neither a place nor the image tells which of the shaft's sides is right: either may lead anywhere."""
         if self._stereo is None or self._is_located or predicted.position_std_m <= LOCATED_STD_M:
             return False
         fit = frame.shaft_pose
-        return isinstance(fit, ImagePose) and not fit.holds_depth
+        return not isinstance(fit, Failure) and not fit.holds_depth
 
     def _start(self, frame: Frame) -> ToolPose | None:
         """Begin anew where it is due, and give the pose to linearise at; None where the filter goes on."""

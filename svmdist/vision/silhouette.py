@@ -19,9 +19,7 @@ MOST_OFF_STDS = 2.5  # of a sharp edge from the rough side it was sought at
 MAX_TAPER_RAD = 0.6  # between the sides; a cylinder that points at the camera shows no length
 ENDS_AGREE_WIDTHS = 0.3  # both edges' ends along the shaft: clevises are lopsided
 MIN_END_STD_WIDTHS = 0.08  # of the cylinder's end, over the width: ears and bevels hide it
-WRIST_REACH = (
-    2.0  # of wrist and jaws over their straight length: what looks like the shaft's end may be before it
-)
+WRIST_REACH = 2.0  # of wrist and jaws over their straight length: a band before the shaft's end looks like it
 MOST_REACH = 1.1  # of wrist and jaws that begin at the end: they may come towards the camera
 WRIST_STD = 0.12  # of the tool's origin, over the outline's length beyond the end: jaws open and turn
 MIN_WRIST_WIDTHS = 0.5  # an outline that ends closer behind the cylinder's end shows no wrist

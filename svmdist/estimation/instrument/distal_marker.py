@@ -129,10 +129,15 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
             return None
         end_m, px_per_m = end
         noise_px, lasting_px = np.sqrt([1.0 - WRIST_LASTING, WRIST_LASTING]) * wrist.std_px
-        seen = SeenMarker(
-            WRIST, wrist.pixel, float(noise_px), float(lasting_px / px_per_m), 0.0, wrist.std_px
+        return SeenMarker(
+            WRIST,
+            wrist.pixel,
+            float(noise_px),
+            float(lasting_px / px_per_m),
+            0.0,
+            wrist.std_px,
+            with_end_m=wrist.end_share * end_m,
         )
-        return replace(seen, with_end_m=wrist.end_share * end_m)
     seen_px = float(np.sqrt(marker.area_px / np.pi))
     if instrument is None:
         std_px, hidden = UNKNOWN_SHAPE * seen_px, UNKNOWN_SHAPE
