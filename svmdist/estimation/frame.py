@@ -18,7 +18,6 @@ from svmdist.estimation.instrument.shaft_detection import (
     detect_shaft,
     detect_silhouette,
 )
-from svmdist.estimation.instrument.shaft_model import ShaftModel
 from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.kinematics.robot_state import RobotState
@@ -102,15 +101,14 @@ class View:
     @cached_property
     def silhouette(self) -> Silhouette | None:
         """The silhouette of the instrument's shaft, where the segmentation finds instruments by their shape."""
-        masks, instrument = self.masks, self._arm.profile.instrument
-        if not masks.seen or instrument is None:
+        masks = self.masks
+        if not masks.seen or (straight := self._arm.straight) is None:
             return None
         picture, plates = masks.picture, self.context.plates
         if picture is not None and plates is not None:  # their edges are not the shaft's
             picture = np.asarray(picture & ~plates, np.uint8)
-        model = ShaftModel.of(Failure(""), self._arm.required_chain, instrument)
-        seen = model.with_likelier_end(masks.seen[0], self._settings.shaft.end_model_std_m)
-        shape = model.wrist_shape(ends_dark=seen.ends_dark)
+        seen = straight.with_likelier_end(masks.seen[0], self._settings.shaft.end_model_std_m)
+        shape = straight.wrist_shape(ends_dark=seen.ends_dark)
         return find_silhouette(self.context.bgr_as_recorded, seen, picture, shape)
 
     @cached_property
@@ -138,6 +136,13 @@ class View:
         return detect_shaft(
             context.brightness, context.bgr_as_recorded, region, self.camera, self._settings.shaft
         )
+
+    @cached_property
+    def rim_ahead(self) -> tuple[float, float] | None:
+        """How far beyond the hinge the shaft's rim is, and the deviation of that, in m; None where no rim is seen."""
+        if self.shaft.rim is None or self._arm.straight is None:
+            return None
+        return self._arm.straight.rim_ahead(self.shaft, self._settings.shaft.end_model_std_m)
 
 
 OtherMasks = tuple[Image | None, Image | None]

@@ -13,7 +13,6 @@ from svmdist.estimation.across_views import matched_place
 from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.measurement_kinds import MARKER
 from svmdist.estimation.instrument.shaft_detection import BORDER_STD_PER_BLUR, FARTHEST_M, marker_centre
-from svmdist.estimation.instrument.shaft_model import ShaftModel
 from svmdist.estimation.scene import Arm
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, inverse
@@ -172,19 +171,17 @@ def _end_error(view: View, arm: Arm) -> tuple[Array, float] | None:
     None without both sides of the shaft.
     """
     shaft, instrument = view.shaft, arm.profile.instrument
-    if shaft.rim is None or instrument is None or len(shaft.contours) < 2:
+    if shaft.rim is None or view.rim_ahead is None or instrument is None or len(shaft.contours) < 2:
         return None
     first, second = (contour.plane for contour in shaft.contours)
     axis = axis_of_cylinder(first, second, instrument.shaft_radius_m)
     if axis is None:
         return None
-    sizes = ShaftModel.of(Failure(""), arm.required_chain, instrument)
-    _, model_std_m = sizes.rim_ahead(shaft, arm.profile.settings.shaft.end_model_std_m)
     ray = view.camera.rays(shaft.rim.pixel)[0]
     depth_m = axis.depth_m(ray)
     _, J = view.camera.project_with_derivative(depth_m * ray)
     by_m = float(shaft.rim.towards_tip @ J @ axis.direction)
-    std_m = np.copysign(np.hypot(model_std_m, shaft.rim.std_px / by_m), by_m)
+    std_m = np.copysign(np.hypot(view.rim_ahead[1], shaft.rim.std_px / by_m), by_m)
     return std_m * axis.direction, float(view.camera.K[0, 0]) / depth_m
 
 

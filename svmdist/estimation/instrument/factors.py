@@ -26,9 +26,8 @@ from svmdist.estimation.instrument.measurement_kinds import (
     PoseMeasurement,
     SizeMeasurement,
 )
-from svmdist.estimation.instrument.shaft_model import JAW_TIP_STD, ShaftModel, shaft_frames
+from svmdist.estimation.instrument.shaft_model import JAW_TIP_STD
 from svmdist.estimation.scene import Arm
-from svmdist.kinematics import DHChain, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, inverse
@@ -119,13 +118,11 @@ def sides(view: View, arm: Arm, lasting_share: float = 0.0) -> Iterator[LinkMeas
 
 def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
     """The shaft's end: of its dark part, or of the outline that is a cylinder's."""
-    axis, rim, instrument = arm.shaft_axis, view.shaft.rim, arm.profile.instrument
-    if rim is None or axis is None or instrument is None:
+    axis, rim, ahead, instrument = arm.shaft_axis, view.shaft.rim, view.rim_ahead, arm.profile.instrument
+    if rim is None or axis is None or ahead is None or instrument is None or arm.hinge_m is None:
         return
     if view.shaft.is_stub and view.distal_marker is not None:  # what ends there may be anything dark
         return
-    sizes = ShaftModel.of(Failure(""), arm.required_chain, instrument)
-    ahead_m, std_m = sizes.rim_ahead(view.shaft, arm.profile.settings.shaft.end_model_std_m)
     yield EndMeasurement(
         "end",
         axis.link,
@@ -133,11 +130,11 @@ def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
         rim.pixel,
         rim.towards_tip,
         np.array([[(1.0 - LASTING_OUTLINE) * rim.std_px**2]]),
-        hinge_on_link(arm.required_chain, axis.link),
+        arm.hinge_m,
         axis.axis,
-        ahead_m,
-        0.0 if rim.is_outline else sizes.radius_m,
-        std_m,
+        ahead[0],
+        0.0 if rim.is_outline else instrument.shaft_radius_m,
+        ahead[1],
         float(np.sqrt(LASTING_OUTLINE)) * rim.std_px,
         deviations=arm.deviations,
     )
@@ -178,16 +175,15 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
             arm.profile.settings.filter.point_correlation_time_s,
             arm.deviations,
         )
-    if seen.name == WRIST and (wrist := view.shaft.wrist) is not None:
-        length_m = instrument.jaw_length_m
+    if seen.name == WRIST and (wrist := view.shaft.wrist) is not None and arm.straight is not None:
         yield PointMeasurement(
             "jaws' tip",
             None,
             view.camera,
-            length_m * straight_jaws(arm.required_chain),
+            instrument.jaw_length_m * arm.straight.T_shaft_tool[2, :3],
             wrist.tip_px,
             wrist.std_px**2 * np.eye(2),
-            JAW_TIP_STD * length_m,
+            JAW_TIP_STD * instrument.jaw_length_m,
             bias_name="jaws",
             deviations=arm.deviations,
         )
@@ -247,18 +243,6 @@ def _marker_place_m(arm: Arm, seen: SeenMarker) -> Array:
     if instrument is None or seen.name != MARKER:
         return np.zeros(3)
     return np.array(instrument.knuckle_position_m)
-
-
-def hinge_on_link(chain: DHChain, link: str) -> Array:
-    """The wrist's hinge, shape (3,), in the frame of the link that slides along the shaft."""
-    straight = np.zeros(len(chain.joint_names))
-    T = inverse(frame_transforms(chain, straight)[row_index(chain, link)])
-    return np.asarray(T[:3, :3] @ shaft_frames(chain, straight)[0][:3, 3] + T[:3, 3])
-
-
-def straight_jaws(chain: DHChain) -> Array:
-    """The direction of straight, closed jaws in the tool's frame, shape (3,)."""
-    return shaft_frames(chain, np.zeros(len(chain.joint_names)))[1][2, :3].copy()
 
 
 def _focal_px(camera: Camera) -> tuple[float, float]:

@@ -14,7 +14,7 @@ import numpy as np
 from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.consistency import GatingResult
 from svmdist.estimation.instrument.distal_marker import MarkerPair, pair_markers
-from svmdist.estimation.instrument.factors import DISPARITY, hinge_on_link, of_images
+from svmdist.estimation.instrument.factors import DISPARITY, of_images
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.shaft_detection import wrist_marker
@@ -142,9 +142,10 @@ def _located(
         share = 0.0 if source else MAX_REFUSED_SHARE * sum(result.degrees_of_freedom for result in told)
         if sum(result.degrees_of_freedom for result in refused) > share:
             doubt = f"{', '.join(result.name for result in refused)} do not fit the rest"
-    axis = frame.arm.shaft_axis
+    axis, hinge_m = frame.arm.shaft_axis, frame.arm.hinge_m
     assert axis is not None  # the model has its frame
-    hinge = kalman.hinge(axis.link, hinge_on_link(chain, axis.link))
+    assert hinge_m is not None
+    hinge = kalman.hinge(axis.link, hinge_m)
     pose = replace(kalman.tool_pose(), hinge=hinge)
     used = tuple(one.name for one in judged if one.is_accepted)
     return ImagePose(pose, used, doubt, judged)
