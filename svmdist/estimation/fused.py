@@ -105,10 +105,10 @@ class FusedEstimator:
         pair = frame.scene.stereo_pair
         if not isinstance(pair, Failure):
             found = self._stereo.tool(frame, pair)
-            if isinstance(found, ImagePose) and found.holds_depth:
+            if isinstance(found, ImagePose):
                 return found.pose
         fit = frame.shaft_pose
-        if isinstance(fit, Failure) or fit.doubt or not fit.holds_depth:
+        if isinstance(fit, Failure) or fit.doubt:
             return None
         return fit.pose if fit.pose.position_std_m < MAX_IMAGE_STD_M else None
 

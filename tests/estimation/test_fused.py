@@ -192,8 +192,8 @@ def test_one_detection_that_contradicts_all_others_is_named():
     ("marker", "holds"),
     [((), False), (("size", 1.0), True), (("disparity", 1.0), True), (("size", 0.0), False)],
 )
-def test_without_one_of_its_sides_a_shaft_needs_a_marker_to_begin_with(marker, holds):
-    """A wrist that is taken for the shaft is twice as deep, and one of its sides fits: no filter begins there."""
+def test_without_one_of_its_sides_a_shaft_needs_a_marker(marker, holds):
+    """A wrist that is taken for the shaft is twice as deep, and one of its sides fits: no row tells of it."""
     T = np.eye(4)
     pose = ToolPose(T, np.eye(6), T[:3, 2])
     sides = [

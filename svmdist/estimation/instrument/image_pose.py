@@ -43,7 +43,7 @@ class ImagePose:
 
     @property
     def holds_depth(self) -> bool:
-        """Whether its depth is held: by both sides of the shaft, or by a marker's size or disparity beside them."""
+        """Whether its depth is held: by the shaft's whole outline, or a marker's size or disparity beside it."""
         if any(judged.is_accepted and judged.name in ("size", DISPARITY) for judged in self.gating):
             return True
         return all(judged.is_accepted for judged in self.gating if judged.source == "shaft")
@@ -148,4 +148,8 @@ def _located(
     hinge = kalman.hinge(axis.link, hinge_m)
     pose = replace(kalman.tool_pose(), hinge=hinge)
     used = tuple(one.name for one in judged if one.is_accepted)
-    return ImagePose(pose, used, doubt, judged)
+    found = ImagePose(pose, used, doubt, judged)
+    if not doubt and not found.holds_depth:
+        sides = ", ".join(one.name for one in judged if one.source == "shaft" and not one.is_accepted)
+        found = replace(found, doubt=f"nothing holds the depth: {sides} refused")
+    return found
