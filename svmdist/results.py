@@ -43,6 +43,7 @@ class ToolPose:
     axis: Array
     axis_std_rad: float | None = None  # the worse of two directions across it; None: by the covariance
     hinge: Hinge | None = None  # where the shaft ends in the wrist; None: by the joints
+    jaw_scale: float = 1.0  # the jaws' length over the profile's, where their tips are seen
 
     @property
     def position_m(self) -> Array:

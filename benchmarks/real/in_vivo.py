@@ -56,7 +56,8 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
     for row in rows:
         pose, (joints, tips) = common.pose_of(row), np.swapaxes(named[numbers[row.number]], 0, 1)
         on.append(common.on_instrument(pose, K, seen[row.number], profile.instrument.shaft_radius_m))
-        tip_m = pose.T_camera_tool[:3, :3] @ [profile.instrument.jaw_length_m, 0.0, 0.0] + pose.position_m
+        length_m = pose.jaw_scale * profile.instrument.jaw_length_m
+        tip_m = pose.T_camera_tool[:3, :3] @ [length_m, 0.0, 0.0] + pose.position_m
         joint, tip = common.pixel(pose.position_m, K), common.pixel(tip_m, K)
         along, lengths = (tips - joints) @ (tip - joint), np.linalg.norm(tips - joints, axis=1)
         same = along > SAME_WAY * lengths * np.linalg.norm(tip - joint)

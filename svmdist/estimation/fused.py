@@ -12,7 +12,7 @@ from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound, with_detections
 from svmdist.estimation.instrument.distal_marker import Expected, MarkerPair, pair_markers
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.estimation.instrument.factors import of_images, tag
+from svmdist.estimation.instrument.factors import jaw_scale, of_images, tag
 from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.kinematic_error_filter import (
     KinematicErrorFilter,
@@ -89,7 +89,8 @@ class FusedEstimator:
             inlier_count=sum(judged.is_accepted for judged in gating),
         )
         joints = JointSample(frame.stamp_ns, self._chain.joint_names, kalman.corrected_joints())
-        tool = ToolEstimate(kalman.tool_pose(), joints, self._has_plate)
+        pose = replace(kalman.tool_pose(), jaw_scale=jaw_scale(kalman, self._arm))
+        tool = ToolEstimate(pose, joints, self._has_plate)
         if tissue is None:
             result = with_tool(result, frame, tool)
             return result.rejected(Status.NO_TISSUE, "no tissue, in this frame or before")

@@ -22,6 +22,7 @@ MIN_END_STD_WIDTHS = 0.08  # of the cylinder's end, over the width: ears and bev
 WRIST_REACH = 2.0  # of wrist and jaws over their straight length: a band before the shaft's end looks like it
 MOST_REACH = 1.1  # of wrist and jaws that begin at the end: they may come towards the camera
 WRIST_STD = 0.12  # of the tool's origin, over the outline's length beyond the end: jaws open and turn
+TIP_STD = 0.05  # of where the jaws end, over the same
 MIN_WRIST_WIDTHS = 0.5  # an outline that ends closer behind the cylinder's end shows no wrist
 MIN_WRIST_SHARE = 0.5  # of a straight wrist: less is another tip, or points at the camera by over 60°
 FLANK_STDS = 4.0  # from the colours on both sides: one pixel of paper in a thousand is so far
@@ -60,6 +61,7 @@ class WristPoint:
     pixel: Array
     std_px: float
     tip_px: Array
+    tip_std_px: float
     end_share: float
     excess_px: float = 0.0
 
@@ -115,12 +117,13 @@ def _wrist_point(
     # The middle of an arc lies inside of it.
     at *= shape.tool_fraction * reach_px / max(float(np.linalg.norm(at)), 1e-9)
     # An outline shorter than a straight wrist comes towards the camera, or lacks its jaws: then the origin is beyond.
-    beyond_px = shape.tool_fraction * max(0.0, expected_px - reach_px)
+    short_px = FROM_ONE_END * max(0.0, expected_px - reach_px)
     tip = offset[distance > reach_px - cell_px].mean(0)
     pixel, tip_px = (end_px + place[0] * along + place[1] * across for place in (at, tip))
-    std_px = float(np.hypot(WRIST_STD * reach_px, FROM_ONE_END * beyond_px))
+    std_px = float(np.hypot(WRIST_STD * reach_px, shape.tool_fraction * short_px))
+    tip_std_px = float(np.hypot(TIP_STD * reach_px, short_px))
     excess_px = max(0.0, reach_px - MOST_REACH * expected_px)
-    return WristPoint(pixel, std_px, tip_px, 1.0 - shape.tool_fraction, excess_px)
+    return WristPoint(pixel, std_px, tip_px, tip_std_px, 1.0 - shape.tool_fraction, excess_px)
 
 
 def _unlike_flanks(patch: Image, flanks: NDArray[np.bool_], v: Array) -> NDArray[np.bool_]:

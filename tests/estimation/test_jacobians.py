@@ -10,6 +10,7 @@ from svmdist.estimation.instrument.corrected_links import Correction
 from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.instrument.measurement import EXACT, LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import (
+    JAWS,
     ContourMeasurement,
     DisparityMeasurement,
     EndMeasurement,
@@ -78,7 +79,7 @@ def test_what_looks_like_the_shafts_end_does_so_in_the_next_frame():
     assert both == pytest.approx(np.copysign(np.hypot(by_model, 20.0), by_model))
 
 
-def test_what_is_found_beyond_a_wrong_end_is_off_with_it():
+def test_what_is_found_between_end_and_tips_is_off_with_both():
     """In the image and in disparity, to the same side, under one name: one error does not look like two."""
     origin, _, _, end, *_ = measurements()
     assert isinstance(origin, PointMeasurement)
@@ -94,6 +95,12 @@ def test_what_is_found_beyond_a_wrong_end_is_off_with_it():
         expected = one.linearise(T_LINK).residual - one.linearise(moved).residual
         assert off[end.bias_name].jacobian[:, 0] == pytest.approx(expected, rel=0.05)
         assert off[end.bias_name].correlation_time_s == end.correlation_time_s
+        # Jaws that are longer by a deviation put it as much farther along them: the tool's x.
+        longer = np.concatenate([5e-4 * T_LINK[:3, 0], np.zeros(3)])
+        expected = one.linearise(T_LINK).residual - one.linearise(nudged(T_LINK, longer)).residual
+        both = replace(one, with_end_m=ahead_m, with_jaws_m=5e-4).shared_biases(T_LINK)
+        by_jaws = next(bias.jacobian for bias in both if bias.name == JAWS)
+        assert by_jaws == pytest.approx(np.column_stack([expected, np.zeros((len(expected), 6))]), rel=0.05)
     by_end = replace(end, model_std_m=1e-3).bias_jacobian(T_LINK, end.linearise(T_LINK).derivative)
     assert by_end[0] == pytest.approx(
         end.linearise(T_LINK).residual - end.linearise(moved).residual, rel=0.05

@@ -13,6 +13,7 @@ from svmdist.estimation.across_views import matched_place
 from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.measurement_kinds import MARKER
 from svmdist.estimation.instrument.shaft_detection import BORDER_STD_PER_BLUR, FARTHEST_M, marker_centre
+from svmdist.estimation.instrument.shaft_model import jaw_tip_std_m
 from svmdist.estimation.scene import Arm
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, inverse
@@ -66,7 +67,8 @@ class SeenMarker:
 
     `part_std_m` is how far the visible part's middle may be off the marker's, along each axis; `radius_px` the radius
     of the whole, of which a fraction `hidden` is not to be seen. What is of another size is another part. `with_end_m`
-    (3,) is in the view's frame how far it is off with the shaft's end, at the deviation of that.
+    (3,) is in the view's frame how far it is off with the shaft's end, at the deviation of that; `with_jaws_m` is how
+    far along the jaws with their length.
     """
 
     name: str
@@ -79,6 +81,7 @@ class SeenMarker:
     hidden: float = 0.0
     is_other_part: bool = False
     with_end_m: Array | None = None
+    with_jaws_m: float = 0.0
 
     @property
     def bias_name(self) -> str:
@@ -136,6 +139,7 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
             0.0,
             wrist.std_px,
             with_end_m=wrist.end_share * end_m,
+            with_jaws_m=(1.0 - wrist.end_share) * jaw_tip_std_m(instrument),
         )
     seen_px = float(np.sqrt(marker.area_px / np.pi))
     if instrument is None:

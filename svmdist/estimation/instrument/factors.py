@@ -13,8 +13,10 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.distal_marker import WRIST, Expected, MarkerPair, SeenMarker, marker_in
+from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import (
+    JAWS,
     LASTING_OUTLINE,
     MARKER,
     POSE_CORRELATION_TIME_S,
@@ -26,7 +28,7 @@ from svmdist.estimation.instrument.measurement_kinds import (
     PoseMeasurement,
     SizeMeasurement,
 )
-from svmdist.estimation.instrument.shaft_model import JAW_TIP_STD
+from svmdist.estimation.instrument.shaft_model import jaw_tip_std_m
 from svmdist.estimation.scene import Arm
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure, ToolPose
@@ -159,6 +161,7 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
         correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
         deviations=arm.deviations,
         with_end_m=seen.with_end_m,
+        with_jaws_m=seen.with_jaws_m,
     )
     if instrument is None:
         return
@@ -182,9 +185,9 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
             view.camera,
             instrument.jaw_length_m * arm.straight.T_shaft_tool[2, :3],
             wrist.tip_px,
-            wrist.std_px**2 * np.eye(2),
-            JAW_TIP_STD * instrument.jaw_length_m,
-            bias_name="jaws",
+            wrist.tip_std_px**2 * np.eye(2),
+            jaw_tip_std_m(instrument),
+            bias_name=JAWS,
             deviations=arm.deviations,
         )
 
@@ -209,6 +212,7 @@ def _disparity(frame: Frame, right: View, markers: MarkerPair, T_right_left: Arr
         lasting_std_px=markers.lasting_std_px,
         p_link_m=_marker_place_m(arm, left),
         with_end_m=left.with_end_m,
+        with_jaws_m=left.with_jaws_m,
     )
 
 
@@ -243,6 +247,15 @@ def _marker_place_m(arm: Arm, seen: SeenMarker) -> Array:
     if instrument is None or seen.name != MARKER:
         return np.zeros(3)
     return np.array(instrument.knuckle_position_m)
+
+
+def jaw_scale(kalman: KinematicErrorFilter, arm: Arm) -> float:
+    """The jaws' length over the profile's, by their tips in the image: never less, as what is seen may lack them."""
+    instrument = arm.profile.instrument
+    if instrument is None:
+        return 1.0
+    longer_m = jaw_tip_std_m(instrument) * kalman.constant(JAWS)
+    return 1.0 + max(longer_m, 0.0) / instrument.jaw_length_m
 
 
 def _focal_px(camera: Camera) -> tuple[float, float]:

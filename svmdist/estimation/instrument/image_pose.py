@@ -14,7 +14,7 @@ import numpy as np
 from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.consistency import GatingResult
 from svmdist.estimation.instrument.distal_marker import MarkerPair, pair_markers
-from svmdist.estimation.instrument.factors import DISPARITY, of_images
+from svmdist.estimation.instrument.factors import DISPARITY, jaw_scale, of_images
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.shaft_detection import wrist_marker
@@ -146,7 +146,7 @@ def _located(
     assert axis is not None  # the model has its frame
     assert hinge_m is not None
     hinge = kalman.hinge(axis.link, hinge_m)
-    pose = replace(kalman.tool_pose(), hinge=hinge)
+    pose = replace(kalman.tool_pose(), hinge=hinge, jaw_scale=jaw_scale(kalman, frame.arm))
     used = tuple(one.name for one in judged if one.is_accepted)
     found = ImagePose(pose, used, doubt, judged)
     if not doubt and not found.holds_depth:

@@ -26,7 +26,7 @@ from svmdist.transforms import Array, inverse_right_jacobian, rotation_vector, s
 from svmdist.vision.lines import apparent_radius_px, tangent_normal
 
 MARKER = "distal marker"
-END_BIAS = "shaft's end"
+END_BIAS, JAWS = "shaft's end", "jaws"
 POINT_CORRELATION_TIME_S = FilterSettings().point_correlation_time_s
 EDGE_CORRELATION_TIME_S = FilterSettings().edge_correlation_time_s
 POSE_CORRELATION_TIME_S = 0.5
@@ -43,12 +43,17 @@ def _point_bias(
     return np.column_stack([std_m * by_offset, part_std_m * by_offset, shading_px * tilt])
 
 
-def _of_end(one: PointMeasurement | DisparityMeasurement, T_camera_link: Array) -> tuple[SharedBias, ...]:
-    """What the shaft's end does to a measurement that is off with it; nothing to others."""
+def _of_outline(one: PointMeasurement | DisparityMeasurement, T_camera_link: Array) -> tuple[SharedBias, ...]:
+    """What the shaft's end and the jaws' length do to what was found between them; nothing to others."""
     if one.with_end_m is None:
         return ()
     by_place = -one.linearise(T_camera_link).derivative[:, :3]
-    return (SharedBias(END_BIAS, by_place @ one.with_end_m[:, None], POINT_CORRELATION_TIME_S),)
+    by_length = np.zeros((len(by_place), 7))  # as the offset of the jaws' tip
+    by_length[:, 0] = by_place @ T_camera_link[:3, 0] * one.with_jaws_m
+    time_s = POINT_CORRELATION_TIME_S
+    return SharedBias(END_BIAS, by_place @ one.with_end_m[:, None], time_s), SharedBias(
+        JAWS, by_length, time_s
+    )
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,8 @@ class PointMeasurement(LinkMeasurement):
     The point may be off by an offset fixed in the link's frame, of deviation `point_std_m` along each axis, and what is
     visible of it by another one, of `part_std_m`: where a side is hidden, or another part is coloured. Shading may
     draw the pixel outward by `shading_bias_px` (a deviation) times the tilt of its ray. What is found between the
-    shaft's end and the tips is off with that end, by `with_end_m` (3,) in the camera frame at the end's deviation.
+    shaft's end and the tips is off with that end, by `with_end_m` (3,) in the camera frame at the end's deviation, and
+    with the jaws' length, by `with_jaws_m` along them.
     """
 
     source = MARKER
@@ -76,6 +82,7 @@ class PointMeasurement(LinkMeasurement):
     correlation_time_s: float = POINT_CORRELATION_TIME_S
     deviations: Deviations = EXACT
     with_end_m: Array | None = None
+    with_jaws_m: float = 0.0
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """Measured minus projected, shape (2,), about a pose (4, 4)."""
@@ -96,7 +103,7 @@ class PointMeasurement(LinkMeasurement):
 
     def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
         """Focal length, principal point, and the shaft's end."""
-        return *self.deviations.of_pixels(self.pixel, self.camera), *_of_end(self, T_camera_link)
+        return *self.deviations.of_pixels(self.pixel, self.camera), *_of_outline(self, T_camera_link)
 
 
 @dataclass(frozen=True)
@@ -125,6 +132,7 @@ class DisparityMeasurement(LinkMeasurement):
     lasting_std_px: float = 0.0
     p_link_m: Array = field(default_factory=lambda: np.zeros(3))
     with_end_m: Array | None = None
+    with_jaws_m: float = 0.0
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """Measured minus predicted, shape (1,), about a pose (4, 4)."""
@@ -155,7 +163,7 @@ class DisparityMeasurement(LinkMeasurement):
         lasting = np.array([[self.lasting_std_px]])
         return (
             *biases,
-            *_of_end(self, T_camera_link),
+            *_of_outline(self, T_camera_link),
             SharedBias("disparity of the marker", lasting, self.correlation_time_s),
         )
 

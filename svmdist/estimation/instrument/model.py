@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +51,11 @@ class Wrist:
         """All points and unit vectors, shape (10, 3)."""
         jaws = [vector for jaw in self.jaws for vector in (jaw.along, jaw.outward, jaw.beside)]
         return np.stack([self.hinge_m, self.tool_m, self.shaft, self.pivot, *jaws])
+
+    def with_jaws(self, scale: float) -> Wrist:
+        """The wrist with longer jaws: rods reach along a jaw's vector by its length."""
+        first, second = (replace(jaw, along=scale * jaw.along) for jaw in self.jaws)
+        return replace(self, jaws=(first, second))
 
     @staticmethod
     def of(vectors: Array) -> Wrist:
@@ -181,9 +186,9 @@ class InstrumentModel:
         kinematics = self._kinematics
         q = joints_of(kinematics.chain, joints) if kinematics is not None else None
         if kinematics is None or q is None:
-            return self._rods.about(self._wrist_without_joints(pose))
+            return self._rods.about(self._wrist_without_joints(pose).with_jaws(pose.jaw_scale))
         frames = frame_transforms(kinematics.chain, q)
-        body = self._rods.about(kinematics.wrist_in_tool(frames, q))
+        body = self._rods.about(kinematics.wrist_in_tool(frames, q).with_jaws(pose.jaw_scale))
         if has_plate and self._fiducial is not None and self._plate is not None:
             T_base_link = frames[row_index(kinematics.chain, self._fiducial.link)]
             T_tool_base = inverse(frames[-1] @ kinematics.chain.T_last_tool)

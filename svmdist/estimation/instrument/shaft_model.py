@@ -24,9 +24,14 @@ from svmdist.vision.silhouette import WristShape
 FORESHORTENED = 0.15  # of a length along the shaft over its width: shafts are tilted by 30° or so
 OUTLINE_END_STD_RADII = 0.25  # of the cylinder's end in an outline: clevises differ, a bent wrist hides them
 UNKNOWN_END = 0.5  # deviation of the distance from hinge to the shaft's end where none is stated, over itself
-JAW_TIP_STD = 0.35  # of an outline's tip over the length of closed, straight jaws: they open and turn
+JAWS_TURN = 0.15  # of an outline's tip over the length of closed, straight jaws: they open and turn
 CLEVIS_PER_RADIUS = 0.9
 """The clevis of a da Vinci instrument of 8 mm reaches so far beyond the wrist's pitch axis, over the shaft's radius."""
+
+
+def jaw_tip_std_m(instrument: Instrument) -> float:
+    """How far the tip of an outline may be from that of straight jaws of the profile's length."""
+    return float(np.hypot(instrument.body_std_m, JAWS_TURN * instrument.jaw_length_m))
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +90,7 @@ class ShaftSizes:
         near_std_m = np.hypot(
             np.hypot(self.neck_std_m(stated_std_m), self.outline_end_std_m), FORESHORTENED * apart_m
         )
-        far_std_m = np.linalg.norm(
-            [near_std_m, JAW_TIP_STD * self.instrument.jaw_length_m, self.instrument.body_std_m]
-        )
+        far_std_m = np.linalg.norm([near_std_m, jaw_tip_std_m(self.instrument)])
         std_m = np.array([near_std_m, far_std_m])
         p = np.exp(-0.5 * ((apart_m - np.array([near_m, far_m])) / std_m) ** 2) / (
             np.sqrt(2.0 * np.pi) * std_m
