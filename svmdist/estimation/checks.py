@@ -178,7 +178,7 @@ def _against_image(frame: Frame, source: str, pose: ToolPose) -> Iterator[Differ
         pixel_m = (
             depth_m / float(view.camera.K[0, 0]) * float(np.hypot(seen.std_px, MARKER_STD * seen.radius_px))
         )
-        own_m = float(np.hypot(pixel_m, seen.place_std_m))
+        own_m = float(np.hypot(pixel_m, seen.error.place_std_m))
         covariance = along @ pose.position_covariance @ along.T + own_m**2 * np.eye(2)
         square = float(off_m @ np.linalg.solve(covariance, off_m))
         length_m = float(np.linalg.norm(off_m))

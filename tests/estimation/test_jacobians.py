@@ -15,6 +15,7 @@ from svmdist.estimation.instrument.measurement_kinds import (
     DisparityMeasurement,
     EndMeasurement,
     InRightView,
+    PointError,
     PointMeasurement,
     PoseMeasurement,
     SizeMeasurement,
@@ -31,6 +32,10 @@ IDEAL = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 LENS = replace(IDEAL, D=np.array([-0.3, 0.12, 2e-3, -1e-3, -0.02]))
 T_LINK = make_transform(rotation_of([0.4, -0.7, 0.2]), [0.01, -0.02, 0.09])
 T_RIGHT_LEFT = make_transform(rotation_of([0.0, 0.01, 0.002]), [-0.005, 0.0, 0.0])
+
+
+def shaded(place_std_m: float, shading_px: float = 0.0) -> PointError:
+    return PointError("point", place_std_m, 0.0, shading_px)
 
 
 def measurements() -> list[LinkMeasurement]:
@@ -56,12 +61,14 @@ def measurements() -> list[LinkMeasurement]:
         for name, ahead_m, radius_m in (("dark end", -0.006, 0.004), ("outline's end", 0.003, 0.0))
     ]
     return [
-        PointMeasurement("origin", None, IDEAL, np.zeros(3), pixels[0], np.diag([0.2, 0.3]), 1e-4, 0.7),
-        PointMeasurement("corner", "tag", LENS, p_m[0], pixels[1], np.eye(2), 2e-4),
+        PointMeasurement(
+            "origin", None, IDEAL, np.zeros(3), pixels[0], np.diag([0.2, 0.3]), shaded(1e-4, 0.7)
+        ),
+        PointMeasurement("corner", "tag", LENS, p_m[0], pixels[1], np.eye(2), shaded(2e-4)),
         *ends,
         *(InRightView(one, T_RIGHT_LEFT, EXACT) for one in (sides[0], ends[0])),
-        DisparityMeasurement("ideal", None, IDEAL, IDEAL, T_RIGHT_LEFT, 30.0, np.eye(1), 1e-4, 0.5),
-        DisparityMeasurement("lens", None, LENS, IDEAL, T_RIGHT_LEFT, 30.0, np.eye(1), 1e-4),
+        DisparityMeasurement("ideal", None, IDEAL, IDEAL, T_RIGHT_LEFT, 30.0, np.eye(1), shaded(1e-4, 0.5)),
+        DisparityMeasurement("lens", None, LENS, IDEAL, T_RIGHT_LEFT, 30.0, np.eye(1), shaded(1e-4)),
         SizeMeasurement("size", None, IDEAL, 0.00175, 12.0, np.eye(1), 0.2),
         *sides,
         PoseMeasurement("near", "tag", T_frame, near @ T_frame, np.eye(6), root @ root.T),
@@ -90,7 +97,10 @@ def test_what_is_found_between_end_and_tips_is_off_with_both():
     for one in (origin, pair):
         own = {bias.name for bias in one.shared_biases(T_LINK)}
         assert end.bias_name not in own
-        off = {bias.name: bias for bias in replace(one, with_end_m=ahead_m).shared_biases(T_LINK)}
+        off = {
+            bias.name: bias
+            for bias in replace(one, error=PointError(with_end_m=ahead_m)).shared_biases(T_LINK)
+        }
         # As if the tool were nearer by as much: what is measured would be what is predicted there.
         expected = one.linearise(T_LINK).residual - one.linearise(moved).residual
         assert off[end.bias_name].jacobian[:, 0] == pytest.approx(expected, rel=0.05)
@@ -98,7 +108,8 @@ def test_what_is_found_between_end_and_tips_is_off_with_both():
         # Jaws that are longer by a deviation put it as much farther along them: the tool's x.
         longer = np.concatenate([5e-4 * T_LINK[:3, 0], np.zeros(3)])
         expected = one.linearise(T_LINK).residual - one.linearise(nudged(T_LINK, longer)).residual
-        both = replace(one, with_end_m=ahead_m, with_jaws_m=5e-4).shared_biases(T_LINK)
+        error = PointError(with_end_m=ahead_m, with_jaws_m=5e-4)
+        both = replace(one, error=error).shared_biases(T_LINK)
         by_jaws = next(bias.jacobian for bias in both if bias.name == JAWS)
         assert by_jaws == pytest.approx(np.column_stack([expected, np.zeros((len(expected), 6))]), rel=0.05)
     by_end = replace(end, model_std_m=1e-3).bias_jacobian(T_LINK, end.linearise(T_LINK).derivative)

@@ -11,7 +11,7 @@ import numpy as np
 
 from svmdist.estimation.across_views import matched_place
 from svmdist.estimation.frame import Frame, View
-from svmdist.estimation.instrument.measurement_kinds import MARKER
+from svmdist.estimation.instrument.measurement_kinds import MARKER, PointError
 from svmdist.estimation.instrument.shaft_detection import BORDER_STD_PER_BLUR, FARTHEST_M, marker_centre
 from svmdist.estimation.instrument.shaft_model import jaw_tip_std_m
 from svmdist.estimation.scene import Arm
@@ -26,6 +26,7 @@ VISIBLE_MIDDLE = 0.05  # lasts: geometry, 6 % of the disc hidden on one side mov
 LASTING_DISPARITY = (
     0.016  # lasts: blood and shading differ in each view, by 0.1 to 0.2 px at 12 px when simulated
 )
+SHADING_BIAS = 0.12  # and the light's angle in rad; lasts: half of √(1 - 0.97²), Lambert's dark limb
 CENTRE_NOISE = 0.02  # pixels, light and angle of view, when simulated: a quarter of a pixel at 12 px
 UNKNOWN_SHAPE = 0.33  # of what is seen, where no size is known: of half a disc the middle is 0.42 radii off
 DISPARITY_NOISE = 0.008  # when simulated, from 3° aside: jaws hide other parts in the other view
@@ -65,33 +66,18 @@ class Expected:
 class SeenMarker:
     """Where a view shows the tool's origin: pixel (2,), its noise in px, and what stays of its error.
 
-    `part_std_m` is how far the visible part's middle may be off the marker's, along each axis; `radius_px` the radius
-    of the whole, of which a fraction `hidden` is not to be seen. What is of another size is another part. `with_end_m`
-    (3,) is in the view's frame how far it is off with the shaft's end, at the deviation of that; `with_jaws_m` is how
-    far along the jaws with their length.
+    `radius_px` is the radius of the whole, of which a fraction `hidden` is not to be seen. What is of another size is
+    another part.
     """
 
     name: str
     pixel: Array
     std_px: float
-    place_std_m: float
-    part_std_m: float
+    error: PointError
     radius_px: float
     area_px: float = 0.0
     hidden: float = 0.0
     is_other_part: bool = False
-    with_end_m: Array | None = None
-    with_jaws_m: float = 0.0
-
-    @property
-    def bias_name(self) -> str:
-        """What lasts of its error is of one thing on the instrument."""
-        return "other part" if self.is_other_part else self.name
-
-    @property
-    def shaded_px(self) -> float:
-        """Radius of what light from the camera shades to one side; 0 of an outline."""
-        return self.radius_px if self.area_px > 0.0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +97,7 @@ class MarkerPair:
     @property
     def total_std_px(self) -> tuple[float, float]:
         """Standard deviations of the pixel and of the disparity, where they are seen once."""
-        px_per_m = self.left.radius_px * self.left.part_std_m
+        px_per_m = self.left.radius_px * self.left.error.part_std_m
         return float(np.hypot(self.left.std_px, px_per_m)), float(np.hypot(self.std_px, self.lasting_std_px))
 
 
@@ -122,6 +108,7 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
     marker, what is coloured is somewhere about the tool's origin.
     """
     marker, instrument = view.distal_marker, arm.profile.instrument
+    time_s = arm.profile.settings.filter.point_correlation_time_s
     if marker is None:
         wrist = view.shaft.wrist
         if wrist is None:
@@ -131,24 +118,20 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
             return None
         end_m, px_per_m = end
         noise_px, lasting_px = np.sqrt([1.0 - WRIST_LASTING, WRIST_LASTING]) * wrist.std_px
-        return SeenMarker(
-            WRIST,
-            wrist.pixel,
-            float(noise_px),
-            float(lasting_px / px_per_m),
-            0.0,
-            wrist.std_px,
-            with_end_m=wrist.end_share * end_m,
-            with_jaws_m=(1.0 - wrist.end_share) * jaw_tip_std_m(instrument),
-        )
+        by_jaws_m = (1.0 - wrist.end_share) * jaw_tip_std_m(instrument)
+        place_std_m = float(lasting_px / px_per_m)
+        error = PointError(WRIST, place_std_m, 0.0, 0.0, time_s, wrist.end_share * end_m, by_jaws_m)
+        return SeenMarker(WRIST, wrist.pixel, float(noise_px), error, wrist.std_px)
     seen_px = float(np.sqrt(marker.area_px / np.pi))
     if instrument is None:
         std_px, hidden = UNKNOWN_SHAPE * seen_px, UNKNOWN_SHAPE
-        return SeenMarker(MARKER, marker.centre_px, std_px, 0.0, 0.0, seen_px, marker.area_px, hidden)
+        error = PointError(MARKER, shading_px=SHADING_BIAS * seen_px, correlation_time_s=time_s)
+        return SeenMarker(MARKER, marker.centre_px, std_px, error, seen_px, marker.area_px, hidden)
     radius_m, place_std_m = instrument.knuckle_radius_m, instrument.knuckle_position_std_m
     if expected is None:
         size_px = marker.radius_px or seen_px
-        return SeenMarker(MARKER, marker.centre_px, marker.std_px, place_std_m, 0.0, size_px, marker.area_px)
+        error = PointError(MARKER, place_std_m, 0.0, SHADING_BIAS * size_px, time_s)
+        return SeenMarker(MARKER, marker.centre_px, marker.std_px, error, size_px, marker.area_px)
     whole_px = float(view.camera.K[0, 0]) * radius_m / expected.depth_m
     whole, unknown = (seen_px / whole_px) ** 2, expected.std_fraction
     tolerance = np.exp(4.0 * np.hypot(unknown, instrument.knuckle_radius_std_fraction))
@@ -156,12 +139,18 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
     wrong = max(0.0, abs(1.0 - whole) - WHOLE_AREA_SPREAD)
     pixel, blur_px = marker_centre(marker, view.camera, expected.depth_m, radius_m)
     hidden = 0.0 if is_other else float(np.hypot(0.5 * wrong, unknown))  # jaws that move hide other parts
+    error = PointError(
+        "other part" if is_other else MARKER,
+        float(np.hypot(VISIBLE_MIDDLE * radius_m, place_std_m)),
+        OTHER_PART_PLACE * radius_m if is_other else 0.0,
+        SHADING_BIAS * whole_px,
+        time_s,
+    )
     return SeenMarker(
         MARKER,
         pixel,
         float(np.hypot(whole_px * np.hypot(CENTRE_NOISE, hidden), BORDER_STD_PER_BLUR * blur_px)),
-        float(np.hypot(VISIBLE_MIDDLE * radius_m, place_std_m)),
-        OTHER_PART_PLACE * radius_m if is_other else 0.0,
+        error,
         whole_px,
         marker.area_px,
         max(0.0, abs(np.sqrt(whole) - 1.0) - 0.5 * WHOLE_AREA_SPREAD),

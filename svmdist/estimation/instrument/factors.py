@@ -24,6 +24,7 @@ from svmdist.estimation.instrument.measurement_kinds import (
     DisparityMeasurement,
     EndMeasurement,
     InRightView,
+    PointError,
     PointMeasurement,
     PoseMeasurement,
     SizeMeasurement,
@@ -35,8 +36,6 @@ from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, inverse
 
 DISPARITY = "disparity"
-# Over the marker's radius and the light's angle in rad: geometry, half of √(1 - 0.97²), Lambert's dark limb; it lasts
-SHADING_BIAS = 0.12
 LASTING_SIZE = 0.75  # of the variance of the marker's radius: light and blood stay
 TOOL_SPEED_M_S = 0.05  # standard deviation along each axis: the tool stands elsewhere in a later view
 
@@ -154,14 +153,8 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
         _marker_place_m(arm, seen),
         seen.pixel,
         seen.std_px**2 * np.eye(2),
-        seen.place_std_m,
-        SHADING_BIAS * seen.shaded_px,
-        part_std_m=seen.part_std_m,
-        bias_name=seen.bias_name,
-        correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
-        deviations=arm.deviations,
-        with_end_m=seen.with_end_m,
-        with_jaws_m=seen.with_jaws_m,
+        seen.error,
+        arm.deviations,
     )
     if instrument is None:
         return
@@ -186,9 +179,8 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
             instrument.jaw_length_m * arm.straight.T_shaft_tool[2, :3],
             wrist.tip_px,
             wrist.tip_std_px**2 * np.eye(2),
-            jaw_tip_std_m(instrument),
-            bias_name=JAWS,
-            deviations=arm.deviations,
+            PointError(JAWS, jaw_tip_std_m(instrument)),
+            arm.deviations,
         )
 
 
@@ -203,16 +195,10 @@ def _disparity(frame: Frame, right: View, markers: MarkerPair, T_right_left: Arr
         T_right_left,
         float(left.pixel[0] - markers.right.pixel[0]),
         np.array([[markers.std_px**2]]),
-        left.place_std_m,
-        SHADING_BIAS * left.shaded_px,
-        part_std_m=left.part_std_m,
-        bias_name=left.bias_name,
-        correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
-        deviations=arm.deviations,
-        lasting_std_px=markers.lasting_std_px,
-        p_link_m=_marker_place_m(arm, left),
-        with_end_m=left.with_end_m,
-        with_jaws_m=left.with_jaws_m,
+        left.error,
+        arm.deviations,
+        markers.lasting_std_px,
+        _marker_place_m(arm, left),
     )
 
 

@@ -34,38 +34,66 @@ LASTING_OUTLINE = 0.75  # of the variance of what ends an outline in the image: 
 ONE_FRAME_S = 1e-3  # of what is drawn anew in every frame
 
 
-def _point_bias(
-    std_m: float, part_std_m: float, shading_px: float, tilt: Array, T_camera_link: Array, derivative: Array
-) -> Array:
-    """The bias of a point, (m, 7): offsets of place and of part, and what shading does with the ray's tilt, (m,)."""
-    # An offset in the link's frame moves the point as the link's own motion would.
-    by_offset = -derivative[:, :3] @ T_camera_link[:3, :3]
-    return np.column_stack([std_m * by_offset, part_std_m * by_offset, shading_px * tilt])
+@dataclass(frozen=True, slots=True)
+class PointError:
+    """What of a point's error on an instrument lasts from frame to frame, under one name for all that show it.
+
+    The point may be off by an offset fixed in the link's frame, of deviation `place_std_m` along each axis, and what is
+    visible of it by another one, of `part_std_m`: where a side is hidden, or another part is coloured. Shading may
+    draw the pixel outward by `shading_px` (a deviation) times the tilt of its ray. What is found between the shaft's
+    end and the tips is off with that end, by `with_end_m` (3,) in the view's frame at the end's deviation, and with the
+    jaws' length, by `with_jaws_m` along them.
+    """
+
+    name: str = "point"
+    place_std_m: float = 0.0
+    part_std_m: float = 0.0
+    shading_px: float = 0.0
+    correlation_time_s: float = POINT_CORRELATION_TIME_S
+    with_end_m: Array | None = None
+    with_jaws_m: float = 0.0
+
+    def jacobian(self, tilt: Array, T_camera_link: Array, derivative: Array) -> Array:
+        """Derivative of a residual (m,) by both offsets and shading, (m, 7), where shading does it by `tilt`, (m,)."""
+        # An offset in the link's frame moves the point as the link's own motion would.
+        by_offset = -derivative[:, :3] @ T_camera_link[:3, :3]
+        return np.column_stack(
+            [self.place_std_m * by_offset, self.part_std_m * by_offset, self.shading_px * tilt]
+        )
+
+    def of_outline(self, T_camera_link: Array, derivative: Array) -> tuple[SharedBias, ...]:
+        """What the shaft's end and the jaws' length do to what was found between them; nothing to others."""
+        if self.with_end_m is None:
+            return ()
+        by_end = -derivative[:, :3] @ self.with_end_m[:, None]
+        by_length = np.zeros((len(by_end), 7))  # as the offset of the jaws' tip
+        by_length[:, 0] = -derivative[:, :3] @ T_camera_link[:3, 0] * self.with_jaws_m
+        time_s = POINT_CORRELATION_TIME_S
+        return SharedBias(END_BIAS, by_end, time_s), SharedBias(JAWS, by_length, time_s)
 
 
-def _of_outline(one: PointMeasurement | DisparityMeasurement, T_camera_link: Array) -> tuple[SharedBias, ...]:
-    """What the shaft's end and the jaws' length do to what was found between them; nothing to others."""
-    if one.with_end_m is None:
-        return ()
-    by_place = -one.linearise(T_camera_link).derivative[:, :3]
-    by_length = np.zeros((len(by_place), 7))  # as the offset of the jaws' tip
-    by_length[:, 0] = by_place @ T_camera_link[:3, 0] * one.with_jaws_m
-    time_s = POINT_CORRELATION_TIME_S
-    return SharedBias(END_BIAS, by_place @ one.with_end_m[:, None], time_s), SharedBias(
-        JAWS, by_length, time_s
-    )
+POINT = PointError()
+
+
+class _OfPoint(LinkMeasurement):
+    """A measurement of a point of a link."""
+
+    error: PointError
+
+    @property
+    def bias_name(self) -> str:
+        """The point's: all that shows it errs with it."""
+        return self.error.name
+
+    @property
+    def correlation_time_s(self) -> float:  # type: ignore[override]
+        """The point's."""
+        return self.error.correlation_time_s
 
 
 @dataclass(frozen=True)
-class PointMeasurement(LinkMeasurement):
-    """A point of a link, `p_link_m` (3,), seen at a pixel (2,) with a covariance (2, 2) in px².
-
-    The point may be off by an offset fixed in the link's frame, of deviation `point_std_m` along each axis, and what is
-    visible of it by another one, of `part_std_m`: where a side is hidden, or another part is coloured. Shading may
-    draw the pixel outward by `shading_bias_px` (a deviation) times the tilt of its ray. What is found between the
-    shaft's end and the tips is off with that end, by `with_end_m` (3,) in the camera frame at the end's deviation, and
-    with the jaws' length, by `with_jaws_m` along them.
-    """
+class PointMeasurement(_OfPoint):
+    """A point of a link, `p_link_m` (3,), seen at a pixel (2,) with a covariance (2, 2) in px²."""
 
     source = MARKER
 
@@ -75,14 +103,8 @@ class PointMeasurement(LinkMeasurement):
     p_link_m: Array
     pixel: Array
     covariance: Array
-    point_std_m: float = 0.0
-    shading_bias_px: float = 0.0
-    part_std_m: float = 0.0
-    bias_name: str = "point"
-    correlation_time_s: float = POINT_CORRELATION_TIME_S
+    error: PointError = POINT
     deviations: Deviations = EXACT
-    with_end_m: Array | None = None
-    with_jaws_m: float = 0.0
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """Measured minus projected, shape (2,), about a pose (4, 4)."""
@@ -97,21 +119,20 @@ class PointMeasurement(LinkMeasurement):
         """Derivative by offset and shading, shape (2, 7), in units of their deviations."""
         K = self.camera.K
         tilt = (self.pixel - K[:2, 2]) / np.diag(K)[:2]
-        return _point_bias(
-            self.point_std_m, self.part_std_m, self.shading_bias_px, tilt, T_camera_link, derivative
-        )
+        return self.error.jacobian(tilt, T_camera_link, derivative)
 
     def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
-        """Focal length, principal point, and the shaft's end."""
-        return *self.deviations.of_pixels(self.pixel, self.camera), *_of_outline(self, T_camera_link)
+        """Focal length, principal point, the shaft's end and the jaws' length."""
+        of_outline = self.error.of_outline(T_camera_link, self.linearise(T_camera_link).derivative)
+        return *self.deviations.of_pixels(self.pixel, self.camera), *of_outline
 
 
 @dataclass(frozen=True)
-class DisparityMeasurement(LinkMeasurement):
+class DisparityMeasurement(_OfPoint):
     """How far apart, in px along x, the two views of a stereo pair show a point of a link: `p_link_m`, shape (3,).
 
     `T_right_left` maps the left camera's coordinates to the right one's; the covariance has shape (1, 1) in px².
-    The point may be off as in `PointMeasurement`: the two rays differ in tilt by the disparity over the focal length.
+    Of shading the two rays differ in tilt by the disparity over the focal length.
     """
 
     source = "disparity"
@@ -123,16 +144,10 @@ class DisparityMeasurement(LinkMeasurement):
     T_right_left: Array
     disparity_px: float
     covariance: Array
-    point_std_m: float = 0.0
-    shading_bias_px: float = 0.0
-    part_std_m: float = 0.0
-    bias_name: str = "point"
-    correlation_time_s: float = POINT_CORRELATION_TIME_S
+    error: PointError = POINT
     deviations: Deviations = EXACT
     lasting_std_px: float = 0.0
     p_link_m: Array = field(default_factory=lambda: np.zeros(3))
-    with_end_m: Array | None = None
-    with_jaws_m: float = 0.0
 
     def linearise(self, T_camera_link: Array) -> PoseResidual:
         """Measured minus predicted, shape (1,), about a pose (4, 4)."""
@@ -151,19 +166,17 @@ class DisparityMeasurement(LinkMeasurement):
     def bias_jacobian(self, T_camera_link: Array, derivative: Array, /) -> Array:
         """Derivative by offset and shading, shape (1, 7), in units of their deviations."""
         tilt = np.array([self.disparity_px / self.left.K[0, 0]])
-        return _point_bias(
-            self.point_std_m, self.part_std_m, self.shading_bias_px, tilt, T_camera_link, derivative
-        )
+        return self.error.jacobian(tilt, T_camera_link, derivative)
 
     def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
-        """Focal length, baseline, the right camera's rotation, the shaft's end, and what lasts of the disparity."""
+        """Focal length, baseline, the right camera's rotation, the shaft's end, jaws, and what lasts of disparity."""
         p_left_m = T_camera_link[:3, :3] @ self.p_link_m + T_camera_link[:3, 3]
         disparity_px = np.asarray(self.disparity_px, np.float64)
         biases = self.deviations.of_disparity_at(p_left_m, self.right, disparity_px, self.T_right_left)
         lasting = np.array([[self.lasting_std_px]])
         return (
             *biases,
-            *_of_outline(self, T_camera_link),
+            *self.error.of_outline(T_camera_link, self.linearise(T_camera_link).derivative),
             SharedBias("disparity of the marker", lasting, self.correlation_time_s),
         )
 
