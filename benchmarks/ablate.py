@@ -1,19 +1,22 @@
 """docs/ablation.md: what every factor and special case of `fused` earns, by leaving out one at a time.
 
 `uv run python -m benchmarks.ablate [LOG.mcap ...] [--write]` measures golden logs, one of them in worlds that differ
-from the profile, and the logs that are given.
+from the profile, two with what `profile new` writes of them, and the logs that are given.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 
 from benchmarks.generated_pages import DOCS, ROOT, table, write_table
+from benchmarks.real.common import run
 from benchmarks.robustness import cell
 from svmdist.estimation import fused
 from svmdist.estimation.instrument import consistency
@@ -22,12 +25,18 @@ from svmdist.estimation.tissue import tracking as tissue_tracking
 from svmdist.perturbations import parse_perturbations
 from svmdist.recording.log import open_recording
 from svmdist.workflows.compare import measure_runs
-from svmdist.workflows.request import CLEAN, PerturbedCondition, prepare
+from svmdist.workflows.request import CLEAN, PerturbedCondition, Setup, prepare
 
 WORLDS = ("focal=1", "knuckle_radius=5", "backlash=0.5")
 PERTURBED = "golden, perturbed"
 ALL = {"is_tracked": False}  # what one view or pair takes and a tracked tool does not
-SETS = {"golden": ["3d/contact"], PERTURBED: ["3d/contact"], "other world": ["real/contact", "real/random"]}
+FIRST, OTHER = "first profile", "other world"
+SETS = {
+    "golden": ["3d/contact"],
+    PERTURBED: ["3d/contact"],
+    OTHER: ["real/contact", "real/random"],
+    FIRST: ["real/contact", "real/random"],
+}
 
 
 def without(part: str) -> Callable[..., Any]:
@@ -47,8 +56,15 @@ CASES: dict[str, tuple[object, str, Any]] = {
     "tissue's height by stereo": (tissue_tracking.FollowedTissue, "measure_height", lambda *_: None),
     "widening by innovations": (consistency.Consistency, "ratio", 1.0),
     "widening by constants": (consistency, "usual_furthest", lambda _: np.inf),
-    "doubt by one detection": (consistency, "MAX_REFUSED_OF_ONE", 2.0),
 }
+
+
+def first_setup(log: str) -> Setup:
+    """What `profile new` writes of a log, with nothing measured or named."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "first.toml")
+        run("profile", "new", log, "-o", path)
+        return prepare(path, "fused")
 
 
 if __name__ == "__main__":
@@ -57,15 +73,18 @@ if __name__ == "__main__":
     sets = {name: [str(ROOT / "recordings" / f"{log}.mcap") for log in logs] for name, logs in SETS.items()}
     if given := [path for path in sys.argv[1:] if path != "--write"]:
         sets["given logs"] = given
+    firsts = {log: first_setup(log) for log in sets[FIRST]}
     rows = []
     for name, (place, attribute, by) in CASES.items():
         row = [name]
         for label, paths in sets.items():
             conditions = worlds if label == PERTURBED else [CLEAN]
             with patch.object(place, attribute, by):
-                logs = [open_recording(path, setup.profile) for path in paths]
-                runs = [run for log in logs for run in measure_runs(log, [setup], conditions, jobs=1)]
-            row += [cell(runs), cell(runs, "clearance").partition(" [")[0]]
+                scores = []
+                for path in paths:
+                    own = firsts[path] if label == FIRST else setup
+                    scores += measure_runs(open_recording(path, own.profile), [own], conditions, jobs=1)
+            row += [cell(scores), cell(scores, "clearance").partition(" [")[0]]
         rows.append(row)
         print(*row, sep=" | ", flush=True)
     if "--write" in sys.argv:

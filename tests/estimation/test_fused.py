@@ -177,17 +177,6 @@ def test_the_stated_ellipsoid_holds_the_tool():
     assert np.all((coverage > 0.90) & (coverage < 0.99)), coverage
 
 
-def test_one_detection_that_contradicts_all_others_is_named():
-    """A tag refused in 23 of 25 frames is a third of what was measured, beside edges and marker that agree."""
-    consistency = Consistency(FilterSettings())
-    for frame in range(25):
-        tag = GatingResult("tag", 80.0 if frame % 12 else 6.0, 6, 0.1 if frame % 12 else 1.0, "tag")
-        edges = [GatingResult(f"edge {side}", 2.0, 2, 1.0, "shaft") for side in (1, -1)]
-        marker = [GatingResult(name, 2.0, size, 1.0, "marker") for name, size in (("point", 2), ("far", 12))]
-        consistency.add(frame * 100_000_000, [tag, *edges, *marker])
-    assert consistency.doubt.endswith("of what the tag shows contradicts the prediction: tag")
-
-
 @pytest.mark.parametrize(
     ("marker", "holds"),
     [((), False), (("size", 1.0), True), (("disparity", 1.0), True), (("size", 0.0), False)],

@@ -18,11 +18,6 @@ from svmdist.transforms import Array
 WINDOW_S = 1.5  # of averaged innovations: a hundred degrees of freedom at 10 Hz
 MIN_DEGREES = 8  # fewer degrees of freedom in that window tell nothing
 MAX_REFUSED_SHARE = 0.3  # of them: more contradicts the prediction
-CODED = (
-    "tag"  # the detection that says what it is; a shaft's sides may be something else's, as the image shows
-)
-MAX_REFUSED_OF_ONE = 0.5  # of what one detection measured: it is mistaken, or all others are
-MIN_FRAMES = 5  # that show it in that window: what hides an instrument misleads fewer
 NU = 4.0  # degrees of freedom of Student's t: one measurement in a hundred is wild
 REFUSED_WEIGHT = 0.2  # below, a measurement counts as refused; it keeps its weight
 MAX_SCENE_REFUSED = 4  # frames in a row in which the tissue contradicts its plane, where it agreed before
@@ -115,10 +110,9 @@ class Consistency:
         self._surprise = jointly / usual_furthest(max(count, 1))
         self._late_s, self._late_deviations = late_s, abs(late_s) / late_std_s if late_std_s > 0.0 else 0.0
 
-    def _results(self, source: str = "") -> list[GatingResult]:
-        """What was measured in the window, all of it or by one detection."""
-        results = (result for _, members in self._frames for result in members)
-        return [result for result in results if source in ("", result.source)]
+    def _results(self) -> list[GatingResult]:
+        """What was measured in the window."""
+        return [result for _, members in self._frames for result in members]
 
     @property
     def ratio(self) -> float | None:
@@ -148,29 +142,23 @@ class Consistency:
             return (
                 f"the tissue contradicts its plane in {self._scene_refused} frames: {self._refused_names()}"
             )
-        for source in ("", CODED):
-            said = self._refused(source)
-            if said:
-                return said
-        if _degrees(self._results()) >= MIN_DEGREES and (self.ratio or 0.0) > settings.max_consistency:
+        return self._contradiction()
+
+    def _contradiction(self) -> str:
+        """Why what was measured in the window contradicts the prediction; empty where it does not."""
+        results = self._results()
+        if _degrees(results) < MIN_DEGREES:
+            return ""
+        share = _degrees([one for one in results if not one.is_accepted]) / _degrees(results)
+        if share > MAX_REFUSED_SHARE:
+            return f"{share:.0%} of what was measured contradicts the prediction: {self._refused_names()}"
+        if (self.ratio or 0.0) > self._settings.max_consistency:
             return f"innovations are {self.ratio:.1f} times what is expected of them"
         return ""
 
-    def _refused(self, source: str) -> str:
-        """Why all that was measured, or one detection, contradicts the prediction; empty where it does not."""
-        results = self._results(source)
-        share = _degrees([one for one in results if not one.is_accepted]) / max(_degrees(results), 1)
-        frames = sum(any(source in ("", one.source) for one in members) for _, members in self._frames)
-        if source and (frames < MIN_FRAMES or share <= MAX_REFUSED_OF_ONE):
-            return ""
-        if _degrees(results) < MIN_DEGREES or share <= MAX_REFUSED_SHARE:
-            return ""
-        said = f"the {source} shows" if source else "was measured"
-        return f"{share:.0%} of what {said} contradicts the prediction: {self._refused_names(source)}"
-
-    def _refused_names(self, source: str = "") -> str:
+    def _refused_names(self) -> str:
         accepted: dict[str, list[bool]] = {}
-        for result in self._results(source):
+        for result in self._results():
             accepted.setdefault(result.name, []).append(result.is_accepted)
         names = [name for name, ones in accepted.items() if not ones[-1] or 2 * sum(ones) < len(ones)]
         return ", ".join(names) or "measurements"
