@@ -75,7 +75,7 @@ def pose_by_pair(frame: Frame, pair: RectifiedPair) -> ImagePose | Failure:
     assert instrument is not None
     assert right is not None  # the pair has one
     assert seen is not None
-    if left.region is None and right.region is None:
+    if left.region is None and right.region is None and (left.shaft.contours or right.shaft.contours):
         # What hides the distal part ends the shaft, too: its end is then anywhere.
         return Failure("the instrument's distal part is hidden in both views")
     model = ShaftModel.of(frame.robot, arm.required_chain, instrument)
