@@ -60,9 +60,11 @@ class Arm:
 
     @cached_property
     def straight(self) -> ShaftModel | None:
-        """The instrument with straight joints, in no place; None where the profile has no sizes of it."""
+        """The instrument with straight joints, in no place; None without its sizes, or a chain with a shaft."""
         instrument = self.profile.instrument
-        return None if instrument is None else ShaftModel.of(Failure(""), self.required_chain, instrument)
+        if instrument is None or self.shaft_axis is None:
+            return None
+        return ShaftModel.of(Failure(""), self.required_chain, instrument)
 
     @cached_property
     def hinge_m(self) -> Array | None:

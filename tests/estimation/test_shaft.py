@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
+from svmdist.estimation.instrument.factors import end
 from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.model import InstrumentModel, shaft_sections
 from svmdist.estimation.instrument.shaft_detection import NO_SHAFT, Rim
@@ -112,6 +113,25 @@ def test_axis_without_colours(side, scene):
     assert np.arccos(np.clip(fit.pose.axis @ drawn.direction, -1.0, 1.0)) < np.deg2rad(2.0)
     off_m = fit.pose.hinge.position_m - drawn.tool_m
     assert np.linalg.norm(off_m - (off_m @ drawn.direction) * drawn.direction) < 0.02 * drawn.tool_m[2]
+
+
+def test_a_dark_end_is_no_shafts_where_nothing_of_the_chain_slides():
+    """Another robot's: the image shows an end, and no link of the chain carries it."""
+    assert PROFILE.robot is not None
+    rows = tuple(
+        row.model_copy(update={"type": "fixed"} if row.type == "prismatic" else {})
+        for row in PROFILE.robot.joints
+    )
+    robot = PROFILE.robot.model_copy(update={"joints": rows})
+    drawn, segmenter = picture(SMALL, "left"), make_segmenter(PROFILE.segmentation)
+    observation = Observation(0, drawn.draw(2), SMALL)
+    own, other = (
+        frame_of(observation, Arm(profile), segmenter)
+        for profile in (PROFILE, PROFILE.model_copy(update={"robot": robot}))
+    )
+    assert own.left.shaft.rim is not None
+    assert [one.name for one in end(own.left, own.arm)] == ["end"]
+    assert list(end(other.left, other.arm)) == []
 
 
 def painted_jaws(drawn: ShaftImage, length_m: float) -> Observation:
