@@ -30,11 +30,11 @@ from svmdist.workflows.request import CLEAN, PerturbedCondition, Setup, prepare
 WORLDS = ("focal=1", "knuckle_radius=5", "backlash=0.5")
 PERTURBED = "golden, perturbed"
 ALL = {"is_tracked": False}  # what one view or pair takes and a tracked tool does not
-FIRST, OTHER = "first profile", "other world"
+FIRST = "first profile"
 SETS = {
     "golden": ["3d/contact"],
     PERTURBED: ["3d/contact"],
-    OTHER: ["real/contact", "real/random"],
+    "other world": ["real/contact", "real/random"],
     FIRST: ["real/contact", "real/random"],
 }
 

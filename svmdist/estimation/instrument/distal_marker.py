@@ -66,8 +66,7 @@ class Expected:
 class SeenMarker:
     """Where a view shows the tool's origin: pixel (2,), its noise in px, and what stays of its error.
 
-    `radius_px` is the radius of the whole, of which a fraction `hidden` is not to be seen. What is of another size is
-    another part.
+    `radius_px` is the radius of the whole, of which a fraction `hidden` is not to be seen.
     """
 
     name: str
@@ -77,7 +76,11 @@ class SeenMarker:
     radius_px: float
     area_px: float = 0.0
     hidden: float = 0.0
-    is_other_part: bool = False
+
+    @property
+    def is_other_part(self) -> bool:
+        """Whether it is of another size than the marker, and anywhere about the tool's origin."""
+        return self.error.part_std_m > 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +157,6 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
         whole_px,
         marker.area_px,
         max(0.0, abs(np.sqrt(whole) - 1.0) - 0.5 * WHOLE_AREA_SPREAD),
-        is_other,
     )
 
 

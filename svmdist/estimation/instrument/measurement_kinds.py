@@ -61,16 +61,6 @@ class PointError:
             [self.place_std_m * by_offset, self.part_std_m * by_offset, self.shading_px * tilt]
         )
 
-    def of_outline(self, T_camera_link: Array, derivative: Array) -> tuple[SharedBias, ...]:
-        """What the shaft's end and the jaws' length do to what was found between them; nothing to others."""
-        if self.with_end_m is None:
-            return ()
-        by_end = -derivative[:, :3] @ self.with_end_m[:, None]
-        by_length = np.zeros((len(by_end), 7))  # as the offset of the jaws' tip
-        by_length[:, 0] = -derivative[:, :3] @ T_camera_link[:3, 0] * self.with_jaws_m
-        time_s = POINT_CORRELATION_TIME_S
-        return SharedBias(END_BIAS, by_end, time_s), SharedBias(JAWS, by_length, time_s)
-
 
 POINT = PointError()
 
@@ -89,6 +79,16 @@ class _OfPoint(LinkMeasurement):
     def correlation_time_s(self) -> float:  # type: ignore[override]
         """The point's."""
         return self.error.correlation_time_s
+
+    def of_outline(self, T_camera_link: Array) -> tuple[SharedBias, ...]:
+        """What the shaft's end and the jaws' length do to what was found between them; nothing to others."""
+        if self.error.with_end_m is None:
+            return ()
+        by_place = -self.linearise(T_camera_link).derivative[:, :3]
+        by_length = np.zeros((len(by_place), 7))  # as the offset of the jaws' tip
+        by_length[:, 0] = by_place @ T_camera_link[:3, 0] * self.error.with_jaws_m
+        by_end, time_s = by_place @ self.error.with_end_m[:, None], POINT_CORRELATION_TIME_S
+        return SharedBias(END_BIAS, by_end, time_s), SharedBias(JAWS, by_length, time_s)
 
 
 @dataclass(frozen=True)
@@ -123,8 +123,7 @@ class PointMeasurement(_OfPoint):
 
     def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
         """Focal length, principal point, the shaft's end and the jaws' length."""
-        of_outline = self.error.of_outline(T_camera_link, self.linearise(T_camera_link).derivative)
-        return *self.deviations.of_pixels(self.pixel, self.camera), *of_outline
+        return *self.deviations.of_pixels(self.pixel, self.camera), *self.of_outline(T_camera_link)
 
 
 @dataclass(frozen=True)
@@ -176,7 +175,7 @@ class DisparityMeasurement(_OfPoint):
         lasting = np.array([[self.lasting_std_px]])
         return (
             *biases,
-            *self.error.of_outline(T_camera_link, self.linearise(T_camera_link).derivative),
+            *self.of_outline(T_camera_link),
             SharedBias("disparity of the marker", lasting, self.correlation_time_s),
         )
 
