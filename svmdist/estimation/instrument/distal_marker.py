@@ -13,7 +13,6 @@ from svmdist.estimation.across_views import matched_place
 from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.measurement_kinds import MARKER, PointError
 from svmdist.estimation.instrument.shaft_detection import BORDER_STD_PER_BLUR, FARTHEST_M, marker_centre
-from svmdist.estimation.instrument.shaft_model import jaw_tip_std_m
 from svmdist.estimation.scene import Arm
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, inverse
@@ -117,11 +116,11 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
         if wrist is None:
             return None
         end = _end_error(view, arm)
-        if end is None or instrument is None:
+        if end is None or arm.straight is None:
             return None
         end_m, px_per_m = end
         noise_px, lasting_px = np.sqrt([1.0 - WRIST_LASTING, WRIST_LASTING]) * wrist.std_px
-        by_jaws_m = (1.0 - wrist.end_share) * jaw_tip_std_m(instrument)
+        by_jaws_m = (1.0 - wrist.end_share) * arm.straight.jaw_tip_std_m
         place_std_m = float(lasting_px / px_per_m)
         error = PointError(WRIST, place_std_m, 0.0, 0.0, time_s, wrist.end_share * end_m, by_jaws_m)
         return SeenMarker(WRIST, wrist.pixel, float(noise_px), error, wrist.std_px)

@@ -29,7 +29,6 @@ from svmdist.estimation.instrument.measurement_kinds import (
     PoseMeasurement,
     SizeMeasurement,
 )
-from svmdist.estimation.instrument.shaft_model import jaw_tip_std_m
 from svmdist.estimation.scene import Arm
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure, ToolPose
@@ -179,7 +178,7 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
             instrument.jaw_length_m * arm.straight.T_shaft_tool[2, :3],
             wrist.tip_px,
             wrist.tip_std_px**2 * np.eye(2),
-            PointError(JAWS, jaw_tip_std_m(instrument)),
+            PointError(JAWS, arm.straight.jaw_tip_std_m),
             arm.deviations,
         )
 
@@ -237,11 +236,10 @@ def _marker_place_m(arm: Arm, seen: SeenMarker) -> Array:
 
 def jaw_scale(kalman: KinematicErrorFilter, arm: Arm) -> float:
     """The jaws' length over the profile's, by their tips in the image: never less, as what is seen may lack them."""
-    instrument = arm.profile.instrument
-    if instrument is None:
+    deviations = kalman.constant(JAWS)
+    if deviations <= 0.0 or arm.straight is None:
         return 1.0
-    longer_m = jaw_tip_std_m(instrument) * kalman.constant(JAWS)
-    return 1.0 + max(longer_m, 0.0) / instrument.jaw_length_m
+    return 1.0 + deviations * arm.straight.jaw_tip_std_m / arm.straight.instrument.jaw_length_m
 
 
 def _focal_px(camera: Camera) -> tuple[float, float]:

@@ -29,11 +29,6 @@ CLEVIS_PER_RADIUS = 0.9
 """The clevis of a da Vinci instrument of 8 mm reaches so far beyond the wrist's pitch axis, over the shaft's radius."""
 
 
-def jaw_tip_std_m(instrument: Instrument) -> float:
-    """How far the tip of an outline may be from that of straight jaws of the profile's length."""
-    return float(np.hypot(instrument.body_std_m, JAWS_TURN * instrument.jaw_length_m))
-
-
 @dataclass(frozen=True, slots=True)
 class ShaftSizes:
     """The sizes of a shaft as the profile states them, or as others suggest; `reach_m` is from hinge to tool."""
@@ -55,6 +50,11 @@ class ShaftSizes:
     def tip_m(self) -> float:
         """From the hinge on to the tips of straight jaws."""
         return self.reach_m + self.instrument.jaw_length_m
+
+    @property
+    def jaw_tip_std_m(self) -> float:
+        """How far the tip of an outline may be from that of straight jaws of the profile's length."""
+        return float(np.hypot(self.instrument.body_std_m, JAWS_TURN * self.instrument.jaw_length_m))
 
     def neck_std_m(self, stated_std_m: float) -> float:
         """How wrong that may be; `stated_std_m` is of a length that the profile gives without a deviation."""
@@ -90,7 +90,7 @@ class ShaftSizes:
         near_std_m = np.hypot(
             np.hypot(self.neck_std_m(stated_std_m), self.outline_end_std_m), FORESHORTENED * apart_m
         )
-        far_std_m = np.linalg.norm([near_std_m, jaw_tip_std_m(self.instrument)])
+        far_std_m = np.linalg.norm([near_std_m, self.jaw_tip_std_m])
         std_m = np.array([near_std_m, far_std_m])
         p = np.exp(-0.5 * ((apart_m - np.array([near_m, far_m])) / std_m) ** 2) / (
             np.sqrt(2.0 * np.pi) * std_m
