@@ -184,7 +184,7 @@ def test_training_without_pytorch_is_one_line(tmp_path, monkeypatch, capsys):
     """PyTorch is no dependency: who lacks it is told what to install, and nothing is drawn or written."""
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.delitem(sys.modules, "training.network", raising=False)
-    assert train.main([str(tmp_path / "net.onnx")]) == 1
+    assert train.main([str(tmp_path / "net.onnx"), "--before", str(tmp_path / "before.onnx")]) == 1
     assert "is not installed: pip install torch" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
     assert (REPOSITORY / "svmdist" / "models" / "instruments.onnx").is_file()

