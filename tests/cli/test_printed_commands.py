@@ -39,7 +39,7 @@ NOT_RUN = {
     " --camera 572.22,572.22,378.77,239.29 --baseline 61.95mm -o thrust.mcap": "needs what the line above clones",
     "svmdist profile new thrust.mcap --instrument large-needle-driver -o thrust.toml": "as the line above",
     "svmdist estimate thrust.mcap --profile thrust.toml": "as the lines above",
-    "python -m benchmarks.masks sets --renders 400": "needs the sets that the line above clones",
+    "python -m benchmarks.masks sets": "needs the sets that the line above clones",
 }
 """Calls of `uv run` that are not made, each with the reason."""
 OTHER_PROGRAMS = {
