@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from argparse import Namespace
 from pathlib import Path
 
 import cv2
@@ -137,7 +138,7 @@ class Network(nn.Module):
         torch.onnx.export(self, (torch.zeros(1, 3, *SIZE),), str(path), **names, **how)
         file = compose.add_prefix(onnx.load(path), "own/", rename_inputs=False, rename_outputs=False)
         given, graph = part_of(before, ["new", "keypoints"]).graph, file.graph
-        for one in graph.initializer:
+        for one in list(graph.initializer):
             value, name = to_array(one), one.name
             if value.ndim == 4 and value.size > LARGE:  # eight bits, by output channel
                 scale = np.abs(value).max((1, 2, 3), keepdims=True) / np.float32(127.0) + np.float32(1e-12)
@@ -186,6 +187,19 @@ class Teacher:
             said.append([np.asarray(one) for one in self._net.forward(["old", "keypoints"])])
         scores, keypoints = (torch.from_numpy(np.concatenate(kind)) for kind in zip(*said, strict=True))
         return scores, keypoints
+
+
+def train_together(rank: int, given: Namespace, shown: Shown, folder: Path) -> None:
+    """Train as one of several processes, which meet in a folder; the first writes what all have learnt."""
+    meeting = f"file://{folder / 'meeting'}"
+    distributed.init_process_group("gloo", init_method=meeting, rank=rank, world_size=given.processes)
+    # All begin with the same decoder: only so the mean of their weights is a network
+    torch.manual_seed(given.seed)
+    network, teacher = Network(given.start), Teacher(given.before) if given.earlier else None
+    train(network, shown, given.steps, given.seed + 1000 * rank, given.rate, teacher)
+    if rank == 0:
+        network.save(given.model, given.before)
+    distributed.destroy_process_group()
 
 
 def train(

