@@ -209,7 +209,7 @@ def find_silhouette(
     """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without a shaft's straight edges.
 
     Nor of what is hardly longer than wide: at the border that is as likely the wrist, which may be narrower.
-    Where the image has no sharp edge, a side is what the evidence has, if the network is sure of the shaft.
+    Where the image has no sharp edge, a side is what the evidence has, if the network is sure along both.
     """
     first, second = _edges(bgr, seen, picture)
     if not seen.shows_shaft or first.direction @ second.direction < np.cos(MAX_TAPER_RAD):

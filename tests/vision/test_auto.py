@@ -11,7 +11,7 @@ from svmdist.profile.settings import AutoSettings
 from svmdist.recording.log import open_recording
 from svmdist.samples import Image
 from svmdist.vision.instruments.evidence import BINS, Appearance, Evidence, picture_of
-from svmdist.vision.instruments.find_instruments import AutoSegmenter, SeenInstrument
+from svmdist.vision.instruments.find_instruments import AutoSegmenter, SeenInstrument, seen_instrument
 from svmdist.vision.instruments.outline import Outline
 from svmdist.vision.instruments.outline_search import judged
 from svmdist.vision.silhouette import WristShape, find_silhouette
@@ -230,6 +230,22 @@ def test_a_shaft_is_instrument_along_both_sides():
         image.scores = odds
         accepted.append(judged(outline, image).is_accepted)
     assert accepted == [True, False]
+
+
+@pytest.mark.parametrize("first_side", [4.0, 1.0])
+def test_the_network_is_sure_of_a_shaft_only_along_both_sides(first_side):
+    """Sure of its middle, it may have something beside a shaft for a part of that: both sides have to be sure."""
+    bgr = np.full((240, 320, 3), 60, np.uint8)
+    bgr[100:140, :200], bgr[:2] = 160, 0
+    image = Evidence(bgr, AutoSettings())
+    odds = np.full((2, 240, 320), -2.0, np.float32)
+    odds[:, 100:140, :200] = 4.0
+    odds[:, 100:112, :200] = first_side
+    image.scores, image.odds = odds, odds[0]
+    outline = Outline(np.array([[[0.0, 99.5], [200.0, 99.5]], [[0.0, 139.5], [200.0, 139.5]]]))
+    found = outline, odds[0] > 0.0, judged(outline, image)
+    assert found[2].network > 2.0
+    assert seen_instrument(found, image).is_sure is (first_side == 4.0)
 
 
 def test_highlights_at_the_border_are_no_instruments():

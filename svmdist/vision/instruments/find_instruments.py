@@ -157,7 +157,7 @@ class SeenInstrument:
     `side_covariance` (2, 2, 2) is that of each side's offsets at both ends in px², `end_std_px` the end's deviation
     along the axis, infinite where the shaft goes on to the border, and `ends_dark` says that it is the end of a part
     and not of the outline: the other one of both, `other_px` further along, has a probability of `other_share`. The
-    network alone `is_sure` that the shaft is one; it `shows_shaft` where what comes in is not a wrist already.
+    network alone `is_sure` of the shaft, along both sides; it `shows_shaft` where what comes in is not a wrist already.
     """
 
     small_mask: Mask
@@ -228,7 +228,7 @@ def seen_instrument(found: Found, evidence: Evidence) -> SeenInstrument:
     known = pixel_px**2 * outline.covariance, pixel_px * outline.end_std_px, outline.ends_dark
     other = pixel_px * outline.other_px, outline.other_share
     # Infinite where it was not asked; a plate on an instrument may hide its sides.
-    is_sure = SURE < score.network < np.inf and not evidence.hides
+    is_sure = SURE < score.network_beside < np.inf and not evidence.hides
     shows_shaft = part_entering(outline, evidence) > LEAST_ENTERING
     return SeenInstrument(
         mask, evidence.size, sides, end_px, score.evidence, *known, pixel_px, *other, is_sure, shows_shaft
