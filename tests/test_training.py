@@ -47,7 +47,7 @@ def test_pictures_follow_from_the_seed_and_have_all_classes():
     for one, two in zip(pictures[7], render(7), strict=True):
         np.testing.assert_array_equal(one, two)
     labels = [labels for _, labels, _ in pictures]
-    assert {int(c) for each in labels for c in np.unique(each)} == {OTHER, TISSUE, DISTAL, SHAFT}
+    assert {int(c) for each in labels for c in np.unique(each)} == {OTHER, TISSUE, DISTAL, SHAFT, INSTRUMENT}
     assert 0.6 <= np.mean([bool((each >= DISTAL).any()) for each in labels]) < 1.0
     on = [
         cv2.dilate(each, np.ones((5, 5), np.uint8))[round(float(y)), round(float(x))] >= DISTAL
@@ -102,7 +102,7 @@ def test_outlines_become_labels_of_real_pictures(tmp_path, monkeypatch):
     assert (labels[:50, :70] == UNKNOWN).all()
     assert (others == OTHER).all()
     assert second.shape == (HEIGHT, WIDTH, 3)
-    shown, rng, sizes = pictures.Shown(rendered(0, 3), real), np.random.default_rng(0), []
+    shown, rng, sizes = pictures.Shown(rendered(1, 3), real), np.random.default_rng(0), []  # none has a tag
     for _ in range(30):
         image, label, _, has_all = shown.sample(rng, (192, 256))
         assert not (has_all and (label >= INSTRUMENT).any())

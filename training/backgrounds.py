@@ -142,5 +142,26 @@ def _room(rng: np.random.Generator, size: Size) -> Array:
         outline = cv2.convexHull(np.rint(corners).astype(np.int32))
         for shift, light in ((int(rng.integers(0, 6)), 0.15), (0, rng.uniform(0.4, 1.1))):
             cv2.fillPoly(scene, [outline + shift], (_any_colour(rng) * light).tolist(), cv2.LINE_AA)
+    for _ in range(int(rng.integers(1, 5)) if rng.random() < 0.3 else 0):
+        scene = _beam(rng, scene)
     grain = 1.0 + 0.12 * fractal(rng, size, rng.uniform(2.0, 60.0), 3)
     return np.asarray(np.clip(scene * grain[..., None], 0.0, 255.0), np.float32)
+
+
+def _beam(rng: np.random.Generator, scene: Array) -> Array:
+    """With what stands behind instruments in a laboratory: links of robots, stands, cables, a table's edge, blurred."""
+    size, colour = scene.shape[:2], _any_colour(rng) * rng.uniform(0.3, 1.0)
+    places = np.mgrid[: size[0], : size[1]][::-1].transpose(1, 2, 0) - rng.uniform(0.0, 1.0, 2) * size[::-1]
+    cosine, sine = np.cos(heading := rng.uniform(0.0, 2.0 * np.pi)), np.sin(heading)
+    along, across = np.moveaxis(places @ np.array([[cosine, -sine], [sine, cosine]]), 2, 0)
+    half = size[1] * float(np.exp(rng.uniform(*np.log([0.01, 0.3]))))
+    across = (across + rng.normal(0.0, 0.2) * along**2 / size[1] * float(rng.random() < 0.3)) / half
+    across *= np.exp(rng.normal(0.0, 0.3) * along / size[1])
+    roundness = rng.uniform(0.2, 0.7) * float(rng.random() < 0.5)
+    shade = rng.uniform(0.3, 0.9) + roundness * (np.sqrt(np.clip(1.0 - across**2, 0.0, 1.0)) - 0.4)
+    begins = float(rng.uniform(-0.3, 0.3)) * size[1] if rng.random() < 0.6 else -np.inf
+    inside = np.clip(np.minimum((1.0 - np.abs(across)) * half, along - begins) + 0.5, 0.0, 1.0)
+    blur = rng.uniform(0.3, 4.0)
+    covered = cv2.GaussianBlur(inside.astype(np.float32), (0, 0), blur)[..., None]
+    own = cv2.GaussianBlur((colour * shade[..., None]).astype(np.float32), (0, 0), blur)
+    return np.asarray(scene + covered * (own - scene), np.float32)

@@ -13,7 +13,7 @@ from training.backgrounds import Array, Size, fractal
 OTHER, TISSUE, DISTAL, SHAFT = range(4)
 """Classes of the network: border, paper and cloth; tissue; wrists and jaws; shafts."""
 NO_INSTRUMENT, INSTRUMENT, UNKNOWN = range(4, 7)
-"""Labels of real pictures beside these: a class below `DISTAL`, one from it on, and any."""
+"""Labels of real pictures, and of tags, beside these: a class below `DISTAL`, one from it on, and any."""
 KEYPOINTS = ("entry", "end", "hinge", "tip")
 """Where a shaft's mid-line enters the view, where the shaft ends, the jaws' hinge, and their tips (both)."""
 NOWHERE = (np.nan, np.nan)
@@ -171,21 +171,59 @@ def _hook(rng: np.random.Generator, shaft: Part, heading: float, surroundings: A
 def _letter(rng: np.random.Generator, scene: Array, own: Array, shaft: Part) -> None:
     """Print on a shaft what makers do: a word, and bars as of a sign or a band."""
     word = "".join(rng.choice(list("ABCDEGILMNOPRSTUVXZ 0135"), int(rng.integers(2, 12))))
-    text, weight = np.zeros((80, 60 * len(word)), np.uint8), int(rng.integers(3, 14))
+    text, weight = np.zeros((80, 60 * len(word)), np.uint8), int(rng.integers(3, 20))
     cv2.putText(text, word, (4, 62), cv2.FONT_HERSHEY_SIMPLEX, 2.2, 255, weight, cv2.LINE_AA)
     for at in rng.integers(text.shape[1], size=int(rng.integers(0, 3))).tolist():
         cv2.rectangle(text, (at, 0), (at + int(rng.integers(10, 80)), 80), 255, cv2.FILLED)
     back = (shaft.begin - shaft.end) / np.linalg.norm(shaft.begin - shaft.end)
     along = back * rng.choice([-1, 1])
     across, half = np.array([-along[1], along[0]]), shaft.end_half
-    turn = half * rng.uniform(0.5, 1.7) / 80 * np.column_stack([along, across])
-    middle = shaft.end + half * (rng.uniform(0.0, 10.0) * back + rng.uniform(-0.6, 0.6) * across)
+    turn = half * rng.uniform(0.5, 2.2) / 80 * np.column_stack([along, across])
+    middle = shaft.end + half * (rng.uniform(0.0, 14.0) * back + rng.uniform(-0.6, 0.6) * across)
     matrix = np.column_stack([turn, middle - turn @ [0.5 * text.shape[1], 40.0]])
     share = cv2.warpAffine(text, matrix, own.shape[::-1]).astype(np.float32) / 255.0
     share *= (own == SHAFT) * rng.uniform(0.4, 1.0)
     is_dark = scene[own == SHAFT].mean() < 110 or rng.random() < 0.3
     level = rng.uniform(150, 300) if is_dark else rng.uniform(0, 50)
     scene += share[..., None] * (level - scene)
+
+
+def _mark(rng: np.random.Generator, scene: Array, own: Array, parts: list[Part]) -> None:
+    """Put on an instrument what laboratories do: tape, a plate with a tag, a bead at a joint."""
+    shaft, colour = parts[0], rng.uniform(0, 255, 3).tolist()
+    back = (shaft.begin - shaft.end) / np.linalg.norm(shaft.begin - shaft.end)
+    half, at = shaft.end_half, shaft.end + back * shaft.end_half * rng.uniform(-0.5, 9.0)
+    kind = ("tape", "tag", "bead")[rng.choice(3)]
+    if kind == "tape":
+        end, shade = at + back * half * rng.uniform(0.5, 4.0), rng.uniform(0.3, 1.2)
+
+        def surface(across: Array, _: Array) -> Array:
+            return np.outer(shade * (1.0 - 0.5 * across**2), colour)
+
+        draw(scene, own, [Part(at, end, 1.05 * half, 1.1 * half, SHAFT, surface)])
+    elif kind == "tag":
+        cells = int(rng.integers(4, 9))
+        tag = np.full((cells + 2, cells + 2), 255, np.uint8)
+        tag[1:-1, 1:-1] = 0
+        tag[2:-2, 2:-2] = 255 * rng.integers(0, 2, (cells - 2, cells - 2))
+        low, high = np.sort(rng.uniform([0, 90], [70, 330]))
+        sides = 2.0 * half * rng.uniform(0.9, 2.2) * rng.uniform(0.5, 1.0, (1, 2))
+        turn = sides / (cells + 2) * np.column_stack([back, back[::-1] * (-1, 1)])
+        matrix = np.column_stack([turn, at - turn @ np.full(2, 0.5 * (cells + 1))])
+        shown, covered = (
+            cv2.warpAffine(one, matrix, own.shape[::-1], flags=cv2.INTER_NEAREST)
+            for one in (tag, np.ones_like(tag))
+        )
+        scene[covered > 0] = (low + (high - low) * shown[..., None] / 255.0)[covered > 0]
+        own[covered > 0] = INSTRUMENT
+    else:
+        at = parts[min(int(rng.integers(1, 3)), len(parts) - 1)].begin
+        radius = half * rng.uniform(0.5, 1.3)
+        x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in own.shape[::-1]))
+        height = 1.0 - ((x - at[0]) ** 2 + (y - at[1]) ** 2) / radius**2
+        bead = height > 0.0
+        scene[bead] = np.outer(0.3 + 0.7 * np.sqrt(height[bead]), colour) * rng.uniform(0.5, 1.3)
+        own[bead] = DISTAL
 
 
 def place(rng: np.random.Generator, scene: Array, labels: Array, parts: list[Part]) -> None:
@@ -206,8 +244,11 @@ def place(rng: np.random.Generator, scene: Array, labels: Array, parts: list[Par
         soft = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), rng.uniform(0.5, 1.0 + 0.6 * half))
         moved = cv2.warpAffine(soft, shift, size[::-1])[~mask]
         scene[~mask] *= 1.0 - rng.uniform(0.1, 0.75) * moved[:, None]
-    if rng.random() < 0.3 and (own == SHAFT).any():
+    for _ in range(int(rng.integers(1, 3)) if rng.random() < 0.42 and (own == SHAFT).any() else 0):
         _letter(rng, scene, own, parts[0])
+    if rng.random() < 0.2:
+        _mark(rng, scene, own, parts)
+        mask = own > 0
     if len(distal := np.argwhere(own == DISTAL)) > 30:  # slots, screws, cables, edges that shine
         details = scene.copy()
         for y, x in distal[rng.integers(len(distal), size=int(rng.integers(0, 16)))].tolist():

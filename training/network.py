@@ -50,7 +50,7 @@ REHEARSED, TEACHING = (
 )  # pictures of a step that are drawn as earlier; weight of what a teacher says of them
 AVERAGE = 0.998  # of the weights' running mean, what a step keeps; the mean is the result
 TOGETHER = 25  # steps after which the processes take the mean of their weights (Stich 2019)
-WEIGHTS = {"own": 0.5, "new": 0.45}
+WEIGHTS = {"own": 0.45, "new": 0.3}
 """Of both nets' log-probabilities in their sum, which is calibrated on drawn pictures and two operations held out."""
 LARGE = 4096  # weights of a layer, from which on they are kept with eight bits
 OPEN = 0.02  # of a label, what may be any class: people err, and so do their outlines
