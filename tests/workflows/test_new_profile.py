@@ -153,6 +153,7 @@ def test_instruments_by_the_side_they_come_in_from(tmp_path):
             image = np.clip(np.add((90, 100, 190), noise), 0, 255).astype(np.uint8)
             for start, end in (((0, 120), (240, 240 + 4 * number)), ((639, 90), (400, 250 - 4 * number))):
                 cv2.line(image, start, end, (70, 68, 65), 60)
+                cv2.line(image, start, end, (110, 108, 105), 24)  # round things shine along their middle
             writer.write("/scope/image", ImageSample(stamp_ns, "camera", image))
             writer.write("/scope/camera_info", CameraSample(stamp_ns, CAMERA))
     profile = _profile(tmp_path / "two.mcap")

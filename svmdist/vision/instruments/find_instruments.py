@@ -37,7 +37,8 @@ DISTAL_HALF_WIDTHS = 1.3  # how far they reach to either side of its axis, over 
 BESIDE_WIDTHS = 0.08  # how far evidence beside a side is still that of the shaft, over its width
 NEAR_PX = 9  # what is so near to an instrument in the working image teaches nothing of the background
 LEAST_ENTERING = 0.0  # log-odds of a shaft against wrist and jaws, of what comes in
-SURE = 2.0  # odds of what shows no straight shaft, or a side of one without a sharp edge
+SURE = 2.0  # odds of what shows no straight shaft
+SURE_ALONG = 1.5  # the network's inside of the weaker side, where the image has no sharp edge: its own is soft
 MOST_HOLE = 0.003  # of the picture: glare and blood; through a larger hole tissue is seen
 
 Mask = NDArray[np.bool_]
@@ -228,7 +229,7 @@ def seen_instrument(found: Found, evidence: Evidence) -> SeenInstrument:
     known = pixel_px**2 * outline.covariance, pixel_px * outline.end_std_px, outline.ends_dark
     other = pixel_px * outline.other_px, outline.other_share
     # Infinite where it was not asked; a plate on an instrument may hide its sides.
-    is_sure = SURE < score.network_beside < np.inf and not evidence.hides
+    is_sure = SURE_ALONG < score.network_beside < np.inf and not evidence.hides
     shows_shaft = part_entering(outline, evidence) > LEAST_ENTERING
     return SeenInstrument(
         mask, evidence.size, sides, end_px, score.evidence, *known, pixel_px, *other, is_sure, shows_shaft
