@@ -38,9 +38,7 @@ BESIDE_WIDTHS = 0.08  # how far evidence beside a side is still that of the shaf
 NEAR_PX = 9  # what is so near to an instrument in the working image teaches nothing of the background
 LEAST_ENTERING = 0.0  # log-odds of a shaft against wrist and jaws, of what comes in
 SURE = 2.0  # odds of what shows no straight shaft
-SURE_ALONG = (
-    1.5  # the network's inside of the weaker side, where the image has no sharp edge: its own is soft
-)
+SURE_ALONG = 1.5  # inside of the weaker side, where no edge is sharp: the network's own is soft
 MOST_HOLE = 0.003  # of the picture: glare and blood; through a larger hole tissue is seen
 
 Mask = NDArray[np.bool_]
