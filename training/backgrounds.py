@@ -109,12 +109,19 @@ def _tissue(rng: np.random.Generator, size: Size) -> Array:
     return np.asarray(np.clip(scene, 0.0, 255.0), np.float32)
 
 
+def _from_an_axis(rng: np.random.Generator, size: Size, margin: float) -> tuple[Array, Array]:
+    """Of each pixel, how far it is along and across an axis of any direction, from a place within the margin."""
+    start = rng.uniform(margin, 1.0 - margin, 2) * size[::-1]
+    places = np.mgrid[: size[0], : size[1]][::-1].transpose(1, 2, 0) - start
+    cosine, sine = np.cos(heading := rng.uniform(0.0, 2.0 * np.pi)), np.sin(heading)
+    along, across = np.moveaxis(places @ np.array([[cosine, -sine], [sine, cosine]]), 2, 0)
+    return along, across
+
+
 def _fold(rng: np.random.Generator, scene: Array) -> Array:
     """With a bowel's loop, a vessel or a fold of fat over it: round as a shaft is, and tissue."""
     size, half = scene.shape[:2], scene.shape[1] * float(np.exp(rng.uniform(*np.log([0.012, 0.14]))))
-    places = np.mgrid[: size[0], : size[1]][::-1].transpose(1, 2, 0) - rng.uniform(0.1, 0.9, 2) * size[::-1]
-    cosine, sine = np.cos(heading := rng.uniform(0.0, 2.0 * np.pi)), np.sin(heading)
-    along, across = np.moveaxis(places @ np.array([[cosine, -sine], [sine, cosine]]), 2, 0)
+    along, across = _from_an_axis(rng, size, 0.1)
     across += rng.normal(0.0, 0.4) * along**2 / size[1]
     across += 0.3 * half * rng.exponential(0.5) * fractal(rng, size, 4.0, 2)
     across /= half * np.exp(rng.normal(0.0, 0.5) * along / size[1])
@@ -151,9 +158,7 @@ def _room(rng: np.random.Generator, size: Size) -> Array:
 def _beam(rng: np.random.Generator, scene: Array) -> Array:
     """With what stands behind instruments in a laboratory: links of robots, stands, cables, a table's edge, blurred."""
     size, colour = scene.shape[:2], _any_colour(rng) * rng.uniform(0.3, 1.0)
-    places = np.mgrid[: size[0], : size[1]][::-1].transpose(1, 2, 0) - rng.uniform(0.0, 1.0, 2) * size[::-1]
-    cosine, sine = np.cos(heading := rng.uniform(0.0, 2.0 * np.pi)), np.sin(heading)
-    along, across = np.moveaxis(places @ np.array([[cosine, -sine], [sine, cosine]]), 2, 0)
+    along, across = _from_an_axis(rng, size, 0.0)
     half = size[1] * float(np.exp(rng.uniform(*np.log([0.01, 0.3]))))
     across = (across + rng.normal(0.0, 0.2) * along**2 / size[1] * float(rng.random() < 0.3)) / half
     across *= np.exp(rng.normal(0.0, 0.3) * along / size[1])

@@ -68,6 +68,11 @@ class Part:
     surface: Surface | None
     round_end: float = 0.0
 
+    @property
+    def back(self) -> Array:
+        """Unit vector from the end to the beginning, shape (2,)."""
+        return np.asarray((self.begin - self.end) / np.linalg.norm(self.begin - self.end))
+
 
 def _towards(heading: float) -> Array:
     return np.array([np.cos(heading), np.sin(heading)])
@@ -175,7 +180,7 @@ def _letter(rng: np.random.Generator, scene: Array, own: Array, shaft: Part) -> 
     cv2.putText(text, word, (4, 62), cv2.FONT_HERSHEY_SIMPLEX, 2.2, 255, weight, cv2.LINE_AA)
     for at in rng.integers(text.shape[1], size=int(rng.integers(0, 3))).tolist():
         cv2.rectangle(text, (at, 0), (at + int(rng.integers(10, 80)), 80), 255, cv2.FILLED)
-    back = (shaft.begin - shaft.end) / np.linalg.norm(shaft.begin - shaft.end)
+    back = shaft.back
     along = back * rng.choice([-1, 1])
     across, half = np.array([-along[1], along[0]]), shaft.end_half
     turn = half * rng.uniform(0.5, 2.2) / 80 * np.column_stack([along, across])
@@ -191,7 +196,7 @@ def _letter(rng: np.random.Generator, scene: Array, own: Array, shaft: Part) -> 
 def _mark(rng: np.random.Generator, scene: Array, own: Array, parts: list[Part]) -> None:
     """Put on an instrument what laboratories do: tape, a plate with a tag, a bead at a joint."""
     shaft, colour = parts[0], rng.uniform(0, 255, 3).tolist()
-    back = (shaft.begin - shaft.end) / np.linalg.norm(shaft.begin - shaft.end)
+    back = shaft.back
     half, at = shaft.end_half, shaft.end + back * shaft.end_half * rng.uniform(-0.5, 9.0)
     kind = ("tape", "tag", "bead")[rng.choice(3)]
     if kind == "tape":

@@ -131,7 +131,7 @@ class Network(nn.Module):
         return self.scores(found), self.keypoints(found)
 
     def save(self, path: Path, before: Path) -> None:
-        """Write the mean of what it and the net before say as ONNX, and beside it what training can go on from."""
+        """Write as ONNX what it and the net before say, by WEIGHTS, and beside it what training can go on from."""
         torch.save(self.state_dict(), path.with_suffix(".pt"))
         names = {"input_names": ["image"], "output_names": ["own", "own_keypoints"]}
         how = {"opset_version": 17, "dynamo": False}

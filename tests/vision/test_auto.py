@@ -177,9 +177,9 @@ def test_a_wrist_that_comes_in_from_the_border_is_no_shaft(golden):
     segmenter = AutoSegmenter().adapted_to(images[::8])
     wrists, shafts = (
         [one for frame in frames for one in segmenter.masks(images[frame]).seen]
-        for frames in ((27,), (3, 15))
+        for frames in ((27, 28), (3, 15))
     )
-    assert [one.shows_shaft for one in wrists] == [False] * len(wrists) != []
+    assert [one.shows_shaft for one in wrists] == [False] * 2
     assert [one.shows_shaft for one in shafts] == [True] * 4
     assert find_silhouette(images[27], wrists[0], None, WristShape(0.3, 2.0)) is None
 
