@@ -1,6 +1,7 @@
 """Segmentation by a network: masks against an independent computation, faults of a profile, the network that ships."""
 
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -118,6 +119,17 @@ def test_an_unknown_name_is_one_line_with_the_choices(tmp_path):
     with pytest.raises(ProfileError, match=r"no such network ships: .*svmdist:instruments") as caught:
         load_profile(path)
     assert "\n" not in str(caught.value)
+
+
+def test_onnxruntime_and_opencv_say_the_same(monkeypatch):
+    """To a thousandth; not to the last bit, which would be one of them twice."""
+    shipped = OnnxSegmentation.model_validate({"method": "onnx", "model": "svmdist:instruments"})
+    bgr, found = surgery_image(7000).bgr, [OnnxSegmenter(shipped)]
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    found.append(OnnxSegmenter(shipped))
+    for fast, slow in zip(*(one.scores_and_keypoints(bgr) for one in found), strict=True):
+        np.testing.assert_allclose(fast, slow, atol=1e-3)
+        assert (fast != slow).any()
 
 
 def test_it_finds_instruments_in_pictures_of_another_renderer():
