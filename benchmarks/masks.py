@@ -1,11 +1,10 @@
-"""IoU of instruments on public images with masks: `auto`, with and without colours, and the network that ships.
+"""IoU of instruments on public images with masks: `auto`, and the network that ships.
 
 `uv run python -m benchmarks.masks FOLDER [--renders N]` runs on whatever of the sets is in FOLDER (`git clone` of the
 repositories in SETS), and on N pictures that are drawn as those of the training are, with other seeds. It prints
 a table, with means and the worst set, and of the pixels to which the network gives a probability from 0.85 to 0.95
 the share that is instrument. Where a set has no masks, `outlines.json` has outlines drawn by hand, in px of the image.
-Nothing of the
-network is trained on these sets or chosen by them.
+Nothing of the network is trained on these sets or chosen by them.
 """
 
 from __future__ import annotations
@@ -24,7 +23,6 @@ from numpy.typing import NDArray
 from benchmarks.generated_pages import table_row
 from svmdist.profile.segmentation import INSTRUMENTS, OnnxSegmentation
 from svmdist.samples import Image
-from svmdist.vision.instruments.evidence import BINS, Appearance
 from svmdist.vision.instruments.find_instruments import AutoSegmenter
 from svmdist.vision.network import OnnxSegmenter
 from svmdist.vision.segmentation import Segmenter
@@ -160,12 +158,9 @@ def instruments_of(segmenter: Segmenter, bgr: Image) -> Mask:
     return (masks.instrument > 0) if masks.shaft is None else ((masks.instrument | masks.shaft) > 0)
 
 
-def _segmenters(images: Sequence[Image]) -> dict[str, Segmenter]:
-    """What segments the images of one set, as it would those of one log."""
-    found: dict[str, Segmenter] = {}
-    auto, no_colours = AutoSegmenter(), Appearance(np.zeros(BINS, np.float32))
-    found["`auto`"] = auto.adapted_to(images) if len(images) > 1 else auto
-    found["without colours"] = AutoSegmenter(appearance=no_colours)
+def _segmenters() -> dict[str, Segmenter]:
+    """What segments the images."""
+    found: dict[str, Segmenter] = {"`auto`": AutoSegmenter()}
     for name, from_border in (("network", False), ("network, from the border", True)):
         rules = {**INSTRUMENTS, "method": "onnx", "model": "svmdist:instruments", "from_border": from_border}
         found[name] = OnnxSegmenter(OnnxSegmentation.model_validate(rules))
@@ -192,7 +187,7 @@ def nine_of_ten(network: OnnxSegmenter, bgr: Image, truth: Mask) -> Mask:
 Scores = dict[str, list[float]]
 
 
-def print_row(name: str, shows: str, sets: Sequence[Sequence[tuple[Image, Mask]]]) -> tuple[Scores, float]:
+def print_row(name: str, shows: str, images: Sequence[tuple[Image, Mask]]) -> tuple[Scores, float]:
     """Mean and range of the IoU by method, and what is called an instrument where there is none; gives the IoUs.
 
     And of the network: which share of the pixels at 0.9 is instrument.
@@ -202,21 +197,20 @@ def print_row(name: str, shows: str, sets: Sequence[Sequence[tuple[Image, Mask]]
         defaultdict[str, list[float]](list),
         list[Mask](),
     )
-    for images in sets:
-        for method, segmenter in _segmenters([bgr for bgr, _ in images]).items():
-            for bgr, truth in images:
-                found = instruments_of(segmenter, bgr)
-                into, value = (ious, iou(found, truth)) if truth.any() else (wrong, float(found.mean()))
-                into[method].append(value)
-                if method == "network" and isinstance(segmenter, OnnxSegmenter):
-                    likely.append(nine_of_ten(segmenter, bgr, truth))
+    for method, segmenter in _segmenters().items():
+        for bgr, truth in images:
+            found = instruments_of(segmenter, bgr)
+            into, value = (ious, iou(found, truth)) if truth.any() else (wrong, float(found.mean()))
+            into[method].append(value)
+            if method == "network" and isinstance(segmenter, OnnxSegmenter):
+                likely.append(nine_of_ten(segmenter, bgr, truth))
     cells = (
         f"{method}: {np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f})"
         + (f"; {100 * float(np.mean(wrong[method])):.1f}%" if method in wrong else "")
         for method, values in ious.items()
     )
     share = float(np.mean(np.concatenate(likely)))
-    print(table_row((name, shows, str(sum(map(len, sets))), *cells, f"at 0.9: {share:.2f}")))
+    print(table_row((name, shows, str(len(images)), *cells, f"at 0.9: {share:.2f}")))
     return ious, share
 
 
@@ -241,11 +235,11 @@ if __name__ == "__main__":
     for name, (repository, shows, read) in SETS.items():
         root = given.folder / repository.split("/")[1]
         if root.is_dir():
-            rows.append(print_row(name, shows, [list(read(root))]))
+            rows.append(print_row(name, shows, list(read(root))))
         else:
             print(f"{name}: not in {given.folder}; it is {repository}", file=sys.stderr)
     if rows:
         print_means(rows)
     if given.renders:
         pictures = map(render, range(VALIDATION_SEED, VALIDATION_SEED + given.renders))
-        print_row("drawn", "", [[(bgr, labels >= DISTAL)] for bgr, labels, _ in pictures])
+        print_row("drawn", "", [(bgr, labels >= DISTAL) for bgr, labels, _ in pictures])

@@ -140,8 +140,6 @@ def _scenes(recording: Recording, count: int) -> Iterator[Scene]:
     profile = recording.origin.profile
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
     spread = spread_observations(recording, 6)
-    if hasattr(segmenter, "adapted_to"):
-        segmenter = segmenter.adapted_to([one.seen[0].image_bgr for one in spread if one.seen])
     row_offset_px = row_offset_to_remove_px(first_of(spread, profile), profile)
     images = recording.encoded_observations(recording.instruments[:1], PAIRS)
     stride = max(1, (recording.image_count() or count) // count)

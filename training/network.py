@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -22,7 +23,8 @@ from training.instruments import DISTAL, INSTRUMENT, SHAFT, UNKNOWN
 from training.pictures import Shown, near_keypoints
 from training.scene import MIDDLE
 
-SIZE: Size = (192, 256)  # of the input, (h, w)
+SIZE: Size = (256, 320)  # of the input, (h, w)
+TEACHERS_SIZE: Size = (192, 256)  # of the input of the net before
 STAGES = (
     (3, 1, 1, 16, 1),
     (3, 2, 6, 24, 2),
@@ -137,7 +139,7 @@ class Network(nn.Module):
         how = {"opset_version": 17, "dynamo": False}
         torch.onnx.export(self, (torch.zeros(1, 3, *SIZE),), str(path), **names, **how)
         file = compose.add_prefix(onnx.load(path), "own/", rename_inputs=False, rename_outputs=False)
-        given, graph = part_of(before, ["new", "keypoints"]).graph, file.graph
+        graph, given = file.graph, compose.add_prefix(part_of(before, ["new", "keypoints"]), "before/").graph
         for one in list(graph.initializer):
             value, name = to_array(one), one.name
             if value.ndim == 4 and value.size > LARGE:  # eight bits, by output channel
@@ -147,8 +149,12 @@ class Network(nn.Module):
                 graph.node.insert(0, make_node("Mul", [f"{name}/whole", f"{name}/scale"], [name]))
                 cast = make_node("Cast", [f"{name}/bits"], [f"{name}/whole"], to=onnx.TensorProto.FLOAT)
                 graph.node.insert(0, cast)
+        half, teachers_half = np.array(SIZE) // 2, np.array(TEACHERS_SIZE) // 2
+        _resize(graph, "image", "before/image", np.array(TEACHERS_SIZE) / SIZE)
         graph.node.extend(given.node)
         graph.initializer.extend(given.initializer)
+        for name in ("new", "keypoints"):
+            _resize(graph, f"before/{name}", name, half / teachers_half)
         for name, weight in WEIGHTS.items():
             graph.initializer.append(from_array(np.float32(weight), f"{name}/weight"))
             graph.node.append(make_node("LogSoftmax", [name], [f"{name}/likely"], axis=1))
@@ -160,6 +166,11 @@ class Network(nn.Module):
             make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape) for name in ("scores", "keypoints")
         )
         onnx.save(file, path)
+
+
+def _resize(graph: onnx.GraphProto, name: str, to: str, scales: Array) -> None:
+    graph.initializer.append(from_array(np.array([1.0, 1.0, *scales], np.float32), f"{to}/scales"))
+    graph.node.append(make_node("Resize", [name, "", f"{to}/scales"], [to], mode="linear"))
 
 
 def part_of(path: Path, outputs: list[str]) -> onnx.ModelProto:
@@ -175,18 +186,18 @@ def _doubled(values: Tensor) -> Tensor:
 class Teacher:
     """What the net before says of pictures: its older half knew rooms, its younger one keypoints."""
 
-    def __init__(self, before: Path) -> None:
-        part = part_of(before, ["old", "keypoints"])
+    def __init__(self, before: Path, output: str) -> None:
+        part = part_of(before, [output])
         self._net = cv2.dnn.readNetFromONNX(np.frombuffer(part.SerializeToString(), np.uint8))
 
-    def __call__(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Scores and keypoints' log-odds, (n, 4, h / 2, w / 2)."""
-        said = list[list[Array]]()
-        for image in images.contiguous().numpy():
+    def __call__(self, images: Tensor) -> Tensor:
+        """Its output for images (n, 3, *SIZE), at half of SIZE: (n, 4, h / 2, w / 2)."""
+        said = list[Array]()
+        for image in functional.interpolate(images, TEACHERS_SIZE, mode="area").contiguous().numpy():
             self._net.setInput(image[None])
-            said.append([np.asarray(one) for one in self._net.forward(["old", "keypoints"])])
-        scores, keypoints = (torch.from_numpy(np.concatenate(kind)) for kind in zip(*said, strict=True))
-        return scores, keypoints
+            said.append(np.asarray(self._net.forward()))
+        half = SIZE[0] // 2, SIZE[1] // 2
+        return functional.interpolate(torch.from_numpy(np.concatenate(said)), half, mode="bilinear")
 
 
 def train_together(rank: int, given: Namespace, shown: Shown, folder: Path) -> None:
@@ -195,15 +206,16 @@ def train_together(rank: int, given: Namespace, shown: Shown, folder: Path) -> N
     distributed.init_process_group("gloo", init_method=meeting, rank=rank, world_size=given.processes)
     # All begin with the same decoder: only so the mean of their weights is a network
     torch.manual_seed(given.seed)
-    network, teacher = Network(given.start), Teacher(given.before) if given.earlier else None
-    train(network, shown, given.steps, given.seed + 1000 * rank, given.rate, teacher)
+    network = Network(given.start)
+    teachers = [Teacher(given.before, name) for name in ("old", "keypoints")] if given.earlier else []
+    train(network, shown, given.steps, given.seed + 1000 * rank, given.rate, teachers)
     if rank == 0:
         network.save(given.model, given.before)
     distributed.destroy_process_group()
 
 
 def train(
-    network: Network, shown: Shown, steps: int, seed: int, of_rates: float, teacher: Teacher | None = None
+    network: Network, shown: Shown, steps: int, seed: int, of_rates: float, teachers: Sequence[Teacher] = ()
 ) -> None:
     """Train a network on one thread; its weights are then the mean of the last ones.
 
@@ -217,9 +229,11 @@ def train(
     in_encoder = len([one for one in network.blocks.parameters() if one.requires_grad])
     groups = [{"params": weights[:in_encoder]}, {"params": weights[in_encoder:]}]
     optimiser = torch.optim.AdamW(groups, weight_decay=1e-2)
-    rehearsed = REHEARSED if teacher else 0
+    rehearsed = REHEARSED if teachers else 0
     for step in range(1, steps + 1):
-        made = [shown.rehearsed(rng) if n < rehearsed else shown.sample(rng, SIZE) for n in range(BATCH)]
+        made = [
+            shown.rehearsed(rng, SIZE) if n < rehearsed else shown.sample(rng, SIZE) for n in range(BATCH)
+        ]
         images, labels, points, known = (np.stack(kind) for kind in zip(*made, strict=True))
         near = torch.from_numpy(np.stack([near_keypoints(each, SIZE) for each in points])).float()
         rate = of_rates * min(50.0 * step / steps, 0.5 * (1.0 + float(np.cos(np.pi * step / steps))))
@@ -228,10 +242,12 @@ def train(
         shown_to = _to_input(images)
         scores, odds = network(shown_to)
         is_known, loss = torch.from_numpy(known), torch.zeros(())
-        if teacher:
-            said, pointed = teacher(shown_to)
-            near[~is_known], is_known = pointed.sigmoid()[~is_known], torch.ones(BATCH)
-            loss = TEACHING * _divergence(scores[:rehearsed], said[:rehearsed].log_softmax(1))
+        if teachers:
+            of_rooms, of_keypoints = teachers
+            near[~is_known] = of_keypoints(shown_to[~is_known]).sigmoid()
+            is_known = torch.ones(BATCH)
+            said = of_rooms(shown_to[:rehearsed]).log_softmax(1)
+            loss = TEACHING * _divergence(scores[:rehearsed], said)
         loss = loss + _loss(scores, odds, torch.from_numpy(labels), near, is_known)
         optimiser.zero_grad()
         loss.backward()

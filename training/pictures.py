@@ -108,13 +108,15 @@ class Shown:
     grey: Outlined | None = None
     earlier: Outlined | None = None
 
-    def rehearsed(self, rng: np.random.Generator) -> Sample:
-        """A picture drawn as earlier, flipped, and with each channel brighter or darker; its keypoints are unknown."""
+    def rehearsed(self, rng: np.random.Generator, size: Size) -> Sample:
+        """A picture drawn as earlier, flipped, at `size` = (h, w), channels brighter or darker; keypoints unknown."""
         assert self.earlier is not None
         n, (down, across) = int(rng.integers(len(self.earlier[0]))), rng.choice([-1, 1], 2).tolist()
         image, label = (kind[n][::down, ::across] for kind in self.earlier)
         table = np.clip(np.arange(256)[:, None] * np.exp(rng.normal(0.0, 0.12, 3)), 0, 255).astype(np.uint8)
-        return table[image, range(3)], np.ascontiguousarray(label), np.full((5, 5, 2), np.nan), False
+        image = cv2.resize(table[image, range(3)], size[::-1], interpolation=cv2.INTER_LINEAR)
+        label = cv2.resize(label, size[::-1], interpolation=cv2.INTER_NEAREST)
+        return image, label, np.full((5, 5, 2), np.nan), False
 
     def sample(self, rng: np.random.Generator, size: Size) -> Sample:
         """A picture, its labels and keypoints, at `size` = (h, w), and whether all keypoints are known."""

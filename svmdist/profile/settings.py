@@ -56,10 +56,6 @@ class AutoSettings(StrictModel):
     """Segmentation without colours from the user, in a working image that is reduced."""
 
     working_px: int = Field(default=320, ge=160, le=1280)  # longer side of the working image
-    network_weight: float = Field(default=1.0, ge=0.0, le=4.0)
-    """Weight of the shipped network's log-odds beside those of learnt colours; 0 does not run the network."""
-    adapting_frames: int = Field(default=8, ge=1, le=64)
-    """Images, evenly over a log, that colours are learnt from before the first row: so many, or up to twice as many."""
     least_area: float = Field(default=0.003, gt=0.0, lt=0.5)  # an instrument's least part of the picture
     most_instruments: int = Field(default=5, ge=1, le=16)  # instruments of one image
 

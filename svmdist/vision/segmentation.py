@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Protocol
 
 import cv2
 import numpy as np
@@ -29,18 +28,6 @@ class Segmenter(Protocol):
 
     def masks(self, image: Image, /) -> Masks:
         """The masks of an image, shape (h, w, 3), as HSV for one that uses colours, else as BGR."""
-
-
-@runtime_checkable
-class LearningSegmenter(Segmenter, Protocol):
-    """One that learns from images of a log before the first row."""
-
-    @property
-    def adapting_frames(self) -> int:
-        """How many moments of a log it wants to learn from."""
-
-    def adapted_to(self, images: Sequence[Image]) -> Segmenter:
-        """One that knows what instruments look like in these images, shape (h, w, 3) in BGR each."""
 
 
 def make_segmenter(rules: Segmentation, auto: AutoSettings = DEFAULT) -> Segmenter:

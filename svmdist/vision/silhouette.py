@@ -14,7 +14,7 @@ from svmdist.vision.edge_lines import ROUGH_PX, EdgeLine, edge_line
 from svmdist.vision.instruments.find_instruments import SeenInstrument
 from svmdist.vision.shadows import edge_within
 
-MIN_LENGTH_WIDTHS = 1.25  # of the shorter side
+MIN_LENGTH_WIDTHS = 1.25  # of both sides, on average: where it comes in at a slant one is shorter
 MOST_OFF_STDS = 2.5  # of a sharp edge from the rough side it was sought at
 MAX_TAPER_RAD = 0.6  # between the sides; a cylinder that points at the camera shows no length
 ENDS_AGREE_WIDTHS = 0.3  # both edges' ends along the shaft: clevises are lopsided
@@ -216,7 +216,7 @@ def find_silhouette(
         return None
     width_px = _width_px(first, second)
     least_px = MIN_LENGTH_WIDTHS * width_px
-    if not min(first.length_px, second.length_px) >= least_px > 0.0:
+    if not 0.5 * (first.length_px + second.length_px) >= least_px > 0.0:
         return None
     # What has no sharp edge where the evidence ends may be anything: the arm behind an instrument, or a blot.
     if not seen.is_sure and any(edge.covariance is not None for edge in (first, second)):

@@ -1,8 +1,8 @@
-"""A look at some images of all of a log before its first row: colours to learn, the offset of rows, comparisons."""
+"""A look at some images of all of a log before its first row: the offset of rows, comparisons."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,13 +22,12 @@ from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import Decoded, EncodedObservation, Needs
 from svmdist.results import Failure, ToolPose
-from svmdist.samples import Image, Observation, Rejection
+from svmdist.samples import Observation, Rejection
 from svmdist.transforms import Array
 from svmdist.vision.colour import to_grey
 from svmdist.vision.frame_context import as_pinholes, with_first_fields
-from svmdist.vision.segmentation import LearningSegmenter, Segmenter, make_segmenter
+from svmdist.vision.segmentation import Segmenter, make_segmenter
 from svmdist.vision.stereo import RowOffset, agreed_offset, corresponding_points, rectified_pair
-from svmdist.workflows.request import CLEAN, ReplayCondition
 
 CHECKED = 6  # images, and up to twice as many, evenly over the log
 LOOKED_AT = 3  # of them before the first row; the others are where one of these differs by more than
@@ -62,12 +61,7 @@ class Sighted:
         return None if isinstance(self.decoded.found, Rejection) else self.decoded.found
 
 
-def images_to_look_at(segmenter: Segmenter) -> int:
-    """How many images are wanted: where colours are learnt from them it may be more."""
-    return max(CHECKED, segmenter.adapting_frames) if isinstance(segmenter, LearningSegmenter) else CHECKED
-
-
-def spread_observations(recording: Recording, count: int) -> list[Sighted]:
+def spread_observations(recording: Recording, count: int = CHECKED) -> list[Sighted]:
     """Up to twice `count` of a log's observations, evenly from its beginning to its end.
 
     The log is read once, its length unknown: of those kept every second one goes whenever there are too many, so that
@@ -82,25 +76,6 @@ def spread_observations(recording: Recording, count: int) -> list[Sighted]:
         if len(kept) > 2 * count:
             kept, stride = kept[::2], 2 * stride
     return [Sighted(one) for one in recording.with_states(kept, names)]
-
-
-def adapted_segmenters(
-    segmenter: Segmenter, spread: Sequence[Sighted], conditions: Sequence[ReplayCondition]
-) -> list[Segmenter]:
-    """The segmenter for each condition: one that learns has seen images of all of the log under that condition."""
-    if not isinstance(segmenter, LearningSegmenter):
-        return [segmenter for _ in conditions]
-
-    def images(condition: ReplayCondition) -> Iterator[Image]:
-        for one in spread:
-            if one.seen is None:
-                continue
-            changed = condition.apply(one.seen[0], one.number)
-            yield changed.image_bgr
-            if changed.right is not None:
-                yield changed.right.image_bgr
-
-    return [segmenter.adapted_to(list(images(condition))) for condition in conditions]
 
 
 def row_offset(pairs: Sequence[Observation], profile: Profile) -> RowOffset | None:
@@ -251,26 +226,24 @@ def check_log(recording: Recording, profile: Profile) -> dict[str, Checks]:
     """
     profile = profile.model_copy(update={"tissue": profile.tissue or SOMEWHERE})
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
-    spread = spread_observations(recording, images_to_look_at(segmenter))
-    (segmenter,) = adapted_segmenters(segmenter, spread, [CLEAN])
+    spread = spread_observations(recording)
     arms = [Arm(profile.for_instrument(name)) for name in recording.instruments]
     row_offset_px = row_offset_to_remove_px(first_of(spread, profile), profile)
-    few = spread[:: max(1, -(-len(spread) // (2 * CHECKED)))]
-    for one in few:
+    for one in spread:
         for loss in one.decoded.losses:
             recording.health.add(loss, one.decoded.place)
-    if few and not any(one.seen for one in few):
-        why = few[0].decoded.found
+    if spread and not any(one.seen for one in spread):
+        why = spread[0].decoded.found
         assert isinstance(why, Rejection)
         raise RecordingError(
-            f"{recording.name}: no image of {len(few)} can be used: {why.detail or why.status}"
+            f"{recording.name}: no image of {len(spread)} can be used: {why.detail or why.status}"
         )
     found, _ = checked(
-        few,
+        spread,
         arms,
         lambda _, seen: look(seen, arms, segmenter, row_offset_px),
-        least=len(few),
-        pairs=len(few),
+        least=len(spread),
+        pairs=len(spread),
         is_part=recording.is_part,
         changes=camera_changes(recording),
     )

@@ -135,7 +135,7 @@ def draft_profile(
         camera.frame_id or "camera",
         instruments,
         find_distinct_colour(images, len(instruments)),
-        _surface(recording, observations, images),
+        _surface(recording, observations),
         instrument or (UNKNOWN_INSTRUMENT if instruments[0].chain is None else DA_VINCI_INSTRUMENT),
         has_base,
         len(images),
@@ -249,7 +249,7 @@ def _blank(topics: Mapping[str, str]) -> Profile:
 
 def _instruments_by_sides(images: Sequence[Image]) -> tuple[InstrumentDraft, ...]:
     """Instruments by the sides of the picture that they come in from in most images; one where no two are seen."""
-    segmenter = AutoSegmenter().adapted_to(images)
+    segmenter = AutoSegmenter()
     sides: Counter[str] = Counter()
     for image in images:
         height_px, width_px = image.shape[:2]
@@ -267,16 +267,14 @@ def _instruments_by_sides(images: Sequence[Image]) -> tuple[InstrumentDraft, ...
     )
 
 
-def _surface(
-    recording: Recording, observations: Sequence[Observation], images: Sequence[Image]
-) -> TissueDraft | None:
+def _surface(recording: Recording, observations: Sequence[Observation]) -> TissueDraft | None:
     """The plane through the tissue's surface as pairs of views show it; None where too few agree on one."""
     if recording.right_camera is None:
         return None
     rules = _blank({}).model_copy(
         update={"segmentation": AutoSegmentation(method="auto"), "tissue": FIRST_GUESS}
     )
-    segmenter, deviations = AutoSegmenter().adapted_to(images), Deviations(CameraError())
+    segmenter, deviations = AutoSegmenter(), Deviations(CameraError())
     offset_px = row_offset_to_remove_px(observations, rules)
     clouds: list[Array] = []
     stds_m: list[float] = []

@@ -31,14 +31,11 @@ from svmdist.recording.source import Loss, LossKind
 from svmdist.results import Distances, FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection, Status
 from svmdist.vision.frame_context import seen_through
-from svmdist.vision.segmentation import LearningSegmenter
 from svmdist.workflows.check import (
     Looked,
-    adapted_segmenters,
     camera_changes,
     checked,
     first_of,
-    images_to_look_at,
     look,
     row_offset_to_remove_px,
     spread_observations,
@@ -194,16 +191,13 @@ class _Replay:
         self._stereo_arms = self._arms
         self._places = [every.index(name) for name in self._wanted]
         self._conditions = tuple(conditions)
-        self._segmenters = [self._setup.segmenter] * len(self._conditions)
+        self._segmenter = self._setup.segmenter  # one network, whatever becomes of the setup
         self._row_offset_px = 0.0
         self._looked: dict[tuple[int, int], Looked] = {}
         self._checks: list[dict[str, Checks]] = [{} for _ in conditions]
         self._are_given = all(setup.is_given for setup in setups)
         if not all(setup.is_planar or setup.is_given for setup in setups):
             self._compare(any(setup.needs_right_view for setup in setups))
-        elif isinstance(self._setup.segmenter, LearningSegmenter):
-            spread = spread_observations(recording, images_to_look_at(self._setup.segmenter))
-            self._segmenters = adapted_segmenters(self._setup.segmenter, spread, self._conditions)
         self._associations = [self._association() for _ in conditions]
         self._lanes = [[self._lane(setup, known) for setup in setups] for known in self._checks]
         self._needs = reduce(Needs.__or__, (lane.needs for lane in self._lanes[0]))
@@ -211,17 +205,16 @@ class _Replay:
     def _compare(self, needs_rows: bool) -> None:
         """Look at some images of all of the log: learn colours, find the offset of rows, compare what must agree."""
         profile, health = self._setup.profile, self._recording.health
-        spread = spread_observations(self._recording, images_to_look_at(self._setup.segmenter))
-        self._segmenters = adapted_segmenters(self._setup.segmenter, spread, self._conditions)
+        spread = spread_observations(self._recording)
         if needs_rows:
             self._row_offset_px = row_offset_to_remove_px(first_of(spread, profile), profile)
         if profile.tissue is None:
             return
-        for at, (condition, segmenter) in enumerate(zip(self._conditions, self._segmenters, strict=True)):
+        for at, condition in enumerate(self._conditions):
 
             def looked(number: int, seen: tuple[Observation, ...]) -> Looked:
                 changed = tuple(condition.apply(one, number) for one in seen)  # noqa: B023
-                return look(changed, self._arms, segmenter, self._row_offset_px)  # noqa: B023
+                return look(changed, self._arms, self._segmenter, self._row_offset_px)
 
             self._checks[at], found = checked(
                 spread,
@@ -297,7 +290,7 @@ class _Replay:
         seen = self._conditions[at].apply(found[0], place["number"])
         looked = self._looked.pop((at, place["number"]), None)
         if looked is None:
-            scene = Scene(seen, self._setup.profile, self._segmenters[at], self._row_offset_px)
+            scene = Scene(seen, self._setup.profile, self._segmenter, self._row_offset_px)
         else:
             scene = looked.scene
         spent_s = prefetch(scene, self._needs.scene)

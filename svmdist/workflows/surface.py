@@ -23,13 +23,10 @@ from svmdist.vision.segmentation import make_segmenter
 from svmdist.workflows.capabilities import HEAD_S, misfit
 from svmdist.workflows.check import (
     PAIRS,
-    adapted_segmenters,
     first_of,
-    images_to_look_at,
     row_offset_to_remove_px,
     spread_observations,
 )
-from svmdist.workflows.request import CLEAN
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +66,7 @@ def tissue_surface(recording: Recording, profile: Profile, number: int) -> Tissu
         needs = "a surface needs a calibrated right view, which it has not: `svmdist import` takes two"
         raise RecordingError(f"{recording.name}: {misfit(summary, profile) or needs}")
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
-    spread = spread_observations(recording, images_to_look_at(segmenter))
-    (segmenter,) = adapted_segmenters(segmenter, spread, [CLEAN])
-    row_offset_px = row_offset_to_remove_px(first_of(spread, profile), profile)
+    row_offset_px = row_offset_to_remove_px(first_of(spread_observations(recording), profile), profile)
     images = recording.encoded_observations(recording.instruments[:1], PAIRS)
     chosen = next(islice(images, number, None), None)
     if chosen is None:

@@ -14,12 +14,10 @@ import pytest
 
 from svmdist.estimation.methods import METHODS
 from svmdist.estimation.scene import Arm
-from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample, Sample, Status
 from svmdist.vision.degradations import Degradation
-from svmdist.vision.instruments.find_instruments import AutoSegmenter
-from svmdist.workflows.check import adapted_segmenters, spread_observations
+from svmdist.workflows.check import spread_observations
 from svmdist.workflows.replay import MultiInstrumentEstimator, Place, Replayed, replay
 from svmdist.workflows.request import CLEAN, Condition, Setup, prepare
 from tests.synthetic import START_NS, write_log
@@ -153,7 +151,7 @@ def test_frames_without_images_are_no_frames(tmp_path, setups):
     assert outcomes(replayed(half, centroid, jobs=2)) == outcomes(replayed(whole, centroid, jobs=2))[::2]
 
 
-def test_what_a_segmenter_learns_from_is_spread_over_the_log(tmp_path):
+def test_what_is_looked_at_is_spread_over_the_log(tmp_path):
     """Evenly from the first image, at least as many as wanted and at most twice as many."""
     recording = open_recording(write_log(tmp_path / "a.mcap", frame_count=23), prepare().profile)
     for wanted in (1, 3, 8, 40):
@@ -161,13 +159,3 @@ def test_what_a_segmenter_learns_from_is_spread_over_the_log(tmp_path):
         assert numbers[0] == 0
         assert len(set(np.diff(numbers))) <= 1
         assert min(wanted, 23) <= len(numbers) <= 2 * wanted
-
-
-def test_each_condition_has_its_own_segmenter(log):
-    """Colours are learnt under the condition they are used in; methods that do not learn are shared."""
-    automatic = prepare().profile.model_copy(update={"segmentation": AutoSegmentation(method="auto")})
-    recording = open_recording(log, automatic)
-    first, second = adapted_segmenters(AutoSegmenter(), spread_observations(recording, 3), [CLEAN, NOISE])
-    assert first is not second
-    colours = prepare().segmenter
-    assert adapted_segmenters(colours, [], [CLEAN, NOISE]) == [colours, colours]

@@ -1,9 +1,7 @@
-"""Evidence: how much each pixel speaks for an instrument, by the network that ships and by learnt colours."""
+"""Evidence: how much each pixel speaks for an instrument, by the network that ships."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import cv2
@@ -28,9 +26,6 @@ BORDER_FRACTION = 0.4  # of the picture's median; a border is darker, though haz
 LEVEL_OFFSET = 8.0
 MOST_ODDS = 4.0  # of one pixel, as a logarithm: neither its texture nor its colour is ever surer
 MOST_AGAINST = 2.0  # of the network's odds: it misses dark instruments more often than it invents one
-SURE_ODDS = 1.5  # of the network, from which on a pixel teaches what colours instrument and background have
-LEAST_TAUGHT = (60, 200)  # pixels of instrument and of background from which colours are learnt
-WARMTH_STD = 0.25  # without the network: tissue's scatter of the logarithm of redness, which steel lacks
 
 DISTAL, SHAFT = (INSTRUMENTS[part]["class_ids"][0] for part in ("instrument", "shaft"))
 Floats = NDArray[np.float32]
@@ -44,15 +39,14 @@ class Evidence:
     The middle of a pixel is a whole number in either image: q = scale (p + 0.5) - 0.5.
     """
 
-    def __init__(self, bgr: Image, settings: AutoSettings, appearance: Appearance | None = None) -> None:
+    def __init__(self, bgr: Image, settings: AutoSettings) -> None:
         height, width = bgr.shape[:2]
-        self.settings, self.size = settings, (height, width)
+        self.settings, self.size, self._image = settings, (height, width), bgr
         self.scale = settings.working_px / max(width, height)
         size = (round(self.scale * width), round(self.scale * height))
         how = cv2.INTER_AREA if self.scale < 1.0 else cv2.INTER_LINEAR
         self.bgr = np.asarray(cv2.resize(bgr, size, interpolation=how), np.uint8)
         self.picture = picture_of(self.bgr)
-        self._appearance = appearance
         self.hidden, self.hides = np.zeros_like(self.picture), False
 
     def hide(self, mask: Image) -> None:
@@ -61,10 +55,6 @@ class Evidence:
         smaller = cv2.resize(mask, size, interpolation=cv2.INTER_AREA)
         self.hidden |= np.where(smaller > 0, 255, 0).astype(np.uint8)
         self.hides = True
-
-    def learn(self, appearance: Appearance | None) -> None:
-        """Take colours for what they were in other images, before anything is sought."""
-        self._appearance = appearance
 
     @cached_property
     def core(self) -> Image:
@@ -80,14 +70,9 @@ class Evidence:
     @cached_property
     def scores(self) -> Floats:
         """The network's log-odds of instrument, and of shaft against distal part, shape (2, h, w)."""
-        if self.settings.network_weight == 0.0:
-            warmth = self.warmth
-            odds = (
-                (np.median(warmth[self.core > 0]) - warmth) / WARMTH_STD if self.core.any() else 0.0 * warmth
-            )
-            return np.stack([np.clip(odds, -MOST_ODDS, MOST_ODDS), np.zeros_like(odds)]).astype(np.float32)
         x, y, width, height = cv2.boundingRect(self.picture)
-        scores = _network().scores(np.ascontiguousarray(self.bgr[y : y + height, x : x + width]))
+        left, top, right, bottom = (round(at / self.scale) for at in (x, y, x + width, y + height))
+        scores = _network().scores(np.ascontiguousarray(self._image[top:bottom, left:right]))
         others = np.logaddexp.reduce(np.delete(scores, (DISTAL, SHAFT), 0))
         odds = np.logaddexp(scores[DISTAL], scores[SHAFT]) - others
         both = np.stack([odds, scores[SHAFT] - scores[DISTAL]], -1)
@@ -111,27 +96,10 @@ class Evidence:
 
     @cached_property
     def odds(self) -> Floats:
-        """Log-odds of instrument, shape (h, w), by network and colours; as low as can be outside of the picture."""
-        weight = self.settings.network_weight or 1.0
-        odds = weight * self.scores[0]
-        appearance = self._appearance or learnt_from([self.example])
-        if appearance is not None:
-            odds = odds + appearance.of(self)
-        odds = np.where(self.core > 0, odds, -MOST_ODDS).astype(np.float32)
+        """Log-odds of instrument, shape (h, w); lowest where no light reaches, 0 where it is hidden."""
+        odds = np.where(self.core > 0, self.scores[0], -MOST_ODDS).astype(np.float32)
         odds[self.hidden > 0] = 0.0
         return odds
-
-    @property
-    def example(self) -> Example:
-        """Colours of what the network is sure of, instrument and background, (n, 3) each; none of too little."""
-        odds, kernels = self.scores[0], (SQUARE_3, SQUARE_5)
-        sure = [(odds > SURE_ODDS) & (self.core > 0), (odds < -SURE_ODDS) & (self.core > 0)]
-        inner = [
-            cv2.erode(one.astype(np.uint8), kernel) > 0 for one, kernel in zip(sure, kernels, strict=True)
-        ]
-        if any(np.count_nonzero(one) < least for one, least in zip(inner, LEAST_TAUGHT, strict=True)):
-            return self.colours[:0, 0], self.colours[:0, 0]
-        return self.colours[inner[0]], self.colours[inner[1]]
 
 
 @lru_cache(maxsize=1)
@@ -156,78 +124,6 @@ def picture_of(bgr: Image, border_levels: float = BORDER_LEVELS) -> Image:
         return whole
     view = field_of_view(np.asarray(255 * (value <= level), np.uint8))
     return view if view.any() else whole
-
-
-BINS = (20, 20, 12)
-LOWEST = np.array([-0.7, -0.9, 2.0], np.float32)
-HIGHEST = np.array([1.5, 1.0, 5.6], np.float32)
-"""Bounds of log(R/G), log(G/B) and the mean logarithm: what lies outside counts with the nearest bin."""
-ACHROMATIC_SHARE = 0.3  # how much of an instrument is steel and glare that no image before has shown
-ACHROMATIC_STD = 0.15
-"""How far the colour ratio of steel is from that of the instruments seen: light that tissue has reflected."""
-UNKNOWN_SHARE = 0.02  # how much of anything has a colour not seen before: it speaks for neither
-
-
-@dataclass(frozen=True)
-class Appearance:
-    """log(P(colour | instrument) / P(colour | background)), shape `BINS`."""
-
-    ratios: Floats
-
-    def of(self, image: Evidence) -> Floats:
-        """How much the colours of an image speak for an instrument, shape (h, w), neighbours averaged."""
-        ratio = self.ratios.reshape(-1)[_bins_of(image.colours)]
-        return np.asarray(cv2.GaussianBlur(ratio, (0, 0), 1.2), np.float32)
-
-
-Example = tuple[Floats, Floats]
-"""Colours, shape (n, 3) each, of what is instrument and of what is background for sure."""
-
-
-def learnt_from(examples: Sequence[Example]) -> Appearance | None:
-    """Learn from examples, all alike in weight for each pixel; None where they show no instrument or no background."""
-    inside = sum((_counts(own) for own, _ in examples), np.zeros(BINS))
-    outside = sum((_counts(other) for _, other in examples), np.zeros(BINS))
-    if not inside.any() or not outside.any():
-        return None
-    neutral = np.median(np.vstack([own[:, :2] for own, _ in examples]), axis=0)
-    instrument = (1.0 - ACHROMATIC_SHARE) * _smooth(inside) + ACHROMATIC_SHARE * _achromatic(neutral)
-    unknown = UNKNOWN_SHARE / float(np.prod(BINS))
-    ratio = np.log((instrument + unknown) / (_smooth(outside) + unknown))
-    return Appearance(np.clip(ratio, -MOST_ODDS, MOST_ODDS).astype(np.float32))
-
-
-def _bins_of(colours: Floats) -> NDArray[np.int32]:
-    bins = np.array(BINS, np.float32)
-    at = np.clip((colours - LOWEST) * (bins / (HIGHEST - LOWEST)), 0, bins - 1).astype(np.int32)
-    return np.asarray((at[..., 0] * BINS[1] + at[..., 1]) * BINS[2] + at[..., 2], np.int32)
-
-
-def _counts(colours: Floats) -> NDArray[np.float64]:
-    return np.bincount(_bins_of(colours), minlength=int(np.prod(BINS))).reshape(BINS).astype(np.float64)
-
-
-TAPS = (1 / 16, 4 / 16, 6 / 16, 4 / 16, 1 / 16)
-
-
-def _smooth(counts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Counts as probabilities, shape `BINS`, each shared with its neighbours: noise is wider than a bin."""
-    for axis, length in enumerate(BINS):
-        padded = np.pad(counts, [(2, 2) if other == axis else (0, 0) for other in range(3)])
-        shifted = [np.take(padded, range(at, at + length), axis=axis) for at in range(5)]
-        counts = sum((tap * part for tap, part in zip(TAPS, shifted, strict=True)), np.zeros(BINS))
-    return np.asarray(counts / counts.sum())
-
-
-def _achromatic(neutral: Floats) -> NDArray[np.float64]:
-    """Probabilities, shape `BINS`, of what has about the colour ratios `neutral`, shape (2,), at any brightness."""
-    density = np.ones(BINS)
-    for axis in range(2):
-        step = float(HIGHEST[axis] - LOWEST[axis]) / BINS[axis]
-        centres = LOWEST[axis] + step * (np.arange(BINS[axis]) + 0.5)
-        bell = np.exp(-0.5 * ((centres - neutral[axis]) / ACHROMATIC_STD) ** 2)
-        density = density * np.expand_dims(bell, [other for other in range(3) if other != axis])
-    return np.asarray(density / density.sum())
 
 
 DISTINCT_SHARE = 0.7

@@ -13,17 +13,9 @@ from numpy.typing import NDArray
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.instruments.evidence import (
-    SQUARE_3,
-    Appearance,
-    Evidence,
-    Example,
-    learnt_from,
-    tissue_of,
-)
+from svmdist.vision.instruments.evidence import SQUARE_3, Evidence, tissue_of
 from svmdist.vision.instruments.outline import Outline
 from svmdist.vision.instruments.outline_search import (
-    LEAST_NETWORK,
     Judged,
     judged,
     part_entering,
@@ -35,9 +27,8 @@ MOST_OVERLAP = 0.3  # of the smaller of two strips: those of more are one instru
 DISTAL_WIDTHS = 4.5  # how far wrist and jaws reach beyond the end of the shaft, over its width there
 DISTAL_HALF_WIDTHS = 1.3  # how far they reach to either side of its axis, over its width
 BESIDE_WIDTHS = 0.08  # how far evidence beside a side is still that of the shaft, over its width
-NEAR_PX = 9  # what is so near to an instrument in the working image teaches nothing of the background
 LEAST_ENTERING = 0.0  # log-odds of a shaft against wrist and jaws, of what comes in
-SURE = 2.0  # odds of what shows no straight shaft
+LIKELY = 0.7  # mean odds of what shows no straight shaft
 SURE_ALONG = 1.5  # inside of the weaker side, where no edge is sharp: the network's own is soft
 MOST_HOLE = 0.003  # of the picture: glare and blood; through a larger hole tissue is seen
 
@@ -48,24 +39,28 @@ Found = tuple[Outline, Mask, Judged]
 
 def find_instruments(evidence: Evidence, strips: Iterable[Outline] | None = None) -> list[Found]:
     """The instruments of an image, the surest first; with strips only those near them."""
-    found: list[Found] = []
-    taken = np.zeros_like(evidence.core)
+    shafts: list[tuple[Outline, Judged, Image]] = []
     for rough in rough_outlines(evidence, strips):
-        if _is_taken(rough, taken):
+        others = [strip for _, _, strip in shafts]
+        if _is_taken(rough, others):
             continue
         outline = sharpened(rough, evidence)
-        if outline is None or _is_taken(outline, taken):
+        if outline is None or _is_taken(outline, others):
             continue
-        score = judged(outline, evidence)
-        if not score.is_accepted:
-            continue
-        mask = _belonging(outline, evidence) & (taken == 0)
-        if np.count_nonzero(mask) < evidence.settings.least_area * max(cv2.countNonZero(evidence.core), 1):
-            continue
-        taken[mask] = 255
-        found.append((outline, mask, score))
-        if len(found) == evidence.settings.most_instruments:
+        if (score := judged(outline, evidence)).is_accepted:
+            shafts.append((outline, score, _filled(outline, evidence.core)))
+        if len(shafts) == evidence.settings.most_instruments:
             break
+    found: list[Found] = []
+    taken = np.zeros_like(evidence.core)
+    least_px = evidence.settings.least_area * max(cv2.countNonZero(evidence.core), 1)
+    for at, (outline, score, own) in enumerate(shafts):
+        # Where instruments touch, what belongs to one reaches into the next one's shaft.
+        others = np.bitwise_or.reduce([taken, *(strip & ~own for _, _, strip in shafts[at + 1 :])])
+        mask = _belonging(outline, evidence) & (others == 0)
+        if np.count_nonzero(mask) >= least_px:
+            taken[mask] = 255
+            found.append((outline, mask, score))
     return sorted(found, key=lambda one: -one[2].evidence)
 
 
@@ -76,9 +71,11 @@ def _filled(outline: Outline, like: Image) -> Image:
     return strip
 
 
-def _is_taken(outline: Outline, taken: Image) -> bool:
-    strip = _filled(outline, taken)
-    return cv2.countNonZero(strip & taken) > MOST_OVERLAP * cv2.countNonZero(strip)
+def _is_taken(outline: Outline, strips: Sequence[Image]) -> bool:
+    if not strips:
+        return False
+    own, count = _filled(outline, strips[0]), cv2.countNonZero
+    return any(count(own & strip) > MOST_OVERLAP * min(count(own), count(strip)) for strip in strips)
 
 
 def _belonging(outline: Outline, evidence: Evidence) -> Mask:
@@ -117,35 +114,16 @@ def _without_holes(mask: Mask, most_px: float) -> Mask:
     return np.asarray(mask | np.isin(labels, small))
 
 
-def sure_parts(evidence: Evidence) -> Mask:
-    """Connected parts of a working image, shape (h, w), that are instrument for sure, whatever their shape."""
-    sure = np.asarray((evidence.odds > SURE) & (evidence.core > 0), np.uint8)
-    sure = np.asarray(cv2.morphologyEx(sure, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
-    count, parts, statistics, _ = cv2.connectedComponentsWithStats(sure)
+def likely_parts(evidence: Evidence) -> Mask:
+    """Connected parts of a working image, shape (h, w), that are likely instrument, whatever their shape."""
+    likely = np.asarray((evidence.odds > 0.0) & (evidence.core > 0), np.uint8)
+    likely = np.asarray(cv2.morphologyEx(likely, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
+    count, parts, statistics, _ = cv2.connectedComponentsWithStats(likely)
     area = statistics[:, cv2.CC_STAT_AREA]
-    network = np.bincount(parts.ravel(), evidence.scores[0].ravel(), count) / np.maximum(area, 1)
-    kept = (network > LEAST_NETWORK) & (area > evidence.settings.least_area * cv2.countNonZero(evidence.core))
+    mean = np.bincount(parts.ravel(), evidence.odds.ravel(), count) / np.maximum(area, 1)
+    kept = (mean > LIKELY) & (area > evidence.settings.least_area * cv2.countNonZero(evidence.core))
     kept[0] = False
     return np.asarray(kept[parts])
-
-
-def learnt_appearance(bgrs: Sequence[Image], settings: AutoSettings) -> Appearance | None:
-    """What instruments look like in images of one log, (h, w, 3) each; None where none of them shows one for sure."""
-    every = [Evidence(bgr, settings) for bgr in bgrs]
-    first = learnt_from([evidence.example for evidence in every])
-    examples = []
-    for evidence in every:
-        evidence.learn(first)
-        if found := find_instruments(evidence):
-            examples.append(_example(evidence, found))
-    return learnt_from(examples) or first
-
-
-def _example(evidence: Evidence, found: Sequence[Found]) -> Example:
-    mask = np.asarray(np.any([mask for _, mask, _ in found], axis=0), np.uint8)
-    near = cv2.dilate(mask, np.ones((NEAR_PX, NEAR_PX), np.uint8))
-    inside, outside = cv2.erode(mask, SQUARE_3) > 0, (near == 0) & (evidence.core > 0)
-    return evidence.colours[inside], evidence.colours[outside]
 
 
 @dataclass(frozen=True)
@@ -228,8 +206,8 @@ def seen_instrument(found: Found, evidence: Evidence) -> SeenInstrument:
     pixel_px = 1.0 / evidence.scale
     known = pixel_px**2 * outline.covariance, pixel_px * outline.end_std_px, outline.ends_dark
     other = pixel_px * outline.other_px, outline.other_share
-    # Infinite where it was not asked; a plate on an instrument may hide its sides.
-    is_sure = SURE_ALONG < score.network_beside < np.inf and not evidence.hides
+    # Infinite where nothing is seen; a plate on an instrument may hide its sides.
+    is_sure = SURE_ALONG < score.weaker_side < np.inf and not evidence.hides
     shows_shaft = part_entering(outline, evidence) > LEAST_ENTERING
     return SeenInstrument(
         mask, evidence.size, sides, end_px, score.evidence, *known, pixel_px, *other, is_sure, shows_shaft
@@ -247,10 +225,8 @@ DEFAULT = AutoSettings()
 class AutoMasks:
     """The masks of one image, shape (h, w) with 0 or 255, made when they are first asked for."""
 
-    def __init__(self, bgr: Image, appearance: Appearance | None, settings: AutoSettings) -> None:
-        # No image that was learnt from shows an instrument: this one may.
-        self._appearance = appearance or learnt_appearance([bgr], settings)
-        self._evidence = Evidence(bgr, settings, self._appearance)
+    def __init__(self, bgr: Image, settings: AutoSettings) -> None:
+        self._evidence = Evidence(bgr, settings)
 
     def hide(self, mask: Image) -> None:
         """Take what is marked, shape (h, w), for nothing, before anything is sought: a tag's plate on an instrument."""
@@ -263,20 +239,20 @@ class AutoMasks:
 
     def seek(self, sides: Array) -> None:
         """Add the instrument near two sides, (2, 2, 2) in px, where evidence bears one out that is not yet seen."""
-        taken = self._union([one.mask for one in self.seen])
-        if _is_taken(Outline(sides), taken):
+        strips = [_filled(Outline(one.sides), self.picture) for one in self.seen]
+        if _is_taken(Outline(sides), strips):
             return
         rough = Outline((sides + 0.5) * self._evidence.scale - 0.5)
         found = [seen_instrument(one, self._evidence) for one in find_instruments(self._evidence, (rough,))]
-        if found and not _is_taken(Outline(found[0].sides), taken):
+        if found and not _is_taken(Outline(found[0].sides), strips):
             self.__dict__["seen"] = (*self.seen, found[0])
             for name in ("tissue", "instrument", "shaft"):
                 self.__dict__.pop(name, None)
 
     @cached_property
     def _others(self) -> Image:
-        """Instruments without a straight shaft: parts that network and colours together are sure of, shape (h, w)."""
-        return _enlarged(255 * sure_parts(self._evidence).astype(np.uint8), self._evidence.size)
+        """Instruments without a straight shaft, shape (h, w)."""
+        return _enlarged(255 * likely_parts(self._evidence).astype(np.uint8), self._evidence.size)
 
     @cached_property
     def picture(self) -> Image:
@@ -312,23 +288,13 @@ class AutoMasks:
 
 
 class AutoSegmenter:
-    """Finds instruments by the evidence of the network that ships and of learnt colours, inside of straight sides."""
+    """Finds instruments by the evidence of the network that ships, inside of straight sides."""
 
     uses_colours = False
 
-    def __init__(self, settings: AutoSettings = DEFAULT, appearance: Appearance | None = None) -> None:
+    def __init__(self, settings: AutoSettings = DEFAULT) -> None:
         self._settings = settings
-        self._appearance = appearance
-
-    @property
-    def adapting_frames(self) -> int:
-        """How many moments of a log it wants to learn from."""
-        return self._settings.adapting_frames
-
-    def adapted_to(self, images: Sequence[Image]) -> AutoSegmenter:
-        """One that knows what instruments look like in these images, shape (h, w, 3) in BGR each."""
-        return AutoSegmenter(self._settings, learnt_appearance(images, self._settings))
 
     def masks(self, bgr: Image, /) -> AutoMasks:
         """The masks of an image, shape (h, w, 3) in BGR as recorded."""
-        return AutoMasks(bgr, self._appearance, self._settings)
+        return AutoMasks(bgr, self._settings)

@@ -31,6 +31,8 @@ MIDDLE = np.linspace(0.2, 0.8, 5)
 ENTERING = np.linspace(0.05, 0.5, STATIONS // 2)  # along a shaft: what comes in, before anything else begins
 WITHIN = np.linspace(0.06, 0.94, 9)
 INSIDE_OF_SIDES = (np.linspace(0.04, 0.25, 4), np.linspace(0.75, 0.96, 4))
+BESIDE = (np.array([-0.15, -0.25, -0.35]), np.array([1.15, 1.25, 1.35]))
+ALONG = np.linspace(0.03, 0.97, STATIONS)  # over the length: where an outline is judged
 LEAST_LENGTH = 0.8  # over the width, that a fit keeps of a shaft
 MOST_MARGIN = 3.0  # odds of a margin
 LONGEST_WRIST = 6.0  # of wrist and jaws as wide as the shaft, over its width: closed ones of 20 mm on 5 mm
@@ -54,8 +56,9 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
     """
     along = np.arange(0.5, 1.2 * float(np.hypot(*evidence.core.shape)))
     places = outline.across(along, MARGINS)
-    seen = sampled(evidence.core, places, nearest=True).mean(1) > 127
-    last = int(np.argmin(seen)) if not seen.all() else len(seen)
+    seen = _seen(evidence, places).mean(1) >= 0.5
+    first = int(np.argmax(seen))  # where it comes in at a slant, less of it is in view
+    last = first + (int(np.argmin(seen[first:])) if not seen[first:].all() else len(seen) - first)
     if last < 4:
         return outline
     along, places = along[:last], places[:last]
@@ -126,14 +129,14 @@ def rough_outlines(evidence: Evidence, strips: Iterable[Outline] | None = None) 
     found: list[tuple[float, Outline]] = []
     for strip in starts(evidence) if strips is None else strips:
         outline = from_border(strip, evidence)
-        if outline is not None and judged_by_network(outline, evidence) > LEAST_STRIP_NETWORK:
+        if outline is not None and mean_odds(outline, evidence) > LEAST_STRIP:
             outline = fitted(ended(outline, evidence), evidence, *SCALES[0])
             if outline is None:
                 continue
             outline = ended(outline, evidence)
-            score = judged(outline, evidence)
-            if score.evidence > LEAST_ROUGH_EVIDENCE and score.network > LEAST_ROUGH_NETWORK:
-                found.append((score.evidence * np.sqrt(outline.length_px * outline.width_px), outline))
+            score = judged(outline, evidence).evidence
+            if score > LEAST_ROUGH_EVIDENCE:
+                found.append((score * np.sqrt(outline.length_px * outline.width_px), outline))
     return [outline for _, outline in sorted(found, key=lambda one: -one[0])]
 
 
@@ -143,28 +146,28 @@ def sharpened(outline: Outline, evidence: Evidence) -> Outline | None:
         moved = fitted(outline, evidence, reach_widths, region_weight)
         if moved is None:
             return None
-        outline = ended(moved, evidence)
-    return outline
+        outline = moved
+    return ended(outline, evidence)
 
 
 LEAST_WIDTHS = 0.6  # of a shaft's length, over its width
 LEAST_ROUGH_EVIDENCE = 0.05  # of an outline whose sides are not yet on their edges
-LEAST_EVIDENCE = 0.47  # nearly all real instruments have more, and of glare, fat and shadows few
+LEAST_EVIDENCE = 0.42  # nearly all real instruments have more, and of glare, fat, cables and shadows few
 STEP_REACH_PX = 4  # from a side, where the steepest step across it is sought
 STRAIGHT_PX, STRAIGHT_WIDTHS = 1.5, 0.05
 """Of those steps off a common line, in px or over the width: of glare's jagged edge few are that near."""
-LEAST_NETWORK = 1.0  # fascia, gauze and a drape at the border had 0.4 to 1.1, nine of ten true shafts more
-LEAST_STRIP_NETWORK, LEAST_ROUGH_NETWORK = -0.5, 0.5
-"""Those of what becomes a shaft are more, those of half of the rest less."""
+LEAST_STRIP = (
+    -0.5
+)  # mean odds of a strip: those of what becomes a shaft are more, those of half of the rest less
 LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by chance
 
 
 @dataclass(frozen=True)
 class Judged:
-    """Shares from 0 to 1: of the strip that is evidence, of what is beside that is not, of both sides with a step.
+    """Mean probabilities of instrument in the strip, and of none beside it, and the share of both sides with a step.
 
-    `entering` is that of its third at the border which is not hidden: without it a wrist may pass for a shaft.
-    `network` is the mean of the network's log-odds between the sides, `network_beside` that inside of the weaker one.
+    `entering` is the share of the strip's third at the border that is not hidden: without it a wrist may pass for a
+    shaft. `weaker_side` is the mean of log-odds inside of the weaker side.
     """
 
     inside: float
@@ -172,16 +175,14 @@ class Judged:
     stepped: float
     length_px: float
     length_widths: float
-    entering: float = 1.0
-    network: float = np.inf
-    network_beside: float = np.inf
+    entering: float
+    weaker_side: float
 
     @property
     def is_accepted(self) -> bool:
         """Whether this is an instrument."""
-        is_shaft = self.length_widths > LEAST_WIDTHS and self.length_px > LEAST_LENGTH_PX
-        is_shaft &= self.entering > 0.5 and self.network > LEAST_NETWORK and self.network_beside > 0.0
-        return is_shaft and self.inside > 0.75 and self.beside > 0.5 and self.evidence > LEAST_EVIDENCE
+        is_long = self.length_widths > LEAST_WIDTHS and self.length_px > LEAST_LENGTH_PX
+        return is_long and self.entering > 0.5 and self.evidence > LEAST_EVIDENCE
 
     @property
     def evidence(self) -> float:
@@ -194,50 +195,49 @@ class Judged:
         )
 
 
-def judged_by_network(outline: Outline, evidence: Evidence, shares: Array = WITHIN) -> float:
-    """The mean of the network's log-odds at shares of the width; infinite where it is not asked, or nothing is seen."""
-    places = outline.across(np.linspace(0.03, 0.97, STATIONS) * outline.length_px, shares)
-    seen = sampled(evidence.core, places, nearest=True) > 0
-    if evidence.settings.network_weight == 0.0 or not seen.any():
-        return np.inf
-    return float(sampled(evidence.scores[0], places)[seen].mean())
+def mean_odds(outline: Outline, evidence: Evidence) -> float:
+    """The mean of the log-odds between the sides; infinite where nothing is seen."""
+    places = outline.across(ALONG * outline.length_px, WITHIN)
+    return _mean(sampled(evidence.odds, places), _seen(evidence, places))
+
+
+def _seen(evidence: Evidence, places: Array) -> NDArray[np.bool_]:
+    return sampled(evidence.core, places, nearest=True) > 0
+
+
+def _mean(values: Floats, seen: NDArray[np.bool_]) -> float:
+    return float(values[seen].mean()) if seen.any() else np.inf
+
+
+def _likely(odds: Floats, seen: NDArray[np.bool_]) -> float:
+    """The mean probability; 0 where nothing is seen."""
+    return float((1.0 / (1.0 + np.exp(-odds[seen]))).mean()) if seen.any() else 0.0
 
 
 def part_entering(outline: Outline, evidence: Evidence) -> float:
-    """The network's log-odds of a shaft against wrist and jaws, of what comes in: infinite where it is not asked."""
-    if evidence.settings.network_weight == 0.0:
-        return np.inf
+    """The network's log-odds of a shaft against wrist and jaws, of what comes in."""
     reach_px = outline.length_px if outline.end_px is None else outline.end_px
     places = outline.across(ENTERING * reach_px, MIDDLE)
-    shown = (sampled(evidence.core, places, nearest=True) > 0) & (
-        sampled(evidence.hidden, places, nearest=True) == 0
-    )
+    shown = _seen(evidence, places) & (sampled(evidence.hidden, places, nearest=True) == 0)
     return median(sampled(evidence.scores[1], places)[shown]) if shown.any() else -np.inf
 
 
 def judged(outline: Outline, evidence: Evidence) -> Judged:
     """What evidence and image say of an outline, as far as it goes: a part of anything may be straight."""
     outline = outline.whole
-    share = np.linspace(0.03, 0.97, STATIONS)
-    along = share * outline.length_px
-
-    def odds_at(places: Array) -> tuple[Floats, NDArray[np.bool_]]:
-        return sampled(evidence.odds, places), sampled(evidence.core, places, nearest=True) > 0
-
-    odds, seen = odds_at(outline.across(along, WITHIN))
-    inside = float((odds > 0.0)[seen].mean()) if seen.any() else 0.0
-    free = []
-    for side in (np.array([-0.15, -0.25, -0.35]), np.array([1.15, 1.25, 1.35])):
-        odds, seen = odds_at(outline.across(along, side))
-        if np.count_nonzero(seen) > 6:
-            free.append(float((odds < 0.0)[seen].mean()))
+    along = ALONG * outline.length_px
+    places = outline.across(along, np.concatenate([WITHIN, *INSIDE_OF_SIDES, *BESIDE]))
+    parts = np.cumsum([len(shares) for shares in (WITHIN, *INSIDE_OF_SIDES, *BESIDE)])[:-1]
+    seen, odds = _seen(evidence, places), sampled(evidence.odds, places)
+    within, *others = zip(np.split(odds, parts, 1), np.split(seen, parts, 1), strict=True)
+    free = [_likely(-odds, seen) for odds, seen in others[2:] if np.count_nonzero(seen) > 6]
     points = outline.at(along)
     outward = outline.normal * np.array([-1.0, 1.0])[:, None]
     around = np.arange(-STEP_REACH_PX - 1.0, STEP_REACH_PX + 1.5)
     places = points[:, :, None] + around[:, None] * outward[:, None, None]
-    levels, seen = sampled(evidence.bgr_float, places), sampled(evidence.core, places, nearest=True) > 0
+    levels, is_seen = sampled(evidence.bgr_float, places), _seen(evidence, places)
     step = np.abs(levels[:, :, 2:] - levels[:, :, :-2]).max(3)
-    whole, steepest = seen.all(2), np.argmax(step, axis=2) - STEP_REACH_PX
+    whole, steepest = is_seen.all(2), np.argmax(step, axis=2) - STEP_REACH_PX
     # The steepest step may be that of the limb's shade, but then it is that all along the side.
     straight = np.abs(steepest - np.median(steepest, axis=1, keepdims=True)) <= max(
         STRAIGHT_PX, STRAIGHT_WIDTHS * outline.width_px
@@ -246,12 +246,11 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
     stepped = float(good[whole].mean()) if whole.any() else 0.0
     shown = sampled(evidence.hidden, outline.across(along, MIDDLE), nearest=True) == 0
     return Judged(
-        inside,
+        _likely(*within),
         min(free, default=0.0),
         stepped,
         outline.length_px,
         outline.length_px / outline.width_px,
         float(shown[: STATIONS // 3].mean()),
-        judged_by_network(outline, evidence),
-        min(judged_by_network(outline, evidence, shares) for shares in INSIDE_OF_SIDES),
+        min(_mean(*side) for side in others[:2]),
     )
