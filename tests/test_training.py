@@ -153,7 +153,7 @@ def rendered(first, count, folder, processes):
     shown, rng = pictures.Shown(rendered(0, 1), earlier=earlier), np.random.default_rng(0)
     corners = set()
     for _ in range(20):
-        image, label, points, has_all = shown.rehearsed(rng)
+        image, label, points, has_all = shown.rehearsed(rng, (192, 256))
         assert not has_all
         assert np.isnan(points).all()
         assert ((image.max(2) > 100) == (label == SHAFT)).all()

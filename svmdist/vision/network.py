@@ -187,7 +187,7 @@ def _by_opencv(net: cv2.dnn.Net) -> Runtime:
 
 
 def _by_onnxruntime(path: Path, blob: NDArray[np.float32]) -> Runtime | None:
-    """The same in half of the time, where onnxruntime is installed and runs the network, too."""
+    """The same in 0.6 of the time, where onnxruntime is installed and runs the network, too."""
     try:
         import onnxruntime
     except ImportError:
