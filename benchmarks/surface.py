@@ -139,7 +139,7 @@ def _scenes(recording: Recording, count: int) -> Iterator[Scene]:
     """Scenes of so many images, evenly over a log."""
     profile = recording.origin.profile
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
-    spread = spread_observations(recording, 6)
+    spread = spread_observations(recording)
     row_offset_px = row_offset_to_remove_px(first_of(spread, profile), profile)
     images = recording.encoded_observations(recording.instruments[:1], PAIRS)
     stride = max(1, (recording.image_count() or count) // count)

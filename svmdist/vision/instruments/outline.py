@@ -130,6 +130,11 @@ def sampled(field: Image | Floats, places: Array, nearest: bool = False) -> NDAr
     return np.asarray(values.reshape(*places.shape[:-1], *field.shape[2:]), np.float32)
 
 
+def seen_at(evidence: Evidence, places: Array) -> NDArray[np.bool_]:
+    """Whether light reaches places (x, y), shape (..., 2), of the picture."""
+    return sampled(evidence.core, places, nearest=True) > 0
+
+
 def starts(evidence: Evidence) -> Iterator[Outline]:
     """Strips from every place of the rim where evidence comes in, the best direction first."""
     odds, core = evidence.odds, evidence.core
@@ -192,7 +197,7 @@ def from_border(outline: Outline, evidence: Evidence) -> Outline | None:
     """The outline from where its axis comes into the picture; None where that is not in view."""
     end_px = outline.length_px
     along = np.arange(end_px, end_px - 2.0 * max(evidence.core.shape), -1.0)
-    seen = sampled(evidence.core, outline.across(along, np.array([0.5])), nearest=True)[:, 0] > 0
+    seen = seen_at(evidence, outline.across(along, np.array([0.5])))[:, 0]
     first = int(np.argmax(seen))
     if not seen[first]:
         return None

@@ -19,6 +19,7 @@ from svmdist.vision.instruments.outline import (
     fitted,
     from_border,
     sampled,
+    seen_at,
     starts,
 )
 
@@ -32,6 +33,8 @@ ENTERING = np.linspace(0.05, 0.5, STATIONS // 2)  # along a shaft: what comes in
 WITHIN = np.linspace(0.06, 0.94, 9)
 INSIDE_OF_SIDES = (np.linspace(0.04, 0.25, 4), np.linspace(0.75, 0.96, 4))
 BESIDE = (np.array([-0.15, -0.25, -0.35]), np.array([1.15, 1.25, 1.35]))
+ACROSS = np.concatenate([WITHIN, *INSIDE_OF_SIDES, *BESIDE])  # where an outline is judged
+PARTS = np.cumsum([len(shares) for shares in (WITHIN, *INSIDE_OF_SIDES, *BESIDE)])[:-1]  # where these begin
 ALONG = np.linspace(0.03, 0.97, STATIONS)  # over the length: where an outline is judged
 LEAST_LENGTH = 0.8  # over the width, that a fit keeps of a shaft
 MOST_MARGIN = 3.0  # odds of a margin
@@ -56,9 +59,9 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
     """
     along = np.arange(0.5, 1.2 * float(np.hypot(*evidence.core.shape)))
     places = outline.across(along, MARGINS)
-    seen = _seen(evidence, places).mean(1) >= 0.5
+    seen = seen_at(evidence, places).mean(1) >= 0.5
     first = int(np.argmax(seen))  # where it comes in at a slant, less of it is in view
-    last = first + (int(np.argmin(seen[first:])) if not seen[first:].all() else len(seen) - first)
+    last = first + int(np.argmin(np.append(seen[first:], False)))
     if last < 4:
         return outline
     along, places = along[:last], places[:last]
@@ -156,9 +159,7 @@ LEAST_EVIDENCE = 0.42  # nearly all real instruments have more, and of glare, fa
 STEP_REACH_PX = 4  # from a side, where the steepest step across it is sought
 STRAIGHT_PX, STRAIGHT_WIDTHS = 1.5, 0.05
 """Of those steps off a common line, in px or over the width: of glare's jagged edge few are that near."""
-LEAST_STRIP = (
-    -0.5
-)  # mean odds of a strip: those of what becomes a shaft are more, those of half of the rest less
+LEAST_STRIP = -0.5  # mean odds of a strip: what becomes a shaft has more, half of the rest less
 LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by chance
 
 
@@ -198,11 +199,7 @@ class Judged:
 def mean_odds(outline: Outline, evidence: Evidence) -> float:
     """The mean of the log-odds between the sides; infinite where nothing is seen."""
     places = outline.across(ALONG * outline.length_px, WITHIN)
-    return _mean(sampled(evidence.odds, places), _seen(evidence, places))
-
-
-def _seen(evidence: Evidence, places: Array) -> NDArray[np.bool_]:
-    return sampled(evidence.core, places, nearest=True) > 0
+    return _mean(sampled(evidence.odds, places), seen_at(evidence, places))
 
 
 def _mean(values: Floats, seen: NDArray[np.bool_]) -> float:
@@ -218,7 +215,7 @@ def part_entering(outline: Outline, evidence: Evidence) -> float:
     """The network's log-odds of a shaft against wrist and jaws, of what comes in."""
     reach_px = outline.length_px if outline.end_px is None else outline.end_px
     places = outline.across(ENTERING * reach_px, MIDDLE)
-    shown = _seen(evidence, places) & (sampled(evidence.hidden, places, nearest=True) == 0)
+    shown = seen_at(evidence, places) & (sampled(evidence.hidden, places, nearest=True) == 0)
     return median(sampled(evidence.scores[1], places)[shown]) if shown.any() else -np.inf
 
 
@@ -226,16 +223,15 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
     """What evidence and image say of an outline, as far as it goes: a part of anything may be straight."""
     outline = outline.whole
     along = ALONG * outline.length_px
-    places = outline.across(along, np.concatenate([WITHIN, *INSIDE_OF_SIDES, *BESIDE]))
-    parts = np.cumsum([len(shares) for shares in (WITHIN, *INSIDE_OF_SIDES, *BESIDE)])[:-1]
-    seen, odds = _seen(evidence, places), sampled(evidence.odds, places)
-    within, *others = zip(np.split(odds, parts, 1), np.split(seen, parts, 1), strict=True)
+    places = outline.across(along, ACROSS)
+    seen, odds = seen_at(evidence, places), sampled(evidence.odds, places)
+    within, *others = zip(np.split(odds, PARTS, 1), np.split(seen, PARTS, 1), strict=True)
     free = [_likely(-odds, seen) for odds, seen in others[2:] if np.count_nonzero(seen) > 6]
     points = outline.at(along)
     outward = outline.normal * np.array([-1.0, 1.0])[:, None]
     around = np.arange(-STEP_REACH_PX - 1.0, STEP_REACH_PX + 1.5)
     places = points[:, :, None] + around[:, None] * outward[:, None, None]
-    levels, is_seen = sampled(evidence.bgr_float, places), _seen(evidence, places)
+    levels, is_seen = sampled(evidence.bgr_float, places), seen_at(evidence, places)
     step = np.abs(levels[:, :, 2:] - levels[:, :, :-2]).max(3)
     whole, steepest = is_seen.all(2), np.argmax(step, axis=2) - STEP_REACH_PX
     # The steepest step may be that of the limb's shade, but then it is that all along the side.
