@@ -37,7 +37,8 @@ class FusedEstimator:
     """`--method fused`: keeps the filter, and the tissue's pose, between frames.
 
     Images alone say where to linearise at first, and where to begin anew when they contradict the prediction for
-    several frames: the filter then takes the start that prior and measurements make the most probable.
+    several frames, or as many as agreed before: the filter then takes the start that prior and measurements make the
+    most probable.
     """
 
     name = "fused"
@@ -57,7 +58,7 @@ class FusedEstimator:
         self._stereo = StereoEstimator(arm) if has_sizes else None
         self._lasting_share = profile.settings.fused.lasting_share
         self._has_plate = self._is_located = False
-        self._contradictions, self._has_agreed = 0, False
+        self._contradictions, self._agreed, self._has_agreed = 0, 0, False
         self._begun_ns: int | None = None
         self._image_variance_m2 = 0.0
 
@@ -123,13 +124,16 @@ class FusedEstimator:
     def _start(self, frame: Frame) -> ToolPose | None:
         """Begin anew where it is due, and give the pose to linearise at; None where the filter goes on."""
         kalman = self._filter
-        if self._is_located and self._contradictions < MAX_CONTRADICTIONS:
+        # What only the first frame speaks for is as likely wrong as the second, which contradicts it.
+        enough = min(MAX_CONTRADICTIONS, max(self._agreed, 1))
+        if self._is_located and self._contradictions < enough:
             return None
         image = self._image_pose(frame)
         if image is None:
             return None
         is_first, predicted = not self._is_located, kalman.tool_pose()
-        self._is_located, self._has_agreed, self._contradictions = True, False, 0
+        self._is_located, self._has_agreed = True, False
+        self._contradictions = self._agreed = 0
         self._begun_ns, self._image_variance_m2 = frame.stamp_ns, float(np.trace(image.position_covariance))
         # What was measured before may have led there already.
         is_sure = is_first and predicted.position_std_m < LOCATED_STD_M
@@ -181,6 +185,7 @@ class FusedEstimator:
             # An image that shows nothing agrees with anything.
             if any(judged.is_accepted for judged in gating):
                 self._contradictions, self._has_agreed = 0, self._has_agreed or age >= YOUNG_S
+                self._agreed += 1
             return ""
         # What never agreed would begin anew for ever.
         self._contradictions += is_off or self._has_agreed

@@ -133,6 +133,22 @@ def test_a_camera_that_is_bumped_costs_three_rows_and_gives_none_that_is_wrong(g
     assert max(off_m[27:]) < 0.5e-3
 
 
+def test_a_first_frame_that_is_wrong_costs_one_row(golden):
+    """Joints that are not the first image's: the second frame contradicts, and is as much worth as the first."""
+    recording = open_recording(golden / "3d" / "contact.mcap", PROFILE)
+    seen = [one for one in islice(read_observations(recording), 30, 36) if isinstance(one, Observation)]
+    estimator, truth = Measuring("fused", PROFILE), recording.distance_track()
+    for number, one in enumerate(seen):
+        assert one.T_camera_base is not None
+        T = one.T_camera_base.copy()
+        T[2, 3] += 0.01 * (number == 0)
+        found = estimator.result(replace(one, T_camera_base=T)).distances.spatial
+        assert (found is None) == (number == 1)
+        if found is not None:
+            true_m = float(truth.at(np.array([one.stamp_ns])).values[0, 1])
+            assert abs(found.value_m - true_m) < 0.5e-3
+
+
 def test_images_that_show_nothing_confirm_nothing(golden):
     """After a bump every other image is blank: it begins anew as soon as three of the others contradict."""
     recording = open_recording(golden / "3d" / "contact.mcap", PROFILE)
