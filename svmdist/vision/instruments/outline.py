@@ -248,14 +248,26 @@ class _Profiles:
         return at + (mean - at) * np.minimum(free / variance, 3.0), free
 
 
+def _before_end(outline: Outline, along_px: Array) -> Array:
+    """How likely places along the axis, (n,), are well before the shaft's end, whichever of its two that is."""
+    ends_px, shares = np.array([outline.length_px]), np.ones(1)
+    if outline.end_px is not None:
+        near_px = min(outline.end_px, outline.end_px + outline.other_px)
+        near = outline.other_share if outline.other_px < 0.0 else 1.0 - outline.other_share
+        if near_px < outline.length_px:
+            ends_px, shares = np.append(ends_px, near_px), np.array([1.0 - near, near])
+    # Near the end the outline may not be the shaft's any more.
+    clear_px = ends_px[:, None] - along_px - END_CLEAR * outline.width_px
+    clear = np.clip(clear_px / (0.05 * outline.width_px + 0.5), -50.0, 50.0)
+    return np.asarray(shares @ (1.0 / (1.0 + np.exp(-clear))))
+
+
 def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_weight: float) -> Outline | None:
     """Both sides moved onto their edges, found along profiles; None where they leave the picture or meet."""
     length_px, width_px = outline.length_px, outline.width_px
     profiles = _Profiles.of(outline, evidence, reach_widths, region_weight)
     share, J, usable = profiles.share, profiles.by_ends, profiles.usable
-    # Near the end the outline may not be the shaft's any more.
-    off_end = (END_CLEAR * width_px - (1.0 - share) * length_px) / (0.05 * width_px + 0.5)
-    before = 1.0 / (1.0 + np.exp(np.clip(off_end, -50.0, 50.0)))
+    before = _before_end(outline, share * length_px)
     weight_cap = min(1.0, length_px / STATIONS / CORRELATION_PX) * before * usable
     per_px = length_px * width_px / (FOCAL_WIDTHS * evidence.core.shape[1])
     narrowing = np.array([1.0, -1.0, 1.0, -1.0])  # of the width, by the offsets of all ends
@@ -283,7 +295,8 @@ def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_wei
     agreement = (weight * (at - mean) ** 2).sum() / max(weight_cap.sum(), 1e-9)
     known = np.linalg.inv((A - prior) / float(np.clip(agreement, LEAST_AGREEMENT, MOST_DISAGREEMENT)) + prior)
     covariance = np.stack([known[:2, :2], known[2:, 2:]]) + EDGE_STD_PX**2 * np.eye(2)
-    new = Outline(outline.sides + moved[..., None] * profiles.outward[:, None], covariance)
+    sides = outline.sides + moved[..., None] * profiles.outward[:, None]
+    new = replace(outline, sides=sides, covariance=covariance)
     fits = LEAST_WIDTH_PX <= new.width_px <= MOST_WIDTH * evidence.core.shape[1] and _widths(new).min() > 1.0
     return from_border(new, evidence) if fits and new.axis @ outline.axis > 0.5 else None
 

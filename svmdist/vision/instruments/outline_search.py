@@ -32,9 +32,8 @@ MIDDLE = np.linspace(0.2, 0.8, 5)
 ENTERING = np.linspace(0.05, 0.5, STATIONS // 2)  # along a shaft: what comes in, before anything else begins
 WITHIN = np.linspace(0.06, 0.94, 9)
 INSIDE_OF_SIDES = (np.linspace(0.04, 0.25, 4), np.linspace(0.75, 0.96, 4))
-BESIDE = (np.array([-0.15, -0.25, -0.35]), np.array([1.15, 1.25, 1.35]))
-ACROSS = np.concatenate([WITHIN, *INSIDE_OF_SIDES, *BESIDE])  # where an outline is judged
-PARTS = np.cumsum([len(shares) for shares in (WITHIN, *INSIDE_OF_SIDES, *BESIDE)])[:-1]  # where these begin
+BESIDE = np.array([0.1, 0.2, 0.3])  # off a side, over the width, or over that of a narrow shaft
+NARROW_PX = 20.0  # of which the network's own blur reaches as far beyond the sides
 ALONG = np.linspace(0.03, 0.97, STATIONS)  # over the length: where an outline is judged
 LEAST_LENGTH = 0.8  # over the width, that a fit keeps of a shaft
 MOST_MARGIN = 3.0  # odds of a margin
@@ -66,7 +65,11 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
         return outline
     along, places = along[:last], places[:last]
     odds = np.clip(sampled(evidence.odds, places), -MOST_MARGIN, MOST_MARGIN)
-    margins = np.cumsum(np.minimum(odds[:, :4].mean(1), odds[:, 4:].mean(1))) / CORRELATION_PX
+    # What comes in is surely the instrument: half of its own log-odds are its border, however the network blurs it.
+    odds -= 0.5 * max(median(_weaker_side(odds)[: int(outline.width_px) + 1]), 0.0)
+    if evidence.hides:
+        odds[sampled(evidence.hidden, places, nearest=True) > 0] = 0.0
+    margins = np.cumsum(_weaker_side(odds)) / CORRELATION_PX
     outline_ends = np.exp(np.maximum(margins - margins.max(), -50.0))
     outline_ends /= outline_ends.sum()
     wrist_px = max(1, round(LONGEST_WRIST * outline.width_px))
@@ -103,6 +106,11 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
         other_px=float(other @ along) / max(other_share, 1e-9) - mean if other_share > LEAST_SHARE else 0.0,
         other_share=other_share,
     )
+
+
+def _weaker_side(odds: Floats) -> Floats:
+    """The mean of margins' log-odds, shape (n, 8), at the weaker of both sides, (n,)."""
+    return np.minimum(odds[:, :4].mean(1), odds[:, 4:].mean(1))
 
 
 def _material(outline: Outline, middle: Array, evidence: Evidence) -> Array:
@@ -155,7 +163,7 @@ def sharpened(outline: Outline, evidence: Evidence) -> Outline | None:
 
 LEAST_WIDTHS = 0.6  # of a shaft's length, over its width
 LEAST_ROUGH_EVIDENCE = 0.05  # of an outline whose sides are not yet on their edges
-LEAST_EVIDENCE = 0.42  # nearly all real instruments have more, and of glare, fat, cables and shadows few
+LEAST_EVIDENCE = 0.43  # nearly all real instruments have more, and of glare, fat, cables and shadows few
 STEP_REACH_PX = 4  # from a side, where the steepest step across it is sought
 STRAIGHT_PX, STRAIGHT_WIDTHS = 1.5, 0.05
 """Of those steps off a common line, in px or over the width: of glare's jagged edge few are that near."""
@@ -223,9 +231,12 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
     """What evidence and image say of an outline, as far as it goes: a part of anything may be straight."""
     outline = outline.whole
     along = ALONG * outline.length_px
-    places = outline.across(along, ACROSS)
+    off = BESIDE * max(1.0, NARROW_PX / outline.width_px)
+    shares = (WITHIN, *INSIDE_OF_SIDES, -off, 1.0 + off)
+    places = outline.across(along, np.concatenate(shares))
+    parts = np.cumsum([len(one) for one in shares])[:-1]
     seen, odds = seen_at(evidence, places), sampled(evidence.odds, places)
-    within, *others = zip(np.split(odds, PARTS, 1), np.split(seen, PARTS, 1), strict=True)
+    within, *others = zip(np.split(odds, parts, 1), np.split(seen, parts, 1), strict=True)
     free = [_likely(-odds, seen) for odds, seen in others[2:] if np.count_nonzero(seen) > 6]
     points = outline.at(along)
     outward = outline.normal * np.array([-1.0, 1.0])[:, None]
