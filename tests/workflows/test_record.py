@@ -140,10 +140,15 @@ FRAMES = 12
 def test_whatever_ends_it_no_file_under_a_final_name_is_incomplete(tmp_path, count):
     """KILL, TERM and INT at any time; what was recorded until then is in a `.part`."""
     rng, found, path = random.Random(count), set(), tmp_path / "log.mcap"
+    common = ("--duration", 1.2, "--rate", 10, "--force", "-o", path)
+    began_s = time.monotonic()
+    with started("record", *common, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as whole:
+        whole.communicate()
+    lasts_s = time.monotonic() - began_s  # on this machine, as busy as it is
     for number in range(count):
-        options = ("--duration", 1.2, "--rate", 10, "-j", 1 + number % 2, "--force", "-o", path)
+        options = (*common, "-j", 1 + number % 2)
         with started("record", *options, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
-            time.sleep(rng.uniform(0.0, 3.0))
+            time.sleep(rng.uniform(0.0, 1.5 * lasts_s))
             process.send_signal((signal.SIGKILL, signal.SIGTERM, signal.SIGINT)[number % 3])
             _, err = process.communicate()
         # An interrupt may find Python itself still starting, which prints where it was.
