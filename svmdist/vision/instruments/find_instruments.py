@@ -54,10 +54,11 @@ def find_instruments(evidence: Evidence, strips: Iterable[Outline] | None = None
     found: list[Found] = []
     taken = np.zeros_like(evidence.core)
     least_px = evidence.settings.least_area * max(cv2.countNonZero(evidence.core), 1)
-    for at, (outline, score, own) in enumerate(shafts):
-        # Where instruments touch, what belongs to one reaches into the next one's shaft.
-        others = np.bitwise_or.reduce([taken, *(strip & ~own for _, _, strip in shafts[at + 1 :])])
-        mask = _belonging(outline, evidence) & (others == 0)
+    away = [cv2.distanceTransform(cv2.bitwise_not(strip), cv2.DIST_L2, 3) for _, _, strip in shafts]
+    for at, (outline, score, _) in enumerate(shafts):
+        # Where instruments touch, what belongs to one reaches into the other's: each has what its strip is nearest to.
+        nearest = np.all([away[at] <= other for other in away], axis=0)
+        mask = _belonging(outline, evidence, nearest & (taken == 0))
         if np.count_nonzero(mask) >= least_px:
             taken[mask] = 255
             found.append((outline, mask, score))
@@ -78,8 +79,11 @@ def _is_taken(outline: Outline, strips: Sequence[Image]) -> bool:
     return any(count(own & strip) > MOST_OVERLAP * min(count(own), count(strip)) for strip in strips)
 
 
-def _belonging(outline: Outline, evidence: Evidence) -> Mask:
-    """What belongs to the instrument with a shaft: all between its sides, and evidence that hangs together with it."""
+def _belonging(outline: Outline, evidence: Evidence, free: Mask) -> Mask:
+    """What belongs to the instrument with a shaft: all between its sides, and evidence that hangs together with it.
+
+    No more than is `free`, (h, w).
+    """
     outline = outline.whole
     height, width = evidence.core.shape
     x, y = np.arange(width, dtype=np.float32)[None, :], np.arange(height, dtype=np.float32)[:, None]
@@ -99,11 +103,11 @@ def _belonging(outline: Outline, evidence: Evidence) -> Mask:
     beside = (along < 0.0) & (depth > -BESIDE_WIDTHS * outline.width_px - 1.0) & likely
     distal = (along >= -0.3 * width_px) & (along < DISTAL_WIDTHS * width_px) & likely
     distal &= across < DISTAL_HALF_WIDTHS * width_px + 0.1 * np.maximum(along, 0.0)
-    mine = (strip | beside | distal) & (evidence.picture > 0)
+    mine = (strip | beside | distal) & (evidence.picture > 0) & free
     opened = cv2.morphologyEx(mine.astype(np.uint8), cv2.MORPH_OPEN, SQUARE_3)
     _, labels = cv2.connectedComponents(opened)
     own = np.bincount(labels[strip & (opened > 0)], minlength=1)
-    mask = labels == int(own.argmax()) if own.any() else strip
+    mask = labels == int(own.argmax()) if own.any() else strip & free
     return _without_holes(np.asarray(mask), MOST_HOLE * cv2.countNonZero(evidence.core))
 
 

@@ -108,9 +108,9 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
     )
 
 
-def _weaker_side(odds: Floats) -> Floats:
+def _weaker_side(odds: Floats) -> Array:
     """The mean of margins' log-odds, shape (n, 8), at the weaker of both sides, (n,)."""
-    return np.minimum(odds[:, :4].mean(1), odds[:, 4:].mean(1))
+    return np.asarray(np.minimum(odds[:, :4].mean(1), odds[:, 4:].mean(1)), np.float64)
 
 
 def _material(outline: Outline, middle: Array, evidence: Evidence) -> Array:
