@@ -7,17 +7,15 @@ import numpy as np
 import pytest
 
 from benchmarks.masks import iou
-from svmdist.profile.settings import AutoSettings, TagSettings
+from svmdist.profile.settings import AutoSettings, ExposureSettings, TagSettings
 from svmdist.recording.log import open_recording
 from svmdist.samples import Image
-from svmdist.vision.colour import to_grey
-from svmdist.vision.frame_context import USUAL_FAMILY
+from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.instruments.evidence import Evidence, picture_of
 from svmdist.vision.instruments.find_instruments import AutoSegmenter, SeenInstrument, seen_instrument
 from svmdist.vision.instruments.outline import Outline
 from svmdist.vision.instruments.outline_search import judged
 from svmdist.vision.silhouette import WristShape, find_silhouette
-from svmdist.vision.tags import find_tags, tag_plate
 from tests.pictures import BORDERS, surgery_image
 from tests.reading import read_images
 from tests.shipped import PROFILE
@@ -177,16 +175,12 @@ def test_the_shaft_ends_before_its_own_shadow(behind, light):
 def test_a_wrist_that_comes_in_from_the_border_is_no_shaft(golden):
     """A wrist is half as wide as the shaft: taken for it, its depth would be twice as large."""
     images = [one.image_bgr for one in read_images(open_recording(golden / "3d" / "duo.mcap", PROFILE))]
-    tags = TagSettings()
+    segmenter = AutoSegmenter()
 
     def seen(frame: int) -> tuple[SeenInstrument, ...]:
-        masks, found = (
-            AutoSegmenter().masks(images[frame]),
-            find_tags(to_grey(images[frame]), USUAL_FAMILY, tags),
-        )
-        for corners_px in found.values():  # their plates stand out beside the shafts
-            masks.hide(tag_plate(corners_px, images[frame].shape[:2], tags))
-        return masks.seen
+        """Without the plates of tags, which stand out beside the shafts."""
+        context = FrameContext(images[frame], segmenter, ExposureSettings(), None, TagSettings())
+        return context.masks_as_recorded.seen
 
     wrists, shafts = ([one for frame in frames for one in seen(frame)] for frames in ((19, 27), (3, 15)))
     assert [one.shows_shaft for one in wrists] == [False] * 2
