@@ -145,6 +145,7 @@ def test_whatever_ends_it_no_file_under_a_final_name_is_incomplete(tmp_path, cou
     with started("record", *common, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as whole:
         whole.communicate()
     lasts_s = time.monotonic() - began_s  # on this machine, as busy as it is
+    path.unlink()
     for number in range(count):
         options = (*common, "-j", 1 + number % 2)
         with started("record", *options, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
