@@ -206,25 +206,6 @@ def shaft_of(chain: DHChain) -> ShaftAxis | None:
     return ShaftAxis(row.name, np.array([-row.a_m, 0.0, 0.0]), axis)
 
 
-@dataclass(frozen=True, slots=True)
-class WristRows:
-    """Indices of the rows that turn the shaft about itself, bend the wrist, and open the jaw, where there is one."""
-
-    roll: int
-    pitch: int
-    yaw: int
-    jaw: int | None
-
-
-def wrist_rows(chain: DHChain) -> WristRows | None:
-    """The wrist of the da Vinci's instruments; None for a chain with fewer than three rows behind the insertion."""
-    turns = rows_behind_insertion(chain)
-    if len(turns) < 3:
-        return None
-    roll, pitch, yaw, *jaw = turns
-    return WristRows(roll, pitch, yaw, jaw[0] if jaw else None)
-
-
 def rows_behind_insertion(chain: DHChain) -> list[int]:
     """Indices of the revolute rows behind the last prismatic one, the shaft's roll first; none without one."""
     slides = [index for index, row in enumerate(chain.rows) if row.type == "prismatic"]

@@ -207,7 +207,7 @@ def _reported_tool(log: Recording, profile: Profile, against: Against, stamps_ns
         state = RobotState.of(chain, sample, np.eye(4), sample.stamp_ns, around if near.any() else None)
         if isinstance(state, Failure):
             raise KinematicsError(state.reason)
-        links = model.links(model.nominal(state), model.no_correction(), model.anchor_m(state))
+        links = model.links(state, model.no_correction(), model.anchor_m(state))
         tool = links.link(None)
         T_base_tool[at] = tool.T_camera_link
         noise[at] = tool.derivative[:3] @ model.play_covariance @ tool.derivative[:3].T

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from svmdist.estimation.instrument.model import Rods, wrist_in_tool
+from svmdist.estimation.instrument.model import capsules_about, wrist_in_tool
 from svmdist.kinematics import forward_kinematics
 from svmdist.profile import load_profile
 from svmdist.simulation.scene import make_scene
@@ -19,7 +19,7 @@ def test_capsules_reach_as_far_as_the_meshes():
     for _ in range(60):
         q[-3:] = [*rng.uniform(-1.0, 1.0, 2), rng.uniform(0.0, 1.0)]
         wrist = wrist_in_tool(SCENE.chain, q)
-        capsules = Rods.of(PROFILE.instrument).about(wrist)
+        capsules = capsules_about(PROFILE.instrument, wrist)
         T_tool_world = inverse(SCENE.T_world_base @ forward_kinematics(SCENE.chain, q))
         poses = SCENE.link_poses(q)
         drawn = [transform_points(T_tool_world @ poses[one.link], one.mesh.vertices_m) for one in SCENE.parts]

@@ -186,7 +186,7 @@ def test_links_are_moved_and_turned_about_the_anchor(chain, error, q, links):
     model, robot = ErrorModel(chain, error), moving_robot(chain, q)
     anchor_m = model.anchor_m(robot)
     at = model.no_correction().retract(0.05 * np.random.default_rng(1).normal(size=model.size))
-    found = model.links(model.nominal(robot), at, anchor_m)
+    found = model.links(robot, at, anchor_m)
     for name in links:
         link, T = found.link(name), by_definition(model, robot, at, anchor_m, name)
         assert found.link(name) is link

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.estimation.instrument.model import Rods, shaft_sections, wrist_in_tool
+from svmdist.estimation.instrument.model import capsules_about, shaft_sections, wrist_in_tool
 from svmdist.kinematics import forward_kinematics
 from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
@@ -148,7 +148,7 @@ def test_the_projected_shaft_covers_the_one_that_is_drawn():
         q[6:9] += rng.uniform(-1.0, 1.0, 3) * [0.08, 0.08, 0.015]
         q[9:] += rng.uniform(-0.5, 0.5, 4)
         T_camera_tool = T_camera_world @ scene.T_world_base @ forward_kinematics(scene.chain, q)
-        body = Rods.of(PROFILE.instrument).about(wrist_in_tool(scene.chain, q)).transformed(T_camera_tool)
+        body = capsules_about(PROFILE.instrument, wrist_in_tool(scene.chain, q)).transformed(T_camera_tool)
         found = shaft_sections(camera, body)
         points_m = transform_points(T_camera_world @ scene.link_poses(q)[part.link], part.mesh.vertices_m)
         drawn, projected = (np.zeros((camera.height_px, camera.width_px), np.uint8) for _ in range(2))

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from svmdist.kinematics import DHChain, link_transforms, row_index, running_product
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.hand_eye import LENGTH, OFFSET, TIME_OFFSET
-from svmdist.transforms import Array, rotation_of, rotation_vector, skew
+from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, skew
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +63,13 @@ class MovingJoints:
         axes = rows - rows[0] + (chain.convention == "modified")
         lengths = tuple(_lengths(chain, int(rows[0])))
         return cls(chain, first_joint, int(rows[0]), axes, turns, 1.0 - turns, lengths)
+
+    def corrected(self, robot: RobotState, correction: Correction) -> Array:
+        """Reported joints at the corrected time, with offsets and play, shape (n_joints,)."""
+        q, moving = robot.q.copy(), slice(self.first_joint, None)
+        late_s = correction.time_offset_s - robot.time_offset_s
+        q[moving] += robot.rates[moving] * late_s + correction.q_offset + correction.play
+        return q
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,91 +145,45 @@ class Correction:
 
 
 @dataclass(frozen=True, slots=True)
-class NominalFrames:
-    """What of one robot state, or of a stack of them, no correction changes.
-
-    `q`, shape (..., n_joints), are the reported joints, `rates` their derivatives by time, and `time_offset_s` is how
-    late their stamps were taken to be for both. `frames` (..., n_rows, 4, 4) are all row frames in the camera frame;
-    `T_camera_before`, shape (..., 4, 4), is the one before the first corrected joint.
-    """
-
-    q: Array
-    rates: Array
-    time_offset_s: float
-    frames: Array
-    T_camera_before: Array
-
-    @classmethod
-    def of(cls, robot: RobotState, first_row: int) -> NominalFrames:
-        """Of one state; the row is that of the first corrected joint."""
-        before = robot.frames_in_camera[first_row - 1] if first_row else robot.base_in_camera
-        return cls(robot.q, robot.rates, robot.time_offset_s, robot.frames_in_camera, before)
-
-
-def joints_under(nominal: NominalFrames, correction: Correction, first_joint: int) -> Array:
-    """Reported joints at the corrected time, with offsets and play, shape (..., n_joints)."""
-    q = nominal.q.copy()
-    late_s = correction.time_offset_s - nominal.time_offset_s
-    q[..., first_joint:] += nominal.rates[..., first_joint:] * late_s + correction.q_offset + correction.play
-    return q
-
-
-@dataclass(frozen=True, slots=True)
 class CorrectedLink:
-    """Corrected poses of a link, (..., 4, 4), and the derivatives of their (δp, δθ) by the error state, (..., 6, n)."""
+    """The corrected pose of a link, (4, 4), and the derivative of its (δp, δθ) by the error state, (6, n)."""
 
     T_camera_link: Array
     derivative: Array
 
 
 class CorrectedLinks:
-    """All links of a chain under one correction; frames and the twists of the error state are computed once.
+    """All links of a robot under one correction; frames and the twists of the error state are computed once.
 
     A twist (v, w) moves a point p of a body by v + w x p: each component of the error state is one in the camera
     frame (Murray, Li, Sastry 1994, sec. 3.4), so that one matrix serves all links behind a joint.
     """
 
     def __init__(
-        self, joints: MovingJoints, nominal: NominalFrames, correction: Correction, anchor_m: Array
+        self, joints: MovingJoints, robot: RobotState, correction: Correction, anchor_m: Array
     ) -> None:
-        self._joints, self._nominal = joints, nominal
+        self._joints, self._robot = joints, robot
         pivot_m = anchor_m + correction.shift_m
-        self._correct = np.eye(4)
-        self._correct[:3, :3] = correction.turn
-        self._correct[:3, 3] = pivot_m - correction.turn @ anchor_m
+        self._correct = make_transform(correction.turn, pivot_m - correction.turn @ anchor_m)
 
         # Frames from the one before the first joint with an offset on.
-        q = joints_under(nominal, correction, joints.first_joint)
-        links = link_transforms(joints.chain, q, joints.first_row)
-        frames = np.empty((*links.shape[:-3], links.shape[-3] + 1, 4, 4))
-        frames[..., 0, :, :] = self._correct @ nominal.T_camera_before
-        frames[..., 1:, :, :] = links
-        self._frames = running_product(frames)
-        length_axes = []
-        for length, error_m in zip(joints.lengths, correction.length_m, strict=True):
-            # A shift along an axis turns nothing, so that the frames behind it are shifted alike.
-            axis = self._frames[..., length.axis_row - joints.first_row + 1, :3, length.column].copy()
-            self._frames[..., length.row - joints.first_row + 1 :, :3, 3] += axis[..., None, :] * error_m
-            length_axes.append(axis)
-
-        axes = self._frames[..., joints.axes, :3, :]
-        (zx, zy, zz), (px, py, pz) = ([axes[..., i, column] for i in range(3)] for column in (2, 3))
+        first_row = joints.first_row
+        before = robot.frames_in_camera[first_row - 1] if first_row else robot.base_in_camera
+        links = link_transforms(joints.chain, joints.corrected(robot, correction), first_row)
+        self._frames = running_product(np.concatenate([(self._correct @ before)[None], links]))
         columns = joints.columns
-        count = columns.joint_count
-        twists = np.zeros((*q.shape[:-1], 6, columns.size))
-        twists[..., :6, :6] = np.eye(6)
-        twists[..., :3, 3:6] = skew(pivot_m)
-        by_joint = twists[..., columns.offsets]
-        by_joint[..., 0, :] = joints.turns * (py * zz - pz * zy) + joints.slides * zx
-        by_joint[..., 1, :] = joints.turns * (pz * zx - px * zz) + joints.slides * zy
-        by_joint[..., 2, :] = joints.turns * (px * zy - py * zx) + joints.slides * zz
-        by_joint[..., 3, :] = joints.turns * zx
-        by_joint[..., 4, :] = joints.turns * zy
-        by_joint[..., 5, :] = joints.turns * zz
-        for index, axis in enumerate(length_axes):
-            twists[..., :3, columns.lengths.start + index] = axis
-        self._rates = nominal.rates[..., joints.first_joint : joints.first_joint + count]
-        self._twists = twists
+        self._twists = np.zeros((6, columns.size))
+        for at, length in enumerate(joints.lengths):
+            # A shift along an axis turns nothing, so that the frames behind it are shifted alike.
+            axis = self._frames[length.axis_row - first_row + 1, :3, length.column].copy()
+            self._frames[length.row - first_row + 1 :, :3, 3] += axis * correction.length_m[at]
+            self._twists[:3, columns.lengths.start + at] = axis
+
+        self._twists[:, :6] = np.eye(6)
+        self._twists[:3, 3:6] = skew(pivot_m)
+        z, at_m = self._frames[joints.axes, :3, 2].T, self._frames[joints.axes, :3, 3].T
+        self._twists[:3, columns.offsets] = joints.turns * np.cross(at_m, z, axis=0) + joints.slides * z
+        self._twists[3:, columns.offsets] = joints.turns * z
         self._links: dict[str | None, CorrectedLink] = {}
 
     def link(self, name: str | None) -> CorrectedLink:
@@ -232,26 +193,25 @@ class CorrectedLinks:
         return self._links[name]
 
     def _corrected(self, name: str | None) -> CorrectedLink:
-        row = len(self._joints.chain.rows) - 1 if name is None else row_index(self._joints.chain, name)
-        if row < self._joints.first_row:
-            T = self._correct @ self._nominal.frames[..., row, :, :]
+        joints, columns = self._joints, self._joints.columns
+        row = len(joints.chain.rows) - 1 if name is None else row_index(joints.chain, name)
+        if row < joints.first_row:
+            T = self._correct @ self._robot.frames_in_camera[row]
         else:
-            T = self._frames[..., row - self._joints.first_row + 1, :, :]
+            T = self._frames[row - joints.first_row + 1]
         if name is None:
-            T = T @ self._joints.chain.T_last_tool
-        columns = self._joints.columns
+            T = T @ joints.chain.T_last_tool
         derivative = self._twists.copy()
-        derivative[..., :3, :] -= skew(T[..., :3, 3]) @ self._twists[..., 3:, :]
+        derivative[:3] -= skew(T[:3, 3]) @ self._twists[3:]
         # Joints behind a link do not move it, nor do lengths.
-        moved_by = int(np.searchsorted(self._joints.chain.moving_rows, row, side="right"))
-        derivative[..., 6 + max(0, moved_by - self._joints.first_joint) : columns.offsets.stop] = 0.0
-        derivative[..., columns.play] = derivative[..., columns.offsets]
+        moved_by = int(np.searchsorted(joints.chain.moving_rows, row, side="right"))
+        derivative[:, 6 + max(0, moved_by - joints.first_joint) : columns.offsets.stop] = 0.0
+        derivative[:, columns.play] = derivative[:, columns.offsets]
         # Later stamps: every joint goes on at its rate.
-        by_time = derivative[..., columns.offsets] @ self._rates[..., None]
-        derivative[..., columns.time_offset] = by_time[..., 0]
-        for index, length in enumerate(self._joints.lengths):
-            if row < length.row:
-                derivative[..., columns.lengths.start + index] = 0.0
+        rates = self._robot.rates[joints.first_joint :]
+        derivative[:, columns.time_offset] = derivative[:, columns.offsets] @ rates
+        is_behind = [row < length.row for length in joints.lengths]
+        derivative[:, columns.lengths][:, is_behind] = 0.0
         T.setflags(write=False)
         derivative.setflags(write=False)
         return CorrectedLink(T, derivative)

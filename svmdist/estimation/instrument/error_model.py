@@ -9,8 +9,6 @@ from svmdist.estimation.instrument.corrected_links import (
     CorrectedLinks,
     Correction,
     MovingJoints,
-    NominalFrames,
-    joints_under,
 )
 from svmdist.kinematics import DHChain, shaft_of
 from svmdist.kinematics.robot_state import RobotState
@@ -37,13 +35,13 @@ class ErrorModel:
                 f"no joint {error.first_moving_joint} to be the first moving one:"
                 f" {did_you_mean(error.first_moving_joint, names)}"
             )
-        self._joints = MovingJoints.of(chain, names.index(error.first_moving_joint or names[0]))
-        turns, slides = self._joints.turns, self._joints.slides
+        self.joints = MovingJoints.of(chain, names.index(error.first_moving_joint or names[0]))
+        turns, slides = self.joints.turns, self.joints.slides
         self._joint_std = error.joint_std_rad * turns + error.joint_std_m * slides
         self._play_std = error.play_std_rad * turns + error.play_std_m * slides
-        self.columns = self._joints.columns
+        self.columns = self.joints.columns
         self.size = self.columns.size
-        self.constant_columns = self._joints.constant_columns
+        self.constant_columns = self.joints.constant_columns
         self._drift = np.zeros(self.size)
         self._drift[:3], self._drift[3:6] = error.drift_m_per_sqrt_s, error.drift_rad_per_sqrt_s
         self._drift[self.columns.offsets] = self._drift[3] * turns + self._drift[0] * slides
@@ -122,17 +120,9 @@ class ErrorModel:
         P[3:, 3:] = turn_var * np.eye(3)
         return P
 
-    def joints(self, nominal: NominalFrames, correction: Correction) -> Array:
-        """Reported joints with the correction, shape (n_joints,)."""
-        return joints_under(nominal, correction, self._joints.first_joint)
-
-    def nominal(self, robot: RobotState) -> NominalFrames:
-        """What of a robot's state no correction changes."""
-        return NominalFrames.of(robot, self._joints.first_row)
-
-    def links(self, nominal: NominalFrames, correction: Correction, anchor_m: Array) -> CorrectedLinks:
+    def links(self, robot: RobotState, correction: Correction, anchor_m: Array) -> CorrectedLinks:
         """All links under a correction."""
-        return CorrectedLinks(self._joints, nominal, correction, anchor_m)
+        return CorrectedLinks(self.joints, robot, correction, anchor_m)
 
 
 def nominal_tool(chain: DHChain, error: KinematicError, state: RobotState) -> ToolPose:
@@ -143,7 +133,7 @@ def nominal_tool(chain: DHChain, error: KinematicError, state: RobotState) -> To
     pull the tool 1.7 mm towards a base 1.4 m away, beside 68 mm of error.
     """
     model = ErrorModel(chain, error)
-    links = model.links(model.nominal(state), model.no_correction(), model.anchor_m(state))
+    links = model.links(state, model.no_correction(), model.anchor_m(state))
     tool, shaft = links.link(None), shaft_of(chain)
     axis = tool.T_camera_link[:3, 0]
     if shaft is not None:

@@ -210,7 +210,7 @@ class KinematicErrorFilter:
 
     def corrected_joints(self) -> Array:
         """Reported joints at the corrected time, with offsets and play, shape (n_joints,)."""
-        return self._model.joints(self._state.nominal, self._state.correction)
+        return self._model.joints.corrected(self._state.robot, self._state.correction)
 
     def shaft_axis(self) -> Array:
         """The shaft's direction towards the tip in the camera frame, shape (3,); the tool's x without a shaft."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,13 +12,12 @@ from svmdist.errors import KinematicsError
 from svmdist.geometry import Capsules, join
 from svmdist.kinematics import (
     DHChain,
-    WristRows,
     chain_of,
     frame_transforms,
     joint_axis,
     row_index,
+    rows_behind_insertion,
     select_joints,
-    wrist_rows,
 )
 from svmdist.profile import Profile
 from svmdist.profile.robot import Fiducial, Instrument
@@ -47,41 +46,27 @@ class Wrist:
     pivot: Array
     jaws: tuple[Jaw, Jaw]
 
-    def vectors(self) -> Array:
-        """All points and unit vectors, shape (10, 3)."""
-        jaws = [vector for jaw in self.jaws for vector in (jaw.along, jaw.outward, jaw.beside)]
-        return np.stack([self.hinge_m, self.tool_m, self.shaft, self.pivot, *jaws])
-
-    def with_jaws(self, scale: float) -> Wrist:
-        """The wrist with longer jaws: rods reach along a jaw's vector by its length."""
-        first, second = (replace(jaw, along=scale * jaw.along) for jaw in self.jaws)
-        return replace(self, jaws=(first, second))
-
-    @staticmethod
-    def of(vectors: Array) -> Wrist:
-        """The inverse of `vectors`."""
-        hinge_m, tool_m, shaft, pivot, *jaws = vectors
-        return Wrist(hinge_m, tool_m, shaft, pivot, (Jaw(*jaws[:3]), Jaw(*jaws[3:])))
-
 
 @dataclass(frozen=True, slots=True)
 class WristKinematics:
-    """How joints bend a wrist; straight, jaws point along `straight` (3,), and the hinge is `length_m` away."""
+    """How joints bend a wrist; straight, jaws point along `straight` (3,), and the hinge is `length_m` away.
+
+    `rows` turn the shaft about itself, bend the wrist about its hinge and about the tool, and may open the jaw.
+    """
 
     chain: DHChain
-    rows: WristRows
+    rows: Sequence[int]
     straight: Array
     length_m: float
 
     @staticmethod
     def of(chain: DHChain) -> WristKinematics | None:
         """The chain's wrist; None for a chain without one."""
-        rows = wrist_rows(chain)
-        if rows is None:
+        rows = rows_behind_insertion(chain)
+        if len(rows) < 3:
             return None
         frames = frame_transforms(chain, np.zeros(len(chain.joint_names)))
-        shaft, _ = joint_axis(chain, frames, rows.roll)
-        _, hinge_m = joint_axis(chain, frames, rows.pitch)
+        (shaft, _), (_, hinge_m) = (joint_axis(chain, frames, row) for row in rows[:2])
         T_base_tool = frames[-1] @ chain.T_last_tool
         length_m = float(np.linalg.norm(T_base_tool[:3, 3] - hinge_m))
         return WristKinematics(chain, rows, np.asarray(T_base_tool[:3, :3].T @ shaft), length_m)
@@ -90,14 +75,13 @@ class WristKinematics:
         """The wrist in the tool frame at joints `q`, shape (n_joints,), with the poses of all rows' frames there."""
         T_base_tool = frames[-1] @ self.chain.T_last_tool
         R, tool_m = T_base_tool[:3, :3], T_base_tool[:3, 3]
-        shaft, _ = joint_axis(self.chain, frames, self.rows.roll)
-        _, hinge_m = joint_axis(self.chain, frames, self.rows.pitch)
-        pivot, _ = joint_axis(self.chain, frames, self.rows.yaw)
+        (shaft, _), (_, hinge_m), (pivot, _), *jaw = (
+            joint_axis(self.chain, frames, row) for row in self.rows
+        )
         jaw_axis, opening_rad = pivot, 0.0
-        if self.rows.jaw is not None:
-            jaw_axis, _ = joint_axis(self.chain, frames, self.rows.jaw)
-            joints_before = sum(other.type != "fixed" for other in self.chain.rows[: self.rows.jaw])
-            opening_rad = float(q[joints_before])
+        if jaw:
+            jaw_axis = jaw[0][0]
+            opening_rad = float(q[np.searchsorted(self.chain.moving_rows, self.rows[3])])
         hinge_m, shaft, pivot, jaw_axis = np.stack([hinge_m - tool_m, shaft, pivot, jaw_axis]) @ R
         return Wrist(hinge_m, np.zeros(3), shaft, pivot, jaws_of(self.straight, jaw_axis, opening_rad))
 
@@ -133,14 +117,10 @@ def jaws_of(along: Array, axis: Array, opening_rad: float) -> tuple[Jaw, Jaw]:
 
 # Shape facts of this model, as lengths over the radii that a profile gives: they say which rods stand in for which
 # part, and have no meaning apart from one another. What differs between instruments is in the profile.
-WRIST_LENGTH_PER_RADIUS = (
-    3.4  # from the wrist's hinge to the tool over its radius, where no chain tells: 9.1 / 2.7
-)
+WRIST_LENGTH_PER_RADIUS = 3.4  # from the wrist's hinge to the tool, where no chain tells: 9.1 / 2.7
 NECK_PER_RADIUS = 2.2  # the shaft begins this many radii of the wrist behind the hinge
 SHAFT_CAP = 0.5  # from a flat end of the shaft to its capsule's, in radii: half of the cap is beyond it
-TINE_RADIUS_M = (
-    0.0005  # of the fork's rods beside the distal marker, whose thickness does not follow its size
-)
+TINE_RADIUS_M = 0.0005  # of the fork's rods beside the distal marker, however large that is
 FORK_BEGIN = 0.3  # where the fork's tines leave its bridges, over the way from the hinge to the tool
 BLADE_RODS = (
     (0.0, 0.62, 0.43, 0.50),
@@ -163,7 +143,6 @@ class InstrumentModel:
         self, instrument: Instrument, chain: DHChain | None, fiducial: Fiducial | None = None
     ) -> None:
         self._instrument = instrument
-        self._rods = Rods.of(instrument)
         self._kinematics = WristKinematics.of(chain) if chain is not None else None
         self._fiducial = fiducial
         self._plate = plate_capsules(fiducial) if fiducial is not None else None
@@ -186,9 +165,9 @@ class InstrumentModel:
         kinematics = self._kinematics
         q = joints_of(kinematics.chain, joints) if kinematics is not None else None
         if kinematics is None or q is None:
-            return self._rods.about(self._wrist_without_joints(pose).with_jaws(pose.jaw_scale))
+            return capsules_about(self._instrument, self._wrist_without_joints(pose), pose.jaw_scale)
         frames = frame_transforms(kinematics.chain, q)
-        body = self._rods.about(kinematics.wrist_in_tool(frames, q).with_jaws(pose.jaw_scale))
+        body = capsules_about(self._instrument, kinematics.wrist_in_tool(frames, q), pose.jaw_scale)
         if has_plate and self._fiducial is not None and self._plate is not None:
             T_base_link = frames[row_index(kinematics.chain, self._fiducial.link)]
             T_tool_base = inverse(frames[-1] @ kinematics.chain.T_last_tool)
@@ -208,27 +187,8 @@ class InstrumentModel:
         return Wrist(pose.hinge.position_m, tool_m, axis, pivot, jaws_of(jaws, pivot, 0.0))
 
 
-@dataclass(frozen=True, slots=True)
-class Rods:
-    """The capsules about any wrist: ends are weighted sums of its points and vectors, shape (n, 10) each."""
-
-    start: Array
-    end: Array
-    radius_m: Array
-
-    @staticmethod
-    def of(instrument: Instrument) -> Rods:
-        """The instrument's rods."""
-        starts, ends, radii = zip(*_rods(instrument, Wrist.of(np.eye(10))), strict=True)
-        return Rods(np.array(starts), np.array(ends), np.array(radii))
-
-    def about(self, wrist: Wrist) -> Capsules:
-        """The capsules about a wrist, in its frame."""
-        vectors = wrist.vectors()
-        return Capsules(self.start @ vectors, self.end @ vectors, self.radius_m)
-
-
-def _rods(instrument: Instrument, wrist: Wrist) -> list[tuple[Array, Array, float]]:
+def capsules_about(instrument: Instrument, wrist: Wrist, jaw_scale: float = 1.0) -> Capsules:
+    """The instrument's capsules about a wrist, in its frame, with jaws longer than the profile's by a factor."""
     shaft_m, wrist_m = instrument.shaft_radius_m, instrument.wrist_radius_m
     marker_m = instrument.knuckle_radius_m
     hinge, tool, back = wrist.hinge_m, wrist.tool_m, -wrist.shaft
@@ -246,8 +206,9 @@ def _rods(instrument: Instrument, wrist: Wrist) -> list[tuple[Array, Array, floa
         bridge = side * max(tine_m - 0.42 * wrist_m, 0.0) * wrist.pivot
         rods.append((hinge + bridge, fork + bridge, 0.5 * wrist_m))
     for jaw in wrist.jaws:
-        rods += _blade(instrument, tool, jaw)
-    return rods
+        rods += _blade(instrument, tool, jaw, jaw_scale)
+    starts, ends, radii = zip(*rods, strict=True)
+    return Capsules(np.array(starts), np.array(ends), np.array(radii))
 
 
 def plate_capsules(fiducial: Fiducial) -> Capsules:
@@ -259,20 +220,22 @@ def plate_capsules(fiducial: Fiducial) -> Capsules:
     return Capsules(starts, ends, np.full(PLATE_RODS, PLATE_RADIUS_M))
 
 
-def _blade(instrument: Instrument, tool: Array, jaw: Jaw) -> Iterator[tuple[Array, Array, float]]:
+def _blade(
+    instrument: Instrument, tool: Array, jaw: Jaw, scale: float
+) -> Iterator[tuple[Array, Array, float]]:
     length_m, half_width_m = instrument.jaw_length_m, instrument.jaw_radius_m
-    base = tool + BLADE_OFFSET * half_width_m * jaw.outward
+    base, along = tool + BLADE_OFFSET * half_width_m * jaw.outward, scale * jaw.along
     for start, end, offset, radius in BLADE_RODS:
         radius_m = radius * half_width_m
         end_m = end * length_m - (radius_m if end == 1.0 else 0.0)
         axis = base + offset * half_width_m * jaw.beside
-        yield axis + start * length_m * jaw.along, axis + max(end_m, 0.0) * jaw.along, radius_m
+        yield axis + start * length_m * along, axis + max(end_m, 0.0) * along, radius_m
 
 
 NEAR_M = 1e-3  # what is nearer to the camera has no image
 FINE = 200  # points of the axis among which the visible ones are chosen
 SECTIONS = 24  # of the visible shaft
-HINGE = 1  # the capsule that starts at the wrist's hinge: see `_rods`
+HINGE = 1  # the capsule that starts at the wrist's hinge: see `capsules_about`
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,7 +263,7 @@ def shaft_sections(camera: Camera, body: Capsules) -> ShaftSections | None:
     """The sections of an instrument's shaft, its first capsule, in the camera frame; None where it is not in view."""
     radius_m, far_m = float(body.radius_m[0]), body.end_m[0]
     along = (far_m - body.start_m[0]) / np.linalg.norm(far_m - body.start_m[0])
-    # The capsule's round end stands for a flat one: see `_rods`.
+    # The capsule's round end stands for a flat one: see `capsules_about`.
     points_m = np.linspace(body.start_m[0] - SHAFT_CAP * radius_m * along, far_m, FINE)
     sides = [tangent_normal(points_m[0], along, radius_m, side)[0] for side in (-1, 1)]
     points_m = points_m[points_m[:, 2] > radius_m + NEAR_M]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
@@ -12,7 +12,6 @@ from svmdist.estimation.instrument.corrected_links import (
     CorrectedLink,
     CorrectedLinks,
     Correction,
-    NominalFrames,
 )
 from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.instrument.measurement import LinkMeasurement, SharedBias
@@ -37,21 +36,6 @@ class Linearised:
     def is_finite(self) -> bool:
         """Whether the link could be seen."""
         return bool(np.isfinite(self.residual).all() and np.isfinite(self.H).all())
-
-    @property
-    def bias_jacobian(self) -> Array:
-        """Derivative by all biases, one beside the other, shape (..., m, k)."""
-        shapes = [(*self.residual.shape, bias.jacobian.shape[-1]) for bias in self.biases]
-        return np.concatenate(
-            [np.broadcast_to(bias.jacobian, shape) for bias, shape in zip(self.biases, shapes, strict=True)],
-            -1,
-        )
-
-    @property
-    def covariance(self) -> Array:
-        """Of the residual where it is seen once, shape (..., m, m): noise and bias."""
-        B = self.bias_jacobian
-        return np.asarray(self.noise + B @ np.swapaxes(B, -1, -2))
 
 
 def linearise(measurement: LinkMeasurement, link: CorrectedLink) -> Linearised:
@@ -94,7 +78,6 @@ class ErrorState:
         self._bias_slices: dict[str, slice] = {}
         self._correlation_times_s: Array = np.zeros(0)
         self._robot: RobotState | None = None
-        self._nominal: NominalFrames | None = None
         # Links under `_linked`, the correction that they were computed for.
         self._links: CorrectedLinks | None = None
         self._linked: Correction | None = None
@@ -113,16 +96,18 @@ class ErrorState:
 
     def go_to(self, robot: RobotState) -> None:
         """Take over the robot's state at a new instant: the joints at the time that the correction says."""
-        robot = robot.shifted(self.correction.time_offset_s)
-        self._robot, self._nominal, self._linked = robot, self.model.nominal(robot), None
+        self._robot, self._linked = robot.shifted(self.correction.time_offset_s), None
 
-    def start(self) -> tuple[Array, dict[str, Array]]:
-        """Start from nominal kinematics with the covariance that the profile states; gives that, and with constants."""
-        self.anchor_m = self.model.anchor_m(self.robot)
-        self.correction = self.model.no_correction()
-        prior, with_constants = self.model.prior(self.robot), self.model.prior_with_constants(self.robot)
-        self.reset_bias_states(prior, with_constants)
-        return prior, with_constants
+    def start(self) -> None:
+        """Start from nominal kinematics with the covariance that the profile states, without biases of measurements."""
+        self.anchor_m, self.correction = self.model.anchor_m(self.robot), self.model.no_correction()
+        self.P, self.bias_mean = self.model.prior(self.robot), np.zeros(0)
+        self._bias_slices, self._correlation_times_s = {}, np.zeros(0)
+        for name, covariance in self.model.prior_with_constants(self.robot).items():
+            self._append(SharedBias(name, covariance))
+            at = self._bias_slices[name]
+            self.P[: self.model.size, at] = covariance
+            self.P[at, : self.model.size] = covariance.T
 
     def retracted(self, x: Array) -> ErrorState:
         """The state after a step of error state and biases, shape (n,); the covariance stays."""
@@ -140,16 +125,6 @@ class ErrorState:
         keep = np.eye(len(self.P)) - K @ H
         P = keep @ self.P @ keep.T + K @ R @ K.T
         self.P = 0.5 * (P + P.T)
-
-    def reset_bias_states(self, P: Array, with_constants: Mapping[str, Array]) -> None:
-        """Begin anew with a covariance of the correction, shape (n, n), and no biases of measurements."""
-        self.P, self.bias_mean = P, np.zeros(0)
-        self._bias_slices, self._correlation_times_s = {}, np.zeros(0)
-        for name, covariance in with_constants.items():
-            self._append(SharedBias(name, covariance))
-            at = self._bias_slices[name]
-            self.P[: self.model.size, at] = covariance
-            self.P[at, : self.model.size] = covariance.T
 
     def augment_state(self, parts: Sequence[Linearised]) -> None:
         """The first measurement of a kind, or that a constant matters to, adds its bias, of variance one."""
@@ -209,17 +184,10 @@ class ErrorState:
         play = keep_error[self.model.columns.play] * self.correction.play
         self.correction = replace(self.correction, play=play)
 
-    @property
-    def nominal(self) -> NominalFrames:
-        """What no correction changes of the robot's state now."""
-        if self._nominal is None:
-            self._nominal = self.model.nominal(self.robot)
-        return self._nominal
-
     def link(self, name: str | None) -> CorrectedLink:
         """A link under the correction; None is the tool. Computed once for a robot's state and a correction."""
         if self._links is None or self._linked is not self.correction:
-            self._links = self.model.links(self.nominal, self.correction, self.anchor_m)
+            self._links = self.model.links(self.robot, self.correction, self.anchor_m)
             self._linked = self.correction
         return self._links.link(name)
 
