@@ -32,7 +32,7 @@ def nominal_orientation_pose(
     """The triangulated position with the orientation, and its covariance, of the nominal kinematics."""
     p_camera_m, J = pair.point(markers.left.pixel, markers.disparity_px)
     # What baseline and the right camera's rotation may be off by is in the disparity's deviation.
-    biases = deviations.of_disparity_at(
+    biases = deviations.of_disparity(
         p_camera_m, right.camera, np.array(markers.disparity_px), inverse(right.T_left_right)
     )
     of_cameras_px2 = sum(float(np.sum(bias.jacobian**2)) for bias in biases)

@@ -8,13 +8,12 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.corrected_links import Correction
 from svmdist.estimation.instrument.error_model import ErrorModel
-from svmdist.estimation.instrument.measurement import EXACT, LinkMeasurement
+from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import (
     JAWS,
     ContourMeasurement,
     DisparityMeasurement,
     EndMeasurement,
-    InRightView,
     PointError,
     PointMeasurement,
     PoseMeasurement,
@@ -38,6 +37,18 @@ def shaded(place_std_m: float, shading_px: float = 0.0) -> PointError:
     return PointError("point", place_std_m, 0.0, shading_px)
 
 
+PAIR = DisparityMeasurement(
+    name="ideal",
+    link=None,
+    left=IDEAL,
+    right=IDEAL,
+    T_right_left=T_RIGHT_LEFT,
+    disparity_px=30.0,
+    covariance=np.eye(1),
+    error=shaded(1e-4, 0.5),
+)
+
+
 def measurements() -> list[LinkMeasurement]:
     """All kinds, also off the link's origin, through a lens, and with large residuals."""
     rng = np.random.default_rng(0)
@@ -51,28 +62,62 @@ def measurements() -> list[LinkMeasurement]:
     )
     p_m, pixels = rng.normal(0.0, 0.003, (4, 3)), rng.uniform(0.0, 400.0, (4, 2))
     p_axis_m = np.array([0.001, -0.002, 0.003])
-    edge = ("shaft", across[0], across[:2], np.diag([1e-4, 1e-6]), p_axis_m, axis, 0.004)
-    sides = [ContourMeasurement(f"edge {side}", *edge, side, np.diag([2e-4, 1e-6])) for side in (1, -1)]
-    tip, hinge_m = np.array([0.6, 0.8]), np.array([0.001, 0.002, 0.004])
-    ends = [
-        EndMeasurement(
-            name, "shaft", IDEAL, pixels[2], tip, np.eye(1), hinge_m, axis, ahead_m, radius_m, 2e-4
-        )
-        for name, ahead_m, radius_m in (("dark end", -0.006, 0.004), ("outline's end", 0.003, 0.0))
-    ]
+    edge = ContourMeasurement(
+        name="edge 1",
+        link="shaft",
+        normal=across[0],
+        across=across[:2],
+        covariance=np.diag([1e-4, 1e-6]),
+        p_axis_m=p_axis_m,
+        axis=axis,
+        radius_m=0.004,
+        side=1,
+        bias_covariance=np.diag([2e-4, 1e-6]),
+    )
+    sides = [edge, replace(edge, name="edge -1", side=-1)]
+    end = EndMeasurement(
+        name="dark end",
+        link="shaft",
+        camera=IDEAL,
+        pixel=pixels[2],
+        towards_tip=np.array([0.6, 0.8]),
+        covariance=np.eye(1),
+        p_hinge_m=np.array([0.001, 0.002, 0.004]),
+        axis=axis,
+        ahead_m=-0.006,
+        radius_m=0.004,
+        model_std_m=2e-4,
+    )
+    ends = [end, replace(end, name="outline's end", ahead_m=0.003, radius_m=0.0)]
+    origin = PointMeasurement(
+        name="origin",
+        link=None,
+        camera=IDEAL,
+        pixel=pixels[0],
+        covariance=np.diag([0.2, 0.3]),
+        error=shaded(1e-4, 0.7),
+    )
+    corner = {"camera": LENS, "p_link_m": p_m[0], "pixel": pixels[1], "covariance": np.eye(2)}
+    size = {"camera": IDEAL, "radius_m": 0.00175, "radius_px": 12.0, "covariance": np.eye(1)}
+    pose = PoseMeasurement(
+        name="near",
+        link="tag",
+        T_link_frame=T_frame,
+        T_camera_frame=near @ T_frame,
+        covariance=np.eye(6),
+        bias_covariance=root @ root.T,
+    )
     return [
-        PointMeasurement(
-            "origin", None, IDEAL, np.zeros(3), pixels[0], np.diag([0.2, 0.3]), shaded(1e-4, 0.7)
-        ),
-        PointMeasurement("corner", "tag", LENS, p_m[0], pixels[1], np.eye(2), shaded(2e-4)),
+        origin,
+        replace(origin, name="corner", link="tag", error=shaded(2e-4), **corner),
         *ends,
-        *(InRightView(one, T_RIGHT_LEFT, EXACT) for one in (sides[0], ends[0])),
-        DisparityMeasurement("ideal", None, IDEAL, IDEAL, T_RIGHT_LEFT, 30.0, np.eye(1), shaded(1e-4, 0.5)),
-        DisparityMeasurement("lens", None, LENS, IDEAL, T_RIGHT_LEFT, 30.0, np.eye(1), shaded(1e-4)),
-        SizeMeasurement("size", None, IDEAL, 0.00175, 12.0, np.eye(1), 0.2),
+        *(replace(one, name=f"right {one.name}", T_view_left=T_RIGHT_LEFT) for one in (sides[0], ends[0])),
+        PAIR,
+        replace(PAIR, name="lens", left=LENS, error=shaded(1e-4)),
+        SizeMeasurement(name="size", link=None, bias_std_px=0.2, **size),
         *sides,
-        PoseMeasurement("near", "tag", T_frame, near @ T_frame, np.eye(6), root @ root.T),
-        PoseMeasurement("far", "tag", T_frame, far, np.eye(6), np.eye(6)),
+        pose,
+        replace(pose, name="far", T_camera_frame=far, bias_covariance=np.eye(6)),
     ]
 
 
@@ -80,9 +125,8 @@ def test_what_looks_like_the_shafts_end_does_so_in_the_next_frame():
     """Its deviation in the image is no noise that many frames take away: it lasts as that of the model does."""
     _, _, _, end, *_ = measurements()
     assert isinstance(end, EndMeasurement)
-    derivative = end.linearise(T_LINK).derivative
-    by_model = replace(end, model_std_m=1e-3).bias_jacobian(T_LINK, derivative)
-    both = replace(end, model_std_m=1e-3, lasting_std_px=20.0).bias_jacobian(T_LINK, derivative)
+    by_model = replace(end, model_std_m=1e-3).linearise(T_LINK).bias
+    both = replace(end, model_std_m=1e-3, lasting_std_px=20.0).linearise(T_LINK).bias
     assert both == pytest.approx(np.copysign(np.hypot(by_model, 20.0), by_model))
 
 
@@ -93,13 +137,12 @@ def test_what_is_found_between_end_and_tips_is_off_with_both():
     assert isinstance(end, EndMeasurement)
     ahead_m = 1e-3 * T_LINK[:3, :3] @ end.axis
     moved = nudged(T_LINK, np.concatenate([ahead_m, np.zeros(3)]))
-    pair = DisparityMeasurement("ideal", None, IDEAL, IDEAL, T_RIGHT_LEFT, 30.0, np.eye(1))
-    for one in (origin, pair):
-        own = {bias.name for bias in one.shared_biases(T_LINK)}
+    for one in (origin, PAIR):
+        own = {bias.name for bias in one.linearise(T_LINK).shared}
         assert end.bias_name not in own
         off = {
             bias.name: bias
-            for bias in replace(one, error=PointError(with_end_m=ahead_m)).shared_biases(T_LINK)
+            for bias in replace(one, error=PointError(with_end_m=ahead_m)).linearise(T_LINK).shared
         }
         # As if the tool were nearer by as much: what is measured would be what is predicted there.
         expected = one.linearise(T_LINK).residual - one.linearise(moved).residual
@@ -109,10 +152,10 @@ def test_what_is_found_between_end_and_tips_is_off_with_both():
         longer = np.concatenate([5e-4 * T_LINK[:3, 0], np.zeros(3)])
         expected = one.linearise(T_LINK).residual - one.linearise(nudged(T_LINK, longer)).residual
         error = PointError(with_end_m=ahead_m, with_jaws_m=5e-4)
-        both = replace(one, error=error).shared_biases(T_LINK)
+        both = replace(one, error=error).linearise(T_LINK).shared
         by_jaws = next(bias.jacobian for bias in both if bias.name == JAWS)
         assert by_jaws == pytest.approx(np.column_stack([expected, np.zeros((len(expected), 6))]), rel=0.05)
-    by_end = replace(end, model_std_m=1e-3).bias_jacobian(T_LINK, end.linearise(T_LINK).derivative)
+    by_end = replace(end, model_std_m=1e-3).linearise(T_LINK).bias
     assert by_end[0] == pytest.approx(
         end.linearise(T_LINK).residual - end.linearise(moved).residual, rel=0.05
     )

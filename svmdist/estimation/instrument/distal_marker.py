@@ -110,7 +110,6 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
     marker, what is coloured is somewhere about the tool's origin.
     """
     marker, instrument = view.distal_marker, arm.profile.instrument
-    time_s = arm.profile.settings.filter.point_correlation_time_s
     if marker is None:
         wrist = view.shaft.wrist
         if wrist is None:
@@ -122,17 +121,17 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
         noise_px, lasting_px = np.sqrt([1.0 - WRIST_LASTING, WRIST_LASTING]) * wrist.std_px
         by_jaws_m = (1.0 - wrist.end_share) * arm.straight.jaw_tip_std_m
         place_std_m = float(lasting_px / px_per_m)
-        error = PointError(WRIST, place_std_m, 0.0, 0.0, time_s, wrist.end_share * end_m, by_jaws_m)
+        error = PointError(WRIST, place_std_m, with_end_m=wrist.end_share * end_m, with_jaws_m=by_jaws_m)
         return SeenMarker(WRIST, wrist.pixel, float(noise_px), error, wrist.std_px)
     seen_px = float(np.sqrt(marker.area_px / np.pi))
     if instrument is None:
         std_px, hidden = UNKNOWN_SHAPE * seen_px, UNKNOWN_SHAPE
-        error = PointError(MARKER, shading_px=SHADING_BIAS * seen_px, correlation_time_s=time_s)
+        error = PointError(MARKER, shading_px=SHADING_BIAS * seen_px)
         return SeenMarker(MARKER, marker.centre_px, std_px, error, seen_px, marker.area_px, hidden)
     radius_m, place_std_m = instrument.knuckle_radius_m, instrument.knuckle_position_std_m
     if expected is None:
         size_px = marker.radius_px or seen_px
-        error = PointError(MARKER, place_std_m, 0.0, SHADING_BIAS * size_px, time_s)
+        error = PointError(MARKER, place_std_m, shading_px=SHADING_BIAS * size_px)
         return SeenMarker(MARKER, marker.centre_px, marker.std_px, error, size_px, marker.area_px)
     whole_px = float(view.camera.K[0, 0]) * radius_m / expected.depth_m
     whole, unknown = (seen_px / whole_px) ** 2, expected.std_fraction
@@ -146,7 +145,6 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
         float(np.hypot(VISIBLE_MIDDLE * radius_m, place_std_m)),
         OTHER_PART_PLACE * radius_m if is_other else 0.0,
         SHADING_BIAS * whole_px,
-        time_s,
     )
     return SeenMarker(
         MARKER,

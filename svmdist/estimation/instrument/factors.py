@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from svmdist.camera import Camera
 from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.distal_marker import WRIST, Expected, MarkerPair, SeenMarker, marker_in
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
@@ -19,11 +18,9 @@ from svmdist.estimation.instrument.measurement_kinds import (
     JAWS,
     LASTING_OUTLINE,
     MARKER,
-    POSE_CORRELATION_TIME_S,
     ContourMeasurement,
     DisparityMeasurement,
     EndMeasurement,
-    InRightView,
     PointError,
     PointMeasurement,
     PoseMeasurement,
@@ -55,16 +52,15 @@ def of_images(
     what hides its marker may be what has the sides.
     """
     arm, left, right, seen = frame.arm, frame.left, frame.right, frame.scene.observation.right
-    views = [left]
-    T_right_left, motion_std_m = np.eye(4), 0.0
+    views, T_right_left = [left], np.eye(4)
     if both_views and right is not None and seen is not None:
         views, T_right_left = [left, right], inverse(seen.T_left_right)
-        motion_std_m = TOOL_SPEED_M_S * abs(seen.delay_s)
 
     def of_view(view: View, found: Iterator[LinkMeasurement]) -> list[LinkMeasurement]:
-        if view is left:
+        if view is left or seen is None:
             return list(found)
-        return [InRightView(one, T_right_left, arm.deviations, motion_std_m) for one in found]
+        motion_std_m = TOOL_SPEED_M_S * abs(seen.delay_s)
+        return [_in_right_view(one, T_right_left, motion_std_m) for one in found]
 
     def first(found: Iterator[list[LinkMeasurement]]) -> list[LinkMeasurement]:
         return next((of_one for of_one in found if of_one), [])
@@ -100,17 +96,17 @@ def sides(view: View, arm: Arm, lasting_share: float = 0.0) -> Iterator[LinkMeas
         across = axes[:, 1:].T
         covariance = across @ contour.plane.covariance @ across.T
         yield ContourMeasurement(
-            f"edge {contour.side:+d}",
-            axis.link,
-            contour.plane.normal,
-            across,
-            (1.0 - lasting_share) * covariance,
-            axis.p_axis_m,
-            axis.axis,
-            instrument.shaft_radius_m,
-            contour.side,
-            lasting_share * covariance,
-            focal_px=_focal_px(view.camera),
+            name=f"edge {contour.side:+d}",
+            link=axis.link,
+            normal=contour.plane.normal,
+            across=across,
+            covariance=(1.0 - lasting_share) * covariance,
+            p_axis_m=axis.p_axis_m,
+            axis=axis.axis,
+            radius_m=instrument.shaft_radius_m,
+            side=contour.side,
+            bias_covariance=lasting_share * covariance,
+            focal_px=np.diag(view.camera.K)[:2],
             deviations=deviations,
             correlation_time_s=arm.profile.settings.filter.edge_correlation_time_s,
         )
@@ -124,18 +120,18 @@ def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
     if view.shaft.is_stub and view.distal_marker is not None:  # what ends there may be anything dark
         return
     yield EndMeasurement(
-        "end",
-        axis.link,
-        view.camera,
-        rim.pixel,
-        rim.towards_tip,
-        np.array([[(1.0 - LASTING_OUTLINE) * rim.std_px**2]]),
-        arm.hinge_m,
-        axis.axis,
-        ahead[0],
-        0.0 if rim.is_outline else instrument.shaft_radius_m,
-        ahead[1],
-        float(np.sqrt(LASTING_OUTLINE)) * rim.std_px,
+        name="end",
+        link=axis.link,
+        camera=view.camera,
+        pixel=rim.pixel,
+        towards_tip=rim.towards_tip,
+        covariance=np.array([[(1.0 - LASTING_OUTLINE) * rim.std_px**2]]),
+        p_hinge_m=arm.hinge_m,
+        axis=axis.axis,
+        ahead_m=ahead[0],
+        radius_m=0.0 if rim.is_outline else instrument.shaft_radius_m,
+        model_std_m=ahead[1],
+        lasting_std_px=float(np.sqrt(LASTING_OUTLINE)) * rim.std_px,
         deviations=arm.deviations,
     )
 
@@ -146,58 +142,68 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
     if seen is None:
         return
     yield PointMeasurement(
-        seen.name,
-        None,
-        view.camera,
-        _marker_place_m(arm, seen),
-        seen.pixel,
-        seen.std_px**2 * np.eye(2),
-        seen.error,
-        arm.deviations,
+        name=seen.name,
+        link=None,
+        camera=view.camera,
+        p_link_m=_marker_place_m(arm, seen),
+        pixel=seen.pixel,
+        covariance=seen.std_px**2 * np.eye(2),
+        error=seen.error,
+        deviations=arm.deviations,
+        correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
     )
     if instrument is None:
         return
     if marker is not None and marker.radius_px is not None and not seen.is_other_part:
         lasting, variance_px2 = LASTING_SIZE, marker.radius_std_px**2
         yield SizeMeasurement(
-            "size",
-            None,
-            view.camera,
-            instrument.knuckle_radius_m,
-            marker.radius_px,
-            np.array([[(1.0 - lasting) * variance_px2]]),
-            float(np.sqrt(lasting * variance_px2)),
-            arm.profile.settings.filter.point_correlation_time_s,
-            arm.deviations,
+            name="size",
+            link=None,
+            camera=view.camera,
+            radius_m=instrument.knuckle_radius_m,
+            radius_px=marker.radius_px,
+            covariance=np.array([[(1.0 - lasting) * variance_px2]]),
+            bias_std_px=float(np.sqrt(lasting * variance_px2)),
+            deviations=arm.deviations,
+            correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
         )
     if seen.name == WRIST and (wrist := view.shaft.wrist) is not None and arm.straight is not None:
         yield PointMeasurement(
-            "jaws' tip",
-            None,
-            view.camera,
-            instrument.jaw_length_m * arm.straight.T_shaft_tool[2, :3],
-            wrist.tip_px,
-            wrist.tip_std_px**2 * np.eye(2),
-            PointError(JAWS, arm.straight.jaw_tip_std_m),
-            arm.deviations,
+            name="jaws' tip",
+            link=None,
+            camera=view.camera,
+            p_link_m=instrument.jaw_length_m * arm.straight.T_shaft_tool[2, :3],
+            pixel=wrist.tip_px,
+            covariance=wrist.tip_std_px**2 * np.eye(2),
+            error=PointError(JAWS, arm.straight.jaw_tip_std_m),
+            deviations=arm.deviations,
         )
+
+
+def _in_right_view(one: LinkMeasurement, T_right_left: Array, motion_std_m: float) -> LinkMeasurement:
+    """A measurement by the right camera: what an edge or a point alone gets wrong is each view's own."""
+    right = replace(one, name=f"right {one.name}", T_view_left=T_right_left, motion_std_m=motion_std_m)
+    if isinstance(right, PointMeasurement) and right.bias_name == one.name:
+        right = replace(right, error=replace(right.error, name=right.name))
+    return right
 
 
 def _disparity(frame: Frame, right: View, markers: MarkerPair, T_right_left: Array) -> LinkMeasurement:
     """How far apart both views show the tool's origin; it shares with its point what is off it on the instrument."""
     arm, left = frame.arm, markers.left
     return DisparityMeasurement(
-        DISPARITY,
-        None,
-        frame.left.camera,
-        right.camera,
-        T_right_left,
-        float(left.pixel[0] - markers.right.pixel[0]),
-        np.array([[markers.std_px**2]]),
-        left.error,
-        arm.deviations,
-        markers.lasting_std_px,
-        _marker_place_m(arm, left),
+        name=DISPARITY,
+        link=None,
+        left=frame.left.camera,
+        right=right.camera,
+        T_right_left=T_right_left,
+        disparity_px=float(left.pixel[0] - markers.right.pixel[0]),
+        covariance=np.array([[markers.std_px**2]]),
+        error=left.error,
+        deviations=arm.deviations,
+        lasting_std_px=markers.lasting_std_px,
+        p_link_m=_marker_place_m(arm, left),
+        correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
     )
 
 
@@ -214,15 +220,14 @@ def tag(
     found = frame.tag_near(R_camera_tag, std_rad)
     if found is not None:
         yield PoseMeasurement(
-            "tag",
-            fiducial.link,
-            fiducial.T_link_tag,
-            found.T_camera_tag,
-            (1.0 - lasting_share) * found.covariance,
-            lasting_share * found.covariance,
-            POSE_CORRELATION_TIME_S,
-            _focal_px(frame.left.camera),
-            frame.arm.deviations,
+            name="tag",
+            link=fiducial.link,
+            T_link_frame=fiducial.T_link_tag,
+            T_camera_frame=found.T_camera_tag,
+            covariance=(1.0 - lasting_share) * found.covariance,
+            bias_covariance=lasting_share * found.covariance,
+            focal_px=np.diag(frame.left.camera.K)[:2],
+            deviations=frame.arm.deviations,
         )
 
 
@@ -240,7 +245,3 @@ def jaw_scale(kalman: KinematicErrorFilter, arm: Arm) -> float:
     if deviations <= 0.0 or arm.straight is None:
         return 1.0
     return 1.0 + deviations * arm.straight.jaw_tip_std_m / arm.straight.instrument.jaw_length_m
-
-
-def _focal_px(camera: Camera) -> tuple[float, float]:
-    return float(camera.K[0, 0]), float(camera.K[1, 1])

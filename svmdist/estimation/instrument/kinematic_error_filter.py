@@ -275,7 +275,14 @@ class KinematicErrorFilter:
 def as_measurement(pose: ToolPose) -> PoseMeasurement:
     """A pose by the images as a measurement of the tool."""
     C = pose.covariance + TINY_POSE
-    return PoseMeasurement("pose", None, np.eye(4), pose.T_camera_tool, C, np.zeros((6, 6)))
+    return PoseMeasurement(
+        name="pose",
+        link=None,
+        T_link_frame=np.eye(4),
+        T_camera_frame=pose.T_camera_tool,
+        covariance=C,
+        bias_covariance=np.zeros((6, 6)),
+    )
 
 
 def pose_distance(image: ToolPose, predicted: ToolPose) -> float:

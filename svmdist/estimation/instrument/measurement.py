@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.profile import Profile
-from svmdist.profile.hand_eye import BASELINE, FOCAL_LENGTH, PRINCIPAL_POINT, SHAFT_RADIUS, TAG_SIZE
+from svmdist.profile.hand_eye import BASELINE, FOCAL_LENGTH, PRINCIPAL_POINT, TAG_SIZE
 from svmdist.profile.robot import CameraError
+from svmdist.profile.settings import FilterSettings
 from svmdist.transforms import Array, skew
 
+RIGHT_ROTATION = "right camera's rotation"
 FOR_EVER_S = np.inf
+ONE_FRAME_S = 1e-3  # of what is drawn anew in every frame
+POINT_CORRELATION_TIME_S = FilterSettings().point_correlation_time_s
 MIN_DEPTH_M = 1e-3  # what is nearer to the camera, or behind it, has no image
 AHEAD_M = np.array([0.0, 0.0, 1.0])  # in place of a point that cannot be seen, so that it has a projection
-NEAR_M = 1e-3  # A camera is no nearer to an edge than this: it bounds a derivative
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,89 +59,46 @@ class Deviations:
             0.0 if tag is None else tag.rotation_std_rad,
         )
 
-    def of_pixels(self, pixels: Array, camera: Camera) -> tuple[SharedBias, ...]:
-        """Of projected points, shape (..., 2): focal length and principal point."""
-        focal = self.camera.focal_std_fraction * (pixels - camera.K[:2, 2])
-        centre = np.broadcast_to(self.camera.centre_std_px * np.eye(2), (*pixels.shape, 2))
-        return SharedBias(FOCAL_LENGTH, focal[..., None]), SharedBias(PRINCIPAL_POINT, centre)
+    def of_pixels(self, pixel: Array, camera: Camera) -> tuple[SharedBias, ...]:
+        """Of a projected point, shape (2,): focal length and principal point."""
+        focal = self.camera.focal_std_fraction * (pixel - camera.K[:2, 2])
+        centre = self.camera.centre_std_px * np.eye(2)
+        return SharedBias(FOCAL_LENGTH, focal[:, None]), SharedBias(PRINCIPAL_POINT, centre)
 
     def of_disparity(
-        self, p_right_m: Array, slope_right: Array, disparity_px: Array, T_right_left: Array
-    ) -> tuple[SharedBias, ...]:
-        """Of x in the left view less x in the right one, shape (...): focal length, and how the right camera stands."""
-        focal = self.camera.focal_std_fraction * disparity_px[..., None, None]
-        baseline_m = T_right_left[..., :3, 3]
-        by_baseline = -(slope_right * baseline_m).sum(-1) * self.camera.baseline_std_fraction
-        by_turn = (slope_right[..., None, :] @ skew(p_right_m))[
-            ..., 0, :
-        ] * self.camera.right_rotation_std_rad
-        return (
-            SharedBias(FOCAL_LENGTH, focal),
-            SharedBias(BASELINE, by_baseline[..., None, None]),
-            SharedBias("right camera's rotation", by_turn[..., None, :]),
-        )
-
-    def of_disparity_at(
         self, p_left_m: Array, right: Camera, disparity_px: Array, T_right_left: Array
     ) -> tuple[SharedBias, ...]:
-        """The same of the disparity of points in the left camera, shape (..., 3), as the right camera sees them."""
-        p_right_m = (T_right_left[..., :3, :3] @ p_left_m[..., None])[..., 0] + T_right_left[..., :3, 3]
+        """Of the disparities, shape (...), of points in the left camera, (..., 3), as the right camera sees them.
+
+        They are x in the left view less x in the right one, which is off with focal length and the right camera's pose.
+        """
+        p_right_m = (T_right_left[:3, :3] @ p_left_m[..., None])[..., 0] + T_right_left[:3, 3]
         p_right_m = np.where(p_right_m[..., 2:] >= MIN_DEPTH_M, p_right_m, AHEAD_M)
-        _, slope = right.project_with_derivative(p_right_m)
-        return self.of_disparity(p_right_m, slope[..., 0, :], disparity_px, T_right_left)
-
-    def of_radius(self, radius_px: Array) -> tuple[SharedBias, ...]:
-        """Of a sphere's apparent radius, shape (...): focal length and the sphere's radius."""
-        return (
-            SharedBias(FOCAL_LENGTH, self.camera.focal_std_fraction * radius_px[..., None, None]),
-            SharedBias("marker radius", self.marker_radius_fraction * radius_px[..., None, None]),
-        )
-
-    def of_edge(
-        self, normal: Array, across: Array, by_radius: Array, radius_m: Array, focal_px: Array
-    ) -> tuple[SharedBias, ...]:
-        """Of the plane through an edge, measured normal (..., 3), and its predicted one's derivative by the radius."""
-        flat = normal * np.array([1.0, 1.0, 0.0])
-        focal = -self.camera.focal_std_fraction * (across @ flat[..., None])
-        centre = -self.camera.centre_std_px * across[..., :, 2:] * (normal[..., None, :2] / focal_px)
-        radius = across @ (by_radius * radius_m[..., None])[..., None] * self.shaft_radius_fraction
+        slope = right.project_with_derivative(p_right_m)[1][..., :1, :]
+        focal = self.camera.focal_std_fraction * disparity_px[..., None, None]
+        by_baseline = -(slope * T_right_left[:3, 3]).sum(-1) * self.camera.baseline_std_fraction
+        by_turn = slope @ skew(p_right_m) * self.camera.right_rotation_std_rad
         return (
             SharedBias(FOCAL_LENGTH, focal),
-            SharedBias(PRINCIPAL_POINT, centre),
-            SharedBias(SHAFT_RADIUS, radius),
+            SharedBias(BASELINE, by_baseline[..., None]),
+            SharedBias(RIGHT_ROTATION, by_turn),
         )
 
     def of_tag(self, T_camera_tag: Array, focal_px: Array) -> tuple[SharedBias, ...]:
-        """Of a tag's pose, shape (..., 4, 4): focal length, principal point, the tag's size, and how it is mounted."""
-        p_m, R = T_camera_tag[..., :3, 3], T_camera_tag[..., :3, :3]
-        focal = np.zeros((*p_m.shape[:-1], 6, 1))
-        focal[..., 2, 0] = -self.camera.focal_std_fraction * p_m[..., 2]
-        turn = np.array([[0.0, -1.0 / focal_px[1]], [1.0 / focal_px[0], 0.0], [0.0, 0.0]])
-        centre = np.empty((*p_m.shape[:-1], 6, 2))
-        centre[..., 3:, :] = self.camera.centre_std_px * turn
-        centre[..., :3, :] = (
-            self.camera.centre_std_px * p_m[..., 2, None, None] * (np.eye(3)[:, :2] / focal_px)
-        )
-        size = np.zeros((*p_m.shape[:-1], 6, 1))
-        size[..., :3, 0] = -self.tag_size_fraction * p_m
-        mounting = np.zeros((*p_m.shape[:-1], 6, 6))
-        mounting[..., :3, :3] = self.tag_position_m * R
-        mounting[..., 3:, 3:] = self.tag_rotation_rad * R
+        """Of a tag's pose, shape (4, 4): focal length, principal point, the tag's size, and how it is mounted."""
+        p_m, R = T_camera_tag[:3, 3], T_camera_tag[:3, :3]
+        focal, centre, size, mounting = (np.zeros((6, count)) for count in (1, 2, 1, 6))
+        focal[2, 0] = -self.camera.focal_std_fraction * p_m[2]
+        centre[:3] = self.camera.centre_std_px * p_m[2] * (np.eye(3)[:, :2] / focal_px)
+        centre[3, 1], centre[4, 0] = self.camera.centre_std_px * np.array([-1.0, 1.0]) / focal_px[::-1]
+        size[:3, 0] = -self.tag_size_fraction * p_m
+        mounting[:3, :3], mounting[3:, 3:] = self.tag_position_m * R, self.tag_rotation_rad * R
         return (
             SharedBias(FOCAL_LENGTH, focal),
             SharedBias(PRINCIPAL_POINT, centre),
             SharedBias(TAG_SIZE, size),
             SharedBias("tag mounting", mounting),
         )
-
-
-def edge_by_radius(p_axis_m: Array, axis: Array, radius_m: Array, side: Array) -> Array:
-    """Derivative by the radius, shape (..., 3), of the normal of the plane that touches a cylinder on one side."""
-    foot_m = p_axis_m - (axis * p_axis_m).sum(-1, keepdims=True) * axis
-    square = (foot_m * foot_m).sum(-1)
-    beside_m = side * np.sqrt(np.maximum(square - radius_m**2, NEAR_M**2))
-    e = beside_m[..., None] * foot_m - radius_m[..., None] * (skew(axis) @ foot_m[..., None])[..., 0]
-    return np.asarray(e / (square * beside_m)[..., None])
 
 
 EXACT = Deviations(
@@ -152,44 +111,65 @@ EXACT = Deviations(
 
 @dataclass(frozen=True, slots=True)
 class PoseResidual:
-    """Measured minus predicted (m,), derivative (m, 6) by (δp, δθ) in the camera frame; inf and NaN where unseen."""
+    """Measured minus predicted (m,), derivative (m, 6) by (δp, δθ) in the camera frame; inf and NaN where unseen.
+
+    `bias`, (m, k), is the derivative by the measurement's own bias, `shared` what errors of constants do.
+    """
 
     residual: Array
     derivative: Array
+    bias: Array
+    shared: tuple[SharedBias, ...] = ()
 
     @classmethod
     def unseen(cls, size: int) -> PoseResidual:
         """What has no image: behind the camera, or around it."""
-        return cls(np.full(size, np.inf), np.full((size, 6), np.nan))
+        return cls(np.full(size, np.inf), np.full((size, 6), np.nan), np.zeros((size, 0)))
 
 
+@dataclass(frozen=True, kw_only=True)
 class LinkMeasurement(ABC):
-    """A measurement of the frame of the DH row `link`, or of the tool where that is None.
+    """A measurement of the frame of the DH row `link`, or of the tool where that is None; `name` is for a person.
 
-    `covariance` is that of what changes from frame to frame, the noise, shape (..., m, m). What stays alike, the
-    bias, is a vector of numbers of variance one that fade with the time constant `correlation_time_s`.
+    `covariance` is that of what changes from frame to frame, the noise, shape (m, m). What stays alike, the bias, is a
+    vector of numbers of variance one that fade with the time constant `correlation_time_s`. `source` is the detection
+    that it is made of. For a right view, `T_view_left` maps the left camera's coordinates to the right one's, and the
+    tool may have moved by `motion_std_m` along each axis between the stamps of both.
     """
 
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-    source: ClassVar[str]  # the detection that it is made of
-    name: str  # what was measured, for a person
+    name: str
     link: str | None
     covariance: Array
-    correlation_time_s: float
+    source: str = ""
+    correlation_time_s: float = POINT_CORRELATION_TIME_S
+    deviations: Deviations = EXACT
+    T_view_left: Array | None = None
+    motion_std_m: float = 0.0
 
     @property
     def bias_name(self) -> str:
-        """Measurements of one such name share one bias."""
+        """Measurements of one such name share one bias: in both views where it is of something on the instrument."""
         return self.name
 
     @abstractmethod
+    def in_view(self, T_view_link: Array, /) -> PoseResidual:
+        """All that it says about a pose of the link, shape (4, 4), in the frame of the camera that sees it."""
+
     def linearise(self, T_camera_link: Array) -> PoseResidual:
-        """Residual and derivative about poses of the link, shape (..., 4, 4)."""
-
-    @abstractmethod
-    def bias_jacobian(self, T_camera_link: Array, derivative: Array, /) -> Array:
-        """Derivative of the residual by the bias, (..., m, k), from the pose and the pose's derivative."""
-
-    @abstractmethod
-    def shared_biases(self, T_camera_link: Array, /) -> tuple[SharedBias, ...]:
-        """What errors of constants do to the residual."""
+        """All that it says about a pose of the link, shape (4, 4), in the left camera's frame."""
+        if self.T_view_left is None:
+            return self.in_view(T_camera_link)
+        T, camera = self.T_view_left @ T_camera_link, self.deviations.camera
+        found, R = self.in_view(T), self.T_view_left[:3, :3]
+        by_place, by_turn = -found.derivative[:, :3], -found.derivative[:, 3:]
+        # The right camera is off by its place along the baseline, and turned about its own centre.
+        baseline = camera.baseline_std_fraction * by_place @ self.T_view_left[:3, 3, None]
+        turned = camera.right_rotation_std_rad * (by_turn - by_place @ skew(T[:3, 3]))
+        moved = self.motion_std_m * by_place @ R
+        shared = (
+            *found.shared,
+            SharedBias(BASELINE, baseline),
+            SharedBias(RIGHT_ROTATION, turned),
+            SharedBias("motion between the views", moved, ONE_FRAME_S),
+        )
+        return replace(found, derivative=found.derivative @ np.kron(np.eye(2), R), shared=shared)

@@ -40,15 +40,10 @@ class Linearised:
 
 def linearise(measurement: LinkMeasurement, link: CorrectedLink) -> Linearised:
     """A measurement about its link's pose."""
-    by_pose = measurement.linearise(link.T_camera_link)
-    own = SharedBias(
-        measurement.bias_name,
-        measurement.bias_jacobian(link.T_camera_link, by_pose.derivative),
-        measurement.correlation_time_s,
-    )
-    H = -(by_pose.derivative @ link.derivative)
-    biases = (own, *measurement.shared_biases(link.T_camera_link))
-    return Linearised(by_pose.residual, H, biases, measurement.covariance)
+    found = measurement.linearise(link.T_camera_link)
+    own = SharedBias(measurement.bias_name, found.bias, measurement.correlation_time_s)
+    H = -(found.derivative @ link.derivative)
+    return Linearised(found.residual, H, (own, *found.shared), measurement.covariance)
 
 
 def block_diagonal(blocks: Sequence[Array]) -> Array:

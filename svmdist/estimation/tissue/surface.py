@@ -77,7 +77,7 @@ def depth_biases(
     T_right_left = inverse(right.T_left_right)
     disparity_px = np.asarray(camera.K[0, 0] * np.linalg.norm(T_right_left[:3, 3]) / points_m[..., 2])
     by_px = (points_m[..., 2] / disparity_px)[..., None, None]
-    biases = deviations.of_disparity_at(points_m, right.camera, disparity_px, T_right_left)
+    biases = deviations.of_disparity(points_m, right.camera, disparity_px, T_right_left)
     return tuple(SharedBias(bias.name, by_px * bias.jacobian, bias.correlation_time_s) for bias in biases)
 
 
