@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from svmdist.camera import Camera
 from svmdist.estimation.instrument.shaft_detection import (
     DistalMarker,
     ShaftDetection,
@@ -22,8 +21,8 @@ from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure
-from svmdist.samples import Image, JointSample, Observation
-from svmdist.transforms import Array
+from svmdist.samples import Image, JointSample, Observation, RightView
+from svmdist.transforms import Array, inverse
 from svmdist.vision.colour import Masks
 from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.regions import Region, find_region
@@ -44,14 +43,17 @@ class View:
 
     Every detection is computed when it is first asked for. `others`, shape (h, w), marks the pixels that have an
     instrument's colours and belong to another one, or to none that is known; None where there is one instrument only.
+    `T_view_left`, shape (4, 4), maps the left camera's coordinates to its own; its stamp is `delay_s` later.
     """
 
-    def __init__(self, arm: Arm, camera: Camera, context: FrameContext, others: Image | None = None) -> None:
-        self.camera = camera
-        self.context = context
-        self._arm = arm
-        self._settings = arm.profile.settings
-        self.others = others
+    def __init__(
+        self, arm: Arm, seen: Observation | RightView, context: FrameContext, others: Image | None = None
+    ) -> None:
+        self.camera, self.context, self.others = seen.camera, context, others
+        self.T_view_left, self.delay_s = np.eye(4), 0.0
+        if isinstance(seen, RightView):
+            self.T_view_left, self.delay_s = inverse(seen.T_left_right), seen.delay_s
+        self._arm, self._settings = arm, arm.profile.settings
 
     @property
     def found(self) -> dict[str, Any]:
@@ -191,9 +193,9 @@ class Frame:
     ) -> Frame:
         """The frame of one instrument: what it reported, without the pixels that belong to others."""
         seen, right = scene.observation, None
-        left = View(arm, seen.camera, scene.left, others[0])
+        left = View(arm, seen, scene.left, others[0])
         if scene.right is not None and seen.right is not None:
-            right = View(arm, seen.right.camera, scene.right, others[1])
+            right = View(arm, seen.right, scene.right, others[1])
         return cls(scene, arm, left, right, observation.joints, robot, doubt)
 
     @property

@@ -5,20 +5,17 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-
 from svmdist.errors import ProfileError
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.instrument.shaft_model import ShaftModel
 from svmdist.estimation.tissue.detection import TissueDetection, detect_tissue
 from svmdist.estimation.tissue.surface import StereoSurface, detect_stereo_surface
-from svmdist.kinematics import DHChain, ShaftAxis, chain_of, frame_transforms, row_index, shaft_of
+from svmdist.kinematics import DHChain, chain_of, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
 from svmdist.results import Failure
 from svmdist.samples import Observation
-from svmdist.transforms import Array, inverse
 from svmdist.vision.frame_context import FrameContext, as_pinholes, with_first_fields
 from svmdist.vision.segmentation import Segmenter
 from svmdist.vision.stereo import RectifiedPair, rectified_pair
@@ -54,26 +51,12 @@ class Arm:
         return Deviations.of(self.profile)
 
     @cached_property
-    def shaft_axis(self) -> ShaftAxis | None:
-        """Which link carries the shaft, and where its axis is there; None without such a chain."""
-        return shaft_of(self.chain) if self.chain else None
-
-    @cached_property
     def straight(self) -> ShaftModel | None:
         """The instrument with straight joints, in no place; None without its sizes, or a chain with a shaft."""
         instrument = self.profile.instrument
-        if instrument is None or self.shaft_axis is None:
+        if instrument is None or self.chain is None or shaft_of(self.chain) is None:
             return None
-        return ShaftModel.of(Failure(""), self.required_chain, instrument)
-
-    @cached_property
-    def hinge_m(self) -> Array | None:
-        """The wrist's hinge in the frame of the link that slides along the shaft, shape (3,); None without a shaft."""
-        if self.straight is None or self.shaft_axis is None:
-            return None
-        links = frame_transforms(self.required_chain, self.straight.q)
-        T = inverse(links[row_index(self.required_chain, self.shaft_axis.link)]) @ self.straight.T_base_shaft
-        return np.asarray(T[:3, 3])
+        return ShaftModel.of(Failure(""), self.chain, instrument)
 
     @cached_property
     def tag_pattern(self) -> TagPattern | None:

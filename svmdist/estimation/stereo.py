@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from svmdist.estimation.distances import measured, with_tissue
-from svmdist.estimation.frame import Frame, Needs
+from svmdist.estimation.frame import Frame, Needs, View
 from svmdist.estimation.instrument.consistency import with_detections
 from svmdist.estimation.instrument.distal_marker import MarkerPair, pair_markers
 from svmdist.estimation.instrument.error_model import nominal_tool
@@ -19,24 +19,25 @@ from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue.detection import require_tissue
 from svmdist.estimation.tissue.tracking import surface_by_stereo
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
-from svmdist.samples import Rejection, RightView, Status
-from svmdist.transforms import inverse
+from svmdist.samples import Rejection, Status
 from svmdist.vision.stereo import RectifiedPair
 
 BOUND_AT_M = 0.1  # from an endoscope to a tool at work
 
 
 def nominal_orientation_pose(
-    markers: MarkerPair, pair: RectifiedPair, right: RightView, nominal: ToolPose, deviations: Deviations
+    markers: MarkerPair, pair: RectifiedPair, right: View, nominal: ToolPose, deviations: Deviations
 ) -> ToolPose:
     """The triangulated position with the orientation, and its covariance, of the nominal kinematics."""
     p_camera_m, J = pair.point(markers.left.pixel, markers.disparity_px)
     # What baseline and the right camera's rotation may be off by is in the disparity's deviation.
-    biases = deviations.of_disparity(
-        p_camera_m, right.camera, np.array(markers.disparity_px), inverse(right.T_left_right)
-    )
+    disparity_px = np.array(markers.disparity_px)
+    biases = deviations.of_disparity(p_camera_m, right.camera, disparity_px, right.T_view_left)
     of_cameras_px2 = sum(float(np.sum(bias.jacobian**2)) for bias in biases)
-    pixel_std_px, disparity_std_px = markers.total_std_px
+    pixel_std_px = float(
+        np.hypot(markers.left.std_px, markers.left.radius_px * markers.left.error.part_std_m)
+    )
+    disparity_std_px = float(np.hypot(markers.std_px, markers.lasting_std_px))
     T_camera_tool, covariance = nominal.T_camera_tool.copy(), np.zeros((6, 6))
     T_camera_tool[:3, 3] = p_camera_m
     variances = np.array([pixel_std_px**2, pixel_std_px**2, disparity_std_px**2 + of_cameras_px2])
@@ -112,7 +113,7 @@ class StereoEstimator:
         return pose_by_pair(frame, pair) if self._uses_shaft else self._triangulated(frame, pair)
 
     def _triangulated(self, frame: Frame, pair: RectifiedPair) -> ImagePose | Rejection | Failure:
-        robot, right = frame.robot_in_camera, frame.scene.observation.right
+        robot, right = frame.robot_in_camera, frame.right
         markers = pair_markers(frame, pair)
         if isinstance(markers, Failure):
             return markers

@@ -25,12 +25,8 @@ def places(frame: Frame) -> dict[str, ToolPose]:
 
 
 def _places(frame: Frame) -> Iterator[tuple[str, ToolPose]]:
-    arm, robot, pair, right = (
-        frame.arm,
-        frame.robot_in_camera,
-        frame.scene.stereo_pair,
-        frame.scene.observation.right,
-    )
+    arm, robot = frame.arm, frame.robot_in_camera
+    pair, right = frame.scene.stereo_pair, frame.right
     if not isinstance(robot, Failure):
         yield KINEMATICS, nominal_tool(arm.required_chain, arm.profile.kinematic_error, robot)
     if arm.profile.segmentation.shaft is not None and arm.body is not None and arm.chain is not None:

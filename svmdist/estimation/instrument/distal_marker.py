@@ -15,16 +15,14 @@ from svmdist.estimation.instrument.measurement_kinds import MARKER, PointError
 from svmdist.estimation.instrument.shaft_detection import BORDER_STD_PER_BLUR, FARTHEST_M, marker_centre
 from svmdist.estimation.scene import Arm
 from svmdist.results import Failure, ToolPose
-from svmdist.transforms import Array, inverse
+from svmdist.transforms import Array, transform_points
 from svmdist.vision.lines import axis_of_cylinder
 from svmdist.vision.stereo import RectifiedPair
 
 WRIST = "wrist"
 # Deviations over the marker's radius. What lasts is a state of the filter, and reaches the interval as such.
 VISIBLE_MIDDLE = 0.05  # lasts: geometry, 6 % of the disc hidden on one side moves the middle of the rest so
-LASTING_DISPARITY = (
-    0.016  # lasts: blood and shading differ in each view, by 0.1 to 0.2 px at 12 px when simulated
-)
+LASTING_DISPARITY = 0.016  # lasts: blood and shading differ in each view, by 0.1 to 0.2 px at 12 px
 SHADING_BIAS = 0.12  # and the light's angle in rad; lasts: half of √(1 - 0.97²), Lambert's dark limb
 CENTRE_NOISE = 0.02  # pixels, light and angle of view, when simulated: a quarter of a pixel at 12 px
 UNKNOWN_SHAPE = 0.33  # of what is seen, where no size is known: of half a disc the middle is 0.42 radii off
@@ -37,9 +35,7 @@ ASIDE_RAD = 0.056  # the angle between the views that these are stated for: 5 mm
 ROW_TOLERANCE_PX = 3.0  # rectified points lie on one row; the marker is cut differently in each view
 WHOLE_AREA_SPREAD = 0.1  # of a whole marker over its disc's: jaws hide some, a fork adds
 MIN_VISIBLE_FRACTION = 0.4  # of a whole marker's area: with less of it, it may be any coloured part
-MAX_AREA_FRACTION = (
-    1.44  # the same above: a sphere shows no more than its disc, and light a fifth of its radius
-)
+MAX_AREA_FRACTION = 1.44  # a sphere shows no more than its disc, and light a fifth of its radius
 OTHER_PART_PLACE = 3.0  # over the marker's radius: a ring or a clip, anywhere on the distal part
 WRIST_LASTING = 0.5  # of the variance of a point on the outline of a wrist: its shape is as it is
 MATCH_STD_PX, MATCH_STEP_PX = 1.0, 0.5  # of a wrist in both views: they show other sides of it, by a pixel
@@ -76,11 +72,6 @@ class SeenMarker:
     area_px: float = 0.0
     hidden: float = 0.0
 
-    @property
-    def is_other_part(self) -> bool:
-        """Whether it is of another size than the marker, and anywhere about the tool's origin."""
-        return self.error.part_std_m > 0.0
-
 
 @dataclass(frozen=True, slots=True)
 class MarkerPair:
@@ -95,12 +86,6 @@ class MarkerPair:
     std_px: float
     lasting_std_px: float
     expected: Expected
-
-    @property
-    def total_std_px(self) -> tuple[float, float]:
-        """Standard deviations of the pixel and of the disparity, where they are seen once."""
-        px_per_m = self.left.radius_px * self.left.error.part_std_m
-        return float(np.hypot(self.left.std_px, px_per_m)), float(np.hypot(self.std_px, self.lasting_std_px))
 
 
 def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | None:
@@ -186,10 +171,8 @@ def pair_markers(frame: Frame, pair: RectifiedPair, expected: Expected | None = 
     left_at, right_at = pair.to_rows(one.pixel), pair.to_rows(other.pixel, right=True)
     if abs(left_at[1] - right_at[1]) > ROW_TOLERANCE_PX + one.std_px + other.std_px:
         return Failure("the views do not agree on the instrument")
-    disparity_px, far_m = (
-        pair.disparity_px(float(left_at[0]), float(right_at[0])),
-        arm.profile.stereo_in_range.far_m,
-    )
+    disparity_px = pair.disparity_px(float(left_at[0]), float(right_at[0]))
+    far_m = arm.profile.stereo_in_range.far_m
     if disparity_px <= pair.disparity_at(far_m):
         return Failure(
             f"the instrument's disparity, {disparity_px:.1f} px, is that of a point beyond {far_m} m"
@@ -220,14 +203,13 @@ def _matched(
     frame: Frame, pair: RectifiedPair, one: SeenMarker, disparity_px: float, std_px: float
 ) -> tuple[float, Array] | None:
     """Disparity and right pixel of what the left view shows where the wrist is, near those that its outlines have."""
-    scene, silhouette, right = frame.scene, frame.left.silhouette, frame.scene.observation.right
-    if scene.right is None or silhouette is None or right is None:
+    right, silhouette = frame.right, frame.left.silhouette
+    if right is None or silhouette is None:
         return None
     first_px = max(disparity_px - MATCH_REACH * std_px, pair.disparity_at(FARTHEST_M))
     tried_px = np.arange(first_px, disparity_px + MATCH_REACH * std_px, MATCH_STEP_PX)
     points_m = pair.points(np.tile(pair.to_rows(one.pixel), (len(tried_px), 1)), tried_px)
-    T_right_left = inverse(right.T_left_right)
-    places_px = right.camera.project(points_m @ T_right_left[:3, :3].T + T_right_left[:3, 3])
-    views = scene.left.grey, scene.right.grey
+    places_px = right.camera.project(transform_points(right.T_view_left, points_m))
+    views = frame.left.context.grey, right.context.grey
     at = matched_place(views, one.pixel, MATCH_WIDTHS * silhouette.width_px, places_px)
     return None if at is None else (float(tried_px[at]), places_px[at])

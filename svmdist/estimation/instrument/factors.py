@@ -11,25 +11,14 @@ from dataclasses import replace
 import numpy as np
 
 from svmdist.estimation.frame import Frame, View
+from svmdist.estimation.instrument import measurement_kinds as kinds
 from svmdist.estimation.instrument.distal_marker import WRIST, Expected, MarkerPair, SeenMarker, marker_in
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import LinkMeasurement
-from svmdist.estimation.instrument.measurement_kinds import (
-    JAWS,
-    LASTING_OUTLINE,
-    MARKER,
-    ContourMeasurement,
-    DisparityMeasurement,
-    EndMeasurement,
-    PointError,
-    PointMeasurement,
-    PoseMeasurement,
-    SizeMeasurement,
-)
 from svmdist.estimation.scene import Arm
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure, ToolPose
-from svmdist.transforms import Array, inverse
+from svmdist.transforms import Array
 
 DISPARITY = "disparity"
 LASTING_SIZE = 0.75  # of the variance of the marker's radius: light and blood stay
@@ -51,16 +40,11 @@ def of_images(
     that is tracked, the shaft's end, a stub's sides, and a size beside a disparity tell less than is known before; and
     what hides its marker may be what has the sides.
     """
-    arm, left, right, seen = frame.arm, frame.left, frame.right, frame.scene.observation.right
-    views, T_right_left = [left], np.eye(4)
-    if both_views and right is not None and seen is not None:
-        views, T_right_left = [left, right], inverse(seen.T_left_right)
+    arm, left, right = frame.arm, frame.left, frame.right
+    views = [left, right] if both_views and right is not None else [left]
 
     def of_view(view: View, found: Iterator[LinkMeasurement]) -> list[LinkMeasurement]:
-        if view is left or seen is None:
-            return list(found)
-        motion_std_m = TOOL_SPEED_M_S * abs(seen.delay_s)
-        return [_in_right_view(one, T_right_left, motion_std_m) for one in found]
+        return list(found) if view is left else [_in_right_view(one, view) for one in found]
 
     def first(found: Iterator[list[LinkMeasurement]]) -> list[LinkMeasurement]:
         return next((of_one for of_one in found if of_one), [])
@@ -79,15 +63,15 @@ def of_images(
     if len(views) < 2 or not isinstance(markers, MarkerPair):
         return [*found, *marks]
     if is_tracked:
-        marks = [one for one in marks if not isinstance(one, SizeMeasurement)]
-    return [*found, *marks, _disparity(frame, views[1], markers, T_right_left)]
+        marks = [one for one in marks if not isinstance(one, kinds.SizeMeasurement)]
+    return [*found, *marks, _disparity(frame, views[1], markers)]
 
 
 def sides(view: View, arm: Arm, lasting_share: float = 0.0) -> Iterator[LinkMeasurement]:
     """Both sides of the shaft's outline in a view; of their variance a share lasts."""
-    instrument, axis = arm.profile.instrument, arm.shaft_axis
-    if instrument is None or axis is None:
+    if not view.shaft.contours or arm.straight is None:
         return
+    axis = arm.straight.axis
     # What both edges get wrong alike is to the tool what a wrong radius is.
     radius_std = float(np.hypot(arm.deviations.shaft_radius_fraction, view.shaft.width_std))
     deviations = replace(arm.deviations, shaft_radius_fraction=radius_std)
@@ -95,7 +79,7 @@ def sides(view: View, arm: Arm, lasting_share: float = 0.0) -> Iterator[LinkMeas
         _, axes = np.linalg.eigh(contour.plane.covariance)
         across = axes[:, 1:].T
         covariance = across @ contour.plane.covariance @ across.T
-        yield ContourMeasurement(
+        yield kinds.ContourMeasurement(
             name=f"edge {contour.side:+d}",
             link=axis.link,
             normal=contour.plane.normal,
@@ -103,7 +87,7 @@ def sides(view: View, arm: Arm, lasting_share: float = 0.0) -> Iterator[LinkMeas
             covariance=(1.0 - lasting_share) * covariance,
             p_axis_m=axis.p_axis_m,
             axis=axis.axis,
-            radius_m=instrument.shaft_radius_m,
+            radius_m=arm.straight.radius_m,
             side=contour.side,
             bias_covariance=lasting_share * covariance,
             focal_px=np.diag(view.camera.K)[:2],
@@ -114,24 +98,24 @@ def sides(view: View, arm: Arm, lasting_share: float = 0.0) -> Iterator[LinkMeas
 
 def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
     """The shaft's end: of its dark part, or of the outline that is a cylinder's."""
-    axis, rim, ahead, instrument = arm.shaft_axis, view.shaft.rim, view.rim_ahead, arm.profile.instrument
-    if rim is None or axis is None or ahead is None or instrument is None or arm.hinge_m is None:
+    rim, ahead, straight = view.shaft.rim, view.rim_ahead, arm.straight
+    if rim is None or ahead is None or straight is None:
         return
     if view.shaft.is_stub and view.distal_marker is not None:  # what ends there may be anything dark
         return
-    yield EndMeasurement(
+    yield kinds.EndMeasurement(
         name="end",
-        link=axis.link,
+        link=straight.axis.link,
         camera=view.camera,
         pixel=rim.pixel,
         towards_tip=rim.towards_tip,
-        covariance=np.array([[(1.0 - LASTING_OUTLINE) * rim.std_px**2]]),
-        p_hinge_m=arm.hinge_m,
-        axis=axis.axis,
+        covariance=np.array([[(1.0 - kinds.LASTING_OUTLINE) * rim.std_px**2]]),
+        p_hinge_m=straight.hinge_m,
+        axis=straight.axis.axis,
         ahead_m=ahead[0],
-        radius_m=0.0 if rim.is_outline else instrument.shaft_radius_m,
+        radius_m=0.0 if rim.is_outline else straight.radius_m,
         model_std_m=ahead[1],
-        lasting_std_px=float(np.sqrt(LASTING_OUTLINE)) * rim.std_px,
+        lasting_std_px=float(np.sqrt(kinds.LASTING_OUTLINE)) * rim.std_px,
         deviations=arm.deviations,
     )
 
@@ -141,9 +125,8 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
     seen, marker, instrument = marker_in(view, arm, expected), view.distal_marker, arm.profile.instrument
     if seen is None:
         return
-    yield PointMeasurement(
+    yield kinds.PointMeasurement(
         name=seen.name,
-        link=None,
         camera=view.camera,
         p_link_m=_marker_place_m(arm, seen),
         pixel=seen.pixel,
@@ -154,11 +137,12 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
     )
     if instrument is None:
         return
-    if marker is not None and marker.radius_px is not None and not seen.is_other_part:
+    if (
+        marker is not None and marker.radius_px is not None and seen.error.part_std_m == 0.0
+    ):  # of the marker's size
         lasting, variance_px2 = LASTING_SIZE, marker.radius_std_px**2
-        yield SizeMeasurement(
+        yield kinds.SizeMeasurement(
             name="size",
-            link=None,
             camera=view.camera,
             radius_m=instrument.knuckle_radius_m,
             radius_px=marker.radius_px,
@@ -168,35 +152,34 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
             correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
         )
     if seen.name == WRIST and (wrist := view.shaft.wrist) is not None and arm.straight is not None:
-        yield PointMeasurement(
+        yield kinds.PointMeasurement(
             name="jaws' tip",
-            link=None,
             camera=view.camera,
             p_link_m=instrument.jaw_length_m * arm.straight.T_shaft_tool[2, :3],
             pixel=wrist.tip_px,
             covariance=wrist.tip_std_px**2 * np.eye(2),
-            error=PointError(JAWS, arm.straight.jaw_tip_std_m),
+            error=kinds.PointError(kinds.JAWS, arm.straight.jaw_tip_std_m),
             deviations=arm.deviations,
         )
 
 
-def _in_right_view(one: LinkMeasurement, T_right_left: Array, motion_std_m: float) -> LinkMeasurement:
+def _in_right_view(one: LinkMeasurement, view: View) -> LinkMeasurement:
     """A measurement by the right camera: what an edge or a point alone gets wrong is each view's own."""
-    right = replace(one, name=f"right {one.name}", T_view_left=T_right_left, motion_std_m=motion_std_m)
-    if isinstance(right, PointMeasurement) and right.bias_name == one.name:
+    motion_std_m = TOOL_SPEED_M_S * abs(view.delay_s)
+    right = replace(one, name=f"right {one.name}", T_view_left=view.T_view_left, motion_std_m=motion_std_m)
+    if isinstance(right, kinds.PointMeasurement) and right.bias_name == one.name:
         right = replace(right, error=replace(right.error, name=right.name))
     return right
 
 
-def _disparity(frame: Frame, right: View, markers: MarkerPair, T_right_left: Array) -> LinkMeasurement:
+def _disparity(frame: Frame, right: View, markers: MarkerPair) -> LinkMeasurement:
     """How far apart both views show the tool's origin; it shares with its point what is off it on the instrument."""
     arm, left = frame.arm, markers.left
-    return DisparityMeasurement(
+    return kinds.DisparityMeasurement(
         name=DISPARITY,
-        link=None,
         left=frame.left.camera,
         right=right.camera,
-        T_right_left=T_right_left,
+        T_right_left=right.T_view_left,
         disparity_px=float(left.pixel[0] - markers.right.pixel[0]),
         covariance=np.array([[markers.std_px**2]]),
         error=left.error,
@@ -219,7 +202,7 @@ def tag(
     std_rad = float(np.sqrt(np.linalg.eigvalsh(predicted.covariance[3:, 3:])[-1]))
     found = frame.tag_near(R_camera_tag, std_rad)
     if found is not None:
-        yield PoseMeasurement(
+        yield kinds.PoseMeasurement(
             name="tag",
             link=fiducial.link,
             T_link_frame=fiducial.T_link_tag,
@@ -234,14 +217,14 @@ def tag(
 def _marker_place_m(arm: Arm, seen: SeenMarker) -> Array:
     """Where the tool carries what is seen, shape (3,), by the profile."""
     instrument = arm.profile.instrument
-    if instrument is None or seen.name != MARKER:
+    if instrument is None or seen.name != kinds.MARKER:
         return np.zeros(3)
     return np.array(instrument.knuckle_position_m)
 
 
 def jaw_scale(kalman: KinematicErrorFilter, arm: Arm) -> float:
     """The jaws' length over the profile's, by their tips in the image: never less, as what is seen may lack them."""
-    deviations = kalman.constant(JAWS)
+    deviations = kalman.constant(kinds.JAWS)
     if deviations <= 0.0 or arm.straight is None:
         return 1.0
     return 1.0 + deviations * arm.straight.jaw_tip_std_m / arm.straight.instrument.jaw_length_m

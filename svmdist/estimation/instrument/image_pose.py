@@ -17,12 +17,13 @@ from svmdist.estimation.instrument.distal_marker import MarkerPair, pair_markers
 from svmdist.estimation.instrument.factors import DISPARITY, jaw_scale, of_images
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import LinkMeasurement
-from svmdist.estimation.instrument.shaft_detection import wrist_marker
-from svmdist.estimation.instrument.shaft_model import ShaftModel, first_shafts
+from svmdist.estimation.instrument.shaft_detection import DistalMarker
+from svmdist.estimation.instrument.shaft_model import ShaftModel
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import KinematicError
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, inverse, make_transform, rotation_of
+from svmdist.vision.lines import apparent_radius_px, axis_of_cylinder
 from svmdist.vision.stereo import RectifiedPair
 
 OPEN_M = 0.3  # standard deviation of the base's place: a scene is no larger
@@ -56,25 +57,22 @@ class ImagePose:
 
 def pose_by_image(frame: Frame) -> ImagePose | Failure:
     """The tool by the left view; or why it cannot be measured."""
-    arm, left = frame.arm, frame.left
-    instrument, marker = arm.profile.instrument, left.distal_marker or wrist_marker(left.shaft)
+    arm, left, instrument = frame.arm, frame.left, frame.arm.profile.instrument
     if instrument is None:
         return Failure(f"profile {arm.profile.name} has no [instrument]")
-    if left.shaft.is_stub and left.shaft.contours and marker is None:
+    if left.shaft.is_stub and left.shaft.contours and _tool_marker(left) is None:
         # Anything dark at the border has two short sides; nothing here would contradict them.
         return Failure("too little of the shaft is to be seen, and neither wrist nor distal marker")
     model = ShaftModel.of(frame.robot, arm.required_chain, instrument)
-    firsts = first_shafts(left.shaft, marker, model, left.camera, model.R_camera_shaft)
-    return _located(frame, list(firsts), of_images(frame, None, both_views=False), model)
+    firsts = list(_first_shafts(left, model, model.R_camera_shaft))
+    return _located(frame, firsts, of_images(frame, None, both_views=False), model)
 
 
 def pose_by_pair(frame: Frame, pair: RectifiedPair) -> ImagePose | Failure:
     """The tool by both views; or why it cannot be measured."""
-    arm, left, right, seen = frame.arm, frame.left, frame.right, frame.scene.observation.right
-    instrument = arm.profile.instrument
+    arm, left, right, instrument = frame.arm, frame.left, frame.right, frame.arm.profile.instrument
     assert instrument is not None
     assert right is not None  # the pair has one
-    assert seen is not None
     if left.region is None and right.region is None and (left.shaft.contours or right.shaft.contours):
         # What hides the distal part ends the shaft, too: its end is then anywhere.
         return Failure("the instrument's distal part is hidden in both views")
@@ -82,19 +80,19 @@ def pose_by_pair(frame: Frame, pair: RectifiedPair) -> ImagePose | Failure:
     markers, tool_m, expected = pair_markers(frame, pair), None, None
     if isinstance(markers, MarkerPair):
         tool_m, expected = pair.point(markers.left.pixel, markers.disparity_px)[0], markers.expected
-    firsts = list(_first_places(left, right, tool_m, model, inverse(seen.T_left_right)))
+    firsts = list(_first_places((left, right), tool_m, model))
     return _located(frame, firsts, of_images(frame, expected, markers, both_views=True), model)
 
 
 def _first_places(
-    left: View, right: View, tool_m: Array | None, model: ShaftModel, T_right_left: Array
+    views: tuple[View, View], tool_m: Array | None, model: ShaftModel
 ) -> Iterator[Array | Failure]:
     """First `T_left_shaft`, (4, 4): by the sides in either view, by the triangulated marker; or what is missing."""
     R_nominal = model.R_camera_shaft
-    for view, T_left_view in ((left, np.eye(4)), (right, inverse(T_right_left))):
+    for view in views:
+        T_left_view = inverse(view.T_view_left)
         R = None if R_nominal is None else T_left_view[:3, :3].T @ R_nominal
-        marker = view.distal_marker or wrist_marker(view.shaft)
-        for first in first_shafts(view.shaft, marker, model, view.camera, R):
+        for first in _first_shafts(view, model, R):
             if isinstance(first, Failure):
                 yield first
                 continue
@@ -104,6 +102,75 @@ def _first_places(
             yield np.asarray(T)
     if tool_m is not None and R_nominal is not None:
         yield make_transform(R_nominal, tool_m - R_nominal @ model.T_shaft_tool[:3, 3])
+
+
+def _tool_marker(view: View) -> DistalMarker | None:
+    """The distal marker; or the tool's origin by the outline of the wrist, as a point without a size."""
+    wrist = view.shaft.wrist
+    if view.distal_marker is not None or wrist is None:
+        return view.distal_marker
+    return DistalMarker(wrist.pixel, wrist.std_px, None, 0.0)
+
+
+def _first_shafts(view: View, model: ShaftModel, R_nominal: Array | None) -> Iterator[Array | Failure]:
+    """First `T_view_shaft`, (4, 4): by the closed form, by the nominal rotation and a marker; or why none."""
+    if len(view.shaft.contours) == 2:
+        yield _start_from_sides(view, model, R_nominal)
+    marker = _tool_marker(view)
+    if R_nominal is None:
+        yield Failure("no long enough part of a shaft is to be seen with both sides")
+    elif marker is None or marker.radius_px is None:
+        yield Failure("neither both sides of the shaft nor a whole distal marker")
+    else:
+        ray, radius_m = view.camera.rays(marker.centre_px)[0], model.instrument.knuckle_radius_m
+        tool_m = apparent_radius_px(ray, radius_m, view.camera) / marker.radius_px * ray
+        yield make_transform(R_nominal, tool_m - R_nominal @ model.T_shaft_tool[:3, 3])
+
+
+def _start_from_sides(view: View, model: ShaftModel, R_nominal: Array | None) -> Array | Failure:
+    first, second = (contour.plane for contour in view.shaft.contours)
+    axis = axis_of_cylinder(first, second, model.radius_m)
+    if axis is None:
+        return Failure("the shaft's sides are too close together")
+    d = _turned_to_tip(axis.direction, view, R_nominal)
+    if d is None:
+        return Failure("nothing tells the shaft's tip from its base")
+    hinge_m = _along_axis(axis.point_m, d, view, model)
+    if hinge_m is None:
+        return Failure("the shaft's end is not to be seen")
+    x = np.eye(3)[int(np.argmin(np.abs(d)))] if R_nominal is None else R_nominal[:, 0]
+    y = np.cross(d, x)
+    y /= np.linalg.norm(y)
+    return make_transform(np.stack([np.cross(y, d), y, d], -1), hinge_m)
+
+
+def _turned_to_tip(d: Array, view: View, R_nominal: Array | None) -> Array | None:
+    shaft = view.shaft
+    if shaft.towards_tip is not None and shaft.middle_px is not None:
+        x, y, _ = view.camera.rays(shaft.middle_px)[0]
+        flow = np.array([d[0] - x * d[2], d[1] - y * d[2]])
+        return d if flow @ shaft.towards_tip > 0 else -d
+    if R_nominal is None:
+        return None
+    return d if d @ R_nominal[:, 2] > 0 else -d
+
+
+def _along_axis(p_m: Array, d: Array, view: View, model: ShaftModel) -> Array | None:
+    """The hinge: where the axis passes the landmark's ray, less the landmark's place on the straight tool."""
+    rim, marker = view.shaft.rim, _tool_marker(view)
+    if rim is not None:
+        pixel, ahead_m = rim.pixel, model.outline_end_m if rim.is_outline else -model.neck_m
+    elif marker is not None:
+        pixel, ahead_m = marker.centre_px, float(model.T_shaft_tool[2, 3])
+    else:
+        return None
+    ray = view.camera.rays(pixel)[0]
+    ray = ray / np.linalg.norm(ray)
+    cosine = float(ray @ d)
+    if 1.0 - cosine**2 < 1e-4:
+        return None
+    along_m = (cosine * float(ray @ p_m) - float(d @ p_m)) / (1.0 - cosine**2)
+    return np.asarray(p_m + (along_m - ahead_m) * d)
 
 
 def _located(
@@ -142,10 +209,7 @@ def _located(
         share = 0.0 if source else MAX_REFUSED_SHARE * sum(result.degrees_of_freedom for result in told)
         if sum(result.degrees_of_freedom for result in refused) > share:
             doubt = f"{', '.join(result.name for result in refused)} do not fit the rest"
-    axis, hinge_m = frame.arm.shaft_axis, frame.arm.hinge_m
-    assert axis is not None  # the model has its frame
-    assert hinge_m is not None
-    hinge = kalman.hinge(axis.link, hinge_m)
+    hinge = kalman.hinge(model.axis.link, model.hinge_m)
     pose = replace(kalman.tool_pose(), hinge=hinge, jaw_scale=jaw_scale(kalman, frame.arm))
     used = tuple(one.name for one in judged if one.is_accepted)
     found = ImagePose(pose, used, doubt, judged)

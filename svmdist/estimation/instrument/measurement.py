@@ -138,8 +138,8 @@ class LinkMeasurement(ABC):
     """
 
     name: str
-    link: str | None
     covariance: Array
+    link: str | None = None
     source: str = ""
     correlation_time_s: float = POINT_CORRELATION_TIME_S
     deviations: Deviations = EXACT

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -13,13 +14,8 @@ from svmdist.least_squares import median, scale_of
 from svmdist.profile.settings import DistalMarkerSettings, ShaftSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.edges import (
-    Disc,
-    edge_blur_px,
-    edge_points,
-    fit_disc,
-    shading_shift_px,
-)
+from svmdist.vision import shadows
+from svmdist.vision.edges import Disc, edge_blur_px, edge_points, fit_disc, shading_shift_px
 from svmdist.vision.lines import (
     POINT_CORRELATION_PX,
     Line,
@@ -31,22 +27,10 @@ from svmdist.vision.lines import (
     without_perspective,
 )
 from svmdist.vision.regions import Region
-from svmdist.vision.shadows import (
-    MIN_LINE_POINTS,
-    PENUMBRA_BLUR_PX,
-    PENUMBRA_RATIO,
-    SHADOW_INLIER_PX,
-    SHADOW_STD_PX,
-    edge_before_shadow,
-    in_view,
-    is_of_shaft,
-)
 from svmdist.vision.shaft_segmentation import ShaftRegion, Side
 from svmdist.vision.silhouette import FROM_ONE_END, Silhouette, WristPoint
 
-EDGE_REACH_FRACTION = (
-    0.007  # how far sub-pixel edges are searched from the mask's contour, over the image's width
-)
+EDGE_REACH_FRACTION = 0.007  # how far edges are searched from the mask's contour, over the image's width
 MIN_EDGE_REACH_PX = 4.0  # the least of that reach: a threshold cuts an edge of usual blur within this
 SIDE_TRIM_FRACTION = 0.06  # of a side at each end: corners of the shaft's end and the picture's border
 BLUR_REACH_FRACTION = 0.022  # of the image's width: a tool at 200 mm/s moves so far in 1/60 s
@@ -58,17 +42,11 @@ SHADING_STD_PER_BLUR = 0.05  # how that grows with the edge's blur, for the same
 OUTLINE_SHADING_STD_PX = 0.15  # where nothing is known of the light: a limb fades or shines
 END_STRIP_FRACTION = 0.25  # of the half width about the middle, where the end's arc has its apex
 END_REACH_HALF_WIDTHS = 0.9  # along the shaft: an arc's apex lies up to one half width before the corners
-MIN_END_STD_PX = (
-    3.0  # of the shaft's end: steel, jaws and shadow are as dark, and lead it 4 px and more astray
-)
+MIN_END_STD_PX = 3.0  # of the shaft's end: steel, jaws and shadow are as dark, 4 px and more off it
 MAX_LOG_RATIO = 0.25  # between radii by circle and area: further apart they are different things
 BORDER_POINTS = 8.0  # of the border that err independently: it is cut by fork and jaws, each over an eighth
-BORDER_STD_PER_BLUR = (
-    0.1  # what neighbours of other colours within the border's blur shift it, over that blur
-)
-WHOLE_REACH = (
-    1.1  # of a whole marker's farthest points over the radius by its area: fork and jaws cut a fifth of it
-)
+BORDER_STD_PER_BLUR = 0.1  # what neighbours of other colours shift it, over the border's blur
+WHOLE_REACH = 1.1  # of a whole marker's farthest points over its area's radius: fork and jaws cut a fifth
 CENTROID_STD = 0.045  # by how much hidden parts move the region's centroid, over the radius
 
 
@@ -143,13 +121,8 @@ def _median_saturation(image_hsv: Image, mask: Image) -> float:
 
 
 MIN_END_POINTS = 4
-NEAREST_M, FARTHEST_M = (
-    0.02,
-    0.5,
-)  # of a shaft's end: nearer it fills the view, farther no endoscope lights it
-MOST_STEEP = (
-    0.975  # of the axis along the view, 13° off it: with so short a shaft nothing tells that it is one
-)
+NEAREST_M, FARTHEST_M = 0.02, 0.5  # of a shaft's end: nearer it fills the view, farther it has no light
+MOST_STEEP = 0.975  # of the axis along the view, 13° off it: nothing tells that so short a shaft is one
 STEEP_LENGTH_WIDTHS = 2.5  # of such a shaft, from which on its taper does
 
 
@@ -214,26 +187,18 @@ def detect_shaft(
     sides = (region.first, region.second)
     reach_px = BLUR_REACH_FRACTION * brightness.shape[1]
     blurs_px = [edge_blur_px(brightness, _trimmed(side, region), reach_px, settings) for side in sides]
-    contours: list[Contour] = []
+    contours = []
     for side, blur_px, other_px in zip(sides, blurs_px, blurs_px[::-1], strict=True):
         # Both edges of a shaft are as sharp as each other; a shadow beside it ends in a penumbra.
-        is_penumbra = blur_px > PENUMBRA_RATIO * max(other_px, PENUMBRA_BLUR_PX)
-        views = brightness, bgr
-        contour = _contour(
-            views,
-            side,
-            region,
-            towards_tip,
-            min(blur_px, other_px) if is_penumbra else blur_px,
-            is_penumbra,
-            camera,
-            settings,
-        )
-        if contour is not None and all(contour.side != other.side for other in contours):
-            contours.append(contour)
+        is_penumbra = blur_px > shadows.PENUMBRA_RATIO * max(other_px, shadows.PENUMBRA_BLUR_PX)
+        own_px = min(blur_px, other_px) if is_penumbra else blur_px
+        line = _side_line((brightness, bgr), side, region, own_px, is_penumbra, camera, settings)
+        if line is not None:
+            outward = _trimmed(side, region)[2]
+            contours.append(_contour_of(line, region.middle_px, outward, towards_tip, camera))
     rim = _rim(brightness, region, towards_tip, settings) if region.end_is_free else None
     known = towards_tip if region.end_px is not None else None
-    return ShaftDetection(tuple(contours), rim, known, region.middle_px, region.is_stub)
+    return ShaftDetection(_one_per_side(contours), rim, known, region.middle_px, region.is_stub)
 
 
 def detect_silhouette(silhouette: Silhouette | None, camera: Camera, radius_m: float) -> ShaftDetection:
@@ -244,28 +209,33 @@ def detect_silhouette(silhouette: Silhouette | None, camera: Camera, radius_m: f
     if silhouette is None:
         return NO_SHAFT
     towards_tip, middle_px = silhouette.towards_tip, silhouette.middle_px
-    contours: list[Contour] = []
+    found = []
     for edge in silhouette.edges:
         outward = 0.5 * (edge.start_px + edge.end_px) - middle_px
         inlier_px = max(LINE_INLIER_PX, LINE_INLIER_PER_WIDTH * silhouette.width_px, edge.within_px)
-        line = None
         if edge.covariance is None:
             line = _line_through(edge.points_px, camera, inlier_px, OUTLINE_SHADING_STD_PX)
         else:
             ends = camera.rays(np.stack([edge.start_px, edge.end_px]))[:, :2]
             line = line_between(ends, edge.covariance / float(camera.K[0, 0]) ** 2)
-        contour = None if line is None else _contour_of(line, middle_px, outward, towards_tip, camera)
-        if contour is not None and all(contour.side != other.side for other in contours):
-            contours.append(contour)
+        if line is not None:
+            found.append(_contour_of(line, middle_px, outward, towards_tip, camera))
+    contours = _one_per_side(found)
     if len(contours) == 2 and not _can_stand(contours, silhouette, camera, radius_m):
         return NO_SHAFT
-    end_px = silhouette.end_px
-    rim = None
+    end_px, rim = silhouette.end_px, None
     if end_px is not None:
         other = 2.0 * silhouette.other_px / silhouette.width_px, silhouette.other_share
         rim = Rim(end_px, towards_tip, silhouette.std_px, silhouette.is_outline, *other, silhouette.narrows)
     wrist, width_std = silhouette.wrist, silhouette.width_std
-    return ShaftDetection(tuple(contours), rim, towards_tip, middle_px, False, wrist, width_std)
+    return ShaftDetection(contours, rim, towards_tip, middle_px, False, wrist, width_std)
+
+
+def _one_per_side(contours: Sequence[Contour]) -> tuple[Contour, ...]:
+    first: dict[int, Contour] = {}
+    for contour in contours:
+        first.setdefault(contour.side, contour)
+    return tuple(first.values())
 
 
 def _can_stand(contours: Sequence[Contour], silhouette: Silhouette, camera: Camera, radius_m: float) -> bool:
@@ -280,12 +250,6 @@ def _can_stand(contours: Sequence[Contour], silhouette: Silhouette, camera: Came
     return NEAREST_M < depth_m < FARTHEST_M and not is_steep
 
 
-def wrist_marker(shaft: ShaftDetection) -> DistalMarker | None:
-    """The tool's origin by the outline of the wrist, as a point without a size; None where no wrist is seen."""
-    wrist = shaft.wrist
-    return None if wrist is None else DistalMarker(wrist.pixel, wrist.std_px, None, 0.0)
-
-
 def _line_through(
     points_px: Array,
     camera: Camera,
@@ -296,7 +260,7 @@ def _line_through(
     """The line on z = 1 through most of an edge's points, shape (n, 2) in px."""
     unit = 1.0 / float(camera.K[0, 0])
     points = camera.rays(points_px)[:, :2]
-    return fit_line(points, unit, MIN_LINE_POINTS, inlier_px, systematic_px, correlation_px)
+    return fit_line(points, unit, shadows.MIN_LINE_POINTS, inlier_px, systematic_px, correlation_px)
 
 
 def _contour_of(line: Line, middle_px: Array, outward: Array, towards_tip: Array, camera: Camera) -> Contour:
@@ -313,53 +277,43 @@ def _trimmed(side: Side, region: ShaftRegion) -> tuple[Array, Array, Array]:
     return side.start_px + trim, side.end_px - trim, outward
 
 
-def _contour(
+def _side_line(
     views: tuple[Image, Image],
     side: Side,
     region: ShaftRegion,
-    towards_tip: Array,
     blur_px: float,
     is_penumbra: bool,
     camera: Camera,
     settings: ShaftSettings,
-) -> Contour | None:
-    """The contour along a side; None where only a shadow's border is to be seen."""
+) -> Line | None:
+    """The line on z = 1 along a side; None where only a shadow's border is to be seen."""
     brightness, bgr = views
     along = side.end_px - side.start_px
     rough = _trimmed(side, region)
-    outward = rough[2]
     width_px = brightness.shape[1]
     # A threshold may cut a blurred edge two of its deviations off its middle.
     reach_px = max(MIN_EDGE_REACH_PX, EDGE_REACH_FRACTION * width_px) + 2.0 * blur_px
-    points_px = in_view(edge_points(brightness, rough, reach_px, settings, blur_px), region)
+    points_px = shadows.in_view(edge_points(brightness, rough, reach_px, settings, blur_px), region)
     if len(points_px) == 0:
         return None
     across = np.array([-along[1], along[0]]) / np.linalg.norm(along)
-    across = across if across @ outward > 0.0 else -across
-    inlier_px, std_px = (
-        LINE_INLIER_PX + LINE_INLIER_PER_BLUR * blur_px,
-        np.hypot(SHADING_STD_PX, SHADING_STD_PER_BLUR * blur_px),
-    )
-    shadowed = edge_before_shadow(brightness, rough, across, region, settings, blur_px)
-    is_shaft = is_of_shaft(bgr, points_px, across, region, blur_px, shadowed)
+    across = across if across @ rough[2] > 0.0 else -across
+    inlier_px = LINE_INLIER_PX + LINE_INLIER_PER_BLUR * blur_px
+    std_px = float(np.hypot(SHADING_STD_PX, SHADING_STD_PER_BLUR * blur_px))
+    in_shadow = partial(shadows.edge_before_shadow, brightness, rough, across, region, settings, blur_px)
+    shadowed = in_shadow()
+    is_shaft = shadows.is_of_shaft(bgr, points_px, across, region, blur_px, shadowed)
     if is_shaft is None:  # what colours cannot tell: a shadow ends in a penumbra
         is_shaft = not is_penumbra
-    if not is_shaft and shadowed is None:  # a shadow that is brighter than the shaft
-        shadowed = edge_before_shadow(brightness, rough, across, region, settings, blur_px, is_brighter=True)
     if is_shaft:
         points_px = points_px - shading_shift_px(brightness, points_px, across, blur_px) * across
-    elif shadowed is None:
-        return None
     else:
-        points_px, inlier_px, std_px = shadowed, SHADOW_INLIER_PX, SHADOW_STD_PX
-    line = _line_through(
-        points_px,
-        camera,
-        inlier_px,
-        float(std_px),
-        max(POINT_CORRELATION_PX, 2.0 * blur_px),
-    )
-    return None if line is None else _contour_of(line, region.middle_px, outward, towards_tip, camera)
+        if shadowed is None:  # a shadow that is brighter than the shaft
+            shadowed = in_shadow(is_brighter=True)
+        if shadowed is None:
+            return None
+        points_px, inlier_px, std_px = shadowed, shadows.SHADOW_INLIER_PX, shadows.SHADOW_STD_PX
+    return _line_through(points_px, camera, inlier_px, std_px, max(POINT_CORRELATION_PX, 2.0 * blur_px))
 
 
 def _rim(brightness: Image, region: ShaftRegion, towards_tip: Array, settings: ShaftSettings) -> Rim | None:

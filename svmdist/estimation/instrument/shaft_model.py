@@ -1,24 +1,29 @@
-"""What is known of an instrument before looking, and where an image puts its shaft at first."""
+"""What is known of an instrument before looking: its sizes, and where its shaft and wrist are by the joints."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.camera import Camera
 from svmdist.errors import ProfileError
 from svmdist.estimation.instrument.model import NECK_PER_RADIUS
-from svmdist.estimation.instrument.shaft_detection import DistalMarker, ShaftDetection
-from svmdist.kinematics import DHChain, frame_transforms, joint_axis, rows_behind_insertion
+from svmdist.estimation.instrument.shaft_detection import ShaftDetection
+from svmdist.kinematics import (
+    DHChain,
+    ShaftAxis,
+    frame_transforms,
+    joint_axis,
+    row_index,
+    rows_behind_insertion,
+    shaft_of,
+)
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import Instrument
 from svmdist.results import Failure
 from svmdist.transforms import Array, inverse, make_transform
 from svmdist.vision.instruments.find_instruments import SeenInstrument
 from svmdist.vision.instruments.outline_search import LONGEST_WRIST
-from svmdist.vision.lines import CylinderAxis, apparent_radius_px, axis_of_cylinder
 from svmdist.vision.silhouette import WristShape
 
 FORESHORTENED = 0.15  # of a length along the shaft over its width: shafts are tilted by 30° or so
@@ -131,24 +136,31 @@ class ShaftModel(ShaftSizes):
     """The instrument behind its shaft's frame S: origin on the wrist's hinge, z along the shaft to the tip.
 
     `T_base_shaft` and `T_shaft_tool`, (4, 4), are by the joints, which are straight where none are known.
-    `R_camera_shaft` (3, 3) is that of the nominal kinematics, None without the robot's base.
+    `R_camera_shaft` (3, 3) is that of the nominal kinematics, None without the robot's base. In the frame of the link
+    that slides along the shaft, the shaft's axis is `axis` and the wrist's hinge `hinge_m`, (3,).
     """
 
     q: Array
     T_base_shaft: Array
     T_shaft_tool: Array
     R_camera_shaft: Array | None
+    axis: ShaftAxis
+    hinge_m: Array
 
     @classmethod
     def of(cls, robot: RobotState | Failure, chain: DHChain, instrument: Instrument) -> ShaftModel:
-        """By the joints and the base, as far as they are known."""
+        """By the joints and the base, as far as they are known; ProfileError for a chain without a shaft."""
         q = robot.q if isinstance(robot, RobotState) else np.zeros(len(chain.joint_names))
         T_base_shaft, T_shaft_tool = shaft_frames(chain, q)
         R_camera_shaft = None
         if isinstance(robot, RobotState) and robot.T_camera_base is not None:
             R_camera_shaft = np.asarray((robot.T_camera_base @ T_base_shaft)[:3, :3])
         reach_m = float(np.linalg.norm(T_shaft_tool[:3, 3]))
-        return cls(instrument, reach_m, q, T_base_shaft, T_shaft_tool, R_camera_shaft)
+        axis = shaft_of(chain)
+        assert axis is not None  # its frame is there
+        T_base_link = frame_transforms(chain, q)[row_index(chain, axis.link)]
+        hinge_m = np.asarray((inverse(T_base_link) @ T_base_shaft)[:3, 3])
+        return cls(instrument, reach_m, q, T_base_shaft, T_shaft_tool, R_camera_shaft, axis, hinge_m)
 
     def wrist_shape(self, *, ends_dark: bool) -> WristShape:
         """What is to be seen beyond the end of the outline, or of the dark part, with the wrist straight."""
@@ -172,91 +184,3 @@ def shaft_frames(chain: DHChain, q: Array) -> tuple[Array, Array]:
     origin_m = on_axis_m + z * float(z @ (hinge_m - on_axis_m))
     T_base_shaft = make_transform(np.stack([x, np.cross(z, x), z], -1), origin_m)
     return T_base_shaft, inverse(T_base_shaft) @ frames[-1] @ chain.T_last_tool
-
-
-def first_shafts(
-    shaft: ShaftDetection,
-    marker: DistalMarker | None,
-    model: ShaftModel,
-    camera: Camera,
-    R_nominal: Array | None,
-) -> Iterator[Array | Failure]:
-    """First `T_camera_shaft`, (4, 4): by the closed form, by the nominal rotation and a marker; or why none."""
-    if len(shaft.contours) == 2:
-        yield _start_from_sides(shaft, marker, model, camera, R_nominal)
-    yield _start_from_nominal(marker, model, camera, R_nominal)
-
-
-def _start_from_sides(
-    shaft: ShaftDetection,
-    marker: DistalMarker | None,
-    model: ShaftModel,
-    camera: Camera,
-    R_nominal: Array | None,
-) -> Array | Failure:
-    axis = axis_of_cylinder(shaft.contours[0].plane, shaft.contours[1].plane, model.radius_m)
-    if axis is None:
-        return Failure("the shaft's sides are too close together")
-    d = _turned_to_tip(axis, shaft, R_nominal, camera)
-    if d is None:
-        return Failure("nothing tells the shaft's tip from its base")
-    hinge_m = _along_axis(axis.point_m, d, shaft, marker, model, camera)
-    if hinge_m is None:
-        return Failure("the shaft's end is not to be seen")
-    return make_transform(_frame_about(d, R_nominal), hinge_m)
-
-
-def _start_from_nominal(
-    marker: DistalMarker | None, model: ShaftModel, camera: Camera, R_nominal: Array | None
-) -> Array | Failure:
-    if R_nominal is None:
-        return Failure("no long enough part of a shaft is to be seen with both sides")
-    if marker is None or marker.radius_px is None:
-        return Failure("neither both sides of the shaft nor a whole distal marker")
-    ray = camera.rays(marker.centre_px)[0]
-    tool_m = apparent_radius_px(ray, model.instrument.knuckle_radius_m, camera) / marker.radius_px * ray
-    return make_transform(R_nominal, tool_m - R_nominal @ model.T_shaft_tool[:3, 3])
-
-
-def _turned_to_tip(
-    axis: CylinderAxis, shaft: ShaftDetection, R_nominal: Array | None, camera: Camera
-) -> Array | None:
-    d = axis.direction
-    if shaft.towards_tip is not None and shaft.middle_px is not None:
-        x, y, _ = camera.rays(shaft.middle_px)[0]
-        flow = np.array([d[0] - x * d[2], d[1] - y * d[2]])
-        return d if flow @ shaft.towards_tip > 0 else -d
-    if R_nominal is None:
-        return None
-    return d if d @ R_nominal[:, 2] > 0 else -d
-
-
-def _along_axis(
-    p_m: Array,
-    d: Array,
-    shaft: ShaftDetection,
-    marker: DistalMarker | None,
-    model: ShaftModel,
-    camera: Camera,
-) -> Array | None:
-    """The hinge: where the axis passes the landmark's ray, less the landmark's place on the straight tool."""
-    if shaft.rim is not None:
-        ray = camera.rays(shaft.rim.pixel)[0]
-        ahead_m = model.outline_end_m if shaft.rim.is_outline else -model.neck_m
-    elif marker is not None:
-        ray, ahead_m = camera.rays(marker.centre_px)[0], float(model.T_shaft_tool[2, 3])
-    else:
-        return None
-    ray = ray / np.linalg.norm(ray)
-    cosine = float(ray @ d)
-    if 1.0 - cosine**2 < 1e-4:
-        return None
-    along_m = (cosine * float(ray @ p_m) - float(d @ p_m)) / (1.0 - cosine**2)
-    return np.asarray(p_m + (along_m - ahead_m) * d)
-
-
-def _frame_about(d: Array, R_nominal: Array | None) -> Array:
-    x = np.eye(3)[int(np.argmin(np.abs(d)))] if R_nominal is None else R_nominal[:, 0]
-    y = np.cross(d, x)
-    y /= np.linalg.norm(y)
-    return np.stack([np.cross(y, d), y, d], -1)

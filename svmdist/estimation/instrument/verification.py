@@ -21,15 +21,13 @@ from svmdist.estimation.tissue.detection import TissuePose, require_tissue, tiss
 from svmdist.geometry import Capsules
 from svmdist.profile.robot import CameraError, Instrument, Tissue
 from svmdist.results import Z_95, ToolPose
-from svmdist.transforms import Array, inverse
+from svmdist.transforms import Array
 from svmdist.vision.lines import apparent_radius_px
 
 MAX_DEVIATIONS = 4.0  # two normal errors are beyond it in 1 of 3,000 frames, and priors are rounded
 HALF_HIDDEN = 0.2  # deviation of a disc's centroid over its radius: hiding one half moves it by 0.42
 MIN_MARKER_AREA = 0.5  # of the projected marker's: less of the colour may be anything
-USUAL_SIZE = (
-    0.15  # logarithm of the marker's seen radius over the projected one up to which it is not measured
-)
+USUAL_SIZE = 0.15  # logarithm of the marker's seen radius over the projected one, which is not looked into
 MASK_STD = 1.0 / 640  # of a mask's border, over the image's width: thresholds cut a blurred edge somewhere
 SHAPE_STD = 2.5 / 640  # the same of one that a shape was fitted for, in a reduced image
 CELLS = 160  # of a section of the projected shaft, across it
@@ -57,11 +55,10 @@ def contradiction(
     if instrument is None or body is None:
         return ""
     if is_by_outline:
-        views, right = [(frame.left, body)], frame.scene.observation.right
-        if frame.right is not None and right is not None:
-            views.append((frame.right, body.transformed(inverse(right.T_left_right))))
-        for view, there in views:
-            if view.masks.seen and (shown := _share_shown(view, there)) < MIN_SHOWN:
+        for view in (frame.left, frame.right):
+            if view is None or not view.masks.seen:
+                continue
+            if (shown := _share_shown(view, body.transformed(view.T_view_left))) < MIN_SHOWN:
                 return f"of the projected shaft only {shown:.0%} is on the instrument in the image"
     error, shaft = frame.arm.profile.camera_error, None
     sections = shaft_sections(frame.left.camera, body)
