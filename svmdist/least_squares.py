@@ -69,8 +69,6 @@ class Steps:
     max_steps: int
     settled: float = 0.0  # the largest element of a last step is below
     damping: float = 0.0
-    cost_settled: float = 0.0  # a last step lowers the cost by less
-    step_limit: Array | None = None  # shape (n,), of the elements of a step
 
 
 def minimise(
@@ -89,12 +87,11 @@ def minimise(
         return None
     state, damping = start, steps.damping
     for _ in range(steps.max_steps):
-        step = _step(equations, damping, steps.step_limit)
+        step = _step(equations, damping)
         trial_state = retract(state, step)
         trial = linearise(trial_state)
         converged = float(np.abs(step).max()) < steps.settled
         if trial is not None and trial.is_finite and (steps.damping == 0.0 or trial.cost <= equations.cost):
-            converged |= steps.damping > 0.0 and equations.cost - trial.cost < steps.cost_settled
             state, equations, damping = trial_state, trial, max(0.1 * damping, 1e-9 * bool(steps.damping))
         elif steps.damping == 0.0:
             return None
@@ -105,12 +102,11 @@ def minimise(
     return Minimum(state, equations)
 
 
-def _step(equations: NormalEquations, damping: float, limit: Array | None) -> Array:
+def _step(equations: NormalEquations, damping: float) -> Array:
     information = equations.information
     if damping > 0.0:
         information = information + damping * np.diag(np.diag(information))
     try:
-        step = np.asarray(np.linalg.solve(information, equations.gradient), np.float64)
+        return np.asarray(np.linalg.solve(information, equations.gradient), np.float64)
     except np.linalg.LinAlgError:
-        step = np.asarray(np.linalg.lstsq(information, equations.gradient, rcond=None)[0], np.float64)
-    return step if limit is None else np.clip(step, -limit, limit)
+        return np.asarray(np.linalg.lstsq(information, equations.gradient, rcond=None)[0], np.float64)

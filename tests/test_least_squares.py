@@ -41,22 +41,6 @@ def test_undefined_problems_have_no_minimum():
     assert minimise(0.0, lambda _: undefined, lambda x, s: x + s[0], nowhere) is None
 
 
-def test_a_step_limit_holds():
-    steps = []
-
-    def retract(x, step):
-        steps.append(step)
-        return x + step
-
-    def far(x):
-        return NormalEquations(float((5.0 - x[0]) ** 2), 5.0 - x, np.eye(1))
-
-    limits = Steps(20, settled=1e-9, step_limit=np.array([0.5]))
-    found = minimise(np.zeros(1), far, retract, limits)
-    assert found.state[0] == pytest.approx(5.0)
-    assert max(float(np.abs(step).max()) for step in steps) <= 0.5
-
-
 def test_weights_and_scale():
     np.testing.assert_allclose(huber_weights(np.array([0.0, 1.0, -6.0]), 3.0), [1.0, 1.0, 0.5])
     sample = np.random.default_rng(0).normal(0.0, 2.0, 20_000)

@@ -10,12 +10,7 @@ from svmdist.profile.robot import Instrument
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.instruments.find_instruments import SeenInstrument
-from svmdist.vision.lines import (
-    axis_of_cylinder,
-    line_between,
-    tangent_normal,
-    tangent_plane,
-)
+from svmdist.vision.lines import axis_of_cylinder, line_between, tangent_normal, tangent_plane
 
 ENDS_STD_WIDTHS = 0.5  # of the shaft's end along it, over its width: one view may show the dark part's
 WIDTH_STD = 0.08  # logarithm of the width in one view: shade and blur take a pixel of it
@@ -74,10 +69,7 @@ def disagreement(
 
 
 ROWS_PX = (-2.0, -1.0, 0.0, 1.0, 2.0)  # by which rows may differ
-LEAST_LIKENESS, LEAST_LEAD = (
-    0.6,
-    0.05,
-)  # correlation of a match, and by how much it is better than any elsewhere
+LEAST_LIKENESS, LEAST_LEAD = 0.6, 0.05  # correlation of a match, and how much better than any elsewhere
 SAME_PX = 3.0  # what is so near to the best match is the same
 
 
@@ -94,9 +86,8 @@ def matched_place(views: tuple[Image, Image], at_px: Array, half_px: float, plac
     for row_px in ROWS_PX:
         grid = places_px[:, None, None] + np.stack(np.meshgrid(offset, offset + row_px), -1)
         at = grid.reshape(len(places_px), -1, 2).astype(np.float32)
-        seen = cv2.remap(
-            views[1], at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        ).astype(np.float32)
+        pixels = cv2.remap(views[1], at[..., 0], at[..., 1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+        seen = np.asarray(pixels, np.float32)
         theirs = seen - seen.mean(1, keepdims=True)
         scale = np.sqrt(float((ours**2).sum()) * (theirs**2).sum(1)) + 1.0
         likeness = np.maximum(likeness, (theirs @ ours.ravel()) / scale)

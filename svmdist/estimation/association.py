@@ -9,9 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation import coloured_regions
 from svmdist.estimation.across_views import disagreement, sides_beside
-from svmdist.estimation.coloured_regions import NominalInstrument, ShaftAxis
+from svmdist.estimation.coloured_regions import (
+    ColouredRegions,
+    DarkPixels,
+    NominalInstrument,
+    ShaftAxis,
+    nominal_instrument,
+)
 from svmdist.estimation.frame import Frame, OtherMasks
 from svmdist.estimation.region_tracking import (
     CONTEST,
@@ -167,10 +172,7 @@ class Association:
     def frames(self, scene: Scene, observations: Sequence[Observation]) -> list[Frame]:
         """The frame of each instrument, with the others' pixels marked; `observations` are one per instrument."""
         robots = [arm.state_at(seen) for arm, seen in zip(self._arms, observations, strict=True)]
-        nominal = [
-            coloured_regions.nominal_instrument(arm, robot)
-            for arm, robot in zip(self._arms, robots, strict=True)
-        ]
+        nominal = [nominal_instrument(arm, robot) for arm, robot in zip(self._arms, robots, strict=True)]
         others: list[OtherMasks] = [(None, None)] * len(self._arms)
         doubts = [""] * len(self._arms)
         seen = scene.left.masks.seen
@@ -261,9 +263,9 @@ class Association:
             alike = [[tool.likeness(one, camera) if tool else 0.0 for one in seen] for tool in nominal]
             found = tracker.update(stamp_ns, expected, ends, np.array(alike).reshape(len(nominal), -1))
             return [_other_than(identity.blob, seen) for identity in found]
-        regions = coloured_regions.ColouredRegions.of(context.masks.instrument, self._gate)
+        regions = ColouredRegions.of(context.masks.instrument, self._gate)
         shafts = context.masks.shaft
-        dark = None if shafts is None else coloured_regions.DarkPixels.of(shafts, context.masks.black)
+        dark = None if shafts is None else DarkPixels.of(shafts, context.masks.black)
 
         # Whose the regions are, by where they are expected and by whose shaft is behind them.
         evidence = np.zeros((len(nominal), len(regions.blobs)))
@@ -288,7 +290,7 @@ class Association:
         self,
         tool: NominalInstrument | None,
         identity: Identity,
-        regions: coloured_regions.ColouredRegions,
+        regions: ColouredRegions,
         camera: Camera,
     ) -> ShaftAxis | None:
         expected, radius_px = identity.expected, identity.radius_px

@@ -122,9 +122,8 @@ def of_motion(places_m: Sequence[Mapping[str, ToolPose]]) -> Iterator[Difference
             seen, nominal = (one[name].position_m - other[name].position_m for name in (source, KINEMATICS))
             off_m = float(np.linalg.norm(nominal - seen))
             along = (nominal - seen) / max(off_m, 1e-9)
-            variance = float(
-                along @ (one[source].position_covariance + other[source].position_covariance) @ along
-            )
+            covariance = one[source].position_covariance + other[source].position_covariance
+            variance = float(along @ covariance @ along)
             turned_m = (MOTION_SHARE + one[KINEMATICS].shaft_std_rad) * float(np.linalg.norm(nominal))
             std_m = float(np.linalg.norm([STEADY * np.sqrt(variance), MOTION_STD_M, turned_m]))
             yield Difference(MOTION, (KINEMATICS, source), off_m, std_m, "m")
@@ -167,42 +166,28 @@ def _against_image(frame: Frame, source: str, pose: ToolPose) -> Iterator[Differ
     view, arm = frame.left, frame.arm
     seen = marker_in(view, arm, None)
     if seen is not None:
-        place_m = pose.position_m
-        if arm.profile.instrument is not None:
-            place_m = place_m + pose.T_camera_tool[:3, :3] @ np.array(
-                arm.profile.instrument.knuckle_position_m
-            )
+        place_m, instrument = pose.position_m, arm.profile.instrument
+        if instrument is not None:
+            place_m = place_m + pose.T_camera_tool[:3, :3] @ np.array(instrument.knuckle_position_m)
         depth_m, ray = float(place_m[2]), view.camera.rays(seen.pixel)[0]
         off_m = (place_m - depth_m * ray)[:2]
         along = np.column_stack([np.eye(2), -ray[:2]])  # what depth moves, the ray moves with
-        pixel_m = (
-            depth_m / float(view.camera.K[0, 0]) * float(np.hypot(seen.std_px, MARKER_STD * seen.radius_px))
-        )
-        own_m = float(np.hypot(pixel_m, seen.error.place_std_m))
+        std_px = float(np.hypot(seen.std_px, MARKER_STD * seen.radius_px))
+        own_m = float(np.hypot(depth_m / float(view.camera.K[0, 0]) * std_px, seen.error.place_std_m))
         covariance = along @ pose.position_covariance @ along.T + own_m**2 * np.eye(2)
         square = float(off_m @ np.linalg.solve(covariance, off_m))
         length_m = float(np.linalg.norm(off_m))
         # Of two dimensions: as many deviations as a normal number of that probability has, to first order.
         deviations = np.sqrt(max(square - 1.0, 0.0))
-        yield Difference(
-            "place in the image", (source, "the marker"), length_m, _std(length_m, deviations), "m"
-        )
+        std_m = length_m / deviations if deviations > 0.0 else np.inf
+        yield Difference("place in the image", (source, "the marker"), length_m, std_m, "m")
     sides = {contour.side: contour.plane for contour in view.shaft.contours}
     if len(sides) == 2 and not view.shaft.is_stub:
         middle = sides[1].normal - sides[-1].normal
         middle /= np.linalg.norm(middle)
         off_rad = float(np.arcsin(np.clip(middle @ pose.axis, -1.0, 1.0)))
-        yield Difference(
-            "direction of the shaft",
-            (source, "its sides"),
-            off_rad,
-            float(np.hypot(pose.shaft_std_rad, SIDES_STD_RAD)),
-            "rad",
-        )
-
-
-def _std(value: float, deviations: float) -> float:
-    return value / deviations if deviations > 0.0 else np.inf
+        std_rad = float(np.hypot(pose.shaft_std_rad, SIDES_STD_RAD))
+        yield Difference("direction of the shaft", (source, "its sides"), off_rad, std_rad, "rad")
 
 
 def of_scene(scene: Scene) -> Iterator[Difference]:
@@ -223,24 +208,15 @@ def of_scene(scene: Scene) -> Iterator[Difference]:
             ]
             depth_std = profile.tissue.plane_distance_std_m / profile.tissue.plane_distance_m
             off = 0.5 * float(np.log(max(areas[0], 1.0) / max(areas[1], 1.0)))
-            yield Difference(
-                "size of the tissue",
-                (TISSUE, OUTLINE),
-                off,
-                float(np.hypot(OUTLINE_STD, depth_std)),
-                "",
-            )
+            std = float(np.hypot(OUTLINE_STD, depth_std))
+            yield Difference("size of the tissue", (TISSUE, OUTLINE), off, std, "")
     yield from _of_surface(scene)
 
 
 def _of_surface(scene: Scene) -> Iterator[Difference]:
     """The surface's height and tilt over the profile's, and what else differs."""
-    surface, tissue, right, profile = (
-        scene.stereo_surface,
-        scene.tissue,
-        scene.observation.right,
-        scene.profile,
-    )
+    surface, right = scene.stereo_surface, scene.observation.right
+    tissue, profile = scene.tissue, scene.profile
     if surface is None or tissue is None or tissue.pose is None or right is None or profile.tissue is None:
         return
     pose, stated, points_m = tissue.pose, profile.tissue, surface.points_m
@@ -295,15 +271,14 @@ def matched(scene: Scene) -> Matches | None:
     pair = scene.stereo_pair
     if isinstance(pair, Failure) or scene.right is None:
         return None
-    left_px: Array
-    right_px: Array
-    left_px, right_px = corresponding_points(scene.left.grey, scene.right.grey, MAX_ROWS_PX)
-    if len(left_px):
-        turned = (pair.homography(), left_px), (pair.homography(right=True), right_px)
-        left_px, right_px = (
-            np.asarray(cv2.perspectiveTransform(px[:, None], H)[:, 0], np.float64) for H, px in turned
-        )
-    return Matches(pair, left_px, right_px)
+    views_px: Sequence[Array] = corresponding_points(scene.left.grey, scene.right.grey, MAX_ROWS_PX)
+    if len(views_px[0]):
+        turns = pair.homography(), pair.homography(right=True)
+        turned = zip(views_px, turns, strict=True)
+        views_px = [
+            np.asarray(cv2.perspectiveTransform(px[:, None], H)[:, 0], np.float64) for px, H in turned
+        ]
+    return Matches(pair, *views_px)
 
 
 def of_views(profile: Profile, found: Sequence[Matches]) -> Iterator[Difference]:
@@ -348,9 +323,8 @@ def _bent_rows(profile: Profile, rows: Sequence[Array], pair: RectifiedPair) -> 
 
 def _robust_fit(rows: Array) -> tuple[Array, Array]:
     B, rows_px = rows[:, :-1], rows[:, -1]
-    fit = np.eye(B.shape[1])[0] * np.median(
-        rows_px
-    )  # from the offset that most have, not from the mean of false ones
+    # From the offset that most have, not from the mean of false ones.
+    fit = np.eye(B.shape[1])[0] * np.median(rows_px)
     for _ in range(30):
         scale_px = scale_of(rows_px - B @ fit) + 0.05
         weight = 1.0 / np.sqrt(1.0 + ((rows_px - B @ fit) / scale_px) ** 2)

@@ -90,10 +90,6 @@ class Comparison:
         """Whether enough frames are beyond what is uncertain."""
         return self.contradicting >= max(self.least, self.share * self.frames)
 
-    def agrees_within(self, bound: float, what: str) -> bool:
-        """Whether it compares the same by other sources, does not contradict, and would show such a difference."""
-        return self.usual.what == what and not self.contradicts and self.usual.std < bound
-
     @property
     def verdict(self) -> str:
         """`agrees` or `contradicts`."""
@@ -152,9 +148,8 @@ class Checks:
         blamed: set[str] = set()
         for wrong in self.contradictions:
             bound = abs(wrong.usual.value) / MAX_DEVIATIONS
-            sharp = [
-                one.usual.sources for one in self.comparisons if one.agrees_within(bound, wrong.usual.what)
-            ]
+            agreeing = [one.usual for one in self.comparisons if not one.contradicts]
+            sharp = [one.sources for one in agreeing if one.what == wrong.usual.what and one.std < bound]
             votes = {source: sum(source in sources for sources in sharp) for source in wrong.usual.sources}
             blamed |= {source for source, count in votes.items() if count == min(votes.values())}
         return blamed

@@ -15,7 +15,7 @@ from svmdist.estimation.instrument.tag_pose import TagPose
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue.detection import require_tissue
 from svmdist.estimation.tissue.tracking import TissueTracker
-from svmdist.kinematics import row_index
+from svmdist.kinematics import joint_axis, row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import KinematicError
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
@@ -73,7 +73,7 @@ def _joint_covariance(robot: RobotState, link: str, R_camera_base: Array, error:
     columns, late = [], np.zeros(6)
     for index in range(row_index(chain, link) + 1, len(chain.rows)):
         row = chain.rows[index]
-        z, at_m = robot.joint_axes[index]
+        z, at_m = joint_axis(chain, robot.frames, index)
         turning, sliding = np.concatenate([np.cross(z, tool_m - at_m), z]), np.concatenate([z, np.zeros(3)])
         if row.a_m != 0.0:
             # Along x of its own frame; modified DH moves before it turns, along x of the frame before.

@@ -80,15 +80,13 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True)
 class Cloud:
-    """Points of a surface, shape (n, 3), with a standard deviation each, (n,), where known. It has no inside."""
+    """Points of a surface, shape (n, 3), with a standard deviation each, (n,). It has no inside."""
 
     points_m: Array
-    std_m: Array | None = None
+    std_m: Array
 
     def std_at_m(self, point_m: Array) -> float:
         """The deviation of the nearest point to one, shape (3,)."""
-        if self.std_m is None:
-            return 0.0
         return float(self.std_m[np.argmin(np.sum((self.points_m - point_m) ** 2, -1))])
 
 

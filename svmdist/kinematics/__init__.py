@@ -132,11 +132,7 @@ def forward_kinematics(chain: DHChain, q: ArrayLike) -> Array:
     if q.ndim > 1 and len(q) > CHUNK:
         parts = [forward_kinematics(chain, q[at : at + CHUNK]) for at in range(0, len(q), CHUNK)]
         return np.concatenate(parts)
-    links = link_transforms(chain, q)
-    T = links[..., 0, :, :]
-    for index in range(1, len(chain.rows)):
-        T = T @ links[..., index, :, :]
-    return np.asarray(T @ chain.T_last_tool)
+    return np.asarray(frame_transforms(chain, q)[..., -1, :, :] @ chain.T_last_tool)
 
 
 def frame_transforms(chain: DHChain, q: ArrayLike) -> Array:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from svmdist.errors import KinematicsError
-from svmdist.kinematics import DHChain, frame_transforms, joint_axis, row_index, select_joints
+from svmdist.kinematics import DHChain, frame_transforms, row_index, select_joints
 from svmdist.results import Failure
 from svmdist.samples import JointSample
 from svmdist.tracks import JointTrack
@@ -99,11 +99,6 @@ class RobotState:
     def T_camera_tool(self) -> Array:
         """Pose of the tool in the camera frame, shape (4, 4): own methods read it."""
         return np.asarray(self.base_in_camera @ self.T_base_tool)
-
-    @cached_property
-    def joint_axes(self) -> tuple[tuple[Array, Array], ...]:
-        """For each row direction and a point, (3,) each, of the axis that a joint there has, in the base frame."""
-        return tuple(joint_axis(self.chain, self.frames, index) for index in range(len(self.chain.rows)))
 
     def T_base_link(self, link: str | None) -> Array:
         """Pose of the frame of the DH row `link` in the base frame, shape (4, 4); of the tool for None."""

@@ -193,6 +193,10 @@ def test_a_tool_behind_the_tissue_is_not_far_from_it(behind_m, std_m, is_refused
     T[2, 3] = PROFILE.tissue.plane_distance_m + behind_m
     pose = ToolPose(T, std_m**2 * np.eye(6), np.array([0.0, 0.0, 1.0]))
     tissue = TissuePose(
-        np.array([0.0, 0.0, 0.112]), 1e-6 * np.eye(3), Cloud(np.zeros((1, 3))), 1e-3, is_measured=True
+        np.array([0.0, 0.0, 0.112]),
+        1e-6 * np.eye(3),
+        Cloud(np.zeros((1, 3)), np.zeros(1)),
+        1e-3,
+        is_measured=True,
     )
     assert bool(contradiction(frame, pose, None, tissue)) == is_refused

@@ -172,12 +172,12 @@ def test_the_nearest_point_of_a_large_cloud_is_found():
         float((np.linalg.norm(axes - point, axis=-1) - capsules.radius_m).min())
         for point in points[np.argsort(points[:, 2])[:300]]
     )
-    found = separation(capsules, Cloud(points))
+    found = separation(capsules, Cloud(points, np.zeros(len(points))))
     assert found.distance_m <= sampled + EXACT
     assert sampled - found.distance_m < 1e-8  # (0.1 / 4000)² / 2 / 0.05
     assert_consistent(found)
     with pytest.raises(ValueError, match="without points"):
-        separation(capsules, Cloud(np.zeros((0, 3))))
+        separation(capsules, Cloud(np.zeros((0, 3)), np.zeros(0)))
 
 
 def winding_number(points: Array, triangles: Array) -> Array:

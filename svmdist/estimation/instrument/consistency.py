@@ -51,10 +51,8 @@ def with_detections(result: FrameResult, gating: Sequence[GatingResult]) -> Fram
     balance = Counter[str]()
     for judged in gating:
         balance[judged.source] += 1 if judged.is_accepted else -1
-    accepted, refused = (
-        tuple(name for name, more in balance.items() if (more < 0) is is_refused)
-        for is_refused in (False, True)
-    )
+    accepted = tuple(name for name, more in balance.items() if more >= 0)
+    refused = tuple(name for name, more in balance.items() if more < 0)
     return replace(result, accepted=accepted, refused=refused)
 
 
@@ -139,9 +137,8 @@ class Consistency:
             )
         # What never agreed has nothing that speaks for it: one frame is enough.
         if self._scene_refused >= (MAX_SCENE_REFUSED if self._scene_agreed else 1):
-            return (
-                f"the tissue contradicts its plane in {self._scene_refused} frames: {self._refused_names()}"
-            )
+            count = self._scene_refused
+            return f"the tissue contradicts its plane in {count} frames: {self._refused_names()}"
         return self._contradiction()
 
     def _contradiction(self) -> str:

@@ -120,12 +120,6 @@ class Correction:
     time_offset_s: float
     length_m: Array
 
-    @classmethod
-    def none(cls, columns: ErrorColumns) -> Correction:
-        """What is there before anything was measured."""
-        joints, lengths = np.zeros(columns.joint_count), np.zeros(columns.length_count)
-        return cls(np.zeros(3), np.eye(3), joints, joints, 0.0, lengths)
-
     def retract(self, step: Array) -> Correction:
         """The correction after an error state, shape (n,), was found in it (box-plus)."""
         at = ErrorColumns.of(len(self.q_offset), len(self.length_m))

@@ -28,7 +28,7 @@ class ErrorModel:
 
     def __init__(self, chain: DHChain, error: KinematicError) -> None:
         self.chain = chain
-        self._error = error
+        self.error = error
         names = chain.joint_names
         if error.first_moving_joint is not None and error.first_moving_joint not in names:
             raise KinematicsError(
@@ -47,19 +47,15 @@ class ErrorModel:
         self._drift[self.columns.offsets] = self._drift[3] * turns + self._drift[0] * slides
         self._drift[self.columns.time_offset] = error.time_offset_drift_s_per_sqrt_s
 
-    @property
-    def length_std_m(self) -> float:
-        """Standard deviation of the chain's lengths."""
-        return self._error.length_std_m
-
     def time_offset_std_s(self, age_s: float) -> float:
         """Standard deviation of the joints' time offset after a time, by what the profile states."""
         drift_s = self._drift[self.columns.time_offset] * np.sqrt(age_s)
-        return float(np.hypot(self._error.time_offset_std_s, drift_s))
+        return float(np.hypot(self.error.time_offset_std_s, drift_s))
 
     def no_correction(self) -> Correction:
         """What is there before anything was measured."""
-        return Correction.none(self.columns)
+        joints, lengths = np.zeros(self.columns.joint_count), np.zeros(self.columns.length_count)
+        return Correction(np.zeros(3), np.eye(3), joints, joints, 0.0, lengths)
 
     @property
     def play_covariance(self) -> Array:
@@ -71,7 +67,7 @@ class ErrorModel:
     def propagation(self, elapsed_s: float) -> tuple[Array, Array]:
         """Factors and added variance (n,) over a time: play is a Gauss–Markov process, all else a random walk."""
         keep = np.ones(self.size)
-        keep[self.columns.play] = np.exp(-elapsed_s / self._error.play_time_s)
+        keep[self.columns.play] = np.exp(-elapsed_s / self.error.play_time_s)
         added = self._drift**2 * elapsed_s
         added[self.columns.play] = self._play_std**2 * (1.0 - keep[self.columns.play] ** 2)
         return keep, added
@@ -91,8 +87,8 @@ class ErrorModel:
         P[:6, :6] = self._transform_covariance(robot)
         at = self.columns
         P[at.offsets, at.offsets] = np.diag(self._joint_std**2)
-        P[at.time_offset, at.time_offset] = self._error.time_offset_std_s**2
-        P[at.lengths, at.lengths] = self._error.length_std_m**2 * np.eye(at.length_count)
+        P[at.time_offset, at.time_offset] = self.error.time_offset_std_s**2
+        P[at.lengths, at.lengths] = self.error.length_std_m**2 * np.eye(at.length_count)
         # What a transform by hand-eye owes to the offset of a joint is not to be counted beside that offset.
         for name, effect in self._hand_eye_effects(robot).items():
             if (column := self.constant_columns.get(name)) is not None:
@@ -106,17 +102,17 @@ class ErrorModel:
         return {name: np.pad(effect, below) for name, effect in effects.items() if name not in own}
 
     def _hand_eye_effects(self, robot: RobotState) -> dict[str, Array]:
-        if isinstance(self._error, HandEyeError):
-            return self._error.hand_eye.effects_at(self.anchor_m(robot))
+        if isinstance(self.error, HandEyeError):
+            return self.error.hand_eye.effects_at(self.anchor_m(robot))
         return {}
 
     def _transform_covariance(self, robot: RobotState) -> Array:
-        if isinstance(self._error, HandEyeError):
-            return self._error.hand_eye.covariance_at(self.anchor_m(robot))
-        turn_var = self._error.camera_base_std_rad**2
+        if isinstance(self.error, HandEyeError):
+            return self.error.hand_eye.covariance_at(self.anchor_m(robot))
+        turn_var = self.error.camera_base_std_rad**2
         arm = skew(self.anchor_m(robot) - robot.base_in_camera[:3, 3])
         P = np.zeros((6, 6))
-        P[:3, :3] = self._error.camera_base_std_m**2 * np.eye(3) + turn_var * arm @ arm.T
+        P[:3, :3] = self.error.camera_base_std_m**2 * np.eye(3) + turn_var * arm @ arm.T
         P[3:, 3:] = turn_var * np.eye(3)
         return P
 

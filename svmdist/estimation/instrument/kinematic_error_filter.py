@@ -89,12 +89,10 @@ class KinematicErrorFilter:
 
     def predict(self, robot: RobotState) -> None:
         """Go on to the robot's state at a new instant; raises ValueError where that does not know the camera."""
-        before = None if self._state.is_new else self._state.robot.stamp_ns
-        self._state.go_to(robot)
-        if before is None:
+        elapsed_s = self._state.go_to(robot)
+        if elapsed_s is None:
             self._state.start()
         else:
-            elapsed_s = max(0.0, (robot.stamp_ns - before) / 1e9)
             self._age_s += elapsed_s
             self._state.propagate(elapsed_s)
 
@@ -140,12 +138,10 @@ class KinematicErrorFilter:
         results: list[GatingResult] = []
         if seen:
             state.augment_state([parts[index] for index in visible])
-            x = self._padded(np.zeros(self._model.size) if start is None else start)
-            found = (
-                most_probable(state, seen, x, is_tracking=True)
-                if start is None
-                else most_probable_from(state, seen, x)
-            )
+            if start is None:
+                found = most_probable(state, seen, np.zeros(len(state.P)), is_tracking=True)
+            else:
+                found = most_probable_from(state, seen, self._padded(start))
             if found is not None:
                 for measurement, nis, weight in zip(seen, found.innovations, found.weights, strict=True):
                     size = len(measurement.covariance)
@@ -232,9 +228,8 @@ class KinematicErrorFilter:
         moved = most_probable(there, measurements, np.zeros(len(there.P)))
         if moved is None:
             return False
-        return evidence(moved, there.P, measurements) + JUMP_PRICE < evidence(
-            found, self._state.P, measurements
-        )
+        as_wild = evidence(found, self._state.P, measurements)
+        return evidence(moved, there.P, measurements) + JUMP_PRICE < as_wild
 
     def _begin_at(self, pose: ToolPose | None) -> None:
         """The prior, linearised where a pose puts the tool, and widened where that would surprise it."""
@@ -277,7 +272,6 @@ def as_measurement(pose: ToolPose) -> PoseMeasurement:
     C = pose.covariance + TINY_POSE
     return PoseMeasurement(
         name="pose",
-        link=None,
         T_link_frame=np.eye(4),
         T_camera_frame=pose.T_camera_tool,
         covariance=C,

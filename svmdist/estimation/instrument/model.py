@@ -145,7 +145,6 @@ class InstrumentModel:
         self._instrument = instrument
         self._kinematics = WristKinematics.of(chain) if chain is not None else None
         self._fiducial = fiducial
-        self._plate = plate_capsules(fiducial) if fiducial is not None else None
 
     @classmethod
     def of(cls, profile: Profile) -> InstrumentModel | None:
@@ -168,10 +167,11 @@ class InstrumentModel:
             return capsules_about(self._instrument, self._wrist_without_joints(pose), pose.jaw_scale)
         frames = frame_transforms(kinematics.chain, q)
         body = capsules_about(self._instrument, kinematics.wrist_in_tool(frames, q), pose.jaw_scale)
-        if has_plate and self._fiducial is not None and self._plate is not None:
+        if has_plate and self._fiducial is not None:
             T_base_link = frames[row_index(kinematics.chain, self._fiducial.link)]
             T_tool_base = inverse(frames[-1] @ kinematics.chain.T_last_tool)
-            body = join(body, self._plate.transformed(T_tool_base @ T_base_link @ self._fiducial.T_link_tag))
+            T_tool_tag = T_tool_base @ T_base_link @ self._fiducial.T_link_tag
+            body = join(body, plate_capsules(self._fiducial).transformed(T_tool_tag))
         return body.transformed(pose.T_camera_tool)
 
     def _wrist_without_joints(self, pose: ToolPose) -> Wrist:

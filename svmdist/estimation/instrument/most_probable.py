@@ -80,6 +80,9 @@ def most_probable(
     degrees = np.array([len(noise) for noise in noises])
     deviations, moved = np.sqrt(np.diag(P) + 1e-18), np.inf
     weights, first = np.ones(len(noises)), np.zeros(0)
+    ends = np.cumsum(degrees)
+    rows = [slice(end - count, end) for end, count in zip(ends, degrees, strict=True)]
+    each = list(zip(rows, noises, strict=True))
     unlikely = _unlikely(P, deviations) if descends else None
     best: tuple[Array, Solution | None] = x, None
     least = np.inf
@@ -94,17 +97,8 @@ def most_probable(
         # Solved with a unit-free H P: the units of the state differ by orders of magnitude.
         HP = H @ P
         S = HP @ H.T
-        ends = np.cumsum(degrees)
-        rows = [slice(end - count, end) for end, count in zip(ends, degrees, strict=True)]
-        innovations = np.array(
-            [
-                normalised_square(innovation[at], S[at, at] + noise)
-                for at, noise in zip(rows, noises, strict=True)
-            ]
-        )
-        residuals = np.array(
-            [normalised_square(residual[at], noise) for at, noise in zip(rows, noises, strict=True)]
-        )
+        innovations = np.array([normalised_square(innovation[at], S[at, at] + noise) for at, noise in each])
+        residuals = np.array([normalised_square(residual[at], noise) for at, noise in each])
         if unlikely is not None:
             cost = unlikely(x) + float((NU + degrees) @ np.log1p(residuals / NU))
             if cost > least + SETTLED:

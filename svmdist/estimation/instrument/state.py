@@ -84,14 +84,14 @@ class ErrorState:
             raise ValueError("the filter knows no joints yet: predict comes first")
         return self._robot
 
-    @property
-    def is_new(self) -> bool:
-        """Whether no robot state was there yet."""
-        return self._robot is None
+    def go_to(self, robot: RobotState) -> float | None:
+        """Take over the robot's state at a new instant, the joints at the time that the correction says.
 
-    def go_to(self, robot: RobotState) -> None:
-        """Take over the robot's state at a new instant: the joints at the time that the correction says."""
-        self._robot, self._linked = robot.shifted(self.correction.time_offset_s), None
+        Gives the time that has passed in s; None for the first state.
+        """
+        before, self._robot = self._robot, robot.shifted(self.correction.time_offset_s)
+        self._linked = None
+        return None if before is None else max(0.0, (robot.stamp_ns - before.stamp_ns) / 1e9)
 
     def start(self) -> None:
         """Start from nominal kinematics with the covariance that the profile states, without biases of measurements."""
@@ -158,7 +158,7 @@ class ErrorState:
         if not places:
             return "", 0.0, 0.0, 0
         stated = np.ones(len(places))
-        stated[: at.stop - at.start] = max(self.model.length_std_m, TINY_M)
+        stated[: at.stop - at.start] = max(self.model.error.length_std_m, TINY_M)
         mean = np.concatenate([self.correction.vector(), self.bias_mean])[places] / stated
         told, directions = np.linalg.eigh(
             np.eye(len(places)) - self.P[np.ix_(places, places)] / np.outer(stated, stated)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from svmdist.profile.robot import Tissue
 from svmdist.profile.settings import TissueTrackingSettings
 from svmdist.transforms import Array
 
+PLANE_DEGREES = 2  # of freedom that a place on a plane has
 MIN_SCATTER_COUNT = 4.0  # fewer poses do not tell how much they scatter beyond their stated covariance
 # Normal quantile of the gate for a pose against the remembered one: 1 in 1,000 true ones is refused
 GATE_Z = 3.09
@@ -37,41 +38,36 @@ HEIGHT_CORRELATION_TIME_S = 30.0  # how long that lasts: longer than the logs of
 TINY_M2 = 1e-14  # added to covariances of poses that lie on one plane, so that they have an inverse
 
 
-@dataclass
 class CorrelatedMean:
-    """A weighted mean of measurements, shape (n,), that err alike, with so many degrees of freedom each.
+    """A weighted mean of places on a plane, shape (3,), that err alike.
 
     Its covariance is the mean's of one measurement (the harmonic mean of all), never smaller for their number. Where
     they scatter more than they say of themselves, as under blur and noise, it grows by as much (Birge 1932).
     """
 
-    degrees_of_freedom: int
-    settings: TissueTrackingSettings
-    count: float = 0.0
-    _information: Array = field(default_factory=lambda: np.zeros(()))
-    _weighted: Array = field(default_factory=lambda: np.zeros(()))
-    _squares: float = 0.0
+    def __init__(self, memory_count: float) -> None:
+        self._fade = 1.0 - 1.0 / memory_count
+        self._information: Array = np.zeros((3, 3))
+        self._weighted: Array = np.zeros(3)
+        self._squares = self._count = 0.0
 
     def add(self, value: Array, covariance: Array) -> None:
         """Take up a measurement; earlier ones fade."""
-        weight = np.asarray(np.linalg.inv(covariance + TINY_M2 * np.eye(len(value))), np.float64)
-        fade = 1.0 - 1.0 / self.settings.memory_count
-        self._information = fade * self._information + weight
-        self._weighted = fade * self._weighted + weight @ value
-        self._squares = fade * self._squares + float(value @ weight @ value)
-        self.count = fade * self.count + 1.0
+        weight = np.asarray(np.linalg.inv(covariance + TINY_M2 * np.eye(3)), np.float64)
+        self._information = self._fade * self._information + weight
+        self._weighted = self._fade * self._weighted + weight @ value
+        self._squares = self._fade * self._squares + float(value @ weight @ value)
+        self._count = self._fade * self._count + 1.0
 
-    def now(self) -> tuple[Array, Array] | None:
-        """Mean and covariance; None before the first measurement."""
-        if self.count == 0.0:
-            return None
+    def now(self) -> tuple[Array, Array]:
+        """Mean and covariance, after a first measurement."""
         spread = np.linalg.inv(self._information)
         mean = np.asarray(spread @ self._weighted, np.float64)
         excess = 1.0
-        if self.count >= MIN_SCATTER_COUNT:
+        if self._count >= MIN_SCATTER_COUNT:
             scatter = self._squares - float(self._weighted @ mean)
-            excess = max(1.0, scatter / (self.degrees_of_freedom * (self.count - 1.0)))
-        return mean, np.asarray(excess * self.count * spread, np.float64)
+            excess = max(1.0, scatter / (PLANE_DEGREES * (self._count - 1.0)))
+        return mean, np.asarray(excess * self._count * spread, np.float64)
 
 
 class TissueTracker:
@@ -79,10 +75,12 @@ class TissueTracker:
 
     def __init__(self, settings: TissueTrackingSettings) -> None:
         self._settings = settings
+        self._forget()
+
+    def _forget(self) -> None:
         self._outlier_count = 0
         self._best: TissuePose | None = None
-        # A pose has two degrees of freedom of its own, on the plane.
-        self._place = CorrelatedMean(2, settings)
+        self._place = CorrelatedMean(self._settings.memory_count)
 
     def add(self, seen: TissueDetection | None) -> TissuePose | None:
         """Take up a frame's pose, if it has one; gives the tissue as known then."""
@@ -93,8 +91,7 @@ class TissueTracker:
             self._outlier_count += 1
             if self._outlier_count < self._settings.moved_count:
                 return self.now()
-            self._best = None
-            self._place = CorrelatedMean(2, self._settings)
+            self._forget()
         self._outlier_count = 0
         self._place.add(pose.position_m, pose.outline_covariance)
         if self._best is None or np.trace(pose.outline_covariance) <= np.trace(self._best.outline_covariance):
@@ -103,20 +100,18 @@ class TissueTracker:
 
     def now(self) -> TissuePose | None:
         """The tissue as it is known; None before the first pose."""
-        place = self._place.now()
-        if self._best is None or place is None:
+        if self._best is None:
             return None
         # Outlines differ from frame to frame and are averaged; the plane is as uncertain in all of them.
-        position_m, of_outline = place
+        position_m, of_outline = self._place.now()
         covariance = of_outline + self._best.covariance - self._best.outline_covariance
         known = self._best.moved_to(position_m)  # spatial distance and clearance are to one tissue
         return replace(known, covariance=covariance, outline_covariance=of_outline)
 
     def _agrees(self, pose: TissuePose) -> bool:
-        place = self._place.now()
-        if place is None:
+        if self._best is None:
             return True
-        position_m, covariance = place
+        position_m, covariance = self._place.now()
         offset_m = pose.position_m - position_m
         nis = offset_m @ np.linalg.solve(pose.outline_covariance + covariance + TINY_M2 * np.eye(3), offset_m)
         return bool(nis <= chi_square_bound(3, GATE_Z))
@@ -152,9 +147,7 @@ class TissueHeight:
         )
 
 
-MAX_SHAPE_STDS = (
-    2.0  # beyond, a surface that is seen is better than a shape; it costs nothing but a wider interval
-)
+MAX_SHAPE_STDS = 2.0  # beyond, a surface that is seen is better than a shape: it only widens the interval
 OFF_PLANE_STDS = 3.5  # of the surface by stereo from the profile's, above which they contradict each other
 
 
@@ -164,7 +157,6 @@ def surface_by_stereo(frame: Frame, known: TissuePose) -> TissuePose | None:
     if surface is None or right is None:
         return None
     cloud = surface.cloud(frame.left.camera, right, frame.arm.deviations)
-    assert cloud.std_m is not None
     off_m = _off_plane_m(surface.points_m, median(cloud.std_m), require_tissue(frame.arm.profile))
     return replace(known, surface=cloud, surface_std_m=off_m, dome=None, is_measured=True)
 
@@ -249,7 +241,6 @@ class FollowedTissue:
             return placed, coupling
         shape_std_m = self._shape_std_m(seen)
         assert isinstance(seen.surface, Cloud)
-        assert seen.surface.std_m is not None
         seen_std_m = float(np.hypot(median(seen.surface.std_m), seen.surface_std_m))
         is_surer = shape_std_m < seen_std_m and self._has_shape(placed.dome, frame, shape_std_m)
         return placed if is_surer else seen, coupling
