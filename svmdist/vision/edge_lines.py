@@ -12,6 +12,7 @@ from svmdist.least_squares import median, scale_of
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.edges import SLOPE_SIGMA_PX, STEP_PX, least_slope, peak_shift_px, slope_filter
+from svmdist.vision.shaft_segmentation import Side
 
 MIN_CONTRAST_LEVELS = 12.0  # least step of colour at an edge's point, of 255: compression leaves less
 MIN_FOUND = 0.7  # of the profiles that show an edge, on the line: texture shows most beside it
@@ -103,32 +104,20 @@ def _points_near(profiles: Profiles, place: Array, reach_px: float) -> tuple[Arr
 
 
 @dataclass(frozen=True, slots=True)
-class EdgeLine:
+class EdgeLine(Side):
     """An edge from the border to where it stops being straight.
 
     `points_px`, shape (n, 2), are its sub-pixel points from the border to the end, most of them within `within_px` of
-    the line from `start_px` to `end_px`, shape (2,). `ends` is False where it goes on as far as was looked, or to where
+    the line between both ends. `ends` is False where it goes on as far as was looked, or to where
     nothing can be seen. Without points the line is known by its `covariance`, (2, 2) in px², of its offsets at both
     ends. `blur_px` is the deviation of the edge's own blur.
     """
 
-    start_px: Array
-    end_px: Array
     points_px: Array
     ends: bool
     within_px: float = 0.0
     covariance: Array | None = None
     blur_px: float = 0.0
-
-    @property
-    def direction(self) -> Array:
-        """Unit vector towards the tip, shape (2,)."""
-        return np.asarray((self.end_px - self.start_px) / self.length_px)
-
-    @property
-    def length_px(self) -> float:
-        """Distance of both ends."""
-        return float(np.linalg.norm(self.end_px - self.start_px))
 
 
 _Line = tuple[float, float, float]
