@@ -30,7 +30,7 @@ from svmdist.simulation.scene import Scene, raised
 from svmdist.transforms import Array, inverse, make_transform, transform_points
 
 NEAR_M, FAR_M = 0.01, 0.4
-R4_OPENGL_OPENCV: Array = np.block([[R_OPENGL_OPENCV, np.zeros((3, 1))], [np.zeros((1, 3)), 1.0]])
+T_OPENGL_OPENCV: Array = make_transform(R_OPENGL_OPENCV, np.zeros(3))
 PIXEL_SHIFT = (-0.5, 0.5)
 """TinyRenderer samples pixels at a corner. Measured with silhouettes of spheres all over the image, which agree with
 `Camera.project` to 0.03 px."""
@@ -41,8 +41,7 @@ Surfaces that are nearer to each other than that are drawn in one picture again.
 LIGHT_DIRECTION = (0.35, 0.45, 1.0)
 """Towards the light, in the world: beside the optical axis, as in an endoscope, so that shapes shade."""
 AMBIENT, DIFFUSE, SPECULAR = 0.52, 0.5, 0.12
-_AWAY: Array = np.eye(4)
-_AWAY[2, 3] = 1.0  # behind the camera
+_AWAY: Array = raised(1.0)  # behind the camera
 _STILL_BODIES = -2  # in place of the numbers that tissue and floor have in a world of their own
 
 
@@ -147,7 +146,7 @@ class DrawnWorld(BulletWorld):
         picture of an even turn is therefore always an even one here, whatever was drawn before.
         """
         # OpenGL's matrices have 16 numbers, column by column.
-        view = (R4_OPENGL_OPENCV @ inverse(T_world_camera)).T.ravel().tolist()
+        view = (T_OPENGL_OPENCV @ inverse(T_world_camera)).T.ravel().tolist()
         projection = projection_matrix(camera)
         if (self._turn - turn) % 2:
             self._draw(1, 1, view, projection)
