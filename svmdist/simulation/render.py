@@ -79,7 +79,6 @@ class DrawnWorld(BulletWorld):
 
     def __init__(self, scenes: Sequence[Scene], *, still: bool, moving: bool) -> None:
         super().__init__()
-        self._files: list[int] = []
         self._turn = 0
         self._scene = scene = scenes[0]
         self._scenes = scenes if moving else []
@@ -195,17 +194,12 @@ class DrawnWorld(BulletWorld):
         """Put a texture onto a body; its number."""
         # PyBullet reads files only: this one is in memory, and stays open, since textures are known by their path.
         file = os.memfd_create("svmdist")
-        self._files.append(file)
+        self.callback(os.close, file)
         with open(file, "wb", closefd=False) as out:
             out.write(cv2.imencode(".png", texture_bgr)[1].tobytes())
         texture = int(self.call("loadTexture", f"/proc/self/fd/{file}"))
         self.call("changeVisualShape", body, -1, textureUniqueId=texture)
         return texture
-
-    def __exit__(self, *problem: object) -> None:
-        super().__exit__(*problem)
-        for file in self._files:
-            os.close(file)
 
 
 class Renderer(ExitStack):
