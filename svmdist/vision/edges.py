@@ -162,13 +162,20 @@ def shading_shift_px(brightness: Image, points_px: Array, outward: Array, blur_p
     before, top, after = slope[middle - 1], slope[middle], slope[middle + 1]
     bend = before - 2.0 * top + after
     dark, bright = offsets <= -clear_px, offsets >= clear_px
-    g_in, level_in = np.polyfit(offsets[dark], profile[dark], 1)
-    g_out, level_out = np.polyfit(offsets[bright], profile[bright], 1)
+    g_in, level_in = _line_through(offsets[dark], profile[dark])
+    g_out, level_out = _line_through(offsets[bright], profile[bright])
     contrast = level_out - level_in
     if not (bend < 0.0 < top and contrast > 0.0):
         return 0.0
     shift_px = (g_out - g_in) / contrast * top / -bend * STEP_PX**2
     return float(np.clip(shift_px, -MAX_SHIFT * sigma_px, MAX_SHIFT * sigma_px))
+
+
+def _line_through(x: Array, y: Array) -> tuple[float, float]:
+    """Slope, and height at 0, of the line of least squares."""
+    middle, height = x.mean(), y.mean()
+    slope = float((x - middle) @ (y - height) / ((x - middle) @ (x - middle)))
+    return slope, float(height - slope * middle)
 
 
 RAYS = 64
