@@ -70,8 +70,9 @@ class Camera:
             raise ValueError(f"D has a coefficient beyond ±{MAX_COEFFICIENT:g}")
         if min(self.width_px, self.height_px) < 1:
             raise ValueError(f"the camera is not calibrated: {self.width_px}x{self.height_px} px")
-        whole = next(size for size in (0, 4, 5, 8, 12, 14) if size >= len(self.D))
-        object.__setattr__(self, "D", np.pad(self.D, (0, whole - len(self.D))))
+        is_fisheye = self.distortion_model == "fisheye"
+        whole = 4 if is_fisheye else next(size for size in (0, 4, 5, 8, 12, 14) if size >= len(self.D))
+        object.__setattr__(self, "D", np.append(self.D, np.zeros(whole))[:whole])
 
     @property
     def has_distortion(self) -> bool:
@@ -101,10 +102,8 @@ class Camera:
             return np.asarray(p[:, :2] / p[:, 2:] @ self.K[:2, :2].T + self.K[:2, 2])
         import cv2  # of few lenses: a camera is there without OpenCV
 
-        is_fisheye = self.distortion_model == "fisheye"
-        project = cv2.fisheye.projectPoints if is_fisheye else cv2.projectPoints
-        D = fisheye_coefficients(self.D) if is_fisheye else self.D
-        pixels, _ = project(p[:, None], np.zeros(3), np.zeros(3), self.K, D)
+        project = cv2.fisheye.projectPoints if self.distortion_model == "fisheye" else cv2.projectPoints
+        pixels, _ = project(p[:, None], np.zeros(3), np.zeros(3), self.K, self.D)
         return np.asarray(pixels, np.float64).reshape(-1, 2)
 
     def project_with_derivative(self, p_camera_m: Array) -> tuple[Array, Array]:
@@ -129,7 +128,7 @@ class Camera:
         import cv2
 
         if self.distortion_model == "fisheye":
-            straight = cv2.fisheye.undistortPoints(points[:, None], self.K, fisheye_coefficients(self.D))
+            straight = cv2.fisheye.undistortPoints(points[:, None], self.K, self.D)
         else:
             criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
             straight = cv2.undistortPoints(points[:, None], self.K, self.D, None, None, None, criteria)
@@ -144,11 +143,6 @@ class Camera:
             and bool(np.allclose(D, other_D, rtol=0.0, atol=1e-9))
             and (self.distortion_model == "fisheye") == (other.distortion_model == "fisheye")
         )
-
-
-def fisheye_coefficients(D: Array) -> Array:
-    """The four that OpenCV's fisheye lens takes, shape (4,): those that a log leaves out are 0."""
-    return np.resize(np.append(D, np.zeros(4)), 4)
 
 
 def stereo_transform(left: Camera, right: Camera) -> Array | None:

@@ -133,8 +133,8 @@ class TransformTrack:
         left, right = (self.T_parent_child[side[between]] for side in (where.left, where.right))
         fraction = where.fraction[between]
         t_m = left[:, :3, 3] + fraction[:, None] * (right[:, :3, 3] - left[:, :3, 3])
-        start, end = (transforms.quaternion_xyzw_from_rotation(T[:, :3, :3]) for T in (left, right))
-        R = transforms.rotation_from_quaternion_xyzw(transforms.slerp_xyzw(start, end, fraction))
+        turn_rad = transforms.rotation_vector(np.swapaxes(left[:, :3, :3], 1, 2) @ right[:, :3, :3])
+        R = left[:, :3, :3] @ transforms.rotation_of(fraction[:, None] * turn_rad)
         values[between] = transforms.make_transform(R, t_m)
         return Sampled(values, where.valid)
 

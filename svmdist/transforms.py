@@ -155,19 +155,6 @@ def rotation_angle(R_a: Array, R_b: Array) -> Array:
     return np.asarray(2.0 * np.arcsin(np.clip(chord / (2.0 * np.sqrt(2.0)), 0.0, 1.0)))
 
 
-def slerp_xyzw(start_xyzw: Array, end_xyzw: Array, fraction: Array) -> Array:
-    """Interpolate unit quaternions, shape (n, 4), along the shorter arc (Shoemake 1985)."""
-    cosine = np.sum(start_xyzw * end_xyzw, -1)
-    end_xyzw = np.where(cosine[:, None] < 0, -end_xyzw, end_xyzw)
-    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
-    near = angle < 1e-6  # sin(angle) loses its digits: a straight line is exact to 1e-12 there
-    sine = np.where(near, 1.0, np.sin(angle))
-    weight_start = np.where(near, 1.0 - fraction, np.sin((1.0 - fraction) * angle) / sine)
-    weight_end = np.where(near, fraction, np.sin(fraction * angle) / sine)
-    q = weight_start[:, None] * start_xyzw + weight_end[:, None] * end_xyzw
-    return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
-
-
 def polygon_centroid(polygon: NDArray[np.generic]) -> Array:
     """Centroid of the area inside a simple polygon, by the shoelace formula: shape (2,), in the polygon's unit.
 

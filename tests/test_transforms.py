@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from svmdist import transforms
 
@@ -83,25 +83,6 @@ def test_the_angle_between_rotations_is_exact_when_small(axis, angle_rad):
     R = rotation_about((0.2, 1.0, -0.4), 1.1)
     found = float(transforms.rotation_angle(R, R @ rotation_about(axis, angle_rad)))
     assert found == pytest.approx(angle_rad, abs=1e-14 if angle_rad < 1.5 else 1e-7)
-
-
-@quick
-@given(st.integers(0, 10_000), st.floats(0.0, 1.0))
-def test_slerp_equals_scipys(seed, fraction):
-    """slerp of random rotations agrees with scipy.spatial.transform.Slerp within 1e-12."""
-    pair = Rotation.random(2, rng=np.random.default_rng(seed))
-    q = pair.as_quat()
-    found = transforms.slerp_xyzw(q[:1], q[1:], np.array([fraction]))[0]
-    expected = Slerp([0.0, 1.0], pair)(fraction)
-    assert (Rotation.from_quat(found).inv() * expected).magnitude() < 1e-12
-
-
-def test_slerp_takes_the_shorter_arc():
-    """q and -q name one rotation: flipping the sign of an end does not send the path the long way round."""
-    start, end = Rotation.identity().as_quat()[None], Rotation.from_rotvec([0, 0, 1.0]).as_quat()[None]
-    for sign in (1.0, -1.0):
-        middle = Rotation.from_quat(transforms.slerp_xyzw(start, sign * end, np.array([0.5]))[0])
-        assert middle.magnitude() == pytest.approx(0.5, abs=1e-14)
 
 
 @quick

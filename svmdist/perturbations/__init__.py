@@ -91,9 +91,8 @@ class Perturbation:
 
 
 def _read_table() -> Iterator[Perturbation]:
-    rows: dict[str, dict[str, Any]] = tomllib.loads(
-        files(__package__).joinpath("table.toml").read_text("utf-8")
-    )
+    text = files(__package__).joinpath("table.toml").read_text("utf-8")
+    rows: dict[str, dict[str, Any]] = tomllib.loads(text)
     for name, row in rows.items():
         low, high = map(float, row.pop("range"))
         size, place = row.pop("real", None), Place(row.pop("changes"))

@@ -146,7 +146,6 @@ class ReplayedWorld:
         known, q = places >= 0, np.zeros((len(at_ns), len(units.names)))
         q[:, places[known]] = reported[:, known]
         arm = self.profile.instrument_names.index(instrument)
-        reported[:, known] = reported_joints(q, late_ns, units, perturbations, self.seed, arm)[
-            :, places[known]
-        ]
+        perturbed = reported_joints(q, late_ns, units, perturbations, self.seed, arm)
+        reported[:, known] = perturbed[:, places[known]]
         return late_ns, reported

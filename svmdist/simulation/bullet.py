@@ -12,8 +12,8 @@ import os
 import platform
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any, Self
+from contextlib import ExitStack, contextmanager
+from typing import Any
 
 from svmdist.errors import SimulationError
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
@@ -69,15 +69,17 @@ def how_to_install(version: tuple[int, int], system: str, machine: str) -> str:
     )
 
 
-class BulletWorld:
+class BulletWorld(ExitStack):
     """One physics world of PyBullet without a window; a context manager that disconnects at its end."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.pb = load_pybullet()
         with quiet():
             self._id: int = self.pb.connect(self.pb.DIRECT)
         if self._id < 0:
             raise SimulationError("PyBullet has no free physics world: too many simulations run at once")
+        self.callback(self.pb.disconnect, physicsClientId=self._id)
 
     def call(self, function: str, *args: Any, **kwargs: Any) -> Any:
         """Call a function of PyBullet in this world; its own error becomes a SimulationError."""
@@ -91,9 +93,3 @@ class BulletWorld:
         position = (T_world_body[:3, 3] * scale).tolist()
         quaternion = quaternion_xyzw_from_rotation(T_world_body[:3, :3]).tolist()
         self.call("resetBasePositionAndOrientation", body, position, quaternion)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_problem: object) -> None:
-        self.pb.disconnect(physicsClientId=self._id)

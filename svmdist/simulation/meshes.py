@@ -14,13 +14,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.errors import SimulationError
 from svmdist.geometry import Mesh
 from svmdist.kinematics import DHChain
 from svmdist.perturbations import UNPERTURBED, Perturbations
 from svmdist.profile.robot import Fiducial, Instrument
 from svmdist.samples import Image
 from svmdist.transforms import Array, make_transform, rotation_x, rotation_z, transform_points
+from svmdist.vision.tags import tag_dictionary
 
 SIDE_COUNT = 64
 FLOOR_HALF_M = 0.16
@@ -255,13 +255,8 @@ def _between(start: Rgba, end: Rgba, share: float) -> Rgba:
 
 
 def make_plate(fiducial: Fiducial) -> Part:
-    """A profile's plate in the tag's frame: face at z = 0, x right, y up; SimulationError for an unknown tag."""
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{fiducial.family}"))
-    count = len(dictionary.bytesList)
-    if fiducial.id >= count:
-        raise SimulationError(
-            f"no tag {fiducial.id} in the family {fiducial.family}: its ids go from 0 to {count - 1}"
-        )
+    """A profile's plate in the tag's frame: face at z = 0, x right, y up."""
+    dictionary = tag_dictionary(fiducial.family)
     cell_count = dictionary.markerSize + 2  # with the black border of one cell
     cells = cv2.aruco.generateImageMarker(dictionary, fiducial.id, cell_count)
     with_margin = np.pad(np.where(cells > 0, WHITE, BLACK).astype(np.uint8), 1, constant_values=WHITE)

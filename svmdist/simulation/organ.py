@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.geometry.distance import point_to_triangle
+from svmdist.geometry.distance import signed_distances
 from svmdist.perturbations import UNPERTURBED, Perturbations
 from svmdist.simulation.meshes import TEXTURE_SPAN_M, DrawnMesh, smooth_normals
 from svmdist.transforms import Array, polygon_centroid
@@ -99,14 +99,8 @@ class Organ:
         return np.sqrt(np.maximum(nearest2 - self._corner2_m2, 0.0)), np.sqrt(nearest2)
 
     def distances_m(self, points_m: Array) -> Array:
-        """Exact distances of points, shape (n, 3), from the triangles whose corners are near enough; shape (n,)."""
-        squared = self._squared_m2(points_m)
-        near = squared <= squared.min(axis=1, keepdims=True) + self._corner2_m2 + SLACK_M**2
-        faces = self.mesh.faces[near.any(axis=0)[self.mesh.faces].any(axis=1)]
-        i, j = np.nonzero(near[:, faces].any(axis=2))
-        smallest_m = np.full(len(points_m), np.inf)
-        np.minimum.at(smallest_m, i, point_to_triangle(points_m[i], self.mesh.vertices_m[faces[j]]).distance)
-        return smallest_m
+        """Exact distances of points, shape (n, 3), from the triangles; shape (n,)."""
+        return np.abs(signed_distances(points_m, self.mesh)[1])  # it is open: they have no side
 
     def depth_m(self, points_m: Array) -> float:
         """How deep the deepest of points lies, shape (n, 3), which are all below the surface."""

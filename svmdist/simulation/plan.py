@@ -10,7 +10,7 @@ next; each can be made by itself, so that the content does not depend on who mak
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -173,20 +173,19 @@ class Plan:
 
     def state(self, index: int, after_ns: float = 0.0) -> SceneState:
         """The state at the stamp number `index`, or later: interpolated between stamps, still after the last one."""
-        if not after_ns:
-            return self._state(lambda values: values[index])
-        since_ns = self.stamps_ns - self.stamps_ns[index]  # stamps are too large for a float
-        above = int(np.clip(np.searchsorted(since_ns, after_ns), 1, len(since_ns) - 1))
-        below = above - 1
-        share = min((after_ns - since_ns[below]) / (since_ns[above] - since_ns[below]), 1.0)
-        return self._state(lambda values: values[below] + share * (values[above] - values[below]))
+        below, above, share = index, index, 0.0
+        if after_ns:
+            since_ns = self.stamps_ns - self.stamps_ns[index]  # stamps are too large for a float
+            above = int(np.clip(np.searchsorted(since_ns, after_ns), 1, len(since_ns) - 1))
+            below = above - 1
+            share = min((after_ns - since_ns[below]) / (since_ns[above] - since_ns[below]), 1.0)
 
-    def _state(self, at: Callable[[Array], Array]) -> SceneState:
+        def at(values: Array) -> Array:
+            return np.asarray(values[below] + share * (values[above] - values[below]))
+
         # The retractor's blade slides, and never turns.
-        T_world_retractor = None if self.T_world_retractor is None else at(self.T_world_retractor)
-        return SceneState(
-            tuple(at(arm.q) for arm in self.arms), T_world_retractor, float(at(self.tissue_offset_m))
-        )
+        blade = None if self.T_world_retractor is None else at(self.T_world_retractor)
+        return SceneState(tuple(at(arm.q) for arm in self.arms), blade, float(at(self.tissue_offset_m)))
 
 
 def make_plan(

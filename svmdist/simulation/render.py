@@ -30,7 +30,7 @@ from svmdist.simulation.scene import Scene, raised
 from svmdist.transforms import Array, inverse, make_transform, transform_points
 
 NEAR_M, FAR_M = 0.01, 0.4
-R4_OPENGL_OPENCV: Array = np.block([[R_OPENGL_OPENCV, np.zeros((3, 1))], [np.zeros((1, 3)), 1.0]])
+T_OPENGL_OPENCV: Array = make_transform(R_OPENGL_OPENCV, np.zeros(3))
 PIXEL_SHIFT = (-0.5, 0.5)
 """TinyRenderer samples pixels at a corner. Measured with silhouettes of spheres all over the image, which agree with
 `Camera.project` to 0.03 px."""
@@ -41,8 +41,7 @@ Surfaces that are nearer to each other than that are drawn in one picture again.
 LIGHT_DIRECTION = (0.35, 0.45, 1.0)
 """Towards the light, in the world: beside the optical axis, as in an endoscope, so that shapes shade."""
 AMBIENT, DIFFUSE, SPECULAR = 0.52, 0.5, 0.12
-_AWAY: Array = np.eye(4)
-_AWAY[2, 3] = 1.0  # behind the camera
+_AWAY: Array = raised(1.0)  # behind the camera
 _STILL_BODIES = -2  # in place of the numbers that tissue and floor have in a world of their own
 
 
@@ -80,7 +79,6 @@ class DrawnWorld(BulletWorld):
 
     def __init__(self, scenes: Sequence[Scene], *, still: bool, moving: bool) -> None:
         super().__init__()
-        self._files: list[int] = []
         self._turn = 0
         self._scene = scene = scenes[0]
         self._scenes = scenes if moving else []
@@ -147,7 +145,7 @@ class DrawnWorld(BulletWorld):
         picture of an even turn is therefore always an even one here, whatever was drawn before.
         """
         # OpenGL's matrices have 16 numbers, column by column.
-        view = (R4_OPENGL_OPENCV @ inverse(T_world_camera)).T.ravel().tolist()
+        view = (T_OPENGL_OPENCV @ inverse(T_world_camera)).T.ravel().tolist()
         projection = projection_matrix(camera)
         if (self._turn - turn) % 2:
             self._draw(1, 1, view, projection)
@@ -196,17 +194,12 @@ class DrawnWorld(BulletWorld):
         """Put a texture onto a body; its number."""
         # PyBullet reads files only: this one is in memory, and stays open, since textures are known by their path.
         file = os.memfd_create("svmdist")
-        self._files.append(file)
+        self.callback(os.close, file)
         with open(file, "wb", closefd=False) as out:
             out.write(cv2.imencode(".png", texture_bgr)[1].tobytes())
         texture = int(self.call("loadTexture", f"/proc/self/fd/{file}"))
         self.call("changeVisualShape", body, -1, textureUniqueId=texture)
         return texture
-
-    def __exit__(self, *problem: object) -> None:
-        super().__exit__(*problem)
-        for file in self._files:
-            os.close(file)
 
 
 class Renderer(ExitStack):

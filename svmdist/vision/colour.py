@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import cv2
@@ -61,23 +61,23 @@ class HsvMasks(Masks):
     """The masks of one image by colour, each made when it is first asked for."""
 
     def __init__(self, hsv: Image, rules: HsvSegmentation) -> None:
-        self._channels = _channels_of(hsv)
+        self._hsv = hsv
         self._rules = rules
 
     @cached_property
     def tissue(self) -> Image:
         """Pixels of the tissue's colour."""
-        return _mask(self._channels, self._rules.tissue)
+        return colour_mask(self._hsv, self._rules.tissue)
 
     @cached_property
     def instrument(self) -> Image:
         """Pixels of the instrument's colour."""
-        return _mask(self._channels, self._rules.instrument)
+        return colour_mask(self._hsv, self._rules.instrument)
 
     @cached_property
     def shaft(self) -> Image | None:
         """Pixels as dark as the shaft."""
-        return None if self._rules.shaft is None else _mask(self._channels, self._rules.shaft)
+        return None if self._rules.shaft is None else colour_mask(self._hsv, self._rules.shaft)
 
 
 class HsvSegmenter:
@@ -105,31 +105,20 @@ def to_grey(bgr: Image) -> Image:
 
 def colour_mask(image_hsv: Image, region: ColourRegion) -> Image:
     """Mask, shape (h, w) with 0 or 255, of the pixels inside an HSV box whose hue may wrap around 0."""
-    return _mask(_channels_of(image_hsv), region)
 
+    def inside(channel: int, first: int, last: int) -> Image:
+        # Channel by channel: a test of one channel takes an eighth of what one of three channels at once takes.
+        return np.asarray(cv2.inRange(cv2.extractChannel(image_hsv, channel), first, last), np.uint8)
 
-HUE, SATURATION, VALUE = range(3)
-_Channels = Callable[[int], Image]
-
-
-def _channels_of(image_hsv: Image) -> _Channels:
-    """The channels of an image, shape (h, w) each; only those that a box bounds are taken out, once."""
-    return cache(lambda channel: np.asarray(cv2.extractChannel(image_hsv, channel), np.uint8))
-
-
-def _mask(channel: _Channels, region: ColourRegion) -> Image:
-    """Channel by channel: a test of one channel takes an eighth of what one of three channels at once takes."""
     first, last = region.hue
-    mask = cv2.inRange(channel(VALUE), *region.value)
+    mask = inside(2, *region.value)
     if tuple(region.saturation) != (0, 255):
-        cv2.bitwise_and(mask, cv2.inRange(channel(SATURATION), *region.saturation), mask)
-    if first <= last:
-        if (first, last) != (0, 179):
-            cv2.bitwise_and(mask, cv2.inRange(channel(HUE), first, last), mask)
+        mask &= inside(1, *region.saturation)
+    if first <= last and (first, last) != (0, 179):
+        mask &= inside(0, first, last)
     elif last + 1 < first:  # else the two ends meet, and every hue is inside
-        between = cv2.inRange(channel(HUE), last + 1, first - 1)
-        cv2.bitwise_and(mask, cv2.bitwise_not(between, between), mask)
-    return np.asarray(mask, np.uint8)
+        mask &= ~inside(0, last + 1, first - 1)
+    return mask
 
 
 # Bright parts below this fraction of the image are letters on a black border, not scene
@@ -166,11 +155,11 @@ def exposure_of(bgr: Image, settings: ExposureSettings) -> Exposure:
     # NumPy's maximum along the short axis takes twenty times as long.
     blue, green, red = cv2.split(np.ascontiguousarray(bgr[::SAMPLING_PX, ::SAMPLING_PX]))
     value = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
-    bright = percentiles(value, (90.0,))[0]
+    bright = np.percentile(value, 90.0)
     view = field_of_view(np.asarray(255 * (value <= BORDER_FRACTION * bright), np.uint8))
     if not view.any():
         return Exposure(0.0, 1.0)
-    black, middle = percentiles(value, (BLACK_PERCENTILE, MIDDLE_PERCENTILE), view)
+    black, middle = np.percentile(value[view > 0], (BLACK_PERCENTILE, MIDDLE_PERCENTILE)).tolist()
     veil = max(0.0, black - settings.dark_level) if black < DISTINCT_FRACTION * middle else 0.0
     return Exposure(veil, max(1.0, settings.fair_level / max(middle - veil, 1.0)))
 
@@ -183,15 +172,6 @@ def apply_exposure(bgr: Image, exposure: Exposure) -> Image:
         bgr = np.asarray(cv2.GaussianBlur(bgr, (0, 0), NOISE_SIGMA_PX), np.uint8)
     levels = exposure.gain * (np.arange(256) - exposure.veil)
     return np.asarray(cv2.LUT(bgr, np.clip(np.rint(levels), 0, 255).astype(np.uint8)), np.uint8)
-
-
-def percentiles(values: Image, wanted: Sequence[float], mask: Image | None = None) -> list[float]:
-    """Percentiles of 8-bit values, shape (h, w), under a mask: NumPy's linear ones, counted and not sorted."""
-    counts = cv2.calcHist([values], [0], mask, [256], [0, 256]).ravel()
-    below = np.cumsum(counts, dtype=np.float64)
-    places = np.asarray(wanted, np.float64) / 100.0 * (below[-1] - 1.0)
-    low, high = (np.searchsorted(below, index, side="right") for index in (np.floor(places), np.ceil(places)))
-    return [float(value) for value in low + (places - np.floor(places)) * (high - low)]
 
 
 HUES = range(0, 180, 10)

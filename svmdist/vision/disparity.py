@@ -20,6 +20,7 @@ from svmdist.profile.settings import StereoSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.local_planes import SCALES, Floats, blurred, fit_cells
+from svmdist.vision.stereo import reduced
 
 Bools = NDArray[np.bool_]
 
@@ -32,15 +33,11 @@ UNIQUE_PERCENT = 5  # by which the best match must be better than any other
 CELL_PX = 4  # side of a cell
 SPECKLE_SHARE = 0.002  # of the view: smaller patches of matches that stand alone are mistakes
 MARGIN_PX = 5  # matches as near to an instrument or to the view's border mix two surfaces within one block
-CLIPPED, CLIPPED_PX = (
-    250,
-    7,
-)  # brighter pixels are highlights, which stand elsewhere in the other view; and about them
+CLIPPED = 250  # brighter pixels are highlights, which stand elsewhere in the other view
+CLIPPED_PX = 7  # side of what is left out about each
 SMOOTHING_PX = 1.2  # of both views, so that a step of a pixel stays on a slope
-LEVELLING_SHARE, FLAT_LEVELS = (
-    0.025,
-    3.0,
-)  # half of the window for contrast over the width; contrast of mere noise
+LEVELLING_SHARE = 0.025  # half of the window for contrast over the width
+FLAT_LEVELS = 3.0  # contrast of mere noise
 BRIGHTNESS_SHARE = 0.01
 """How smoothly the views' brightness may differ, over the width: with the camera, light and gloss of wet tissue move.
 What changes no faster than that says nothing about disparity; else it is off by twice the stated deviation."""
@@ -85,8 +82,8 @@ def disparity_map(
     x, y, width, height = cv2.boundingRect(_eroded(masks[0], 2 * MARGIN_PX + 1))  # without specks
     step = max(1, int(np.ceil(np.sqrt(width * height / most_px))))
     rows = slice(max(0, y - MARGIN_PX * step), y + height + MARGIN_PX * step)
-    left, right = (_reduced(view[rows], step) for view in views)
-    inside, inside_right = (_reduced(mask[rows], step, cv2.INTER_NEAREST) for mask in masks)
+    left, right = (reduced(view[rows], step) for view in views)
+    inside, inside_right = (reduced(mask[rows], step, cv2.INTER_NEAREST) for mask in masks)
     low, high = bounds_px[0] / step, min(bounds_px[1] / step, MAX_SHARE * left.shape[1])
     found = _range(left, right, inside, inside_right, low, high) if min(left.shape) > 8 * CELL_PX else None
     if found is None:
@@ -120,7 +117,7 @@ def semi_global(
     NaN where there is none: the best match must be unique, and be found from the right, too.
     """
     height, width = left.shape
-    left, right, low_px, high_px = _reduced(left, step), _reduced(right, step), low_px / step, high_px / step
+    left, right, low_px, high_px = reduced(left, step), reduced(right, step), low_px / step, high_px / step
     low, count = int(np.floor(low_px)), 16 * int(np.ceil((high_px - low_px + 2.0) / 16))
     # Every column must have all disparities in the image, else OpenCV leaves it out.
     before, after = max(low + count, 0) + block_px, max(-low, 0) + block_px
@@ -150,8 +147,8 @@ def _range(
 ) -> tuple[float, float] | None:
     """The disparities that the scene has, in px, by matching small views over all that may be; None without any."""
     step = max(1, round(left.shape[1] / COARSE_PX))
-    small = [_reduced(view, step) for view in (left, right)]
-    small_inside = [_reduced(mask, step, cv2.INTER_NEAREST) for mask in (inside, inside_right)]
+    small = [reduced(view, step) for view in (left, right)]
+    small_inside = [reduced(mask, step, cv2.INTER_NEAREST) for mask in (inside, inside_right)]
     levelled = [_levelled(view, mask, view.shape[1]) for view, mask in zip(small, small_inside, strict=True)]
     matched = semi_global(levelled[0], levelled[1], low / step, high / step, 5)
     seen = step * matched[np.isfinite(matched) & (small_inside[0] > 0)]
@@ -329,8 +326,3 @@ def _enlarged(cells: Floats, size: tuple[int, int], how: int = cv2.INTER_LINEAR,
     whole = cv2.resize(cells, (width * by, height * by), interpolation=how)
     right, below = size[0] - whole.shape[1], size[1] - whole.shape[0]
     return np.asarray(cv2.copyMakeBorder(whole, 0, below, 0, right, cv2.BORDER_REPLICATE), np.float32)
-
-
-def _reduced(image: Image, step: int, how: int = cv2.INTER_AREA) -> Image:
-    size = (image.shape[1] // step, image.shape[0] // step)
-    return image if step == 1 else np.asarray(cv2.resize(image, size, interpolation=how), np.uint8)

@@ -12,6 +12,7 @@ from svmdist.least_squares import median, scale_of
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.edges import SLOPE_SIGMA_PX, STEP_PX, least_slope, peak_shift_px, slope_filter
+from svmdist.vision.shaft_segmentation import Side
 
 MIN_CONTRAST_LEVELS = 12.0  # least step of colour at an edge's point, of 255: compression leaves less
 MIN_FOUND = 0.7  # of the profiles that show an edge, on the line: texture shows most beside it
@@ -40,19 +41,18 @@ UNSEEN_SHARE = 0.15
 
 @dataclass(frozen=True, slots=True)
 class Profiles:
-    """Slopes of three channels across a segment (3, n, k) at `offsets` (k,) px, what is seen (n, k), their scale."""
+    """Slopes of three channels across a segment (3, n, k) at `offsets` (k,) px, and what is seen (n, k)."""
 
     slopes: NDArray[np.float32]
     offsets: Array
     seen: NDArray[np.bool_]
-    sigma_px: float
 
 
 def _profiles_across(
-    bgr: Image, feet_px: Array, across: Array, half_px: float, sigma_px: float, picture: Image | None
+    bgr: Image, feet_px: Array, across: Array, half_px: float, picture: Image | None
 ) -> Profiles:
     """The profiles of an image, shape (h, w, 3), through points, shape (n, 2), along a unit vector `across`, (2,)."""
-    half_px = np.ceil((half_px + 3.0 * sigma_px) / STEP_PX) * STEP_PX
+    half_px = np.ceil((half_px + 3.0 * SLOPE_SIGMA_PX) / STEP_PX) * STEP_PX
     offsets = np.arange(-half_px, half_px + STEP_PX / 2, STEP_PX)
     x, y = (feet_px[:, axis, None] + offsets * across[axis] for axis in (0, 1))
     height, width = bgr.shape[:2]
@@ -61,16 +61,16 @@ def _profiles_across(
         column, row = (np.clip(np.rint(v), 0, size - 1).astype(int) for v, size in ((x, width), (y, height)))
         seen &= picture[row, column] > 0
     # A slope is made of samples to both sides: all of them must be picture.
-    wide = np.ones((1, 2 * int(2.0 * sigma_px / STEP_PX) + 1), np.uint8)
+    wide = np.ones((1, 2 * int(2.0 * SLOPE_SIGMA_PX / STEP_PX) + 1), np.uint8)
     seen = cv2.erode(np.asarray(seen, np.uint8), wide, borderValue=1) > 0
     left, top = (int(np.clip(v.min() - 1, 0, size - 1)) for v, size in ((x, width), (y, height)))
     window = bgr[top : max(int(y.max()) + 3, top + 1), left : max(int(x.max()) + 3, left + 1)]
     places = ((x - left).astype(np.float32), (y - top).astype(np.float32))
     values = cv2.remap(window.astype(np.float32), *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    kernel = slope_filter(2 * int(SLOPE_REACH * sigma_px / STEP_PX) + 1, sigma_px)
+    kernel = slope_filter(2 * int(SLOPE_REACH * SLOPE_SIGMA_PX / STEP_PX) + 1, SLOPE_SIGMA_PX)
     middle = kernel[:, len(kernel) // 2][None].astype(np.float32)  # which OpenCV correlates with
     slopes = np.moveaxis(cv2.filter2D(values, -1, middle, borderType=cv2.BORDER_REPLICATE), 2, 0)
-    return Profiles(np.ascontiguousarray(slopes), offsets, seen, sigma_px)
+    return Profiles(np.ascontiguousarray(slopes), offsets, seen)
 
 
 def _points_near(profiles: Profiles, place: Array, reach_px: float) -> tuple[Array, Array]:
@@ -94,7 +94,7 @@ def _points_near(profiles: Profiles, place: Array, reach_px: float) -> tuple[Arr
     before, top, after = slope[rows, peak - 1], slope[rows, peak], slope[rows, peak + 1]
     inside = (best > 0) & (best < 2 * reach) & seen[rows, peak]
     good = inside & (before > 0.0) & (after > 0.0) & (top >= before) & (top >= after)
-    good &= top > least_slope(MIN_CONTRAST_LEVELS, profiles.sigma_px)
+    good &= top > least_slope(MIN_CONTRAST_LEVELS, SLOPE_SIGMA_PX)
     # What is much fainter than most of the edge is texture beside it.
     good &= top > FAINT * (median(top[good]) if good.any() else 0.0)
     ratio = np.where(good, before * after, 0.25) / np.where(good, top * top, 1.0)
@@ -103,36 +103,20 @@ def _points_near(profiles: Profiles, place: Array, reach_px: float) -> tuple[Arr
 
 
 @dataclass(frozen=True, slots=True)
-class EdgeLine:
+class EdgeLine(Side):
     """An edge from the border to where it stops being straight.
 
     `points_px`, shape (n, 2), are its sub-pixel points from the border to the end, most of them within `within_px` of
-    the line from `start_px` to `end_px`, shape (2,). `ends` is False where it goes on as far as was looked, or to where
+    the line between both ends. `ends` is False where it goes on as far as was looked, or to where
     nothing can be seen. Without points the line is known by its `covariance`, (2, 2) in px², of its offsets at both
     ends. `blur_px` is the deviation of the edge's own blur.
     """
 
-    start_px: Array
-    end_px: Array
     points_px: Array
     ends: bool
     within_px: float = 0.0
     covariance: Array | None = None
     blur_px: float = 0.0
-
-    @property
-    def direction(self) -> Array:
-        """Unit vector towards the tip, shape (2,)."""
-        return np.asarray((self.end_px - self.start_px) / self.length_px)
-
-    @property
-    def length_px(self) -> float:
-        """Distance of both ends."""
-        return float(np.linalg.norm(self.end_px - self.start_px))
-
-
-_Line = tuple[float, float, float]
-"""A straight part of an edge: its offset at the segment's start, its slope, and the place where it ends."""
 
 
 def edge_line(
@@ -152,7 +136,7 @@ def edge_line(
     fine_px = max(PEAK_REACH_PX, WINDOW * straight_px)
     wide_px = max(WINDOW * ROUGH_PX * rough_px, fine_px)
     feet_px = start + at[:, None] * along
-    profiles = _profiles_across(bgr, feet_px, across, wide_px + fine_px, SLOPE_SIGMA_PX, picture)
+    profiles = _profiles_across(bgr, feet_px, across, wide_px + fine_px, picture)
     off_px, width_px2, line = np.full(len(at), np.nan), np.zeros(len(at)), (0.0, 0.0, length_px)
     for reach_px in (wide_px, *[fine_px] * (REFINEMENTS - 1)):
         off_px, width_px2 = _points_near(profiles, line[0] + line[1] * at, reach_px)
@@ -184,10 +168,11 @@ def edge_line(
 
 def _ending_line(
     at: Array, off_px: Array, length_px: float, straight_px: tuple[float, float]
-) -> tuple[_Line, float] | None:
+) -> tuple[tuple[float, float, float], float] | None:
     """The straight part from the border on, of offsets, shape (n,), at places, shape (n,); NaN is no edge.
 
-    And how far off it its points may be: as their scatter is, between two bounds.
+    Gives its offset at the segment's start, its slope, and the place where it ends. And how far off it its points may
+    be: as their scatter is, between two bounds.
     """
     end_at = START_PART * length_px
     found = np.isfinite(off_px)

@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 import cv2
 import numpy as np
 
-from svmdist.camera import Camera, fisheye_coefficients
+from svmdist.camera import Camera
 from svmdist.profile.settings import ExposureSettings, InterlaceSettings, TagSettings
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform
@@ -17,9 +17,8 @@ from svmdist.vision.colour import Exposure, Masks, apply_exposure, exposure_of, 
 from svmdist.vision.segmentation import Segmenter
 
 COMB_RATIO = 3.0  # combed pixels over those that differ from the same field's rows: fine texture does both
-BLOCK_PX = (
-    9  # side of the blocks in which these are counted, at 640 columns: smaller than an instrument's tip
-)
+# Side of the blocks in which these are counted, at 640 columns: smaller than an instrument's tip
+BLOCK_PX = 9
 MIN_FRACTION = 0.12  # of a block's pixels that are combed, where its odd rows are mended
 MIN_PIXELS = 60  # combed pixels in a whole image, at 640 columns, below which nothing is looked at further
 
@@ -131,11 +130,8 @@ def _maps(
 ) -> tuple[Array, Array]:
     """Where each pixel of an ideal camera is in the image, as fixed-point maps; computed once for a camera."""
     K_from, R, K_to = (np.frombuffer(data).reshape(3, 3) for data in (K, R_ideal_camera, K_ideal))
-    D_from, rest = np.frombuffer(D), (R, K_to, size_px, cv2.CV_16SC2)
-    if model == "fisheye":
-        maps = cv2.fisheye.initUndistortRectifyMap(K_from, fisheye_coefficients(D_from), *rest)
-    else:
-        maps = cv2.initUndistortRectifyMap(K_from, D_from, *rest)
+    map_of = cv2.fisheye.initUndistortRectifyMap if model == "fisheye" else cv2.initUndistortRectifyMap
+    maps = map_of(K_from, np.frombuffer(D), R, K_to, size_px, cv2.CV_16SC2)
     return np.asarray(maps[0]), np.asarray(maps[1])
 
 

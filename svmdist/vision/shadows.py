@@ -23,17 +23,8 @@ def in_view(points_px: Array, region: ShaftRegion) -> Array:
     return np.asarray(points_px[region.field_of_view[row, column] > 0])
 
 
-def _core(region: ShaftRegion) -> Array:
-    """Points along the middle of the shaft's region, shape (n, 2) in px."""
-    first, second = (np.stack([side.start_px, side.end_px]) for side in (region.first, region.second))
-    share = np.linspace(0.06, 0.94, 40)[:, None]
-    ends = [0.5 * (first[end] + second[end]) for end in (0, 1)]
-    return np.asarray(ends[0] + share * (ends[1] - ends[0]))
-
-
-SHADOW_REACH = (
-    0.45  # of the region's width, shadow included, how far inside its border the shaft's edge is sought
-)
+# Of the region's width, shadow included, how far inside its border the shaft's edge is sought
+SHADOW_REACH = 0.45
 SHADOW_INLIER_PX, SHADOW_STD_PX = 0.7, 0.3  # a limb reflects what is around it, and fades or shines
 MIN_EDGE_SHARE = 0.6  # of the profiles along a side that must show an edge there
 
@@ -94,7 +85,9 @@ def is_of_shaft(
     def colour(strip_px: tuple[float, float], sign: float) -> Array:
         return _median_colour(bgr, points_px[:, None] + sign * np.arange(*strip_px)[:, None] * across)
 
-    shaft = _median_colour(bgr, _core(region))
+    first, second = region.first, region.second
+    start_px, end_px = 0.5 * (first.start_px + second.start_px), 0.5 * (first.end_px + second.end_px)
+    shaft = _median_colour(bgr, start_px + np.linspace(0.06, 0.94, 40)[:, None] * (end_px - start_px))
     away, beside = colour(OUTSIDE_PX, 1.0) - shaft, colour(inside, -1.0) - shaft
     square = float(away[:2] @ away[:2])
     # Without an edge between them a darker strip is the shaft's own limb.

@@ -24,7 +24,7 @@ MAX_SAMPLES = 120  # points of a contour among which its two corners are searche
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One rough contour line, from `start_px` at the border to `end_px` at the tip, shape (2,) each."""
+    """One contour line of a shaft, from `start_px` at the border to `end_px` at the tip, shape (2,) each."""
 
     start_px: Array
     end_px: Array
@@ -132,10 +132,8 @@ def _is_free(sides: tuple[Side, Side, Array | None], covered: Image | None) -> b
     if end_px is None or covered is None:
         return True
     radius_px = 0.7 * float(np.linalg.norm(first.end_px - second.end_px))
-    left, top = (max(0, int(value - radius_px)) for value in end_px)
-    right, bottom = (max(0, int(value + radius_px) + 2) for value in end_px)
-    y, x = np.nonzero(covered[top:bottom, left:right])
-    return bool(np.all(np.hypot(x + left - end_px[0], y + top - end_px[1]) > radius_px))
+    y, x = np.nonzero(covered)
+    return bool(np.all(np.hypot(x - end_px[0], y - end_px[1]) > radius_px))
 
 
 def _arcs_inside(contour: NDArray[np.int32], inside: NDArray[np.bool_]) -> list[Array]:
@@ -160,18 +158,14 @@ def _split(arc: Array) -> tuple[Side, Side] | None:
         return None
     first = np.arange(shortest, count - 2 * shortest + 1)
     second = np.arange(2 * shortest, count - shortest + 1)
-    sums = _prefix_moments(points)
+    x, y = (points - points.mean(0)).T
+    moments = np.stack([np.ones(count), x, y, x * x, y * y, x * y])
+    sums = np.hstack([np.zeros((6, 1)), np.cumsum(moments, axis=1)])
     total = _line_cost(sums[:, None, second] - sums[:, first, None])
     total += _line_cost(sums[:, first])[:, None] + _line_cost(sums[:, -1:] - sums[:, second])
     total = np.where(second[None, :] - first[:, None] >= shortest, total, np.inf)
     a, b = np.unravel_index(int(np.argmin(total)), total.shape)
     return _fitted_side(points[: first[a]]), _fitted_side(points[second[b] :][::-1])
-
-
-def _prefix_moments(points: Array) -> Array:
-    x, y = (points - points.mean(0)).T
-    moments = np.stack([np.ones(len(points)), x, y, x * x, y * y, x * y])
-    return np.hstack([np.zeros((6, 1)), np.cumsum(moments, axis=1)])
 
 
 def _line_cost(moments: Array) -> Array:

@@ -31,10 +31,7 @@ FLANK_COLOUR_LEVELS = 3.0  # the least scatter of Lab's a and b: compression lea
 MAX_FLANK_OUTLIERS = 0.05  # with more of a flank so far off, fat or vessels lie beside the wrist
 
 WIDTH_CELLS = 24  # of the patch that is looked at, across the shaft: its cost is the same for every image
-BEHIND, BESIDE = (
-    0.75,
-    2.0,
-)  # how far the patch reaches behind the end and beside the axis, over the shaft's width
+BEHIND, BESIDE = 0.75, 2.0  # how far it reaches behind the end and beside the axis, over the shaft's width
 FLANK = 0.75  # what is farther from the axis, over the width, is background beside a wrist for the most part
 MAD = 1.4826
 MIN_CELLS = 12
@@ -67,12 +64,7 @@ class WristPoint:
 
 
 def _wrist_point(
-    bgr: Image,
-    mask: Image,
-    end_px: Array,
-    along: Array,
-    width_px: float,
-    shape: WristShape,
+    bgr: Image, mask: Image, end_px: Array, along: Array, width_px: float, shape: WristShape
 ) -> WristPoint | None:
     """Where the tool's origin is beyond a shaft's end, in an image, shape (h, w, 3); None where no wrist is seen.
 
@@ -168,9 +160,9 @@ class Silhouette:
     """
 
     edges: tuple[EdgeLine, EdgeLine]
-    end_px: Array | None
-    std_px: float
-    wrist: WristPoint | None
+    end_px: Array | None = None
+    std_px: float = np.inf
+    wrist: WristPoint | None = None
     is_outline: bool = True
     other_px: float = 0.0
     other_share: float = 0.0
@@ -190,7 +182,8 @@ class Silhouette:
     @property
     def width_px(self) -> float:
         """Between both edges, at the end."""
-        return _width_px(*self.edges)
+        along, apart_px = self.towards_tip, self.edges[1].end_px - self.edges[0].end_px
+        return abs(float(along[0] * apart_px[1] - along[1] * apart_px[0]))
 
     @property
     def width_std(self) -> float:
@@ -214,45 +207,40 @@ def find_silhouette(
     first, second = _edges(bgr, seen, picture)
     if not seen.shows_shaft or first.direction @ second.direction < np.cos(MAX_TAPER_RAD):
         return None
-    width_px = _width_px(first, second)
+    endless = Silhouette((first, second))
+    along, width_px = endless.towards_tip, endless.width_px
     least_px = MIN_LENGTH_WIDTHS * width_px
     if not 0.5 * (first.length_px + second.length_px) >= least_px > 0.0:
         return None
     # What has no sharp edge where the evidence ends may be anything: the arm behind an instrument, or a blot.
     if not seen.is_sure and any(edge.covariance is not None for edge in (first, second)):
         return None
-    along = first.direction + second.direction
-    along /= np.linalg.norm(along)
     ends = [edge.end_px for edge in (first, second) if edge.ends]
     if not ends and not np.isfinite(seen.end_std_px):
-        return Silhouette((first, second), None, np.inf, None)
+        return endless
     if seen.ends_dark:
+        end_px, narrows = seen.end_px, 0.0
         std_px = float(np.hypot(seen.end_std_px, MIN_END_STD_WIDTHS * width_px))
-        point = _wrist_point(bgr, seen.mask, seen.end_px, along, width_px, wrist)
-        other = seen.other_px, seen.other_share
-        return Silhouette((first, second), seen.end_px, _end_std_px(std_px, point), point, False, *other)
-    found, ends = bool(ends), ends or [seen.end_px]
-    places = [float(end @ along) for end in ends]
-    # One edge may fade before the other, on dark tissue; beyond the cylinder neither stays on its line.
-    apart_px = max(places) - min(places)
-    agree = apart_px <= ENDS_AGREE_WIDTHS * width_px
-    place = float(np.mean(places)) if agree else max(places)
-    std_px = MIN_END_STD_WIDTHS * width_px + ENDS_APART * (apart_px if len(places) == 2 else width_px)
-    std_px = max(std_px, 0.0 if found else seen.end_std_px)
-    # Sharp edges stop where steel begins, evidence may go on along the wrist: the end is anywhere between.
-    half_px = 0.5 * max(float(seen.end_px @ along) - place, 0.0)
-    std_px = float(np.hypot(std_px, FROM_ONE_END * half_px))
-    middle_px = 0.5 * (first.end_px + second.end_px)
-    end_px = middle_px + (place + half_px - float(middle_px @ along)) * along
+    else:
+        found, ends = bool(ends), ends or [seen.end_px]
+        places = [float(end @ along) for end in ends]
+        # One edge may fade before the other, on dark tissue; beyond the cylinder neither stays on its line.
+        apart_px = max(places) - min(places)
+        agree = apart_px <= ENDS_AGREE_WIDTHS * width_px
+        place = float(np.mean(places)) if agree else max(places)
+        std_px = MIN_END_STD_WIDTHS * width_px + ENDS_APART * (apart_px if len(places) == 2 else width_px)
+        std_px = max(std_px, 0.0 if found else seen.end_std_px)
+        # Sharp edges stop where steel begins, evidence may go on along the wrist: the end is anywhere between.
+        half_px = 0.5 * max(float(seen.end_px @ along) - place, 0.0)
+        std_px = float(np.hypot(std_px, FROM_ONE_END * half_px))
+        middle_px = 0.5 * (first.end_px + second.end_px)
+        end_px = middle_px + (place + half_px - float(middle_px @ along)) * along
+        narrows = _goes_on(seen, end_px, along, width_px)
     point = _wrist_point(bgr, seen.mask, end_px, along, width_px, wrist)
-    narrows = _goes_on(seen, end_px, along, width_px)
+    if point is not None:  # where the outline is longer than a wrist, its end is before the shaft's, or is it
+        std_px = float(np.hypot(std_px, FROM_ONE_END * point.excess_px))
     other = seen.other_px, seen.other_share
-    return Silhouette((first, second), end_px, _end_std_px(std_px, point), point, True, *other, narrows)
-
-
-def _end_std_px(std_px: float, wrist: WristPoint | None) -> float:
-    """The deviation of an end beyond which the outline is longer than a wrist: it is before the shaft's, or is it."""
-    return std_px if wrist is None else float(np.hypot(std_px, FROM_ONE_END * wrist.excess_px))
+    return Silhouette((first, second), end_px, std_px, point, not seen.ends_dark, *other, narrows)
 
 
 def _goes_on(seen: SeenInstrument, end_px: Array, along: Array, width_px: float) -> float:
@@ -270,7 +258,10 @@ def _edges(bgr: Image, seen: SeenInstrument, picture: Image | None) -> list[Edge
     edges: list[EdgeLine] = []
     for side, rough in enumerate(seen.sides):
         one = edge_line(bgr, rough, seen.width_px, seen.pixel_px, picture)
-        edges.append(_soft_line(seen, side) if one is None or not _agrees(one, seen, side) else one)
+        if one is None or not _agrees(one, seen, side):  # the side as the evidence has it
+            (start_px, end_px), covariance = rough, seen.side_covariance[side]
+            one = EdgeLine(start_px, end_px, np.zeros((0, 2)), False, 0.0, covariance, seen.pixel_px)
+        edges.append(one)
     sides = [np.stack([one.start_px, one.end_px]) for one in edges]
     blurs_px = [one.blur_px if one.covariance is None else np.inf for one in edges]
     within = [
@@ -278,12 +269,6 @@ def _edges(bgr: Image, seen: SeenInstrument, picture: Image | None) -> list[Edge
         for side in (0, 1)
     ]
     return [one or outer for one, outer in zip(within, edges, strict=True)]
-
-
-def _soft_line(seen: SeenInstrument, side: int) -> EdgeLine:
-    """A side as the evidence has it, where the image has no sharp edge."""
-    start, end = seen.sides[side]
-    return EdgeLine(start, end, np.zeros((0, 2)), False, 0.0, seen.side_covariance[side], seen.pixel_px)
 
 
 def _agrees(edge: EdgeLine, seen: SeenInstrument, side: int) -> bool:
@@ -300,10 +285,3 @@ def _agrees(edge: EdgeLine, seen: SeenInstrument, side: int) -> bool:
     ]
     std_px = np.sqrt(np.diag(seen.side_covariance[side]) + (ROUGH_PX * seen.pixel_px) ** 2)
     return bool((np.abs(off_px) < MOST_OFF_STDS * std_px).all())
-
-
-def _width_px(first: EdgeLine, second: EdgeLine) -> float:
-    along = first.direction + second.direction
-    along /= np.linalg.norm(along)
-    apart_px = second.end_px - first.end_px
-    return abs(float(along[0] * apart_px[1] - along[1] * apart_px[0]))

@@ -130,8 +130,8 @@ def corresponding_points(
     In views that are reduced by `step`; offsets of halved ones agree with those of whole ones to 0.03 px.
     """
     sift = cv2.SIFT.create(POINTS // step, 3, CONTRAST, EDGE)
-    at_left, left = sift.detectAndCompute(_reduced(left_grey, step), None)
-    at_right, right = sift.detectAndCompute(_reduced(right_grey, step), None)
+    at_left, left = sift.detectAndCompute(reduced(left_grey, step), None)
+    at_right, right = sift.detectAndCompute(reduced(right_grey, step), None)
     if left is None or right is None or len(at_right) < 2:
         return np.zeros((0, 2)), np.zeros((0, 2))
     left_px, right_px = (
@@ -166,6 +166,7 @@ def agreed_offset(differences_px: Array) -> RowOffset | None:
     return RowOffset(middle_px, std_px)
 
 
-def _reduced(image: Image, step: int) -> Image:
+def reduced(image: Image, step: int, how: int = cv2.INTER_AREA) -> Image:
+    """An image, shape (h, w), at a `step`-th of its size, by OpenCV's interpolation `how`."""
     size = (image.shape[1] // step, image.shape[0] // step)
-    return image if step == 1 else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return image if step == 1 else np.asarray(cv2.resize(image, size, interpolation=how), np.uint8)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from svmdist.least_squares import NormalEquations, huber_weights, scale_of
 from svmdist.transforms import Array
-from svmdist.vision.tags import DICTIONARIES
+from svmdist.vision.tags import tag_dictionary
 
 MARGIN_CELLS = 0.6  # of the white margin that is compared; what lies behind shines into the rest
 BLUR_STARTS_PX = (0.8, 1.6, 3.2)  # of the image's blur, the best one starts the search: sharp, soft, moving
@@ -34,7 +34,7 @@ class TagPattern:
     """The tag as it is printed, white 1 and black 0, on its plane."""
 
     def __init__(self, family: str, tag_id: int, size_m: float) -> None:
-        dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[family])
+        dictionary = tag_dictionary(family)
         self.size_m = size_m
         self.cell_count = dictionary.markerSize + 2
         cells = cv2.aruco.generateImageMarker(dictionary, tag_id, self.cell_count)

@@ -105,26 +105,17 @@ def _lines(points_px: Array, weight: Array) -> Array:
     return np.concatenate([nx, ny, offset_px], 1)
 
 
-DICTIONARIES = {
-    "16h5": cv2.aruco.DICT_APRILTAG_16h5,
-    "25h9": cv2.aruco.DICT_APRILTAG_25h9,
-    "36h10": cv2.aruco.DICT_APRILTAG_36h10,
-    "36h11": cv2.aruco.DICT_APRILTAG_36h11,
-}
 # A code of 4 x 4 cells is too short to correct as many bits: every sixth image without one showed some tag of 16h5
 LONG_CODE_CELLS, SHORT_CODE_RATE = 5, 0.6
 
 
+def tag_dictionary(family: str) -> cv2.aruco.Dictionary:
+    """The tags of a family, `36h11` and the like."""
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{family}"))
+
+
 def find_tags(image_grey: Image, family: str, settings: TagSettings = DEFAULT) -> dict[int, Array]:
     """Corners, (4, 2) in px, of a family's tags by number: upper left first, clockwise as one reads; the largest."""
-    found = find_every_tag(image_grey, family, settings)
-    return dict(sorted(found, key=lambda tag: cv2.contourArea(tag[1].astype(np.float32))))
-
-
-def find_every_tag(
-    image_grey: Image, family: str, settings: TagSettings = DEFAULT
-) -> list[tuple[int, Array]]:
-    """Numbers and corners of all tags of a family, also where several have one number."""
     # OpenCV takes the smallest perimeter relative to the image's longer side.
     min_perimeter = 4.0 * settings.min_side_px / max(image_grey.shape)
     detector = _detector(family, settings.error_correction_rate, min_perimeter, get_ident())
@@ -132,7 +123,8 @@ def find_every_tag(
     cell_count = detector.getDictionary().markerSize + 2
     rough = (np.asarray(seen, np.float64).reshape(4, 2) for seen in corners)
     refined = [refine_corners(image_grey, corners_px, cell_count) for corners_px in rough]
-    return list(zip(() if ids is None else map(int, ids.ravel()), refined, strict=True))
+    numbered = zip(() if ids is None else map(int, ids.ravel()), refined, strict=True)
+    return dict(sorted(numbered, key=lambda tag: cv2.contourArea(tag[1].astype(np.float32))))
 
 
 @lru_cache(maxsize=32)
@@ -140,7 +132,7 @@ def _detector(
     family: str, error_correction_rate: float, min_perimeter: float, _thread: int
 ) -> cv2.aruco.ArucoDetector:
     """The detector of a family; each thread has its own, since it keeps state while it works."""
-    dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARIES[family])
+    dictionary = tag_dictionary(family)
     if dictionary.markerSize < LONG_CODE_CELLS:
         error_correction_rate = min(error_correction_rate, SHORT_CODE_RATE)
     parameters = cv2.aruco.DetectorParameters()

@@ -6,7 +6,6 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from svmdist.errors import SimulationError, UsageError
-from svmdist.simulation.meshes import make_plate
 from svmdist.simulation.motion import Scenario
 from svmdist.simulation.organ import LIMIT, make_organ
 from svmdist.simulation.scene import BREATHING_HZ, PULSE_HZ, Options, make_scene
@@ -126,6 +125,3 @@ def test_what_cannot_be_simulated_is_an_error(profile, update, options, said):
         )
     with pytest.raises(UsageError, match="hold no frame"):
         Scenario("sweep", 0, 0.1, 1.0)
-    unknown = profile.fiducial.model_copy(update={"id": 587})
-    with pytest.raises(SimulationError, match="0 to 586"):
-        make_plate(unknown)
