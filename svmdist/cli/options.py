@@ -175,15 +175,10 @@ class TopicOption(Options):
         return found
 
 
-class ProfileOptions(TopicOption):
+class ReadOptions(TopicOption):
     """How a log is read."""
 
     profile: str = PROFILE
-
-
-class ReadOptions(ProfileOptions):
-    """The same, with camera-to-base transforms."""
-
     hand_eye: Path | None = option("--hand-eye FILE", "Camera-to-base transforms of `svmdist hand-eye`.")
 
 
