@@ -61,7 +61,7 @@ class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
         return run.exit_code()
 
 
-class HandEye(options.ProfileOptions, options.InstrumentOption, options.LagOption, options.WindowOptions):
+class HandEye(options.TopicOption, options.InstrumentOption, options.LagOption, options.WindowOptions):
     """Fit the camera-to-base transform.
 
     The tool as the images show it is compared with the joints or poses that the robot reports. The result has a
@@ -75,6 +75,7 @@ class HandEye(options.ProfileOptions, options.InstrumentOption, options.LagOptio
     """
 
     file: Path = argument(..., "FILE", "Recording to fit on.")
+    profile: str = options.PROFILE
     method: Literal["fiducial", "stereo", "shaft"] | None = option(
         "--method NAME", "fiducial, stereo or shaft. Default: the first that finds the tool."
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from svmdist.cli import output
-from svmdist.cli.logs import GroupOption, LogOptions, Run, log_losses
+from svmdist.cli.logs import GroupOption, LogOptions, Run
 from svmdist.cli.options import PLOT, MeasureOptions, OutputOptions, format_option, option
 from svmdist.cli.output import LOG, ExitCode, next_command
 from svmdist.errors import UsageError, concealed
@@ -115,11 +115,12 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
             raise UsageError(
                 f"--format tum writes the tool's pose: choose a method in 3D, not {request.setup.method}"
             )
-        if writer.holds is Holds.FRAMES:
-            return self._write_drawn(request, writer)
         draws = self.report is not None or self.save_plot is not None
-        run = Run(self, measure_rows, request, Ending, "measuring", keeps=draws, keys=keys)
-        if writer.holds is Holds.REPORT:
+        if writer.holds is Holds.FRAMES:
+            run = Run(self, draw_log, request, Ending, "drawing", options=(writer, self.output, self.force))
+        else:
+            run = Run(self, measure_rows, request, Ending, "measuring", keeps=draws, keys=keys)
+        if writer.holds & (Holds.FRAMES | Holds.REPORT):
             run.finish()
         else:
             self._write_rows(run, request, writer)
@@ -186,33 +187,30 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
 
         output.write_results(Results(ESTIMATE_COLUMNS, every, text), writer, self.output)
 
-    def _write_drawn(self, request: Request, writer: Writer) -> ExitCode:
-        """Measure a recording and write it with its drawings, as a recording or a video."""
-        from svmdist.estimation.alarms import alarm_watches
-        from svmdist.workflows.ending import Ending
-        from svmdist.workflows.frame_drawing import drawn_frames
 
-        (log,) = self.logs
-        recording = request.open(log.path, log.name)
-        seen = corrected(recording, request, self.jobs)
-        ending = Ending()
-        watches = alarm_watches(request.instruments or recording.instruments, request.alarms)
+def draw_log(
+    recording: Recording, request: Request, threads: int, writer: Writer, output_path: Path, force: bool
+) -> Ending:
+    """Measure a recording and write it with its drawings, as a recording or a video."""
+    from svmdist.estimation.alarms import alarm_watches
+    from svmdist.workflows.ending import Ending
+    from svmdist.workflows.frame_drawing import drawn_frames
 
-        def counted(frames: Iterator[DrawnFrame]) -> Iterator[DrawnFrame]:
-            for frame in frames:
-                for result in frame.replayed.results:
-                    ending.add(result, watches)
-                yield frame
+    setup, ending = request.setup, Ending()
+    seen = corrected(recording, request, threads)
+    watches = alarm_watches(request.instruments or recording.instruments, request.alarms)
 
-        with output.steps(f"drawing {recording.name}", "images", recording.image_count()) as steps:
-            frames = drawn_frames(seen, request.setup, request.alarms, request.instruments, self.jobs)
-            writer.write(counted(steps.of(frames)), self.output, seen, request.setup, self.force)
-        ending.close(watches, seen.remarks)
-        self.say_choice()
-        code = _log_tally([ending.tally])
-        log_ending({log.name: ending}, request)
-        self._say_next({str(log.path): ending}, request)
-        return log_losses(recording.path, recording.health) or code
+    def counted(frames: Iterator[DrawnFrame]) -> Iterator[DrawnFrame]:
+        for frame in frames:
+            for result in frame.replayed.results:
+                ending.add(result, watches)
+            yield frame
+
+    with output.steps(f"drawing {recording.name}", "images", recording.image_count()) as steps:
+        frames = drawn_frames(seen, setup, request.alarms, request.instruments, threads)
+        writer.write(counted(steps.of(frames)), output_path, seen, setup, force)
+    ending.close(watches, seen.remarks)
+    return ending
 
 
 def measure_rows(

@@ -1,4 +1,4 @@
-"""`svmdist info` and `profile new`: what is in a recording, what can be done with it, and a profile made from it."""
+"""`svmdist info`, `check` and `profile new`: what is in a log, whether a profile fits it, and a profile from it."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from svmdist.profile import Profile
     from svmdist.recording.log import Recording
     from svmdist.recording.source import Health
+    from svmdist.report.tables import Row
     from svmdist.workflows.request import Request
 
 
@@ -91,6 +92,48 @@ def _checks(recording: Recording, profile: Profile, health: Health) -> dict[str,
         if loss.kind is LossKind.IMAGE:
             health.add(loss)
     return {"count": sum(len(one.comparisons) for one in found.values()), "contradiction": warning(found)}
+
+
+class Check(LogOptions, options.ReadOptions, options.OutputOptions):
+    """Compare what a log and its profile show more than once.
+
+    Disparities against the baseline, the tissue by both views against the profile's, the tool by kinematics, shaft, tag
+    and disparity against each other and against the image, sizes against an endoscope's field of view. There is a line
+    for each comparison: the difference, over its standard deviation, and what could be wrong where it contradicts. The
+    same is looked at before the first row of every estimate.
+
+    Exit code 4 if something contradicts.
+
+    Examples:
+      Whether a log fits the profile:
+        svmdist check log.mcap --profile mine.toml
+      In a script:
+        svmdist check log.mcap -f json -o check.json
+    """
+
+    form: str | None = options.format_option(Holds.TABLES)
+
+    def _run(self) -> ExitCode:
+        from svmdist.report.info import check_results
+        from svmdist.workflows.request import Request, Setup
+
+        writer = self.writer(self.paths, Holds.TABLES)
+        request = Request(Setup.reading(self.profile, self.hand_eye), self.topics)
+        run = Run(self, compared_rows, request, list, "comparing")
+        run.finish()
+        rows: list[Row] = [row for _, _, found in run.measured for row in found]
+        write_results(check_results(rows), writer, self.output)
+        code = run.exit_code()
+        return ExitCode.WORSE if any(row["verdict"] == "contradicts" for row in rows) else code
+
+
+def compared_rows(recording: Recording, request: Request, _threads: int) -> list[Row]:
+    """The comparisons of a log as rows."""
+    from svmdist.report.info import check_rows
+    from svmdist.workflows.check import check_log
+
+    with progress_bar(f"comparing {recording.name}"):
+        return list(check_rows(recording.name, check_log(recording, request.setup.profile)))
 
 
 class New(options.TopicOption):

@@ -7,6 +7,7 @@ import re
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import nullcontext
+from dataclasses import dataclass, field
 from functools import cached_property
 from glob import glob
 from itertools import chain, islice
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from svmdist.report.scores import LogFigures
     from svmdist.report.tables import Row
     from svmdist.report.writers import Results
-    from svmdist.workflows.batch import LogFile, Outcome
+    from svmdist.workflows.batch import Job, LogFile, Outcome
     from svmdist.workflows.request import Request
 
 Result = TypeVar("Result")
@@ -92,6 +93,7 @@ def group_name(metadata: dict[str, str], keys: Sequence[str]) -> str:
     return " ".join(f"{key}={metadata.get(key, 'none')}" for key in keys)
 
 
+@dataclass
 class Run(Generic[Result]):
     """What a job makes of the logs of a command: `outcomes` are known when the rows are at their end.
 
@@ -99,26 +101,23 @@ class Run(Generic[Result]):
     its argument `keep` what pictures and pages are made of. By `keys` of their metadata logs are grouped.
     """
 
-    def __init__(
-        self,
-        given: LogOptions,
-        measure: Callable[..., Any],
-        request: Request,
-        result_type: type[Result],
-        title: str,
-        unit: str = "",
-        options: tuple[Any, ...] = (),
-        keeps: bool = False,
-        keys: Sequence[str] = (),
-    ) -> None:
+    given: LogOptions
+    measure: Callable[..., Any]
+    request: Request
+    result_type: type[Result]
+    title: str
+    unit: str = ""
+    options: tuple[Any, ...] = ()
+    keeps: bool = False
+    keys: Sequence[str] = ()
+    outcomes: list[tuple[LogFile, Outcome[Result]]] = field(default_factory=list, init=False)
+    _kept: list[Any] = field(default_factory=list, init=False)
+
+    @cached_property
+    def _job(self) -> Job[Result]:
         from svmdist.workflows.batch import Job
 
-        self.given = given
-        self._job = Job(measure, request, result_type, options)
-        self._title, self._unit, self._keys = title, unit, keys
-        self._kept: list[Any] = []
-        self._more: dict[str, Any] = {"keep": self._kept.append} if keeps else {}
-        self.outcomes: list[tuple[LogFile, Outcome[Result]]] = []
+        return Job(self.measure, self.request, self.result_type, self.options)
 
     def rows(self) -> Iterator[Row]:
         """Measure the logs and yield their rows, in the order of the logs; what was remarked is said once.
@@ -132,7 +131,7 @@ class Run(Generic[Result]):
             outcome = yield from self._measured(given.logs[0])
             self.outcomes = [(given.logs[0], outcome)]
             return
-        with progress_bar(self._title, "logs") as advance:
+        with progress_bar(self.title, "logs") as advance:
             found = measure_logs(
                 self._job,
                 given.logs,
@@ -169,10 +168,11 @@ class Run(Generic[Result]):
         from svmdist.workflows.batch import measured
         from svmdist.workflows.parallel import Steps, usable_cores
 
-        threads, more = self.given.jobs or usable_cores(), self._more
-        if not self._unit:  # it shows progress by itself
+        threads = self.given.jobs or usable_cores()
+        more: dict[str, Any] = {"keep": self._kept.append} if self.keeps else {}
+        if not self.unit:  # it shows progress by itself
             return (yield from measured(self._job, log, threads, **more))
-        with progress_bar(self._title, self._unit) as advance:
+        with progress_bar(self.title, self.unit) as advance:
             return (yield from measured(self._job, log, threads, **more, steps=Steps(advance)))
 
     def finish(self) -> list[Result]:
@@ -193,7 +193,7 @@ class Run(Generic[Result]):
     @property
     def groups(self) -> list[str]:
         """The group of each log with a result, where logs are grouped."""
-        return [group_name(one.metadata, self._keys) for _, one, _ in self.measured] if self._keys else []
+        return [group_name(one.metadata, self.keys) for _, one, _ in self.measured] if self.keys else []
 
     @property
     def _figures(self) -> list[LogFigures]:
@@ -203,7 +203,7 @@ class Run(Generic[Result]):
         figures = []
         for log, one in self.outcomes:
             statuses = getattr(one.result, "statuses", {})
-            group = group_name(one.metadata, self._keys) if self._keys and one.failure is None else ""
+            group = group_name(one.metadata, self.keys) if one.failure is None else ""
             figures.append(LogFigures(log.name, str(log.path), one.failure, statuses, len(one.losses), group))
         return figures
 
@@ -218,7 +218,7 @@ class Run(Generic[Result]):
         from svmdist.report.scores import ranked
         from svmdist.workflows.batch import collected_notes
 
-        if self.given.is_one or not self._more:
+        if self.given.is_one or not self.keeps:
             return self._kept
         usable = [one for one in ranked(self._figures) if one.failure is None and one.frame_count]
         names = {one.recording for one in usable[:MAX_REPORTED]}
@@ -234,7 +234,7 @@ class Run(Generic[Result]):
     def exit_code(self) -> ExitCode:
         """Say what was lost, which logs were left out and why, and which keys no log has; a loss gives its code."""
         known = {key for _, one in self.outcomes if one.failure is None for key in one.metadata}
-        for key in self._keys:
+        for key in self.keys:
             if key not in known:
                 LOG.warning("warning: --group %s: no log has it: %s", key, did_you_mean(key, known))
         codes = [log_losses(log.path, one.health) for log, one in self.outcomes if one.failure is None]

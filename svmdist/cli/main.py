@@ -1,4 +1,4 @@
-"""The command `svmdist`: its subcommands, and the one place where errors become a line and an exit code."""
+"""The command `svmdist`: its subcommands, their help, and the one place where errors become a line and an exit code."""
 
 from __future__ import annotations
 
@@ -12,20 +12,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from svmdist.cli import (
-    calibrate,
-    check,
-    compare,
-    estimate,
-    fk,
-    importing,
-    info,
-    record,
-    show,
-    surface,
-    validate,
-)
-from svmdist.cli.help import WIDEST, Helped
+from svmdist.cli import calibrate, compare, estimate, fk, importing, info, record, show, validate
 from svmdist.cli.options import QUIET, VERBOSE, Options, choose_verbosity, function_of, name_of, option
 from svmdist.cli.output import LOG, ExitCode, abandon, adapt_streams, print_log, with_notes
 from svmdist.errors import SvmdistError, Terminated, UsageError, concealed, did_you_mean
@@ -33,6 +20,24 @@ from svmdist.errors import SvmdistError, Terminated, UsageError, concealed, did_
 NO_MEMORY = "there is not enough memory; try fewer --jobs"
 CV_NO_MEMORY = -4  # OpenCV's code of an allocation that failed
 LIBRARY_NOT_LOADED = re.compile(r"(?i)failed to map segment|cannot allocate memory|cannot open shared object")
+PANELS = {
+    "Input": "files file source right pattern right_pattern side_by_side topic joints profile hand_eye start end every"
+    " rate times poses joint_names crop",
+    "Camera": "camera_file right_calibration calibrated_at camera right_camera distortion distortion_model"
+    " baseline_length unit",
+    "Scene": "scenario seed duration images_per_second stereo tag arms",
+    "Errors and degradations": "degrade perturb kernel noise kinematic_error world",
+    "Method": "method calibration equations instrument lag alarm_below alarm_when against estimates in_camera",
+    "Truth": "truth truth_tf max_gap",
+    "Images": "masks frame at worst",
+    "Output": "output form report save_plot plot summary force jpeg name",
+    "Regressions": "baseline write_baseline",
+    "Processes, many logs": "jobs scheduler resume group episodes skip_existing",
+    "General": "quiet verbose version install_completion show_completion help",
+}
+"""Headings, and the parameters below each in their order."""
+NAMES_WIDTH = 26
+WIDEST = 140
 
 
 @contextmanager
@@ -66,9 +71,37 @@ def _one_line() -> Iterator[None]:
         raise
 
 
-def _asked_for_help(arguments: list[str]) -> list[str]:
-    """`help COMMAND` is `COMMAND --help`."""
-    return [*arguments[1:], "--help"] if arguments[:1] == ["help"] else arguments
+class Helped:
+    """Commands, and groups of them, with this help."""
+
+    def format_options(self: Any, ctx: Any, formatter: Any) -> None:
+        """Write the examples, the commands of a group, and the options under their headings."""
+        self._write(self.epilog.partition("\n\n")[0], formatter)
+        if hasattr(self, "format_commands"):
+            self.format_commands(ctx, formatter)
+        given = {one.name: (_names(one), one.help) for one in self.get_params(ctx) if not one.hidden}
+        width = max(len(names) for names, _ in given.values() if len(names) <= NAMES_WIDTH)
+        for heading, members in PANELS.items():
+            if found := [given[name] for name in members.split() if name in given]:
+                with formatter.section(heading):  # padded, so that all texts begin at one column
+                    formatter.write_dl([(names.ljust(width), text) for names, text in found], width)
+
+    def format_epilog(self: Any, _ctx: Any, formatter: Any) -> None:
+        """Write what stands behind the examples."""
+        self._write(self.epilog.partition("\n\n")[2], formatter)
+
+    def _write(self, text: str, formatter: Any) -> None:
+        if text:
+            formatter.write_paragraph()
+            with formatter.indentation():
+                formatter.write_text(text)
+
+
+def _names(parameter: Any) -> str:
+    """What a parameter is called, and what stands for its value."""
+    if parameter.param_type_name == "argument":
+        return f"{parameter.metavar}{'...' * (parameter.nargs != 1)}"
+    return " ".join(filter(None, (", ".join(sorted(parameter.opts, key=len)), parameter.metavar)))
 
 
 class Command(Helped, TyperCommand):
@@ -86,8 +119,9 @@ class CommandGroup(Helped, TyperGroup):
 
     @_one_line()
     def make_context(self, info_name: str | None, args: list[str], *rest: Any, **more: Any) -> Any:
-        """Read the words of the command line."""
-        return super().make_context(info_name, _asked_for_help(args), *rest, **more)
+        """Read the words of the command line; `help COMMAND` is `COMMAND --help`."""
+        args = [*args[1:], "--help"] if args[:1] == ["help"] else args
+        return super().make_context(info_name, args, *rest, **more)
 
     invoke = _one_line()(TyperGroup.invoke)
 
@@ -132,18 +166,9 @@ def _add(group: typer.Typer, *commands: type[Options]) -> None:
 
 
 _add(profiles, info.New)
-_add(
-    app,
-    importing.Import,
-    info.Info,
-    check.Check,
-    show.Show,
-    record.Record,
-    surface.Surface,
-    calibrate.Calibrate,
-    estimate.Estimate,
-)
-_add(app, validate.Validate, compare.Compare, compare.BlurBench, fk.Fk, calibrate.HandEye)
+_add(app, importing.Import, info.Info, info.Check, show.Show, record.Record, show.Surface)
+_add(app, calibrate.Calibrate, estimate.Estimate, validate.Validate, compare.Compare, compare.BlurBench)
+_add(app, fk.Fk, calibrate.HandEye)
 
 
 def _print_version(asked: bool) -> None:

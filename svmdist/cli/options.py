@@ -126,10 +126,6 @@ FORCE = option("--force", "Replace the file if it exists.", False)
 JOBS = option("--jobs -j N", "Processes; results are the same. Default: all cores.", min=1, max=256)
 PLOT = option("--save-plot FIG", "Plot to this file (png, svg, pdf).")
 PROFILE = option("--profile NAME|FILE", "psm13, dvrk-psm, or a TOML file. Default: psm13.", "psm13")
-FRAME = option("--frame N", "The image of this number, from 0.", min=0)
-AT = option("--at SECONDS", "The image nearest to this time after the first.", min=0.0)
-START = option("--start SECONDS", "Begin so long after the first image.", 0.0, min=0.0)
-END = option("--end SECONDS", "End so long after the first image.", min=0.0)
 EVERY = option("--every N", "Take every N-th image only.", 1, min=1)
 
 
@@ -179,23 +175,18 @@ class TopicOption(Options):
         return found
 
 
-class ProfileOptions(TopicOption):
+class ReadOptions(TopicOption):
     """How a log is read."""
 
     profile: str = PROFILE
-
-
-class ReadOptions(ProfileOptions):
-    """The same, with camera-to-base transforms."""
-
     hand_eye: Path | None = option("--hand-eye FILE", "Camera-to-base transforms of `svmdist hand-eye`.")
 
 
 class WindowOptions(Options):
     """Which images are read."""
 
-    start: float = START
-    end: float | None = END
+    start: float = option("--start SECONDS", "Begin so long after the first image.", 0.0, min=0.0)
+    end: float | None = option("--end SECONDS", "End so long after the first image.", min=0.0)
     every: int = EVERY
 
     @property

@@ -87,16 +87,6 @@ class _Progress:
 
 
 @contextmanager
-def no_progress(*, where: bool = True) -> Iterator[None]:
-    """Show none where what happens inside shows by itself how far it is."""
-    before, _Progress.is_wanted = _Progress.is_wanted, _Progress.is_wanted and not where
-    try:
-        yield
-    finally:
-        _Progress.is_wanted = before
-
-
-@contextmanager
 def progress_bar(title: str, unit: str = "") -> Iterator[Advance]:
     """Give a function of (done, total or None), which shows a bar where stderr is a terminal.
 
@@ -105,8 +95,12 @@ def progress_bar(title: str, unit: str = "") -> Iterator[Advance]:
     if not _Progress.is_wanted or not LOG.isEnabledFor(logging.INFO) or not sys.stderr.isatty():
         yield lambda _done, _total: None
         return
-    with no_progress(), _bar(title, unit) as advance:
-        yield advance
+    _Progress.is_wanted = False
+    try:
+        with _bar(title, unit) as advance:
+            yield advance
+    finally:
+        _Progress.is_wanted = True
 
 
 @contextmanager

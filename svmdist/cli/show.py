@@ -1,4 +1,4 @@
-"""`svmdist show`: pictures of what the methods see in a log's images."""
+"""`svmdist show` and `surface`: pictures of what the methods see in a log's images, and the tissue that one shows."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 from svmdist.cli import options, output
 from svmdist.cli.estimate import corrected
 from svmdist.cli.logs import log_losses
-from svmdist.cli.options import AT, FRAME, JOBS, argument, option
+from svmdist.cli.options import JOBS, argument, option
 from svmdist.cli.output import LOG, ExitCode
-from svmdist.cli.surface import image_number
 from svmdist.errors import OutputError, UsageError
+from svmdist.report.writers import Holds
 
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
@@ -24,7 +24,34 @@ PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".svg", ".pdf", ".gif", ".bmp", ".ti
 """Names that mean a picture, and not a folder."""
 
 
-class Show(options.MethodOptions, options.InstrumentOption, options.LagOption):
+class FrameOptions(options.Options):
+    """Which image is looked at."""
+
+    frame: int | None = option("--frame N", "The image of this number, from 0.", min=0)
+    at: float | None = option("--at SECONDS", "The image nearest to this time after the first.", min=0.0)
+
+    def image_number(self, recording: Recording) -> int | None:
+        """The number of the chosen image, None where none is chosen; raises UsageError."""
+        from svmdist.workflows.frame_drawing import image_stamps_ns
+
+        frame, at_s = self.frame, self.at
+        if frame is not None and at_s is not None:
+            raise UsageError("--frame and --at choose an image: give one of them")
+        if frame is None and at_s is None:
+            return None
+        stamps_ns = image_stamps_ns(recording)
+        if at_s is not None:
+            last_s = round((max(stamps_ns) - stamps_ns[0]) * 1e-9, 3)
+            if at_s > last_s:
+                raise UsageError(f"--at {at_s:g}: the log has {last_s:g} s")
+            return min(range(len(stamps_ns)), key=lambda n: abs((stamps_ns[n] - stamps_ns[0]) * 1e-9 - at_s))
+        if frame is not None and frame >= len(stamps_ns):
+            last = len(stamps_ns) - 1
+            raise UsageError(f"--frame {frame}: {recording.path} has {last + 1} images, 0 to {last}")
+        return frame
+
+
+class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, FrameOptions):
     """Show images with what was found in them.
 
     The pictures are PNG files, with a panel for each phase of the method: six of them, from the first image to the
@@ -41,8 +68,6 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption):
 
     file: Path = argument(..., "FILE", "Recording to look at.")
     masks: bool = option("--masks", "Only what is segmented: tissue, shaft, distal part, border.", False)
-    frame: int | None = FRAME
-    at: float | None = AT
     worst: int | None = option(
         "--worst N", "The N of largest error, or of widest interval without ground truth.", min=1
     )
@@ -87,7 +112,7 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption):
 
         if self.worst is not None:
             return _worst(recording, request, self.worst, self.jobs)
-        chosen = image_number(recording, self.frame, self.at)
+        chosen = self.image_number(recording)
         if chosen is not None:
             return {chosen}
         count = len(image_stamps_ns(recording))
@@ -136,3 +161,40 @@ def _worst(recording: Recording, request: Request, count: int, jobs: int | None)
     for one in worst:
         LOG.info("%s", one.in_words)
     return {one.number for one in worst}
+
+
+class Surface(options.ReadOptions, FrameOptions, options.OutputOptions):
+    """Measure the tissue's surface by both views.
+
+    A point for every few pixels of the tissue that both views show, in the left camera's frame: x, y and z in m,
+    the normal, the standard deviation along the line of sight, and the colour. What instruments and highlights hide,
+    and what does not match, is left open. No instrument, and no [tissue] in the profile, is needed.
+
+    Examples:
+      As a point cloud that viewers show:
+        svmdist surface log.mcap --frame 40 -o tissue.ply
+      As a table:
+        svmdist surface log.mcap --at 4.5 -o tissue.csv
+    """
+
+    file: Path = argument(..., "FILE", "Recording with two views.")
+    form: str | None = options.format_option(Holds.CLOUD)
+
+    def _run(self) -> ExitCode:
+        from svmdist.report.rows import cloud_results
+        from svmdist.workflows.request import Request, Setup
+        from svmdist.workflows.surface import tissue_surface
+
+        writer = self.writer([self.file], Holds.CLOUD)
+        setup = Setup.reading(self.profile, self.hand_eye)
+        with output.progress_bar(f"looking at {self.file.name}"):
+            recording = Request(setup, self.topics).open(self.file, self.file.stem)
+            found = tissue_surface(recording, setup.profile, self.image_number(recording) or 0)
+        output.write_results(cloud_results(found), writer, self.output)
+        near_m, half_m, far_m = found.quantiles_m
+        LOG.info(
+            "frame %d: %d points, %.0f %% of the tissue in view, %.0f to %.0f mm away, deviation %.2f mm (median)",
+            *(found.number, len(found.points_m), 100.0 * found.share),
+            *(1e3 * length_m for length_m in (near_m, far_m, half_m)),
+        )
+        return log_losses(recording.path, recording.health)

@@ -74,11 +74,8 @@ class Validate(GoldenLogOptions, MeasureOptions, GroupOption, PictureOptions):
         output.require_output(self.write_baseline, self.paths)
         self.require_pictures(self.paths, self.plot)
         stored = validate.load_baseline(self.baseline) if self.baseline else None
-        if (
-            stored
-            and len(methods := {score.method for score in stored.scores}) == 1
-            and self.method == "auto"
-        ):
+        methods = {score.method for score in stored.scores} if stored else set()
+        if self.method == "auto" and len(methods) == 1:
             (self.method,) = methods  # type: ignore[assignment]
         keys, request = self.group_keys, self.request(self.paths)
         if stored:

@@ -75,12 +75,10 @@ class Marker(StrictModel):
     outline_bgr: tuple[Byte, Byte, Byte] = (0, 255, 0)
     outline_width_px: int = Field(default=3, ge=1, le=15)
 
-    @model_validator(mode="after")
-    def _one_colour(self) -> Marker:
+    def _require_sound(self) -> None:
         if len(self.model_fields_set & {"outline", "outline_bgr"}) == 1:
             found = "outline_bgr is drawn and outline finds it again"
             raise ValueError(f"{found}: give both of them, or neither for pure green")
-        return self
 
 
 class Features(StrictModel):
@@ -171,11 +169,11 @@ class Profile(StrictModel):
         """The camera-to-base transform of this profile's own instrument; None where no hand-eye file has it."""
         return None if self.hand_eye is None else self.hand_eye.of(self.instrument_name)
 
-    @model_validator(mode="after")
-    def _hand_eye_fits(self) -> Profile:
+    def _require_sound(self) -> None:
         if self.hand_eye is not None:
             self.check_hand_eye(self.hand_eye)
-        return self
+        self._require_instruments_that_differ()
+        self._require_known_joints()
 
     def check_hand_eye(self, file: HandEyeFile) -> None:
         """Raise ValueError where the hand-eye file is of other frames, or of none of the instruments."""
@@ -190,8 +188,7 @@ class Profile(StrictModel):
                     needed = f"[frames] {what} is {stated}: fit it anew"
                     raise ValueError(f"hand_eye: it is for {what} {fitted} of {name}; {needed}")
 
-    @model_validator(mode="after")
-    def _instruments_differ(self) -> Profile:
+    def _require_instruments_that_differ(self) -> None:
         views = [self.for_instrument(name) for name in dict.fromkeys(self.instrument_names)]
         tags = [view.fiducial for view in views if view.fiducial is not None]
         for tag in tags:
@@ -213,10 +210,8 @@ class Profile(StrictModel):
             if doubles:
                 needed = f"every instrument needs a {what} of its own"
                 raise ValueError(f"other_instruments: {needed}; given twice: {doubles}")
-        return self
 
-    @model_validator(mode="after")
-    def _names_joints_that_are_there(self) -> Profile:
+    def _require_known_joints(self) -> None:
         link = self.fiducial.link if self.fiducial else None
         first = self.kinematic_error.first_moving_joint
         for robot in (self.robot, *(other.robot for other in self.other_instruments)):
@@ -226,7 +221,6 @@ class Profile(StrictModel):
             for key, name, known in (links, ("kinematic_error.first_moving_joint", first, moving)):
                 if robot and name is not None and name not in known:
                     raise ValueError(f"{key}: no joint named {name}: {did_you_mean(name, known)}")
-        return self
 
 
 def shipped_profiles() -> tuple[str, ...]:

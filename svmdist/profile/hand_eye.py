@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tomli_w
-from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo
 
 from svmdist.errors import ProfileError
 from svmdist.files import write_atomically
@@ -57,12 +57,10 @@ class HandEye(StrictModel):
     residual_rms_m: NonNegative = 0.0
     constants: tuple[ConstantEffect, ...] = ()
 
-    @model_validator(mode="after")
-    def _sound(self) -> HandEye:
+    def _require_sound(self) -> None:
         C = np.array(self.covariance)
         if not np.allclose(C, C.T, rtol=1e-6, atol=1e-15) or np.linalg.eigvalsh(C)[0] < -1e-12:
             raise ValueError("covariance must be symmetric and have no negative eigenvalue")
-        return self
 
     @property
     def T_camera_base(self) -> Array:
@@ -113,12 +111,10 @@ class HandEyeFile(StrictModel):
     sources: tuple[Source, ...] = ()
     transforms: tuple[HandEye, ...] = Field(min_length=1)
 
-    @model_validator(mode="after")
-    def _differ(self) -> HandEyeFile:
+    def _require_sound(self) -> None:
         names = [one.instrument for one in self.transforms]
         if len(set(names)) < len(names):
             raise ValueError(f"an instrument with two transforms: {', '.join(names)}")
-        return self
 
     def of(self, instrument: str) -> HandEye | None:
         """The transform of an instrument's base; None where the file has none."""

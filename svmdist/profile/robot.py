@@ -6,7 +6,7 @@ from collections.abc import Iterable, Set
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator
 
 from svmdist.profile import toml
 from svmdist.profile.toml import Angle, Fraction, Length, NonNegative, Positive, SmallLength, StrictModel
@@ -49,12 +49,10 @@ class Joint(StrictModel):
     upper: Angle = np.pi
     aliases: tuple[str, ...] = ()  # other names of this joint in logs
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Joint:
+    def _require_sound(self) -> None:
         if self.type != "fixed" and self.lower >= self.upper:
             bounds = f"lower limit {self.lower} is not below upper limit {self.upper}"
             raise ValueError(f"joint {self.name}: {bounds}")
-        return self
 
 
 class Robot(StrictModel):
@@ -66,12 +64,10 @@ class Robot(StrictModel):
     limit_tolerance_rad: Angle = Field(default=0.5, ge=0.0)  # beyond a joint's limits: encoders have offsets
     limit_tolerance_m: NonNegative = 0.05  # frames whose joints are farther out have the status `no_joints`
 
-    @model_validator(mode="after")
-    def _sound(self) -> Robot:
+    def _require_sound(self) -> None:
         names = [name for joint in self.joints for name in (joint.name, *joint.aliases)]
         if doubles := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"joint names must differ; given twice: {', '.join(doubles)}")
-        return self
 
     @property
     def T_last_tool(self) -> Array:
@@ -214,14 +210,12 @@ class Tissue(StrictModel):
         x, y, z = normal
         return normal if abs(length - 1.0) <= 1e-12 else (x / length, y / length, z / length)
 
-    @model_validator(mode="after")
-    def _sound(self) -> Tissue:
+    def _require_sound(self) -> None:
         if self.mesh is not None and self.dome is not None:
             raise ValueError("a dome and a mesh cannot be combined; give one")
         lost = sorted(self.model_fields_set & {"mesh_unit", "mesh_position_m", "mesh_yaw_rad"})
         if self.mesh is None and lost:
             raise ValueError(f"{lost[0]} needs a mesh")
-        return self
 
     @property
     def T_tissue_mesh(self) -> Array:
@@ -267,11 +261,9 @@ class ArmTopics(StrictModel):
     pose: str | None = None
     ground_truth_distance: str | None = None
 
-    @model_validator(mode="after")
-    def _sound(self) -> ArmTopics:
+    def _require_sound(self) -> None:
         if self.joints is None and self.pose is None:
             raise ValueError("an instrument is known by its topics: name joints or pose")
-        return self
 
 
 class ArmFrames(StrictModel):
@@ -296,11 +288,9 @@ class OtherInstrument(StrictModel):
     instrument: Instrument | None = None
     simulation: Placement | None = None
 
-    @model_validator(mode="after")
-    def _sound(self) -> OtherInstrument:
+    def _require_sound(self) -> None:
         if self.topics is not None and self.frames is None:
             raise ValueError("an instrument with topics has frames: give frames.base and frames.tool")
-        return self
 
     @property
     def logged_topics(self) -> dict[str, str]:

@@ -49,12 +49,10 @@ class ColourRegion(AreaGate):
     saturation: tuple[Byte, Byte] = (0, 255)
     value: tuple[Byte, Byte] = (0, 255)
 
-    @model_validator(mode="after")
-    def _ordered(self) -> ColourRegion:
+    def _require_sound(self) -> None:
         for name, (first, last) in (("saturation", self.saturation), ("value", self.value)):
             if first > last:
                 raise ValueError(f"{name} = [{first}, {last}] is empty: the first bound is above the last")
-        return self
 
 
 class ClassRegion(AreaGate):
@@ -117,13 +115,11 @@ class OnnxSegmentation(StrictModel):
     def _for_each_channel(cls, scale: Any) -> Any:
         return (scale, scale, scale) if isinstance(scale, int | float) else scale
 
-    @model_validator(mode="after")
-    def _sound(self) -> OnnxSegmentation:
+    def _require_sound(self) -> None:
         if 0.0 in self.scale:
             raise ValueError("scale must not be 0: the network would see nothing")
         if both := sorted(set(self.tissue.class_ids) & set(self.instrument.class_ids)):
             raise ValueError(f"class {both[0]} cannot be tissue and instrument at once")
-        return self
 
     @property
     def parts(self) -> dict[str, ClassRegion]:

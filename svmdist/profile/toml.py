@@ -7,7 +7,7 @@ import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -57,6 +57,14 @@ class StrictModel(BaseModel):
         if isinstance(value, float) and value and not MIN_NUMBER <= abs(value) <= MAX_NUMBER:
             raise ValueError(f"a number is 0, or from {MIN_NUMBER:g} to {MAX_NUMBER:g} in size")
         return value
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        self._require_sound()
+        return self
+
+    def _require_sound(self) -> None:
+        """Raise ValueError where values do not go together; each model has its own rules."""
 
 
 Model = TypeVar("Model", bound=StrictModel)

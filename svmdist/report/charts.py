@@ -110,7 +110,7 @@ def alarm_spans(events: Sequence[AlarmEvent], seconds: Array) -> list[Curve]:
     """The spans of alarms, half a frame wider on both sides; none without any."""
     if not events:
         return []
-    half_s = _half_frame_s(seconds)
+    half_s = frame_reach_s(seconds, 0.5)
     begins, ends = np.array([(one.start_s - half_s, one.end_s + half_s) for one in events]).T
     return [Curve("spans", "alarm", "alarm", begins, ends)]
 
@@ -244,13 +244,14 @@ def calibration(group: Sequence[Series]) -> Chart:
 
 def rejected_spans(series: Series) -> list[tuple[float, float]]:
     """Beginning and end in s of each run of frames without the distance, half a frame wider on both sides."""
-    seconds, half_s = series.seconds, _half_frame_s(series.seconds)
+    seconds, half_s = series.seconds, frame_reach_s(series.seconds, 0.5)
     spans = runs(~series.measured)
     return [(round(seconds[at] - half_s, 3), round(seconds[end - 1] + half_s, 3)) for at, end in spans]
 
 
-def _half_frame_s(seconds: Array) -> float:
-    return 0.5 * float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.05
+def frame_reach_s(seconds: Array, share: float) -> float:
+    """How far what stands for one frame reaches to either side: a share of the way to the next one."""
+    return share * float(np.nanmedian(np.diff(seconds))) if len(seconds) > 1 else 0.05
 
 
 def runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -24,7 +24,7 @@ from svmdist.files import write_atomically
 from svmdist.metrics import COUNT, LENGTH, SECONDS, SHARE, TEXT, Unit
 from svmdist.recording.log import Recording
 from svmdist.report import charts
-from svmdist.report.charts import Chart, Curve, Role, runs
+from svmdist.report.charts import Chart, Curve, Role, frame_reach_s, runs
 from svmdist.report.on_image import draw_on
 from svmdist.report.scores import remarks, validation_tables
 from svmdist.report.tables import Column, Table, counted, row_of
@@ -45,6 +45,7 @@ MAX_MARKERS = 2000  # more points than these are drawn as a line, or thinned out
 DASHES: dict[Role, str] = {"truth": "dash", "limit": "dash", "threshold": "dot"}
 THUMBNAIL_LETTERS = 1 / 26  # over the width: pictures of frames are shown small
 AREA_ALPHA = 0.3
+DASH_REACH = 0.3  # of what stands for one frame, to either side, over the way to the next one
 
 
 @dataclass(frozen=True)
@@ -125,23 +126,14 @@ def _worst(
     for frame in chosen:
         wanted[frame.series.recording].add(frame.number)
     steps, pictures = Steps(on_progress, sum(max(numbers) + 1 for numbers in wanted.values())), {}
+    look: Any = {"lines": False, "least_px": MIN_WIDTH_PX, "letters": THUMBNAIL_LETTERS}
     for name, log in ((one.recording.name, one) for one in measured if one.recording.name in wanted):
         given = log.read, request.setup, request.alarms, None, jobs, wanted[name], steps.advance
         for drawn in drawn_frames(*given):
-            if drawn.replayed.image_bgr is not None:
-                pictures[name, drawn.number] = _jpeg(
-                    draw_on(
-                        drawn.replayed.image_bgr,
-                        drawn.drawing,
-                        lines=False,
-                        least_px=MIN_WIDTH_PX,
-                        letters=THUMBNAIL_LETTERS,
-                    )
-                )
-    captions = {
-        (one.series.recording, one.number): f"{one.series.recording}, {one.in_words}" for one in chosen
-    }
-    return [(caption, pictures[key]) for key, caption in captions.items() if key in pictures]
+            if (image := drawn.replayed.image_bgr) is not None:
+                pictures[name, drawn.number] = _jpeg(draw_on(image, drawn.drawing, **look))
+    places = {(one.series.recording, one.number): one.in_words for one in chosen}
+    return [(f"{key[0]}, {said}", pictures[key]) for key, said in places.items() if key in pictures]
 
 
 def _jpeg(picture: Image) -> bytes:
@@ -314,7 +306,7 @@ def _line(curve: Curve, colour: str, dash: str) -> Iterator[tuple[Array, Array, 
     yield curve.x, curve.y, {"mode": mode, **look, **numbers}
     alone = [begin for begin, end in runs(np.isfinite(curve.y)) if end - begin == 1]
     if alone and not few:
-        reach_s, gap = _reach_s(curve.x), np.full(len(alone), np.nan)
+        reach_s, gap = frame_reach_s(curve.x, DASH_REACH), np.full(len(alone), np.nan)
         x = np.stack([curve.x[alone] - reach_s, curve.x[alone] + reach_s, gap], 1).ravel()
         y = np.stack([curve.y[alone], curve.y[alone], gap], 1).ravel()
         dashes = {"name": "single frames", "hovertemplate": None, "hoverinfo": "skip", "showlegend": False}
@@ -325,7 +317,7 @@ def _outlines(curve: Curve) -> tuple[Array, Array]:
     """A band's outline for each run of frames, not across what was not measured; lone frames have a width."""
     assert curve.low is not None
     x, y = list[Array](), list[Array]()
-    reach_s, gap = _reach_s(curve.x), np.array([np.nan])
+    reach_s, gap = frame_reach_s(curve.x, DASH_REACH), np.array([np.nan])
     for begin, end in runs(np.isfinite(curve.low) & np.isfinite(curve.y)):
         times, lows, highs = (values[begin:end] for values in (curve.x, curve.low, curve.y))
         if end - begin == 1:
@@ -333,8 +325,3 @@ def _outlines(curve: Curve) -> tuple[Array, Array]:
         x += [times, times[::-1], gap]
         y += [lows, highs[::-1], gap]
     return np.concatenate(x), np.concatenate(y)
-
-
-def _reach_s(seconds: Array) -> float:
-    """How far what stands for one frame reaches to either side: less than half of the way to the next one."""
-    return 0.3 * float(np.nanmedian(np.diff(seconds))) if len(seconds) > 1 else 0.05

@@ -16,7 +16,7 @@ from svmdist.profile import Profile
 from svmdist.profile.hand_eye import FORMAT, HandEyeFile, Source
 from svmdist.recording.log import Recording
 from svmdist.recording.summary import RecordingSummary
-from svmdist.report.tables import Column, Row, Table, counted, render, row_of
+from svmdist.report.tables import Column, Row, Table, counted, keys_of, render, row_of
 from svmdist.report.writers import Results
 from svmdist.transforms import quaternion_xyzw_from_rotation
 from svmdist.workflows import capabilities
@@ -246,9 +246,8 @@ def check_rows(recording: str, found: Mapping[str, Checks]) -> Iterator[Row]:
 
 def check_results(rows: Sequence[Row]) -> Results:
     """The rows; as text a table for each log, and below it what could be wrong where something contradicts."""
-    results = Results(COLUMNS, rows, lambda width: _lines(rows, width))
-    kept = [{key: row[key] for key in results.keys} for row in rows]
-    return Results(COLUMNS, kept, results.text, document=kept)
+    document = [{key: row[key] for key in keys_of(COLUMNS)} for row in rows]
+    return Results(COLUMNS, rows, lambda width: _lines(rows, width), document=document)
 
 
 def _lines(rows: Sequence[Row], width: int | None) -> Iterator[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any, Literal
@@ -131,7 +131,7 @@ def draw_series(series: Sequence[Series], kind: SeriesPlot, alarm_below_m: float
     across = 2 if kind == "residuals" else 1
     rows, height_in = len(panels) // across, PANEL_IN if kind == "time" else 1.3 * PANEL_IN
     width_in = COLUMN_IN if kind in ("bland-altman", "calibration") else PAGE_IN
-    figure, legend = Figure(figsize=(width_in, height_in * rows), layout="constrained"), dict[str, Any]()
+    figure = Figure(figsize=(width_in, height_in * rows), layout="constrained")
     for at, (chart, title) in enumerate(panels):
         axes = figure.add_subplot(rows, across, at + 1)
         _draw_curves(axes, chart.curves)
@@ -139,16 +139,18 @@ def draw_series(series: Sequence[Series], kind: SeriesPlot, alarm_below_m: float
             axes.axhline(0.0, color="0.0", linewidth=0.6)
         axes.set(xlabel=chart.x_title, ylabel=chart.y_title)
         axes.set_title(title, loc="left")
-        legend |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
         if len(chart.curves) > 1 and width_in == COLUMN_IN:  # each panel has curves of its own
             axes.legend(loc="upper left", bbox_to_anchor=(0.0, 0.0), borderaxespad=4.5, ncols=2)
     if width_in != COLUMN_IN:
-        _legend(figure, legend)
+        _legend(figure, figure.axes)
     return figure
 
 
-def _legend(figure: Figure, handles: Mapping[str, Any]) -> None:
-    """A legend below all panels, as wide as the figure at most."""
+def _legend(figure: Figure, panels: Iterable[Axes]) -> None:
+    """A legend of what some panels show, below all of them, as wide as the figure at most."""
+    handles: dict[str, Any] = {}
+    for axes in panels:
+        handles |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     columns = _columns(handles, figure.get_figwidth())
     figure.legend(handles.values(), handles.keys(), loc="outside lower left", ncols=columns)
 
@@ -170,14 +172,13 @@ def draw(validation: Validation) -> Figure:
     rows = -(-len(scores) // columns)
     width_in = COLUMN_IN if columns == 1 else PAGE_IN
     figure = Figure(figsize=(width_in, SCORE_IN * rows), layout="constrained")
-    grid, legend = figure.add_gridspec(rows, columns), dict[str, Any]()
+    grid = figure.add_gridspec(rows, columns)
     for index, score in enumerate(scores):
         cell = grid[index // columns, index % columns].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.04)
         upper = figure.add_subplot(cell[0])
         lower = figure.add_subplot(cell[1], sharex=upper)
         _draw_score(upper, lower, score, validation.alarm_rules)
-        legend |= {label: handle for handle, label in zip(*upper.get_legend_handles_labels(), strict=True)}
-    _legend(figure, legend)
+    _legend(figure, figure.axes[::2])
     return figure
 
 
@@ -266,8 +267,7 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
         panel.set_yticks(range(len(methods)), [plain_name(method) for method in methods])
         panel.tick_params(labelsize=7, labelleft=panel in axes[:, 0])
     if len(groups) > 1:
-        by_label = dict(zip(*reversed(axes[0, 0].get_legend_handles_labels()), strict=True))
-        _legend(figure, by_label)
+        _legend(figure, axes[:1, 0])
     return figure
 
 

@@ -15,49 +15,10 @@ from svmdist.errors import UsageError, did_you_mean
 from svmdist.estimation.instrument.shaft_model import ShaftSizes
 from svmdist.profile import Topics
 from svmdist.profile.robot import ARM_TOPICS, Instrument, Joint
-from svmdist.profile.toml import StrictModel
 from svmdist.vision.colour import DistinctColour
 from svmdist.workflows.new_profile import InstrumentDraft, ProfileDraft, shipped_robot
 
 ROLES = tuple(Topics.model_fields)
-
-
-class InstrumentSizes(StrictModel):
-    """Sizes of a kind of instrument in m, their standard deviations, and where they are from; a line of the table.
-
-    What no source gives follows from the shaft's radius, as in a da Vinci instrument of 8 mm: drawings and images put
-    the shaft's visible end 1.6 to 2.3 radii behind the hinge.
-    """
-
-    description: str
-    source: str
-    shaft_radius_m: float
-    shaft_radius_std_fraction: float
-    wrist_length_m: float  # from hinge to hinge
-    wrist_length_std_m: float
-    jaw_length_m: float
-    jaw_length_std_m: float
-    outline_end_m: float | None = None
-    outline_end_std_m: float | None = None
-
-    def lines(self) -> dict[str, str]:
-        """All values of the template, as text."""
-        radius_m = self.shaft_radius_m
-        found = {
-            **self.model_dump(exclude_none=True),
-            # Of real ones the dark part ended 0.5 (thrust) to 2 radii (SuPer Deep) before the hinge.
-            "shaft_end_m": 1.25 * radius_m,
-            "shaft_end_std_m": 0.75 * radius_m,
-            "wrist_radius_m": 0.68 * radius_m,
-            "knuckle_radius_m": 0.44 * radius_m,
-            "jaw_radius_m": 0.22 * radius_m,
-        }
-        sizes = ShaftSizes(Instrument.model_construct(**{**UNSTATED, **found}), 0.0)
-        found |= {"outline_end_m": sizes.outline_end_m, "outline_end_std_m": sizes.outline_end_std_m}
-        return {key: value if isinstance(value, str) else f"{value:.2g}" for key, value in found.items()}
-
-
-UNSTATED = {"shaft_end_std_m": None, "outline_end_m": None, "outline_end_std_m": None}
 
 
 def instrument_table() -> dict[str, Any]:
@@ -65,16 +26,38 @@ def instrument_table() -> dict[str, Any]:
     return tomllib.loads(files("svmdist.report").joinpath("instruments.toml").read_text("utf-8"))
 
 
-def instrument_sizes(name: str) -> InstrumentSizes:
-    """The sizes of an instrument of the table; raises UsageError for one that is not in it."""
+def instrument_sizes(name: str) -> dict[str, Any]:
+    """The sizes of an instrument by their keys in the table; raises UsageError for one that is not in it."""
     if name not in (table := instrument_table()):
         raise UsageError(f"no instrument named {name}: {did_you_mean(name, list(table))}")
-    return InstrumentSizes.model_validate(table[name])
+    return dict(table[name])
+
+
+def _with_guesses(sizes: dict[str, Any]) -> dict[str, str]:
+    """The sizes of the table and all others of the template, as text.
+
+    What no source gives follows from the shaft's radius, as in a da Vinci instrument of 8 mm: drawings and images put
+    the shaft's visible end 1.6 to 2.3 radii behind the hinge.
+    """
+    radius_m = sizes["shaft_radius_m"]
+    found = {
+        **sizes,
+        # Of real ones the dark part ended 0.5 (thrust) to 2 radii (SuPer Deep) before the hinge.
+        "shaft_end_m": 1.25 * radius_m,
+        "shaft_end_std_m": 0.75 * radius_m,
+        "wrist_radius_m": 0.68 * radius_m,
+        "knuckle_radius_m": 0.44 * radius_m,
+        "jaw_radius_m": 0.22 * radius_m,
+    }
+    shaft = ShaftSizes(Instrument.model_construct(**found), 0.0)
+    found |= {"outline_end_m": shaft.outline_end_m, "outline_end_std_m": shaft.outline_end_std_m}
+    return {key: value if isinstance(value, str) else f"{value:.2g}" for key, value in found.items()}
 
 
 def profile_text(draft: ProfileDraft) -> str:
     """The profile."""
     sizes = instrument_sizes(draft.instrument)
+    wrist_length_m = sizes["wrist_length_m"]
     first, *others = draft.instruments
     identity = [f"name = {_text(draft.name)}"]
     if first.name != "PSM1" or others:
@@ -110,10 +93,12 @@ def profile_text(draft: ProfileDraft) -> str:
         topics="\n".join(topics),
         frames="\n".join(named),
         colour=_by_colour(draft.mark, draft) if draft.mark else "",
-        robot="\n".join(_chain("[robot]", first, sizes)),
+        robot="\n".join(_chain("[robot]", first, wrist_length_m)),
         tissue=tissue,
-        others="\n".join(["", *(line for other in others for line in _other(other, first, sizes)), ""]),
-        **sizes.lines(),
+        others="\n".join(
+            ["", *(line for other in others for line in _other(other, first, wrist_length_m)), ""]
+        ),
+        **_with_guesses(sizes),
     )
     return re.sub(r'(?m)^(\w+ = (?:-?[\d.e-]+|"-?pi/\d+")) # ', lambda line: f"{line[1]:<28} # ", text)
 
@@ -138,7 +123,7 @@ def _by_colour(mark: DistinctColour, draft: ProfileDraft) -> str:
     return _block("colour", low=mark.hue[0], high=mark.hue[1], **found, **ranges, **areas)
 
 
-def _chain(table: str, instrument: InstrumentDraft, sizes: InstrumentSizes) -> Iterator[str]:
+def _chain(table: str, instrument: InstrumentDraft, wrist_length_m: float) -> Iterator[str]:
     if instrument.chain is None:
         if instrument.joint_names:
             there = _plain(", ".join(instrument.joint_names))
@@ -146,7 +131,7 @@ def _chain(table: str, instrument: InstrumentDraft, sizes: InstrumentSizes) -> I
             yield "# put your robot's DH rows here. These are the instrument's last joints, for shaft and stereo."
         else:
             yield "# The log has no joints: the instrument's last ones are enough for shaft and stereo."
-        yield f"{table}\n{_block('wrist', wrist_length_m=sizes.wrist_length_m)}"
+        yield f"{table}\n{_block('wrist', wrist_length_m=wrist_length_m)}"
         return
     robot = shipped_robot(instrument.chain)
     yield f"{table}  # the chain of {instrument.chain}"
@@ -155,7 +140,7 @@ def _chain(table: str, instrument: InstrumentDraft, sizes: InstrumentSizes) -> I
     insertion = max(place for place, joint in enumerate(robot.joints) if joint.type == "prismatic")
     for place, joint in enumerate(robot.joints):
         is_wrist = place > insertion and joint.a_m != 0.0
-        yield f"    {_joint(joint.model_copy(update={'a_m': sizes.wrist_length_m}) if is_wrist else joint)},"
+        yield f"    {_joint(joint.model_copy(update={'a_m': wrist_length_m}) if is_wrist else joint)},"
     yield "]"
     if robot.tool_rotation is not None:
         rows = ", ".join("[" + ", ".join(f"{value:g}" for value in row) + "]" for row in robot.tool_rotation)
@@ -173,7 +158,7 @@ def _joint(joint: Joint) -> str:
     return "{ " + ", ".join(parts) + " }"
 
 
-def _other(other: InstrumentDraft, first: InstrumentDraft, sizes: InstrumentSizes) -> Iterator[str]:
+def _other(other: InstrumentDraft, first: InstrumentDraft, wrist_length_m: float) -> Iterator[str]:
     yield f"\n[[other_instruments]]\nname = {_text(other.name)}"
     if other.entry is not None:
         yield f'entry = "{other.entry}"'
@@ -183,7 +168,7 @@ def _other(other: InstrumentDraft, first: InstrumentDraft, sizes: InstrumentSize
     yield f"\n[other_instruments.frames]\nbase = {_text(other.base)}\ntool = {_text(other.tool)}"
     if other.chain != first.chain:
         yield ""
-        yield from _chain("[other_instruments.robot]", other, sizes)
+        yield from _chain("[other_instruments.robot]", other, wrist_length_m)
 
 
 def _angle(value: float) -> str:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import rerun as rr
 import rerun.blueprint as views
+from rerun import escape_entity_path_part as escaped
 
 from svmdist.drawing import ALARM_COLOUR, COLOURS, Form, FrameDrawing, Part
 from svmdist.files import atomic_file
@@ -72,22 +73,18 @@ def _log_frame(stream: rr.RecordingStream, frame: DrawnFrame, setup: Setup) -> N
         stream.log(IMAGE, rr.EncodedImage(contents=jpeg, media_type="image/jpeg"))
     for place, found in ((DRAWN, _on_image(drawing)), (SCENE, _in_space(drawing))):
         for name, what in found.items():
-            stream.log(f"{place}/{rr.escape_entity_path_part(name)}", what)
+            stream.log(f"{place}/{escaped(name)}", what)
     for name, T_camera_tool in tool_poses(frame.replayed.results):
         turn = rr.Transform3D(translation=T_camera_tool[:3, 3], mat3x3=T_camera_tool[:3, :3])
-        stream.log(f"{SCENE}/{rr.escape_entity_path_part(name)}", turn, rr.TransformAxes3D(AXIS_M))
+        stream.log(f"{SCENE}/{escaped(name)}", turn, rr.TransformAxes3D(AXIS_M))
     for result in frame.replayed.results:
         fields: Any = estimate_fields(result, setup.method, frame.alarms.get(result.instrument))
+        name = escaped(result.instrument)
         for key in SHOWN:
-            if fields.get(f"{key}_m") is not None:
-                stream.log(
-                    f"distances/{rr.escape_entity_path_part(result.instrument)}/{key}",
-                    rr.Scalars(1e3 * fields[f"{key}_m"]),
-                )
-        if fields.get("alarm") is not None:
-            stream.log(
-                f"alarms/{rr.escape_entity_path_part(result.instrument)}", rr.Scalars(float(fields["alarm"]))
-            )
+            if (distance_m := fields.get(f"{key}_m")) is not None:
+                stream.log(f"distances/{name}/{key}", rr.Scalars(1e3 * distance_m))
+        if (alarm := fields.get("alarm")) is not None:
+            stream.log(f"alarms/{name}", rr.Scalars(float(alarm)))
     for text in warnings(drawing):
         stream.log("log", rr.TextLog(text, level="WARN", color=ALARM_COLOUR))
 

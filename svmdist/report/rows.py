@@ -190,7 +190,7 @@ def pose_rows(stamps_ns: NDArray[np.int64], poses: Array) -> Iterator[dict[str, 
 
 def tum_lines(results: Results, *_: object) -> Iterator[str]:
     """Lines as evo reads them, `timestamp x y z qx qy qz qw`; of estimates the tool's, in the camera's frame."""
-    of_tool = "tool_x_m" in results.keys
+    of_tool = "tool_x_m" in keys_of(results.columns)
     if of_tool:
         yield "# timestamp tx ty tz qx qy qz qw\n"
     for row in results.rows:
@@ -223,8 +223,9 @@ def cloud_results(surface: TissueSurface) -> Results:
 
 def write_ply(results: Results, path: Path) -> None:
     """Write points atomically as a binary PLY, lengths in m as 32-bit floats; raises OutputError."""
-    kinds = [(PLY_NAMES.get(key, key), "u1" if key in COLOURS else "<f4") for key in results.keys]
-    vertices = np.array([tuple(row[key] for key in results.keys) for row in results.rows], kinds)
+    keys = keys_of(results.columns)
+    kinds = [(PLY_NAMES.get(key, key), "u1" if key in COLOURS else "<f4") for key in keys]
+    vertices = np.array([tuple(row[key] for key in keys) for row in results.rows], kinds)
     properties = [f"property {'uchar' if kind == 'u1' else 'float'} {name}" for name, kind in kinds]
     head = ("ply", "format binary_little_endian 1.0", "comment svmdist: m, in the left camera's frame")
     lines = (*head, f"element vertex {len(vertices)}", *properties, "end_header", "")
@@ -236,6 +237,6 @@ def write_ply(results: Results, path: Path) -> None:
 def write_npz(results: Results, path: Path) -> None:
     """Write an array for each column atomically, shape (n,); raises OutputError."""
     rows = list(results.rows)
-    columns: dict[str, Any] = {key: np.array([row[key] for row in rows]) for key in results.keys}
+    columns: dict[str, Any] = {key: np.array([row[key] for row in rows]) for key in keys_of(results.columns)}
     with atomic_file(path) as file:
         np.savez_compressed(file, **columns)

@@ -220,7 +220,7 @@ def _text_widths(columns: Sequence[Column]) -> list[int]:
 def csv_lines(results: Results, *_: object) -> Iterator[str]:
     """Yield CSV, RFC 4180, header first; a value that does not exist is an empty cell."""
     echo: Any = SimpleNamespace(write=str)  # `writerow` returns what `write` does: the line itself
-    writer, keys = csv.writer(echo, lineterminator="\n"), results.keys
+    writer, keys = csv.writer(echo, lineterminator="\n"), keys_of(results.columns)
     yield writer.writerow(keys)
     for row in results.rows:
         yield writer.writerow([_csv_cell(row.get(key)) for key in keys])
@@ -228,7 +228,7 @@ def csv_lines(results: Results, *_: object) -> Iterator[str]:
 
 def json_lines(results: Results, *_: object) -> Iterator[str]:
     """Yield one JSON object a line; a value that does not exist is null."""
-    keys = results.keys
+    keys = keys_of(results.columns)
     for row in results.rows:
         yield json_text({key: finite(row.get(key)) for key in keys}) + "\n"
 

@@ -48,11 +48,6 @@ class Results:
     notes: Sequence[str] = ()
     document: object = None
 
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """The columns for machines."""
-        return tuple(column.key for column in self.columns if column.stored)
-
 
 @dataclass(frozen=True)
 class Writer:

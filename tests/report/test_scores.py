@@ -122,8 +122,9 @@ def test_a_comparison_names_each_distance_once():
     results = compare_results([MethodScore(Group("sweep"), "fused", figures)])
     (row,), (table,) = results.rows, results.tables  # type: ignore[misc]
     assert (row["rmse_m"], row["coverage"], row["spatial_rmse_m"]) == (pytest.approx(5e-4), 0.5, None)
-    at = results.keys.index("scenario")
-    assert results.keys[at : at + 4] == ("scenario", "degradation", "instrument", "against")
+    stored = keys_of(results.columns)
+    at = stored.index("scenario")
+    assert stored[at : at + 4] == ("scenario", "degradation", "instrument", "against")
     headings = [tuple(heading.split("\n")) for heading in table.headings[1:]]
     assert (headings[0], headings[-1]) == (("cov.", "%"), ("ms",))
     assert [upper for upper, _ in headings[1:-1] if upper] == ["planar", "spatial", "clear."]

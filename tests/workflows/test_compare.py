@@ -13,7 +13,7 @@ from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.source import LossKind
 from svmdist.recording.writer import RecordingWriter, encode
 from svmdist.report.scores import compare_results
-from svmdist.report.tables import render
+from svmdist.report.tables import keys_of, render
 from svmdist.samples import CameraSample, ImageSample, Sample
 from svmdist.simulation.scene import Options
 from svmdist.vision.degradations import Degradation
@@ -82,7 +82,7 @@ def test_groups_are_scenarios_and_recorded_degradations(tmp_path):
     assert counts == list(zip(groups, [4, 4, 8, 4, 12, 16], strict=True))
     results = compare_results(scores)
     rows = list(results.rows)
-    assert all(set(row) == set(results.keys) for row in rows)
+    assert all(set(row) == set(keys_of(results.columns)) for row in rows)
     assert [(row["scenario"], row["degradation"]) for row in rows[:2]] == [
         ("sweep", ""),
         ("sweep", "smoke=3"),
