@@ -16,7 +16,7 @@ from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs
 from svmdist.recording.source import LossKind
 from svmdist.recording.summary import inspect_recording
-from svmdist.recording.writer import RecordingWriter, encode, message_class_of
+from svmdist.recording.writer import RecordingWriter, encode
 from svmdist.transforms import Array, inverse, make_transform
 from tests.reading import read_observations
 
@@ -183,12 +183,11 @@ def damaged(path: Path) -> Path:
         entries += [Entry("/ECM/left/image", image), Entry("/PSM1/measured_js", joints)]
     rows = []
     for topic, sample in ((entry.topic, entry.sample) for entry in entries):
-        data = encode(sample).data
+        schema, data = encode(sample).schema, encode(sample).data
         if isinstance(sample, samples.ImageSample) and sample.stamp_ns % 3 == 1:
             short = CompressedImage.FromString(data)
             short.data = short.data[: -19 - sample.stamp_ns]
             data = short.SerializeToString()
-        schema = message_class_of(type(sample)).DESCRIPTOR.full_name
         rows.append((topic, schema, "protobuf", data, sample.stamp_ns))
     return write_messages(path, rows)
 
