@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -55,8 +55,7 @@ class McapSource:
         """Read the record `svmdist`, unless the CRC of the data section is wrong."""
         if self._metadata is None:
             one_pass = _Pass(self)
-            for _ in one_pass.frames(frozenset()):
-                pass
+            deque(one_pass.frames(frozenset()), maxlen=0)
             self._metadata = one_pass.metadata
         return self._metadata
 
@@ -104,8 +103,7 @@ class McapSource:
             counts.update(statistics.channel_message_counts)
             is_counted = counts.total() == statistics.message_count
         else:
-            for _ in one_pass.records(None):
-                pass
+            deque(one_pass.records(None), maxlen=0)
         found = []
         for key, channel in one_pass.channels.items():
             schema, count = one_pass.schemas.get(channel.schema_id, none), counts[key] if is_counted else None
