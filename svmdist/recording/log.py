@@ -46,7 +46,7 @@ def open_recording(
     source = open_source(path, profile.limits)
     arms = find_arms(source, profile, origin.topics)
     beside_images = frozenset(topic for arm in arms for topic in arm.topics_beside_images())
-    infos = {info.topic for info in source.topics() if kind_of(*info[1:3]) is Kind.CAMERA}
+    infos = {info.topic for info in source.topics if kind_of(*info[1:3]) is Kind.CAMERA}
     return Recording(LogFile(source, profile.limits, beside_images, beside_images & infos), arms, origin)
 
 
@@ -153,7 +153,7 @@ class Recording:
 
     def topics(self) -> tuple[TopicInfo, ...]:
         """List the topics, sorted by name."""
-        return self.file.source.topics()
+        return self.file.source.topics
 
     def topic_of(self, role: Role | str) -> str | None:
         """Name the topic that plays a role; None where the log has none."""

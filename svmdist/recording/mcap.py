@@ -47,10 +47,6 @@ class McapSource:
         self.path, self.limits, self.health = path, limits, Health()
         self._metadata: dict[str, str] | None = None
 
-    def topics(self) -> tuple[TopicInfo, ...]:
-        """List the topics: from the summary where its CRC is right, else by reading the whole file."""
-        return self._topics
-
     def metadata(self) -> dict[str, str]:
         """Read the record `svmdist`, unless the CRC of the data section is wrong."""
         if self._metadata is None:
@@ -95,7 +91,8 @@ class McapSource:
         return None
 
     @cached_property
-    def _topics(self) -> tuple[TopicInfo, ...]:
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """The topics: from the summary where its CRC is right, else by reading the whole file."""
         one_pass, is_counted = _Pass(self), True
         counts, none = one_pass.counts, Schema(0, b"", "", "")
         statistics = self.summary.statistics if self.summary else None
