@@ -11,8 +11,7 @@ from mcap.reader import make_reader
 
 from svmdist.errors import UsageError
 from svmdist.recording.log import open_recording
-from svmdist.recording.writer import RecordingWriter
-from svmdist.samples import DistanceSample, ImageSample
+from svmdist.samples import ImageSample
 from tests.reading import read_images
 from tests.synthetic import write_samples
 
@@ -61,18 +60,6 @@ def test_a_rerun_is_byte_identical_and_log_times_are_the_stamps(tmp_path, native
         ]
         assert reader.get_header().library.startswith("svmdist ")
     assert found == [(e.topic, e.sample.stamp_ns, e.sample.stamp_ns) for e in entries]
-
-
-def test_nothing_is_replaced_without_force(tmp_path):
-    path = write_scene(tmp_path / "a.mcap", scene(1))
-    before = path.read_bytes()
-    with pytest.raises(UsageError, match=r"exists already.*--force"):
-        write_scene(path, scene(2))
-    assert path.read_bytes() == before
-    with RecordingWriter(path, {}, force=True) as writer:
-        writer.write("/d", DistanceSample(1, 1.0, 2.0, 3.0))
-    assert path.read_bytes() != before
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_an_interrupted_recording_keeps_its_part(tmp_path, profile):

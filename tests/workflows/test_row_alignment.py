@@ -43,13 +43,14 @@ def log(path: Path, rows_px: float, apart_ns: int = 0) -> Path:
     return path
 
 
-@pytest.mark.parametrize("rows_px", [-2.5, 0.0, 1.5])
+@pytest.mark.parametrize("rows_px", [-3.4, -2.5, 0.0, 1.5, 5.0])
 def test_the_offset_of_a_log_is_found(tmp_path, rows_px):
-    """To a tenth of a pixel; none, or less than half a pixel, is left alone."""
+    """To a tenth of a pixel, and within what is stated of it; none, or less than half a pixel, is left alone."""
     recording = open_recording(log(tmp_path / "pair.mcap", rows_px), PROFILE)
     spread = spread_observations(recording, 4)
     found = row_offset(first_of(spread, PROFILE), PROFILE)
     assert found.px == pytest.approx(rows_px, abs=0.1)
+    assert abs(found.px - rows_px) < 3.0 * found.std_px
     removed_px = row_offset_to_remove_px(first_of(spread, PROFILE), PROFILE)
     assert removed_px == (found.px if rows_px else 0.0)
 
