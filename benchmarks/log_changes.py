@@ -21,7 +21,7 @@ from svmdist.recording.images import decode_still
 from svmdist.recording.log import open_recording
 from svmdist.recording.mcap import McapSource
 from svmdist.recording.messages import kind_of, matrices, message_class
-from svmdist.recording.writer import EncodedSample, RecordingWriter, set_stamp
+from svmdist.recording.writer import EncodedSample, RecordingWriter
 from svmdist.transforms import Array, inverse, quaternion_xyzw_from_rotation, skew
 
 INFOS, IMAGES = ("camera_info", "right_camera_info"), ("image", "right_image")
@@ -78,7 +78,8 @@ class Case:
         (profile := self.folder / "profile.toml").write_text(tomli_w.dumps(self.profile))
         with RecordingWriter(path, self.metadata) as writer:
             for topic, stamp_ns, message in self.messages:
-                writer.write(topic, EncodedSample(stamp_ns, type(message), message.SerializeToString()))
+                schema, data = message.DESCRIPTOR.full_name, message.SerializeToString()
+                writer.write(topic, EncodedSample(stamp_ns, schema, data))
         return profile
 
 
@@ -260,7 +261,7 @@ def late(role: str, seconds: float) -> Change:
         shifted = {id(message) for message in case.of(role)}
         for entry in (entry for entry in case.messages if id(entry[2]) in shifted):
             entry[1] += round(seconds * 1e9)
-            set_stamp(entry[2], entry[1])
+            entry[2].timestamp.FromNanoseconds(entry[1])
         case.messages.sort(key=lambda entry: int(entry[1]))
 
     return change

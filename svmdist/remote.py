@@ -28,10 +28,8 @@ LEAST_BYTES_PER_S = 50e3
 """A piece of a file may take the longer, the larger it is."""
 BLOCK_BYTES = 256 << 10  # a chunk of a recording: one that is left out is not fetched
 FILES_KEPT = 4
-LEAST_PASSWORD, LEAST_VALUE = (
-    3,
-    6,
-)  # characters; shorter ones stand in other words, and number versions and pages
+# Characters; shorter ones stand in other words, and number versions and pages.
+LEAST_PASSWORD, LEAST_VALUE = 3, 6
 URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 PARTS = re.compile(r"([^:/]*):/*([^/]*)(.*)", re.DOTALL)  # of any text: urlsplit refuses some
 BEFORE_GLOB = re.compile(r"((?:https?://)?[^/]*(?:/[^*?\[/]*(?=/))*)/")
@@ -110,10 +108,8 @@ def filesystem_of(url: str) -> tuple[Any, str]:
         import fsspec
 
         protocol = url.partition(":")[0].lower()
-        if protocol in {
-            "http",
-            "https",
-        }:  # not by `url_to_fs`, which takes the `::` of an IPv6 address for its own
+        # Not by `url_to_fs`, which takes the `::` of an IPv6 address for its own.
+        if protocol in {"http", "https"}:
             from aiohttp import ClientTimeout
 
             _ = urlsplit(url).port  # ValueError says what is wrong with an address

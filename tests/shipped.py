@@ -1,14 +1,16 @@
 """The robot that ships, in the posture that its profile gives it: what many tests measure with."""
 
+from typing import Any
+
 import numpy as np
 
 from svmdist.kinematics import chain_of
 from svmdist.profile import load_profile
-from svmdist.profile.toml import StrictModel
 
 PROFILE = load_profile()
 assert PROFILE.robot is not None
 assert PROFILE.simulation is not None
+assert PROFILE.tissue is not None
 CHAIN = chain_of(PROFILE.robot)
 POSTURE = np.array([PROFILE.simulation.posture[name] for name in CHAIN.joint_names])
 """Joint values, shape (n_joints,), in rad and m; to be copied before they are changed."""
@@ -19,7 +21,7 @@ CONSTANT_ERROR = PROFILE.kinematic_error.model_copy(
 """A robot whose errors never change: with it a filter can be held to what constant errors leave."""
 
 
-def _with(part: StrictModel | None, **zeros: float) -> StrictModel:
+def _with(part: Any, **zeros: Any) -> Any:
     return part.model_copy(update=zeros)
 
 
@@ -47,7 +49,7 @@ EXACT_PROFILE = PROFILE.model_copy(
             plane_tilt_std_rad=0.0,
             motion_std_m=0.0,
             dome=_with(
-                PROFILE.tissue.dome if PROFILE.tissue is not None else None,
+                PROFILE.tissue.dome,
                 gauge_exponent_std=0.0,
                 height_exponent_std=0.0,
             ),

@@ -4,8 +4,8 @@ They stand in for recordings where a test needs a log but no simulator: their ge
 the shipped chain, and a frame costs a millisecond.
 """
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -14,7 +14,7 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.kinematics import DHChain, forward_kinematics
 from svmdist.profile import Profile
-from svmdist.recording.writer import RecordingWriter
+from svmdist.recording.writer import EncodedSample, RecordingWriter
 from svmdist.samples import (
     CameraSample,
     DistanceSample,
@@ -117,15 +117,39 @@ def write_log(
     scene: SyntheticScene | None = None,
     frame_count: int = 20,
     change: Callable[[str, Sample], Sample | None] = lambda topic, sample: sample,
-    metadata: dict[str, str] = {"scenario": "synthetic"},  # noqa: B006  (never changed)
+    metadata: Mapping[str, str] = {"scenario": "synthetic"},
 ) -> Path:
     """Write a synthetic log; `change` may alter each sample, or drop it by giving None."""
+    pairs = samples(scene or make_scene(), frame_count)
+    changed = ((topic, change(topic, sample)) for topic, sample in pairs)
+    return write_samples(path, ((topic, sample) for topic, sample in changed if sample is not None), metadata)
+
+
+def write_samples(
+    path: Path, pairs: Iterable[tuple[str, Sample | EncodedSample]], metadata: Mapping[str, str] = {}
+) -> Path:
+    """Write samples, each behind its topic, in their order."""
     with RecordingWriter(path, metadata) as writer:
-        for topic, sample in samples(scene or make_scene(), frame_count):
-            changed = change(topic, sample)
-            if changed is not None:
-                writer.write(topic, changed)
+        for topic, sample in pairs:
+            writer.write(topic, sample)
     return path
+
+
+def right_of(camera: Camera, baseline_m: float = 0.005) -> Camera:
+    """The right camera of a rectified pair with a left one."""
+    P = np.hstack([camera.K, [[-baseline_m * camera.K[0, 0]], [0.0], [0.0]]])
+    return replace(camera, P=P, frame_id="camera_right")
+
+
+def tracked(topic: str, sample: Sample) -> Sample:
+    """A change that adds tool and tissue to the transforms, as a tracking system would publish them."""
+    if topic != "/tf" or not isinstance(sample, TransformsSample):
+        return sample
+    stamp_ns = sample.stamp_ns
+    T_camera_tool = make_scene().T_camera_tool_at((stamp_ns - START_NS) / 1e9)
+    poses = (("tool", T_camera_tool), ("tissue", make_transform(rotation_z(0.3), TISSUE_M)))
+    added = tuple(TransformSample(stamp_ns, "camera", child, T) for child, T in poses)
+    return replace(sample, transforms=(*sample.transforms, *added))
 
 
 def without(part: str) -> Callable[[str, Sample], Sample | None]:

@@ -223,9 +223,8 @@ def read_calibration(path: Path, unit_m: float = 1.0) -> tuple[StatedCamera, ...
 
 
 def _yaml_document(text: str) -> Any:
-    return next(
-        iter(yaml.load_all(text.expandtabs(), _Loader)), None
-    )  # JSON may be indented by tabs, YAML not
+    # JSON may be indented by tabs, YAML not.
+    return next(iter(yaml.load_all(text.expandtabs(), _Loader)), None)
 
 
 def _xml_document(text: str) -> Any:

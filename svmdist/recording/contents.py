@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -20,7 +20,6 @@ from svmdist.samples import CameraSample, DistanceSample, JointSample
 from svmdist.tracks import MAX_GAP_NS, Sampled, TransformTrack, sort_stamps
 from svmdist.transforms import Array, Stamps, inverse
 
-OTHER_JOINTS = "its joints are others than those of the first message"
 Edge = tuple[str, str]
 """Names of the parent and the child frame."""
 
@@ -68,7 +67,7 @@ class Contents:
             case JointSample():
                 known = self.rows[topic]
                 if known and message.names not in known:
-                    return OTHER_JOINTS
+                    return "its joints are others than those of the first message"
                 known[message.names].add(message.stamp_ns, message.positions.tolist())
             case DistanceSample():
                 row = (message.planar_m, message.spatial_m, message.clearance_m)
@@ -202,8 +201,8 @@ class LogFile:
     @property
     def contents(self) -> Contents:
         """What the messages of `topics` hold."""
-        for _ in self.images(frozenset()) if self._contents is None else ():
-            pass
+        if self._contents is None:
+            deque(self.images(frozenset()), maxlen=0)  # reads all else to the end
         assert self._contents is not None
         return self._contents
 

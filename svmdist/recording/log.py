@@ -46,7 +46,7 @@ def open_recording(
     source = open_source(path, profile.limits)
     arms = find_arms(source, profile, origin.topics)
     beside_images = frozenset(topic for arm in arms for topic in arm.topics_beside_images())
-    infos = {info.topic for info in source.topics() if kind_of(*info[1:3]) is Kind.CAMERA}
+    infos = {info.topic for info in source.topics if kind_of(*info[1:3]) is Kind.CAMERA}
     return Recording(LogFile(source, profile.limits, beside_images, beside_images & infos), arms, origin)
 
 
@@ -153,7 +153,7 @@ class Recording:
 
     def topics(self) -> tuple[TopicInfo, ...]:
         """List the topics, sorted by name."""
-        return self.file.source.topics()
+        return self.file.source.topics
 
     def topic_of(self, role: Role | str) -> str | None:
         """Name the topic that plays a role; None where the log has none."""
@@ -183,8 +183,7 @@ class Recording:
     @cached_property
     def camera(self) -> Camera:
         """The first calibration, as a perturbed world states it; images have each their own. RecordingError."""
-        camera = self.logged_camera
-        return camera if self.world is None else stated_camera(camera, self.world.perturbations)
+        return stated_camera(self.logged_camera, self._stated)
 
     @cached_property
     def logged_camera(self) -> Camera:
@@ -206,9 +205,12 @@ class Recording:
         if topic is None or topic == self.topic_of(Role.CAMERA_INFO):
             return None
         camera = self.file.camera(topic)
-        if camera is None or self.world is None:
-            return camera
-        return stated_right_camera(camera, self.world.perturbations)
+        return None if camera is None else stated_right_camera(camera, self._stated)
+
+    @property
+    def _stated(self) -> Perturbations:
+        """How what the log states of its cameras differs from what is there."""
+        return Perturbations() if self.world is None else self.world.perturbations
 
     @property
     def remarks(self) -> list[str]:
@@ -238,9 +240,8 @@ class Recording:
         """
         arms, topic = [self._arm(name) for name in names], self._require(Role.IMAGE)
         right = self._right_topic() if needs.right else None
-        stated = Perturbations() if self.world is None else self.world.perturbations
         of_right = None if right is None else self.file.cameras[self._require(Role.RIGHT_CAMERA_INFO)]
-        cameras = cameras_at(self._left_track, of_right, stated)
+        cameras = cameras_at(self._left_track, of_right, self._stated)
         states = [self._arm_states(arm, needs) for arm in arms]
         has_joints = [needs.joints and arm.choice.find(Role.JOINTS) is not None for arm in arms]
         self.file.missing = MissingPartners(self.file.limits.pair_tolerance_s)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -47,16 +47,11 @@ class McapSource:
         self.path, self.limits, self.health = path, limits, Health()
         self._metadata: dict[str, str] | None = None
 
-    def topics(self) -> tuple[TopicInfo, ...]:
-        """List the topics: from the summary where its CRC is right, else by reading the whole file."""
-        return self._topics
-
     def metadata(self) -> dict[str, str]:
         """Read the record `svmdist`, unless the CRC of the data section is wrong."""
         if self._metadata is None:
             one_pass = _Pass(self)
-            for _ in one_pass.frames(frozenset()):
-                pass
+            deque(one_pass.frames(frozenset()), maxlen=0)
             self._metadata = one_pass.metadata
         return self._metadata
 
@@ -96,7 +91,8 @@ class McapSource:
         return None
 
     @cached_property
-    def _topics(self) -> tuple[TopicInfo, ...]:
+    def topics(self) -> tuple[TopicInfo, ...]:
+        """The topics: from the summary where its CRC is right, else by reading the whole file."""
         one_pass, is_counted = _Pass(self), True
         counts, none = one_pass.counts, Schema(0, b"", "", "")
         statistics = self.summary.statistics if self.summary else None
@@ -104,8 +100,7 @@ class McapSource:
             counts.update(statistics.channel_message_counts)
             is_counted = counts.total() == statistics.message_count
         else:
-            for _ in one_pass.records(None):
-                pass
+            deque(one_pass.records(None), maxlen=0)
         found = []
         for key, channel in one_pass.channels.items():
             schema, count = one_pass.schemas.get(channel.schema_id, none), counts[key] if is_counted else None

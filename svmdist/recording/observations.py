@@ -96,11 +96,8 @@ def _size(images: list[EncodedImage]) -> int:
 class Partners(NamedTuple):
     """What an image lacks near it: how far the nearest right image is, in s, where one was wanted; joint states."""
 
-    right_apart_s: float | None = None
-    lacks_joints: bool = False
-
-
-NONE_MISSING = Partners()
+    right_apart_s: float | None
+    lacks_joints: bool
 
 
 @dataclass
@@ -232,9 +229,9 @@ class Decoded:
     """An observation of each instrument, or why there is none; `place` orders the losses among all others."""
 
     found: tuple[Observation, ...] | Rejection
-    losses: tuple[Loss, ...] = ()
-    place: int = 0
-    partners: Partners = NONE_MISSING
+    losses: tuple[Loss, ...]
+    place: int
+    partners: Partners
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,7 +247,7 @@ class EncodedObservation:
     arms: tuple[ArmState, ...]
     cameras: Cameras
     place: int
-    partners: Partners = NONE_MISSING
+    partners: Partners
     number: int = 0
     """Among the log's images."""
     at_ns: int = 0
@@ -264,18 +261,19 @@ class EncodedObservation:
     def decode(self) -> Decoded:
         """Decode the images; a Rejection stands for a left image that cannot be, or whose camera is not known."""
         losses: list[Loss] = []
+        found = self._observations(losses)
+        return Decoded(found, tuple(losses), self.place, self.partners)
+
+    def _observations(self, losses: list[Loss]) -> tuple[Observation, ...] | Rejection:
         camera, right, doubt = self.cameras
         if doubt:
-            return Decoded(
-                Rejection(self.stamp_ns, Status.INCONSISTENT, doubt), (), self.place, self.partners
-            )
+            return Rejection(self.stamp_ns, Status.INCONSISTENT, doubt)
         image = decode_image(self.left, losses, camera)
         if isinstance(image, Rejection):
-            return Decoded(image, tuple(losses), self.place, self.partners)
+            return image
         view = self._right_view(right, losses)
         seen = Observation(image.stamp_ns, image.image_bgr, camera, right=view)
-        found = tuple(replace(seen, **arm._asdict()) for arm in self.arms)
-        return Decoded(found, tuple(losses), self.place, self.partners)
+        return tuple(replace(seen, **arm._asdict()) for arm in self.arms)
 
     def _right_view(self, right: RightCamera | None, losses: list[Loss]) -> RightView | None:
         if self.right is None or right is None:

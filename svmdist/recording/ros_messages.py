@@ -43,9 +43,8 @@ def decode_ros(encoding: str, schema: str, data: bytes, log_time_ns: int) -> mes
 def _header(message: Any, log_time_ns: int) -> tuple[int, str]:
     """Stamp and frame of a header; a stamp of zero was never set, and the log time stands for it."""
     header = message.header
-    return messages.checked_stamp(
-        header.stamp.sec * messages.NS + header.stamp.nanosec or log_time_ns
-    ), header.frame_id
+    own_ns = header.stamp.sec * messages.NS + header.stamp.nanosec
+    return messages.checked_stamp(own_ns or log_time_ns), header.frame_id
 
 
 def _joints(message: Any, stamp_ns: int, _: str) -> JointSample:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Collection, Iterator
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -43,14 +44,10 @@ class BagSource:
                     detail = f"{left.name}, left by an interrupted recorder, is not read; sqlite3 merges it"
                     self.health.add(source.Loss(source.LossKind.STRUCTURE, detail))
         reader = self._opened()
-        self._topics = source.merge_topics(
+        self.topics = source.merge_topics(
             source.TopicInfo(one.topic, one.msgtype, encoding, one.msgcount) for one in reader.connections
         )
         reader.close()
-
-    def topics(self) -> tuple[source.TopicInfo, ...]:
-        """List the topics."""
-        return self._topics
 
     def metadata(self) -> dict[str, str]:
         """Bags have no metadata of svmdist's."""
@@ -124,9 +121,10 @@ class FolderSource:
             self.health.join(part.health)
             part.health = self.health
 
+    @cached_property
     def topics(self) -> tuple[source.TopicInfo, ...]:
-        """List the topics of all files."""
-        return source.merge_topics(info for part in self._parts for info in part.topics())
+        """The topics of all files."""
+        return source.merge_topics(info for part in self._parts for info in part.topics)
 
     def metadata(self) -> dict[str, str]:
         """Read the record `svmdist` of the first file that has one."""

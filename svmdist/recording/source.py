@@ -155,8 +155,9 @@ class Source(Protocol):
     path: LogPath
     health: Health
 
+    @property
     def topics(self) -> tuple[TopicInfo, ...]:
-        """List the topics, sorted by name."""
+        """The topics, sorted by name."""
 
     def metadata(self) -> dict[str, str]:
         """Read the pairs of the metadata record `svmdist`; empty where there is none."""

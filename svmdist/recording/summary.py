@@ -167,7 +167,8 @@ def copied_messages(recording: Recording) -> Iterator[tuple[str, Sample | Encode
         if kind_of(raw.schema, raw.message_encoding) is None:
             continue
         if raw.message_encoding == "protobuf" and raw.topic != truth:
-            yield raw.topic, EncodedSample(raw.log_time_ns, messages.message_class(raw.schema), raw.data)
+            schema = messages.message_class(raw.schema).DESCRIPTOR.full_name
+            yield raw.topic, EncodedSample(raw.log_time_ns, schema, raw.data)
             continue
         try:
             sample = messages.to_sample(decoder.decode(raw))

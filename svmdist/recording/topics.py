@@ -180,7 +180,7 @@ def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) ->
     there: a profile of a robot's three arms serves a log of one. `overrides` choose topics by role: those of an arm
     are the first one's, and what they name is no other's.
     """
-    infos = source.topics()
+    infos = source.topics
     there = {info.topic for info in infos} - {overrides[role] for role in ARM_TOPICS if role in overrides}
     others = [other for other in profile.other_instruments if other.is_in(there)]
     first = profile.topics
@@ -243,7 +243,7 @@ def _open_file(path: LogPath, start: bytes, limits: Limits) -> Source:
         raise RecordingError(
             f"{path}: is {found or 'not a recording'}; expected {WHAT_IS_EXPECTED}; {TO_IMPORT}"
         )
-    topics = {info.topic for info in source.topics() if info.message_encoding == "cdr"}
+    topics = {info.topic for info in source.topics if info.message_encoding == "cdr"}
     first = next(iter(source.messages(topics)), None) if topics else None
     if first is not None and first.data.startswith(ZSTD_MAGIC):  # CDR begins with a zero byte
         raise RecordingError(

@@ -20,8 +20,8 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from google.protobuf import descriptor_pool
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
 
 from svmdist import samples
@@ -38,30 +38,101 @@ PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 6)
 """A sixth smaller than OpenCV's default for 17 ms of a rendered frame of 640x480, less than rendering takes."""
 JPEG_OPTIONS = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 """Colour at full resolution: segmentation by hue depends on it."""
-MESSAGE_CLASSES: dict[type, Any] = {
-    samples.ImageSample: CompressedImage,
-    samples.CameraSample: CameraCalibration,
-    samples.JointSample: JointStates,
-    samples.PoseSample: PoseInFrame,
-    samples.TransformsSample: FrameTransforms,
-    samples.DistanceSample: GroundTruthDistance,
-}
-
 NO_SPACE = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", None))
+Fields = dict[str, Any]
+"""Of a message, by their names; protobuf makes messages of those inside."""
 
 
 @dataclass(frozen=True, slots=True)
 class EncodedSample:
-    """A serialised message; `sample_type` is the type of sample, else the class of the protobuf message."""
+    """A serialised message; `schema` is the full name of its protobuf type, which is imported where it is written."""
 
     stamp_ns: int
-    sample_type: type
+    schema: str
     data: bytes
 
 
-def message_class_of(sample_type: type) -> Any:
-    """The protobuf class that a type of sample, or such a class itself, is written as."""
-    return sample_type if issubclass(sample_type, Message) else MESSAGE_CLASSES[sample_type]
+def encoded(message_class: Any, stamp_ns: int, **fields: Any) -> EncodedSample:
+    """A message with its stamp, where its type has one, as bytes that are the same on a rerun."""
+    declared = message_class.DESCRIPTOR
+    if "timestamp" in declared.fields_by_name:
+        fields["timestamp"] = stamp_fields(stamp_ns)
+    data = message_class(**fields).SerializeToString(deterministic=True)
+    return EncodedSample(stamp_ns, declared.full_name, data)
+
+
+def encode_still(stamp_ns: int, frame_id: str, data: bytes, limits: Limits) -> EncodedSample:
+    """Wrap a PNG or JPEG without decoding it; ImageError for any other, or one with a bad header."""
+    still_size(data, limits)
+    return encoded(CompressedImage, stamp_ns, frame_id=frame_id, data=data, format=still_format(data))
+
+
+def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSample:
+    """Serialise a sample as its message type, images as PNG or JPEG; ValueError for one not (h, w, 3) of uint8."""
+    stamp_ns = sample.stamp_ns
+    match sample:
+        case samples.ImageSample(frame_id=frame_id, image_bgr=image):
+            samples.require_bgr(image)
+            options = (cv2.IMWRITE_JPEG_QUALITY, jpeg_quality, *JPEG_OPTIONS) if jpeg_quality else PNG_OPTIONS
+            name = "jpeg" if jpeg_quality else "png"
+            data = cv2.imencode(f".{name}", image, options)[1].tobytes()
+            return encoded(CompressedImage, stamp_ns, frame_id=frame_id, format=name, data=data)
+        case samples.CameraSample(camera=camera):
+            return encoded(CameraCalibration, stamp_ns, **_camera_fields(camera))
+        case samples.JointSample(names=names, positions=positions):
+            pairs = zip(names, np.asarray(positions).tolist(), strict=True)
+            joints = [{"name": name, "position": position} for name, position in pairs]
+            return encoded(JointStates, stamp_ns, joints=joints)
+        case samples.PoseSample(frame_id=frame_id, T_frame_pose=T):
+            (pose,) = _rigid_fields([T], "position", "orientation")
+            return encoded(PoseInFrame, stamp_ns, frame_id=frame_id, pose=pose)
+        case samples.TransformsSample(transforms=transforms):
+            rigid = _rigid_fields([one.T_parent_child for one in transforms], "translation", "rotation")
+            parts = [
+                {
+                    "timestamp": stamp_fields(one.stamp_ns),
+                    "parent_frame_id": one.parent,
+                    "child_frame_id": one.child,
+                    **fields,
+                }
+                for one, fields in zip(transforms, rigid, strict=True)
+            ]
+            return encoded(FrameTransforms, stamp_ns, transforms=parts)
+        case samples.DistanceSample(_, planar_m, spatial_m, clearance_m):
+            values = {"planar_m": planar_m, "spatial_m": spatial_m, "clearance_m": clearance_m}
+            return encoded(GroundTruthDistance, stamp_ns, **values)
+
+
+def _camera_fields(camera: Camera) -> Fields:
+    # Foxglove's names of the lenses.
+    pinhole = "plumb_bob" if len(camera.D) <= 5 else "rational_polynomial"
+    optional = {"R": camera.R_rectified_camera, "P": camera.P}
+    return {
+        "frame_id": camera.frame_id,
+        "width": camera.width_px,
+        "height": camera.height_px,
+        "distortion_model": "kannala_brandt" if camera.distortion_model == "fisheye" else pinhole,
+        "D": camera.D,
+        "K": camera.K.ravel(),
+        **{name: values.ravel() for name, values in optional.items() if values is not None},
+    }
+
+
+def _rigid_fields(transforms: Sequence[Array], position: str, rotation: str) -> list[Fields]:
+    """The position and the quaternion of each transform, shape (4, 4), under the names that a message gives them."""
+    T = np.array(transforms).reshape(-1, 4, 4)
+    pairs = zip(T[:, :3, 3], quaternion_xyzw_from_rotation(T[:, :3, :3]), strict=True)
+    return [{position: vector_fields(t_m), rotation: vector_fields(q_xyzw)} for t_m, q_xyzw in pairs]
+
+
+def stamp_fields(stamp_ns: int) -> Fields:
+    """A timestamp."""
+    return dict(zip(("seconds", "nanos"), divmod(stamp_ns, 1_000_000_000), strict=True))
+
+
+def vector_fields(values: Array) -> Fields:
+    """A point or vector, shape (2,) or (3,), or a quaternion x, y, z, w, shape (4,)."""
+    return dict(zip("xyzw", values.tolist(), strict=False))
 
 
 def _descriptor_set(file: Any) -> bytes:
@@ -76,78 +147,6 @@ def _descriptor_set(file: Any) -> bytes:
 
     collect(file)
     return descriptors.SerializeToString(deterministic=True)
-
-
-def encode_still(stamp_ns: int, frame_id: str, data: bytes, limits: Limits) -> EncodedSample:
-    """Wrap a PNG or JPEG without decoding it; ImageError for any other, or one with a bad header."""
-    still_size(data, limits)
-    message = CompressedImage(frame_id=frame_id, data=data, format=still_format(data) or "")
-    return EncodedSample(stamp_ns, samples.ImageSample, serialised(message, stamp_ns))
-
-
-def serialised(message: Message, stamp_ns: int | None = None) -> bytes:
-    """The bytes of a message, the same on a rerun; `stamp_ns` becomes its timestamp."""
-    if stamp_ns is not None:
-        set_stamp(message, stamp_ns)
-    return message.SerializeToString(deterministic=True)
-
-
-def set_stamp(message: Any, stamp_ns: int) -> None:
-    """Set the timestamp of a message."""
-    message.timestamp.seconds, message.timestamp.nanos = divmod(stamp_ns, 1_000_000_000)
-
-
-def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSample:
-    """Serialise a sample as its message type, images as PNG or JPEG; ValueError for one not (h, w, 3) of uint8."""
-    message: Any = message_class_of(type(sample))()
-    stamp_ns: int | None = sample.stamp_ns
-    match sample:
-        case samples.ImageSample():
-            message.frame_id = sample.frame_id
-            samples.require_bgr(sample.image_bgr)
-            options = (cv2.IMWRITE_JPEG_QUALITY, jpeg_quality, *JPEG_OPTIONS) if jpeg_quality else PNG_OPTIONS
-            message.format = "jpeg" if jpeg_quality else "png"
-            message.data = cv2.imencode(f".{message.format}", sample.image_bgr, options)[1].tobytes()
-        case samples.CameraSample(camera=camera):
-            _fill_camera(message, camera)
-        case samples.JointSample():
-            for name, value in zip(sample.names, np.asarray(sample.positions).tolist(), strict=True):
-                message.joints.add(name=name, position=value)
-        case samples.PoseSample():
-            message.frame_id = sample.frame_id
-            _fill([(message.pose.position, message.pose.orientation)], [sample.T_frame_pose])
-        case samples.TransformsSample():
-            for one in sample.transforms:
-                part = message.transforms.add(parent_frame_id=one.parent, child_frame_id=one.child)
-                set_stamp(part, one.stamp_ns)
-            targets = [(part.translation, part.rotation) for part in message.transforms]
-            _fill(targets, [one.T_parent_child for one in sample.transforms])
-            stamp_ns = None  # each transform has its own
-        case samples.DistanceSample():
-            message.planar_m, message.spatial_m = sample.planar_m, sample.spatial_m
-            message.clearance_m = sample.clearance_m
-    return EncodedSample(sample.stamp_ns, type(sample), serialised(message, stamp_ns))
-
-
-def _fill_camera(message: Any, camera: Camera) -> None:
-    message.frame_id, message.width, message.height = camera.frame_id, camera.width_px, camera.height_px
-    plumb_bob = "plumb_bob" if len(camera.D) <= 5 else "rational_polynomial"
-    # Foxglove's names of the lenses.
-    message.distortion_model = "kannala_brandt" if camera.distortion_model == "fisheye" else plumb_bob
-    message.D.extend(camera.D)
-    message.K.extend(camera.K.ravel())
-    for values, target in ((camera.R_rectified_camera, message.R), (camera.P, message.P)):
-        if values is not None:
-            target.extend(values.ravel())
-
-
-def _fill(targets: Sequence[tuple[Any, Any]], transforms: Sequence[Array]) -> None:
-    """Set pairs of a position and a quaternion."""
-    T = np.array(transforms).reshape(-1, 4, 4)
-    values = T[:, :3, 3].tolist(), quaternion_xyzw_from_rotation(T[:, :3, :3]).tolist()
-    for (position, q), t_m, q_xyzw in zip(targets, *values, strict=True):
-        position.x, position.y, position.z = t_m
-        q.x, q.y, q.z, q.w = q_xyzw
 
 
 CHUNK_BYTES = 240 * 1024
@@ -177,8 +176,8 @@ class RecordingWriter:
         self.part_path = self.path.with_name(self.path.name + ".part")
         self._metadata, self._force, self._jpeg_quality = dict(metadata), force, jpeg_quality
         self._file: IO[bytes] | None = None
-        self._channels: dict[str, tuple[int, type]] = {}
-        self._schemas: dict[type, int] = {}
+        self._channels: dict[str, tuple[int, str]] = {}
+        self._schemas: dict[str, int] = {}
         self._sequences = Counter[int]()
         self._chunk_bytes = 0
         self._chunk_start_ns: int | None = None
@@ -217,7 +216,7 @@ class RecordingWriter:
         stamp_ns, needed_bytes = sample.stamp_ns, MESSAGE_HEAD_BYTES + len(sample.data)
         try:
             self._end_chunk_before(stamp_ns, needed_bytes)
-            channel_id = self._channel(topic, sample.sample_type)
+            channel_id = self._channel(topic, sample.schema)
             self._writer.add_message(channel_id, stamp_ns, sample.data, stamp_ns, self._sequences[channel_id])
         except OSError as problem:
             raise self._failure(problem) from problem
@@ -262,19 +261,17 @@ class RecordingWriter:
             self._writer.flush()
             self._chunk_bytes, self._chunk_start_ns = 0, None
 
-    def _channel(self, topic: str, sample_type: type) -> int:
+    def _channel(self, topic: str, schema: str) -> int:
         if topic in self._channels:
-            channel_id, known_type = self._channels[topic]
-            if known_type is sample_type:
+            channel_id, known = self._channels[topic]
+            if known == schema:
                 return channel_id
-            raise ValueError(f"{topic} carries {known_type.__name__}, not {sample_type.__name__}")
-        if sample_type not in self._schemas:
-            declared = message_class_of(sample_type).DESCRIPTOR
-            self._schemas[sample_type] = self._writer.register_schema(
-                declared.full_name, "protobuf", _descriptor_set(declared.file)
-            )
-        channel_id = self._writer.register_channel(topic, "protobuf", self._schemas[sample_type])
-        self._channels[topic] = (channel_id, sample_type)
+            raise ValueError(f"{topic} carries {known}, not {schema}")
+        if schema not in self._schemas:
+            file = descriptor_pool.Default().FindMessageTypeByName(schema).file
+            self._schemas[schema] = self._writer.register_schema(schema, "protobuf", _descriptor_set(file))
+        channel_id = self._writer.register_channel(topic, "protobuf", self._schemas[schema])
+        self._channels[topic] = (channel_id, schema)
         return channel_id
 
     def _refuse_to_replace(self, path: Path) -> None:

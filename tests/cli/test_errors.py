@@ -2,6 +2,7 @@
 
 import re
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +13,9 @@ import pytest
 from svmdist.cli.options import parse_length_m
 from svmdist.errors import UsageError
 from svmdist.profile import SHIPPED
-from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import CameraSample, ImageSample, JointSample, Sample
 from tests.conftest import REPOSITORY
-from tests.synthetic import make_scene, samples, without, write_log
+from tests.synthetic import make_scene, right_of, samples, without, write_log, write_samples
 
 PSM13 = (SHIPPED / "psm13.toml").read_text("utf-8")
 CAMERA = "import images -o out.mcap --camera 60,61,31,23"
@@ -127,7 +127,9 @@ ERRORS = [
     ("estimate log.mcap two.mcap -o a.mcap", 2, "holds one recording"),
     ("fk log.mcap two.mcap -f tum", 2, "one trajectory"),
     ("validate log.mcap --report report.pdf", 2, ".html"),
-    ("estimate none.mcap --save-plot a.jpeg", 2, "--save-plot a.jpeg: cannot draw a .jpeg"),
+    ("estimate none.mcap --save-plot a.jpeg", 2, "cannot draw a .jpeg: the choices are png, svg, pdf"),
+    ("estimate none.mcap --save-plot plot", 2, "--save-plot plot: cannot draw a file without an ending"),
+    ("validate log.mcap --save-plot nowhere/plot.png", 1, "plot.png: cannot write: there is no folder"),
     ("show log.mcap -o six.png", 2, "6 are asked for"),
     ("show log.mcap --frame 3 -o seen.pdf", 2, "in .png, or a folder"),
     *((f"{name} log.mcap -o nowhere/a.csv", 1, "nowhere") for name in ("estimate", "validate", "blur-bench")),
@@ -234,17 +236,17 @@ def test_a_method_says_what_the_log_lacks(cli, tmp_path, method, said):
 
 def test_views_that_never_meet_are_said(cli, tmp_path):
     """Stamps of the right view 50 ms late: one line says how far apart the nearest are, in estimate and validate."""
-    scene = make_scene()
-    P = np.hstack([scene.camera.K, [[-5e-3 * scene.camera.K[0, 0]], [0.0], [0.0]]])
-    with RecordingWriter(path := tmp_path / "late.mcap", {}) as writer:
+
+    def pairs() -> Iterator[tuple[str, Sample]]:
+        scene = make_scene()
         for topic, sample in samples(scene, 4):
-            writer.write(topic, sample)
+            yield topic, sample
             if isinstance(sample, ImageSample):
                 late = replace(sample, stamp_ns=sample.stamp_ns + 50_000_000)
-                writer.write(
-                    "/ECM/right/camera_info", CameraSample(late.stamp_ns, replace(scene.camera, P=P))
-                )
-                writer.write("/ECM/right/image", late)
+                yield "/ECM/right/camera_info", CameraSample(late.stamp_ns, right_of(scene.camera))
+                yield "/ECM/right/image", late
+
+    path = write_samples(tmp_path / "late.mcap", pairs())
     said = "svmdist: right image never within 0.5 ms of the left (nearest 50 ms): measured with one camera"
     for command in ("estimate", "validate"):
         assert said in cli(command, path, "--method", "fused").err

@@ -1,7 +1,7 @@
 """Commands and options for logs that people have: lag, truth, topics, forward kinematics, info, import, profiles."""
 
+from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,11 +11,10 @@ from svmdist.kinematics import forward_kinematics
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.messages import Decoder, to_sample
-from svmdist.recording.writer import RecordingWriter
-from svmdist.samples import ImageSample, JointSample, PoseSample, Sample, TransformSample, TransformsSample
-from svmdist.transforms import make_transform, quaternion_xyzw_from_rotation
+from svmdist.samples import ImageSample, JointSample, PoseSample, Sample, TransformsSample
+from svmdist.transforms import quaternion_xyzw_from_rotation
 from tests.conftest import Outcome
-from tests.synthetic import START_NS, TISSUE_M, make_scene, samples, without, write_log
+from tests.synthetic import START_NS, make_scene, samples, tracked, without, write_log, write_samples
 
 SCENE = make_scene()
 
@@ -29,10 +28,7 @@ def test_an_injected_lag_is_recovered(cli, tmp_path, golden, name, lag_s):
         sample = to_sample(decoder.decode(raw))
         late_ns = round(lag_s * 1e9) if isinstance(sample, ImageSample) else 0
         log.append((raw.topic, replace(sample, stamp_ns=sample.stamp_ns + late_ns)))
-    path = tmp_path / "late.mcap"
-    with RecordingWriter(path, {"scenario": "late"}) as writer:
-        for topic, sample in sorted(log, key=lambda pair: pair[1].stamp_ns):
-            writer.write(topic, sample)
+    path = write_samples(tmp_path / "late.mcap", sorted(log, key=lambda pair: pair[1].stamp_ns))
     for score in cli("validate", path, "--lag", "auto", "-f", "json").json["recordings"]:
         assert score["lag_s"] == pytest.approx(lag_s, abs=5e-3)
         assert 0.5 <= score["lag_confidence"] <= 1.0
@@ -58,24 +54,13 @@ def test_a_still_tool_cannot_tell_a_lag(cli, tmp_path, synthetic_calibration):
         assert (score["lag_s"], score["lag_confidence"]) == (0.0, 0.0)
 
 
-def tracked(topic: str, sample: Sample) -> Sample:
-    if topic != "/tf" or not isinstance(sample, TransformsSample):
-        return sample
-    seconds = (sample.stamp_ns - START_NS) / 1e9
-    poses = (("tool", SCENE.T_camera_tool_at(seconds)), ("tissue", make_transform(np.eye(3), TISSUE_M)))
-    added = tuple(TransformSample(sample.stamp_ns, "camera", child, T) for child, T in poses)
-    return replace(sample, transforms=(*sample.transforms, *added))
-
-
-def write_with_poses(path: Path) -> Path:
+def with_poses() -> Iterator[tuple[str, Sample]]:
     """A synthetic log with tracked tool and tissue, and a pose topic in the base frame at 100 Hz."""
-    with RecordingWriter(path, {}) as writer:
-        for topic, sample in samples(SCENE, 12):
-            writer.write(topic, tracked(topic, sample))
-            if isinstance(sample, JointSample):
-                T = forward_kinematics(SCENE.chain, sample.positions)
-                writer.write("/PSM1/measured_cp", PoseSample(sample.stamp_ns, "base", T))
-    return path
+    for topic, sample in samples(SCENE, 12):
+        yield topic, tracked(topic, sample)
+        if isinstance(sample, JointSample):
+            T = forward_kinematics(SCENE.chain, sample.positions)
+            yield "/PSM1/measured_cp", PoseSample(sample.stamp_ns, "base", T)
 
 
 def scores(outcome: Outcome) -> dict[str, dict[str, object]]:
@@ -84,7 +69,7 @@ def scores(outcome: Outcome) -> dict[str, dict[str, object]]:
 
 def test_the_choices_of_truth_agree(cli, tmp_path, synthetic_calibration):
     """Ground truth, a tf pair, a pose topic and kinematics of one exact scene give one figure; a lack is a loss."""
-    path = write_with_poses(tmp_path / "a.mcap")
+    path = write_samples(tmp_path / "a.mcap", with_poses())
     common = ("validate", path, "--calibration", synthetic_calibration, "-f", "json")
     pairs = ("--truth-tf", "camera:tool", "--truth-tf", "camera:tissue")
     by_default = scores(cli(*common))
@@ -118,7 +103,7 @@ def test_truth_is_not_carried_across_long_gaps(cli, tmp_path, synthetic_calibrat
 
 def test_fk_prints_a_pose_for_each_joint_state(cli, tmp_path):
     """CSV, JSON and TUM hold the same poses, which are the chain's; the pose topic agrees with them."""
-    path = write_with_poses(tmp_path / "a.mcap")
+    path = write_samples(tmp_path / "a.mcap", with_poses())
     as_csv = cli("fk", path)
     rows = as_csv.rows
     assert list(rows[0]) == ["stamp_ns", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"]
@@ -163,9 +148,10 @@ def test_info_tells_what_a_log_can_serve(cli, tmp_path, synthetic_log):
     lacking = cli("info", blind, "-f", "json").json
     assert lacking["commands"]["estimate"] == {"served": False, "missing": ["a topic for image"]}
     assert lacking["commands"]["fk"]["served"]
-    with RecordingWriter(other := tmp_path / "other.mcap", {}) as writer:
-        for topic, sample in samples(SCENE, 3):
-            writer.write(topic.replace("left/camera_info", "right/camera_info"), sample)
+    right = (
+        (topic.replace("left/camera_info", "right/camera_info"), one) for topic, one in samples(SCENE, 3)
+    )
+    other = write_samples(tmp_path / "other.mcap", right)
     assert cli("info", other, "-f", "json").json["commands"]["estimate"]["missing"] == [
         "a topic for camera_info"
     ]

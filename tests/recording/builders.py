@@ -1,7 +1,7 @@
 """Small recordings for the tests: one scene, written natively or again with another compression."""
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from mcap.records import Channel, Message, Metadata, Schema
@@ -10,16 +10,15 @@ from mcap.writer import CompressionType, Writer
 
 from svmdist import samples
 from svmdist.camera import Camera
-from svmdist.recording.writer import RecordingWriter
 from svmdist.transforms import Array, make_transform, rotation_x, rotation_z
+from tests.synthetic import write_samples
 
 CAMERA = Camera.from_horizontal_fov(32, 24, 1.0)
 PERIOD_NS = 40_000_000
 COMPRESSIONS = {"zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4, "none": CompressionType.NONE}
 
 
-@dataclass(frozen=True)
-class Entry:
+class Entry(NamedTuple):
     """A sample and the topic it belongs on."""
 
     topic: str
@@ -58,10 +57,7 @@ def scene(frame_count: int = 5, *, stamp_offset_ns: int = 1_000_000_000) -> list
 
 def write_scene(path: Path, entries: list[Entry], metadata: dict[str, str] | None = None) -> Path:
     """Write entries with the recording's own writer."""
-    with RecordingWriter(path, metadata or {"scenario": "test", "seed": "7"}) as writer:
-        for entry in entries:
-            writer.write(entry.topic, entry.sample)
-    return path
+    return write_samples(path, entries, metadata or {"scenario": "test", "seed": "7"})
 
 
 def rewrite(

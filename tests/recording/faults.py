@@ -42,7 +42,7 @@ def read(path: Path) -> Reading | None:
     """Read every message; None where the reader refuses the file."""
     source = McapSource(path, Limits())
     try:
-        source.topics()
+        _ = source.topics  # first of all, as whoever opens a log does
         messages = [(m.topic, m.log_time_ns, bytes(m.data)) for m in source.messages()]
         metadata = source.metadata()
     except RecordingError:

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 
-from svmdist.errors import SourceError
 from svmdist.profile import Limits
 from svmdist.recording import images
 
@@ -165,26 +164,3 @@ def test_sizes_that_contradict_each_other_are_refused(encoding):
     ):
         with pytest.raises(images.ImageError, match="do not hold 6x4 px"):
             images.decode_raw(encoding, (WIDTH_PX, HEIGHT_PX), step, bytes(length), LIMITS)
-
-
-def test_a_png_file_passes_through_and_others_are_decoded_or_refused(tmp_path):
-    for name, image in (("a.png", IMAGE), ("a.bmp", IMAGE), ("deep.tiff", IMAGE.astype(np.uint16))):
-        cv2.imwrite(str(tmp_path / name), image)
-    data, size_px = images.read_file(tmp_path / "a.png", LIMITS)
-    assert size_px == (IMAGE.shape[1], IMAGE.shape[0])
-    assert isinstance(data, bytes)
-    assert data == (tmp_path / "a.png").read_bytes()
-    np.testing.assert_array_equal(images.decode_file(data, "a.png", LIMITS), IMAGE)
-    pixels, size_px = images.read_file(tmp_path / "a.bmp", LIMITS)
-    np.testing.assert_array_equal(pixels, IMAGE)
-    assert size_px == (IMAGE.shape[1], IMAGE.shape[0])
-    (tmp_path / "no.bmp").write_bytes(b"BMno")
-    (tmp_path / "nothing.png").touch()
-    for name, reason in (
-        ("deep.tiff", "16 bits; 8 are expected"),
-        ("no.bmp", r"no.bmp: not an image that can be decoded"),
-        ("nothing.png", r"nothing.png: not an image that can be decoded \(an empty file\)"),
-        ("", "cannot read"),
-    ):
-        with pytest.raises(SourceError, match=reason):
-            images.read_file(tmp_path / name, LIMITS)

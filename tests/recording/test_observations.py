@@ -9,34 +9,29 @@ import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from svmdist import samples
-from svmdist.camera import Camera
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs
 from svmdist.recording.source import LossKind
 from svmdist.recording.summary import inspect_recording
-from svmdist.recording.writer import RecordingWriter, encode, message_class_of
+from svmdist.recording.writer import RecordingWriter, encode
 from svmdist.transforms import Array, inverse, make_transform
 from tests.reading import read_observations
+from tests.synthetic import right_of
 
 from .builders import CAMERA, PERIOD_NS, Entry, pose, scene, write_messages, write_scene
 from .faults import CHUNK_OPCODE, MAGIC_BYTES, join, split
 from .test_video import KEY_INTERVAL, frame_image, packets  # noqa: F401  (a fixture)
 
 BASELINE_M = 0.005
+RIGHT_CAMERA = right_of(CAMERA, BASELINE_M)
 RIGHT_IMAGE, RIGHT_INFO = "/ECM/right/image", "/ECM/right/camera_info"
-
-
-def right_camera() -> Camera:
-    P = np.hstack([CAMERA.K, np.zeros((3, 1))])
-    P[0, 3] = -CAMERA.K[0, 0] * BASELINE_M
-    return replace(CAMERA, P=P, frame_id="camera_right")
 
 
 def with_right(entries: list[Entry], shift_ns: int = 0, late: int = 0) -> list[Entry]:
     """Add a negative of every image as the right one, `late` entries behind it, and the right camera."""
-    woven: list[Entry] = [Entry(RIGHT_INFO, samples.CameraSample(entries[0].sample.stamp_ns, right_camera()))]
+    woven: list[Entry] = [Entry(RIGHT_INFO, samples.CameraSample(entries[0].sample.stamp_ns, RIGHT_CAMERA))]
     waiting: list[tuple[int, Entry]] = []
     for index, entry in enumerate(entries):
         woven.append(entry)
@@ -58,10 +53,12 @@ def observations(path: Path, profile: Profile, **topics: str) -> list[samples.Ob
 @pytest.mark.parametrize(
     ("shift_ns", "late", "camera"),
     [
-        *((shift_ns, late, right_camera()) for shift_ns, late in ((0, 0), (400_000, 1), (-500_000, 23))),
-        (600_000, 0, right_camera()),
+        (0, 0, RIGHT_CAMERA),
+        (400_000, 1, RIGHT_CAMERA),
+        (-500_000, 23, RIGHT_CAMERA),
+        (600_000, 0, RIGHT_CAMERA),
         (0, 0, None),
-        (0, 0, replace(right_camera(), P=CAMERA.P)),
+        (0, 0, replace(RIGHT_CAMERA, P=CAMERA.P)),
     ],
     ids=["together", "later", "much later", "apart", "no camera", "no baseline"],
 )
@@ -182,13 +179,12 @@ def damaged(path: Path) -> Path:
         joints = samples.JointSample(stamp_ns, ("a",), np.array([position]))
         entries += [Entry("/ECM/left/image", image), Entry("/PSM1/measured_js", joints)]
     rows = []
-    for topic, sample in ((entry.topic, entry.sample) for entry in entries):
-        data = encode(sample).data
+    for topic, sample in entries:
+        schema, data = encode(sample).schema, encode(sample).data
         if isinstance(sample, samples.ImageSample) and sample.stamp_ns % 3 == 1:
             short = CompressedImage.FromString(data)
             short.data = short.data[: -19 - sample.stamp_ns]
             data = short.SerializeToString()
-        schema = message_class_of(type(sample)).DESCRIPTOR.full_name
         rows.append((topic, schema, "protobuf", data, sample.stamp_ns))
     return write_messages(path, rows)
 

@@ -1,14 +1,11 @@
 """Logs of other recorders hold the same scene; broken ones end in a result, a counted loss or a clear error."""
 
 import sqlite3
-from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.rosbag1 import Writer as Bag1Writer
-from rosbags.rosbag2 import StoragePlugin
 
 from svmdist.errors import RecordingError
 from svmdist.recording.log import open_recording
@@ -17,7 +14,9 @@ from tests.reading import read_observations
 
 from .builders import Entry, pose, scene
 from .other_recorders import (
-    Message,
+    MCAP,
+    SQLITE,
+    WRITERS,
     header,
     rigid,
     ros_messages,
@@ -25,20 +24,6 @@ from .other_recorders import (
     write_rosbag1,
     write_rosbag2,
 )
-
-MCAP, SQLITE, BAG1 = StoragePlugin.MCAP, StoragePlugin.SQLITE3, Bag1Writer.CompressionFormat
-WRITERS: dict[str, Callable[[Path, list[Message]], Path]] = {
-    "ros2 mcap": lambda folder, it: write_ros2_mcap(folder / "a.mcap", it),
-    "ros2 mcap without /msg/": lambda folder, it: write_ros2_mcap(folder / "a.mcap", it, with_msg=False),
-    "rosbag2 sqlite": lambda folder, it: write_rosbag2(folder / "a", it, SQLITE),
-    "rosbag2 sqlite compressed": lambda folder, it: write_rosbag2(folder / "a", it, SQLITE, compressed=True),
-    "rosbag2 mcap": lambda folder, it: write_rosbag2(folder / "a", it, MCAP),
-    "rosbag2 mcap compressed": lambda folder, it: write_rosbag2(folder / "a", it, MCAP, compressed=True),
-    "bare db3": lambda folder, it: next(write_rosbag2(folder / "a", it, SQLITE).glob("*.db3")),
-    "ros1 bag": lambda folder, it: write_rosbag1(folder / "a.bag", it),
-    "ros1 bag lz4": lambda folder, it: write_rosbag1(folder / "a.bag", it, BAG1.LZ4),
-    "ros1 bag bz2": lambda folder, it: write_rosbag1(folder / "a.bag", it, BAG1.BZ2),
-}
 
 
 @pytest.fixture

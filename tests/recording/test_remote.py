@@ -114,7 +114,7 @@ def test_no_key_in_a_url_of_s3(cli):
 def test_the_index_gives_what_the_whole_file_gives(log, tmp_path, chunks):
     path = log if chunks == "large" else rewrite(log, tmp_path / "small.mcap", "zstd")
     near, far = McapSource(path, Limits()), McapSource(RemoteFile(f"counted://{path}"), Limits())
-    assert far.topics() == near.topics()
+    assert far.topics == near.topics
     assert far.metadata() == near.metadata()
     joints, image = PROFILE.topics.joints, PROFILE.topics.image
     for topics in (None, {joints}, {image}, {joints, image}, {"/none"}):

@@ -14,9 +14,9 @@ from svmdist import samples
 from svmdist.profile import Limits
 from svmdist.recording.ground_truth_distance_pb2 import DESCRIPTOR, GroundTruthDistance
 from svmdist.recording.log import open_recording
-from svmdist.recording.messages import Decoder, EncodedImage, to_sample
+from svmdist.recording.messages import Decoder, EncodedImage, Message, to_sample
 from svmdist.recording.source import RawMessage
-from svmdist.recording.writer import encode, message_class_of
+from svmdist.recording.writer import EncodedSample, encode
 from svmdist.transforms import make_transform, rotation_from_quaternion_xyzw
 from tests.reading import read_observations
 
@@ -30,9 +30,13 @@ lengths = st.floats(-1e3, 1e3)
 
 def there_and_back(sample: samples.Sample) -> Any:
     """Encode and decode a sample."""
-    schema = message_class_of(type(sample)).DESCRIPTOR.full_name
-    raw = RawMessage("/t", schema, "protobuf", sample.stamp_ns, encode(sample).data)
-    return to_sample(Decoder(Limits()).decode(raw))
+    return to_sample(decoded(encode(sample)))
+
+
+def decoded(encoded: EncodedSample) -> Message:
+    """Decode a message."""
+    raw = RawMessage("/t", encoded.schema, "protobuf", encoded.stamp_ns, encoded.data)
+    return Decoder(Limits()).decode(raw)
 
 
 @st.composite
@@ -57,10 +61,7 @@ def test_a_jpeg_image_survives_nearly():
     """Colour at full resolution: at the edge of a saturated red nothing bleeds by more than a few levels."""
     image = np.full((48, 64, 3), (60, 160, 60), np.uint8)
     image[:, 33:] = (40, 40, 220)
-    data = encode(samples.ImageSample(5, "camera", image), jpeg_quality=95).data
-    sample = Decoder(Limits()).decode(
-        RawMessage("/t", message_class_of(samples.ImageSample).DESCRIPTOR.full_name, "protobuf", 5, data)
-    )
+    sample = decoded(encode(samples.ImageSample(5, "camera", image), jpeg_quality=95))
     assert isinstance(sample, EncodedImage)
     assert np.abs(sample.decode().astype(int) - image).max() <= 12
 

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,11 @@ from mcap.reader import make_reader
 
 from svmdist.errors import UsageError
 from svmdist.recording.log import open_recording
-from svmdist.recording.writer import RecordingWriter
-from svmdist.samples import DistanceSample, ImageSample
+from svmdist.samples import ImageSample
 from tests.reading import read_images
+from tests.synthetic import write_samples
 
-from .builders import scene, write_scene
+from .builders import Entry, scene, write_scene
 
 FILL_A_DISK = """
 import resource, sys
@@ -39,11 +40,9 @@ for limit in map(int, sys.argv[2:]):
 
 def test_chunks_hold_at_most_256_kib(tmp_path):
     rng = np.random.default_rng(0)
-    path = tmp_path / "large.mcap"
-    with RecordingWriter(path, {}) as writer:
-        for frame in range(40):
-            image = rng.integers(0, 256, (120, 160, 3), np.uint8)
-            writer.write("/image", ImageSample(frame * 1_000_000, "camera", image))
+    images = (rng.integers(0, 256, (120, 160, 3), np.uint8) for _ in range(40))
+    frames = (ImageSample(number * 1_000_000, "camera", image) for number, image in enumerate(images))
+    path = write_samples(tmp_path / "large.mcap", (("/image", frame) for frame in frames))
     with path.open("rb") as stream:
         summary = make_reader(stream, validate_crcs=True).get_summary()
     assert summary is not None
@@ -63,29 +62,15 @@ def test_a_rerun_is_byte_identical_and_log_times_are_the_stamps(tmp_path, native
     assert found == [(e.topic, e.sample.stamp_ns, e.sample.stamp_ns) for e in entries]
 
 
-def test_nothing_is_replaced_without_force(tmp_path):
-    path = write_scene(tmp_path / "a.mcap", scene(1))
-    before = path.read_bytes()
-    with pytest.raises(UsageError, match=r"exists already.*--force"):
-        write_scene(path, scene(2))
-    assert path.read_bytes() == before
-    with RecordingWriter(path, {}, force=True) as writer:
-        writer.write("/d", DistanceSample(1, 1.0, 2.0, 3.0))
-    assert path.read_bytes() != before
-    assert list(tmp_path.iterdir()) == [path]
-
-
 def test_an_interrupted_recording_keeps_its_part(tmp_path, profile):
     path = tmp_path / "a.mcap"
 
-    def record() -> None:
-        with RecordingWriter(path, {"seed": "1"}) as writer:
-            for entry in scene(4):
-                writer.write(entry.topic, entry.sample)
-            raise KeyboardInterrupt
+    def interrupted() -> Iterator[Entry]:
+        yield from scene(4)
+        raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        record()
+        write_samples(path, interrupted(), {"seed": "1"})
     assert not path.exists()
     part = open_recording(tmp_path / "a.mcap.part", profile)
     assert len(list(read_images(part))) == 4

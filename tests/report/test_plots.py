@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from svmdist.errors import OutputError, UsageError
+from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.report.charts import pooled
 from svmdist.report.plots import COLUMN_IN, PAGE_IN, draw, draw_compare, draw_series, save_figure
@@ -40,21 +40,6 @@ def test_the_plot_is_written_in_the_format_of_its_suffix(tmp_path, suffix, magic
     assert first.startswith(magic)
     assert first == second or suffix == "pdf"  # which has a date
     assert mpl.rcParams["svg.hashsalt"] == salt
-
-
-@pytest.mark.parametrize(
-    ("name", "error", "reason"),
-    [
-        ("plot.jpg", UsageError, r"cannot draw a \.jpg: the choices are png, svg, pdf$"),
-        ("plot", UsageError, r"cannot draw a file without an ending"),
-        ("no folder/plot.png", OutputError, r"plot\.png: cannot write: No such file"),
-    ],
-)
-def test_what_cannot_be_drawn_is_one_line(tmp_path, name, error, reason):
-    """And nothing is written."""
-    with pytest.raises(error, match=reason):
-        save_figure(tmp_path / name, draw, validation("sweep"))
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["[red]x", "a$b$c", "$\\frac{", "a\x1bb", "a_b^100%", "測定"])

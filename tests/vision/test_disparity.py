@@ -7,7 +7,6 @@ import pytest
 from svmdist.profile.settings import StereoSettings
 from svmdist.transforms import Array
 from svmdist.vision.disparity import DisparityMap, disparity_map
-from svmdist.vision.stereo import agreed_offset, corresponding_points
 
 HEIGHT, WIDTH = 240, 320
 
@@ -70,18 +69,3 @@ def test_views_of_different_places_match_nowhere():
     for right in (other, noisy(np.full_like(left, 120), 2.0, rng)):
         found = matched(left, right)
         assert found is None or np.count_nonzero(found.is_seen) < 0.1 * np.pi * 100 * 90 / 16
-
-
-@pytest.mark.parametrize("rows_px", [-3.4, 0.0, 1.5, 5.0])
-def test_the_offset_is_found(rows_px):
-    """To a tenth of a pixel, and within what is stated of it, of a pair 25 px and some rows apart."""
-    rng = np.random.default_rng(0)
-    texture = textured((280, 420), 20.0, 3.0, rng)
-    moved = np.array([[1.0, 0.0, -25.0], [0.0, 1.0, rows_px]])
-    right = cv2.warpAffine(texture, moved, (420, 280), None, cv2.INTER_CUBIC, cv2.BORDER_REFLECT)
-    views = (noisy(view, 2.0, rng) for view in (texture, right))
-    left_px, right_px = corresponding_points(*views, 8.0, (5.0, 60.0), step=1)
-    found = agreed_offset(right_px[:, 1] - left_px[:, 1])
-    assert found is not None
-    assert found.px == pytest.approx(rows_px, abs=0.1)
-    assert abs(found.px - rows_px) < 3.0 * found.std_px

@@ -1,17 +1,16 @@
 """Comparing methods: figures are those of validating each alone, by threads and processes alike; groups by metadata."""
 
-from collections.abc import Container
+from collections.abc import Container, Iterator
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from svmdist.errors import RecordingError
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.source import LossKind
-from svmdist.recording.writer import RecordingWriter, encode
+from svmdist.recording.writer import EncodedSample, encode
 from svmdist.report.scores import compare_results
 from svmdist.report.tables import keys_of, render
 from svmdist.samples import CameraSample, ImageSample, Sample
@@ -21,7 +20,7 @@ from svmdist.workflows.compare import Group, MethodScore, compare, group_of, mea
 from svmdist.workflows.request import CLEAN, Condition, Request, prepare
 from svmdist.workflows.scoring.references import Reference, TruthRules
 from svmdist.workflows.validate import validate
-from tests.synthetic import START_NS, make_scene, samples, without, write_log
+from tests.synthetic import START_NS, make_scene, right_of, samples, without, write_log, write_samples
 
 PLAIN = Options()
 
@@ -129,23 +128,21 @@ def test_processes_and_threads_give_the_same(recording, conditions, jobs):
 
 def test_losses_are_listed_once_in_the_file_s_order(tmp_path):
     """One process reads right images too, another does not; what both lost stands between what one alone lost."""
-    path = tmp_path / "lossy.mcap"
-    scene, broken = make_scene(), {("right", 1), ("left", 2), ("right", 3)}
-    P = np.hstack([scene.camera.K, scene.camera.K @ [[-0.005], [0.0], [0.0]]])
-    right_camera = replace(scene.camera, P=P, frame_id="camera_right")
-    with RecordingWriter(path, {"scenario": "synthetic"}) as writer:
-        writer.write("/ECM/right/camera_info", CameraSample(START_NS, right_camera))
-        frame = -1
+    scene, frames = make_scene(), count()
+    broken = {("right", 1), ("left", 2), ("right", 3)}
+
+    def lossy() -> Iterator[tuple[str, Sample | EncodedSample]]:
+        yield "/ECM/right/camera_info", CameraSample(START_NS, right_of(scene.camera))
         for topic, sample in samples(scene, 5):
             if not isinstance(sample, ImageSample):
-                writer.write(topic, sample)
+                yield topic, sample
                 continue
-            frame += 1
-            right = replace(sample, frame_id="camera_right")
-            for side, to, image in (("left", topic, sample), ("right", "/ECM/right/image", right)):
-                encoded = encode(image)
-                data = encoded.data.replace(b"IHDR", b"XXXX") if (side, frame) in broken else encoded.data
-                writer.write(to, replace(encoded, data=data))
+            frame, image = next(frames), encode(sample)
+            damaged = replace(image, data=image.data.replace(b"IHDR", b"XXXX"))
+            for side in ("left", "right"):
+                yield f"/ECM/{side}/image", damaged if (side, frame) in broken else image
+
+    path = write_samples(tmp_path / "lossy.mcap", lossy(), {"scenario": "synthetic"})
     losses = []
     for jobs in (1, 2):
         recording = open_recording(path, SETUPS[0].profile)

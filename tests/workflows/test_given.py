@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Callable
+from heapq import merge
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,9 @@ import pytest
 
 import svmdist
 from svmdist.profile import load_profile
-from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import PoseSample, TransformsSample
 from svmdist.transforms import Array, inverse, quaternion_xyzw_from_rotation
-from tests.synthetic import START_NS, make_scene, samples, write_log
+from tests.synthetic import START_NS, make_scene, samples, write_log, write_samples
 
 SCENE = make_scene()
 FRAMES, STEP_NS = 12, 100_000_000
@@ -149,15 +149,14 @@ def test_what_cannot_be_scored_is_one_clear_line(cli, log, tmp_path, kind):
 
 def test_without_truth_poses_and_methods_stand_against_each_other(cli, tmp_path):
     """Poses of the log are the truth of the tool, and to the plane of distances; a pair has joint deviations."""
-    log, topic = tmp_path / "log.mcap", "/tracker/pose"
-    with RecordingWriter(log, {}) as writer:
-        for name, sample in samples(SCENE, FRAMES):
-            if isinstance(sample, TransformsSample) and "ground_truth" in name:
-                writer.write(
-                    topic, PoseSample(sample.stamp_ns, "camera", sample.transforms[0].T_parent_child)
-                )
-            elif "ground_truth" not in name:
-                writer.write(name, sample)
+    topic, pairs = "/tracker/pose", list(samples(SCENE, FRAMES))
+    tracked = [
+        (topic, PoseSample(sample.stamp_ns, "camera", sample.transforms[0].T_parent_child))
+        for name, sample in pairs
+        if isinstance(sample, TransformsSample) and "ground_truth" in name
+    ]
+    untrue = [(name, sample) for name, sample in pairs if "ground_truth" not in name]
+    log = write_samples(tmp_path / "log.mcap", merge(untrue, tracked, key=lambda pair: pair[1].stamp_ns))
     options = ("--topic", f"pose={topic}", "-f", "csv")
     scores = cli("validate", log, "--method", "kinematic", *options).rows[:2]
     assert {row["reference"] for row in scores} == {"pose", "kinematics"}

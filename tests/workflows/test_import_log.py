@@ -93,11 +93,13 @@ def test_cropped(tmp_path):
 
 
 def test_other_formats_are_decoded(tmp_path):
-    """BMP, TIFF and grey images become PNG with the same pixels."""
+    """BMP, TIFF and grey images become PNG with the same pixels; one of 16 bits is left out."""
     pixels = [_picture(1), _picture(2), np.repeat(_picture(3)[..., :1], 3, axis=2)]
     for name, image in zip(("a1.bmp", "a2.tiff", "b1.pgm"), pixels, strict=True):
         cv2.imwrite(str(tmp_path / name), image[..., 0] if name.endswith("pgm") else image)
+    cv2.imwrite(str(tmp_path / "b2.tiff"), _picture(4).astype(np.uint16))
     result = import_log(ImportOptions(ViewOptions(tmp_path, rate_hz=1.0), ONE), tmp_path / "out.mcap")
+    assert result.losses == [f"{tmp_path / 'b2.tiff'}: an image of 16 bits; 8 are expected"]
     for found, expected in zip(_images(_open(result.path)), pixels, strict=True):
         np.testing.assert_array_equal(found.image_bgr, expected)
 

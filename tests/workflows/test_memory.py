@@ -10,13 +10,12 @@ import pytest
 
 from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
-from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import JointSample
 from svmdist.workflows.calibrate import PIXELS_AS_THEY_ARE
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.request import Setup
 from tests.shipped import CHAIN, POSTURE
-from tests.synthetic import write_log
+from tests.synthetic import write_log, write_samples
 
 
 def _peak_bytes(path: Path) -> int:
@@ -60,10 +59,9 @@ print(next(int(line.split()[1]) for line in open("/proc/self/status") if line.st
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads its peak memory from /proc")
 def test_a_joint_state_takes_few_bytes(tmp_path):
     """A joint state is kept as its numbers, and poses are computed block by block: 300 bytes each at most."""
-    path, count = tmp_path / "joints.mcap", 300_000
-    with RecordingWriter(path, {}) as writer:
-        for number in range(count):
-            writer.write("/PSM1/measured_js", JointSample(number * 1_000_000, CHAIN.joint_names, POSTURE))
+    count = 300_000
+    states = (JointSample(number * 1_000_000, CHAIN.joint_names, POSTURE) for number in range(count))
+    path = write_samples(tmp_path / "joints.mcap", (("/PSM1/measured_js", state) for state in states))
     done = subprocess.run([sys.executable, "-c", FK, path], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) <= 102 + 300 * count / 1e6

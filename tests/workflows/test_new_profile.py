@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,12 +17,12 @@ from svmdist.estimation.scene import Arm
 from svmdist.profile import Profile, load_profile
 from svmdist.profile.robot import Instrument
 from svmdist.recording.summary import inspect_recording
-from svmdist.recording.writer import RecordingWriter
 from svmdist.report.profile_template import instrument_sizes, instrument_table, profile_text
-from svmdist.samples import CameraSample, ImageSample, PoseSample
+from svmdist.samples import CameraSample, Image, ImageSample, PoseSample, Sample
 from svmdist.vision.colour import find_distinct_colour
 from svmdist.workflows.new_profile import draft_profile, find_roles, shipped_robot
 from tests.conftest import REPOSITORY
+from tests.synthetic import write_samples
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 
@@ -47,6 +48,17 @@ def test_of_a_simulated_log(tmp_path):
     assert np.degrees(np.arccos(-profile.tissue.plane_normal[2])) < 5.0
 
 
+def scope_log(path: Path, images: Iterable[Image]) -> Path:
+    """A log of a scope's images, one a second, with its camera."""
+
+    def pairs() -> Iterator[tuple[str, Sample]]:
+        for number, image in enumerate(images):
+            yield "/scope/image", ImageSample(number * 10**9, "camera", image)
+            yield "/scope/camera_info", CameraSample(number * 10**9, CAMERA)
+
+    return write_samples(path, pairs())
+
+
 def guesses(instrument: Instrument) -> dict[str, tuple[float, float]]:
     """Guessed sizes with their deviations, in m."""
     radius_m = instrument.shaft_radius_m
@@ -60,11 +72,8 @@ def guesses(instrument: Instrument) -> dict[str, tuple[float, float]]:
 
 def test_guesses_are_marked_and_as_uncertain_as_instruments_differ(tmp_path):
     """The simulated instrument and a real needle driver are within two deviations; the table has only valid sizes."""
-    topics = ("/scope/image", "/scope/camera_info")
-    with RecordingWriter(tmp_path / "log.mcap", {}) as writer:
-        writer.write(topics[0], ImageSample(1, "camera", np.full((480, 640, 3), 90, np.uint8)))
-        writer.write(topics[1], CameraSample(1, CAMERA))
-    draft = draft_profile(tmp_path / "log.mcap", "mine", {})
+    log = scope_log(tmp_path / "log.mcap", [np.full((480, 640, 3), 90, np.uint8)])
+    draft = draft_profile(log, "mine", {})
     assert draft.instrument == "unknown"
     texts = {name: profile_text(replace(draft, instrument=name)) for name in instrument_table()}
     found = {name: Profile.model_validate(tomllib.loads(text)).instrument for name, text in texts.items()}
@@ -95,11 +104,12 @@ def test_of_two_instruments():
 def test_names_of_a_log_cannot_break_the_file(tmp_path):
     """Quotes, line ends and controls in topics stay inside their strings."""
     topic = '/evil"\n[limits]\x7f/image'
-    with RecordingWriter(tmp_path / "evil.mcap", {}) as writer:
-        writer.write(topic, ImageSample(1, "camera", np.full((480, 640, 3), 90, np.uint8)))
-        writer.write("/info", CameraSample(1, CAMERA))
-        writer.write("/PSM3/measured_cp", PoseSample(1, 'base"\n', np.eye(4)))
-    profile = _profile(tmp_path / "evil.mcap")
+    pairs = (
+        (topic, ImageSample(1, "camera", np.full((480, 640, 3), 90, np.uint8))),
+        ("/info", CameraSample(1, CAMERA)),
+        ("/PSM3/measured_cp", PoseSample(1, 'base"\n', np.eye(4))),
+    )
+    profile = _profile(write_samples(tmp_path / "evil.mcap", pairs))
     assert profile.topics.image == topic
     assert profile.frames.base == 'base"\n'
     assert profile.instrument_name == "PSM3"
@@ -107,13 +117,11 @@ def test_names_of_a_log_cannot_break_the_file(tmp_path):
 
 def test_choices_are_the_users(tmp_path):
     """Several cameras are listed; a log without calibrations says what is missing."""
-    image = np.zeros((48, 64, 3), np.uint8)
-    for name, topics in {"two": ("/room", "/scope"), "bare": ("/scope",)}.items():
-        with RecordingWriter(tmp_path / f"{name}.mcap", {}) as writer:
-            for topic in topics:
-                writer.write(f"{topic}/image", ImageSample(1, "camera", image))
-                if name == "two":
-                    writer.write(f"{topic}/camera_info", CameraSample(1, CAMERA))
+    image, info = ImageSample(1, "camera", np.zeros((48, 64, 3), np.uint8)), CameraSample(1, CAMERA)
+    two = {f"/{name}/image": image for name in ("room", "scope")}
+    write_samples(tmp_path / "bare.mcap", [("/scope/image", image)])
+    infos = {f"/{name}/camera_info": info for name in ("room", "scope")}
+    write_samples(tmp_path / "two.mcap", (two | infos).items())
     with pytest.raises(RecordingError, match="--topic image=TOPIC: /room/image, /scope/image"):
         draft_profile(tmp_path / "two.mcap", "mine", {})
     with pytest.raises(RecordingError, match="no topic with camera calibrations"):
@@ -146,28 +154,22 @@ def test_distinct_colours():
 
 def test_instruments_by_the_side_they_come_in_from(tmp_path):
     """Where nothing but images tells of two instruments, they are named by their sides; estimate accepts it."""
-    with RecordingWriter(tmp_path / "two.mcap", {}) as writer:
-        for number in range(6):
-            stamp_ns = number * 10**9
-            noise = np.random.default_rng(number).normal(0, 6, (480, 640, 3))
-            image = np.clip(np.add((90, 100, 190), noise), 0, 255).astype(np.uint8)
-            for start, end in (((0, 120), (240, 240 + 4 * number)), ((639, 90), (400, 250 - 4 * number))):
-                cv2.line(image, start, end, (70, 68, 65), 60)
-                cv2.line(image, start, end, (110, 108, 105), 24)  # round things shine along their middle
-            writer.write("/scope/image", ImageSample(stamp_ns, "camera", image))
-            writer.write("/scope/camera_info", CameraSample(stamp_ns, CAMERA))
-    profile = _profile(tmp_path / "two.mcap")
+    images = []
+    for number in range(6):
+        noise = np.random.default_rng(number).normal(0, 6, (480, 640, 3))
+        image = np.clip(np.add((90, 100, 190), noise), 0, 255).astype(np.uint8)
+        for start, end in (((0, 120), (240, 240 + 4 * number)), ((639, 90), (400, 250 - 4 * number))):
+            cv2.line(image, start, end, (70, 68, 65), 60)
+            cv2.line(image, start, end, (110, 108, 105), 24)  # round things shine along their middle
+        images.append(image)
+    profile = _profile(scope_log(tmp_path / "two.mcap", images))
     assert profile.instrument_names == ("PSM1", "PSM2")
     assert (profile.entry, profile.other_instruments[0].entry) == ("right", "left")
 
 
 def test_a_log_without_a_usable_image_is_told_by_all_that_look_at_it(cli, tmp_path):
     """A camera of another size than the images: no profile, no check, and `info` has the loss."""
-    log, images = tmp_path / "half.mcap", np.full((240, 320, 3), 90, np.uint8)
-    with RecordingWriter(log, {}) as writer:
-        for stamp_ns in (1, 2):
-            writer.write("/scope/image", ImageSample(stamp_ns, "camera", images))
-            writer.write("/scope/camera_info", CameraSample(stamp_ns, CAMERA))
+    log = scope_log(tmp_path / "half.mcap", [np.full((240, 320, 3), 90, np.uint8)] * 2)
     why = "320x240 px; the camera has 640x480"
     for command in (("profile", "new"), ("check",)):
         assert f"no image of 2 can be used: {why}" in cli(*command, log, code=1).err

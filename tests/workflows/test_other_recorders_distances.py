@@ -1,70 +1,31 @@
 """Whoever recorded a log, the same scene gives the same distances and the same figures."""
 
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from rosbags.rosbag1 import Writer as Bag1Writer
-from rosbags.rosbag2 import StoragePlugin
 
 from svmdist.recording.log import open_recording
 from svmdist.results import FrameResult
-from svmdist.samples import Sample, TransformSample, TransformsSample
-from svmdist.transforms import make_transform, rotation_z
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.request import Request, Setup, prepare
 from svmdist.workflows.scoring.references import Reference, truth_rules
 from svmdist.workflows.validate import Validation, validate
 from tests.measuring import flat
 from tests.recording.builders import Entry
-from tests.recording.other_recorders import ros_messages, write_ros2_mcap, write_rosbag1, write_rosbag2
-from tests.synthetic import START_NS, TISSUE_M, make_scene, samples, write_log
+from tests.recording.other_recorders import WRITERS, Message, ros_messages
+from tests.synthetic import make_scene, samples, tracked, write_log
 
-SCENE = make_scene()
 FRAME_COUNT = 12
 TOLERANCE_M = 1e-9
-SQLITE, MCAP = StoragePlugin.SQLITE3, StoragePlugin.MCAP
-LZ4 = Bag1Writer.CompressionFormat.LZ4
-
-RECORDERS: dict[str, Callable[[Path, list[Entry]], Path]] = {
-    "ros2 mcap": lambda folder, entries: write_ros2_mcap(folder / "a.mcap", ros_messages(entries)),
-    "rosbag2 sqlite": lambda folder, entries: write_rosbag2(folder / "a", ros_messages(entries), SQLITE),
-    "rosbag2 sqlite zstd": lambda folder, entries: write_rosbag2(
-        folder / "a", ros_messages(entries), SQLITE, compressed=True
-    ),
-    "rosbag2 mcap": lambda folder, entries: write_rosbag2(folder / "a", ros_messages(entries), MCAP),
-    "rosbag2 mcap zstd": lambda folder, entries: write_rosbag2(
-        folder / "a", ros_messages(entries), MCAP, compressed=True
-    ),
-    "ros1 bag": lambda folder, entries: write_rosbag1(folder / "a.bag", ros_messages(entries)),
-    "ros1 bag lz4": lambda folder, entries: write_rosbag1(folder / "a.bag", ros_messages(entries), LZ4),
-}
 RULES = ("camera:tool", "camera:tissue")
 
 
-def with_tracked_tool(topic: str, sample: Sample) -> Sample:
-    """Add tool and tissue to the transforms of the log, as a tracking system would publish them."""
-    if topic != "/tf" or not isinstance(sample, TransformsSample):
-        return sample
-    seconds = (sample.stamp_ns - START_NS) / 1e9
-    tool = TransformSample(sample.stamp_ns, "camera", "tool", SCENE.T_camera_tool_at(seconds))
-    tissue = TransformSample(sample.stamp_ns, "camera", "tissue", make_transform(rotation_z(0.3), TISSUE_M))
-    return replace(sample, transforms=(*sample.transforms, tool, tissue))
-
-
 @pytest.fixture(scope="module")
-def entries() -> list[Entry]:
-    """The synthetic scene, with tool and tissue among its transforms."""
-    found = samples(SCENE, FRAME_COUNT)
-    return [Entry(topic, with_tracked_tool(topic, sample)) for topic, sample in found]
-
-
-@pytest.fixture(scope="module")
-def native(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The scene as svmdist writes it."""
-    path = tmp_path_factory.mktemp("native") / "native.mcap"
-    return write_log(path, frame_count=FRAME_COUNT, change=with_tracked_tool)
+def messages() -> list[Message]:
+    """The synthetic scene, with tool and tissue among its transforms, as messages of ROS."""
+    return ros_messages(
+        [Entry(name, tracked(name, sample)) for name, sample in samples(make_scene(), FRAME_COUNT)]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -84,14 +45,15 @@ def measured(path: Path, setup: Setup) -> tuple[list[FrameResult], Validation]:
 
 
 @pytest.fixture(scope="module")
-def expected(native: Path, setup: Setup) -> tuple[list[FrameResult], Validation]:
-    """The same of the native log."""
-    return measured(native, setup)
+def expected(tmp_path_factory: pytest.TempPathFactory, setup: Setup) -> tuple[list[FrameResult], Validation]:
+    """The same of the scene as svmdist writes it."""
+    path = tmp_path_factory.mktemp("native") / "native.mcap"
+    return measured(write_log(path, frame_count=FRAME_COUNT, change=tracked), setup)
 
 
-@pytest.mark.parametrize("recorder", RECORDERS)
-def test_every_recorder_gives_the_same_distances(tmp_path, entries, setup, expected, recorder):
-    rows, validation = measured(RECORDERS[recorder](tmp_path, entries), setup)
+@pytest.mark.parametrize("recorder", WRITERS)
+def test_every_recorder_gives_the_same_distances(tmp_path, messages, setup, expected, recorder):
+    rows, validation = measured(WRITERS[recorder](tmp_path, messages), setup)
     native_rows, native_validation = expected
     assert sum(row.measured for row in native_rows) > FRAME_COUNT // 2
     assert [(row.stamp_ns, row.status) for row in rows] == [(row.stamp_ns, row.status) for row in native_rows]

@@ -1,4 +1,4 @@
-"""Replay: results do not depend on threads, on company, on order where nothing is remembered, or on the clock.
+"""Replay: results do not depend on threads, on company, or on the clock.
 
 Equal means bit for bit: threads change who computes a detection, and nothing of how.
 """
@@ -13,20 +13,16 @@ import numpy as np
 import pytest
 
 from svmdist.estimation.methods import METHODS
-from svmdist.estimation.scene import Arm
 from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample, Sample, Status
 from svmdist.vision.degradations import Degradation
 from svmdist.workflows.check import spread_observations
-from svmdist.workflows.replay import MultiInstrumentEstimator, Place, Replayed, replay
+from svmdist.workflows.replay import Replayed, replay
 from svmdist.workflows.request import CLEAN, Condition, Setup, prepare
 from tests.synthetic import START_NS, write_log
 
 FRAMES = 8
 NOISE = Condition(Degradation.NOISE, 2)
-
-
-PLACE = Place(number=0, seconds=0.0)
 
 
 def flattened(value: Any) -> Any:
@@ -100,22 +96,6 @@ def test_a_golden_log_s_methods_with_memory(golden, jobs):
         single = list(islice(replay(open_recording(recording, setup.profile), [setup], jobs=1), 5))
         assert outcomes(single) == [[lane[at]] for lane in outcomes(together)]
         assert all(lane[at].results[0].measured for lane in together)
-
-
-def test_methods_without_state_do_not_care_for_order(log, setups):
-    """One estimator fed with shuffled frames gives every frame the result that it has in order."""
-    frames = [lane[0].frames for lane in replayed(log, setups, jobs=1)]
-    shuffled = np.random.default_rng(1).permutation(len(frames))
-    checked = 0
-    for setup in setups:
-        estimator = MultiInstrumentEstimator(setup, [Arm(setup.profile)])
-        if estimator.keeps_state:
-            continue
-        checked += 1
-        in_order = [flattened(estimator.estimate(seen, PLACE, {}).results) for seen in frames]
-        again = {index: flattened(estimator.estimate(frames[index], PLACE, {}).results) for index in shuffled}
-        assert [again[index] for index in range(len(frames))] == in_order
-    assert checked >= 3
 
 
 def test_an_image_that_cannot_be_used_is_a_result_of_every_lane(tmp_path, setups):

@@ -1,6 +1,5 @@
 """The offset between the rows of a log's pairs: found once, removed from every row of results, for any --jobs."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -17,6 +16,7 @@ from svmdist.workflows import replay
 from svmdist.workflows.check import first_of, row_offset, row_offset_to_remove_px, spread_observations
 from svmdist.workflows.request import prepare
 from tests.reading import read_images, read_observations
+from tests.synthetic import right_of
 
 CAMERA = Camera.from_horizontal_fov(420, 280, np.pi / 3)
 BASELINE_M = 0.005
@@ -25,9 +25,6 @@ PROFILE = load_profile()
 
 def log(path: Path, rows_px: float, apart_ns: int = 0) -> Path:
     """A log of eight pairs of a soft texture, the right view some rows lower, and of another time."""
-    P = np.hstack([CAMERA.K, np.zeros((3, 1))])
-    P[0, 3] = -CAMERA.K[0, 0] * BASELINE_M
-    right_camera = replace(CAMERA, P=P, frame_id="camera_right")
     disparity_px = CAMERA.K[0, 0] * BASELINE_M / 0.1
     rng = np.random.default_rng(5)
     with RecordingWriter(path, {"scenario": "test", "seed": "5"}) as writer:
@@ -38,7 +35,7 @@ def log(path: Path, rows_px: float, apart_ns: int = 0) -> Path:
             moved = np.array([[1.0, 0.0, -disparity_px], [0.0, 1.0, rows_px]])
             right = cv2.warpAffine(texture, moved, (420, 280), None, cv2.INTER_CUBIC, cv2.BORDER_REFLECT)
             writer.write("/ECM/left/camera_info", CameraSample(stamp_ns, CAMERA))
-            writer.write("/ECM/right/camera_info", CameraSample(stamp_ns, right_camera))
+            writer.write("/ECM/right/camera_info", CameraSample(stamp_ns, right_of(CAMERA, BASELINE_M)))
             writer.write("/ECM/left/image", ImageSample(stamp_ns, "camera", texture))
             late_ns = stamp_ns + apart_ns
             right_image = ImageSample(late_ns, "camera_right", np.asarray(right, np.uint8))
@@ -46,13 +43,14 @@ def log(path: Path, rows_px: float, apart_ns: int = 0) -> Path:
     return path
 
 
-@pytest.mark.parametrize("rows_px", [-2.5, 0.0, 1.5])
+@pytest.mark.parametrize("rows_px", [-3.4, -2.5, 0.0, 1.5, 5.0])
 def test_the_offset_of_a_log_is_found(tmp_path, rows_px):
-    """To a tenth of a pixel; none, or less than half a pixel, is left alone."""
+    """To a tenth of a pixel, and within what is stated of it; none, or less than half a pixel, is left alone."""
     recording = open_recording(log(tmp_path / "pair.mcap", rows_px), PROFILE)
     spread = spread_observations(recording, 4)
     found = row_offset(first_of(spread, PROFILE), PROFILE)
     assert found.px == pytest.approx(rows_px, abs=0.1)
+    assert abs(found.px - rows_px) < 3.0 * found.std_px
     removed_px = row_offset_to_remove_px(first_of(spread, PROFILE), PROFILE)
     assert removed_px == (found.px if rows_px else 0.0)
 
