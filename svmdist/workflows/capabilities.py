@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from svmdist.camera import stereo_transform
-from svmdist.errors import CalibrationError, RecordingError, UsageError
-from svmdist.estimation.methods import REGISTRY
+from svmdist.errors import CalibrationError, ProfileError, RecordingError, UsageError
+from svmdist.estimation.methods import PLANAR_METHODS, REGISTRY, SPATIAL_METHODS
 from svmdist.profile import DEFAULT_PROFILE, Profile
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs
@@ -177,6 +177,20 @@ def misfit(summary: RecordingSummary, profile: Profile) -> str:
         f"not a log of profile {profile.name}, the simulator's: write one with `svmdist profile new {summary.path}"
         f" -o {stem}.toml` and give --profile {stem}.toml"
     )
+
+
+def require_clearance(setup: Setup) -> None:
+    """Refuse alarms where no clearance is estimated: no alarm would ever be raised, which looks like safety."""
+    method, profile = setup.method, setup.profile
+    if method in PLANAR_METHODS:
+        choices = ", ".join(SPATIAL_METHODS)
+        raise UsageError(
+            f"alarms need a clearance; {method} measures in the plane: the choices are {choices}"
+        )
+    if profile.instrument is None:
+        raise ProfileError(
+            f"profile {profile.name} has no [instrument]: alarms need a clearance, which needs the instrument's sizes"
+        )
 
 
 def look_for_tag(recording: Recording, profile: Profile) -> TagCheck | None:
