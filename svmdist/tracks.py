@@ -65,12 +65,11 @@ class Sampled:
 
 
 def _interpolate_rows(rows: Array, where: Bracket) -> Sampled:
-    if len(rows) == 0:
-        return Sampled(np.full((len(where.valid), *rows.shape[1:]), np.nan), where.valid)
-    weight = where.fraction[:, None]
+    values = np.full((len(where.valid), *rows.shape[1:]), np.nan)
+    left, right = (rows[side[where.valid]] for side in (where.left, where.right))
     # Written so that a fraction of 0 gives the left row to the last bit.
-    values = rows[where.left] + weight * (rows[where.right] - rows[where.left])
-    return Sampled(np.where(where.valid[:, None], values, np.nan), where.valid)
+    values[where.valid] = left + where.fraction[where.valid, None] * (right - left)
+    return Sampled(values, where.valid)
 
 
 @dataclass(frozen=True)
@@ -88,14 +87,9 @@ class JointTrack:
     def near(self, at_ns: int) -> Array:
         """The positions at a stamp, shape (j,); beyond the ends they go on at the rate that they have there."""
         inside_ns = int(np.clip(at_ns, self.stamps_ns[0], self.stamps_ns[-1]))
-        right = min(int(np.searchsorted(self.stamps_ns, inside_ns)), len(self.stamps_ns) - 1)
-        left = max(right - 1, 0)
-        span_ns = int(self.stamps_ns[right] - self.stamps_ns[left])
-        fraction = (inside_ns - int(self.stamps_ns[left])) / span_ns if span_ns else 0.0
-        inside = self.positions[left] + fraction * (self.positions[right] - self.positions[left])
-        if inside_ns == at_ns:
-            return np.asarray(inside)
-        return np.asarray(inside + self.rate_near(inside_ns) * (at_ns - inside_ns) / 1e9)
+        inside = np.asarray(self.at(np.array([inside_ns]), np.iinfo(np.int64).max).values[0])
+        beyond_ns = at_ns - inside_ns
+        return inside + self.rate_near(inside_ns) * beyond_ns / 1e9 if beyond_ns else inside
 
     def rate_near(self, at_ns: int) -> Array:
         """Derivatives by time about a stamp, shape (j,), by a least-squares line; zero for a single sample."""

@@ -139,8 +139,8 @@ def _served(file: Path, profile: Profile, topics: dict[str, str]) -> list[str]:
     summary = inspect_recording(file, profile, topics=topics)
     if said := misfit(summary, profile):
         raise RecordingError(f"{file}: {said}")
-    found = {one.name: one for one in method_capabilities(summary, profile)}
-    if served := [name for name in SEEING_METHODS if found[name].served]:
+    lacks = method_capabilities(summary, profile)
+    if served := [name for name in SEEING_METHODS if not lacks[name]]:
         return served
-    lacking = "; ".join(f"{name} lacks {', '.join(found[name].missing)}" for name in SEEING_METHODS)
+    lacking = "; ".join(f"{name} lacks {', '.join(lacks[name])}" for name in SEEING_METHODS)
     raise RecordingError(f"{file}: no method can see the tool: {lacking}")

@@ -326,12 +326,12 @@ class MeasureOptions(MethodOptions, InstrumentOption, LagOption, AlarmOptions, W
 
     def request(self, paths: Sequence[LogPath]) -> Request:
         """What is asked of each log, checked before the work; raises UsageError, ProfileError or CalibrationError."""
+        from svmdist.workflows.capabilities import require_clearance
         from svmdist.workflows.request import Request
-        from svmdist.workflows.scoring.scores import require_clearance
 
         lag, alarms, window, setup = self.given_lag, self.alarms, self.window, self.setup(paths)
         if alarms:
-            require_clearance(setup.method, setup.profile)
+            require_clearance(setup)
         return Request(setup, self.topics, window, self.instruments(setup.profile), lag, alarms)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from operator import itemgetter
 from typing import Any
 
@@ -78,6 +78,11 @@ def info_document(
     summary: RecordingSummary, profile: Profile, tags: capabilities.TagCheck | None = None
 ) -> dict[str, Any]:
     """The JSON document `svmdist.info/1`."""
+    methods = _served(capabilities.method_capabilities(summary, profile, tags))
+    commands = _served(capabilities.capabilities(summary, profile, tags))
+    if commands["estimate"]["served"]:
+        best = next(name for name in capabilities.PREFERRED if methods[name]["served"])
+        commands["estimate"]["note"] = f"by {best}"
     return {
         "schema": SCHEMA,
         "path": str(summary.path),
@@ -98,16 +103,13 @@ def info_document(
         "joint_names": {topic: list(names) for topic, names in summary.joint_names.items()},
         "is_clean": summary.health.is_clean,
         "losses": [str(loss) for loss in summary.health.losses],
-        "commands": _served(capabilities.capabilities(summary, profile, tags)),
-        "methods": _served(capabilities.method_capabilities(summary, profile, tags)),
+        "commands": commands,
+        "methods": methods,
     }
 
 
-def _served(found: Iterable[capabilities.Capability]) -> dict[str, dict[str, Any]]:
-    return {
-        one.name: {"served": one.served, "missing": [*one.missing]} | ({"note": one.note} if one.note else {})
-        for one in found
-    }
+def _served(lacks: Mapping[str, tuple[str, ...]]) -> dict[str, dict[str, Any]]:
+    return {name: {"served": not missing, "missing": [*missing]} for name, missing in lacks.items()}
 
 
 def _camera_document(camera: Camera) -> dict[str, Any]:

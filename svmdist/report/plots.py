@@ -233,7 +233,7 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
         product(("0.35", "0.6", "0.0"), MARKERS[1:]),
     )
     looks = {group: (grey, marker, 4.0) for group, (grey, marker) in zip(others, kinds, strict=False)}
-    known = [key for key in NAMES if any(metrics[f"{key}rmse_m"].of(score.figures) for score in scores)]
+    known = [key for key in NAMES if any(metrics[f"{key}rmse_m"].value(score.figures) for score in scores)]
     legend_rows = -(-len(groups) // _columns(map(str, groups), PAGE_IN)) if len(groups) > 1 else 0
     height_in = 2 * (LINE_IN * len(methods) + HEAD_IN) + 0.17 * legend_rows + 0.25
     figure = Figure(figsize=(PAGE_IN, height_in), layout="constrained")
@@ -248,7 +248,7 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
     for panel, (key, label) in zip(axes.T.flat, labels.items(), strict=True):
         metric, shown = metrics[key], []
         for score in scores:
-            value = metric.of(score.figures)
+            value = metric.value(score.figures)
             colour, marker, size = looks.get(score.group, ("0.0", MARKERS[0], 5.5))
             if isinstance(value, float) and np.isfinite(value):
                 shown.append(value * metric.unit.factor)

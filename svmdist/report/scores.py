@@ -14,7 +14,6 @@ from svmdist.estimation.methods import PLANAR_METHODS
 from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Unit, coverage
 from svmdist.report.tables import Column, Row, Table, counted, finite, metric_column, row_of
 from svmdist.report.writers import Results
-from svmdist.workflows.blur_bench import BlurRow
 from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.scoring import metric_table
 from svmdist.workflows.scoring.metric_table import Metric, Output, cells, of_part, within
@@ -223,17 +222,16 @@ BLUR_COLUMNS = (
     Column("coverage", SHARE, "coverage [%]"),
     Column("rmse_m", Unit("m", "mm", 1e3, 3), "RMSE [mm]"),
     Column("frame_count"),
-    Column("paper_keypoint_count", COUNT, "paper", "printed.keypoint_count"),
-    Column("paper_contour_area_px", COUNT, "paper", "printed.contour_area_px"),
+    Column("paper_keypoint_count", COUNT, "paper"),
+    Column("paper_contour_area_px", COUNT, "paper"),
 )
 
 
-def blur_results(measured: Sequence[BlurRow], recording_count: int) -> Results:
+def blur_results(rows: Sequence[Row], recording_count: int) -> Results:
     """The blur bench: Table I of the paper beside ours."""
-    rows = [row_of(BLUR_COLUMNS, row) for row in measured]
     (*ours, _, paper_keypoints, paper_area) = BLUR_COLUMNS
     shown = [*ours[:3], paper_keypoints, ours[3], paper_area, *ours[4:]]
-    title = f"{measured[0].frame_count} frames of {counted(recording_count, 'recording')}"
+    title = f"{rows[0]['frame_count']} frames of {counted(recording_count, 'recording')}"
     return Results(BLUR_COLUMNS, rows, tables=[Table.of(title, shown, rows)], notes=[BLUR_NOTE])
 
 

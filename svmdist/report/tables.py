@@ -97,7 +97,7 @@ def row_of(columns: Iterable[Column], source: Any) -> dict[str, Cell]:
 
 def metric_column(metric: Metric, heading: str = "") -> Column:
     """The column of a metric; a heading replaces its own."""
-    return Column(metric.key, metric.unit, heading or metric.title, metric.of)
+    return Column(metric.key, metric.unit, heading or metric.title, metric.value)
 
 
 @dataclass(frozen=True)

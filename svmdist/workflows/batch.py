@@ -27,7 +27,7 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
-from svmdist.errors import OutputError, ProfileError, SvmdistError, UsageError
+from svmdist.errors import OutputError, ProfileError, SvmdistError, UsageError, optional_package
 from svmdist.files import files_of, why, write_atomically
 from svmdist.recording.source import Health, Loss
 from svmdist.remote import LogPath, RemoteFile, without_secrets
@@ -271,19 +271,18 @@ def measured_on_cluster(
 
     Raises SvmdistError where the scheduler does not answer or is lost, or a worker has another svmdist.
     """
+    distributed = optional_package("distributed", "cluster", "--scheduler", UsageError)
     client = _connected(address)
-    from distributed import KilledWorker, as_completed
-
     try:
         # Packed, so that the scheduler need not know what is measured.
         packed = [pickle.dumps((measure, log)) for log in logs]
         options = {"expected": version("svmdist"), "pure": False, "retries": RETRIES}
         futures = client.map(measure_on_worker, packed, **options)
         places = {future.key: place for place, future in enumerate(futures)}
-        for future in as_completed(futures, loop=client.loop):
+        for future in distributed.as_completed(futures, loop=client.loop):
             try:
                 outcome = future.result()  # one that its worker took along when it died is measured again
-            except KilledWorker:
+            except distributed.KilledWorker:
                 outcome = Outcome(None, "the workers that measured it were lost, every one")
             except (CancelledError, OSError):
                 lost = f"the scheduler {address} is lost; --resume keeps the results of logs that ended"
@@ -304,13 +303,9 @@ def measure_on_worker(packed: bytes, expected: str) -> Any:
 
 def _connected(address: str) -> Any:
     """A client of the scheduler, once there are workers; SvmdistError where it does not answer in time."""
-    try:
-        from distributed import Client
-        from distributed.comm.addressing import get_address_host_port
-    except ImportError:
-        raise UsageError(
-            "--scheduler needs the package distributed, which is not installed: pip install 'svmdist[cluster]'"
-        ) from None
+    from distributed import Client
+    from distributed.comm.addressing import get_address_host_port
+
     # They print what is handled here
     for name in ("distributed", "distributed.client", "tornado.application", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -204,7 +204,7 @@ def _reported_tool(log: Recording, profile: Profile, against: Against, stamps_ns
         around = JointTrack(joints.stamps_ns[near], joints.names, joints.positions[near])
         sample = JointSample(int(stamps_ns[at]), joints.names, sampled.values[at])
         # With the base at the camera: all that follows is in the base's frame.
-        state = RobotState.of(chain, sample, np.eye(4), sample.stamp_ns, around if near.any() else None)
+        state = RobotState.of(chain, sample, np.eye(4), sample.stamp_ns, around)
         if isinstance(state, Failure):
             raise KinematicsError(state.reason)
         links = model.links(state, model.no_correction(), model.anchor_m(state))

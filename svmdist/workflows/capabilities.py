@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from svmdist.camera import stereo_transform
-from svmdist.errors import CalibrationError, RecordingError, UsageError
-from svmdist.estimation.methods import REGISTRY
+from svmdist.errors import CalibrationError, ProfileError, RecordingError, UsageError
+from svmdist.estimation.methods import METHODS, PLANAR_METHODS, REGISTRY, SPATIAL_METHODS
 from svmdist.profile import DEFAULT_PROFILE, Profile
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs
@@ -50,38 +50,19 @@ class TagCheck:
     found_count: int
 
 
-@dataclass(frozen=True, slots=True)
-class Capability:
-    """A command or method, and what is missing for it; `note` is a condition under which it can be served."""
-
-    name: str
-    missing: tuple[str, ...]
-    note: str = ""
-
-    @property
-    def served(self) -> bool:
-        """Whether it can be served."""
-        return not self.missing
-
-
 def capabilities(
     summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None
-) -> tuple[Capability, ...]:
-    """What this recording lacks for each command that reads recordings; `tags` is what `look_for_tag` found."""
+) -> dict[str, tuple[str, ...]]:
+    """What a recording lacks for each command that reads recordings, empty for those that it can serve.
+
+    `tags` is what `look_for_tag` found.
+    """
     methods = method_capabilities(summary, profile, tags)
-    missing = {
-        name: _missing(needs, summary, _seen_by_first(summary, profile)) for name, needs in COMMANDS.items()
-    }
-    best = next(
-        (name for name in PREFERRED for method in methods if method.name == name and method.served), ""
-    )
-    lacks = () if best else methods[0].missing
+    first = profile.for_instrument(instruments_in(summary, profile)[0])
+    lacks = () if () in methods.values() else methods[METHODS[0]]
     if said := misfit(summary, profile):
         lacks = (f"a profile of its own: it is {said}",)
-    return (
-        Capability("estimate", lacks, f"by {best}" if best and not lacks else ""),
-        *(Capability(*of) for of in missing.items()),
-    )
+    return {"estimate": lacks} | {name: _missing(needs, summary, first) for name, needs in COMMANDS.items()}
 
 
 def best_method(
@@ -108,9 +89,9 @@ def best_method(
             with suppress(RecordingError):  # whoever measures it says so
                 if with_tags:
                     tags = look_for_tag(open_recording(summary.path, profile, topics=topics), profile)
-            for method in method_capabilities(summary, profile, tags):
-                served[method.name] += method.served
-                lacks.setdefault(method.name, method.missing)
+            for name, missing in method_capabilities(summary, profile, tags).items():
+                served[name] += not missing
+                lacks.setdefault(name, missing)
         best = max(PREFERRED, key=served.__getitem__)  # the first of several
         if best != "fiducial":
             break
@@ -125,13 +106,12 @@ def best_method(
 
 def method_capabilities(
     summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None
-) -> tuple[Capability, ...]:
+) -> dict[str, tuple[str, ...]]:
     """The same for each method of `estimate`."""
-    profile = _seen_by_first(summary, profile)
-    return tuple(
-        Capability(method.name, _missing((*IMAGES, *method.inputs), summary, profile, tags))
-        for method in REGISTRY.values()
-    )
+    profile = profile.for_instrument(instruments_in(summary, profile)[0])
+    return {
+        name: _missing((*IMAGES, *method.inputs), summary, profile, tags) for name, method in REGISTRY.items()
+    }
 
 
 def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup, ...]:
@@ -141,7 +121,7 @@ def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup,
     """
     profile, topics = setups[0].profile, recording.origin.topics
     summary = inspect_recording(recording.path, profile, topics=topics, head_s=HEAD_S)
-    lacks = {one.name: one.missing for one in method_capabilities(summary, profile)}
+    lacks = method_capabilities(summary, profile)
     left: tuple[Setup, ...] = ()
     reasons = []
     for setup in setups:
@@ -179,15 +159,27 @@ def misfit(summary: RecordingSummary, profile: Profile) -> str:
     )
 
 
+def require_clearance(setup: Setup) -> None:
+    """Refuse alarms where no clearance is estimated: no alarm would ever be raised, which looks like safety."""
+    method, profile = setup.method, setup.profile
+    if method in PLANAR_METHODS:
+        choices = ", ".join(SPATIAL_METHODS)
+        raise UsageError(
+            f"alarms need a clearance; {method} measures in the plane: the choices are {choices}"
+        )
+    if profile.instrument is None:
+        raise ProfileError(
+            f"profile {profile.name} has no [instrument]: alarms need a clearance, which needs the instrument's sizes"
+        )
+
+
 def look_for_tag(recording: Recording, profile: Profile) -> TagCheck | None:
     """Look for the fiducial of the first instrument in some images of a log; None where the profile has none."""
     view = profile.for_instrument(recording.instruments[0])
     if view.fiducial is None:
         return None
-    topic = recording.topic_of("image")
-    count = next((info.message_count for info in recording.topics() if info.topic == topic), None) or 0
     looked = found = 0
-    for observation in observations_of(recording, count // TAG_IMAGES, LEFT_IMAGES):
+    for observation in observations_of(recording, (recording.image_count() or 0) // TAG_IMAGES, LEFT_IMAGES):
         tags = find_tags(to_grey(observation.image_bgr), view.fiducial.family, profile.settings.tag)
         looked += 1
         found += view.fiducial.id in tags
@@ -213,11 +205,6 @@ def instruments_in(summary: RecordingSummary, profile: Profile) -> tuple[str, ..
     return names if is_elsewhere else (profile.instrument_name, *names)
 
 
-def _seen_by_first(summary: RecordingSummary, profile: Profile) -> Profile:
-    first = instruments_in(summary, profile)[0]
-    return profile if first == profile.instrument_name else profile.for_instrument(first)
-
-
 def _missing(
     needs: tuple[str, ...], summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None
 ) -> tuple[str, ...]:
@@ -231,9 +218,10 @@ def _missing(
         return () if condition else (words,)
 
     has_base = profile.camera_to_base or {frames.camera, frames.base} <= set(summary.frames)
-    tag = ""
-    if tags is not None and tags.image_count and not tags.found_count:
-        tag = f"the tag {tags.name}: it is in none of {tags.image_count} images looked at"
+    has_tag = tags is None or tags.found_count or not tags.image_count
+    no_tag = (
+        "" if tags is None else f"the tag {tags.name}: it is in none of {tags.image_count} images looked at"
+    )
     lacking = {
         **{role: topics(role) for role in Role},
         **{part: unless(getattr(profile, part), f"[{part}] {of_profile}") for part in PARTS},
@@ -250,7 +238,7 @@ def _missing(
         "calibration": unless(profile.calibration, f"a calibration {of_profile} (--calibration)"),
         "camera_to_base": unless(has_base, f"transforms from {frames.camera} to {frames.base}"),
         "shaft": unless(profile.segmentation.shaft, f"[segmentation.shaft] {of_profile}"),
-        "tag": unless(not tag, tag),
+        "tag": unless(has_tag, no_tag),
     }
     return tuple(words for need in needs for words in lacking[need])
 

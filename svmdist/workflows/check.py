@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from svmdist.camera import Camera
 from svmdist.errors import RecordingError
 from svmdist.estimation import checks
 from svmdist.estimation.checks import Matches
@@ -119,46 +118,38 @@ def _row_differences(seen: Observation, profile: Profile, step: int) -> Array:
     return np.asarray(found[1][:, 1] - found[0][:, 1])
 
 
-@dataclass(frozen=True)
-class Looked:
-    """An image of a log with a frame for each instrument; `is_final` where no other image changes whose is what."""
-
-    scene: Scene
-    frames: Sequence[Frame]
-    is_final: bool
+def needs_association(arms: Sequence[Arm]) -> bool:
+    """Whether instruments have to be told apart: there are several, or images show others as such."""
+    return len(arms) > 1 or isinstance(arms[0].profile.segmentation, AutoSegmentation)
 
 
 def look(
-    seen: tuple[Observation, ...], arms: Sequence[Arm], segmenter: Segmenter, row_offset_px: float = 0.0
-) -> Looked:
-    """An image by itself: several instruments are told apart as in the first image of a log."""
+    seen: tuple[Observation, ...], arms: Sequence[Arm], segmenter: Segmenter, row_offset_px: float
+) -> list[Frame]:
+    """A frame for each instrument in an image: several are told apart as in the first image of a log."""
     scene = Scene(seen[0], arms[0].profile, segmenter, row_offset_px)
-    if len(arms) == 1 and not isinstance(arms[0].profile.segmentation, AutoSegmentation):
-        return Looked(scene, [Frame.of(scene, arms[0], seen[0], arms[0].state_at(seen[0]))], is_final=True)
+    if not needs_association(arms):
+        return [Frame.of(scene, arms[0], seen[0], arms[0].state_at(seen[0]))]
     from svmdist.estimation.association import Association
 
-    return Looked(scene, Association(arms).frames(scene, seen), is_final=False)
-
-
-def camera_changes(recording: Recording) -> list[tuple[Camera, Camera]]:
-    """The calibrations that follow each other in a log, where they differ; all of them after a pass."""
-    return [(one.before.camera, one.after.camera) for one in recording.camera_changes]
+    return Association(arms).frames(scene, seen)
 
 
 def checked(
+    recording: Recording,
     spread: Sequence[Sighted],
     arms: Sequence[Arm],
-    looked_at: Callable[[int, tuple[Observation, ...]], Looked],
+    looked_at: Callable[[int, tuple[Observation, ...]], list[Frame]],
     least: int = LOOKED_AT,
     pairs: int = 1,
-    is_part: bool = False,
-    changes: Sequence[tuple[Camera, Camera]] = (),
-) -> tuple[dict[str, Checks], dict[int, Looked]]:
+) -> tuple[dict[str, Checks], dict[int, list[Frame]]]:
     """The comparisons of each instrument by its name, and what was looked at for them by the number of the image.
 
-    Of a log that `is_part`, instruments are not compared. The `least` images from all of the log, and points of so many
-    `pairs`, are enough where nothing is suspect; else it is all of them.
+    Of a log that is about some of its instruments only, these are not compared. The `least` images from all of it, and
+    points of so many `pairs`, are enough where nothing is suspect; else it is all of them.
     """
+    is_part, is_associated = recording.is_part, needs_association(arms)
+    changes = [(one.before.camera, one.after.camera) for one in recording.camera_changes]
     names = [arm.profile.instrument_name for arm in arms]
     by_name: dict[str, list[Difference]] = {
         name: [*checks.of_profile(arm), *checks.of_calibrations(changes, arm.profile.camera_error)]
@@ -167,35 +158,34 @@ def checked(
     places: dict[str, list[dict[str, ToolPose]]] = {name: [] for name in names}
     first = np.linspace(0, len(spread) - 1, least).round().astype(int).tolist()
     order = list(dict.fromkeys([*first, *range(len(spread))])) if spread else []
-    looked: dict[int, Looked] = {}
+    looked: dict[int, list[Frame]] = {}
     matches: list[Matches] = []
 
     def found() -> dict[str, list[Difference]]:
         views = list(checks.of_views(arms[0].profile, matches))
         return {name: [*by_name[name], *checks.of_motion(places[name]), *views] for name in names}
 
-    for place in order[: max(least, 2 * CHECKED)]:
+    for place in order:
         is_suspect = any(d.deviations > SUSPECT_DEVIATIONS for ones in found().values() for d in ones)
         if len(looked) >= least and not is_suspect:
             break
         sighted = spread[place]
         if sighted.seen is None:
             continue
-        one = looked[sighted.number] = looked_at(sighted.number, sighted.seen)
-        shared = list(checks.of_scene(one.scene))
+        frames = looked[sighted.number] = looked_at(sighted.number, sighted.seen)
+        scene = frames[0].scene
+        shared = list(checks.of_scene(scene))
         # A surface that both views show is enough, where no method measures by both of them.
-        is_wanted = is_suspect or len(matches) < pairs or not (matches or one.scene.stereo_surface)
-        if is_wanted and (found_here := checks.matched(one.scene)) is not None:
+        is_wanted = is_suspect or len(matches) < pairs or not (matches or scene.stereo_surface)
+        if is_wanted and (found_here := checks.matched(scene)) is not None:
             matches.append(found_here)
-        for name, frame in zip(names, one.frames, strict=True):
+        for name, frame in zip(names, frames, strict=True):
             unknown = len(arms) > 1 and isinstance(frame.robot_in_camera, Failure)
             if is_part or unknown or frame.doubt:  # what the image shows may be another instrument
                 by_name[name] += shared
                 continue
             here = places_of(frame)
-            if (
-                not one.is_final
-            ):  # kinematics told which instrument is which: they are no evidence of their own
+            if is_associated:  # kinematics told which instrument is which: they are no evidence of their own
                 here.pop(KINEMATICS, None)
             places[name].append(here)
             by_name[name] += [*shared, *checks.of_frame(frame, here)]
@@ -238,13 +228,8 @@ def check_log(recording: Recording, profile: Profile) -> dict[str, Checks]:
         raise RecordingError(
             f"{recording.name}: no image of {len(spread)} can be used: {why.detail or why.status}"
         )
-    found, _ = checked(
-        spread,
-        arms,
-        lambda _, seen: look(seen, arms, segmenter, row_offset_px),
-        least=len(spread),
-        pairs=len(spread),
-        is_part=recording.is_part,
-        changes=camera_changes(recording),
-    )
-    return found
+
+    def looked_at(_number: int, seen: tuple[Observation, ...]) -> list[Frame]:
+        return look(seen, arms, segmenter, row_offset_px)
+
+    return checked(recording, spread, arms, looked_at, least=len(spread), pairs=len(spread))[0]

@@ -17,7 +17,7 @@ from svmdist.workflows.capabilities import served_setups
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import CLEAN, LogCondition, PerturbedCondition, Setup
 from svmdist.workflows.scoring.given import require_distinct
-from svmdist.workflows.scoring.references import ANY_TRUTH, Reference, Truth, truth_at, truth_follows_images
+from svmdist.workflows.scoring.references import ANY_TRUTH, Reference, Truth, truth_at, truth_lag_ns
 from svmdist.workflows.scoring.scores import SCORED, DistanceScore, Readings, pooled_score, score_pairs
 
 GroupBy = Callable[[Mapping[str, str]], str]  # names the group of a recording by its metadata
@@ -114,9 +114,8 @@ def measure_runs(
     Then the differences of two methods: of all where the log has no ground truth, else of those of others from ours.
     Processes share conditions or methods; `jobs` threads work ahead where nothing can be shared. `advance` is called
     for every image, condition and setup; `by` groups by other metadata than the scenario. A method that the log cannot
-    serve is left out, with a remark. Raises RecordingError where
-    the recording has no ground-truth distances, and nothing to compare; another instrument than the first is left out
-    where it has no truth that the first has.
+    serve is left out, with a remark; another instrument than the first where it has no truth that the first has. Raises
+    RecordingError where the recording has no ground-truth distances, and nothing to compare.
     """
     jobs = parallel.usable_cores() if jobs is None else jobs
     first = recording.instruments[0]
@@ -142,15 +141,17 @@ def measure_runs(
     methods, scores = [setup.method for setup in setups], []
     for (at, of, name), (rows, truth, seconds) in sorted(found.items(), key=lambda one: one[0][:2]):
         group = group_of(recording, conditions[at], name, by)
-        scores.append(MethodScore(group, methods[of], _figures(rows, truth, seconds), name))
+        scores.append(MethodScore(group, methods[of], figures_of(rows, truth, seconds), name))
         for place in range(of + 1, len(setups)):
             if truth is None or setups[of].is_given != setups[place].is_given:
-                differences = _figures(found[at, place, name][0], rows.truth, np.nan, rows)
+                differences = figures_of(found[at, place, name][0], rows.truth, np.nan, rows)
                 scores.append(MethodScore(group, methods[place], differences, name, methods[of]))
     return sorted(scores, key=lambda score: bool(score.against))
 
 
-def _figures(rows: Readings, truth: Truth | None, seconds: float, other: Readings | None = None) -> Figures:
+def figures_of(
+    rows: Readings, truth: Truth | None, seconds: float = np.nan, other: Readings | None = None
+) -> Figures:
     """The figures of rows; without a truth their counts."""
     unmeasured = rows.rejected.total()
     if other is not None:
@@ -217,11 +218,9 @@ class _Work:
                 advance()
         found: Found = {}
         for key, rows in readings.items():
-            own, of_name = read.for_instrument(key[2]), profile.for_instrument(key[2])
-            lag, truth = read.lag, None
+            own, of_name, truth = read.for_instrument(key[2]), profile.for_instrument(key[2]), None
             if key[2] in self.known:
-                follows = lag is None or truth_follows_images(own, of_name)
-                at_ns = rows.stamps_ns - (0 if lag is None or follows else lag.lag_ns)
+                at_ns = rows.stamps_ns - truth_lag_ns(own, of_name)
                 truth = truth_at(own, of_name, Reference.GROUND_TRUTH, at_ns, "corrected", ANY_TRUTH)
             found[key] = rows, truth, np.nan if self.setups[key[1]].is_given else seconds[key]
         return found

@@ -22,25 +22,22 @@ class Ending:
     """
 
     wanted: tuple[str, ...] = ()
-    tally: dict[str, dict[str, int]] = field(default_factory=dict)
-    seen: dict[str, int] = field(default_factory=dict)
-    refused: dict[str, int] = field(default_factory=dict)
+    tally: dict[str, Counter[str]] = field(default_factory=dict)
+    seen: Counter[str] = field(default_factory=Counter)
+    refused: Counter[str] = field(default_factory=Counter)
     events: list[AlarmEvent] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
     least: FrameResult | None = None  # the row of the smallest clearance
 
     def add(self, row: FrameResult, watches: Mapping[str, AlarmWatch]) -> AlarmState | None:
         """Count a row, and judge it by the alarms of its instrument; None without any."""
-        details = self.tally.setdefault(str(row.status), {})
-        details[row.detail] = details.get(row.detail, 0) + 1
+        self.tally.setdefault(str(row.status), Counter())[row.detail] += 1
         least = None if self.least is None else self.least.distances.clearance
         found = row.distances.clearance if row.measured else None
         if found is not None and (least is None or found.value_m < least.value_m):
             self.least = row
-        for name in (*row.accepted, *row.refused):
-            self.seen[name] = self.seen.get(name, 0) + 1
-        for name in row.refused:
-            self.refused[name] = self.refused.get(name, 0) + 1
+        self.seen.update((*row.accepted, *row.refused))
+        self.refused.update(row.refused)
         return watches[row.instrument].watch(row) if row.instrument in watches else None
 
     def close(self, watches: Mapping[str, AlarmWatch], remarks: Iterable[str] = ()) -> None:
@@ -63,7 +60,7 @@ class Ending:
     @property
     def statuses(self) -> dict[str, int]:
         """The counts by status."""
-        return {status: sum(details.values()) for status, details in self.tally.items()}
+        return {status: details.total() for status, details in self.tally.items()}
 
 
 def refusals_in_words(endings: Iterable[Ending]) -> Iterator[str]:
@@ -106,7 +103,7 @@ def alarms_in_words(endings: Mapping[str, Ending], rules: AlarmRules) -> str:
         long_log, longest = max(every, key=lambda one: one[1].duration_s)
         said += f": first at {first.start_s:.2f} s {at(first_log, first, first.start_number)}"
         said += f", longest {longest.duration_s:.2f} s {at(long_log, longest, longest.start_number)}"
-    statuses = [(status, count) for one in endings.values() for status, count in one.statuses.items()]
-    if lost := sum(count for status, count in statuses if status != Status.OK):
+    statuses = sum((Counter(one.statuses) for one in endings.values()), Counter[str]())
+    if lost := statuses.total() - statuses[Status.OK]:
         said += f"; {lost} frames without a clearance raise none, which does not make them safe"
     return said

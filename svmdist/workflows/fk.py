@@ -37,7 +37,7 @@ def fk_blocks(
     *,
     in_camera: bool = False,
     window: Window | None = None,
-    on_progress: Progress | None = None,
+    on_progress: Progress = lambda _done, _total: None,
 ) -> Generator[PoseBlock]:
     """Yield the tool's pose for every joint state of a recording, or those in a window, by the profile's chain.
 
@@ -50,8 +50,7 @@ def fk_blocks(
     chain = chain_of(profile.robot)
     joints = recording.joint_track()
     count = len(joints.stamps_ns)
-    if on_progress is not None:
-        on_progress(count, count)
+    on_progress(count, count)
     stamps_ns, positions = joints.stamps_ns, joints.positions
     if window is not None:
         inside = window.places(stamps_ns)

@@ -56,7 +56,7 @@ def drawn_frames(
     wanted: Sequence[str] | None = None,
     jobs: int | None = None,
     numbers: Collection[int] | None = None,
-    on_image: Callable[[], None] | None = None,
+    on_image: Callable[[], None] = lambda: None,
 ) -> Iterator[DrawnFrame]:
     """Replay and draw every image, or some `numbers` up to the last; `on_image` is called for each one read."""
     watches = alarm_watches(recording.instruments, rules)
@@ -67,8 +67,7 @@ def drawn_frames(
             for result in replayed.results
             if result.instrument in watches
         }
-        if on_image is not None:
-            on_image()
+        on_image()
         if numbers is None or number in numbers:
             yield DrawnFrame(number, seconds, replayed, alarms, frame_drawing(replayed, setup, alarms))
         if numbers is not None and number >= max(numbers, default=-1):

@@ -203,7 +203,7 @@ def record_episodes(
     episodes: Episodes,
     paths: Sequence[Path],
     jobs: int | None = None,
-    on_progress: Callable[[int, int], None] | None = None,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[Recorded]:
     """Record an episode to each path, with the scenario's seed and those after it; what came of them, in order.
 
@@ -221,8 +221,7 @@ def record_episodes(
         with closing(_each_recorded(episodes, paths, jobs)) as done:
             for number, episode in done:
                 found[number] = replace(episode, path=paths[number])
-                if on_progress is not None:
-                    on_progress(len(found), len(paths))
+                on_progress(len(found), len(paths))
     finally:
         for number, part in enumerate(parts):
             if number not in found or found[number].failure:  # its process was ended

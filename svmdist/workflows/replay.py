@@ -23,7 +23,6 @@ from svmdist.estimation.comparison import Checks
 from svmdist.estimation.frame import Frame, Needs, prefetch
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile.robot import Tissue
-from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import Decoded, EncodedObservation
 from svmdist.recording.observations import Needs as ReadNeeds
@@ -32,11 +31,10 @@ from svmdist.results import Distances, FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection, Status
 from svmdist.vision.frame_context import seen_through
 from svmdist.workflows.check import (
-    Looked,
-    camera_changes,
     checked,
     first_of,
     look,
+    needs_association,
     row_offset_to_remove_px,
     spread_observations,
     warning,
@@ -90,9 +88,6 @@ class Place(TypedDict):
     seconds: float
 
 
-NO_CHECKS: Mapping[str, Checks] = {}
-
-
 class MultiInstrumentEstimator:
     """One method on every wanted instrument of a recording, each with an estimator of its own.
 
@@ -105,14 +100,15 @@ class MultiInstrumentEstimator:
         self,
         setup: Setup,
         arms: Sequence[Arm],
-        checks: Mapping[str, Checks] = NO_CHECKS,
+        checks: Mapping[str, Checks] | None = None,
         camera: Camera | None = None,
     ) -> None:
         self._calibrated = camera if setup.is_calibrated else None
         self._estimators = [setup.estimator_for(arm) for arm in arms]
         self._arms = tuple(arms)
         self._is_given = setup.is_given
-        self._doubts = {name: one.doubt(setup.method) for name, one in checks.items() if setup.own is None}
+        known = checks if checks and setup.own is None else {}
+        self._doubts = {name: one.doubt(setup.method) for name, one in known.items()}
         self.needs: Needs = self._estimators[0].needs
         self.keeps_state: bool = self._estimators[0].keeps_state
 
@@ -144,8 +140,6 @@ class MultiInstrumentEstimator:
 def _through_lens(result: FrameResult, frame: Frame) -> FrameResult:
     """The result with its pixels as they are in the recorded image."""
     lens = frame.scene.lens
-    if not lens.has_distortion:
-        return result
     places = (("tool_px", result.image.tool_px), ("tissue_px", result.image.tissue_px))
     moved = {name: as_pixel(seen_through(lens, np.array([px]))[0]) for name, px in places if px is not None}
     return result.with_image(**moved)
@@ -153,13 +147,13 @@ def _through_lens(result: FrameResult, frame: Frame) -> FrameResult:
 
 @dataclass(frozen=True)
 class _Ahead:
-    """Of a frame under a condition: its scene; the frame of its only instrument, None where several are associated.
+    """Of an image under a condition: its scene; a frame for each instrument, none where these are to be associated.
 
-    `measured` has an entry for each method, None for one that waits for the frame before.
+    `measured` has an entry for each method, None for one that waits for the image before.
     """
 
     scene: Scene
-    frames: list[Frame] | None
+    frames: list[Frame]
     measured: tuple[Replayed | None, ...]
     spent_s: Mapping[str, float]
 
@@ -193,12 +187,15 @@ class _Replay:
         self._conditions = tuple(conditions)
         self._segmenter = self._setup.segmenter  # one network, whatever becomes of the setup
         self._row_offset_px = 0.0
-        self._looked: dict[tuple[int, int], Looked] = {}
+        self._looked: dict[tuple[int, int], list[Frame]] = {}
         self._checks: list[dict[str, Checks]] = [{} for _ in conditions]
-        self._are_given = all(setup.is_given for setup in setups)
         if not all(setup.is_planar or setup.is_given for setup in setups):
             self._compare(any(setup.needs_right_view for setup in setups))
-        self._associations = [self._association() for _ in conditions]
+        self._associations: list[Association | None] = [None] * len(conditions)
+        if needs_association(self._arms) and not all(setup.is_given for setup in setups):
+            from svmdist.estimation.association import Association
+
+            self._associations = [Association(self._arms) for _ in conditions]
         self._lanes = [[self._lane(setup, known) for setup in setups] for known in self._checks]
         self._needs = reduce(Needs.__or__, (lane.needs for lane in self._lanes[0]))
 
@@ -212,19 +209,14 @@ class _Replay:
             return
         for at, condition in enumerate(self._conditions):
 
-            def looked(number: int, seen: tuple[Observation, ...]) -> Looked:
+            def looked(number: int, seen: tuple[Observation, ...]) -> list[Frame]:
                 changed = tuple(condition.apply(one, number) for one in seen)  # noqa: B023
                 return look(changed, self._arms, self._segmenter, self._row_offset_px)
 
             self._checks[at], found = checked(
-                spread,
-                self._arms,
-                looked,
-                pairs=int(needs_rows),
-                is_part=self._recording.is_part,
-                changes=camera_changes(self._recording),
+                self._recording, spread, self._arms, looked, pairs=int(needs_rows)
             )
-            self._looked |= {(at, number): one for number, one in found.items()}
+            self._looked |= {(at, number): frames for number, frames in found.items()}
         first = self._checks[0]
         if self._conditions[0] == CLEAN and (said := warning(first)):
             health.add(Loss(LossKind.CONTRADICTION, said))
@@ -258,15 +250,6 @@ class _Replay:
             setup, [arms[place] for place in self._places], known, self._recording.camera
         )
 
-    def _association(self) -> Association | None:
-        """What tells the instruments apart; None where there is one, and images show no others as such."""
-        is_alone = len(self._arms) == 1 and not isinstance(self._setup.profile.segmentation, AutoSegmentation)
-        if is_alone or self._are_given:
-            return None
-        from svmdist.estimation.association import Association
-
-        return Association(self._arms)
-
     def run(self, jobs: int, rest: bool) -> Iterator[tuple[Replayed, ...]]:
         several = len(self._arms) > 1  # what tells them apart starts from nominal kinematics
         robot, right = self._needs.robot or several, self._needs.right_view
@@ -287,24 +270,18 @@ class _Replay:
 
     def _look(self, at: int, place: Place, found: tuple[Observation, ...]) -> _Ahead:
         """One condition of a frame: its scene; of a single instrument its detections, and methods without state."""
-        seen = self._conditions[at].apply(found[0], place["number"])
-        looked = self._looked.pop((at, place["number"]), None)
-        if looked is None:
-            scene = Scene(seen, self._setup.profile, self._segmenter, self._row_offset_px)
+        if looked := self._looked.pop((at, place["number"]), []):
+            scene = looked[0].scene
         else:
-            scene = looked.scene
+            seen = self._conditions[at].apply(found[0], place["number"])
+            scene = Scene(seen, self._setup.profile, self._segmenter, self._row_offset_px)
         spent_s = prefetch(scene, self._needs.scene)
         lanes = self._lanes[at]
         if self._associations[at] is not None:
             prefetch(scene, ("left.masks.seen", "right.masks.seen"))
-            return _Ahead(scene, None, (None,) * len(lanes), spent_s)
-        if looked is None:
-            frames = [
-                Frame.of(scene, arm, one, arm.state_at(one))
-                for arm, one in zip(self._arms, found, strict=True)
-            ]
-        else:
-            frames = list(looked.frames)
+            return _Ahead(scene, [], (None,) * len(lanes), spent_s)
+        each = zip(self._arms, found, strict=True)
+        frames = looked or [Frame.of(scene, arm, one, arm.state_at(one)) for arm, one in each]
         spent_s |= prefetch(frames[0], self._needs.frame)
         measured = [None if lane.keeps_state else lane.estimate(frames, place, spent_s) for lane in lanes]
         return _Ahead(scene, frames, tuple(measured), spent_s)
@@ -319,10 +296,7 @@ class _Replay:
                 yield from (Replayed(lost, (0.0,) * len(lost)) for _ in lanes)
             return
         for ahead, association, lanes in zip(conditions, self._associations, self._lanes, strict=True):
-            every = ahead.frames
-            if every is None and association is not None:
-                every = association.frames(ahead.scene, found)
-            assert every is not None  # one instrument, or an association
+            every = association.frames(ahead.scene, found) if association else ahead.frames
             chosen = [every[at] for at in self._places]
             for lane, known in zip(lanes, ahead.measured, strict=True):
                 replayed = known or lane.estimate(chosen, place, ahead.spent_s)

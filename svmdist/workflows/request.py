@@ -238,20 +238,17 @@ class Setup:
 
     def with_tissue_std(self, std_m: float, shape_std_m: float = 0.0) -> Setup:
         """The same where the tissue's place, and its shape, have another standard deviation beside the stated one."""
-        profile, tissue = self.profile, self.profile.tissue
-        if tissue is None:
-            return self
-        std_m = math.hypot(tissue.plane_distance_std_m, std_m)
-        shape_std_m = math.hypot(tissue.surface_std_m, shape_std_m)
-        update = {"plane_distance_std_m": std_m, "surface_std_m": shape_std_m}
-        tissue = tissue.model_copy(update=update)
-        return replace(self, profile=profile.model_copy(update={"tissue": tissue}))
+        tissue = self.profile.tissue
+        assert tissue is not None  # only of one that was compared is it known how far it is off
+        stds = {"plane_distance_std_m": std_m, "surface_std_m": shape_std_m}
+        stds = {name: math.hypot(getattr(tissue, name), other) for name, other in stds.items()}
+        tissue = tissue.model_copy(update=stds)
+        return replace(self, profile=self.profile.model_copy(update={"tissue": tissue}))
 
     def was_fitted_on(self, recording: Recording) -> bool:
         """Whether the calibration was fitted on this very recording: then its figures prove nothing."""
-        if self.calibration is None or self.equations == "printed":
-            return False
-        return recording.sha256() in {source.sha256 for source in self.calibration.sources}
+        sources = self.calibration.sources if self.calibration and self.is_calibrated else ()
+        return bool(sources) and recording.sha256() in {source.sha256 for source in sources}
 
     def degeneracies(self, camera: Camera) -> list[str]:
         """Sentences about where the equations cannot be right for this camera's image."""
@@ -306,10 +303,10 @@ def prepare(
     if equations not in ("corrected", "printed"):
         raise UsageError(f"no equations {equations}: {did_you_mean(equations, ('corrected', 'printed'))}")
     loaded = profile if isinstance(profile, Profile) else load_profile(profile, hand_eye)
-    if not isinstance(method, str | OwnMethod):
-        found = type(method).__name__
-        raise UsageError(f"expected a method's name, or an object with estimate(frame); found {found}")
     if not isinstance(method, str):
+        if not isinstance(method, OwnMethod):
+            found = type(method).__name__
+            raise UsageError(f"expected a method's name, or an object with estimate(frame); found {found}")
         return Setup(loaded, OwnEstimator(method).name, equations, own=method)
     is_planar, is_printed = method in PLANAR_METHODS, equations == "printed"
     if not is_planar and (is_printed or calibration is not None):

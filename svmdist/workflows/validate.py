@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -17,6 +18,7 @@ from svmdist.estimation.alarms import AlarmRules, alarm_watches
 from svmdist.files import read_regular, why, write_atomically
 from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
+from svmdist.workflows.capabilities import require_clearance
 from svmdist.workflows.ending import Ending
 from svmdist.workflows.estimate import Keep, Measured, given_lag, recording_lag, with_lag
 from svmdist.workflows.parallel import Steps
@@ -25,7 +27,7 @@ from svmdist.workflows.request import Request
 from svmdist.workflows.scoring.given import Given
 from svmdist.workflows.scoring.metric_table import FIRST_KEYS, Better, Tolerance, cells, stored_metrics
 from svmdist.workflows.scoring.references import BY_POSES, KINEMATICS_PRINTED_NOTE, Reference
-from svmdist.workflows.scoring.scores import Readings, Score, pool_scores, require_clearance, score_rows
+from svmdist.workflows.scoring.scores import Readings, Score, pool_scores, score_rows
 
 PAPER_R_SQUARED = 0.78  # the paper's own figure (sec. IV); its scene differs from every scene here
 
@@ -81,7 +83,7 @@ def validate(recordings: Sequence[Recording], request: Request, jobs: int | None
 def require_truth_for_alarms(request: Request) -> None:
     """Raise UsageError where alarms are asked for that cannot be scored."""
     if request.alarms is not None:
-        require_clearance(request.setup.method, request.setup.profile)
+        require_clearance(request.setup)
         if Reference.GROUND_TRUTH not in request.rules.wanted:
             raise UsageError(
                 f"alarms are scored against {Reference.GROUND_TRUTH}, the only reference with a clearance; the"
@@ -150,11 +152,9 @@ def score_recording(
         if not offset.told:
             notes.append(f"{label}: the lag cannot be told and 0 is used: {offset.reason}")
         for reference in wanted:
-            poses = (
-                Readings(row for row in by[reference] if row.instrument == name) if reference in by else None
-            )
+            given = by.get((reference, name))
             try:
-                score = score_rows(rows, view, seen, reference, rules, offset, request.alarms, poses)
+                score = score_rows(rows, view, seen, reference, rules, offset, request.alarms, given)
             except (RecordingError, KinematicsError) as problem:
                 missing.append(f"{label}: no {reference} to compare with: {problem}")
                 if reference in asked_for:
@@ -174,17 +174,18 @@ def score_recording(
 
 def _measured(
     read: Recording, request: Request, references: Sequence[Reference], jobs: int | None, steps: Steps
-) -> tuple[list[FrameResult], dict[Reference, list[FrameResult]]]:
-    """The rows of a recording, and in the same pass those of references whose tissue is seen in the images."""
+) -> tuple[list[FrameResult], dict[tuple[Reference, str], Readings]]:
+    """The rows of a recording, and in the same pass what references give, by instrument, whose tissue images show."""
     given = [Given(str(one), rules=request.rules, on_surface=one is Reference.SURFACE) for one in references]
     setups = [request.setup, *(replace(request.setup, method=one.name, own=one) for one in given)]
     every: list[FrameResult] = []
-    others: dict[Reference, list[FrameResult]] = {one: [] for one in references}
+    by = defaultdict[tuple[Reference, str], Readings](Readings)
     for first, *rest in replay(read, setups, wanted=request.instruments, jobs=jobs):
-        every += steps.of(iter(first.results))
-        for rows, replayed in zip(others.values(), rest, strict=True):
-            rows.extend(replayed.results)
-    return every, others
+        every += steps.of(first.results)
+        for reference, replayed in zip(references, rest, strict=True):
+            for row in replayed.results:
+                by[reference, row.instrument].add(row)
+    return every, by
 
 
 SCHEMA: Literal["svmdist.baseline/1"] = "svmdist.baseline/1"

@@ -12,7 +12,6 @@ from svmdist.recording.source import Health
 from svmdist.recording.summary import RecordingSummary, TopicSummary
 from svmdist.recording.topics import Role
 from svmdist.workflows.capabilities import (
-    Capability,
     best_method,
     capabilities,
     instruments_in,
@@ -51,15 +50,15 @@ def without(*roles: str, frames: tuple[str, ...] = FULL.frames) -> RecordingSumm
     return replace(FULL, roles=kept, frames=frames)
 
 
-def lacking(found: tuple[Capability, ...]) -> dict[str, tuple[str, ...]]:
+def lacking(found: dict[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
     """What each lacks that cannot be served."""
-    return {one.name: one.missing for one in found if not one.served}
+    return {name: missing for name, missing in found.items() if missing}
 
 
 def test_a_recording_that_has_everything_serves_everything():
     """Every method is listed, in order; those that need a calibration of the profile find it."""
     assert lacking(capabilities(FULL, PROFILE)) == {}
-    assert tuple(one.name for one in method_capabilities(FULL, PROFILE)) == tuple(METHODS)
+    assert tuple(method_capabilities(FULL, PROFILE)) == tuple(METHODS)
     assert lacking(method_capabilities(FULL, PROFILE)) == {}
 
 
@@ -133,8 +132,7 @@ def test_auto_is_the_best_method_that_log_and_profile_serve(golden, log, changes
 def test_a_log_that_is_none_of_the_default_profile_s_names_what_makes_one(golden, tmp_path):
     """Neither made with it nor with its joints: its colours and sizes are another scene's."""
     foreign = replace(FULL, metadata={}, joint_names={})
-    (estimate,) = [one for one in capabilities(foreign, PROFILE) if one.name == "estimate"]
-    assert "svmdist profile new a.mcap -o a.toml" in estimate.missing[0]
+    assert "svmdist profile new a.mcap -o a.toml" in capabilities(foreign, PROFILE)["estimate"][0]
     mine = PROFILE.model_copy(update={"name": "mine"})
     assert lacking(capabilities(foreign, mine)).keys() <= {"fk"}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
 
@@ -11,10 +11,11 @@ import numpy as np
 
 from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation import plane_mapping as paper
+from svmdist.estimation.lag import LagEstimate
 from svmdist.estimation.plane_mapping import Equations
 from svmdist.kinematics import chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
-from svmdist.recording.log import Recording
+from svmdist.recording.log import KnownLag, Recording
 from svmdist.recording.topics import Role
 from svmdist.tracks import MAX_GAP_NS, Sampled
 from svmdist.transforms import Array, Stamps
@@ -201,27 +202,38 @@ def _kinematic_poses(recording: Recording, profile: Profile, max_gap_ns: int) ->
     return at
 
 
-def truth_follows_images(recording: Recording, profile: Profile) -> bool:
-    """Whether ground truth has the clock of the images rather than that of the robot, for a log whose lag is known.
+def truth_lag_ns(recording: Recording, profile: Profile) -> int:
+    """Time offset from ground truth's stamps to the images': the known lag of a log, or 0 where truth has their clock.
 
     The true tool is compared with the nominal one under either clock; what the robot believes wrongly is mostly a
     constant. Where nothing tells them apart it is the robot's: images are what is late.
     """
-    if recording.lag is None or recording.lag.lag_ns == 0:
-        return True
+    lag_ns = recording.lag.lag_ns if recording.lag else 0
+    if lag_ns == 0:
+        return 0
     try:
         nominal = tool_track(recording, profile, Reference.KINEMATICS, ANY_TRUTH)
         frames = profile.frames
         true = recording.transform_track(frames.camera, frames.tool, ground_truth=True)
     except (RecordingError, KinematicsError):
-        return False
+        return lag_ns
     # Nominal joints are on the images' clock here: of truth on the robot's clock, they are late by the lag.
     stamps_ns = true.stamps_ns[:: max(1, len(true.stamps_ns) // MAX_CLOCK_STAMPS)]
-    moments = [nominal(stamps_ns + late_ns) for late_ns in (0, recording.lag.lag_ns)]
+    moments = [nominal(stamps_ns + late_ns) for late_ns in (0, lag_ns)]
     known = moments[0].valid & moments[1].valid
     if not known.any():
-        return False
+        return lag_ns
     expected = true.at(stamps_ns[known]).values[:, :3, 3]
     errors = [found.values[known, :3, 3] - expected for found in moments]
     with_images, with_robot = (float(np.mean(np.var(error, axis=0))) for error in errors)
-    return with_images < with_robot
+    return 0 if with_images < with_robot else lag_ns
+
+
+def reference_lag_ns(
+    recording: Recording, profile: Profile, reference: Reference, lag: LagEstimate | None
+) -> int:
+    """Time offset from a reference's stamps to the images': the lag, or 0 where the reference has the images' clock."""
+    known = KnownLag(lag.lag_s if lag else 0.0)
+    if reference is Reference.GROUND_TRUTH:
+        return truth_lag_ns(replace(recording, lag=known), profile)
+    return known.lag_ns

@@ -12,13 +12,11 @@ from typing import Any
 import numpy as np
 
 from svmdist import metrics
-from svmdist.errors import ProfileError, RecordingError, UsageError
+from svmdist.errors import RecordingError
 from svmdist.estimation.alarms import AlarmEvent, AlarmRules, AlarmWatch, alarm_events
 from svmdist.estimation.lag import LagEstimate
-from svmdist.estimation.methods import PLANAR_METHODS, SPATIAL_METHODS
 from svmdist.estimation.plane_mapping import Equations
-from svmdist.profile import Profile
-from svmdist.recording.log import KnownLag, Recording
+from svmdist.recording.log import Recording
 from svmdist.results import Z_95, FrameResult
 from svmdist.tracks import Mask
 from svmdist.transforms import (
@@ -174,19 +172,6 @@ def pooled_score(parts: Sequence[DistanceScore | None]) -> DistanceScore | None:
     return score_pairs(pooled(known)) if known else None
 
 
-def require_clearance(method: str, profile: Profile | None = None) -> None:
-    """Refuse alarms where no clearance is estimated: no alarm would ever be raised, which looks like safety."""
-    if method in PLANAR_METHODS:
-        choices = ", ".join(SPATIAL_METHODS)
-        raise UsageError(
-            f"alarms need a clearance; {method} measures in the plane: the choices are {choices}"
-        )
-    if profile is not None and profile.instrument is None:
-        raise ProfileError(
-            f"profile {profile.name} has no [instrument]: alarms need a clearance, which needs the instrument's sizes"
-        )
-
-
 def score_alarms(
     rows: Sequence[FrameResult], truth: Truth, stamps_ns: Stamps, rules: AlarmRules
 ) -> metrics.AlarmStatistics:
@@ -276,17 +261,6 @@ class Score:
         return metrics.coverage(self.frame_count - self.rejected_count, self.frame_count)
 
 
-def truth_lag_ns(
-    recording: Recording, setup: Setup, reference: references.Reference, lag: LagEstimate | None
-) -> int:
-    """Time offset from a reference's stamps to the images': the lag, or 0 where the reference has the images' clock."""
-    if lag and lag.lag_s and reference is references.Reference.GROUND_TRUTH:
-        corrected = replace(recording, lag=KnownLag(lag.lag_s))
-        if references.truth_follows_images(corrected, setup.profile):
-            return 0
-    return round(lag.lag_s * 1e9) if lag else 0
-
-
 def score_rows(
     rows: Sequence[FrameResult],
     recording: Recording,
@@ -309,7 +283,7 @@ def score_rows(
         return references.truth_at(recording, setup.profile, reference, at_ns, setup.equations, rules)
 
     readings = Readings(rows)
-    lag_ns = truth_lag_ns(recording, setup, reference, lag)
+    lag_ns = references.reference_lag_ns(recording, setup.profile, reference, lag)
     stamps_ns = readings.stamps_ns - lag_ns
     truth = truth_of(stamps_ns)
     planar, *others = (readings.pairs(name, truth, stamps_ns) for name in SCORED)
@@ -338,9 +312,7 @@ def pool_scores(scores: Sequence[Score], named: str = "overall") -> Score:
     scores = sorted(scores, key=lambda score: (score.recording, score.pairs.stamps_ns[:1].tolist()))
     rejected = sum((Counter(score.rejected) for score in scores), Counter[str]())
     alarms = [score.alarms for score in scores if score.alarms]
-    measured: dict[str, Any] = {
-        name: pooled_score([getattr(one, name) for one in scores]) for name in SCORED[1:]
-    }
+    measured: Any = {name: pooled_score([getattr(one, name) for one in scores]) for name in SCORED[1:]}
     return replace(
         scores[0],
         recording=named,

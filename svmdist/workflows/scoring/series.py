@@ -14,8 +14,8 @@ from svmdist.results import Z_95
 from svmdist.transforms import Array
 from svmdist.workflows.estimate import Measured
 from svmdist.workflows.request import Request
-from svmdist.workflows.scoring.references import Reference, truth_at
-from svmdist.workflows.scoring.scores import DISTANCES, Readings, truth_lag_ns
+from svmdist.workflows.scoring.references import Reference, reference_lag_ns, truth_at
+from svmdist.workflows.scoring.scores import DISTANCES, Readings
 
 PREFERRED = ("clearance", "spatial", "planar")
 APART_S = 1.0  # between two of the worst frames
@@ -135,7 +135,7 @@ def series_of(
         rows = [row for row in one.rows if row.instrument == name]
         recording, setup = one.recording.for_instrument(name), request.setup.for_instrument(name)
         readings = Readings(rows)
-        at_ns = readings.stamps_ns - truth_lag_ns(recording, setup, asked, one.lag)
+        at_ns = readings.stamps_ns - reference_lag_ns(recording, setup.profile, asked, one.lag)
         truths = {name: np.full(len(rows), np.nan) for name in PREFERRED}
         try:
             truth = truth_at(recording, setup.profile, asked, at_ns, setup.equations, request.rules)
