@@ -205,14 +205,21 @@ def _least_squares_homography(start: Array, template_px: Array, frame_px: Array)
     Gauss–Newton from a start that is near (Hartley and Zisserman 2004, sec. 4.2.2). Both sets of points are normalised
     (sec. 4.4.4), without which the normal equations would lose half of the digits.
     """
-    (p, to_template_px), (q, to_frame_px) = _normalised(template_px), _normalised(frame_px)
-    start = np.linalg.inv(to_frame_px) @ start @ to_template_px
+    template, frame = _normalised(template_px), _normalised(frame_px)
+    if template is None or frame is None:
+        return None
+    (p, to_template_px), (q, to_frame_px) = template, frame
+    start = _inverse_similarity(to_frame_px) @ start @ to_template_px
+    if abs(start[2, 2]) < 1e-12:
+        return None
     h = (start / start[2, 2]).ravel()[:8]
     found = minimise(h, lambda h: _normal_equations(h, p, q), np.add, REFIT_STEPS)
     if found is None:
         return None
     fitted = np.append(found.state, 1.0).reshape(3, 3)
-    fitted = to_frame_px @ fitted @ np.linalg.inv(to_template_px)
+    fitted = to_frame_px @ fitted @ _inverse_similarity(to_template_px)
+    if not np.all(np.isfinite(fitted)) or abs(fitted[2, 2]) < 1e-12:
+        return None
     return np.asarray(fitted / fitted[2, 2])
 
 
@@ -234,12 +241,19 @@ def _normal_equations(h: Array, p: Array, q: Array) -> NormalEquations | None:
     return NormalEquations(float(off @ off), by_element @ off, by_element @ by_element.T)
 
 
-def _normalised(points_px: Array) -> tuple[Array, Array]:
-    """Points (n, 2) of zero mean and mean square 1, and the similarity (3, 3) back to px."""
+def _normalised(points_px: Array) -> tuple[Array, Array] | None:
+    """Points (n, 2) of zero mean and mean square 1, and the similarity (3, 3) back to px; None where all are alike."""
     mean = points_px.sum(0) / len(points_px)
     off = points_px - mean
     size = math.sqrt(float(np.vdot(off, off)) / off.size)
+    if not size > 0.0:
+        return None
     return off / size, np.array([[size, 0.0, mean[0]], [0.0, size, mean[1]], [0.0, 0.0, 1.0]])
+
+
+def _inverse_similarity(S: Array) -> Array:
+    size, x, y = S[0, 0], S[0, 2], S[1, 2]
+    return np.asarray(np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, size]]) / size)
 
 
 def transfer(H: Array, points_px: Array) -> Array:
