@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import cv2
@@ -61,23 +61,23 @@ class HsvMasks(Masks):
     """The masks of one image by colour, each made when it is first asked for."""
 
     def __init__(self, hsv: Image, rules: HsvSegmentation) -> None:
-        self._hsv = hsv
+        self._channels = _channels_of(hsv)
         self._rules = rules
 
     @cached_property
     def tissue(self) -> Image:
         """Pixels of the tissue's colour."""
-        return colour_mask(self._hsv, self._rules.tissue)
+        return _mask(self._channels, self._rules.tissue)
 
     @cached_property
     def instrument(self) -> Image:
         """Pixels of the instrument's colour."""
-        return colour_mask(self._hsv, self._rules.instrument)
+        return _mask(self._channels, self._rules.instrument)
 
     @cached_property
     def shaft(self) -> Image | None:
         """Pixels as dark as the shaft."""
-        return None if self._rules.shaft is None else colour_mask(self._hsv, self._rules.shaft)
+        return None if self._rules.shaft is None else _mask(self._channels, self._rules.shaft)
 
 
 class HsvSegmenter:
@@ -105,10 +105,22 @@ def to_grey(bgr: Image) -> Image:
 
 def colour_mask(image_hsv: Image, region: ColourRegion) -> Image:
     """Mask, shape (h, w) with 0 or 255, of the pixels inside an HSV box whose hue may wrap around 0."""
+    return _mask(_channels_of(image_hsv), region)
 
-    def inside(channel: int, first: int, last: int) -> Image:
-        # Channel by channel: a test of one channel takes an eighth of what one of three channels at once takes.
-        return np.asarray(cv2.inRange(cv2.extractChannel(image_hsv, channel), first, last), np.uint8)
+
+_Channels = Callable[[int], Image]
+
+
+def _channels_of(image_hsv: Image) -> _Channels:
+    """The channels of an image, shape (h, w) each; only those that a box bounds are taken out, once."""
+    return cache(lambda channel: np.asarray(cv2.extractChannel(image_hsv, channel), np.uint8))
+
+
+def _mask(channel: _Channels, region: ColourRegion) -> Image:
+    """Channel by channel: a test of one channel takes an eighth of what one of three channels at once takes."""
+
+    def inside(number: int, first: int, last: int) -> Image:
+        return np.asarray(cv2.inRange(channel(number), first, last), np.uint8)
 
     first, last = region.hue
     mask = inside(2, *region.value)
