@@ -165,7 +165,7 @@ class Association:
         self._gate = arms[0].profile.segmentation.instrument
         self._settings = arms[0].profile.settings.association
         self._trackers: dict[str, RegionTracker] = {}
-        self._entries: EntryTracker | None = None
+        self._entries: tuple[EntryTracker, EntryTracker] | None = None  # of the left and of the right view
         self._before: list[SeenInstrument] = []
         self._before_ns = 0
 
@@ -184,7 +184,10 @@ class Association:
         return [Frame.of(scene, *one) for one in each]
 
     def _by_entries(self, scene: Scene) -> tuple[list[OtherMasks], list[str]]:
-        """Where no robot tells where its instrument is: by the sides they come in from, and across the views."""
+        """Where no robot tells where its instrument is: by the sides they come in from, and across the views.
+
+        What the left view shows is looked for in the right one. An instrument that one of them shows is measured by that.
+        """
         stamp_ns, right = scene.observation.stamp_ns, scene.right
         # What the image before shows and this one was not found to is sought where it was.
         for before in self._before if abs(stamp_ns - self._before_ns) < 1e9 * FOLLOWED_S else ():
@@ -193,11 +196,12 @@ class Association:
         if self._entries is None:
             profiles = [arm.profile for arm in self._arms]
             names, sides = [one.instrument_name for one in profiles], [one.entry for one in profiles]
-            self._entries = EntryTracker(names, sides, scene.left.shape)
+            shapes = scene.left.shape, (right or scene.left).shape
+            self._entries = EntryTracker(names, sides, shapes[0]), EntryTracker(names, sides, shapes[1])
         beside, cost = self._across_views(scene, seen)
         # What the right view does not show, or elsewhere than at its depth, is as likely none of them.
         unlike = np.min(np.minimum(cost, UNNAMED_COST), 2) if len(beside) else np.zeros(cost.shape[:2])
-        named = self._entries.update(stamp_ns, seen, unlike)
+        named = self._entries[0].update(stamp_ns, seen, unlike)
         self._before, self._before_ns = [seen[one.seen] for one in named if one.seen is not None], stamp_ns
         left = [_other_than(one.seen, seen) for one in named]
         doubts = [one.doubt for one in named]
@@ -210,7 +214,19 @@ class Association:
         none = np.full(len(beside), np.inf)
         own = [none if one.seen is None else cost[i, one.seen] for i, one in enumerate(named)]
         found = ranked_assignments(np.array(own), UNNAMED_COST, UNSEEN_COST)[0][1]
-        return [(mask, _other_than(at, beside)) for mask, at in zip(left, found, strict=True)], doubts
+        # What the right view alone shows is named by where it comes in there.
+        unlike = np.full(cost.shape[::2], np.inf)
+        for i, (one, at) in enumerate(zip(named, found, strict=True)):
+            if at is not None:
+                unlike[i, at] = 0.0
+            elif one.seen is None:
+                unlike[i, [place not in found for place in range(len(beside))]] = 0.0
+        alone = self._entries[1].update(stamp_ns, beside, unlike)
+        in_right = [one.seen if at is None else at for one, at in zip(alone, found, strict=True)]
+        doubts = [
+            beyond.doubt if one.seen is None else one.doubt for one, beyond in zip(named, alone, strict=True)
+        ]
+        return [(mask, _other_than(at, beside)) for mask, at in zip(left, in_right, strict=True)], doubts
 
     def _seek_beside(self, scene: Scene, i: int, seen: SeenInstrument) -> None:
         """Look in the right view for what the left one shows of an instrument, at the depth of its radius."""

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import lru_cache
+from itertools import islice
 
 import cv2
 import numpy as np
@@ -10,16 +11,21 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.distal_marker import Expected, MarkerPair, pair_markers
 from svmdist.estimation.instrument.factors import marked, of_images
+from svmdist.estimation.methods import make_estimator
 from svmdist.estimation.scene import Arm
 from svmdist.profile import load_profile
+from svmdist.profile.segmentation import AutoSegmentation
+from svmdist.recording.log import open_recording
 from svmdist.results import FrameResult
 from svmdist.samples import Image, Observation, RightView, Status
 from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.frame_context import as_pinholes
 from svmdist.vision.segmentation import make_segmenter
 from svmdist.vision.stereo import RectifiedPair
+from svmdist.workflows.check import look
 from tests.measuring import Measuring, frame_of
 from tests.pictures import RED_BGR, ShaftImage, entering_from
+from tests.reading import read_observations
 from tests.synthetic import make_scene
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
@@ -183,3 +189,37 @@ def test_a_pair_that_is_not_rectified_is_refused(right_m, said):
     assert said in row.detail
     assert row.spatial_m is None
     assert row.tissue_x_px is not None or right_m is not None
+
+
+def test_without_joints_an_instrument_is_measured_by_the_only_view_that_shows_it(golden):
+    """Both instruments are painted over in one view: the other one has each by its own name, and as sure as it is."""
+    rules = AutoSegmentation(method="auto")
+    segmenter = make_segmenter(rules)
+    sides = {"PSM1": "right", "PSM2": "left"}
+    arms = [
+        Arm(PROFILE.model_copy(update={"segmentation": rules, "instrument_name": name, "entry": side}))
+        for name, side in sides.items()
+    ]
+    every = read_observations(open_recording(golden / "3d" / "duo.mcap", PROFILE))
+    seen = replace(next(islice(every, 3, None)), joints=None, T_camera_base=None, joint_track=None)
+
+    def painted(image: Image) -> Image:
+        masks = np.bitwise_or.reduce([one.mask for one in segmenter.masks(image).seen])
+        return cv2.inpaint(image, cv2.dilate(masks, np.ones((15, 15), np.uint8)), 3.0, cv2.INPAINT_TELEA)
+
+    def places(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
+        tools = [
+            make_estimator("stereo", arm).estimate(frame).tool.pose
+            for arm, frame in zip(arms, look((observation,) * 2, arms, segmenter, 0.0), strict=True)
+        ]
+        return np.array([one.position_m for one in tools]), np.array([one.position_std_m for one in tools])
+
+    by_both_m, std_m = places(seen)
+    assert np.linalg.norm(by_both_m[0] - by_both_m[1]) > 0.02
+    for one_view in (
+        replace(seen, image_bgr=painted(seen.image_bgr)),
+        replace(seen, right=replace(seen.right, image_bgr=painted(seen.right.image_bgr))),
+    ):
+        found_m, found_std_m = places(one_view)
+        assert (np.linalg.norm(found_m - by_both_m, axis=1) < found_std_m).all()
+        assert (found_std_m >= 0.98 * std_m).all()
