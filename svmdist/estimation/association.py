@@ -186,7 +186,7 @@ class Association:
     def _by_entries(self, scene: Scene) -> tuple[list[OtherMasks], list[str]]:
         """Where no robot tells where its instrument is: by the sides they come in from, and across the views.
 
-        What the left view shows is looked for in the right one. An instrument that one of them shows is measured by that.
+        What the left view shows is looked for in the right one. What only one of them shows is measured by that one.
         """
         stamp_ns, right = scene.observation.stamp_ns, scene.right
         # What the image before shows and this one was not found to is sought where it was.
