@@ -18,9 +18,9 @@ LINE_STD_PX = 1.5  # of a middle line, in pixels of the working image
 
 
 def sides_beside(
-    seen: SeenInstrument, cameras: tuple[Camera, Camera], T_right_left: Array, radius_m: float
+    seen: SeenInstrument, cameras: tuple[Camera, Camera], T_other_own: Array, radius_m: float
 ) -> Array | None:
-    """Where the right view has the sides of a shaft of a radius that the left one shows, (2, 2, 2) in px, or None."""
+    """Where one camera has the sides of a shaft of a radius that another one shows, (2, 2, 2) in px, or None."""
     K, ends = cameras[0].K, cameras[0].rays(seen.sides)[:, :2].reshape(2, 2, 2)
     inside, scale = ends.mean((0, 1)), float(K[0, 0]) ** -2
     lines = [line_between(*one) for one in zip(ends, scale * seen.side_covariance, strict=True)]
@@ -30,11 +30,11 @@ def sides_beside(
     rays = np.column_stack([ends.mean(0), np.ones(2)])
     # Where each ray passes the axis: the middle of what the other directions leave of it.
     across = np.cross(axis.direction, np.cross(rays, axis.direction))
-    left_m = rays * ((across @ axis.point_m) / np.sum(across * rays, 1))[:, None]
-    points_m = left_m @ T_right_left[:3, :3].T + T_right_left[:3, 3]
+    own_m = rays * ((across @ axis.point_m) / np.sum(across * rays, 1))[:, None]
+    points_m = own_m @ T_other_own[:3, :3].T + T_other_own[:3, 3]
     along = (points_m[1] - points_m[0]) / max(float(np.linalg.norm(points_m[1] - points_m[0])), 1e-9)
     normals = [tangent_normal(points_m[1], along, radius_m, side)[0] for side in (-1, 1)]
-    if not (min(left_m[:, 2].min(), points_m[:, 2].min()) > radius_m and np.isfinite(normals).all()):
+    if not (min(own_m[:, 2].min(), points_m[:, 2].min()) > radius_m and np.isfinite(normals).all()):
         return None
     return np.array([cameras[1].project(points_m - radius_m * normal) for normal in normals])
 

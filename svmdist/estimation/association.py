@@ -152,6 +152,11 @@ def _other_than(own: int | None, seen: Sequence[SeenInstrument]) -> Image | None
     return np.asarray(others if own is None else others & ~seen[own].mask, np.uint8)
 
 
+def _assigned(cost: Sequence[Array]) -> Sequence[int | None]:
+    """For each instrument which of those seen in another view it most likely is, by -log likelihoods; None for none."""
+    return ranked_assignments(np.array(cost), UNNAMED_COST, UNSEEN_COST)[0][1]
+
+
 def _seek(context: FrameContext, sides: Array | None) -> None:
     if sides is not None and isinstance(context.masks, AutoMasks):
         context.masks.seek(sides)
@@ -184,10 +189,7 @@ class Association:
         return [Frame.of(scene, *one) for one in each]
 
     def _by_entries(self, scene: Scene) -> tuple[list[OtherMasks], list[str]]:
-        """Where no robot tells where its instrument is: by the sides they come in from, and across the views.
-
-        What the left view shows is looked for in the right one. What only one of them shows is measured by that one.
-        """
+        """Where no robot tells where its instrument is: by the sides they come in from, and across the views."""
         stamp_ns, right = scene.observation.stamp_ns, scene.right
         # What the image before shows and this one was not found to is sought where it was.
         for before in self._before if abs(stamp_ns - self._before_ns) < 1e9 * FOLLOWED_S else ():
@@ -203,37 +205,68 @@ class Association:
         unlike = np.min(np.minimum(cost, UNNAMED_COST), 2) if len(beside) else np.zeros(cost.shape[:2])
         named = self._entries[0].update(stamp_ns, seen, unlike)
         self._before, self._before_ns = [seen[one.seen] for one in named if one.seen is not None], stamp_ns
-        left = [_other_than(one.seen, seen) for one in named]
-        doubts = [one.doubt for one in named]
         if right is None:
-            return [(mask, None) for mask in left], doubts
+            return [(_other_than(one.seen, seen), None) for one in named], [one.doubt for one in named]
+        return self._in_both_views(scene, seen, named, cost)
+
+    def _in_both_views(
+        self, scene: Scene, seen: Sequence[SeenInstrument], named: Sequence[NamedInstrument], cost: Array
+    ) -> tuple[list[OtherMasks], list[str]]:
+        """The same of both views: what one of them shows is sought in the other one.
+
+        What that does not show, either, is measured by the one alone. `cost` is that of `_across_views` so far.
+        """
+        assert self._entries is not None
+        # What the left view shows is sought in the right one, where it is at the depth of the instrument's radius.
         for i, one in enumerate(named):
             if one.seen is not None and cost[i, one.seen].min(initial=np.inf) > UNNAMED_COST:
-                self._seek_beside(scene, i, seen[one.seen])
+                self._seek_in_other(scene, i, seen[one.seen], is_left=True)
         beside, cost = self._across_views(scene, seen)
-        none = np.full(len(beside), np.inf)
-        own = [none if one.seen is None else cost[i, one.seen] for i, one in enumerate(named)]
-        found = ranked_assignments(np.array(own), UNNAMED_COST, UNSEEN_COST)[0][1]
-        # What the right view alone shows is named by where it comes in there.
+        unseen = np.full(len(beside), np.inf)
+        own = [unseen if one.seen is None else cost[i, one.seen] for i, one in enumerate(named)]
+        in_right = list(_assigned(own))
+
+        # What the right view alone shows is named by where it comes in there, and sought in the left one.
         unlike = np.full(cost.shape[::2], np.inf)
-        for i, (one, at) in enumerate(zip(named, found, strict=True)):
+        for i, (one, at) in enumerate(zip(named, in_right, strict=True)):
             if at is not None:
                 unlike[i, at] = 0.0
             elif one.seen is None:
-                unlike[i, [place not in found for place in range(len(beside))]] = 0.0
-        alone = self._entries[1].update(stamp_ns, beside, unlike)
-        in_right = [one.seen if at is None else at for one, at in zip(alone, found, strict=True)]
+                unlike[i, [place not in in_right for place in range(len(beside))]] = 0.0
+        alone = self._entries[1].update(scene.observation.stamp_ns, beside, unlike)
+        known = len(scene.left.masks.seen or ())
+        for i, (one, beyond) in enumerate(zip(named, alone, strict=True)):
+            if one.seen is None and beyond.seen is not None:
+                in_right[i] = beyond.seen
+                self._seek_in_other(scene, i, beside[beyond.seen], is_left=False)
+        seen = scene.left.masks.seen or ()
+        _, cost = self._across_views(scene, seen[known:])
+        unseen = np.full(len(seen) - known, np.inf)
+        pairs = list(zip(named, in_right, strict=True))
+        own = [
+            unseen if at is None or one.seen is not None else cost[i, :, at]
+            for i, (one, at) in enumerate(pairs)
+        ]
+        found = [None if at is None else known + at for at in _assigned(own)]
+        self._before += [seen[at] for at in found if at is not None]
+        in_left = [at if one.seen is None else one.seen for one, at in zip(named, found, strict=True)]
         doubts = [
             beyond.doubt if one.seen is None else one.doubt for one, beyond in zip(named, alone, strict=True)
         ]
-        return [(mask, _other_than(at, beside)) for mask, at in zip(left, in_right, strict=True)], doubts
+        each = zip(in_left, in_right, strict=True)
+        return [(_other_than(at, seen), _other_than(beyond, beside)) for at, beyond in each], doubts
 
-    def _seek_beside(self, scene: Scene, i: int, seen: SeenInstrument) -> None:
-        """Look in the right view for what the left one shows of an instrument, at the depth of its radius."""
+    def _seek_in_other(self, scene: Scene, i: int, seen: SeenInstrument, is_left: bool) -> None:
+        """Look in the other view for what one of them shows of an instrument, at the depth of its radius."""
         instrument, right = self._arms[i].profile.instrument, scene.observation.right
-        if instrument is not None and scene.right is not None and right is not None:
-            cameras, T_right_left = (scene.observation.camera, right.camera), inverse(right.T_left_right)
+        if instrument is None or scene.right is None or right is None:
+            return
+        cameras, T_right_left = (scene.observation.camera, right.camera), inverse(right.T_left_right)
+        if is_left:
             _seek(scene.right, sides_beside(seen, cameras, T_right_left, instrument.shaft_radius_m))
+        else:
+            sides = sides_beside(seen, cameras[::-1], right.T_left_right, instrument.shaft_radius_m)
+            _seek(scene.left, sides)
 
     def _across_views(
         self, scene: Scene, seen: Sequence[SeenInstrument]
