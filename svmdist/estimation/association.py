@@ -152,9 +152,11 @@ def _other_than(own: int | None, seen: Sequence[SeenInstrument]) -> Image | None
     return np.asarray(others if own is None else others & ~seen[own].mask, np.uint8)
 
 
-def _assigned(cost: Sequence[Array]) -> Sequence[int | None]:
-    """For each instrument which of those seen in another view it most likely is, by -log likelihoods; None for none."""
-    return ranked_assignments(np.array(cost), UNNAMED_COST, UNSEEN_COST)[0][1]
+def _assigned(cost: Sequence[Array | None], count: int) -> Sequence[int | None]:
+    """For each instrument the likeliest of `count` that another view shows, by -log likelihoods; None for none."""
+    none = np.full(count, np.inf)
+    rows = np.array([none if row is None else row for row in cost])
+    return ranked_assignments(rows, UNNAMED_COST, UNSEEN_COST)[0][1]
 
 
 def _seek(context: FrameContext, sides: Array | None) -> None:
@@ -222,51 +224,49 @@ class Association:
             if one.seen is not None and cost[i, one.seen].min(initial=np.inf) > UNNAMED_COST:
                 self._seek_in_other(scene, i, seen[one.seen], is_left=True)
         beside, cost = self._across_views(scene, seen)
-        unseen = np.full(len(beside), np.inf)
-        own = [unseen if one.seen is None else cost[i, one.seen] for i, one in enumerate(named)]
-        in_right = list(_assigned(own))
+        own = [None if one.seen is None else cost[i, one.seen] for i, one in enumerate(named)]
+        paired = _assigned(own, len(beside))
 
         # What the right view alone shows is named by where it comes in there, and sought in the left one.
         unlike = np.full(cost.shape[::2], np.inf)
-        for i, (one, at) in enumerate(zip(named, in_right, strict=True)):
+        for i, (one, at) in enumerate(zip(named, paired, strict=True)):
             if at is not None:
                 unlike[i, at] = 0.0
             elif one.seen is None:
-                unlike[i, [place not in in_right for place in range(len(beside))]] = 0.0
-        alone = self._entries[1].update(scene.observation.stamp_ns, beside, unlike)
+                unlike[i, [place not in paired for place in range(len(beside))]] = 0.0
+        there = self._entries[1].update(scene.observation.stamp_ns, beside, unlike)
+        alone = [
+            None if one.seen is not None else other.seen for one, other in zip(named, there, strict=True)
+        ]
         known = len(scene.left.masks.seen or ())
-        for i, (one, beyond) in enumerate(zip(named, alone, strict=True)):
-            if one.seen is None and beyond.seen is not None:
-                in_right[i] = beyond.seen
-                self._seek_in_other(scene, i, beside[beyond.seen], is_left=False)
+        for i, at in enumerate(alone):
+            if at is not None:
+                self._seek_in_other(scene, i, beside[at], is_left=False)
         seen = scene.left.masks.seen or ()
         _, cost = self._across_views(scene, seen[known:])
-        unseen = np.full(len(seen) - known, np.inf)
-        pairs = list(zip(named, in_right, strict=True))
-        own = [
-            unseen if at is None or one.seen is not None else cost[i, :, at]
-            for i, (one, at) in enumerate(pairs)
-        ]
-        found = [None if at is None else known + at for at in _assigned(own)]
+        own = [None if at is None else cost[i, :, at] for i, at in enumerate(alone)]
+        found = [None if at is None else known + at for at in _assigned(own, len(seen) - known)]
         self._before += [seen[at] for at in found if at is not None]
-        in_left = [at if one.seen is None else one.seen for one, at in zip(named, found, strict=True)]
-        doubts = [
-            beyond.doubt if one.seen is None else one.doubt for one, beyond in zip(named, alone, strict=True)
-        ]
-        each = zip(in_left, in_right, strict=True)
-        return [(_other_than(at, seen), _other_than(beyond, beside)) for at, beyond in each], doubts
+
+        others, doubts = list[OtherMasks](), list[str]()
+        for i, one in enumerate(named):
+            at, at_right, name = (
+                (found[i], alone[i], there[i]) if one.seen is None else (one.seen, paired[i], one)
+            )
+            others.append((_other_than(at, seen), _other_than(at_right, beside)))
+            doubts.append(name.doubt)
+        return others, doubts
 
     def _seek_in_other(self, scene: Scene, i: int, seen: SeenInstrument, is_left: bool) -> None:
         """Look in the other view for what one of them shows of an instrument, at the depth of its radius."""
         instrument, right = self._arms[i].profile.instrument, scene.observation.right
         if instrument is None or scene.right is None or right is None:
             return
-        cameras, T_right_left = (scene.observation.camera, right.camera), inverse(right.T_left_right)
+        cameras, radius_m = (scene.observation.camera, right.camera), instrument.shaft_radius_m
         if is_left:
-            _seek(scene.right, sides_beside(seen, cameras, T_right_left, instrument.shaft_radius_m))
+            _seek(scene.right, sides_beside(seen, cameras, inverse(right.T_left_right), radius_m))
         else:
-            sides = sides_beside(seen, cameras[::-1], right.T_left_right, instrument.shaft_radius_m)
-            _seek(scene.left, sides)
+            _seek(scene.left, sides_beside(seen, cameras[::-1], right.T_left_right, radius_m))
 
     def _across_views(
         self, scene: Scene, seen: Sequence[SeenInstrument]

@@ -132,8 +132,10 @@ def _is_free(sides: tuple[Side, Side, Array | None], covered: Image | None) -> b
     if end_px is None or covered is None:
         return True
     radius_px = 0.7 * float(np.linalg.norm(first.end_px - second.end_px))
-    y, x = np.nonzero(covered)
-    return bool(np.all(np.hypot(x - end_px[0], y - end_px[1]) > radius_px))
+    left, top = (max(0, int(value - radius_px)) for value in end_px)
+    right, bottom = (max(0, int(value + radius_px) + 2) for value in end_px)
+    y, x = np.nonzero(covered[top:bottom, left:right])
+    return bool(np.all(np.hypot(x + left - end_px[0], y + top - end_px[1]) > radius_px))
 
 
 def _arcs_inside(contour: NDArray[np.int32], inside: NDArray[np.bool_]) -> list[Array]:

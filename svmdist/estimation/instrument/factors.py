@@ -137,9 +137,8 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
     )
     if instrument is None:
         return
-    if (
-        marker is not None and marker.radius_px is not None and seen.error.part_std_m == 0.0
-    ):  # of the marker's size
+    is_other_part = seen.error.part_std_m > 0.0  # it is not of the marker's size
+    if marker is not None and marker.radius_px is not None and not is_other_part:
         lasting, variance_px2 = LASTING_SIZE, marker.radius_std_px**2
         yield kinds.SizeMeasurement(
             name="size",
