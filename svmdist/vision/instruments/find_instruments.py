@@ -38,17 +38,22 @@ Found = tuple[Outline, Mask, Judged]
 
 
 def find_instruments(evidence: Evidence, strips: Iterable[Outline] | None = None) -> list[Found]:
-    """The instruments of an image, the surest first; with strips only those near them."""
+    """The instruments of an image, the surest first; with strips only those near them.
+
+    What explains most of the evidence of a place is the shaft there, or nothing is: a lesser part may look like one.
+    """
     shafts: list[tuple[Outline, Judged, Image]] = []
+    tried: list[Image] = []
     for rough in rough_outlines(evidence, strips):
-        others = [strip for _, _, strip in shafts]
-        if _is_taken(rough, others):
+        if _is_taken(rough, tried):
             continue
         outline = sharpened(rough, evidence)
-        if outline is None or _is_taken(outline, others):
+        if outline is None or _is_taken(outline, tried):
             continue
+        strip = _filled(outline, evidence.core)
+        tried.append(strip)
         if (score := judged(outline, evidence)).is_accepted:
-            shafts.append((outline, score, _filled(outline, evidence.core)))
+            shafts.append((outline, score, strip))
         if len(shafts) == evidence.settings.most_instruments:
             break
     found: list[Found] = []

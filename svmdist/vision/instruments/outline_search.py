@@ -147,7 +147,7 @@ def rough_outlines(evidence: Evidence, strips: Iterable[Outline] | None = None) 
             outline = ended(outline, evidence)
             score = judged(outline, evidence).evidence
             if score > LEAST_ROUGH_EVIDENCE:
-                found.append((score * np.sqrt(outline.length_px * outline.width_px), outline))
+                found.append((score * np.sqrt(outline.whole.length_px * outline.width_px), outline))
     return [outline for _, outline in sorted(found, key=lambda one: -one[0])]
 
 
