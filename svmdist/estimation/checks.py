@@ -182,7 +182,7 @@ def _against_image(frame: Frame, source: str, pose: ToolPose) -> Iterator[Differ
         std_m = length_m / deviations if deviations > 0.0 else np.inf
         yield Difference("place in the image", (source, "the marker"), length_m, std_m, "m")
     sides = {contour.side: contour.plane for contour in view.shaft.contours}
-    if len(sides) == 2 and not view.shaft.is_stub:
+    if len(sides) == 2:
         middle = sides[1].normal - sides[-1].normal
         middle /= np.linalg.norm(middle)
         off_rad = float(np.arcsin(np.clip(middle @ pose.axis, -1.0, 1.0)))

@@ -14,7 +14,6 @@ from svmdist.estimation.instrument.shaft_detection import (
     DistalMarker,
     ShaftDetection,
     detect_distal_marker,
-    detect_shaft,
     detect_silhouette,
 )
 from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
@@ -28,7 +27,7 @@ from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.regions import Region, find_region
 from svmdist.vision.segmentation import InstrumentMasks
 from svmdist.vision.shaft_segmentation import ShaftRegion, bright_fraction, find_shaft
-from svmdist.vision.silhouette import Silhouette, find_silhouette
+from svmdist.vision.silhouette import Silhouette, WristShape, find_silhouette
 from svmdist.vision.tags import tag_plate
 
 if TYPE_CHECKING:
@@ -102,16 +101,27 @@ class View:
 
     @cached_property
     def silhouette(self) -> Silhouette | None:
-        """The silhouette of the instrument's shaft, where the segmentation finds instruments by their shape."""
-        masks = self.masks
-        if not masks.seen or (straight := self._arm.straight) is None:
+        """The silhouette of the instrument's shaft, found by its shape or as a dark bar."""
+        masks, straight, settings = self.masks, self._arm.straight, self._settings.shaft
+        if straight is None:
             return None
-        picture, plates = masks.picture, self.context.plates
+        picture: Image | None
+        wrist: WristShape | None
+        if masks.seen is None:
+            if (bar := self.shaft_region) is None:
+                return None
+            seen, picture, wrist = bar.seen, bar.field_of_view, None
+        elif masks.seen:
+            seen, picture = straight.with_likelier_end(masks.seen[0], settings.end_model_std_m), masks.picture
+            wrist = straight.wrist_shape(ends_dark=seen.ends_dark)
+        else:
+            return None
+        plates = self.context.plates
         if picture is not None and plates is not None:  # their edges are not the shaft's
             picture = np.asarray(picture & ~plates, np.uint8)
-        seen = straight.with_likelier_end(masks.seen[0], self._settings.shaft.end_model_std_m)
-        shape = straight.wrist_shape(ends_dark=seen.ends_dark)
-        return find_silhouette(self.context.bgr_as_recorded, seen, picture, shape)
+        return find_silhouette(
+            self.context.bgr_as_recorded, seen, picture, wrist, settings.min_contrast_levels
+        )
 
     @cached_property
     def shaft_region(self) -> ShaftRegion | None:
@@ -130,14 +140,9 @@ class View:
     @cached_property
     def shaft(self) -> ShaftDetection:
         """The shaft's edges and end."""
-        if self.masks.seen is not None:
-            instrument = self._arm.profile.instrument
-            radius_m = 0.0 if instrument is None else instrument.shaft_radius_m
-            return detect_silhouette(self.silhouette, self.camera, radius_m)
-        context, region = self.context, self.shaft_region
-        return detect_shaft(
-            context.brightness, context.bgr_as_recorded, region, self.camera, self._settings.shaft
-        )
+        instrument = self._arm.profile.instrument
+        radius_m = 0.0 if instrument is None else instrument.shaft_radius_m
+        return detect_silhouette(self.silhouette, self.camera, radius_m)
 
     @cached_property
     def rim_ahead(self) -> tuple[float, float] | None:

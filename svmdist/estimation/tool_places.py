@@ -59,7 +59,7 @@ def _at_depth(depth_m: float, std_m: float, ray: Array) -> ToolPose:
 def _by_width(frame: Frame) -> ToolPose | None:
     """The tool where the shaft's axis passes before or behind the marker, by both sides; None without them."""
     view, instrument, marker = frame.left, frame.arm.profile.instrument, frame.left.distal_marker
-    if instrument is None or marker is None or len(view.shaft.contours) < 2 or view.shaft.is_stub:
+    if instrument is None or marker is None or len(view.shaft.contours) < 2:
         return None
     planes = [contour.plane for contour in view.shaft.contours]
     axis = axis_of_cylinder(planes[0], planes[1], instrument.shaft_radius_m)

@@ -1,4 +1,7 @@
-"""A straight edge in an image near a side that is nearly right, whatever colours meet there, to where it ends."""
+"""A straight edge in an image near a side that is nearly right, whatever colours meet there, to where it ends.
+
+And which of two edges is the shaft's, where its own shadow lies beside it.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +14,10 @@ from numpy.typing import NDArray
 from svmdist.least_squares import median, scale_of
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.edges import SLOPE_SIGMA_PX, STEP_PX, least_slope, peak_shift_px, slope_filter
 from svmdist.vision.shaft_segmentation import Side
 
-MIN_CONTRAST_LEVELS = 12.0  # least step of colour at an edge's point, of 255: compression leaves less
+SLOPE_SIGMA_PX = 1.2  # of the derivative of Gaussian: as wide as usual optics blur
+STEP_PX = 0.5  # between samples across the edge: half a pixel loses nothing of what the pixels hold
 MIN_FOUND = 0.7  # of the profiles that show an edge, on the line: texture shows most beside it
 MIN_SEEN = 0.3  # of all profiles across an edge: a dark shaft before dark tissue has none for a while
 STRAIGHT_PX = 0.6  # of an edge's point off the shaft's line: the wrist goes on a pixel or two beside it
@@ -24,7 +27,13 @@ END_REACH_WIDTHS = 2.0  # how far beyond a rough side its continuation is follow
 NEIGHBOURS = 33  # profiles whose common change of colour says which way an edge goes
 SCATTER_STDS = 2.5  # of the points' scatter, within which they are on the line
 FAINT = 0.3  # the slope of a point of an edge over that of most of them, below which it is none
-SLOPE_REACH = 4.0  # of the filter that makes slopes, over its scale
+SLOPE_OFFSETS_PX = STEP_PX * np.arange(-9.0, 10.0)
+SLOPE_FILTER = SLOPE_OFFSETS_PX * np.exp(-0.5 * (SLOPE_OFFSETS_PX / SLOPE_SIGMA_PX) ** 2)
+"""The derivative of a Gaussian, as OpenCV correlates with it: slopes in levels per px are `SLOPE_SCALE` times that."""
+SLOPE_SCALE = STEP_PX / (np.sqrt(2.0 * np.pi) * SLOPE_SIGMA_PX**3)
+SHADE_FROM_PX, SHADE_FROM_BLUR, SHADE_STEPS = 3.0, 2.0, 8
+"""Shades beside an edge are read from so far off it, clear of the filter and of its blur, over so many samples."""
+MAX_SHIFT = 0.25  # by shading, over the scale of the slope: beyond, the first order is not enough
 SPACING_PX, MOST_PROFILES = 1.5, 100  # between profiles; and along a rough side, where that would be more
 PEAK_REACH_PX = 2.0  # from a line to a profile's own edge, at least
 ROUGH_PX = 1.5  # of a rough side off its edge, in pixels of the working image that it was found in
@@ -67,13 +76,14 @@ def _profiles_across(
     window = bgr[top : max(int(y.max()) + 3, top + 1), left : max(int(x.max()) + 3, left + 1)]
     places = ((x - left).astype(np.float32), (y - top).astype(np.float32))
     values = cv2.remap(window.astype(np.float32), *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    kernel = slope_filter(2 * int(SLOPE_REACH * SLOPE_SIGMA_PX / STEP_PX) + 1, SLOPE_SIGMA_PX)
-    middle = kernel[:, len(kernel) // 2][None].astype(np.float32)  # which OpenCV correlates with
-    slopes = np.moveaxis(cv2.filter2D(values, -1, middle, borderType=cv2.BORDER_REPLICATE), 2, 0)
+    kernel = (SLOPE_SCALE * SLOPE_FILTER)[None].astype(np.float32)
+    slopes = np.moveaxis(cv2.filter2D(values, -1, kernel, borderType=cv2.BORDER_REPLICATE), 2, 0)
     return Profiles(np.ascontiguousarray(slopes), offsets, seen)
 
 
-def _points_near(profiles: Profiles, place: Array, reach_px: float) -> tuple[Array, Array]:
+def _points_near(
+    profiles: Profiles, place: Array, reach_px: float, least_levels: float
+) -> tuple[Array, Array]:
     """Sub-pixel offset of each profile's edge near a line at offsets `place`, shape (n,), NaN where there is none.
 
     And how wide that edge is, shape (n,): the variance in px² of a Gaussian with the slope's peak.
@@ -94,12 +104,22 @@ def _points_near(profiles: Profiles, place: Array, reach_px: float) -> tuple[Arr
     before, top, after = slope[rows, peak - 1], slope[rows, peak], slope[rows, peak + 1]
     inside = (best > 0) & (best < 2 * reach) & seen[rows, peak]
     good = inside & (before > 0.0) & (after > 0.0) & (top >= before) & (top >= after)
-    good &= top > least_slope(MIN_CONTRAST_LEVELS, SLOPE_SIGMA_PX)
+    # A step of height c has slope c / (σ √(2π)) at its steepest; the image's blur doubles σ.
+    good &= top > least_levels / (2.0 * SLOPE_SIGMA_PX * np.sqrt(2.0 * np.pi))
     # What is much fainter than most of the edge is texture beside it.
     good &= top > FAINT * (median(top[good]) if good.any() else 0.0)
     ratio = np.where(good, before * after, 0.25) / np.where(good, top * top, 1.0)
     width_px2 = -(STEP_PX**2) / np.log(np.clip(ratio, 1e-9, 1.0 - 1e-3))
-    return np.asarray(offsets[peak] + peak_shift_px(before, top, after, good)), width_px2
+    return np.asarray(offsets[peak] + _peak_shift_px(before, top, after, good)), width_px2
+
+
+def _peak_shift_px(before: Array, top: Array, after: Array, good: NDArray[np.bool_]) -> Array:
+    """How far the peak of a Gaussian through three samples is off the middle one, (n,); NaN where it is none."""
+    log_before, log_top, log_after = (np.log(np.maximum(value, 1e-9)) for value in (before, top, after))
+    bend = log_before - 2.0 * log_top + log_after
+    good = good & (bend < -1e-9)
+    shift = 0.5 * (log_before - log_after) / np.where(good, bend, -1.0)
+    return np.where(good, np.clip(shift, -1.0, 1.0) * STEP_PX, np.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,9 +140,12 @@ class EdgeLine(Side):
 
 
 def edge_line(
-    bgr: Image, rough: Array, width_px: float, rough_px: float, picture: Image | None = None
+    bgr: Image, rough: Array, width_px: float, rough_px: float, picture: Image | None, least_levels: float
 ) -> EdgeLine | None:
-    """The edge of an image, (h, w, 3), near a side, (2, 2) from start to end, which is off it by about `rough_px`."""
+    """The edge of an image, (h, w, 3), near a side, (2, 2) from start to end, which is off it by about `rough_px`.
+
+    It is a step of colour of at least so many levels.
+    """
     start, end = rough
     length_px = float(np.linalg.norm(end - start))
     if length_px < MIN_POINTS * SPACING_PX:
@@ -139,7 +162,7 @@ def edge_line(
     profiles = _profiles_across(bgr, feet_px, across, wide_px + fine_px, picture)
     off_px, width_px2, line = np.full(len(at), np.nan), np.zeros(len(at)), (0.0, 0.0, length_px)
     for reach_px in (wide_px, *[fine_px] * (REFINEMENTS - 1)):
-        off_px, width_px2 = _points_near(profiles, line[0] + line[1] * at, reach_px)
+        off_px, width_px2 = _points_near(profiles, line[0] + line[1] * at, reach_px, least_levels)
         found = _ending_line(at, off_px, line[2], bounds_px)
         if found is None:
             return None
@@ -163,7 +186,38 @@ def edge_line(
     shown = profiles.seen[np.arange(len(at)), np.minimum(column, profiles.seen.shape[1] - 1)]
     ends = bool(end_at < at[-1] - 2.0 * spacing_px and shown[beyond].mean() > 0.5)
     blur_px = float(np.sqrt(max(median(width_px2[on_line]) - SLOPE_SIGMA_PX**2, 0.0)))
-    return EdgeLine(first, last, points(at[used], off_px[used]), ends, straight_px, None, blur_px)
+    shift_px = _shading_shift_px(profiles.slopes[:, on_line], column[on_line], blur_px) * across
+    first, last = first - shift_px, last - shift_px
+    return EdgeLine(first, last, points(at[used], off_px[used]) - shift_px, ends, straight_px, None, blur_px)
+
+
+def _shading_shift_px(slopes: NDArray[np.float32], column: NDArray[np.intp], blur_px: float) -> float:
+    """How far shading beside an edge draws its points, by slopes (3, n, k) of profiles and their columns at it, (n,).
+
+    A step of height c under an even kernel k, between shades that change by g per px before and behind, has the slope
+    c k(x) + g_before (1 - K(x)) + g_behind K(x), with K the integral of k. It is steepest where
+
+        x = (g_behind - g_before) / c · k(0) / -k''(0)
+
+    and k(0) / -k''(0), for a Gaussian its variance, is read off the slope's own peak. 0 where it is no such edge.
+    """
+    clear = int(np.ceil((SHADE_FROM_PX + SHADE_FROM_BLUR * blur_px) / STEP_PX))
+    columns = column[:, None] + np.arange(-clear - SHADE_STEPS, clear + SHADE_STEPS + 1)
+    rows = ((columns >= 0) & (columns < slopes.shape[2])).all(1)
+    if not rows.any():
+        return 0.0
+    around = slopes[:, np.flatnonzero(rows)[:, None], columns[rows]]
+    change = around[:, :, SHADE_STEPS:-SHADE_STEPS].sum((1, 2))
+    profile = np.median(np.tensordot(change / max(float(np.linalg.norm(change)), 1e-9), around, 1), axis=0)
+    middle = len(profile) // 2
+    g_before, g_behind = float(profile[:SHADE_STEPS].mean()), float(profile[-SHADE_STEPS:].mean())
+    top, bend = profile[middle], profile[middle - 1] - 2.0 * profile[middle] + profile[middle + 1]
+    contrast = STEP_PX * (profile[SHADE_STEPS:-SHADE_STEPS].sum() - (clear + 0.5) * (g_before + g_behind))
+    if not (bend < 0.0 < top and contrast > 0.0):
+        return 0.0
+    shift_px = (g_behind - g_before) / contrast * top / -bend * STEP_PX**2
+    most_px = MAX_SHIFT * float(np.hypot(SLOPE_SIGMA_PX, blur_px))
+    return float(np.clip(shift_px, -most_px, most_px))
 
 
 def _ending_line(
@@ -214,3 +268,71 @@ def _robust_line(x: Array, y: Array) -> tuple[float, float]:
         slope = float(weight @ ((x - centre) * (y - height))) / spread
         offset = height - slope * centre
     return offset, slope
+
+
+PENUMBRA_RATIO = 1.6  # of the edges' blurs; beyond, one is a shadow's border: both edges are equally far
+PENUMBRA_BLUR_PX = 1.0  # blur that any edge may have, px: below it the ratio of two blurs is noise
+SHADOW_REACH = 0.45  # of the width, shadow included, how far inside of its border the shaft's edge is sought
+MIN_COLOUR = 0.08  # least difference of colours, in logarithms of ratios: 8 % of red over green
+MAX_SHADOW = 0.5  # of the way from the shaft's colour to that beside it
+MIN_BRIGHTER = 0.1  # logarithm of levels: 10 %
+DARK_LEVEL = 4.0  # added to levels, so that the colour of black is grey
+CORE = np.array([0.4, 0.5, 0.6])  # from one edge to the other, where the shaft's own colour is looked at
+WITHIN, BESIDE = np.array([0.35, 0.5, 0.65]), np.array([1.5, 2.0, 2.5])
+"""From a shaft's edge to its shadow's, where the shadow is looked at, and what is beside it."""
+LEAST_SHADOW_PX = 3.0  # between both edges: nearer, they are one
+
+
+def edge_within(
+    bgr: Image,
+    outer: Array,
+    blur_px: float,
+    other: Array,
+    other_blur_px: float,
+    picture: Image | None,
+    least_levels: float,
+) -> EdgeLine | None:
+    """The shaft's edge, where a side of a silhouette is that of its shadow; None where it is its own.
+
+    Sides are (2, 2) in px from the border on; the blur of one without a sharp edge is infinite. Both edges of a shaft
+    are equally far, and as sharp. The one that is less so is a shadow's, if there is a sharp edge within, and what lies
+    between is darker than beside both, and not of the shaft's colour: a shadow keeps the ratios of red, green and blue
+    of what it falls on (Gevers and Smeulders 1999).
+    """
+    sharp_px = PENUMBRA_RATIO * max(PENUMBRA_BLUR_PX, other_blur_px if np.isfinite(other_blur_px) else 0.0)
+    if blur_px <= sharp_px:
+        return None
+    along = (outer[1] - outer[0]) / max(float(np.linalg.norm(outer[1] - outer[0])), 1e-9)
+    across = np.array([-along[1], along[0]])
+    width_px = float(np.mean((other - outer[0]) @ across))
+    across, width_px = across * np.sign(width_px), abs(width_px)
+    reach_px = 0.5 * SHADOW_REACH * width_px
+    inner = edge_line(
+        bgr, outer + reach_px * across, width_px, reach_px / (WINDOW * ROUGH_PX), picture, least_levels
+    )
+    if inner is None or inner.blur_px > sharp_px:
+        return None
+    feet_px = inner.start_px + np.linspace(0.1, 0.9, 24)[:, None] * (inner.end_px - inner.start_px)
+    shadow_px, shaft_px = (feet_px - outer[0]) @ across, (other.mean(0) - feet_px) @ across
+    if median(shadow_px) < LEAST_SHADOW_PX:
+        return None
+
+    def colour(shares: Array, of_px: Array) -> Array:
+        return _median_colour(bgr, feet_px[:, None] + (shares * of_px[:, None])[..., None] * across)
+
+    shaft, beside = colour(CORE, shaft_px), colour(-BESIDE, shadow_px)
+    away, within = beside - shaft, colour(-WITHIN, shadow_px) - shaft
+    square = float(away[:2] @ away[:2])
+    is_of_shaft = square > MIN_COLOUR**2 and within[:2] @ away[:2] < MAX_SHADOW * square
+    return None if is_of_shaft or away[2] - within[2] < MIN_BRIGHTER else inner
+
+
+def _median_colour(bgr: Image, places_px: Array) -> Array:
+    """Logarithms of red and blue over green, and of green, shape (3,): the median at pixels, shape (..., 2)."""
+    column, row = np.round(places_px).reshape(-1, 2).astype(np.intp).T
+    height, width = bgr.shape[:2]
+    inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
+    if not inside.any():
+        return np.zeros(3)
+    blue, green, red = np.log(bgr[row[inside], column[inside]].astype(np.float64) + DARK_LEVEL).T
+    return np.asarray(np.median([red - green, blue - green, green], axis=1))

@@ -191,11 +191,6 @@ class FrameContext:
         return self.hsv_as_recorded if self.exposure.is_plain else to_hsv(self.bgr)
 
     @cached_property
-    def brightness(self) -> Image:
-        """The brightest channel of each pixel, HSV's value, shape (h, w)."""
-        return np.asarray(cv2.extractChannel(self.hsv, 2), np.uint8)
-
-    @cached_property
     def grey(self) -> Image:
         """Grey levels of the image as it is, shape (h, w): features and tags need no exposure."""
         return to_grey(self.bgr_as_recorded)

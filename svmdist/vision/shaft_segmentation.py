@@ -12,13 +12,17 @@ from svmdist.profile.segmentation import AreaGate
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.colour import field_of_view
+from svmdist.vision.instruments.find_instruments import SeenInstrument
 
 VIEW_BORDER_FRACTION = 0.006  # of the image's width, left out: optics fade at the field of view's border
 GLARE_WIDTH_FRACTION = 0.03  # of the image's width; narrower bright stripes are reflections, and are closed
 SPECK_WIDTH_FRACTION = 0.008  # of the image's width; narrower dark lines are vessels or gaps, and are opened
+MIDDLE_STRIP = 0.125  # of the width, to either side of the middle, where the end's arc has its apex
 MIN_SIDE_PX = 6.0  # the shortest side of a shaft: the least that a line can be fitted to
 MAX_TAPER_RAD = 0.6  # between the sides; a cylinder that points at the camera has no contour lines
 
+MIN_END_STD_PX = 3.0  # of the shaft's end: steel, jaws and shadow are as dark, 4 px and more off it
+WORKING_PX = 320  # of such a picture's width, a pixel is how far a mask's border may be off an edge
 MAX_SAMPLES = 120  # points of a contour among which its two corners are searched
 
 
@@ -62,10 +66,25 @@ class ShaftRegion:
         return min(self.first.length_px, self.second.length_px) < 2.0 * width_px
 
     @property
-    def middle_px(self) -> Array:
-        """A point between the contour lines, shape (2,)."""
-        ends = [self.first.start_px, self.first.end_px, self.second.start_px, self.second.end_px]
-        return np.asarray(np.mean(ends, axis=0))
+    def seen(self) -> SeenInstrument:
+        """What is found of it as of one without colours: its end is that of the dark part, and its sides are rough."""
+        sides = np.array([[side.start_px, side.end_px] for side in (self.first, self.second)])
+        knows_tip, pixel_px = self.end_px is not None, max(max(self.mask.shape) / WORKING_PX, 1.0)
+        small = cv2.resize(
+            self.mask, None, fx=1.0 / pixel_px, fy=1.0 / pixel_px, interpolation=cv2.INTER_AREA
+        )
+        return SeenInstrument(
+            small > 127,
+            self.mask.shape,
+            sides,
+            sides[:, 1].mean(0) if self.end_px is None else self.end_px,
+            evidence=1.0,
+            side_covariance=np.tile(pixel_px**2 * np.eye(2), (2, 1, 1)),
+            end_std_px=MIN_END_STD_PX if knows_tip and self.end_is_free else np.inf,
+            ends_dark=True,
+            pixel_px=pixel_px,
+            knows_tip=knows_tip,
+        )
 
 
 def find_shaft(
@@ -124,7 +143,17 @@ def _sides_of(
     split = _split(arcs[0])
     if split is None or not _are_sides(*split):
         return None
-    return *split, 0.5 * (split[0].end_px + split[1].end_px)
+    return *split, _apex(arcs[0], *split)
+
+
+def _apex(arc: Array, first: Side, second: Side) -> Array:
+    """The foremost point (2,) of a contour, shape (n, 2), about the middle between its sides."""
+    along = first.direction + second.direction
+    along /= np.linalg.norm(along)
+    middle_px, apart_px = 0.5 * (first.end_px + second.end_px), second.end_px - first.end_px
+    ahead, aside = (arc - middle_px) @ along, (arc - middle_px) @ np.array([-along[1], along[0]])
+    near = np.abs(aside) < MIDDLE_STRIP * np.linalg.norm(apart_px)
+    return np.asarray(middle_px + (ahead[near].max() if near.any() else 0.0) * along)
 
 
 def _is_free(sides: tuple[Side, Side, Array | None], covered: Image | None) -> bool:

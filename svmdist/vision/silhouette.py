@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.edge_lines import ROUGH_PX, EdgeLine, edge_line
+from svmdist.vision.edge_lines import ROUGH_PX, EdgeLine, edge_line, edge_within
 from svmdist.vision.instruments.find_instruments import SeenInstrument
-from svmdist.vision.shadows import edge_within
 
 MIN_LENGTH_WIDTHS = 1.25  # of both sides, on average: where it comes in at a slant one is shorter
 MOST_OFF_STDS = 2.5  # of a sharp edge from the rough side it was sought at
@@ -144,7 +143,9 @@ def _attached(body: NDArray[np.bool_], shaft: NDArray[np.bool_]) -> NDArray[np.b
     return np.asarray(labels == np.bincount(own).argmax()) if len(own) else np.zeros_like(body)
 
 
-IN_BLUR = FROM_ONE_END  # optics blur light, and cameras bend its scale: the step is within one deviation of the blur
+IN_BLUR = 0.3
+"""Of an edge's blur, which light has before a camera bends its scale: a step from 1 to 15, to the power of 1 / 2.2, is
+steepest half a deviation on its dark side, a linear one in the middle. This is the RMS of what is between."""
 BEYOND_WIDTHS = (0.15, 0.65)  # beyond an outline's end, over its width, where a narrower wrist is to be seen
 ENDS_APART = 0.3  # of an end over the distance of both: deviation of a uniform distribution between them
 
@@ -167,6 +168,7 @@ class Silhouette:
     other_px: float = 0.0
     other_share: float = 0.0
     narrows: float = 0.0
+    knows_tip: bool = True
 
     @property
     def towards_tip(self) -> Array:
@@ -197,17 +199,18 @@ class Silhouette:
 
 
 def find_silhouette(
-    bgr: Image, seen: SeenInstrument, picture: Image | None, wrist: WristShape
+    bgr: Image, seen: SeenInstrument, picture: Image | None, wrist: WristShape | None, least_levels: float
 ) -> Silhouette | None:
     """Measure an instrument that was roughly found in an image, shape (h, w, 3); None without a shaft's straight edges.
 
-    Nor of what is hardly longer than wide: at the border that is as likely the wrist, which may be narrower.
-    Where the image has no sharp edge, a side is what the evidence has, if the network is sure along both.
+    Nor of what is hardly longer than wide: at the border that is as likely the wrist, which may be narrower. Edges are
+    steps of at least so many levels; where the image has none so sharp, a side is what the evidence has, if the network
+    is sure along both. With `wrist`, what is seen of it beyond the end is measured, too.
     """
-    first, second = _edges(bgr, seen, picture)
+    first, second = _edges(bgr, seen, picture, least_levels)
     if not seen.shows_shaft or first.direction @ second.direction < np.cos(MAX_TAPER_RAD):
         return None
-    endless = Silhouette((first, second))
+    endless = Silhouette((first, second), knows_tip=seen.knows_tip)
     along, width_px = endless.towards_tip, endless.width_px
     least_px = MIN_LENGTH_WIDTHS * width_px
     if not 0.5 * (first.length_px + second.length_px) >= least_px > 0.0:
@@ -215,7 +218,7 @@ def find_silhouette(
     # What has no sharp edge where the evidence ends may be anything: the arm behind an instrument, or a blot.
     if not seen.is_sure and any(edge.covariance is not None for edge in (first, second)):
         return None
-    ends = [edge.end_px for edge in (first, second) if edge.ends]
+    ends = [] if seen.ends_dark else [edge.end_px for edge in (first, second) if edge.ends]
     if not ends and not np.isfinite(seen.end_std_px):
         return endless
     if seen.ends_dark:
@@ -236,7 +239,7 @@ def find_silhouette(
         middle_px = 0.5 * (first.end_px + second.end_px)
         end_px = middle_px + (place + half_px - float(middle_px @ along)) * along
         narrows = _goes_on(seen, end_px, along, width_px)
-    point = _wrist_point(bgr, seen.mask, end_px, along, width_px, wrist)
+    point = None if wrist is None else _wrist_point(bgr, seen.mask, end_px, along, width_px, wrist)
     if point is not None:  # where the outline is longer than a wrist, its end is before the shaft's, or is it
         std_px = float(np.hypot(std_px, FROM_ONE_END * point.excess_px))
     other = seen.other_px, seen.other_share
@@ -253,11 +256,11 @@ def _goes_on(seen: SeenInstrument, end_px: Array, along: Array, width_px: float)
     return float(np.mean(seen.small_mask[y, x] & inside))
 
 
-def _edges(bgr: Image, seen: SeenInstrument, picture: Image | None) -> list[EdgeLine]:
+def _edges(bgr: Image, seen: SeenInstrument, picture: Image | None, least_levels: float) -> list[EdgeLine]:
     """Both sides: sharp where the image has an edge near that of the evidence, and without the shaft's shadow."""
     edges: list[EdgeLine] = []
     for side, rough in enumerate(seen.sides):
-        one = edge_line(bgr, rough, seen.width_px, seen.pixel_px, picture)
+        one = edge_line(bgr, rough, seen.width_px, seen.pixel_px, picture, least_levels)
         if one is None or not _agrees(one, seen, side):  # the side as the evidence has it
             (start_px, end_px), covariance = rough, seen.side_covariance[side]
             one = EdgeLine(start_px, end_px, np.zeros((0, 2)), False, 0.0, covariance, seen.pixel_px)
@@ -265,7 +268,9 @@ def _edges(bgr: Image, seen: SeenInstrument, picture: Image | None) -> list[Edge
     sides = [np.stack([one.start_px, one.end_px]) for one in edges]
     blurs_px = [one.blur_px if one.covariance is None else np.inf for one in edges]
     within = [
-        edge_within(bgr, sides[side], blurs_px[side], sides[1 - side], blurs_px[1 - side], picture)
+        edge_within(
+            bgr, sides[side], blurs_px[side], sides[1 - side], blurs_px[1 - side], picture, least_levels
+        )
         for side in (0, 1)
     ]
     return [one or outer for one, outer in zip(within, edges, strict=True)]

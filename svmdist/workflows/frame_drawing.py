@@ -16,7 +16,7 @@ from svmdist.errors import UsageError
 from svmdist.estimation.alarms import AlarmRules, AlarmState, alarm_watches
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import shaft_sections
-from svmdist.estimation.instrument.shaft_detection import Contour, DistalMarker, ShaftDetection
+from svmdist.estimation.instrument.shaft_detection import DistalMarker
 from svmdist.estimation.planar import mark, template_features
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import LEFT_IMAGES
@@ -28,7 +28,7 @@ from svmdist.vision import marker
 from svmdist.vision.colour import to_grey
 from svmdist.vision.frame_context import seen_through
 from svmdist.vision.regions import Region
-from svmdist.vision.shaft_segmentation import ShaftRegion
+from svmdist.vision.silhouette import Silhouette
 from svmdist.workflows.replay import Replayed, replay
 from svmdist.workflows.request import Setup
 
@@ -155,8 +155,8 @@ def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup
             yield from _contours(left.masks.instrument, region, Part.WRIST, name)
         if (distal := found.get("distal_marker")) is not None:
             yield _distal_marker(distal, name)
-        if (shaft := found.get("shaft")) is not None and (outline := found.get("shaft_region")) is not None:
-            yield from _shaft(frame, shaft, outline, name)
+        if (silhouette := found.get("silhouette")) is not None:
+            yield from _shaft(silhouette, name)
         corners_px = left.tag_corners_px if "tags" in vars(frame.scene.left) else None
         if corners_px is not None:
             yield Shape(Part.TAG, Form.LOOP, np.asarray(corners_px, np.float64), name)
@@ -214,28 +214,14 @@ def _distal_marker(distal: DistalMarker, name: str) -> Shape:
     return Shape(Part.DISTAL_MARKER, Form.LOOP, centre_px + radius_px * around, name)
 
 
-def _shaft(frame: Frame, shaft: ShaftDetection, region: ShaftRegion, name: str) -> Iterator[Shape]:
+def _shaft(silhouette: Silhouette, name: str) -> Iterator[Shape]:
     """The measured edges, as long as the shaft is visible, and its end across its middle line."""
-    for contour in shaft.contours:
-        yield Shape(Part.SHAFT, Form.LINE, _edge(contour, region, frame.left.camera.K), name)
-    if shaft.rim is not None:
-        half_width_px = 0.5 * float(np.linalg.norm(region.first.end_px - region.second.end_px))
-        across = np.array([-shaft.rim.towards_tip[1], shaft.rim.towards_tip[0]])
-        ends_px = shaft.rim.pixel + np.outer([-half_width_px, half_width_px], across)
+    for edge in silhouette.edges:
+        yield Shape(Part.SHAFT, Form.LINE, np.stack([edge.start_px, edge.end_px]), name)
+    if silhouette.end_px is not None:
+        across = np.array([-silhouette.towards_tip[1], silhouette.towards_tip[0]])
+        ends_px = silhouette.end_px + 0.5 * silhouette.width_px * np.array([[-1.0], [1.0]]) * across
         yield Shape(Part.SHAFT, Form.LINE, ends_px, name)
-
-
-def _edge(contour: Contour, region: ShaftRegion, K: Array) -> Array:
-    """The line in which a tangent plane meets the image, between the feet of the rough side's ends, shape (2, 2)."""
-    line = np.linalg.inv(K).T @ contour.plane.normal  # l · (u, v, 1) = 0
-    line = line / np.linalg.norm(line[:2])
-
-    def off(px: Array) -> float:
-        return float(line[:2] @ px + line[2])
-
-    sides = (region.first, region.second)
-    side = min(sides, key=lambda one: abs(off(one.start_px)) + abs(off(one.end_px)))
-    return np.array([px - off(px) * line[:2] for px in (side.start_px, side.end_px)])
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,11 +137,12 @@ def test_what_was_found_of_each_instrument_is_drawn_where_it_is(duo):
         contours_px = points_of(drawing, Part.WRIST, result.instrument)
         low, high = region.hull.reshape(-1, 2).min(0), region.hull.reshape(-1, 2).max(0)
         np.testing.assert_allclose([contours_px.min(0), contours_px.max(0)], [low, high], atol=1.0)
-        # The shaft's edges lie in their tangent planes.
+        # The shaft's edges lie in their tangent planes, to a fraction of a pixel.
         edges_px = points_of(drawing, Part.SHAFT, result.instrument).reshape(-1, 2, 2)
         for contour, ends_px in zip(frame.left.shaft.contours, edges_px, strict=False):
-            rays = np.column_stack([ends_px, np.ones(2)]) @ np.linalg.inv(frame.left.camera.K).T
-            np.testing.assert_allclose(rays @ contour.plane.normal, 0.0, atol=1e-9)
+            K = frame.left.camera.K
+            rays = np.column_stack([ends_px, np.ones(2)]) @ np.linalg.inv(K).T
+            np.testing.assert_allclose(K[0, 0] * (rays @ contour.plane.normal), 0.0, atol=0.3)
             edge_count += 1
     assert edge_count >= 1
 

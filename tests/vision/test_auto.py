@@ -82,7 +82,7 @@ def test_the_end_is_between_that_of_edges_and_that_of_evidence():
     mask[100:140, :230] = True
     sides = np.array([[[0.0, 99.5], [230.0, 99.5]], [[0.0, 139.5], [230.0, 139.5]]])
     found = [
-        find_silhouette(bgr, seen, None, WristShape(0.3, 2.0))
+        find_silhouette(bgr, seen, None, WristShape(0.3, 2.0), 12.0)
         for end in (200.0, 230.0)
         for seen in [
             SeenInstrument(mask, (240, 320), sides, np.array([end, 119.5]), 1.0, end_std_px=2.0, pixel_px=1.0)
@@ -105,7 +105,7 @@ def test_an_outline_longer_than_a_wrist_says_that_its_end_is_none(end):
     seen = SeenInstrument(
         mask, (240, 320), sides, at, 1.0, end_std_px=2.0, ends_dark=True, pixel_px=1.0, is_sure=True
     )
-    found = find_silhouette(bgr, seen, None, WristShape(0.3, 2.0))
+    found = find_silhouette(bgr, seen, None, WristShape(0.3, 2.0), 12.0)
     assert found is not None
     assert found.end_px is not None
     assert found.wrist is not None
@@ -135,13 +135,13 @@ def test_sides_without_an_edge_are_those_of_no_shaft_unless_the_network_is_sure(
     told = 0
     for one in map(surgery_image, range(6)):
         for seen in AutoSegmenter().masks(one.bgr).seen:
-            sharp = find_silhouette(one.bgr, seen, None, WristShape(0.3, 2.0))
+            sharp = find_silhouette(one.bgr, seen, None, WristShape(0.3, 2.0), 12.0)
             if sharp is None:
                 continue
             told += 1
             flat = np.full_like(one.bgr, 120)
             unsure, sure = (
-                find_silhouette(flat, replace(seen, is_sure=is_sure), None, WristShape(0.3, 2.0))
+                find_silhouette(flat, replace(seen, is_sure=is_sure), None, WristShape(0.3, 2.0), 12.0)
                 for is_sure in (False, True)
             )
             assert unsure is None
@@ -167,7 +167,7 @@ def test_the_shaft_ends_before_its_own_shadow(behind, light):
     seen = SeenInstrument(
         mask, (240, 320), sides, sides[:, 1].mean(0), 1.0, end_std_px=2.0, pixel_px=2.0, is_sure=True
     )
-    found = find_silhouette(bgr, seen, None, WristShape(0.3, 2.0))
+    found = find_silhouette(bgr, seen, None, WristShape(0.3, 2.0), 12.0)
     assert found is not None
     assert found.width_px == pytest.approx(40.0, abs=0.7)
 
@@ -188,7 +188,7 @@ def test_a_wrist_that_comes_in_from_the_border_is_no_shaft(golden):
     # Also those that touch have their own wrist and jaws, and not the other one's.
     assert min(np.count_nonzero(one.distal) for one in shafts) > 1000
     assert all(np.linalg.norm(one.tip_px - one.end_px) < 3.0 * one.width_px for one in shafts)
-    assert find_silhouette(images[27], wrists[1], None, WristShape(0.3, 2.0)) is None
+    assert find_silhouette(images[27], wrists[1], None, WristShape(0.3, 2.0), 12.0) is None
 
 
 def test_instruments_without_a_straight_shaft_are_no_tissue():

@@ -54,7 +54,7 @@ def of_images(
     # An outline's wrist tells too little without the rest of the outline.
     is_by_outline = any(one.name.endswith(WRIST) for one in marks)
     if is_tracked and not is_by_outline:
-        if not left.shaft.is_stub and (marks or left.tag_corners_px is not None):
+        if marks or left.tag_corners_px is not None:
             found += sides(left, arm, lasting_share)
     else:
         for view in views:
@@ -100,8 +100,6 @@ def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
     """The shaft's end: of its dark part, or of the outline that is a cylinder's."""
     rim, ahead, straight = view.shaft.rim, view.rim_ahead, arm.straight
     if rim is None or ahead is None or straight is None:
-        return
-    if view.shaft.is_stub and view.distal_marker is not None:  # what ends there may be anything dark
         return
     yield kinds.EndMeasurement(
         name="end",

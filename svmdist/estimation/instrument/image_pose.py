@@ -60,9 +60,6 @@ def pose_by_image(frame: Frame) -> ImagePose | Failure:
     arm, left, instrument = frame.arm, frame.left, frame.arm.profile.instrument
     if instrument is None:
         return Failure(f"profile {arm.profile.name} has no [instrument]")
-    if left.shaft.is_stub and left.shaft.contours and _tool_marker(left) is None:
-        # Anything dark at the border has two short sides; nothing here would contradict them.
-        return Failure("too little of the shaft is to be seen, and neither wrist nor distal marker")
     model = ShaftModel.of(frame.robot, arm.required_chain, instrument)
     firsts = list(_first_shafts(left, model, model.R_camera_shaft))
     return _located(frame, firsts, of_images(frame, None, both_views=False), model)

@@ -146,6 +146,7 @@ class SeenInstrument:
     along the axis, infinite where the shaft goes on to the border, and `ends_dark` says that it is the end of a part
     and not of the outline: the other one of both, `other_px` further along, has a probability of `other_share`. The
     network alone `is_sure` of the shaft, along both sides; it `shows_shaft` where what comes in is not a wrist already.
+    `knows_tip` is False where the tip may be at either end.
     """
 
     small_mask: Mask
@@ -161,6 +162,7 @@ class SeenInstrument:
     other_share: float = 0.0
     is_sure: bool = False
     shows_shaft: bool = True
+    knows_tip: bool = True
 
     @property
     def entry_px(self) -> Array:
