@@ -50,7 +50,7 @@ CASES: dict[str, tuple[object, str, Any]] = {
     "distal marker": (fused, "of_images", without("distal marker")),
     "disparity (size in its place)": (fused, "pair_markers", lambda *_: None),
     "tag": (fused, "tag", lambda *_: ()),
-    "(end, size, right sides, stubs: used)": (fused, "of_images", lambda *a, **k: of_images(*a, **k | ALL)),
+    "(end, size, right sides: used)": (fused, "of_images", lambda *a, **k: of_images(*a, **k | ALL)),
     "start by images": (fused.FusedEstimator, "_start", lambda *_: None),
     "variance of images after a start": (fused, "YOUNG_S", 1e-9),
     "tissue's height by stereo": (tissue_tracking.FollowedTissue, "measure_height", lambda *_: None),

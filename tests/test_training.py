@@ -104,8 +104,8 @@ def test_outlines_become_labels_of_real_pictures(tmp_path, monkeypatch):
     assert second.shape == (HEIGHT, WIDTH, 3)
     shown, rng, sizes = pictures.Shown(rendered(1, 3), real), np.random.default_rng(0), []  # none has a tag
     for _ in range(30):
-        image, label, _, has_all = shown.sample(rng, (192, 256))
-        assert not (has_all and (label >= INSTRUMENT).any())
+        image, label, _, is_drawn = shown.sample(rng, (192, 256))
+        assert not (is_drawn and (label >= INSTRUMENT).any())
         sizes.append((image.shape, label.shape))
     assert set(sizes) == {((192, 256, 3), (192, 256))}
 
@@ -136,31 +136,6 @@ def test_grey_pictures_with_masks_get_the_colours_of_tissue(tmp_path):
     assert np.percentile(warm, 95) > 10
 
 
-def test_what_was_drawn_earlier_is_rehearsed(tmp_path):
-    """A checkout draws with its own modules; image and label are flipped alike, and no keypoint is known."""
-    package = tmp_path / "tools" / "segmentation_net"
-    package.mkdir(parents=True)
-    drawing = """
-import numpy as np
-def rendered(first, count, folder, processes):
-    labels = np.zeros((count, 192, 256), np.uint8)
-    labels[:, :50, :60] = 3
-    np.save(folder / "0-x-images.npy", np.repeat(80 * labels[..., None], 3, -1))
-    np.save(folder / "0-x-labels.npy", labels)
-"""
-    (package / "dataset.py").write_text(drawing, "utf-8")
-    earlier = pictures.drawn_earlier(tmp_path, 2, 1)
-    shown, rng = pictures.Shown(rendered(0, 1), earlier=earlier), np.random.default_rng(0)
-    corners = set()
-    for _ in range(20):
-        image, label, points, has_all = shown.rehearsed(rng, (192, 256))
-        assert not has_all
-        assert np.isnan(points).all()
-        assert ((image.max(2) > 100) == (label == SHAFT)).all()
-        corners.add(tuple(np.argwhere(label == SHAFT).mean(0)))
-    assert len(corners) == 4
-
-
 def test_masks_of_public_sets(tmp_path):
     """Outlines are filled with the pixels on them; a panel's mask has both instruments' colours."""
     square = filled([[[2.0, 3.0], [8.0, 3.0], [8.0, 9.0], [2.0, 9.0]]], (12, 12))
@@ -184,7 +159,7 @@ def test_training_without_pytorch_is_one_line(tmp_path, monkeypatch, capsys):
     """PyTorch is no dependency: who lacks it is told what to install, and nothing is drawn or written."""
     monkeypatch.setitem(sys.modules, "torch", None)
     monkeypatch.delitem(sys.modules, "training.network", raising=False)
-    assert train.main([str(tmp_path / "net.onnx"), "--before", str(tmp_path / "before.onnx")]) == 1
+    assert train.main([str(tmp_path / "net.onnx")]) == 1
     assert "is not installed: pip install torch" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
     assert (REPOSITORY / "svmdist" / "models" / "instruments.onnx").is_file()

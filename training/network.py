@@ -9,11 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import onnx
-import onnx.shape_inference
-import onnx.utils
 import torch
-from onnx import compose
-from onnx.helper import make_node, make_tensor_value_info
+from onnx.helper import make_node
 from onnx.numpy_helper import from_array, to_array
 from torch import Tensor, distributed, nn
 from torch.nn import functional
@@ -24,7 +21,6 @@ from training.pictures import Shown, near_keypoints
 from training.scene import MIDDLE
 
 SIZE: Size = (256, 320)  # of the input, (h, w)
-TEACHERS_SIZE: Size = (192, 256)  # of the input of the net before
 STAGES = (
     (3, 1, 1, 16, 1),
     (3, 2, 6, 24, 2),
@@ -35,25 +31,16 @@ STAGES = (
 )
 """Kernel, stride, expansion, channels and blocks of each (Tan and Le 2019); the last has one more there, and a seventh
 follows."""
-STEM, SKIPPED = (
-    32,
-    (16, 24, 40, 112, 192),
-)  # channels; those of what the decoder sees, from half to a 32nd of the size
+STEM = 32  # channels
+SKIPPED = (16, 24, 40, 112, 192)  # channels of what the decoder sees, from half to a 32nd of the size
 WIDTHS = (32, 32, 48, 64, 96)  # channels of what it makes of each
 FROZEN = 3  # blocks, with the stem, that stay as ImageNet made them
-BATCH, ENCODER_RATE, DECODER_RATE = (
-    16,
-    3e-4,
-    1.5e-3,
-)  # pictures of a step; highest rates, which fall as a cosine
-REHEARSED, TEACHING = (
-    4,
-    1.0,
-)  # pictures of a step that are drawn as earlier; weight of what a teacher says of them
+BATCH = 16  # pictures of a step
+ENCODER_RATE, DECODER_RATE = 3e-4, 1.5e-3  # highest learning rates, which fall as a cosine
+TEACHING = 2.0  # weight of what a teacher says
 AVERAGE = 0.998  # of the weights' running mean, what a step keeps; the mean is the result
 TOGETHER = 25  # steps after which the processes take the mean of their weights (Stich 2019)
-WEIGHTS = {"own": 0.45, "new": 0.3}
-"""Of both nets' log-probabilities in their sum, which is calibrated on drawn pictures and two operations held out."""
+SURENESS = 0.8  # of the scores: of pixels at 0.9, nine of ten are instrument in operations held out
 LARGE = 4096  # weights of a layer, from which on they are kept with eight bits
 OPEN = 0.02  # of a label, what may be any class: people err, and so do their outlines
 KEYPOINT_WEIGHT = 12.0  # their loss is small
@@ -132,51 +119,27 @@ class Network(nn.Module):
             found = self.over[number](_doubled(found) + self.into[number](seen[number]))
         return self.scores(found), self.keypoints(found)
 
-    def save(self, path: Path, before: Path) -> None:
-        """Write as ONNX what it and the net before say, by WEIGHTS, and beside it what training can go on from."""
+    def save(self, path: Path) -> None:
+        """Write as ONNX, weights of large layers with eight bits, and beside it what training can go on from."""
         torch.save(self.state_dict(), path.with_suffix(".pt"))
-        names = {"input_names": ["image"], "output_names": ["own", "own_keypoints"]}
+        with torch.no_grad():
+            for weights in self.scores.parameters():
+                weights.mul_(SURENESS)
+        names = {"input_names": ["image"], "output_names": ["scores", "keypoints"]}
         how = {"opset_version": 17, "dynamo": False}
         torch.onnx.export(self, (torch.zeros(1, 3, *SIZE),), str(path), **names, **how)
-        file = compose.add_prefix(onnx.load(path), "own/", rename_inputs=False, rename_outputs=False)
-        graph, given = file.graph, compose.add_prefix(part_of(before, ["new", "keypoints"]), "before/").graph
+        file = onnx.load(path)
+        graph = file.graph
         for one in list(graph.initializer):
             value, name = to_array(one), one.name
-            if value.ndim == 4 and value.size > LARGE:  # eight bits, by output channel
+            if value.ndim == 4 and value.size > LARGE:  # by output channel
                 scale = np.abs(value).max((1, 2, 3), keepdims=True) / np.float32(127.0) + np.float32(1e-12)
                 one.CopyFrom(from_array(np.rint(value / scale).astype(np.int8), f"{name}/bits"))
                 graph.initializer.append(from_array(scale, f"{name}/scale"))
                 graph.node.insert(0, make_node("Mul", [f"{name}/whole", f"{name}/scale"], [name]))
                 cast = make_node("Cast", [f"{name}/bits"], [f"{name}/whole"], to=onnx.TensorProto.FLOAT)
                 graph.node.insert(0, cast)
-        half, teachers_half = np.array(SIZE) // 2, np.array(TEACHERS_SIZE) // 2
-        _resize(graph, "image", "before/image", np.array(TEACHERS_SIZE) / SIZE)
-        graph.node.extend(given.node)
-        graph.initializer.extend(given.initializer)
-        for name in ("new", "keypoints"):
-            _resize(graph, f"before/{name}", name, half / teachers_half)
-        for name, weight in WEIGHTS.items():
-            graph.initializer.append(from_array(np.float32(weight), f"{name}/weight"))
-            graph.node.append(make_node("LogSoftmax", [name], [f"{name}/likely"], axis=1))
-            graph.node.append(make_node("Mul", [f"{name}/likely", f"{name}/weight"], [f"{name}/part"]))
-        graph.node.append(make_node("Add", [f"{name}/part" for name in WEIGHTS], ["scores"]))
-        del graph.output[:]
-        shape = [1, 4, SIZE[0] // 2, SIZE[1] // 2]
-        graph.output.extend(
-            make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape) for name in ("scores", "keypoints")
-        )
         onnx.save(file, path)
-
-
-def _resize(graph: onnx.GraphProto, name: str, to: str, scales: Array) -> None:
-    graph.initializer.append(from_array(np.array([1.0, 1.0, *scales], np.float32), f"{to}/scales"))
-    graph.node.append(make_node("Resize", [name, "", f"{to}/scales"], [to], mode="linear"))
-
-
-def part_of(path: Path, outputs: list[str]) -> onnx.ModelProto:
-    """What of a net in an ONNX file leads from the image to outputs, which may be inside of it."""
-    whole = onnx.shape_inference.infer_shapes(onnx.load(path))
-    return onnx.utils.Extractor(whole).extract_model(["image"], outputs)
 
 
 def _doubled(values: Tensor) -> Tensor:
@@ -184,20 +147,19 @@ def _doubled(values: Tensor) -> Tensor:
 
 
 class Teacher:
-    """What the net before says of pictures: its older half knew rooms, its younger one keypoints."""
+    """What a network in a file, of the same size, says of pictures."""
 
-    def __init__(self, before: Path, output: str) -> None:
-        part = part_of(before, [output])
-        self._net = cv2.dnn.readNetFromONNX(np.frombuffer(part.SerializeToString(), np.uint8))
+    def __init__(self, path: Path) -> None:
+        self._net = cv2.dnn.readNetFromONNX(str(path))
 
-    def __call__(self, images: Tensor) -> Tensor:
-        """Its output for images (n, 3, *SIZE), at half of SIZE: (n, 4, h / 2, w / 2)."""
-        said = list[Array]()
-        for image in functional.interpolate(images, TEACHERS_SIZE, mode="area").contiguous().numpy():
+    def __call__(self, images: Tensor) -> tuple[Tensor, Tensor]:
+        """Its scores and its keypoints' log-odds for images (n, 3, *SIZE), both of shape (n, 4, h / 2, w / 2)."""
+        said = list[Sequence[Array]]()
+        for image in images.contiguous().numpy():
             self._net.setInput(image[None])
-            said.append(np.asarray(self._net.forward()))
-        half = SIZE[0] // 2, SIZE[1] // 2
-        return functional.interpolate(torch.from_numpy(np.concatenate(said)), half, mode="bilinear")
+            said.append(self._net.forward(["scores", "keypoints"]))
+        scores, keypoints = (torch.from_numpy(np.concatenate(kind)) for kind in zip(*said, strict=True))
+        return scores, keypoints
 
 
 def train_together(rank: int, given: Namespace, shown: Shown, folder: Path) -> None:
@@ -207,21 +169,20 @@ def train_together(rank: int, given: Namespace, shown: Shown, folder: Path) -> N
     # All begin with the same decoder: only so the mean of their weights is a network
     torch.manual_seed(given.seed)
     network = Network(given.start)
-    teachers = [Teacher(given.before, name) for name in ("old", "keypoints")] if given.earlier else []
-    train(network, shown, given.steps, given.seed + 1000 * rank, given.rate, teachers)
+    teacher = Teacher(given.teacher) if given.teacher else None
+    train(network, shown, given.steps, given.seed + 1000 * rank, given.rate, teacher)
     if rank == 0:
-        network.save(given.model, given.before)
+        network.save(given.model)
     distributed.destroy_process_group()
 
 
 def train(
-    network: Network, shown: Shown, steps: int, seed: int, of_rates: float, teachers: Sequence[Teacher] = ()
+    network: Network, shown: Shown, steps: int, seed: int, of_rates: float, teacher: Teacher | None = None
 ) -> None:
     """Train a network on one thread; its weights are then the mean of the last ones.
 
-    Processes take the mean of their weights now and then. Of what is drawn as earlier a network also learns what its
-    teacher says, and of real pictures where keypoints are: what that knows is kept (Li and Hoiem, "Learning without
-    forgetting", 2016).
+    Processes take the mean of their weights now and then. Of real pictures a network also learns what its teacher says:
+    what that knows is kept (Li and Hoiem, "Learning without forgetting", 2016).
     """
     torch.set_num_threads(1)
     rng, weights = np.random.default_rng(seed), [one for one in network.parameters() if one.requires_grad]
@@ -229,26 +190,20 @@ def train(
     in_encoder = len([one for one in network.blocks.parameters() if one.requires_grad])
     groups = [{"params": weights[:in_encoder]}, {"params": weights[in_encoder:]}]
     optimiser = torch.optim.AdamW(groups, weight_decay=1e-2)
-    rehearsed = REHEARSED if teachers else 0
     for step in range(1, steps + 1):
-        made = [
-            shown.rehearsed(rng, SIZE) if n < rehearsed else shown.sample(rng, SIZE) for n in range(BATCH)
-        ]
-        images, labels, points, known = (np.stack(kind) for kind in zip(*made, strict=True))
+        made = [shown.sample(rng, SIZE) for _ in range(BATCH)]
+        images, labels, points, drawn = (np.stack(kind) for kind in zip(*made, strict=True))
         near = torch.from_numpy(np.stack([near_keypoints(each, SIZE) for each in points])).float()
         rate = of_rates * min(50.0 * step / steps, 0.5 * (1.0 + float(np.cos(np.pi * step / steps))))
         for group, highest in zip(optimiser.param_groups, (ENCODER_RATE, DECODER_RATE), strict=True):
             group["lr"] = rate * highest
-        shown_to = _to_input(images)
+        shown_to, is_real, loss = _to_input(images), torch.from_numpy(~drawn), torch.zeros(())
         scores, odds = network(shown_to)
-        is_known, loss = torch.from_numpy(known), torch.zeros(())
-        if teachers:
-            of_rooms, of_keypoints = teachers
-            near[~is_known] = of_keypoints(shown_to[~is_known]).sigmoid()
-            is_known = torch.ones(BATCH)
-            said = of_rooms(shown_to[:rehearsed]).log_softmax(1)
-            loss = TEACHING * _divergence(scores[:rehearsed], said)
-        loss = loss + _loss(scores, odds, torch.from_numpy(labels), near, is_known)
+        if teacher and is_real.any():
+            said, near[is_real] = teacher(shown_to[is_real])
+            near[is_real] = near[is_real].sigmoid()
+            loss = TEACHING * _divergence(scores[is_real], said.log_softmax(1))
+        loss = loss + _loss(scores, odds, torch.from_numpy(labels), near, ~is_real | (teacher is not None))
         optimiser.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(weights, 2.0)

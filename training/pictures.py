@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
@@ -65,17 +61,6 @@ def masked(folders: Sequence[Path]) -> Outlined | None:
     return (np.stack(images), np.stack(masks)) if found else None
 
 
-def drawn_earlier(checkout: Path, count: int, processes: int) -> Outlined:
-    """What an earlier version in a checkout draws, 256x192 px, which its modules do in a process of their own."""
-    with TemporaryDirectory() as folder:
-        call = f"rendered(0, {count}, Path({folder!r}), {processes})"
-        code = f"from pathlib import Path; from tools.segmentation_net.dataset import rendered; {call}"
-        environment = os.environ | {"PYTHONPATH": str(checkout)}
-        subprocess.run([sys.executable, "-c", code], cwd=checkout, env=environment, check=True)
-        images, labels = (np.load(next(Path(folder).glob(f"*-{kind}.npy"))) for kind in ("images", "labels"))
-    return images, labels
-
-
 def _outlined(path: Path, shows: str, outlines: Sequence[Sequence[list[int]]] = ((), ())) -> Outlined:
     video = cv2.VideoCapture(str(path))  # reads a single picture, too
     video.set(cv2.CAP_PROP_POS_FRAMES, int(0.7 * video.get(cv2.CAP_PROP_FRAME_COUNT)))
@@ -101,25 +86,14 @@ def _outlined(path: Path, shows: str, outlines: Sequence[Sequence[list[int]]] = 
 
 @dataclass(frozen=True)
 class Shown:
-    """What training shows: drawn, real and grey pictures, and those that an earlier version of this folder drew."""
+    """What training shows: drawn, real and grey pictures."""
 
     drawn: Drawn
     real: Outlined | None = None
     grey: Outlined | None = None
-    earlier: Outlined | None = None
-
-    def rehearsed(self, rng: np.random.Generator, size: Size) -> Sample:
-        """A picture drawn as earlier, flipped, at `size` = (h, w), channels brighter or darker; keypoints unknown."""
-        assert self.earlier is not None
-        n, (down, across) = int(rng.integers(len(self.earlier[0]))), rng.choice([-1, 1], 2).tolist()
-        image, label = (kind[n][::down, ::across] for kind in self.earlier)
-        table = np.clip(np.arange(256)[:, None] * np.exp(rng.normal(0.0, 0.12, 3)), 0, 255).astype(np.uint8)
-        image = cv2.resize(table[image, range(3)], size[::-1], interpolation=cv2.INTER_LINEAR)
-        label = cv2.resize(label, size[::-1], interpolation=cv2.INTER_NEAREST)
-        return image, label, np.full((5, 5, 2), np.nan), False
 
     def sample(self, rng: np.random.Generator, size: Size) -> Sample:
-        """A picture, its labels and keypoints, at `size` = (h, w), and whether all keypoints are known."""
+        """A picture, its labels and keypoints, at `size` = (h, w), and whether it is drawn, all of it."""
         n = int(rng.integers(len(self.drawn[0])))
         image, label, points = (kind[n] for kind in self.drawn)
         if self.real is None or rng.random() < DRAWN_SHARE:
@@ -139,7 +113,7 @@ class Shown:
         image, label, points = augmented(rng, image, label, points, size)
         image = _shining(rng, image) if rng.random() < 0.3 else image
         image = filmed(rng, image) if rng.random() < 0.5 else image
-        return image, label, points, not (label >= INSTRUMENT).any()
+        return image, label, points, False
 
     def _one(self, rng: np.random.Generator, real: Outlined, grey_share: float) -> Outlined:
         """A real picture and its labels; of the grey ones some get the colours of tissue."""

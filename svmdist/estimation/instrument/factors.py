@@ -37,8 +37,8 @@ def of_images(
     """All factors of the left view or of both; of the variance of edges a share lasts.
 
     What hides a part of end and marker hides it in both views alike: the second view adds its disparity only. Of a tool
-    that is tracked, the shaft's end, a stub's sides, and a size beside a disparity tell less than is known before; and
-    what hides its marker may be what has the sides.
+    that is tracked, the shaft's end and a size beside a disparity tell less than is known before; and what hides its
+    marker may be what has the sides.
     """
     arm, left, right = frame.arm, frame.left, frame.right
     views = [left, right] if both_views and right is not None else [left]
