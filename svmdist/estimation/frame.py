@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from svmdist.estimation.instrument.shaft_detection import (
+    NO_SHAFT,
     DistalMarker,
     ShaftDetection,
     detect_distal_marker,
@@ -140,9 +141,10 @@ class View:
     @cached_property
     def shaft(self) -> ShaftDetection:
         """The shaft's edges and end."""
-        instrument = self._arm.profile.instrument
-        radius_m = 0.0 if instrument is None else instrument.shaft_radius_m
-        return detect_silhouette(self.silhouette, self.camera, radius_m)
+        straight = self._arm.straight
+        if straight is None:
+            return NO_SHAFT
+        return detect_silhouette(self.silhouette, self.camera, straight.radius_m)
 
     @cached_property
     def rim_ahead(self) -> tuple[float, float] | None:

@@ -29,8 +29,8 @@ SCATTER_STDS = 2.5  # of the points' scatter, within which they are on the line
 FAINT = 0.3  # the slope of a point of an edge over that of most of them, below which it is none
 SLOPE_OFFSETS_PX = STEP_PX * np.arange(-9.0, 10.0)
 SLOPE_FILTER = SLOPE_OFFSETS_PX * np.exp(-0.5 * (SLOPE_OFFSETS_PX / SLOPE_SIGMA_PX) ** 2)
-"""The derivative of a Gaussian, as OpenCV correlates with it: slopes in levels per px are `SLOPE_SCALE` times that."""
-SLOPE_SCALE = STEP_PX / (np.sqrt(2.0 * np.pi) * SLOPE_SIGMA_PX**3)
+SLOPE_FILTER *= STEP_PX / (np.sqrt(2.0 * np.pi) * SLOPE_SIGMA_PX**3)
+"""The derivative of a Gaussian, as OpenCV correlates with it: slopes in levels per px."""
 SHADE_FROM_PX, SHADE_FROM_BLUR, SHADE_STEPS = 3.0, 2.0, 8
 """Shades beside an edge are read from so far off it, clear of the filter and of its blur, over so many samples."""
 MAX_SHIFT = 0.25  # by shading, over the scale of the slope: beyond, the first order is not enough
@@ -76,7 +76,7 @@ def _profiles_across(
     window = bgr[top : max(int(y.max()) + 3, top + 1), left : max(int(x.max()) + 3, left + 1)]
     places = ((x - left).astype(np.float32), (y - top).astype(np.float32))
     values = cv2.remap(window.astype(np.float32), *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    kernel = (SLOPE_SCALE * SLOPE_FILTER)[None].astype(np.float32)
+    kernel = SLOPE_FILTER[None].astype(np.float32)
     slopes = np.moveaxis(cv2.filter2D(values, -1, kernel, borderType=cv2.BORDER_REPLICATE), 2, 0)
     return Profiles(np.ascontiguousarray(slopes), offsets, seen)
 

@@ -43,13 +43,12 @@ def fit_line(
     min_count: int = 8,
     inlier_px: float = 1.0,
     systematic_px: float = 0.0,
-    correlation_px: float = POINT_CORRELATION_PX,
 ) -> Line | None:
     """The line through most of the points, shape (n, 2): RANSAC, then total least squares with Huber's weights.
 
     `unit` is the size of a pixel in the unit of the points. None where fewer than `min_count` points agree within
     `inlier_px`, or less than half of them. `systematic_px` is an error that the points share, at each end of the line
-    another. Points closer than `correlation_px` err alike.
+    another. Points closer than `POINT_CORRELATION_PX` err alike.
     """
     chosen = _consensus(points, inlier_px * unit)
     if np.count_nonzero(chosen) < max(min_count, len(points) // 2):
@@ -69,7 +68,7 @@ def fit_line(
     position = (points - centre) @ direction
     # Points err alike over the correlation length: as if there were fewer of them.
     spacing = np.ptp(position) / unit / max(len(points) - 1, 1)
-    alike = max(1.0, correlation_px / max(spacing, 1e-6))
+    alike = max(1.0, POINT_CORRELATION_PX / max(spacing, 1e-6))
     variance = scale**2 * alike
     shared = (systematic_px * unit) ** 2
     turn = (variance / weight.sum() + shared) / max(float(weight @ position**2 / weight.sum()), 1e-30)

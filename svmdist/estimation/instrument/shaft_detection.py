@@ -14,7 +14,6 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.discs import Disc, fit_disc
 from svmdist.vision.lines import (
-    POINT_CORRELATION_PX,
     Line,
     TangentPlane,
     axis_of_cylinder,
@@ -171,7 +170,7 @@ def detect_silhouette(silhouette: Silhouette | None, camera: Camera, radius_m: f
         inlier_px = max(LINE_INLIER_PX, LINE_INLIER_PER_WIDTH * silhouette.width_px, edge.within_px)
         if edge.covariance is None:
             points = camera.rays(edge.points_px)[:, :2]
-            line = fit_line(points, unit, MIN_LINE_POINTS, inlier_px, SHADING_STD_PX, POINT_CORRELATION_PX)
+            line = fit_line(points, unit, MIN_LINE_POINTS, inlier_px, SHADING_STD_PX)
         else:
             ends = camera.rays(np.stack([edge.start_px, edge.end_px]))[:, :2]
             line = line_between(ends, edge.covariance * unit**2)
