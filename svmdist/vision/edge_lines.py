@@ -1,7 +1,4 @@
-"""A straight edge in an image near a side that is nearly right, whatever colours meet there, to where it ends.
-
-And which of two edges is the shaft's, where its own shadow lies beside it.
-"""
+"""A straight edge in an image near a side that is nearly right, whatever colours meet there, to where it ends."""
 
 from __future__ import annotations
 
@@ -128,8 +125,8 @@ class EdgeLine(Side):
 
     `points_px`, shape (n, 2), are its sub-pixel points from the border to the end, most of them within `within_px` of
     the line between both ends. `ends` is False where it goes on as far as was looked, or to where
-    nothing can be seen. Without points the line is known by its `covariance`, (2, 2) in px², of its offsets at both
-    ends. `blur_px` is the deviation of the edge's own blur.
+    nothing can be seen. Of an edge that is not sharp the line is known by the `covariance`, (2, 2) in px², of its
+    offsets at both ends; without points no edge is seen. `blur_px` is the deviation of the edge's own blur.
     """
 
     points_px: Array
@@ -163,7 +160,7 @@ def edge_line(
     off_px, width_px2, line = np.full(len(at), np.nan), np.zeros(len(at)), (0.0, 0.0, length_px)
     for reach_px in (wide_px, *[fine_px] * (REFINEMENTS - 1)):
         off_px, width_px2 = _points_near(profiles, line[0] + line[1] * at, reach_px, least_levels)
-        found = _ending_line(at, off_px, line[2], bounds_px)
+        found = ending_line(at, off_px, line[2], bounds_px)
         if found is None:
             return None
         line, straight_px = found
@@ -220,7 +217,7 @@ def _shading_shift_px(slopes: NDArray[np.float32], column: NDArray[np.intp], blu
     return float(np.clip(shift_px, -most_px, most_px))
 
 
-def _ending_line(
+def ending_line(
     at: Array, off_px: Array, length_px: float, straight_px: tuple[float, float]
 ) -> tuple[tuple[float, float, float], float] | None:
     """The straight part from the border on, of offsets, shape (n,), at places, shape (n,); NaN is no edge.
@@ -268,71 +265,3 @@ def _robust_line(x: Array, y: Array) -> tuple[float, float]:
         slope = float(weight @ ((x - centre) * (y - height))) / spread
         offset = height - slope * centre
     return offset, slope
-
-
-PENUMBRA_RATIO = 1.6  # of the edges' blurs; beyond, one is a shadow's border: both edges are equally far
-PENUMBRA_BLUR_PX = 1.0  # blur that any edge may have, px: below it the ratio of two blurs is noise
-SHADOW_REACH = 0.45  # of the width, shadow included, how far inside of its border the shaft's edge is sought
-MIN_COLOUR = 0.08  # least difference of colours, in logarithms of ratios: 8 % of red over green
-MAX_SHADOW = 0.5  # of the way from the shaft's colour to that beside it
-MIN_BRIGHTER = 0.1  # logarithm of levels: 10 %
-DARK_LEVEL = 4.0  # added to levels, so that the colour of black is grey
-CORE = np.array([0.4, 0.5, 0.6])  # from one edge to the other, where the shaft's own colour is looked at
-WITHIN, BESIDE = np.array([0.35, 0.5, 0.65]), np.array([1.5, 2.0, 2.5])
-"""From a shaft's edge to its shadow's, where the shadow is looked at, and what is beside it."""
-LEAST_SHADOW_PX = 3.0  # between both edges: nearer, they are one
-
-
-def edge_within(
-    bgr: Image,
-    outer: Array,
-    blur_px: float,
-    other: Array,
-    other_blur_px: float,
-    picture: Image | None,
-    least_levels: float,
-) -> EdgeLine | None:
-    """The shaft's edge, where a side of a silhouette is that of its shadow; None where it is its own.
-
-    Sides are (2, 2) in px from the border on; the blur of one without a sharp edge is infinite. Both edges of a shaft
-    are equally far, and as sharp. The one that is less so is a shadow's, if there is a sharp edge within, and what lies
-    between is darker than beside both, and not of the shaft's colour: a shadow keeps the ratios of red, green and blue
-    of what it falls on (Gevers and Smeulders 1999).
-    """
-    sharp_px = PENUMBRA_RATIO * max(PENUMBRA_BLUR_PX, other_blur_px if np.isfinite(other_blur_px) else 0.0)
-    if blur_px <= sharp_px:
-        return None
-    along = (outer[1] - outer[0]) / max(float(np.linalg.norm(outer[1] - outer[0])), 1e-9)
-    across = np.array([-along[1], along[0]])
-    width_px = float(np.mean((other - outer[0]) @ across))
-    across, width_px = across * np.sign(width_px), abs(width_px)
-    reach_px = 0.5 * SHADOW_REACH * width_px
-    inner = edge_line(
-        bgr, outer + reach_px * across, width_px, reach_px / (WINDOW * ROUGH_PX), picture, least_levels
-    )
-    if inner is None or inner.blur_px > sharp_px:
-        return None
-    feet_px = inner.start_px + np.linspace(0.1, 0.9, 24)[:, None] * (inner.end_px - inner.start_px)
-    shadow_px, shaft_px = (feet_px - outer[0]) @ across, (other.mean(0) - feet_px) @ across
-    if median(shadow_px) < LEAST_SHADOW_PX:
-        return None
-
-    def colour(shares: Array, of_px: Array) -> Array:
-        return _median_colour(bgr, feet_px[:, None] + (shares * of_px[:, None])[..., None] * across)
-
-    shaft, beside = colour(CORE, shaft_px), colour(-BESIDE, shadow_px)
-    away, within = beside - shaft, colour(-WITHIN, shadow_px) - shaft
-    square = float(away[:2] @ away[:2])
-    is_of_shaft = square > MIN_COLOUR**2 and within[:2] @ away[:2] < MAX_SHADOW * square
-    return None if is_of_shaft or away[2] - within[2] < MIN_BRIGHTER else inner
-
-
-def _median_colour(bgr: Image, places_px: Array) -> Array:
-    """Logarithms of red and blue over green, and of green, shape (3,): the median at pixels, shape (..., 2)."""
-    column, row = np.round(places_px).reshape(-1, 2).astype(np.intp).T
-    height, width = bgr.shape[:2]
-    inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
-    if not inside.any():
-        return np.zeros(3)
-    blue, green, red = np.log(bgr[row[inside], column[inside]].astype(np.float64) + DARK_LEVEL).T
-    return np.asarray(np.median([red - green, blue - green, green], axis=1))

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.edge_lines import ROUGH_PX, EdgeLine, edge_line, edge_within
+from svmdist.vision.edge_lines import ROUGH_PX, EdgeLine, edge_line
 from svmdist.vision.instruments.find_instruments import SeenInstrument
+from svmdist.vision.shadows import edge_within
 
 MIN_LENGTH_WIDTHS = 1.25  # of both sides, on average: where it comes in at a slant one is shorter
 MOST_OFF_STDS = 2.5  # of a sharp edge from the rough side it was sought at
@@ -215,8 +216,8 @@ def find_silhouette(
     least_px = MIN_LENGTH_WIDTHS * width_px
     if not 0.5 * (first.length_px + second.length_px) >= least_px > 0.0:
         return None
-    # What has no sharp edge where the evidence ends may be anything: the arm behind an instrument, or a blot.
-    if not seen.is_sure and any(edge.covariance is not None for edge in (first, second)):
+    # What has no edge where the evidence ends may be anything: the arm behind an instrument, or a blot.
+    if not seen.is_sure and not all(len(edge.points_px) for edge in (first, second)):
         return None
     ends = [] if seen.ends_dark else [edge.end_px for edge in (first, second) if edge.ends]
     if not ends and not np.isfinite(seen.end_std_px):

@@ -15,6 +15,7 @@ from svmdist.vision.instruments.evidence import Evidence, picture_of
 from svmdist.vision.instruments.find_instruments import AutoSegmenter, SeenInstrument, seen_instrument
 from svmdist.vision.instruments.outline import Outline
 from svmdist.vision.instruments.outline_search import judged
+from svmdist.vision.shadows import edge_within
 from svmdist.vision.silhouette import WristShape, find_silhouette
 from tests.pictures import BORDERS, surgery_image
 from tests.reading import read_images
@@ -170,6 +171,28 @@ def test_the_shaft_ends_before_its_own_shadow(behind, light):
     found = find_silhouette(bgr, seen, None, WristShape(0.3, 2.0), 12.0)
     assert found is not None
     assert found.width_px == pytest.approx(40.0, abs=0.7)
+
+
+def stained_shaft(share: float) -> Image:
+    """A grey shaft in rows 100 to 140, its shadow as dark down to row 160; blood over a share of their border."""
+    lit = np.ones((240, 320, 1), np.float32)
+    lit[140:160, :280] = 0.45
+    bgr = cv2.GaussianBlur(lit, (0, 0), 3.0)[..., None] * np.array((70.0, 76.0, 84.0))
+    bgr[100:140, :280] = 38, 35, 35
+    for begin in range(0, 280, 40):
+        bgr[124:140, begin : begin + round(40 * share)] = 10, 8, 60
+    return np.asarray(cv2.GaussianBlur(bgr, (0, 0), 0.8), np.uint8)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.4])
+def test_a_shaft_ends_at_its_shadow_by_colours_alone_with_blood_on_it(share):
+    """Red is no colour of the shaft either, so that blood on its limb looks like more of what is beside it."""
+    outer, other = (np.array([[0.0, y], [280.0, y]]) for y in (158.0, 99.5))
+    found = edge_within(stained_shaft(share), outer, 3.0, other, 0.8, None, 12.0)
+    assert found is not None
+    assert [found.start_px[1], found.end_px[1]] == pytest.approx([139.5, 139.5], abs=1.0)
+    lit = np.where(np.arange(240)[:, None, None] >= 140, np.uint8(160), stained_shaft(share))
+    assert edge_within(lit, np.array([[0.0, 139.5], [280.0, 139.5]]), 3.0, other, 0.8, None, 12.0) is None
 
 
 def test_a_wrist_that_comes_in_from_the_border_is_no_shaft(golden):
