@@ -12,7 +12,7 @@ from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound, with_detections
 from svmdist.estimation.instrument.distal_marker import Expected, MarkerPair, pair_markers
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.estimation.instrument.factors import jaw_scale, of_images, tag
+from svmdist.estimation.instrument.factors import SHAFT, jaw_scale, of_images, tag
 from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.kinematic_error_filter import (
     KinematicErrorFilter,
@@ -75,7 +75,10 @@ class FusedEstimator:
         start = self._start(frame)
         predicted = start or kalman.tool_pose()
         by_tag = list(self._tag(frame, predicted))
-        shown = [] if self._is_lost(frame, predicted) and not by_tag else self._of_images(frame)
+        shown = self._of_images(frame)
+        # A stub at the border or a shadow has sides and an end, too: alone they count where they hold a pose.
+        if not by_tag and all(one.source == SHAFT for one in shown) and self._image_pose(frame) is None:
+            shown = []
         gating = kalman.update([*shown, *by_tag])
         said = self._watch(frame, gating)
         height = self._followed.measure_height(frame, kalman)
@@ -113,13 +116,6 @@ class FusedEstimator:
         if isinstance(fit, Failure) or fit.doubt:
             return None
         return fit.pose if fit.pose.position_std_m < MAX_IMAGE_STD_M else None
-
-    def _is_lost(self, frame: Frame, predicted: ToolPose) -> bool:
-        """Whether neither a place nor the image tells which of the shaft's sides is right: either may lead anywhere."""
-        if self._stereo is None or self._is_located or predicted.position_std_m <= LOCATED_STD_M:
-            return False
-        fit = frame.shaft_pose
-        return not isinstance(fit, Failure) and not fit.holds_depth
 
     def _start(self, frame: Frame) -> ToolPose | None:
         """Begin anew where it is due, and give the pose to linearise at; None where the filter goes on."""

@@ -22,6 +22,8 @@ class Wave:
     level: float
     height: float
     std: float
+    name: str = ""
+    rests_on: tuple[str, ...] = ()
 
     @property
     def covariance(self):
@@ -76,3 +78,14 @@ def test_steps_that_descend_end_no_less_probable_than_they_began(start):
 
     found = most_probable(OnALine(), WAVES, np.array([start]), descends=True)
     assert cost(float(found.x[0])) <= cost(start) + SETTLED
+
+
+def test_what_rests_on_wild_measurements_is_as_wild():
+    """A shaft's end agrees with the prior wherever it is; of a thing whose sides do not, it is no shaft's end."""
+    side, beside = Wave(40.0, 0.0, 0.1, "edge"), Wave(0.0, 0.0, 0.1, "right edge")
+    end = Wave(1.0, 0.0, 0.1, "end", rests_on=("edge", "edge that is not there"))
+    alone = most_probable(OnALine(), [end], np.zeros(1))
+    both = most_probable(OnALine(), [side, end, beside], np.zeros(1))
+    assert alone.weights[0] > 0.9
+    assert both.weights[1] == both.weights[0] < 0.01
+    assert both.weights[2] > 0.9

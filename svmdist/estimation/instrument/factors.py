@@ -20,7 +20,8 @@ from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
 
-DISPARITY = "disparity"
+DISPARITY, SHAFT, EDGE = "disparity", "shaft", "edge {:+d}"
+RIGHT = "right {}"
 LASTING_SIZE = 0.75  # of the variance of the marker's radius: light and blood stay
 TOOL_SPEED_M_S = 0.05  # standard deviation along each axis: the tool stands elsewhere in a later view
 
@@ -37,8 +38,8 @@ def of_images(
     """All factors of the left view or of both; of the variance of edges a share lasts.
 
     What hides a part of end and marker hides it in both views alike: the second view adds its disparity only. Of a tool
-    that is tracked, the shaft's end and a size beside a disparity tell less than is known before; and what hides its
-    marker may be what has the sides.
+    that is tracked by its marker or tag, the right view's sides, the shaft's end and a size beside a disparity tell
+    less than is known before.
     """
     arm, left, right = frame.arm, frame.left, frame.right
     views = [left, right] if both_views and right is not None else [left]
@@ -53,9 +54,9 @@ def of_images(
     marks = first(of_view(view, marked(view, arm, expected)) for view in views)
     # An outline's wrist tells too little without the rest of the outline.
     is_by_outline = any(one.name.endswith(WRIST) for one in marks)
-    if is_tracked and not is_by_outline:
-        if marks or left.tag_corners_px is not None:
-            found += sides(left, arm, lasting_share)
+    has_tag = arm.profile.fiducial is not None and left.tag_corners_px is not None
+    if is_tracked and not is_by_outline and (marks or has_tag):
+        found += sides(left, arm, lasting_share)
     else:
         for view in views:
             found += of_view(view, sides(view, arm, lasting_share))
@@ -80,7 +81,7 @@ def sides(view: View, arm: Arm, lasting_share: float = 0.0) -> Iterator[LinkMeas
         across = axes[:, 1:].T
         covariance = across @ contour.plane.covariance @ across.T
         yield kinds.ContourMeasurement(
-            name=f"edge {contour.side:+d}",
+            name=EDGE.format(contour.side),
             link=axis.link,
             normal=contour.plane.normal,
             across=across,
@@ -115,6 +116,7 @@ def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
         model_std_m=ahead[1],
         lasting_std_px=float(np.sqrt(kinds.LASTING_OUTLINE)) * rim.std_px,
         deviations=arm.deviations,
+        rests_on=tuple(EDGE.format(contour.side) for contour in view.shaft.contours),
     )
 
 
@@ -163,7 +165,10 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
 def _in_right_view(one: LinkMeasurement, view: View) -> LinkMeasurement:
     """A measurement by the right camera: what an edge or a point alone gets wrong is each view's own."""
     motion_std_m = TOOL_SPEED_M_S * abs(view.delay_s)
-    right = replace(one, name=f"right {one.name}", T_view_left=view.T_view_left, motion_std_m=motion_std_m)
+    name, rests_on = RIGHT.format(one.name), tuple(RIGHT.format(other) for other in one.rests_on)
+    right = replace(
+        one, name=name, rests_on=rests_on, T_view_left=view.T_view_left, motion_std_m=motion_std_m
+    )
     if isinstance(right, kinds.PointMeasurement) and right.bias_name == one.name:
         right = replace(right, error=replace(right.error, name=right.name))
     return right

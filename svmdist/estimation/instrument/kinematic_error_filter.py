@@ -151,7 +151,11 @@ class KinematicErrorFilter:
                 self.has_jumped = start is None and self._prefers_jump(seen, found)
                 if not self.has_jumped:
                     state.retract(found.x)
-                    state.update_covariance(found.K, found.H, found.R)
+                    # What is refused may pull, but nothing is surer by it.
+                    accepted = np.concatenate(
+                        [np.full(one.degrees_of_freedom, one.is_accepted) for one in results]
+                    )
+                    state.update_covariance(found.H[accepted], found.R[np.ix_(accepted, accepted)])
         if start is None:
             self.consistency.add(state.robot.stamp_ns, results)
         late_std_s = self._model.time_offset_std_s(self._age_s)
@@ -168,9 +172,8 @@ class KinematicErrorFilter:
         is_accepted = nis <= chi_square_bound(size, self._settings.gate_z)
         result = GatingResult(name, nis, size, float(student_weight(nis, size)) if is_accepted else 0.0, name)
         if is_accepted:
-            K = np.asarray(np.linalg.solve(S, H @ state.P).T, np.float64)
-            state.retract(K @ innovation)
-            state.update_covariance(K, H, part.noise)
+            state.retract(state.P @ H.T @ np.linalg.solve(S, innovation))
+            state.update_covariance(H, part.noise)
         self.consistency.add(state.robot.stamp_ns, [result], of_tool=False)
         return result
 

@@ -134,7 +134,8 @@ class LinkMeasurement(ABC):
     `covariance` is that of what changes from frame to frame, the noise, shape (m, m). What stays alike, the bias, is a
     vector of numbers of variance one that fade with the time constant `correlation_time_s`. `source` is the detection
     that it is made of. For a right view, `T_view_left` maps the left camera's coordinates to the right one's, and the
-    tool may have moved by `motion_std_m` along each axis between the stamps of both.
+    tool may have moved by `motion_std_m` along each axis between the stamps of both. Where all measurements that it
+    `rests_on`, by their names, are wild, it is as wild: the end of what is no shaft is no shaft's end.
     """
 
     name: str
@@ -145,6 +146,7 @@ class LinkMeasurement(ABC):
     deviations: Deviations = EXACT
     T_view_left: Array | None = None
     motion_std_m: float = 0.0
+    rests_on: tuple[str, ...] = ()
 
     @property
     def bias_name(self) -> str:

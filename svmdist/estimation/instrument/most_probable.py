@@ -83,6 +83,7 @@ def most_probable(
     ends = np.cumsum(degrees)
     rows = [slice(end - count, end) for end, count in zip(ends, degrees, strict=True)]
     each = list(zip(rows, noises, strict=True))
+    rests = _rests(measurements)
     unlikely = _unlikely(P, deviations) if descends else None
     best: tuple[Array, Solution | None] = x, None
     least = np.inf
@@ -111,6 +112,8 @@ def most_probable(
         if is_robust:
             before = first if is_tracking else innovations
             weights = student_weight(np.maximum(before, residuals), degrees)
+            for at, others in rests:
+                weights[at] = min(weights[at], weights[others].max())
         R = block_diagonal([noise / weight for noise, weight in zip(noises, weights, strict=True)])
         solved = np.linalg.solve(S + R, np.column_stack([HP, innovation]))
         K = np.asarray(solved[:, :-1].T, np.float64)
@@ -127,6 +130,13 @@ def most_probable(
         best = x, found if unlikely is None else replace(found, x=x)
         x, moved = x + step, longer
     return best[1]
+
+
+def _rests(measurements: Sequence[LinkMeasurement]) -> list[tuple[int, list[int]]]:
+    """Which measurements rest on which others that are there."""
+    places = {measurement.name: at for at, measurement in enumerate(measurements)}
+    on = [[places[name] for name in measurement.rests_on if name in places] for measurement in measurements]
+    return [(at, others) for at, others in enumerate(on) if others]
 
 
 def _unlikely(P: Array, deviations: Array) -> Callable[[Array], float]:

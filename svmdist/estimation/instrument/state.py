@@ -115,8 +115,10 @@ class ErrorState:
         size = self.model.size
         self.correction, self.bias_mean = self.correction.retract(x[:size]), self.bias_mean + x[size:]
 
-    def update_covariance(self, K: Array, H: Array, R: Array) -> None:
-        """The covariance after an update, in Joseph's form."""
+    def update_covariance(self, H: Array, R: Array) -> None:
+        """The covariance after measurements of derivative H, (m, n), and noise R, (m, m), in Joseph's form."""
+        HP = H @ self.P
+        K = np.asarray(np.linalg.solve(HP @ H.T + R, HP).T)
         keep = np.eye(len(self.P)) - K @ H
         P = keep @ self.P @ keep.T + K @ R @ K.T
         self.P = 0.5 * (P + P.T)
