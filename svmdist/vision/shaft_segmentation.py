@@ -21,6 +21,9 @@ MIDDLE_STRIP = 0.125  # of the width, to either side of the middle, where the en
 MIN_SIDE_PX = 6.0  # the shortest side of a shaft: the least that a line can be fitted to
 MAX_TAPER_RAD = 0.6  # between the sides; a cylinder that points at the camera has no contour lines
 
+BEYOND, MORE_STRIP = np.arange(0.25, 2.5, 0.05), 0.25
+"""Where more of a shaft is sought beyond its end, and to either side of the middle, over its width."""
+MORE, MORE_SHARE = 10, 0.35  # of half a width along that, dark is so much of more shaft; of wrists, less
 MIN_END_STD_PX = 3.0  # of the shaft's end: steel, jaws and shadow are as dark, 4 px and more off it
 WORKING_PX = 320  # of such a picture's width, a pixel is how far a mask's border may be off an edge
 MAX_SAMPLES = 120  # points of a contour among which its two corners are searched
@@ -119,7 +122,8 @@ def find_shaft(
         if sides is not None:
             shape = np.zeros_like(shaft)
             cv2.drawContours(shape, [contour], -1, 255, cv2.FILLED, offset=corner)
-            return ShaftRegion(shape, *sides, _is_free(sides, covered), view)
+            is_free = _is_free(sides, covered) and not _goes_on(sides, dark)
+            return ShaftRegion(shape, *sides, is_free, view)
     return None
 
 
@@ -165,6 +169,22 @@ def _is_free(sides: tuple[Side, Side, Array | None], covered: Image | None) -> b
     right, bottom = (max(0, int(value + radius_px) + 2) for value in end_px)
     y, x = np.nonzero(covered[top:bottom, left:right])
     return bool(np.all(np.hypot(x + left - end_px[0], y + top - end_px[1]) > radius_px))
+
+
+def _goes_on(sides: tuple[Side, Side, Array | None], dark: Image) -> bool:
+    """Whether more of a shaft is beyond its end: blood, or a band, cuts it in two."""
+    first, second, end_px = sides
+    if end_px is None:
+        return False
+    along, apart_px = first.direction + second.direction, second.end_px - first.end_px
+    along /= np.linalg.norm(along)
+    ahead, aside = BEYOND * np.linalg.norm(apart_px), np.linspace(-MORE_STRIP, MORE_STRIP, 9)
+    places = np.rint(end_px + ahead[:, None, None] * along + aside[:, None] * apart_px).astype(int)
+    height, width = dark.shape
+    inside = ((places >= 0) & (places < [width, height])).all(2)
+    x, y = places[..., 0].clip(0, width - 1), places[..., 1].clip(0, height - 1)
+    is_dark = ((dark[y, x] > 0) & inside).mean(1)
+    return bool(np.convolve(is_dark, np.full(MORE, 1.0 / MORE), "valid").max() > MORE_SHARE)
 
 
 def _arcs_inside(contour: NDArray[np.int32], inside: NDArray[np.bool_]) -> list[Array]:

@@ -115,6 +115,22 @@ def test_axis_without_colours(side, scene):
     assert np.linalg.norm(off_m - (off_m @ drawn.direction) * drawn.direction) < 0.02 * drawn.tool_m[2]
 
 
+@pytest.mark.parametrize("side", list(SIDES)[:4])
+def test_blood_across_a_shaft_is_not_its_end(side):
+    """Over half of a width it is red, and beyond that the shaft goes on for a width."""
+    assert PROFILE.instrument is not None
+    drawn, segmenter = picture(SMALL, side, **RED), make_segmenter(PROFILE.segmentation)
+    back_m = END_M + np.array([[1.6], [1.0]]) * 2.0 * PROFILE.instrument.shaft_radius_m
+    from_px, to_px = SMALL.project(drawn.hinge_m - back_m * drawn.direction)
+    aside = 2.0 * np.array([from_px[1] - to_px[1], to_px[0] - from_px[0]])
+    band = np.array([from_px - aside, from_px + aside, to_px + aside, to_px - aside])
+    whole = drawn.draw(2)
+    cut = cv2.fillConvexPoly(whole.copy(), np.rint(band).astype(np.int32), RED_BGR)
+    views = [frame_of(Observation(0, bgr, SMALL), Arm(PROFILE), segmenter).left for bgr in (whole, cut)]
+    assert [view.shaft.rim is None for view in views] == [False, True]
+    assert all(view.shaft_region is not None for view in views)
+
+
 def test_a_dark_end_is_no_shafts_where_nothing_of_the_chain_slides():
     """Another robot's: the image shows an end, and no link of the chain carries it."""
     assert PROFILE.robot is not None
