@@ -27,17 +27,13 @@ PENUMBRA_RATIO = 1.6  # of the edges' blurs; beyond, one is a shadow's border: b
 PENUMBRA_BLUR_PX = 1.0  # blur that any edge may have, px: below it the ratio of two blurs is noise
 SHADOW_REACH = 0.45  # of the width, shadow included, how far inside of its border the shaft's edge is sought
 CORE = (0.4, 0.6)  # from one edge to the other, where the shaft's own colour is looked at
-BORDER_PX, BESIDE_PX = (
-    3.0,
-    (6.0, 14.0),
-)  # about a shadow's border, where its colour is looked at; and outside of it
+BORDER_PX = 3.0  # to either side of a shadow's border, where its colour is looked at
+BESIDE_PX = (6.0, 14.0)  # outside of it, where what is beside it is
 LEAST_SHADOW_PX = 3.0  # between both edges: nearer, they are one
 MIN_COLOUR = 0.08  # least difference of colours, in logarithms of ratios: 8 % of red over green
 MIN_DARKER = 0.1  # logarithm of levels: 10 %
 DARK_LEVEL = 4.0  # added to levels, so that the colour of black is grey
-COLOUR_STD_PX = (
-    2.0  # of a line by colours: images keep them at half of the resolution, and they run into the dark
-)
+COLOUR_STD_PX = 2.0  # of a line by colours: images keep half of their resolution
 SIDE = 6  # samples to either side of an edge, where brightness is compared
 STARTS = 30  # points of which each two give a line to be tried
 

@@ -24,7 +24,7 @@ SINGULAR = 1e-9  # the least eigenvalue of the prior as correlations: constants 
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """The most probable change x of the state, derivatives, noise and gain there; judged per measurement.
+    """The most probable change x of the state, derivatives and noise there; judged per measurement.
 
     `innovations` are normalised squares against prior and noise, `residuals` those that are left against noise alone,
     `weights` those of Student's t; `nis` is the square of all of them together.
@@ -33,7 +33,6 @@ class Solution:
     x: Array
     H: Array
     R: Array
-    K: Array
     innovations: Array
     residuals: Array
     weights: Array
@@ -124,7 +123,7 @@ def most_probable(
             step, longer = 0.5 * step, 0.5 * longer
         judged = first if is_tracking else innovations
         nis = float(innovation @ solved[:, -1])
-        found = Solution(x + step, H, R, K, judged, residuals, weights, nis)
+        found = Solution(x + step, H, R, judged, residuals, weights, nis)
         if longer < SETTLED:
             return found
         best = x, found if unlikely is None else replace(found, x=x)
