@@ -240,6 +240,14 @@ class Frame:
 
         return pose_by_image(self)
 
+    @cached_property
+    def pair_pose(self) -> ImagePose | Failure:
+        """The tool's pose by both views."""
+        from svmdist.estimation.instrument.image_pose import pose_by_pair
+
+        pair = self.scene.stereo_pair
+        return pair if isinstance(pair, Failure) else pose_by_pair(self, pair)
+
 
 def prefetch(source: object, names: Iterable[str]) -> dict[str, float]:
     """Compute detections ahead, `right.shaft` where there is a right view; gives by name what each took, in s."""

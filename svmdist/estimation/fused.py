@@ -12,7 +12,7 @@ from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound, with_detections
 from svmdist.estimation.instrument.distal_marker import Expected, MarkerPair, pair_markers
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.estimation.instrument.factors import SHAFT, jaw_scale, of_images, tag
+from svmdist.estimation.instrument.factors import jaw_scale, of_images, tag
 from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.kinematic_error_filter import (
     KinematicErrorFilter,
@@ -20,6 +20,7 @@ from svmdist.estimation.instrument.kinematic_error_filter import (
     pose_distance,
 )
 from svmdist.estimation.instrument.measurement import LinkMeasurement
+from svmdist.estimation.instrument.measurement_kinds import SHAFT
 from svmdist.estimation.one_view import tool_from_tag
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.stereo import StereoEstimator

@@ -12,7 +12,7 @@ from svmdist.estimation.instrument.consistency import with_detections
 from svmdist.estimation.instrument.distal_marker import MarkerPair, pair_markers
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.factors import DISPARITY
-from svmdist.estimation.instrument.image_pose import ImagePose, pose_by_pair
+from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.one_view import uncertainty
 from svmdist.estimation.scene import Arm
@@ -110,7 +110,7 @@ class StereoEstimator:
     def _located(self, frame: Frame, pair: RectifiedPair) -> ImagePose | Rejection | Failure:
         """What both views show, fitted together; without sizes of a shaft the triangulated marker, turned nominally."""
         self._has_plate |= frame.left.tag_corners_px is not None
-        return pose_by_pair(frame, pair) if self._uses_shaft else self._triangulated(frame, pair)
+        return frame.pair_pose if self._uses_shaft else self._triangulated(frame, pair)
 
     def _triangulated(self, frame: Frame, pair: RectifiedPair) -> ImagePose | Rejection | Failure:
         robot, right = frame.robot_in_camera, frame.right

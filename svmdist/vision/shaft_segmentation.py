@@ -13,6 +13,7 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.colour import field_of_view
 from svmdist.vision.instruments.find_instruments import SeenInstrument
+from svmdist.vision.instruments.outline import sampled
 
 VIEW_BORDER_FRACTION = 0.006  # of the image's width, left out: optics fade at the field of view's border
 GLARE_WIDTH_FRACTION = 0.03  # of the image's width; narrower bright stripes are reflections, and are closed
@@ -122,7 +123,7 @@ def find_shaft(
         if sides is not None:
             shape = np.zeros_like(shaft)
             cv2.drawContours(shape, [contour], -1, 255, cv2.FILLED, offset=corner)
-            is_free = _is_free(sides, covered) and not _goes_on(sides, dark)
+            is_free = _is_free(sides, covered) and not _is_cut(sides, dark)
             return ShaftRegion(shape, *sides, is_free, view)
     return None
 
@@ -171,7 +172,7 @@ def _is_free(sides: tuple[Side, Side, Array | None], covered: Image | None) -> b
     return bool(np.all(np.hypot(x + left - end_px[0], y + top - end_px[1]) > radius_px))
 
 
-def _goes_on(sides: tuple[Side, Side, Array | None], dark: Image) -> bool:
+def _is_cut(sides: tuple[Side, Side, Array | None], dark: Image) -> bool:
     """Whether more of a shaft is beyond its end: blood, or a band, cuts it in two."""
     first, second, end_px = sides
     if end_px is None:
@@ -179,11 +180,8 @@ def _goes_on(sides: tuple[Side, Side, Array | None], dark: Image) -> bool:
     along, apart_px = first.direction + second.direction, second.end_px - first.end_px
     along /= np.linalg.norm(along)
     ahead, aside = BEYOND * np.linalg.norm(apart_px), np.linspace(-MORE_STRIP, MORE_STRIP, 9)
-    places = np.rint(end_px + ahead[:, None, None] * along + aside[:, None] * apart_px).astype(int)
-    height, width = dark.shape
-    inside = ((places >= 0) & (places < [width, height])).all(2)
-    x, y = places[..., 0].clip(0, width - 1), places[..., 1].clip(0, height - 1)
-    is_dark = ((dark[y, x] > 0) & inside).mean(1)
+    places = end_px + ahead[:, None, None] * along + aside[:, None] * apart_px
+    is_dark = (sampled(dark, places, nearest=True) > 0).mean(1)
     return bool(np.convolve(is_dark, np.full(MORE, 1.0 / MORE), "valid").max() > MORE_SHARE)
 
 

@@ -20,8 +20,7 @@ from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
 
-DISPARITY, SHAFT, EDGE = "disparity", "shaft", "edge {:+d}"
-RIGHT = "right {}"
+DISPARITY, EDGE = "disparity", "edge {:+d}"
 LASTING_SIZE = 0.75  # of the variance of the marker's radius: light and blood stay
 TOOL_SPEED_M_S = 0.05  # standard deviation along each axis: the tool stands elsewhere in a later view
 
@@ -164,10 +163,13 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
 
 def _in_right_view(one: LinkMeasurement, view: View) -> LinkMeasurement:
     """A measurement by the right camera: what an edge or a point alone gets wrong is each view's own."""
-    motion_std_m = TOOL_SPEED_M_S * abs(view.delay_s)
-    name, rests_on = RIGHT.format(one.name), tuple(RIGHT.format(other) for other in one.rests_on)
+    name, *rests_on = (f"right {each}" for each in (one.name, *one.rests_on))
     right = replace(
-        one, name=name, rests_on=rests_on, T_view_left=view.T_view_left, motion_std_m=motion_std_m
+        one,
+        name=name,
+        rests_on=tuple(rests_on),
+        T_view_left=view.T_view_left,
+        motion_std_m=TOOL_SPEED_M_S * abs(view.delay_s),
     )
     if isinstance(right, kinds.PointMeasurement) and right.bias_name == one.name:
         right = replace(right, error=replace(right.error, name=right.name))

@@ -17,6 +17,7 @@ from svmdist.estimation.instrument.distal_marker import MarkerPair, pair_markers
 from svmdist.estimation.instrument.factors import DISPARITY, jaw_scale, of_images
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import LinkMeasurement
+from svmdist.estimation.instrument.measurement_kinds import SHAFT
 from svmdist.estimation.instrument.shaft_detection import DistalMarker
 from svmdist.estimation.instrument.shaft_model import ShaftModel
 from svmdist.kinematics.robot_state import RobotState
@@ -47,7 +48,7 @@ class ImagePose:
         """Whether its depth is held: by the shaft's whole outline, or a marker's size or disparity beside it."""
         if any(judged.is_accepted and judged.name in ("size", DISPARITY) for judged in self.gating):
             return True
-        return all(judged.is_accepted for judged in self.gating if judged.source == "shaft")
+        return all(judged.is_accepted for judged in self.gating if judged.source == SHAFT)
 
     @property
     def is_by_right_view(self) -> bool:
@@ -200,7 +201,7 @@ def _located(
         return Failure("the fit does not converge")
     doubt = kalman.consistency.doubt
     # Without joints nothing but the other edges says which of them is wrong: it may be those of another instrument.
-    for source in ("", "shaft") if isinstance(frame.robot, Failure) else ("",):
+    for source in ("", SHAFT) if isinstance(frame.robot, Failure) else ("",):
         told = [result for result in judged if source in ("", result.source)]
         refused = [result for result in told if not result.is_accepted]
         share = 0.0 if source else MAX_REFUSED_SHARE * sum(result.degrees_of_freedom for result in told)
@@ -211,6 +212,6 @@ def _located(
     used = tuple(one.name for one in judged if one.is_accepted)
     found = ImagePose(pose, used, doubt, judged)
     if not doubt and not found.holds_depth:
-        sides = ", ".join(one.name for one in judged if one.source == "shaft" and not one.is_accepted)
+        sides = ", ".join(one.name for one in judged if one.source == SHAFT and not one.is_accepted)
         found = replace(found, doubt=f"nothing holds the depth: {sides} refused")
     return found

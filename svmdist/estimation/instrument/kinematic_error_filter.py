@@ -152,9 +152,8 @@ class KinematicErrorFilter:
                 if not self.has_jumped:
                     state.retract(found.x)
                     # What is refused may pull, but nothing is surer by it.
-                    accepted = np.concatenate(
-                        [np.full(one.degrees_of_freedom, one.is_accepted) for one in results]
-                    )
+                    sizes = [one.degrees_of_freedom for one in results]
+                    accepted = np.repeat([one.is_accepted for one in results], sizes)
                     state.update_covariance(found.H[accepted], found.R[np.ix_(accepted, accepted)])
         if start is None:
             self.consistency.add(state.robot.stamp_ns, results)

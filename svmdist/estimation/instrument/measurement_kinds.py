@@ -23,7 +23,7 @@ from svmdist.profile.settings import FilterSettings
 from svmdist.transforms import Array, inverse_right_jacobian, rotation_vector, skew
 from svmdist.vision.lines import apparent_radius_px, tangent_normal
 
-MARKER = "distal marker"
+MARKER, SHAFT = "distal marker", "shaft"
 END_BIAS, JAWS = "shaft's end", "jaws"
 EDGE_CORRELATION_TIME_S = FilterSettings().edge_correlation_time_s
 LASTING_OUTLINE = 0.75  # of the variance of what ends an outline in the image: what looks like it stays
@@ -191,7 +191,7 @@ class ContourMeasurement(LinkMeasurement):
     stays as long as the light falls on the edge so.
     """
 
-    source: str = "shaft"
+    source: str = SHAFT
     normal: Array
     across: Array
     p_axis_m: Array
@@ -240,7 +240,7 @@ class EndMeasurement(LinkMeasurement):
     `lasting_std_px` what lasts of the error in the image: a band or a plate that is taken for the end stays one.
     """
 
-    source: str = "shaft"
+    source: str = SHAFT
     camera: Camera
     pixel: Array
     towards_tip: Array
