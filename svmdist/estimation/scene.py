@@ -16,7 +16,7 @@ from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
 from svmdist.results import Failure
 from svmdist.samples import Observation
-from svmdist.vision.frame_context import FrameContext, as_pinholes, with_first_fields
+from svmdist.vision.frame_context import FrameContext, as_pinholes, mixes_colours, with_first_fields
 from svmdist.vision.segmentation import Segmenter
 from svmdist.vision.stereo import RectifiedPair, rectified_pair
 from svmdist.vision.tag_overlay import TagPattern
@@ -84,7 +84,9 @@ class Scene:
         settings = profile.settings
         self.lens, self.profile = observation.camera, profile
         first = with_first_fields(observation, settings.interlace)
-        self.is_interlaced = first is not observation
+        self.mixes_colours = first is not observation and mixes_colours(
+            observation.image_bgr, settings.interlace
+        )
         self.observation = observation = as_pinholes(first, row_offset_px)
         right = observation.right
         family = None if profile.fiducial is None else profile.fiducial.family

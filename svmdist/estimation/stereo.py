@@ -16,12 +16,13 @@ from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.one_view import uncertainty
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.tissue.detection import require_tissue
+from svmdist.estimation.tissue.detection import TissuePose, require_tissue
 from svmdist.estimation.tissue.tracking import surface_by_stereo
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import Rejection, Status
 from svmdist.vision.stereo import RectifiedPair
 
+MUCH_SURER = 2.0  # than what is seen, the profile's surface is: breath and dents are seen only
 BOUND_AT_M = 0.1  # from an endoscope to a tool at work
 
 
@@ -44,6 +45,30 @@ def nominal_orientation_pose(
     covariance[:3, :3] = J @ np.diag(variances) @ J.T
     covariance[3:, 3:] = nominal.covariance[3:, 3:]
     return ToolPose(T_camera_tool, covariance, nominal.axis)
+
+
+def _to_tissue(
+    result: FrameResult, frame: Frame, tool: ToolEstimate, seen: TissuePose, by_profile: TissuePose
+) -> FrameResult:
+    """Distances to the tissue as both views show it, or to the profile's where that is much surer: far from that.
+
+    A profile that what is seen contradicts is no surer.
+    """
+    found = measured(result, frame, tool, seen)
+    std_m = None if seen.surface_std_m > 0.0 else _std_m(found)
+    if std_m is None:
+        return found
+    said = "the tissue next to the tool is hidden: the profile's is used"
+    other = measured(replace(result, detail=said), frame, tool, by_profile)
+    if (other_std_m := _std_m(other)) is not None and MUCH_SURER * other_std_m < std_m:
+        return other
+    frame.left.found["measured_surface"] = seen.surface
+    return found
+
+
+def _std_m(result: FrameResult) -> float | None:
+    clearance = result.distances.clearance
+    return None if clearance is None else clearance.without_overlap_std_m
 
 
 class StereoEstimator:
@@ -81,14 +106,17 @@ class StereoEstimator:
             return result.rejected(found.status, found.detail)
 
         # The tissue's surface, and the distances. A surface by stereo has its own error in place of the dome's.
-        seen = surface_by_stereo(frame, tissue.pose)
-        if seen is None and not found.is_by_right_view:
+        seen, tool = (
+            surface_by_stereo(frame, tissue.pose),
+            ToolEstimate(found.pose, frame.joints, self._has_plate),
+        )
+        if seen is not None:
+            return _to_tissue(result, frame, tool, seen, tissue.pose)
+        if not found.is_by_right_view:
             said = "the right view shows neither the instrument nor the tissue's surface"
             return result.rejected(Status.NO_STEREO, said)
-        if seen is None:
-            said = "the views do not agree on the tissue's surface: the profile's is used"
-            result, seen = replace(result, detail=said), tissue.pose
-        return measured(result, frame, ToolEstimate(found.pose, frame.joints, self._has_plate), seen)
+        said = "the views do not agree on the tissue's surface: the profile's is used"
+        return measured(replace(result, detail=said), frame, tool, tissue.pose)
 
     def tool(self, frame: Frame, pair: RectifiedPair) -> ImagePose | Rejection:
         """The tool by both views, where it is certain enough."""

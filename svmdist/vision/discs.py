@@ -18,7 +18,9 @@ STEP_PX = 0.25
 # Where the strength within and without is read, over the radius: clear of the border's blur
 INSIDE, OUTSIDE = (0.4, 0.7), (1.25, 1.7)
 BORDER_FROM = 0.6  # of the radius: the border is sought from here outward
-FIT_STEPS, HUBER = 6, 1.5
+FIT_STEPS, HUBER = 12, 1.5
+INSIDE_STDS = 2.0  # at which a point inside of the circle counts a quarter
+LEAST_SCATTER_PX = 0.25  # of the border: it is sampled no finer
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,14 +88,21 @@ def _crossing(values: Array, reach_px: Array, level: Array) -> Array:
 
 
 def _circle(points_px: Array, centre_px: Array, blur_px: float, origin_px: Array) -> Disc | None:
-    """The circle through most points, shape (n, 2), by Gauss-Newton with Huber's weights."""
+    """The circle that points, shape (n, 2), bound, by Gauss-Newton with Huber's weights outside of it.
+
+    What hides a part of a disc has its own border inside of the disc's: the further inside, the less that counts.
+    """
     radius_px = median(np.linalg.norm(points_px - centre_px, axis=1))
     for _ in range(FIT_STEPS):
         offset = points_px - centre_px
         distance_px = np.linalg.norm(offset, axis=1)
         residual_px = distance_px - radius_px
-        scale_px = max(scale_of(residual_px), 0.1)
-        weight = huber_weights(residual_px, HUBER * scale_px) ** 2
+        outside = residual_px > 0.0
+        scale_px = (
+            max(scale_of(residual_px[outside]), LEAST_SCATTER_PX) if outside.any() else LEAST_SCATTER_PX
+        )
+        inside = 1.0 / (1.0 + (residual_px / (INSIDE_STDS * scale_px)) ** 2)
+        weight = np.where(outside, huber_weights(residual_px, HUBER * scale_px), inside) ** 2
         J = np.column_stack([offset / distance_px[:, None], np.ones(len(offset))])
         step = np.linalg.solve(J.T @ (weight[:, None] * J) + 1e-9 * np.eye(3), J.T @ (weight * residual_px))
         centre_px, radius_px = centre_px + step[:2], radius_px + float(step[2])

@@ -21,6 +21,9 @@ COMB_RATIO = 3.0  # combed pixels over those that differ from the same field's r
 BLOCK_PX = 9
 MIN_FRACTION = 0.12  # of a block's pixels that are combed, where its odd rows are mended
 MIN_PIXELS = 60  # combed pixels in a whole image, at 640 columns, below which nothing is looked at further
+COMBED_COLOURS = (
+    0.07  # of combed pixels: 0.1 to 0.7 are where colours are their field's own, at most 0.05 where mixed
+)
 
 DEFAULT = InterlaceSettings()
 COLUMNS = 640  # sizes in px are for images of so many columns
@@ -60,10 +63,19 @@ def first_field(bgr: Image, settings: InterlaceSettings = DEFAULT) -> Image:
     return mended
 
 
-def _stands_out(green: Image, away: int, levels: float) -> Image:
+def mixes_colours(bgr: Image, settings: InterlaceSettings = DEFAULT) -> bool:
+    """Whether a combed image, shape (h, w, 3), has the mean of both fields' colours, as 4:2:0 has: only light combs."""
+    green, red = (np.asarray(cv2.extractChannel(bgr, at), np.uint8) for at in (1, 2))
+    combed = _stands_out(green, 1, settings.comb_levels)
+    colour = np.asarray(cv2.addWeighted(red, 0.5, green, -0.5, 128.0), np.uint8)
+    coloured = combed & _stands_out(colour, 1, 0.5 * settings.comb_levels)
+    return cv2.countNonZero(coloured) < COMBED_COLOURS * cv2.countNonZero(combed)
+
+
+def _stands_out(levels_of: Image, away: int, levels: float) -> Image:
     """Mask of ones, shape (h, w): pixels brighter, or darker, than both those so many rows above and below."""
-    mask = np.zeros(green.shape, np.uint8)
-    middle, above, below = green[away:-away], green[: -2 * away], green[2 * away :]
+    mask = np.zeros(levels_of.shape, np.uint8)
+    middle, above, below = levels_of[away:-away], levels_of[: -2 * away], levels_of[2 * away :]
     brighter = cv2.subtract(middle, cv2.max(above, below))
     darker = cv2.subtract(cv2.min(above, below), middle)
     _, mask[away:-away] = cv2.threshold(cv2.max(brighter, darker), levels, 1.0, cv2.THRESH_BINARY)

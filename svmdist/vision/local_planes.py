@@ -10,6 +10,8 @@ Floats = NDArray[np.float32]
 
 SCALES = (24.0, 12.0, 6.0, 3.0, 1.5)  # deviations of the windows of fits, in cells
 CORRELATED = 2.0  # of the variance of a fit by its pixels' noise: JPEG's blocks and highlights span many
+MOST_ASIDE = 1.5  # of the middle of what a window holds, over its deviation
+ALIKE_CELLS = 25.0  # over which what a quadric leaves is alike
 UNKNOWN_PX2, LEAST_WEIGHT = 1e4, 1e-3
 
 
@@ -21,8 +23,7 @@ def fit_cells(information: Floats, total: Floats) -> tuple[Floats, Floats]:
     """
     information, total = (np.ascontiguousarray(one, np.float32) for one in (information, total))
     size = (information.shape[1], information.shape[0])
-    fitted, spread = _quadric(information, total)
-    variance = np.full(fitted.shape, max(spread, 1e-2), np.float32)
+    fitted, variance = _quadric(information, total)
     for scale in SCALES:
         step = max(1, int(scale / 3.0))
         weight, left = information, total - information * fitted
@@ -33,12 +34,13 @@ def fit_cells(information: Floats, total: Floats) -> tuple[Floats, Floats]:
                 np.asarray(cv2.resize(one, few, interpolation=cv2.INTER_AREA), np.float32) * factor
                 for one, factor in ((weight, step**2), (left, step**2), (before, 1))
             )
-        found, own = _planes(weight, left, sigma)
+        found, own, is_near = _planes(weight, left, sigma)
         certainty = 1.0 / own
         beyond = blurred((found**2 - own) * certainty, 2.0 * sigma)
         change = np.maximum(beyond / blurred(certainty, 2.0 * sigma), 0.0)
         taken = change / (change + own)
-        variance = taken * own + (1.0 - taken) * (np.minimum(before, change + own) + change)
+        told = taken * own + (1.0 - taken) * (np.minimum(before, change + own) + change)
+        variance = np.where(is_near, told, np.maximum(told, before))
         found = taken * found
         if step > 1:
             found = cv2.resize(found, size, interpolation=cv2.INTER_CUBIC)
@@ -47,8 +49,11 @@ def fit_cells(information: Floats, total: Floats) -> tuple[Floats, Floats]:
     return fitted, np.asarray(variance, np.float32)
 
 
-def _planes(weight: Floats, total: Floats, sigma: float) -> tuple[Floats, Floats]:
-    """The value and its variance at each cell of the plane that fits best in a Gaussian window about it."""
+def _planes(weight: Floats, total: Floats, sigma: float) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """The value and its variance at each cell of the plane that fits best in a Gaussian window about it.
+
+    Where all of what the window holds is to one side, it is no surer than what was known before: those are not near.
+    """
     reach = int(np.ceil(3.0 * sigma))
     t = np.arange(-reach, reach + 1, dtype=np.float32)
     powers = [np.asarray(np.exp(-0.5 * (t / sigma) ** 2) * t**power, np.float32) for power in range(3)]
@@ -71,19 +76,21 @@ def _planes(weight: Floats, total: Floats, sigma: float) -> tuple[Floats, Floats
     return (
         np.asarray(np.where(is_known, found, 0.0), np.float32),
         np.asarray(np.where(is_known, np.clip(own, 1e-5, UNKNOWN_PX2), UNKNOWN_PX2), np.float32),
+        np.asarray(x * x + y * y < (MOST_ASIDE * sigma) ** 2),
     )
 
 
-def _quadric(information: Floats, total: Floats) -> tuple[Floats, float]:
-    """The quadric that most cells agree on, shape (h, w), and the mean square of what it leaves."""
+def _quadric(information: Floats, total: Floats) -> tuple[Floats, Floats]:
+    """The quadric that most cells agree on, and its variance: what it leaves, and more away from those; both (h, w)."""
     height, width = information.shape
     x, y = (np.linspace(-1.0, 1.0, count) for count in (width, height))
     stride = max(1, min(height, width) // 16)
     few = np.s_[::stride, ::stride]
     weight = information[few].ravel().astype(np.float64)
     value = total[few].ravel() / np.maximum(weight, 1e-12)
-    X, Y = (axis.ravel() for axis in np.meshgrid(x[::stride], y[::stride]))
-    B = np.stack([np.ones_like(X), X, Y, X * X, X * Y, Y * Y], -1)
+    X, Y = np.meshgrid(x[::stride], y[::stride])
+    terms = np.stack([np.ones_like(X), X, Y, X * X, X * Y, Y * Y], -1)
+    B = terms.reshape(-1, 6)
     trust, c, error = np.ones_like(weight), np.zeros(6), value
     for _ in range(5):
         pull = B * (weight * trust)[:, None]
@@ -94,7 +101,12 @@ def _quadric(information: Floats, total: Floats) -> tuple[Floats, float]:
         trust = 1.0 / (1.0 + (error / (3.0 * float(np.median(known)) + 1e-3)) ** 2)
     surface = c[0] + c[1] * x + c[3] * x * x + (c[2] * y + c[5] * y * y)[:, None] + c[4] * np.outer(y, x)
     pull = weight * trust
-    return surface.astype(np.float32), float(pull @ error**2 / pull.sum())
+    spread = max(float(pull @ error**2 / pull.sum()), 1e-2)
+    # What it leaves is alike over some cells: of the used ones so many err independently.
+    apart = max(float(pull.sum()) ** 2 / float(pull @ pull) * stride**2 / ALIKE_CELLS, 1.0)
+    C = spread / apart * np.linalg.inv(normal / pull.sum() + 1e-6 * np.eye(6))
+    own = np.asarray(np.einsum("hwi,ij,hwj->hw", terms, C, terms), np.float32)
+    return surface.astype(np.float32), np.asarray(spread + cv2.resize(own, (width, height)), np.float32)
 
 
 def blurred(values: Floats, sigma: float) -> Floats:

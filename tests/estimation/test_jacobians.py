@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.corrected_links import Correction
+from svmdist.estimation.instrument.corrected_links import CorrectedLink, Correction
 from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import (
@@ -19,6 +19,7 @@ from svmdist.estimation.instrument.measurement_kinds import (
     PoseMeasurement,
     SizeMeasurement,
 )
+from svmdist.estimation.instrument.state import linearise
 from svmdist.kinematics import DHChain, forward_kinematics, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import Joint, KinematicError
@@ -159,6 +160,23 @@ def test_what_is_found_between_end_and_tips_is_off_with_both():
     assert by_end[0] == pytest.approx(
         end.linearise(T_LINK).residual - end.linearise(moved).residual, rel=0.05
     )
+
+
+def test_what_is_seen_later_is_compared_with_where_the_link_has_gone():
+    """By the joints' rates, and uncertain by a tenth of that; by a speed that is stated where no joints tell it."""
+    delay_s, velocity = 0.009, np.array([0.03, -0.02, 0.04, 0.5, -0.3, 0.2])
+    link = CorrectedLink(T_LINK, np.zeros((6, 3)), velocity)
+    for one in measurements():
+        late = linearise(replace(one, delay_s=delay_s), link)
+        there = one.linearise(nudged(T_LINK, velocity * delay_s)).residual
+        np.testing.assert_allclose(late.residual, there, rtol=1e-2, atol=1e-3 * np.abs(there).max())
+        *_, motion = late.biases
+        by_m = one.linearise(T_LINK).derivative[:, :3]
+        std_m = 0.1 * np.linalg.norm(velocity[:3]) * delay_s
+        np.testing.assert_allclose(motion.jacobian @ motion.jacobian.T, std_m**2 * by_m @ by_m.T)
+        still = linearise(replace(one, delay_s=delay_s), replace(link, velocity=np.zeros(6)))
+        np.testing.assert_array_equal(still.residual, one.linearise(T_LINK).residual)
+        assert np.abs(still.biases[-1].jacobian).max() > np.abs(motion.jacobian).max()
 
 
 @pytest.mark.parametrize("measurement", measurements(), ids=lambda measurement: measurement.name)

@@ -191,6 +191,24 @@ def test_a_pair_that_is_not_rectified_is_refused(right_m, said):
     assert row.tissue_x_px is not None or right_m is not None
 
 
+def test_tissue_that_both_views_show_far_away_only_is_the_profiles(golden):
+    """What continues smoothly from there is uncertain: by much more than the profile is of its plane and dome."""
+    profile = load_profile()
+    every = read_observations(open_recording(golden / "3d" / "contact.mcap", profile))
+    arm, segmenter = Arm(profile), make_segmenter(profile.segmentation)
+    frame = frame_of(next(islice(every, 3, None)), arm, segmenter)
+    found = make_estimator("stereo", arm).estimate(frame)
+    assert not found.detail
+    surface = frame.scene.stereo_surface
+    assert surface is not None
+    frame.scene.found["stereo_surface"] = replace(surface, grid_std_m=5e-3 + surface.grid_std_m)
+    other = make_estimator("stereo", arm).estimate(frame)
+    assert "the profile's is used" in other.detail
+    seen, known = found.distances.clearance, other.distances.clearance
+    assert known.std_m < 5e-3
+    assert abs(known.value_m - seen.value_m) < 2.0 * np.hypot(known.std_m, seen.std_m)
+
+
 def test_without_joints_an_instrument_is_measured_by_the_only_view_that_shows_it(golden):
     """Both instruments are painted over in one view: the other one has each by its own name, and as sure as it is."""
     rules = AutoSegmentation(method="auto")

@@ -103,7 +103,8 @@ def points_of(drawing: FrameDrawing, part: Part, instrument: str) -> np.ndarray:
 def test_a_clearance_is_a_segment_of_its_length_that_starts_on_the_instrument(duo):
     setup, replayed = duo
     drawing = frame_drawing(replayed, setup)
-    for result, body in zip(replayed.results, drawing.bodies.values(), strict=True):
+    each = zip(replayed.frames, replayed.results, drawing.bodies.values(), strict=True)
+    for frame, result, body in each:  # each has its own height of the tissue
         name = f"{result.instrument} {Part.DISTANCE}"
         (segment,) = (one for one in drawing.segments if one.name == name)
         clearance = result.distances.clearance
@@ -115,8 +116,8 @@ def test_a_clearance_is_a_segment_of_its_length_that_starts_on_the_instrument(du
         off_m = np.abs(np.linalg.norm(nearest - segment.start_m, axis=1) - body.radius_m)
         assert off_m.min() < 1e-9
         end_m = segment.end_m[None]
-        on_tissue = separation(Capsules(end_m, end_m, np.zeros(1)), drawing.tissue)
-        assert on_tissue.distance_m == pytest.approx(0.0, abs=1e-4)  # each has its own height of it
+        on_tissue = separation(Capsules(end_m, end_m, np.zeros(1)), frame.left.found["measured_surface"])
+        assert on_tissue.distance_m == pytest.approx(0.0, abs=1e-9)
         assert f"{clearance.value_m * 1e3:.2f} mm" in segment.text
         lens = replayed.frames[0].scene.lens
         line_px = points_of(drawing, Part.DISTANCE, result.instrument)

@@ -7,6 +7,7 @@ import pytest
 from svmdist.profile.settings import StereoSettings
 from svmdist.transforms import Array
 from svmdist.vision.disparity import DisparityMap, disparity_map
+from svmdist.vision.local_planes import fit_cells
 
 HEIGHT, WIDTH = 240, 320
 
@@ -59,6 +60,23 @@ def test_a_surface_is_found_within_its_deviations(rows_px, slope):
     assert len(error_px) > 0.7 * np.pi * 95 * 85 / 16
     assert float(np.sqrt(np.mean(error_px**2))) < 0.1
     assert np.mean(np.abs(error_px) < 2.0 * found.std_px[found.is_seen]) > 0.9
+
+
+def test_a_surface_that_continues_beyond_what_is_seen_says_how_sure_that_is():
+    """Quadrics of which a part as wide as a fifth of the view is seen, with noise that neighbours share."""
+    x, y = np.meshgrid(np.linspace(-1.0, 1.0, 120), np.linspace(-1.0, 1.0, 90))
+    covered = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        truth = 27.0 + sum(rng.normal(0.0, 2.0) * x**i * y**j for i in range(3) for j in range(3 - i))
+        off = np.hypot(x, y)
+        noise = cv2.GaussianBlur(rng.normal(0.0, 1.0, x.shape), (0, 0), 2.0)
+        information = np.where(off < 0.2, 4.0, 0.0).astype(np.float32)
+        total = (information * (truth + 0.5 * noise / noise.std())).astype(np.float32)
+        fitted, variance = fit_cells(information, total)
+        covered.append(np.mean(np.abs(fitted - truth)[off > 0.8] < 2.0 * np.sqrt(variance[off > 0.8])))
+        assert np.median(variance[off > 0.8]) > 100.0 * np.median(variance[off < 0.2])
+    assert np.mean(covered) > 0.5
 
 
 def test_views_of_different_places_match_nowhere():

@@ -13,7 +13,8 @@ from svmdist.profile.segmentation import ColourRegion
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.colour import colour_mask
-from svmdist.vision.frame_context import as_pinholes, first_field
+from svmdist.vision.discs import fit_disc
+from svmdist.vision.frame_context import as_pinholes, first_field, mixes_colours
 from svmdist.vision.stereo import RectifiedPair, rectified_pair
 
 
@@ -41,6 +42,47 @@ def test_what_moves_is_where_the_first_field_shows_it(moved_px):
     assert centre_x_px(mended) == pytest.approx(300.0, abs=0.3)
     np.testing.assert_array_equal(mended[::2], image[::2])
     np.testing.assert_array_equal(mended[:, 500:], image[:, 500:])
+
+
+@pytest.mark.parametrize(
+    ("kept", "mixed"),
+    [
+        (None, False),
+        (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422, False),
+        (cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420, True),
+    ],
+)
+def test_colours_of_both_fields_are_mixed_where_they_are_kept_for_two_rows(kept, mixed):
+    """As recorded, and in JPEGs: 4:2:2 has colours for each row, 4:2:0 for each two."""
+    image = with_disc(300.0)
+    image[1::2] = with_disc(308.0, seed=2)[1::2]
+    if kept is not None:
+        how = [cv2.IMWRITE_JPEG_QUALITY, 92, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, kept]
+        image = np.asarray(cv2.imdecode(cv2.imencode(".jpg", image, how)[1], cv2.IMREAD_COLOR), np.uint8)
+    assert mixes_colours(image) is mixed
+
+
+@pytest.mark.parametrize("angle", [0.0, 2.0, 4.0])
+@pytest.mark.parametrize("hidden", [0.0, 0.5])
+def test_a_disc_is_where_it_is_though_blood_hides_a_side(angle, hidden):
+    """Of a disc of 10 px a side up to `hidden` radii from its middle; 18 % of its area and 30 % of its border."""
+    middle, radius_px, big = np.array([31.3, 28.6]), 10.0, 8
+    y, x = np.mgrid[: 60 * big, : 60 * big]
+    off_px = np.stack([x, y], -1) / big + (0.5 / big - 0.5) - middle
+    is_in = np.linalg.norm(off_px, axis=-1) < radius_px
+    is_blood = is_in & (off_px @ np.array([np.cos(angle), np.sin(angle)]) > (1.0 - hidden) * radius_px)
+    bgr = np.where(is_in[..., None], (200, 190, 20), (110, 110, 200)).astype(np.uint8)
+    bgr[is_blood] = (15, 15, 110)
+    image = cv2.GaussianBlur(cv2.resize(bgr, (60, 60), interpolation=cv2.INTER_AREA), (0, 0), 1.0)
+    hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)
+    mask = np.asarray(cv2.inRange(hsv, (75, 90, 40), (105, 255, 255)), np.uint8)
+    seen = np.argwhere(mask > 0)[:, ::-1].mean(0)
+    disc = fit_disc(hsv, mask, seen, float(np.sqrt(np.count_nonzero(mask) / np.pi)))
+    assert disc is not None
+    np.testing.assert_allclose(disc.centre_px, middle, atol=0.3)
+    assert disc.radius_px == pytest.approx(radius_px, abs=0.3)
+    if hidden:
+        assert np.linalg.norm(seen - middle) > 1.0
 
 
 IDEAL = Camera.from_horizontal_fov(640, 480, np.pi / 3)

@@ -140,10 +140,11 @@ class Correction:
 
 @dataclass(frozen=True, slots=True)
 class CorrectedLink:
-    """The corrected pose of a link, (4, 4), and the derivative of its (δp, δθ) by the error state, (6, n)."""
+    """A link's corrected pose, (4, 4), the derivative of its (δp, δθ) by the error state, (6, n), and by time, (6,)."""
 
     T_camera_link: Array
     derivative: Array
+    velocity: Array
 
 
 class CorrectedLinks:
@@ -208,4 +209,4 @@ class CorrectedLinks:
         derivative[:, columns.lengths][:, is_behind] = 0.0
         T.setflags(write=False)
         derivative.setflags(write=False)
-        return CorrectedLink(T, derivative)
+        return CorrectedLink(T, derivative, derivative[:, columns.time_offset])

@@ -192,7 +192,7 @@ def pair_markers(frame: Frame, pair: RectifiedPair, expected: Expected | None = 
     # From further aside other parts of it are hidden; what one view shows more of moves its middle by up to half.
     aside = max(1.0, pair.baseline_m / depth_m / ASIDE_RAD)
     uneven = abs(one.area_px - other.area_px) / (one.area_px + other.area_px)
-    noise = aside * (INTERLACED_DISPARITY_NOISE if frame.scene.is_interlaced else DISPARITY_NOISE)
+    noise = aside * (INTERLACED_DISPARITY_NOISE if frame.scene.mixes_colours else DISPARITY_NOISE)
     noise = float(np.hypot(noise, max(0.0, uneven - EVEN_AREA_FRACTION)))
     lasting = aside * float(np.hypot(LASTING_DISPARITY, PART_DISPARITY * max(one.hidden, other.hidden)))
     std_px = float(np.hypot(DISPARITY_NOISE_PX, one.radius_px * noise))

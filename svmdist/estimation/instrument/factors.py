@@ -22,7 +22,7 @@ from svmdist.transforms import Array
 
 DISPARITY, EDGE = "disparity", "edge {:+d}"
 LASTING_SIZE = 0.75  # of the variance of the marker's radius: light and blood stay
-TOOL_SPEED_M_S = 0.05  # standard deviation along each axis: the tool stands elsewhere in a later view
+COLOUR_DELAY_S = 0.0092  # where both fields' colours are mixed: half of a 50th or of a 60th of a second
 
 
 def of_images(
@@ -60,11 +60,13 @@ def of_images(
         for view in views:
             found += of_view(view, sides(view, arm, lasting_share))
         found += first(of_view(view, end(view, arm)) for view in views)
-    if len(views) < 2 or not isinstance(markers, MarkerPair):
-        return [*found, *marks]
-    if is_tracked:
-        marks = [one for one in marks if not isinstance(one, kinds.SizeMeasurement)]
-    return [*found, *marks, _disparity(frame, views[1], markers)]
+    if len(views) > 1 and isinstance(markers, MarkerPair):
+        if is_tracked:
+            marks = [one for one in marks if not isinstance(one, kinds.SizeMeasurement)]
+        marks = [*marks, _disparity(frame, views[1], markers)]
+    if frame.scene.mixes_colours and not is_by_outline:
+        marks = [replace(one, delay_s=one.delay_s + COLOUR_DELAY_S) for one in marks]
+    return [*found, *marks]
 
 
 def sides(view: View, arm: Arm, lasting_share: float = 0.0) -> Iterator[LinkMeasurement]:
@@ -169,7 +171,7 @@ def _in_right_view(one: LinkMeasurement, view: View) -> LinkMeasurement:
         name=name,
         rests_on=tuple(rests_on),
         T_view_left=view.T_view_left,
-        motion_std_m=TOOL_SPEED_M_S * abs(view.delay_s),
+        delay_s=view.delay_s,
     )
     if isinstance(right, kinds.PointMeasurement) and right.bias_name == one.name:
         right = replace(right, error=replace(right.error, name=right.name))

@@ -133,9 +133,9 @@ class LinkMeasurement(ABC):
 
     `covariance` is that of what changes from frame to frame, the noise, shape (m, m). What stays alike, the bias, is a
     vector of numbers of variance one that fade with the time constant `correlation_time_s`. `source` is the detection
-    that it is made of. For a right view, `T_view_left` maps the left camera's coordinates to the right one's, and the
-    tool may have moved by `motion_std_m` along each axis between the stamps of both. Where all measurements that it
-    `rests_on`, by their names, are wild, it is as wild: the end of what is no shaft is no shaft's end.
+    that it is made of. For a right view, `T_view_left` maps the left camera's coordinates to the right one's. The image
+    shows what was `delay_s` after the frame's stamp. Where all measurements that it `rests_on`, by their names, are
+    wild, it is as wild: the end of what is no shaft is no shaft's end.
     """
 
     name: str
@@ -145,7 +145,7 @@ class LinkMeasurement(ABC):
     correlation_time_s: float = POINT_CORRELATION_TIME_S
     deviations: Deviations = EXACT
     T_view_left: Array | None = None
-    motion_std_m: float = 0.0
+    delay_s: float = 0.0
     rests_on: tuple[str, ...] = ()
 
     @property
@@ -167,11 +167,9 @@ class LinkMeasurement(ABC):
         # The right camera is off by its place along the baseline, and turned about its own centre.
         baseline = camera.baseline_std_fraction * by_place @ self.T_view_left[:3, 3, None]
         turned = camera.right_rotation_std_rad * (by_turn - by_place @ skew(T[:3, 3]))
-        moved = self.motion_std_m * by_place @ R
         shared = (
             *found.shared,
             SharedBias(BASELINE, baseline),
             SharedBias(RIGHT_ROTATION, turned),
-            SharedBias("motion between the views", moved, ONE_FRAME_S),
         )
         return replace(found, derivative=found.derivative @ np.kron(np.eye(2), R), shared=shared)

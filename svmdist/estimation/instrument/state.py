@@ -14,7 +14,7 @@ from svmdist.estimation.instrument.corrected_links import (
     Correction,
 )
 from svmdist.estimation.instrument.error_model import ErrorModel
-from svmdist.estimation.instrument.measurement import LinkMeasurement, SharedBias
+from svmdist.estimation.instrument.measurement import ONE_FRAME_S, LinkMeasurement, SharedBias
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.transforms import Array
 
@@ -38,12 +38,23 @@ class Linearised:
         return bool(np.isfinite(self.residual).all() and np.isfinite(self.H).all())
 
 
+TOOL_SPEED_M_S = 0.05  # standard deviation along each axis, where no joints tell
+MOTION_STD = 0.1  # over the motion by the joints: how late something is, is known to a tenth
+
+
 def linearise(measurement: LinkMeasurement, link: CorrectedLink) -> Linearised:
-    """A measurement about its link's pose."""
-    found = measurement.linearise(link.T_camera_link)
+    """A measurement about its link's pose, which goes on to the instant that it shows."""
+    found, delay_s = measurement.linearise(link.T_camera_link), measurement.delay_s
     own = SharedBias(measurement.bias_name, found.bias, measurement.correlation_time_s)
-    H = -(found.derivative @ link.derivative)
-    return Linearised(found.residual, H, (own, *found.shared), measurement.covariance)
+    H, residual, shared = -(found.derivative @ link.derivative), found.residual, found.shared
+    if delay_s != 0.0:
+        residual = residual + found.derivative @ link.velocity * delay_s
+        std_m = (MOTION_STD * float(np.linalg.norm(link.velocity[:3])) or TOOL_SPEED_M_S) * abs(delay_s)
+        shared = (
+            *shared,
+            SharedBias("motion since the stamp", std_m * -found.derivative[:, :3], ONE_FRAME_S),
+        )
+    return Linearised(residual, H, (own, *shared), measurement.covariance)
 
 
 def block_diagonal(blocks: Sequence[Array]) -> Array:
