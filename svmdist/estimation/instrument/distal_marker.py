@@ -36,6 +36,7 @@ ROW_TOLERANCE_PX = 3.0  # rectified points lie on one row; the marker is cut dif
 WHOLE_AREA_SPREAD = 0.1  # of a whole marker over its disc's: jaws hide some, a fork adds
 MIN_VISIBLE_FRACTION = 0.4  # of a whole marker's area: with less of it, it may be any coloured part
 MAX_AREA_FRACTION = 1.44  # a sphere shows no more than its disc, and light a fifth of its radius
+MOST_UNKNOWN = 10.0  # of the depth, over itself: of more, a size tells nothing either
 OTHER_PART_PLACE = 3.0  # over the marker's radius: a ring or a clip, anywhere on the distal part
 WRIST_LASTING = 0.5  # of the variance of a point on the outline of a wrist: its shape is as it is
 MATCH_STD_PX, MATCH_STEP_PX = 1.0, 0.5  # of a wrist in both views: they show other sides of it, by a pixel
@@ -119,7 +120,7 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
         error = PointError(MARKER, place_std_m, shading_px=SHADING_BIAS * size_px)
         return SeenMarker(MARKER, marker.centre_px, marker.std_px, error, size_px, marker.area_px)
     whole_px = float(view.camera.K[0, 0]) * radius_m / expected.depth_m
-    whole, unknown = (seen_px / whole_px) ** 2, expected.std_fraction
+    whole, unknown = (seen_px / whole_px) ** 2, min(expected.std_fraction, MOST_UNKNOWN)
     tolerance = np.exp(4.0 * np.hypot(unknown, instrument.knuckle_radius_std_fraction))
     is_other = not MIN_VISIBLE_FRACTION / tolerance <= whole <= MAX_AREA_FRACTION * tolerance
     wrong = max(0.0, abs(1.0 - whole) - WHOLE_AREA_SPREAD)
