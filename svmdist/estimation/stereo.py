@@ -16,7 +16,7 @@ from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.one_view import uncertainty
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.tissue.detection import TissuePose, require_tissue
+from svmdist.estimation.tissue.detection import TissuePose, require_tissue, tissue_plane
 from svmdist.estimation.tissue.tracking import surface_by_stereo
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import Rejection, Status
@@ -55,8 +55,12 @@ def _to_tissue(
     A profile that what is seen contradicts is no surer.
     """
     found = measured(result, frame, tool, seen)
+    normal = tissue_plane(require_tissue(frame.arm.profile)).normal
+    least_std_m = float(
+        np.sqrt(normal @ by_profile.covariance @ normal)
+    )  # by the profile, without the tool's
     std_m = None if seen.surface_std_m > 0.0 else _std_m(found)
-    if std_m is None:
+    if std_m is None or std_m <= MUCH_SURER * least_std_m:
         return found
     said = "the tissue next to the tool is hidden: the profile's is used"
     other = measured(replace(result, detail=said), frame, tool, by_profile)
@@ -106,10 +110,8 @@ class StereoEstimator:
             return result.rejected(found.status, found.detail)
 
         # The tissue's surface, and the distances. A surface by stereo has its own error in place of the dome's.
-        seen, tool = (
-            surface_by_stereo(frame, tissue.pose),
-            ToolEstimate(found.pose, frame.joints, self._has_plate),
-        )
+        seen = surface_by_stereo(frame, tissue.pose)
+        tool = ToolEstimate(found.pose, frame.joints, self._has_plate)
         if seen is not None:
             return _to_tissue(result, frame, tool, seen, tissue.pose)
         if not found.is_by_right_view:

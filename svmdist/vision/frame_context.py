@@ -22,7 +22,7 @@ BLOCK_PX = 9
 MIN_FRACTION = 0.12  # of a block's pixels that are combed, where its odd rows are mended
 MIN_PIXELS = 60  # combed pixels in a whole image, at 640 columns, below which nothing is looked at further
 COMBED_COLOURS = (
-    0.07  # of combed pixels: 0.1 to 0.7 are where colours are their field's own, at most 0.05 where mixed
+    0.07  # of combed pixels: 0.1 or more where colours are their field's own, 0.05 at most where mixed
 )
 
 DEFAULT = InterlaceSettings()
