@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from svmdist.geometry import Capsules, Mesh, Plane, Surface
 from svmdist.tracks import Mask
-from svmdist.transforms import Array
+from svmdist.transforms import Array, cross
 
 Indices = NDArray[np.intp]
 
@@ -67,7 +67,7 @@ def capsule_separation(instrument: Capsules, other: Capsules) -> Separation:
         direction = (second - first) / distance
     else:  # the axes cross: apart is along their common perpendicular
         along = instrument.end_m[i] - instrument.start_m[i]
-        direction = _unit_or_any(np.cross(along, other.end_m[j] - other.start_m[j]))
+        direction = _unit_or_any(cross(along, other.end_m[j] - other.start_m[j]))
     return _outside(instrument, int(i), first, direction, float(gap[i, j]))
 
 
@@ -115,7 +115,7 @@ def _to_mesh(capsules: Capsules, mesh: Mesh) -> Separation:
     at = int(np.argmin(gap))
     if pair.distance[at] <= TOUCH_M:  # an end touches from outside
         a, b, c = corners[at]
-        direction = -_unit_or_any(np.cross(b - a, c - a))
+        direction = -_unit_or_any(cross(b - a, c - a))
     else:
         direction = (pair.second[at] - pair.first[at]) / pair.distance[at]
     return _outside(capsules, int(capsule[at]), pair.first[at], direction, float(gap[at]))
@@ -200,7 +200,7 @@ def signed_distances(points: Array, mesh: Mesh) -> tuple[Array, Array]:
     about = np.nonzero(_lengths(pair.second - nearest[row]) <= TOUCH_M)[0]
     row, triangle = row[about], triangle[about]
     ahead, back = _following(triangle) - triangle, triangle[:, [2, 0, 1]] - triangle
-    normals = np.cross(ahead, back)
+    normals = cross(ahead, back)
     is_there = _lengths(triangle - nearest[row][:, None]) <= TOUCH_M
     angle = (np.arctan2(_lengths(normals), dot(ahead, back)) * is_there).sum(-1)
     normal, length = normals[:, 0], _lengths(normals[:, 0])
@@ -275,7 +275,7 @@ def segment_to_triangle(start: Array, end: Array, triangle: Array) -> ClosestPai
     triangle = np.broadcast_to(triangle, (*shape[:-1], 3, 3))
     # Where segments cross the triangles' planes, and whether they do.
     a = triangle[..., 0, :]
-    normal = np.cross(triangle[..., 1, :] - a, triangle[..., 2, :] - a)
+    normal = cross(triangle[..., 1, :] - a, triangle[..., 2, :] - a)
     height_start, height_end = dot(start - a, normal), dot(end - a, normal)
     drop = height_start - height_end
     crosses = (height_start * height_end <= 0.0) & (drop != 0.0)
@@ -314,12 +314,12 @@ def _foot_on_face(points: Array, triangle: Array) -> tuple[Array, Mask]:
     """Feet of points, shape (..., k, 3), on the triangles' planes, and whether they lie inside the triangles."""
     a = triangle[..., :1, :]
     edges = _following(triangle) - triangle
-    normal = np.cross(edges[..., :1, :], -edges[..., 2:, :])
+    normal = cross(edges[..., :1, :], -edges[..., 2:, :])
     area2 = dot(normal, normal)
     safe = np.where(area2 > 0.0, area2, 1.0)
     foot = points - (dot(points - a, normal) / safe)[..., None] * normal
     # (edge x (foot - corner)) · normal = (normal x edge) · (foot - corner)
-    inwards = np.cross(normal, edges)[..., None, :, :]
+    inwards = cross(normal, edges)[..., None, :, :]
     sides = dot(foot[..., :, None, :] - triangle[..., None, :, :], inwards)
     return foot, (area2 > 0.0) & (sides >= 0.0).all(-1)
 

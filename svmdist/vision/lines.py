@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.least_squares import huber_weights, scale_of
-from svmdist.transforms import Array, skew
+from svmdist.transforms import Array, cross, skew
 
 POINT_CORRELATION_PX = 2.0  # neighbouring edge points share pixels: those closer along the edge err alike
 MIN_POINT_STD_PX = 0.05  # what pixel grid and interpolation leave even without noise
@@ -131,7 +131,7 @@ class CylinderAxis:
 
     def depth_m(self, ray: Array) -> float:
         """Where a ray (3,) of unit depth passes the axis, to one side of it as a rule."""
-        across = np.cross(self.direction, np.cross(ray, self.direction))
+        across = cross(self.direction, cross(ray, self.direction))
         return float(self.point_m @ across) / float(ray @ across)
 
 
@@ -153,7 +153,7 @@ def tangent_plane(line: Line, inside: Array) -> TangentPlane:
 def axis_of_cylinder(first: TangentPlane, second: TangentPlane, radius_m: float) -> CylinderAxis | None:
     """The axis of a cylinder of known radius between two planes; None where the planes nearly coincide."""
     n1, n2 = first.normal, second.normal
-    across = np.cross(n1, n2)
+    across = cross(n1, n2)
     sine, cosine = float(np.linalg.norm(across)), float(n1 @ n2)
     if sine < MIN_SINE:
         return None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from svmdist.kinematics import DHChain, link_transforms, row_index, running_product
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.hand_eye import LENGTH, OFFSET, TIME_OFFSET
-from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, skew
+from svmdist.transforms import Array, cross, make_transform, rotation_of, rotation_vector, skew
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,9 +176,9 @@ class CorrectedLinks:
 
         self._twists[:, :6] = np.eye(6)
         self._twists[:3, 3:6] = skew(pivot_m)
-        z, at_m = self._frames[joints.axes, :3, 2].T, self._frames[joints.axes, :3, 3].T
-        self._twists[:3, columns.offsets] = joints.turns * np.cross(at_m, z, axis=0) + joints.slides * z
-        self._twists[3:, columns.offsets] = joints.turns * z
+        z, at_m = self._frames[joints.axes, :3, 2], self._frames[joints.axes, :3, 3]
+        self._twists[:3, columns.offsets] = joints.turns * cross(at_m, z).T + joints.slides * z.T
+        self._twists[3:, columns.offsets] = joints.turns * z.T
         self._links: dict[str | None, CorrectedLink] = {}
 
     def link(self, name: str | None) -> CorrectedLink:

@@ -23,7 +23,7 @@ from svmdist.profile import Profile
 from svmdist.profile.robot import Fiducial, Instrument
 from svmdist.results import ToolPose
 from svmdist.samples import JointSample
-from svmdist.transforms import Array, inverse
+from svmdist.transforms import Array, cross, inverse
 from svmdist.vision.lines import tangent_normal
 
 
@@ -109,9 +109,9 @@ def joints_of(chain: DHChain | None, joints: JointSample | None) -> Array | None
 def jaws_of(along: Array, axis: Array, opening_rad: float) -> tuple[Jaw, Jaw]:
     """Moving and fixed jaw: turning by the opening about the unit `axis` takes the fixed one to the moving one."""
     c, s = np.cos(-opening_rad), np.sin(-opening_rad)  # Rodrigues' rotation about a unit axis
-    fixed = np.asarray(c * along + s * np.cross(axis, along) + (1.0 - c) * (axis @ along) * axis)
-    pairs = ((along, np.cross(axis, along)), (fixed, -np.cross(axis, fixed)))
-    moving, still = (Jaw(ahead, outward, np.cross(ahead, outward)) for ahead, outward in pairs)
+    fixed = np.asarray(c * along + s * cross(axis, along) + (1.0 - c) * (axis @ along) * axis)
+    pairs = ((along, cross(axis, along)), (fixed, -cross(axis, fixed)))
+    moving, still = (Jaw(ahead, outward, cross(ahead, outward)) for ahead, outward in pairs)
     return moving, still
 
 
@@ -179,7 +179,7 @@ class InstrumentModel:
         length_m = WRIST_LENGTH_PER_RADIUS * self._instrument.wrist_radius_m
         if self._kinematics is not None:
             length_m = self._kinematics.length_m
-        side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+        side = cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
         pivot = side / np.linalg.norm(side)
         if pose.hinge is None or self._kinematics is None:
             return Wrist(tool_m - length_m * axis, tool_m, axis, pivot, jaws_of(axis, pivot, 0.0))

@@ -75,13 +75,12 @@ def most_probable(
     state less probable is halved.
     """
     P, size = state.P, state.model.size
-    noises = [np.asarray(measurement.covariance) for measurement in measurements]
-    degrees = np.array([len(noise) for noise in noises])
+    noise = block_diagonal([np.asarray(measurement.covariance) for measurement in measurements])
+    degrees = np.array([len(measurement.covariance) for measurement in measurements])
+    at_row = np.repeat(np.arange(len(degrees)), degrees)  # which measurement
+    begins, own, certainty = np.cumsum(degrees) - degrees, at_row[:, None] == at_row, np.linalg.inv(noise)
     deviations, moved = np.sqrt(np.diag(P) + 1e-18), np.inf
-    weights, first = np.ones(len(noises)), np.zeros(0)
-    ends = np.cumsum(degrees)
-    rows = [slice(end - count, end) for end, count in zip(ends, degrees, strict=True)]
-    each = list(zip(rows, noises, strict=True))
+    weights, first = np.ones(len(degrees)), np.zeros(0)
     rests = _rests(measurements)
     unlikely = _unlikely(P, deviations) if descends else None
     best: tuple[Array, Solution | None] = x, None
@@ -97,8 +96,9 @@ def most_probable(
         # Solved with a unit-free H P: the units of the state differ by orders of magnitude.
         HP = H @ P
         S = HP @ H.T
-        innovations = np.array([normalised_square(innovation[at], S[at, at] + noise) for at, noise in each])
-        residuals = np.array([normalised_square(residual[at], noise) for at, noise in each])
+        of_rows = innovation * np.linalg.solve(np.where(own, S, 0.0) + noise, innovation)
+        innovations = np.add.reduceat(of_rows, begins)
+        residuals = np.add.reduceat(residual * (certainty @ residual), begins)
         if unlikely is not None:
             cost = unlikely(x) + float((NU + degrees) @ np.log1p(residuals / NU))
             if cost > least + SETTLED:
@@ -113,7 +113,7 @@ def most_probable(
             weights = student_weight(np.maximum(before, residuals), degrees)
             for at, others in rests:
                 weights[at] = min(weights[at], weights[others].max())
-        R = block_diagonal([noise / weight for noise, weight in zip(noises, weights, strict=True)])
+        R = noise / weights[at_row]
         solved = np.linalg.solve(S + R, np.column_stack([HP, innovation]))
         K = np.asarray(solved[:, :-1].T, np.float64)
         step = K @ innovation - x
