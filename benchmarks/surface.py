@@ -34,7 +34,7 @@ from svmdist.vision.disparity import disparity_map
 from svmdist.vision.instruments.evidence import picture_of
 from svmdist.vision.segmentation import make_segmenter
 from svmdist.vision.stereo import RectifiedPair
-from svmdist.workflows.check import PAIRS, first_of, row_offset_to_remove_px, spread_observations
+from svmdist.workflows.check import PAIRS, first_of, offset_to_remove, spread_observations
 
 GOLDEN = ("3d/contact", "3d/duo", "real/random", "real/contact")
 PHOTOGRAPHS = Path("laparoscopic-dataset", "images")
@@ -140,13 +140,13 @@ def _scenes(recording: Recording, count: int) -> Iterator[Scene]:
     profile = recording.origin.profile
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
     spread = spread_observations(recording)
-    row_offset_px = row_offset_to_remove_px(first_of(spread, profile), profile)
+    rows = offset_to_remove(first_of(spread, profile), profile)
     images = recording.encoded_observations(recording.instruments[:1], PAIRS)
     stride = max(1, (recording.image_count() or count) // count)
     for encoded in islice(images, 0, None, stride):
         found = encoded.decode().found
         if isinstance(found, tuple):
-            yield Scene(found[0], profile, segmenter, row_offset_px)
+            yield Scene(found[0], profile, segmenter, rows)
 
 
 def photograph_errors(folder: Path, count: int, has_step: bool) -> tuple[Errors, Errors]:

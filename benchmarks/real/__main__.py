@@ -16,12 +16,23 @@ from pathlib import Path
 import cv2
 
 from benchmarks.generated_pages import DOCS, table, write_table
-from benchmarks.real import bop, d_lfd, in_vivo, laparoscopy, operations, recode, super_deep, thrust, ucl
+from benchmarks.real import (
+    bop,
+    d_lfd,
+    in_vivo,
+    laparoscopy,
+    open_cas,
+    operations,
+    recode,
+    super_deep,
+    thrust,
+    ucl,
+)
 from benchmarks.real.common import COLUMNS
 
 SETS = {
     module.__name__.rpartition(".")[2]: module
-    for module in (thrust, super_deep, d_lfd, recode, bop, in_vivo, laparoscopy, operations, ucl)
+    for module in (thrust, super_deep, d_lfd, recode, bop, in_vivo, laparoscopy, operations, ucl, open_cas)
 }
 
 if __name__ == "__main__":

@@ -110,6 +110,16 @@ def make_log(path: Path, *arguments: object, instrument: str = "da-vinci-8mm") -
     return path, profile
 
 
+def write_calibration(path: Path, K: Sequence[Array], D: Sequence[Array], T: Array) -> None:
+    """Both cameras and the transform from left to right, (4, 4), as OpenCV's file of a pair."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    stored = {"M1": K[0], "D1": D[0], "M2": K[1], "D2": D[1], "R": T[:3, :3], "T": T[:3, 3:]}
+    for name, value in stored.items():
+        file.write(name, np.ascontiguousarray(value))
+    file.release()
+
+
 def with_camera_error(profile: Path, table: str) -> None:
     """Puts a `[camera_error]` into a profile in place of the one that is there."""
     text = profile.read_text("utf-8")

@@ -30,17 +30,7 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
         images.mkdir(parents=True, exist_ok=True)
         K, D = zip(*(camera(root, side) for side in ("left", "right")), strict=True)
         T = np.loadtxt(root / "calib.l2r.txt")
-        file = cv2.FileStorage(str(out / f"{scene}.yaml"), cv2.FILE_STORAGE_WRITE)
-        for name, value in {
-            "M1": K[0],
-            "D1": D[0],
-            "M2": K[1],
-            "D2": D[1],
-            "R": T[:3, :3],
-            "T": T[:3, 3:],
-        }.items():
-            file.write(name, np.ascontiguousarray(value))
-        file.release()
+        common.write_calibration(out / f"{scene}.yaml", K, D, T)
         paths = {
             side: [root / f"calib.{side}.images.{n}.png" for n in range(COUNT)] for side in ("left", "right")
         }

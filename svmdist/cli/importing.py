@@ -122,6 +122,8 @@ class Import(Options):
             LOG.info("no baseline is known: stereo needs --baseline, or a calibration of the pair")
         for loss in result.losses:
             LOG.error("loss: %s", loss)
+        if result.warning:
+            LOG.warning("%s", result.warning)
         LOG.info("next: %s", next_command("profile", "new", path, "-o", f"{path.stem}.toml"))
         return ExitCode.LOSS if result.losses else ExitCode.CLEAN
 

@@ -45,8 +45,9 @@ from svmdist.profile import Profile
 from svmdist.profile.robot import CameraError
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
-from svmdist.vision.stereo import RectifiedPair, corresponding_points
+from svmdist.vision.stereo import RectifiedPair, RowAlignment, corresponding_points
 
+ROWS = "rows of both views"
 # Points of both views that tell a median, and how rows change over the picture
 MIN_MATCHES, MIN_FITTED = 8, 60
 MOST_POINTS = 0.75  # of those that show how rows bend: a few are at the border, or false
@@ -271,14 +272,7 @@ def matched(scene: Scene) -> Matches | None:
     pair = scene.stereo_pair
     if isinstance(pair, Failure) or scene.right is None:
         return None
-    views_px: Sequence[Array] = corresponding_points(scene.left.grey, scene.right.grey, MAX_ROWS_PX)
-    if len(views_px[0]):
-        turns = pair.homography(), pair.homography(right=True)
-        turned = zip(views_px, turns, strict=True)
-        views_px = [
-            np.asarray(cv2.perspectiveTransform(px[:, None], H)[:, 0], np.float64) for px, H in turned
-        ]
-    return Matches(pair, *views_px)
+    return Matches(pair, *corresponding_points((scene.left.grey, scene.right.grey), pair, MAX_ROWS_PX))
 
 
 def of_views(profile: Profile, found: Sequence[Matches]) -> Iterator[Difference]:
@@ -295,10 +289,22 @@ def of_views(profile: Profile, found: Sequence[Matches]) -> Iterator[Difference]
         far_px, near_px = pair.disparity_at(field.depth_m), pair.disparity_at(field.least_depth_m)
         off_px = min(middle_px - far_px, 0.0) + max(middle_px - near_px, 0.0)
         yield Difference("disparities", (VIEWS, CAMERAS), off_px, float(std_px), "px")
-        x, y = ((left_px - pair.K[:2, 2]) / pair.K[0, 0]).T
-        rows.append(np.column_stack([np.ones(len(x)), x, y, x * y, right_px[:, 1] - left_px[:, 1]]))
+        rows.append(_rows_of(pair, left_px, right_px))
     if sum(map(len, rows)) >= MIN_FITTED:
         yield _bent_rows(profile, rows, found[0].pair)
+
+
+def row_alignment(found: Sequence[Matches]) -> RowAlignment:
+    """How the rows of both views differ, as points of pairs have it."""
+    fit, _ = _robust_fit(np.concatenate([_rows_of(*one) for one in found]))
+    along_x, along_y = (fit[1:3] / found[0].pair.K[0, 0]).tolist()
+    return RowAlignment(float(fit[0]), (along_x, along_y))
+
+
+def _rows_of(pair: RectifiedPair, left_px: Array, right_px: Array) -> Array:
+    """Of points, (n, 5): 1, x, y, xy on z = 1, and by how much their rows differ in px."""
+    x, y = ((left_px - pair.K[:2, 2]) / pair.K[0, 0]).T
+    return np.column_stack([np.ones(len(x)), x, y, x * y, right_px[:, 1] - left_px[:, 1]])
 
 
 def _bent_rows(profile: Profile, rows: Sequence[Array], pair: RectifiedPair) -> Difference:
@@ -318,7 +324,7 @@ def _bent_rows(profile: Profile, rows: Sequence[Array], pair: RectifiedPair) -> 
     bends_px = B @ fit[1:]
     at = int(np.argsort(np.abs(bends_px))[int(MOST_POINTS * len(B))])
     std_px = float(np.hypot(np.sqrt(B[at] @ covariance @ B[at]), ROWS_STD_PX))
-    return Difference("rows of both views", (VIEWS, CAMERAS), float(bends_px[at]), std_px, "px")
+    return Difference(ROWS, (VIEWS, CAMERAS), float(bends_px[at]), std_px, "px")
 
 
 def _robust_fit(rows: Array) -> tuple[Array, Array]:

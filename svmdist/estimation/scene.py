@@ -18,7 +18,7 @@ from svmdist.results import Failure
 from svmdist.samples import Observation
 from svmdist.vision.frame_context import FrameContext, as_pinholes, mixes_colours, with_first_fields
 from svmdist.vision.segmentation import Segmenter
-from svmdist.vision.stereo import RectifiedPair, rectified_pair
+from svmdist.vision.stereo import LEVEL, RectifiedPair, RowAlignment, rectified_pair
 from svmdist.vision.tag_overlay import TagPattern
 
 
@@ -74,20 +74,20 @@ class Arm:
 class Scene:
     """One moment of a log before the instruments are told apart; all methods and instruments share its detections.
 
-    Its `observation` is what ideal cameras would have seen; `lens` is the left camera as it is. `row_offset_px`
-    is by how much the right view's rows lie below the left one's.
+    Its `observation` is what ideal cameras would have seen; `lens` is the left camera as it is. The right
+    view's `rows` are aligned with the left one's.
     """
 
     def __init__(
-        self, observation: Observation, profile: Profile, segmenter: Segmenter, row_offset_px: float = 0.0
+        self, observation: Observation, profile: Profile, segmenter: Segmenter, rows: RowAlignment = LEVEL
     ) -> None:
         settings = profile.settings
-        self.lens, self.profile = observation.camera, profile
+        self.lens, self.profile, self._rows = observation.camera, profile, rows
         first = with_first_fields(observation, settings.interlace)
         self.mixes_colours = first is not observation and mixes_colours(
             observation.image_bgr, settings.interlace
         )
-        self.observation = observation = as_pinholes(first, row_offset_px)
+        self.observation = observation = as_pinholes(first, rows)
         right = observation.right
         family = None if profile.fiducial is None else profile.fiducial.family
         rules = segmenter, settings.exposure, family, settings.tag
@@ -121,4 +121,4 @@ class Scene:
         if self.right is None or isinstance(pair, Failure):
             return None
         settings, field = self.profile.settings.stereo, self.profile.field
-        return detect_stereo_surface((self.left, self.right), pair, settings, field, **resolution)
+        return detect_stereo_surface((self.left, self.right), pair, settings, field, self._rows, **resolution)

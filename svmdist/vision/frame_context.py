@@ -15,6 +15,7 @@ from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform
 from svmdist.vision.colour import Exposure, Masks, apply_exposure, exposure_of, to_grey, to_hsv
 from svmdist.vision.segmentation import Segmenter
+from svmdist.vision.stereo import LEVEL, RowAlignment
 
 COMB_RATIO = 3.0  # combed pixels over those that differ from the same field's rows: fine texture does both
 # Side of the blocks in which these are counted, at 640 columns: smaller than an instrument's tip
@@ -82,8 +83,8 @@ def _stands_out(levels_of: Image, away: int, levels: float) -> Image:
     return mask
 
 
-def as_pinholes(observation: Observation, row_offset_px: float = 0.0) -> Observation:
-    """Both views as ideal cameras give them, the right one `row_offset_px` higher; the same object where they do."""
+def as_pinholes(observation: Observation, rows: RowAlignment = LEVEL) -> Observation:
+    """Both views as ideal cameras give them, the right one's rows aligned; the same object where they are."""
     left, right = observation.camera, observation.right
     if left.has_distortion:
         image = _mapped(observation.image_bgr, left, np.eye(3), left)
@@ -93,12 +94,11 @@ def as_pinholes(observation: Observation, row_offset_px: float = 0.0) -> Observa
     if not _is_rectified(left, right):
         right = _beside(left, right)
         observation = replace(observation, right=right)
-    if row_offset_px == 0.0:
+    if rows == LEVEL:
         return observation
-    height, width = right.image_bgr.shape[:2]
-    up = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, -row_offset_px]])
-    raised = cv2.warpAffine(right.image_bgr, up, (width, height), flags=cv2.INTER_CUBIC)
-    return replace(observation, right=replace(right, image_bgr=np.asarray(raised, np.uint8)))
+    size, how = right.image_bgr.shape[1::-1], cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    aligned = cv2.warpAffine(right.image_bgr, rows.of_image(right.camera.K), size, flags=how)
+    return replace(observation, right=replace(right, image_bgr=np.asarray(aligned, np.uint8)))
 
 
 def seen_through(camera: Camera, pinhole_px: Array) -> Array:

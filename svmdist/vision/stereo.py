@@ -22,6 +22,36 @@ MAX_TURN = 0.7  # the same beyond which it is no such pair: turned by 45 degrees
 
 
 @dataclass(frozen=True, slots=True)
+class RowAlignment:
+    """By how many px the right view's rows lie below the left one's at the principal point, and the change per px.
+
+    `slope` is that along x and along y. What bends rows so is a lens, or a turn, that is not as stated.
+    """
+
+    offset_px: float = 0.0
+    slope: tuple[float, float] = (0.0, 0.0)
+
+    def of_image(self, K: Array) -> Array:
+        """Where the right view of K, (3, 3), shows what should be at (x, y, 1), shape (2, 3)."""
+        along_x, along_y = self.slope
+        offset_px = self.offset_px - along_x * K[0, 2] - along_y * K[1, 2]
+        return np.array([[1.0, 0.0, 0.0], [along_x, 1.0 + along_y, offset_px]])
+
+    def std_px(self, pixels: Array, disparity_px: Array, K: Array) -> Array:
+        """Of disparities, (...), at pixels (..., 2) of the left view of K, (3, 3): the deviation by either lens.
+
+        What turns or stretches rows does so to columns.
+        """
+        x, y = np.moveaxis(np.abs(pixels - K[:2, 2]), -1, 0)
+        furthest = np.maximum(x, np.abs(pixels[..., 0] - disparity_px - K[0, 2]))
+        along_x, along_y = self.slope
+        return np.asarray(np.hypot(along_y * furthest, along_x * y))
+
+
+LEVEL = RowAlignment()
+
+
+@dataclass(frozen=True, slots=True)
 class RectifiedPair:
     """The left camera's K, shape (3, 3), the baseline, and how far the principal points stand apart.
 
@@ -119,24 +149,29 @@ class RowOffset:
 
 
 def corresponding_points(
-    left_grey: Image,
-    right_grey: Image,
+    views: tuple[Image, Image],
+    pair: RectifiedPair,
     max_rows_px: float,
     disparities_px: tuple[float, float] = (-np.inf, np.inf),
     step: int = 2,
 ) -> tuple[Array, Array]:
-    """Pixels in both views, (n, 2) each, of points that look alike (SIFT, Lowe 2004) and differ little in their rows.
+    """Pixels in both grey views of points that look alike (SIFT, Lowe 2004), where their rows differ little.
 
-    In views that are reduced by `step`; offsets of halved ones agree with those of whole ones to 0.03 px.
+    They are those of views whose rows correspond, (n, 2) each. Points are found in views that are reduced by `step`;
+    offsets of halved ones agree with those of whole ones to 0.03 px.
     """
     sift = cv2.SIFT.create(POINTS // step, 3, CONTRAST, EDGE)
-    at_left, left = sift.detectAndCompute(reduced(left_grey, step), None)
-    at_right, right = sift.detectAndCompute(reduced(right_grey, step), None)
+    (at_left, left), (at_right, right) = (sift.detectAndCompute(reduced(one, step), None) for one in views)
     if left is None or right is None or len(at_right) < 2:
         return np.zeros((0, 2)), np.zeros((0, 2))
     left_px, right_px = (
         step * np.array([point.pt for point in points]) + 0.5 * (step - 1) for points in (at_left, at_right)
     )
+    if pair.R_rows_left is not None:
+        turns = zip((left_px, right_px), (pair.homography(), pair.homography(right=True)), strict=True)
+        left_px, right_px = (
+            cv2.perspectiveTransform(px[:, None], H)[:, 0].astype(np.float64) for px, H in turns
+        )
     allowed = np.abs(right_px[None, :, 1] - left_px[:, None, 1]) <= max_rows_px
     disparity_px = left_px[:, None, 0] - right_px[None, :, 0]
     allowed &= (disparity_px > disparities_px[0]) & (disparity_px < disparities_px[1])

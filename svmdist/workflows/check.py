@@ -26,7 +26,14 @@ from svmdist.transforms import Array
 from svmdist.vision.colour import to_grey
 from svmdist.vision.frame_context import as_pinholes, with_first_fields
 from svmdist.vision.segmentation import Segmenter, make_segmenter
-from svmdist.vision.stereo import RowOffset, agreed_offset, corresponding_points, rectified_pair
+from svmdist.vision.stereo import (
+    LEVEL,
+    RowAlignment,
+    RowOffset,
+    agreed_offset,
+    corresponding_points,
+    rectified_pair,
+)
 
 CHECKED = 6  # images, and up to twice as many, evenly over the log
 LOOKED_AT = 3  # of them before the first row; the others are where one of these differs by more than
@@ -90,10 +97,10 @@ def row_offset(pairs: Sequence[Observation], profile: Profile) -> RowOffset | No
     return None
 
 
-def row_offset_to_remove_px(seen: Sequence[Observation], profile: Profile) -> float:
-    """The offset where it is more than the settings leave, and known; else 0."""
+def offset_to_remove(seen: Sequence[Observation], profile: Profile) -> RowAlignment:
+    """The offset where it is more than the settings leave, and known; else none."""
     offset = row_offset(seen, profile)
-    return 0.0 if offset is None or abs(offset.px) < MIN_ROW_OFFSET_PX else offset.px
+    return LEVEL if offset is None or abs(offset.px) < MIN_ROW_OFFSET_PX else RowAlignment(offset.px)
 
 
 def first_of(spread: Sequence[Sighted], profile: Profile) -> list[Observation]:
@@ -114,7 +121,7 @@ def _row_differences(seen: Observation, profile: Profile, step: int) -> Array:
     bounds_px = pair.disparity_at(settings.far_m), pair.disparity_at(settings.near_m)
     far_px, near_px = (bound + pair.offset_px for bound in bounds_px)
     views = to_grey(seen.image_bgr), to_grey(right.image_bgr)
-    found = corresponding_points(*views, settings.max_row_offset_px, (far_px, near_px), step)
+    found = corresponding_points(views, pair, settings.max_row_offset_px, (far_px, near_px), step)
     return np.asarray(found[1][:, 1] - found[0][:, 1])
 
 
@@ -124,10 +131,10 @@ def needs_association(arms: Sequence[Arm]) -> bool:
 
 
 def look(
-    seen: tuple[Observation, ...], arms: Sequence[Arm], segmenter: Segmenter, row_offset_px: float
+    seen: tuple[Observation, ...], arms: Sequence[Arm], segmenter: Segmenter, rows: RowAlignment
 ) -> list[Frame]:
     """A frame for each instrument in an image: several are told apart as in the first image of a log."""
-    scene = Scene(seen[0], arms[0].profile, segmenter, row_offset_px)
+    scene = Scene(seen[0], arms[0].profile, segmenter, rows)
     if not needs_association(arms):
         return [Frame.of(scene, arms[0], seen[0], arms[0].state_at(seen[0]))]
     from svmdist.estimation.association import Association
@@ -192,12 +199,34 @@ def checked(
     return {name: Checks.of(ones, len(looked)) for name, ones in found().items()}, looked
 
 
-def views_contradiction(pairs: Iterable[Observation], profile: Profile) -> str:
-    """Why both views cannot be those of their cameras, whatever they show; empty where they can be."""
+@dataclass(frozen=True)
+class ViewsCompared:
+    """Both views of pairs against their cameras, and how rows are aligned where these contradict."""
+
+    checks: Checks
+    rows: RowAlignment | None
+
+    @property
+    def refusal(self) -> str:
+        """Why they cannot be those of their cameras, whatever they show; empty where they can be."""
+        wrong = [one for one in self.checks.comparisons if one.usual.what != checks.ROWS]
+        return warning({"": Checks(tuple(wrong))})
+
+    @property
+    def warning(self) -> str:
+        """What contradicts, and what it leads to; empty where nothing does."""
+        said = warning({"": self.checks})
+        return f"{said}; depths are the less sure the further from the middle" if said else ""
+
+
+def compare_views(pairs: Iterable[Observation], profile: Profile) -> ViewsCompared:
+    """Compare both views of pairs with their cameras."""
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
     scenes = [Scene(one, profile, segmenter) for one in pairs if one.right is not None]
     matches = [found for scene in scenes if (found := checks.matched(scene)) is not None]
-    return warning({"": Checks.of(checks.of_views(profile, matches), len(matches))})
+    compared = Checks.of(checks.of_views(profile, matches), len(matches))
+    is_bent = any(one.usual.what == checks.ROWS for one in compared.contradictions)
+    return ViewsCompared(compared, checks.row_alignment(matches) if is_bent else None)
 
 
 def warning(found: Mapping[str, Checks]) -> str:
@@ -218,7 +247,7 @@ def check_log(recording: Recording, profile: Profile) -> dict[str, Checks]:
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
     spread = spread_observations(recording)
     arms = [Arm(profile.for_instrument(name)) for name in recording.instruments]
-    row_offset_px = row_offset_to_remove_px(first_of(spread, profile), profile)
+    rows = offset_to_remove(first_of(spread, profile), profile)
     for one in spread:
         for loss in one.decoded.losses:
             recording.health.add(loss, one.decoded.place)
@@ -230,6 +259,6 @@ def check_log(recording: Recording, profile: Profile) -> dict[str, Checks]:
         )
 
     def looked_at(_number: int, seen: tuple[Observation, ...]) -> list[Frame]:
-        return look(seen, arms, segmenter, row_offset_px)
+        return look(seen, arms, segmenter, rows)
 
     return checked(recording, spread, arms, looked_at, least=len(spread), pairs=len(spread))[0]

@@ -38,7 +38,7 @@ from svmdist.samples import (
     Sample,
 )
 from svmdist.transforms import Array
-from svmdist.workflows.check import LOOKED_AT, views_contradiction
+from svmdist.workflows.check import LOOKED_AT, compare_views
 from svmdist.workflows.parallel import Progress
 
 LIMITS = Limits()
@@ -100,6 +100,7 @@ class ImportResult:
     size_bytes: int
     has_baseline: bool | None
     losses: list[str]
+    warning: str = ""  # what of both views contradicts the stated cameras
 
 
 @dataclass(frozen=True)
@@ -136,11 +137,13 @@ def import_log(
         "version_svmdist": version("svmdist"),
     }
     counts: Counter[str] = Counter()
-    T_left_right = stereo_transform(*cameras) if given.count == 2 else None
+    T_left_right, said = stereo_transform(*cameras) if given.count == 2 else None, ""
     if T_left_right is not None:
         few = islice(_pairs(views, cameras, T_left_right, options), LOOKED_AT)
-        if said := views_contradiction(few, load_profile()):
-            raise SourceError(f"no log is written: {said}")
+        compared = compare_views(few, load_profile())
+        if compared.refusal:
+            raise SourceError(f"no log is written: {compared.refusal}")
+        said = compared.warning
     writer = RecordingWriter(output, metadata, force=force, jpeg_quality=options.jpeg_quality)
     try:
         with writer:
@@ -156,7 +159,7 @@ def import_log(
         raise
     has_baseline = None if given.count == 1 else T_left_right is not None
     losses = [loss for view in views for loss in view.losses.values()]
-    return ImportResult(output, dict(counts), output.stat().st_size, has_baseline, losses)
+    return ImportResult(output, dict(counts), output.stat().st_size, has_baseline, losses, said)
 
 
 def _image_messages(

@@ -29,8 +29,9 @@ from svmdist.transforms import Array
 from svmdist.vision.colour import DistinctColour, find_distinct_colour
 from svmdist.vision.frame_context import as_pinholes
 from svmdist.vision.instruments.find_instruments import AutoSegmenter
+from svmdist.vision.stereo import RowAlignment
 from svmdist.workflows.capabilities import observations_of
-from svmdist.workflows.check import row_offset_to_remove_px, views_contradiction
+from svmdist.workflows.check import compare_views, offset_to_remove
 
 OTHER_ARMS = re.compile(r"/(ECM|MTM\w*|SUJ\w*)(/|$)")  # of a da Vinci, without an instrument
 SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("_l/", "_r/"), ("/l/", "/r/"))
@@ -112,8 +113,9 @@ def draft_profile(
     camera = recording.camera
     count = next(topic.message_count for topic in summary.topics if topic.topic == roles.topics["image"])
     observations = list(observations_of(recording, count // LOOKED_AT))
-    if said := views_contradiction(observations[:VIEWS_COMPARED], blank):
-        raise RecordingError(f"{path.name}: no profile of it would be right: {said}")
+    views = compare_views(observations[:VIEWS_COMPARED], blank)
+    if views.refusal:
+        raise RecordingError(f"{path.name}: no profile of it would be right: {views.refusal}")
     images = [as_pinholes(seen).image_bgr for seen in observations]
     instruments = tuple(
         _instrument(name, own, summary, path, blank, len(roles.instruments))
@@ -135,7 +137,7 @@ def draft_profile(
         camera.frame_id or "camera",
         instruments,
         find_distinct_colour(images, len(instruments)),
-        _surface(recording, observations),
+        _surface(recording, observations, views.rows),
         instrument or (UNKNOWN_INSTRUMENT if instruments[0].chain is None else DA_VINCI_INSTRUMENT),
         has_base,
         len(images),
@@ -267,7 +269,9 @@ def _instruments_by_sides(images: Sequence[Image]) -> tuple[InstrumentDraft, ...
     )
 
 
-def _surface(recording: Recording, observations: Sequence[Observation]) -> TissueDraft | None:
+def _surface(
+    recording: Recording, observations: Sequence[Observation], rows: RowAlignment | None
+) -> TissueDraft | None:
     """The plane through the tissue's surface as pairs of views show it; None where too few agree on one."""
     if recording.right_camera is None:
         return None
@@ -275,11 +279,11 @@ def _surface(recording: Recording, observations: Sequence[Observation]) -> Tissu
         update={"segmentation": AutoSegmentation(method="auto"), "tissue": FIRST_GUESS}
     )
     segmenter, deviations = AutoSegmenter(), Deviations(CameraError())
-    offset_px = row_offset_to_remove_px(observations, rules)
+    rows = rows or offset_to_remove(observations, rules)
     clouds: list[Array] = []
     stds_m: list[float] = []
     for observation in observations:
-        scene = Scene(observation, rules, segmenter, offset_px)
+        scene = Scene(observation, rules, segmenter, rows)
         surface, right = scene.stereo_surface, scene.observation.right
         if surface is None or right is None:
             continue

@@ -30,12 +30,13 @@ from svmdist.recording.source import Loss, LossKind
 from svmdist.results import Distances, FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection, Status
 from svmdist.vision.frame_context import seen_through
+from svmdist.vision.stereo import LEVEL
 from svmdist.workflows.check import (
     checked,
     first_of,
     look,
     needs_association,
-    row_offset_to_remove_px,
+    offset_to_remove,
     spread_observations,
     warning,
 )
@@ -186,7 +187,7 @@ class _Replay:
         self._places = [every.index(name) for name in self._wanted]
         self._conditions = tuple(conditions)
         self._segmenter = self._setup.segmenter  # one network, whatever becomes of the setup
-        self._row_offset_px = 0.0
+        self._rows = LEVEL
         self._looked: dict[tuple[int, int], list[Frame]] = {}
         self._checks: list[dict[str, Checks]] = [{} for _ in conditions]
         if not all(setup.is_planar or setup.is_given for setup in setups):
@@ -204,14 +205,14 @@ class _Replay:
         profile, health = self._setup.profile, self._recording.health
         spread = spread_observations(self._recording)
         if needs_rows:
-            self._row_offset_px = row_offset_to_remove_px(first_of(spread, profile), profile)
+            self._rows = offset_to_remove(first_of(spread, profile), profile)
         if profile.tissue is None:
             return
         for at, condition in enumerate(self._conditions):
 
             def looked(number: int, seen: tuple[Observation, ...]) -> list[Frame]:
                 changed = tuple(condition.apply(one, number) for one in seen)  # noqa: B023
-                return look(changed, self._arms, self._segmenter, self._row_offset_px)
+                return look(changed, self._arms, self._segmenter, self._rows)
 
             self._checks[at], found = checked(
                 self._recording, spread, self._arms, looked, pairs=int(needs_rows)
@@ -274,7 +275,7 @@ class _Replay:
             scene = looked[0].scene
         else:
             seen = self._conditions[at].apply(found[0], place["number"])
-            scene = Scene(seen, self._setup.profile, self._segmenter, self._row_offset_px)
+            scene = Scene(seen, self._setup.profile, self._segmenter, self._rows)
         spent_s = prefetch(scene, self._needs.scene)
         lanes = self._lanes[at]
         if self._associations[at] is not None:

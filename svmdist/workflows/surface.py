@@ -14,6 +14,7 @@ from svmdist.estimation.scene import Scene
 from svmdist.estimation.tissue.surface import ALL_PX
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
+from svmdist.recording.source import Loss, LossKind
 from svmdist.recording.summary import inspect_recording
 from svmdist.recording.topics import Role
 from svmdist.results import Failure
@@ -23,8 +24,9 @@ from svmdist.vision.segmentation import make_segmenter
 from svmdist.workflows.capabilities import HEAD_S, misfit
 from svmdist.workflows.check import (
     PAIRS,
+    compare_views,
     first_of,
-    row_offset_to_remove_px,
+    offset_to_remove,
     spread_observations,
 )
 
@@ -66,7 +68,10 @@ def tissue_surface(recording: Recording, profile: Profile, number: int) -> Tissu
         needs = "a surface needs a calibrated right view, which it has not: `svmdist import` takes two"
         raise RecordingError(f"{recording.name}: {misfit(summary, profile) or needs}")
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
-    row_offset_px = row_offset_to_remove_px(first_of(spread_observations(recording), profile), profile)
+    pairs = first_of(spread_observations(recording), profile)
+    views = compare_views(pairs, profile)
+    if views.warning:
+        recording.health.add(Loss(LossKind.CONTRADICTION, views.warning))
     images = recording.encoded_observations(recording.instruments[:1], PAIRS)
     chosen = next(islice(images, number, None), None)
     if chosen is None:
@@ -74,7 +79,7 @@ def tissue_surface(recording: Recording, profile: Profile, number: int) -> Tissu
     found, where = chosen.decode().found, f"{recording.name}: frame {number}"
     if isinstance(found, Rejection):
         raise RecordingError(f"{where} cannot be read: {found.detail or found.status}")
-    scene = Scene(found[0], profile, segmenter, row_offset_px)
+    scene = Scene(found[0], profile, segmenter, views.rows or offset_to_remove(pairs, profile))
     pair, right, seen = scene.stereo_pair, scene.observation.right, scene.observation
     if isinstance(pair, Failure) or right is None:
         raise RecordingError(

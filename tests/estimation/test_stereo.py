@@ -21,7 +21,7 @@ from svmdist.samples import Image, Observation, RightView, Status
 from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.frame_context import as_pinholes
 from svmdist.vision.segmentation import make_segmenter
-from svmdist.vision.stereo import RectifiedPair
+from svmdist.vision.stereo import LEVEL, RectifiedPair, RowAlignment
 from svmdist.workflows.check import look
 from tests.measuring import Measuring, frame_of
 from tests.pictures import RED_BGR, ShaftImage, entering_from
@@ -154,7 +154,7 @@ def test_an_offset_between_the_rows_is_removed(rows_px):
     left, right = drawn(2.4, False), drawn(2.4, True)
     shift = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, rows_px]])
     lower = np.asarray(cv2.warpAffine(right, shift, (640, 480), None, cv2.INTER_CUBIC), np.uint8)
-    aligned = as_pinholes(pair(left, lower), rows_px)
+    aligned = as_pinholes(pair(left, lower), RowAlignment(rows_px))
     assert aligned.right is not None
     inner = np.s_[10:-10, 10:-10]
     error = aligned.right.image_bgr[inner].astype(float) - right[inner]
@@ -228,7 +228,7 @@ def test_without_joints_an_instrument_is_measured_by_the_only_view_that_shows_it
     def places(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
         tools = [
             make_estimator("stereo", arm).estimate(frame).tool.pose
-            for arm, frame in zip(arms, look((observation,) * 2, arms, segmenter, 0.0), strict=True)
+            for arm, frame in zip(arms, look((observation,) * 2, arms, segmenter, LEVEL), strict=True)
         ]
         return np.array([one.position_m for one in tools]), np.array([one.position_std_m for one in tools])
 

@@ -9,11 +9,13 @@ import pytest
 
 from svmdist.camera import stereo_transform
 from svmdist.errors import SourceError, UsageError
+from svmdist.estimation.comparison import Checks
 from svmdist.importing.calibration import CalibrationOptions
 from svmdist.profile import load_profile
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.messages import message_class
 from svmdist.samples import Image, ImageSample, Observation
+from svmdist.workflows.check import ViewsCompared
 from svmdist.workflows.import_log import ImportOptions, ViewOptions, import_log
 from tests.reading import read_images, read_observations
 
@@ -229,7 +231,10 @@ def test_a_damaged_image_is_left_out(tmp_path, monkeypatch, damaged, kind, crop,
         cv2.imwrite(str(tmp_path / name), _picture(int(name[0])))
     _write(tmp_path / damaged, kind)
     pairs: list[Observation] = []
-    monkeypatch.setattr("svmdist.workflows.import_log.views_contradiction", lambda few, _: pairs.extend(few))
+    seen = ViewsCompared(Checks(()), None)
+    monkeypatch.setattr(
+        "svmdist.workflows.import_log.compare_views", lambda few, _: pairs.extend(few) or seen
+    )
     result = import_log(
         ImportOptions(ViewOptions(tmp_path, **PAIRED, crop=crop), PAIR), tmp_path / "out.mcap"
     )

@@ -1,5 +1,6 @@
 """The offset between the rows of a log's pairs: found once, removed from every row of results, for any --jobs."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,8 +13,10 @@ from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import CameraSample, ImageSample
+from svmdist.vision.instruments.find_instruments import AutoSegmenter
+from svmdist.vision.stereo import RowAlignment
 from svmdist.workflows import replay
-from svmdist.workflows.check import first_of, row_offset, row_offset_to_remove_px, spread_observations
+from svmdist.workflows.check import compare_views, first_of, offset_to_remove, row_offset, spread_observations
 from svmdist.workflows.request import prepare
 from tests.reading import read_images, read_observations
 from tests.synthetic import right_of
@@ -23,8 +26,8 @@ BASELINE_M = 0.005
 PROFILE = load_profile()
 
 
-def log(path: Path, rows_px: float, apart_ns: int = 0) -> Path:
-    """A log of eight pairs of a soft texture, the right view some rows lower, and of another time."""
+def log(path: Path, rows_px: float, apart_ns: int = 0, grown: float = 0.0) -> Path:
+    """A log of eight pairs of a soft texture, the right view some rows lower, larger, and of another time."""
     disparity_px = CAMERA.K[0, 0] * BASELINE_M / 0.1
     rng = np.random.default_rng(5)
     with RecordingWriter(path, {"scenario": "test", "seed": "5"}) as writer:
@@ -33,6 +36,8 @@ def log(path: Path, rows_px: float, apart_ns: int = 0) -> Path:
             texture = cv2.GaussianBlur(rng.normal(0.0, 1.0, (280, 420, 3)), (0, 0), 3.0)
             texture = np.clip(120.0 + 20.0 * texture / texture.std(), 0, 255).astype(np.uint8)
             moved = np.array([[1.0, 0.0, -disparity_px], [0.0, 1.0, rows_px]])
+            moved = (1.0 + grown) * moved
+            moved[:, 2] -= grown * CAMERA.K[:2, 2]
             right = cv2.warpAffine(texture, moved, (420, 280), None, cv2.INTER_CUBIC, cv2.BORDER_REFLECT)
             writer.write("/ECM/left/camera_info", CameraSample(stamp_ns, CAMERA))
             writer.write("/ECM/right/camera_info", CameraSample(stamp_ns, right_of(CAMERA, BASELINE_M)))
@@ -51,8 +56,35 @@ def test_the_offset_of_a_log_is_found(tmp_path, rows_px):
     found = row_offset(first_of(spread, PROFILE), PROFILE)
     assert found.px == pytest.approx(rows_px, abs=0.1)
     assert abs(found.px - rows_px) < 3.0 * found.std_px
-    removed_px = row_offset_to_remove_px(first_of(spread, PROFILE), PROFILE)
-    assert removed_px == (found.px if rows_px else 0.0)
+    removed = offset_to_remove(first_of(spread, PROFILE), PROFILE)
+    assert removed == RowAlignment(found.px if rows_px else 0.0)
+
+
+def test_a_lens_that_is_not_stated_widens_what_is_measured(tmp_path):
+    """It bends rows, which are aligned, and columns as much, which is part of the surface's deviations."""
+    recording = open_recording(log(tmp_path / "pair.mcap", 0.0, grown=0.03), PROFILE)
+    pairs = first_of(spread_observations(recording, 4), PROFILE)
+    found = compare_views(pairs, PROFILE)
+    assert not found.refusal
+    assert found.warning.startswith("rows of both views")
+    assert found.rows is not None
+    assert found.rows.slope == pytest.approx((0.0, 0.03), abs=2e-3)
+    aligned = Scene(pairs[0], PROFILE, AutoSegmenter(), found.rows).surface()
+    assert aligned is not None
+    off_m = np.abs(aligned.points_m[:, 2] - 0.1)
+    assert np.percentile(off_m, 90.0) > 1e-3  # three pixels of 18 at the border
+    assert np.mean(off_m < 2.0 * aligned.grid_std_m[aligned.is_seen]) > 0.95
+
+
+def test_exchanged_views_are_refused(tmp_path):
+    """Nothing stands where they have it, whatever the rows do."""
+    recording = open_recording(log(tmp_path / "pair.mcap", 0.0), PROFILE)
+    swapped = [
+        replace(one, image_bgr=one.right.image_bgr, right=replace(one.right, image_bgr=one.image_bgr))
+        for one in first_of(spread_observations(recording, 4), PROFILE)
+        if one.right is not None
+    ]
+    assert compare_views(swapped, PROFILE).refusal.startswith("disparities")
 
 
 def test_every_scene_has_it_removed(tmp_path, monkeypatch):

@@ -18,7 +18,7 @@ from svmdist.transforms import Array, inverse
 from svmdist.vision.colour import Masks
 from svmdist.vision.disparity import CLIPPED, MARGIN_PX, disparity_map
 from svmdist.vision.frame_context import FrameContext
-from svmdist.vision.stereo import RectifiedPair
+from svmdist.vision.stereo import LEVEL, RectifiedPair, RowAlignment
 
 QUICK_PX, ALL_PX = 30_000, 2_100_000
 """Pixels of the tissue that are matched: for a distance in every frame, and for the surface itself (1920x1080)."""
@@ -86,9 +86,13 @@ def detect_stereo_surface(
     pair: RectifiedPair,
     settings: StereoSettings,
     field: FieldOfView,
+    rows: RowAlignment = LEVEL,
     most_px: int = QUICK_PX,
 ) -> StereoSurface | None:
-    """The surface of the tissue that both views show; None where they show too little of it, or do not agree."""
+    """The surface of the tissue that both views show; None where they show too little of it, or do not agree.
+
+    The views' rows were aligned by `rows`, and what that says of their columns is part of the deviations.
+    """
     greys = [view.grey for view in views]
     masks = [_tissue_mask(view.masks, view.grey) for view in views]
     first_px, offset_px = np.zeros(2), pair.offset_px
@@ -121,7 +125,8 @@ def detect_stereo_surface(
     slope_m = np.linalg.norm(grid_m, axis=-1) / disparity_px
     cell_px2 = float(np.diff(found.columns_px[:2])[0] * np.diff(found.rows_px[:2])[0])
     share = np.count_nonzero(found.is_seen) * cell_px2 / max(cv2.countNonZero(masks[0]), 1)
-    std_m, hull = slope_m * found.std_px, _hull(found.is_seen)
+    std_px = np.hypot(found.std_px, rows.std_px(rows_px, disparity_px, pair.K))
+    std_m, hull = slope_m * std_px, _hull(found.is_seen)
     return StereoSurface(grid_m, normals, std_m, found.is_seen, hull, min(share, 1.0))
 
 
