@@ -40,6 +40,7 @@ REAL = (
     ("d-lfd", "stereo", "robot, fitted"),
     ("SuPer Deep", "shaft", "wrist"),
     ("in vivo", "shaft", "tip"),
+    ("liver", "surface", "CT"),
 )
 """Which rows of real images README.md shows."""
 BLUR = "kernel [px]", "features", "paper", "area [px²]", "paper", "RMSE [mm]"
