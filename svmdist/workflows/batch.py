@@ -192,11 +192,8 @@ def _measured(
         yield from measured_on_cluster(partial(outcome_of, job, 1), logs, scheduler)
         return
     jobs = usable_cores() if jobs is None else jobs
-    workers = min(jobs, len(logs))
     in_memory = any(isinstance(log.path, RemoteFile) and log.path.url.startswith("memory:") for log in logs)
-    if workers <= 1 or in_memory:  # what is in a process's memory is its own
-        yield from ((at, outcome_of(job, jobs, log)) for at, log in enumerate(logs))
-        return
+    workers = 1 if in_memory else max(1, min(jobs, len(logs)))  # what is in a process's memory is its own
     killed = Outcome[Result](None, f"its process was killed, perhaps for want of memory, {ATTEMPTS} times")
     work = partial(outcome_of, job, max(1, jobs // workers))
     yield from each_in_processes(work, logs, workers, attempts=ATTEMPTS, died=killed)

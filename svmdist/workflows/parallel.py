@@ -99,20 +99,6 @@ def in_order(
                 future.cancel()
 
 
-@contextmanager
-def process_pool(workers: int, begin: Callable[[], object] = object) -> Iterator[ProcessPoolExecutor]:
-    """Give a pool of processes that end with the block: after their tasks, or at once where it is left by an error.
-
-    Each process calls `begin()` first. Interrupts are this process's to handle; workers also end where this process is
-    killed. Raises WorkerDiedError where a worker is killed.
-    """
-    with _pools() as make:
-        try:
-            yield make(workers, begin)
-        except BrokenProcessPool:
-            raise WorkerDiedError from None
-
-
 def each_in_processes(
     function: Callable[[Item], Result],
     items: Sequence[Item],
@@ -122,15 +108,18 @@ def each_in_processes(
     died: Result | None = None,
     on_step: Callable[[], None] | None = None,
 ) -> Generator[tuple[int, Result]]:
-    """Yield (place, what the function gives of the item there) as the items end, measured by so many processes.
+    """Yield (place, what the function gives of the item there) as the items end, by so many processes; one is this one.
 
     An item whose process is killed is tried `attempts` times; then `died` is its result, or WorkerDiedError is raised
     where that is None. What the function raises is raised here, and ends all processes at once. `on_step` is called
-    for every `step()` in any of the processes.
+    for every `step()` in any of the other processes.
     """
+    if workers <= 1:
+        yield from enumerate(map(function, items))
+        return
     waiting = deque((place, 1) for place in range(len(items)))
     running: dict[Future[Result], tuple[ProcessPoolExecutor, int, int]] = {}
-    with _pools() as make:
+    with process_pools() as make:
         steps = _context().Value("q", 0) if on_step else None
         seen = 0
         idle: list[ProcessPoolExecutor] = []  # of one process each: a killed one takes only its own item
@@ -152,7 +141,7 @@ def each_in_processes(
                     if attempt < attempts:
                         waiting.appendleft((place, attempt + 1))
                     elif died is None:
-                        raise WorkerDiedError from None
+                        raise
                     else:
                         yield place, died
                 else:
@@ -189,8 +178,12 @@ def _context() -> Any:
 
 
 @contextmanager
-def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
-    """Give a function that makes pools; their processes end with the block."""
+def process_pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
+    """Give a function that makes a pool of so many processes, each of which calls `begin()` first.
+
+    They end with the block: after their tasks, or at once where it is left by an error. Interrupts are this process's
+    to handle; workers also end where this process is killed. Raises WorkerDiedError where a worker is killed.
+    """
     context = _context()
     if context.get_start_method() == "forkserver":
         from multiprocessing import forkserver
@@ -203,14 +196,14 @@ def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
     pools: list[Any] = []
     others = set(multiprocessing.active_children())
 
-    def make(workers: int, begin: Callable[[], object]) -> Any:
+    def make(workers: int, begin: Callable[[], object] = object) -> Any:
         prepared = dict(os.environ), begin
         pools.append(ProcessPoolExecutor(workers, context, _begin, prepared))
         return pools[-1]
 
     try:
         yield make
-    except BaseException:
+    except BaseException as problem:
         for process in set(multiprocessing.active_children()) - others:
             process.terminate()
             process.join()
@@ -218,6 +211,8 @@ def _pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
             # A worker that ended in the midst of a result leaves a pool that waits for the rest of it, since this
             # process could still write it, until it no longer can.
             pool._result_queue._writer.close()
+        if isinstance(problem, BrokenProcessPool):
+            raise WorkerDiedError from None
         raise
     finally:
         for pool in pools:

@@ -119,7 +119,8 @@ def encoded_samples(plan: Plan, jobs: int, jpeg_quality: int | None) -> Generato
             with Simulator(plan) as simulator:
                 yield from _encoded(simulator, plan.blocks, jpeg_quality)
             return
-        with parallel.process_pool(workers, partial(_begin, plan, jpeg_quality)) as pool:
+        with parallel.process_pools() as make:
+            pool = make(workers, partial(_begin, plan, jpeg_quality))
             for encoded in parallel.in_order(_work, _tasks(plan), workers, pool):
                 yield from encoded
 
@@ -217,9 +218,13 @@ def record_episodes(
         )
     found: dict[int, Recorded] = {}
     jobs = parallel.usable_cores() if jobs is None else jobs
+    workers = min(jobs, len(paths))
+    work = partial(record_episode, episodes, jobs if workers == 1 else 1)
+    died = Recorded(Path(), failure=str(parallel.WorkerDiedError()))
+    each = parallel.each_in_processes(work, list(enumerate(paths)), workers, died=died)
     try:
-        with closing(_each_recorded(episodes, paths, jobs)) as done:
-            for number, episode in done:
+        with closing(each) as recorded:
+            for number, episode in recorded:
                 found[number] = replace(episode, path=paths[number])
                 on_progress(len(found), len(paths))
     finally:
@@ -228,15 +233,6 @@ def record_episodes(
                 with suppress(OSError):
                     part.unlink(missing_ok=True)
     return [found[number] for number in range(len(paths))]
-
-
-def _each_recorded(episodes: Episodes, paths: Sequence[Path], jobs: int) -> Generator[tuple[int, Recorded]]:
-    numbered, workers = list(enumerate(paths)), min(jobs, len(paths))
-    if workers <= 1:
-        yield from ((one[0], record_episode(episodes, jobs, one)) for one in numbered)
-        return
-    died = Recorded(Path(), failure=str(parallel.WorkerDiedError()))
-    yield from parallel.each_in_processes(partial(record_episode, episodes, 1), numbered, workers, died=died)
 
 
 def record_episode(episodes: Episodes, jobs: int, numbered: tuple[int, Path]) -> Recorded:

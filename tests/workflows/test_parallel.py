@@ -19,7 +19,7 @@ from svmdist.workflows.parallel import (
     each_in_processes,
     in_order,
     one_opencv_thread,
-    process_pool,
+    process_pools,
     step,
 )
 
@@ -146,8 +146,8 @@ def test_processes_give_every_part_once():
     assert [results[place][0] for place in range(len(parts))] == parts
     assert len(counted) == sum(parts)
     assert 1 <= len({process for _, process in results.values()} - {os.getpid()}) <= 2
-    with process_pool(2) as pool:
-        assert [part for part, _ in in_order(steps, parts, 2, pool)] == parts
+    with process_pools() as make:
+        assert [part for part, _ in in_order(steps, parts, 2, make(2))] == parts
 
 
 def test_an_error_ends_all_processes_at_once():
@@ -168,8 +168,8 @@ def test_an_error_ends_a_process_in_the_midst_of_a_result(tmp_path, after_s):
     """A part of a result is not waited for: at one of these times, at least, this has only come in part."""
 
     def fail():
-        with suppress(RecordingError), process_pool(1) as pool:
-            pool.submit(large, tmp_path / "made")
+        with suppress(RecordingError), process_pools() as make:
+            make(1).submit(large, tmp_path / "made")
             while not (tmp_path / "made").exists():
                 time.sleep(0.001)
             time.sleep(after_s)
@@ -187,6 +187,6 @@ def test_a_killed_process_takes_only_its_own_item():
     assert dict(each_in_processes(one_is_killed, [1, 0, 2, 3], 2, attempts=2, died=-1)) == dict(
         enumerate([1, -1, 2, 3])
     )
-    with pytest.raises(WorkerDiedError, match=r"was killed.*--jobs"), process_pool(2) as pool:
-        list(in_order(one_is_killed, [1, 0, 2, 3], 2, pool))
+    with pytest.raises(WorkerDiedError, match=r"was killed.*--jobs"), process_pools() as make:
+        list(in_order(one_is_killed, [1, 0, 2, 3], 2, make(2)))
     assert not multiprocessing.active_children()
