@@ -14,12 +14,11 @@ from svmdist.results import FrameResult
 from svmdist.vision.colour import to_grey
 from svmdist.vision.degradations import Blur
 from svmdist.vision.marker import EDGE_MARGIN_PX, detect_orb, paste_marker
-from svmdist.workflows.compare import Figures, figures_of, pooled_figures
 from svmdist.workflows.parallel import Steps
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import BlurCondition, Request
 from svmdist.workflows.scoring.references import Truth
-from svmdist.workflows.scoring.scores import Readings
+from svmdist.workflows.scoring.scores import Figures, Readings, figures_of, pooled_figures
 
 DEFAULT_KERNELS_PX: Mapping[Blur, int] = {
     Blur.NONE: 1,

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.errors import RecordingError
-from svmdist.metrics import coverage
 from svmdist.recording.log import Recording
 from svmdist.recording.source import Health
 from svmdist.recording.topics import Role
@@ -18,7 +17,7 @@ from svmdist.workflows.replay import replay
 from svmdist.workflows.request import CLEAN, LogCondition, PerturbedCondition, Setup
 from svmdist.workflows.scoring.given import require_distinct
 from svmdist.workflows.scoring.references import ANY_TRUTH, Reference, Truth, truth_at, truth_lag_ns
-from svmdist.workflows.scoring.scores import SCORED, DistanceScore, Readings, pooled_score, score_pairs
+from svmdist.workflows.scoring.scores import Figures, Readings, figures_of, pooled_figures
 
 GroupBy = Callable[[Mapping[str, str]], str]  # names the group of a recording by its metadata
 
@@ -45,33 +44,6 @@ class Group:
     def __str__(self) -> str:
         degradation = "" if self.degradation == ALL else self.degradation
         return " ".join(filter(None, (self.scenario, degradation, self.other_instrument)))
-
-
-@dataclass(frozen=True)
-class Figures:
-    """The figures of runs together: every frame counts the same; a distance without estimate or truth is None.
-
-    `seconds` of processor time went into estimates and detections; methods share the cost of what several use.
-    """
-
-    frame_count: int
-    measured_count: int
-    seconds: float
-    planar: DistanceScore | None
-    spatial: DistanceScore | None
-    clearance: DistanceScore | None
-    tool: DistanceScore | None = None
-    rotation: DistanceScore | None = None
-
-    @property
-    def coverage(self) -> float:
-        """Measured frames per frame."""
-        return coverage(self.measured_count, self.frame_count)
-
-    @property
-    def ms_per_frame(self) -> float:
-        """Processor time per frame."""
-        return 1e3 * self.seconds / max(self.frame_count, 1)
 
 
 @dataclass(frozen=True)
@@ -129,15 +101,14 @@ def measure_runs(
     if jobs == 1 or parallel.is_worker():
         parts = [(range(len(conditions)), range(len(setups)))]
     work = _Work(recording, names, known, conditions, setups, max(1, jobs // len(parts)))
-    if len(parts) > 1:
-        processes = parallel.each_in_processes(work.in_worker, parts, jobs, on_step=advance)
-        ended = [found for _, found in processes]
+    if len(parts) == 1:
+        ended = [work.measure(parts[0], advance)]
+    else:
+        ended = [made for _, made in parallel.each_in_processes(work.measure, parts, jobs, on_step=advance)]
         # Methods that need both views lose what others lose, and right images: their list has all in file order.
         for _, health in sorted(ended, key=lambda one: -len(one[1].losses)):
             recording.health.join(health)
-        found = {place: figures for figures_at, _ in ended for place, figures in figures_at.items()}
-    else:
-        found = work.measure(parts[0], advance)
+    found = {place: rows for of_part, _ in ended for place, rows in of_part.items()}
     methods, scores = [setup.method for setup in setups], []
     for (at, of, name), (rows, truth, seconds) in sorted(found.items(), key=lambda one: one[0][:2]):
         group = group_of(recording, conditions[at], name, by)
@@ -147,17 +118,6 @@ def measure_runs(
                 differences = figures_of(found[at, place, name][0], rows.truth, np.nan, rows)
                 scores.append(MethodScore(group, methods[place], differences, name, methods[of]))
     return sorted(scores, key=lambda score: bool(score.against))
-
-
-def figures_of(
-    rows: Readings, truth: Truth | None, seconds: float = np.nan, other: Readings | None = None
-) -> Figures:
-    """The figures of rows; without a truth their counts."""
-    unmeasured = rows.rejected.total()
-    if other is not None:
-        unmeasured = int(np.count_nonzero(rows.is_rejected | other.is_rejected))
-    scores = (None if truth is None else score_pairs(rows.pairs(name, truth, other=other)) for name in SCORED)
-    return Figures(len(rows), len(rows) - unmeasured, seconds, *scores)
 
 
 Part = tuple[Sequence[int], Sequence[int]]
@@ -189,16 +149,13 @@ class _Work:
     setups: Sequence[Setup]
     threads: int
 
-    def in_worker(self, part: Part) -> tuple[Found, Health]:
-        return self.measure(part, parallel.step), self.recording.health
-
-    def measure(self, part: Part, advance: Callable[[], None]) -> Found:
+    def measure(self, part: Part, advance: Callable[[], None] = parallel.step) -> tuple[Found, Health]:
         """One pass over the log for all conditions of its images, and one for every perturbed world."""
         places, setups_at = part
         images = [at for at in places if not isinstance(self.conditions[at], PerturbedCondition)]
         passes = [images, *([at] for at in places if at not in images)]
         found = (self._one_pass(at, setups_at, advance) for at in passes if at)
-        return {key: figures for of_pass in found for key, figures in of_pass.items()}
+        return {key: rows for of_pass in found for key, rows in of_pass.items()}, self.recording.health
 
     def _one_pass(self, at: Sequence[int], setups_at: Sequence[int], advance: Callable[[], None]) -> Found:
         conditions = [self.conditions[place] for place in at]
@@ -240,16 +197,6 @@ def group_of(
     world = f"world={metadata['world']}" if "world" in metadata else metadata.get("perturb", "")
     degradations = (metadata.get("degrade", ""), world, str(condition))
     return Group(metadata.get("scenario", recording.name), ",".join(filter(None, degradations)), other)
-
-
-def pooled_figures(figures: Sequence[Figures]) -> Figures:
-    """Several figures as one."""
-    return Figures(
-        sum(one.frame_count for one in figures),
-        sum(one.measured_count for one in figures),
-        sum(one.seconds for one in figures),
-        *(pooled_score([getattr(one, name) for one in figures]) for name in SCORED),
-    )
 
 
 def compared(runs: Sequence[MethodScore]) -> list[MethodScore]:

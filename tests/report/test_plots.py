@@ -14,9 +14,9 @@ from svmdist.errors import OutputError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.report.charts import pooled
 from svmdist.report.plots import COLUMN_IN, PAGE_IN, draw, draw_compare, draw_series, save_figure
-from svmdist.workflows.compare import ALL, Figures, Group, MethodScore
+from svmdist.workflows.compare import ALL, Group, MethodScore
 from svmdist.workflows.scoring.references import Reference
-from svmdist.workflows.scoring.scores import DistanceScore, Pairs, score_pairs
+from svmdist.workflows.scoring.scores import DistanceScore, Figures, Pairs, score_pairs
 from svmdist.workflows.validate import Validation
 from tests.report.test_html import make_series
 from tests.report.test_scores import score, validation

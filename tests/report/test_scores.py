@@ -17,9 +17,9 @@ from svmdist.report.scores import (
     validation_tables,
 )
 from svmdist.report.tables import csv_lines, keys_of, render
-from svmdist.workflows.compare import Figures, Group, MethodScore
+from svmdist.workflows.compare import Group, MethodScore
 from svmdist.workflows.scoring.references import Reference
-from svmdist.workflows.scoring.scores import Pairs, Score, score_pairs
+from svmdist.workflows.scoring.scores import Figures, Pairs, Score, score_pairs
 from svmdist.workflows.validate import Validation
 
 START_NS = 1_700_000_000_000_000_000
@@ -40,7 +40,16 @@ def score(
     stamps_ns = START_NS + frames.astype(np.int64) * 100_000_000
     pairs = Pairs(stamps_ns, estimate_m, truth_m, np.full(count, np.nan))
     rejected = {"no_instrument": 9, "no_tissue": 1}
-    return Score(name, "overlay", "corrected", reference, count + 12, rejected, pairs, fitted_on)
+    return Score(
+        *(count + 12, count + 2),
+        planar=score_pairs(pairs),
+        recording=name,
+        method="overlay",
+        equations="corrected",
+        reference=reference,
+        rejected=rejected,
+        fitted_on=fitted_on,
+    )
 
 
 def validation(*names: str, **changes: object) -> Validation:

@@ -14,11 +14,11 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.metrics import alarm_statistics
 from svmdist.report import scores
 from svmdist.report.tables import csv_lines, keys_of, render
-from svmdist.workflows.compare import Figures, Group, MethodScore
+from svmdist.workflows.compare import Group, MethodScore
 from svmdist.workflows.scoring import metric_table
 from svmdist.workflows.scoring.metric_table import EVERYWHERE, IN_3D, LENGTH, Better, Metric, Tolerance
 from svmdist.workflows.scoring.references import Reference
-from svmdist.workflows.scoring.scores import Pairs, Score, score_pairs
+from svmdist.workflows.scoring.scores import Figures, Pairs, Score, score_pairs
 from svmdist.workflows.validate import StoredScore, Validation, load_baseline, save_baseline
 
 SCORE_COLUMNS = """
@@ -53,7 +53,13 @@ def validation(error_m: float = 1e-3) -> Validation:
     distance = score_pairs(planar)
     alarms = alarm_statistics(planar.stamps_ns / 1e9, planar.estimate_m < 0.02, planar.truth_m, 0.02)
     score = Score(
-        *("a", "fused", "corrected", Reference.GROUND_TRUTH, 20, {}, planar),
+        *(20, 20),
+        recording="a",
+        method="fused",
+        equations="corrected",
+        reference=Reference.GROUND_TRUTH,
+        rejected={},
+        planar=distance,
         spatial=distance,
         clearance=distance,
         alarms=alarms,

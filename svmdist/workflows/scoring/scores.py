@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -50,6 +50,9 @@ class Pairs:
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
+
+
+NO_PAIRS = Pairs(np.empty(0, np.int64), *(np.empty(0) for _ in range(3)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,37 +192,86 @@ def score_alarms(
 
 
 @dataclass(frozen=True)
-class Score:
-    """The score of one method on one recording, or on all of them, against one reference.
+class Figures:
+    """The figures of rows, or of those of several recordings, where every frame counts the same.
 
-    `pairs` are of the planar distance. `rejected` counts the frames that could not be measured, by reason. `fitted_on`
-    says that the calibration was fitted on this recording. `lag` was subtracted from the image stamps before pairing;
-    `uncorrected` are the planar figures without that.
+    A distance without estimate or truth is None; `tool` is how far its position is off, and `rotation` by how much it
+    is turned, in rad. `seconds` of processor time went into estimates and detections; methods share the cost of what
+    several use.
+    """
+
+    frame_count: int
+    measured_count: int
+    seconds: float = math.nan
+    planar: DistanceScore | None = None
+    spatial: DistanceScore | None = None
+    clearance: DistanceScore | None = None
+    tool: DistanceScore | None = None
+    rotation: DistanceScore | None = None
+
+    @property
+    def coverage(self) -> float:
+        """Measured frames per frame."""
+        return metrics.coverage(self.measured_count, self.frame_count)
+
+    @property
+    def ms_per_frame(self) -> float:
+        """Processor time per frame."""
+        return 1e3 * self.seconds / max(self.frame_count, 1)
+
+
+def figures_of(
+    rows: Readings,
+    truth: Truth | None,
+    seconds: float = math.nan,
+    other: Readings | None = None,
+    stamps_ns: Stamps | None = None,
+) -> Figures:
+    """The figures of rows, paired as `Readings.pairs` does; without a truth their counts."""
+    unmeasured = rows.rejected.total()
+    if other is not None:
+        unmeasured = int(np.count_nonzero(rows.is_rejected | other.is_rejected))
+    pairs = (None if truth is None else rows.pairs(name, truth, stamps_ns, other) for name in SCORED)
+    scores = (None if of is None else score_pairs(of) for of in pairs)
+    return Figures(len(rows), len(rows) - unmeasured, seconds, *scores)
+
+
+def pooled_figures(figures: Sequence[Figures]) -> Figures:
+    """Several figures as one."""
+    return Figures(
+        sum(one.frame_count for one in figures),
+        sum(one.measured_count for one in figures),
+        sum(one.seconds for one in figures),
+        *(pooled_score([getattr(one, name) for one in figures]) for name in SCORED),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score(Figures):
+    """The figures of one method on one recording, or on all of them, against one reference.
+
+    `rejected` counts the frames that could not be measured, by reason. `fitted_on` says that the calibration was fitted
+    on this recording. `lag` was subtracted from the image stamps before pairing; `uncorrected` are the planar figures
+    without that.
     """
 
     recording: str
     method: str
     equations: Equations
     reference: references.Reference
-    frame_count: int
     rejected: Mapping[str, int]
-    pairs: Pairs = field(repr=False)
     fitted_on: bool = False
     lag: LagEstimate | None = None
     uncorrected: metrics.ErrorStatistics | None = None
-    spatial: DistanceScore | None = None
-    clearance: DistanceScore | None = None
-    tool: DistanceScore | None = None  # how far its position is off, and by how much it is turned, in rad
-    rotation: DistanceScore | None = None
     alarms: metrics.AlarmStatistics | None = None
     instrument: str = ""
     start_ns: int = 0  # stamp of the first image of the log
     alarm_events: tuple[AlarmEvent, ...] = ()
 
-    @cached_property
-    def planar(self) -> DistanceScore | None:
-        """The figures of the planar distance; None for no pairs."""
-        return score_pairs(self.pairs)
+    @property
+    def pairs(self) -> Pairs:
+        """Those of the planar distance."""
+        return self.planar.pairs if self.planar else NO_PAIRS
 
     @property
     def statistics(self) -> metrics.ErrorStatistics | None:
@@ -248,17 +300,12 @@ class Score:
     @property
     def rejected_count(self) -> int:
         """Number of frames that could not be measured."""
-        return sum(self.rejected.values())
+        return self.frame_count - self.measured_count
 
     @property
     def unpaired_count(self) -> int:
         """Number of frames that were measured where the reference has no value."""
-        return self.frame_count - self.rejected_count - self.sample_count
-
-    @property
-    def coverage(self) -> float:
-        """Measured frames per frame."""
-        return metrics.coverage(self.frame_count - self.rejected_count, self.frame_count)
+        return self.measured_count - self.sample_count
 
 
 def score_rows(
@@ -286,21 +333,24 @@ def score_rows(
     lag_ns = references.reference_lag_ns(recording, setup.profile, reference, lag)
     stamps_ns = readings.stamps_ns - lag_ns
     truth = truth_of(stamps_ns)
-    planar, *others = (readings.pairs(name, truth, stamps_ns) for name in SCORED)
-    spatial, clearance, tool, rotation = map(score_pairs, others)
-    if tool is None and not np.isfinite(truth.distances_m).any() and len(rows) > readings.rejected.total():
+    figures = figures_of(readings, truth, stamps_ns=stamps_ns)
+    if figures.tool is None and not np.isfinite(truth.distances_m).any() and figures.measured_count:
         raise RecordingError("it has no tissue to measure to; --truth plane takes the profile's")
     is_truth = reference is references.Reference.GROUND_TRUTH
-    unshifted = readings.pairs("planar", truth_of(readings.stamps_ns)) if lag_ns else planar
+    unshifted = figures.planar
+    if lag_ns:
+        unshifted = score_pairs(readings.pairs("planar", truth_of(readings.stamps_ns)))
     return Score(
-        *(recording.name, setup.method, setup.equations, reference, len(rows)),
-        dict(sorted(readings.rejected.items())),
-        planar,
-        setup.was_fitted_on(recording),
-        lag,
-        metrics.error_statistics(unshifted.estimate_m, unshifted.truth_m),
-        *(spatial, clearance, tool, rotation),
-        score_alarms(rows, truth, stamps_ns, alarms) if alarms and is_truth else None,
+        **vars(figures),
+        recording=recording.name,
+        method=setup.method,
+        equations=setup.equations,
+        reference=reference,
+        rejected=dict(sorted(readings.rejected.items())),
+        fitted_on=setup.was_fitted_on(recording),
+        lag=lag,
+        uncorrected=unshifted.statistics if unshifted else None,
+        alarms=score_alarms(rows, truth, stamps_ns, alarms) if alarms and is_truth else None,
         start_ns=rows[0].stamp_ns - round(rows[0].seconds * 1e9) if rows else 0,
         alarm_events=tuple(alarm_events(rows, alarms)),
     )
@@ -312,17 +362,14 @@ def pool_scores(scores: Sequence[Score], named: str = "overall") -> Score:
     scores = sorted(scores, key=lambda score: (score.recording, score.pairs.stamps_ns[:1].tolist()))
     rejected = sum((Counter(score.rejected) for score in scores), Counter[str]())
     alarms = [score.alarms for score in scores if score.alarms]
-    measured: Any = {name: pooled_score([getattr(one, name) for one in scores]) for name in SCORED[1:]}
     return replace(
         scores[0],
+        **vars(pooled_figures(scores)),
         recording=named,
-        frame_count=sum(score.frame_count for score in scores),
         rejected=dict(sorted(rejected.items())),
-        pairs=pooled([score.pairs for score in scores]),
         fitted_on=False,
         lag=None,
         uncorrected=None,
-        **measured,
         alarms=metrics.pooled_alarms(alarms) if alarms else None,
         alarm_events=(),
     )
