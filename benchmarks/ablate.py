@@ -25,7 +25,7 @@ from svmdist.estimation.tissue import tracking as tissue_tracking
 from svmdist.perturbations import parse_perturbations
 from svmdist.recording.log import open_recording
 from svmdist.workflows.compare import measure_runs
-from svmdist.workflows.request import CLEAN, PerturbedCondition, Setup, prepare
+from svmdist.workflows.request import CLEAN, Condition, Setup, prepare
 
 WORLDS = ("focal=1", "knuckle_radius=5", "backlash=0.5")
 PERTURBED = "golden, perturbed"
@@ -69,7 +69,7 @@ def first_setup(log: str) -> Setup:
 
 if __name__ == "__main__":
     setup = prepare(method="fused")
-    worlds = [PerturbedCondition(parse_perturbations(world)) for world in WORLDS]
+    worlds = [Condition(world=parse_perturbations(world)) for world in WORLDS]
     sets = {name: [str(ROOT / "recordings" / f"{log}.mcap") for log in logs] for name, logs in SETS.items()}
     if given := [path for path in sys.argv[1:] if path != "--write"]:
         sets["given logs"] = given

@@ -15,7 +15,7 @@ from benchmarks.generated_pages import DOCS, table, write_table
 from svmdist.perturbations import parse_perturbations
 from svmdist.recording.log import open_recording
 from svmdist.workflows.compare import MethodScore, measure_runs
-from svmdist.workflows.request import CLEAN, PerturbedCondition, prepare
+from svmdist.workflows.request import CLEAN, Condition, prepare
 from svmdist.workflows.scoring.scores import pooled_score
 
 METHODS = ("fiducial", "shaft", "stereo", "fused")
@@ -57,7 +57,7 @@ if __name__ == "__main__":
     if not (paths := [argument for argument in sys.argv[1:] if argument != "--write"]):
         sys.exit(__doc__)
     setups = [prepare(method=method) for method in METHODS]
-    worlds = [PerturbedCondition(parse_perturbations(text)) for text in WORLDS]
+    worlds = [Condition(world=parse_perturbations(text)) for text in WORLDS]
     runs: list[MethodScore] = []
     for path in paths:
         recording = open_recording(path, setups[0].profile)

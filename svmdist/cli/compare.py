@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from svmdist.recording.log import Recording
     from svmdist.vision.degradations import Blur
     from svmdist.workflows.compare import MethodScore
-    from svmdist.workflows.request import LogCondition, Request, Setup
+    from svmdist.workflows.request import Condition, Request, Setup
 
 MethodChoice = StrEnum("MethodChoice", "overlay centroid fiducial shaft stereo kinematic fused")
 
@@ -96,17 +96,17 @@ class Compare(GoldenLogOptions, CalibrationOption, LagOption, WindowOptions, Gro
         return run.exit_code()
 
     @property
-    def conditions(self) -> list[LogCondition]:
+    def conditions(self) -> list[Condition]:
         """The images as recorded, and what else is asked for; raises UsageError."""
         from svmdist.vision.degradations import SEVERITIES, Degradation, require_degradation
-        from svmdist.workflows.request import CLEAN, Condition, PerturbedCondition
+        from svmdist.workflows.request import CLEAN, Condition
 
-        conditions: list[LogCondition] = [CLEAN]
+        conditions: list[Condition] = [CLEAN]
         for text in self.degrade or []:
             grid = [(str(name), severity) for name in Degradation for severity in SEVERITIES]
             for name, severity in grid if text == "all" else options.parse_degradations([text]):
                 conditions.append(Condition(require_degradation(name, severity), severity))
-        conditions += [PerturbedCondition(world) for world in options.parse_perturbations(self.perturb)]
+        conditions += [Condition(world=world) for world in options.parse_perturbations(self.perturb)]
         return list(dict.fromkeys(conditions))
 
 

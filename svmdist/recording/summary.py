@@ -50,7 +50,10 @@ class TopicSummary:
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """A whole recording; `roles` names the topic of every role that has one with a message that can be read."""
+    """A whole recording; `roles` names the topic of every role that has one with a message that can be read.
+
+    `instruments` are those of the profile that the log has, as `Recording` names them.
+    """
 
     path: LogPath
     size_bytes: int
@@ -62,6 +65,7 @@ class RecordingSummary:
     frames: tuple[str, ...]
     joint_names: dict[str, tuple[str, ...]]
     health: Health
+    instruments: tuple[str, ...]
 
 
 def _summary(info: TopicInfo, logged_ns: array[int], undecodable_count: int) -> TopicSummary:
@@ -148,6 +152,7 @@ def inspect_recording(
         tuple(sorted(frames)),
         joint_names,
         recording.health,
+        recording.instruments,
     )
 
 

@@ -92,7 +92,7 @@ def info_document(
         "metadata": summary.metadata,
         "topics": [row_of(TOPIC_COLUMNS, topic) for topic in summary.topics],
         "roles": summary.roles,
-        "instruments": list(capabilities.instruments_in(summary, profile)),
+        "instruments": list(summary.instruments),
         "cameras": {
             topic: _camera_document(track.runs[0].camera) for topic, track in summary.cameras.items()
         },

@@ -16,7 +16,7 @@ from svmdist.vision.degradations import Blur
 from svmdist.vision.marker import EDGE_MARGIN_PX, detect_orb, paste_marker
 from svmdist.workflows.parallel import Steps
 from svmdist.workflows.replay import replay
-from svmdist.workflows.request import BlurCondition, Request
+from svmdist.workflows.request import Condition, Request
 from svmdist.workflows.scoring.references import Truth
 from svmdist.workflows.scoring.scores import Figures, Readings, figures_of, pooled_figures
 
@@ -61,7 +61,7 @@ def blur_tallies(
     """Degrade each frame by every blur, paste the marker behind it, measure and count; an image is a step."""
     counts: dict[Blur, dict[str, list[int]]] = {blur: {name: [] for name in MEANS} for blur in kernels_px}
     readings = {blur: Readings() for blur in kernels_px}
-    conditions = [BlurCondition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]
+    conditions = [Condition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]
     steps = steps or Steps()
     steps.total, first = recording.image_count(), recording.instruments[:1]
     for replayed in steps.of(replay(recording, [request.setup], conditions, wanted=first, jobs=jobs)):

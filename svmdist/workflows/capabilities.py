@@ -58,7 +58,7 @@ def capabilities(
     `tags` is what `look_for_tag` found.
     """
     methods = method_capabilities(summary, profile, tags)
-    first = profile.for_instrument(instruments_in(summary, profile)[0])
+    first = profile.for_instrument(summary.instruments[0])
     lacks = () if () in methods.values() else methods[METHODS[0]]
     if said := misfit(summary, profile):
         lacks = (f"a profile of its own: it is {said}",)
@@ -108,7 +108,7 @@ def method_capabilities(
     summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None
 ) -> dict[str, tuple[str, ...]]:
     """The same for each method of `estimate`."""
-    profile = profile.for_instrument(instruments_in(summary, profile)[0])
+    profile = profile.for_instrument(summary.instruments[0])
     return {
         name: _missing((*IMAGES, *method.inputs), summary, profile, tags) for name, method in REGISTRY.items()
     }
@@ -191,18 +191,6 @@ def observations_of(recording: Recording, stride: int, needs: Needs = EVERYTHING
     for number, encoded in enumerate(recording.encoded_observations(recording.instruments[:1], needs)):
         if number % max(1, stride) == 0 and not isinstance(found := encoded.decode().found, Rejection):
             yield found[0]
-
-
-def instruments_in(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:
-    """Names of the instruments that the log has: the profile's own, and the others whose joints or pose it has."""
-    topics = {topic.topic for topic in summary.topics}
-    others = [other for other in profile.other_instruments if other.is_in(topics)]
-    names = tuple(other.name for other in others)
-    theirs = {topic for other in others for topic in other.logged_topics.values()}
-    named = {getattr(profile.topics, role) for role in ("joints", "pose")} - {None}
-    own = (named | {summary.roles.get(role) for role in ("joints", "pose")}) - theirs
-    is_elsewhere = theirs & topics and named and not own & topics
-    return names if is_elsewhere else (profile.instrument_name, *names)
 
 
 def _missing(

@@ -51,11 +51,6 @@ class Sighted:
 
     encoded: EncodedObservation
 
-    @property
-    def number(self) -> int:
-        """Of the image in its log."""
-        return self.encoded.number
-
     @cached_property
     def decoded(self) -> Decoded:
         """The observation of each instrument, or why there is none."""
@@ -179,7 +174,8 @@ def checked(
         sighted = spread[place]
         if sighted.seen is None:
             continue
-        frames = looked[sighted.number] = looked_at(sighted.number, sighted.seen)
+        number = sighted.encoded.number
+        frames = looked[number] = looked_at(number, sighted.seen)
         scene = frames[0].scene
         shared = list(checks.of_scene(scene))
         # A surface that both views show is enough, where no method measures by both of them.

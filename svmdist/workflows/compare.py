@@ -14,7 +14,7 @@ from svmdist.recording.topics import Role
 from svmdist.workflows import parallel
 from svmdist.workflows.capabilities import served_setups
 from svmdist.workflows.replay import replay
-from svmdist.workflows.request import CLEAN, LogCondition, PerturbedCondition, Setup
+from svmdist.workflows.request import CLEAN, Condition, Setup
 from svmdist.workflows.scoring.given import require_distinct
 from svmdist.workflows.scoring.references import ANY_TRUTH, Reference, Truth, truth_at, truth_lag_ns
 from svmdist.workflows.scoring.scores import Figures, Readings, figures_of, pooled_figures
@@ -63,7 +63,7 @@ class MethodScore:
 def compare(
     recordings: Sequence[Recording],
     setups: Sequence[Setup],
-    conditions: Sequence[LogCondition] = (CLEAN,),
+    conditions: Sequence[Condition] = (CLEAN,),
     *,
     jobs: int | None = None,
 ) -> list[MethodScore]:
@@ -75,7 +75,7 @@ def compare(
 def measure_runs(
     recording: Recording,
     setups: Sequence[Setup],
-    conditions: Sequence[LogCondition] = (CLEAN,),
+    conditions: Sequence[Condition] = (CLEAN,),
     *,
     jobs: int | None = None,
     by: GroupBy | None = None,
@@ -145,14 +145,14 @@ class _Work:
     recording: Recording
     names: Sequence[str]
     known: Sequence[str]
-    conditions: Sequence[LogCondition]
+    conditions: Sequence[Condition]
     setups: Sequence[Setup]
     threads: int
 
     def measure(self, part: Part, advance: Callable[[], None] = parallel.step) -> tuple[Found, Health]:
         """One pass over the log for all conditions of its images, and one for every perturbed world."""
         places, setups_at = part
-        images = [at for at in places if not isinstance(self.conditions[at], PerturbedCondition)]
+        images = [at for at in places if not self.conditions[at].world]
         passes = [images, *([at] for at in places if at not in images)]
         found = (self._one_pass(at, setups_at, advance) for at in passes if at)
         return {key: rows for of_pass in found for key, rows in of_pass.items()}, self.recording.health
@@ -160,10 +160,9 @@ class _Work:
     def _one_pass(self, at: Sequence[int], setups_at: Sequence[int], advance: Callable[[], None]) -> Found:
         conditions = [self.conditions[place] for place in at]
         read, setups, profile = self.recording, [self.setups[of] for of in setups_at], self.setups[0].profile
-        for condition in conditions:
-            if isinstance(condition, PerturbedCondition):  # alone
-                read = self.recording.perturbed(condition.perturbations, profile)
-                setups = [setup.perturbed(condition.perturbations, read.world_seed) for setup in setups]
+        if world := conditions[0].world:  # it has a pass of its own
+            read = self.recording.perturbed(world, profile)
+            setups = [setup.perturbed(world, read.world_seed) for setup in setups]
         keys = [(place, of, name) for place in at for of in setups_at for name in self.names]
         readings, seconds = {key: Readings() for key in keys}, dict.fromkeys(keys, 0.0)
         for replayed in replay(read, setups, conditions, wanted=self.names, jobs=self.threads):
@@ -184,7 +183,7 @@ class _Work:
 
 
 def group_of(
-    recording: Recording, condition: LogCondition = CLEAN, instrument: str = "", by: GroupBy | None = None
+    recording: Recording, condition: Condition = CLEAN, instrument: str = "", by: GroupBy | None = None
 ) -> Group:
     """What a recording is compared as: its scenario, or its name, and its degradations; or by other metadata.
 

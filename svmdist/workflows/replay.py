@@ -11,10 +11,10 @@ number of workers.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -41,7 +41,7 @@ from svmdist.workflows.check import (
     warning,
 )
 from svmdist.workflows.parallel import in_order, one_opencv_thread, usable_cores
-from svmdist.workflows.request import CLEAN, ReplayCondition, Setup
+from svmdist.workflows.request import CLEAN, Condition, Setup
 
 if TYPE_CHECKING:
     from svmdist.estimation.association import Association
@@ -64,7 +64,7 @@ class Replayed:
 def replay(
     recording: Recording,
     setups: Sequence[Setup],
-    conditions: Sequence[ReplayCondition] = (CLEAN,),
+    conditions: Sequence[Condition] = (CLEAN,),
     *,
     wanted: Sequence[str] | None = None,
     jobs: int | None = None,
@@ -80,13 +80,6 @@ def replay(
     """
     replaying = _Replay(recording, setups, conditions, wanted)
     return replaying.run(usable_cores() if jobs is None else jobs, rest)
-
-
-class Place(TypedDict):
-    """Which image of a log a result is of: its number from 0, and its time since the first one."""
-
-    number: int
-    seconds: float
 
 
 class MultiInstrumentEstimator:
@@ -113,7 +106,7 @@ class MultiInstrumentEstimator:
         self.needs: Needs = self._estimators[0].needs
         self.keeps_state: bool = self._estimators[0].keeps_state
 
-    def estimate(self, frames: Sequence[Frame], place: Place, spent_s: Mapping[str, float]) -> Replayed:
+    def estimate(self, frames: Sequence[Frame], spent_s: Mapping[str, float]) -> Replayed:
         """Measure one image: a frame for each instrument; `spent_s`: what detections computed ahead took."""
         needs = self.needs
         shared_s = sum(spent_s.get(name, 0.0) for name in needs.scene + needs.frame) / len(frames)
@@ -124,7 +117,7 @@ class MultiInstrumentEstimator:
             result = estimator.estimate(frame)
             seconds.append(shared_s + time.thread_time() - start_s)
             name = arm.profile.instrument_name
-            named = replace(_through_lens(result, frame), instrument=name, **place)
+            named = replace(_through_lens(result, frame), instrument=name)
             said = self._doubts.get(name, "")
             if self._calibrated is not None and not self._calibrated.same_optics(frame.scene.lens):
                 said = "the calibration is for the camera as it was first"
@@ -146,21 +139,8 @@ def _through_lens(result: FrameResult, frame: Frame) -> FrameResult:
     return result.with_image(**moved)
 
 
-@dataclass(frozen=True)
-class _Ahead:
-    """Of an image under a condition: its scene; a frame for each instrument, none where these are to be associated.
-
-    `measured` has an entry for each method, None for one that waits for the image before.
-    """
-
-    scene: Scene
-    frames: list[Frame]
-    measured: tuple[Replayed | None, ...]
-    spent_s: Mapping[str, float]
-
-
-_Prepared = tuple[Place, Decoded, list[_Ahead]]
-"""Which frame, decoded, and what of it is known for each condition before the frame before it is done."""
+Unfinished = Callable[[], list[Replayed]]
+"""What is left to do of an image under a condition, in the order of the log, for a result of each method."""
 
 
 class _Replay:
@@ -170,7 +150,7 @@ class _Replay:
         self,
         recording: Recording,
         setups: Sequence[Setup],
-        conditions: Sequence[ReplayCondition],
+        conditions: Sequence[Condition],
         wanted: Sequence[str] | None,
     ) -> None:
         self._recording = recording
@@ -257,48 +237,49 @@ class _Replay:
         logged = ReadNeeds(joints=robot, transforms=robot, right=right, rest=rest)
         encoded = self._recording.encoded_observations(self._recording.instruments, logged)
         with one_opencv_thread():
-            for prepared in in_order(self._prepare, encoded, jobs):
-                yield tuple(self._measure(prepared))
+            for decoded, conditions in in_order(self._prepare, encoded, jobs):
+                self._recording.record_losses(decoded)
+                yield tuple(replayed for unfinished in conditions for replayed in unfinished())
 
-    def _prepare(self, encoded: EncodedObservation) -> _Prepared:
+    def _prepare(self, encoded: EncodedObservation) -> tuple[Decoded, list[Unfinished]]:
         """Whatever of a frame needs no other one."""
-        place = Place(number=encoded.number, seconds=encoded.at_ns * 1e-9)
-        decoded = encoded.decode()
+        decoded, number, seconds = encoded.decode(), encoded.number, encoded.at_ns * 1e-9
         found = decoded.found
         if isinstance(found, Rejection):
-            return place, decoded, []
-        return place, decoded, [self._look(at, place, found) for at in range(len(self._conditions))]
+            unread = FrameResult(found.stamp_ns, found.status, detail=found.detail)
+            unread = replace(unread, number=number, seconds=seconds)
+            lost = tuple(replace(unread, instrument=name) for name in self._wanted)
+            every = [Replayed(lost, (0.0,) * len(lost))] * sum(map(len, self._lanes))
+            return decoded, [lambda: every]
+        return decoded, [self._look(at, number, seconds, found) for at in range(len(self._conditions))]
 
-    def _look(self, at: int, place: Place, found: tuple[Observation, ...]) -> _Ahead:
+    def _look(self, at: int, number: int, seconds: float, found: tuple[Observation, ...]) -> Unfinished:
         """One condition of a frame: its scene; of a single instrument its detections, and methods without state."""
-        if looked := self._looked.pop((at, place["number"]), []):
+        if looked := self._looked.pop((at, number), []):
             scene = looked[0].scene
         else:
-            seen = self._conditions[at].apply(found[0], place["number"])
+            seen = self._conditions[at].apply(found[0], number)
             scene = Scene(seen, self._setup.profile, self._segmenter, self._rows)
         spent_s = prefetch(scene, self._needs.scene)
-        lanes = self._lanes[at]
-        if self._associations[at] is not None:
+        lanes, association = self._lanes[at], self._associations[at]
+        frames: list[Frame] = []
+        measured: list[Replayed | None] = [None] * len(lanes)
+        if association is None:
+            each = zip(self._arms, found, strict=True)
+            frames = looked or [Frame.of(scene, arm, one, arm.state_at(one)) for arm, one in each]
+            spent_s |= prefetch(frames[0], self._needs.frame)
+            measured = [None if lane.keeps_state else lane.estimate(frames, spent_s) for lane in lanes]
+        else:
             prefetch(scene, ("left.masks.seen", "right.masks.seen"))
-            return _Ahead(scene, [], (None,) * len(lanes), spent_s)
-        each = zip(self._arms, found, strict=True)
-        frames = looked or [Frame.of(scene, arm, one, arm.state_at(one)) for arm, one in each]
-        spent_s |= prefetch(frames[0], self._needs.frame)
-        measured = [None if lane.keeps_state else lane.estimate(frames, place, spent_s) for lane in lanes]
-        return _Ahead(scene, frames, tuple(measured), spent_s)
 
-    def _measure(self, prepared: _Prepared) -> Iterator[Replayed]:
-        place, decoded, conditions = prepared
-        found = self._recording.record_losses(decoded)
-        if isinstance(found, Rejection):
-            unread = FrameResult(found.stamp_ns, found.status, detail=found.detail)
-            lost = tuple(replace(unread, instrument=name, **place) for name in self._wanted)
-            for lanes in self._lanes:
-                yield from (Replayed(lost, (0.0,) * len(lost)) for _ in lanes)
-            return
-        for ahead, association, lanes in zip(conditions, self._associations, self._lanes, strict=True):
-            every = association.frames(ahead.scene, found) if association else ahead.frames
+        def finish() -> list[Replayed]:
+            every = frames if association is None else association.frames(scene, found)
             chosen = [every[at] for at in self._places]
-            for lane, known in zip(lanes, ahead.measured, strict=True):
-                replayed = known or lane.estimate(chosen, place, ahead.spent_s)
-                yield replace(replayed, image_bgr=found[0].image_bgr)
+            done = []
+            for lane, known in zip(lanes, measured, strict=True):
+                replayed = known or lane.estimate(chosen, spent_s)
+                results = tuple(replace(one, number=number, seconds=seconds) for one in replayed.results)
+                done.append(replace(replayed, results=results, image_bgr=found[0].image_bgr))
+            return done
+
+        return finish

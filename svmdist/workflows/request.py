@@ -21,7 +21,7 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
 from svmdist.estimation.scene import Arm
-from svmdist.perturbations import Perturbations, require_at_replay
+from svmdist.perturbations import UNPERTURBED, Perturbations, require_at_replay
 from svmdist.perturbations.calibration import stated_profile
 from svmdist.perturbations.images import perturbed_image, perturbed_right_view
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
@@ -41,84 +41,52 @@ LEFT, RIGHT = 0, 1
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """A degradation of a severity of 1 to 5, or nothing; raises UsageError for a wrong name or severity."""
+    """What is done to a log before it is measured: its images are spoilt, or its world is not as log and profile say.
 
-    name: degradations.Degradation | None = None
+    `name` is a degradation of a severity of 1 to 5, or one of the paper's blurs with a kernel in px. Raises UsageError
+    for a wrong name or severity, and for a world that cannot be that of a recorded log.
+    """
+
+    name: degradations.Degradation | degradations.Blur | None = None
     severity: int = 0
+    world: Perturbations = UNPERTURBED
 
     def __post_init__(self) -> None:
-        if self.name is not None:
+        if self.name is not None and not isinstance(self.name, degradations.Blur):
             degradations.require_degradation(self.name, self.severity)
+        require_at_replay(self.world)
 
     def __str__(self) -> str:
-        return "" if self.name is None else f"{self.name}={self.severity}"
+        return str(self.world) if self.name is None else f"{self.name}={self.severity}"
 
     def apply(self, observation: Observation, frame: int) -> Observation:
-        """Degrade the images of the n-th frame: the same frame of the same log always alike."""
-        if (name := self.name) is None:
-            return observation
-        # The image itself tells logs apart, whatever their names and order. The severity plays no part: glints
-        # and plumes of one are those of the next, only more of them.
-        content = zlib.crc32(np.ascontiguousarray(observation.image_bgr).data)
-        path = (REPLAY_SEED, list(degradations.Degradation).index(name), frame, content)
+        """Change the images of the n-th frame: the same frame of the same log always alike.
 
-        def degraded(image: Image, side: int) -> Image:
-            seed = degradations.image_seed(name, side, *path)
-            return degradations.degrade(image, name, self.severity, seed)
+        A world's joints and calibration are those of `Recording.perturbed`.
+        """
+        image_bgr, right = observation.image_bgr, observation.right
+        if self.world:
+            right = right and perturbed_right_view(right, self.world)
+            image_bgr = perturbed_image(image_bgr, self.world)
+        elif self.name is not None:
+            # The image itself tells logs apart, whatever their names and order. The severity plays no part: glints
+            # and plumes of one are those of the next, only more of them.
+            content = zlib.crc32(np.ascontiguousarray(image_bgr).data)
+            right = right and replace(right, image_bgr=self._spoilt(right.image_bgr, RIGHT, frame, content))
+            image_bgr = self._spoilt(image_bgr, LEFT, frame, content)
+        return replace(observation, image_bgr=image_bgr, right=right)
 
-        return _changed(observation, degraded)
-
-
-CLEAN = Condition()
-
-
-@dataclass(frozen=True, slots=True)
-class PerturbedCondition:
-    """A world that is not as log and profile say; raises UsageError for what cannot be done to a recorded log."""
-
-    perturbations: Perturbations
-
-    def __post_init__(self) -> None:
-        require_at_replay(self.perturbations)
-
-    def __str__(self) -> str:
-        return str(self.perturbations)
-
-    def apply(self, observation: Observation, _frame: int) -> Observation:
-        """Change the images; joints and calibration are those of `Recording.perturbed`."""
-        image, right = perturbed_image(observation.image_bgr, self.perturbations), observation.right
-        if right is not None:
-            right = perturbed_right_view(right, self.perturbations)
-        return replace(observation, image_bgr=image, right=right)
-
-
-LogCondition = Condition | PerturbedCondition  # what a log can be compared under
-
-
-@dataclass(frozen=True, slots=True)
-class BlurCondition:
-    """One of the paper's blurs with a kernel in px."""
-
-    blur: degradations.Blur
-    kernel_px: int
-
-    def apply(self, observation: Observation, _frame: int) -> Observation:
-        """Blur the images."""
-        return _changed(
-            observation, lambda image, _: degradations.apply_blur(image, self.blur, self.kernel_px)
+    def _spoilt(self, image_bgr: Image, side: int, frame: int, content: int) -> Image:
+        if isinstance(self.name, degradations.Blur):
+            return degradations.apply_blur(image_bgr, self.name, self.severity)
+        kind = degradations.Degradation(str(self.name))
+        path = (REPLAY_SEED, list(degradations.Degradation).index(kind), frame, content)
+        return degradations.degrade(
+            image_bgr, kind, self.severity, degradations.image_seed(kind, side, *path)
         )
 
 
-ReplayCondition = LogCondition | BlurCondition  # what is done to the images of a log before they are measured
-
-
-def _changed(observation: Observation, change: Callable[[Image, int], Image]) -> Observation:
-    right = observation.right
-    if right is not None:
-        right = replace(right, image_bgr=change(right.image_bgr, RIGHT))
-    return replace(observation, image_bgr=change(observation.image_bgr, LEFT), right=right)
-
-
+CLEAN = Condition()
 Lag = float | Literal["auto"]  # a lag in s, positive when the image stamps are late, or `auto` to estimate it
 
 LOG = logging.getLogger("svmdist")
@@ -274,7 +242,7 @@ class Request:
     lag: Lag | None = None
     alarms: AlarmRules | None = None
     rules: TruthRules = ANY_TRUTH
-    conditions: tuple[LogCondition, ...] = (CLEAN,)
+    conditions: tuple[Condition, ...] = (CLEAN,)
 
     def open(self, path: LogPath, name: str) -> Recording:
         """Open a log under a name; raises RecordingError, or UsageError for an unknown role."""

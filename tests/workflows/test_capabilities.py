@@ -11,12 +11,7 @@ from svmdist.profile import Profile, load_profile
 from svmdist.recording.source import Health
 from svmdist.recording.summary import RecordingSummary, TopicSummary
 from svmdist.recording.topics import Role
-from svmdist.workflows.capabilities import (
-    best_method,
-    capabilities,
-    instruments_in,
-    method_capabilities,
-)
+from svmdist.workflows.capabilities import best_method, capabilities, method_capabilities
 
 PROFILE = load_profile()
 assert PROFILE.robot is not None
@@ -40,6 +35,7 @@ FULL = RecordingSummary(
     frames=(FRAMES.base, FRAMES.camera, FRAMES.tissue, FRAMES.tool),
     joint_names={f"/{Role.JOINTS}": JOINTS},
     health=Health(),
+    instruments=(PROFILE.instrument_name,),
 )
 """A recording that has everything."""
 
@@ -159,10 +155,7 @@ def test_a_log_of_another_arm_is_that_arms():
         roles={**FULL.roles, "joints": "/PSM2/measured_js"},
         frames=("ECM", "PSM2_base", "tissue"),
         joint_names={"/PSM2/measured_js": names},
+        instruments=("PSM2",),
     )
-    assert instruments_in(log, dvrk) == ("PSM2",)
-    both = replace(log, topics=(*log.topics, topic("/PSM1/measured_js")))
-    assert instruments_in(both, dvrk) == ("PSM1", "PSM2")
-    assert instruments_in(both, PROFILE) == (PROFILE.instrument_name, "PSM2")
     assert "fk" not in lacking(capabilities(log, dvrk))
     assert lacking(method_capabilities(log, dvrk))["kinematic"] == ("[tissue] in profile dvrk-psm",)

@@ -15,10 +15,7 @@ from svmdist.vision.degradations import Blur, Degradation
 from svmdist.workflows.compare import MethodScore, compare, group_of
 from svmdist.workflows.request import (
     CLEAN,
-    BlurCondition,
     Condition,
-    PerturbedCondition,
-    ReplayCondition,
     Setup,
     prepare,
 )
@@ -34,9 +31,9 @@ SEEN = Observation(
     RightView(np.ascontiguousarray(IMAGE[:, ::-1]), SMALL_SCENE.camera, np.eye(4)),
     np.eye(4),
 )
-EVERY: list[ReplayCondition] = [
+EVERY: list[Condition] = [
     *(Condition(name, 3) for name in Degradation),
-    BlurCondition(Blur.GAUSSIAN, 5),
+    Condition(Blur.GAUSSIAN, 5),
 ]
 
 
@@ -92,8 +89,8 @@ PROFILE = load_profile()
 SMOKE = Condition(Degradation.SMOKE, 3)
 
 
-def perturbed(text: str) -> PerturbedCondition:
-    return PerturbedCondition(parse_perturbations(text))
+def perturbed(text: str) -> Condition:
+    return Condition(world=parse_perturbations(text))
 
 
 @pytest.fixture(scope="module")
@@ -180,4 +177,4 @@ def test_a_replay_refuses_what_must_be_recorded(monkeypatch):
     entry = replace(TABLE["focal"], name="nowhere", at_replay=False)
     monkeypatch.setitem(TABLE, "nowhere", entry)
     with pytest.raises(UsageError, match="nowhere cannot be applied at replay: the choices are backlash"):
-        PerturbedCondition(Perturbations((("nowhere", 1.0),)))
+        Condition(world=Perturbations((("nowhere", 1.0),)))
