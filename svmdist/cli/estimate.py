@@ -218,7 +218,6 @@ def measure_rows(
 ) -> Generator[Row, None, Ending]:
     """Yield the rows of one recording; `keep` is given all results where something is made of them."""
     from svmdist.estimation.alarms import alarm_watches
-    from svmdist.estimation.lag import LagEstimate
     from svmdist.report.rows import estimate_row
     from svmdist.workflows.ending import Ending
     from svmdist.workflows.estimate import Measured, estimate
@@ -235,8 +234,7 @@ def measure_rows(
                 kept.append(row)
             yield estimate_row(recording.name, row, setup.method, setup.equations, alarm)
     if keep is not None:
-        lag = LagEstimate(seen.lag.lag_s, seen.lag.std_s, 1.0) if seen.lag else None
-        keep(Measured(recording, seen, tuple(kept), lag))
+        keep(Measured(recording, seen, tuple(kept), seen.lag))
     ending.close(watches, seen.remarks)
     return ending
 

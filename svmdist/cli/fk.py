@@ -73,7 +73,7 @@ def pose_rows_of(
     profile = request.setup.profile.for_instrument(recording.instruments[0])
     errors, count = [], 0
     with output.progress_bar("reading", "joint states") as advance:
-        made = fk_blocks(recording, profile, in_camera=in_camera, window=request.window, on_progress=advance)
+        made = fk_blocks(recording, profile, in_camera=in_camera, on_progress=advance)
         with closing(made):
             for block in made:
                 errors.append(block.errors)

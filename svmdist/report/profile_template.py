@@ -14,7 +14,7 @@ from typing import Any
 from svmdist.errors import UsageError, did_you_mean
 from svmdist.estimation.instrument.shaft_model import ShaftSizes
 from svmdist.profile import Topics
-from svmdist.profile.robot import ARM_TOPICS, Instrument, Joint
+from svmdist.profile.robot import Instrument, Joint
 from svmdist.vision.colour import DistinctColour
 from svmdist.workflows.new_profile import InstrumentDraft, ProfileDraft, shipped_robot
 
@@ -65,7 +65,7 @@ def profile_text(draft: ProfileDraft) -> str:
     if first.entry is not None:
         note = "the side of the picture that it comes in from; names are guesses"
         identity.append(f'entry = "{first.entry}"              # {note}')
-    by_role = {**draft.topics, **_topics(first)}
+    by_role = {**draft.topics, **first.topics}
     notes = {"right_image": "  # the second camera: stereo, and fused gains"}
     topics = [f"{role} = {_text(by_role[role])}{notes.get(role, '')}" for role in ROLES if role in by_role]
     if draft.other_images:
@@ -108,10 +108,6 @@ def _block(name: str, **values: object) -> str:
     text = files("svmdist.report").joinpath("profile_template.toml").read_text("utf-8")
     blocks = dict(block.split("\n", 1) for block in text.split("#: ")[1:])
     return Template(blocks[name].removesuffix("\n")).substitute(values)
-
-
-def _topics(instrument: InstrumentDraft) -> dict[str, str]:
-    return {role: topic for role in ARM_TOPICS if (topic := getattr(instrument, role))}
 
 
 def _by_colour(mark: DistinctColour, draft: ProfileDraft) -> str:
@@ -164,7 +160,7 @@ def _other(other: InstrumentDraft, first: InstrumentDraft, wrist_length_m: float
         yield f'entry = "{other.entry}"'
         return
     yield "\n[other_instruments.topics]"
-    yield from (f"{role} = {_text(topic)}" for role, topic in _topics(other).items())
+    yield from (f"{role} = {_text(topic)}" for role, topic in other.topics.items())
     yield f"\n[other_instruments.frames]\nbase = {_text(other.base)}\ntool = {_text(other.tool)}"
     if other.chain != first.chain:
         yield ""

@@ -71,9 +71,10 @@ def blur_tallies(
             for frame in lane.frames:
                 _count(frame, result, counts[blur])
     track = recording.distance_track()
-    truths = {blur: Truth(track.at(rows.stamps_ns).values) for blur, rows in readings.items()}
-    figures = {blur: figures_of(rows, truths[blur]) for blur, rows in readings.items()}
-    return {blur: BlurTally(figures[blur], counts[blur]) for blur in kernels_px}
+    return {
+        blur: BlurTally(figures_of(rows, Truth(track.at(rows.stamps_ns).values)), counts[blur])
+        for blur, rows in readings.items()
+    }
 
 
 def blur_rows(

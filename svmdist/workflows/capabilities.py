@@ -217,10 +217,7 @@ def _missing(
         or unless(
             summary.roles["right_image"] != summary.roles.get("image"), "a left image: it has the right"
         )
-        or unless(
-            _has_baseline(summary),
-            "the distance of the cameras (`svmdist import --baseline`)",
-        ),
+        or unless(_has_baseline(summary), "the distance of the cameras (`svmdist import --baseline`)"),
         "joints": topics("joints") + _missing_chain(summary, profile),
         "reference": _missing_reference(summary, profile),
         "calibration": unless(profile.calibration, f"a calibration {of_profile} (--calibration)"),

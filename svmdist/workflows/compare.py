@@ -16,7 +16,7 @@ from svmdist.workflows.capabilities import served_setups
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import CLEAN, Condition, Setup
 from svmdist.workflows.scoring.given import require_distinct
-from svmdist.workflows.scoring.references import ANY_TRUTH, Reference, Truth, truth_at, truth_lag_ns
+from svmdist.workflows.scoring.references import ANY_TRUTH, Reference, Truth, reference_lag_ns, truth_at
 from svmdist.workflows.scoring.scores import Figures, Readings, figures_of, pooled_figures
 
 GroupBy = Callable[[Mapping[str, str]], str]  # names the group of a recording by its metadata
@@ -174,10 +174,10 @@ class _Work:
                 advance()
         found: Found = {}
         for key, rows in readings.items():
-            own, of_name, truth = read.for_instrument(key[2]), profile.for_instrument(key[2]), None
+            own, truth = (read.for_instrument(key[2]), profile.for_instrument(key[2])), None
             if key[2] in self.known:
-                at_ns = rows.stamps_ns - truth_lag_ns(own, of_name)
-                truth = truth_at(own, of_name, Reference.GROUND_TRUTH, at_ns, "corrected", ANY_TRUTH)
+                at_ns = rows.stamps_ns - reference_lag_ns(*own, Reference.GROUND_TRUTH, read.lag)
+                truth = truth_at(*own, Reference.GROUND_TRUTH, at_ns, "corrected", ANY_TRUTH)
             found[key] = rows, truth, np.nan if self.setups[key[1]].is_given else seconds[key]
         return found
 

@@ -33,7 +33,7 @@ class Measured:
     recording: Recording
     read: Recording
     rows: tuple[FrameResult, ...]
-    lag: LagEstimate | None
+    lag: KnownLag | None
 
 
 Keep = Callable[[Measured], None]

@@ -11,7 +11,6 @@ from svmdist.errors import RecordingError
 from svmdist.kinematics import chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
-from svmdist.recording.observations import Window
 from svmdist.transforms import Array, Stamps, inverse, rotation_angle
 from svmdist.workflows.parallel import Progress
 
@@ -36,10 +35,9 @@ def fk_blocks(
     profile: Profile,
     *,
     in_camera: bool = False,
-    window: Window | None = None,
     on_progress: Progress = lambda _done, _total: None,
 ) -> Generator[PoseBlock]:
-    """Yield the tool's pose for every joint state of a recording, or those in a window, by the profile's chain.
+    """Yield the tool's pose for every joint state in a recording's window, by the profile's chain.
 
     With `in_camera` by the transform of a hand-eye file or of the log; joint states without one at their stamp are left
     out. Raises, before the first block, RecordingError without joint states, transform or chain, and KinematicsError
@@ -51,12 +49,10 @@ def fk_blocks(
     joints = recording.joint_track()
     count = len(joints.stamps_ns)
     on_progress(count, count)
-    stamps_ns, positions = joints.stamps_ns, joints.positions
-    if window is not None:
-        inside = window.places(stamps_ns)
-        stamps_ns, positions = stamps_ns[inside], positions[inside]
-        if len(inside) == 0:
-            raise RecordingError(f"{recording.path.name}: no joint state is between --start and --end")
+    inside = recording.window.places(joints.stamps_ns)
+    stamps_ns, positions = joints.stamps_ns[inside], joints.positions[inside]
+    if len(inside) == 0:
+        raise RecordingError(f"{recording.path.name}: no joint state is between --start and --end")
     poses = recording.pose_track() if recording.topic_of("pose") is not None else None
     base = recording.transform_track(profile.frames.camera, profile.frames.base) if in_camera else None
     for start in range(0, len(positions), BLOCK):

@@ -52,17 +52,15 @@ FIRST_GUESS = Tissue(plane_distance_m=0.1)
 
 @dataclass(frozen=True)
 class InstrumentDraft:
-    """An instrument, the shipped profile whose chain fits its joints; else the side of the picture it enters by."""
+    """An instrument: its topics by role, the shipped profile whose chain fits its joints, or the side it enters by."""
 
     name: str
-    joints: str | None
-    pose: str | None
+    topics: Mapping[str, str]
     base: str
     tool: str
     chain: str | None
     joint_names: tuple[str, ...] = ()
     entry: str | None = None
-    ground_truth_distance: str | None = None
 
 
 @dataclass(frozen=True)
@@ -264,7 +262,7 @@ def _instruments_by_sides(images: Sequence[Image]) -> tuple[InstrumentDraft, ...
     found = [side for side in order if sides[side] and sides[side] >= MOST_IMAGES * len(images)]
     entries: Sequence[str | None] = found if len(found) > 1 else [None]
     return tuple(
-        InstrumentDraft(f"PSM{number}", None, None, f"PSM{number}_base", f"PSM{number}", None, entry=entry)
+        InstrumentDraft(f"PSM{number}", {}, f"PSM{number}_base", f"PSM{number}", None, entry=entry)
         for number, entry in enumerate(entries, 1)
     )
 
@@ -314,10 +312,9 @@ def _surface(
 def _instrument(
     name: str, topics: Mapping[str, str], summary: RecordingSummary, path: Path, blank: Profile, count: int
 ) -> InstrumentDraft:
-    joints, pose = topics.get("joints"), topics.get("pose")
-    joint_names = tuple(summary.joint_names.get(joints or "", ()))
+    joint_names = summary.joint_names.get(topics.get("joints", ""), ())
     base, frames = None, set(summary.frames)
-    if pose:
+    if pose := topics.get("pose"):
         with suppress(RecordingError):  # poses in several frames, or in one without a name
             base = open_recording(path, blank, topics={"pose": pose}).pose_track().parent or None
     if base is None:
@@ -328,10 +325,7 @@ def _instrument(
     robots = {profile: shipped_robot(profile) for profile in CHAIN_PROFILES}
     fitting = [profile for profile, robot in robots.items() if not robot.missing_joints(joint_names)]
     longest = max(fitting, key=lambda profile: len(robots[profile].joints), default=None)
-    distance = topics.get("ground_truth_distance")
-    return InstrumentDraft(
-        name, joints, pose, base, tool, longest, joint_names, ground_truth_distance=distance
-    )
+    return InstrumentDraft(name, topics, base, tool, longest, joint_names)
 
 
 def shipped_robot(name: str) -> Robot:

@@ -22,13 +22,7 @@ from svmdist.samples import Rejection
 from svmdist.transforms import Array
 from svmdist.vision.segmentation import make_segmenter
 from svmdist.workflows.capabilities import HEAD_S, misfit
-from svmdist.workflows.check import (
-    PAIRS,
-    compare_views,
-    first_of,
-    offset_to_remove,
-    spread_observations,
-)
+from svmdist.workflows.check import PAIRS, compare_views, first_of, offset_to_remove, spread_observations
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules, alarm_watches
 from svmdist.files import read_regular, why, write_atomically
-from svmdist.recording.log import Recording
+from svmdist.recording.log import KnownLag, Recording
 from svmdist.results import FrameResult
 from svmdist.workflows.capabilities import require_clearance
 from svmdist.workflows.ending import Ending
@@ -60,8 +60,7 @@ class Validation:
     @property
     def primary(self) -> Score | None:
         """The overall score of the first instrument against the strongest reference there is."""
-        by_reference = {score.reference: score for score in reversed(self.overall)}
-        return next((by_reference[reference] for reference in Reference if reference in by_reference), None)
+        return min(self.overall, key=lambda score: [*Reference].index(score.reference), default=None)
 
     @property
     def reference(self) -> Reference:
@@ -165,7 +164,8 @@ def score_recording(
         methods = "`svmdist compare` sets methods against each other, without a truth"
         raise RecordingError("; ".join([*missing, methods]))
     if keep is not None:
-        keep(Measured(recording, read, tuple(every), scores[0].lag))
+        lag_s = scores[0].lag.lag_s if scores[0].lag else 0.0
+        keep(Measured(recording, read, tuple(every), KnownLag(lag_s)))
     notes += missing
     if setup.equations == "printed" and Reference.KINEMATICS in {score.reference for score in scores}:
         notes.append(KINEMATICS_PRINTED_NOTE)

@@ -11,7 +11,6 @@ import numpy as np
 
 from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation import plane_mapping as paper
-from svmdist.estimation.lag import LagEstimate
 from svmdist.estimation.plane_mapping import Equations
 from svmdist.kinematics import chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
@@ -202,18 +201,20 @@ def _kinematic_poses(recording: Recording, profile: Profile, max_gap_ns: int) ->
     return at
 
 
-def truth_lag_ns(recording: Recording, profile: Profile) -> int:
-    """Time offset from ground truth's stamps to the images': the known lag of a log, or 0 where truth has their clock.
+def reference_lag_ns(
+    recording: Recording, profile: Profile, reference: Reference, lag: KnownLag | None
+) -> int:
+    """Time offset from a reference's stamps to the images': the lag, or 0 where the reference has the images' clock.
 
-    The true tool is compared with the nominal one under either clock; what the robot believes wrongly is mostly a
-    constant. Where nothing tells them apart it is the robot's: images are what is late.
+    Of ground truth, the true tool is compared with the nominal one under either clock; what the robot believes wrongly
+    is mostly a constant. Where nothing tells them apart it is the robot's: images are what is late.
     """
-    lag_ns = recording.lag.lag_ns if recording.lag else 0
-    if lag_ns == 0:
-        return 0
+    lag_ns = lag.lag_ns if lag else 0
+    if lag_ns == 0 or reference is not Reference.GROUND_TRUTH:
+        return lag_ns
+    recording, frames = replace(recording, lag=lag), profile.frames
     try:
         nominal = tool_track(recording, profile, Reference.KINEMATICS, ANY_TRUTH)
-        frames = profile.frames
         true = recording.transform_track(frames.camera, frames.tool, ground_truth=True)
     except (RecordingError, KinematicsError):
         return lag_ns
@@ -227,13 +228,3 @@ def truth_lag_ns(recording: Recording, profile: Profile) -> int:
     errors = [found.values[known, :3, 3] - expected for found in moments]
     with_images, with_robot = (float(np.mean(np.var(error, axis=0))) for error in errors)
     return 0 if with_images < with_robot else lag_ns
-
-
-def reference_lag_ns(
-    recording: Recording, profile: Profile, reference: Reference, lag: LagEstimate | None
-) -> int:
-    """Time offset from a reference's stamps to the images': the lag, or 0 where the reference has the images' clock."""
-    known = KnownLag(lag.lag_s if lag else 0.0)
-    if reference is Reference.GROUND_TRUTH:
-        return truth_lag_ns(replace(recording, lag=known), profile)
-    return known.lag_ns

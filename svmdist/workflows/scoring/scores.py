@@ -16,7 +16,7 @@ from svmdist.errors import RecordingError
 from svmdist.estimation.alarms import AlarmEvent, AlarmRules, AlarmWatch, alarm_events
 from svmdist.estimation.lag import LagEstimate
 from svmdist.estimation.plane_mapping import Equations
-from svmdist.recording.log import Recording
+from svmdist.recording.log import KnownLag, Recording
 from svmdist.results import Z_95, FrameResult
 from svmdist.tracks import Mask
 from svmdist.transforms import (
@@ -330,7 +330,8 @@ def score_rows(
         return references.truth_at(recording, setup.profile, reference, at_ns, setup.equations, rules)
 
     readings = Readings(rows)
-    lag_ns = references.reference_lag_ns(recording, setup.profile, reference, lag)
+    known = KnownLag(lag.lag_s if lag else 0.0)
+    lag_ns = references.reference_lag_ns(recording, setup.profile, reference, known)
     stamps_ns = readings.stamps_ns - lag_ns
     truth = truth_of(stamps_ns)
     figures = figures_of(readings, truth, stamps_ns=stamps_ns)
