@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.plane_mapping import PlaneMapping, planar_distance_m
@@ -22,6 +23,7 @@ from svmdist.vision.marker import (
     EDGE_MARGIN_PX,
     Features,
     MarkedWindow,
+    Matches,
     detect_orb,
     fit_homography,
     is_plausible,
@@ -67,9 +69,36 @@ def template_features(marker: Marker, rules: FeatureRules) -> Features:
     return replace(features, points_px=features.points_px - EDGE_MARGIN_PX)
 
 
-def mark(image_bgr: Image, centre_px: Array, marker: Marker) -> MarkedWindow:
-    """Paste the marker about `centre_px`, (2,), in a window with the margin in which ORB finds no keypoint."""
-    return paste_marker(image_bgr, centre_px, marker.size_px, EDGE_MARGIN_PX)
+@dataclass(frozen=True, slots=True)
+class MarkerSearch:
+    """What the search for the pasted marker saw, in px of the window that has the marker in it.
+
+    `inliers`, shape (n,), are the matches that agree with the homography; `corners_px`, shape (4, 2), is the marker's
+    outline by it, None where there is no plausible one.
+    """
+
+    window: MarkedWindow
+    features: Features
+    matches: Matches
+    inliers: NDArray[np.bool_]
+    corners_px: Array | None = None
+
+
+def search_marker(frame: Frame, centre_px: Array, template: Features) -> MarkerSearch:
+    """Paste the marker about `centre_px`, (2,), and find it again: features, matches, homography."""
+    profile = frame.arm.profile
+    size_px, rules = profile.marker.size_px, profile.features
+    window = paste_marker(frame.left.context.bgr_as_recorded, centre_px, size_px, EDGE_MARGIN_PX)
+    features = detect_orb(to_grey(window.window_bgr), rules.feature_count)
+    matches = match_features(template, features, rules.ratio)
+    found = MarkerSearch(window, features, matches, np.zeros(len(matches), np.bool_))
+    if len(matches) < rules.min_match_count:
+        return found
+    homography = fit_homography(matches, rules.reprojection_px)
+    if homography is None or not is_plausible(homography.H, size_px, profile.settings.marker):
+        return found
+    corners_px = transfer(homography.H, square_corners(size_px))
+    return replace(found, inliers=homography.inliers, corners_px=corners_px)
 
 
 def third_contour(
@@ -109,29 +138,25 @@ class OverlayEstimator:
         result, tissue, instrument = locate(frame)
         if tissue is None or instrument is None:
             return result
-        marker, rules, settings = self._profile.marker, self._profile.features, self._profile.settings
-        marked = mark(frame.left.context.bgr_as_recorded, instrument.centroid_px, marker)
 
         # Second phase: features, matches, homography, outline.
-        features = detect_orb(to_grey(marked.window_bgr), rules.feature_count)
-        result = result.with_image(keypoint_count=len(features))
-        if len(features) == 0:
+        found = search_marker(frame, instrument.centroid_px, self._template)
+        result = result.with_image(keypoint_count=len(found.features))
+        if len(found.features) == 0:
             return result.rejected(Status.NO_FEATURES)
-        matches = match_features(self._template, features, rules.ratio)
-        result = result.with_image(match_count=len(matches))
-        if len(matches) < rules.min_match_count:
+        result = result.with_image(match_count=len(found.matches))
+        if len(found.matches) < self._profile.features.min_match_count:
             return result.rejected(Status.TOO_FEW_MATCHES)
-        homography = fit_homography(matches, rules.reprojection_px)
-        if homography is None or not is_plausible(homography.H, marker.size_px, settings.marker):
+        if found.corners_px is None:
             return result.rejected(Status.NO_HOMOGRAPHY)
-        result = result.with_image(inlier_count=int(np.count_nonzero(homography.inliers)))
-        corners_px = transfer(homography.H, square_corners(marker.size_px))
+        result = result.with_image(inlier_count=int(np.count_nonzero(found.inliers)))
 
         # Final phase: third contour, both places to the plane, and the distance between them.
-        outline = third_contour(marked.window_bgr, corners_px, marker, settings.outline)
+        marker, window = self._profile.marker, found.window
+        outline = third_contour(window.window_bgr, found.corners_px, marker, self._profile.settings.outline)
         if outline is None:
             return result.rejected(Status.NO_OUTLINE)
-        tool_px = outline.centroid_px + np.array(marked.origin_px, np.float64)
+        tool_px = outline.centroid_px + np.array(window.origin_px, np.float64)
         return in_plane(result, tool_px, tissue.centroid_px, self._mapping)
 
 

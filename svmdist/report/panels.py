@@ -147,7 +147,7 @@ def _marker(frame: DrawnFrame, pixels: Image) -> Image:
         r = (rows + y >= 0) & (rows + y < pixels.shape[0])
         c = (columns + x >= 0) & (columns + x < pixels.shape[1])
         pixels[np.ix_(rows[r] + y, columns[c] + x)] = window[np.ix_(r, c)]
-        for x_px, y_px in found.keypoints_px:
+        for x_px, y_px in np.add(found.features.points_px, (x, y)):
             cv2.circle(pixels, (round(x_px), round(y_px)), 2, bgr(COLOURS[Part.MATCH]), 1, cv2.LINE_AA)
     return pixels
 
@@ -164,8 +164,8 @@ def _matches(frame: DrawnFrame, sheet: Image) -> Image:
     both = np.hstack([left, np.full((left.shape[0], 20, 3), DARK, np.uint8), right[: left.shape[0]]])
     times = max(1, min(width // both.shape[1], height // both.shape[0]))
     large = cv2.resize(both, None, fx=times, fy=times, interpolation=cv2.INTER_NEAREST)
-    offset = np.array([left.shape[1] + 20.0, 0.0]) - np.array(found.window.origin_px, np.float64)
-    starts, ends = found.template_px + EDGE_MARGIN_PX, found.matched_px + offset
+    matches, offset = found.matches, [left.shape[1] + 20.0, 0.0]
+    starts, ends = matches.template_px + EDGE_MARGIN_PX, matches.frame_px + offset
     for at in np.argsort(found.inliers, kind="stable"):  # the others first: inliers lie on top
         start, end = ((round((x + 0.5) * times), round((y + 0.5) * times)) for x, y in (starts[at], ends[at]))
         colour = COLOURS[Part.INLIER if found.inliers[at] else Part.MATCH]

@@ -8,7 +8,6 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.drawing import Form, FrameDrawing, Label, Part, Segment, Shape, StatusLine
@@ -17,15 +16,12 @@ from svmdist.estimation.alarms import AlarmRules, AlarmState, alarm_watches
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import shaft_sections
 from svmdist.estimation.instrument.shaft_detection import DistalMarker
-from svmdist.estimation.planar import mark, template_features
+from svmdist.estimation.planar import MarkerSearch, search_marker, template_features
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import LEFT_IMAGES
 from svmdist.recording.topics import Role
 from svmdist.results import Distance, FrameResult
 from svmdist.samples import Image, Status
-from svmdist.transforms import Array
-from svmdist.vision import marker
-from svmdist.vision.colour import to_grey
 from svmdist.vision.frame_context import seen_through
 from svmdist.vision.regions import Region
 from svmdist.vision.silhouette import Silhouette
@@ -163,11 +159,12 @@ def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup
         pasted = virtual_marker(frame) if setup.method == "overlay" else None
         if pasted is None:
             continue
+        origin_px = np.array(pasted.window.origin_px, np.float64)
         if pasted.corners_px is not None:
-            yield Shape(Part.MARKER, Form.LOOP, pasted.corners_px, name)
+            yield Shape(Part.MARKER, Form.LOOP, pasted.corners_px + origin_px, name)
         for part, chosen in ((Part.MATCH, ~pasted.inliers), (Part.INLIER, pasted.inliers)):
             if chosen.any():
-                yield Shape(part, Form.POINTS, pasted.matched_px[chosen], name)
+                yield Shape(part, Form.POINTS, pasted.matches.frame_px[chosen] + origin_px, name)
 
 
 def _through_lens(shape: Shape, lens: Camera) -> Shape:
@@ -224,41 +221,13 @@ def _shaft(silhouette: Silhouette, name: str) -> Iterator[Shape]:
         yield Shape(Part.SHAFT, Form.LINE, ends_px, name)
 
 
-@dataclass(frozen=True, slots=True)
-class VirtualMarker:
-    """What the search for the pasted marker saw: the window with the marker in it, and places in px of the image.
-
-    `template_px` and `matched_px`, shape (n, 2), are the matched points of template and image, `inliers`, shape (n,),
-    those that agree with the homography; `corners_px`, shape (4, 2), is the outline, None where there is none.
-    """
-
-    window: marker.MarkedWindow
-    keypoints_px: Array
-    template_px: Array
-    matched_px: Array
-    inliers: NDArray[np.bool_]
-    corners_px: Array | None
-
-
-def virtual_marker(frame: Frame) -> VirtualMarker | None:
+def virtual_marker(frame: Frame) -> MarkerSearch | None:
     """Search for the marker as `overlay` did in this frame; None where it pasted none."""
     tissue, instrument = frame.left.found.get("regions_as_recorded") or (None, None)
     if tissue is None or instrument is None:
         return None
-    profile = frame.arm.profile
-    rules, settings = profile.features, profile.settings.marker
-    window = mark(frame.left.context.bgr_as_recorded, instrument.centroid_px, profile.marker)
-    origin_px = np.array(window.origin_px, np.float64)
-    features = marker.detect_orb(to_grey(window.window_bgr), rules.feature_count)
-    matches = marker.match_features(template_features(profile.marker, rules), features, rules.ratio)
-    inliers, corners_px = np.zeros(len(matches), np.bool_), None
-    if len(matches) >= rules.min_match_count:
-        fitted = marker.fit_homography(matches, rules.reprojection_px)
-        if fitted is not None and marker.is_plausible(fitted.H, profile.marker.size_px, settings):
-            inliers, corners = fitted.inliers, marker.square_corners(profile.marker.size_px)
-            corners_px = marker.transfer(fitted.H, corners) + origin_px
-    found_px, matched_px = features.points_px + origin_px, matches.frame_px + origin_px
-    return VirtualMarker(window, found_px, matches.template_px, matched_px, inliers, corners_px)
+    template = template_features(frame.arm.profile.marker, frame.arm.profile.features)
+    return search_marker(frame, instrument.centroid_px, template)
 
 
 def _shown_distance(result: FrameResult) -> tuple[str, Distance] | None:

@@ -153,7 +153,7 @@ def test_the_markers_matches_are_those_that_overlay_counted(sweep):
     setup, replayed = sweep
     found = virtual_marker(replayed.frames[0])
     image = replayed.results[0].image
-    counts = len(found.keypoints_px), len(found.matched_px), int(found.inliers.sum())
+    counts = len(found.features), len(found.matches), int(found.inliers.sum())
     assert counts == (image.keypoint_count, image.match_count, image.inlier_count)
     drawing = frame_drawing(replayed, setup)
     assert len(points_of(drawing, Part.INLIER, "PSM1")) == image.inlier_count
