@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,12 +57,11 @@ def capabilities(
 
     `tags` is what `look_for_tag` found.
     """
-    methods = method_capabilities(summary, profile, tags)
-    first = profile.for_instrument(summary.instruments[0])
+    methods, lacking = method_capabilities(summary, profile, tags), _lacking(summary, profile)
     lacks = () if () in methods.values() else methods[METHODS[0]]
     if said := misfit(summary, profile):
         lacks = (f"a profile of its own: it is {said}",)
-    return {"estimate": lacks} | {name: _missing(needs, summary, first) for name, needs in COMMANDS.items()}
+    return {"estimate": lacks} | {name: _words(lacking, needs) for name, needs in COMMANDS.items()}
 
 
 def best_method(
@@ -108,10 +107,8 @@ def method_capabilities(
     summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None
 ) -> dict[str, tuple[str, ...]]:
     """The same for each method of `estimate`."""
-    profile = profile.for_instrument(summary.instruments[0])
-    return {
-        name: _missing((*IMAGES, *method.inputs), summary, profile, tags) for name, method in REGISTRY.items()
-    }
+    lacking = _lacking(summary, profile, tags)
+    return {name: _words(lacking, (*IMAGES, *method.inputs)) for name, method in REGISTRY.items()}
 
 
 def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup, ...]:
@@ -193,39 +190,49 @@ def observations_of(recording: Recording, stride: int, needs: Needs = EVERYTHING
             yield found[0]
 
 
-def _missing(
-    needs: tuple[str, ...], summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None
-) -> tuple[str, ...]:
-    """What is missing of the needs of a command or a method, in words."""
-    frames, of_profile = profile.frames, f"in profile {profile.name}"
+def _words(lacking: Mapping[str, tuple[str, ...]], needs: Iterable[str]) -> tuple[str, ...]:
+    return tuple(words for need in needs for words in lacking[need])
 
-    def topics(*roles: str) -> tuple[str, ...]:
-        return tuple(_topic_for(role, summary) for role in roles if role not in summary.roles)
+
+def _lacking(
+    summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None
+) -> dict[str, tuple[str, ...]]:
+    """What of each need of a command or a method is missing for the log's first instrument, in words."""
+    profile = profile.for_instrument(summary.instruments[0])
+    roles, frames, of_profile = summary.roles, profile.frames, f"in profile {profile.name}"
+
+    def topics(*names: str) -> tuple[str, ...]:
+        return tuple(_topic_for(role, summary) for role in names if role not in roles)
 
     def unless(condition: object, words: str) -> tuple[str, ...]:
         return () if condition else (words,)
 
+    joints = topics("joints") + _missing_chain(summary, profile)
+    tracks = [summary.cameras.get(roles.get(role, "")) for role in ("camera_info", "right_camera_info")]
+    left, right = (track.runs[0].camera if track and track.runs else None for track in tracks)
+    # It is there where it cannot be told yet.
+    has_baseline = left is None or right is None or stereo_transform(left, right) is not None
     has_base = profile.camera_to_base or {frames.camera, frames.base} <= set(summary.frames)
-    has_tag = tags is None or tags.found_count or not tags.image_count
-    no_tag = (
-        "" if tags is None else f"the tag {tags.name}: it is in none of {tags.image_count} images looked at"
-    )
-    lacking = {
+    has_tool = not joints or "pose" in roles or frames.tool in summary.frames
+    tag: tuple[str, ...] = ()
+    if tags is not None and tags.image_count and not tags.found_count:
+        tag = (f"the tag {tags.name}: it is in none of {tags.image_count} images looked at",)
+    return {
         **{role: topics(role) for role in Role},
         **{part: unless(getattr(profile, part), f"[{part}] {of_profile}") for part in PARTS},
         "right_image": topics("right_image", "right_camera_info")
-        or unless(
-            summary.roles["right_image"] != summary.roles.get("image"), "a left image: it has the right"
-        )
-        or unless(_has_baseline(summary), "the distance of the cameras (`svmdist import --baseline`)"),
-        "joints": topics("joints") + _missing_chain(summary, profile),
-        "reference": _missing_reference(summary, profile),
+        or unless(roles["right_image"] != roles.get("image"), "a left image: it has the right")
+        or unless(has_baseline, "the distance of the cameras (`svmdist import --baseline`)"),
+        "joints": joints,
+        "reference": unless(
+            "ground_truth_distance" in roles or has_tool,
+            "the tool's pose (transforms, a pose topic or joint states)",
+        ),
         "calibration": unless(profile.calibration, f"a calibration {of_profile} (--calibration)"),
         "camera_to_base": unless(has_base, f"transforms from {frames.camera} to {frames.base}"),
         "shaft": unless(profile.segmentation.shaft, f"[segmentation.shaft] {of_profile}"),
-        "tag": unless(has_tag, no_tag),
+        "tag": tag,
     }
-    return tuple(words for need in needs for words in lacking[need])
 
 
 def _topic_for(role: str, summary: RecordingSummary) -> str:
@@ -235,24 +242,6 @@ def _topic_for(role: str, summary: RecordingSummary) -> str:
     if unread:
         return f"a topic for {role}: nothing on {sanitize_list(unread)} can be decoded"
     return f"a topic for {role}" + (" (of several: choose it with --topic)" if len(found) > 1 else "")
-
-
-def _has_baseline(summary: RecordingSummary) -> bool:
-    """Whether the calibrations say where the right camera stands; True where they cannot be told yet."""
-    found = [
-        summary.cameras.get(summary.roles.get(role, "")) for role in ("camera_info", "right_camera_info")
-    ]
-    left, right = (track.runs[0].camera if track and track.runs else None for track in found)
-    return left is None or right is None or stereo_transform(left, right) is not None
-
-
-def _missing_reference(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:
-    if "ground_truth_distance" in summary.roles:
-        return ()
-    has_chain = "joints" in summary.roles and not _missing_chain(summary, profile)
-    if has_chain or "pose" in summary.roles or profile.frames.tool in summary.frames:
-        return ()
-    return ("the tool's pose (transforms, a pose topic or joint states)",)
 
 
 def _missing_chain(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:

@@ -97,7 +97,7 @@ class MultiInstrumentEstimator:
         checks: Mapping[str, Checks] | None = None,
         camera: Camera | None = None,
     ) -> None:
-        self._calibrated = camera if setup.is_calibrated else None
+        self._calibrated = camera if setup.calibration else None
         self._estimators = [setup.estimator_for(arm) for arm in arms]
         self._arms = tuple(arms)
         self._is_given = setup.is_given

@@ -165,18 +165,13 @@ class Setup:
         return bool(getattr(self.own, "is_given", False))
 
     @property
-    def is_calibrated(self) -> bool:
-        """Whether a calibration of one camera is used."""
-        return self.equations == "corrected" and self.calibration is not None
-
-    @property
     def needs_right_view(self) -> bool:
         """Whether the method measures by both views."""
         return self.method in ("stereo", "fused") if self.own is None else needs_of(self.own).right_view
 
     def require_camera(self, recording: Recording) -> None:
         """Raise CalibrationError for a recording of another camera than the calibration's."""
-        if self.calibration is not None and self.is_calibrated:
+        if self.calibration is not None:
             self.calibration.require_camera(recording.logged_camera, recording.name)
 
     def estimator_for(self, arm: Arm) -> Estimator:
@@ -215,7 +210,7 @@ class Setup:
 
     def was_fitted_on(self, recording: Recording) -> bool:
         """Whether the calibration was fitted on this very recording: then its figures prove nothing."""
-        sources = self.calibration.sources if self.calibration and self.is_calibrated else ()
+        sources = self.calibration.sources if self.calibration else ()
         return bool(sources) and recording.sha256() in {source.sha256 for source in sources}
 
     def degeneracies(self, camera: Camera) -> list[str]:

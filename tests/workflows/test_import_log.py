@@ -65,33 +65,24 @@ def test_two_views_pass_through(tmp_path, ends):
     assert recording.health.is_clean
 
 
-def test_side_by_side(tmp_path):
-    """Each half is a view, without loss."""
+@pytest.mark.parametrize("crop", [None, (10, 5, 40, 30)])
+def test_side_by_side(tmp_path, crop):
+    """Each half is a view, or a part of it with its camera, without loss."""
     both = [_picture(number, 128) for number in range(2)]
     for number, image in enumerate(both):
         cv2.imwrite(str(tmp_path / f"img{number}.png"), image)
-    views = ViewOptions(tmp_path, side_by_side=True, rate_hz=1.0)
+    views = ViewOptions(tmp_path, side_by_side=True, rate_hz=1.0, crop=crop)
     result = import_log(ImportOptions(views, ONE), tmp_path / "out.mcap")
     assert result.has_baseline is False
     recording = _open(result.path)
     rights = _messages(result.path, "/ECM/right/image")
+    x, y, width, height = crop or (0, 0, 64, 48)
     for left, data, image in zip(_images(recording), rights, both, strict=True):
-        np.testing.assert_array_equal(left.image_bgr, image[:, :64])
-        np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(data, np.uint8), 1), image[:, 64:])
-
-
-def test_cropped(tmp_path):
-    """A part of each half, with its camera."""
-    cv2.imwrite(str(tmp_path / "1.png"), image := _picture(1, 128))
-    views = ViewOptions(tmp_path, side_by_side=True, rate_hz=1.0, crop=(10, 5, 40, 30))
-    result = import_log(ImportOptions(views, ONE), tmp_path / "out.mcap")
-    recording = _open(result.path)
-    (left,) = _images(recording)
-    (right,) = _messages(result.path, "/ECM/right/image")
-    np.testing.assert_array_equal(left.image_bgr, image[5:35, 10:50])
-    np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(right, np.uint8), 1), image[5:35, 74:114])
-    assert (recording.camera.width_px, recording.camera.height_px) == (40, 30)
-    np.testing.assert_allclose(recording.camera.K[:2, 2], [21.0, 18.0])
+        right = cv2.imdecode(np.frombuffer(data, np.uint8), 1)
+        for found, half in ((left.image_bgr, image[:, :64]), (right, image[:, 64:])):
+            np.testing.assert_array_equal(found, half[y : y + height, x : x + width])
+    assert (recording.camera.width_px, recording.camera.height_px) == (width, height)
+    np.testing.assert_allclose(recording.camera.K[:2, 2], [CAMERA[2] - x, CAMERA[3] - y])
 
 
 def test_other_formats_are_decoded(tmp_path):
