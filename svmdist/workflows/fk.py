@@ -50,14 +50,14 @@ def fk_blocks(
     count = len(joints.stamps_ns)
     on_progress(count, count)
     inside = recording.window.places(joints.stamps_ns)
-    stamps_ns, positions = joints.stamps_ns[inside], joints.positions[inside]
     if len(inside) == 0:
         raise RecordingError(f"{recording.path.name}: no joint state is between --start and --end")
     poses = recording.pose_track() if recording.topic_of("pose") is not None else None
     base = recording.transform_track(profile.frames.camera, profile.frames.base) if in_camera else None
-    for start in range(0, len(positions), BLOCK):
-        at_ns = stamps_ns[start : start + BLOCK]
-        T = forward_kinematics(chain, select_joints(chain, joints.names, positions[start : start + BLOCK]))
+    for start in range(0, len(inside), BLOCK):
+        places = inside[start : start + BLOCK]
+        at_ns = joints.stamps_ns[places]
+        T = forward_kinematics(chain, select_joints(chain, joints.names, joints.positions[places]))
         errors = np.full((len(T), 2), np.nan)
         if poses is not None:
             measured = poses.at(at_ns)

@@ -15,7 +15,6 @@ from svmdist.estimation.alarms import AlarmEvent
 from svmdist.report import charts
 from svmdist.report.html import WORST_COUNT, Report, page, plotly_figure, write_report
 from svmdist.report.tables import Table
-from svmdist.workflows.scoring.references import Reference
 from svmdist.workflows.scoring.series import Series
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -35,10 +34,10 @@ def make_series(count: int, name: str = "log", every: int | None = None) -> Seri
     estimate_m[slice(None, None, every) if every else slice(10, 15)] = np.nan
     measured = np.isfinite(estimate_m)
     return Series(
-        name, "PSM1", "fused", "clearance", np.arange(count), (seconds * 1e9).astype(np.int64), seconds,
+        name, "PSM1", "fused", "clearance", np.arange(count), seconds,
         tuple("ok" if one else "no_tissue" for one in measured), ("",) * count, estimate_m,
         np.where(measured, 0.001, np.nan), truth_m, rng.uniform(0, 480, (count, 2)), np.full(count, 0.9),
-        Reference.GROUND_TRUTH, (AlarmEvent("PSM1", 20, 2.0, 2.5, 0.004, 22),),
+        (AlarmEvent("PSM1", 20, 2.0, 2.5, 0.004, 22),),
     )  # fmt: skip
 
 
@@ -93,7 +92,7 @@ def test_plots_hold_the_numbers_of_the_series():
     np.testing.assert_array_equal(curves["alarm below 5 mm"]["y"], [5.0, 5.0])
     np.testing.assert_allclose(curves["not measured"]["x"], [0.95, 0.95, 1.45, 1.45])
     np.testing.assert_allclose(curves["alarm"]["x"], [1.95, 1.95, 2.55, 2.55])
-    blind = replace(series, truth_m=np.full(100, np.nan), reference=None)
+    blind = replace(series, truth_m=np.full(100, np.nan))
     assert list(figures_of(page(make_report(blind)))) == ["distance-0", "consistency-0"]
 
 

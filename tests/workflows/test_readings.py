@@ -10,7 +10,7 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 from svmdist.workflows.scoring import scores
-from svmdist.workflows.scoring.references import Reference, Truth
+from svmdist.workflows.scoring.references import Truth
 from svmdist.workflows.scoring.series import Series, worst_frames
 
 
@@ -94,7 +94,6 @@ SERIES = Series(
     "fused",
     "clearance",
     np.arange(4),
-    np.arange(4) * 100_000_000,
     np.arange(4) * 0.1,
     ("ok", "ok", "no_tissue", "ok"),
     ("", "", "hidden", ""),
@@ -103,7 +102,6 @@ SERIES = Series(
     np.array([0.011, 0.0195, 0.02, 0.027]),
     np.zeros((4, 2)),
     np.ones(4),
-    Reference.GROUND_TRUTH,
 )
 
 
@@ -115,7 +113,7 @@ def test_with_truth_the_worst_frame_has_the_largest_error():
 
 
 def test_without_truth_the_worst_frame_has_the_widest_interval():
-    blind = replace(SERIES, truth_m=np.full(4, np.nan), reference=None)
+    blind = replace(SERIES, truth_m=np.full(4, np.nan))
     worst = worst_frames([blind], 2)
     assert [frame.number for frame in worst] == [1, 0]
     assert worst[0].in_words.endswith("clearance interval ±3.92 mm")

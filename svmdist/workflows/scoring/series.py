@@ -26,7 +26,7 @@ class Series:
     """One of the three distances over the frames of a log, shape (n,) each; NaN for what does not exist.
 
     `number` counts the images of the log from 0, `seconds` from the first one. `tool_px`, shape (n, 2), is where the
-    tool was seen. `reference` says what the truth is, None where there is none; `events` are its alarms.
+    tool was seen; `events` are its alarms.
     """
 
     recording: str
@@ -34,7 +34,6 @@ class Series:
     method: str
     distance: str
     number: NDArray[np.int64]
-    stamps_ns: NDArray[np.int64]
     seconds: Array
     status: tuple[str, ...]
     detail: tuple[str, ...]
@@ -43,7 +42,6 @@ class Series:
     truth_m: Array
     tool_px: Array
     consistency: Array
-    reference: Reference | None = None
     events: Sequence[AlarmEvent] = ()
 
     def __len__(self) -> int:
@@ -154,7 +152,6 @@ def series_of(
         series = Series(
             *(recording.name, name, setup.method, distance),
             np.array([row.number for row in rows], np.int64),
-            readings.stamps_ns,
             np.array([row.seconds for row in rows]),
             tuple(str(row.status) for row in rows),
             tuple(row.detail for row in rows),
@@ -162,7 +159,6 @@ def series_of(
             truths[distance],
             np.array([row.image.tool_px or (np.nan, np.nan) for row in rows]),
             np.array([np.nan if row.consistency is None else row.consistency for row in rows]),
-            asked if truth else None,
             alarm_events(rows, request.alarms),
         )
         found.append(series)
