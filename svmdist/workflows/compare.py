@@ -100,7 +100,7 @@ def measure_runs(
     parts = _parts(setups, len(conditions), jobs)
     if jobs == 1 or parallel.is_worker():
         parts = [(range(len(conditions)), range(len(setups)))]
-    work = _Work(recording, names, known, conditions, setups, max(1, jobs // len(parts)))
+    work = _Work(recording, names, conditions, setups, max(1, jobs // len(parts)))
     if len(parts) == 1:
         ended = [work.measure(parts[0], advance)]
     else:
@@ -140,11 +140,10 @@ def _parts(setups: Sequence[Setup], condition_count: int, jobs: int) -> list[Par
 
 @dataclass(frozen=True)
 class _Work:
-    """A recording, its instruments and those with a truth, and all that it is measured by, with so many threads."""
+    """A recording, its instruments, and all that it is measured by, with so many threads."""
 
     recording: Recording
     names: Sequence[str]
-    known: Sequence[str]
     conditions: Sequence[Condition]
     setups: Sequence[Setup]
     threads: int
@@ -175,7 +174,7 @@ class _Work:
         found: Found = {}
         for key, rows in readings.items():
             own, truth = (read.for_instrument(key[2]), profile.for_instrument(key[2])), None
-            if key[2] in self.known:
+            if own[0].topic_of(Role.GROUND_TRUTH_DISTANCE) is not None:
                 at_ns = rows.stamps_ns - reference_lag_ns(*own, Reference.GROUND_TRUTH, read.lag)
                 truth = truth_at(*own, Reference.GROUND_TRUTH, at_ns, "corrected", ANY_TRUTH)
             found[key] = rows, truth, np.nan if self.setups[key[1]].is_given else seconds[key]
