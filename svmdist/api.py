@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from svmdist.errors import SvmdistError, UsageError
-from svmdist.estimation.alarms import AlarmRules, alarm_watches
+from svmdist.estimation.alarms import AlarmRules
 from svmdist.metrics import TEXT
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, taking_hand_eye
 from svmdist.recording.log import Recording
@@ -52,11 +52,10 @@ class Estimates(Sequence[FrameResult]):
 
     def __repr__(self) -> str:
         """What was measured, in a few lines."""
-        ending = Ending()
-        watches = alarm_watches(self.recording.instruments, self.alarms)
+        ending = Ending(self.recording.instruments, self.alarms)
         for result in self.results:
-            ending.add(result, watches)
-        ending.close(watches)
+            ending.add(result)
+        ending.close()
         counts = ", ".join(f"{count} {status}" for status, count in ending.statuses.items())
         lines = [f"{self.recording.name}: {len(self)} rows by {self.setup.method}", counts or "no image"]
         if ending.least is not None:
@@ -86,9 +85,9 @@ class Estimates(Sequence[FrameResult]):
 
     def rows(self) -> Iterator[Row]:
         """The rows of `svmdist estimate -f csv`, in SI; None for what does not exist."""
-        watches = alarm_watches(self.recording.instruments, self.alarms)
+        ending = Ending(self.recording.instruments, self.alarms)
         for result in self.results:
-            alarm = watches[result.instrument].watch(result) if self.alarms else None
+            alarm = ending.add(result)
             row = estimate_row(self.recording.name, result, self.setup.method, self.setup.equations, alarm)
             yield {key: row.get(key) for key in ESTIMATE_KEYS}
 

@@ -192,24 +192,22 @@ def draw_log(
     recording: Recording, request: Request, threads: int, writer: Writer, output_path: Path, force: bool
 ) -> Ending:
     """Measure a recording and write it with its drawings, as a recording or a video."""
-    from svmdist.estimation.alarms import alarm_watches
     from svmdist.workflows.ending import Ending
     from svmdist.workflows.frame_drawing import drawn_frames
 
-    setup, ending = request.setup, Ending()
+    setup, ending = request.setup, Ending(request.instruments or recording.instruments, request.alarms)
     seen = corrected(recording, request, threads)
-    watches = alarm_watches(request.instruments or recording.instruments, request.alarms)
 
     def counted(frames: Iterator[DrawnFrame]) -> Iterator[DrawnFrame]:
         for frame in frames:
             for result in frame.replayed.results:
-                ending.add(result, watches)
+                ending.add(result)
             yield frame
 
     with output.steps(f"drawing {recording.name}", "images", recording.image_count()) as steps:
         frames = drawn_frames(seen, setup, request.alarms, request.instruments, threads)
         writer.write(counted(steps.of(frames)), output_path, seen, setup, force)
-    ending.close(watches, seen.remarks)
+    ending.close(seen.remarks)
     return ending
 
 
@@ -217,7 +215,6 @@ def measure_rows(
     recording: Recording, request: Request, threads: int, keep: Keep | None = None
 ) -> Generator[Row, None, Ending]:
     """Yield the rows of one recording; `keep` is given all results where something is made of them."""
-    from svmdist.estimation.alarms import alarm_watches
     from svmdist.report.rows import estimate_row
     from svmdist.workflows.ending import Ending
     from svmdist.workflows.estimate import Measured, estimate
@@ -225,17 +222,16 @@ def measure_rows(
     setup = request.setup
     seen = corrected(recording, request, threads)
     wanted = request.instruments or recording.instruments
-    watches, ending = alarm_watches(wanted, request.alarms), Ending(wanted)
-    kept = []
+    ending, kept = Ending(wanted, request.alarms), []
     with output.steps("measuring", "rows", recording.image_count(), len(wanted)) as steps:
         for row in steps.of(estimate(seen, setup, request.instruments, threads, rest=keep is not None)):
-            alarm = ending.add(row, watches)
+            alarm = ending.add(row)
             if keep is not None:
                 kept.append(row)
             yield estimate_row(recording.name, row, setup.method, setup.equations, alarm)
     if keep is not None:
         keep(Measured(recording, seen, tuple(kept), seen.lag))
-    ending.close(watches, seen.remarks)
+    ending.close(seen.remarks)
     return ending
 
 

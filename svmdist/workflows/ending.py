@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from svmdist.estimation.alarms import AlarmEvent, AlarmRules, AlarmState, AlarmWatch
+from svmdist.estimation.alarms import AlarmEvent, AlarmRules, AlarmState, alarm_watches
 from svmdist.results import FrameResult
 from svmdist.samples import Status
 
@@ -15,13 +15,14 @@ MAX_REMARKS = 6  # lines
 
 @dataclass
 class Ending:
-    """Counts over the rows of a log; `events` are the alarms of all instruments, `wanted` names these.
+    """Counts over the rows of a log, and its alarms by `rules`: `events` of all instruments, which `wanted` names.
 
     `tally` has the rows by status and detail, in the order in which they first came; `seen` and `refused` those in
     which a detection was measured, and contradicted the rest; `remarks` are the recording's.
     """
 
     wanted: tuple[str, ...] = ()
+    rules: AlarmRules | None = None
     tally: dict[str, Counter[str]] = field(default_factory=dict)
     seen: Counter[str] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
@@ -29,8 +30,11 @@ class Ending:
     remarks: list[str] = field(default_factory=list)
     least: FrameResult | None = None  # the row of the smallest clearance
 
-    def add(self, row: FrameResult, watches: Mapping[str, AlarmWatch]) -> AlarmState | None:
-        """Count a row, and judge it by the alarms of its instrument; None without any."""
+    def __post_init__(self) -> None:
+        self._watches = alarm_watches(self.wanted, self.rules)
+
+    def add(self, row: FrameResult) -> AlarmState | None:
+        """Count a row, and judge it by the rules of alarms; None without any."""
         self.tally.setdefault(str(row.status), Counter())[row.detail] += 1
         least = None if self.least is None else self.least.distances.clearance
         found = row.distances.clearance if row.measured else None
@@ -38,12 +42,12 @@ class Ending:
             self.least = row
         self.seen.update((*row.accepted, *row.refused))
         self.refused.update(row.refused)
-        return watches[row.instrument].watch(row) if row.instrument in watches else None
+        return self._watches[row.instrument].watch(row) if self._watches else None
 
-    def close(self, watches: Mapping[str, AlarmWatch], remarks: Iterable[str] = ()) -> None:
+    def close(self, remarks: Iterable[str] = ()) -> None:
         """Keep the alarms of all instruments in the order of time, and what is remarked on the log."""
         self.remarks = list(remarks)
-        every = (event for watch in watches.values() for event in watch.events)
+        every = (event for watch in self._watches.values() for event in watch.events)
         self.events = sorted(every, key=lambda event: event.start_s)
 
     @property

@@ -14,7 +14,7 @@ from typing import Literal, Self
 from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from svmdist.errors import KinematicsError, RecordingError, UsageError
-from svmdist.estimation.alarms import AlarmRules, alarm_watches
+from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import read_regular, why, write_atomically
 from svmdist.recording.log import KnownLag, Recording
 from svmdist.results import FrameResult
@@ -137,10 +137,10 @@ def score_recording(
     asked_for = rules.references or (Reference.TF,) * bool(rules.tool_frames)
     scores, missing, lacking = [], [], []
     names = dict.fromkeys(row.instrument for row in every)
-    watches, ending = alarm_watches(names, request.alarms), Ending(tuple(names))
+    ending = Ending(tuple(names), request.alarms)
     for row in every:
-        ending.add(row, watches)
-    ending.close(watches, read.remarks)
+        ending.add(row)
+    ending.close(read.remarks)
     for name in names:
         view, seen = recording.for_instrument(name), setup.for_instrument(name)
         rows = [row for row in every if row.instrument == name]
