@@ -9,6 +9,7 @@ import numpy as np
 
 from svmdist.estimation.distances import measured, with_tissue, with_tool
 from svmdist.estimation.frame import Frame, Needs
+from svmdist.estimation.frame_methods import certain_by_pair, tool_from_tag
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound, with_detections
 from svmdist.estimation.instrument.distal_marker import Expected, MarkerPair, pair_markers
 from svmdist.estimation.instrument.error_model import nominal_tool
@@ -21,9 +22,7 @@ from svmdist.estimation.instrument.kinematic_error_filter import (
 )
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import SHAFT
-from svmdist.estimation.one_view import tool_from_tag
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.stereo import StereoEstimator
 from svmdist.estimation.tissue.tracking import FollowedTissue
 from svmdist.results import Distances, Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import JointSample, Status
@@ -55,8 +54,7 @@ class FusedEstimator:
         self._arm, self._chain = arm, arm.required_chain
         self._followed = FollowedTissue(arm)
         self._filter = KinematicErrorFilter(self._chain, profile.kinematic_error, profile.settings.filter)
-        has_sizes = profile.segmentation.shaft is not None and profile.instrument is not None
-        self._stereo = StereoEstimator(arm) if has_sizes else None
+        self._has_sizes = profile.segmentation.shaft is not None and profile.instrument is not None
         self._lasting_share = profile.settings.fused.lasting_share
         self._has_plate = self._is_located = False
         self._contradictions, self._agreed, self._has_agreed = 0, 0, False
@@ -106,13 +104,11 @@ class FusedEstimator:
 
     def _image_pose(self, frame: Frame) -> ToolPose | None:
         """The tool by the images alone: by both views, or by the shaft in the left one; None where neither tells."""
-        if self._stereo is None:
+        if not self._has_sizes:
             return None
-        pair = frame.scene.stereo_pair
-        if not isinstance(pair, Failure):
-            found = self._stereo.tool(frame, pair)
-            if isinstance(found, ImagePose):
-                return found.pose
+        found = certain_by_pair(frame, frame.pair_pose)
+        if isinstance(found, ImagePose):
+            return found.pose
         fit = frame.shaft_pose
         if isinstance(fit, Failure) or fit.doubt:
             return None

@@ -8,10 +8,9 @@ import numpy as np
 
 from svmdist.estimation.comparison import DISPARITY, KINEMATICS, MARKER, SHAFT, TAG
 from svmdist.estimation.frame import Frame
+from svmdist.estimation.frame_methods import nominal_orientation_pose, tool_from_tag
 from svmdist.estimation.instrument.distal_marker import pair_markers
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.estimation.one_view import tool_from_tag
-from svmdist.estimation.stereo import nominal_orientation_pose
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
 from svmdist.vision.lines import axis_of_cylinder
@@ -66,9 +65,7 @@ def _by_width(frame: Frame) -> ToolPose | None:
     if axis is None:
         return None
     ray = view.camera.rays(marker.centre_px)[0]
-    to_ray = np.column_stack([axis.direction, -ray])
-    along_m = float(np.linalg.lstsq(to_ray, -axis.point_m, rcond=None)[0][0])
-    depth_m = float((axis.point_m + along_m * axis.direction)[2])
+    depth_m = axis.depth_m(ray)
     width = float(np.linalg.norm(np.cross(planes[0].normal, planes[1].normal)))
     width_std = float(np.sqrt(sum(np.trace(plane.covariance) for plane in planes))) / max(width, 1e-6)
     std = float(np.hypot(width_std, instrument.shaft_radius_std_fraction))

@@ -1,0 +1,287 @@
+"""The methods without a filter: nominal kinematics, the instrument's tag, the shaft's silhouette, and both views."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.errors import ProfileError
+from svmdist.estimation.distances import measured, with_tissue
+from svmdist.estimation.frame import Frame, Needs, View
+from svmdist.estimation.instrument.consistency import with_detections
+from svmdist.estimation.instrument.distal_marker import MarkerPair, pair_markers
+from svmdist.estimation.instrument.error_model import ErrorModel, nominal_tool
+from svmdist.estimation.instrument.factors import DISPARITY
+from svmdist.estimation.instrument.image_pose import ImagePose
+from svmdist.estimation.instrument.measurement import Deviations
+from svmdist.estimation.instrument.model import wrist_in_tool
+from svmdist.estimation.instrument.tag_pose import TagPose
+from svmdist.estimation.scene import Arm
+from svmdist.estimation.tissue.detection import TissuePose, require_tissue, tissue_plane
+from svmdist.estimation.tissue.tracking import TissueTracker, surface_by_stereo
+from svmdist.kinematics.robot_state import RobotState
+from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
+from svmdist.samples import Rejection, Status
+from svmdist.transforms import Array, inverse, skew
+from svmdist.vision.stereo import RectifiedPair
+
+MUCH_SURER = 2.0  # than what is seen, the profile's surface is: breath and dents are seen only
+BOUND_AT_M = 0.1  # from an endoscope to a tool at work
+
+
+class KinematicEstimator:
+    """`--method kinematic`: nothing of the tool is taken from the image. Keeps the tissue's pose between frames."""
+
+    name = "kinematic"
+    keeps_state = True
+    needs = Needs(scene=("tissue",))
+
+    def __init__(self, arm: Arm) -> None:
+        require_tissue(arm.profile)
+        self._chain = arm.required_chain
+        self._error = arm.profile.kinematic_error
+        self._tissue = TissueTracker(arm.profile.settings.tissue)
+
+    def estimate(self, frame: Frame) -> FrameResult:
+        """Measure one frame; without joints or a camera-to-base transform there is nothing to say."""
+        tissue, result = self._tissue.add(frame.scene.tissue), with_tissue(frame)
+        robot = frame.robot_in_camera
+        if isinstance(robot, Failure):
+            return result.rejected(Status.NO_JOINTS, robot.reason)
+        if tissue is None:
+            return result
+        tool = ToolEstimate(nominal_tool(self._chain, self._error, robot), frame.joints)
+        return measured(result.rejected(Status.OK), frame, tool, tissue)
+
+
+class FiducialEstimator:
+    """`--method fiducial`. Keeps no state between frames."""
+
+    name = "fiducial"
+    keeps_state = False
+    needs = Needs(scene=("tissue", "left.tags"), frame=("tag",))
+
+    def __init__(self, arm: Arm) -> None:
+        profile = arm.profile
+        if profile.fiducial is None or profile.robot is None:
+            raise ProfileError(
+                f"profile {profile.name} has no {'[fiducial]' if profile.robot else '[robot]'}: the method"
+                " fiducial needs the tag, the link that carries it, and the chain from there to the tool"
+            )
+        require_tissue(profile)
+
+    def estimate(self, frame: Frame) -> FrameResult:
+        """Measure one frame; a frame that cannot be measured says why."""
+        # The tissue, on the plane that it lies on.
+        result, tissue = with_tissue(frame), frame.scene.tissue
+        if tissue is None or tissue.pose is None:
+            return result
+
+        # The tag: corners, then both poses that they allow, and the one of them that is true.
+        if frame.left.tag_corners_px is None:
+            return result.rejected(Status.NO_FIDUCIAL)
+        if isinstance(frame.robot, Failure):
+            return result.rejected(Status.NO_JOINTS, frame.robot.reason)
+        tag = frame.tag
+        if tag is None:
+            return result.rejected(Status.AMBIGUOUS_POSE)
+
+        # Through mounting and wrist to the tool, and the distances from there.
+        pose = tool_from_tag(frame.arm, frame.left.camera, tag, frame.robot)
+        return measured(result, frame, ToolEstimate(pose, frame.joints, has_plate=True), tissue.pose)
+
+
+def tool_from_tag(arm: Arm, camera: Camera, tag: TagPose, robot: RobotState) -> ToolPose:
+    """The tool's pose from that of the arm's tag, through the mounting and the joints behind it."""
+    fiducial = arm.profile.fiducial
+    assert fiducial is not None  # it was found
+    T_base_tag = robot.T_base_link(fiducial.link) @ fiducial.T_link_tag
+    robot = replace(robot, T_camera_base=tag.T_camera_tag @ inverse(T_base_tag))
+    T_camera_tool = robot.T_camera_tool
+
+    def carried(from_m: Array) -> Array:
+        """What an error (δp, δθ) of a frame at a point, (3,), does to a tool that is fixed to it: (6, 6)."""
+        J = np.eye(6)
+        J[:3, 3:] = -skew(T_camera_tool[:3, 3] - from_m)
+        return J
+
+    J = carried(tag.T_camera_tag[:3, 3])
+    biases = arm.deviations.of_tag(tag.T_camera_tag, np.diag(camera.K)[:2])
+    constants = sum((bias.jacobian @ bias.jacobian.T for bias in biases), np.zeros((6, 6)))
+    covariance = J @ (tag.covariance + constants) @ J.T
+    # What the errors of kinematics do to the tool, less what they do to it through the tag's link.
+    model = ErrorModel(robot.chain, arm.profile.kinematic_error)
+    links = model.links(robot, model.no_correction(), model.anchor_m(robot))
+    link = links.link(fiducial.link)
+    behind = links.link(None).derivative - carried(link.T_camera_link[:3, 3]) @ link.derivative
+    covariance += behind @ model.prior(robot) @ behind.T
+    axis = T_camera_tool[:3, :3] @ wrist_in_tool(robot.chain, robot.q).shaft
+    return ToolPose(T_camera_tool, covariance, axis)
+
+
+def certain(frame: Frame, found: ImagePose | Failure, max_std_m: float) -> ImagePose | Rejection:
+    """A pose by images that nothing contradicts and that is as certain as a method wants it, or why there is none."""
+    if isinstance(found, Failure):
+        return Rejection(frame.stamp_ns, Status.NO_INSTRUMENT, found.reason)
+    if found.doubt:
+        return Rejection(frame.stamp_ns, Status.INCONSISTENT, found.doubt)
+    if not found.pose.position_std_m <= max_std_m:  # NaN is not
+        said = f"the position is uncertain by {found.pose.position_std_m * 1e3:.1f} mm"
+        return Rejection(frame.stamp_ns, Status.UNCERTAIN, said)
+    return found
+
+
+def certain_by_pair(frame: Frame, found: ImagePose | Failure) -> ImagePose | Rejection:
+    """The same of a pose by both views: what a disparity tells of depth is a share of it."""
+    max_std_m = frame.arm.profile.stereo_in_range.max_depth_std_m
+    if isinstance(found, ImagePose):
+        max_std_m *= max(1.0, float(np.linalg.norm(found.pose.position_m)) / BOUND_AT_M)
+    return certain(frame, found, max_std_m)
+
+
+class ShaftEstimator:
+    """`--method shaft`. Keeps between frames whether it saw the tag's plate, and nothing else."""
+
+    name = "shaft"
+    keeps_state = True
+    needs = Needs(scene=("tissue", "left.tags"), frame=("shaft_pose",))
+
+    def __init__(self, arm: Arm) -> None:
+        profile = arm.profile
+        if profile.segmentation.shaft is None or profile.robot is None or profile.instrument is None:
+            raise ProfileError(
+                f"profile {profile.name} cannot serve the method shaft: it needs [segmentation.shaft], [robot] and"
+                " [instrument]"
+            )
+        require_tissue(profile)
+        self._settings = profile.settings.shaft
+        self._has_plate = False
+
+    def estimate(self, frame: Frame) -> FrameResult:
+        """Measure one frame; a frame that cannot be measured says why."""
+        # The tissue, on the plane that it lies on.
+        result, tissue = with_tissue(frame), frame.scene.tissue
+        if tissue is None or tissue.pose is None:
+            return result
+
+        # The shaft's edges and end, the distal marker, and the pose that fits them through the wrist.
+        self._has_plate |= frame.left.tag_corners_px is not None
+        fit = frame.shaft_pose
+        if isinstance(fit, Failure) and len(frame.left.shaft.contours) == 2:
+            return result.rejected(Status.UNCERTAIN, fit.reason)
+        if isinstance(fit, ImagePose):
+            result = with_detections(result, fit.gating)
+        found = certain(frame, fit, self._settings.max_position_std_m)
+        if isinstance(found, Rejection):
+            return result.rejected(found.status, found.detail)
+        return measured(result, frame, ToolEstimate(found.pose, frame.joints, self._has_plate), tissue.pose)
+
+
+class StereoEstimator:
+    """`--method stereo`. Keeps between frames whether it saw the tag's plate, and nothing else."""
+
+    name = "stereo"
+    keeps_state = True
+
+    def __init__(self, arm: Arm) -> None:
+        profile = arm.profile
+        require_tissue(profile)
+        self._chain = arm.required_chain
+        self._profile = profile
+        self._uses_shaft = profile.segmentation.shaft is not None and profile.instrument is not None
+        self._has_plate = False
+        parts = ("distal_marker", "shaft") if self._uses_shaft else ("distal_marker",)
+        views = tuple(f"{view}.{part}" for part in parts for view in ("left", "right"))
+        self.needs = Needs(("tissue", "stereo_surface", "left.tags"), views, right_view=True)
+
+    def estimate(self, frame: Frame) -> FrameResult:
+        """Measure one frame; a frame that cannot be measured says why."""
+        # The tissue's outline in the left view, and the pair's geometry.
+        result, tissue, pair = with_tissue(frame), frame.scene.tissue, frame.scene.stereo_pair
+        if tissue is None or tissue.pose is None:
+            return result
+        if isinstance(pair, Failure):
+            return result.rejected(Status.NO_STEREO, pair.reason)
+
+        # The tool: its distal marker in both views, and the shaft's direction.
+        self._has_plate |= frame.left.tag_corners_px is not None
+        located = frame.pair_pose if self._uses_shaft else self._triangulated(frame, pair)
+        if isinstance(located, ImagePose):
+            result = with_detections(result, located.gating)
+        found = located if isinstance(located, Rejection) else certain_by_pair(frame, located)
+        if isinstance(found, Rejection):
+            return result.rejected(found.status, found.detail)
+
+        # The tissue's surface, and the distances. A surface by stereo has its own error in place of the dome's.
+        seen = surface_by_stereo(frame, tissue.pose)
+        tool = ToolEstimate(found.pose, frame.joints, self._has_plate)
+        if seen is not None:
+            return _to_tissue(result, frame, tool, seen, tissue.pose)
+        if not found.is_by_right_view:
+            said = "the right view shows neither the instrument nor the tissue's surface"
+            return result.rejected(Status.NO_STEREO, said)
+        said = "the views do not agree on the tissue's surface: the profile's is used"
+        return measured(replace(result, detail=said), frame, tool, tissue.pose)
+
+    def _triangulated(self, frame: Frame, pair: RectifiedPair) -> ImagePose | Rejection | Failure:
+        """Without sizes of a shaft: the triangulated marker, with the nominal orientation."""
+        robot, right = frame.robot_in_camera, frame.right
+        markers = pair_markers(frame, pair)
+        if isinstance(markers, Failure):
+            return markers
+        if isinstance(robot, Failure):  # a place, and no direction
+            return Rejection(frame.stamp_ns, Status.NO_JOINTS, robot.reason)
+        assert right is not None  # the pair has one
+        nominal = nominal_tool(self._chain, self._profile.kinematic_error, robot)
+        pose = nominal_orientation_pose(markers, pair, right, nominal, frame.arm.deviations)
+        return ImagePose(pose, (DISPARITY,), "")
+
+
+def nominal_orientation_pose(
+    markers: MarkerPair, pair: RectifiedPair, right: View, nominal: ToolPose, deviations: Deviations
+) -> ToolPose:
+    """The triangulated position with the orientation, and its covariance, of the nominal kinematics."""
+    p_camera_m, J = pair.point(markers.left.pixel, markers.disparity_px)
+    # What baseline and the right camera's rotation may be off by is in the disparity's deviation.
+    disparity_px = np.array(markers.disparity_px)
+    biases = deviations.of_disparity(p_camera_m, right.camera, disparity_px, right.T_view_left)
+    of_cameras_px2 = sum(float(np.sum(bias.jacobian**2)) for bias in biases)
+    pixel_std_px = float(
+        np.hypot(markers.left.std_px, markers.left.radius_px * markers.left.error.part_std_m)
+    )
+    disparity_std_px = float(np.hypot(markers.std_px, markers.lasting_std_px))
+    T_camera_tool, covariance = nominal.T_camera_tool.copy(), np.zeros((6, 6))
+    T_camera_tool[:3, 3] = p_camera_m
+    variances = np.array([pixel_std_px**2, pixel_std_px**2, disparity_std_px**2 + of_cameras_px2])
+    covariance[:3, :3] = J @ np.diag(variances) @ J.T
+    covariance[3:, 3:] = nominal.covariance[3:, 3:]
+    return ToolPose(T_camera_tool, covariance, nominal.axis)
+
+
+def _to_tissue(
+    result: FrameResult, frame: Frame, tool: ToolEstimate, seen: TissuePose, by_profile: TissuePose
+) -> FrameResult:
+    """Distances to the tissue as both views show it, or to the profile's where that is much surer: far from that.
+
+    A profile that what is seen contradicts is no surer.
+    """
+    found = measured(result, frame, tool, seen)
+    normal = tissue_plane(require_tissue(frame.arm.profile)).normal
+    # By the profile, without the tool's
+    least_std_m = float(np.sqrt(normal @ by_profile.covariance @ normal))
+    std_m = None if seen.surface_std_m > 0.0 else _std_m(found)
+    if std_m is None or std_m <= MUCH_SURER * least_std_m:
+        return found
+    said = "the tissue next to the tool is hidden: the profile's is used"
+    other = measured(replace(result, detail=said), frame, tool, by_profile)
+    if (other_std_m := _std_m(other)) is not None and MUCH_SURER * other_std_m < std_m:
+        return other
+    frame.left.found["measured_surface"] = seen.surface
+    return found
+
+
+def _std_m(result: FrameResult) -> float | None:
+    clearance = result.distances.clearance
+    return None if clearance is None else clearance.without_overlap_std_m
