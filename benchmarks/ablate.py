@@ -21,7 +21,6 @@ from benchmarks.robustness import cell
 from svmdist.estimation import fused
 from svmdist.estimation.instrument import consistency
 from svmdist.estimation.instrument.factors import of_images
-from svmdist.estimation.tissue import tracking as tissue_tracking
 from svmdist.perturbations import parse_perturbations
 from svmdist.recording.log import open_recording
 from svmdist.workflows.compare import measure_runs
@@ -53,7 +52,7 @@ CASES: dict[str, tuple[object, str, Any]] = {
     "(end, size, right sides: used)": (fused, "of_images", lambda *a, **k: of_images(*a, **k | ALL)),
     "start by images": (fused.FusedEstimator, "_start", lambda *_: None),
     "variance of images after a start": (fused, "YOUNG_S", 1e-9),
-    "tissue's height by stereo": (tissue_tracking.FollowedTissue, "measure_height", lambda *_: None),
+    "tissue's height by stereo": (fused, "measure_height", lambda *_: None),
     "widening by innovations": (consistency.Consistency, "ratio", 1.0),
     "widening by constants": (consistency, "usual_furthest", lambda _: np.inf),
 }

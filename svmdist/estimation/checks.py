@@ -35,7 +35,6 @@ from svmdist.estimation.instrument.distal_marker import marker_in
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import joints_of, wrist_in_tool
 from svmdist.estimation.scene import Arm, Scene
-from svmdist.estimation.tissue.dome import INNER_RADIUS
 from svmdist.estimation.tissue.surface import depth_biases
 from svmdist.geometry import Mesh
 from svmdist.geometry.distance import signed_distances
@@ -223,11 +222,9 @@ def _of_surface(scene: Scene) -> Iterator[Difference]:
     pose, stated, points_m = tissue.pose, profile.tissue, surface.points_m
     normal, by_shape, of_shape = np.array(stated.plane_normal), np.zeros((len(points_m), 0)), np.zeros((0, 0))
     if pose.dome is not None:
-        local_m = pose.dome.to_tissue_frame(points_m)
-        inner = pose.dome.polar.normalised_radius(local_m[:, :2]) < INNER_RADIUS
-        points_m, flat_m = points_m[inner], local_m[inner, :2]
-        over_m = local_m[inner, 2] - pose.dome.height_m(flat_m)
-        by_shape, of_shape = pose.dome.derivative(flat_m), pose.dome.covariance
+        above = pose.dome.above(points_m)
+        points_m, over_m = points_m[above.inner], above.over_m
+        by_shape, of_shape = pose.dome.derivative(above.flat_m), pose.dome.covariance
     elif isinstance(pose.surface, Mesh):
         points_m = points_m[:: max(1, len(points_m) // POINTS)]
         over_m, by_shape = signed_distances(points_m, pose.surface)[1], np.zeros((len(points_m), 0))

@@ -23,7 +23,8 @@ from svmdist.estimation.instrument.kinematic_error_filter import (
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import SHAFT
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.tissue.tracking import FollowedTissue
+from svmdist.estimation.tissue.detection import require_tissue
+from svmdist.estimation.tissue.tracking import TissueTracker, at_height, measure_height
 from svmdist.results import Distances, Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import JointSample, Status
 
@@ -52,7 +53,10 @@ class FusedEstimator:
     def __init__(self, arm: Arm) -> None:
         profile = arm.profile
         self._arm, self._chain = arm, arm.required_chain
-        self._followed = FollowedTissue(arm)
+        self._stated_tissue = require_tissue(
+            profile
+        )  # that of a frame's arm may be widened by what checks say
+        self._tissue_tracker = TissueTracker(profile.settings.tissue)
         self._filter = KinematicErrorFilter(self._chain, profile.kinematic_error, profile.settings.filter)
         self._has_sizes = profile.segmentation.shaft is not None and profile.instrument is not None
         self._lasting_share = profile.settings.fused.lasting_share
@@ -63,7 +67,7 @@ class FusedEstimator:
 
     def estimate(self, frame: Frame) -> FrameResult:
         """Measure one frame; a result needs joints and a tissue seen before, and nothing of this image."""
-        tissue, result = self._followed.see(frame), with_tissue(frame)
+        tissue, result = self._tissue_tracker.add(frame.scene.tissue), with_tissue(frame)
         robot = frame.robot_in_camera
         if isinstance(robot, Failure):
             return result.rejected(Status.NO_JOINTS, robot.reason)
@@ -80,7 +84,7 @@ class FusedEstimator:
             shown = []
         gating = kalman.update([*shown, *by_tag])
         said = self._watch(frame, gating)
-        height = self._followed.measure_height(frame, kalman)
+        height = None if tissue is None else measure_height(self._stated_tissue, tissue, frame, kalman)
 
         # The tool with the error found, and the distances from there.
         self._has_plate |= frame.left.tag_corners_px is not None
@@ -97,7 +101,7 @@ class FusedEstimator:
         if tissue is None:
             result = with_tool(result, frame, tool)
             return result.rejected(Status.NO_TISSUE, "no tissue, in this frame or before")
-        placed, coupling = self._followed.placed(tissue, frame, kalman)
+        placed, coupling = at_height(self._stated_tissue, tissue, frame, kalman)
         found = measured(result, frame, tool, placed, coupling)
         doubt = said or consistency.doubt if found.status in (Status.OK, Status.INCONSISTENT) else ""
         return replace(found.rejected(Status.INCONSISTENT, doubt), distances=Distances()) if doubt else found

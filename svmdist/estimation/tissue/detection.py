@@ -47,30 +47,17 @@ class TissuePose:
     outline_covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
     is_measured: bool = False
 
-    def scaled(self, factor: float) -> TissuePose:
-        """The same on a parallel plane that is by this factor as far: all of it goes along the camera's rays."""
-        position_m, surface = factor * self.position_m, self.surface
-        if self.dome is not None:
-            return replace(self, position_m=position_m).with_dome(self.dome.scaled(factor))
-        if isinstance(surface, Plane):
-            surface = Plane(surface.normal, surface.offset_m * factor)
+    def at(self, position_m: Array, scale: float = 1.0) -> TissuePose:
+        """The same at another place, shape (3,), of its plane, or of a parallel one that is farther by a scale."""
+        dome, surface = self.dome, self.surface
+        if dome is not None:
+            dome = dome.at(position_m, scale)
+            surface = dome.mesh
+        elif isinstance(surface, Plane):
+            surface = Plane(surface.normal, scale * surface.offset_m)
         elif isinstance(surface, Mesh):
-            surface = surface.transformed(make_transform(np.eye(3), (factor - 1.0) * self.position_m))
-        return replace(self, position_m=position_m, surface=surface)
-
-    def moved_to(self, position_m: Array) -> TissuePose:
-        """The same at another place of its plane, shape (3,), with its surface."""
-        T = make_transform(np.eye(3), position_m - self.position_m)
-        moved = replace(self, position_m=position_m)
-        if self.dome is not None:
-            return moved.with_dome(replace(self.dome, T_camera_tissue=T @ self.dome.T_camera_tissue))
-        return (
-            replace(moved, surface=self.surface.transformed(T)) if isinstance(self.surface, Mesh) else moved
-        )
-
-    def with_dome(self, dome: DomeModel) -> TissuePose:
-        """The same place under a dome of another shape."""
-        return replace(self, surface=dome.mesh, dome=dome)
+            surface = surface.transformed(make_transform(np.eye(3), position_m - self.position_m))
+        return replace(self, position_m=position_m, surface=surface, dome=dome)
 
     def surface_variance_m2(self, point_m: Array, direction: Array) -> float:
         """By how much the surface may stand off at one of its points, shape (3,), along a unit vector, shape (3,)."""
@@ -87,11 +74,12 @@ def require_tissue(profile: Profile) -> Tissue:
             f"profile {profile.name} has no [tissue]: a distance in 3D from one camera needs the plane that the"
             " tissue lies on (plane_normal, plane_distance_m)"
         )
-    if profile.tissue.mesh is not None:
-        read_closed_mesh(
-            profile.tissue.mesh, METRES_PER_UNIT[profile.tissue.mesh_unit]
-        )  # read once, before the first frame
+    _stated_mesh(profile.tissue)  # read once, before the first frame
     return profile.tissue
+
+
+def _stated_mesh(tissue: Tissue) -> Mesh | None:
+    return None if tissue.mesh is None else read_closed_mesh(tissue.mesh, METRES_PER_UNIT[tissue.mesh_unit])
 
 
 def tissue_pose(
@@ -125,8 +113,7 @@ def tissue_pose(
     if tissue.dome is not None and np.all(np.isfinite(outline_m)) and len(outline_m) >= 3:
         dome = DomeModel.over(outline_m, T_camera_tissue, tissue.dome)
         surface = dome.mesh
-    elif tissue.mesh is not None:
-        mesh = read_closed_mesh(tissue.mesh, METRES_PER_UNIT[tissue.mesh_unit])
+    elif (mesh := _stated_mesh(tissue)) is not None:
         surface = mesh.transformed(T_camera_tissue @ tissue.T_tissue_mesh)
     return TissuePose(position_m, covariance, surface, tissue.surface_std_m, dome, of_outline)
 

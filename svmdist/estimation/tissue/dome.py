@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,74 +14,19 @@ from svmdist.profile.robot import Dome
 from svmdist.transforms import Array, inverse, transform_points
 
 INNER_RADIUS = 0.9  # of the dome, normalised: beyond it the rim is too steep for a surface of low order
-
-FULL_TURN = 2.0 * np.pi
-
-
-@dataclass(frozen=True, slots=True)
-class PolarOutline:
-    """An outline's corners about an apex (2,): vectors (n, 2), ascending angles, and 1 / lengths in 1/m, (n,)."""
-
-    apex_m: Array
-    from_apex_m: Array
-    angle_rad: Array
-    reciprocal: Array
-
-    @staticmethod
-    def about(apex_m: Array, outline_m: Array) -> PolarOutline:
-        """The outline, shape (n, 2), as seen from the apex."""
-        from_apex = outline_m - apex_m
-        angle = np.arctan2(from_apex[:, 1], from_apex[:, 0])
-        order = np.argsort(angle)
-        from_apex = from_apex[order]
-        return PolarOutline(apex_m, from_apex, angle[order], 1.0 / np.hypot(from_apex[:, 0], from_apex[:, 1]))
-
-    def normalised_radius(self, points_m: Array) -> Array:
-        """0 at the apex, 1 on the outline, for points, shape (n, 2): shape (n,)."""
-        from_apex = points_m - self.apex_m
-        before, after, _, share = self._between(from_apex)
-        reciprocal = self.reciprocal[before] + share * (self.reciprocal[after] - self.reciprocal[before])
-        return np.asarray(np.hypot(from_apex[:, 0], from_apex[:, 1]) * reciprocal)
-
-    def with_derivative(self, points_m: Array) -> tuple[Array, Array]:
-        """The same, and its derivative by the apex: shapes (n,) and (n, 2); the latter is zero at the apex itself."""
-        from_apex = points_m - self.apex_m
-        length = np.hypot(from_apex[:, 0], from_apex[:, 1])
-        safe = np.where(length > 0.0, length, np.inf)
-        before, after, span, share = self._between(from_apex)
-        rise = self.reciprocal[after] - self.reciprocal[before]
-        reciprocal = self.reciprocal[before] + share * rise
-        # Of a vector r from the apex: d(1/|r|) = r / |r|³, d angle = (r_y, -r_x) / |r|², d|r| = -r / |r|.
-        d_reciprocal = self.from_apex_m * self.reciprocal[:, None] ** 3
-        d_angle = _across(self.from_apex_m) * self.reciprocal[:, None] ** 2
-        d_toward = _across(from_apex) / safe[:, None] ** 2
-        d_span = d_angle[after] - d_angle[before]
-        span = np.where(span > 0.0, span, np.inf)[:, None]
-        d_share = (d_toward - d_angle[before] - share[:, None] * d_span) / span
-        d_here = d_reciprocal[before] + share[:, None] * (d_reciprocal[after] - d_reciprocal[before])
-        d_here += d_share * rise[:, None]
-        derivative = length[:, None] * d_here - reciprocal[:, None] * from_apex / safe[:, None]
-        return length * reciprocal, np.where(length[:, None] > 0.0, derivative, 0.0)
-
-    def _between(self, from_apex: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], Array, Array]:
-        """The corners before and after vectors from the apex, the angle between them, and the vector's share of it."""
-        toward = np.arctan2(from_apex[:, 1], from_apex[:, 0])
-        after = np.searchsorted(self.angle_rad, toward, side="right") % len(self.angle_rad)
-        before = (after - 1) % len(self.angle_rad)
-        span = (self.angle_rad[after] - self.angle_rad[before]) % FULL_TURN
-        ahead = (toward - self.angle_rad[before]) % FULL_TURN
-        share = np.where(span > 0.0, ahead / np.where(span > 0.0, span, 1.0), 0.0)
-        return before, after, span, share
-
-
-def _across(vectors: Array) -> Array:
-    return np.stack([vectors[:, 1], -vectors[:, 0]], -1)
-
-
+STEP = 1e-7  # of the shape's numbers, by which the derivative is taken
 RINGS = 14
 SIDES = 72  # the dome's mesh: chords of 5° stand 0.03 mm off an outline of 28 mm
 STEEP_RADIUS = 0.98
 """Towards the rim a dome's slope has no bound; beyond this normalised radius it counts as it is here."""
+
+
+class AboveDome(NamedTuple):
+    """Which of n points are inside of the rim, (n,), where these k are on the plane, (k, 2), and how far above it."""
+
+    inner: NDArray[np.bool_]
+    flat_m: Array
+    over_m: Array
 
 
 @dataclass(frozen=True)
@@ -106,50 +52,54 @@ class DomeModel:
         shape = np.array([0.0, 0.0, rule.height_m, rule.gauge_exponent, rule.height_exponent])
         return DomeModel(T_camera_tissue, flat_m, shape, np.diag(np.square(stds)))
 
-    def scaled(self, factor: float) -> DomeModel:
-        """The same on a parallel plane by this factor as far from the camera: as high, and wider by it."""
+    def at(self, position_m: Array, scale: float) -> DomeModel:
+        """The same about another origin, shape (3,), in the camera frame: wider by a scale, and as high."""
         T = self.T_camera_tissue.copy()
-        T[:3, 3] *= factor
-        shape = self.shape * np.array([factor, factor, 1.0, 1.0, 1.0])
-        return replace(self, T_camera_tissue=T, outline_m=factor * self.outline_m, shape=shape)
+        T[:3, 3] = position_m
+        shape = self.shape * np.array([scale, scale, 1.0, 1.0, 1.0])
+        return replace(self, T_camera_tissue=T, outline_m=scale * self.outline_m, shape=shape)
 
     def to_tissue_frame(self, points_m: Array) -> Array:
         """Points of the camera frame, shape (n, 3), in the tissue's frame."""
         return transform_points(inverse(self.T_camera_tissue), points_m)
 
+    def normalised_radius(self, points_m: Array) -> Array:
+        """0 at the apex, 1 on the outline, for points in the tissue's frame, shape (n, 2): shape (n,)."""
+        (x, y), (corner_x, corner_y) = (points_m - self.shape[:2]).T, (self.outline_m - self.shape[:2]).T
+        # Between corners the reciprocal of the length is interpolated by the angle.
+        towards, angle = np.arctan2(y, x), np.arctan2(corner_y, corner_x)
+        reciprocal = np.interp(towards, angle, 1.0 / np.hypot(corner_x, corner_y), period=2.0 * np.pi)
+        return np.asarray(np.hypot(x, y) * reciprocal)
+
     def height_m(self, points_m: Array) -> Array:
-        """Height over the plane at points in the tissue's frame, shape (n, 2)."""
-        return np.asarray(self.shape[2] * self._profile(self.polar.normalised_radius(points_m)))
+        """Height over the plane, 0 beyond the outline, at points in the tissue's frame, shape (n, 2)."""
+        return np.asarray(self.shape[2] * self._profile(self.normalised_radius(points_m)))
+
+    def above(self, points_m: Array) -> AboveDome:
+        """How far points of the camera frame, shape (n, 3), are above the dome."""
+        local_m = self.to_tissue_frame(points_m)
+        inner = self.normalised_radius(local_m[:, :2]) < INNER_RADIUS
+        flat_m = local_m[inner, :2]
+        return AboveDome(inner, flat_m, local_m[inner, 2] - self.height_m(flat_m))
 
     def derivative(self, points_m: Array) -> Array:
-        """Of the height (0 beyond the outline) at points, shape (n, 2), by the shape: shape (n, 5)."""
-        radius, by_apex = self.polar.with_derivative(points_m)
-        height_m, a, b = self.shape[2:]
-        power = radius**a
-        inside = power < 1.0
-        rest = np.where(inside, 1.0 - power, 1.0)
-        log_radius = np.log(np.where(radius > 0.0, radius, 1.0))
-        profile = np.where(inside, rest**b, 0.0)
-        by_power = np.where(inside, -b * rest ** (b - 1.0), 0.0)
-        by_radius = by_power * a * radius ** (a - 1.0)
-        by_gauge, by_exponent = height_m * by_power * power * log_radius, height_m * profile * np.log(rest)
-        return np.column_stack([height_m * by_radius[:, None] * by_apex, profile, by_gauge, by_exponent])
+        """Of the height at points, shape (n, 2), by the shape: shape (n, 5), by central differences."""
+        columns = []
+        for step in STEP * np.eye(5):
+            ahead, behind = (replace(self, shape=self.shape + by).height_m(points_m) for by in (step, -step))
+            columns.append((ahead - behind) / (2.0 * STEP))
+        return np.column_stack(columns)
 
     def variance_m2(self, point_m: Array, direction: Array) -> float:
         """By how much the surface at a point of the camera frame, (3,), may move along a unit vector, (3,)."""
         flat_m = self.to_tissue_frame(point_m[None])[:, :2]
-        radius = float(self.polar.normalised_radius(flat_m)[0])
+        radius = float(self.normalised_radius(flat_m)[0])
         if radius > STEEP_RADIUS:
             apex_m = self.shape[:2]
             flat_m = apex_m + (flat_m - apex_m) * STEEP_RADIUS / radius
         J = self.derivative(flat_m)[0]
         along = float(direction @ self.T_camera_tissue[:3, 2])
         return along**2 * float(J @ self.covariance @ J)
-
-    @cached_property
-    def polar(self) -> PolarOutline:
-        """The outline about the apex, in the tissue's frame."""
-        return PolarOutline.about(self.shape[:2], self.outline_m)
 
     @cached_property
     def mesh(self) -> Mesh:

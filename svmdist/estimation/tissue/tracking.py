@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from svmdist.estimation.instrument.consistency import GatingResult, chi_square_b
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import SharedBias
 from svmdist.estimation.instrument.state import Linearised
-from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue.detection import (
     TissueDetection,
     TissuePose,
@@ -19,9 +18,8 @@ from svmdist.estimation.tissue.detection import (
     require_tissue,
     tissue_plane,
 )
-from svmdist.estimation.tissue.dome import INNER_RADIUS, DomeModel
 from svmdist.estimation.tissue.surface import depth_biases
-from svmdist.geometry import Cloud
+from svmdist.geometry import Cloud, Plane
 from svmdist.least_squares import median, scale_of
 from svmdist.profile.robot import Tissue
 from svmdist.profile.settings import TissueTrackingSettings
@@ -105,7 +103,7 @@ class TissueTracker:
         # Outlines differ from frame to frame and are averaged; the plane is as uncertain in all of them.
         position_m, of_outline = self._place.now()
         covariance = of_outline + self._best.covariance - self._best.outline_covariance
-        known = self._best.moved_to(position_m)  # spatial distance and clearance are to one tissue
+        known = self._best.at(position_m)  # spatial distance and clearance are to one tissue
         return replace(known, covariance=covariance, outline_covariance=of_outline)
 
     def _agrees(self, pose: TissuePose) -> bool:
@@ -121,30 +119,18 @@ MIN_POINTS = 50  # of a surface inside of the dome's rim: fewer are no view of i
 OUTLINE = "tissue height"
 
 
-@dataclass(frozen=True, slots=True)
-class TissueHeight:
-    """What is uncertain about the plane's distance at the tissue: constant and motion, as deviations in m."""
+def height_biases(tissue: Tissue, position_m: Array) -> tuple[SharedBias, SharedBias]:
+    """What is uncertain of the plane's height in m at a place on it, (3,), as derivatives (1, 1): constant, and motion.
 
-    constant_std_m: float
-    motion_std_m: float
-    motion_time_s: float
-
-    @classmethod
-    def of(cls, tissue: Tissue, position_m: Array) -> TissueHeight:
-        """At a place on the plane, shape (3,): a tilt lifts what lies beside the foot of the camera's perpendicular."""
-        normal = np.array(tissue.plane_normal)
-        beside_m = position_m + tissue.plane_distance_m * normal
-        tilt_m = tissue.plane_tilt_std_rad * float(np.linalg.norm(beside_m))
-        constant = float(np.hypot(tissue.plane_distance_std_m, tilt_m))
-        return cls(constant, tissue.motion_std_m, tissue.motion_time_s)
-
-    def biases(self, by_height: Array) -> tuple[SharedBias, ...]:
-        """Of what a height in m moves by `by_height`, shape (m,)."""
-        column = by_height[:, None]
-        return (
-            SharedBias("tissue plane", self.constant_std_m * column),
-            SharedBias("tissue motion", self.motion_std_m * column, self.motion_time_s),
-        )
+    A tilt lifts what lies beside the foot of the camera's perpendicular.
+    """
+    beside_m = position_m + tissue.plane_distance_m * np.array(tissue.plane_normal)
+    tilt_m = tissue.plane_tilt_std_rad * float(np.linalg.norm(beside_m))
+    constant_std_m = float(np.hypot(tissue.plane_distance_std_m, tilt_m))
+    return (
+        SharedBias("tissue plane", np.array([[constant_std_m]])),
+        SharedBias("tissue motion", np.array([[tissue.motion_std_m]]), tissue.motion_time_s),
+    )
 
 
 MAX_SHAPE_STDS = 2.0  # beyond, a surface that is seen is better than a shape: it only widens the interval
@@ -176,94 +162,71 @@ def _off_plane_m(points_m: Array, std_m: float, tissue: Tissue) -> float:
     return off_m if off_m > OFF_PLANE_STDS * float(np.linalg.norm(parts)) else 0.0
 
 
-class FollowedTissue:
-    """The tissue between frames: a place that is averaged, a shape, and a height that the filter's state holds."""
+def measure_height(
+    tissue: Tissue, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter
+) -> GatingResult | None:
+    """Tell the filter how high stereo shows the tissue over the profile's plane; None where it does not show it."""
+    surface, right = frame.scene.stereo_surface, frame.scene.observation.right
+    if surface is None or right is None or known.dome is None:
+        return None
+    dome, above = known.dome, known.dome.above(surface.points_m)
+    if len(above.over_m) < MIN_POINTS:
+        return None
+    at_m = np.median(surface.points_m[above.inner], 0)
+    # Disparity to depth to height along the plane's normal: a larger disparity is nearer to the camera.
+    along_normal = abs(float(dome.T_camera_tissue[2, 2]))
+    of_cameras = depth_biases(at_m, frame.left.camera, right, frame.arm.deviations)
+    by_shape = dome.derivative(above.flat_m).mean(0)
+    dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
+    lasting_m = np.hypot(LASTING_HEIGHT_SHARE * surface.std_m, dome_std_m)
+    own = SharedBias(OUTLINE, np.array([[lasting_m]]), HEIGHT_CORRELATION_TIME_S)
+    noise_m2 = (1.0 - LASTING_HEIGHT_SHARE**2) * surface.std_m**2
+    of_plane = height_biases(tissue, known.position_m)
+    biases = (own, *of_plane, *(bias.scaled(along_normal) for bias in of_cameras))
+    over_m = np.array([median(above.over_m)])
+    return kalman.update_scene(OUTLINE, Linearised(over_m, np.zeros((1, 0)), biases, np.array([[noise_m2]])))
 
-    def __init__(self, arm: Arm) -> None:
-        self._profile = arm.profile
-        self._tissue = require_tissue(arm.profile)
-        self._plane = tissue_plane(self._tissue)
-        self._deviations = arm.deviations
-        self._tracker = TissueTracker(arm.profile.settings.tissue)
-        self._known: TissuePose | None = None
 
-    def see(self, frame: Frame) -> TissuePose | None:
-        """The tissue on the profile's plane after this frame, which may hide it."""
-        self._known = self._tracker.add(frame.scene.tissue)
-        return self._known
+def at_height(
+    tissue: Tissue, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter
+) -> tuple[TissuePose, Array]:
+    """The tissue at the height found, with all its errors, and their covariance with the tool's pose, (6, 3).
 
-    def measure_height(self, frame: Frame, kalman: KinematicErrorFilter) -> GatingResult | None:
-        """Tell the filter how high stereo shows the tissue; None where it does not show it."""
-        known, right = self._known, frame.scene.observation.right
-        if known is None or known.dome is None or right is None:
-            return None
-        surface, dome = frame.scene.stereo_surface, known.dome
-        if surface is None:
-            return None
-        points_m = dome.to_tissue_frame(surface.points_m)
-        inner = dome.polar.normalised_radius(points_m[:, :2]) < INNER_RADIUS
-        if np.count_nonzero(inner) < MIN_POINTS:
-            return None
-        over_m = float(median(points_m[inner, 2] - dome.height_m(points_m[inner, :2])))
-        at_m = np.median(surface.points_m[inner], 0)
-        # Disparity to depth to height along the plane's normal: a larger disparity is nearer to the camera.
-        along_normal = abs(float(dome.T_camera_tissue[2, 2]))
-        of_cameras = depth_biases(at_m, frame.left.camera, right, self._deviations)
-        by_shape = dome.derivative(points_m[inner, :2]).mean(0)
-        dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
-        lasting_m = np.hypot(LASTING_HEIGHT_SHARE * surface.std_m, dome_std_m)
-        own = SharedBias(OUTLINE, np.array([[lasting_m]]), HEIGHT_CORRELATION_TIME_S)
-        noise_m2 = (1.0 - LASTING_HEIGHT_SHARE**2) * surface.std_m**2
-        height = TissueHeight.of(self._tissue, known.position_m)
-        biases = (own, *height.biases(np.ones(1)), *(bias.scaled(along_normal) for bias in of_cameras))
-        part = Linearised(np.array([over_m]), np.zeros((1, 0)), biases, np.array([[noise_m2]]))
-        return kalman.update_scene(OUTLINE, part)
+    Where both views show a surface and the profile knows its shape no better, that surface is taken: as if its
+    errors were not the tool's, too, which makes their difference only wider.
+    """
+    of_camera = frame.arm.deviations.camera
+    plane, biases = tissue_plane(tissue), height_biases(tissue, known.position_m)
+    offset_m = plane.offset_m + sum(
+        float(bias.jacobian[0, 0]) * kalman.constant(bias.name) for bias in biases
+    )
+    scale = offset_m / plane.offset_m
+    placed = known.at(scale * known.position_m, scale)
+    by_height = placed.position_m[:, None] / offset_m
+    by_ray = ray_on_plane_biases(
+        placed.position_m, Plane(plane.normal, offset_m), frame.left.camera, of_camera
+    )
+    along = (replace(bias, jacobian=by_height @ bias.jacobian) for bias in biases)
+    covariance, coupling = kalman.coupled((*along, *by_ray))
+    placed = replace(placed, covariance=placed.outline_covariance + covariance)
+    seen = surface_by_stereo(frame, placed)
+    return (placed if seen is None or _has_surer_shape(tissue, placed, seen, frame) else seen), coupling
 
-    def placed(
-        self, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter
-    ) -> tuple[TissuePose, Array]:
-        """The tissue at the height found, with all its errors, and their covariance with the tool's pose, (6, 3).
 
-        Where both views show a surface and the profile knows its shape no better, that surface is taken: as if its
-        errors were not the tool's, too, which makes their difference only wider.
-        """
-        height = TissueHeight.of(self._tissue, known.position_m)
-        plane_m = height.constant_std_m * kalman.constant("tissue plane")
-        height_m = plane_m + height.motion_std_m * kalman.constant("tissue motion")
-        plane = replace(self._plane, offset_m=self._plane.offset_m + height_m)
-        placed = known.scaled(plane.offset_m / self._plane.offset_m)
-        place_m, of_camera = placed.position_m, self._deviations.camera
-        by_ray = ray_on_plane_biases(place_m, plane, frame.left.camera, of_camera)
-        covariance, coupling = kalman.coupled((*height.biases(place_m / plane.offset_m), *by_ray))
-        placed = replace(placed, covariance=placed.outline_covariance + covariance)
-        seen = surface_by_stereo(frame, placed)
-        if seen is None:
-            return placed, coupling
-        shape_std_m = self._shape_std_m(seen)
-        assert isinstance(seen.surface, Cloud)
-        seen_std_m = float(np.hypot(median(seen.surface.std_m), seen.surface_std_m))
-        is_surer = shape_std_m < seen_std_m and self._has_shape(placed.dome, frame, shape_std_m)
-        return placed if is_surer else seen, coupling
-
-    def _has_shape(self, dome: DomeModel | None, frame: Frame, std_m: float) -> bool:
-        """Whether a surface that is seen has a dome's shape, `std_m` apart, at whatever height."""
-        surface = frame.scene.stereo_surface
-        if dome is None or surface is None:
-            return True
-        points_m = dome.to_tissue_frame(surface.points_m)
-        inner_m = points_m[dome.polar.normalised_radius(points_m[:, :2]) < INNER_RADIUS]
-        if len(inner_m) < MIN_POINTS:
-            return True
-        over_m = inner_m[:, 2] - dome.height_m(inner_m[:, :2])
-        return scale_of(over_m - median(over_m)) < MAX_SHAPE_STDS * float(np.hypot(std_m, surface.std_m))
-
-    def _shape_std_m(self, seen: TissuePose) -> float:
-        """How wrong the profile's shape of a surface that is seen may be; without a dome or mesh it knows none."""
-        tissue = self._tissue
-        if tissue.dome is None and tissue.mesh is None:
-            return np.inf
-        assert isinstance(seen.surface, Cloud)
-        from_origin_m = seen.surface.points_m - seen.position_m
-        tilt_m = tissue.plane_tilt_std_rad * float(np.median(np.linalg.norm(from_origin_m, axis=1)))
-        dome_m = 0.0 if tissue.dome is None else tissue.dome.height_std_m
-        return float(np.linalg.norm([tissue.surface_std_m, dome_m, tilt_m]))
+def _has_surer_shape(tissue: Tissue, placed: TissuePose, seen: TissuePose, frame: Frame) -> bool:
+    """Whether the profile's shape is surer than a surface that is seen, and that one has it, at whatever height."""
+    cloud, surface = seen.surface, frame.scene.stereo_surface
+    assert isinstance(cloud, Cloud)
+    if tissue.dome is None and tissue.mesh is None:
+        return False
+    away_m = float(np.median(np.linalg.norm(cloud.points_m - seen.position_m, axis=1)))
+    dome_std_m = 0.0 if tissue.dome is None else tissue.dome.height_std_m
+    std_m = float(np.linalg.norm([tissue.surface_std_m, dome_std_m, tissue.plane_tilt_std_rad * away_m]))
+    if std_m >= np.hypot(median(cloud.std_m), seen.surface_std_m):
+        return False
+    if placed.dome is None or surface is None:
+        return True
+    over_m = placed.dome.above(surface.points_m).over_m
+    if len(over_m) < MIN_POINTS:
+        return True
+    return scale_of(over_m - median(over_m)) < MAX_SHAPE_STDS * float(np.hypot(std_m, surface.std_m))
