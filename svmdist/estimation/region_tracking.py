@@ -40,33 +40,6 @@ class Gaussian:
         return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance)[-1], 0.0)))
 
 
-class SteadyMotion:
-    """Constant velocity with random accelerations: a Kalman filter over (x, y, vx, vy) in px and px/s."""
-
-    def __init__(self, width_px: int, settings: AssociationSettings) -> None:
-        self._acceleration = settings.acceleration_widths * width_px
-        self._first_speed = FIRST_SPEED_WIDTHS * width_px
-        self._x: Array | None = None
-        self._P = np.zeros((4, 4))
-        self._stamp_ns = 0
-
-    def predict(self, stamp_ns: int) -> Gaussian | None:
-        """Go on to a stamp; None before the first region."""
-        dt = max(0.0, (stamp_ns - self._stamp_ns) / 1e9)
-        self._stamp_ns = stamp_ns
-        if self._x is None:
-            return None
-        F = np.eye(4)
-        F[0, 2] = F[1, 3] = dt
-        G = np.vstack([0.5 * dt * dt * np.eye(2), dt * np.eye(2)])
-        self._x, self._P = F @ self._x, F @ self._P @ F.T + self._acceleration**2 * G @ G.T
-        return Gaussian(self._x[:2], self._P[:2, :2])
-
-    def update(self, place: Gaussian) -> None:
-        """Take up a region, or a place that a better prediction gives."""
-        self._x, self._P = _updated(self._x, self._P, place, self._first_speed)
-
-
 @dataclass(frozen=True, slots=True)
 class NominalPlace:
     """Where the tool is by nominal kinematics: in the image, in the camera frame, (3,) in m, and its scale."""
@@ -74,68 +47,6 @@ class NominalPlace:
     place: Gaussian
     position_m: Array
     px_per_m: float
-
-
-class NominalMotion:
-    """The nominal place, corrected: seen = nominal + offset + M (motion in space since it was last seen).
-
-    A robot that is wrong about where its camera stands still knows its own motion. What it gets wrong about how
-    that looks, by a wrong depth, place and turn, is linear to first order: offset (2,) and M (2, 3), in px of image
-    for px of motion, are the eight states of a Kalman filter. The relation outlives occlusions. `origin` is where the
-    tool was nominally when it was last seen.
-    """
-
-    def __init__(self, width_px: int) -> None:
-        self._drift = DRIFT_WIDTHS * width_px
-        self._x: Array | None = None
-        self._P = np.zeros((8, 8))
-        self.origin: NominalPlace | None = None
-        self._now: NominalPlace | None = None
-        self._stamp_ns = 0
-
-    def predict(self, stamp_ns: int, nominal: NominalPlace | None) -> Gaussian | None:
-        """Where the region should be, for a nominal place; before the first region, the nominal place itself."""
-        self._now = nominal
-        if nominal is None:
-            return None
-        dt = max(0.0, (stamp_ns - self._stamp_ns) / 1e9)
-        self._stamp_ns = stamp_ns
-        if self._x is None:
-            return nominal.place
-        self._P = self._P + dt * np.diag([self._drift**2] * 2 + [LINEAR_DRIFT**2] * 6)
-        H = self._H(nominal)
-        return Gaussian(nominal.place.mean + H @ self._x, H @ self._P @ H.T)
-
-    def update(self, place: Gaussian) -> None:
-        """Take up a region, seen when the nominal place was the one last given."""
-        if self._now is None:
-            return
-        if self._x is not None:
-            # From here on motion counts from this place: what is unsure of M shows in what comes, not in what was.
-            moved = np.eye(8)
-            moved[:2] = self._H(self._now)
-            self._x, self._P = moved @ self._x, moved @ self._P @ moved.T
-        offset = Gaussian(place.mean - self._now.place.mean, place.covariance)
-        self._x, self._P = _updated(self._x, self._P, offset, LINEAR_STD)
-        self.origin = self._now
-
-    def _H(self, nominal: NominalPlace) -> Array:
-        origin = self.origin or nominal
-        motion_px = (nominal.position_m - origin.position_m) * origin.px_per_m
-        return np.hstack([np.eye(2), np.kron(np.eye(2), motion_px[None])])
-
-
-def _updated(x: Array | None, P: Array, seen: Gaussian, first_std: float) -> tuple[Array, Array]:
-    """The Kalman update of the first two states, in Joseph's form, which keeps P positive; the first sets the state."""
-    size, R = len(P), seen.covariance
-    if x is None:
-        P = np.diag([0.0] * 2 + [first_std**2] * (size - 2))
-        P[:2, :2] = R
-        return np.concatenate([seen.mean, np.zeros(size - 2)]), P
-    H = np.eye(2, size)
-    K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-    A = np.eye(size) - K @ H
-    return x + K @ (seen.mean - H @ x), A @ P @ A.T + K @ R @ K.T
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,24 +62,82 @@ class Blob:
         return float(np.sqrt(self.area_px / np.pi))
 
 
-@dataclass
+class LinearMotion:
+    """A Kalman filter of a place (2,) in px, and of M (2, k), by which causes (k,) move it: time, or a nominal motion.
+
+    `first_std` is the standard deviation of each number of M before it was seen to move.
+    """
+
+    def __init__(self, causes: int, first_std: float) -> None:
+        self._x: Array | None = None
+        self._P = np.diag([0.0] * 2 + [first_std**2] * (2 * causes))
+
+    def after(self, by: Array) -> Gaussian | None:
+        """The place after a cause, shape (k,); None before the first place."""
+        if self._x is None:
+            return None
+        H = np.hstack([np.eye(2), np.kron(np.eye(2), by[None])])
+        return Gaussian(H @ self._x, H @ self._P @ H.T)
+
+    def move(self, by: Array, noise: Array | float = 0.0) -> None:
+        """Go on by a cause, with the covariance that this adds to place and M, row by row."""
+        if self._x is None:
+            return
+        F = np.eye(len(self._x))
+        F[:2, 2:] = np.kron(np.eye(2), by[None])
+        self._x, self._P = F @ self._x, F @ self._P @ F.T + noise
+
+    def update(self, seen: Gaussian) -> None:
+        """Take up a place, in Joseph's form, which keeps P positive; the first one sets the state."""
+        size, R = len(self._P), seen.covariance
+        if self._x is None:
+            self._x, self._P[:2, :2] = np.concatenate([seen.mean, np.zeros(size - 2)]), R
+            return
+        H = np.eye(2, size)
+        K = self._P @ H.T @ np.linalg.inv(H @ self._P @ H.T + R)
+        A = np.eye(size) - K @ H
+        self._x, self._P = self._x + K @ (seen.mean - H @ self._x), A @ self._P @ A.T + K @ R @ K.T
+
+
 class _Track:
-    """One instrument over time; `alone` is its region when last seen, with its area by itself, None before."""
+    """One instrument over time: by constant velocity, and by its nominal motion; `alone` is its region by itself.
 
-    steady: SteadyMotion
-    nominal: NominalMotion
-    alone: Blob | None = None
+    A robot that is wrong about where its camera stands still knows its own motion. What it gets wrong about how that
+    looks, by a wrong depth, place and turn, is linear to first order: seen = nominal + offset, which M moves for a
+    motion in space. The relation outlives occlusions.
+    """
 
-    def predict(self, stamp_ns: int, place: NominalPlace | None) -> Gaussian | None:
+    def __init__(self, width_px: int, settings: AssociationSettings) -> None:
+        self.alone: Blob | None = None  # when last seen, None before
+        self._acceleration = settings.acceleration_widths * width_px
+        self._drift = np.diag([(DRIFT_WIDTHS * width_px) ** 2] * 2 + [LINEAR_DRIFT**2] * 6)
+        self._steady = LinearMotion(1, FIRST_SPEED_WIDTHS * width_px)
+        self._offset = LinearMotion(3, LINEAR_STD)
+        self._seen_at: NominalPlace | None = None  # where it was nominally when it was last seen
+        self._moved_px = np.zeros(3)  # nominally since then, in px of image
+        self._stamp_ns = 0
+
+    def predict(self, stamp_ns: int, nominal: NominalPlace | None) -> Gaussian | None:
         """Where the region should be; None where nothing tells."""
-        steady, nominal = self.steady.predict(stamp_ns), self.nominal.predict(stamp_ns, place)
-        return steady if nominal is None else nominal
+        dt = max(0.0, (stamp_ns - self._stamp_ns) / 1e9)
+        self._stamp_ns = stamp_ns
+        G = self._acceleration * np.vstack([0.5 * dt * dt * np.eye(2), dt * np.eye(2)])
+        self._steady.move(np.array([dt]), G @ G.T)
+        self._offset.move(np.zeros(3), dt * self._drift)
+        if nominal is None:
+            return self._steady.after(np.zeros(1))
+        before = self._seen_at or nominal
+        self._moved_px = (nominal.position_m - before.position_m) * before.px_per_m
+        offset = self._offset.after(self._moved_px)
+        if offset is None:
+            return nominal.place
+        return Gaussian(nominal.place.mean + offset.mean, offset.covariance)
 
-    def update(self, blob: Blob | None, expected: Gaussian | None) -> None:
+    def update(self, blob: Blob | None, expected: Gaussian | None, nominal: NominalPlace | None) -> None:
         """Take up a region; without one, nominal motion that was ever corrected moves the other prediction along."""
         if blob is None:
-            if expected is not None and self.nominal.origin is not None:
-                self.steady.update(expected)
+            if expected is not None and self._seen_at is not None:
+                self._steady.update(expected)
             return
         std_px = max(MIN_STD_PX, SPREAD_FRACTION * blob.radius_px)
         if self.alone is None:
@@ -177,9 +146,13 @@ class _Track:
             std_px += 0.5 * self.alone.radius_px  # half is hidden: its middle is elsewhere
         else:
             self.alone = Blob(blob.centre_px, 0.8 * self.alone.area_px + 0.2 * blob.area_px)
-        place = Gaussian(blob.centre_px, std_px**2 * np.eye(2))
-        self.steady.update(place)
-        self.nominal.update(place)
+        covariance = std_px**2 * np.eye(2)
+        self._steady.update(Gaussian(blob.centre_px, covariance))
+        if nominal is not None:
+            # From here on motion counts from this place: what is unsure of M shows in what comes, not in what was.
+            self._offset.move(self._moved_px)
+            self._seen_at = nominal
+            self._offset.update(Gaussian(blob.centre_px - nominal.place.mean, covariance))
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,9 +171,7 @@ class RegionTracker:
         self._width_px = width_px
         self._settings = settings
         self._extra_region_cost = float(np.log(width_px * height_px / CLUTTER_COUNT))
-        self._tracks = [
-            _Track(SteadyMotion(width_px, settings), NominalMotion(width_px)) for _ in range(count)
-        ]
+        self._tracks = [_Track(width_px, settings) for _ in range(count)]
 
     def update(
         self,
@@ -221,8 +192,9 @@ class RegionTracker:
         if evidence is not None:
             cost -= evidence[:, order]
         identities = []
-        for track, at, where in zip(self._tracks, self._assign(expected, seen, cost), expected, strict=True):
-            track.update(None if at is None else seen[at], where)
+        found = self._assign(expected, seen, cost)
+        for track, at, where, place in zip(self._tracks, found, expected, places, strict=True):
+            track.update(None if at is None else seen[at], where, place)
             radius_px = track.alone.radius_px if track.alone else None
             identities.append(Identity(None if at is None else order[at], where, radius_px))
         return tuple(identities)

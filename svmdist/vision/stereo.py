@@ -205,3 +205,31 @@ def reduced(image: Image, step: int, how: int = cv2.INTER_AREA) -> Image:
     """An image, shape (h, w), at a `step`-th of its size, by OpenCV's interpolation `how`."""
     size = (image.shape[1] // step, image.shape[0] // step)
     return image if step == 1 else np.asarray(cv2.resize(image, size, interpolation=how), np.uint8)
+
+
+ROWS_PX = 2  # by which rows may differ
+LEAST_LIKENESS, LEAST_LEAD = 0.6, 0.05  # correlation of a match, and how much better than any elsewhere
+SAME_PX = 3.0  # what is so near to the best match is the same
+
+
+def matched_place(views: tuple[Image, Image], at_px: Array, half_px: float, places_px: Array) -> int | None:
+    """Which of the right view's places, (n, 2), looks like a pixel of the left one, (2,); None where several do.
+
+    `views` are grey, (h, w), of cameras turned alike, and what is compared reaches `half_px` to every side.
+    """
+    half = max(3, round(half_px))
+    patch = cv2.getRectSubPix(views[0], (2 * half + 1,) * 2, (float(at_px[0]), float(at_px[1])))
+    middle_px = 0.5 * (places_px.min(0) + places_px.max(0))
+    x, y = (places_px - middle_px).T
+    reach = [int(np.ceil(np.abs(of).max())) + half + more for of, more in ((x, 1), (y, 1 + ROWS_PX))]
+    around = cv2.getRectSubPix(
+        views[1], (2 * reach[0] + 1, 2 * reach[1] + 1), (float(middle_px[0]), float(middle_px[1]))
+    )
+    likeness = cv2.matchTemplate(around, patch, cv2.TM_CCOEFF_NORMED)
+    likeness = cv2.dilate(likeness, np.ones((2 * ROWS_PX + 1, 1), np.uint8))
+    at = (np.column_stack([x, y]) + reach - half)[:, None].astype(np.float32)
+    found = np.asarray(cv2.remap(likeness, at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float64)[:, 0]
+    best = int(np.argmax(found))
+    is_away = np.linalg.norm(places_px - places_px[best], axis=1) > SAME_PX
+    lead = found[best] - np.max(found[is_away], initial=-1.0)
+    return best if found[best] > LEAST_LIKENESS and lead > LEAST_LEAD else None

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.across_views import disagreement
-from svmdist.estimation.association import EntryTracker
+from svmdist.estimation.entries import EntryTracker, disagreement
 from svmdist.estimation.region_tracking import Blob, Gaussian, NominalPlace, RegionTracker
 from svmdist.profile.robot import Instrument
 from svmdist.profile.settings import AssociationSettings
@@ -99,14 +98,14 @@ def test_no_swap_through_crossings(seeds, dropout, blind_from, share):
     assert named > share * len(seeds) * 2 * COUNT
 
 
-TWO = (("A", "B"), (None, None), (HEIGHT_PX, WIDTH_PX))
+TWO = (("A", "B"), (None, None))
 SECOND = 10**9
 
 
 def entering(entry: Sequence[float], end: Sequence[float]) -> SeenInstrument:
     """An instrument that comes in at one pixel and ends at another."""
     sides = np.array([[entry, end], [entry, end]], np.float64)
-    return SeenInstrument(np.zeros((1, 1), np.bool_), (1, 1), sides, np.array(end, float), 0.5)
+    return SeenInstrument(np.zeros((1, 1), np.bool_), (HEIGHT_PX, WIDTH_PX), sides, np.array(end, float), 0.5)
 
 
 def test_from_left_to_right_in_the_order_of_the_profile():

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.estimation.across_views import matched_place
 from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.measurement_kinds import MARKER, PointError
 from svmdist.estimation.instrument.shaft_detection import BORDER_STD_PER_BLUR, FARTHEST_M, marker_centre
@@ -17,7 +16,7 @@ from svmdist.estimation.scene import Arm
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, transform_points
 from svmdist.vision.lines import axis_of_cylinder
-from svmdist.vision.stereo import RectifiedPair
+from svmdist.vision.stereo import RectifiedPair, matched_place
 
 WRIST = "wrist"
 # Deviations over the marker's radius. What lasts is a state of the filter, and reaches the interval as such.

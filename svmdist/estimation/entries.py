@@ -1,0 +1,299 @@
+"""Instruments told apart without kinematics: by the sides they come in from, where they were, and across both views."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from svmdist.camera import Camera
+from svmdist.estimation.frame import OtherMasks
+from svmdist.estimation.region_tracking import CONTEST, MAX_REGIONS, ranked_assignments
+from svmdist.estimation.scene import Arm, Scene
+from svmdist.profile.robot import EntrySide, Instrument
+from svmdist.samples import Image
+from svmdist.transforms import Array, inverse, transform_points
+from svmdist.vision.frame_context import FrameContext
+from svmdist.vision.instruments.find_instruments import AutoMasks, SeenInstrument
+from svmdist.vision.lines import axis_of_cylinder, line_between, tangent_normal, tangent_plane
+
+SIDE_STD = 0.25  # from the middle of its side, over the image's size, for a new instrument
+ENTRY_STD = 0.04  # from the previous entry: the outline is found a little longer or wider
+ENTRY_SPEED = 0.05  # how that grows, per s: a trocar holds the instrument, and the camera moves slowly
+END_STD = 0.06  # the same for the shaft's end
+END_SPEED = 0.3  # the same for the shaft's end, per s, as instruments move
+UNSEEN_COST = 6.0  # -log of the chance that an instrument is not seen although it is there, or is not there
+UNNAMED_COST = 6.0  # -log of the chance that what is seen as an instrument is none of those in the profile
+
+FOLLOWED_S = 0.5  # after which an instrument may be anywhere
+
+ENDS_STD_WIDTHS = 0.5  # of the shaft's end along it, over its width: one view may show the dark part's
+WIDTH_STD = 0.08  # logarithm of the width in one view: shade and blur take a pixel of it
+LINE_STD_PX = 1.5  # of a middle line, in pixels of the working image
+
+SIDES: dict[EntrySide, tuple[float, float]] = {
+    "left": (0.0, 0.5),
+    "right": (1.0, 0.5),
+    "above": (0.5, 0.0),
+    "below": (0.5, 1.0),
+}
+"""The middle of each side of a picture, over its size."""
+
+
+@dataclass(frozen=True, slots=True)
+class NamedInstrument:
+    """Which of an image's seen instruments an instrument is, None where it is not seen, and why that is in doubt."""
+
+    seen: int | None
+    doubt: str = ""
+
+
+@dataclass
+class _Track:
+    """Where an instrument came in and ended when it was last seen for sure, over the image's size; None before."""
+
+    side: Array | None
+    entry: Array | None = None
+    end: Array | None = None
+    stamp_ns: int = 0
+
+
+class EntryTracker:
+    """Names the seen instruments of one camera's images, in the order of their stamps."""
+
+    def __init__(self, names: Sequence[str], sides: Sequence[EntrySide | None]) -> None:
+        self._names = tuple(names)
+        self._tracks = [_Track(_side(side, at, len(sides))) for at, side in enumerate(sides)]
+
+    def update(
+        self, stamp_ns: int, seen: Sequence[SeenInstrument], unlike: Array | float = 0.0
+    ) -> tuple[NamedInstrument, ...]:
+        """Name the seen instruments of the next image; an entry for each name.
+
+        `unlike`, shape (n_names, n_seen), is the -log likelihood of each by another view, where there is one.
+        """
+        places = [(one.entry_px / one.size[::-1], one.end_px / one.size[::-1]) for one in seen]
+        cost = np.array([[self._cost(track, stamp_ns, *place) for place in places] for track in self._tracks])
+        # What is surer an instrument is the likelier one where one name has a choice.
+        cost = cost - np.log(np.array([max(one.evidence, 1e-3) for one in seen])) + unlike
+        hypotheses = ranked_assignments(cost, UNNAMED_COST, UNSEEN_COST)
+        named = []
+        for place, at in enumerate(hypotheses[0][1]):
+            doubt = "" if at is None else self._doubt(place, hypotheses)
+            named.append(NamedInstrument(at, doubt))
+            if at is not None and not doubt:
+                track = self._tracks[place]
+                (track.entry, track.end), track.stamp_ns = places[at], stamp_ns
+        return tuple(named)
+
+    def _cost(self, track: _Track, stamp_ns: int, entry: Array, end: Array) -> float:
+        """-log likelihood of a seen instrument under a track, up to a constant that all tracks share."""
+        if track.entry is None or track.end is None:
+            off = np.zeros(2) if track.side is None else entry - track.side
+            return 0.5 * float(off @ off) / SIDE_STD**2 + 2.0 * math.log(SIDE_STD)
+        passed_s = max(0.0, (stamp_ns - track.stamp_ns) / 1e9)
+        entry_std = min(ENTRY_STD + ENTRY_SPEED * passed_s, SIDE_STD)
+        end_std = min(END_STD + END_SPEED * passed_s, SIDE_STD)
+        from_entry, from_end = entry - track.entry, end - track.end
+        of_entry = 0.5 * float(from_entry @ from_entry) / entry_std**2 + 2.0 * math.log(entry_std)
+        # Ends say nothing more once they may be anywhere.
+        of_end = 0.5 * float(from_end @ from_end) / end_std**2 + 2.0 * math.log(end_std / SIDE_STD)
+        return of_entry + of_end
+
+    def _doubt(self, place: int, hypotheses: Sequence[tuple[float, tuple[int | None, ...]]]) -> str:
+        """Why a name is in doubt: another naming of this instrument, or of this name, is nearly as likely."""
+        best_cost, best = hypotheses[0]
+        at = best[place]
+        for cost, other in hypotheses[1:]:
+            if cost - best_cost > CONTEST:
+                return ""
+            if other[place] == at:
+                continue
+            names = [self._names[rival] for rival, taken in enumerate(other) if taken == at]
+            if names:
+                return f"cannot tell whether this is {self._names[place]} or {names[0]}"
+            if other[place] is not None:
+                return f"cannot tell which of the instruments seen is {self._names[place]}"
+        return ""
+
+
+def _side(side: EntrySide | None, at: int, count: int) -> Array | None:
+    """Where an instrument is expected to come in, shape (2,) over the picture's size: in order, from left to right."""
+    if side is not None:
+        return np.array(SIDES[side])
+    if count == 1:
+        return None
+    angle = np.pi * (1.0 - at / (count - 1))
+    return np.array([0.5 + 0.5 * np.cos(angle), 0.5 - 0.5 * np.sin(angle)])
+
+
+class EntryAssociation:
+    """The seen instruments of a recording in one view or two, by name; keeps where they were between images."""
+
+    def __init__(self, arms: Sequence[Arm]) -> None:
+        profiles = [arm.profile for arm in arms]
+        self._instruments = [one.instrument for one in profiles]
+        names, sides = [one.instrument_name for one in profiles], [one.entry for one in profiles]
+        self._left, self._right = EntryTracker(names, sides), EntryTracker(names, sides)
+        self._before: list[SeenInstrument] = []
+        self._before_ns = 0
+
+    def others(self, scene: Scene) -> tuple[list[OtherMasks], list[str]]:
+        """For each instrument the pixels of others in both views, and why it is not sure which one it is."""
+        stamp_ns = scene.observation.stamp_ns
+        # What the image before shows and this one was not found to is sought where it was.
+        for before in self._before if abs(stamp_ns - self._before_ns) < 1e9 * FOLLOWED_S else ():
+            _seek(scene.left, before.sides)
+        seen = (scene.left.masks.seen or ())[:MAX_REGIONS]
+        beside, cost = self._across_views(scene, seen)
+        # What the right view does not show, or elsewhere than at its depth, is as likely none of them.
+        unlike = np.min(np.minimum(cost, UNNAMED_COST), 2) if len(beside) else np.zeros(cost.shape[:2])
+        named = self._left.update(stamp_ns, seen, unlike)
+        self._before, self._before_ns = [seen[one.seen] for one in named if one.seen is not None], stamp_ns
+        if scene.right is None:
+            return [(other_than(one.seen, seen), None) for one in named], [one.doubt for one in named]
+        return self._in_both_views(scene, seen, named, cost)
+
+    def _in_both_views(
+        self, scene: Scene, seen: Sequence[SeenInstrument], named: Sequence[NamedInstrument], cost: Array
+    ) -> tuple[list[OtherMasks], list[str]]:
+        """The same of both views: what one of them shows is sought in the other one.
+
+        What that does not show, either, is measured by the one alone. `cost` is that of `_across_views` so far.
+        """
+        # What the left view shows is sought in the right one, where it is at the depth of the instrument's radius.
+        for i, one in enumerate(named):
+            if one.seen is not None and cost[i, one.seen].min(initial=np.inf) > UNNAMED_COST:
+                self._seek_in_other(scene, i, seen[one.seen], is_left=True)
+        beside, cost = self._across_views(scene, seen)
+        own = [None if one.seen is None else cost[i, one.seen] for i, one in enumerate(named)]
+        paired = _assigned(own, len(beside))
+
+        # What the right view alone shows is named by where it comes in there, and sought in the left one.
+        unlike = np.full(cost.shape[::2], np.inf)
+        for i, (one, at) in enumerate(zip(named, paired, strict=True)):
+            if at is not None:
+                unlike[i, at] = 0.0
+            elif one.seen is None:
+                unlike[i, [place not in paired for place in range(len(beside))]] = 0.0
+        there = self._right.update(scene.observation.stamp_ns, beside, unlike)
+        alone = [
+            None if one.seen is not None else other.seen for one, other in zip(named, there, strict=True)
+        ]
+        known = len(scene.left.masks.seen or ())
+        for i, at in enumerate(alone):
+            if at is not None:
+                self._seek_in_other(scene, i, beside[at], is_left=False)
+        seen = scene.left.masks.seen or ()
+        _, cost = self._across_views(scene, seen[known:])
+        own = [None if at is None else cost[i, :, at] for i, at in enumerate(alone)]
+        found = [None if at is None else known + at for at in _assigned(own, len(seen) - known)]
+        self._before += [seen[at] for at in found if at is not None]
+
+        others, doubts = list[OtherMasks](), list[str]()
+        for i, one in enumerate(named):
+            at, at_right, name = (
+                (found[i], alone[i], there[i]) if one.seen is None else (one.seen, paired[i], one)
+            )
+            others.append((other_than(at, seen), other_than(at_right, beside)))
+            doubts.append(name.doubt)
+        return others, doubts
+
+    def _seek_in_other(self, scene: Scene, i: int, seen: SeenInstrument, is_left: bool) -> None:
+        """Look in the other view for what one of them shows of an instrument, at the depth of its radius."""
+        instrument, right = self._instruments[i], scene.observation.right
+        if instrument is None or scene.right is None or right is None:
+            return
+        cameras, radius_m = (scene.observation.camera, right.camera), instrument.shaft_radius_m
+        if is_left:
+            _seek(scene.right, sides_beside(seen, cameras, inverse(right.T_left_right), radius_m))
+        else:
+            _seek(scene.left, sides_beside(seen, cameras[::-1], right.T_left_right, radius_m))
+
+    def _across_views(
+        self, scene: Scene, seen: Sequence[SeenInstrument]
+    ) -> tuple[Sequence[SeenInstrument], Array]:
+        """What the right view shows, and -log likelihood, (n_arms, n_left, n_right), that the left one shows it."""
+        right = scene.observation.right
+        beside = (() if scene.right is None else scene.right.masks.seen or ())[:MAX_REGIONS]
+        cost = np.zeros((len(self._instruments), len(seen), len(beside)))
+        if right is None:
+            return beside, cost
+        cameras, T_right_left = (scene.observation.camera, right.camera), inverse(right.T_left_right)
+        for i, instrument in enumerate(self._instruments):
+            if instrument is not None:
+                rows = ([disagreement(a, b, cameras, T_right_left, instrument) for b in beside] for a in seen)
+                cost[i] = 0.5 * np.array(list(rows)).reshape(cost[i].shape)
+        return beside, cost
+
+
+def other_than(own: int | None, seen: Sequence[SeenInstrument]) -> Image | None:
+    """The mask, shape (h, w), of all seen instruments but one; None where there is no other."""
+    rest = [one.mask for at, one in enumerate(seen) if at != own]
+    if not rest:
+        return None
+    others = np.bitwise_or.reduce(rest)
+    return np.asarray(others if own is None else others & ~seen[own].mask, np.uint8)
+
+
+def _assigned(cost: Sequence[Array | None], count: int) -> Sequence[int | None]:
+    """For each instrument the likeliest of `count` that another view shows, by -log likelihoods; None for none."""
+    none = np.full(count, np.inf)
+    rows = np.array([none if row is None else row for row in cost])
+    return ranked_assignments(rows, UNNAMED_COST, UNSEEN_COST)[0][1]
+
+
+def _seek(context: FrameContext, sides: Array | None) -> None:
+    if sides is not None and isinstance(context.masks, AutoMasks):
+        context.masks.seek(sides)
+
+
+def sides_beside(
+    seen: SeenInstrument, cameras: tuple[Camera, Camera], T_other_own: Array, radius_m: float
+) -> Array | None:
+    """Where one camera has the sides of a shaft of a radius that another one shows, (2, 2, 2) in px, or None."""
+    K, ends = cameras[0].K, cameras[0].rays(seen.sides)[:, :2].reshape(2, 2, 2)
+    inside, scale = ends.mean((0, 1)), float(K[0, 0]) ** -2
+    lines = [line_between(*one) for one in zip(ends, scale * seen.side_covariance, strict=True)]
+    axis = axis_of_cylinder(tangent_plane(lines[0], inside), tangent_plane(lines[1], inside), radius_m)
+    if axis is None:
+        return None
+    rays = np.column_stack([ends.mean(0), np.ones(2)])
+    own_m = np.array([axis.depth_m(ray) * ray for ray in rays])
+    points_m = transform_points(T_other_own, own_m)
+    along = (points_m[1] - points_m[0]) / max(float(np.linalg.norm(points_m[1] - points_m[0])), 1e-9)
+    normals = [tangent_normal(points_m[1], along, radius_m, side)[0] for side in (-1, 1)]
+    if not (min(own_m[:, 2].min(), points_m[:, 2].min()) > radius_m and np.isfinite(normals).all()):
+        return None
+    return np.array([cameras[1].project(points_m - radius_m * normal) for normal in normals])
+
+
+def disagreement(
+    left: SeenInstrument,
+    right: SeenInstrument,
+    cameras: tuple[Camera, Camera],
+    T_right_left: Array,
+    instrument: Instrument,
+) -> float:
+    """Squared deviations of the right view's shaft from where the left one's width puts it; infinite behind a camera.
+
+    The depth by the radius says where along their epipolar lines both ends of the left middle line are to be seen.
+    """
+    radius_m, fraction = instrument.shaft_radius_m, np.hypot(instrument.shaft_radius_std_fraction, WIDTH_STD)
+    depths = (radius_m, radius_m * (1.0 + fraction))
+    near, far = (sides_beside(left, cameras, T_right_left, one) for one in depths)
+    if near is None or far is None:
+        return np.inf
+    entry_px, end_px = right.sides.mean(0)
+    moved_px, off_px, along = (far - near).mean(0), near.mean(0) - end_px, end_px - entry_px
+    along /= max(float(np.linalg.norm(along)), 1e-9)
+    normal = np.array([-along[1], along[0]])
+    across = (off_px @ normal) / np.hypot(moved_px @ normal, LINE_STD_PX * (left.pixel_px + right.pixel_px))
+    ends_px = [min(one.end_std_px, 1e6) for one in (left, right)]
+    of_end = (
+        off_px[1] @ along / np.linalg.norm([moved_px[1] @ along, ENDS_STD_WIDTHS * right.width_px, *ends_px])
+    )
+    of_width = np.log(right.width_px / np.linalg.norm(near[0, 1] - near[1, 1])) / (np.sqrt(2.0) * WIDTH_STD)
+    return float(across @ across + of_end**2 + of_width**2)
