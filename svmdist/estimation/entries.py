@@ -164,42 +164,39 @@ class EntryAssociation:
         What that does not show, either, is measured by the one alone. `cost` is that of `_across_views` so far.
         """
         # What the left view shows is sought in the right one, where it is at the depth of the instrument's radius.
-        for i, one in enumerate(named):
-            if one.seen is not None and cost[i, one.seen].min(initial=np.inf) > UNNAMED_COST:
-                self._seek_in_other(scene, i, seen[one.seen], is_left=True)
+        left = [one.seen for one in named]
+        for i, at in enumerate(left):
+            if at is not None and cost[i, at].min(initial=np.inf) > UNNAMED_COST:
+                self._seek_in_other(scene, i, seen[at], is_left=True)
         beside, cost = self._across_views(scene, seen)
-        own = [None if one.seen is None else cost[i, one.seen] for i, one in enumerate(named)]
-        paired = _assigned(own, len(beside))
+        right = _assigned([None if at is None else cost[i, at] for i, at in enumerate(left)], len(beside))
 
         # What the right view alone shows is named by where it comes in there, and sought in the left one.
         unlike = np.full(cost.shape[::2], np.inf)
-        for i, (one, at) in enumerate(zip(named, paired, strict=True)):
+        for i, at in enumerate(right):
             if at is not None:
                 unlike[i, at] = 0.0
-            elif one.seen is None:
-                unlike[i, [place not in paired for place in range(len(beside))]] = 0.0
+            elif left[i] is None:
+                unlike[i, [place not in right for place in range(len(beside))]] = 0.0
         there = self._right.update(scene.observation.stamp_ns, beside, unlike)
-        alone = [
-            None if one.seen is not None else other.seen for one, other in zip(named, there, strict=True)
+        doubts = [
+            one.doubt if one.seen is not None else other.doubt
+            for one, other in zip(named, there, strict=True)
         ]
         known = len(scene.left.masks.seen or ())
-        for i, at in enumerate(alone):
-            if at is not None:
-                self._seek_in_other(scene, i, beside[at], is_left=False)
+        alone = {i: one.seen for i, one in enumerate(there) if left[i] is None and one.seen is not None}
+        for i, at in alone.items():
+            right[i] = at
+            self._seek_in_other(scene, i, beside[at], is_left=False)
         seen = scene.left.masks.seen or ()
         _, cost = self._across_views(scene, seen[known:])
-        own = [None if at is None else cost[i, :, at] for i, at in enumerate(alone)]
-        found = [None if at is None else known + at for at in _assigned(own, len(seen) - known)]
-        self._before += [seen[at] for at in found if at is not None]
-
-        others, doubts = list[OtherMasks](), list[str]()
-        for i, one in enumerate(named):
-            at, at_right, name = (
-                (found[i], alone[i], there[i]) if one.seen is None else (one.seen, paired[i], one)
-            )
-            others.append((other_than(at, seen), other_than(at_right, beside)))
-            doubts.append(name.doubt)
-        return others, doubts
+        own = [cost[i, :, alone[i]] if i in alone else None for i in range(len(left))]
+        for i, at in enumerate(_assigned(own, len(seen) - known)):
+            if at is not None:
+                left[i] = known + at
+                self._before.append(seen[known + at])
+        pairs = zip(left, right, strict=True)
+        return [(other_than(at, seen), other_than(at_right, beside)) for at, at_right in pairs], doubts
 
     def _seek_in_other(self, scene: Scene, i: int, seen: SeenInstrument, is_left: bool) -> None:
         """Look in the other view for what one of them shows of an instrument, at the depth of its radius."""
@@ -238,11 +235,11 @@ def other_than(own: int | None, seen: Sequence[SeenInstrument]) -> Image | None:
     return np.asarray(others if own is None else others & ~seen[own].mask, np.uint8)
 
 
-def _assigned(cost: Sequence[Array | None], count: int) -> Sequence[int | None]:
+def _assigned(cost: Sequence[Array | None], count: int) -> list[int | None]:
     """For each instrument the likeliest of `count` that another view shows, by -log likelihoods; None for none."""
     none = np.full(count, np.inf)
     rows = np.array([none if row is None else row for row in cost])
-    return ranked_assignments(rows, UNNAMED_COST, UNSEEN_COST)[0][1]
+    return list(ranked_assignments(rows, UNNAMED_COST, UNSEEN_COST)[0][1])
 
 
 def _seek(context: FrameContext, sides: Array | None) -> None:

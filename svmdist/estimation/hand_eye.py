@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.least_squares import huber_weights
 from svmdist.profile.settings import HandEyeSettings
 from svmdist.results import Failure
 from svmdist.transforms import Array, make_transform, rotation_of, skew
@@ -159,16 +160,13 @@ def _normalised(places: ToolPlaces, T: Array) -> Array:
     return np.asarray(np.einsum("ni,ni->n", r, np.linalg.solve(S, r[..., None])[..., 0]))
 
 
-def _rows(
-    places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], *, robust: bool = True
-) -> tuple[Array, Array, Array]:
-    """Whitened residuals (k,), derivatives (k, 6) and shared errors (k, m) of agreeing frames: places, then axes."""
+def _rows(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], *, robust: bool = True) -> Array:
+    """Whitened (k, 1 + 6 + m) of agreeing frames: residual, derivative and shared errors, of places, then of axes."""
     R = T[:3, :3]
     r, shared = _residuals(places, T)[agrees], _shared(places, T)[agrees]
     whiten = np.linalg.inv(np.linalg.cholesky(_place_covariance(places, T)[agrees]))
     by_shift, by_turn = np.broadcast_to(np.eye(3), (len(r), 3, 3)), -skew(places.nominal_m[agrees] @ R.T)
-    J = np.concatenate([by_shift, by_turn], axis=2)
-    blocks = [(whiten @ r[..., None], whiten @ J, whiten @ shared[:, :3])]
+    blocks = [whiten @ np.concatenate([r[..., None], by_shift, by_turn, shared[:, :3]], 2)]
     known = np.isfinite(places.axis_std_rad[agrees])
     if known.any():
         predicted = places.nominal_axes[agrees][known] @ R.T
@@ -178,28 +176,23 @@ def _rows(
         across = np.stack([aside, np.cross(predicted, aside)], 1)
         floors = [AXIS_FLOOR_RAD, AXIS_TILT_FLOOR_RAD]
         std = np.hypot(places.axis_std_rad[agrees][known][:, None], floors)[..., None]
-        e = across @ (places.axes[agrees][known] - predicted)[..., None]
-        Ja = np.concatenate([np.zeros((len(e), 2, 3)), -across @ skew(predicted)], axis=2)
-        blocks.append((e / std, Ja / std, across @ shared[known][:, 3:] / std))
-    parts = []
-    for residual, derivative, common in blocks:
-        weight = np.ones((len(residual), 1, 1))
-        if robust:
-            length = np.linalg.norm(residual, axis=1, keepdims=True)
-            weight = np.sqrt(np.minimum(1.0, HUBER / np.maximum(length, 1e-12)))
-        weighted = (weight * residual).ravel(), (weight * derivative).reshape(-1, 6)
-        parts.append((*weighted, (weight * common).reshape(residual.size, shared.shape[2])))
-    residual, J, H = (np.concatenate(each) for each in zip(*parts, strict=True))
-    return residual, J, H
+        off = (places.axes[agrees][known] - predicted)[..., None]
+        by_shift, by_turn = np.zeros((len(off), 3, 3)), -skew(predicted)
+        blocks.append(across @ np.concatenate([off, by_shift, by_turn, shared[known][:, 3:]], 2) / std)
+    if robust:
+        lengths = [np.linalg.norm(block[..., 0], axis=1) for block in blocks]
+        weights = [np.sqrt(huber_weights(length, HUBER))[:, None, None] for length in lengths]
+        blocks = [weight * block for weight, block in zip(weights, blocks, strict=True)]
+    return np.concatenate([block.reshape(-1, block.shape[2]) for block in blocks])
 
 
 def _refined(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_]) -> Array:
     if agrees.sum() < 3:
         return T
     for _ in range(MAX_STEPS):
-        residual, J, _ = _rows(places, T, agrees)
+        rows = _rows(places, T, agrees)
         # Least norm where a direction is not observable.
-        step = np.linalg.lstsq(J, residual, rcond=1e-9)[0]
+        step = np.linalg.lstsq(rows[:, 1:7], rows[:, 0], rcond=1e-9)[0]
         T = make_transform(rotation_of(step[3:]) @ T[:3, :3], T[:3, 3] + step[:3])
         if np.abs(step).max() < 1e-10:
             break
@@ -213,9 +206,10 @@ def _covariance(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_]) -> tupl
     by what the residuals show or the settings say: errors of detections and play of joints last for some frames, where
     the covariances of single frames hide them. What is shared is added whole.
     """
-    _, J, H = _rows(places, T, agrees)
+    rows = _rows(places, T, agrees)
+    J, H = rows[:, 1:7], rows[:, 7:]
     gain = np.linalg.pinv(J.T @ J, hermitian=True)
-    plain, _, _ = _rows(places, T, agrees, robust=False)
+    plain = _rows(places, T, agrees, robust=False)[:, 0]
     ratio = float(plain @ plain) / max(1, len(plain) - 6)
     number = int(agrees.sum())
     series = plain[: 3 * number].reshape(number, 3)

@@ -57,7 +57,7 @@ def estimate_lag(stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict)
         return _unknown(f"the tool moves by {motion_px:.1f} px in the image; {MIN_MOTION_PX:g} px are needed")
     fit = _ProfiledFit(stamps_ns, seen_px, predict)
     lags_s = np.arange(-MAX_LAG_S, MAX_LAG_S + COARSE_STEP_S / 2, COARSE_STEP_S)
-    costs = np.array([fit.cost(lag_s) for lag_s in lags_s])
+    costs = np.array([fit.at(lag_s)[0] for lag_s in lags_s])
     if not np.isfinite(costs).any():
         return _unknown("images and kinematics do not overlap in time")
     # Golden-section search between the neighbours of the coarse minimum, down to 0.05 ms.
@@ -65,10 +65,10 @@ def estimate_lag(stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict)
     low, high = coarse_s - COARSE_STEP_S, coarse_s + COARSE_STEP_S
     while high - low > 5e-5:
         left, right = high - ratio * (high - low), low + ratio * (high - low)
-        low, high = (low, right) if fit.cost(left) <= fit.cost(right) else (left, high)
+        low, high = (low, right) if fit.at(left)[0] <= fit.at(right)[0] else (left, high)
     lag_s = float((low + high) / 2.0)
     rival = float(np.min(costs[np.abs(lags_s - lag_s) > RIVAL_DISTANCE_S], initial=np.inf))
-    confidence = 1.0 - fit.cost(lag_s) / rival if np.isfinite(rival) and rival > 0 else 0.0
+    confidence = 1.0 - fit.at(lag_s)[0] / rival if np.isfinite(rival) and rival > 0 else 0.0
     std_s = fit.std_s(lag_s)
     if std_s is None or std_s > MAX_STD_S:
         return _unknown("the motion is too slow to tell the lag")
@@ -85,30 +85,26 @@ class _ProfiledFit:
     seen_px: Array
     predict: Predict
 
-    def cost(self, lag_s: float) -> float:
-        fit = self._at(lag_s)
-        return fit[0] if fit else np.inf
-
     def std_s(self, lag_s: float) -> float | None:
         """Standard deviation of the lag: noise over speed, as in any least-squares fit of a shift."""
         step_s = 0.01
-        here, ahead, behind = self._at(lag_s), self._at(lag_s + step_s), self._at(lag_s - step_s)
-        if not (here and ahead and behind):
-            return None
-        mean_cost, count = here
+        (here, count), ahead, behind = self.at(lag_s), self.at(lag_s + step_s)[0], self.at(lag_s - step_s)[0]
         # J(τ + h) ≈ J + v² h² with v the mean speed that the map cannot take up.
-        curvature = (ahead[0] + behind[0] - 2.0 * mean_cost) / step_s**2 / 2.0
-        return float(np.sqrt(mean_cost / (curvature * 2 * count))) if curvature > 0 else None
+        curvature = (ahead + behind - 2.0 * here) / step_s**2 / 2.0
+        if not (0.0 < curvature < np.inf):
+            return None
+        return float(np.sqrt(here / (curvature * 2 * count)))
 
-    def _at(self, lag_s: float) -> tuple[float, int] | None:
+    def at(self, lag_s: float) -> tuple[float, int]:
+        """The error and the number of frames, of which each has two coordinates; infinite where too few are known."""
         predicted, known = self.predict(self.stamps_ns - round(lag_s * 1e9))
         count = int(np.count_nonzero(known))
         if count < max(MIN_PAIRS, len(self.stamps_ns) // 4):
-            return None
+            return np.inf, count
         p, s = predicted[known], self.seen_px[known]
         p, s = p - p.mean(0), s - s.mean(0)
         if np.sqrt(np.mean(p**2)) < MIN_MOTION_PX:
-            return None
+            return np.inf, count
         weight = (PIXEL_STD / MAP_STD) ** 2
         change = np.linalg.solve(p.T @ p + weight * np.eye(2), p.T @ (s - p))
         residual = s - p - p @ change
