@@ -90,17 +90,17 @@ class EntryTracker:
 
     def _cost(self, track: _Track, stamp_ns: int, entry: Array, end: Array) -> float:
         """-log likelihood of a seen instrument under a track, up to a constant that all tracks share."""
+
+        def cost(off: Array, std: float) -> float:
+            return 0.5 * float(off @ off) / std**2 + 2.0 * math.log(std)
+
         if track.entry is None or track.end is None:
-            off = np.zeros(2) if track.side is None else entry - track.side
-            return 0.5 * float(off @ off) / SIDE_STD**2 + 2.0 * math.log(SIDE_STD)
+            return cost(np.zeros(2) if track.side is None else entry - track.side, SIDE_STD)
         passed_s = max(0.0, (stamp_ns - track.stamp_ns) / 1e9)
-        entry_std = min(ENTRY_STD + ENTRY_SPEED * passed_s, SIDE_STD)
-        end_std = min(END_STD + END_SPEED * passed_s, SIDE_STD)
-        from_entry, from_end = entry - track.entry, end - track.end
-        of_entry = 0.5 * float(from_entry @ from_entry) / entry_std**2 + 2.0 * math.log(entry_std)
+        of_entry = cost(entry - track.entry, min(ENTRY_STD + ENTRY_SPEED * passed_s, SIDE_STD))
         # Ends say nothing more once they may be anywhere.
-        of_end = 0.5 * float(from_end @ from_end) / end_std**2 + 2.0 * math.log(end_std / SIDE_STD)
-        return of_entry + of_end
+        of_end = cost(end - track.end, min(END_STD + END_SPEED * passed_s, SIDE_STD))
+        return of_entry + of_end - 2.0 * math.log(SIDE_STD)
 
     def _doubt(self, place: int, hypotheses: Sequence[tuple[float, tuple[int | None, ...]]]) -> str:
         """Why a name is in doubt: another naming of this instrument, or of this name, is nearly as likely."""

@@ -244,20 +244,15 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
 def _fit_axis(samples: CalibrationSamples, axis: int) -> tuple[Quadratic, Array]:
     screen_cm = screen_cm_corrected(samples.tool_px[:, axis])
     truth_cm = samples.tool_m[:, axis] * 100.0
-    # Fitted about the middle of the samples: S and S² are nearly parallel over an image otherwise.
-    middle_cm = float(screen_cm.mean())
-    fitted, (_, rank, _, _) = np.polynomial.polynomial.polyfit(screen_cm - middle_cm, truth_cm, 2, full=True)
+    # In a domain of the samples' own: S and S² are nearly parallel over an image otherwise.
+    fitted, (_, rank, _, _) = np.polynomial.Polynomial.fit(screen_cm, truth_cm, 2, full=True)
     if rank < 3:
         raise CalibrationError(
             f"the tool must be seen at three places or more to fit a quadratic: along {'xy'[axis]} it is seen"
             f" at {len(np.unique(screen_cm))}"
         )
-    constant, linear, q = fitted
-    model = Quadratic(
-        quadratic_per_cm=_stored(q),
-        linear=_stored(linear - 2.0 * q * middle_cm),
-        constant_cm=_stored(constant - linear * middle_cm + q * middle_cm**2),
-    )
+    constant, linear, q = np.pad(fitted.convert().coef, (0, 2))[:3]  # an exact zero is left out
+    model = Quadratic(quadratic_per_cm=_stored(q), linear=_stored(linear), constant_cm=_stored(constant))
     return model, (model(screen_cm) - truth_cm) / 100.0
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from svmdist.estimation.comparison import DISPARITY, KINEMATICS, MARKER, SHAFT, TAG
@@ -20,31 +18,27 @@ WRIST_STD_M = 5e-3  # by which the shaft's axis passes before or behind the mark
 
 def places(frame: Frame) -> dict[str, ToolPose]:
     """The tool by each way that the log has."""
-    return dict(_places(frame))
-
-
-def _places(frame: Frame) -> Iterator[tuple[str, ToolPose]]:
-    arm, robot = frame.arm, frame.robot_in_camera
+    arm, robot, found = frame.arm, frame.robot_in_camera, dict[str, ToolPose]()
     pair, right = frame.scene.stereo_pair, frame.right
     if not isinstance(robot, Failure):
-        yield KINEMATICS, nominal_tool(arm.required_chain, arm.profile.kinematic_error, robot)
+        found[KINEMATICS] = nominal_tool(arm.required_chain, arm.profile.kinematic_error, robot)
     if arm.profile.segmentation.shaft is not None and arm.body is not None and arm.chain is not None:
         fit = frame.shaft_pose
         # In doubt, too: what is wrong with a size makes it doubtful. Without the sides it is by the marker's size.
         if not isinstance(fit, Failure) and len([name for name in fit.used if name.startswith("edge")]) == 2:
-            yield SHAFT, fit.pose
+            found[SHAFT] = fit.pose
         elif (pose := _by_width(frame)) is not None:
-            yield SHAFT, pose
-    size = _by_marker_size(frame)
-    if size is not None:
-        yield MARKER, size
+            found[SHAFT] = pose
+    if (size := _by_marker_size(frame)) is not None:
+        found[MARKER] = size
     if not isinstance(pair, Failure) and right is not None:
         markers = pair_markers(frame, pair)
         if not isinstance(markers, Failure):
             anyhow = ToolPose(np.eye(4), np.eye(6), np.array([1.0, 0.0, 0.0]))
-            yield DISPARITY, nominal_orientation_pose(markers, pair, right, anyhow, arm.deviations)
+            found[DISPARITY] = nominal_orientation_pose(markers, pair, right, anyhow, arm.deviations)
     if frame.tag is not None and not isinstance(frame.robot, Failure):
-        yield TAG, tool_from_tag(arm, frame.left.camera, frame.tag, frame.robot)
+        found[TAG] = tool_from_tag(arm, frame.left.camera, frame.tag, frame.robot)
+    return found
 
 
 def _at_depth(depth_m: float, std_m: float, ray: Array) -> ToolPose:
