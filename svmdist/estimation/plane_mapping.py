@@ -184,22 +184,21 @@ class Calibration(StrictModel):
             )
 
 
-@dataclass(frozen=True, slots=True)
-class CalibrationSamples:
-    """Where the tool was seen, shape (n, 2) in px, and where it truly was in the camera's plane, (n, 2) in m."""
-
-    tool_px: Array
-    tool_m: Array
-
-
 def fit_calibration(
-    samples: CalibrationSamples, camera: Camera, method: str, created_by: str, sources: tuple[SourceFile, ...]
+    tool_px: Array,
+    tool_m: Array,
+    camera: Camera,
+    method: str,
+    created_by: str,
+    sources: tuple[SourceFile, ...],
 ) -> Calibration:
-    """Fit eqs. (5) and (6) by least squares; CalibrationError for few samples, a small span, no focal length."""
+    """Fit eqs. (5) and (6) by least squares; CalibrationError for few samples, a small span, no focal length.
+
+    The tool was seen at `tool_px`, shape (n, 2), and truly was at `tool_m`, shape (n, 2), in the camera's plane.
+    """
     if not (np.all(np.isfinite(camera.K)) and camera.K[0, 0] > 0 and camera.K[1, 1] > 0):
         found = f"fx_px = {camera.K[0, 0]:g}, fy_px = {camera.K[1, 1]:g}"
         raise CalibrationError(f"expected a camera with intrinsics to calibrate: found {found}")
-    tool_px = samples.tool_px
     if len(tool_px) < MIN_SAMPLE_COUNT:
         expected = f"expected at least {MIN_SAMPLE_COUNT} measured frames to calibrate"
         raise CalibrationError(f"{expected}, found {len(tool_px)}")
@@ -210,8 +209,8 @@ def fit_calibration(
                 f"the tool must cover at least a quarter of the image: along {'xy'[axis]} it covers"
                 f" {high_px[axis] - low_px[axis]:.0f} of {size_px} px"
             )
-    x, residual_x = _fit_axis(samples, 0)
-    y, residual_y = _fit_axis(samples, 1)
+    x, residual_x = _fit_axis(tool_px, tool_m, 0)
+    y, residual_y = _fit_axis(tool_px, tool_m, 1)
     return Calibration(
         schema="svmdist.calibration/1",
         method=method,
@@ -241,9 +240,9 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
     write_atomically(path, [tomli_w.dumps(calibration.model_dump(mode="json", by_alias=True))])
 
 
-def _fit_axis(samples: CalibrationSamples, axis: int) -> tuple[Quadratic, Array]:
-    screen_cm = screen_cm_corrected(samples.tool_px[:, axis])
-    truth_cm = samples.tool_m[:, axis] * 100.0
+def _fit_axis(tool_px: Array, tool_m: Array, axis: int) -> tuple[Quadratic, Array]:
+    screen_cm = screen_cm_corrected(tool_px[:, axis])
+    truth_cm = tool_m[:, axis] * 100.0
     # In a domain of the samples' own: S and S² are nearly parallel over an image otherwise.
     fitted, (_, rank, _, _) = np.polynomial.Polynomial.fit(screen_cm, truth_cm, 2, full=True)
     if rank < 3:

@@ -42,12 +42,13 @@ PIXELS_AS_THEY_ARE = plane_mapping.PlaneMapping(
 
 @dataclass(frozen=True)
 class CalibrationPart:
-    """What one recording contributes to a calibration."""
+    """What one recording contributes to a calibration: pixels of the tool and its true places, as they are fitted."""
 
     name: str
     source: plane_mapping.SourceFile
     camera: Camera
-    samples: plane_mapping.CalibrationSamples
+    tool_px: Array
+    tool_m: Array
 
 
 def collect_part(
@@ -68,9 +69,10 @@ def collect_part(
         tool_px = camera.pinhole.project(camera.rays(tool_px))
     truth = recording.transform_track(frames.camera, frames.tool, ground_truth=True)
     tool = truth.at(stamps_ns)
-    samples = plane_mapping.CalibrationSamples(tool_px[tool.valid], tool.values[tool.valid, :2, 3])
     source = plane_mapping.SourceFile(name=recording.path.name, sha256=recording.sha256())
-    return CalibrationPart(recording.name, source, camera, samples)
+    return CalibrationPart(
+        recording.name, source, camera, tool_px[tool.valid], tool.values[tool.valid, :2, 3]
+    )
 
 
 def fit_parts(parts: Sequence[CalibrationPart], method: str) -> plane_mapping.Calibration:
@@ -79,10 +81,9 @@ def fit_parts(parts: Sequence[CalibrationPart], method: str) -> plane_mapping.Ca
     if others := [part.name for part in parts if not first.camera.same_optics(part.camera)]:
         differ = f"{first.name} and {others[0]} differ"
         raise CalibrationError(f"recordings of different cameras cannot be calibrated together: {differ}")
-    tool_px = np.concatenate([part.samples.tool_px for part in parts])
-    tool_m = np.concatenate([part.samples.tool_m for part in parts])
     return plane_mapping.fit_calibration(
-        plane_mapping.CalibrationSamples(tool_px, tool_m),
+        np.concatenate([part.tool_px for part in parts]),
+        np.concatenate([part.tool_m for part in parts]),
         first.camera,
         method,
         created_by=f"svmdist {version('svmdist')}",

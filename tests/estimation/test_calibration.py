@@ -12,7 +12,6 @@ from svmdist.errors import CalibrationError
 from svmdist.estimation.plane_mapping import (
     MIN_SAMPLE_COUNT,
     Calibration,
-    CalibrationSamples,
     PlaneMapping,
     Quadratic,
     SourceFile,
@@ -20,6 +19,7 @@ from svmdist.estimation.plane_mapping import (
     load_calibration,
     save_calibration,
 )
+from svmdist.transforms import Array
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 SOURCES = (SourceFile(name="calibration.mcap", sha256="0" * 64),)
@@ -31,17 +31,17 @@ TRUE_X, TRUE_Y = (
 
 def samples(
     x: Quadratic = TRUE_X, y: Quadratic = TRUE_Y, count: int = 60, noise_m: float = 0.0
-) -> CalibrationSamples:
-    """Noise-free or noisy samples all over the image under known quadratics."""
+) -> tuple[Array, Array]:
+    """Noise-free or noisy samples all over the image under known quadratics, in px and m."""
     rng = np.random.default_rng(1)
     tool_px = rng.uniform([20, 20], [620, 460], (count, 2))
     tool_m = PlaneMapping("corrected", x, y).to_plane_m(tool_px)
-    return CalibrationSamples(tool_px, tool_m + rng.normal(scale=noise_m, size=tool_m.shape))
+    return tool_px, tool_m + rng.normal(scale=noise_m, size=tool_m.shape)
 
 
 def fitted(**changes: object) -> Calibration:
     """A calibration fitted to the samples that the changes ask for."""
-    return fit_calibration(samples(**changes), CAMERA, "overlay", "svmdist 0.1.0", SOURCES)  # type: ignore[arg-type]
+    return fit_calibration(*samples(**changes), CAMERA, "overlay", "svmdist 0.1.0", SOURCES)  # type: ignore[arg-type]
 
 
 coefficients = st.builds(
@@ -70,19 +70,19 @@ def test_too_few_samples_and_too_small_a_span_are_refused():
         with pytest.raises(CalibrationError, match=f"at least {MIN_SAMPLE_COUNT} .* found {count}"):
             fitted(count=count)
     assert fitted(count=MIN_SAMPLE_COUNT).fit.sample_count == MIN_SAMPLE_COUNT
-    points = samples()
+    tool_px, tool_m = samples()
     for axis, (name, size_px) in enumerate((("x", 640), ("y", 480))):
-        narrow = points.tool_px.copy()
+        narrow = tool_px.copy()
         narrow[:, axis] = np.linspace(200, 200 + 0.24 * size_px, len(narrow))
         with pytest.raises(CalibrationError, match=f"along {name} it covers .* of {size_px} px"):
-            fit_calibration(CalibrationSamples(narrow, points.tool_m), CAMERA, "overlay", "svmdist", SOURCES)
+            fit_calibration(narrow, tool_m, CAMERA, "overlay", "svmdist", SOURCES)
 
 
 def test_a_file_survives_the_round_trip(tmp_path):
     """What is saved is loaded bit for bit, distortion and sources included, and saving again changes nothing."""
     camera = replace(CAMERA, D=np.array([-0.3, 0.1, 1e-3, 0.0, 0.0]))
     sources = (*SOURCES, SourceFile(name='gebäude "2".mcap', sha256="f" * 64))
-    saved = fit_calibration(samples(noise_m=1e-4), camera, "overlay", "svmdist 0.1.0", sources)
+    saved = fit_calibration(*samples(noise_m=1e-4), camera, "overlay", "svmdist 0.1.0", sources)
     path = tmp_path / "calibration.toml"
     save_calibration(saved, path)
     loaded = load_calibration(path)
