@@ -9,13 +9,12 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.errors import ProfileError
 from svmdist.estimation.distances import measured, with_tissue
-from svmdist.estimation.frame import Frame, Needs, View
+from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.instrument.consistency import with_detections
-from svmdist.estimation.instrument.distal_marker import MarkerPair, pair_markers
+from svmdist.estimation.instrument.distal_marker import pair_markers
 from svmdist.estimation.instrument.error_model import ErrorModel, nominal_tool
 from svmdist.estimation.instrument.factors import DISPARITY
 from svmdist.estimation.instrument.image_pose import ImagePose
-from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import wrist_in_tool
 from svmdist.estimation.instrument.tag_pose import TagPose
 from svmdist.estimation.scene import Arm
@@ -25,7 +24,6 @@ from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import Rejection, Status
 from svmdist.transforms import Array, inverse, skew
-from svmdist.vision.stereo import RectifiedPair
 
 MUCH_SURER = 2.0  # than what is seen, the profile's surface is: breath and dents are seen only
 BOUND_AT_M = 0.1  # from an endoscope to a tool at work
@@ -207,7 +205,7 @@ class StereoEstimator:
 
         # The tool: its distal marker in both views, and the shaft's direction.
         self._has_plate |= frame.left.tag_corners_px is not None
-        located = frame.pair_pose if self._uses_shaft else self._triangulated(frame, pair)
+        located = frame.pair_pose if self._uses_shaft else self._triangulated(frame)
         if isinstance(located, ImagePose):
             result = with_detections(result, located.gating)
         found = located if isinstance(located, Rejection) else certain_by_pair(frame, located)
@@ -225,28 +223,36 @@ class StereoEstimator:
         said = "the views do not agree on the tissue's surface: the profile's is used"
         return measured(replace(result, detail=said), frame, tool, tissue.pose)
 
-    def _triangulated(self, frame: Frame, pair: RectifiedPair) -> ImagePose | Rejection | Failure:
+    def _triangulated(self, frame: Frame) -> ImagePose | Rejection | Failure:
         """Without sizes of a shaft: the triangulated marker, with the nominal orientation."""
-        robot, right = frame.robot_in_camera, frame.right
-        markers = pair_markers(frame, pair)
-        if isinstance(markers, Failure):
-            return markers
+        robot, nominal = frame.robot_in_camera, ANY_ORIENTATION
+        if not isinstance(robot, Failure):
+            nominal = nominal_tool(self._chain, self._profile.kinematic_error, robot)
+        pose = triangulated_tool(frame, nominal)
+        if isinstance(pose, Failure):
+            return pose
         if isinstance(robot, Failure):  # a place, and no direction
             return Rejection(frame.stamp_ns, Status.NO_JOINTS, robot.reason)
-        assert right is not None  # the pair has one
-        nominal = nominal_tool(self._chain, self._profile.kinematic_error, robot)
-        pose = nominal_orientation_pose(markers, pair, right, nominal, frame.arm.deviations)
         return ImagePose(pose, (DISPARITY,), "")
 
 
-def nominal_orientation_pose(
-    markers: MarkerPair, pair: RectifiedPair, right: View, nominal: ToolPose, deviations: Deviations
-) -> ToolPose:
-    """The triangulated position with the orientation, and its covariance, of the nominal kinematics."""
+ANY_ORIENTATION = ToolPose(np.eye(4), np.eye(6), np.array([1.0, 0.0, 0.0]))
+"""Stands in for one that is not known."""
+
+
+def triangulated_tool(frame: Frame, nominal: ToolPose) -> ToolPose | Failure:
+    """The triangulated marker's position with the orientation, and its covariance, of the nominal kinematics."""
+    pair, right = frame.scene.stereo_pair, frame.right
+    if isinstance(pair, Failure):
+        return pair
+    assert right is not None  # the pair has one
+    markers = pair_markers(frame, pair)
+    if isinstance(markers, Failure):
+        return markers
     p_camera_m, J = pair.point(markers.left.pixel, markers.disparity_px)
     # What baseline and the right camera's rotation may be off by is in the disparity's deviation.
     disparity_px = np.array(markers.disparity_px)
-    biases = deviations.of_disparity(p_camera_m, right.camera, disparity_px, right.T_view_left)
+    biases = frame.arm.deviations.of_disparity(p_camera_m, right.camera, disparity_px, right.T_view_left)
     of_cameras_px2 = sum(float(np.sum(bias.jacobian**2)) for bias in biases)
     pixel_std_px = float(
         np.hypot(markers.left.std_px, markers.left.radius_px * markers.left.error.part_std_m)

@@ -6,8 +6,7 @@ import numpy as np
 
 from svmdist.estimation.comparison import DISPARITY, KINEMATICS, MARKER, SHAFT, TAG
 from svmdist.estimation.frame import Frame
-from svmdist.estimation.frame_methods import nominal_orientation_pose, tool_from_tag
-from svmdist.estimation.instrument.distal_marker import pair_markers
+from svmdist.estimation.frame_methods import ANY_ORIENTATION, tool_from_tag, triangulated_tool
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
@@ -19,7 +18,6 @@ WRIST_STD_M = 5e-3  # by which the shaft's axis passes before or behind the mark
 def places(frame: Frame) -> dict[str, ToolPose]:
     """The tool by each way that the log has."""
     arm, robot, found = frame.arm, frame.robot_in_camera, dict[str, ToolPose]()
-    pair, right = frame.scene.stereo_pair, frame.right
     if not isinstance(robot, Failure):
         found[KINEMATICS] = nominal_tool(arm.required_chain, arm.profile.kinematic_error, robot)
     if arm.profile.segmentation.shaft is not None and arm.body is not None and arm.chain is not None:
@@ -31,11 +29,9 @@ def places(frame: Frame) -> dict[str, ToolPose]:
             found[SHAFT] = pose
     if (size := _by_marker_size(frame)) is not None:
         found[MARKER] = size
-    if not isinstance(pair, Failure) and right is not None:
-        markers = pair_markers(frame, pair)
-        if not isinstance(markers, Failure):
-            anyhow = ToolPose(np.eye(4), np.eye(6), np.array([1.0, 0.0, 0.0]))
-            found[DISPARITY] = nominal_orientation_pose(markers, pair, right, anyhow, arm.deviations)
+    by_pair = triangulated_tool(frame, ANY_ORIENTATION)
+    if not isinstance(by_pair, Failure):
+        found[DISPARITY] = by_pair
     if frame.tag is not None and not isinstance(frame.robot, Failure):
         found[TAG] = tool_from_tag(arm, frame.left.camera, frame.tag, frame.robot)
     return found
