@@ -36,6 +36,7 @@ from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import joints_of, wrist_in_tool
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.estimation.tissue.surface import depth_biases
+from svmdist.estimation.tissue.tracking import height_biases
 from svmdist.geometry import Mesh
 from svmdist.geometry.distance import signed_distances
 from svmdist.kinematics import rows_behind_insertion
@@ -220,7 +221,7 @@ def _of_surface(scene: Scene) -> Iterator[Difference]:
     if surface is None or tissue is None or tissue.pose is None or right is None or profile.tissue is None:
         return
     pose, stated, points_m = tissue.pose, profile.tissue, surface.points_m
-    normal, by_shape, of_shape = np.array(stated.plane_normal), np.zeros((len(points_m), 0)), np.zeros((0, 0))
+    normal, of_shape = np.array(stated.plane_normal), np.zeros((0, 0))
     if pose.dome is not None:
         above = pose.dome.above(points_m)
         points_m, over_m = points_m[above.inner], above.over_m
@@ -239,11 +240,9 @@ def _of_surface(scene: Scene) -> Iterator[Difference]:
     fit, own_m = P @ over_m, float(np.hypot(surface.std_m, pose.surface_std_m))
     moved = P @ by_shape
     of_fit = np.sqrt(np.diag(moved @ of_shape @ moved.T))  # what is uncertain of a dome's shape
-    beside_m = float(np.linalg.norm(middle_m + stated.plane_distance_m * normal))
     of_cameras = depth_biases(middle_m, scene.observation.camera, right, Deviations.of(profile))
-    biases_m = [float(np.linalg.norm(one.jacobian)) for one in of_cameras]
-    plane_m = (stated.plane_distance_std_m, stated.motion_std_m, stated.plane_tilt_std_rad * beside_m)
-    std_m = float(np.linalg.norm([*plane_m, *biases_m, of_fit[2], own_m]))
+    biases_m = [np.linalg.norm(one.jacobian) for one in (*height_biases(stated, middle_m), *of_cameras)]
+    std_m = float(np.linalg.norm([*biases_m, of_fit[2], own_m]))
     yield Difference(HEIGHT, (TISSUE, DISPARITY), float(fit[2]), std_m, "m")
     reach_m = float(np.sqrt(np.linalg.eigvalsh(np.cov(across_m.T))[0]))  # of its shorter side
     turned_rad = profile.camera_error.right_rotation_std_rad
@@ -251,8 +250,7 @@ def _of_surface(scene: Scene) -> Iterator[Difference]:
     tilt_rad = float(np.arctan(np.linalg.norm(fit[:2])))
     yield Difference(TILT, (TISSUE, DISPARITY), tilt_rad, std_rad, "rad")
     rest = by_shape - B @ moved
-    shape_m = float(np.hypot(surface.std_m, pose.surface_std_m))
-    shape_m = float(np.sqrt(shape_m**2 + np.mean(np.einsum("ni,ij,nj->n", rest, of_shape, rest))))
+    shape_m = float(np.sqrt(own_m**2 + np.mean(np.einsum("ni,ij,nj->n", rest, of_shape, rest))))
     yield Difference(SHAPE, (TISSUE, DISPARITY), float(np.std(over_m - B @ fit)), shape_m, "m")
 
 
