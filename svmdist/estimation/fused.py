@@ -9,12 +9,11 @@ import numpy as np
 
 from svmdist.estimation.distances import measured, with_tissue, with_tool
 from svmdist.estimation.frame import Frame, Needs
-from svmdist.estimation.frame_methods import certain_by_pair, tool_from_tag
+from svmdist.estimation.frame_methods import certain, certain_by_pair, tool_from_tag
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound, with_detections
 from svmdist.estimation.instrument.distal_marker import Expected, MarkerPair, pair_markers
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.factors import jaw_scale, of_images, tag
-from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.kinematic_error_filter import (
     KinematicErrorFilter,
     Start,
@@ -26,7 +25,7 @@ from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue.detection import require_tissue
 from svmdist.estimation.tissue.tracking import TissueTracker, at_height, measure_height
 from svmdist.results import Distances, Failure, FrameResult, ToolEstimate, ToolPose
-from svmdist.samples import JointSample, Status
+from svmdist.samples import JointSample, Rejection, Status
 
 MAX_IMAGE_STD_M = 0.008  # a pose by one view that is less certain tells nothing of where to begin
 LOCATED_STD_M = 0.01  # a prediction as certain that agrees with the images needs no start by them
@@ -111,12 +110,9 @@ class FusedEstimator:
         if not self._has_sizes:
             return None
         found = certain_by_pair(frame, frame.pair_pose)
-        if isinstance(found, ImagePose):
-            return found.pose
-        fit = frame.shaft_pose
-        if isinstance(fit, Failure) or fit.doubt:
-            return None
-        return fit.pose if fit.pose.position_std_m < MAX_IMAGE_STD_M else None
+        if isinstance(found, Rejection):
+            found = certain(frame, frame.shaft_pose, MAX_IMAGE_STD_M)
+        return None if isinstance(found, Rejection) else found.pose
 
     def _start(self, frame: Frame) -> ToolPose | None:
         """Begin anew where it is due, and give the pose to linearise at; None where the filter goes on."""
