@@ -35,8 +35,8 @@ from svmdist.estimation.instrument.distal_marker import marker_in
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import joints_of, wrist_in_tool
 from svmdist.estimation.scene import Arm, Scene
+from svmdist.estimation.tissue.detection import height_biases
 from svmdist.estimation.tissue.surface import depth_biases
-from svmdist.estimation.tissue.tracking import height_biases
 from svmdist.geometry import Mesh
 from svmdist.geometry.distance import signed_distances
 from svmdist.kinematics import rows_behind_insertion

@@ -97,12 +97,8 @@ def tissue_pose(
     of_outline = J_px @ outline.covariance_px2 @ J_px.T
     ray = position_m / position_m[2]
     along = ray / float(plane.normal @ ray)  # dX by the offset
-    variance_m2 = tissue.plane_distance_std_m**2 + tissue.motion_std_m**2
+    variance_m2 = sum(float(np.sum(bias.jacobian**2)) for bias in height_biases(tissue, position_m))
     covariance = of_outline + variance_m2 * np.outer(along, along)
-    # A tilt about the foot of the camera's perpendicular moves the plane at X by tilt · (X - foot).
-    from_foot = position_m - plane.offset_m * plane.normal
-    arm2_m2 = float(from_foot @ from_foot) * tissue.plane_tilt_std_rad**2
-    covariance = covariance + arm2_m2 * np.outer(along, along)
     # What focal length and principal point do to where the outline's ray meets the plane.
     biases = ray_on_plane_biases(position_m, plane, camera, error)
     J = np.concatenate([bias.jacobian for bias in biases], -1)
@@ -129,6 +125,20 @@ def tissue_frame(origin_m: Array, normal: Array) -> Array:
     x = along - normal * float(normal @ along)
     x /= np.linalg.norm(x)
     return make_transform(np.stack([x, np.cross(normal, x), normal], -1), origin_m)
+
+
+def height_biases(tissue: Tissue, position_m: Array) -> tuple[SharedBias, SharedBias]:
+    """What is uncertain of the plane's height in m at a place on it, (3,), as derivatives (1, 1): constant, and motion.
+
+    A tilt lifts what lies beside the foot of the camera's perpendicular.
+    """
+    beside_m = position_m + tissue.plane_distance_m * np.array(tissue.plane_normal)
+    tilt_m = tissue.plane_tilt_std_rad * float(np.linalg.norm(beside_m))
+    constant_std_m = float(np.hypot(tissue.plane_distance_std_m, tilt_m))
+    return (
+        SharedBias("tissue plane", np.array([[constant_std_m]])),
+        SharedBias("tissue motion", np.array([[tissue.motion_std_m]]), tissue.motion_time_s),
+    )
 
 
 def ray_on_plane_biases(

@@ -14,6 +14,7 @@ from svmdist.estimation.instrument.state import Linearised
 from svmdist.estimation.tissue.detection import (
     TissueDetection,
     TissuePose,
+    height_biases,
     ray_on_plane_biases,
     require_tissue,
     tissue_plane,
@@ -117,20 +118,6 @@ class TissueTracker:
 
 MIN_POINTS = 50  # of a surface inside of the dome's rim: fewer are no view of it
 OUTLINE = "tissue height"
-
-
-def height_biases(tissue: Tissue, position_m: Array) -> tuple[SharedBias, SharedBias]:
-    """What is uncertain of the plane's height in m at a place on it, (3,), as derivatives (1, 1): constant, and motion.
-
-    A tilt lifts what lies beside the foot of the camera's perpendicular.
-    """
-    beside_m = position_m + tissue.plane_distance_m * np.array(tissue.plane_normal)
-    tilt_m = tissue.plane_tilt_std_rad * float(np.linalg.norm(beside_m))
-    constant_std_m = float(np.hypot(tissue.plane_distance_std_m, tilt_m))
-    return (
-        SharedBias("tissue plane", np.array([[constant_std_m]])),
-        SharedBias("tissue motion", np.array([[tissue.motion_std_m]]), tissue.motion_time_s),
-    )
 
 
 MAX_SHAPE_STDS = 2.0  # beyond, a surface that is seen is better than a shape: it only widens the interval
