@@ -1,6 +1,6 @@
 """From raw messages to samples: which schemas are understood, what each one becomes, and the checks of its values.
 
-Foxglove's messages and svmdist's own come in protobuf, those of ROS in the layout of ROS 1 or in CDR.
+Foxglove's messages and svmdist's own come in protobuf, those of ROS in the layout of ROS 1 or in CDR, by `rosbags`.
 """
 
 from __future__ import annotations
@@ -10,12 +10,12 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import cache, lru_cache, partial
+from functools import cache, partial
 from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
-from google.protobuf.message import DecodeError as ProtobufError
+from google.protobuf import message as protobuf
 
 from svmdist import samples
 from svmdist.camera import KNOWN_DISTORTION, MAX_COEFFICIENTS, Camera
@@ -31,6 +31,9 @@ MAX_MAGNITUDE = 1e12
 """In m, rad or px, far beyond anything real; squares and differences of such numbers are still finite."""
 MIN_QUATERNION = 1e-9
 """Its length; a shorter one names no rotation."""
+PLAIN_CDR = (b"\0\0", b"\0\1")
+Protobuf: Any = protobuf.Message
+"""What messages that are not of ROS derive from."""
 
 
 class DecodeError(ValueError):
@@ -128,7 +131,7 @@ class Decoder:
         try:
             pixels = video.decode(*found.video, raw.losses_before + self._failure_count)
         except ImageError as problem:
-            return broken_image(found.stamp_ns, str(problem))
+            return _broken_image(found.stamp_ns, str(problem))
         return EncodedImage(found.stamp_ns, found.frame_id, lambda: pixels)
 
     def image(self, raw: RawMessage) -> EncodedImage:
@@ -136,47 +139,49 @@ class Decoder:
         try:
             found = self.decode(raw)
         except DecodeError as problem:
-            found = broken_image(raw.log_time_ns, str(problem))
+            found = _broken_image(raw.log_time_ns, str(problem))
         if not isinstance(found, EncodedImage):
-            found = broken_image(raw.log_time_ns, "no image")
+            found = _broken_image(raw.log_time_ns, "no image")
         logged_ns, size_bytes = raw.log_time_ns, len(raw.data)
         return replace(
             found, topic=raw.topic, log_time_ns=logged_ns, size_bytes=size_bytes, offset=raw.offset
         )
 
     def _converted(self, raw: RawMessage) -> Message:
-        checked_stamp(raw.log_time_ns)
-        schema, kind, parser, converter = _reader(raw.message_encoding, raw.schema)
-        if kind is None:
-            raise DecodeError(f"schema {raw.schema!r} in {raw.message_encoding!r} is not known")
+        _checked_stamp(raw.log_time_ns)
+        encoding, schema = raw.message_encoding, _short(raw.schema)
+        known = SCHEMAS.get(encoding, {}).get(schema)
+        if known is None:
+            raise DecodeError(f"schema {raw.schema!r} in {encoding!r} is not known")
+        kind, convert = known
         limit = self._limits.message_bytes
         if kind is Kind.IMAGE:
-            is_raw = schema in {"foxglove.RawImage", "sensor_msgs/Image"}
+            is_raw = convert is _raw_image
             limit += 4 * self._limits.image_pixels if is_raw else self._limits.image_bytes
         if len(raw.data) > limit:
             raise DecodeError(f"a message of {len(raw.data)} bytes, the limit is {limit}")
-        if parser is None:
-            from svmdist.recording.ros_messages import decode_ros
-
-            return decode_ros(raw.message_encoding, schema, raw.data, raw.log_time_ns)
+        if encoding == "cdr" and raw.data[:2] not in PLAIN_CDR:
+            raise DecodeError(f"not plain CDR: it begins with {raw.data[:2].hex(' ')}")
         try:
-            message = parser(raw.data)
-        except (ProtobufError, RecursionError, UnicodeDecodeError, ValueError) as problem:
-            raise DecodeError(f"not a {schema}: {problem}") from None
-        stamp_ns = raw.log_time_ns
-        if kind is not Kind.TRANSFORMS:  # whose parts have each its own
-            stamp_ns = _stamp_of(message, stamp_ns)
-        found: Message = converter(message, stamp_ns, getattr(message, "frame_id", ""))
-        return found
+            message = _parser(encoding, schema)(raw.data)
+        except (
+            Exception
+        ) as problem:  # of protobuf and rosbags: errors of their own, or of struct, NumPy and text
+            raise DecodeError(f"not a {schema}: {' '.join(str(problem).split())}") from None
+        if kind is Kind.TRANSFORMS:  # whose parts have each a stamp of its own
+            return convert(message, raw.log_time_ns, "")
+        return convert(message, *_header(message, raw.log_time_ns))
 
 
-@lru_cache(maxsize=256)
-def _reader(message_encoding: str, schema: str) -> tuple[str, Kind | None, Any, Any]:
-    """A schema's short name and kind, and of protobuf what parses and converts its messages."""
-    short, kind = _short(schema), kind_of(schema, message_encoding)
-    if kind is None or message_encoding != "protobuf":
-        return short, kind, None, None
-    return short, kind, message_class(short).FromString, FOXGLOVE[short][1]
+def kind_of(schema: str, message_encoding: str) -> Kind | None:
+    """Tell what a topic carries; None for a schema or an encoding that svmdist does not read."""
+    known = SCHEMAS.get(message_encoding, {}).get(_short(schema))
+    return known[0] if known else None
+
+
+def _short(schema: str) -> str:
+    """Leave out the `/msg/` of ROS 2, which ROS 1 and some recorders do not write."""
+    return schema.replace("/msg/", "/", 1)
 
 
 @cache
@@ -188,12 +193,24 @@ def message_class(schema: str) -> Any:
     return getattr(import_module(f"foxglove_schemas_protobuf.{name}_pb2"), name)
 
 
-def kind_of(schema: str, message_encoding: str) -> Kind | None:
-    """Tell what a topic carries; None for a schema or an encoding that svmdist does not read."""
-    return KINDS.get(message_encoding, {}).get(_short(schema))
+@cache
+def _parser(encoding: str, schema: str) -> Callable[[bytes], Any]:
+    """What parses messages of a known schema; its types are imported when the first of them is read."""
+    if encoding == "protobuf":
+        parse: Callable[[bytes], Any] = message_class(schema).FromString
+        return parse
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    package, _, name = ("tf2_msgs/TFMessage" if schema == "tf/tfMessage" else schema).partition("/")
+    if encoding == "cdr":
+        return partial(get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr, typename=f"{package}/msg/{name}")
+    store = get_typestore(Stores.ROS1_NOETIC)
+    transforms = "geometry_msgs/TransformStamped[] transforms"
+    store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
+    return partial(store.deserialize_ros1, typename=f"{package}/msg/{name}")
 
 
-def broken_image(log_time_ns: int, reason: str) -> EncodedImage:
+def _broken_image(log_time_ns: int, reason: str) -> EncodedImage:
     """Make an image whose decoding fails, for a message that is broken before its pixels."""
 
     def fail() -> samples.Image:
@@ -202,64 +219,23 @@ def broken_image(log_time_ns: int, reason: str) -> EncodedImage:
     return EncodedImage(min(log_time_ns, MAX_STAMP_NS), "", fail)
 
 
-def _short(schema: str) -> str:
-    """Leave out the `/msg/` of ROS 2, which ROS 1 and some recorders do not write."""
-    return schema.replace("/msg/", "/", 1)
+def _is_set(message: Any, name: str) -> bool:
+    """Whether a message has a part, which protobuf alone may leave out."""
+    return not isinstance(message, Protobuf) or message.HasField(name)
 
 
-def _stamp_of(message: Any, log_time_ns: int) -> int:
-    """The message's own stamp in ns, or the log time where it has none."""
-    own_ns = message.timestamp.seconds * NS + message.timestamp.nanos
-    return checked_stamp(own_ns if message.HasField("timestamp") else log_time_ns)
+def _header(message: Any, log_time_ns: int) -> tuple[int, str]:
+    """The stamp in ns, the log time where none was set, and the frame of a message or a transform."""
+    if isinstance(message, Protobuf):
+        stamp, frame_id = message.timestamp, getattr(message, "frame_id", "")
+        own_ns = stamp.seconds * NS + stamp.nanos if message.HasField("timestamp") else log_time_ns
+    else:
+        stamp, frame_id = message.header.stamp, message.header.frame_id
+        own_ns = stamp.sec * NS + stamp.nanosec or log_time_ns  # zero in ROS was never set
+    return _checked_stamp(own_ns), frame_id
 
 
-def _foxglove_video(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
-    image = broken_image(stamp_ns, "a frame of a video that was not decoded")
-    return replace(image, frame_id=frame_id, video=(message.format, message.data))
-
-
-def _foxglove_joints(message: Any, stamp_ns: int, _: str) -> samples.JointSample:
-    """Joints without a position are left out."""
-    joints = [joint for joint in message.joints if joint.HasField("position")]
-    return checked_joints(stamp_ns, [joint.name for joint in joints], [joint.position for joint in joints])
-
-
-def _foxglove_pose(message: Any, stamp_ns: int, frame_id: str) -> RawTransform:
-    pose = message.pose
-    q = pose.orientation if pose.HasField("orientation") else None
-    return checked_transform(stamp_ns, frame_id, "", pose.position, q)
-
-
-def _foxglove_transforms(message: Any, log_time_ns: int, _: str) -> RawTransforms:
-    """Of a FrameTransform or FrameTransforms. An unset rotation means none; four zeros that are set are an error."""
-    parts = message.transforms if hasattr(message, "transforms") else [message]
-    transforms = []
-    for part in parts:
-        q = part.rotation if part.HasField("rotation") else None
-        frames = part.parent_frame_id, part.child_frame_id
-        transforms.append(checked_transform(_stamp_of(part, log_time_ns), *frames, part.translation, q))
-    return transforms_of(transforms, log_time_ns)
-
-
-def _distance(message: Any, stamp_ns: int, _: str) -> samples.DistanceSample:
-    values = (message.planar_m, message.spatial_m, message.clearance_m)
-    _check_numbers(values, "a distance")
-    return samples.DistanceSample(stamp_ns, *values)
-
-
-def raw_image(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
-    """An uncompressed image."""
-    size_px = message.width, message.height
-    decode = partial(decode_raw, message.encoding, size_px, message.step, message.data)
-    return EncodedImage(stamp_ns, frame_id, decode)
-
-
-def still_image(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
-    """A compressed image; its `format` is ignored, for its data say what they are."""
-    return EncodedImage(stamp_ns, frame_id, partial(decode_still, message.data))
-
-
-def checked_stamp(stamp_ns: int) -> int:
+def _checked_stamp(stamp_ns: int) -> int:
     """Return a stamp that fits into 64 bits with sign and is not negative; DecodeError for any other."""
     if not 0 <= stamp_ns <= MAX_STAMP_NS:
         raise DecodeError(f"the stamp {stamp_ns} ns is out of range")
@@ -274,33 +250,23 @@ def _check_numbers(values: Sequence[float], what: str) -> None:
             raise DecodeError(f"{what}: {bad} is no usable number")
 
 
-def checked_transform(stamp_ns: int, parent: str, child: str, position: Any, rotation: Any) -> RawTransform:
-    """A transform; DecodeError for values that are not finite or name no rotation."""
-    q = (0.0, 0.0, 0.0, 1.0) if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w)
-    values = (position.x, position.y, position.z, *q)
-    _check_numbers(values, "a transform")
-    if math.hypot(*q) <= MIN_QUATERNION:
-        raise DecodeError("a rotation needs a finite quaternion that is not zero")
-    return RawTransform(stamp_ns, parent, child, values)
+def _raw_image(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
+    size_px = message.width, message.height
+    decode = partial(decode_raw, message.encoding, size_px, message.step, message.data)
+    return EncodedImage(stamp_ns, frame_id, decode)
 
 
-def transforms_of(transforms: Sequence[RawTransform], log_time_ns: int) -> RawTransforms:
-    """One message of transforms, with the stamp of the first one."""
-    return RawTransforms(transforms[0].stamp_ns if transforms else log_time_ns, tuple(transforms))
+def _still_image(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
+    """A compressed image; its `format` is ignored, for its data say what they are."""
+    return EncodedImage(stamp_ns, frame_id, partial(decode_still, message.data))
 
 
-def checked_joints(stamp_ns: int, names: Sequence[str], positions: Sequence[float]) -> samples.JointSample:
-    """A sample; DecodeError for names that repeat and positions that are missing or not finite."""
-    if len(names) != len(positions) or not names:
-        raise DecodeError(f"{len(names)} joint names and {len(positions)} positions")
-    if len(set(names)) != len(names):
-        raise DecodeError("joint names repeat")
-    _check_numbers(positions, "joint positions")
-    # Every message brings the same names: one string each serves all the samples that are kept.
-    return samples.JointSample(stamp_ns, tuple(map(sys.intern, names)), np.array(positions, np.float64))
+def _video(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
+    image = _broken_image(stamp_ns, "a frame of a video that was not decoded")
+    return replace(image, frame_id=frame_id, video=(message.format, message.data))
 
 
-def camera_sample(message: Any, stamp_ns: int, frame_id: str) -> samples.CameraSample:
+def _camera(message: Any, stamp_ns: int, frame_id: str) -> samples.CameraSample:
     """A camera; DecodeError for a matrix of another size, an uncalibrated camera or an unknown distortion."""
     names = "KDRP" if hasattr(message, "K") else "kdrp"  # ROS 2 writes them small, others large
     K, D, R, P = (np.array(getattr(message, name), np.float64) for name in names)
@@ -321,28 +287,86 @@ def camera_sample(message: Any, stamp_ns: int, frame_id: str) -> samples.CameraS
     return samples.CameraSample(stamp_ns, camera)
 
 
+def _foxglove_joints(message: Any, stamp_ns: int, _: str) -> samples.JointSample:
+    """Joints without a position are left out."""
+    joints = [joint for joint in message.joints if joint.HasField("position")]
+    return _checked_joints(stamp_ns, [joint.name for joint in joints], [joint.position for joint in joints])
+
+
+def _ros_joints(message: Any, stamp_ns: int, _: str) -> samples.JointSample:
+    return _checked_joints(stamp_ns, message.name, message.position.tolist())
+
+
+def _checked_joints(stamp_ns: int, names: Sequence[str], positions: Sequence[float]) -> samples.JointSample:
+    """A sample; DecodeError for names that repeat and positions that are missing or not finite."""
+    if len(names) != len(positions) or not names:
+        raise DecodeError(f"{len(names)} joint names and {len(positions)} positions")
+    if len(set(names)) != len(names):
+        raise DecodeError("joint names repeat")
+    _check_numbers(positions, "joint positions")
+    # Every message brings the same names: one string each serves all the samples that are kept.
+    return samples.JointSample(stamp_ns, tuple(map(sys.intern, names)), np.array(positions, np.float64))
+
+
+def _pose(message: Any, stamp_ns: int, frame_id: str) -> RawTransform:
+    pose = message.pose
+    q = pose.orientation if _is_set(pose, "orientation") else None
+    return _checked_transform(stamp_ns, frame_id, "", pose.position, q)
+
+
+def _transform(message: Any, stamp_ns: int, frame_id: str) -> RawTransform:
+    """A transform; as a topic of its own it is in ROS the pose of its child, as older CRTK publishes `*_cp`."""
+    is_ros = not isinstance(message, Protobuf)
+    rigid, parent = (message.transform, frame_id) if is_ros else (message, message.parent_frame_id)
+    q = rigid.rotation if _is_set(rigid, "rotation") else None
+    return _checked_transform(stamp_ns, parent, message.child_frame_id, rigid.translation, q)
+
+
+def _transforms(message: Any, log_time_ns: int, _: str) -> RawTransforms:
+    """Those of a message, or the only one, with the stamp of the first."""
+    parts = message.transforms if hasattr(message, "transforms") else [message]
+    found = tuple(_transform(part, *_header(part, log_time_ns)) for part in parts)
+    return RawTransforms(found[0].stamp_ns if found else log_time_ns, found)
+
+
+def _checked_transform(stamp_ns: int, parent: str, child: str, position: Any, rotation: Any) -> RawTransform:
+    """A transform, of None without rotation; DecodeError for values that are not finite or name no rotation."""
+    q = (0.0, 0.0, 0.0, 1.0) if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w)
+    values = (position.x, position.y, position.z, *q)
+    _check_numbers(values, "a transform")
+    if math.hypot(*q) <= MIN_QUATERNION:
+        raise DecodeError("a rotation needs a finite quaternion that is not zero")
+    return RawTransform(stamp_ns, parent, child, values)
+
+
+def _distance(message: Any, stamp_ns: int, _: str) -> samples.DistanceSample:
+    values = (message.planar_m, message.spatial_m, message.clearance_m)
+    _check_numbers(values, "a distance")
+    return samples.DistanceSample(stamp_ns, *values)
+
+
 Converter = Callable[[Any, int, str], Message]
 """From a parsed message, its stamp in ns, and its frame."""
-FOXGLOVE: dict[str, tuple[Kind, Converter]] = {
-    "foxglove.CompressedImage": (Kind.IMAGE, still_image),
-    "foxglove.RawImage": (Kind.IMAGE, raw_image),
-    "foxglove.CompressedVideo": (Kind.IMAGE, _foxglove_video),
-    "foxglove.CameraCalibration": (Kind.CAMERA, camera_sample),
+PROTOBUF: dict[str, tuple[Kind, Converter]] = {
+    "foxglove.CompressedImage": (Kind.IMAGE, _still_image),
+    "foxglove.RawImage": (Kind.IMAGE, _raw_image),
+    "foxglove.CompressedVideo": (Kind.IMAGE, _video),
+    "foxglove.CameraCalibration": (Kind.CAMERA, _camera),
     "foxglove.JointStates": (Kind.JOINTS, _foxglove_joints),
-    "foxglove.PoseInFrame": (Kind.POSE, _foxglove_pose),
-    "foxglove.FrameTransform": (Kind.TRANSFORMS, _foxglove_transforms),
-    "foxglove.FrameTransforms": (Kind.TRANSFORMS, _foxglove_transforms),
+    "foxglove.PoseInFrame": (Kind.POSE, _pose),
+    "foxglove.FrameTransform": (Kind.TRANSFORMS, _transforms),
+    "foxglove.FrameTransforms": (Kind.TRANSFORMS, _transforms),
     "svmdist.GroundTruthDistance": (Kind.DISTANCE, _distance),
 }
-ROS: dict[str, Kind] = {
-    "sensor_msgs/Image": Kind.IMAGE,
-    "sensor_msgs/CompressedImage": Kind.IMAGE,
-    "sensor_msgs/CameraInfo": Kind.CAMERA,
-    "sensor_msgs/JointState": Kind.JOINTS,
-    "geometry_msgs/PoseStamped": Kind.POSE,
-    "geometry_msgs/TransformStamped": Kind.POSE,
-    "tf2_msgs/TFMessage": Kind.TRANSFORMS,
-    "tf/tfMessage": Kind.TRANSFORMS,
+ROS: dict[str, tuple[Kind, Converter]] = {
+    "sensor_msgs/Image": (Kind.IMAGE, _raw_image),
+    "sensor_msgs/CompressedImage": (Kind.IMAGE, _still_image),
+    "sensor_msgs/CameraInfo": (Kind.CAMERA, _camera),
+    "sensor_msgs/JointState": (Kind.JOINTS, _ros_joints),
+    "geometry_msgs/PoseStamped": (Kind.POSE, _pose),
+    "geometry_msgs/TransformStamped": (Kind.POSE, _transform),
+    "tf2_msgs/TFMessage": (Kind.TRANSFORMS, _transforms),
+    "tf/tfMessage": (Kind.TRANSFORMS, _transforms),
 }
-KINDS = {"protobuf": {schema: kind for schema, (kind, _) in FOXGLOVE.items()}, "cdr": ROS, "ros1": ROS}
-"""By encoding and schema."""
+SCHEMAS = {"protobuf": PROTOBUF, "cdr": ROS, "ros1": ROS}
+"""By encoding and schema: what its messages are, and what makes samples of them."""

@@ -18,7 +18,7 @@ from svmdist.geometry import read_closed_mesh
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.images import ImageError, decode_still
 from svmdist.recording.log import open_recording
-from svmdist.recording.messages import KINDS, DecodeError, Decoder
+from svmdist.recording.messages import SCHEMAS, DecodeError, Decoder
 from svmdist.recording.source import RawMessage
 from svmdist.recording.summary import inspect_recording
 
@@ -81,7 +81,7 @@ def message(encoding: str) -> Callable[[bytes, Path], None]:
     """A message of an encoding, taken for each schema that it may have."""
 
     def decode(data: bytes, _: Path) -> None:
-        for schema in KINDS[encoding]:
+        for schema in SCHEMAS[encoding]:
             raw = RawMessage("/t", schema, encoding, 1, data)
             with suppress(DecodeError):
                 pixels = getattr(Decoder(LIMITS).decode(raw), "decode", None)
