@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from svmdist.camera import Camera
 from svmdist.errors import RecordingError, did_you_mean
 from svmdist.profile import Limits
 from svmdist.recording import messages
@@ -17,7 +16,7 @@ from svmdist.recording.cameras import CameraTrack
 from svmdist.recording.observations import MissingPartners
 from svmdist.recording.source import Loss, LossKind, RawMessage, Source, sanitize, sanitize_list
 from svmdist.samples import CameraSample, DistanceSample, JointSample
-from svmdist.tracks import MAX_GAP_NS, Sampled, TransformTrack, sort_stamps
+from svmdist.tracks import Sampled, TransformTrack, sort_stamps
 from svmdist.transforms import Array, Stamps, inverse
 
 Edge = tuple[str, str]
@@ -61,64 +60,62 @@ class Contents:
         self.rows: defaultdict[str, defaultdict[Hashable, Rows]] = defaultdict(lambda: defaultdict(Rows))
         """By topic, and by names of joints, frame of poses, or edge of transforms."""
 
-    def add(self, topic: str, message: messages.Message) -> str | None:
-        """Take up a message; says why where it cannot be used."""
+    def add(self, topic: str, message: messages.Message) -> None:
+        """Take up a message; DecodeError where it cannot be used."""
+        rows = self.rows[topic]
         match message:
-            case JointSample():
-                known = self.rows[topic]
-                if known and message.names not in known:
-                    return "its joints are others than those of the first message"
-                known[message.names].add(message.stamp_ns, message.positions.tolist())
-            case DistanceSample():
-                row = (message.planar_m, message.spatial_m, message.clearance_m)
-                self.rows[topic][None].add(message.stamp_ns, row)
+            case JointSample(stamp_ns, names, positions):
+                if rows and names not in rows:
+                    raise messages.DecodeError("its joints are others than those of the first message")
+                rows[names].add(stamp_ns, positions.tolist())
+            case DistanceSample(stamp_ns, planar_m, spatial_m, clearance_m):
+                rows[None].add(stamp_ns, (planar_m, spatial_m, clearance_m))
             case messages.RawTransform():
-                self.rows[topic][message.parent].add(message.stamp_ns, message.values)
+                rows[message.parent].add(message.stamp_ns, message.values)
             case messages.RawTransforms(transforms=transforms):
                 for one in transforms:
                     # As tf2 has the names: tf of old wrote /base.
                     edge = one.parent.removeprefix("/"), one.child.removeprefix("/")
-                    self.rows[topic][edge].add(one.stamp_ns, one.values)
-        return None
-
-    def tree(self, topics: Mapping[str, bool], late_ns: int = 0) -> TransformTree:
-        """The transforms of some topics, each with whether its transforms are static."""
-        edges: dict[Edge, tuple[Rows, bool]] = {}
-        for topic, is_static in topics.items():
-            for edge, rows in self.rows.get(topic, {}).items():
-                edges[edge] = rows, is_static  # type: ignore[index]
-        return TransformTree(edges, late_ns)
+                    rows[edge].add(one.stamp_ns, one.values)
 
 
 class TransformTree:
-    """Transforms between any two frames of a log: edges over time, composed along the path that links them."""
+    """Transforms between any two frames of a log: edges over time, composed along the path that links them.
 
-    def __init__(self, edges: Mapping[Edge, tuple[Rows, bool]], late_ns: int = 0) -> None:
-        self._edges = edges
+    They come from some topics, each with whether its transforms are static.
+    """
+
+    def __init__(self, contents: Contents, topics: Mapping[str, bool], late_ns: int = 0) -> None:
+        self._edges: dict[Edge, tuple[Rows, bool]] = {
+            edge: (rows, is_static)  # type: ignore[misc]
+            for topic, is_static in topics.items()
+            for edge, rows in contents.rows.get(topic, {}).items()
+        }
         self._late_ns = late_ns
         self._tracks: dict[Edge, TransformTrack] = {}
-
-    @property
-    def frames(self) -> tuple[str, ...]:
-        """Names of the frames, sorted."""
-        return tuple(sorted({name for edge in self._edges for name in edge}))
 
     def links(self, parent: str, child: str) -> bool:
         """Whether a path links two frames."""
         return parent != child and child in self._reach(parent)
 
-    def at(self, parent: str, child: str, stamps_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> Sampled:
+    def at(self, parent: str, child: str, stamps_ns: Stamps) -> Sampled:
         """`T_parent_child` at stamps, shape (n, 4, 4), edges interpolated; RecordingError without a path."""
-        return _composed([self._track(*edge) for edge in self._path(parent, child)], stamps_ns, max_gap_ns)
+        T = np.repeat(np.eye(4)[None], len(stamps_ns), axis=0)
+        valid = np.ones(len(stamps_ns), np.bool_)
+        for track in self._along(parent, child):
+            sampled = track.at(stamps_ns)
+            T = T @ sampled.values
+            valid &= sampled.valid
+        return Sampled(T, valid)
 
     def track(self, parent: str, child: str) -> TransformTrack:
         """`T_parent_child` at all moving edges' stamps, where each has a value; RecordingError without a path."""
-        tracks = [self._track(*edge) for edge in self._path(parent, child)]
+        tracks = self._along(parent, child)
         if len(tracks) == 1:
             return tracks[0]
         moving = [track.stamps_ns for track in tracks if not track.is_static]
         stamps_ns = np.unique(np.concatenate(moving)) if moving else np.zeros(1, np.int64)
-        found = _composed(tracks, stamps_ns, MAX_GAP_NS)
+        found = self.at(parent, child, stamps_ns)
         return TransformTrack(
             parent, child, stamps_ns[found.valid], found.values[found.valid], is_static=not moving
         )
@@ -135,11 +132,12 @@ class TransformTree:
             self._tracks[parent, child] = TransformTrack(parent, child, stamps_ns, T, is_static)
         return self._tracks[parent, child]
 
-    def _path(self, parent: str, child: str) -> list[Edge]:
+    def _along(self, parent: str, child: str) -> list[TransformTrack]:
         """The shortest chain of edges, in either direction; RecordingError says what is missing."""
+        frames = {name for edge in self._edges for name in edge}
         for frame in (parent, child):
-            if frame not in self.frames:
-                known = did_you_mean(frame, map(sanitize, self.frames))
+            if frame not in frames:
+                known = did_you_mean(frame, map(sanitize, frames))
                 raise RecordingError(f"no frame {frame} in the transforms: {known}")
         if parent == child:
             raise RecordingError(
@@ -151,36 +149,26 @@ class TransformTree:
             raise RecordingError(
                 f"no transform links {parent} and {child}: on one side are {here}; on the other {there}"
             )
-        path = []
+        tracks = []
         while child != parent:
-            path.append((reached[child], child))
+            tracks.append(self._track(reached[child], child))
             child = reached[child]
-        return path[::-1]
+        return tracks[::-1]
 
     def _reach(self, start: str) -> dict[str, str]:
         """Every frame that edges link to `start`, each with the frame it is reached from, breadth first."""
-        neighbours: dict[str, list[str]] = {}
+        neighbours: defaultdict[str, list[str]] = defaultdict(list)
         for parent, child in self._edges:
-            neighbours.setdefault(parent, []).append(child)
-            neighbours.setdefault(child, []).append(parent)
+            neighbours[parent].append(child)
+            neighbours[child].append(parent)
         reached = {start: start}
         queue = [start]
         for frame in queue:  # which grows
-            for neighbour in neighbours.get(frame, []):
+            for neighbour in neighbours[frame]:
                 if neighbour not in reached:
                     reached[neighbour] = frame
                     queue.append(neighbour)
         return reached
-
-
-def _composed(tracks: list[TransformTrack], stamps_ns: Stamps, max_gap_ns: int) -> Sampled:
-    T = np.repeat(np.eye(4)[None], len(stamps_ns), axis=0)
-    valid = np.ones(len(stamps_ns), np.bool_)
-    for track in tracks:
-        sampled = track.at(stamps_ns, max_gap_ns)
-        T = T @ sampled.values
-        valid &= sampled.valid
-    return Sampled(T, valid)
 
 
 @dataclass(eq=False)
@@ -220,8 +208,8 @@ class LogFile:
         if rest and self._contents is None:
             self._contents = contents
 
-    def camera(self, topic: str) -> Camera | None:
-        """The first usable calibration of a topic; None without one."""
+    def camera_track(self, topic: str) -> CameraTrack:
+        """What is known of a topic's calibrations so far: the first usable one at least, where there is one."""
         track = self.cameras[topic]
         if not track.runs and self._contents is None:
             contents, decoder = Contents(), messages.Decoder(self.limits)
@@ -229,15 +217,13 @@ class LogFile:
                 self._collect(contents, decoder, raw)
                 if track.runs:
                     break
-        return track.runs[0].camera if track.runs else None
+        return track
 
     def _collect(self, contents: Contents, decoder: messages.Decoder, raw: RawMessage) -> None:
         try:
             message = decoder.decode(raw)
             if isinstance(message, CameraSample):  # a recorder that sets no stamp writes 0
                 self.cameras[raw.topic].add(message.stamp_ns or raw.log_time_ns, message.camera)
-            problem = contents.add(raw.topic, message)
-        except messages.DecodeError as found:
-            problem = str(found)
-        if problem is not None:
-            self.source.health.add(Loss(LossKind.MESSAGE, problem, raw.offset, raw.topic))
+            contents.add(raw.topic, message)
+        except messages.DecodeError as problem:
+            self.source.health.add(Loss(LossKind.MESSAGE, str(problem), raw.offset, raw.topic))

@@ -5,8 +5,9 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from itertools import starmap
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,13 +24,13 @@ from svmdist.recording import observations as obs
 from svmdist.recording.cameras import CameraChange, CameraTrack, cameras_at
 from svmdist.recording.contents import LogFile, Rows, TransformTree, in_order
 from svmdist.recording.messages import Kind, kind_of, matrices
-from svmdist.recording.observations import MissingPartners, Pairs, Partners
+from svmdist.recording.observations import MissingPartners, Pairs
 from svmdist.recording.source import Health, Loss, LossKind, TopicInfo, sanitize, sanitize_list
-from svmdist.recording.topics import FixedTransform, LoggedArm, Role, find_arms, open_source
+from svmdist.recording.topics import LoggedArm, Role, find_arms, open_source
 from svmdist.remote import LogPath, RemoteFile, is_url
 from svmdist.samples import Observation, Rejection
 from svmdist.tracks import DistanceTrack, JointTrack, TransformTrack
-from svmdist.transforms import inverse
+from svmdist.transforms import Array, inverse
 
 
 def open_recording(
@@ -47,7 +48,10 @@ def open_recording(
     arms = find_arms(source, profile, origin.topics)
     beside_images = frozenset(topic for arm in arms for topic in arm.topics_beside_images())
     infos = {info.topic for info in source.topics if kind_of(*info[1:3]) is Kind.CAMERA}
-    return Recording(LogFile(source, profile.limits, beside_images, beside_images & infos), arms, origin)
+    file = LogFile(source, profile.limits, beside_images, beside_images & infos)
+    fixed = {arm.name: profile.for_instrument(arm.name).camera_to_base for arm in arms}
+    bases = {name: one.T_camera_base for name, one in fixed.items() if one is not None}
+    return Recording(file, arms, origin, bases, ReplayedWorld(Perturbations(), profile))
 
 
 class Origin(NamedTuple):
@@ -82,7 +86,9 @@ class Recording:
     file: LogFile
     arms: tuple[LoggedArm, ...]
     origin: Origin
-    world: ReplayedWorld | None = None
+    bases: Mapping[str, Array | None]
+    """`T_camera_base`, (4, 4), by instrument, None for one that is not to be known; the log's own for others."""
+    world: ReplayedWorld
     lag: KnownLag | None = None
     """The known time offset of the images: joints, poses and transforms are read at their stamps; truth keeps its."""
     alias: str | None = None
@@ -99,7 +105,8 @@ class Recording:
 
     def __reduce__(self) -> tuple[Callable[..., Recording], tuple[object, ...]]:
         """Another process opens the same file anew."""
-        return _reopened, (self.origin, self.arms, self.world, self.lag, self.alias, self.window)
+        view = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "file"}
+        return _reopened, (self.origin, view)
 
     def for_instrument(self, name: str) -> Recording:
         """The same log as one of its instruments sees it; RecordingError lists those that there are."""
@@ -111,10 +118,6 @@ class Recording:
         world = ReplayedWorld(perturbations, profile, int(seed) if seed.isdecimal() else 0)
         return replace(self, world=world)
 
-    def with_bases(self, fixed: Mapping[str, FixedTransform]) -> Recording:
-        """The same log with the camera-to-base transforms of some instruments, by name, in place of its own."""
-        return replace(self, arms=tuple(replace(a, fixed=fixed.get(a.name, a.fixed)) for a in self.arms))
-
     @property
     def instruments(self) -> tuple[str, ...]:
         """The profile's own instrument, and the others that have a topic in the log."""
@@ -125,11 +128,6 @@ class Recording:
         """Whether its images show instruments of the profile that it is not about."""
         source, profile, topics = self.file.source, self.origin.profile, self.origin.topics
         return len(find_arms(source, profile, topics)) > len(self.arms)
-
-    @property
-    def world_seed(self) -> int:
-        """Of what is drawn of a perturbed world; 0 for the log as it is."""
-        return 0 if self.world is None else self.world.seed
 
     @property
     def path(self) -> LogPath:
@@ -183,7 +181,7 @@ class Recording:
     @cached_property
     def camera(self) -> Camera:
         """The first calibration, as a perturbed world states it; images have each their own. RecordingError."""
-        return stated_camera(self.logged_camera, self._stated)
+        return stated_camera(self.logged_camera, self.world.perturbations)
 
     @cached_property
     def logged_camera(self) -> Camera:
@@ -193,10 +191,10 @@ class Recording:
     @property
     def _left_track(self) -> CameraTrack:
         """What is known of the camera so far, its first calibration at least; RecordingError where there is none."""
-        topic = self._require(Role.CAMERA_INFO)
-        if self.file.camera(topic) is None:
+        track = self.file.camera_track(self._require(Role.CAMERA_INFO))
+        if not track.runs:
             raise self._unusable("camera calibration", Role.CAMERA_INFO)
-        return self.file.cameras[topic]
+        return track
 
     @cached_property
     def right_camera(self) -> Camera | None:
@@ -204,13 +202,8 @@ class Recording:
         topic = self.topic_of(Role.RIGHT_CAMERA_INFO)
         if topic is None or topic == self.topic_of(Role.CAMERA_INFO):
             return None
-        camera = self.file.camera(topic)
-        return None if camera is None else stated_right_camera(camera, self._stated)
-
-    @property
-    def _stated(self) -> Perturbations:
-        """How what the log states of its cameras differs from what is there."""
-        return Perturbations() if self.world is None else self.world.perturbations
+        runs = self.file.camera_track(topic).runs
+        return stated_right_camera(runs[0].camera, self.world.perturbations) if runs else None
 
     @property
     def remarks(self) -> list[str]:
@@ -238,54 +231,53 @@ class Recording:
         has no images or camera. One thread at a time goes through the iterator, any thread
         decodes, and `record_losses` takes the results. The caller bounds how many are held.
         """
-        arms, topic = [self._arm(name) for name in names], self._require(Role.IMAGE)
+        topic, states = self._require(Role.IMAGE), self._states(names, needs)
         right = self._right_topic() if needs.right else None
         of_right = None if right is None else self.file.cameras[self._require(Role.RIGHT_CAMERA_INFO)]
-        cameras = cameras_at(self._left_track, of_right, self._stated)
-        states = [self._arm_states(arm, needs) for arm in arms]
-        has_joints = [needs.joints and arm.choice.find(Role.JOINTS) is not None for arm in arms]
-        self.file.missing = MissingPartners(self.file.limits.pair_tolerance_s)
+        cameras = cameras_at(self._left_track, of_right, self.world.perturbations)
+        missing = self.file.missing = MissingPartners(self.file.limits.pair_tolerance_s)
         images = self.file.images({topic, right or topic}, rest=needs.rest)
-        pairs = Pairs(right, self.file.missing.pair_tolerance_s, self.health)
-        return self.window.of(
-            obs.EncodedObservation(
-                left,
-                other,
-                (at_stamp := tuple(state(left.stamp_ns) for state in states)),
-                cameras(left.stamp_ns),
-                self.health.next_place(),
-                Partners(
-                    apart_s,
-                    any(has and of.joints is None for of, has in zip(at_stamp, has_joints, strict=True)),
-                ),
-            )
-            for left, other, apart_s in pairs.of(images)
-        )
+        pairs = Pairs(right, missing.pair_tolerance_s, self.health)
+        has_joints = [needs.joints and self._arm(name).choice.find(Role.JOINTS) is not None for name in names]
+
+        def observation(number: int, at_ns: int, pair: obs.Pair) -> obs.EncodedObservation:
+            stamp_ns = pair.left.stamp_ns
+            arms = states(stamp_ns)
+            lacks = (has and arm.joints is None for has, arm in zip(has_joints, arms, strict=True))
+            missing.add(pair.right_apart_s, lacks_joints=any(lacks))
+            held, place = cameras(stamp_ns), self.health.next_place()
+            return obs.EncodedObservation(pair.left, pair.right, arms, held, place, number, at_ns)
+
+        return starmap(observation, self.window.of(pairs.of(images)))
 
     def with_states(
         self, images: Sequence[obs.EncodedObservation], names: Sequence[str]
     ) -> list[obs.EncodedObservation]:
         """Images that were read without what each instrument reported, with it: after a pass that read the rest."""
-        states = [self._arm_states(self._arm(name), obs.EVERYTHING) for name in names]
-        return [replace(one, arms=tuple(state(one.stamp_ns) for state in states)) for one in images]
+        states = self._states(names, obs.EVERYTHING)
+        return [replace(one, arms=states(one.stamp_ns)) for one in images]
 
     def record_losses(self, decoded: obs.Decoded) -> tuple[Observation, ...] | Rejection:
-        """Add losses of decoding to `health`, in file order, and lone images to `missing`; give the rest."""
-        self.file.missing.add(decoded.partners)
+        """Add losses of decoding to `health`, in file order; give the rest."""
         for loss in decoded.losses:
             self.health.add(loss, decoded.place)
         return decoded.found
 
+    def _states(self, names: Sequence[str], needs: obs.Needs) -> Callable[[int], tuple[obs.ArmState, ...]]:
+        """What some arms reported, as a function of a stamp."""
+        states = [self._arm_states(self._arm(name), needs) for name in names]
+        return lambda stamp_ns: tuple(state(stamp_ns) for state in states)
+
     def _arm_states(self, arm: LoggedArm, needs: obs.Needs) -> Callable[[int], obs.ArmState]:
-        """What an arm reported, as a function of a stamp."""
         joints = self._joints(arm) if needs.joints else None
-        fixed, frames = arm.fixed, arm.frames
-        tree = self._nominal_tree if needs.transforms and fixed is None else None
+        fixed, frames = self.bases.get(arm.name), (arm.frames.camera, arm.frames.base)
+        tree = self._nominal_tree if needs.transforms and arm.name not in self.bases else None
+        tree = tree if tree and tree.links(*frames) else None
 
         def at(stamp_ns: int) -> obs.ArmState:
-            T_camera_base = None if fixed is None else fixed.T_camera_base
-            if tree is not None and tree.links(frames.camera, frames.base):
-                found = tree.at(frames.camera, frames.base, np.array([stamp_ns], np.int64))
+            T_camera_base = fixed
+            if tree is not None:
+                found = tree.at(*frames, np.array([stamp_ns], np.int64))
                 T_camera_base = found.values[0] if found.valid[0] else None
             return obs.ArmState(*obs.joints_at(joints, stamp_ns), T_camera_base)
 
@@ -310,9 +302,7 @@ class Recording:
         topic = arm.choice.find(Role.JOINTS)
         for names, rows in self.file.contents.rows.get(topic or "", {}).items():
             assert isinstance(names, tuple)
-            reported = rows.arrays()
-            if self.world is not None:
-                reported = self.world.reported(arm.name, names, *reported)
+            reported = self.world.reported(arm.name, names, *rows.arrays())
             stamps_ns, positions = in_order(*reported, self._lag_ns)
             if repeated := len(reported[0]) - len(stamps_ns):
                 detail = f"{repeated} joint states repeat a stamp; the last one counts"
@@ -323,13 +313,13 @@ class Recording:
     def transform_track(self, parent: str, child: str, *, ground_truth: bool = False) -> TransformTrack:
         """`T_parent_child` over time, nominal or true; RecordingError where no transforms link the frames."""
         for arm in () if ground_truth else self.arms:
-            T = None if arm.fixed is None else arm.fixed.T_camera_base
+            T = self.bases.get(arm.name)
             if T is not None and {parent, child} == {arm.frames.camera, arm.frames.base}:
                 T = (T if parent == arm.frames.camera else inverse(T))[None]
                 return TransformTrack(parent, child, np.zeros(1, np.int64), T, is_static=True)
         if ground_truth:
             topics = {self._require(Role.GROUND_TRUTH_TF): False}
-            return self.file.contents.tree(topics).track(parent, child)
+            return TransformTree(self.file.contents, topics).track(parent, child)
         if not self.arms[0].choice.static_transforms():
             self._require(Role.TF)
         return self._nominal_tree.track(parent, child)
@@ -339,7 +329,7 @@ class Recording:
         moving = self.topic_of(Role.TF)
         topics = {moving: False} if moving else {}
         topics |= dict.fromkeys(self.arms[0].choice.static_transforms(), True)
-        return self.file.contents.tree(topics, self._lag_ns)
+        return TransformTree(self.file.contents, topics, self._lag_ns)
 
     def pose_track(self) -> TransformTrack:
         """All poses, at the stamps of the images' clock; RecordingError unless they are in one frame."""
@@ -381,6 +371,5 @@ class Recording:
         )
 
 
-def _reopened(origin: Origin, *view: Any) -> Recording:
-    file = open_recording(origin.path, origin.profile, topics=origin.topics).file
-    return Recording(file, view[0], origin, *view[1:])
+def _reopened(origin: Origin, view: Mapping[str, Any]) -> Recording:
+    return replace(open_recording(origin.path, origin.profile, topics=origin.topics), **view)

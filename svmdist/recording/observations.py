@@ -30,7 +30,12 @@ MAX_SWAPPED_IMAGES = 4
 """As many images wait for one that is stamped before them: two chunks of a log that changed places hold no more."""
 
 
-Pair = tuple[EncodedImage, EncodedImage | None, float | None]
+class Pair(NamedTuple):
+    """A left image with its right one; else how far the nearest right one is, in s, where one is wanted."""
+
+    left: EncodedImage
+    right: EncodedImage | None = None
+    right_apart_s: float | None = None
 
 
 class Pairs:
@@ -46,7 +51,7 @@ class Pairs:
         self._last_ns = -1
 
     def of(self, images: Iterable[EncodedImage]) -> Iterator[Pair]:
-        """Yield each left image with its right one, or how far the nearest is, in s; images come in file order."""
+        """Yield the left images by their stamps; images come in file order."""
         for image in images:
             if image.topic == self._right_topic:
                 insort(self._right, image, key=STAMP)
@@ -75,7 +80,7 @@ class Pairs:
         left = self._left.pop(0)
         self._last_ns = left.stamp_ns
         if self._right_topic is None:
-            return left, None, None
+            return Pair(left)
         first_ns = left.stamp_ns - self._tolerance_ns
         while self._right and self._right[0].stamp_ns < first_ns:
             self._gone_right_ns = self._right.pop(0).stamp_ns
@@ -83,21 +88,14 @@ class Pairs:
         if nearest is None or nearest.stamp_ns > left.stamp_ns + self._tolerance_ns:
             following_ns = math.inf if nearest is None else nearest.stamp_ns
             apart_ns = min(following_ns - left.stamp_ns, left.stamp_ns - self._gone_right_ns)
-            return left, None, apart_ns * 1e-9
+            return Pair(left, None, apart_ns * 1e-9)
         self._right.remove(nearest)
         self._gone_right_ns = nearest.stamp_ns
-        return left, nearest, None
+        return Pair(left, nearest)
 
 
 def _size(images: list[EncodedImage]) -> int:
     return sum(image.size_bytes for image in images)
-
-
-class Partners(NamedTuple):
-    """What an image lacks near it: how far the nearest right image is, in s, where one was wanted; joint states."""
-
-    right_apart_s: float | None
-    lacks_joints: bool
 
 
 @dataclass
@@ -109,11 +107,11 @@ class MissingPartners:
     without_joints: int = 0
     right_apart_s: list[float] = field(default_factory=list)
 
-    def add(self, partners: Partners) -> None:
-        """Count an image."""
+    def add(self, right_apart_s: float | None, *, lacks_joints: bool) -> None:
+        """Count an image, with how far the nearest right one is where one is wanted and missing."""
         self.image_count += 1
-        self.without_joints += partners.lacks_joints
-        self.right_apart_s += [] if partners.right_apart_s is None else [partners.right_apart_s]
+        self.without_joints += lacks_joints
+        self.right_apart_s += [] if right_apart_s is None else [right_apart_s]
 
     def describe(self) -> list[str]:
         """A line for right images, and one for joint states, where any are missing."""
@@ -163,18 +161,18 @@ class Window:
         # To the nearest nanosecond: an image at exactly 0.1 s is inside of a window that begins at 0.1 s.
         return (at_ns >= self.start_s * 1e9 - 0.5) & (at_ns <= self.end_s * 1e9 + 0.5)
 
-    def of(self, images: Iterable[EncodedObservation]) -> Iterator[EncodedObservation]:
-        """The images inside, each with its number among all and its time since the first one."""
+    def of(self, pairs: Iterable[Pair]) -> Iterator[tuple[int, int, Pair]]:
+        """The images inside, each behind its number among all and its time since the first one, in ns."""
         first_ns: int | None = None
         count = 0
-        for number, image in enumerate(images):
-            first_ns = image.stamp_ns if first_ns is None else first_ns
-            at_ns = image.stamp_ns - first_ns
+        for number, pair in enumerate(pairs):
+            first_ns = pair.left.stamp_ns if first_ns is None else first_ns
+            at_ns = pair.left.stamp_ns - first_ns
             if at_ns > (self.end_s + OUT_OF_ORDER_S) * 1e9:
                 return
             if self.holds(at_ns):
                 if count % self.every == 0:
-                    yield replace(image, number=number, at_ns=at_ns)
+                    yield number, at_ns, pair
                 count += 1
 
     def places(self, stamps_ns: NDArray[np.int64]) -> NDArray[np.intp]:
@@ -231,7 +229,6 @@ class Decoded:
     found: tuple[Observation, ...] | Rejection
     losses: tuple[Loss, ...]
     place: int
-    partners: Partners
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,10 +244,9 @@ class EncodedObservation:
     arms: tuple[ArmState, ...]
     cameras: Cameras
     place: int
-    partners: Partners
-    number: int = 0
+    number: int
     """Among the log's images."""
-    at_ns: int = 0
+    at_ns: int
     """Since the log's first image."""
 
     @property
@@ -262,7 +258,7 @@ class EncodedObservation:
         """Decode the images; a Rejection stands for a left image that cannot be, or whose camera is not known."""
         losses: list[Loss] = []
         found = self._observations(losses)
-        return Decoded(found, tuple(losses), self.place, self.partners)
+        return Decoded(found, tuple(losses), self.place)
 
     def _observations(self, losses: list[Loss]) -> tuple[Observation, ...] | Rejection:
         camera, right, doubt = self.cameras

@@ -18,7 +18,6 @@ from svmdist.recording.mcap import McapSource
 from svmdist.recording.messages import Kind, kind_of
 from svmdist.recording.source import METADATA_FILE, Source, TopicInfo, sanitize, sanitize_list
 from svmdist.remote import LogPath, RemoteFile
-from svmdist.transforms import Array
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 LOOKS_LIKE = {
@@ -148,21 +147,12 @@ class TopicChoice:
 
 
 @dataclass(frozen=True)
-class FixedTransform:
-    """A camera-to-base transform that holds for a whole log, `T_camera_base`, (4, 4); None says that none is known."""
-
-    T_camera_base: Array | None
-
-
-@dataclass(frozen=True)
 class LoggedArm:
     """One instrument of a recording: the roles of the topics and the frames as it sees them."""
 
     name: str
     choice: TopicChoice
     frames: Frames
-    fixed: FixedTransform | None = None
-    """Where the base stands; None for what the log's transforms say."""
 
     def topics_beside_images(self) -> set[str]:
         """The topics that play a role for it, but for images."""
@@ -197,9 +187,7 @@ def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) ->
         chosen = {role: topic for role, topic in overrides.items() if is_first or role not in ARM_TOPICS}
         claimed = frozenset(topic for owner in claims if owner != name for topic in claims[owner] if topic)
         choice = TopicChoice(infos, view.topics, chosen, source.path.name, claimed)
-        found = view.camera_to_base
-        fixed = None if found is None else FixedTransform(found.T_camera_base)
-        arms.append(LoggedArm(name, choice, view.frames, fixed))
+        arms.append(LoggedArm(name, choice, view.frames))
     return tuple(arms)
 
 

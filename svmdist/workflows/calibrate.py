@@ -22,7 +22,6 @@ from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
 from svmdist.profile import hand_eye as hand_eye_file
 from svmdist.recording.log import Recording
-from svmdist.recording.topics import FixedTransform
 from svmdist.results import Failure, FrameResult
 from svmdist.samples import JointSample
 from svmdist.tracks import JointTrack
@@ -164,10 +163,10 @@ def hand_eye(
             return Failure(found.reason + "".join(f"; {count} frames say: {why}" for why, count in said))
         return found
 
-    without = recording.with_bases({name: FixedTransform(None) for name in recording.instruments})
+    without = replace(recording, bases=dict.fromkeys(recording.instruments))
     found = fit_to(without)
     if isinstance(found, HandEyeResult) and twice:
-        second = fit_to(without.with_bases({instrument: FixedTransform(found.fit.T_camera_base)}))
+        second = fit_to(replace(without, bases={**without.bases, instrument: found.fit.T_camera_base}))
         found = second if isinstance(second, HandEyeResult) else found
     return found
 

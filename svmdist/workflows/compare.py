@@ -161,7 +161,7 @@ class _Work:
         read, setups, profile = self.recording, [self.setups[of] for of in setups_at], self.setups[0].profile
         if world := conditions[0].world:  # it has a pass of its own
             read = self.recording.perturbed(world, profile)
-            setups = [setup.perturbed(world, read.world_seed) for setup in setups]
+            setups = [setup.perturbed(world, read.world.seed) for setup in setups]
         keys = [(place, of, name) for place in at for of in setups_at for name in self.names]
         readings, seconds = {key: Readings() for key in keys}, dict.fromkeys(keys, 0.0)
         for replayed in replay(read, setups, conditions, wanted=self.names, jobs=self.threads):

@@ -36,7 +36,7 @@ def test_a_view_can_be_sent_to_another_process(tmp_path, view):
     path = write_log(tmp_path / "a.mcap", make_scene(64, 48), 12)
     mine: Recording = VIEWS[view](open_recording(path, profile), profile)
     theirs = pickle.loads(pickle.dumps(mine))
-    assert (theirs.name, theirs.lag, theirs.world_seed) == (mine.name, mine.lag, mine.world_seed)
+    assert (theirs.name, theirs.lag, theirs.world.seed) == (mine.name, mine.lag, mine.world.seed)
     assert theirs.origin == mine.origin
     np.testing.assert_array_equal(theirs.joint_track().positions, mine.joint_track().positions)
     for one, two in zip(read_observations(mine), read_observations(theirs), strict=True):

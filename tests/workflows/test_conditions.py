@@ -157,8 +157,8 @@ def test_a_perturbed_recording_is_perturbed_for_each_of_its_instruments(log):
     np.testing.assert_array_equal(view.camera.K, world.camera.K)
     np.testing.assert_array_equal(view.joint_track().positions, world.joint_track().positions)
     assert (world.joint_track().positions != log.joint_track().positions).any()
-    assert world.world_seed == 5
-    assert log.world_seed == 0
+    assert world.world.seed == 5
+    assert log.world.seed == 0
     assert world.right_camera is None
 
 
