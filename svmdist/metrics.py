@@ -42,7 +42,11 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class ErrorStatistics:
-    """Error figures of n pairs in the unit of the input; R² and r are None where a side does not vary."""
+    """Error figures of n pairs in the unit of the input; R² and Pearson's r are None where a side does not vary.
+
+    R² is that of eq. (36) as a fraction, 1 - SS_res / SS_tot against the identity line, and can be negative. It grows
+    with the range of motion alone: it never stands without RMSE and the truth's standard deviation.
+    """
 
     count: int
     r_squared: float | None
@@ -56,26 +60,6 @@ class ErrorStatistics:
     pearson_r: float | None
 
 
-def r_squared(estimate: ArrayLike, truth: ArrayLike) -> float | None:
-    """R² of eq. (36) as a fraction: 1 - SS_res / SS_tot against the identity line; can be negative.
-
-    It grows with the range of motion alone: it never stands without RMSE and the truth's standard deviation. None
-    where the truth does not vary.
-    """
-    f, y = np.asarray(estimate, np.float64), np.asarray(truth, np.float64)
-    if not _varies(y):
-        return None
-    return 1.0 - float(np.sum((f - y) ** 2)) / float(np.sum((y - y.mean()) ** 2))
-
-
-def pearson_r(estimate: ArrayLike, truth: ArrayLike) -> float | None:
-    """Pearson's correlation; None where either side does not vary."""
-    f, y = np.asarray(estimate, np.float64), np.asarray(truth, np.float64)
-    if not (_varies(y) and _varies(f)):
-        return None
-    return float(np.corrcoef(f, y)[0, 1])
-
-
 def error_statistics(estimate: ArrayLike, truth: ArrayLike) -> ErrorStatistics | None:
     """All figures of pairs of estimate and truth, both of shape (n,); None for no pairs."""
     f, y = np.asarray(estimate, np.float64), np.asarray(truth, np.float64)
@@ -85,9 +69,13 @@ def error_statistics(estimate: ArrayLike, truth: ArrayLike) -> ErrorStatistics |
         return None
     error = f - y
     magnitude = np.abs(error)
+    r_squared = pearson_r = None
+    if _varies(y):
+        r_squared = 1.0 - float(np.sum(error**2)) / float(np.sum((y - y.mean()) ** 2))
+        pearson_r = float(np.corrcoef(f, y)[0, 1]) if _varies(f) else None
     return ErrorStatistics(
         count=len(f),
-        r_squared=r_squared(f, y),
+        r_squared=r_squared,
         rmse=float(np.sqrt(np.mean(error**2))),
         mae=float(magnitude.mean()),
         median_abs_error=float(np.median(magnitude)),
@@ -95,7 +83,7 @@ def error_statistics(estimate: ArrayLike, truth: ArrayLike) -> ErrorStatistics |
         max_abs_error=float(magnitude.max()),
         bias=float(error.mean()),
         truth_std=float(y.std()),
-        pearson_r=pearson_r(f, y),
+        pearson_r=pearson_r,
     )
 
 

@@ -10,6 +10,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
@@ -85,21 +86,16 @@ def without_secrets(text: str, url: str) -> str:
 
 def _answered(ask: Callable[..., Answer], *arguments: Any, size_bytes: int = 0) -> Answer:
     """What a store answers; TimeoutError where it does not in time, whatever retries it makes by itself."""
-    answers: list[Answer] = []
-    problems: list[BaseException] = []
+    answer: Future[Answer] = Future()
 
     def wait() -> None:
         try:
-            answers.append(ask(*arguments))
+            answer.set_result(ask(*arguments))
         except BaseException as problem:
-            problems.append(problem)
+            answer.set_exception(problem)
 
-    thread = Thread(target=wait, daemon=True)
-    thread.start()
-    thread.join(ANSWER_S + size_bytes / LEAST_BYTES_PER_S)
-    if answers:
-        return answers[0]
-    raise problems[0] if problems else TimeoutError
+    Thread(target=wait, daemon=True).start()
+    return answer.result(ANSWER_S + size_bytes / LEAST_BYTES_PER_S)
 
 
 def filesystem_of(url: str) -> tuple[Any, str]:
