@@ -14,7 +14,7 @@ from svmdist.profile import Limits
 from svmdist.recording import messages
 from svmdist.recording.cameras import CameraTrack
 from svmdist.recording.observations import MissingPartners
-from svmdist.recording.source import Loss, LossKind, RawMessage, Source, sanitize, sanitize_list
+from svmdist.recording.source import LossKind, RawMessage, Source, sanitize, sanitize_list
 from svmdist.samples import CameraSample, DistanceSample, JointSample
 from svmdist.tracks import Sampled, TransformTrack, sort_stamps
 from svmdist.transforms import Array, Stamps, inverse
@@ -41,13 +41,9 @@ class Rows:
         rows = np.array(self.values, np.float64).reshape(count, -1 if count else 0)
         return np.array(self.stamps_ns, np.int64), rows
 
-    def sorted(self, late_ns: int = 0) -> tuple[Stamps, Array]:
-        """Distinct rising stamps, later by so much, and their rows; of equal stamps the last row counts."""
-        return in_order(*self.arrays(), late_ns)
 
-
-def in_order(stamps_ns: Stamps, rows: Array, late_ns: int) -> tuple[Stamps, Array]:
-    """The same of arrays."""
+def in_order(stamps_ns: Stamps, rows: Array, late_ns: int = 0) -> tuple[Stamps, Array]:
+    """Distinct rising stamps, later by so much, and their rows; of equal stamps the last row counts."""
     stamps_ns = stamps_ns + np.minimum(late_ns, np.iinfo(np.int64).max - stamps_ns)
     order = sort_stamps(stamps_ns)
     return stamps_ns[order], rows[order]
@@ -124,7 +120,7 @@ class TransformTree:
         if (parent, child) not in self._tracks:
             is_forward = (parent, child) in self._edges
             rows, is_static = self._edges[(parent, child) if is_forward else (child, parent)]
-            stamps_ns, values = rows.sorted(self._late_ns)
+            stamps_ns, values = in_order(*rows.arrays(), self._late_ns)
             if is_static:
                 stamps_ns, values = stamps_ns[:1], np.array([rows.values[-7:]])
             T = messages.matrices(values)
@@ -226,4 +222,4 @@ class LogFile:
                 self.cameras[raw.topic].add(message.stamp_ns or raw.log_time_ns, message.camera)
             contents.add(raw.topic, message)
         except messages.DecodeError as problem:
-            self.source.health.add(Loss(LossKind.MESSAGE, str(problem), raw.offset, raw.topic))
+            self.source.health.lose(LossKind.MESSAGE, str(problem), raw.offset, raw.topic)

@@ -37,26 +37,19 @@ def decode_still(data: bytes | memoryview, limits: Limits) -> Image:
     """A PNG or JPEG as BGR, shape (height, width, 3) of uint8, alpha dropped; ImageError for what must not be."""
     data = bytes(data)
     width_px, height_px = still_size(data, limits)
-    if data.startswith(PNG_MAGIC):
-        return _decode_by_opencv(data, (width_px, height_px))
-    try:  # strictly, to OpenCV's pixels: OpenCV itself fills what is damaged with grey, without a word
-        if _jpeg_header(data)[2] in {"CMYK", "YCCK"}:
-            simplejpeg.decode_jpeg(data, "CMYK", strict=True)  # whether it is whole; OpenCV knows its colours
-            return _decode_by_opencv(data, (width_px, height_px))
-        image = simplejpeg.decode_jpeg(data, "BGR", strict=True)
-    except (ValueError, MemoryError) as problem:
-        raise ImageError(" ".join(str(problem).split()) or "not enough memory") from None
-    if image.shape != (height_px, width_px, 3):
-        raise ImageError("its data do not decode")
-    return np.asarray(image, np.uint8)
-
-
-def _decode_by_opencv(data: bytes, size_px: tuple[int, int]) -> Image:
+    is_jpeg = not data.startswith(PNG_MAGIC)
+    is_cmyk = is_jpeg and _jpeg_header(data)[2] in {"CMYK", "YCCK"}
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    except (cv2.error, MemoryError) as problem:
-        raise ImageError(" ".join(str(problem).split())) from None
-    if image is None or image.shape != (*size_px[::-1], 3):
+        if (
+            is_jpeg
+        ):  # strictly, to OpenCV's pixels: OpenCV itself fills what is damaged with grey, without a word
+            image = simplejpeg.decode_jpeg(data, "CMYK" if is_cmyk else "BGR", strict=True)
+        if is_cmyk or not is_jpeg:  # whose colours OpenCV knows
+            flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except (cv2.error, ValueError, MemoryError) as problem:
+        raise ImageError(" ".join(str(problem).split()) or "not enough memory") from None
+    if image is None or image.shape != (height_px, width_px, 3):
         raise ImageError("its data do not decode")
     return np.asarray(image, np.uint8)
 

@@ -22,10 +22,10 @@ from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Profile
 from svmdist.recording import observations as obs
 from svmdist.recording.cameras import CameraChange, CameraTrack, cameras_at
-from svmdist.recording.contents import LogFile, Rows, TransformTree, in_order
+from svmdist.recording.contents import LogFile, TransformTree, in_order
 from svmdist.recording.messages import Kind, kind_of, matrices
 from svmdist.recording.observations import MissingPartners, Pairs
-from svmdist.recording.source import Health, Loss, LossKind, TopicInfo, sanitize, sanitize_list
+from svmdist.recording.source import Health, LossKind, TopicInfo, sanitize, sanitize_list
 from svmdist.recording.topics import LoggedArm, Role, find_arms, open_source
 from svmdist.remote import LogPath, RemoteFile, is_url
 from svmdist.samples import Observation, Rejection
@@ -306,7 +306,7 @@ class Recording:
             stamps_ns, positions = in_order(*reported, self._lag_ns)
             if repeated := len(reported[0]) - len(stamps_ns):
                 detail = f"{repeated} joint states repeat a stamp; the last one counts"
-                self.health.add(Loss(LossKind.MESSAGE, detail, None, topic))
+                self.health.lose(LossKind.MESSAGE, detail, None, topic)
             return JointTrack(stamps_ns, names, positions) if len(stamps_ns) else None
         return None
 
@@ -338,13 +338,13 @@ class Recording:
         if len(frames) != 1:
             several = f", in several frames ({sanitize_list(frames)})," if frames else ""
             raise self._unusable(f"poses{several}", Role.POSE)
-        stamps_ns, values = next(iter(known.values())).sorted(self._lag_ns)
+        stamps_ns, values = in_order(*next(iter(known.values())).arrays(), self._lag_ns)
         return TransformTrack(frames[0], "", stamps_ns, matrices(values))
 
     def distance_track(self) -> DistanceTrack:
         """All true distances."""
         topic = self._require(Role.GROUND_TRUTH_DISTANCE)
-        stamps_ns, rows = self.file.contents.rows[topic].get(None, Rows()).sorted()
+        stamps_ns, rows = in_order(*self.file.contents.rows[topic][None].arrays())
         return DistanceTrack(stamps_ns, rows.reshape(-1, 3))
 
     @property

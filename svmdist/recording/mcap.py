@@ -28,7 +28,7 @@ from mcap.summary import Summary
 from svmdist.errors import RecordingError
 from svmdist.files import open_regular, reading
 from svmdist.profile import Limits
-from svmdist.recording.source import Health, Loss, LossKind, RawMessage, TopicInfo, merge_topics
+from svmdist.recording.source import Health, LossKind, RawMessage, TopicInfo, merge_topics
 from svmdist.remote import LogPath, RemoteFile
 
 METADATA_NAME = "svmdist"
@@ -68,10 +68,6 @@ class McapSource:
                 encoding = channel.message_encoding
                 yield RawMessage(channel.topic, name, encoding, record.log_time, record.data, offset, losses)
         self._metadata = one_pass.metadata if self._metadata is None else self._metadata
-
-    def records(self) -> Iterator[McapRecord]:
-        """Yield every record in file order but message indexes, chunks unpacked."""
-        return (record for _, record in _Pass(self).records(None))
 
     @cached_property
     def summary(self) -> Summary | None:
@@ -282,7 +278,7 @@ class _Pass:
 
     def _lose(self, kind: LossKind, detail: str, offset: int | None = None) -> None:
         self.loss_count += 1
-        self._health.add(Loss(kind, detail, offset))
+        self._health.lose(kind, detail, offset)
 
 
 def _tail(file: BinaryIO, size_bytes: int) -> tuple[Any, ...] | None:

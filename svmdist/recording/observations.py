@@ -61,7 +61,7 @@ class Pairs:
             elif image.stamp_ns <= self._last_ns or image.stamp_ns in map(STAMP, self._left):
                 late = "repeats a stamp, or comes too far behind later ones; it is left out"
                 detail = f"an image of {image.stamp_ns} ns {late}"
-                self._health.add(Loss(LossKind.MESSAGE, detail, image.offset, image.topic))
+                self._health.lose(LossKind.MESSAGE, detail, image.offset, image.topic)
             else:
                 insort(self._left, image, key=STAMP)
             while self._left and self._is_ready():

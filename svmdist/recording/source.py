@@ -98,6 +98,10 @@ class Health:
             return
         self._losses[loss] = place if known is None else min(place, known)
 
+    def lose(self, kind: LossKind, detail: str, offset: int | None = None, topic: str | None = None) -> None:
+        """Report a loss at the next place."""
+        self.add(Loss(kind, detail, offset, topic))
+
     def join(self, other: Health) -> None:
         """Take in what another process lost of the same recording."""
         for loss in other.losses:

@@ -16,7 +16,7 @@ from svmdist.recording.cameras import CameraTrack
 from svmdist.recording.images import ImageError
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.messages import DecodeError, Decoder, kind_of
-from svmdist.recording.source import Health, Loss, LossKind, TopicInfo
+from svmdist.recording.source import Health, LossKind, TopicInfo
 from svmdist.recording.topics import Role
 from svmdist.recording.writer import EncodedSample
 from svmdist.remote import LogPath
@@ -125,7 +125,7 @@ def inspect_recording(
                 sample = decoder.decode(raw, with_video=False)
             except DecodeError as problem:
                 undecodable[raw.topic] += 1
-                recording.health.add(Loss(LossKind.MESSAGE, str(problem), raw.offset, raw.topic))
+                recording.health.lose(LossKind.MESSAGE, str(problem), raw.offset, raw.topic)
             else:
                 stamp_ns = sample.stamp_ns
                 match sample:
