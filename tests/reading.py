@@ -20,6 +20,8 @@ def read_images(recording: Recording) -> Iterator[ImageSample | Rejection]:
     topic = recording.topic_of(Role.IMAGE)
     for image in recording.file.images({topic} if topic else ()):
         losses = []
-        yield decode_image(image, losses)
+        found = decode_image(image, losses)
+        is_lost = isinstance(found, Rejection)
+        yield found if is_lost else ImageSample(image.stamp_ns, image.frame_id, found)
         for loss in losses:
             recording.health.add(loss)

@@ -238,7 +238,7 @@ class Recording:
         missing = self.file.missing = MissingPartners(self.file.limits.pair_tolerance_s)
         images = self.file.images({topic, right or topic}, rest=needs.rest)
         pairs = Pairs(right, missing.pair_tolerance_s, self.health)
-        has_joints = [needs.joints and self._arm(name).choice.find(Role.JOINTS) is not None for name in names]
+        has_joints = [needs.robot and self._arm(name).choice.find(Role.JOINTS) is not None for name in names]
 
         def observation(number: int, at_ns: int, pair: obs.Pair) -> obs.EncodedObservation:
             stamp_ns = pair.left.stamp_ns
@@ -269,9 +269,9 @@ class Recording:
         return lambda stamp_ns: tuple(state(stamp_ns) for state in states)
 
     def _arm_states(self, arm: LoggedArm, needs: obs.Needs) -> Callable[[int], obs.ArmState]:
-        joints = self._joints(arm) if needs.joints else None
+        joints = self._joints(arm) if needs.robot else None
         fixed, frames = self.bases.get(arm.name), (arm.frames.camera, arm.frames.base)
-        tree = self._nominal_tree if needs.transforms and arm.name not in self.bases else None
+        tree = self._nominal_tree if needs.robot and arm.name not in self.bases else None
         tree = tree if tree and tree.links(*frames) else None
 
         def at(stamp_ns: int) -> obs.ArmState:

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.errors import UsageError
-from svmdist.recording.cameras import Cameras, RightCamera
+from svmdist.recording.cameras import Cameras
 from svmdist.recording.images import ImageError
 from svmdist.recording.messages import EncodedImage
 from svmdist.recording.source import Health, Loss, LossKind
-from svmdist.samples import ImageSample, JointSample, Observation, Rejection, RightView, Status
+from svmdist.samples import Image, JointSample, Observation, Rejection, RightView, Status
 from svmdist.tracks import MAX_GAP_NS, JointTrack
 from svmdist.transforms import Array
 
@@ -187,21 +187,19 @@ ALL_IMAGES = Window()
 class Needs:
     """What a method uses of a log beside the left images; what it does not use is neither read nor given."""
 
-    joints: bool = True
-    transforms: bool = True
+    robot: bool = True
+    """Joints and transforms."""
     right: bool = True
     rest: bool = True
     """Whether the pass over the images shall read everything else, too, for those who ask for it later."""
 
 
 EVERYTHING = Needs()
-LEFT_IMAGES = Needs(joints=False, transforms=False, right=False)
+LEFT_IMAGES = Needs(robot=False, right=False)
 
 
-def decode_image(
-    image: EncodedImage, losses: list[Loss], camera: Camera | None = None
-) -> ImageSample | Rejection:
-    """An image; where it cannot be decoded, or has not the camera's size, it is a rejection and joins the losses."""
+def decode_image(image: EncodedImage, losses: list[Loss], camera: Camera | None = None) -> Image | Rejection:
+    """The pixels; of an image that cannot be decoded, or has not the camera's size, a rejection, and a loss more."""
     try:
         pixels = image.decode()
         height_px, width_px = pixels.shape[:2]
@@ -211,7 +209,7 @@ def decode_image(
     except ImageError as problem:
         losses.append(Loss(LossKind.IMAGE, str(problem), image.offset, image.topic))
         return Rejection(image.stamp_ns, Status.CORRUPT_IMAGE, str(problem))
-    return ImageSample(image.stamp_ns, image.frame_id, pixels)
+    return pixels
 
 
 class ArmState(NamedTuple):
@@ -257,28 +255,24 @@ class EncodedObservation:
     def decode(self) -> Decoded:
         """Decode the images; a Rejection stands for a left image that cannot be, or whose camera is not known."""
         losses: list[Loss] = []
-        found = self._observations(losses)
-        return Decoded(found, tuple(losses), self.place)
-
-    def _observations(self, losses: list[Loss]) -> tuple[Observation, ...] | Rejection:
-        camera, right, doubt = self.cameras
+        camera, _, doubt = self.cameras
         if doubt:
-            return Rejection(self.stamp_ns, Status.INCONSISTENT, doubt)
+            return Decoded(Rejection(self.stamp_ns, Status.INCONSISTENT, doubt), (), self.place)
         image = decode_image(self.left, losses, camera)
         if isinstance(image, Rejection):
-            return image
-        view = self._right_view(right, losses)
-        seen = Observation(image.stamp_ns, image.image_bgr, camera, right=view)
-        return tuple(replace(seen, **arm._asdict()) for arm in self.arms)
+            return Decoded(image, tuple(losses), self.place)
+        seen = Observation(self.stamp_ns, image, camera, right=self._right_view(losses))
+        found = tuple(replace(seen, **arm._asdict()) for arm in self.arms)
+        return Decoded(found, tuple(losses), self.place)
 
-    def _right_view(self, right: RightCamera | None, losses: list[Loss]) -> RightView | None:
-        if self.right is None or right is None:
+    def _right_view(self, losses: list[Loss]) -> RightView | None:
+        if self.right is None or self.cameras.right is None:
             return None
-        camera, T_left_right = right
+        camera, T_left_right = self.cameras.right
         image = decode_image(self.right, losses, camera)
         if isinstance(image, Rejection):
             return None
-        return RightView(image.image_bgr, camera, T_left_right, (image.stamp_ns - self.stamp_ns) * 1e-9)
+        return RightView(image, camera, T_left_right, (self.right.stamp_ns - self.stamp_ns) * 1e-9)
 
 
 def joints_at(track: JointTrack | None, stamp_ns: int) -> tuple[JointSample | None, JointTrack | None]:

@@ -42,7 +42,7 @@ SUSPECT_DEVIATIONS = 2.5
 MIN_ROW_OFFSET_PX = 0.5
 
 SOMEWHERE = Tissue(plane_distance_m=0.1)  # of a profile without a tissue, whose instrument can be compared
-PAIRS = Needs(joints=False, transforms=False)  # a pass over the images that reads all else on its way
+PAIRS = Needs(robot=False)  # a pass over the images that reads all else on its way
 
 
 @dataclass

@@ -234,7 +234,7 @@ class _Replay:
     def run(self, jobs: int, rest: bool) -> Iterator[tuple[Replayed, ...]]:
         several = len(self._arms) > 1  # what tells them apart starts from nominal kinematics
         robot, right = self._needs.robot or several, self._needs.right_view
-        logged = ReadNeeds(joints=robot, transforms=robot, right=right, rest=rest)
+        logged = ReadNeeds(robot, right, rest)
         encoded = self._recording.encoded_observations(self._recording.instruments, logged)
         with one_opencv_thread():
             for decoded, conditions in in_order(self._prepare, encoded, jobs):
