@@ -155,7 +155,7 @@ class Recording:
 
     def topic_of(self, role: Role | str) -> str | None:
         """Name the topic that plays a role; None where the log has none."""
-        return self.arms[0].choice.find(Role[role.upper()])
+        return self.arms[0].find(Role[role.upper()])
 
     def image_count(self) -> int | None:
         """How many images are read of those that the file says it has; None where that is not known beforehand."""
@@ -238,7 +238,7 @@ class Recording:
         missing = self.file.missing = MissingPartners(self.file.limits.pair_tolerance_s)
         images = self.file.images({topic, right or topic}, rest=needs.rest)
         pairs = Pairs(right, missing.pair_tolerance_s, self.health)
-        has_joints = [needs.robot and self._arm(name).choice.find(Role.JOINTS) is not None for name in names]
+        has_joints = [needs.robot and self._arm(name).find(Role.JOINTS) is not None for name in names]
 
         def observation(number: int, at_ns: int, pair: obs.Pair) -> obs.EncodedObservation:
             stamp_ns = pair.left.stamp_ns
@@ -299,7 +299,7 @@ class Recording:
 
     def _joints(self, arm: LoggedArm) -> JointTrack | None:
         """The joint states of an arm, as a perturbed world has them, at the stamps of the images' clock."""
-        topic = arm.choice.find(Role.JOINTS)
+        topic = arm.find(Role.JOINTS)
         for names, rows in self.file.contents.rows.get(topic or "", {}).items():
             assert isinstance(names, tuple)
             reported = self.world.reported(arm.name, names, *rows.arrays())
@@ -320,7 +320,7 @@ class Recording:
         if ground_truth:
             topics = {self._require(Role.GROUND_TRUTH_TF): False}
             return TransformTree(self.file.contents, topics).track(parent, child)
-        if not self.arms[0].choice.static_transforms():
+        if not self.arms[0].static_transforms():
             self._require(Role.TF)
         return self._nominal_tree.track(parent, child)
 
@@ -328,7 +328,7 @@ class Recording:
     def _nominal_tree(self) -> TransformTree:
         moving = self.topic_of(Role.TF)
         topics = {moving: False} if moving else {}
-        topics |= dict.fromkeys(self.arms[0].choice.static_transforms(), True)
+        topics |= dict.fromkeys(self.arms[0].static_transforms(), True)
         return TransformTree(self.file.contents, topics, self._lag_ns)
 
     def pose_track(self) -> TransformTrack:
@@ -358,7 +358,7 @@ class Recording:
         raise RecordingError(f"{self.path.name}: no topic of an instrument {sanitize(name)}: {known}")
 
     def _require(self, role: Role) -> str:
-        return self.arms[0].choice.require(role)
+        return self.arms[0].require(role)
 
     def _unusable(self, what: str, role: Role) -> RecordingError:
         topic, kind = self._require(role), role.kind

@@ -71,14 +71,18 @@ def is_right(topic: str) -> bool:
 
 
 @dataclass(frozen=True)
-class TopicChoice:
-    """The roles of one recording's topics; those in `claimed` are another arm's, and stand in for no topic."""
+class LoggedArm:
+    """One instrument of a recording: the roles of the topics and the frames as it sees them."""
 
+    name: str
+    frames: Frames
     infos: Sequence[TopicInfo]
     wanted: Topics
     overrides: Mapping[str, str]
-    name: str
+    log: str
+    """The name of the file."""
     claimed: frozenset[str] = frozenset()
+    """Topics of other arms, which stand in for none."""
 
     def __post_init__(self) -> None:
         for role in self.overrides:
@@ -94,8 +98,8 @@ class TopicChoice:
         if override is not None and override not in candidates:
             if override not in {info.topic for info in self.infos} and candidates:
                 known = did_you_mean(sanitize(override), map(sanitize, candidates))
-                raise RecordingError(f"{self.name}: no topic {sanitize(override)} with {kind}: {known}")
-            raise RecordingError(f"{self.name}: topic {sanitize(override)} carries no {kind}; {there_are}")
+                raise RecordingError(f"{self.log}: no topic {sanitize(override)} with {kind}: {known}")
+            raise RecordingError(f"{self.log}: topic {sanitize(override)} carries no {kind}; {there_are}")
         wanted: str | None = override or getattr(self.wanted, role)
         if wanted in candidates:
             return str(wanted)
@@ -105,12 +109,12 @@ class TopicChoice:
         expected = f" (the profile expects {wanted})" if wanted else ""
         if fitting:
             raise RecordingError(
-                f"{self.name}: several topics carry {kind}{expected}: let `svmdist profile new` write a profile of"
+                f"{self.log}: several topics carry {kind}{expected}: let `svmdist profile new` write a profile of"
                 f" this log, or choose one with --topic {role}=TOPIC: {sanitize_list(fitting)}"
             )
         others = [topic for topic in candidates if topic in {getattr(self.wanted, right) for right in RIGHT}]
         of_right = f"; {sanitize_list(others)} is the right view's" if others and role not in RIGHT else ""
-        raise RecordingError(f"{self.name}: no topic with {kind} for {role}{expected}{of_right}; {there_are}")
+        raise RecordingError(f"{self.log}: no topic with {kind} for {role}{expected}{of_right}; {there_are}")
 
     def find(self, role: Role) -> str | None:
         """Name the topic of a role; None where there is none, or no single one."""
@@ -124,6 +128,14 @@ class TopicChoice:
     def static_transforms(self) -> tuple[str, ...]:
         """Name the topics whose transforms hold for the whole log, as ROS publishes them."""
         return tuple(topic for topic in self._candidates(Kind.TRANSFORMS) if topic.endswith("tf_static"))
+
+    def topics_beside_images(self) -> set[str]:
+        """The topics that play a role for it, but for images."""
+        topics: set[str | None] = set(self.static_transforms())
+        for role in set(Role) - {Role.IMAGE, Role.RIGHT_IMAGE}:
+            with suppress(RecordingError):  # a chosen topic that is missing is reported where it is needed
+                topics.add(self.find(role))
+        return {topic for topic in topics if topic is not None}
 
     def _candidates(self, kind: Kind) -> list[str]:
         return sorted({one.topic for one in self.infos if kind_of(one.schema, one.message_encoding) is kind})
@@ -144,23 +156,6 @@ class TopicChoice:
         if image is not None and not (image in right or is_right(image)):
             return [topic for topic in fitting if not (topic in right or is_right(topic))]
         return fitting
-
-
-@dataclass(frozen=True)
-class LoggedArm:
-    """One instrument of a recording: the roles of the topics and the frames as it sees them."""
-
-    name: str
-    choice: TopicChoice
-    frames: Frames
-
-    def topics_beside_images(self) -> set[str]:
-        """The topics that play a role for it, but for images."""
-        topics: set[str | None] = set(self.choice.static_transforms())
-        for role in set(Role) - {Role.IMAGE, Role.RIGHT_IMAGE}:
-            with suppress(RecordingError):  # a chosen topic that is missing is reported where it is needed
-                topics.add(self.choice.find(role))
-        return {topic for topic in topics if topic is not None}
 
 
 def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) -> tuple[LoggedArm, ...]:
@@ -186,8 +181,7 @@ def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) ->
         is_first = name == profile.instrument_name
         chosen = {role: topic for role, topic in overrides.items() if is_first or role not in ARM_TOPICS}
         claimed = frozenset(topic for owner in claims if owner != name for topic in claims[owner] if topic)
-        choice = TopicChoice(infos, view.topics, chosen, source.path.name, claimed)
-        arms.append(LoggedArm(name, choice, view.frames))
+        arms.append(LoggedArm(name, view.frames, infos, view.topics, chosen, source.path.name, claimed))
     return tuple(arms)
 
 

@@ -15,7 +15,7 @@ from svmdist.recording.log import open_recording
 from svmdist.recording.mcap import McapSource
 from svmdist.recording.rosbag import BagSource, FolderSource
 from svmdist.recording.source import TopicInfo
-from svmdist.recording.topics import LoggedArm, Role, TopicChoice, find_arms
+from svmdist.recording.topics import LoggedArm, Role, find_arms
 
 from .builders import write_messages
 from .other_recorders import ros_messages, write_rosbag1, write_rosbag2
@@ -78,11 +78,12 @@ def choice(
     wanted: dict[str, str] | None = None,
     overrides: Mapping[str, str] | None = None,
     claimed: frozenset[str] = frozenset(),
-) -> TopicChoice:
-    """A choice among topics of a log called a.mcap, each given with its schema."""
+) -> LoggedArm:
+    """An instrument of a log called a.mcap, whose topics are given with their schemas."""
     encodings = {RAW: "cdr", "std_msgs/msg/String": "cdr", "sensor_msgs/Image": "ros1"}
     infos = [TopicInfo(topic, schema, encodings.get(schema, "protobuf")) for topic, schema in rows]
-    return TopicChoice(infos, Topics(**(wanted or {})), overrides or {}, "a.mcap", claimed)
+    topics = Topics(**(wanted or {}))
+    return LoggedArm("PSM1", PROFILE.frames, infos, topics, overrides or {}, "a.mcap", claimed)
 
 
 CAMERAS = (("/a", IMAGE), ("/b", IMAGE), ("/c", IMAGE))
@@ -170,8 +171,8 @@ def test_each_arm_has_its_own_joints_and_frames_and_the_scenes_images(tmp_path, 
     first, second = arms_of(tmp_path, two_arms, *topics)
     assert (first.name, second.name) == (two_arms.instrument_name, "PSM2")
     for arm, (joints, _) in zip((first, second), topics, strict=False):
-        assert arm.choice.require(Role.JOINTS) == joints
-        assert arm.choice.require(Role.IMAGE) == "/ECM/left/image"
+        assert arm.require(Role.JOINTS) == joints
+        assert arm.require(Role.IMAGE) == "/ECM/left/image"
         assert arm.frames.camera == two_arms.frames.camera
     assert (first.frames.base, first.frames.tool) == (two_arms.frames.base, two_arms.frames.tool)
     assert (second.frames.base, second.frames.tool) == ("PSM2_base", "PSM2_tool")
@@ -181,11 +182,11 @@ def test_arms_are_known_by_their_joints(tmp_path, two_arms):
     """The first one stands for a log without any; only the second one's joints, or the caller's, make it another."""
     (only,) = arms_of(tmp_path, two_arms, ("/image", IMAGE))
     assert only.name == two_arms.instrument_name
-    assert (only.choice.find(Role.JOINTS), only.choice.find(Role.IMAGE)) == (None, "/image")
+    assert (only.find(Role.JOINTS), only.find(Role.IMAGE)) == (None, "/image")
     second = ("/PSM2/measured_js", JOINTS)
     (only,) = arms_of(tmp_path, two_arms, second)
-    assert (only.name, only.choice.find(Role.JOINTS)) == ("PSM2", second[0])
+    assert (only.name, only.find(Role.JOINTS)) == ("PSM2", second[0])
     (only,) = arms_of(tmp_path, two_arms, second, *CAMERAS[:2], joints=second[0])
-    assert (only.name, only.choice.require(Role.JOINTS)) == (two_arms.instrument_name, second[0])
+    assert (only.name, only.require(Role.JOINTS)) == (two_arms.instrument_name, second[0])
     for arm in arms_of(tmp_path, two_arms, second, *CAMERAS[:2], image="/b"):
-        assert arm.choice.require(Role.IMAGE) == "/b"
+        assert arm.require(Role.IMAGE) == "/b"
