@@ -21,13 +21,11 @@ Rows = Mapping[str, NDArray[Any]]
 """Columns of n rows: `stamp_ns`, distances and deviations in m, `T`, (n, 4, 4), and texts; NaN for what a row lacks."""
 TUM = ("stamp", *POSE)
 TEXTS = ("status", "instrument", "recording", "frame_id")
-DISTANCES = {"planar": "planar", "distance": "distance", "spatial": "spatial", "clearance": "clearance"}
+DISTANCES = ("planar", "distance", "spatial", "clearance")
 FORMS = {
-    **DISTANCES,
-    **{f"{name}_std": f"{form}_std" for name, form in DISTANCES.items()},
+    **{name: name for name in (*DISTANCES, *(f"{distance}_std" for distance in DISTANCES), *TEXTS)},
     "tool_std": "(tool|position)_std",
     **{kind: f"(tool_)?{form}" for kind, form in POSE.items()},
-    **{name: name for name in TEXTS},
 }
 """The columns that are read, and patterns of their names without units."""
 FARTHEST_M = 2.0  # no endoscope sees farther: most numbers beyond it are of another unit
@@ -50,7 +48,7 @@ def read_estimates(path: Path) -> Rows:
     for kind in ("distance", "distance_std"):  # the planar one, but where a table tells them apart
         if (one := found.pop(kind, None)) is not None:
             found.setdefault(kind.replace("distance", "planar"), one)
-    if stamp is None or not (found.keys() & DISTANCES.keys() or {"x", "y", "z"} <= found.keys()):
+    if stamp is None or not (found.keys() & set(DISTANCES) or {"x", "y", "z"} <= found.keys()):
         raise SourceError(
             f"{path}: expected stamp_ns and a distance (as clearance_m) or a pose (x y z qx qy qz qw); the columns"
             f" {'are ' + ', '.join(names) if names else 'have no names'}"

@@ -215,16 +215,17 @@ class VideoDecoder:
         return np.asarray(frames[0].to_ndarray(format="bgr24"), np.uint8)
 
 
-def read_file(path: Path, limits: Limits) -> tuple[bytes | Image, tuple[int, int]]:
-    """The bytes of a PNG or JPEG, or the pixels of another format by OpenCV, with width and height in px.
+def read_file(path: Path, limits: Limits, *, decode: bool) -> tuple[bytes | Image, tuple[int, int]]:
+    """The bytes of a PNG or JPEG, or its pixels with `decode`, BGR; those of other formats by OpenCV; and the size.
 
-    Raises SourceError, which names the path, where it is no image.
+    Width and height are in px. Raises SourceError, which names the path, where it is no image.
     """
     with reading(path, SourceError):
         data = read_regular(path, limits.image_bytes)
     try:
         if still_format(data):
-            return data, still_size(data, limits)
+            size_px = still_size(data, limits)
+            return decode_still(data, limits) if decode else data, size_px
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
         if image is None:
             raise ImageError(f"not an image that can be decoded ({data[:8].hex(' ') or 'an empty file'})")
@@ -236,11 +237,3 @@ def read_file(path: Path, limits: Limits) -> tuple[bytes | Image, tuple[int, int
         raise SourceError(f"{path}: {' '.join(str(problem).split())}") from None
     pixels = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image[..., :3]
     return np.asarray(pixels, np.uint8), size_px
-
-
-def decode_file(data: bytes, name: str, limits: Limits) -> Image:
-    """The pixels of a PNG or JPEG, BGR; SourceError names the file where it cannot be decoded."""
-    try:
-        return decode_still(data, limits)
-    except ImageError as problem:
-        raise SourceError(f"{name}: {problem}") from None

@@ -25,7 +25,7 @@ from svmdist.importing import tables as table_files
 from svmdist.importing.calibration import CalibrationOptions, Crop, complete, stated_cameras
 from svmdist.importing.images import Video, list_images, matching, require_one_view
 from svmdist.profile import Limits, load_profile
-from svmdist.recording.images import decode_file, read_file
+from svmdist.recording.images import ImageError, decode_still, read_file
 from svmdist.recording.writer import EncodedSample, RecordingWriter, encode_still
 from svmdist.samples import (
     CameraSample,
@@ -188,11 +188,6 @@ def _pictures(view: View, options: ViewOptions) -> Iterator[tuple[int, Sequence[
         yield place, parts
 
 
-def decoded(picture: Picture, name: str) -> Image:
-    """The pixels of a picture, BGR."""
-    return decode_file(picture, name, LIMITS) if isinstance(picture, bytes) else picture
-
-
 def _pairs(
     views: Sequence[View], cameras: Sequence[Camera], T_left_right: Array, options: ImportOptions
 ) -> Iterator[Observation]:
@@ -200,8 +195,9 @@ def _pairs(
     by_place = itemgetter(0)
     pictures = heapq.merge(*(_pictures(view, options.views) for view in views), key=by_place)
     for place, each in groupby(pictures, by_place):
-        with suppress(SourceError):  # a file is stored as it is
-            images = [decoded(part, "") for _, parts in each for part in parts]
+        with suppress(ImageError):  # a file is stored as it is
+            found = (part for _, parts in each for part in parts)
+            images = [decode_still(one, LIMITS) if isinstance(one, bytes) else one for one in found]
             if len(images) == 2:
                 right = RightView(images[1], cameras[1], T_left_right)
                 yield Observation(views[0].stamps_ns[place], images[0], cameras[0], right=right)
@@ -274,9 +270,7 @@ def _file_view(paths: Sequence[Path], stamps_ns: list[int], options: ViewOptions
     def pictures() -> Iterator[tuple[int, Picture, tuple[int, int]]]:
         for place in range(0, len(paths), options.every):
             try:
-                picture, found_px = read_file(paths[place], LIMITS)
-                if options.takes_parts:
-                    picture = decoded(picture, str(paths[place]))
+                picture, found_px = read_file(paths[place], LIMITS, decode=options.takes_parts)
             except SourceError as problem:
                 losses[place] = str(problem)
             else:

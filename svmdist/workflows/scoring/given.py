@@ -62,7 +62,7 @@ class Given:
         """The estimates at the images of a log, each at the nearest one; RecordingError where none is near any."""
         if self.rows is not None:
             return self
-        has_distances = self.table is not None and bool(self.table.keys() & DISTANCES.keys())
+        has_distances = self.table is not None and bool(self.table.keys() & set(DISTANCES))
         sees_tissue = not has_distances and log.origin.profile.tissue is not None
         return replace(self, rows=self._rows(log), sees_tissue=sees_tissue)
 
