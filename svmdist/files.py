@@ -21,8 +21,7 @@ ASCII = str.maketrans(
     dict(zip("─–—−µ×’“”\N{REPLACEMENT CHARACTER}", '----ux\'""?', strict=True))
     | {"…": "...", "±": "+-", "°": " deg", "²": "2", "³": "3", "≥": ">=", "≤": "<=", "→": "->"}
 )
-FALLBACK = "svmdist.fallback"
-"""For `errors=` of a text stream: writing never fails for want of a character."""
+FALLBACK = "svmdist.fallback"  # for `errors=` of a text stream: writing never fails for want of a character
 
 
 def _fall_back(problem: UnicodeError) -> tuple[str | bytes, int]:

@@ -23,10 +23,8 @@ from svmdist.errors import QUERY, USER, concealed
 
 Answer = TypeVar("Answer")
 
-ANSWER_S = 20.0
-"""A server that sends nothing for so long is taken for dead."""
-LEAST_BYTES_PER_S = 50e3
-"""A piece of a file may take the longer, the larger it is."""
+ANSWER_S = 20.0  # a server that sends nothing for so long is taken for dead
+LEAST_BYTES_PER_S = 50e3  # a piece of a file may take the longer, the larger it is
 BLOCK_BYTES = 256 << 10  # a chunk of a recording: one that is left out is not fetched
 FILES_KEPT = 4
 # Characters; shorter ones stand in other words, and number versions and pages.
@@ -199,8 +197,7 @@ class RemoteFile:
         return None if found is None else f"{found} {info.get('size')}"
 
 
-LogPath = Path | RemoteFile
-"""Where a log may be: a file or folder, or a URL."""
+LogPath = Path | RemoteFile  # where a log may be: a file or folder, or a URL
 
 
 @lru_cache(FILES_KEPT)

@@ -39,8 +39,7 @@ QUATERNION = r"(q_?|quat_|orientation[_.]|q_rs_|pose\.orientation\.|rotation_|qu
 POSE = {axis: POSITION + axis for axis in "xyz"} | {f"q{axis}": QUATERNION + axis for axis in "xyzw"}
 ROTATION_TOLERANCE = 1e-2
 """Of a quaternion's length and of R Rᵀ - I: rounded numbers are accepted, other quantities are not."""
-FARTHEST_M = 10.0
-"""From a robot's base: no instrument is farther, and one of millimetres read as metres is."""
+FARTHEST_M = 10.0  # from a robot's base: no instrument is farther, and one of millimetres read as metres is
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,7 @@ from svmdist.samples import CameraSample, DistanceSample, JointSample
 from svmdist.tracks import Sampled, TransformTrack, sort_stamps
 from svmdist.transforms import Array, Stamps, inverse
 
-Edge = tuple[str, str]
-"""Names of the parent and the child frame."""
+Edge = tuple[str, str]  # names of the parent and the child frame
 
 
 @dataclass(eq=False)
@@ -174,8 +173,7 @@ class LogFile:
     source: Source
     limits: Limits
     topics: frozenset[str]
-    camera_topics: frozenset[str]
-    """Those of `topics` with calibrations, which every pass over images reads."""
+    camera_topics: frozenset[str]  # those of `topics` with calibrations, which every pass over images reads
     cameras: defaultdict[str, CameraTrack] = field(default_factory=lambda: defaultdict(CameraTrack))
     """What is known of them so far."""
     missing: MissingPartners = field(default_factory=lambda: MissingPartners(0.0))

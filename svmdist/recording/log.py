@@ -91,10 +91,8 @@ class Recording:
     world: ReplayedWorld
     lag: KnownLag | None = None
     """The known time offset of the images: joints, poses and transforms are read at their stamps; truth keeps its."""
-    alias: str | None = None
-    """The name that it goes by; None for its file's."""
-    window: obs.Window = obs.ALL_IMAGES
-    """Which of its images are read; whatever else it has is read whole."""
+    alias: str | None = None  # the name that it goes by; None for its file's
+    window: obs.Window = obs.ALL_IMAGES  # which of its images are read; whatever else it has is read whole
 
     def __repr__(self) -> str:
         """Its name, what is measured in it, and its topics by role."""

@@ -31,12 +31,10 @@ from svmdist.profile import Limits
 from svmdist.recording.source import Health, LossKind, RawMessage, TopicInfo, merge_topics
 from svmdist.remote import LogPath, RemoteFile
 
-METADATA_NAME = "svmdist"
-"""The metadata record that says what a recording came from."""
+METADATA_NAME = "svmdist"  # the metadata record that says what a recording came from
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
-TAIL = struct.Struct("<BQQQI8s")
-"""The footer record and the magic, with which every complete file ends."""
+TAIL = struct.Struct("<BQQQI8s")  # the footer record and the magic, with which every complete file ends
 PARSED = frozenset(Opcode) - {Opcode.MESSAGE_INDEX}
 
 
@@ -116,8 +114,7 @@ class _Pass:
         self.metadata: dict[str, str] = {}
         self.loss_count = 0
         self._statistics = summary.statistics if summary else None
-        self.counts: Counter[int] = Counter()
-        """Messages read by channel."""
+        self.counts: Counter[int] = Counter()  # messages read by channel
         self._has_data_ended = self._is_cut = False
 
     def records(self, topics: Collection[str] | None) -> Iterator[tuple[int, McapRecord]]:

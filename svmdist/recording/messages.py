@@ -29,11 +29,9 @@ MAX_STAMP_NS = (1 << 63) - 1
 NS = 1_000_000_000
 MAX_MAGNITUDE = 1e12
 """In m, rad or px, far beyond anything real; squares and differences of such numbers are still finite."""
-MIN_QUATERNION = 1e-9
-"""Its length; a shorter one names no rotation."""
+MIN_QUATERNION = 1e-9  # its length; a shorter one names no rotation
 PLAIN_CDR = (b"\0\0", b"\0\1")
-Protobuf: Any = protobuf.Message
-"""What messages that are not of ROS derive from."""
+Protobuf: Any = protobuf.Message  # what messages that are not of ROS derive from
 
 
 class DecodeError(ValueError):
@@ -57,10 +55,8 @@ class EncodedImage:
 
     stamp_ns: int
     frame_id: str
-    decode: Callable[..., samples.Image]
-    """From a `Decoder` it takes nothing; from a converter, the limits."""
-    video: tuple[str, bytes] | None = None
-    """Format and data of a frame that is not decoded."""
+    decode: Callable[..., samples.Image]  # from a `Decoder` it takes nothing; from a converter, the limits
+    video: tuple[str, bytes] | None = None  # format and data of a frame that is not decoded
     topic: str = ""
     log_time_ns: int = 0
     size_bytes: int = 0
@@ -345,8 +341,7 @@ def _distance(message: Any, stamp_ns: int, _: str) -> samples.DistanceSample:
     return samples.DistanceSample(stamp_ns, *values)
 
 
-Converter = Callable[[Any, int, str], Message]
-"""From a parsed message, its stamp in ns, and its frame."""
+Converter = Callable[[Any, int, str], Message]  # from a parsed message, its stamp in ns, and its frame
 PROTOBUF: dict[str, tuple[Kind, Converter]] = {
     "foxglove.CompressedImage": (Kind.IMAGE, _still_image),
     "foxglove.RawImage": (Kind.IMAGE, _raw_image),

@@ -22,8 +22,7 @@ from svmdist.samples import Image, JointSample, Observation, Rejection, RightVie
 from svmdist.tracks import MAX_GAP_NS, JointTrack
 from svmdist.transforms import Array
 
-LOOK_AHEAD_NS = 3_000_000_000
-"""How long, in log time, an image waits for the right image at its stamp."""
+LOOK_AHEAD_NS = 3_000_000_000  # how long, in log time, an image waits for the right image at its stamp
 MAX_WAITING_BYTES = 64 << 20
 STAMP = attrgetter("stamp_ns")
 MAX_SWAPPED_IMAGES = 4
@@ -187,8 +186,7 @@ ALL_IMAGES = Window()
 class Needs:
     """What a method uses of a log beside the left images; what it does not use is neither read nor given."""
 
-    robot: bool = True
-    """Joints and transforms."""
+    robot: bool = True  # joints and transforms
     right: bool = True
     rest: bool = True
     """Whether the pass over the images shall read everything else, too, for those who ask for it later."""
@@ -242,10 +240,8 @@ class EncodedObservation:
     arms: tuple[ArmState, ...]
     cameras: Cameras
     place: int
-    number: int
-    """Among the log's images."""
-    at_ns: int
-    """Since the log's first image."""
+    number: int  # among the log's images
+    at_ns: int  # since the log's first image
 
     @property
     def stamp_ns(self) -> int:

@@ -13,8 +13,7 @@ from svmdist.remote import LogPath
 
 MAX_NAME_LENGTH = 300
 MAX_LISTED_NAMES = 40
-MAX_LISTED_LOSSES = 1000
-"""Reports about a file with a million broken chunks must not fill the memory."""
+MAX_LISTED_LOSSES = 1000  # reports about a file with a million broken chunks must not fill the memory
 METADATA_FILE = "metadata.yaml"  # makes a folder a rosbag2 recording
 
 
@@ -80,8 +79,7 @@ class Health:
     that images decoded late, by other threads, are listed as if they had been decoded at once.
     """
 
-    unlisted_count: int = 0
-    """Losses beyond the listed ones: a lower bound, and 0 only where there are none."""
+    unlisted_count: int = 0  # losses beyond the listed ones: a lower bound, and 0 only where there are none
     _losses: dict[Loss, int] = field(default_factory=dict)
     _places: Iterator[int] = field(default_factory=count)
 

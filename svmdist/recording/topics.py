@@ -79,10 +79,8 @@ class LoggedArm:
     infos: Sequence[TopicInfo]
     wanted: Topics
     overrides: Mapping[str, str]
-    log: str
-    """The name of the file."""
-    claimed: frozenset[str] = frozenset()
-    """Topics of other arms, which stand in for none."""
+    log: str  # the name of the file
+    claimed: frozenset[str] = frozenset()  # topics of other arms, which stand in for none
 
     def __post_init__(self) -> None:
         for role in self.overrides:

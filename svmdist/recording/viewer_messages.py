@@ -29,8 +29,7 @@ FORMS = {
 }
 GROUND: draw.Rgb = (20, 20, 20)
 LINE_PX, POINT_PX, SMALL_POINT_PX, FONT_PX = 2.0, 6.0, 3.0, 14.0
-LINE_PIXELS, TEXT_PIXELS = 3.0, 14.0
-"""Of lines and texts in space, in px of the screen."""
+LINE_PIXELS, TEXT_PIXELS = 3.0, 14.0  # of lines and texts in space, in px of the screen
 SOLID, SHEER = 0.9, 0.5
 CHANNELS = ("red", "green", "blue", "alpha")
 UNTURNED = {"w": 1.0}

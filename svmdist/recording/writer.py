@@ -39,8 +39,7 @@ PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 6)
 JPEG_OPTIONS = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 """Colour at full resolution: segmentation by hue depends on it."""
 NO_SPACE = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", None))
-Fields = dict[str, Any]
-"""Of a message, by their names; protobuf makes messages of those inside."""
+Fields = dict[str, Any]  # of a message, by their names; protobuf makes messages of those inside
 
 
 @dataclass(frozen=True, slots=True)
