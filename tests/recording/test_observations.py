@@ -170,21 +170,24 @@ def test_the_believed_base_is_interpolated_along_the_tree(tmp_path, profile):
 
 
 def damaged(path: Path) -> Path:
-    """A log of 60 images, every third of them broken in a way of its own, among joints that are broken too."""
+    """A log of 60 images, every third of them broken in one of three ways, among joints that are broken too."""
     entries = [Entry("/ECM/left/camera_info", samples.CameraSample(1, CAMERA))]
     rng = np.random.default_rng(3)
     for stamp_ns in range(1, 61):
-        image = samples.ImageSample(stamp_ns, "camera", rng.integers(0, 256, (24, 32, 3), np.uint8))
+        size = (10, 10, 3) if stamp_ns % 9 == 4 else (24, 32, 3)
+        image = samples.ImageSample(stamp_ns, "camera", rng.integers(0, 256, size, np.uint8))
         position = float("nan") if stamp_ns % 4 == 1 else 1.0
         joints = samples.JointSample(stamp_ns, ("a",), np.array([position]))
         entries += [Entry("/ECM/left/image", image), Entry("/PSM1/measured_js", joints)]
     rows = []
     for topic, sample in entries:
         schema, data = encode(sample).schema, encode(sample).data
-        if isinstance(sample, samples.ImageSample) and sample.stamp_ns % 3 == 1:
+        if isinstance(sample, samples.ImageSample) and sample.stamp_ns % 9 == 1:
             short = CompressedImage.FromString(data)
             short.data = short.data[: -19 - sample.stamp_ns]
             data = short.SerializeToString()
+        elif isinstance(sample, samples.ImageSample) and sample.stamp_ns % 9 == 7:
+            data = b"\xff\xff"
         rows.append((topic, schema, "protobuf", data, sample.stamp_ns))
     return write_messages(path, rows)
 
@@ -205,13 +208,16 @@ def test_losses_are_in_file_order_whenever_they_are_found(tmp_path, profile):
     with ThreadPoolExecutor(3) as pool:
         found = list(pool.map(lambda one: one.decode(), ahead.encoded_observations(ahead.instruments)))
     others = [ahead.record_losses(one) for one in reversed(found)][::-1]
-    for one, other in zip(mine, others, strict=True):
-        if isinstance(one, samples.Rejection) or isinstance(other, samples.Rejection):
+    for number, (one, other) in enumerate(zip(mine, others, strict=True)):
+        assert isinstance(one, samples.Rejection) == (number % 3 == 0)
+        if isinstance(one, samples.Rejection):
             assert one == other
+            assert one.status is samples.Status.CORRUPT_IMAGE
         else:
             assert (one[0].stamp_ns, one[0].joints is None) == (other[0].stamp_ns, other[0].joints is None)
             np.testing.assert_array_equal(one[0].image_bgr, other[0].image_bgr)
-    assert {loss.kind for loss in one_by_one.health.losses} == {LossKind.IMAGE, LossKind.MESSAGE}
+    kinds = {(loss.kind, loss.topic) for loss in one_by_one.health.losses}
+    assert kinds == {(LossKind.IMAGE, "/ECM/left/image"), (LossKind.MESSAGE, "/PSM1/measured_js")}
     assert ahead.health.losses == one_by_one.health.losses
     # A planar method gets images alone; a broken joint state is a loss all the same.
     planar = open_recording(path, profile)

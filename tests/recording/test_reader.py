@@ -1,20 +1,16 @@
-"""The facade: clear errors at the door, broken frames as rejections, topics by role, joints at image stamps."""
+"""The facade: joints at image stamps, transforms along the tree, and values that mean nothing."""
 
 import numpy as np
 import pytest
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
 from svmdist.errors import RecordingError
 from svmdist.recording.log import open_recording
-from svmdist.recording.source import LossKind
 from svmdist.recording.writer import encode
 from svmdist.samples import (
     CameraSample,
     ImageSample,
     JointSample,
     Observation,
-    Rejection,
-    Status,
     TransformSample,
     TransformsSample,
 )
@@ -24,25 +20,6 @@ from tests.reading import read_observations
 from .builders import CAMERA, Entry, pose, write_messages, write_scene
 
 IMAGE = "foxglove.CompressedImage"
-
-
-def test_a_corrupt_image_is_rejected_and_the_rest_is_read(tmp_path, profile):
-    sizes_px = {1: (24, 32, 3), 4: (10, 10, 3), 5: (24, 32, 3)}
-    good, small, last = (
-        encode(ImageSample(stamp_ns, "camera", np.zeros(size, np.uint8))).data
-        for stamp_ns, size in sizes_px.items()
-    )
-    broken = CompressedImage(data=CompressedImage.FromString(good).data[:-20]).SerializeToString()
-    camera = encode(CameraSample(1, CAMERA)).data
-    rows = [("/ECM/left/camera_info", "foxglove.CameraCalibration", "protobuf", camera, 1)]
-    for number, data in enumerate((good, broken, b"\xff\xff", small, last), 1):
-        rows.append(("/ECM/left/image", IMAGE, "protobuf", data, number))
-    recording = open_recording(write_messages(tmp_path / "a.mcap", rows), profile)
-    found = list(read_observations(recording))
-    assert [type(item) for item in found] == [Observation, Rejection, Rejection, Rejection, Observation]
-    assert all(item.status is Status.CORRUPT_IMAGE for item in found if isinstance(item, Rejection))
-    losses = {(loss.kind, loss.topic) for loss in recording.health.losses}
-    assert losses == {(LossKind.IMAGE, "/ECM/left/image")}
 
 
 @pytest.mark.parametrize("offset_ns", [-2_000_000_000, 0, 1_234_567, 2_000_000_000])
