@@ -70,7 +70,6 @@ class RecordingSummary:
 
 def _summary(info: TopicInfo, logged_ns: array[int], undecodable_count: int) -> TopicSummary:
     stamps_ns, count = np.array(logged_ns, np.int64), len(logged_ns)
-    kind = kind_of(info.schema, info.message_encoding)
     start_ns, end_ns = (int(stamps_ns.min()), int(stamps_ns.max())) if count else (None, None)
     # To the newest stamp so far: one out of order makes no gap behind it.
     newest_ns, oldest_ns = np.maximum.accumulate(stamps_ns)[:-1], np.minimum.accumulate(stamps_ns)[:-1]
@@ -81,7 +80,7 @@ def _summary(info: TopicInfo, logged_ns: array[int], undecodable_count: int) -> 
     span_s = 0.0 if start_ns is None or end_ns is None else (end_ns - start_ns) / 1e9
     return TopicSummary(
         *info[:3],
-        None if kind is None else str(kind),
+        kind_of(info.schema, info.message_encoding),
         count,
         (count - 1) / span_s if span_s > 0 else None,
         start_ns,
