@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 from benchmarks.generated_pages import table_row
-from svmdist.report.html import write_report
+from svmdist.report.html import page
 from tests.recording.test_bombs import BOMBS
 from tests.report.test_html import FLAGS, make_report, make_series
 
@@ -94,7 +94,7 @@ if __name__ == "__main__":
             os.link(place / "short.mcap", place / "many" / f"log-{number:04d}.mcap")
     for name, frames in FRAMES.items():
         if not (place / name).exists():
-            write_report(make_report(make_series(frames, every=3)), place / name)
+            (place / name).write_text(page(make_report(make_series(frames, every=3))), "utf-8")
     for name, write in BOMBS.items():
         write(place / f"{name.replace(' ', '-')}.mcap.bomb")
     print("| comparison | ratio of wall time | of processor time |\n|---|---|---|")

@@ -14,6 +14,7 @@ from svmdist.cli.logs import GroupOption, LogOptions, Run
 from svmdist.cli.options import PLOT, MeasureOptions, OutputOptions, format_option, option
 from svmdist.cli.output import LOG, ExitCode, next_command
 from svmdist.errors import UsageError, concealed
+from svmdist.files import write_atomically
 from svmdist.report.writers import Holds, Results, Writer, choose_writer
 
 if TYPE_CHECKING:
@@ -33,10 +34,7 @@ UNSEEN, DOUBTED = {"no_tissue", "no_instrument"}, {"inconsistent", "uncertain"}
 class PictureOptions(OutputOptions):
     """What is drawn of all rows together."""
 
-    report: Path | None = option(
-        "--report FILE.html",
-        "Page with interactive plots and the worst frames.",
-    )
+    report: Path | None = option("--report FILE.html", "Page with interactive plots and the worst frames.")
     save_plot: Path | None = PLOT
 
     def require_pictures(self, inputs: list[LogPath], kind: str | None = None) -> None:
@@ -62,13 +60,13 @@ class PictureOptions(OutputOptions):
                 below_m = request.alarms.below_m if request.alarms else None
                 plots.save_figure(self.save_plot, plots.draw_series, series, kind or "time", below_m)
         if self.report:
-            from svmdist.report.html import make_report, write_report
+            from svmdist.report.html import make_report, page
 
             command = shlex.join(["svmdist", *map(concealed, sys.argv[1:])])
             jobs, logs = run.given.jobs, None if run.given.is_one else run.ranking()
             with output.progress_bar("drawing the worst frames", "images") as advance:
-                page = make_report(measured, request, command, result, jobs, logs, advance)
-            write_report(page, self.report)
+                report = make_report(measured, request, command, result, jobs, logs, advance)
+            write_atomically(self.report, [page(report)])
 
 
 class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
@@ -90,10 +88,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
 
     form: str | None = format_option(Holds.ROWS)
     force: bool = option("--force", "Replace a log that exists; other files are anyway.", False)
-    summary: Path | None = option(
-        "--summary FILE",
-        "Figures of each log, worst first; as .csv, .md, ….",
-    )
+    summary: Path | None = option("--summary FILE", "Figures of each log, worst first; as .csv, .md, ….")
 
     def _run(self) -> ExitCode:
         from svmdist.workflows.ending import Ending

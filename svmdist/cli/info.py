@@ -119,9 +119,8 @@ class Check(LogOptions, options.ReadOptions, options.OutputOptions):
 
         writer = self.writer(self.paths, Holds.TABLES)
         request = Request(Setup.reading(self.profile, self.hand_eye), self.topics)
-        run = Run(self, compared_rows, request, list, "comparing")
-        run.finish()
-        rows: list[Row] = [row for _, _, found in run.measured for row in found]
+        run = Run(self, compared_rows, request, list[dict[str, Any]], "comparing")
+        rows = [row for found in run.finish() for row in found]
         write_results(check_results(rows), writer, self.output)
         code = run.exit_code()
         return ExitCode.WORSE if any(row["verdict"] == "contradicts" for row in rows) else code

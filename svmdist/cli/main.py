@@ -12,7 +12,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from svmdist.cli import calibrate, compare, estimate, fk, importing, info, record, show, validate
+from svmdist.cli import calibrate, estimate, info, new_logs, scores, show
 from svmdist.cli.options import QUIET, VERBOSE, Options, choose_verbosity, function_of, name_of, option
 from svmdist.cli.output import LOG, ExitCode, abandon, adapt_streams, print_log, with_notes
 from svmdist.errors import SvmdistError, Terminated, UsageError, concealed, did_you_mean
@@ -166,9 +166,9 @@ def _add(group: typer.Typer, *commands: type[Options]) -> None:
 
 
 _add(profiles, info.New)
-_add(app, importing.Import, info.Info, info.Check, show.Show, record.Record, show.Surface)
-_add(app, calibrate.Calibrate, estimate.Estimate, validate.Validate, compare.Compare, compare.BlurBench)
-_add(app, fk.Fk, calibrate.HandEye)
+_add(app, new_logs.Import, info.Info, info.Check, show.Show, new_logs.Record, show.Surface)
+_add(app, calibrate.Calibrate, estimate.Estimate, scores.Validate, scores.Compare, scores.BlurBench)
+_add(app, calibrate.Fk, calibrate.HandEye)
 
 
 def _print_version(asked: bool) -> None:

@@ -32,17 +32,6 @@ if TYPE_CHECKING:
     from svmdist.workflows.request import Lag, Request, Setup
 
 
-class Options(ABC):
-    """Values of options by name; a class attribute made by `option` or `argument` declares one."""
-
-    def __init__(self, **values: Any) -> None:
-        self.__dict__.update(values)
-
-    @abstractmethod
-    def _run(self) -> int | None:
-        """Run the command, and give its exit code; None is 0."""
-
-
 def option(names: str, text: str, default: Any = None, **more: Any) -> Any:
     """Declare an option: its names and what stands for its value, as in `--jobs -j N`, the help, and its default."""
     words = names.split()
@@ -56,14 +45,29 @@ def argument(default: Any, metavar: str, text: str) -> Any:
     return typer.Argument(default, metavar=metavar, help=text, show_default=False)
 
 
+QUIET = option("--quiet -q", "Print only data and errors.", False)
+VERBOSE = option("--verbose -v", "Also print which topics are read, and times.", False)
+
+
+class Options(ABC):
+    """Values of options by name; an annotated class attribute made by `option` or `argument` declares one."""
+
+    quiet: bool = QUIET
+    verbose: bool = VERBOSE
+
+    def __init__(self, **values: Any) -> None:
+        self.__dict__.update(values)
+
+    @abstractmethod
+    def _run(self) -> int | None:
+        """Run the command, and give its exit code; None is 0."""
+
+
 def function_of(command: type[Options]) -> Callable[..., None]:
     """A function with a parameter for each option of a command, as Typer reads it."""
-    defaults = {name: getattr(command, name) for name in _names(command)}
-    defaults |= {"quiet": QUIET, "verbose": VERBOSE}
-    hints = typing.get_type_hints(command) | {"quiet": bool, "verbose": bool}
 
     def run(**values: Any) -> None:
-        choose_verbosity(quiet=values.pop("quiet"), verbose=values.pop("verbose"))
+        choose_verbosity(quiet=values["quiet"], verbose=values["verbose"])
         begin_s = time.perf_counter()
         _require_files_apart(values)
         try:
@@ -72,27 +76,21 @@ def function_of(command: type[Options]) -> Callable[..., None]:
             LOG.debug("%s took %.1f s", name_of(command), time.perf_counter() - begin_s)
 
     parameters = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hints[name])
-        for name, default in defaults.items()
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=getattr(command, name), annotation=of)
+        for name, of in typing.get_type_hints(command).items()
     ]
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return run
 
 
-OUTPUTS = {
-    "output": "-o",
-    "report": "--report",
-    "save_plot": "--save-plot",
-    "summary": "--summary",
-    "write_baseline": "--write-baseline",
-}
+OUTPUTS = ("-o", "--report", "--save-plot", "--summary", "--write-baseline")
 
 
 def _require_files_apart(values: Mapping[str, Any]) -> None:
     """Raise UsageError where two outputs are one file, or one is `-` and cannot go to stdout."""
     named: dict[str, str] = {}
-    for name, given in OUTPUTS.items():
-        path = values.get(name)
+    for given in OUTPUTS:
+        path = values.get("output" if given == "-o" else given.removeprefix("--").replace("-", "_"))
         if path == Path("-"):  # where it is stdout, it was read as None
             raise UsageError(f"{given} -: expected the name of a file; this is not written to stdout")
         if path is not None and path.parent != Path("/dev"):
@@ -104,16 +102,6 @@ def _require_files_apart(values: Mapping[str, Any]) -> None:
 def name_of(command: type[Options]) -> str:
     """The name of a command: `blur-bench` of BlurBench."""
     return re.sub(r"(?<=.)([A-Z])", r"-\1", command.__name__).lower()
-
-
-def _names(group: type) -> list[str]:
-    """The options of a class in the order of its groups, its own last."""
-    inherited = [name for base in group.__bases__ for name in _names(base)]
-    return list(dict.fromkeys([*inherited, *inspect.get_annotations(group)]))
-
-
-QUIET = option("--quiet -q", "Print only data and errors.", False)
-VERBOSE = option("--verbose -v", "Also print which topics are read, and times.", False)
 
 
 def choose_verbosity(*, quiet: bool, verbose: bool) -> None:
@@ -261,10 +249,7 @@ MAX_LAG_S = 3600.0
 class LagOption(Options):
     """The time offset of the images."""
 
-    lag: str | None = option(
-        "--lag auto|SECONDS",
-        "Images are so late; auto estimates it. Default: 0.",
-    )
+    lag: str | None = option("--lag auto|SECONDS", "Images are so late; auto estimates it. Default: 0.")
 
     @property
     def given_lag(self) -> Lag | None:
@@ -281,8 +266,7 @@ class AlarmOptions(Options):
     """When an alarm is raised."""
 
     alarm_below: str | None = option(
-        "--alarm-below LENGTH",
-        "Alarm where the clearance may be below, as in 5mm.",
+        "--alarm-below LENGTH", "Alarm where the clearance may be below, as in 5mm."
     )
     alarm_when: str | None = option(
         "--alarm-when LEVEL",
@@ -295,19 +279,20 @@ class AlarmOptions(Options):
     @property
     def alarms(self) -> AlarmRules | None:
         """The rules that are asked for, None without a threshold; raises UsageError."""
-        when, former = self.alarm_when, self.alarm_confidence
-        if when is not None and former is not None:
+        levels: dict[str, Any] = {
+            "--alarm-when": self.alarm_when,
+            "--alarm-confidence": self.alarm_confidence,
+        }
+        given = {name: level for name, level in levels.items() if level is not None}
+        if len(given) > 1:
             raise UsageError("--alarm-confidence is the former name of --alarm-when: give one of them")
         if self.alarm_below is None:
-            if when is not None or former is not None:
-                name = "--alarm-confidence" if when is None else "--alarm-when"
+            for name in given:
                 raise UsageError(f"{name} is for --alarm-below LENGTH, as in --alarm-below 5mm")
             return None
         from svmdist.estimation.alarms import AlarmRules
 
-        below_m = parse_length_m("--alarm-below", self.alarm_below)
-        chosen = former if when is None else when
-        return AlarmRules(below_m) if chosen is None else AlarmRules(below_m, chosen)
+        return AlarmRules(parse_length_m("--alarm-below", self.alarm_below), *given.values())
 
 
 class MeasureOptions(MethodOptions, InstrumentOption, LagOption, AlarmOptions, WindowOptions):

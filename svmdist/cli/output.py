@@ -10,7 +10,7 @@ import os
 import shlex
 import stat
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from enum import IntEnum
 from itertools import chain
@@ -24,11 +24,10 @@ from svmdist.report.writers import WRITERS, plot_format
 
 if TYPE_CHECKING:
     from svmdist.report.writers import Results, Writer
-    from svmdist.workflows.parallel import Steps
+    from svmdist.workflows.parallel import Progress, Steps
 
 LOG = logging.getLogger("svmdist")
 """What users are told beside the data: errors, then remarks (INFO), then choices and times (DEBUG)."""
-Advance = Callable[[int, int | None], None]
 
 
 class ExitCode(IntEnum):
@@ -87,7 +86,7 @@ class _Progress:
 
 
 @contextmanager
-def progress_bar(title: str, unit: str = "") -> Iterator[Advance]:
+def progress_bar(title: str, unit: str = "") -> Iterator[Progress]:
     """Give a function of (done, total or None), which shows a bar where stderr is a terminal.
 
     Until it is called, the bar tells that something is done, and for how long.
@@ -113,7 +112,7 @@ def steps(title: str, unit: str, count: int | None, each: int = 1) -> Iterator[S
 
 
 @contextmanager
-def _bar(title: str, unit: str) -> Iterator[Advance]:
+def _bar(title: str, unit: str) -> Iterator[Progress]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import distributions
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -20,7 +19,6 @@ from jinja2 import Environment
 from plotly.offline import get_plotlyjs
 
 from svmdist.errors import printable
-from svmdist.files import write_atomically
 from svmdist.metrics import COUNT, LENGTH, SECONDS, SHARE, TEXT, Unit
 from svmdist.recording.log import Recording
 from svmdist.report import charts
@@ -184,11 +182,6 @@ LAG_COLUMNS = (
     Column("after_m", LENGTH, "RMSE after [mm]", "statistics.rmse"),
 )
 # fmt: on
-
-
-def write_report(report: Report, path: Path) -> None:
-    """Write the page; raises OutputError where the file cannot be written."""
-    write_atomically(path, [page(report)])
 
 
 def page(report: Report) -> str:

@@ -130,7 +130,7 @@ def _info_lines(log: dict[str, Any], width: int | None) -> Iterator[str]:
     yield render(Table.of("", [one for one in TOPIC_COLUMNS if one.heading], log["topics"]), width=width)
     for topic, camera in log["cameras"].items():
         yield line("camera", f"{topic}: {_camera_in_words(camera)}")
-    changes = log.get("camera_changes", [])
+    changes = log["camera_changes"]
     for at, change in enumerate(changes[:MAX_CHANGES], 1):
         hidden = f", and {len(changes) - at} more changes" if at == MAX_CHANGES < len(changes) else ""
         yield line("changes", f"{change}{hidden}")
@@ -148,8 +148,7 @@ def _info_lines(log: dict[str, Any], width: int | None) -> Iterator[str]:
     for name, found in log["methods"].items():
         if not found["served"]:
             yield f"  {name:<9} {printable(missing(found))}\n"
-    checks = log.get("checks", {})
-    if checks.get("count"):
+    if (checks := log["checks"])["count"]:
         agree = f"{counted(checks['count'], 'comparison')} with profile {log['profile']}: nothing contradicts"
         yield line("checks", checks["contradiction"] or agree)
     yield line("health", "clean" if log["is_clean"] else f"{len(log['losses'])} losses")

@@ -73,7 +73,7 @@ def draw_on(
     for price, width_px in ((NEAR, round(letter_px)), (HIDDEN, 2 * unit_px)):
         cv2.polylines(cost, measured, False, price, width_px)
     if lines and drawing.lines:
-        bar, width = _bar(status_lines(drawing), pixels.shape[1], letter_px)
+        bar, width = _bar([(one.text, one.colour) for one in drawing.lines], pixels.shape[1], letter_px)
         is_hiding = any((ends[:, 1] < bar.shape[0] + letter_px).any() for ends in measured)
         top = max(0, pixels.shape[0] - bar.shape[0]) if is_hiding else 0
         bar = bar[: pixels.shape[0], :width]
@@ -83,11 +83,6 @@ def draw_on(
         if parts is None or label.part in parts:
             _write_beside(pixels, label, (label.place_px + 0.5) * times - 0.5, cost, letter_px)
     return pixels
-
-
-def status_lines(drawing: FrameDrawing) -> list[tuple[str, Rgb]]:
-    """The status lines of a drawing, with their colours."""
-    return [(line.text, line.colour) for line in drawing.lines]
 
 
 def enlarged(image: Image, least_px: int) -> Image:
@@ -121,17 +116,17 @@ def _draw(pixels: Image, shape: Shape, unit_px: int) -> None:
             cv2.circle(pixels, (x, y), grown, tone, cv2.FILLED, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
-def text_size(text: str, letter_px: float) -> tuple[float, int, int, int]:
-    """Scale and thickness of letters of a height, and a text's width and how far it reaches below its line."""
+def text_size(text: str, letter_px: float) -> tuple[float, int, int]:
+    """Scale and thickness of letters of a height, and a text's width."""
     scale = letter_px / 21.0  # of the font
     thickness = max(1, round(scale))
-    (width, _), below = cv2.getTextSize(text, FONT, scale, thickness)
-    return scale, thickness, width, below
+    (width, _), _ = cv2.getTextSize(text, FONT, scale, thickness)
+    return scale, thickness, width
 
 
 def write_text(pixels: Image, text: str, place: tuple[float, float], letter_px: float, colour: Rgb) -> None:
     """Write a text whose line begins at a place (x, y)."""
-    scale, thickness, *_ = text_size(text, letter_px)
+    scale, thickness, _ = text_size(text, letter_px)
     left_below = round(place[0]), round(place[1])
     cv2.putText(pixels, text, left_below, FONT, scale, bgr(colour), thickness, cv2.LINE_AA)
 
@@ -141,7 +136,7 @@ def _write_beside(
 ) -> None:
     """Write a label on dark ground at the cheapest of the nearest places, with a line to what it names unless at it."""
     text, place = printable(label.text), within_reach(place)
-    _, _, width, _ = text_size(text, letter_px)
+    _, _, width = text_size(text, letter_px)
     half = np.array([0.5 * width + 0.4 * letter_px, 0.95 * letter_px])
     high, low = half + 1, np.maximum(half + 1, np.array(pixels.shape[1::-1]) - half - 1)
     middles = np.clip(place + _offsets(half, letter_px), high, low)

@@ -16,7 +16,6 @@ from svmdist.report.on_image import (
     bgr,
     draw_on,
     enlarged,
-    status_lines,
     text_size,
     under,
     within_reach,
@@ -98,7 +97,7 @@ def _owner(frame: DrawnFrame, mask: Image) -> str:
 
 def phases_picture(frame: DrawnFrame, title: str, method: str = "") -> Image:
     """All phases of a method in a grid, shape (h, w, 3) in BGR; of a frame that could not be read its status only."""
-    lines: list[tuple[str, Rgb] | str] = [title, *status_lines(frame.drawing)]
+    lines: list[tuple[str, Rgb] | str] = [title, *((one.text, one.colour) for one in frame.drawing.lines)]
     image = frame.replayed.image_bgr
     if image is None or not frame.replayed.frames:
         return under(lines, np.zeros((40, 960, 3), np.uint8))

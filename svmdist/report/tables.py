@@ -8,7 +8,6 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from itertools import islice
 from pathlib import Path
 from textwrap import wrap
@@ -35,11 +34,6 @@ PARQUET_ROWS = 1 << 14
 """Rows that are held at once."""
 
 
-@cache
-def _steps(path: str) -> list[str | int]:
-    return [int(step) if step.isdecimal() else step for step in path.split(".")]
-
-
 @dataclass(frozen=True, slots=True)
 class Column:
     """One column: `key` in machine output, in SI; `heading` in a readable table, in the unit shown there.
@@ -64,10 +58,10 @@ class Column:
         """The value of a row's source; None where its path leads nowhere."""
         if callable(self.of):
             return self.of(source)
-        for step in _steps(self.of or self.key):
+        for step in (self.of or self.key).split("."):
             if source is None:
                 return None
-            source = source[step] if isinstance(step, int) else getattr(source, step)
+            source = source[int(step)] if step.isdecimal() else getattr(source, step)
         return float(source) if isinstance(source, float) else source
 
     def show(self, value: Cell) -> str:
@@ -121,12 +115,9 @@ class Table:
 
 
 def table_lines(results: Results, width: int | None, colour: bool) -> Iterator[str]:
-    """The readable text: the results' own, or their tables and notes, or their rows as they come."""
+    """The readable text: the results' own, or their tables and notes."""
     if results.text is not None:
         yield from results.text(width)
-        return
-    if not results.tables:
-        yield from text_lines([column for column in results.columns if column.heading], results.rows)
     yield from (render(table, width=width, colour=colour) for table in results.tables)
     for note in results.notes:
         yield from (f"{line}\n" for line in (wrap(note, width) if width else [note]))
@@ -179,8 +170,8 @@ def _rich(table: Table, indices: Sequence[int], title: str) -> RichTable:
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    shown, looks = Text(title) if title else None, {"title_justify": "left", "title_style": "bold"}
-    made = RichTable(title=shown, box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, **looks)  # type: ignore[arg-type]
+    made = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, title_justify="left")
+    made.title, made.title_style = Text(title) if title else None, "bold"
     for index in indices:
         justify = "left" if table.is_text[index] else "right"
         made.add_column(Text(table.headings[index]), justify=justify, overflow="fold")  # type: ignore[arg-type]
@@ -256,15 +247,11 @@ def finite(value: Cell) -> Cell:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _csv_cell(value: Cell) -> str:
-    value = finite(value)
-    if value is None:
-        return ""
-    if isinstance(value, str):
-        text = printable(value)
-        return f"'{text}" if text.startswith(FORMULA_STARTS) else text
-    # A NumPy float writes its type into its repr.
-    return repr(float(value)) if isinstance(value, float) else repr(value)
+def _csv_cell(value: Cell) -> Cell:
+    if not isinstance(value, str):
+        return finite(value)
+    text = printable(value)
+    return f"'{text}" if text.startswith(FORMULA_STARTS) else text
 
 
 def write_parquet(results: Results, path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from svmdist.estimation.alarms import AlarmEvent
 from svmdist.report import charts
-from svmdist.report.html import WORST_COUNT, Report, page, plotly_figure, write_report
+from svmdist.report.html import WORST_COUNT, Report, page, plotly_figure
 from svmdist.report.tables import Table
 from svmdist.workflows.scoring.series import Series
 
@@ -147,19 +147,8 @@ def test_the_texts_say_what_the_plots_show():
 
 def test_validate_writes_a_report_with_its_plots_and_worst_frames(golden, cli, tmp_path):
     output, log = tmp_path / "report.html", golden / "occlusion.mcap"
-    options = (
-        "--method",
-        "overlay",
-        "--truth",
-        "ground_truth",
-        "--lag",
-        "auto",
-        "-f",
-        "json",
-        "--report",
-        output,
-    )
-    outcome = cli("validate", log, *options)
+    options = ["--method", "overlay", "--truth", "ground_truth", "--lag", "auto", "-f", "json", "--report"]
+    outcome = cli("validate", log, *options, output)
     text = output.read_text()
     score = outcome.json["recordings"][0]
     assert f"RMSE {score['rmse_m'] * 1e3:.2f} mm" in text
@@ -195,7 +184,7 @@ def browser() -> Iterator[Any]:
 def test_ten_thousand_frames_are_shown_in_a_browser(browser, tmp_path, every, scheme):
     """Below 10 MB and 20,000 nodes, on a phone too; plots hover, zoom together, and follow the colours."""
     path = tmp_path / "report.html"
-    write_report(make_report(make_series(10_000, every=every)), path)
+    path.write_text(page(make_report(make_series(10_000, every=every))), "utf-8")
     assert path.stat().st_size < 10e6
     phone = {"width": 390, "height": 800}
     shown = browser.new_context(offline=True, color_scheme=scheme, viewport=phone).new_page()
