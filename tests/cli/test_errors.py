@@ -159,6 +159,11 @@ ERRORS = [
         (f"{name} log.mcap --profile sizeless.toml --method fused --alarm-below 5mm", 1, "no [instrument]")
         for name in ("estimate", "validate")
     ),
+    # The surface by two views.
+    ("surface log.mcap", 1, "needs a calibrated right view"),
+    ("surface recordings/3d/contact.mcap --frame 99", 2, "80 images, 0 to 79"),
+    ("surface recordings/3d/contact.mcap --frame 1 --at 2", 2, "give one of them"),
+    ("surface recordings/3d/contact.mcap -o x.stl", 2, ".ply"),
     # Import.
     ("import images -o out.mcap", 2, "a camera needs a calibration: --calibration FILE, or --camera"),
     ("import images -o out.mcap --camera 60,60", 2, "--camera 60,60: expected FX,FY,CX,CY"),

@@ -48,19 +48,3 @@ def test_the_surface_lies_on_the_simulated_tissue(golden, surface):
     assert np.allclose(np.linalg.norm(surface.normals, axis=1), 1.0)
     assert np.mean(surface.normals @ T[:3, 2] > 0.7) > 0.95
     assert np.all(np.median(surface.rgb[:, :1] - surface.rgb[:, 1:].astype(int), 0) > 40)
-
-
-@pytest.mark.parametrize(
-    ("given", "code", "said"),
-    [
-        (("sweep.mcap",), 1, "needs a calibrated right view"),
-        (("3d/contact.mcap", "--frame", 99), 2, "80 images, 0 to 79"),
-        (("3d/contact.mcap", "--frame", 1, "--at", 2), 2, "give one of them"),
-        (("3d/contact.mcap", "-o", "x.stl"), 2, ".ply"),
-    ],
-)
-def test_what_cannot_be_is_one_line(golden, cli, given, code, said):
-    name, *rest = given
-    done = cli("surface", golden / name, *rest, code=code)
-    (line,) = done.err.splitlines()
-    assert said in line
