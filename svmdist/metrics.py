@@ -20,16 +20,15 @@ class Unit:
     """Unit of a value, and how a person is shown it: times `factor` with so many digits; as it is without digits."""
 
     name: str = ""
-    shown: str = ""
     factor: float = 1.0
     digits: int | None = None
 
 
 TEXT, COUNT = Unit("text"), Unit()
-RATIO, SHARE = Unit("1", digits=4), Unit("1", "%", 100.0, 1)
-LENGTH, SPEED = Unit("m", "mm", 1e3, 2), Unit("m/s", "mm/s", 1e3, 1)
-DEGREES = Unit("rad", "°", 180.0 / np.pi, 2)
-PIXELS, SECONDS, RADIANS = Unit("px", "px", digits=1), Unit("s", "s", digits=2), Unit("rad", "rad", digits=4)
+RATIO, SHARE = Unit("1", digits=4), Unit("1", 100.0, 1)
+LENGTH, SPEED = Unit("m", 1e3, 2), Unit("m/s", 1e3, 1)
+DEGREES = Unit("rad", 180.0 / np.pi, 2)
+PIXELS, SECONDS, RADIANS = Unit("px", digits=1), Unit("s", digits=2), Unit("rad", digits=4)
 
 
 @dataclass(frozen=True, slots=True)

@@ -176,7 +176,7 @@ EVENT_COLUMNS = (
 LAG_COLUMNS = (
     Column("recording", TEXT, "recording"),
     Column("reference", TEXT, "against"),
-    Column("lag_s", Unit("s", "ms", 1e3, 1), "lag [ms]", "lag.lag_s"),
+    Column("lag_s", Unit("s", 1e3, 1), "lag [ms]", "lag.lag_s"),
     Column("confidence", Unit("1", digits=2), "confidence", "lag.confidence"),
     Column("before_m", LENGTH, "RMSE before [mm]", "uncorrected.rmse"),
     Column("after_m", LENGTH, "RMSE after [mm]", "statistics.rmse"),

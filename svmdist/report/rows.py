@@ -57,7 +57,7 @@ ESTIMATE_COLUMNS: tuple[Column, ...] = (
     Column("recording", TEXT, "recording", "",
            "the file's name without its suffix; with as many folders as are needed to tell logs apart", "all"),
     Column("stamp_ns", Unit("ns"), "", "result.stamp_ns", "stamp of the image", "all"),
-    Column("time_s", Unit("s", "s", digits=3), "t [s]", "result.seconds", stored=False),
+    Column("time_s", Unit("s", digits=3), "t [s]", "result.seconds", stored=False),
     Column("status", TEXT, "status", lambda e: str(e.result.status), "`ok`, or why there is no distance", "all",
            "status"),
     Column("distance_m", LENGTH, "distance [mm]", "result.distances.main.value_m",

@@ -220,7 +220,7 @@ BLUR_COLUMNS = (
     Column("match_count", Unit(digits=0), "matches"),
     Column("inlier_count", Unit(digits=0), "inliers"),
     Column("coverage", SHARE, "coverage [%]"),
-    Column("rmse_m", Unit("m", "mm", 1e3, 3), "RMSE [mm]"),
+    Column("rmse_m", Unit("m", 1e3, 3), "RMSE [mm]"),
     Column("frame_count"),
     Column("paper_keypoint_count", COUNT, "paper"),
     Column("paper_contour_area_px", COUNT, "paper"),

@@ -124,7 +124,7 @@ def test_rows_are_written_as_they_come(lines, first):
 
 def test_a_narrow_terminal_gets_whole_cells_in_parts():
     """No cell is broken: columns under one heading stay together, and each part tells its rows apart."""
-    unit = Unit("m", "mm", 1e3, 4)
+    unit = Unit("m", 1e3, 4)
     headings = ("group a\nRMSE", "\np95", "\np95")
     columns = (
         tables.Column("name", TEXT, "recording"),

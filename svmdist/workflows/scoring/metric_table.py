@@ -236,7 +236,7 @@ ALARMS = (
            HIGHER, "recall", ALARM_TABLE, ALARM_TOLERANCE),
     Metric("false_alarm_fraction", SHARE, "false_alarm_fraction",
            "Share of the safe frames that are alarmed.", LOWER, "safe alarmed", ALARM_TABLE, ALARM_TOLERANCE),
-    Metric("false_alarms_per_minute", Unit("1/min", "1/min", digits=1), "false_alarms_per_minute",
+    Metric("false_alarms_per_minute", Unit("1/min", digits=1), "false_alarms_per_minute",
            "Unbroken stretches of alarmed frames without an unsafe frame, per minute of recording.",
            LOWER, "false/min", ALARM_TABLE),
     Metric("warned", COUNT, lambda a: f"{len(a.lead_times_s)} of {a.event_count}", "Events with an alarm, and all.",
@@ -254,7 +254,7 @@ REPLAYS = (
     FRAME_COUNT,
     Metric("measured_count", COUNT, "measured_count", "Measured frames.", HIGHER, outputs=FIGURES),
     COVERAGE,
-    Metric("ms_per_frame", Unit("ms", "ms", digits=0), "ms_per_frame",
+    Metric("ms_per_frame", Unit("ms", digits=0), "ms_per_frame",
            "Processor time per frame of the method alone.", LOWER, "ms", REPLAY),
 )
 """What `compare` and the degradation grid tell beside the distances."""
