@@ -24,7 +24,8 @@ from svmdist.report.writers import WRITERS, plot_format
 
 if TYPE_CHECKING:
     from svmdist.report.writers import Results, Writer
-    from svmdist.workflows.parallel import Progress, Steps
+    from svmdist.workflows.parallel import Progress as Advance
+    from svmdist.workflows.parallel import Steps
 
 LOG = logging.getLogger("svmdist")
 """What users are told beside the data: errors, then remarks (INFO), then choices and times (DEBUG)."""
@@ -86,7 +87,7 @@ class _Progress:
 
 
 @contextmanager
-def progress_bar(title: str, unit: str = "") -> Iterator[Progress]:
+def progress_bar(title: str, unit: str = "") -> Iterator[Advance]:
     """Give a function of (done, total or None), which shows a bar where stderr is a terminal.
 
     Until it is called, the bar tells that something is done, and for how long.
@@ -94,12 +95,26 @@ def progress_bar(title: str, unit: str = "") -> Iterator[Progress]:
     if not _Progress.is_wanted or not LOG.isEnabledFor(logging.INFO) or not sys.stderr.isatty():
         yield lambda _done, _total: None
         return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True, markup=False, emoji=False, highlight=False)
+    name, said = (TextColumn(f"{{task.{field}}}", markup=False) for field in ("description", "fields[said]"))
+    columns = name, BarColumn(), said, TimeElapsedColumn()
     _Progress.is_wanted = False
     try:
-        with _bar(title, unit) as advance:
+        with Progress(*columns, console=console, transient=True) as progress:
+            task = progress.add_task(title, total=None, said="")
+
+            def advance(done: int, total: int | None) -> None:
+                said = _how_far(done, total, unit, progress.tasks[0].elapsed or 1e-3)
+                progress.update(task, completed=done, total=total, said=said)
+
             yield advance
     finally:
         _Progress.is_wanted = True
+        # An interrupt while the bar is being set up would leave the terminal without a cursor.
+        console.show_cursor(True)
 
 
 @contextmanager
@@ -109,29 +124,6 @@ def steps(title: str, unit: str, count: int | None, each: int = 1) -> Iterator[S
 
     with progress_bar(title, unit) as advance:
         yield Steps(advance, count and count * each)
-
-
-@contextmanager
-def _bar(title: str, unit: str) -> Iterator[Progress]:
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True, markup=False, emoji=False, highlight=False)
-    name, said = (TextColumn(f"{{task.{field}}}", markup=False) for field in ("description", "fields[said]"))
-    try:
-        with Progress(
-            name, BarColumn(), said, TimeElapsedColumn(), console=console, transient=True
-        ) as progress:
-            task = progress.add_task(title, total=None, said="")
-
-            def advance(done: int, total: int | None) -> None:
-                said = _how_far(done, total, unit, progress.tasks[0].elapsed or 1e-3)
-                progress.update(task, completed=done, total=total, said=said)
-
-            yield advance
-    finally:
-        # An interrupt while the bar is being set up would leave the terminal without a cursor.
-        console.show_cursor(True)
 
 
 def _how_far(done: int, total: int | None, unit: str, seconds: float) -> str:
@@ -192,7 +184,7 @@ def write_results(results: Results, writer: Writer, output: Path | None) -> None
     width = terminal_width(output)
     forced, refused = (os.environ.get(name) for name in ("FORCE_COLOR", "NO_COLOR"))
     colour = output is None and not refused and bool(forced or width is not None)
-    write_lines(writer.write(results, width, colour), output, is_json=writer.is_json)
+    write_lines(writer.write(results, width, colour), output, is_json=writer.name in ("json", "jsonl"))
 
 
 def require_output(output: Path | None, inputs: Iterable[LogPath] = ()) -> None:

@@ -115,10 +115,9 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
         chosen = self.image_number(recording)
         if chosen is not None:
             return {chosen}
-        count = len(image_stamps_ns(recording))
-        if count <= DEFAULT_COUNT:
-            return set(range(count))
-        return {round(at * (count - 1) / (DEFAULT_COUNT - 1)) for at in range(DEFAULT_COUNT)}
+        last = len(image_stamps_ns(recording)) - 1
+        gaps = min(last, DEFAULT_COUNT - 1)  # between the pictures
+        return {round(at * last / max(gaps, 1)) for at in range(gaps + 1)}
 
     def _pictures(self, log: Recording, request: Request, numbers: set[int]) -> Iterator[tuple[int, Image]]:
         from svmdist.report.panels import masks_picture, phases_picture

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.drawing import COLOURS, WHITE, Form, FrameDrawing, Label, Part, Rgb, Shape
+from svmdist.drawing import COLOURS, Form, FrameDrawing, Label, Part, Rgb, Shape
 from svmdist.errors import printable
 from svmdist.files import atomic_file
 from svmdist.samples import Image
@@ -180,11 +180,10 @@ def _offsets(half: Array, letter_px: float) -> Array:
     return np.asarray(around * (half + reaches_px[:, None, None])).reshape(-1, 2)
 
 
-def _bar(lines: Sequence[tuple[str, Rgb] | str], width_px: int, letter_px: float) -> tuple[Image, int]:
+def _bar(lines: Sequence[tuple[str, Rgb]], width_px: int, letter_px: float) -> tuple[Image, int]:
     """Lines on dark ground, wrapped where they are longer than the picture is wide; and how wide they are."""
     rows = list[tuple[str, Rgb]]()
-    for line in lines:
-        text, colour = (line, WHITE) if isinstance(line, str) else line
+    for text, colour in lines:
         words = printable(text).split(" ")
         row = words[0]
         for word in words[1:]:
@@ -202,7 +201,7 @@ def _bar(lines: Sequence[tuple[str, Rgb] | str], width_px: int, letter_px: float
     return bar, min(width_px, round(longest + letter_px))
 
 
-def under(lines: Sequence[tuple[str, Rgb] | str], pixels: Image, letters: float = LETTERS) -> Image:
+def under(lines: Sequence[tuple[str, Rgb]], pixels: Image, letters: float = LETTERS) -> Image:
     """A picture under a bar with lines of text."""
     bar, _ = _bar(lines, pixels.shape[1], max(LEAST_LETTER_PX, letters * pixels.shape[1]))
     return np.vstack([bar, pixels])

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from svmdist.drawing import COLOURS, WHITE, Form, FrameDrawing, Label, Part, Rgb, Shape
+from svmdist.drawing import COLOURS, WHITE, Form, FrameDrawing, Label, Part, Shape
 from svmdist.estimation.methods import REGISTRY, Phase
 from svmdist.geometry import Mesh, Plane
 from svmdist.report.on_image import (
@@ -53,7 +53,7 @@ def masks_picture(frame: DrawnFrame, title: str) -> Image:
     if not frames:
         return phases_picture(frame, title)
     masks, image = frames[0].scene.left.masks, frames[0].scene.observation.image_bgr
-    lines: list[tuple[str, Rgb] | str] = [title]
+    lines = [(title, WHITE)]
     shapes, labels = list[Shape](), list[Label]()
     named = {"tissue": (Part.TISSUE, masks.tissue), "shaft": (Part.SHAFT, masks.shaft),
              "distal part": (Part.WRIST, masks.instrument)}  # fmt: skip
@@ -71,7 +71,7 @@ def masks_picture(frame: DrawnFrame, title: str) -> Image:
                 labels.append(Label(Part.WRIST, places.mean(0), one.arm.profile.instrument_name))
     else:
         owners = [_owner(frame, seen.mask) for seen in masks.seen]
-        lines += [] if masks.seen else ["no instrument"]
+        lines += [] if masks.seen else [("no instrument", WHITE)]
         lines += [
             ("lines: sides of each shaft", COLOURS[Part.SHAFT]),
             ("dots: its end, and the tip", COLOURS[Part.TIP]),
@@ -97,7 +97,7 @@ def _owner(frame: DrawnFrame, mask: Image) -> str:
 
 def phases_picture(frame: DrawnFrame, title: str, method: str = "") -> Image:
     """All phases of a method in a grid, shape (h, w, 3) in BGR; of a frame that could not be read its status only."""
-    lines: list[tuple[str, Rgb] | str] = [title, *((one.text, one.colour) for one in frame.drawing.lines)]
+    lines = [(title, WHITE), *((one.text, one.colour) for one in frame.drawing.lines)]
     image = frame.replayed.image_bgr
     if image is None or not frame.replayed.frames:
         return under(lines, np.zeros((40, 960, 3), np.uint8))
@@ -117,7 +117,7 @@ def phases_picture(frame: DrawnFrame, title: str, method: str = "") -> Image:
             panel, scale = seen[0], (seen[1], "(camera above)")
         else:
             continue
-        panel = under([name], panel, PANEL_LETTERS)
+        panel = under([(name, WHITE)], panel, PANEL_LETTERS)
         panels.append(panel if scale is None else _with_scale(panel, *scale))
     columns = min(len(panels), COLUMNS)
     height, width = panels[0].shape[:2]

@@ -62,7 +62,6 @@ class Writer:
     holds: Holds
     by: str = ""
     is_text: bool = True
-    is_json: bool = False
     needs: tuple[str, ...] = ("", "")
 
     def write(self, *given: object) -> Any:
@@ -74,8 +73,8 @@ class Writer:
 WRITERS = (
     Writer("table", ("", ".txt", ".log", ".out"), Holds.ROWS | Holds.TABLES | Holds.FIGURES, "tables:table_lines"),
     Writer("csv", (".csv",), ANY_ROWS | Holds.CLOUD, "tables:csv_lines"),
-    Writer("json", (".json",), ANY_ROWS | Holds.CLOUD, "tables:json_document", is_json=True),
-    Writer("jsonl", (".jsonl",), Holds.ROWS, "tables:json_lines", is_json=True),
+    Writer("json", (".json",), ANY_ROWS | Holds.CLOUD, "tables:json_document"),
+    Writer("jsonl", (".jsonl",), Holds.ROWS, "tables:json_lines"),
     Writer("tum", (".tum",), Holds.ROWS | Holds.POSES, "rows:tum_lines"),
     Writer("latex", (".tex",), Holds.FIGURES, "tables:latex"),
     Writer("markdown", (".md",), Holds.FIGURES, "tables:markdown"),
