@@ -6,7 +6,6 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
-from itertools import count
 from typing import NamedTuple, Protocol
 
 from svmdist.remote import LogPath
@@ -81,11 +80,12 @@ class Health:
 
     unlisted_count: int = 0  # losses beyond the listed ones: a lower bound, and 0 only where there are none
     _losses: dict[Loss, int] = field(default_factory=dict)
-    _places: Iterator[int] = field(default_factory=count)
+    _place_count: int = 0  # a plain number: Python 3.14 sends no iterators between processes
 
     def next_place(self) -> int:
         """Reserve a place in the order of losses, for a loss that may be found later."""
-        return next(self._places)
+        self._place_count += 1
+        return self._place_count
 
     def add(self, loss: Loss, place: int | None = None) -> None:
         """Report a loss, at a reserved place or at the next one."""
