@@ -23,10 +23,6 @@ Convention = Literal["standard", "modified"]
 CHUNK = 2048  # joint vectors that are worked on together: more links at once leave the processor's cache
 CLOSE_M, MAX_STEPS = 1e-9, 60  # of inverse kinematics
 DAMPING = 1e-4  # in m: far below a robot's lever arms, it slows convergence near singularities only
-TURN_AND_SHIFT = np.zeros((4, 1, 4, 4))
-"""Rot_z(θ) Trans_z(d) is the first of these four, plus cos θ, sin θ and d times the others."""
-TURN_AND_SHIFT[0, 0, 2, 2] = TURN_AND_SHIFT[0, 0, 3, 3] = TURN_AND_SHIFT[3, 0, 2, 3] = 1.0
-TURN_AND_SHIFT[1, 0, :2, :2], TURN_AND_SHIFT[2, 0, :2, :2] = np.eye(2), [[0.0, -1.0], [1.0, 0.0]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,24 +76,16 @@ class DHChain:
         return np.asarray((q >= self.lower - tolerance) & (q <= self.upper + tolerance))
 
     @cached_property
-    def terms(self) -> tuple[Array, ...]:
-        """What is constant in the rows' transforms, `constant` + cos θ `cosine` + sin θ `sine` + d `shift`.
-
-        These four, shape (n_rows, 4, 4); θ and d at joint value zero, shape (n_rows,); and the matrices that add the
-        joints to θ and to d, shape (n_joints, n_rows).
-        """
+    def terms(self) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """Trans_x(a) Rot_x(α) of all rows, shape (n_rows, 4, 4), θ and d at joint value 0, and whether the joint turns."""
         a, alpha, d, theta = np.array(
             [(row.a_m, row.alpha_rad, row.d_m, row.theta_rad) for row in self.rows]
         ).T
-        A = np.repeat(np.eye(4)[None], len(self.rows), axis=0)  # Trans_x(a) Rot_x(α)
         # Quarter turns are exact, where floating point gives 6e-17.
-        ca, sa = (
+        c, s = (
             np.where(np.abs(v - np.round(v)) < 1e-15, np.round(v), v) for v in (np.cos(alpha), np.sin(alpha))
         )
-        A[:, 0, 3], A[:, 1, 1], A[:, 1, 2], A[:, 2, 1], A[:, 2, 2] = a, ca, -sa, sa, ca
-        parts = TURN_AND_SHIFT @ A if self.convention == "standard" else A @ TURN_AND_SHIFT
-        into = np.eye(len(self.rows))[self.moving_rows]
-        return (*parts, theta, d, into * self.is_revolute[:, None], into * ~self.is_revolute[:, None])
+        return _screws(0, c, s, a), theta, d, np.array([row.type == "revolute" for row in self.rows])
 
 
 def chain_of(robot: Robot) -> DHChain:
@@ -106,24 +94,31 @@ def chain_of(robot: Robot) -> DHChain:
     return DHChain(robot.joints, robot.convention, robot.T_last_tool, *tolerances)
 
 
-def link_transforms(chain: DHChain, q: ArrayLike, first: int = 0) -> Array:
-    """Transforms of the rows from `first` on from their predecessors, shape (..., n_rows - first, 4, 4).
+def link_transforms(chain: DHChain, q: ArrayLike) -> Array:
+    """Transforms of the rows from their predecessors, shape (..., n_rows, 4, 4), for joints (..., n_joints).
 
-    The joints, shape (..., n_joints), are those of the whole chain. Standard: Rot_z(θ) Trans_z(d) Trans_x(a)
-    Rot_x(α); modified: Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d). Raises KinematicsError for a wrong number of joints.
+    Standard: Rot_z(θ) Trans_z(d) Trans_x(a) Rot_x(α); modified: Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d). Raises
+    KinematicsError for a wrong number of joints.
     """
     q = np.asarray(q, np.float64)
     count = len(chain.joint_names)
     if q.ndim == 0 or q.shape[-1] != count:
         raise KinematicsError(f"expected {count} joint values on the last axis, found shape {q.shape}")
-    constant, cosine, sine, shift, theta_rad, d_m, into_theta, into_d = chain.terms
-    theta = (theta_rad[first:] + q @ into_theta[:, first:])[..., None, None]
-    d = (d_m[first:] + q @ into_d[:, first:])[..., None, None]
-    T = np.cos(theta) * cosine[first:]
-    T += np.sin(theta) * sine[first:]
-    T += d * shift[first:]
-    T += constant[first:]
-    return np.asarray(T)
+    about_x, theta_rad, d_m, turns = chain.terms
+    joint = np.zeros((*q.shape[:-1], len(chain.rows)))
+    joint[..., chain.moving_rows] = q
+    theta_rad, d_m = theta_rad + turns * joint, d_m + ~turns * joint
+    about_z = _screws(2, np.cos(theta_rad), np.sin(theta_rad), d_m)
+    return np.asarray(about_z @ about_x if chain.convention == "standard" else about_x @ about_z)
+
+
+def _screws(axis: int, cosine: Array, sine: Array, shift_m: Array) -> Array:
+    """Rotations about one of the axes 0 to 2, and shifts along it, all of shape (...): transforms (..., 4, 4)."""
+    T, i, j = np.zeros((*cosine.shape, 4, 4)), (axis + 1) % 3, (axis + 2) % 3
+    T[..., i, i] = T[..., j, j] = cosine
+    T[..., j, i], T[..., i, j], T[..., axis, 3] = sine, -sine, shift_m
+    T[..., axis, axis] = T[..., 3, 3] = 1.0
+    return T
 
 
 def forward_kinematics(chain: DHChain, q: ArrayLike) -> Array:

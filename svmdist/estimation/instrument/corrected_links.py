@@ -164,7 +164,7 @@ class CorrectedLinks:
         # Frames from the one before the first joint with an offset on.
         first_row = joints.first_row
         before = robot.frames_in_camera[first_row - 1] if first_row else robot.base_in_camera
-        links = link_transforms(joints.chain, joints.corrected(robot, correction), first_row)
+        links = link_transforms(joints.chain, joints.corrected(robot, correction))[first_row:]
         self._frames = running_product(np.concatenate([(self._correct @ before)[None], links]))
         columns = joints.columns
         self._twists = np.zeros((6, columns.size))
