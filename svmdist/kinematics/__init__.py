@@ -77,7 +77,7 @@ class DHChain:
 
     @cached_property
     def terms(self) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """Trans_x(a) Rot_x(α) of all rows, shape (n_rows, 4, 4), θ and d at joint value 0, and whether the joint turns."""
+        """Trans_x(a) Rot_x(α) of all rows, (n_rows, 4, 4); θ and d at joint value 0, and which rows turn, (n_rows,)."""
         a, alpha, d, theta = np.array(
             [(row.a_m, row.alpha_rad, row.d_m, row.theta_rad) for row in self.rows]
         ).T

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import cv2
 import numpy as np
@@ -146,6 +146,8 @@ DEFAULT = MarkerSettings()
 SEED = 20  # fixed seed of the sampler: with it, and without threads, USAC gives the same bits everywhere
 # Gauss–Newton from a fit that is good to a fraction of a pixel: two or three steps reach rounding
 REFIT_STEPS = Steps(max_steps=10, settled=1e-9, damping=1e-9)
+UNIT_PX = 100.0  # about a marker's side: in this unit the elements of H are of a similar size
+PX_PER_ELEMENT: Array = np.outer([1.0 / UNIT_PX, 1.0 / UNIT_PX, 1.0], [UNIT_PX, UNIT_PX, 1.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +184,10 @@ def fit_homography(matches: Matches, reprojection_px: float) -> Homography | Non
 
 
 def _refit(H: Array, matches: Matches) -> tuple[Array, Array]:
-    """Refit by least squares on the matches within shrinking thresholds, while they are many and agree."""
+    """Refit by least squares on the matches within shrinking thresholds, while they are many and agree.
+
+    Gauss–Newton from a start that is near (Hartley and Zisserman 2004, sec. 4.2.2).
+    """
     error_px = _transfer_error(H, matches)
     fitted_on: NDArray[np.bool_] | None = None
     for threshold_px in REFIT_THRESHOLDS_PX:
@@ -191,40 +196,18 @@ def _refit(H: Array, matches: Matches) -> tuple[Array, Array]:
             break
         if fitted_on is not None and np.array_equal(close, fitted_on):
             continue  # the same matches give the same homography
-        fitted = _least_squares_homography(H, matches.template_px[close], matches.frame_px[close])
-        if fitted is None:
+        p, q = matches.template_px[close] / UNIT_PX, matches.frame_px[close] / UNIT_PX
+        h = (H * PX_PER_ELEMENT).ravel()[:8]
+        found = minimise(h, partial(_normal_equations, p=p, q=q), np.add, REFIT_STEPS)
+        if found is None:
             break
-        H, fitted_on = fitted, close
+        H, fitted_on = np.append(found.state, 1.0).reshape(3, 3) / PX_PER_ELEMENT, close
         error_px = _transfer_error(H, matches)
     return H, error_px
 
 
-def _least_squares_homography(start: Array, template_px: Array, frame_px: Array) -> Array | None:
-    """The homography, shape (3, 3), of least squared transfer errors of points of shape (n, 2); None without one near.
-
-    Gauss–Newton from a start that is near (Hartley and Zisserman 2004, sec. 4.2.2). Both sets of points are normalised
-    (sec. 4.4.4), without which the normal equations would lose half of the digits.
-    """
-    template, frame = _normalised(template_px), _normalised(frame_px)
-    if template is None or frame is None:
-        return None
-    (p, to_template_px), (q, to_frame_px) = template, frame
-    start = _inverse_similarity(to_frame_px) @ start @ to_template_px
-    if abs(start[2, 2]) < 1e-12:
-        return None
-    h = (start / start[2, 2]).ravel()[:8]
-    found = minimise(h, lambda h: _normal_equations(h, p, q), np.add, REFIT_STEPS)
-    if found is None:
-        return None
-    fitted = np.append(found.state, 1.0).reshape(3, 3)
-    fitted = to_frame_px @ fitted @ _inverse_similarity(to_template_px)
-    if not np.all(np.isfinite(fitted)) or abs(fitted[2, 2]) < 1e-12:
-        return None
-    return np.asarray(fitted / fitted[2, 2])
-
-
 def _normal_equations(h: Array, p: Array, q: Array) -> NormalEquations | None:
-    """Of the transfer errors of normalised points, shape (n, 2), about the first eight elements of H."""
+    """Of the transfer errors of points, shape (n, 2) in UNIT_PX, about the first eight elements of H."""
     w = p @ h[6:] + 1.0
     if w.min() <= 1e-9:  # a point at infinity, or beyond
         return None
@@ -239,21 +222,6 @@ def _normal_equations(h: Array, p: Array, q: Array) -> NormalEquations | None:
     by_element = J.reshape(8, -1)
     off = (q.T - mapped).ravel()
     return NormalEquations(float(off @ off), by_element @ off, by_element @ by_element.T)
-
-
-def _normalised(points_px: Array) -> tuple[Array, Array] | None:
-    """Points (n, 2) of zero mean and mean square 1, and the similarity (3, 3) back to px; None where all are alike."""
-    mean = points_px.sum(0) / len(points_px)
-    off = points_px - mean
-    size = math.sqrt(float(np.vdot(off, off)) / off.size)
-    if not size > 0.0:
-        return None
-    return off / size, np.array([[size, 0.0, mean[0]], [0.0, size, mean[1]], [0.0, 0.0, 1.0]])
-
-
-def _inverse_similarity(S: Array) -> Array:
-    size, x, y = S[0, 0], S[0, 2], S[1, 2]
-    return np.asarray(np.array([[1.0, 0.0, -x], [0.0, 1.0, -y], [0.0, 0.0, size]]) / size)
 
 
 def transfer(H: Array, points_px: Array) -> Array:
