@@ -25,7 +25,6 @@ from svmdist.transforms import Array, cross
 
 Indices = NDArray[np.intp]
 
-CHUNK = 1 << 20  # pairs of capsule and point that are held at once: about 100 MB of temporaries
 TOUCH_M = 1e-12
 ROUGH_M = 1e-6  # error of a distance by matrix products: its square loses 1e-16 of the scene's size squared
 PARALLEL = 1e-14  # squared sine of the angle of parallel lines, of which an end is a closest point
@@ -81,19 +80,13 @@ def _to_plane(capsules: Capsules, plane: Plane) -> Separation:
 def _to_points(capsules: Capsules, points_m: Array) -> Separation:
     if len(points_m) == 0:
         raise ValueError("a cloud without points has no distance")
-    best: tuple[float, int, int] = (np.inf, 0, 0)
-    step = max(1, CHUNK // max(len(capsules), 1))
-    for begin in range(0, len(points_m), step):
-        part = points_m[begin : begin + step]
-        rough = distances_to_axes(part, capsules) - capsules.radius_m[:, None]
-        i, j = np.nonzero(rough <= rough.min() + 2.0 * ROUGH_M)
-        axis_m = point_to_segment(part[j], capsules.start_m[i], capsules.end_m[i]).distance
-        gap = axis_m - capsules.radius_m[i]
-        at = int(np.argmin(gap))
-        best = min(best, (float(gap[at]), int(i[at]), begin + int(j[at])))
-    gap_m, index, at = best
+    rough = distances_to_axes(points_m, capsules) - capsules.radius_m[:, None]
+    index, at = np.nonzero(rough <= rough.min() + 2.0 * ROUGH_M)
     pair = point_to_segment(points_m[at], capsules.start_m[index], capsules.end_m[index])
-    return _outside(capsules, index, pair.second, _unit_or_any(pair.first - pair.second), gap_m)
+    gap = pair.distance - capsules.radius_m[index]
+    k = int(np.argmin(gap))
+    direction = _unit_or_any(pair.first[k] - pair.second[k])
+    return _outside(capsules, int(index[k]), pair.second[k], direction, float(gap[k]))
 
 
 def _to_mesh(capsules: Capsules, mesh: Mesh) -> Separation:
@@ -105,13 +98,18 @@ def _to_mesh(capsules: Capsules, mesh: Mesh) -> Separation:
     corners = mesh.triangles_m[face]
     pair = segment_to_triangle(capsules.start_m[capsule], capsules.end_m[capsule], corners)
     gap = pair.distance - radius_m[capsule]
-    inside = _reaching_inside(capsules, mesh, np.unique(capsule[pair.distance <= TOUCH_M]))
+    inside = np.union1d(_with_an_end_inside(capsules, mesh), capsule[pair.distance <= TOUCH_M])
     if len(inside):
         # Depth changes along an axis by no more than the way: only some axes can hold the deepest point.
         start_m, end_m = capsules.start_m[inside], capsules.end_m[inside]
         height_m = signed_distances(0.5 * (start_m + end_m), mesh)[1] - radius_m[inside]
         inside = inside[height_m - 0.5 * _lengths(end_m - start_m) <= height_m.min()]
-        return min((_deepest(capsules, int(k), mesh) for k in inside), key=lambda found: found.distance_m)
+        found = [_deepest(capsules, int(k), mesh) for k in inside]
+        deepest = min(
+            (each for each in found if each is not None), key=lambda each: each.distance_m, default=None
+        )
+        if deepest is not None:
+            return deepest
     at = int(np.argmin(gap))
     if pair.distance[at] <= TOUCH_M:  # an end touches from outside
         a, b, c = corners[at]
@@ -137,28 +135,19 @@ def _near_faces(axes: Capsules, mesh: Mesh, rough: Array, upper_m: Array) -> tup
     return row[near], face[near]
 
 
-def _reaching_inside(capsules: Capsules, mesh: Mesh, piercing: Indices) -> Indices:
-    """Indices of capsules whose axis has a part inside: those that pierce the surface, and those fully inside."""
-    count = len(capsules)
-    ends = _are_inside(np.concatenate([capsules.start_m, capsules.end_m]), mesh)
-    inside = ends[:count] | ends[count:]
-    for k in piercing[~inside[piercing]]:
-        along = np.linspace(0.0, 1.0, ZOOM_POINTS)[:, None]
-        points = capsules.start_m[k] + along * (capsules.end_m[k] - capsules.start_m[k])
-        inside[k] = bool(_are_inside(points, mesh).any())
-    return np.nonzero(inside)[0]
-
-
-def _are_inside(points: Array, mesh: Mesh) -> Mask:
+def _with_an_end_inside(capsules: Capsules, mesh: Mesh) -> Indices:
+    """Indices of the capsules of which an end of the axis is inside."""
+    ends = np.concatenate([capsules.start_m, capsules.end_m])
     low, high = mesh.vertices_m.min(0), mesh.vertices_m.max(0)
-    inside: Mask = ((points > low) & (points < high)).all(-1)
-    if inside.any():
-        inside[inside] = signed_distances(points[inside], mesh)[1] < 0.0
-    return inside
+    near = np.nonzero(((ends > low) & (ends < high)).all(-1))[0]
+    return near[signed_distances(ends[near], mesh)[1] < 0.0] % len(capsules) if len(near) else near
 
 
-def _deepest(capsules: Capsules, index: int, mesh: Mesh) -> Separation:
-    """The axis's deepest point inside a mesh: unique in a convex one, where the depth is concave along a line."""
+def _deepest(capsules: Capsules, index: int, mesh: Mesh) -> Separation | None:
+    """The axis's deepest point inside a mesh: unique in a convex one, where the depth is concave along a line.
+
+    None for an axis that only touches the mesh.
+    """
     start, along = capsules.start_m[index], capsules.end_m[index] - capsules.start_m[index]
     low, high = 0.0, 1.0
     for _ in range(ZOOM_ROUNDS):
@@ -166,6 +155,8 @@ def _deepest(capsules: Capsules, index: int, mesh: Mesh) -> Separation:
         points = start + t[:, None] * along
         nearest, height_m = signed_distances(points, mesh)
         at = int(np.argmin(height_m))
+        if height_m[at] >= 0.0:
+            return None
         low, high = float(t[max(at - 1, 0)]), float(t[min(at + 1, len(t) - 1)])
     inward = points[at] - nearest[at]
     if np.linalg.norm(inward) <= TOUCH_M:
