@@ -155,9 +155,9 @@ class Perturbations:
         """Whether one of these is chosen with a strength that changes something."""
         return any(self[name] != find_perturbation(name).neutral for name in names)
 
-    def changes(self, place: Place) -> bool:
-        """Whether a chosen one changes this."""
-        return any(self.has(name) for name, _ in self.strengths if TABLE[name].place is place)
+    def changes(self, *places: Place) -> bool:
+        """Whether a chosen one changes one of these."""
+        return any(self.has(name) for name, _ in self.strengths if TABLE[name].place in places)
 
 
 UNPERTURBED = Perturbations()

@@ -131,8 +131,7 @@ class ReplayedWorld:
         Before the first one come as many, on the line through the first two, as the lag takes away: the robot moved.
         """
         perturbations = self.perturbations
-        is_changed = perturbations.changes(Place.JOINTS) or perturbations.changes(Place.CLOCK)
-        if len(stamps_ns) < 2 or not is_changed:
+        if len(stamps_ns) < 2 or not perturbations.changes(Place.JOINTS, Place.CLOCK):
             return stamps_ns, positions
         start_ns, step_ns = int(stamps_ns[0]), int(stamps_ns[1]) - int(stamps_ns[0])
         lag_ns = int(late_stamps_ns(start_ns, perturbations, start_ns)) - start_ns

@@ -122,9 +122,7 @@ class Instrument(StrictModel):
     shaft_end_std_m: NonNegative | None = None  # None: half of a length that is not stated, else 0.2 mm
     outline_end_m: float | None = Field(default=None, gt=-0.1, lt=0.1)
     """From the wrist's hinge on to where the outline is narrower than the shaft; None: anywhere that a clevis ends."""
-    outline_end_std_m: NonNegative | None = (
-        None  # None: a quarter of the radius; of what is not stated, its range
-    )
+    outline_end_std_m: NonNegative | None = None  # None: a quarter of the radius; if not stated, its range
     wrist_radius_m: SmallLength
     knuckle_radius_m: SmallLength
     knuckle_radius_std_fraction: Fraction = 0.03  # of the distal marker's radius itself

@@ -92,9 +92,7 @@ class OnnxSegmentation(StrictModel):
     scale: tuple[float, float, float] = (1 / 255, 1 / 255, 1 / 255)
     """What each channel is then multiplied by; one number serves all three."""
     output: str | None = None  # name of the output to take; None: the only one
-    crop_to_view: bool = (
-        False  # give the network only the box around the endoscope's view, not the black border
-    )
+    crop_to_view: bool = False  # give the network only the box around the endoscope's view, no black border
     from_border: bool = False  # leave out parts of instruments that do not reach the border of the picture
     tissue: ClassRegion
     instrument: ClassRegion

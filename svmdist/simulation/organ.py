@@ -95,7 +95,11 @@ class Organ:
 
     def bounds_m(self, points_m: Array) -> tuple[Array, Array]:
         """Lower and upper bounds of distances of points, shape (n, 3): by the nearest vertex, shape (n,) each."""
-        nearest2 = self._squared_m2(points_m).min(axis=1)
+        squared = points_m @ self.mesh.vertices_m.T
+        squared *= -2.0
+        squared += np.einsum("ij,ij->i", self.mesh.vertices_m, self.mesh.vertices_m)
+        squared += np.einsum("ij,ij->i", points_m, points_m)[:, None]
+        nearest2 = np.maximum(squared.min(axis=1), 0.0)
         return np.sqrt(np.maximum(nearest2 - self._corner2_m2, 0.0)), np.sqrt(nearest2)
 
     def distances_m(self, points_m: Array) -> Array:
@@ -117,13 +121,6 @@ class Organ:
         """At most |p - v|² - d², where v is a corner next to the closest point of a triangle, at d from p."""
         sides_m = np.diff(self.mesh.triangles_m, axis=1, append=self.mesh.triangles_m[:, :1])
         return float(np.linalg.norm(sides_m, axis=2).max()) ** 2 / 3.0
-
-    def _squared_m2(self, points_m: Array) -> Array:
-        squared = points_m @ self.mesh.vertices_m.T
-        squared *= -2.0
-        squared += np.einsum("ij,ij->i", self.mesh.vertices_m, self.mesh.vertices_m)
-        squared += np.einsum("ij,ij->i", points_m, points_m)[:, None]
-        return np.asarray(np.maximum(squared, 0.0, out=squared))
 
     def is_too_deep(self, points_m: Array) -> bool:
         """Whether some of the points, shape (n, 3), lie so deep that the organ does not give way to them."""

@@ -226,7 +226,7 @@ def make_plan(
         exact = q + nominal.joint_offsets
         exact[:, -1] -= its.jaw_opening_rad(path_s, number)
         reported = exact
-        if perturbations.changes(Place.JOINTS) or perturbations.changes(Place.CLOCK):
+        if perturbations.changes(Place.JOINTS, Place.CLOCK):
             late = reported_late(exact[with_joints], joints, perturbations)
             samples = reported_joints(late, joints, JointUnits.of(view), perturbations, seed, number)
             # Interpolated between samples, where only transforms are written.

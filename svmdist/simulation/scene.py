@@ -72,7 +72,7 @@ class Options:
 class Scene:
     """The world of one seed: the chain and where its base, the camera and the tissue stand.
 
-    `camera` is what the calibration states; the lens has the `distortion`, OpenCV's coefficients, shape (5,).
+    `camera` is what the calibration states.
     """
 
     chain: DHChain
@@ -87,13 +87,13 @@ class Scene:
     floor_texture: Image
     baseline_m: float
     perturbations: Perturbations
-    distortion: Array
     seed: int
 
     @cached_property
     def lens(self) -> Lens | None:
         """The lens of both cameras; None for a pinhole."""
-        return Lens.of(self.camera, self.distortion) if self.distortion.any() else None
+        strength = self.perturbations["lens"] + self.perturbations["lens_untold"]
+        return Lens.of(self.camera, distortion_coefficients(strength)) if strength else None
 
     @property
     def drawn_camera(self) -> Camera:
@@ -191,7 +191,6 @@ def make_scene(profile: Profile, seed: int, options: Options | None = None) -> S
         floor_texture=floor_texture(dull),
         baseline_m=settings.stereo_baseline_m,
         perturbations=perturbations,
-        distortion=distortion_coefficients(perturbations["lens"] + perturbations["lens_untold"]),
         seed=seed,
     )
 

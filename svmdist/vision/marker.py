@@ -141,8 +141,6 @@ def match_features(template: Features, frame: Features, ratio: float) -> Matches
     return Matches(template.points_px[kept], frame.points_px[nearest[kept, 0]])
 
 
-DEFAULT = MarkerSettings()
-
 SEED = 20  # fixed seed of the sampler: with it, and without threads, USAC gives the same bits everywhere
 # Gauss–Newton from a fit that is good to a fraction of a pixel: two or three steps reach rounding
 REFIT_STEPS = Steps(max_steps=10, settled=1e-9, damping=1e-9)
@@ -238,7 +236,7 @@ def _transfer_error(H: Array, matches: Matches) -> Array:
     return np.where(np.isfinite(error_px), error_px, np.inf)
 
 
-def is_plausible(H: Array, size_px: int, settings: MarkerSettings = DEFAULT) -> bool:
+def is_plausible(H: Array, size_px: int, settings: MarkerSettings) -> bool:
     """Whether the template's square becomes a convex shape of similar size: it was pasted without scaling."""
     corners = transfer(H, square_corners(size_px))
     if not np.all(np.isfinite(corners)):

@@ -19,7 +19,6 @@ CORNER_WINDOW_CELLS = 0.6  # half the window at a corner: black and white are a 
 MIN_EDGE_REACH_PX = 2.0  # the same in px, at least: a rough corner is off by a pixel or two
 EDGE_STEPS = 2  # how often edges are measured anew along the corners that they gave
 
-DEFAULT = TagSettings()
 SAMPLE_PX = 0.25  # between samples across an edge
 MIN_PROFILES = 6  # across each edge, of however small a tag
 PART = 0.9  # of each side, in its middle, that is measured
@@ -114,7 +113,7 @@ def tag_dictionary(family: str) -> cv2.aruco.Dictionary:
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_APRILTAG_{family}"))
 
 
-def find_tags(image_grey: Image, family: str, settings: TagSettings = DEFAULT) -> dict[int, Array]:
+def find_tags(image_grey: Image, family: str, settings: TagSettings) -> dict[int, Array]:
     """Corners, (4, 2) in px, of a family's tags by number: upper left first, clockwise as one reads; the largest."""
     # OpenCV takes the smallest perimeter relative to the image's longer side.
     min_perimeter = 4.0 * settings.min_side_px / max(image_grey.shape)
@@ -164,7 +163,7 @@ def pose_candidates(corners_px: Array, size_m: float, K: Array, D: Array) -> lis
     return poses
 
 
-def tag_plate(corners_px: Array, shape: tuple[int, ...], settings: TagSettings = DEFAULT) -> Image:
+def tag_plate(corners_px: Array, shape: tuple[int, ...], settings: TagSettings) -> Image:
     """Mask, of `shape` (h, w), of the plate around a tag with these corners, shape (4, 2)."""
     middle_px = corners_px.mean(0)
     plate_px = middle_px + settings.plate_ratio * (corners_px - middle_px)

@@ -68,7 +68,7 @@ def test_a_tag_is_placed_to_a_tenth_of_a_millimetre(depth_m, noise):
         T = tilted(rng, (0.3, 0.8), depth_m)
         # Small and noisy tags need nominal kinematics to tell which of the two poses it is.
         image = draw(T, noise, seed)
-        corners = find_tags(image, "36h11")[0]
+        corners = find_tags(image, "36h11", PROFILE.settings.tag)[0]
         pose = find_tag_pose(image, corners, CAMERA, PATTERN, rotation_x(0.05) @ T[:3, :3])
         assert pose is not None
         error_m = pose.T_camera_tag[:3, 3] - T[:3, 3]

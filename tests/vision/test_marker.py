@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from svmdist.profile.settings import MarkerSettings
 from svmdist.vision import marker
 
 
@@ -60,4 +61,4 @@ IMPLAUSIBLE = {
 @pytest.mark.parametrize("name", IMPLAUSIBLE)
 def test_flips_folds_and_other_sizes_are_refused(name):
     """A pasted marker can be neither mirrored nor folded nor far from its own size."""
-    assert not marker.is_plausible(IMPLAUSIBLE[name], SIZE_PX)
+    assert not marker.is_plausible(IMPLAUSIBLE[name], SIZE_PX, MarkerSettings())
