@@ -1,7 +1,7 @@
 """Ways in which the world is not what logs and profiles state, for `record` and for replay alike.
 
 Their table, whose entries are data in `table.toml`, and those of a run. The other modules apply them to what a robot
-reports (`joints.py`), to what log and profile state (`calibration.py`), and to images (`images.py`).
+reports (`joints.py`), and to what log and profile state and images show (`calibration.py`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a log states of its cameras, and a profile of instrument, tag and plane, against what is there.
+"""What a log states of its cameras, and a profile of instrument, tag and plane, against what is there and is seen.
 
 Stated is true, times or plus the strength. Profiles are changed in both directions: what is stated of a world, and the
 world that is built for a stated profile.
@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TypeVar
 
+import cv2
 import numpy as np
 
 from svmdist.camera import Camera
@@ -17,7 +18,9 @@ from svmdist.perturbations import Perturbations, direction
 from svmdist.profile import Profile
 from svmdist.profile.robot import OtherInstrument
 from svmdist.profile.toml import StrictModel
+from svmdist.samples import Image, RightView
 from svmdist.transforms import Array, rotation_of
+from svmdist.vision.degradations import dimmed, subsampled
 
 TURN_DEG_PER_MM = 4.0
 """Rotation of a tag that is glued on a millimetre beside its place: a plate of 9 mm that lies on one edge."""
@@ -67,6 +70,36 @@ def _intrinsics(K: Array, scale: float, shift_px: float) -> Array:
     changed[:2, :2] *= scale
     changed[:2, 2] += shift_px
     return changed
+
+
+def perturbed_image(image_bgr: Image, perturbations: Perturbations) -> Image:
+    """Apply to an image of either camera, shape (height, width, 3), what can be applied at replay."""
+    zoom, chroma = perturbations["zoom"], perturbations["chroma"]
+    if zoom != 1.0:
+        image_bgr = zoomed_image(image_bgr, zoom)
+    image_bgr = dimmed(image_bgr, perturbations["border"], perturbations["vignette"])
+    return subsampled(image_bgr, chroma) if chroma else image_bgr
+
+
+def perturbed_right_view(right: RightView, perturbations: Perturbations) -> RightView:
+    """Apply the same to the right view, and what concerns the right camera alone; what comes into view is black.
+
+    Pixels of a camera that is turned about its centre move by a homography, K Rᵀ K⁻¹ (Hartley & Zisserman, Multiple
+    View Geometry, sec. 8.4). The lens' distortion is taken to turn along.
+    """
+    image_bgr, camera = right.image_bgr, right.camera
+    if perturbations.has("right_yaw", "right_pitch", "right_roll"):
+        H = camera.K @ right_turn(perturbations).T @ np.linalg.inv(camera.K)
+        size = (camera.width_px, camera.height_px)
+        image_bgr = np.asarray(cv2.warpPerspective(image_bgr, H, size, flags=cv2.INTER_CUBIC), np.uint8)
+    return replace(right, image_bgr=perturbed_image(image_bgr, perturbations))
+
+
+def zoomed_image(image_bgr: Image, zoom: float) -> Image:
+    """Enlarge an image about its middle; of a smaller one the border is black."""
+    height, width = image_bgr.shape[:2]
+    T = np.column_stack([zoom * np.eye(2), (1.0 - zoom) * 0.5 * np.array([width - 1, height - 1])])
+    return np.asarray(cv2.warpAffine(image_bgr, T, (width, height), flags=cv2.INTER_CUBIC), np.uint8)
 
 
 def stated_profile(profile: Profile, perturbations: Perturbations, seed: int) -> Profile:

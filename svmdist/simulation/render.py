@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.camera import R_OPENGL_OPENCV, Camera
-from svmdist.perturbations.images import dimmed
 from svmdist.samples import Image
 from svmdist.simulation.bullet import BulletWorld, quiet
 from svmdist.simulation.effects import LAMP_M, NO_PART, Depths, Lamp, Shader, Surfaces
@@ -28,6 +27,7 @@ from svmdist.simulation.organ import Organ
 from svmdist.simulation.plan import SceneState
 from svmdist.simulation.scene import Scene, raised
 from svmdist.transforms import Array, inverse, make_transform, transform_points
+from svmdist.vision.degradations import dimmed
 
 NEAR_M, FAR_M = 0.01, 0.4
 T_OPENGL_OPENCV: Array = make_transform(R_OPENGL_OPENCV, np.zeros(3))

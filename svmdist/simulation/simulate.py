@@ -12,7 +12,6 @@ import numpy as np
 from svmdist.camera import Camera, stereo_transform
 from svmdist.perturbations import Place
 from svmdist.perturbations.calibration import stated_camera, stated_right_camera, zoomed_camera
-from svmdist.perturbations.images import subsampled
 from svmdist.samples import (
     CameraSample,
     DistanceSample,
@@ -27,7 +26,7 @@ from svmdist.simulation.plan import Block, Plan, SceneState
 from svmdist.simulation.render import Renderer
 from svmdist.simulation.scene import Options, raised
 from svmdist.transforms import Array, inverse
-from svmdist.vision.degradations import Degradation, degrade, image_seed
+from svmdist.vision.degradations import Degradation, degrade, image_seed, subsampled
 
 FIELD_NS = 1e9 / 60.0  # between both fields of an interlaced frame (59.94 fields a second, ITU-R BT.601)
 _NOISE_STREAMS = (11, 14)

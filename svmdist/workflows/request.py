@@ -22,8 +22,7 @@ from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
 from svmdist.estimation.scene import Arm
 from svmdist.perturbations import UNPERTURBED, Perturbations, require_at_replay
-from svmdist.perturbations.calibration import stated_profile
-from svmdist.perturbations.images import perturbed_image, perturbed_right_view
+from svmdist.perturbations.calibration import perturbed_image, perturbed_right_view, stated_profile
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.log import KnownLag, Recording, open_recording
 from svmdist.recording.observations import ALL_IMAGES, Window

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import UsageError
 from svmdist.perturbations import calibration, parse_perturbations
-from svmdist.perturbations.images import perturbed_image, perturbed_right_view, zoomed_image
+from svmdist.perturbations.calibration import perturbed_image, perturbed_right_view, zoomed_image
 from svmdist.profile import Profile, load_profile
 from svmdist.samples import RightView
 from svmdist.transforms import rotation_angle

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.perturbations.images import dimmed, light_left, perturbed_image, subsampled
+from svmdist.perturbations.calibration import perturbed_image
 from svmdist.profile.segmentation import ColourRegion
 from svmdist.samples import Image
 from svmdist.simulation import effects
@@ -14,6 +14,7 @@ from svmdist.simulation.organ import Organ
 from svmdist.simulation.scene import Options, make_scene
 from svmdist.transforms import Array, inverse, make_transform, transform_points
 from svmdist.vision.colour import colour_mask, to_hsv
+from svmdist.vision.degradations import dimmed, light_left, subsampled
 from tests.simulation.conftest import chosen, perturbed, posed, withdrawn
 
 pytest.importorskip("pybullet", reason="the simulation needs PyBullet")
