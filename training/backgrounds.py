@@ -95,7 +95,7 @@ def _tissue(rng: np.random.Generator, size: Size) -> Array:
         scene += covered * (colour_of_tissue(rng) - scene)
         height = height + covered[..., 0] * rng.uniform(0.0, 3.0) * np.sqrt(np.clip(edge, 0.0, None))
     for _ in range(int(rng.integers(1, 4)) if rng.random() < 0.35 else 0):
-        scene = _fold(rng, scene)
+        scene = _bar(rng, scene, is_tissue=True)
     if not bare:
         scene *= (1.0 + rng.uniform(0.02, 0.16) * fractal(rng, size, rng.uniform(8, 50), 3))[..., None]
         vessels = np.exp(-((fractal(rng, size, rng.uniform(2, 8), 3) / rng.uniform(0.01, 0.08)) ** 2))
@@ -107,30 +107,6 @@ def _tissue(rng: np.random.Generator, size: Size) -> Array:
         wet = mirror ** rng.uniform(40, 400) * np.clip(0.5 + fractal(rng, size, 12.0, 1), 0.0, 1.5)
         scene += (rng.uniform(30, 400) * wet)[..., None]
     return np.asarray(np.clip(scene, 0.0, 255.0), np.float32)
-
-
-def _from_an_axis(rng: np.random.Generator, size: Size, margin: float) -> tuple[Array, Array]:
-    """Of each pixel, how far it is along and across an axis of any direction, from a place within the margin."""
-    start = rng.uniform(margin, 1.0 - margin, 2) * size[::-1]
-    places = np.mgrid[: size[0], : size[1]][::-1].transpose(1, 2, 0) - start
-    cosine, sine = np.cos(heading := rng.uniform(0.0, 2.0 * np.pi)), np.sin(heading)
-    along, across = np.moveaxis(places @ np.array([[cosine, -sine], [sine, cosine]]), 2, 0)
-    return along, across
-
-
-def _fold(rng: np.random.Generator, scene: Array) -> Array:
-    """With a bowel's loop, a vessel or a fold of fat over it: round as a shaft is, and tissue."""
-    size, half = scene.shape[:2], scene.shape[1] * float(np.exp(rng.uniform(*np.log([0.012, 0.14]))))
-    along, across = _from_an_axis(rng, size, 0.1)
-    across += rng.normal(0.0, 0.4) * along**2 / size[1]
-    across += 0.3 * half * rng.exponential(0.5) * fractal(rng, size, 4.0, 2)
-    across /= half * np.exp(rng.normal(0.0, 0.5) * along / size[1])
-    shade = np.sqrt(np.clip(1.0 - across**2, 0.0, 1.0)) * rng.uniform(0.4, 1.0) + rng.uniform(0.1, 0.6)
-    shine = np.exp(-(((across - rng.uniform(-0.6, 0.6)) / rng.uniform(0.05, 0.3)) ** 2))
-    shine *= rng.uniform(0.0, 200.0) * np.clip(0.5 + fractal(rng, size, 10.0, 2), 0.0, 1.0)
-    own = colour_of_tissue(rng) * shade[..., None] + shine[..., None]
-    covered = _soft(1.0 - np.abs(across), half * np.exp(rng.uniform(-1.5, 0.5)))
-    return np.asarray(scene + covered * (own - scene), np.float32)
 
 
 def _soft(field: Array, sharpness: float) -> Array:
@@ -150,23 +126,32 @@ def _room(rng: np.random.Generator, size: Size) -> Array:
         for shift, light in ((int(rng.integers(0, 6)), 0.15), (0, rng.uniform(0.4, 1.1))):
             cv2.fillPoly(scene, [outline + shift], (_any_colour(rng) * light).tolist(), cv2.LINE_AA)
     for _ in range(int(rng.integers(1, 5)) if rng.random() < 0.3 else 0):
-        scene = _beam(rng, scene)
+        scene = _bar(rng, scene, is_tissue=False)
     grain = 1.0 + 0.12 * fractal(rng, size, rng.uniform(2.0, 60.0), 3)
     return np.asarray(np.clip(scene * grain[..., None], 0.0, 255.0), np.float32)
 
 
-def _beam(rng: np.random.Generator, scene: Array) -> Array:
-    """With what stands behind instruments in a laboratory: links of robots, stands, cables, a table's edge, blurred."""
-    size, colour = scene.shape[:2], _any_colour(rng) * rng.uniform(0.3, 1.0)
-    along, across = _from_an_axis(rng, size, 0.0)
-    half = size[1] * float(np.exp(rng.uniform(*np.log([0.01, 0.3]))))
-    across = (across + rng.normal(0.0, 0.2) * along**2 / size[1] * float(rng.random() < 0.3)) / half
-    across *= np.exp(rng.normal(0.0, 0.3) * along / size[1])
-    roundness = rng.uniform(0.2, 0.7) * float(rng.random() < 0.5)
+def _bar(rng: np.random.Generator, scene: Array, *, is_tissue: bool) -> Array:
+    """With a bowel's loop, a vessel or a fold of fat over it, which is round as a shaft is, and tissue.
+
+    Else with what stands behind instruments in a laboratory: links of robots, stands, cables, a table's edge.
+    """
+    size, blur = scene.shape[:2], rng.uniform(0.3, 4.0)
+    widest, bend, taper = (0.14, 0.4, 0.5) if is_tissue else (0.3, 0.2 * float(rng.random() < 0.3), 0.3)
+    half = size[1] * float(np.exp(rng.uniform(*np.log([0.011, widest]))))
+    places = np.mgrid[: size[0], : size[1]][::-1].transpose(1, 2, 0) - rng.uniform(0.05, 0.95, 2) * size[::-1]
+    cosine, sine = np.cos(heading := rng.uniform(0.0, 2.0 * np.pi)), np.sin(heading)
+    along, across = np.moveaxis(places @ np.array([[cosine, -sine], [sine, cosine]]), 2, 0)
+    across += rng.normal(0.0, bend) * along**2 / size[1]
+    across += 0.3 * half * is_tissue * rng.exponential(0.5) * fractal(rng, size, 4.0, 2)
+    across /= half * np.exp(rng.normal(0.0, taper) * along / size[1])
+    roundness = rng.uniform(0.4, 1.0) if is_tissue else rng.uniform(0.2, 0.7) * float(rng.random() < 0.5)
     shade = rng.uniform(0.3, 0.9) + roundness * (np.sqrt(np.clip(1.0 - across**2, 0.0, 1.0)) - 0.4)
-    begins = float(rng.uniform(-0.3, 0.3)) * size[1] if rng.random() < 0.6 else -np.inf
+    shine = np.exp(-(((across - rng.uniform(-0.6, 0.6)) / rng.uniform(0.05, 0.3)) ** 2))
+    shine *= is_tissue * rng.uniform(0.0, 200.0) * np.clip(0.5 + fractal(rng, size, 10.0, 2), 0.0, 1.0)
+    colour = colour_of_tissue(rng) if is_tissue else _any_colour(rng) * rng.uniform(0.3, 1.0)
+    begins = -np.inf if is_tissue or rng.random() < 0.4 else float(rng.uniform(-0.3, 0.3)) * size[1]
     inside = np.clip(np.minimum((1.0 - np.abs(across)) * half, along - begins) + 0.5, 0.0, 1.0)
-    blur = rng.uniform(0.3, 4.0)
     covered = cv2.GaussianBlur(inside.astype(np.float32), (0, 0), blur)[..., None]
-    own = cv2.GaussianBlur((colour * shade[..., None]).astype(np.float32), (0, 0), blur)
+    own = cv2.GaussianBlur((colour * shade[..., None] + shine[..., None]).astype(np.float32), (0, 0), blur)
     return np.asarray(scene + covered * (own - scene), np.float32)

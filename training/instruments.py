@@ -185,12 +185,17 @@ def _letter(rng: np.random.Generator, scene: Array, own: Array, shaft: Part) -> 
     across, half = np.array([-along[1], along[0]]), shaft.end_half
     turn = half * rng.uniform(0.5, 2.2) / 80 * np.column_stack([along, across])
     middle = shaft.end + half * (rng.uniform(0.0, 14.0) * back + rng.uniform(-0.6, 0.6) * across)
-    matrix = np.column_stack([turn, middle - turn @ [0.5 * text.shape[1], 40.0]])
-    share = cv2.warpAffine(text, matrix, own.shape[::-1]).astype(np.float32) / 255.0
+    share = _laid(text, turn, middle, own.shape, cv2.INTER_LINEAR).astype(np.float32) / 255.0
     share *= (own == SHAFT) * rng.uniform(0.4, 1.0)
     is_dark = scene[own == SHAFT].mean() < 110 or rng.random() < 0.3
     level = rng.uniform(150, 300) if is_dark else rng.uniform(0, 50)
     scene += share[..., None] * (level - scene)
+
+
+def _laid(texture: Array, turn: Array, middle: Array, shape: Size, how: int) -> Array:
+    """A texture over a picture of that shape, with its middle at a place; `turn`, (2, 2): its pixels' sides."""
+    shift = middle - turn @ [0.5 * (n - 1) for n in texture.shape[::-1]]
+    return np.asarray(cv2.warpAffine(texture, np.column_stack([turn, shift]), shape[::-1], flags=how))
 
 
 def _mark(rng: np.random.Generator, scene: Array, own: Array, parts: list[Part]) -> None:
@@ -208,19 +213,14 @@ def _mark(rng: np.random.Generator, scene: Array, own: Array, parts: list[Part])
         draw(scene, own, [Part(at, end, 1.05 * half, 1.1 * half, SHAFT, surface)])
     elif kind == "tag":
         cells = int(rng.integers(4, 9))
-        tag = np.full((cells + 2, cells + 2), 255, np.uint8)
-        tag[1:-1, 1:-1] = 0
-        tag[2:-2, 2:-2] = 255 * rng.integers(0, 2, (cells - 2, cells - 2))
-        low, high = np.sort(rng.uniform([0, 90], [70, 330]))
+        tag = np.pad(rng.integers(1, 3, (cells - 2, cells - 2), np.uint8), 1, constant_values=1)
+        tag = np.pad(tag, 1, constant_values=2)  # 1 is black, 2 white
         sides = 2.0 * half * rng.uniform(0.9, 2.2) * rng.uniform(0.5, 1.0, (1, 2))
         turn = sides / (cells + 2) * np.column_stack([back, back[::-1] * (-1, 1)])
-        matrix = np.column_stack([turn, at - turn @ np.full(2, 0.5 * (cells + 1))])
-        shown, covered = (
-            cv2.warpAffine(one, matrix, own.shape[::-1], flags=cv2.INTER_NEAREST)
-            for one in (tag, np.ones_like(tag))
-        )
-        scene[covered > 0] = (low + (high - low) * shown[..., None] / 255.0)[covered > 0]
-        own[covered > 0] = INSTRUMENT
+        shown = _laid(tag, turn, at, own.shape, cv2.INTER_NEAREST)
+        levels = np.sort(rng.uniform([0, 90], [70, 330]))
+        scene[shown > 0] = levels[shown[shown > 0] - 1, None]
+        own[shown > 0] = INSTRUMENT
     else:
         at = parts[min(int(rng.integers(1, 3)), len(parts) - 1)].begin
         radius = half * rng.uniform(0.5, 1.3)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Sequence
 from pathlib import Path
 
-import cv2
 import numpy as np
 import onnx
 import torch
@@ -15,6 +13,8 @@ from onnx.numpy_helper import from_array, to_array
 from torch import Tensor, distributed, nn
 from torch.nn import functional
 
+from svmdist.profile.segmentation import INSTRUMENTS, OnnxSegmentation
+from svmdist.vision.network import OnnxSegmenter
 from training.backgrounds import Array, Size
 from training.instruments import DISTAL, INSTRUMENT, SHAFT, UNKNOWN
 from training.pictures import Shown, near_keypoints
@@ -146,22 +146,6 @@ def _doubled(values: Tensor) -> Tensor:
     return functional.interpolate(values, scale_factor=2.0, mode="bilinear", align_corners=False)
 
 
-class Teacher:
-    """What a network in a file, of the same size, says of pictures."""
-
-    def __init__(self, path: Path) -> None:
-        self._net = cv2.dnn.readNetFromONNX(str(path))
-
-    def __call__(self, images: Tensor) -> tuple[Tensor, Tensor]:
-        """Its scores and its keypoints' log-odds for images (n, 3, *SIZE), both of shape (n, 4, h / 2, w / 2)."""
-        said = list[Sequence[Array]]()
-        for image in images.contiguous().numpy():
-            self._net.setInput(image[None])
-            said.append(self._net.forward(["scores", "keypoints"]))
-        scores, keypoints = (torch.from_numpy(np.concatenate(kind)) for kind in zip(*said, strict=True))
-        return scores, keypoints
-
-
 def train_together(rank: int, given: Namespace, shown: Shown, folder: Path) -> None:
     """Train as one of several processes, which meet in a folder; the first writes what all have learnt."""
     meeting = f"file://{folder / 'meeting'}"
@@ -169,7 +153,8 @@ def train_together(rank: int, given: Namespace, shown: Shown, folder: Path) -> N
     # All begin with the same decoder: only so the mean of their weights is a network
     torch.manual_seed(given.seed)
     network = Network(given.start)
-    teacher = Teacher(given.teacher) if given.teacher else None
+    rules = {**INSTRUMENTS, "method": "onnx", "model": given.teacher}
+    teacher = OnnxSegmenter(OnnxSegmentation.model_validate(rules)) if given.teacher else None
     train(network, shown, given.steps, given.seed + 1000 * rank, given.rate, teacher)
     if rank == 0:
         network.save(given.model)
@@ -177,7 +162,12 @@ def train_together(rank: int, given: Namespace, shown: Shown, folder: Path) -> N
 
 
 def train(
-    network: Network, shown: Shown, steps: int, seed: int, of_rates: float, teacher: Teacher | None = None
+    network: Network,
+    shown: Shown,
+    steps: int,
+    seed: int,
+    of_rates: float,
+    teacher: OnnxSegmenter | None = None,
 ) -> None:
     """Train a network on one thread; its weights are then the mean of the last ones.
 
@@ -197,11 +187,12 @@ def train(
         rate = of_rates * min(50.0 * step / steps, 0.5 * (1.0 + float(np.cos(np.pi * step / steps))))
         for group, highest in zip(optimiser.param_groups, (ENCODER_RATE, DECODER_RATE), strict=True):
             group["lr"] = rate * highest
-        shown_to, is_real, loss = _to_input(images), torch.from_numpy(~drawn), torch.zeros(())
-        scores, odds = network(shown_to)
+        is_real, loss = torch.from_numpy(~drawn), torch.zeros(())
+        scores, odds = network(_to_input(images))
         if teacher and is_real.any():
-            said, near[is_real] = teacher(shown_to[is_real])
-            near[is_real] = near[is_real].sigmoid()
+            answers = zip(*map(teacher.scores_and_keypoints, images[~drawn]), strict=True)
+            said, keypoints = (torch.from_numpy(np.stack(kind)) for kind in answers)
+            near[is_real] = keypoints.sigmoid()
             loss = TEACHING * _divergence(scores[is_real], said.log_softmax(1))
         loss = loss + _loss(scores, odds, torch.from_numpy(labels), near, ~is_real | (teacher is not None))
         optimiser.zero_grad()

@@ -39,8 +39,7 @@ def outlined(folders: Sequence[Path]) -> Outlined | None:
         (folder / name, one) for folder in folders for name, one in known.get(folder.name, {}).items()
     ]
     found = [_outlined(path, **one) for path, one in pictures if not HELD_OUT.search(str(path))]
-    images, labels = zip(*found, strict=True) if found else ((), ())
-    return (np.stack(images), np.stack(labels)) if found else None
+    return _stacked(found)
 
 
 def masked(folders: Sequence[Path]) -> Outlined | None:
@@ -57,8 +56,12 @@ def masked(folders: Sequence[Path]) -> Outlined | None:
         labels = np.where(edge, UNKNOWN, np.where(own, INSTRUMENT, NO_INSTRUMENT)).astype(np.uint8)
         shown = np.asarray(cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA), np.uint8)
         found[cv2.resize(image, (24, 16)).tobytes()] = shown, labels
-    images, masks = zip(*found.values(), strict=True) if found else ((), ())
-    return (np.stack(images), np.stack(masks)) if found else None
+    return _stacked(list(found.values()))
+
+
+def _stacked(found: list[Outlined]) -> Outlined | None:
+    images, labels = zip(*found, strict=True) if found else ((), ())
+    return (np.stack(images), np.stack(labels)) if found else None
 
 
 def _outlined(path: Path, shows: str, outlines: Sequence[Sequence[list[int]]] = ((), ())) -> Outlined:
