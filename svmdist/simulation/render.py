@@ -1,17 +1,15 @@
 """Draws the scene as the endoscope sees it: PyBullet's TinyRenderer, behind the project's pinhole camera.
 
 TinyRenderer draws in software and spends five sixths of its time on the tissue and the floor, which rarely move. They
-are drawn once for each camera. Each frame draws what moves, in a world of its own, and the depth buffers tell which of
-the two is in front. The result is that of one picture of everything, bit for bit.
+are drawn once for each camera. Each frame draws what moves, alone, and the depth buffers tell which of the two is in
+front. The result is that of one picture of everything, bit for bit.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import cv2
@@ -42,7 +40,6 @@ LIGHT_DIRECTION = (0.35, 0.45, 1.0)
 """Towards the light, in the world: beside the optical axis, as in an endoscope, so that shapes shade."""
 AMBIENT, DIFFUSE, SPECULAR = 0.52, 0.5, 0.12
 _AWAY: Array = raised(1.0)  # behind the camera
-_STILL_BODIES = -2  # in place of the numbers that tissue and floor have in a world of their own
 
 
 def projection_matrix(camera: Camera) -> list[float]:
@@ -74,18 +71,18 @@ class Picture:
     bodies: NDArray[np.int64]
 
 
-class DrawnWorld(BulletWorld):
-    """A physics world that is drawn, a context manager: `still` adds tissue and floor, `moving` all else."""
+class Renderer(BulletWorld):
+    """Draws what two cameras see of several arms' scenes that share a world; a context manager.
 
-    def __init__(self, scenes: Sequence[Scene], *, still: bool, moving: bool) -> None:
+    Perturbations are added in the order of nature: light and dirt on the surfaces, the lens, the field stop.
+    """
+
+    def __init__(self, scenes: Sequence[Scene]) -> None:
         super().__init__()
         self._turn = 0
-        self._scene = scene = scenes[0]
-        self._scenes = scenes if moving else []
-        self._parts: list[int] = []  # bodies, which stand at poses `T_world_part`
-        self._T_world_part: Array = np.zeros((0, 4, 4))
-        self._tissue = self._tissue_texture = self._floor = self._retractor = -1
-        self._dented: tuple[Organ, int] | None = None
+        self._scenes, self._scene = scenes, scenes[0]
+        scene = self._scene
+        self._T_world_cameras = (scene.T_world_camera, scene.T_world_camera @ scene.T_camera_right)
         # From the ideal world's lamp to one beside the lens, and less light around.
         share = scene.perturbations["light"]
         ideal, to_lens = np.array(LIGHT_DIRECTION), -scene.T_world_camera[:3, 2]
@@ -94,29 +91,34 @@ class DrawnWorld(BulletWorld):
             "lightAmbientCoeff": AMBIENT + share * (0.18 - AMBIENT),
             "lightDiffuseCoeff": DIFFUSE + share * 0.35,
         }
+        has_surfaces = scene.perturbations.has("light", "shadow", "wet", "blood")
+        self._shader = Shader(scene.perturbations, scene.seed) if has_surfaces else None
         # Where two surfaces are equally far, the body that came last is drawn: the order is a part of the content.
-        if moving:
-            self._parts += [self._add_part(part) for part in scene.parts]
-        if still:
-            self._tissue = self._add_mesh(scene.organ.mesh)
-            self.place(self._tissue, scene.T_world_tissue)
-            self._tissue_texture = self._paint(self._tissue, scene.tissue_texture)
-            self._floor = self._add_mesh(make_floor())
-            self._paint(self._floor, scene.floor_texture)
-        if moving:
-            self._retractor = self._add_mesh(make_retractor(), (0.66, 0.67, 0.68, 1.0))
-            self._parts += [self._add_part(part) for other in scenes[1:] for part in other.parts]
+        self._parts = [self._add_part(part) for part in scene.parts]
+        self._tissue = self._add_mesh(scene.organ.mesh)
+        self._tissue_texture = self._paint(self._tissue, scene.tissue_texture)
+        self._floor = self._add_mesh(make_floor())
+        self._paint(self._floor, scene.floor_texture)
+        self._retractor = self._add_mesh(make_retractor(), (0.66, 0.67, 0.68, 1.0))
+        self._parts += [self._add_part(part) for other in scenes[1:] for part in other.parts]
+        self._dented: tuple[Organ, int] | None = None
+        # Where bodies stand; what moves stands at `T_world_part`.
+        self._moving: dict[int, Array] = {}
+        self._still: dict[int, Array] = {}
+        self._T_world_part: Array = np.zeros((0, 4, 4))
+        self._shown: tuple[bool, bool] | None = None
+        self._backgrounds: dict[tuple[int, int], Picture] = {}
+        self._background_of: tuple[float, Organ | None] = (0.0, None)
 
-    def pose(self, state: SceneState, organ: Organ | None) -> None:
+    def pose(self, state: SceneState, organ: Organ | None = None) -> None:
         """Place everything; an organ that is not at rest is drawn instead of the scene's."""
-        if self._parts:
-            poses = [scene.part_poses(q) for scene, q in zip(self._scenes, state.q, strict=True)]
-            self._T_world_part = np.concatenate(poses)
-            for body, T_world_part in zip(self._parts, self._T_world_part, strict=True):
-                self.place(body, T_world_part)
-            self.place(self._retractor, _AWAY if state.T_world_retractor is None else state.T_world_retractor)
-        if self._tissue < 0 or not (self._scene.moves_tissue or self._scene.perturbations["dent"]):
-            return
+        if self._background_of != (state.offset_m, organ):
+            self._backgrounds.clear()
+        self._background_of, self._shown = (state.offset_m, organ), None
+        poses = [scene.part_poses(q) for scene, q in zip(self._scenes, state.q, strict=True)]
+        self._T_world_part = np.concatenate(poses)
+        self._moving = dict(zip(self._parts, self._T_world_part, strict=True))
+        self._moving[self._retractor] = _AWAY if state.T_world_retractor is None else state.T_world_retractor
         # The body of a dented organ, always the last one, is drawn in place of the tissue's.
         if self._dented is not None and organ is not self._dented[0]:
             self.call("removeBody", self._dented[1])
@@ -125,35 +127,80 @@ class DrawnWorld(BulletWorld):
             self._dented = organ, self._add_mesh(organ.mesh)
             self.call("changeVisualShape", self._dented[1], -1, textureUniqueId=self._tissue_texture)
         T_raised = raised(state.offset_m)
-        if self._dented:
-            self.place(self._tissue, _AWAY)
-        self.place(self._dented[1] if self._dented else self._tissue, T_raised @ self._scene.T_world_tissue)
-        self.place(self._floor, T_raised)
+        self._still = {self._floor: T_raised, self._tissue: _AWAY}
+        self._still[self._dented[1] if self._dented else self._tissue] = T_raised @ self._scene.T_world_tissue
 
-    def parts(self, picture: Picture) -> tuple[NDArray[np.int16], Array, NDArray[np.bool_]]:
-        """The part at each pixel, (h, w), all `T_world_part`, (n, 4, 4), and where tissue or floor is, (h, w)."""
-        part = np.full(picture.bodies.shape, NO_PART, np.int16)
-        for number, body in enumerate(self._parts):
-            part[picture.bodies == body] = number
-        is_still = (picture.bodies != -1) & (part == NO_PART) & (picture.bodies != self._retractor)
-        return part, self._T_world_part, is_still
+    def draw(self, camera: int, turn: int) -> Image:
+        """Draw what the left (0) or right (1) camera sees, shape (h, w, 3), as picture number `turn` of a recording."""
+        image_bgr = self._pinhole(camera, turn)
+        if self._scene.lens is not None:
+            image_bgr = self._scene.lens.image(image_bgr)
+        blurred = np.asarray(cv2.GaussianBlur(image_bgr, (0, 0), OPTICS_SIGMA_PX), np.uint8)
+        return dimmed(blurred, self._scene.perturbations["border"], self._scene.perturbations["vignette"])
 
-    def picture(self, T_world_camera: Array, camera: Camera, turn: int) -> Picture:
-        """Take the picture that is number `turn` of a recording.
+    def _pinhole(self, camera: int, turn: int) -> Image:
+        """What a pinhole shows of everything."""
+        T_world_camera, key = self._T_world_cameras[camera], (camera, turn % 2)
+        if key not in self._backgrounds:
+            self._backgrounds[key] = self._picture(T_world_camera, turn, moving=False)
+        background, picture = self._backgrounds[key], self._picture(T_world_camera, turn, still=False)
+        drawn = picture.bodies >= 0
+        if (drawn & (np.abs(picture.depth - background.depth) <= DEPTH_TIE)).any():
+            # Few frames need it: those in which surfaces meet within a pixel's centre.
+            together = self._picture(T_world_camera, turn)
+        else:
+            in_front = drawn & (picture.depth < background.depth)
+            image_bgr = background.image_bgr.copy()
+            cv2.copyTo(picture.image_bgr, in_front.view(np.uint8), image_bgr)
+            depth = np.where(in_front, picture.depth, background.depth)
+            together = Picture(image_bgr, depth, np.where(in_front, picture.bodies, background.bodies))
+        return self._shaded(together, background.depth, T_world_camera, turn)
+
+    def _picture(
+        self, T_world_camera: Array, turn: int, *, moving: bool = True, still: bool = True
+    ) -> Picture:
+        """Take the picture that is number `turn` of a recording, of what moves and of what is still, or one of them.
 
         TinyRenderer draws the same scene in two ways, by turns, which differ by one level in single pixels. The
         picture of an even turn is therefore always an even one here, whatever was drawn before.
         """
+        if self._shown != (moving, still):
+            for bodies, is_shown in ((self._moving, moving), (self._still, still)):
+                for body, T_world_body in bodies.items():
+                    self.place(body, T_world_body if is_shown else _AWAY)
+            self._shown = moving, still
+        camera = self._scene.drawn_camera
         # OpenGL's matrices have 16 numbers, column by column.
         view = (T_OPENGL_OPENCV @ inverse(T_world_camera)).T.ravel().tolist()
         projection = projection_matrix(camera)
         if (self._turn - turn) % 2:
             self._draw(1, 1, view, projection)
         width, height = camera.width_px, camera.height_px
-        _, _, rgba, depth, bodies = self._draw(width, height, view, projection)
+        _, _, rgba, depth, bodies_px = self._draw(width, height, view, projection)
         image = cv2.cvtColor(np.asarray(rgba, np.uint8).reshape(height, width, 4), cv2.COLOR_RGBA2BGR)
         depths = np.asarray(depth, np.float32).reshape(height, width)
-        return Picture(np.asarray(image, np.uint8), depths, np.asarray(bodies).reshape(height, width))
+        return Picture(np.asarray(image, np.uint8), depths, np.asarray(bodies_px).reshape(height, width))
+
+    def _shaded(self, picture: Picture, behind: Depths, T_world_camera: Array, turn: int) -> Image:
+        """A picture in the light of its lamp; `behind` is the depth buffer of tissue and floor alone."""
+        if self._shader is None:
+            return picture.image_bgr
+        part = np.full(picture.bodies.shape, NO_PART, np.int16)
+        for number, body in enumerate(self._parts):
+            part[picture.bodies == body] = number
+        is_still = (part == NO_PART) & (picture.bodies != self._retractor)
+        drawn_camera, T_camera_world = self._scene.drawn_camera, inverse(T_world_camera)
+        depth_m, behind_m = metric_depth_m(picture.depth), metric_depth_m(behind)
+        T_camera_part = tuple(T_camera_world @ self._T_world_part)
+        surfaces = Surfaces(drawn_camera, depth_m, behind_m, is_still, part, T_camera_part)
+        lamp_world_m = transform_points(self._scene.T_world_camera, LAMP_M[None])[0]
+        T_world_lamp = make_transform(T_world_camera[:3, :3], lamp_world_m)
+        seen_m = None
+        if self._scene.perturbations["shadow"]:
+            seen_m = metric_depth_m(self._picture(T_world_lamp, turn, still=False).depth)
+        lamp = Lamp((T_camera_world @ T_world_lamp)[:3, 3], seen_m)
+        T_camera_tissue = T_camera_world @ raised(self._background_of[0]) @ self._scene.T_world_tissue
+        return self._shader.shaded(picture.image_bgr, surfaces, lamp, T_camera_tissue)
 
     def _draw(self, width: int, height: int, view: list[float], projection: list[float]) -> Any:
         self._turn += 1
@@ -200,92 +247,3 @@ class DrawnWorld(BulletWorld):
         texture = int(self.call("loadTexture", f"/proc/self/fd/{file}"))
         self.call("changeVisualShape", body, -1, textureUniqueId=texture)
         return texture
-
-
-class Renderer(ExitStack):
-    """Draws what two cameras see of several arms' scenes that share a world; a context manager.
-
-    Perturbations are added in the order of nature: light and dirt on the surfaces, the lens, the field stop.
-    """
-
-    def __init__(self, scenes: Sequence[Scene]) -> None:
-        super().__init__()
-        self._scenes, self._scene = scenes, scenes[0]
-        scene = self._scene
-        self._T_world_cameras = (scene.T_world_camera, scene.T_world_camera @ scene.T_camera_right)
-        self._backgrounds: dict[tuple[int, int], Picture] = {}
-        self._background_of: tuple[float, Organ | None] = (0.0, None)
-        self._state: SceneState  # what `pose` has placed
-        self._organ: Organ | None = None
-        has_surfaces = scene.perturbations.has("light", "shadow", "wet", "blood")
-        self._shader = Shader(scene.perturbations, scene.seed) if has_surfaces else None
-        self._moving = self.enter_context(DrawnWorld(scenes, still=False, moving=True))
-
-    @cached_property
-    def _still(self) -> DrawnWorld:
-        return self.enter_context(DrawnWorld([self._scene], still=True, moving=False))
-
-    @cached_property
-    def _whole(self) -> DrawnWorld:
-        return self.enter_context(DrawnWorld(self._scenes, still=True, moving=True))
-
-    def pose(self, state: SceneState, organ: Organ | None = None) -> None:
-        """Place everything; `organ` is the organ where it is not at rest."""
-        if self._background_of != (state.offset_m, organ):
-            self._backgrounds.clear()
-        self._state, self._organ, self._background_of = state, organ, (state.offset_m, organ)
-        self._moving.pose(state, organ)
-
-    def draw(self, camera: int, turn: int) -> Image:
-        """Draw what the left (0) or right (1) camera sees, shape (h, w, 3), as picture number `turn` of a recording."""
-        image_bgr = self._pinhole(camera, turn)
-        if self._scene.lens is not None:
-            image_bgr = self._scene.lens.image(image_bgr)
-        blurred = np.asarray(cv2.GaussianBlur(image_bgr, (0, 0), OPTICS_SIGMA_PX), np.uint8)
-        return dimmed(blurred, self._scene.perturbations["border"], self._scene.perturbations["vignette"])
-
-    def _pinhole(self, camera: int, turn: int) -> Image:
-        """What a pinhole shows of everything."""
-        picture, background = self._picture(self._moving, camera, turn), self._background(camera, turn)
-        drawn = picture.bodies >= 0
-        if (drawn & (np.abs(picture.depth - background.depth) <= DEPTH_TIE)).any():
-            # Few frames need it: those in which surfaces meet within a pixel's centre.
-            self._whole.pose(self._state, self._organ)
-            whole = self._picture(self._whole, camera, turn)
-            return self._shaded(self._whole, whole, background.depth, camera, turn)
-        in_front = drawn & (picture.depth < background.depth)
-        image_bgr = background.image_bgr.copy()
-        cv2.copyTo(picture.image_bgr, in_front.view(np.uint8), image_bgr)
-        depth = np.where(in_front, picture.depth, background.depth)
-        together = Picture(image_bgr, depth, np.where(in_front, picture.bodies, _STILL_BODIES))
-        return self._shaded(self._moving, together, background.depth, camera, turn)
-
-    def _picture(self, world: DrawnWorld, camera: int, turn: int) -> Picture:
-        return world.picture(self._T_world_cameras[camera], self._scene.drawn_camera, turn)
-
-    def _background(self, camera: int, turn: int) -> Picture:
-        """Tissue and floor as a camera sees them in even or in odd turns."""
-        key = camera, turn % 2
-        if key not in self._backgrounds:
-            self._still.pose(self._state, self._organ)
-            self._backgrounds[key] = self._picture(self._still, camera, turn)
-        return self._backgrounds[key]
-
-    def _shaded(self, world: DrawnWorld, picture: Picture, behind: Depths, camera: int, turn: int) -> Image:
-        """A picture in the light of its lamp; `behind` is the depth buffer of tissue and floor alone."""
-        if self._shader is None:
-            return picture.image_bgr
-        part, T_world_part, is_still = world.parts(picture)
-        T_world_camera, drawn_camera = self._T_world_cameras[camera], self._scene.drawn_camera
-        T_camera_world = inverse(T_world_camera)
-        depth_m, behind_m = metric_depth_m(picture.depth), metric_depth_m(behind)
-        T_camera_part = tuple(T_camera_world @ T_world_part)
-        surfaces = Surfaces(drawn_camera, depth_m, behind_m, is_still, part, T_camera_part)
-        lamp_world_m = transform_points(self._scene.T_world_camera, LAMP_M[None])[0]
-        T_world_lamp = make_transform(T_world_camera[:3, :3], lamp_world_m)
-        seen_m = None
-        if self._scene.perturbations["shadow"]:
-            seen_m = metric_depth_m(self._moving.picture(T_world_lamp, drawn_camera, turn).depth)
-        lamp = Lamp((T_camera_world @ T_world_lamp)[:3, 3], seen_m)
-        T_camera_tissue = T_camera_world @ raised(self._state.offset_m) @ self._scene.T_world_tissue
-        return self._shader.shaded(picture.image_bgr, surfaces, lamp, T_camera_tissue)

@@ -134,7 +134,7 @@ def _encoded(
 
 
 def _tasks(plan: Plan) -> Iterator[Task]:
-    """The blocks of each task, an even number of pictures (see `DrawnWorld`), and the random streams before it."""
+    """The blocks of each task, an even number of pictures (see `Renderer`), and the random streams before it."""
     sensors = Sensors(plan.scene.camera, plan.scene.seed, plan.noise, plan.options)
     size = 1 if plan.options.stereo else 2
     for begin in range(0, len(plan.blocks), size):

@@ -64,11 +64,12 @@ def test_balls_are_seen_where_opencv_projects_them(profile, camera):
     T_world_eye = scene.T_world_camera @ (np.eye(4), scene.T_camera_right)[camera]
     radius_m, K, errors = 0.0014, scene.camera.K, []
     with Renderer([scene]) as renderer:
-        ball = renderer._moving._add_mesh(sphere(radius_m), (0.0, 1.0, 0.0, 1.0))
+        ball = renderer._add_mesh(sphere(radius_m), (0.0, 1.0, 0.0, 1.0))
         for x_px, y_px in ((20, 20), (600, 25), (30, 440), (320, 240), (150, 300), (320, 30)):
             centre_m = 0.09 * np.array([(x_px - K[0, 2]) / K[0, 0], (y_px - K[1, 2]) / K[1, 1], 1.0])
             at_m = transform_points(T_world_eye, centre_m[None])[0]
-            renderer._moving.place(ball, make_transform(np.eye(3), at_m))
+            renderer.place(ball, make_transform(np.eye(3), at_m))
+            renderer._backgrounds.clear()
             image = drawn(renderer, withdrawn(scene), camera=camera)
             blue, green, red = np.moveaxis(image.astype(int), -1, 0)
             rows, columns = np.nonzero((green > 70) & (green > 1.5 * np.maximum(blue, red)))
@@ -216,7 +217,7 @@ def test_instruments_look_as_perturbed(profile):
         q = posed(scene, [0.012, 0.0, 0.0245])
         with Renderer([scene]) as renderer:
             images[text] = drawn(renderer, q)
-            picture = renderer._picture(renderer._moving, 0, 0)
+            picture = renderer._picture(scene.T_world_camera, 0, still=False)
     coloured = {text: seen_px(image, marker) for text, image in images.items()}
     assert len(coloured[""]) > 300
     assert len(coloured["tip=1"]) == 0
