@@ -295,9 +295,7 @@ def make_other_arms(
     arms = []
     for number, name in enumerate(placed[: options.arms - 1], start=1):
         view = profile.for_instrument(name)
-        other = replace(
-            make_scene(view, scene.seed, options), organ=scene.organ, T_world_tissue=scene.T_world_tissue
-        )
+        other = make_scene(view, scene.seed, options)
         assert view.simulation is not None  # the scene has checked it
         plane_m = view.simulation.working_height_m
         rng = np.random.default_rng([scene.seed, _PATH_STREAM, number])
