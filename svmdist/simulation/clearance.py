@@ -7,11 +7,9 @@ sampled so densely that the organ's curvature between samples adds a few µm at 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from svmdist.geometry import Mesh
 from svmdist.simulation.bullet import BulletWorld
@@ -22,76 +20,39 @@ from svmdist.transforms import Array, inverse
 SPACING_M = 0.0004
 """Longest side of the triangles between samples: no point of a part is farther than 0.23 mm from a sample."""
 REACH_M = 0.07  # the organ is 62 mm long at most: what is farther behind a link's origin is not the nearest
-CELLS_M = (1.0, 0.004, 0.001, 0.00025)  # sides of the cells that group samples, each a multiple of the next
+CELL_M = 0.001
+"""Side of the cells that group a part's samples: only those in cells near to the tissue are looked at one by one."""
 
 BULLET_SCALE = 1000.0
 """Bullet is tuned for objects of about one metre: it counts in millimetres, with collision margins of zero."""
 SEARCH_RADIUS_M = 0.2
 
 
-@dataclass(frozen=True)
-class _Groups:
-    """Groups of samples: the group of each sample, shape (n,), a sample in the middle of each group, and its radius."""
-
-    group: NDArray[np.intp]
-    middle: NDArray[np.intp]
-    radius_m: Array
-
-    @staticmethod
-    def of(points_m: Array, part: NDArray[np.intp], side_m: float) -> _Groups:
-        """Group points, shape (n, 3), by part, shape (n,), and cells of a side."""
-        cell = np.floor(points_m / side_m).astype(np.intp)
-        cell = np.column_stack([part, cell - cell.min(axis=0)]).T
-        group = np.unique(np.ravel_multi_index(tuple(cell), cell.max(axis=1) + 1), return_inverse=True)[1]
-        count = np.bincount(group)
-        means = np.stack([np.bincount(group, axis) for axis in points_m.T], -1) / count[:, None]
-        order = np.lexsort((np.linalg.norm(points_m - means[group], axis=1), group))
-        middle = order[np.cumsum(count) - count]
-        radius_m = np.zeros(len(count))
-        np.maximum.at(radius_m, group, np.linalg.norm(points_m - points_m[middle][group], axis=1))
-        return _Groups(group, middle, radius_m)
-
-
 class _Samples:
-    """The surface of a scene's instrument as samples in the frames of its parts, in ever smaller groups."""
+    """The surface of a scene's instrument as samples in the frames of its parts."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         samples = [_sample(part.mesh) for part in scene.parts]
         self._points_m = np.vstack(samples)
         self._part = np.repeat(np.arange(len(samples)), [len(each) for each in samples])
-        self._levels = [_Groups.of(self._points_m, self._part, side_m) for side_m in CELLS_M]
+        cells = np.column_stack([self._part, np.floor(self._points_m / CELL_M)])
+        _, self._first, self._cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
 
-    def poses(self, q: Array, offset_m: float) -> Array:
-        """Poses `T_tissue_part`, shape (n_parts, 4, 4), at joints (n_joints,) with the tissue raised by an offset."""
+    def placed(self, q: Array, offset_m: float) -> Array:
+        """The samples in the tissue frame, shape (n, 3), at joints (n_joints,) with the tissue raised by an offset."""
         T_world_part = self._scene.part_poses(q)
         T_world_part[:, 2, 3] -= offset_m
-        return np.asarray(inverse(self._scene.T_world_tissue) @ T_world_part)
+        T = (inverse(self._scene.T_world_tissue) @ T_world_part)[self._part]
+        return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], self._points_m) + T[:, :3, 3])
 
-    def inside(self, T_tissue_part: Array, organ: Organ) -> Array:
-        """The samples below the organ's surface, in the tissue frame, shape (n, 3)."""
-        large, top_m = self._levels[1], organ.mesh.vertices_m[:, 2].max()
-        low = self._placed(T_tissue_part, large.middle)[:, 2] - large.radius_m < top_m
-        points_m = self._placed(T_tissue_part, np.nonzero(low[large.group])[0])
-        return points_m[organ.inside_m(points_m) > 0.0]
-
-    def distance_m(self, T_tissue_part: Array, organ: Organ) -> float:
-        """The distance of the nearest sample, where none is inside."""
-        best_m, alive = np.inf, np.ones(len(self._points_m), np.bool_)
-        for level in self._levels:
-            groups = np.nonzero(np.bincount(level.group[alive]))[0]
-            least_m, most_m = organ.bounds_m(self._placed(T_tissue_part, level.middle[groups]))
-            best_m = min(best_m, float(most_m.min()))
-            near = np.zeros(len(level.middle), np.bool_)
-            near[groups] = least_m - level.radius_m[groups] <= best_m + SLACK_M
-            alive &= near[level.group]
-        points_m = self._placed(T_tissue_part, np.nonzero(alive)[0])
+    def distance_m(self, points_m: Array, organ: Organ) -> float:
+        """The distance of the nearest of the placed samples, where none is inside."""
+        least_m, most_m = organ.bounds_m(points_m[self._first])
+        is_near = least_m - np.sqrt(3.0) * CELL_M <= most_m.min() + SLACK_M
+        points_m = points_m[is_near[self._cell]]
         least_m, most_m = organ.bounds_m(points_m)
         return float(organ.distances_m(points_m[least_m <= most_m.min() + SLACK_M]).min())
-
-    def _placed(self, T_tissue_part: Array, samples: NDArray[np.intp]) -> Array:
-        T = T_tissue_part[self._part[samples]]
-        return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], self._points_m[samples]) + T[:, :3, 3])
 
 
 def _sample(mesh: Mesh) -> Array:
@@ -127,8 +88,8 @@ class TissueClearance:
         """The organ as arms at joints, shape (n_joints,) each, press it in; None where none does, or it is hard."""
         if not self._is_soft:
             return None
-        points_m = np.vstack(self._inside(self._poses(q, offset_m), self._organ))
-        return self._organ.dented(points_m) if len(points_m) else None
+        inside_m = np.vstack([self._organ.inside(its) for its in self._placed(q, offset_m)])
+        return self._organ.dented(inside_m) if len(inside_m) else None
 
     def clearances_m(self, q: Sequence[Array], offset_m: float = 0.0) -> list[float]:
         """The clearance of each arm at joints, shape (n_joints,) each, to tissue that is raised by an offset.
@@ -136,24 +97,20 @@ class TissueClearance:
         An arm that presses soft tissue touches it: 0, where the tissue gives way as far as that. An arm that does not
         press is measured to what the others leave.
         """
-        poses, organ = self._poses(q, offset_m), self._organ
-        inside, touches = self._inside(poses, organ), [False] * len(poses)
+        placed, organ = self._placed(q, offset_m), self._organ
+        inside, touches = [organ.inside(its) for its in placed], [False] * len(placed)
         if self._is_soft and any(len(its) for its in inside):
             touches = [len(its) > 0 and not organ.is_too_deep(its) for its in inside]
             if not all(touches):
                 organ = organ.dented(np.vstack(inside))
-                inside = self._inside(poses, organ)
+                inside = [organ.inside(its) for its in placed]
         return [
-            0.0 if touch else -organ.depth_m(its) if len(its) else arm.distance_m(T_tissue_part, organ)
-            for arm, T_tissue_part, its, touch in zip(self._arms, poses, inside, touches, strict=True)
+            0.0 if touch else -organ.depth_m(its) if len(its) else arm.distance_m(points_m, organ)
+            for arm, points_m, its, touch in zip(self._arms, placed, inside, touches, strict=True)
         ]
 
-    def _poses(self, q: Sequence[Array], offset_m: float) -> list[Array]:
-        return [arm.poses(its, offset_m) for arm, its in zip(self._arms, q, strict=True)]
-
-    def _inside(self, poses: Sequence[Array], organ: Organ) -> list[Array]:
-        """The samples of each arm below a surface, in the tissue frame, shape (n, 3)."""
-        return [arm.inside(T, organ) for arm, T in zip(self._arms, poses, strict=True)]
+    def _placed(self, q: Sequence[Array], offset_m: float) -> list[Array]:
+        return [arm.placed(its, offset_m) for arm, its in zip(self._arms, q, strict=True)]
 
 
 class InstrumentClearance(BulletWorld):

@@ -8,8 +8,9 @@ the plane, in rings about the apex; it is open at the floor.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,7 +45,8 @@ TOLERANCE_M = 1e-6
 CELL_M = 0.0003
 """Only the deepest push of each cell of the plane counts: those above it, and on steep sides, change nothing."""
 CHUNK = 64
-SLACK_M = 1e-9
+KD_TREE = 4  # of OpenCV's FLANN: FLANN_INDEX_KDTREE_SINGLE, which is exact
+SLACK_M = 1e-7  # the vertices are looked up in single precision
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,13 +95,15 @@ class Organ:
         """How deep points, shape (n, 3), lie below the surface: shape (n,)."""
         return self.heights_m(points_m[:, :2]) - points_m[:, 2]
 
+    def inside(self, points_m: Array) -> Array:
+        """Those of the points, shape (n, 3), that lie below the surface."""
+        low_m = points_m[points_m[:, 2] < self.mesh.vertices_m[:, 2].max()]
+        return np.asarray(low_m[self.inside_m(low_m) > 0.0])
+
     def bounds_m(self, points_m: Array) -> tuple[Array, Array]:
         """Lower and upper bounds of distances of points, shape (n, 3): by the nearest vertex, shape (n,) each."""
-        squared = points_m @ self.mesh.vertices_m.T
-        squared *= -2.0
-        squared += np.einsum("ij,ij->i", self.mesh.vertices_m, self.mesh.vertices_m)
-        squared += np.einsum("ij,ij->i", points_m, points_m)[:, None]
-        nearest2 = np.maximum(squared.min(axis=1), 0.0)
+        _, squared = _vertices(self).knnSearch(points_m.astype(np.float32), 1, params={})
+        nearest2 = np.asarray(squared[:, 0], np.float64)
         return np.sqrt(np.maximum(nearest2 - self._corner2_m2, 0.0)), np.sqrt(nearest2)
 
     def distances_m(self, points_m: Array) -> Array:
@@ -108,13 +112,8 @@ class Organ:
 
     def depth_m(self, points_m: Array) -> float:
         """How deep the deepest of points lies, shape (n, 3), which are all below the surface."""
-        below_m = self.inside_m(points_m)
-        order, deepest_m = np.argsort(-below_m), 0.0
-        for begin in range(0, len(order), CHUNK):
-            some = order[begin : begin + CHUNK]
-            if below_m[some[0]] > deepest_m:  # no point is deeper than it lies below what is above it
-                deepest_m = max(deepest_m, float(self.distances_m(points_m[some]).max()))
-        return deepest_m
+        least_m, most_m = self.bounds_m(points_m)
+        return float(self.distances_m(points_m[most_m >= least_m.max() - SLACK_M]).max())
 
     @cached_property
     def _corner2_m2(self) -> float:
@@ -168,6 +167,12 @@ class Organ:
             share = square * square * (5.0 - 4.0 * left)
             pushed_m[near] = np.maximum(pushed_m[near], (share * push_m).max(axis=1))
         return pushed_m
+
+
+@lru_cache(maxsize=4)
+def _vertices(organ: Organ) -> cv2.flann.Index:
+    """The tree of an organ's vertices, which is no part of it: it cannot go to another process."""
+    return cv2.flann.Index(organ.mesh.vertices_m.astype(np.float32), {"algorithm": KD_TREE})
 
 
 def make_organ(rng: np.random.Generator, seed: int = 0, perturbations: Perturbations = UNPERTURBED) -> Organ:
