@@ -37,8 +37,8 @@ class Uniform:
     high: float
 
     def draw(self, rng: np.random.Generator) -> float:
-        """Draw the strength of one world; a law of a single value draws nothing."""
-        return self.low if self.low == self.high else float(rng.uniform(self.low, self.high))
+        """Draw the strength of one world."""
+        return float(rng.uniform(self.low, self.high))
 
     def __str__(self) -> str:
         return f"{self.low:g}" if self.low == self.high else f"{self.low:g} to {self.high:g}"

@@ -117,10 +117,9 @@ class Scene:
         """The true pose of the base, shape (4, 4)."""
         return inverse(self.T_world_camera) @ self.T_world_base
 
-    @property
-    def T_camera_tissue(self) -> Array:
-        """The pose of the tissue at rest, shape (4, 4)."""
-        return inverse(self.T_world_camera) @ self.T_world_tissue
+    def T_camera_tissue(self, offset_m: float = 0.0) -> Array:
+        """The pose of the tissue, raised by an offset from rest, shape (4, 4)."""
+        return inverse(self.T_world_camera) @ raised(offset_m) @ self.T_world_tissue
 
     def link_poses(self, q: Array) -> dict[str, Array]:
         """Poses `T_world_link`, shape (..., 4, 4), of all rows by name, for joints (..., n_joints)."""
@@ -131,11 +130,6 @@ class Scene:
         """Poses `T_world_part`, shape (..., n_parts, 4, 4), for joints (..., n_joints)."""
         links = self.link_poses(q)
         return np.stack([links[part.link] @ part.T_link_part for part in self.parts], -3)
-
-    @property
-    def moves_tissue(self) -> bool:
-        """Whether the tissue breathes or pulses."""
-        return self.perturbations.has("breathing", "pulse")
 
     def tissue_offset_m(self, t_s: Array) -> Array:
         """How far tissue and floor stand above their place at rest, shape (n,), at times since the start, (n,)."""

@@ -24,8 +24,8 @@ from svmdist.samples import (
 from svmdist.simulation.clearance import InstrumentClearance, TissueClearance
 from svmdist.simulation.plan import Block, Plan, SceneState
 from svmdist.simulation.render import Renderer
-from svmdist.simulation.scene import Options, raised
-from svmdist.transforms import Array, inverse
+from svmdist.simulation.scene import Options
+from svmdist.transforms import Array
 from svmdist.vision.degradations import Degradation, degrade, image_seed, subsampled
 
 FIELD_NS = 1e9 / 60.0  # between both fields of an interlaced frame (59.94 fields a second, ITU-R BT.601)
@@ -98,18 +98,15 @@ class Simulator(ExitStack):
     def _stated_cameras(self) -> tuple[Camera, Camera]:
         """The left and the right camera as the log states them."""
         scene, perturbations = self._plan.scene, self._plan.options.perturbations
-        left, right, zoom = scene.camera, scene.right_camera, perturbations["zoom"]
-        if zoom != 1.0:  # which the log does not state
-            left, right = zoomed_camera(left, 1.0 / zoom), zoomed_camera(right, 1.0 / zoom)
+        as_stated = 1.0 / perturbations["zoom"]  # which the log does not state
+        left, right = (zoomed_camera(each, as_stated) for each in (scene.camera, scene.right_camera))
         return stated_camera(left, perturbations), stated_right_camera(right, perturbations)
 
     def _truth(self, stamp_ns: int, index: int) -> Iterator[tuple[str, Sample]]:
         """Yield the poses of tools and tissue, and their distances."""
         plan, scene, frames, arms = self._plan, self._plan.scene, self._plan.profile.frames, self._plan.arms
         state = plan.state(index)
-        T_camera_tissue = scene.T_camera_tissue
-        if scene.moves_tissue:
-            T_camera_tissue = inverse(scene.T_world_camera) @ raised(state.offset_m) @ scene.T_world_tissue
+        T_camera_tissue = scene.T_camera_tissue(state.offset_m)
         tools = [arm.true_tool(stamp_ns, index) for arm in arms]
         tissue = TransformSample(stamp_ns, frames.camera, frames.tissue, T_camera_tissue)
         yield plan.topics["ground_truth_tf"], TransformsSample(stamp_ns, (tools[0], tissue, *tools[1:]))

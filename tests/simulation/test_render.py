@@ -95,7 +95,7 @@ def test_colours_separate_and_bodies_are_where_they_stand(scene, profile):
             np.testing.assert_allclose(found.mean(axis=0) - right.mean(axis=0), disparity_px, atol=0.3)
             assert 38000 < len(seen_px(image, tissue)) < 53000
         found = seen_px(drawn(renderer, withdrawn(scene)), tissue)
-    expected_px = scene.camera.project(scene.T_camera_tissue[:3, 3][None])[0]
+    expected_px = scene.camera.project(scene.T_camera_tissue()[:3, 3][None])[0]
     np.testing.assert_allclose(found.mean(axis=0), expected_px, atol=0.5)
 
 
@@ -136,7 +136,7 @@ def test_images_show_raised_and_dented_tissue_and_then_rest_again(profile):
     assert areas[1] / areas[0] == pytest.approx((0.112 / 0.107) ** 2, rel=0.01)
     changed = np.column_stack(np.nonzero((rest != pressed).any(axis=2)))[:, ::-1]
     assert len(changed) > 500
-    moved_px = scene.camera.project(transform_points(scene.T_camera_tissue, mesh.vertices_m[down_m > 1e-6]))
+    moved_px = scene.camera.project(transform_points(scene.T_camera_tissue(), mesh.vertices_m[down_m > 1e-6]))
     assert (changed > moved_px.min(axis=0) - 8.0).all()
     assert (changed < moved_px.max(axis=0) + 8.0).all()
 
