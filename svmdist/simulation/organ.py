@@ -193,10 +193,9 @@ def make_organ(rng: np.random.Generator, seed: int = 0, perturbations: Perturbat
 
     angle = np.linspace(0.0, 2.0 * np.pi, side_count, endpoint=False)
     outline_m = _outline(angle, rng)
-    if strength or ellipsoid:
-        orders = zip(OUTLINE_ORDERS, weights / weights.sum(), outline_phases_rad, strict=True)
-        waves = sum(weight * np.cos(order * angle + phase) for order, weight, phase in orders)
-        outline_m *= np.asarray(1.0 + strength * OUTLINE_SHARE * waves)[:, None]
+    orders = zip(OUTLINE_ORDERS, weights / weights.sum(), outline_phases_rad, strict=True)
+    waves = sum(weight * np.cos(order * angle + phase) for order, weight, phase in orders)
+    outline_m *= np.asarray(1.0 + strength * OUTLINE_SHARE * waves)[:, None]
     outline_m -= polygon_centroid(outline_m)
     # The apex beside the centroid, as no organ is symmetric.
     apex_m = rng.uniform(-1.0, 1.0, 2) * (0.004, 0.003)
@@ -208,11 +207,10 @@ def make_organ(rng: np.random.Generator, seed: int = 0, perturbations: Perturbat
     xy_m = apex_m + radius[:, None, None] * (outline_m - apex_m)
     rings_m = np.concatenate([xy_m, np.broadcast_to(z_m[:, None, None], (ring_count, side_count, 1))], -1)
     vertices_m = np.vstack([[*apex_m, height_m], rings_m.reshape(-1, 3)])
-    if strength:
-        vectors = 2.0 * np.pi / length_m[:, None] * np.stack([np.cos(heading_rad), np.sin(heading_rad)], -1)
-        waves = np.cos(vertices_m[:, :2] @ vectors.T + phases_rad).sum(axis=1)
-        vertices_m[:, 2] *= 1.0 + strength * waves / np.abs(waves).max()
-        vertices_m[:, 2] *= height_m / vertices_m[:, 2].max()
+    vectors = 2.0 * np.pi / length_m[:, None] * np.stack([np.cos(heading_rad), np.sin(heading_rad)], -1)
+    waves = np.cos(vertices_m[:, :2] @ vectors.T + phases_rad).sum(axis=1)
+    vertices_m[:, 2] *= 1.0 + strength * waves / np.abs(waves).max()
+    vertices_m[:, 2] *= height_m / vertices_m[:, 2].max()
     # A fan at the apex, then rings down to the floor, of two triangles between each two corners.
     here = 1 + np.arange(ring_count * side_count).reshape(ring_count, side_count)
     following = np.roll(here, -1, axis=1)

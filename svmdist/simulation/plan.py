@@ -67,11 +67,9 @@ def draw_nominal_kinematics(
         unit = np.random.default_rng([seed, stream, *further]).normal(0.0, 1.0, len(slides))
         return np.asarray(unit * np.where(slides, std_m, std_rad))
 
-    offsets, settings, error = np.zeros(len(slides)), profile.simulation, profile.kinematic_error
-    if settings is not None:
-        offsets = drawn(_ENCODER_STREAM, settings.encoder_std_rad, settings.encoder_std_m)
-    if scale == 0.0:
-        return NominalKinematics(offsets, T_camera_base, chain)
+    settings, error = profile.simulation, profile.kinematic_error
+    assert settings is not None  # the scene has checked it
+    offsets = drawn(_ENCODER_STREAM, settings.encoder_std_rad, settings.encoder_std_m)
     rng = np.random.default_rng([seed, _CAMERA_BASE_STREAM, *further])
     R = cv2.Rodrigues(scale * rng.normal(0.0, error.camera_base_std_rad, 3))[0] @ T_camera_base[:3, :3]
     shift_m = scale * rng.normal(0.0, error.camera_base_std_m, 3)
