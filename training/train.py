@@ -23,9 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("model", type=Path, help="the ONNX file to write; beside it .pt, which --start takes")
     add("--pictures", type=Path, nargs="*", default=[], help="repositories that are checked out")
     add(
-        "--teacher",
-        type=Path,
-        help="a network of before, in ONNX: what it says of real pictures is learnt, too",
+        "--teacher", type=Path, help="an ONNX network of before: what it says of real pictures is learnt, too"
     )
     add("--start", type=Path, help="the weights to go on from, .pt; without it those of ImageNet")
     add("--steps", type=int, default=2200, help="of each process; 2200 take 140 minutes on two cores")
