@@ -139,7 +139,7 @@ def test_clearance_is_nearer_to_the_truth_than_with_the_dome(tmp_path, golden):
     shipped = load_profile()
     scene = make_scene(shipped, GOLDEN_SEED)
     organ_obj(scene, tmp_path / "organ.obj")
-    R = scene.T_camera_tissue[:3, :3]
+    R = scene.T_camera_tissue()[:3, :3]
     yaw_rad = float(np.arctan2(-R[1, 0], R[0, 0]))
     offset = rotation_z(yaw_rad) @ [-0.01, 0.0, 0.0]
     lines = f'mesh = "organ.obj"\nmesh_unit = "mm"\nmesh_yaw_rad = {yaw_rad}\nmesh_position_m = {offset.tolist()}\n'
