@@ -221,7 +221,7 @@ def _of_surface(scene: Scene) -> Iterator[Difference]:
     if surface is None or tissue is None or tissue.pose is None or right is None or profile.tissue is None:
         return
     pose, stated, points_m = tissue.pose, profile.tissue, surface.points_m
-    normal, of_shape = np.array(stated.plane_normal), np.zeros((0, 0))
+    normal, by_shape, of_shape = np.array(stated.plane_normal), np.zeros((len(points_m), 0)), np.zeros((0, 0))
     if pose.dome is not None:
         above = pose.dome.above(points_m)
         points_m, over_m = points_m[above.inner], above.over_m

@@ -40,9 +40,8 @@ def decode_still(data: bytes | memoryview, limits: Limits) -> Image:
     is_jpeg = not data.startswith(PNG_MAGIC)
     is_cmyk = is_jpeg and _jpeg_header(data)[2] in {"CMYK", "YCCK"}
     try:
-        if (
-            is_jpeg
-        ):  # strictly, to OpenCV's pixels: OpenCV itself fills what is damaged with grey, without a word
+        if is_jpeg:
+            # Strictly, to OpenCV's pixels: OpenCV itself fills what is damaged with grey, without a word.
             image = simplejpeg.decode_jpeg(data, "CMYK" if is_cmyk else "BGR", strict=True)
         if is_cmyk or not is_jpeg:  # whose colours OpenCV knows
             flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION

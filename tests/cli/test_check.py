@@ -1,6 +1,7 @@
 """Log and profile against each other: what `svmdist check` says, and what a contradiction does to rows."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,17 @@ def test_nothing_contradicts_in_golden_logs(cli: Any, log: str):
     assert {row["verdict"] for row in rows} == {"agrees"}
     has_surface = any(row["what"] == "height of the tissue" for row in rows)
     assert has_surface == (log != "sweep")
+
+
+@pytest.mark.parametrize(("distance_m", "verdict", "code"), [(0.108, "agrees", 0), (0.125, "contradicts", 4)])
+def test_a_plane_is_compared_as_a_dome_is(cli: Any, tmp_path: Path, distance_m, verdict, code):
+    """Through the middle of an organ of 8 mm it agrees with what both views show, farther it does not."""
+    text = profile_path("psm13").read_text().replace('calibration = "psm13.calibration.toml"\n', "")
+    text = re.sub(r"\[tissue\.dome\]\n(.+\n)+", "", text)
+    text = text.replace("plane_distance_m = 0.112", f"plane_distance_m = {distance_m}")
+    (path := tmp_path / "plane.toml").write_text(text.replace("surface_std_m = 5e-5", "surface_std_m = 3e-3"))
+    rows = cli("check", CONTACT, "--profile", path, "-f", "json", code=code).json
+    assert {row["what"]: row["verdict"] for row in rows}["height of the tissue"] == verdict
 
 
 MISTAKES = [
