@@ -52,9 +52,8 @@ class FusedEstimator:
     def __init__(self, arm: Arm) -> None:
         profile = arm.profile
         self._arm, self._chain = arm, arm.required_chain
-        self._stated_tissue = require_tissue(
-            profile
-        )  # that of a frame's arm may be widened by what checks say
+        # That of a frame's arm may be widened by what checks say.
+        self._stated_tissue = require_tissue(profile)
         self._tissue_tracker = TissueTracker(profile.settings.tissue)
         self._filter = KinematicErrorFilter(self._chain, profile.kinematic_error, profile.settings.filter)
         self._has_sizes = profile.segmentation.shaft is not None and profile.instrument is not None

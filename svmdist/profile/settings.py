@@ -80,9 +80,7 @@ class MarkerSettings(StrictModel):
 class ShaftSettings(StrictModel):
     """Finding a shaft, its edges and its end, and fitting its pose."""
 
-    min_contrast_levels: float = Field(
-        default=12.0, gt=0.0, lt=255.0
-    )  # an edge's step: compression leaves less
+    min_contrast_levels: float = Field(default=12.0, gt=0.0, lt=255.0)  # an edge's step
     end_model_std_m: float = Field(default=0.0002, ge=0.0, lt=0.1)  # standard deviation of the end
     unknown_bend_rad: float = Field(default=0.8, gt=0.0, lt=3.2)
     """Standard deviation of the wrist's bend about each axis without joints: any bend within 1.4 rad is as likely."""
