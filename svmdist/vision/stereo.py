@@ -207,7 +207,7 @@ def reduced(image: Image, step: int, how: int = cv2.INTER_AREA) -> Image:
     return image if step == 1 else np.asarray(cv2.resize(image, size, interpolation=how), np.uint8)
 
 
-ROWS_PX = 2  # by which rows may differ
+ROWS_PX = (-2.0, -1.0, 0.0, 1.0, 2.0)  # by which rows may differ
 LEAST_LIKENESS, LEAST_LEAD = 0.6, 0.05  # correlation of a match, and how much better than any elsewhere
 SAME_PX = 3.0  # what is so near to the best match is the same
 
@@ -219,17 +219,18 @@ def matched_place(views: tuple[Image, Image], at_px: Array, half_px: float, plac
     """
     half = max(3, round(half_px))
     patch = cv2.getRectSubPix(views[0], (2 * half + 1,) * 2, (float(at_px[0]), float(at_px[1])))
-    middle_px = 0.5 * (places_px.min(0) + places_px.max(0))
-    x, y = (places_px - middle_px).T
-    reach = [int(np.ceil(np.abs(of).max())) + half + more for of, more in ((x, 1), (y, 1 + ROWS_PX))]
-    around = cv2.getRectSubPix(
-        views[1], (2 * reach[0] + 1, 2 * reach[1] + 1), (float(middle_px[0]), float(middle_px[1]))
-    )
-    likeness = cv2.matchTemplate(around, patch, cv2.TM_CCOEFF_NORMED)
-    likeness = cv2.dilate(likeness, np.ones((2 * ROWS_PX + 1, 1), np.uint8))
-    at = (np.column_stack([x, y]) + reach - half)[:, None].astype(np.float32)
-    found = np.asarray(cv2.remap(likeness, at[..., 0], at[..., 1], cv2.INTER_LINEAR), np.float64)[:, 0]
-    best = int(np.argmax(found))
+    ours = patch.astype(np.float32) - float(patch.mean())
+    offset = np.arange(-half, half + 1)
+    likeness = np.full(len(places_px), -1.0)
+    for row_px in ROWS_PX:
+        grid = places_px[:, None, None] + np.stack(np.meshgrid(offset, offset + row_px), -1)
+        at = grid.reshape(len(places_px), -1, 2).astype(np.float32)
+        pixels = cv2.remap(views[1], at[..., 0], at[..., 1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+        seen = np.asarray(pixels, np.float32)
+        theirs = seen - seen.mean(1, keepdims=True)
+        scale = np.sqrt(float((ours**2).sum()) * (theirs**2).sum(1)) + 1.0
+        likeness = np.maximum(likeness, (theirs @ ours.ravel()) / scale)
+    best = int(np.argmax(likeness))
     is_away = np.linalg.norm(places_px - places_px[best], axis=1) > SAME_PX
-    lead = found[best] - np.max(found[is_away], initial=-1.0)
-    return best if found[best] > LEAST_LIKENESS and lead > LEAST_LEAD else None
+    lead = likeness[best] - np.max(likeness[is_away], initial=-1.0)
+    return best if likeness[best] > LEAST_LIKENESS and lead > LEAST_LEAD else None
