@@ -129,6 +129,7 @@ MISTAKES: dict[str, Change] = {
     "camera: lens stated twice": infos(lambda message: message.D.__setitem__(slice(None), LENS)),
     "camera: right lens stated twice": infos(
         lambda message: message.D.__setitem__(slice(None), LENS), "right_camera_info"),
+    "camera: right focal +3 %": optics(lambda K: K * [[1.03, 1, 1], [1, 1.03, 1], [1, 1, 1]], "right_camera_info"),
     "camera: info of half the size": half_size,
     "camera: f for c": optics(lambda K: np.array([[K[0, 2], 0, K[0, 0]], [0, K[1, 2], K[1, 1]], [0, 0, 1]])),
     "camera: images mirrored": images(lambda image: image[:, ::-1]),

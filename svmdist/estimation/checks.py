@@ -22,6 +22,7 @@ from svmdist.estimation.comparison import (
     MOTION,
     OUTLINE,
     PROFILE,
+    ROWS,
     SHAFT,
     SHAPE,
     TAG,
@@ -47,7 +48,6 @@ from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
 from svmdist.vision.stereo import RectifiedPair, RowAlignment, corresponding_points
 
-ROWS = "rows of both views"
 # Points of both views that tell a median, and how rows change over the picture
 MIN_MATCHES, MIN_FITTED = 8, 60
 MOST_POINTS = 0.75  # of those that show how rows bend: a few are at the border, or false

@@ -25,6 +25,7 @@ CAMERAS, PROFILE, IMAGE, OUTLINE = "the stated cameras", "the profile", "the ima
 LATER = "later camera_info"
 HEIGHT, TILT, SHAPE = "height of the tissue", "tilt of the tissue", "shape of the tissue"
 MOTION = "motion of the tool"
+ROWS = "rows of both views"
 OTHER_SHAPE_DEVIATIONS = 1.0  # of tilt or shape, beyond which a seen surface is better than a stated one
 BORDER_M = 0.02  # of an organ, from its middle
 MISTAKES = {
@@ -153,6 +154,11 @@ class Checks:
             votes = {source: sum(source in sources for sources in sharp) for source in wrong.usual.sources}
             blamed |= {source for source, count in votes.items() if count == min(votes.values())}
         return blamed
+
+    @property
+    def bends_rows(self) -> bool:
+        """Whether rows of both views bend more than the stated cameras can."""
+        return any(one.usual.what == ROWS for one in self.contradictions)
 
     def doubt(self, method: str) -> str:
         """Why no row of a method can be trusted; empty where none of what it relies on is contradicted."""

@@ -11,7 +11,7 @@ import numpy as np
 from svmdist.errors import RecordingError
 from svmdist.estimation import checks
 from svmdist.estimation.checks import Matches
-from svmdist.estimation.comparison import KINEMATICS, Checks, Difference
+from svmdist.estimation.comparison import KINEMATICS, ROWS, Checks, Difference
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.estimation.tool_places import places as places_of
@@ -205,7 +205,7 @@ class ViewsCompared:
     @property
     def refusal(self) -> str:
         """Why they cannot be those of their cameras, whatever they show; empty where they can be."""
-        wrong = [one for one in self.checks.comparisons if one.usual.what != checks.ROWS]
+        wrong = [one for one in self.checks.comparisons if one.usual.what != ROWS]
         return warning({"": Checks(tuple(wrong))})
 
     @property
@@ -221,8 +221,7 @@ def compare_views(pairs: Iterable[Observation], profile: Profile) -> ViewsCompar
     scenes = [Scene(one, profile, segmenter) for one in pairs if one.right is not None]
     matches = [found for scene in scenes if (found := checks.matched(scene)) is not None]
     compared = Checks.of(checks.of_views(profile, matches), len(matches))
-    is_bent = any(one.usual.what == checks.ROWS for one in compared.contradictions)
-    return ViewsCompared(compared, checks.row_alignment(matches) if is_bent else None)
+    return ViewsCompared(compared, checks.row_alignment(matches) if compared.bends_rows else None)
 
 
 def warning(found: Mapping[str, Checks]) -> str:

@@ -30,9 +30,11 @@ from svmdist.recording.source import Loss, LossKind
 from svmdist.results import Distances, FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection, Status
 from svmdist.vision.frame_context import seen_through
-from svmdist.vision.stereo import LEVEL
+from svmdist.vision.stereo import LEVEL, RowAlignment
 from svmdist.workflows.check import (
+    Sighted,
     checked,
+    compare_views,
     first_of,
     look,
     needs_association,
@@ -170,6 +172,7 @@ class _Replay:
         self._rows = LEVEL
         self._looked: dict[tuple[int, int], list[Frame]] = {}
         self._checks: list[dict[str, Checks]] = [{} for _ in conditions]
+        self._aligned = self._checks  # the same once rows that bend are aligned
         if not all(setup.is_planar or setup.is_given for setup in setups):
             self._compare(any(setup.needs_right_view for setup in setups))
         self._associations: list[Association | None] = [None] * len(conditions)
@@ -177,7 +180,8 @@ class _Replay:
             from svmdist.estimation.association import Association
 
             self._associations = [Association(self._arms) for _ in conditions]
-        self._lanes = [[self._lane(setup, known) for setup in setups] for known in self._checks]
+        each = list(zip(self._checks, self._aligned, strict=True))
+        self._lanes = [[self._lane(setup, *known) for setup in setups] for known in each]
         self._needs = reduce(Needs.__or__, (lane.needs for lane in self._lanes[0]))
 
     def _compare(self, needs_rows: bool) -> None:
@@ -188,20 +192,39 @@ class _Replay:
             self._rows = offset_to_remove(first_of(spread, profile), profile)
         if profile.tissue is None:
             return
+        self._checks = self._aligned = self._checked(spread, int(needs_rows))
+        first = self._checks[0]
+        if self._conditions[0] == CLEAN and (said := warning(first)):
+            health.add(Loss(LossKind.CONTRADICTION, said))
+        if needs_rows and any(one.bends_rows for one in first.values()):
+            views = compare_views(first_of(spread, profile), profile)
+            if views.rows is not None and not views.refusal:
+                self._align(views.rows)
+                self._aligned = self._checked(spread, int(needs_rows))
+        self._doubt_tissue(profile.tissue, list(self._aligned[0].values()))
+
+    def _checked(self, spread: Sequence[Sighted], pairs: int) -> list[dict[str, Checks]]:
+        """What is compared of each instrument, under each condition."""
+        every = []
         for at, condition in enumerate(self._conditions):
 
             def looked(number: int, seen: tuple[Observation, ...]) -> list[Frame]:
                 changed = tuple(condition.apply(one, number) for one in seen)  # noqa: B023
                 return look(changed, self._arms, self._segmenter, self._rows)
 
-            self._checks[at], found = checked(
-                self._recording, spread, self._arms, looked, pairs=int(needs_rows)
-            )
+            known, found = checked(self._recording, spread, self._arms, looked, pairs=pairs)
+            every.append(known)
             self._looked |= {(at, number): frames for number, frames in found.items()}
-        first = self._checks[0]
-        if self._conditions[0] == CLEAN and (said := warning(first)):
-            health.add(Loss(LossKind.CONTRADICTION, said))
-        self._doubt_tissue(profile.tissue, list(first.values()))
+        return every
+
+    def _align(self, rows: RowAlignment) -> None:
+        """Align rows that bend: what bends them, a lens or a turn, moves columns as much, over the view."""
+        camera = self._recording.camera
+        view_rad = 0.5 * camera.width_px / camera.K[0, 0]
+        self._rows = rows
+        self._setup = self._setup.with_right_rotation_std(view_rad * float(np.hypot(*rows.slope)))
+        self._arms = self._stereo_arms = self._arms_of(self._setup)
+        self._looked.clear()
 
     def _doubt_tissue(self, stated: Tissue, found: Sequence[Checks]) -> None:
         """Let the tissue be as uncertain as it is seen elsewhere, or as a guess where no second view shows it.
@@ -224,9 +247,15 @@ class _Replay:
     def _arms_of(self, setup: Setup) -> list[Arm]:
         return [Arm(setup.profile.for_instrument(arm.profile.instrument_name)) for arm in self._arms]
 
-    def _lane(self, setup: Setup, known: Mapping[str, Checks]) -> MultiInstrumentEstimator:
-        """A method on the wanted instruments; one that measures the tissue itself takes the profile as it is."""
+    def _lane(
+        self, setup: Setup, known: Mapping[str, Checks], aligned: Mapping[str, Checks]
+    ) -> MultiInstrumentEstimator:
+        """A method on the wanted instruments; one that measures the tissue itself takes the profile as it is.
+
+        What rows say only contradicts a method that would learn it from one part of the view for all of it.
+        """
         arms = self._stereo_arms if setup.needs_right_view else self._arms
+        known = aligned if setup.method == "stereo" else known
         return MultiInstrumentEstimator(
             setup, [arms[place] for place in self._places], known, self._recording.camera
         )

@@ -207,6 +207,13 @@ class Setup:
         tissue = tissue.model_copy(update=stds)
         return replace(self, profile=self.profile.model_copy(update={"tissue": tissue}))
 
+    def with_right_rotation_std(self, std_rad: float) -> Setup:
+        """The same where the right camera may be turned by more than is stated, about each axis."""
+        error = self.profile.camera_error
+        std_rad = math.hypot(error.right_rotation_std_rad, std_rad)
+        error = error.model_copy(update={"right_rotation_std_rad": std_rad})
+        return replace(self, profile=self.profile.model_copy(update={"camera_error": error}))
+
     def was_fitted_on(self, recording: Recording) -> bool:
         """Whether the calibration was fitted on this very recording: then its figures prove nothing."""
         sources = self.calibration.sources if self.calibration else ()
