@@ -12,6 +12,8 @@ from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
 from svmdist.vision.lines import axis_of_cylinder
 
+MOST_WRONG = 3.0
+"""By which factor a radius is mistaken: a diameter is twice. Farther off, a strip of the shaft was taken for all."""
 WRIST_STD_M = 5e-3  # by which the shaft's axis passes before or behind the marker, where the wrist is bent
 
 
@@ -32,6 +34,11 @@ def places(frame: Frame) -> dict[str, ToolPose]:
     by_pair = triangulated_tool(frame, ANY_ORIENTATION)
     if not isinstance(by_pair, Failure):
         found[DISPARITY] = by_pair
+    others_m = [found[name].position_m[2] for name in (MARKER, DISPARITY) if name in found]
+    if SHAFT in found and others_m:
+        ratio = found[SHAFT].position_m[2] / float(np.median(others_m))
+        if not 1.0 / MOST_WRONG < ratio < MOST_WRONG:
+            del found[SHAFT]
     if frame.tag is not None and not isinstance(frame.robot, Failure):
         found[TAG] = tool_from_tag(arm, frame.left.camera, frame.tag, frame.robot)
     return found
