@@ -40,16 +40,12 @@ MISTAKES = {
     JAWS: ("jaw_length_m (a whole jaw, or the part behind the marker?)",),
     TAG: ("the tag's size_m", "its link, place or rotation"),
     TISSUE: ("[tissue]: plane, dome or mesh (place, tilt, height, unit, axes)", "focal length or baseline"),
-    VIEWS: (
-        "left and right exchanged",
-        "the baseline (unit, sign)",
-        "a lens stated of rectified images",
-        "a turned camera",
-    ),
+    VIEWS: ("left and right exchanged", "the baseline (unit, sign)"),
+    ROWS: ("a lens stated of rectified images", "half of a lens' coefficients", "a turned camera"),
     LATER: ("a zoom while the log was recorded", "camera_info of another mode or camera"),
     FIELD: ("a unit (mm for m)", "a diameter for a radius", "[field], where this robot is another one"),
 }
-"""The mistakes that look like a contradiction of each source, the commonest first."""
+"""The mistakes that look like a contradiction of each source, or of rows, the commonest first."""
 ALL_RELY = {KINEMATICS, TISSUE, FIELD, JAWS}  # on joints of the wrist, too, where the base may be anywhere
 RELIES = {
     "kinematic": ALL_RELY,
@@ -104,6 +100,8 @@ class Comparison:
     @property
     def could_be(self) -> tuple[str, ...]:
         """What mistakes look like this."""
+        if self.usual.what in MISTAKES:
+            return MISTAKES[self.usual.what]
         known = [MISTAKES[source] for source in self.usual.sources if source in MISTAKES]
         return tuple(one for mistakes in known for one in mistakes[: 4 // len(known)])
 

@@ -212,7 +212,7 @@ class ViewsCompared:
     def warning(self) -> str:
         """What contradicts, and what it leads to; empty where nothing does."""
         said = warning({"": self.checks})
-        return f"{said}; depths are the less sure the further from the middle" if said else ""
+        return f"{said}; depths are less sure the further they are from the middle" if said else ""
 
 
 def compare_views(pairs: Iterable[Observation], profile: Profile) -> ViewsCompared:
