@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -204,6 +204,10 @@ class Frame:
         if scene.right is not None and seen.right is not None:
             right = View(arm, seen.right, scene.right, others[1])
         return cls(scene, arm, left, right, observation.joints, robot, doubt)
+
+    def left_alone(self) -> Frame:
+        """The same without the right view."""
+        return replace(self, scene=self.scene.left_alone(), right=None)
 
     @property
     def stamp_ns(self) -> int:

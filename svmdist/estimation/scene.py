@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import copy
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -98,6 +100,14 @@ class Scene:
     def found(self) -> dict[str, Any]:
         """The detections that were asked for, by name."""
         return self.__dict__
+
+    def left_alone(self) -> Scene:
+        """The same without the right view, with what was found in the left one."""
+        alone = copy(self)
+        alone.observation, alone.right = replace(self.observation, right=None), None
+        for name in ("stereo_pair", "stereo_surface"):
+            alone.found.pop(name, None)
+        return alone
 
     @cached_property
     def tissue(self) -> TissueDetection | None:

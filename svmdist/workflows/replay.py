@@ -88,7 +88,7 @@ class MultiInstrumentEstimator:
     """One method on every wanted instrument of a recording, each with an estimator of its own.
 
     No row is `ok` of a method that relies on what `checks` contradict, by instrument; nor one of another camera than
-    `camera`, the log's first, where a calibration is of that.
+    `camera`, the log's first, where a calibration is of that. With `left_alone` it sees no right view.
     `keeps_state`: whether a result depends on earlier frames; `needs`: the detections that the method asks for.
     """
 
@@ -98,7 +98,10 @@ class MultiInstrumentEstimator:
         arms: Sequence[Arm],
         checks: Mapping[str, Checks] | None = None,
         camera: Camera | None = None,
+        *,
+        left_alone: bool = False,
     ) -> None:
+        self._left_alone = left_alone
         self._calibrated = camera if setup.calibration else None
         self._estimators = [setup.estimator_for(arm) for arm in arms]
         self._arms = tuple(arms)
@@ -112,6 +115,8 @@ class MultiInstrumentEstimator:
         """Measure one image: a frame for each instrument; `spent_s`: what detections computed ahead took."""
         needs = self.needs
         shared_s = sum(spent_s.get(name, 0.0) for name in needs.scene + needs.frame) / len(frames)
+        if self._left_alone:
+            frames = [frame.left_alone() for frame in frames]
         results: list[FrameResult] = []
         seconds: list[float] = []
         for estimator, arm, frame in zip(self._estimators, self._arms, frames, strict=True):
@@ -234,6 +239,8 @@ class _Replay:
         off_m = next((one.tissue_off_m for one in found if one.tissue_off_m is not None), None)
         shape_m = max(one.tissue_shape_off_m for one in found)
         std_m = stated.unverified_std_m if off_m is None else off_m
+        if self._aligned is not self._checks:
+            std_m = max(std_m, stated.unverified_std_m)
         if stated.mesh is not None:
             shape_m = max(shape_m, off_m or 0.0)
         if std_m <= stated.plane_distance_std_m and shape_m == 0.0:
@@ -252,13 +259,13 @@ class _Replay:
     ) -> MultiInstrumentEstimator:
         """A method on the wanted instruments; one that measures the tissue itself takes the profile as it is.
 
-        What rows say only contradicts a method that would learn it from one part of the view for all of it.
+        Where rows were aligned, one that keeps a state sees the left view alone: of what bends them it would learn in
+        one part of the view for all of it.
         """
-        arms = self._stereo_arms if setup.needs_right_view else self._arms
-        known = aligned if setup.method == "stereo" else known
-        return MultiInstrumentEstimator(
-            setup, [arms[place] for place in self._places], known, self._recording.camera
-        )
+        left_alone = aligned is not known and setup.method == "fused"
+        arms = self._stereo_arms if setup.needs_right_view and not left_alone else self._arms
+        chosen, camera = [arms[place] for place in self._places], self._recording.camera
+        return MultiInstrumentEstimator(setup, chosen, aligned, camera, left_alone=left_alone)
 
     def run(self, jobs: int, rest: bool) -> Iterator[tuple[Replayed, ...]]:
         several = len(self._arms) > 1  # what tells them apart starts from nominal kinematics

@@ -72,20 +72,18 @@ def test_a_wrong_profile_is_named(cli: Any, changed: Callable[[str, str], Path],
     assert [line for line in ran.err.splitlines() if "warning" in line and "contradict" in line]
 
 
-def test_rows_that_bend_are_aligned_for_stereo(cli: Any, tmp_path: Path):
-    """By 3 % of a right focal length: `stereo` measures, and covers it; what keeps a state is refused; both warn."""
+@pytest.mark.parametrize("method", ["stereo", "fused"])
+def test_rows_that_bend_are_aligned(cli: Any, tmp_path: Path, method: str):
+    """By 3 % of a right focal length: `stereo` covers what that does, `fused` keeps to the left view; both warn."""
     path = RECORDINGS / "3d" / "duo.mcap"
     case = opened(str(path), "psm13", "two", tmp_path)
     optics(lambda K: K * [[0.97, 1, 1], [1, 0.97, 1], [1, 1, 1]], "right_camera_info")(case)
     case.write(changed := tmp_path / "bent.mcap")
     truth = open_recording(path, load_profile("psm13")).distance_track()
-    for method, is_measured in (("stereo", True), ("fused", False)):
-        ran = cli("estimate", changed, "--method", method, "--every", 8, "-f", "json", code=3)
-        assert "rows of both views" in ran.err
-        rows = [row for row in json.loads(ran.out) if row["status"] == "ok" and row["instrument"] == "PSM1"]
-        assert bool(rows) == is_measured
-        true_m = truth.at(np.array([row["stamp_ns"] for row in rows], np.int64)).values[:, 2]
-        off = [
-            abs(row["clearance_m"] - m) / row["clearance_std_m"] for row, m in zip(rows, true_m, strict=True)
-        ]
-        assert np.max(off, initial=0.0) < 2.5
+    ran = cli("estimate", changed, "--method", method, "--every", 8, "-f", "json", code=3)
+    assert "rows of both views" in ran.err
+    rows = [row for row in json.loads(ran.out) if row["status"] == "ok" and row["instrument"] == "PSM1"]
+    assert len(rows) > 5
+    true_m = truth.at(np.array([row["stamp_ns"] for row in rows], np.int64)).values[:, 2]
+    off = [abs(row["clearance_m"] - m) / row["clearance_std_m"] for row, m in zip(rows, true_m, strict=True)]
+    assert np.max(off) < 2.5
