@@ -85,7 +85,10 @@ def disparity_map(
     left, right = (reduced(view[rows], step) for view in views)
     inside, inside_right = (reduced(mask[rows], step, cv2.INTER_NEAREST) for mask in masks)
     low, high = bounds_px[0] / step, min(bounds_px[1] / step, MAX_SHARE * left.shape[1])
-    found = _range(left, right, inside, inside_right, low, high) if min(left.shape) > 8 * CELL_PX else None
+    # A view that is too small, or a baseline in millimetres for metres: nothing could be seen so near.
+    if min(left.shape) <= 8 * CELL_PX or low >= high:
+        return None
+    found = _range(left, right, inside, inside_right, low, high)
     if found is None:
         return None
     low, high = found

@@ -64,6 +64,8 @@ def tissue_surface(recording: Recording, profile: Profile, number: int) -> Tissu
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
     pairs = first_of(spread_observations(recording), profile)
     views = compare_views(pairs, profile)
+    if views.refusal:
+        raise RecordingError(f"{recording.name} shows no surface: {views.refusal}")
     if views.warning:
         recording.health.add(Loss(LossKind.CONTRADICTION, views.warning))
     images = recording.encoded_observations(recording.instruments[:1], PAIRS)

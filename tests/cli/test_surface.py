@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 import svmdist
+from benchmarks.log_changes import baseline, opened
 
 FRAME = 20
 
@@ -48,3 +49,16 @@ def test_the_surface_lies_on_the_simulated_tissue(golden, surface):
     assert np.allclose(np.linalg.norm(surface.normals, axis=1), 1.0)
     assert np.mean(surface.normals @ T[:3, 2] > 0.7) > 0.95
     assert np.all(np.median(surface.rgb[:, :1] - surface.rgb[:, 1:].astype(int), 0) > 40)
+
+
+def test_a_baseline_in_millimetres_is_named(golden, cli, tmp_path):
+    """Nothing could be seen so near: it is no surface, and no row, and both say what to look at."""
+    case = opened(str(golden / "3d" / "contact.mcap"), "psm13", "two", tmp_path)
+    baseline(1e3)(case)
+    case.write(changed := tmp_path / "mm.mcap")
+    done = cli("surface", changed, "-o", tmp_path / "tissue.ply", code=1)
+    assert "disparities" in done.err
+    assert "the baseline (unit, sign)" in done.err
+    done = cli("estimate", changed, "--method", "stereo", "--every", 20, "-f", "csv", code=3)
+    assert "the baseline (unit, sign)" in done.err
+    assert ",ok," not in done.out
