@@ -18,7 +18,7 @@ from svmdist.estimation.instrument.shaft_detection import (
     detect_silhouette,
 )
 from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
-from svmdist.estimation.scene import Arm, Scene
+from svmdist.estimation.scene import OF_BOTH_VIEWS, Arm, Scene
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure
 from svmdist.samples import Image, JointSample, Observation, RightView
@@ -166,6 +166,14 @@ class Needs:
     frame: tuple[str, ...] = ()
     robot: bool = True  # whether it uses joints or transforms
     right_view: bool = False  # whether it uses the right image
+
+    def left_alone(self) -> Needs:
+        """What the left view has of it."""
+        scene, frame = (
+            tuple(name for name in names if name not in OF_BOTH_VIEWS and not name.startswith("right."))
+            for names in (self.scene, self.frame)
+        )
+        return Needs(scene, frame, self.robot)
 
     def __or__(self, other: Needs) -> Needs:
         return Needs(

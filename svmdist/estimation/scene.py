@@ -23,6 +23,8 @@ from svmdist.vision.segmentation import Segmenter
 from svmdist.vision.stereo import LEVEL, RectifiedPair, RowAlignment, rectified_pair
 from svmdist.vision.tag_overlay import TagPattern
 
+OF_BOTH_VIEWS = "stereo_pair", "stereo_surface"  # what a scene finds by both of its views
+
 
 class Arm:
     """An instrument's profile, with its chain, its body and its fiducial made ready; shared by all methods."""
@@ -105,7 +107,7 @@ class Scene:
         """The same without the right view, with what was found in the left one."""
         alone = copy(self)
         alone.observation, alone.right = replace(self.observation, right=None), None
-        for name in ("stereo_pair", "stereo_surface"):
+        for name in OF_BOTH_VIEWS:
             alone.found.pop(name, None)
         return alone
 

@@ -22,9 +22,8 @@ COMB_RATIO = 3.0  # combed pixels over those that differ from the same field's r
 BLOCK_PX = 9
 MIN_FRACTION = 0.12  # of a block's pixels that are combed, where its odd rows are mended
 MIN_PIXELS = 60  # combed pixels in a whole image, at 640 columns, below which nothing is looked at further
-COMBED_COLOURS = (
-    0.07  # of combed pixels: 0.1 or more where colours are their field's own, 0.05 at most where mixed
-)
+# Of combed pixels: 0.1 or more where colours are their field's own, 0.05 at most where mixed
+COMBED_COLOURS = 0.07
 
 DEFAULT = InterlaceSettings()
 COLUMNS = 640  # sizes in px are for images of so many columns

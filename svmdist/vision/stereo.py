@@ -31,6 +31,11 @@ class RowAlignment:
     offset_px: float = 0.0
     slope: tuple[float, float] = (0.0, 0.0)
 
+    @property
+    def bends(self) -> bool:
+        """Whether rows are more than moved."""
+        return self.slope != (0.0, 0.0)
+
     def of_image(self, K: Array) -> Array:
         """Where the right view of K, (3, 3), shows what should be at (x, y, 1), shape (2, 3)."""
         along_x, along_y = self.slope

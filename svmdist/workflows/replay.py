@@ -108,7 +108,8 @@ class MultiInstrumentEstimator:
         self._is_given = setup.is_given
         known = checks if checks and setup.own is None else {}
         self._doubts = {name: one.doubt(setup.method) for name, one in known.items()}
-        self.needs: Needs = self._estimators[0].needs
+        needs: Needs = self._estimators[0].needs
+        self.needs = needs.left_alone() if left_alone else needs
         self.keeps_state: bool = self._estimators[0].keeps_state
 
     def estimate(self, frames: Sequence[Frame], spent_s: Mapping[str, float]) -> Replayed:
@@ -177,7 +178,6 @@ class _Replay:
         self._rows = LEVEL
         self._looked: dict[tuple[int, int], list[Frame]] = {}
         self._checks: list[dict[str, Checks]] = [{} for _ in conditions]
-        self._aligned = self._checks  # the same once rows that bend are aligned
         if not all(setup.is_planar or setup.is_given for setup in setups):
             self._compare(any(setup.needs_right_view for setup in setups))
         self._associations: list[Association | None] = [None] * len(conditions)
@@ -185,8 +185,7 @@ class _Replay:
             from svmdist.estimation.association import Association
 
             self._associations = [Association(self._arms) for _ in conditions]
-        each = list(zip(self._checks, self._aligned, strict=True))
-        self._lanes = [[self._lane(setup, *known) for setup in setups] for known in each]
+        self._lanes = [[self._lane(setup, known) for setup in setups] for known in self._checks]
         self._needs = reduce(Needs.__or__, (lane.needs for lane in self._lanes[0]))
 
     def _compare(self, needs_rows: bool) -> None:
@@ -197,7 +196,7 @@ class _Replay:
             self._rows = offset_to_remove(first_of(spread, profile), profile)
         if profile.tissue is None:
             return
-        self._checks = self._aligned = self._checked(spread, int(needs_rows))
+        self._checks = self._checked(spread, int(needs_rows))
         first = self._checks[0]
         if self._conditions[0] == CLEAN and (said := warning(first)):
             health.add(Loss(LossKind.CONTRADICTION, said))
@@ -205,8 +204,8 @@ class _Replay:
             views = compare_views(first_of(spread, profile), profile)
             if views.rows is not None and not views.refusal:
                 self._align(views.rows)
-                self._aligned = self._checked(spread, int(needs_rows))
-        self._doubt_tissue(profile.tissue, list(self._aligned[0].values()))
+                self._checks = self._checked(spread, int(needs_rows))
+        self._doubt_tissue(profile.tissue, list(self._checks[0].values()))
 
     def _checked(self, spread: Sequence[Sighted], pairs: int) -> list[dict[str, Checks]]:
         """What is compared of each instrument, under each condition."""
@@ -239,7 +238,7 @@ class _Replay:
         off_m = next((one.tissue_off_m for one in found if one.tissue_off_m is not None), None)
         shape_m = max(one.tissue_shape_off_m for one in found)
         std_m = stated.unverified_std_m if off_m is None else off_m
-        if self._aligned is not self._checks:
+        if self._rows.bends:
             std_m = max(std_m, stated.unverified_std_m)
         if stated.mesh is not None:
             shape_m = max(shape_m, off_m or 0.0)
@@ -254,18 +253,16 @@ class _Replay:
     def _arms_of(self, setup: Setup) -> list[Arm]:
         return [Arm(setup.profile.for_instrument(arm.profile.instrument_name)) for arm in self._arms]
 
-    def _lane(
-        self, setup: Setup, known: Mapping[str, Checks], aligned: Mapping[str, Checks]
-    ) -> MultiInstrumentEstimator:
+    def _lane(self, setup: Setup, known: Mapping[str, Checks]) -> MultiInstrumentEstimator:
         """A method on the wanted instruments; one that measures the tissue itself takes the profile as it is.
 
         Where rows were aligned, one that keeps a state sees the left view alone: of what bends them it would learn in
         one part of the view for all of it.
         """
-        left_alone = aligned is not known and setup.method == "fused"
+        left_alone = self._rows.bends and setup.method == "fused"
         arms = self._stereo_arms if setup.needs_right_view and not left_alone else self._arms
         chosen, camera = [arms[place] for place in self._places], self._recording.camera
-        return MultiInstrumentEstimator(setup, chosen, aligned, camera, left_alone=left_alone)
+        return MultiInstrumentEstimator(setup, chosen, known, camera, left_alone=left_alone)
 
     def run(self, jobs: int, rest: bool) -> Iterator[tuple[Replayed, ...]]:
         several = len(self._arms) > 1  # what tells them apart starts from nominal kinematics
