@@ -15,7 +15,7 @@ from svmdist.geometry import Capsules
 from svmdist.geometry.distance import Separation, capsule_separation, separation
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose, as_pixel, as_vector
 from svmdist.samples import Status
-from svmdist.transforms import Array, make_transform
+from svmdist.transforms import Array, cross, make_transform
 
 
 def with_tissue(frame: Frame) -> FrameResult:
@@ -116,7 +116,7 @@ def variance_along(direction: Array, point_m: Array, pose: ToolPose) -> float:
 
 def _moves(direction: Array, point_m: Array, pose: ToolPose) -> Array:
     """How far a pose's (δp, δθ) moves a point of the tool along a direction: derivative, shape (6,)."""
-    return np.concatenate([direction, np.cross(point_m - pose.position_m, direction)])
+    return np.concatenate([direction, cross(point_m - pose.position_m, direction)])
 
 
 def _length(offset_m: Array, covariance: Array) -> Distance:

@@ -9,7 +9,7 @@ from svmdist.estimation.frame import Frame
 from svmdist.estimation.frame_methods import ANY_ORIENTATION, tool_from_tag, triangulated_tool
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.results import Failure, ToolPose
-from svmdist.transforms import Array
+from svmdist.transforms import Array, cross
 from svmdist.vision.lines import axis_of_cylinder
 
 MOST_WRONG = 3.0
@@ -63,7 +63,7 @@ def _by_width(frame: Frame) -> ToolPose | None:
         return None
     ray = view.camera.rays(marker.centre_px)[0]
     depth_m = axis.depth_m(ray)
-    width = float(np.linalg.norm(np.cross(planes[0].normal, planes[1].normal)))
+    width = float(np.linalg.norm(cross(planes[0].normal, planes[1].normal)))
     width_std = float(np.sqrt(sum(np.trace(plane.covariance) for plane in planes))) / max(width, 1e-6)
     std = float(np.hypot(width_std, instrument.shaft_radius_std_fraction))
     return _at_depth(depth_m, float(np.hypot(std * depth_m, WRIST_STD_M)), ray) if depth_m > 0.0 else None

@@ -23,7 +23,7 @@ from svmdist.estimation.instrument.shaft_model import ShaftModel
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import KinematicError
 from svmdist.results import Failure, ToolPose
-from svmdist.transforms import Array, inverse, make_transform, rotation_of
+from svmdist.transforms import Array, cross, inverse, make_transform, rotation_of
 from svmdist.vision.lines import apparent_radius_px, axis_of_cylinder
 from svmdist.vision.stereo import RectifiedPair
 
@@ -137,9 +137,9 @@ def _start_from_sides(view: View, model: ShaftModel, R_nominal: Array | None) ->
     if hinge_m is None:
         return Failure("the shaft's end is not to be seen")
     x = np.eye(3)[int(np.argmin(np.abs(d)))] if R_nominal is None else R_nominal[:, 0]
-    y = np.cross(d, x)
+    y = cross(d, x)
     y /= np.linalg.norm(y)
-    return make_transform(np.stack([np.cross(y, d), y, d], -1), hinge_m)
+    return make_transform(np.stack([cross(y, d), y, d], -1), hinge_m)
 
 
 def _turned_to_tip(d: Array, view: View, R_nominal: Array | None) -> Array | None:

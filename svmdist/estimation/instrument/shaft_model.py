@@ -21,7 +21,7 @@ from svmdist.kinematics import (
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import Instrument
 from svmdist.results import Failure
-from svmdist.transforms import Array, inverse, make_transform
+from svmdist.transforms import Array, cross, inverse, make_transform
 from svmdist.vision.instruments.find_instruments import SeenInstrument
 from svmdist.vision.instruments.outline_search import LONGEST_WRIST
 from svmdist.vision.silhouette import WristShape
@@ -182,5 +182,5 @@ def shaft_frames(chain: DHChain, q: Array) -> tuple[Array, Array]:
     x = frames[roll, :3, 0] - z * float(z @ frames[roll, :3, 0])
     x /= np.linalg.norm(x)
     origin_m = on_axis_m + z * float(z @ (hinge_m - on_axis_m))
-    T_base_shaft = make_transform(np.stack([x, np.cross(z, x), z], -1), origin_m)
+    T_base_shaft = make_transform(np.stack([x, cross(z, x), z], -1), origin_m)
     return T_base_shaft, inverse(T_base_shaft) @ frames[-1] @ chain.T_last_tool

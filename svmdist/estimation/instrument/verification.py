@@ -21,7 +21,7 @@ from svmdist.estimation.tissue.detection import TissuePose, require_tissue, tiss
 from svmdist.geometry import Capsules
 from svmdist.profile.robot import CameraError, Instrument, Tissue
 from svmdist.results import Z_95, ToolPose
-from svmdist.transforms import Array
+from svmdist.transforms import Array, cross
 from svmdist.vision.lines import apparent_radius_px
 
 MAX_DEVIATIONS = 4.0  # two normal errors are beyond it in 1 of 3,000 frames, and priors are rounded
@@ -81,7 +81,7 @@ def _out_of_place(pose: ToolPose, seen: TissuePose, stated: Tissue) -> str:
         return "the tool is behind the camera"
     plane = tissue_plane(stated)
     below_m = plane.offset_m - float(plane.normal @ pose.position_m)
-    aside_m = float(np.linalg.norm(np.cross(plane.normal, pose.position_m - seen.position_m)))
+    aside_m = float(np.linalg.norm(cross(plane.normal, pose.position_m - seen.position_m)))
     parts_m = (stated.plane_tilt_std_rad * aside_m, seen.surface_std_m, stated.surface_std_m)
     variance_m2 = float(plane.normal @ (seen.covariance + pose.position_covariance) @ plane.normal)
     # Nothing is there, so that an interval that lies behind it as a whole is wrong.
@@ -235,7 +235,7 @@ def _across_std_px(seen: ShaftSections, hinge_m: Array, pose: ToolPose, camera: 
     _, by_point = camera.project_with_derivative(seen.axis_m)
     across = (seen.across[:, None] @ by_point)[:, 0]
     if pose.hinge is None:
-        slope, covariance = np.cross(hinge_m - pose.position_m, across), pose.covariance
+        slope, covariance = cross(hinge_m - pose.position_m, across), pose.covariance
         slope = np.concatenate([across, slope], axis=1)
     else:
         slope, covariance = across, pose.hinge.covariance

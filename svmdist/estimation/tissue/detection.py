@@ -16,7 +16,7 @@ from svmdist.profile import Profile
 from svmdist.profile.hand_eye import FOCAL_LENGTH, PRINCIPAL_POINT
 from svmdist.profile.robot import CameraError, Tissue
 from svmdist.samples import Image
-from svmdist.transforms import Array, make_transform
+from svmdist.transforms import Array, cross, make_transform
 from svmdist.vision.colour import Masks
 from svmdist.vision.regions import CompletedOutline, Region, complete_outline, find_region
 
@@ -124,7 +124,7 @@ def tissue_frame(origin_m: Array, normal: Array) -> Array:
     along = np.eye(3)[0 if abs(normal[0]) < ACROSS else 1]
     x = along - normal * float(normal @ along)
     x /= np.linalg.norm(x)
-    return make_transform(np.stack([x, np.cross(normal, x), normal], -1), origin_m)
+    return make_transform(np.stack([x, cross(normal, x), normal], -1), origin_m)
 
 
 def height_biases(tissue: Tissue, position_m: Array) -> tuple[SharedBias, SharedBias]:
