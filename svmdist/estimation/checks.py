@@ -19,6 +19,7 @@ from svmdist.estimation.comparison import (
     JAWS,
     KINEMATICS,
     LATER,
+    MAX_DEVIATIONS,
     MOTION,
     OUTLINE,
     PROFILE,
@@ -33,6 +34,7 @@ from svmdist.estimation.comparison import (
 )
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.distal_marker import marker_in
+from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import joints_of, wrist_in_tool
 from svmdist.estimation.scene import Arm, Scene
@@ -106,6 +108,7 @@ def of_frame(frame: Frame, sources: Mapping[str, ToolPose]) -> Iterator[Differen
             yield depth._replace(sources=(source, FIELD))
             if pose.position_m[2] > 0.0:
                 yield from _against_image(frame, source, pose)
+    yield from _directions(frame, sources)
     for (one, pose), (other, reference) in combinations(sources.items(), 2):
         ray = reference.position_m / np.linalg.norm(reference.position_m)
         variance = ray @ (pose.position_covariance + reference.position_covariance) @ ray
@@ -116,18 +119,26 @@ def of_frame(frame: Frame, sources: Mapping[str, ToolPose]) -> Iterator[Differen
 
 
 def of_motion(places_m: Sequence[Mapping[str, ToolPose]]) -> Iterator[Difference]:
-    """How the tool moved between two frames, nominally and by the images: no shift of the base changes that."""
+    """How the tool moved between two frames, nominally and by the images: no shift of the base changes that.
+
+    Of each frame it is the usual one of its motions to all others: a mistaken frame spoils each motion that it is in.
+    """
     for source in (SHAFT, DISPARITY, TAG):
         both = [one for one in places_m if source in one and KINEMATICS in one]
-        for one, other in combinations(both, 2):
-            seen, nominal = (one[name].position_m - other[name].position_m for name in (source, KINEMATICS))
-            off_m = float(np.linalg.norm(nominal - seen))
-            along = (nominal - seen) / max(off_m, 1e-9)
-            covariance = one[source].position_covariance + other[source].position_covariance
-            variance = float(along @ covariance @ along)
-            turned_m = (MOTION_SHARE + one[KINEMATICS].shaft_std_rad) * float(np.linalg.norm(nominal))
-            std_m = float(np.linalg.norm([STEADY * np.sqrt(variance), MOTION_STD_M, turned_m]))
-            yield Difference(MOTION, (KINEMATICS, source), off_m, std_m, "m")
+        for one in both if len(both) > 1 else ():
+            motions = [_moved(source, one, other) for other in both if other is not one]
+            yield sorted(motions, key=lambda motion: motion.deviations)[(len(motions) - 1) // 2]
+
+
+def _moved(source: str, one: Mapping[str, ToolPose], other: Mapping[str, ToolPose]) -> Difference:
+    seen, nominal = (one[name].position_m - other[name].position_m for name in (source, KINEMATICS))
+    off_m = float(np.linalg.norm(nominal - seen))
+    along = (nominal - seen) / max(off_m, 1e-9)
+    covariance = one[source].position_covariance + other[source].position_covariance
+    turned_m = (MOTION_SHARE + one[KINEMATICS].shaft_std_rad) * float(np.linalg.norm(nominal))
+    variance = float(along @ covariance @ along)
+    std_m = float(np.linalg.norm([STEADY * np.sqrt(variance), MOTION_STD_M, turned_m]))
+    return Difference(MOTION, (KINEMATICS, source), off_m, std_m, "m")
 
 
 def _jaws(frame: Frame, pose: ToolPose) -> Iterator[Difference]:
@@ -163,7 +174,7 @@ def _jaws(frame: Frame, pose: ToolPose) -> Iterator[Difference]:
 
 
 def _against_image(frame: Frame, source: str, pose: ToolPose) -> Iterator[Difference]:
-    """A tool's pose against where the image shows its marker, and against the plane between the shaft's sides."""
+    """A tool's pose against where the image shows its marker."""
     view, arm = frame.left, frame.arm
     seen = marker_in(view, arm, None)
     if seen is not None:
@@ -182,13 +193,36 @@ def _against_image(frame: Frame, source: str, pose: ToolPose) -> Iterator[Differ
         deviations = np.sqrt(max(square - 1.0, 0.0))
         std_m = length_m / deviations if deviations > 0.0 else np.inf
         yield Difference("place in the image", (source, "the marker"), length_m, std_m, "m")
-    sides = {contour.side: contour.plane for contour in view.shaft.contours}
-    if len(sides) == 2:
-        middle = sides[1].normal - sides[-1].normal
-        middle /= np.linalg.norm(middle)
-        off_rad = float(np.arcsin(np.clip(middle @ pose.axis, -1.0, 1.0)))
-        std_rad = float(np.hypot(pose.shaft_std_rad, SIDES_STD_RAD))
-        yield Difference("direction of the shaft", (source, "its sides"), off_rad, std_rad, "rad")
+
+
+def _directions(frame: Frame, sources: Mapping[str, ToolPose]) -> Iterator[Difference]:
+    """Directions of the shaft against the plane between its sides in the image.
+
+    Where kinematics and tag agree, the sides are not those of the shaft: a mask has a strip of it.
+    """
+    sides = {contour.side: contour.plane for contour in frame.left.shaft.contours}
+    arm, robot = frame.arm, frame.robot_in_camera
+    if len(sides) < 2:
+        return
+    middle = sides[1].normal - sides[-1].normal
+    middle /= np.linalg.norm(middle)
+    known = dict(sources)
+    if not isinstance(robot, Failure):  # it may have told which instrument this is, and is no source
+        known[KINEMATICS] = nominal_tool(arm.required_chain, arm.profile.kinematic_error, robot)
+    found = dict[str, Difference]()
+    for source in (KINEMATICS, TAG):
+        if (pose := known.get(source)) is not None and pose.position_m[2] > 0.0:
+            off_rad = float(np.arcsin(np.clip(middle @ pose.axis, -1.0, 1.0)))
+            std_rad = float(np.hypot(pose.shaft_std_rad, SIDES_STD_RAD))
+            found[source] = Difference(
+                "direction of the shaft", (source, "its sides"), off_rad, std_rad, "rad"
+            )
+    if len(found) == 2:
+        one, other = found.values()
+        apart = abs(one.value - other.value) / float(np.hypot(one.std, other.std))
+        if apart < MAX_DEVIATIONS < min(one.deviations, other.deviations):
+            return
+    yield from (difference for source, difference in found.items() if source in sources)
 
 
 def of_scene(scene: Scene) -> Iterator[Difference]:

@@ -16,7 +16,7 @@ import numpy as np
 
 MAX_DEVIATIONS = 3.5  # 1 normal error in 2,000 is beyond it; of clean logs, none beyond 3.2
 MIN_FRAMES, MIN_SHARE = 2, 0.4  # that contradict, of those that compare
-MIN_MOTIONS, MOST = 4, 0.55  # of pairs of frames: one mistaken frame is in half of those of four
+MIN_MOTIONS, MOST = 3, 0.55  # of frames, by their usual motion: two of five may be mistaken
 
 KINEMATICS, SHAFT, DISPARITY, TAG = "kinematics", "the shaft's width", "disparity", "the tag"
 MARKER = "the marker's size"

@@ -10,7 +10,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.estimation.frame import OtherMasks
-from svmdist.estimation.region_tracking import CONTEST, MAX_REGIONS, ranked_assignments
+from svmdist.estimation.region_tracking import MAX_REGIONS, ranked_assignments
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile.robot import EntrySide, Instrument
 from svmdist.samples import Image
@@ -25,6 +25,7 @@ ENTRY_SPEED = 0.05  # how that grows, per s: a trocar holds the instrument, and 
 END_STD = 0.06  # the same for the shaft's end
 END_SPEED = 0.3  # the same for the shaft's end, per s, as instruments move
 UNSEEN_COST = 6.0  # -log of the chance that an instrument is not seen although it is there, or is not there
+CONTEST = 4.6  # a name is in doubt where another naming is more than a hundredth (e^-4.6) as likely
 UNNAMED_COST = 6.0  # -log of the chance that what is seen as an instrument is none of those in the profile
 
 FOLLOWED_S = 0.5  # after which an instrument may be anywhere

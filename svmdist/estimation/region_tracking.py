@@ -1,8 +1,13 @@
-"""Which coloured region of an image belongs to which instrument, stable through crossings."""
+"""Which coloured region of an image belongs to which instrument, stable through crossings.
+
+Several ways to name all regions until now are kept (multiple hypotheses, Reid 1979): what a first image does not tell,
+the instruments' motion does.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from itertools import product
 
@@ -13,9 +18,14 @@ from svmdist.transforms import Array
 
 GATE_D2 = 18.4  # squared Mahalanobis distance in two dimensions that a right region exceeds once in 10,000
 CLUTTER_COUNT = 0.05  # regions of nothing that an image of any size has, on average
-MARGIN = 2.0  # a newcomer is named when no other naming is more than e^-2 times as likely
-CONTEST = 4.6  # two tracks contest a region that is less than a hundred times (e^4.6) as likely one's as the other's
+CONTEST = 3.5  # a region is named where all other namings are less than a thirtieth (e^-3.5) as likely
+UNLIKELY, MOST_PASTS = (
+    10.0,
+    8,
+)  # namings that are less likely by more than e^-10 are dropped, and beyond so many
+ALIKE_S = 0.1  # what images within so long tell is no more than one of them does
 UNCERTAIN_FRACTION = 0.08  # of the width: a prediction less certain than this identifies nothing any more
+TAIL = 4.0  # degrees of freedom of Student's t, of a robot whose base may be anywhere
 MERGED_AREA = 1.4  # a region this much larger than its instrument's is two that touch
 MAX_REGIONS = 6  # the largest; assignments grow with their number to the power of the tracks
 SPREAD_FRACTION = 0.2  # of a region's radius: shading and jaws move its centroid
@@ -23,6 +33,7 @@ MIN_STD_PX = 1.0  # standard deviation of a centroid at least, by segmentation
 FIRST_SPEED_WIDTHS = 0.6  # standard deviation of the speed of what was detected once, in widths per s
 LINEAR_STD = 0.4  # of seen over nominal motion: the nominal depth is off by as much
 DRIFT_WIDTHS = 0.01  # how the offset between seen and nominal place drifts, in widths per square root of s
+LATE_S = 0.03  # by which joints' stamps are off those of images
 # How the relation of seen and nominal motion drifts, as the depth changes, per square root of s
 LINEAR_DRIFT = 0.05
 
@@ -91,7 +102,9 @@ class LinearMotion:
         """Take up a place, in Joseph's form, which keeps P positive; the first one sets the state."""
         size, R = len(self._P), seen.covariance
         if self._x is None:
-            self._x, self._P[:2, :2] = np.concatenate([seen.mean, np.zeros(size - 2)]), R
+            of_place = np.zeros((size, size))
+            of_place[:2, :2] = R
+            self._x, self._P = np.concatenate([seen.mean, np.zeros(size - 2)]), self._P + of_place
             return
         H = np.eye(2, size)
         K = self._P @ H.T @ np.linalg.inv(H @ self._P @ H.T + R)
@@ -115,6 +128,8 @@ class _Track:
         self._offset = LinearMotion(3, LINEAR_STD)
         self._seen_at: NominalPlace | None = None  # where it was nominally when it was last seen
         self._moved_px = np.zeros(3)  # nominally since then, in px of image
+        self._nominal_px: Array | None = None
+        self._late = np.zeros((2, 2))  # covariance in px² by stamps that are late, at its speed
         self._stamp_ns = 0
 
     def predict(self, stamp_ns: int, nominal: NominalPlace | None) -> Gaussian | None:
@@ -126,12 +141,16 @@ class _Track:
         self._offset.move(np.zeros(3), dt * self._drift)
         if nominal is None:
             return self._steady.after(np.zeros(1))
+        if self._nominal_px is not None and dt > 0.0:
+            speed = (nominal.place.mean - self._nominal_px) / dt
+            self._late = LATE_S**2 * np.outer(speed, speed)
+        self._nominal_px = nominal.place.mean
         before = self._seen_at or nominal
         self._moved_px = (nominal.position_m - before.position_m) * before.px_per_m
         offset = self._offset.after(self._moved_px)
         if offset is None:
             return nominal.place
-        return Gaussian(nominal.place.mean + offset.mean, offset.covariance)
+        return Gaussian(nominal.place.mean + offset.mean, offset.covariance + self._late)
 
     def update(self, blob: Blob | None, expected: Gaussian | None, nominal: NominalPlace | None) -> None:
         """Take up a region; without one, nominal motion that was ever corrected moves the other prediction along."""
@@ -152,16 +171,48 @@ class _Track:
             # From here on motion counts from this place: what is unsure of M shows in what comes, not in what was.
             self._offset.move(self._moved_px)
             self._seen_at = nominal
-            self._offset.update(Gaussian(blob.centre_px - nominal.place.mean, covariance))
+            self._offset.update(Gaussian(blob.centre_px - nominal.place.mean, covariance + self._late))
+
+    def copied(self) -> _Track:
+        """Another one with the same past: its filters replace their arrays, and never change them."""
+        track = copy(self)
+        track._steady, track._offset = copy(self._steady), copy(self._offset)
+        return track
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """One instrument in one image: its region's index, None where it coasts, its expected place, last radius."""
+    """One instrument in one image: its region's index, None where it coasts, its expected place, last radius.
+
+    `expected` is None, too, where what is seen may be this instrument or another one.
+    """
 
     blob: int | None
     expected: Gaussian | None
     radius_px: float | None = None
+
+
+Assignment = tuple[int | None, ...]
+"""The region of each instrument, or None."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Past:
+    """One way to name all regions until now: its -log likelihood, and the tracks that it leads to."""
+
+    cost: float
+    tracks: tuple[_Track, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Naming:
+    """One way to name an image's regions after a past, by its -log likelihood, and with that of the past in `total`."""
+
+    total: float
+    cost: float
+    regions: Assignment
+    past: _Past
+    expected: tuple[Gaussian | None, ...]
 
 
 class RegionTracker:
@@ -171,7 +222,8 @@ class RegionTracker:
         self._width_px = width_px
         self._settings = settings
         self._extra_region_cost = float(np.log(width_px * height_px / CLUTTER_COUNT))
-        self._tracks = [_Track(width_px, settings) for _ in range(count)]
+        self._pasts = [_Past(0.0, tuple(_Track(width_px, settings) for _ in range(count)))]
+        self._stamp_ns: int | None = None
 
     def update(
         self,
@@ -186,18 +238,71 @@ class RegionTracker:
         log-likelihood of what else is seen around each region, were it that instrument's.
         """
         order = sorted(range(len(blobs)), key=lambda at: -blobs[at].area_px)[:MAX_REGIONS]
-        seen = [blobs[at] for at in order]
-        expected = [t.predict(stamp_ns, b) for t, b in zip(self._tracks, places, strict=True)]
-        cost = self._costs(expected, seen)
-        if evidence is not None:
-            cost -= evidence[:, order]
+        seen, told = [blobs[at] for at in order], 0.0 if evidence is None else evidence[:, order]
+        namings: list[_Naming] = []
+        for past in self._pasts:
+            expected = tuple(t.predict(stamp_ns, p) for t, p in zip(past.tracks, places, strict=True))
+            ranked = ranked_assignments(
+                self._costs(expected, seen) - told, self._extra_region_cost, self._settings.miss_cost
+            )
+            namings += [
+                _Naming(past.cost + cost, cost, regions, past, expected)
+                for cost, regions in ranked
+                if np.isfinite(cost)
+            ]
+        namings.sort(key=lambda one: one.total)
         identities = []
-        found = self._assign(expected, seen, cost)
-        for track, at, where, place in zip(self._tracks, found, expected, places, strict=True):
-            track.update(None if at is None else seen[at], where, place)
+        for i, track in enumerate(namings[0].past.tracks):
+            at, where = self._named(i, namings, seen)
             radius_px = track.alone.radius_px if track.alone else None
             identities.append(Identity(None if at is None else order[at], where, radius_px))
+        passed_s = np.inf if self._stamp_ns is None else (stamp_ns - self._stamp_ns) / 1e9
+        self._stamp_ns = stamp_ns
+        self._go_on(namings, places, seen, float(np.clip(passed_s / ALIKE_S, 0.0, 1.0)))
         return tuple(identities)
+
+    def _go_on(
+        self,
+        namings: Sequence[_Naming],
+        places: Sequence[NominalPlace | None],
+        seen: Sequence[Blob],
+        tells: float,
+    ) -> None:
+        """Keep the likely namings as pasts; of those that end with the same regions, all seen, the best alone."""
+        kept = list[_Naming]()
+        for one in namings:
+            if one.total - namings[0].total > UNLIKELY or len(kept) == MOST_PASTS:
+                break
+            if None in one.regions or one.regions not in [other.regions for other in kept]:
+                kept.append(one)
+        costs = [one.past.cost + tells * one.cost for one in kept]
+        self._pasts = []
+        for one, cost in zip(kept, costs, strict=True):
+            tracks = tuple(track.copied() for track in one.past.tracks)
+            for track, at, where, place in zip(tracks, one.regions, one.expected, places, strict=True):
+                track.update(None if at is None else seen[at], where, place)
+            self._pasts.append(_Past(cost - min(costs), tracks))
+
+    def _named(
+        self, i: int, namings: Sequence[_Naming], blobs: Sequence[Blob]
+    ) -> tuple[int | None, Gaussian | None]:
+        """An instrument's region and expected place; no region where another naming is nearly as likely."""
+        best = namings[0]
+        at, where = best.regions[i], best.expected[i]
+        for one in namings:
+            if one.total - best.total >= CONTEST:
+                break
+            if one.regions[i] != at and (one.regions[i] is not None or at in one.regions):
+                return None, None
+        if at is None:
+            return None, where
+        missed = [
+            place
+            for place, taken in zip(best.expected, best.regions, strict=True)
+            if taken is None and not self._is_uncertain(place)
+        ]
+        may_hold = any(self._may_hold(blobs[at], best.past.tracks[i], place) for place in missed)
+        return None if may_hold else at, where
 
     def _costs(self, expected: Sequence[Gaussian | None], blobs: Sequence[Blob]) -> Array:
         """-log likelihood of each region under each track, shape (n_tracks, n_blobs); inf outside of the gate."""
@@ -210,36 +315,13 @@ class RegionTracker:
                 S = where.covariance + spread_px2 * np.eye(2) + MIN_STD_PX**2 * np.eye(2)
                 offset = blob.centre_px - where.mean
                 d2 = float(offset @ np.linalg.solve(S, offset))
-                if self._is_uncertain(where):
-                    d2 = min(d2, GATE_D2)  # a newcomer may be anywhere; only the comparison counts
+                if self._is_uncertain(
+                    where
+                ):  # by a robot whose base may be anywhere: its errors have long tails
+                    d2 = min((TAIL + 2.0) * float(np.log1p(d2 / TAIL)), GATE_D2)
                 if d2 <= GATE_D2:
                     cost[i, a] = 0.5 * d2 + 0.5 * float(np.log(np.linalg.det(2.0 * np.pi * S)))
         return cost
-
-    def _assign(
-        self, expected: Sequence[Gaussian | None], blobs: Sequence[Blob], cost: Array
-    ) -> list[int | None]:
-        hypotheses = ranked_assignments(cost, self._extra_region_cost, self._settings.miss_cost)
-        best_cost, best = hypotheses[0]
-        found = list(best)
-        uncertain = [self._is_uncertain(where) for where in expected]
-        missed = [j for j, a in enumerate(best) if a is None and not uncertain[j]]
-        for i, a in enumerate(best):
-            if a is None:
-                continue
-            is_new, is_known = uncertain[i], self._tracks[i].alone is not None
-            # What may be anywhere does not keep a first detection at a sure place from being named.
-            rivals = [j for j in range(len(best)) if is_new or is_known or not uncertain[j]]
-            # This region for one of those; for one that may be anywhere itself, another region, too.
-            others = [
-                c
-                for c, h in hypotheses
-                if h[i] != a and (any(h[j] == a for j in rivals) or (is_new and h[i] is not None))
-            ]
-            is_contested = min(others, default=np.inf) - best_cost < (MARGIN if is_new else CONTEST)
-            if is_contested or any(self._may_hold(blobs[a], self._tracks[i], expected[j]) for j in missed):
-                found[i] = None
-        return found
 
     def _may_hold(self, blob: Blob, track: _Track, missed: Gaussian | None) -> bool:
         """Whether a track's region may hold that of an instrument which has none, too."""
@@ -253,9 +335,7 @@ class RegionTracker:
         return where is None or where.std_px > UNCERTAIN_FRACTION * self._width_px
 
 
-def ranked_assignments(
-    cost: Array, unnamed_cost: float, miss_cost: float
-) -> list[tuple[float, tuple[int | None, ...]]]:
+def ranked_assignments(cost: Array, unnamed_cost: float, miss_cost: float) -> list[tuple[float, Assignment]]:
     """Every way to give each track one region or none, no region twice, by -log likelihood, the likeliest first.
 
     `cost`, shape (n_tracks, n_regions), is that of each pair; a region without a track costs, as does a track without.

@@ -184,3 +184,26 @@ def test_a_region_beside_its_track_may_be_one_not_yet_seen(off_px, is_named):
         first, second = tracker.update(frame * int(1e9 / RATE_HZ), places, blobs)
         assert second.blob is None
     assert (first.blob == 0) == is_named
+
+
+def test_motion_tells_what_a_first_image_does_not():
+    """Two instruments whose robots are off the other way round: none is named by that, and both by their motion."""
+    tracker = RegionTracker(2, WIDTH_PX, HEIGHT_PX, AssociationSettings())
+    at_m = np.array([[0.02, 0.01, DEPTH_M], [0.01, 0.02, DEPTH_M]])
+    off_m = np.array(
+        [[-0.03, 0.03, 0.0], [0.03, -0.03, 0.0]]
+    )  # each is nominally nearer to where the other one is
+    speeds_m = np.array([[0.0, 0.0, 0.0], [-0.002, -0.0005, 0.0]])
+    named = []
+    for frame in range(20):
+        true_m = at_m + frame * speeds_m
+        wrong_m = true_m + off_m
+        places = [
+            NominalPlace(Gaussian(pixel, (0.4 * PRIOR_PX) ** 2 * np.eye(2)), p, FOCAL_PX / p[2])
+            for p, pixel in zip(wrong_m, pixels_of(wrong_m), strict=True)
+        ]
+        blobs = [Blob(pixel, np.pi * RADIUS_PX**2) for pixel in pixels_of(true_m)]
+        named.append([one.blob for one in tracker.update(frame * int(1e9 / RATE_HZ), places, blobs)])
+    assert named[0] == [None, None]
+    assert named[-1] == [0, 1]
+    assert [1, 0] not in named
