@@ -227,19 +227,26 @@ def test_the_stated_ellipsoid_holds_the_tool():
 
 
 @pytest.mark.parametrize(
-    ("marker", "holds"),
-    [((), False), (("size", 1.0), True), (("disparity", 1.0), True), (("size", 0.0), False)],
+    ("first_side", "marker", "in_doubt"),
+    [
+        (0.0, (), ("edge -1",)),
+        (0.0, (("size", 1.0),), ("edge -1",)),
+        (1.0, (("size", 0.0),), ("size",)),
+        (1.0, (("size", 1.0),), ()),
+        (1.0, (), ()),
+        (0.0, (("disparity", 1.0),), ()),
+    ],
 )
-def test_without_one_of_its_sides_a_shaft_needs_a_marker(marker, holds):
-    """A wrist that is taken for the shaft is twice as deep, and one of its sides fits: no row tells of it."""
+def test_of_sides_and_size_in_one_view_each_may_be_wrong(first_side, marker, in_doubt):
+    """A shadow's border that is taken for a side, and a marker that blood hides, are as deep as the rest is not."""
     T = np.eye(4)
     pose = ToolPose(T, np.eye(6), T[:3, 2])
-    sides = [
-        GatingResult(f"edge {side}", 1.0, 2, weight, "shaft") for side, weight in (("-1", 0.0), ("+1", 1.0))
+    judged = [
+        GatingResult(f"edge {side}", 1.0, 2, weight, "shaft")
+        for side, weight in (("-1", first_side), ("+1", 1.0))
     ]
-    seen = [GatingResult(marker[0], 1.0, 1, marker[1], "distal marker")] if marker else []
-    assert ImagePose(pose, (), "", (*sides, *seen)).holds_depth is holds
-    assert ImagePose(pose, (), "", (sides[1], sides[1])).holds_depth
+    judged += [GatingResult(name, 1.0, 1, weight, "distal marker") for name, weight in marker]
+    assert ImagePose(pose, (), "", tuple(judged)).doubtful_depth == in_doubt
 
 
 def test_widening_is_the_ratio_of_birge():

@@ -44,11 +44,16 @@ class ImagePose:
     gating: tuple[GatingResult, ...] = ()
 
     @property
-    def holds_depth(self) -> bool:
-        """Whether its depth is held: by the shaft's whole outline, or a marker's size or disparity beside it."""
-        if any(judged.is_accepted and judged.name in ("size", DISPARITY) for judged in self.gating):
-            return True
-        return all(judged.is_accepted for judged in self.gating if judged.source == SHAFT)
+    def doubtful_depth(self) -> tuple[str, ...]:
+        """What was refused of all that tells the depth; nothing where both views do.
+
+        In one view that is the shaft's whole outline and a marker's size. Where one of them does not fit the others,
+        each of them may be the wrong one: a shadow's border passes for a side, blood for a smaller marker.
+        """
+        if any(judged.is_accepted and judged.name == DISPARITY for judged in self.gating):
+            return ()
+        told = [judged for judged in self.gating if judged.source == SHAFT or judged.name == "size"]
+        return tuple(judged.name for judged in told if not judged.is_accepted)
 
     @property
     def is_by_right_view(self) -> bool:
@@ -211,7 +216,6 @@ def _located(
     pose = replace(kalman.tool_pose(), hinge=hinge, jaw_scale=jaw_scale(kalman, frame.arm))
     used = tuple(one.name for one in judged if one.is_accepted)
     found = ImagePose(pose, used, doubt, judged)
-    if not doubt and not found.holds_depth:
-        sides = ", ".join(one.name for one in judged if one.source == SHAFT and not one.is_accepted)
-        found = replace(found, doubt=f"nothing holds the depth: {sides} refused")
+    if not doubt and (in_doubt := found.doubtful_depth):
+        found = replace(found, doubt=f"the depth is in doubt: {', '.join(in_doubt)} refused")
     return found
