@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -147,6 +147,12 @@ def _attached(body: NDArray[np.bool_], shaft: NDArray[np.bool_]) -> NDArray[np.b
 IN_BLUR = 0.3
 """Of an edge's blur, which light has before a camera bends its scale: a step from 1 to 15, to the power of 1 / 2.2, is
 steepest half a deviation on its dark side, a linear one in the middle. This is the RMS of what is between."""
+GOES_ON_WIDTHS, ENDS_WIDTHS = (
+    1.0,
+    0.5,
+)  # beyond a dark part's end: what one side does, and the other one does not
+STRIP = 0.15  # inside of that side, over the way to the other one, where the instrument would be
+SHADOW_STD_WIDTHS = 0.12  # of a shadow's border off the side that casts it, over the width
 BEYOND_WIDTHS = (0.15, 0.65)  # beyond an outline's end, over its width, where a narrower wrist is to be seen
 ENDS_APART = 0.3  # of an end over the distance of both: deviation of a uniform distribution between them
 
@@ -224,6 +230,7 @@ def find_silhouette(
         return endless
     if seen.ends_dark:
         end_px, narrows = seen.end_px, 0.0
+        first, second = _with_doubtful_side((first, second), seen, end_px, along, width_px)
         std_px = float(np.hypot(seen.end_std_px, MIN_END_STD_WIDTHS * width_px))
     else:
         found, ends = bool(ends), ends or [seen.end_px]
@@ -239,7 +246,7 @@ def find_silhouette(
         std_px = float(np.hypot(std_px, FROM_ONE_END * half_px))
         middle_px = 0.5 * (first.end_px + second.end_px)
         end_px = middle_px + (place + half_px - float(middle_px @ along)) * along
-        narrows = _goes_on(seen, end_px, along, width_px)
+        narrows = _inside(seen, end_px + np.linspace(*BEYOND_WIDTHS, 9)[:, None] * width_px * along)
     point = None if wrist is None else _wrist_point(bgr, seen.mask, end_px, along, width_px, wrist)
     if point is not None:  # where the outline is longer than a wrist, its end is before the shaft's, or is it
         std_px = float(np.hypot(std_px, FROM_ONE_END * point.excess_px))
@@ -247,10 +254,24 @@ def find_silhouette(
     return Silhouette((first, second), end_px, std_px, point, not seen.ends_dark, *other, narrows)
 
 
-def _goes_on(seen: SeenInstrument, end_px: Array, along: Array, width_px: float) -> float:
-    """Which part of a stretch of the axis beyond an end is the instrument's."""
-    ahead_px = np.linspace(*BEYOND_WIDTHS, 9)[:, None] * width_px
-    places = np.rint((end_px + ahead_px * along + 0.5) / seen.pixel_px - 0.5).astype(int)
+def _with_doubtful_side(
+    edges: tuple[EdgeLine, EdgeLine], seen: SeenInstrument, end_px: Array, along: Array, width_px: float
+) -> tuple[EdgeLine, EdgeLine]:
+    """Both edges; of one that goes on alone beyond the dark part, along no instrument, little is known: shadows do."""
+    beyond = [float((edge.end_px - end_px) @ along) / width_px for edge in edges]
+    at = int(np.argmax(beyond))
+    edge, inward = edges[at], edges[1 - at].end_px - edges[at].end_px
+    inward = inward - (inward @ along) * along
+    strip = edge.end_px - np.linspace(0.0, beyond[at], 9)[:, None] * width_px * along + STRIP * inward
+    if not (beyond[at] > GOES_ON_WIDTHS and beyond[1 - at] < ENDS_WIDTHS) or _inside(seen, strip) > 0.5:
+        return edges
+    edge = replace(edge, covariance=(SHADOW_STD_WIDTHS * width_px) ** 2 * np.eye(2))
+    return (edge, edges[1]) if at == 0 else (edges[0], edge)
+
+
+def _inside(seen: SeenInstrument, places_px: Array) -> float:
+    """Which share of places, (n, 2), is the instrument's."""
+    places = np.rint((places_px + 0.5) / seen.pixel_px - 0.5).astype(int)
     height, width = seen.small_mask.shape
     inside = ((places >= 0) & (places < [width, height])).all(1)
     x, y = np.clip(places, 0, [width - 1, height - 1]).T

@@ -195,6 +195,31 @@ def test_a_shaft_ends_at_its_shadow_by_colours_alone_with_blood_on_it(share):
     assert edge_within(lit, np.array([[0.0, 139.5], [280.0, 139.5]]), 3.0, other, 0.8, None, 12.0) is None
 
 
+@pytest.mark.parametrize("is_cap", [False, True], ids=["shadow", "cap"])
+def test_a_side_that_goes_on_alone_is_doubtful_unless_the_instrument_does(is_cap):
+    """A sharp shadow, as grey as the shaft, lies along one side and goes on beyond; a cap is as wide as the shaft."""
+    bgr = np.full((240, 320, 3), 120.0)
+    bgr[100:140, :200] = 55
+    bgr[135:146, :280] = 25
+    bgr[135:140, :200] = 55
+    if is_cap:
+        bgr[110:146, 200:280] = 200
+    sides = np.array([[[0.0, 99.5], [200.0, 99.5]], [[0.0, 145.5], [200.0, 145.5]]])
+    mask = np.zeros((240, 320), np.bool_)
+    mask[100:146, : 280 if is_cap else 200] = True
+    seen = SeenInstrument(
+        mask, (240, 320), sides, sides[:, 1].mean(0), 1.0, end_std_px=2.0, ends_dark=True, pixel_px=1.0
+    )
+    found = find_silhouette(
+        cv2.GaussianBlur(bgr, (0, 0), 0.8).astype(np.uint8), seen, None, WristShape(0.3, 2.0), 12.0
+    )
+    assert found is not None
+    upper, lower = found.edges
+    assert lower.end_px[0] > 250.0
+    assert upper.covariance is None
+    assert (lower.covariance is None) is is_cap
+
+
 def test_a_wrist_that_comes_in_from_the_border_is_no_shaft(golden):
     """A wrist is half as wide as the shaft: taken for it, its depth would be twice as large."""
     images = [one.image_bgr for one in read_images(open_recording(golden / "3d" / "duo.mcap", PROFILE))]
