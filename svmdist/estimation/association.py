@@ -37,6 +37,7 @@ MIN_RAY_FRACTION = 0.4  # a line of which less is inside the picture tells nothi
 SHAFT_REACH = 2.5  # a dark pixel farther from an axis than so many radii is not that shaft's
 GROWN_PX = 5  # side of the dilation of other masks: borders differ between detectors
 TURN_STD_RAD, LEAST_LIKENESS = 0.3, -8.0  # of a shaft in the image against nominal kinematics
+BESIDE_STD = 0.03  # over the width, by which nominal places are off by more in one view than in the other
 FRAGMENT_REACH = 2.5  # radii within which coloured fragments belong to an instrument's region
 
 
@@ -60,12 +61,12 @@ class Association:
         if seen is not None and not any(nominal):
             others, doubts = self._entries.others(scene)
         elif len(self._arms) > 1 or (seen is not None and len(seen) > 1):
-            left = self._other_masks("left", scene, scene.left, nominal)
+            left, offsets = self._other_masks("left", scene, scene.left, nominal, [None] * len(nominal))
             right: list[Image | None] = [None] * len(left)
             pair = scene.observation.right
             if pair is not None and scene.right is not None:
                 beside = self._nominal(robots, pair.camera, inverse(pair.T_left_right))
-                right = self._other_masks("right", scene, scene.right, beside)
+                right, _ = self._other_masks("right", scene, scene.right, beside, offsets)
             others = list(zip(left, right, strict=True))
         each = zip(self._arms, observations, robots, others, doubts, strict=True)
         return [Frame.of(scene, *one) for one in each]
@@ -85,9 +86,18 @@ class Association:
         return found
 
     def _other_masks(
-        self, name: str, scene: Scene, context: FrameContext, nominal: Sequence[NominalInstrument | None]
-    ) -> list[Image | None]:
-        """For each instrument the mask, shape (h, w), of coloured and dark pixels that are not its own."""
+        self,
+        name: str,
+        scene: Scene,
+        context: FrameContext,
+        nominal: Sequence[NominalInstrument | None],
+        offsets: Sequence[Array | None],
+    ) -> tuple[list[Image | None], list[Array | None]]:
+        """For each instrument the mask, shape (h, w), of coloured and dark pixels that are not its own.
+
+        And by how much it is seen off its nominal place, (2,) in px, None where it is not named; `offsets` are those
+        of another view, which sees the same robot's error.
+        """
         height, width = context.shape
         tracker = self._trackers.setdefault(name, RegionTracker(len(nominal), width, height, self._settings))
         stamp_ns, seen = scene.observation.stamp_ns, context.masks.seen
@@ -95,8 +105,9 @@ class Association:
             ends = [Blob(one.end_px, 0.25 * np.pi * one.width_px**2) for one in seen]
             expected = [tool.place(tool.end_behind_m) if tool else None for tool in nominal]
             alike = [[tool.likeness(one) if tool else 0.0 for one in seen] for tool in nominal]
-            found = tracker.update(stamp_ns, expected, ends, np.array(alike).reshape(len(nominal), -1))
-            return [other_than(identity.blob, seen) for identity in found]
+            told = np.array(alike).reshape(len(nominal), -1) + _as_beside(expected, ends, offsets, width)
+            found = tracker.update(stamp_ns, expected, ends, told)
+            return [other_than(identity.blob, seen) for identity in found], _offsets(found, expected, ends)
         regions = ColouredRegions.of(context.masks.instrument, self._gate)
         shafts = context.masks.shaft
         dark = None if shafts is None else DarkPixels.of(shafts, context.masks.black)
@@ -109,6 +120,7 @@ class Association:
                 if axis is not None and dark is not None:
                     evidence[i, a] = dark.evidence(axis)
         places = [tool.place() if tool else None for tool in nominal]
+        evidence += _as_beside(places, regions.blobs, offsets, width)
         identities = tracker.update(stamp_ns, places, regions.blobs, evidence)
 
         # What is not one's own: the other regions, and the pixels of the other shafts.
@@ -118,7 +130,7 @@ class Association:
             owner = dark.by_axis([_axis(tool, identity, regions) for tool, identity in pairs])
             for i, mask in enumerate(masks):
                 mask[(owner >= 0) & (owner != i)] = 255
-        return list(masks)
+        return list(masks), _offsets(identities, places, regions.blobs)
 
 
 @dataclass(frozen=True)
@@ -258,6 +270,31 @@ class NominalInstrument:
         px_per_m = region_radius_px / sizes.knuckle_radius_m
         begin_px = self.end_behind_m * px_per_m * length / float(K[0, 0])
         return ShaftAxis(tool_px, slope / length, begin_px, sizes.shaft_radius_m * px_per_m)
+
+
+def _offsets(
+    identities: Sequence[Identity], places: Sequence[NominalPlace | None], blobs: Sequence[Blob]
+) -> list[Array | None]:
+    """By how much each named region is off the instrument's nominal place, (2,) in px."""
+    return [
+        None if place is None or one.blob is None else blobs[one.blob].centre_px - place.place.mean
+        for one, place in zip(identities, places, strict=True)
+    ]
+
+
+def _as_beside(
+    places: Sequence[NominalPlace | None], blobs: Sequence[Blob], offsets: Sequence[Array | None], width: int
+) -> Array:
+    """Log-likelihood of each region under each instrument, (n, m), by how far off another view has it."""
+    told = np.zeros((len(places), len(blobs)))
+    for row, place, offset in zip(told, places, offsets, strict=True):
+        if place is None or offset is None or not blobs:
+            continue
+        off = (np.array([blob.centre_px for blob in blobs]) - place.place.mean - offset) / (
+            BESIDE_STD * width
+        )
+        row[:] = np.maximum(-0.5 * (off**2).sum(1), LEAST_LIKENESS)
+    return told
 
 
 def _axis(tool: NominalInstrument | None, identity: Identity, regions: ColouredRegions) -> ShaftAxis | None:

@@ -83,6 +83,11 @@ class LinearMotion:
         self._x: Array | None = None
         self._P = np.diag([0.0] * 2 + [first_std**2] * (2 * causes))
 
+    @property
+    def slope(self) -> Array:
+        """M, shape (2, k): 0 before it was seen to move."""
+        return np.zeros((2, len(self._P) // 2 - 1)) if self._x is None else self._x[2:].reshape(2, -1)
+
     def after(self, by: Array) -> Gaussian | None:
         """The place after a cause, shape (k,); None before the first place."""
         if self._x is None:
@@ -128,7 +133,6 @@ class _Track:
         self._offset = LinearMotion(3, LINEAR_STD)
         self._seen_at: NominalPlace | None = None  # where it was nominally when it was last seen
         self._moved_px = np.zeros(3)  # nominally since then, in px of image
-        self._nominal_px: Array | None = None
         self._late = np.zeros((2, 2))  # covariance in px² by stamps that are late, at its speed
         self._stamp_ns = 0
 
@@ -141,10 +145,8 @@ class _Track:
         self._offset.move(np.zeros(3), dt * self._drift)
         if nominal is None:
             return self._steady.after(np.zeros(1))
-        if self._nominal_px is not None and dt > 0.0:
-            speed = (nominal.place.mean - self._nominal_px) / dt
-            self._late = LATE_S**2 * np.outer(speed, speed)
-        self._nominal_px = nominal.place.mean
+        speed = self._steady.slope[:, 0]
+        self._late = LATE_S**2 * np.outer(speed, speed)
         before = self._seen_at or nominal
         self._moved_px = (nominal.position_m - before.position_m) * before.px_per_m
         offset = self._offset.after(self._moved_px)
