@@ -45,15 +45,20 @@ class ImagePose:
 
     @property
     def doubtful_depth(self) -> tuple[str, ...]:
-        """What was refused of all that tells the depth; nothing where both views do.
+        """What was refused of all that tells the depth, where nothing else bears the rest out.
 
-        In one view that is the shaft's whole outline and a marker's size. Where one of them does not fit the others,
-        each of them may be the wrong one: a shadow's border passes for a side, blood for a smaller marker.
+        Disparity does, and a marker's size bears out one side of the shaft. A size that fits neither side is itself as
+        likely right: a shadow's border passes for a side.
         """
-        if any(judged.is_accepted and judged.name == DISPARITY for judged in self.gating):
+        accepted, refused = (
+            [judged for judged in self.gating if judged.is_accepted is kept] for kept in (True, False)
+        )
+        if any(judged.name == DISPARITY for judged in accepted):
             return ()
-        told = [judged for judged in self.gating if judged.source == SHAFT or judged.name == "size"]
-        return tuple(judged.name for judged in told if not judged.is_accepted)
+        if sizes := tuple(judged.name for judged in refused if judged.name == "size"):
+            return sizes
+        is_sized = any(judged.name == "size" for judged in accepted)
+        return () if is_sized else tuple(judged.name for judged in refused if judged.source == SHAFT)
 
     @property
     def is_by_right_view(self) -> bool:
