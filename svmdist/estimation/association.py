@@ -290,10 +290,9 @@ def _as_beside(
     for row, place, offset in zip(told, places, offsets, strict=True):
         if place is None or offset is None or not blobs:
             continue
-        off = (np.array([blob.centre_px for blob in blobs]) - place.place.mean - offset) / (
-            BESIDE_STD * width
-        )
-        row[:] = np.maximum(-0.5 * (off**2).sum(1), LEAST_LIKENESS)
+        off_px = np.array([blob.centre_px for blob in blobs]) - place.place.mean - offset
+        square = (off_px**2).sum(1) / (BESIDE_STD * width) ** 2
+        row[:] = np.maximum(-0.5 * square, LEAST_LIKENESS)
     return told
 
 

@@ -19,10 +19,7 @@ from svmdist.transforms import Array
 GATE_D2 = 18.4  # squared Mahalanobis distance in two dimensions that a right region exceeds once in 10,000
 CLUTTER_COUNT = 0.05  # regions of nothing that an image of any size has, on average
 CONTEST = 3.5  # a region is named where all other namings are less than a thirtieth (e^-3.5) as likely
-UNLIKELY, MOST_PASTS = (
-    10.0,
-    8,
-)  # namings that are less likely by more than e^-10 are dropped, and beyond so many
+UNLIKELY, MOST_PASTS = 10.0, 8  # namings less likely than the best by e^-10 are dropped, and beyond so many
 ALIKE_S = 0.1  # what images within so long tell is no more than one of them does
 UNCERTAIN_FRACTION = 0.08  # of the width: a prediction less certain than this identifies nothing any more
 TAIL = 4.0  # degrees of freedom of Student's t, of a robot whose base may be anywhere
@@ -317,9 +314,7 @@ class RegionTracker:
                 S = where.covariance + spread_px2 * np.eye(2) + MIN_STD_PX**2 * np.eye(2)
                 offset = blob.centre_px - where.mean
                 d2 = float(offset @ np.linalg.solve(S, offset))
-                if self._is_uncertain(
-                    where
-                ):  # by a robot whose base may be anywhere: its errors have long tails
+                if self._is_uncertain(where):  # a robot's base may be anywhere: its errors have long tails
                     d2 = min((TAIL + 2.0) * float(np.log1p(d2 / TAIL)), GATE_D2)
                 if d2 <= GATE_D2:
                     cost[i, a] = 0.5 * d2 + 0.5 * float(np.log(np.linalg.det(2.0 * np.pi * S)))

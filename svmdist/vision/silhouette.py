@@ -147,10 +147,7 @@ def _attached(body: NDArray[np.bool_], shaft: NDArray[np.bool_]) -> NDArray[np.b
 IN_BLUR = 0.3
 """Of an edge's blur, which light has before a camera bends its scale: a step from 1 to 15, to the power of 1 / 2.2, is
 steepest half a deviation on its dark side, a linear one in the middle. This is the RMS of what is between."""
-GOES_ON_WIDTHS, ENDS_WIDTHS = (
-    1.0,
-    0.5,
-)  # beyond a dark part's end: what one side does, and the other one does not
+GOES_ON_WIDTHS, ENDS_WIDTHS = 1.0, 0.5  # beyond a dark part's end: one side alone goes on, the other one ends
 STRIP = 0.15  # inside of that side, over the way to the other one, where the instrument would be
 SHADOW_STD_WIDTHS = 0.12  # of a shadow's border off the side that casts it, over the width
 BEYOND_WIDTHS = (0.15, 0.65)  # beyond an outline's end, over its width, where a narrower wrist is to be seen
