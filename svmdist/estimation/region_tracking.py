@@ -23,7 +23,6 @@ UNLIKELY, MOST_PASTS = 10.0, 8  # namings less likely than the best by e^-10 are
 ALIKE_S = 0.1  # what images within so long tell is no more than one of them does
 UNCERTAIN_FRACTION = 0.08  # of the width: a prediction less certain than this identifies nothing any more
 TAIL = 4.0  # degrees of freedom of Student's t, of a robot whose base may be anywhere
-MERGED_AREA = 1.4  # a region this much larger than its instrument's is two that touch
 MAX_REGIONS = 6  # the largest; assignments grow with their number to the power of the tracks
 SPREAD_FRACTION = 0.2  # of a region's radius: shading and jaws move its centroid
 MIN_STD_PX = 1.0  # standard deviation of a centroid at least, by segmentation
@@ -252,7 +251,7 @@ class RegionTracker:
         namings.sort(key=lambda one: one.total)
         identities = []
         for i, track in enumerate(namings[0].past.tracks):
-            at, where = self._named(i, namings, seen)
+            at, where = self._named(i, namings)
             radius_px = track.alone.radius_px if track.alone else None
             identities.append(Identity(None if at is None else order[at], where, radius_px))
         passed_s = np.inf if self._stamp_ns is None else (stamp_ns - self._stamp_ns) / 1e9
@@ -282,9 +281,7 @@ class RegionTracker:
                 track.update(None if at is None else seen[at], where, place)
             self._pasts.append(_Past(cost - min(costs), tracks))
 
-    def _named(
-        self, i: int, namings: Sequence[_Naming], blobs: Sequence[Blob]
-    ) -> tuple[int | None, Gaussian | None]:
+    def _named(self, i: int, namings: Sequence[_Naming]) -> tuple[int | None, Gaussian | None]:
         """An instrument's region and expected place; no region where another naming is nearly as likely."""
         best = namings[0]
         at, where = best.regions[i], best.expected[i]
@@ -293,15 +290,7 @@ class RegionTracker:
                 break
             if one.regions[i] != at and (one.regions[i] is not None or at in one.regions):
                 return None, None
-        if at is None:
-            return None, where
-        missed = [
-            place
-            for place, taken in zip(best.expected, best.regions, strict=True)
-            if taken is None and not self._is_uncertain(place)
-        ]
-        may_hold = any(self._may_hold(blobs[at], best.past.tracks[i], place) for place in missed)
-        return None if may_hold else at, where
+        return at, where
 
     def _costs(self, expected: Sequence[Gaussian | None], blobs: Sequence[Blob]) -> Array:
         """-log likelihood of each region under each track, shape (n_tracks, n_blobs); inf outside of the gate."""
@@ -319,14 +308,6 @@ class RegionTracker:
                 if d2 <= GATE_D2:
                     cost[i, a] = 0.5 * d2 + 0.5 * float(np.log(np.linalg.det(2.0 * np.pi * S)))
         return cost
-
-    def _may_hold(self, blob: Blob, track: _Track, missed: Gaussian | None) -> bool:
-        """Whether a track's region may hold that of an instrument which has none, too."""
-        if missed is None or track.alone is None:
-            return False
-        reach_px = 2.0 * blob.radius_px + 3.0 * missed.std_px
-        near = float(np.linalg.norm(missed.mean - blob.centre_px)) < reach_px
-        return near and blob.area_px > MERGED_AREA * track.alone.area_px
 
     def _is_uncertain(self, where: Gaussian | None) -> bool:
         return where is None or where.std_px > UNCERTAIN_FRACTION * self._width_px
