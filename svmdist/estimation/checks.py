@@ -34,7 +34,6 @@ from svmdist.estimation.comparison import (
 )
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.distal_marker import marker_in
-from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import joints_of, wrist_in_tool
 from svmdist.estimation.scene import Arm, Scene
@@ -177,22 +176,23 @@ def _against_image(frame: Frame, source: str, pose: ToolPose) -> Iterator[Differ
     """A tool's pose against where the image shows its marker."""
     view, arm = frame.left, frame.arm
     seen = marker_in(view, arm, None)
-    if seen is not None:
-        place_m, instrument = pose.position_m, arm.profile.instrument
-        if instrument is not None:
-            place_m = place_m + pose.T_camera_tool[:3, :3] @ np.array(instrument.knuckle_position_m)
-        depth_m, ray = float(place_m[2]), view.camera.rays(seen.pixel)[0]
-        off_m = (place_m - depth_m * ray)[:2]
-        along = np.column_stack([np.eye(2), -ray[:2]])  # what depth moves, the ray moves with
-        std_px = float(np.hypot(seen.std_px, MARKER_STD * seen.radius_px))
-        own_m = float(np.hypot(depth_m / float(view.camera.K[0, 0]) * std_px, seen.error.place_std_m))
-        covariance = along @ pose.position_covariance @ along.T + own_m**2 * np.eye(2)
-        square = float(off_m @ np.linalg.solve(covariance, off_m))
-        length_m = float(np.linalg.norm(off_m))
-        # Of two dimensions: as many deviations as a normal number of that probability has, to first order.
-        deviations = np.sqrt(max(square - 1.0, 0.0))
-        std_m = length_m / deviations if deviations > 0.0 else np.inf
-        yield Difference("place in the image", (source, "the marker"), length_m, std_m, "m")
+    if seen is None:
+        return
+    place_m, instrument = pose.position_m, arm.profile.instrument
+    if instrument is not None:
+        place_m = place_m + pose.T_camera_tool[:3, :3] @ np.array(instrument.knuckle_position_m)
+    depth_m, ray = float(place_m[2]), view.camera.rays(seen.pixel)[0]
+    off_m = (place_m - depth_m * ray)[:2]
+    along = np.column_stack([np.eye(2), -ray[:2]])  # what depth moves, the ray moves with
+    std_px = float(np.hypot(seen.std_px, MARKER_STD * seen.radius_px))
+    own_m = float(np.hypot(depth_m / float(view.camera.K[0, 0]) * std_px, seen.error.place_std_m))
+    covariance = along @ pose.position_covariance @ along.T + own_m**2 * np.eye(2)
+    square = float(off_m @ np.linalg.solve(covariance, off_m))
+    length_m = float(np.linalg.norm(off_m))
+    # Of two dimensions: as many deviations as a normal number of that probability has, to first order.
+    deviations = np.sqrt(max(square - 1.0, 0.0))
+    std_m = length_m / deviations if deviations > 0.0 else np.inf
+    yield Difference("place in the image", (source, "the marker"), length_m, std_m, "m")
 
 
 def _directions(frame: Frame, sources: Mapping[str, ToolPose]) -> Iterator[Difference]:
@@ -201,28 +201,22 @@ def _directions(frame: Frame, sources: Mapping[str, ToolPose]) -> Iterator[Diffe
     Where kinematics and tag agree, the sides are not those of the shaft: a mask has a strip of it.
     """
     sides = {contour.side: contour.plane for contour in frame.left.shaft.contours}
-    arm, robot = frame.arm, frame.robot_in_camera
     if len(sides) < 2:
         return
     middle = sides[1].normal - sides[-1].normal
     middle /= np.linalg.norm(middle)
-    known = dict(sources)
-    if not isinstance(robot, Failure):  # it may have told which instrument this is, and is no source
-        known[KINEMATICS] = nominal_tool(arm.required_chain, arm.profile.kinematic_error, robot)
-    found = dict[str, Difference]()
+    found = []
     for source in (KINEMATICS, TAG):
-        if (pose := known.get(source)) is not None and pose.position_m[2] > 0.0:
+        if (pose := sources.get(source)) is not None and pose.position_m[2] > 0.0:
             off_rad = float(np.arcsin(np.clip(middle @ pose.axis, -1.0, 1.0)))
             std_rad = float(np.hypot(pose.shaft_std_rad, SIDES_STD_RAD))
-            found[source] = Difference(
-                "direction of the shaft", (source, "its sides"), off_rad, std_rad, "rad"
-            )
+            found.append(Difference("direction of the shaft", (source, "its sides"), off_rad, std_rad, "rad"))
     if len(found) == 2:
-        one, other = found.values()
+        one, other = found
         apart = abs(one.value - other.value) / float(np.hypot(one.std, other.std))
         if apart < MAX_DEVIATIONS < min(one.deviations, other.deviations):
             return
-    yield from (difference for source, difference in found.items() if source in sources)
+    yield from found
 
 
 def of_scene(scene: Scene) -> Iterator[Difference]:

@@ -25,8 +25,8 @@ ENTRY_SPEED = 0.05  # how that grows, per s: a trocar holds the instrument, and 
 END_STD = 0.06  # the same for the shaft's end
 END_SPEED = 0.3  # the same for the shaft's end, per s, as instruments move
 UNSEEN_COST = 6.0  # -log of the chance that an instrument is not seen although it is there, or is not there
-CONTEST = 4.6  # a name is in doubt where another naming is more than a hundredth (e^-4.6) as likely
 UNNAMED_COST = 6.0  # -log of the chance that what is seen as an instrument is none of those in the profile
+CONTEST = 4.6  # a name is in doubt where another naming is more than a hundredth (e^-4.6) as likely
 
 FOLLOWED_S = 0.5  # after which an instrument may be anywhere
 

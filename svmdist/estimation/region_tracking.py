@@ -204,13 +204,17 @@ class _Past:
 
 @dataclass(frozen=True, slots=True)
 class _Naming:
-    """One way to name an image's regions after a past, by its -log likelihood, and with that of the past in `total`."""
+    """One way to name an image's regions after a past, by its -log likelihood, and where they were expected."""
 
-    total: float
     cost: float
     regions: Assignment
     past: _Past
     expected: tuple[Gaussian | None, ...]
+
+    @property
+    def total(self) -> float:
+        """-log likelihood of the whole, the past included."""
+        return self.past.cost + self.cost
 
 
 class RegionTracker:
@@ -243,11 +247,7 @@ class RegionTracker:
             ranked = ranked_assignments(
                 self._costs(expected, seen) - told, self._extra_region_cost, self._settings.miss_cost
             )
-            namings += [
-                _Naming(past.cost + cost, cost, regions, past, expected)
-                for cost, regions in ranked
-                if np.isfinite(cost)
-            ]
+            namings += [_Naming(*one, past, expected) for one in ranked if np.isfinite(one[0])]
         namings.sort(key=lambda one: one.total)
         identities = []
         for i, track in enumerate(namings[0].past.tracks):

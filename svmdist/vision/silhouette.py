@@ -257,10 +257,12 @@ def _with_doubtful_side(
     """Both edges; of one that goes on alone beyond the dark part, along no instrument, little is known: shadows do."""
     beyond = [float((edge.end_px - end_px) @ along) / width_px for edge in edges]
     at = int(np.argmax(beyond))
+    if not (beyond[at] > GOES_ON_WIDTHS and beyond[1 - at] < ENDS_WIDTHS):
+        return edges
     edge, inward = edges[at], edges[1 - at].end_px - edges[at].end_px
     inward = inward - (inward @ along) * along
     strip = edge.end_px - np.linspace(0.0, beyond[at], 9)[:, None] * width_px * along + STRIP * inward
-    if not (beyond[at] > GOES_ON_WIDTHS and beyond[1 - at] < ENDS_WIDTHS) or _inside(seen, strip) > 0.5:
+    if _inside(seen, strip) > 0.5:
         return edges
     edge = replace(edge, covariance=(SHADOW_STD_WIDTHS * width_px) ** 2 * np.eye(2))
     return (edge, edges[1]) if at == 0 else (edges[0], edge)

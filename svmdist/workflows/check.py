@@ -188,10 +188,12 @@ def checked(
                 by_name[name] += shared
                 continue
             here = places_of(frame)
+            differences = checks.of_frame(frame, here)
             if is_associated:  # kinematics told which instrument is which: they are no evidence of their own
-                here.pop(KINEMATICS, None)
+                differences = (one for one in differences if KINEMATICS not in one.sources)
+                here = {source: pose for source, pose in here.items() if source != KINEMATICS}
             places[name].append(here)
-            by_name[name] += [*shared, *checks.of_frame(frame, here)]
+            by_name[name] += [*shared, *differences]
     return {name: Checks.of(ones, len(looked)) for name, ones in found().items()}, looked
 
 

@@ -190,9 +190,8 @@ def test_motion_tells_what_a_first_image_does_not():
     """Two instruments whose robots are off the other way round: none is named by that, and both by their motion."""
     tracker = RegionTracker(2, WIDTH_PX, HEIGHT_PX, AssociationSettings())
     at_m = np.array([[0.02, 0.01, DEPTH_M], [0.01, 0.02, DEPTH_M]])
-    off_m = np.array(
-        [[-0.03, 0.03, 0.0], [0.03, -0.03, 0.0]]
-    )  # each is nominally nearer to where the other one is
+    # Each is nominally nearer to where the other one is.
+    off_m = np.array([[-0.03, 0.03, 0.0], [0.03, -0.03, 0.0]])
     speeds_m = np.array([[0.0, 0.0, 0.0], [-0.002, -0.0005, 0.0]])
     named = []
     for frame in range(20):

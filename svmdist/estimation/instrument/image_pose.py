@@ -50,15 +50,12 @@ class ImagePose:
         Disparity does, and a marker's size bears out one side of the shaft. A size that fits neither side is itself as
         likely right: a shadow's border passes for a side.
         """
-        accepted, refused = (
-            [judged for judged in self.gating if judged.is_accepted is kept] for kept in (True, False)
-        )
-        if any(judged.name == DISPARITY for judged in accepted):
+        is_accepted = {judged.name: judged.is_accepted for judged in self.gating}
+        if is_accepted.get(DISPARITY):
             return ()
-        if sizes := tuple(judged.name for judged in refused if judged.name == "size"):
-            return sizes
-        is_sized = any(judged.name == "size" for judged in accepted)
-        return () if is_sized else tuple(judged.name for judged in refused if judged.source == SHAFT)
+        if "size" in is_accepted:
+            return () if is_accepted["size"] else ("size",)
+        return tuple(one.name for one in self.gating if one.source == SHAFT and not one.is_accepted)
 
     @property
     def is_by_right_view(self) -> bool:
