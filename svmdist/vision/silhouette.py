@@ -23,6 +23,7 @@ WRIST_REACH = 2.0  # of wrist and jaws over their straight length: a band before
 MOST_REACH = 1.1  # of wrist and jaws that begin at the end: they may come towards the camera
 WRIST_STD = 0.12  # of the tool's origin, over the outline's length beyond the end: jaws open and turn
 TIP_STD = 0.05  # of where the jaws end, over the same
+WRIST_SCATTER = 0.2  # of a wrist's pixels across it, over the shaft's width: more are of another instrument
 MIN_WRIST_WIDTHS = 0.5  # an outline that ends closer behind the cylinder's end shows no wrist
 MIN_WRIST_SHARE = 0.5  # of a straight wrist: less is another tip, or points at the camera by over 60°
 FLANK_STDS = 4.0  # from the colours on both sides: one pixel of paper in a thousand is so far
@@ -52,7 +53,8 @@ class WristPoint:
     """The tool's origin in the wrist's outline, (2,) in px, with its deviation, and the jaws' tips, (2,) in px.
 
     Where the shaft's end is off along the shaft, so is the origin, by `end_share` of that: the deviation leaves it out.
-    By `excess_px` the outline is longer than wrist and jaws are: the shaft's end is rather nearer to the tips.
+    By `excess_px` the outline is longer than wrist and jaws are: the shaft's end is rather nearer to the tips. By the
+    share `missing` it is shorter than that of a straight wrist.
     """
 
     pixel: Array
@@ -61,18 +63,19 @@ class WristPoint:
     tip_std_px: float
     end_share: float
     excess_px: float = 0.0
+    missing: float = 0.0
 
 
 def _wrist_point(
-    bgr: Image, mask: Image, end_px: Array, along: Array, width_px: float, shape: WristShape
+    bgr: Image, instrument: SeenInstrument, end_px: Array, along: Array, width_px: float, shape: WristShape
 ) -> WristPoint | None:
     """Where the tool's origin is beyond a shaft's end, in an image, shape (h, w, 3); None where no wrist is seen.
 
-    `mask`, shape (h, w), is what is roughly known of the instrument; `along` (2,) is the shaft's direction to the tip.
+    `instrument` is what is roughly known of it; `along` (2,) is the shaft's direction to the tip.
     The origin is the shape's part of the way from the end to the outline's tip, as the crow flies, in the middle of
     the outline. Of an outline shorter than a straight wrist it may be farther on; one much shorter tells nothing.
     """
-    cell_px = width_px / WIDTH_CELLS
+    cell_px, mask = width_px / WIDTH_CELLS, instrument.mask
     farthest = WRIST_REACH * shape.length_widths
     u = np.arange(-BEHIND, farthest, 1.0 / WIDTH_CELLS) * width_px
     v = np.arange(-BESIDE, BESIDE + 0.5 / WIDTH_CELLS, 1.0 / WIDTH_CELLS) * width_px
@@ -106,16 +109,20 @@ def _wrist_point(
     if np.count_nonzero(ring) < 3:
         return None
     at = offset[ring].mean(0)
+    apart_px = 0.0
+    if instrument.touches_another:  # the origin is in either of them
+        apart_px = float(np.sqrt(max(offset[ring].var(0).sum() - (WRIST_SCATTER * width_px) ** 2, 0.0)))
     # The middle of an arc lies inside of it.
     at *= shape.tool_fraction * reach_px / max(float(np.linalg.norm(at)), 1e-9)
     # An outline shorter than a straight wrist comes towards the camera, or lacks its jaws: then the origin is beyond.
     short_px = FROM_ONE_END * max(0.0, expected_px - reach_px)
     tip = offset[distance > reach_px - cell_px].mean(0)
     pixel, tip_px = (end_px + place[0] * along + place[1] * across for place in (at, tip))
-    std_px = float(np.hypot(WRIST_STD * reach_px, shape.tool_fraction * short_px))
-    tip_std_px = float(np.hypot(TIP_STD * reach_px, short_px))
-    excess_px = max(0.0, reach_px - MOST_REACH * expected_px)
-    return WristPoint(pixel, std_px, tip_px, tip_std_px, 1.0 - shape.tool_fraction, excess_px)
+    unsure_px = float(np.hypot(short_px, apart_px / shape.tool_fraction))
+    std_px = float(np.hypot(WRIST_STD * reach_px, shape.tool_fraction * unsure_px))
+    tip_std_px = float(np.hypot(TIP_STD * reach_px, unsure_px))
+    excess_px, missing = max(0.0, reach_px - MOST_REACH * expected_px), max(0.0, 1.0 - reach_px / expected_px)
+    return WristPoint(pixel, std_px, tip_px, tip_std_px, 1.0 - shape.tool_fraction, excess_px, missing)
 
 
 def _unlike_flanks(patch: Image, flanks: NDArray[np.bool_], v: Array) -> NDArray[np.bool_]:
@@ -162,6 +169,7 @@ class Silhouette:
     is its deviation along the shaft; `is_outline` is False where the dark part ends there and the outline goes on.
     The other one of these is `other_px` further along, and the shaft's end by a probability of `other_share`; of an
     outline, `narrows` is how likely something narrower goes on. `wrist` is None where no wrist is seen beyond.
+    `wrist_std` is the width's deviation over it by what may be no shaft: the wrist is narrower.
     """
 
     edges: tuple[EdgeLine, EdgeLine]
@@ -173,6 +181,7 @@ class Silhouette:
     other_share: float = 0.0
     narrows: float = 0.0
     knows_tip: bool = True
+    wrist_std: float = 0.0
 
     @property
     def towards_tip(self) -> Array:
@@ -244,11 +253,13 @@ def find_silhouette(
         middle_px = 0.5 * (first.end_px + second.end_px)
         end_px = middle_px + (place + half_px - float(middle_px @ along)) * along
         narrows = _inside(seen, end_px + np.linspace(*BEYOND_WIDTHS, 9)[:, None] * width_px * along)
-    point = None if wrist is None else _wrist_point(bgr, seen.mask, end_px, along, width_px, wrist)
+    point = None if wrist is None else _wrist_point(bgr, seen, end_px, along, width_px, wrist)
     if point is not None:  # where the outline is longer than a wrist, its end is before the shaft's, or is it
         std_px = float(np.hypot(std_px, FROM_ONE_END * point.excess_px))
-    other = seen.other_px, seen.other_share
-    return Silhouette((first, second), end_px, std_px, point, not seen.ends_dark, *other, narrows)
+    # Beyond a wrist that was taken for a shaft there are jaws at most.
+    wrist_std = seen.wrist_std * (1.0 if point is None else min(1.0, 2.0 * point.missing))
+    other = seen.other_px, seen.other_share, narrows
+    return Silhouette((first, second), end_px, std_px, point, not seen.ends_dark, *other, wrist_std=wrist_std)
 
 
 def _with_doubtful_side(

@@ -58,7 +58,7 @@ def of_images(
         found += sides(left, arm, lasting_share)
     else:
         for view in views:
-            found += of_view(view, sides(view, arm, lasting_share))
+            found += of_view(view, sides(view, arm, lasting_share, is_alone=len(views) == 1))
         found += first(of_view(view, end(view, arm)) for view in views)
     if len(views) > 1 and isinstance(markers, MarkerPair):
         if is_tracked:
@@ -69,13 +69,17 @@ def of_images(
     return [*found, *marks]
 
 
-def sides(view: View, arm: Arm, lasting_share: float = 0.0) -> Iterator[LinkMeasurement]:
+def sides(
+    view: View, arm: Arm, lasting_share: float = 0.0, *, is_alone: bool = False
+) -> Iterator[LinkMeasurement]:
     """Both sides of the shaft's outline in a view; of their variance a share lasts."""
     if not view.shaft.contours or arm.straight is None:
         return
     axis = arm.straight.axis
     # What both edges get wrong alike is to the tool what a wrong radius is.
     radius_std = float(np.hypot(arm.deviations.shaft_radius_fraction, view.shaft.width_std))
+    if is_alone:
+        radius_std = float(np.hypot(radius_std, view.shaft.wrist_std))
     deviations = replace(arm.deviations, shaft_radius_fraction=radius_std)
     for contour in view.shaft.contours:
         _, axes = np.linalg.eigh(contour.plane.covariance)

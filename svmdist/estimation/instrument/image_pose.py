@@ -143,10 +143,30 @@ def _start_from_sides(view: View, model: ShaftModel, R_nominal: Array | None) ->
     hinge_m = _along_axis(axis.point_m, d, view, model)
     if hinge_m is None:
         return Failure("the shaft's end is not to be seen")
-    x = np.eye(3)[int(np.argmin(np.abs(d)))] if R_nominal is None else R_nominal[:, 0]
-    y = cross(d, x)
+    # Unknown, the wrist bends as one sees it: about the line of sight.
+    y = cross(d, cross(hinge_m, d)) if R_nominal is None else cross(d, R_nominal[:, 0])
     y /= np.linalg.norm(y)
     return make_transform(np.stack([cross(y, d), y, d], -1), hinge_m)
+
+
+def _with_other_bend(pose: ToolPose, frame: Frame, model: ShaftModel) -> ToolPose:
+    """The pose of a wrist that is bent about the other axis, too: the chain of a straight one cannot tell that.
+
+    Across the line of sight the outline of the wrist says how far it may be.
+    """
+    ray = pose.position_m / np.linalg.norm(pose.position_m)
+    bent = pose.T_camera_tool[:3, :3] @ model.T_shaft_tool[:3, :3].T[:, 1]
+    bent -= pose.axis * float(pose.axis @ bent)
+    bent /= np.linalg.norm(bent)
+    variance = frame.arm.profile.settings.shaft.unknown_bend_rad**2
+    information = 2.0 / (1.0 - np.exp(-2.0 * variance)) / model.reach_m**2  # by the sine of a normal angle
+    wrist = frame.left.shaft.wrist
+    if wrist is not None:
+        std_m = wrist.std_px * pose.position_m[2] / frame.left.camera.K[0, 0]
+        information += (1.0 - float(bent @ ray) ** 2) / std_m**2
+    covariance = pose.covariance.copy()
+    covariance[:3, :3] += np.outer(bent, bent) / information
+    return replace(pose, covariance=covariance)
 
 
 def _turned_to_tip(d: Array, view: View, R_nominal: Array | None) -> Array | None:
@@ -191,6 +211,7 @@ def _located(
     rolls_rad: Sequence[float] = (0.0,)
     if isinstance(robot, Failure):
         error["joint_std_rad"] = profile.settings.shaft.unknown_bend_rad
+        rolls_rad = 0.0, 0.5 * np.pi
     if isinstance(robot, Failure) or robot.T_camera_base is None:
         if not isinstance(robot, Failure):
             rolls_rad = [2.0 * np.pi * turn / ROLL_COUNT for turn in range(ROLL_COUNT)]
@@ -216,6 +237,9 @@ def _located(
             doubt = f"{', '.join(result.name for result in refused)} do not fit the rest"
     hinge = kalman.hinge(model.axis.link, model.hinge_m)
     pose = replace(kalman.tool_pose(), hinge=hinge, jaw_scale=jaw_scale(kalman, frame.arm))
+    # A marker is at the tool's origin itself, however the wrist is bent.
+    if isinstance(frame.robot, Failure) and frame.left.distal_marker is None:
+        pose = _with_other_bend(pose, frame, model)
     used = tuple(one.name for one in judged if one.is_accepted)
     found = ImagePose(pose, used, doubt, judged)
     if not doubt and (in_doubt := found.doubtful_depth):

@@ -142,7 +142,7 @@ class ShaftDetection:
 
     `towards_tip` (2,) is the direction of the shaft's middle line in the image, None where nothing tells it. `wrist` is
     where the tool's origin is in the outline of a whole instrument. `width_std` is the deviation over the width of what
-    both contours get wrong alike.
+    both contours get wrong alike, `wrist_std` the same of what may be no shaft, where nothing else tells its depth.
     """
 
     contours: tuple[Contour, ...]
@@ -151,6 +151,7 @@ class ShaftDetection:
     middle_px: Array | None
     wrist: WristPoint | None = None
     width_std: float = 0.0
+    wrist_std: float = 0.0
 
 
 NO_SHAFT = ShaftDetection((), None, None, None)
@@ -184,8 +185,8 @@ def detect_silhouette(silhouette: Silhouette | None, camera: Camera, radius_m: f
         other = 2.0 * silhouette.other_px / silhouette.width_px, silhouette.other_share
         rim = Rim(end_px, towards_tip, silhouette.std_px, silhouette.is_outline, *other, silhouette.narrows)
     known = towards_tip if silhouette.knows_tip else None
-    wrist, width_std = silhouette.wrist, silhouette.width_std
-    return ShaftDetection(contours, rim, known, middle_px, wrist, width_std)
+    stds = silhouette.width_std, silhouette.wrist_std
+    return ShaftDetection(contours, rim, known, middle_px, silhouette.wrist, *stds)
 
 
 def _one_per_side(contours: Sequence[Contour]) -> tuple[Contour, ...]:

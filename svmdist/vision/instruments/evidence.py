@@ -24,6 +24,7 @@ BORDER_FRACTION = 0.4  # of the picture's median; a border is darker, though haz
 # Added to levels before their logarithm is taken: noise of one or two levels must not be a colour
 LEVEL_OFFSET = 8.0
 MOST_ODDS = 4.0  # of one pixel, as a logarithm: neither its texture nor its colour is ever surer
+RIM_PX = 3  # width of the rim
 MOST_AGAINST = 2.0  # of the network's odds: it misses dark instruments more often than it invents one
 
 DISTAL, SHAFT = (INSTRUMENTS[part]["class_ids"][0] for part in ("instrument", "shaft"))
@@ -99,6 +100,22 @@ class Evidence:
         odds = np.where(self.core > 0, self.scores[0], -MOST_ODDS).astype(np.float32)
         odds[self.hidden > 0] = 0.0
         return odds
+
+    @cached_property
+    def rim(self) -> Image:
+        """The outermost pixels of what light reaches, shape (h, w), where instruments come in."""
+        return np.asarray(
+            cv2.subtract(self.core, cv2.erode(self.core, SQUARE_3, iterations=RIM_PX, borderValue=0)),
+            np.uint8,
+        )
+
+    @cached_property
+    def parts(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Labels, shape (h, w), of what is likely instrument and hangs together, 0 for the rest, and their areas."""
+        likely = np.asarray(((self.odds > 0.0) | (self.hidden > 0)) & (self.core > 0), np.uint8)
+        likely = np.asarray(cv2.morphologyEx(likely, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
+        _, labels, statistics, _ = cv2.connectedComponentsWithStats(likely)
+        return np.asarray(labels, np.int32), np.asarray(statistics[:, cv2.CC_STAT_AREA], np.int32)
 
 
 @lru_cache(maxsize=1)

@@ -14,8 +14,9 @@ from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.instruments.evidence import SQUARE_3, Evidence, tissue_of
-from svmdist.vision.instruments.outline import Outline
+from svmdist.vision.instruments.outline import LEAST_RIM_PX, Outline
 from svmdist.vision.instruments.outline_search import (
+    LONGEST_WRIST,
     Judged,
     judged,
     part_entering,
@@ -27,9 +28,11 @@ MOST_OVERLAP = 0.3  # of the smaller of two strips: those of more are one instru
 DISTAL_WIDTHS = 4.5  # how far wrist and jaws reach beyond the end of the shaft, over its width there
 DISTAL_HALF_WIDTHS = 1.3  # how far they reach to either side of its axis, over its width
 BESIDE_WIDTHS = 0.08  # how far evidence beside a side is still that of the shaft, over its width
-LEAST_ENTERING = 0.0  # log-odds of a shaft against wrist and jaws, of what comes in
+LEAST_ENTERING, SURE_ENTERING = 0.0, 1.5  # log-odds of a shaft against wrist and jaws, of what comes in
+WRIST_NARROWER = 0.3  # by how much of the width a wrist is narrower, which may come in instead
 LIKELY = 0.7  # mean odds of what shows no straight shaft
 SURE_ALONG = 1.5  # inside of the weaker side, where no edge is sharp: the network's own is soft
+ENTRY_WIDTHS = 2.0  # about its axis, over its width, where an instrument itself comes in
 MOST_HOLE = 0.003  # of the picture: glare and blood; through a larger hole tissue is seen
 
 Mask = NDArray[np.bool_]
@@ -125,11 +128,8 @@ def _without_holes(mask: Mask, most_px: float) -> Mask:
 
 def likely_parts(evidence: Evidence) -> Mask:
     """Connected parts of a working image, shape (h, w), that are likely instrument, whatever their shape."""
-    likely = np.asarray((evidence.odds > 0.0) & (evidence.core > 0), np.uint8)
-    likely = np.asarray(cv2.morphologyEx(likely, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
-    count, parts, statistics, _ = cv2.connectedComponentsWithStats(likely)
-    area = statistics[:, cv2.CC_STAT_AREA]
-    mean = np.bincount(parts.ravel(), evidence.odds.ravel(), count) / np.maximum(area, 1)
+    parts, area = evidence.parts
+    mean = np.bincount(parts.ravel(), evidence.odds.ravel(), len(area)) / np.maximum(area, 1)
     kept = (mean > LIKELY) & (area > evidence.settings.least_area * cv2.countNonZero(evidence.core))
     kept[0] = False
     return np.asarray(kept[parts])
@@ -145,8 +145,9 @@ class SeenInstrument:
     `side_covariance` (2, 2, 2) is that of each side's offsets at both ends in px², `end_std_px` the end's deviation
     along the axis, infinite where the shaft goes on to the border, and `ends_dark` says that it is the end of a part
     and not of the outline: the other one of both, `other_px` further along, has a probability of `other_share`. The
-    network alone `is_sure` of the shaft, along both sides; it `shows_shaft` where what comes in is not a wrist already.
-    `knows_tip` is False where the tip may be at either end.
+    network alone `is_sure` of the shaft, along both sides; it `shows_shaft` where what comes in is not a wrist already,
+    and where it may be one, the shaft's width is off by `wrist_std` over it. It `touches_another` where what hangs
+    together with it comes in elsewhere, too. `knows_tip` is False where the tip may be at either end.
     """
 
     small_mask: Mask
@@ -162,6 +163,8 @@ class SeenInstrument:
     other_share: float = 0.0
     is_sure: bool = False
     shows_shaft: bool = True
+    wrist_std: float = 0.0
+    touches_another: bool = False
     knows_tip: bool = True
 
     @property
@@ -219,10 +222,28 @@ def seen_instrument(found: Found, evidence: Evidence) -> SeenInstrument:
     other = pixel_px * outline.other_px, outline.other_share
     # Infinite where nothing is seen; a plate on an instrument may hide its sides.
     is_sure = SURE_ALONG < score.weaker_side < np.inf and not evidence.hides
-    shows_shaft = part_entering(outline, evidence) > LEAST_ENTERING
-    return SeenInstrument(
-        mask, evidence.size, sides, end_px, score.evidence, *known, pixel_px, *other, is_sure, shows_shaft
-    )
+    entering, touches = part_entering(outline, evidence), _comes_in_elsewhere(outline, mask, evidence)
+    known_of_part = entering > LEAST_ENTERING, WRIST_NARROWER * _may_be_wrist(outline, entering), touches
+    of_image = sides, end_px, score.evidence, *known, pixel_px, *other, is_sure
+    return SeenInstrument(mask, evidence.size, *of_image, *known_of_part)
+
+
+def _may_be_wrist(outline: Outline, entering: float) -> float:
+    """Whether what comes in may be a wrist, from 0 to 1, by log-odds of a shaft: none is as long as many shafts are."""
+    width_px = float(np.linalg.norm(outline.sides[1, 1] - outline.sides[0, 1]))
+    length = float(np.linalg.norm(outline.end - outline.start)) / max(width_px, 1e-9)
+    return float(np.clip(SURE_ENTERING - entering, 0.0, 1.0) * np.clip(LONGEST_WRIST - length, 0.0, 1.0))
+
+
+def _comes_in_elsewhere(outline: Outline, mask: Mask, evidence: Evidence) -> bool:
+    """Whether what hangs together with an instrument comes in at another place, too: another one touches it."""
+    parts, _ = evidence.parts
+    own = np.bincount(parts[mask & (parts > 0)], minlength=1)
+    beside = np.zeros_like(evidence.core)
+    line = np.rint([outline.start - outline.length_px * outline.axis, outline.end]).astype(np.int32)
+    cv2.polylines(beside, [line], False, 255, max(1, round(ENTRY_WIDTHS * outline.width_px)))
+    rim = (parts == int(own.argmax())) & (evidence.rim > 0) & (beside == 0)
+    return bool(own.any() and np.count_nonzero(rim) >= LEAST_RIM_PX)
 
 
 def _enlarged(mask: Image, size: tuple[int, int]) -> Image:

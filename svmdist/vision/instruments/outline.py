@@ -15,7 +15,6 @@ from svmdist.transforms import Array
 from svmdist.vision.instruments.evidence import SQUARE_3, Evidence, Floats
 
 START_ODDS = 0.5  # from which on a pixel of the rim belongs to a place where an instrument comes in
-RIM_PX = 3  # width of the rim
 LEAST_RIM_PX = 6  # pixels of such a place
 MOST_PLACES, STARTS_PER_PLACE = 5, 2
 ANGLES = 60  # directions that are tried at each of them
@@ -141,8 +140,7 @@ def starts(evidence: Evidence) -> Iterator[Outline]:
     width = odds.shape[1]
     likely = np.asarray(255 * ((odds > START_ODDS) & (core > 0)), np.uint8)
     likely = np.asarray(cv2.morphologyEx(likely, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
-    rim = cv2.subtract(core, cv2.erode(core, SQUARE_3, iterations=RIM_PX, borderValue=0))
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(cv2.bitwise_and(likely, rim))
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(cv2.bitwise_and(likely, evidence.rim))
     clipped = np.where(core > 0, np.clip(odds, -CLIPPED, CLIPPED), 0).astype(np.float32)
     for label in (np.argsort(-stats[1:, 4], kind="stable") + 1)[:MOST_PLACES]:
         if stats[label, 4] < LEAST_RIM_PX:
