@@ -57,8 +57,9 @@ def of_images(
     if is_tracked and not is_by_outline and (marks or has_tag):
         found += sides(left, arm, lasting_share)
     else:
+        is_alone = sum(bool(view.shaft.contours) for view in views) < 2
         for view in views:
-            found += of_view(view, sides(view, arm, lasting_share, is_alone=len(views) == 1))
+            found += of_view(view, sides(view, arm, lasting_share, is_alone=is_alone))
         found += first(of_view(view, end(view, arm)) for view in views)
     if len(views) > 1 and isinstance(markers, MarkerPair):
         if is_tracked:
