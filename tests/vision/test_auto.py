@@ -115,6 +115,38 @@ def test_an_outline_longer_than_a_wrist_says_that_its_end_is_none(end):
     assert found.std_px < (5.0 if end == 200.0 else 45.0)
 
 
+@pytest.mark.parametrize("touches", [False, True], ids=["alone", "touched"])
+def test_of_two_wrists_that_touch_the_origin_is_in_either(touches):
+    """The one of another instrument, as long as its own, begins where this one ends: alone, it is a part of it."""
+    bgr = np.full((240, 320, 3), 120, np.uint8)
+    bgr[100:140, :200] = bgr[108:132, 200:280] = 30
+    cv2.line(bgr, (205, 115), (240, 40), (30, 30, 30), 24)
+    sides = np.array([[[0.0, 99.5], [200.0, 99.5]], [[0.0, 139.5], [200.0, 139.5]]])
+    seen = SeenInstrument(
+        bgr[..., 0] == 30, (240, 320), sides, np.array([200.0, 119.5]), 1.0,
+        end_std_px=2.0, pixel_px=1.0, touches_another=touches,
+    )  # fmt: skip
+    found = find_silhouette(bgr, seen, None, WristShape(0.6, 2.0), 12.0)
+    assert found is not None
+    assert found.wrist is not None
+    off_px = float(np.linalg.norm(found.wrist.pixel - [248.0, 119.5]))
+    assert (off_px < 1.5 * found.wrist.std_px) is touches
+
+
+@pytest.mark.parametrize("wrist_px", [0, 80])
+def test_beyond_a_wrist_that_was_taken_for_a_shaft_there_is_no_wrist(wrist_px):
+    bgr = np.full((240, 320, 3), 120, np.uint8)
+    bgr[100:140, :200] = bgr[108:132, 200 : 200 + wrist_px] = 30
+    sides = np.array([[[0.0, 99.5], [200.0, 99.5]], [[0.0, 139.5], [200.0, 139.5]]])
+    seen = SeenInstrument(
+        bgr[..., 0] == 30, (240, 320), sides, np.array([200.0, 119.5]), 1.0,
+        end_std_px=2.0, pixel_px=1.0, wrist_std=0.3,
+    )  # fmt: skip
+    found = find_silhouette(bgr, seen, None, WristShape(0.6, 2.0), 12.0)
+    assert found is not None
+    assert found.wrist_std == pytest.approx(0.0 if wrist_px else 0.3, abs=0.05)
+
+
 def test_sides_run_along_the_outline():
     """Half of each side is within a pixel and a half of where the painted shaft ends, nine tenths within four."""
     off_px = []
@@ -233,6 +265,8 @@ def test_a_wrist_that_comes_in_from_the_border_is_no_shaft(golden):
     wrists, shafts = ([one for frame in frames for one in seen(frame)] for frames in ((19, 27), (3, 15)))
     assert [one.shows_shaft for one in wrists] == [False] * 2
     assert [one.shows_shaft for one in shafts] == [True] * 4
+    assert [one.wrist_std for one in shafts] == [0.0] * 4
+    assert [one.touches_another for frame in (0, 16) for one in seen(frame)] == [False, False, True]
     # Also those that touch have their own wrist and jaws, and not the other one's.
     assert min(np.count_nonzero(one.distal) for one in shafts) > 1000
     assert all(np.linalg.norm(one.tip_px - one.end_px) < 3.0 * one.width_px for one in shafts)
