@@ -164,9 +164,8 @@ def _with_other_bend(pose: ToolPose, frame: Frame, model: ShaftModel) -> ToolPos
     if wrist is not None:
         std_m = wrist.std_px * pose.position_m[2] / frame.left.camera.K[0, 0]
         information += (1.0 - float(bent @ ray) ** 2) / std_m**2
-    covariance = pose.covariance.copy()
-    covariance[:3, :3] += np.outer(bent, bent) / information
-    return replace(pose, covariance=covariance)
+    by_bend = np.concatenate([bent, cross(pose.axis, bent) / model.reach_m])
+    return replace(pose, covariance=pose.covariance + np.outer(by_bend, by_bend) / information)
 
 
 def _turned_to_tip(d: Array, view: View, R_nominal: Array | None) -> Array | None:
