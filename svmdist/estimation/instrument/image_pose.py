@@ -157,14 +157,14 @@ def _with_other_bend(pose: ToolPose, frame: Frame, model: ShaftModel) -> ToolPos
     ray = pose.position_m / np.linalg.norm(pose.position_m)
     bent = pose.T_camera_tool[:3, :3] @ model.T_shaft_tool[:3, :3].T[:, 1]
     bent -= pose.axis * float(pose.axis @ bent)
-    bent /= np.linalg.norm(bent)
+    bent /= max(float(np.linalg.norm(bent)), 1e-9)
     variance = frame.arm.profile.settings.shaft.unknown_bend_rad**2
-    information = 2.0 / (1.0 - np.exp(-2.0 * variance)) / model.reach_m**2  # by the sine of a normal angle
+    information = 2.0 / (1.0 - np.exp(-2.0 * variance))  # of the sine of a normal angle
     wrist = frame.left.shaft.wrist
     if wrist is not None:
         std_m = wrist.std_px * pose.position_m[2] / frame.left.camera.K[0, 0]
-        information += (1.0 - float(bent @ ray) ** 2) / std_m**2
-    by_bend = np.concatenate([bent, cross(pose.axis, bent) / model.reach_m])
+        information += (1.0 - float(bent @ ray) ** 2) * (model.reach_m / std_m) ** 2
+    by_bend = np.concatenate([model.reach_m * bent, cross(pose.axis, bent)])
     return replace(pose, covariance=pose.covariance + np.outer(by_bend, by_bend) / information)
 
 
