@@ -149,6 +149,15 @@ def _start_from_sides(view: View, model: ShaftModel, R_nominal: Array | None) ->
     return make_transform(np.stack([cross(y, d), y, d], -1), hinge_m)
 
 
+def _bends_aside(view: View) -> bool:
+    """Whether the outline of the wrist shows it bent in the image, rather than towards the camera or not at all."""
+    shaft = view.shaft
+    if shaft.wrist is None or shaft.towards_tip is None or shaft.middle_px is None:
+        return False
+    (x, y), (along_x, along_y) = shaft.wrist.pixel - shaft.middle_px, shaft.towards_tip
+    return abs(float(along_x * y - along_y * x)) > shaft.wrist.std_px
+
+
 def _with_other_bend(pose: ToolPose, frame: Frame, model: ShaftModel) -> ToolPose:
     """The pose of a wrist that is bent about the other axis, too: the chain of a straight one cannot tell that.
 
@@ -210,7 +219,7 @@ def _located(
     rolls_rad: Sequence[float] = (0.0,)
     if isinstance(robot, Failure):
         error["joint_std_rad"] = profile.settings.shaft.unknown_bend_rad
-        rolls_rad = 0.0, 0.5 * np.pi
+        rolls_rad = [0.0 if _bends_aside(frame.left) else 0.5 * np.pi]
     if isinstance(robot, Failure) or robot.T_camera_base is None:
         if not isinstance(robot, Failure):
             rolls_rad = [2.0 * np.pi * turn / ROLL_COUNT for turn in range(ROLL_COUNT)]
