@@ -152,8 +152,8 @@ def test_whatever_ends_it_no_file_under_a_final_name_is_incomplete(tmp_path, cou
             time.sleep(rng.uniform(0.0, 1.5 * lasts_s))
             process.send_signal((signal.SIGKILL, signal.SIGTERM, signal.SIGINT)[number % 3])
             _, err = process.communicate()
-        # An interrupt may find Python itself still starting, or the package's first lines, and prints where it was.
-        assert "Traceback" not in err or "/svmdist/" not in err.replace("/svmdist/__init__.py", ""), err
+        # An interrupt may find Python itself still starting, which prints where it was.
+        assert "Traceback" not in err or "/svmdist/" not in err, err
         left = {file.name for file in tmp_path.iterdir()}
         assert left <= {"log.mcap", "log.mcap.part"}, left
         if path.exists():
