@@ -73,7 +73,10 @@ def of_images(
 def sides(
     view: View, arm: Arm, lasting_share: float = 0.0, *, is_alone: bool = False
 ) -> Iterator[LinkMeasurement]:
-    """Both sides of the shaft's outline in a view; of their variance a share lasts."""
+    """Both sides of the shaft's outline in a view; of their variance a share lasts.
+
+    Where it `is_alone`, no other view tells the depth of what may be a wrist.
+    """
     if not view.shaft.contours or arm.straight is None:
         return
     axis = arm.straight.axis

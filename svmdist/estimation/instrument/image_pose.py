@@ -164,7 +164,7 @@ def _with_other_bend(pose: ToolPose, frame: Frame, model: ShaftModel) -> ToolPos
     Across the line of sight the outline of the wrist says how far it may be.
     """
     ray = pose.position_m / np.linalg.norm(pose.position_m)
-    bent = pose.T_camera_tool[:3, :3] @ model.T_shaft_tool[:3, :3].T[:, 1]
+    bent = pose.T_camera_tool[:3, :3] @ model.T_shaft_tool[1, :3]  # about it the chain bends
     bent -= pose.axis * float(pose.axis @ bent)
     bent /= max(float(np.linalg.norm(bent)), 1e-9)
     variance = frame.arm.profile.settings.shaft.unknown_bend_rad**2
@@ -220,9 +220,9 @@ def _located(
     if isinstance(robot, Failure):
         error["joint_std_rad"] = profile.settings.shaft.unknown_bend_rad
         rolls_rad = [0.0 if _bends_aside(frame.left) else 0.5 * np.pi]
+    elif robot.T_camera_base is None:
+        rolls_rad = [2.0 * np.pi * turn / ROLL_COUNT for turn in range(ROLL_COUNT)]
     if isinstance(robot, Failure) or robot.T_camera_base is None:
-        if not isinstance(robot, Failure):
-            rolls_rad = [2.0 * np.pi * turn / ROLL_COUNT for turn in range(ROLL_COUNT)]
         T_camera_base = firsts[0] @ inverse(model.T_base_shaft)
         robot = RobotState(chain, frame.stamp_ns, model.q, T_camera_base)
         error["camera_base_std_rad"] = OPEN_RAD

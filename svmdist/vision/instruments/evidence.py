@@ -24,8 +24,8 @@ BORDER_FRACTION = 0.4  # of the picture's median; a border is darker, though haz
 # Added to levels before their logarithm is taken: noise of one or two levels must not be a colour
 LEVEL_OFFSET = 8.0
 MOST_ODDS = 4.0  # of one pixel, as a logarithm: neither its texture nor its colour is ever surer
-RIM_PX = 3  # width of the rim
 MOST_AGAINST = 2.0  # of the network's odds: it misses dark instruments more often than it invents one
+RIM_PX = 3  # width of the rim
 
 DISTAL, SHAFT = (INSTRUMENTS[part]["class_ids"][0] for part in ("instrument", "shaft"))
 Floats = NDArray[np.float32]

@@ -105,7 +105,7 @@ def _belonging(outline: Outline, evidence: Evidence, free: Mask) -> Mask:
     end, (ux, uy) = outline.sides[:, 1].mean(0), outline.axis
     along = (x - float(end[0])) * float(ux) + (y - float(end[1])) * float(uy)
     across = np.abs((y - float(end[1])) * float(ux) - (x - float(end[0])) * float(uy))
-    width_px = float(np.linalg.norm(outline.sides[1, 1] - outline.sides[0, 1]))
+    width_px = outline.end_width_px
     likely = ((evidence.odds > 0.0) | (evidence.hidden > 0)) & (evidence.core > 0)
     strip = (along < 0.0) & (depth > 0.0)
     beside = (along < 0.0) & (depth > -BESIDE_WIDTHS * outline.width_px - 1.0) & likely
@@ -230,8 +230,7 @@ def seen_instrument(found: Found, evidence: Evidence) -> SeenInstrument:
 
 def _may_be_wrist(outline: Outline, entering: float) -> float:
     """Whether what comes in may be a wrist, from 0 to 1, by log-odds of a shaft: none is as long as many shafts are."""
-    width_px = float(np.linalg.norm(outline.sides[1, 1] - outline.sides[0, 1]))
-    length = float(np.linalg.norm(outline.end - outline.start)) / max(width_px, 1e-9)
+    length = float(np.linalg.norm(outline.end - outline.start)) / max(outline.end_width_px, 1e-9)
     return float(np.clip(SURE_ENTERING - entering, 0.0, 1.0) * np.clip(LONGEST_WRIST - length, 0.0, 1.0))
 
 

@@ -93,6 +93,11 @@ class Outline:
         """Mean distance of both sides."""
         return float((self.sides[1] - self.sides[0]).mean(0) @ self.normal)
 
+    @property
+    def end_width_px(self) -> float:
+        """Distance of both sides at their inner ends."""
+        return float(np.linalg.norm(self.sides[1, 1] - self.sides[0, 1]))
+
     def at(self, along_px: Array) -> Array:
         """Points on both sides at places along the axis from the start, shape (2, n, 2)."""
         first, u = self.sides[:, 0], self.axis
