@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from functools import cached_property
 
@@ -29,6 +29,8 @@ from svmdist.transforms import Array
 from svmdist.vision.degradations import Degradation, degrade, image_seed, subsampled
 
 FIELD_NS = 1e9 / 60.0  # between both fields of an interlaced frame (59.94 fields a second, ITU-R BT.601)
+OPTICS = frozenset({Degradation.DEFOCUS, Degradation.MOTION_BLUR})
+"""Blur what falls on the sensor, and so each field for itself."""
 _NOISE_STREAMS = (11, 14)
 _DEGRADATION_STREAM = 15
 
@@ -42,7 +44,10 @@ class Sensors:
     def __init__(self, camera: Camera, seed: int, noise: float, options: Options) -> None:
         self._shape, self._seed, self._noise = (camera.height_px, camera.width_px, 3), seed, noise
         self._degradations = tuple((Degradation(name), severity) for name, severity in options.degradations)
-        self._chroma = options.perturbations["chroma"]
+        self._chroma, self._by_field = (
+            options.perturbations["chroma"],
+            bool(options.perturbations["interlace"]),
+        )
         streams = _NOISE_STREAMS if options.stereo else _NOISE_STREAMS[:1]
         self.generators = [np.random.default_rng([seed, stream]) for stream in streams]
 
@@ -52,15 +57,26 @@ class Sensors:
             return (None,) * len(self.generators)
         return tuple(each.standard_normal(self._shape) * self._noise for each in self.generators)
 
+    def focus(self, camera: int, fields: Sequence[Image], frame: int) -> Image:
+        """What falls on a camera's sensor at the image number `frame`: one picture, or two fields of alternate rows."""
+        if len(fields) == 2:
+            fields = [self._degraded(camera, field, frame, optics=True) for field in fields]
+            fields[0][1::2] = fields[1][1::2]
+        return fields[0]
+
     def expose(self, camera: int, image: Image, noise: Array | None, frame: int) -> Image:
         """What a camera reports of the image number `frame`, with the noise that was drawn for it."""
         if noise is not None:  # OpenCV rounds to the nearest level and saturates, in one pass
             image = np.asarray(cv2.add(noise, image, dtype=cv2.CV_8U), np.uint8)
         if self._chroma:
             image = subsampled(image, self._chroma)
+        return self._degraded(camera, image, frame)
+
+    def _degraded(self, camera: int, image: Image, frame: int, *, optics: bool = False) -> Image:
         for place, (name, severity) in enumerate(self._degradations):
-            seed = image_seed(name, camera, self._seed, _DEGRADATION_STREAM, place, frame)
-            image = degrade(image, name, severity, seed)
+            if optics == (self._by_field and name in OPTICS):
+                seed = image_seed(name, camera, self._seed, _DEGRADATION_STREAM, place, frame)
+                image = degrade(image, name, severity, seed)
         return image
 
 
@@ -144,9 +160,8 @@ class Simulator(ExitStack):
             for number, after_ns in enumerate(delays_ns)
         ]
         cameras = ((topics["image"], scene.camera), (topics["right_image"], scene.right_camera))
-        for camera, image in enumerate(fields[0]):
-            if len(fields) == 2:
-                image[1::2] = fields[1][camera][1::2]
+        for camera, of_camera in enumerate(zip(*fields, strict=True)):
+            image = self.sensors.focus(camera, of_camera, frame)
             exposed = self.sensors.expose(camera, image, noise[camera], frame)
             yield cameras[camera][0], ImageSample(stamp_ns, cameras[camera][1].frame_id, exposed)
 

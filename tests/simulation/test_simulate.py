@@ -23,6 +23,7 @@ from svmdist.simulation.motion import Scenario
 from svmdist.simulation.plan import draw_nominal_kinematics
 from svmdist.simulation.scene import Options, make_scene
 from svmdist.transforms import inverse, rotation_angle
+from svmdist.vision.degradations import Degradation, degrade
 from tests.conftest import REPOSITORY
 from tests.reading import read_images, read_observations
 from tests.simulation.conftest import chosen, perturbed, simulate
@@ -271,6 +272,13 @@ def test_odd_rows_are_a_field_later_and_replay_makes_the_same_border(profile):
             fields.append(renderer.draw(0, 2 + number))
     np.testing.assert_array_equal(frame[::2], fields[0][::2])
     np.testing.assert_array_equal(frame[1::2], fields[1][1::2])
+    options = perturbed("interlace=2,breathing=2", degradations=(("defocus", 3),))
+    blurred = Sensors(plan.scene.camera, 1, 0.0, options).focus(0, fields, 0)
+    for rows, field in enumerate(fields):  # what falls on the sensor is blurred before it is read
+        np.testing.assert_array_equal(blurred[rows::2], degrade(field, Degradation.DEFOCUS, 3, 0)[rows::2])
+    np.testing.assert_array_equal(
+        Sensors(plan.scene.camera, 1, 0.0, options).expose(0, blurred, None, 0), blurred
+    )
     text, drawn = "border=0.8,vignette=0.3,chroma=1", []
     for each in ("", text):
         plan = make_plan(Scenario("sweep", 1, 0.2, 5.0), profile, options=perturbed(each))
