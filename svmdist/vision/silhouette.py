@@ -205,11 +205,6 @@ class Silhouette:
         """Deviation of the width over it by what both edges get wrong alike: the outline is anywhere in their blur."""
         return float(IN_BLUR * sum(edge.blur_px for edge in self.edges) / self.width_px)
 
-    @property
-    def length_widths(self) -> float:
-        """Length of the shorter edge, over the width at the end."""
-        return min(edge.length_px for edge in self.edges) / self.width_px
-
 
 def find_silhouette(
     bgr: Image, seen: SeenInstrument, picture: Image | None, wrist: WristShape | None, least_levels: float

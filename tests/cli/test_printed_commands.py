@@ -31,6 +31,7 @@ NOT_RUN = {
     "python -m benchmarks.speed logs": "compares programs for minutes",
     "python -m benchmarks.golden_tables": "measures all golden logs for minutes",
     "python -m benchmarks.ablate LOG.mcap --write": "measures logs a dozen times for minutes",
+    "python -m benchmarks.real.ablate sets --write": "needs public sets that are not in the repository",
     "python -m benchmarks.robustness LOG.mcap --write": "measures a log in many worlds for minutes",
     "python -m benchmarks.alarms LOG.mcap --write": "measures logs by every method for minutes",
     "python -m benchmarks.generated_pages": "another test compares its pages with the code",

@@ -107,8 +107,6 @@ def _median_saturation(image_hsv: Image, mask: Image) -> float:
 
 
 NEAREST_M, FARTHEST_M = 0.02, 0.5  # of a shaft's end: nearer it fills the view, farther it has no light
-MOST_STEEP = 0.975  # of the axis along the view, 13° off it: nothing tells that so short a shaft is one
-STEEP_LENGTH_WIDTHS = 2.5  # of such a shaft, from which on its taper does
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,15 +195,12 @@ def _one_per_side(contours: Sequence[Contour]) -> tuple[Contour, ...]:
 
 
 def _can_stand(contours: Sequence[Contour], silhouette: Silhouette, camera: Camera, radius_m: float) -> bool:
-    """Whether a shaft of a radius between two planes is before the camera, and no stub that points along the view."""
+    """Whether a shaft of a radius between two planes is before the camera, as far as one may be."""
     axis = axis_of_cylinder(contours[0].plane, contours[1].plane, radius_m)
     if axis is None:
         return False
     place_px = silhouette.middle_px if silhouette.end_px is None else silhouette.end_px
-    depth_m = axis.depth_m(camera.rays(place_px)[0])
-    # Its wrist was taken for the taper of a shaft that comes from behind the camera.
-    is_steep = abs(float(axis.direction[2])) > MOST_STEEP and silhouette.length_widths < STEEP_LENGTH_WIDTHS
-    return NEAREST_M < depth_m < FARTHEST_M and not is_steep
+    return NEAREST_M < axis.depth_m(camera.rays(place_px)[0]) < FARTHEST_M
 
 
 def _contour_of(line: Line, middle_px: Array, outward: Array, towards_tip: Array, camera: Camera) -> Contour:
