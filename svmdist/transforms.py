@@ -6,11 +6,17 @@
 
 from __future__ import annotations
 
+import mmap
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import PlainSerializer, PlainValidator
+
+# OpenBLAS ends the process, with a line of its own, where it gets no memory to work in: it takes it here, after as much
+# was to be had. Without, this raises OSError, which commands say in a line.
+mmap.mmap(-1, 1 << 26).close()
+_ = np.ones((128, 128)) @ np.ones((128, 128))
 
 # pydantic stores arrays as nested lists; NaN is null there.
 Array = Annotated[
