@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import ExitStack
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -91,8 +90,7 @@ def cells(part: str, folder: Path, out: Path) -> list[str]:
     cv2.setNumThreads(1)
     place, attribute, by = CASES[part]
     lines: dict[tuple[str, str, str], common.Line] = {}
-    with ExitStack() as stack:
-        stack.enter_context(patch.object(place, attribute, by))
+    with patch.object(place, attribute, by):
         for name, module in SETS.items():
             if (folder / module.SET).is_dir():
                 for line in module.measure(folder, out / part.replace(" ", "-") / name):

@@ -43,11 +43,11 @@ class Sensors:
 
     def __init__(self, camera: Camera, seed: int, noise: float, options: Options) -> None:
         self._shape, self._seed, self._noise = (camera.height_px, camera.width_px, 3), seed, noise
-        self._degradations = tuple((Degradation(name), severity) for name, severity in options.degradations)
-        self._chroma, self._by_field = (
-            options.perturbations["chroma"],
-            bool(options.perturbations["interlace"]),
-        )
+        placed = [(at, Degradation(name), much) for at, (name, much) in enumerate(options.degradations)]
+        by_field = OPTICS if options.perturbations["interlace"] else frozenset()
+        self._of_fields = [one for one in placed if one[1] in by_field]
+        self._of_images = [one for one in placed if one[1] not in by_field]
+        self._chroma = options.perturbations["chroma"]
         streams = _NOISE_STREAMS if options.stereo else _NOISE_STREAMS[:1]
         self.generators = [np.random.default_rng([seed, stream]) for stream in streams]
 
@@ -59,10 +59,10 @@ class Sensors:
 
     def focus(self, camera: int, fields: Sequence[Image], frame: int) -> Image:
         """What falls on a camera's sensor at the image number `frame`: one picture, or two fields of alternate rows."""
-        if len(fields) == 2:
-            fields = [self._degraded(camera, field, frame, optics=True) for field in fields]
-            fields[0][1::2] = fields[1][1::2]
-        return fields[0]
+        image, *later = [self._degraded(camera, field, frame, self._of_fields) for field in fields]
+        for field in later:
+            image[1::2] = field[1::2]
+        return image
 
     def expose(self, camera: int, image: Image, noise: Array | None, frame: int) -> Image:
         """What a camera reports of the image number `frame`, with the noise that was drawn for it."""
@@ -70,13 +70,14 @@ class Sensors:
             image = np.asarray(cv2.add(noise, image, dtype=cv2.CV_8U), np.uint8)
         if self._chroma:
             image = subsampled(image, self._chroma)
-        return self._degraded(camera, image, frame)
+        return self._degraded(camera, image, frame, self._of_images)
 
-    def _degraded(self, camera: int, image: Image, frame: int, *, optics: bool = False) -> Image:
-        for place, (name, severity) in enumerate(self._degradations):
-            if optics == (self._by_field and name in OPTICS):
-                seed = image_seed(name, camera, self._seed, _DEGRADATION_STREAM, place, frame)
-                image = degrade(image, name, severity, seed)
+    def _degraded(
+        self, camera: int, image: Image, frame: int, by: Sequence[tuple[int, Degradation, int]]
+    ) -> Image:
+        for place, name, severity in by:
+            seed = image_seed(name, camera, self._seed, _DEGRADATION_STREAM, place, frame)
+            image = degrade(image, name, severity, seed)
         return image
 
 
