@@ -19,6 +19,30 @@ MAX_GAP_NS = 100_000_000  # longest gap to interpolate across: ten samples of th
 RATE_WINDOW_NS = 40_000_000  # a rate is over the samples within: eight at 100 Hz average encoder noise out
 
 
+@dataclass(frozen=True, slots=True)
+class LagEstimate:
+    """A lag in s, positive when the image stamps are late, with its standard deviation.
+
+    `confidence` in [0, 1] is how much better the best lag explains the images than the best lag elsewhere:
+    1 - J_best / J_rival. Where the lag cannot be told, it is 0 and `reason` says why.
+    """
+
+    lag_s: float
+    std_s: float | None
+    confidence: float
+    reason: str = ""
+
+    @property
+    def told(self) -> bool:
+        """Whether the motion was enough to tell."""
+        return not self.reason
+
+    @property
+    def lag_ns(self) -> int:
+        """The lag in ns."""
+        return round(self.lag_s * 1e9)
+
+
 @dataclass(frozen=True)
 class Bracket:
     """For each of m stamps the samples on its two sides, shape (m,), and whether they may be used."""

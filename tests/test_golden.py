@@ -115,7 +115,7 @@ def test_an_injected_time_offset_is_recovered(golden_rows, log):
     rows = [row for row in golden_rows(log, "overlay").rows if row.measured]
     profile = load_profile()
     recording = open_recording(RECORDINGS / f"{log}.mcap", profile)
-    predicted = predictor(tool_track(recording, profile, Reference.KINEMATICS, ANY_TRUTH), recording.camera)
+    predicted = predictor(tool_track(recording, Reference.KINEMATICS, ANY_TRUTH), recording.camera)
     stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
     tool_px = np.array([row.image.tool_px for row in rows], np.float64)
     for offset_s in (-2.5, -0.3137, 0.012, 2.5):

@@ -194,7 +194,7 @@ class Fk(LogOptions, options.ReadOptions, options.WindowOptions, options.OutputO
 
 
 def pose_rows_of(
-    recording: Recording, request: Request, _threads: int, in_camera: bool, named: bool
+    recording: Recording, _request: Request, _threads: int, in_camera: bool, named: bool
 ) -> Generator[Row, None, int]:
     """The rows of one recording, which name it where there are several; the errors against its poses are logged."""
     import numpy as np
@@ -202,10 +202,9 @@ def pose_rows_of(
     from svmdist.report.rows import pose_rows
     from svmdist.workflows.fk import fk_blocks
 
-    profile = request.setup.profile.for_instrument(recording.instruments[0])
     errors, count = [], 0
     with output.progress_bar("reading", "joint states") as advance:
-        made = fk_blocks(recording, profile, in_camera=in_camera, on_progress=advance)
+        made = fk_blocks(recording, in_camera=in_camera, on_progress=advance)
         with closing(made):
             for block in made:
                 errors.append(block.errors)

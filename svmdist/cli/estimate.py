@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from svmdist.report.tables import Row
     from svmdist.workflows.ending import Ending
     from svmdist.workflows.estimate import Keep
-    from svmdist.workflows.frame_drawing import DrawnFrame
     from svmdist.workflows.request import Request
     from svmdist.workflows.validate import Validation
 
@@ -193,15 +192,9 @@ def draw_log(
     setup, ending = request.setup, Ending(request.instruments or recording.instruments, request.alarms)
     seen = corrected(recording, request, threads)
 
-    def counted(frames: Iterator[DrawnFrame]) -> Iterator[DrawnFrame]:
-        for frame in frames:
-            for result in frame.replayed.results:
-                ending.add(result)
-            yield frame
-
     with output.steps(f"drawing {recording.name}", "images", recording.image_count()) as steps:
-        frames = drawn_frames(seen, setup, request.alarms, request.instruments, threads)
-        writer.write(counted(steps.of(frames)), output_path, seen, setup, force)
+        frames = drawn_frames(seen, setup, ending, request.instruments, threads)
+        writer.write(steps.of(frames), output_path, seen, setup, force)
     ending.close(seen.remarks)
     return ending
 

@@ -18,7 +18,7 @@ from urllib.parse import unquote
 from svmdist.cli.options import JOBS, Options, argument, option
 from svmdist.cli.output import LOG, ExitCode, progress_bar, terminal_width, with_name
 from svmdist.errors import RecordingError, UsageError, did_you_mean
-from svmdist.files import why
+from svmdist.files import reading
 from svmdist.remote import LogPath, RemoteFile, is_url, listed_urls
 
 if TYPE_CHECKING:
@@ -302,10 +302,8 @@ def _paths_of(text: str) -> Sequence[LogPath]:
 def _urls_of(url: str) -> list[RemoteFile]:
     """The logs of a URL: of a folder or a glob all those in it, by name; a file stands for itself."""
     is_glob = GLOB.search(RemoteFile(url).parts[2]) is not None
-    try:
+    with reading(RemoteFile(url), RecordingError):
         found = listed_urls(url, LOG_ENDINGS, is_glob=is_glob)
-    except OSError as problem:
-        raise RecordingError(f"{RemoteFile(url)}: cannot read: {why(problem)}") from None
     if not found:
         raise UsageError(f"{RemoteFile(url)}: no log matches")
     return found
@@ -321,8 +319,6 @@ def _logs_in(path: Path) -> list[Path]:
     """The logs in a folder, by name; a file, and a folder that is a rosbag2, stand for themselves."""
     if "\0" in str(path) or not path.is_dir() or _is_log(path):
         return [path]
-    try:
+    with reading(path, RecordingError):
         found = sorted(file for file in path.iterdir() if _is_log(file) and not file.name.startswith("."))
-    except OSError as problem:
-        raise RecordingError(f"{path}: cannot read: {why(problem)}") from None
     return found or [path]  # opening it says what was expected

@@ -193,7 +193,7 @@ class Import(options.Options):
     def _run(self) -> ExitCode:
         from svmdist.importing.calibration import CalibrationOptions
         from svmdist.importing.tables import parse_stamp_ns
-        from svmdist.workflows.import_log import ImportOptions, ViewOptions, import_log
+        from svmdist.workflows.import_log import ImportOptions, import_log
 
         path = self.output or Path(f"{self.source.resolve().stem}.mcap")
         require_output(path)
@@ -206,11 +206,7 @@ class Import(options.Options):
         except ValueError as problem:
             raise UsageError(f"--start {self.start}: {problem}") from None
         asked = ImportOptions(
-            ViewOptions(
-                *(self.source, self.right, self.pattern, self.right_pattern, self.side_by_side),
-                *(self.rate, start_ns, self.times, self.every),
-                _whole_px("--crop", self.crop, CROP, "X,Y,WIDTH,HEIGHT, as in 40,0,640,480"),
-            ),
+            self.source,
             CalibrationOptions(
                 (self.camera_file, self.right_calibration),
                 (_intrinsics("--camera", self.camera), _intrinsics("--right-camera", self.right_camera)),
@@ -220,6 +216,9 @@ class Import(options.Options):
                 options.LENGTH_UNITS_M[self.unit],
                 _whole_px("--calibrated-at", self.calibrated_at, SIZE, "WIDTHxHEIGHT, as in 1280x720"),
             ),
+            *(self.right, self.pattern, self.right_pattern, self.side_by_side),
+            *(self.rate, start_ns, self.times, self.every),
+            _whole_px("--crop", self.crop, CROP, "X,Y,WIDTH,HEIGHT, as in 40,0,640,480"),
             _tables("--poses", self.poses),
             _tables("--joints", self.joints),
             tuple(name.strip() for name in self.joint_names.split(",")) if self.joint_names else None,

@@ -161,11 +161,6 @@ class AlarmWatch:
         return -float(np.median(slopes))
 
 
-def alarm_watches(instruments: Iterable[str], rules: AlarmRules | None) -> dict[str, AlarmWatch]:
-    """A watch for each instrument; none without rules."""
-    return {name: AlarmWatch(rules) for name in instruments} if rules else {}
-
-
 def alarm_events(rows: Iterable[FrameResult], rules: AlarmRules | None) -> list[AlarmEvent]:
     """The alarms of one instrument's rows; none without rules."""
     if rules is None:

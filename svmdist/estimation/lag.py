@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.tracks import LagEstimate
 from svmdist.transforms import Array
 
 Predict = Callable[[NDArray[np.int64]], tuple[Array, NDArray[np.bool_]]]
@@ -27,25 +28,6 @@ PIXEL_STD = 1.0  # what segmentation leaves of noise in a position; weighs the p
 MAX_STD_S = 0.02  # of a lag that is accepted
 RIVAL_DISTANCE_S = 0.15  # minima further away than this are other answers, not the same one
 MIN_CONFIDENCE = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class LagEstimate:
-    """A lag in s, positive when the image stamps are late, with its standard deviation.
-
-    `confidence` in [0, 1] is how much better the best lag explains the images than the best lag elsewhere:
-    1 - J_best / J_rival. Where the lag cannot be told, it is 0 and `reason` says why.
-    """
-
-    lag_s: float
-    std_s: float | None
-    confidence: float
-    reason: str = ""
-
-    @property
-    def told(self) -> bool:
-        """Whether the motion was enough to tell."""
-        return not self.reason
 
 
 def estimate_lag(stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict) -> LagEstimate:

@@ -29,7 +29,7 @@ from svmdist.recording.source import Health, LossKind, TopicInfo, sanitize, sani
 from svmdist.recording.topics import LoggedArm, Role, find_arms, open_source
 from svmdist.remote import LogPath, RemoteFile, is_url
 from svmdist.samples import Observation, Rejection
-from svmdist.tracks import DistanceTrack, JointTrack, TransformTrack
+from svmdist.tracks import DistanceTrack, JointTrack, LagEstimate, TransformTrack
 from svmdist.transforms import Array, inverse
 
 
@@ -62,19 +62,6 @@ class Origin(NamedTuple):
     topics: dict[str, str]
 
 
-@dataclass(frozen=True, slots=True)
-class KnownLag:
-    """By how much the stamps of a log's images are late, in s, and the standard deviation of what was estimated."""
-
-    lag_s: float
-    std_s: float = 0.0
-
-    @property
-    def lag_ns(self) -> int:
-        """The same in ns."""
-        return round(self.lag_s * 1e9)
-
-
 @dataclass(frozen=True, eq=False)
 class Recording:
     """A log that can be read, over and over; everything in it but the images is read once, and kept.
@@ -89,7 +76,7 @@ class Recording:
     bases: Mapping[str, Array | None]
     """`T_camera_base`, (4, 4), by instrument, None for one that is not to be known; the log's own for others."""
     world: ReplayedWorld
-    lag: KnownLag | None = None
+    lag: LagEstimate | None = None
     """The known time offset of the images: joints, poses and transforms are read at their stamps; truth keeps its."""
     alias: str | None = None  # the name that it goes by; None for its file's
     window: obs.Window = obs.ALL_IMAGES  # which of its images are read; whatever else it has is read whole
@@ -120,6 +107,11 @@ class Recording:
     def instruments(self) -> tuple[str, ...]:
         """The profile's own instrument, and the others that have a topic in the log."""
         return tuple(arm.name for arm in self.arms)
+
+    @cached_property
+    def profile(self) -> Profile:
+        """The profile that it was opened with, as its first instrument sees it."""
+        return self.origin.profile.for_instrument(self.instruments[0])
 
     @property
     def is_part(self) -> bool:

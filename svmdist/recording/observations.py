@@ -6,6 +6,7 @@ import math
 from bisect import insort
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -226,8 +227,13 @@ class Decoded:
     losses: tuple[Loss, ...]
     place: int
 
+    @property
+    def seen(self) -> tuple[Observation, ...] | None:
+        """The observation of each instrument; None where it cannot be decoded."""
+        return None if isinstance(self.found, Rejection) else self.found
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True)
 class EncodedObservation:
     """One image with what belongs to it, as it stands in the log; make it with `Recording.encoded_observations`.
 
@@ -247,6 +253,11 @@ class EncodedObservation:
     def stamp_ns(self) -> int:
         """The image's stamp."""
         return self.left.stamp_ns
+
+    @cached_property
+    def decoded(self) -> Decoded:
+        """The same, kept for who looks at it more than once."""
+        return self.decode()
 
     def decode(self) -> Decoded:
         """Decode the images; a Rejection stands for a left image that cannot be, or whose camera is not known."""

@@ -29,6 +29,7 @@ from svmdist.report.tables import Column, Table, counted, row_of
 from svmdist.report.writers import Results
 from svmdist.samples import Image
 from svmdist.transforms import Array
+from svmdist.workflows.ending import Ending
 from svmdist.workflows.estimate import Measured
 from svmdist.workflows.frame_drawing import drawn_frames
 from svmdist.workflows.parallel import Progress, Steps
@@ -126,7 +127,8 @@ def _worst(
     steps, pictures = Steps(on_progress, sum(max(numbers) + 1 for numbers in wanted.values())), {}
     look: Any = {"lines": False, "least_px": MIN_WIDTH_PX, "letters": THUMBNAIL_LETTERS}
     for name, log in ((one.recording.name, one) for one in measured if one.recording.name in wanted):
-        given = log.read, request.setup, request.alarms, None, jobs, wanted[name], steps.advance
+        ending = Ending(log.read.instruments, request.alarms)
+        given = log.read, request.setup, ending, None, jobs, wanted[name], steps.advance
         for drawn in drawn_frames(*given):
             if (image := drawn.replayed.image_bgr) is not None:
                 pictures[name, drawn.number] = _jpeg(draw_on(image, drawn.drawing, **look))

@@ -87,15 +87,13 @@ def blur_rows(
         figures = pooled_figures([tally.figures for tally in tallies])
         if not figures.frame_count:
             raise RecordingError("there is no image to measure in these recordings")
+        counts = {name: [count for tally in tallies for count in tally.counts[name]] for name in MEANS}
         paper_count, paper_area_px = TABLE_I.get(blur, (None, None))
         rows.append(
             {
                 "blur": blur,
                 "kernel_px": kernel_px,
-                **{
-                    name: _mean([count for tally in tallies for count in tally.counts[name]])
-                    for name in MEANS
-                },
+                **{name: float(np.mean(of)) if of else None for name, of in counts.items()},
                 "coverage": figures.coverage,
                 "rmse_m": figures.planar.statistics.rmse if figures.planar else None,
                 "frame_count": figures.frame_count,
@@ -104,10 +102,6 @@ def blur_rows(
             }
         )
     return rows
-
-
-def _mean(values: Sequence[float]) -> float | None:
-    return float(np.mean(values)) if values else None
 
 
 def _count(frame: Frame, result: FrameResult, values: dict[str, list[int]]) -> None:

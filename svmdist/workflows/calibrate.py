@@ -10,7 +10,6 @@ from importlib.metadata import version
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.errors import CalibrationError, KinematicsError, RecordingError
@@ -24,19 +23,12 @@ from svmdist.profile import hand_eye as hand_eye_file
 from svmdist.recording.log import Recording
 from svmdist.results import Failure, FrameResult
 from svmdist.samples import JointSample
-from svmdist.tracks import JointTrack
+from svmdist.tracks import JointTrack, Mask
 from svmdist.transforms import Array, Stamps, inverse, rotation_angle, skew
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Request, Setup
-
-PIXELS_AS_THEY_ARE = plane_mapping.PlaneMapping(
-    "corrected",
-    plane_mapping.Quadratic(quadratic_per_cm=0.0, linear=1.0, constant_cm=0.0),
-    plane_mapping.Quadratic(quadratic_per_cm=0.0, linear=1.0, constant_cm=0.0),
-)
-"""The estimator needs a mapping; calibration reads its pixels only."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +46,7 @@ def collect_part(
     recording: Recording, request: Request, jobs: int | None = None, steps: Steps | None = None
 ) -> CalibrationPart:
     """Pairs of tool pixel and true position in the camera's plane; RecordingError where the log has no true pose."""
-    setup, steps = replace(request.setup, mapping=PIXELS_AS_THEY_ARE), steps or Steps()
+    setup, steps = replace(request.setup, mapping=plane_mapping.PUBLISHED_MAPPING), steps or Steps()
     steps.total, frames = recording.image_count(), setup.profile.frames
     rows = steps.of(estimate(recording, setup, recording.instruments[:1], jobs))
     results = [result for result in rows if result.measured]
@@ -115,22 +107,6 @@ class HandEyeResult:
     from_log: tuple[float, float] | None
 
 
-@dataclass(frozen=True)
-class ReportedTool:
-    """Poses in the base's frame (n, 4, 4) as the robot reports them, which of them are known, and their errors.
-
-    `axes` (n, 3) are the shaft's directions, NaN where not known; `noise` (n, 3, 3) the error that differs from frame
-    to frame; `shared` (n, 6, m) the effects of the errors `names`, the same in all frames, on position and direction.
-    """
-
-    T_base_tool: Array
-    valid: NDArray[np.bool_]
-    axes: Array
-    noise: Array
-    shared: Array
-    names: tuple[str, ...] = ()
-
-
 def hand_eye(
     recording: Recording,
     setup: Setup,
@@ -183,14 +159,19 @@ def _default_reference(recording: Recording, profile: Profile) -> Against:
     )
 
 
-def _reported_tool(log: Recording, profile: Profile, against: Against, stamps_ns: Stamps) -> ReportedTool:
-    """Of joints, backlash is noise of each frame, and the other errors of the profile are shared by all frames."""
+def _reported_tool(
+    log: Recording, profile: Profile, against: Against, stamps_ns: Stamps
+) -> tuple[Mask, Sequence[str], list[Array]]:
+    """Where the robot reports its tool, the names of errors that all frames share, and its columns of `ToolPlaces`.
+
+    Of joints, backlash is noise of each frame, and the other errors of the profile are shared by all frames.
+    """
     count = len(stamps_ns)
-    T_base_tool, axes = np.full((count, 4, 4), np.nan), np.full((count, 3), np.nan)
+    nominal_m, axes = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
     if against == "pose":
         poses = log.pose_track().at(stamps_ns)
         noise = np.repeat(profile.settings.hand_eye.pose_std_m**2 * np.eye(3)[None], count, 0)
-        return ReportedTool(poses.values, poses.valid, axes, noise, np.zeros((count, 6, 0)))
+        return poses.valid, (), [poses.values[:, :3, 3], noise, axes, np.zeros((count, 6, 0))]
     if profile.robot is None:
         raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
     chain = chain_of(profile.robot)
@@ -209,7 +190,7 @@ def _reported_tool(log: Recording, profile: Profile, against: Against, stamps_ns
             raise KinematicsError(state.reason)
         links = model.links(state, model.no_correction(), model.anchor_m(state))
         tool = links.link(None)
-        T_base_tool[at] = tool.T_camera_link
+        nominal_m[at] = tool.T_camera_link[:3, 3]
         noise[at] = tool.derivative[:3] @ model.play_covariance @ tool.derivative[:3].T
         shared[at, :3] = tool.derivative[:3][:, columns]
         if shaft is not None:
@@ -217,15 +198,16 @@ def _reported_tool(log: Recording, profile: Profile, against: Against, stamps_ns
             axes[at] = link.T_camera_link[:3, :3] @ shaft.axis
             shared[at, 3:] = -skew(axes[at]) @ link.derivative[3:][:, columns]
         shared[at] *= np.sqrt(np.diag(model.prior(state)))[columns]
-    return ReportedTool(T_base_tool, sampled.valid, axes, noise, shared, tuple(model.constant_columns))
+    return sampled.valid, tuple(model.constant_columns), [nominal_m, noise, axes, shared]
 
 
 def _fit(
     rows: list[FrameResult], recording: Recording, method: str, profile: Profile, against: Against
 ) -> HandEyeResult | Failure:
     stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
-    reported = _reported_tool(recording, profile, against, stamps_ns)
-    known = np.flatnonzero(reported.valid)
+    valid, shared_names, reported = _reported_tool(recording, profile, against, stamps_ns)
+    known = np.flatnonzero(valid)
+    nominal_m, noise, axes, shared = (column[known] for column in reported)
     tools = [rows[at].tool.pose for at in known]  # type: ignore[union-attr]  # rows of a seen tool
     seen_m = np.reshape([tool.position_m for tool in tools], (-1, 3))
     camera = _camera_errors(seen_m, method, profile, float(recording.camera.K[0, 0]))
@@ -233,19 +215,19 @@ def _fit(
         stamps_ns[known],
         seen_m,
         np.reshape([tool.position_covariance for tool in tools], (-1, 3, 3)),
-        reported.T_base_tool[known, :3, 3],
-        reported.noise[known],
+        nominal_m,
+        noise,
         np.reshape([tool.axis for tool in tools], (-1, 3)),
-        np.where(np.isfinite(reported.axes[known]).all(1), [tool.shaft_std_rad for tool in tools], np.nan),
-        reported.axes[known],
-        reported.shared[known],
+        np.where(np.isfinite(axes).all(1), [tool.shaft_std_rad for tool in tools], np.nan),
+        axes,
+        shared,
         np.concatenate(list(camera.values()), 2),
     )
     fit = fit_hand_eye(places, profile.settings.hand_eye)
     if isinstance(fit, Failure):
         return fit
     # The effect of each calibration parameter on the fit, for estimators that use it; without exact ones.
-    counts = dict.fromkeys(reported.names, 1) | {name: errors.shape[2] for name, errors in camera.items()}
+    counts = dict.fromkeys(shared_names, 1) | {name: errors.shape[2] for name, errors in camera.items()}
     names = [name for name, count in counts.items() for _ in range(count)]
     std = hand_eye_file.stated_deviations(profile)
     effects = []

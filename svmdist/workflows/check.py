@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from svmdist.errors import RecordingError
 from svmdist.estimation import checks
+from svmdist.estimation.association import Association
 from svmdist.estimation.checks import Matches
 from svmdist.estimation.comparison import KINEMATICS, ROWS, Checks, Difference
 from svmdist.estimation.frame import Frame
@@ -19,7 +19,7 @@ from svmdist.profile import Profile
 from svmdist.profile.robot import Tissue
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import Recording
-from svmdist.recording.observations import Decoded, EncodedObservation, Needs
+from svmdist.recording.observations import EncodedObservation, Needs
 from svmdist.results import Failure, ToolPose
 from svmdist.samples import Observation, Rejection
 from svmdist.transforms import Array
@@ -29,11 +29,11 @@ from svmdist.vision.segmentation import Segmenter, make_segmenter
 from svmdist.vision.stereo import (
     LEVEL,
     RowAlignment,
-    RowOffset,
     agreed_offset,
     corresponding_points,
     rectified_pair,
 )
+from svmdist.workflows.request import CLEAN, Condition
 
 CHECKED = 6  # images, and up to twice as many, evenly over the log
 LOOKED_AT = 3  # of them before the first row; the others are where one of these differs by more than
@@ -45,24 +45,7 @@ SOMEWHERE = Tissue(plane_distance_m=0.1)  # of a profile without a tissue, whose
 PAIRS = Needs(robot=False)  # a pass over the images that reads all else on its way
 
 
-@dataclass
-class Sighted:
-    """One image of a log that may be looked at; it is decoded when it first is."""
-
-    encoded: EncodedObservation
-
-    @cached_property
-    def decoded(self) -> Decoded:
-        """The observation of each instrument, or why there is none."""
-        return self.encoded.decode()
-
-    @property
-    def seen(self) -> tuple[Observation, ...] | None:
-        """The observation of each instrument; None where it cannot be decoded."""
-        return None if isinstance(self.decoded.found, Rejection) else self.decoded.found
-
-
-def spread_observations(recording: Recording, count: int = CHECKED) -> list[Sighted]:
+def spread_observations(recording: Recording, count: int = CHECKED) -> list[EncodedObservation]:
     """Up to twice `count` of a log's observations, evenly from its beginning to its end.
 
     The log is read once, its length unknown: of those kept every second one goes whenever there are too many, so that
@@ -76,11 +59,11 @@ def spread_observations(recording: Recording, count: int = CHECKED) -> list[Sigh
             kept.append(one)
         if len(kept) > 2 * count:
             kept, stride = kept[::2], 2 * stride
-    return [Sighted(one) for one in recording.with_states(kept, names)]
+    return recording.with_states(kept, names)
 
 
-def row_offset(pairs: Sequence[Observation], profile: Profile) -> RowOffset | None:
-    """The offset between the rows of both views; None where there are no pairs, or they do not tell it.
+def offset_to_remove(pairs: Sequence[Observation], profile: Profile) -> RowAlignment:
+    """The offset between the rows of both views where pairs tell it and it is worth removing; else none.
 
     Halved views tell it where they show enough; of paper and of cameras far from each other it takes whole ones.
     """
@@ -88,21 +71,15 @@ def row_offset(pairs: Sequence[Observation], profile: Profile) -> RowOffset | No
     for step in (2, 1) if pairs else ():
         found = agreed_offset(np.concatenate([_row_differences(one, profile, step) for one in pairs]))
         if found is not None:
-            return found
-    return None
+            return LEVEL if abs(found.px) < MIN_ROW_OFFSET_PX else RowAlignment(found.px)
+    return LEVEL
 
 
-def offset_to_remove(seen: Sequence[Observation], profile: Profile) -> RowAlignment:
-    """The offset where it is more than the settings leave, and known; else none."""
-    offset = row_offset(seen, profile)
-    return LEVEL if offset is None or abs(offset.px) < MIN_ROW_OFFSET_PX else RowAlignment(offset.px)
-
-
-def first_of(spread: Sequence[Sighted], profile: Profile) -> list[Observation]:
+def first_of(spread: Sequence[EncodedObservation], profile: Profile) -> list[Observation]:
     """The images that the offset of rows is found from."""
     count = profile.stereo_in_range.row_pairs
     few = spread[:: max(1, len(spread) // max(count, 1))][:count]
-    return [one.seen[0] for one in few if one.seen is not None]
+    return [one.decoded.seen[0] for one in few if one.decoded.seen is not None]
 
 
 def _row_differences(seen: Observation, profile: Profile, step: int) -> Array:
@@ -132,16 +109,16 @@ def look(
     scene = Scene(seen[0], arms[0].profile, segmenter, rows)
     if not needs_association(arms):
         return [Frame.of(scene, arms[0], seen[0], arms[0].state_at(seen[0]))]
-    from svmdist.estimation.association import Association
-
     return Association(arms).frames(scene, seen)
 
 
 def checked(
     recording: Recording,
-    spread: Sequence[Sighted],
+    spread: Sequence[EncodedObservation],
     arms: Sequence[Arm],
-    looked_at: Callable[[int, tuple[Observation, ...]], list[Frame]],
+    segmenter: Segmenter,
+    rows: RowAlignment,
+    condition: Condition = CLEAN,
     least: int = LOOKED_AT,
     pairs: int = 1,
 ) -> tuple[dict[str, Checks], dict[int, list[Frame]]]:
@@ -171,11 +148,11 @@ def checked(
         is_suspect = any(d.deviations > SUSPECT_DEVIATIONS for ones in found().values() for d in ones)
         if len(looked) >= least and not is_suspect:
             break
-        sighted = spread[place]
-        if sighted.seen is None:
+        number, sighted = spread[place].number, spread[place].decoded.seen
+        if sighted is None:
             continue
-        number = sighted.encoded.number
-        frames = looked[number] = looked_at(number, sighted.seen)
+        seen = tuple(condition.apply(one, number) for one in sighted)
+        frames = looked[number] = look(seen, arms, segmenter, rows)
         scene = frames[0].scene
         shared = list(checks.of_scene(scene))
         # A surface that both views show is enough, where no method measures by both of them.
@@ -246,16 +223,11 @@ def check_log(recording: Recording, profile: Profile) -> dict[str, Checks]:
     arms = [Arm(profile.for_instrument(name)) for name in recording.instruments]
     rows = offset_to_remove(first_of(spread, profile), profile)
     for one in spread:
-        for loss in one.decoded.losses:
-            recording.health.add(loss, one.decoded.place)
-    if spread and not any(one.seen for one in spread):
+        recording.record_losses(one.decoded)
+    if spread and not any(one.decoded.seen for one in spread):
         why = spread[0].decoded.found
         assert isinstance(why, Rejection)
         raise RecordingError(
             f"{recording.name}: no image of {len(spread)} can be used: {why.detail or why.status}"
         )
-
-    def looked_at(_number: int, seen: tuple[Observation, ...]) -> list[Frame]:
-        return look(seen, arms, segmenter, rows)
-
-    return checked(recording, spread, arms, looked_at, least=len(spread), pairs=len(spread))[0]
+    return checked(recording, spread, arms, segmenter, rows, least=len(spread), pairs=len(spread))[0]

@@ -173,10 +173,10 @@ class _Work:
                 advance()
         found: Found = {}
         for key, rows in readings.items():
-            own, truth = (read.for_instrument(key[2]), profile.for_instrument(key[2])), None
-            if own[0].topic_of(Role.GROUND_TRUTH_DISTANCE) is not None:
-                at_ns = rows.stamps_ns - reference_lag_ns(*own, Reference.GROUND_TRUTH, read.lag)
-                truth = truth_at(*own, Reference.GROUND_TRUTH, at_ns, "corrected", ANY_TRUTH)
+            own, truth = read.for_instrument(key[2]), None
+            if own.topic_of(Role.GROUND_TRUTH_DISTANCE) is not None:
+                at_ns = rows.stamps_ns - reference_lag_ns(own, Reference.GROUND_TRUTH, read.lag)
+                truth = truth_at(own, Reference.GROUND_TRUTH, at_ns, "corrected", ANY_TRUTH)
             found[key] = rows, truth, np.nan if self.setups[key[1]].is_given else seconds[key]
         return found
 

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from svmdist.estimation.alarms import AlarmEvent, AlarmRules, AlarmState, alarm_watches
+from svmdist.estimation.alarms import AlarmEvent, AlarmRules, AlarmState, AlarmWatch
 from svmdist.results import FrameResult
 from svmdist.samples import Status
 
@@ -31,7 +31,7 @@ class Ending:
     least: FrameResult | None = None  # the row of the smallest clearance
 
     def __post_init__(self) -> None:
-        self._watches = alarm_watches(self.wanted, self.rules)
+        self._watches = {name: AlarmWatch(self.rules) for name in self.wanted} if self.rules else {}
 
     def add(self, row: FrameResult) -> AlarmState | None:
         """Count a row, and judge it by the rules of alarms; None without any."""

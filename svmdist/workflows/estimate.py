@@ -9,12 +9,11 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import KinematicsError, RecordingError
-from svmdist.estimation.lag import LagEstimate, Predict, estimate_lag
+from svmdist.estimation.lag import Predict, estimate_lag
 from svmdist.estimation.plane_mapping import PUBLISHED_MAPPING
-from svmdist.profile import Profile
-from svmdist.recording.log import KnownLag, Recording
+from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
-from svmdist.tracks import Mask
+from svmdist.tracks import LagEstimate, Mask
 from svmdist.transforms import Array, Stamps
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Lag, Request, Setup
@@ -33,7 +32,7 @@ class Measured:
     recording: Recording
     read: Recording
     rows: tuple[FrameResult, ...]
-    lag: KnownLag | None
+    lag: LagEstimate | None
 
 
 Keep = Callable[[Measured], None]
@@ -68,24 +67,23 @@ def with_lag(
     `auto` is found from the middle of each instrument in the image, whatever the method, as nothing of the joints is in
     that. Of several instruments, which share a clock, the most confident one counts.
     """
-    profile = request.setup.profile
     found = given_lag(request.lag)
     if request.lag == "auto":
-        seen = Setup(profile, "centroid", mapping=PUBLISHED_MAPPING)
+        seen = Setup(request.setup.profile, "centroid", mapping=PUBLISHED_MAPPING)
         readings = {name: Readings() for name in request.instruments or recording.instruments}
         for (replayed,) in replay(recording, [seen], wanted=list(readings), jobs=jobs):
             for of_instrument, result in zip(readings.values(), replayed.results, strict=True):
                 of_instrument.add(result)
             on_image()
         each = [
-            recording_lag(rows, recording.for_instrument(name), profile.for_instrument(name), request.rules)
+            recording_lag(rows, recording.for_instrument(name), request.rules)
             for name, rows in readings.items()
         ]
         found = max(each, key=lambda one: (one.told, one.confidence))
     if request.lag is None or not found.told:
         return recording, found
     std_s = 0.0 if found.std_s is None else float(np.hypot(found.std_s, FOUND_LAG_STD_S))
-    return replace(recording, lag=KnownLag(found.lag_s, std_s)), found
+    return replace(recording, lag=replace(found, std_s=std_s)), found
 
 
 def given_lag(lag: Lag | None) -> LagEstimate:
@@ -93,7 +91,7 @@ def given_lag(lag: Lag | None) -> LagEstimate:
     return LagEstimate(0.0 if lag is None or lag == "auto" else float(lag), None, 1.0)
 
 
-def recording_lag(readings: Readings, log: Recording, profile: Profile, rules: TruthRules) -> LagEstimate:
+def recording_lag(readings: Readings, log: Recording, rules: TruthRules) -> LagEstimate:
     """Estimate the lag of a recording from where its measured rows saw the tool.
 
     The tool's motion is taken from kinematics, else from the strongest other reference that the log has.
@@ -102,7 +100,7 @@ def recording_lag(readings: Readings, log: Recording, profile: Profile, rules: T
     problems = []
     for reference in (Reference.KINEMATICS, Reference.POSE, Reference.TF, Reference.GROUND_TRUTH):
         try:
-            at = tool_track(log, profile, reference, rules)
+            at = tool_track(log, reference, rules)
         except (RecordingError, KinematicsError) as problem:
             problems.append(str(problem))
             continue

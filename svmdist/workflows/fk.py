@@ -9,7 +9,6 @@ import numpy as np
 
 from svmdist.errors import RecordingError
 from svmdist.kinematics import chain_of, forward_kinematics, select_joints
-from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.transforms import Array, Stamps, inverse, rotation_angle
 from svmdist.workflows.parallel import Progress
@@ -32,7 +31,6 @@ class PoseBlock:
 
 def fk_blocks(
     recording: Recording,
-    profile: Profile,
     *,
     in_camera: bool = False,
     on_progress: Progress = lambda _done, _total: None,
@@ -43,6 +41,7 @@ def fk_blocks(
     out. Raises, before the first block, RecordingError without joint states, transform or chain, and KinematicsError
     where the chain's joints are not in the log.
     """
+    profile = recording.profile
     if profile.robot is None:
         raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
     chain = chain_of(profile.robot)

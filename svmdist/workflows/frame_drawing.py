@@ -12,7 +12,7 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.drawing import Form, FrameDrawing, Label, Part, Segment, Shape, StatusLine
 from svmdist.errors import UsageError
-from svmdist.estimation.alarms import AlarmRules, AlarmState, alarm_watches
+from svmdist.estimation.alarms import AlarmState
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import shaft_sections
 from svmdist.estimation.instrument.shaft_detection import DistalMarker
@@ -25,6 +25,7 @@ from svmdist.samples import Image, Status
 from svmdist.vision.frame_context import seen_through
 from svmdist.vision.regions import Region
 from svmdist.vision.silhouette import Silhouette
+from svmdist.workflows.ending import Ending
 from svmdist.workflows.replay import Replayed, replay
 from svmdist.workflows.request import Setup
 
@@ -41,28 +42,27 @@ class DrawnFrame:
     number: int
     seconds: float
     replayed: Replayed
-    alarms: Mapping[str, AlarmState]
+    alarms: Mapping[str, AlarmState | None]
     drawing: FrameDrawing
 
 
 def drawn_frames(
     recording: Recording,
     setup: Setup,
-    rules: AlarmRules | None = None,
+    ending: Ending | None = None,
     wanted: Sequence[str] | None = None,
     jobs: int | None = None,
     numbers: Collection[int] | None = None,
     on_image: Callable[[], None] = lambda: None,
 ) -> Iterator[DrawnFrame]:
-    """Replay and draw every image, or some `numbers` up to the last; `on_image` is called for each one read."""
-    watches = alarm_watches(recording.instruments, rules)
+    """Replay and draw every image, or some `numbers` up to the last; `on_image` is called for each one read.
+
+    All rows are added to `ending`, whose alarms are drawn.
+    """
+    ending = ending or Ending()
     for (replayed,) in replay(recording, [setup], wanted=wanted, jobs=jobs):
         number, seconds = replayed.results[0].number, replayed.results[0].seconds
-        alarms = {
-            result.instrument: watches[result.instrument].watch(result)
-            for result in replayed.results
-            if result.instrument in watches
-        }
+        alarms = {result.instrument: ending.add(result) for result in replayed.results}
         on_image()
         if numbers is None or number in numbers:
             yield DrawnFrame(number, seconds, replayed, alarms, frame_drawing(replayed, setup, alarms))
@@ -89,7 +89,7 @@ def image_stamps_ns(recording: Recording) -> list[int]:
 
 
 def frame_drawing(
-    replayed: Replayed, setup: Setup, alarms: Mapping[str, AlarmState] | None = None
+    replayed: Replayed, setup: Setup, alarms: Mapping[str, AlarmState | None] | None = None
 ) -> FrameDrawing:
     """Draw one image of a replay in its recorded pixels; one that could not be read has only lines that say so."""
     frames, results = replayed.frames, replayed.results

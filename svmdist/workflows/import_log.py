@@ -49,10 +49,11 @@ Message = tuple[int, str, "Sample | EncodedSample"]  # stamp in ns, topic, and w
 
 
 @dataclass(frozen=True)
-class ViewOptions:
-    """Which files, and where their times come from; `rate_hz`, `times`, or else names and videos themselves."""
+class ImportOptions:
+    """All that is read; times by `rate_hz`, `times`, or else names and videos; tables by the instrument's name."""
 
     source: Path
+    calibration: CalibrationOptions
     right: Path | None = None
     pattern: str | None = None
     right_pattern: str | None = None
@@ -62,6 +63,10 @@ class ViewOptions:
     times: Path | None = None
     every: int = 1
     crop: Crop = None
+    poses: Mapping[str, Path] = field(default_factory=dict)
+    joints: Mapping[str, Path] = field(default_factory=dict)
+    joint_names: tuple[str, ...] | None = None
+    jpeg_quality: int | None = None
 
     @property
     def has_right_source(self) -> bool:
@@ -80,18 +85,6 @@ class ViewOptions:
 
 
 @dataclass(frozen=True)
-class ImportOptions:
-    """All that an import reads; `poses` and `joints` are tables by the instrument's name."""
-
-    views: ViewOptions
-    calibration: CalibrationOptions
-    poses: Mapping[str, Path] = field(default_factory=dict)
-    joints: Mapping[str, Path] = field(default_factory=dict)
-    joint_names: tuple[str, ...] | None = None
-    jpeg_quality: int | None = None
-
-
-@dataclass(frozen=True)
 class ImportResult:
     """What was written: numbers of messages by topic, whether a pair has a known baseline, and what was left out."""
 
@@ -105,7 +98,7 @@ class ImportResult:
 
 @dataclass(frozen=True)
 class View:
-    """One stream of pictures of one size; `read` gives (place, picture) of every `ViewOptions.every`-th in order.
+    """One stream of pictures of one size; `read` gives (place, picture) of every `ImportOptions.every`-th in order.
 
     It leaves out what cannot be read, and says so in `losses`, by the place.
     """
@@ -121,23 +114,22 @@ def import_log(
     options: ImportOptions, output: Path, *, force: bool = False, on_progress: Progress | None = None
 ) -> ImportResult:
     """Write a log of files. Raises UsageError, SourceError or OutputError, and leaves no file then."""
-    given = options.views
-    stated = stated_cameras(options.calibration, given.count)
-    views = _open_views(given)
-    halved = 2 if given.side_by_side else 1
+    stated = stated_cameras(options.calibration, options.count)
+    views = _open_views(options)
+    halved = 2 if options.side_by_side else 1
     sizes = [(view.size_px[0] // halved, view.size_px[1]) for view in views] * halved
-    cameras = complete(stated, sizes, FRAMES[: given.count], options.calibration.size_px, given.crop)
+    cameras = complete(stated, sizes, FRAMES[: options.count], options.calibration.size_px, options.crop)
     tables = _table_messages(options, table_files.ImageTimes(views[0].names, views[0].stamps_ns))
     images = [_image_messages(views, at, cameras, options) for at in range(len(views))]
-    total = sum(len(range(0, len(view.names), given.every)) for view in views)
-    sources = (given.source, given.right, *options.poses.values(), *options.joints.values())
+    total = sum(len(range(0, len(view.names), options.every)) for view in views)
+    sources = (options.source, options.right, *options.poses.values(), *options.joints.values())
     metadata = {
         "imported_from": ", ".join(path.name for path in sources if path is not None),
-        "side_by_side": "yes" if given.side_by_side else "no",
+        "side_by_side": "yes" if options.side_by_side else "no",
         "version_svmdist": version("svmdist"),
     }
     counts: Counter[str] = Counter()
-    T_left_right, said = stereo_transform(*cameras) if given.count == 2 else None, ""
+    T_left_right, said = stereo_transform(*cameras) if options.count == 2 else None, ""
     if T_left_right is not None:
         few = islice(_pairs(views, cameras, T_left_right, options), LOOKED_AT)
         compared = compare_views(few, load_profile())
@@ -157,7 +149,7 @@ def import_log(
             if writer.opened:
                 writer.part_path.unlink(missing_ok=True)
         raise
-    has_baseline = None if given.count == 1 else T_left_right is not None
+    has_baseline = None if options.count == 1 else T_left_right is not None
     losses = [loss for view in views for loss in view.losses.values()]
     return ImportResult(output, dict(counts), output.stat().st_size, has_baseline, losses, said)
 
@@ -165,7 +157,7 @@ def import_log(
 def _image_messages(
     views: Sequence[View], at: int, cameras: Sequence[Camera], options: ImportOptions
 ) -> Iterator[Message]:
-    for place, parts in _pictures(views[at], options.views):
+    for place, parts in _pictures(views[at], options):
         stamp_ns = views[at].stamps_ns[place]
         for side, part in enumerate(parts, at):
             if isinstance(part, bytes):
@@ -176,7 +168,7 @@ def _image_messages(
             yield stamp_ns, f"/ECM/{SIDES[side]}/image", message
 
 
-def _pictures(view: View, options: ViewOptions) -> Iterator[tuple[int, Sequence[Picture]]]:
+def _pictures(view: View, options: ImportOptions) -> Iterator[tuple[int, Sequence[Picture]]]:
     """The places of a stream, each with its picture, cropped, or with both that stand side by side."""
     for place, picture in view.read():
         parts: Sequence[Picture] = [picture]
@@ -193,7 +185,7 @@ def _pairs(
 ) -> Iterator[Observation]:
     """Both views at each time, in order; from two streams those that stand at one place and can be decoded."""
     by_place = itemgetter(0)
-    pictures = heapq.merge(*(_pictures(view, options.views) for view in views), key=by_place)
+    pictures = heapq.merge(*(_pictures(view, options) for view in views), key=by_place)
     for place, each in groupby(pictures, by_place):
         with suppress(ImageError):  # a file is stored as it is
             found = (part for _, parts in each for part in parts)
@@ -205,7 +197,7 @@ def _pairs(
 
 def _table_messages(options: ImportOptions, times: table_files.ImageTimes) -> list[list[Message]]:
     found: list[list[Message]] = []
-    taken_ns = times.stamps_ns[:: options.views.every]
+    taken_ns = times.stamps_ns[:: options.every]
     for name, path in options.poses.items():
         poses = table_files.read_poses(path, times, options.calibration.unit_m, f"{name}_base")
         table_files.require_common_time(path, poses.stamps_ns, taken_ns)
@@ -219,7 +211,7 @@ def _table_messages(options: ImportOptions, times: table_files.ImageTimes) -> li
     return found
 
 
-def _open_views(options: ViewOptions) -> list[View]:
+def _open_views(options: ImportOptions) -> list[View]:
     """One view, or the left and the right one; a single view that is side by side has both."""
     if options.side_by_side and options.has_right_source:
         raise UsageError("--side-by-side has both views in one picture: it takes no second source")
@@ -241,7 +233,7 @@ def _open_views(options: ViewOptions) -> list[View]:
     return views
 
 
-def _file_views(options: ViewOptions) -> list[View]:
+def _file_views(options: ImportOptions) -> list[View]:
     left = list_images(options.source, options.pattern)
     names = [path.name for path in left]
     if not options.has_right_source:
@@ -264,7 +256,7 @@ def _file_views(options: ViewOptions) -> list[View]:
     return [_file_view(left, stamps, options), _file_view(right, right_stamps, options)]
 
 
-def _file_view(paths: Sequence[Path], stamps_ns: list[int], options: ViewOptions) -> View:
+def _file_view(paths: Sequence[Path], stamps_ns: list[int], options: ImportOptions) -> View:
     losses: dict[int, str] = {}
 
     def pictures() -> Iterator[tuple[int, Picture, tuple[int, int]]]:
@@ -290,7 +282,7 @@ def _file_view(paths: Sequence[Path], stamps_ns: list[int], options: ViewOptions
     return View([path.name for path in paths], stamps_ns, size_px, read, losses)
 
 
-def _video_views(options: ViewOptions, sources: Sequence[Path]) -> list[View]:
+def _video_views(options: ImportOptions, sources: Sequence[Path]) -> list[View]:
     if options.pattern is not None or options.right_pattern is not None:
         raise UsageError(f"{options.source}: --pattern is for folders of images")
     videos = [Video(path) for path in sources]
@@ -308,7 +300,7 @@ def _video_views(options: ViewOptions, sources: Sequence[Path]) -> list[View]:
     ]
 
 
-def _stamps(options: ViewOptions, names: list[str], times_ns: Sequence[int] | None = None) -> list[int]:
+def _stamps(options: ImportOptions, names: list[str], times_ns: Sequence[int] | None = None) -> list[int]:
     if options.rate_hz is not None:
         return [options.start_ns + round(number * 1e9 / options.rate_hz) for number in range(len(names))]
     if options.times is None and times_ns is not None:

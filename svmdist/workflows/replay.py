@@ -14,12 +14,13 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from svmdist.camera import Camera
+from svmdist.estimation.association import Association
 from svmdist.estimation.comparison import Checks
+from svmdist.estimation.distances import with_clearance_between
 from svmdist.estimation.frame import Frame, Needs, prefetch
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile.robot import Tissue
@@ -32,11 +33,9 @@ from svmdist.samples import Image, Observation, Rejection, Status
 from svmdist.vision.frame_context import seen_through
 from svmdist.vision.stereo import LEVEL, RowAlignment
 from svmdist.workflows.check import (
-    Sighted,
     checked,
     compare_views,
     first_of,
-    look,
     needs_association,
     offset_to_remove,
     spread_observations,
@@ -44,9 +43,6 @@ from svmdist.workflows.check import (
 )
 from svmdist.workflows.parallel import in_order, one_opencv_thread, usable_cores
 from svmdist.workflows.request import CLEAN, Condition, Setup
-
-if TYPE_CHECKING:
-    from svmdist.estimation.association import Association
 
 
 @dataclass(frozen=True)
@@ -133,8 +129,6 @@ class MultiInstrumentEstimator:
                 named = replace(named.rejected(Status.INCONSISTENT, said), distances=Distances())
             results.append(named.doubted(frame.doubt) if frame.doubt else named)
         if len(results) > 1 and not self._is_given:
-            from svmdist.estimation.distances import with_clearance_between
-
             results = with_clearance_between(results, [arm.body for arm in self._arms])
         return Replayed(tuple(results), tuple(seconds), tuple(frames))
 
@@ -182,8 +176,6 @@ class _Replay:
             self._compare(any(setup.needs_right_view for setup in setups))
         self._associations: list[Association | None] = [None] * len(conditions)
         if needs_association(self._arms) and not all(setup.is_given for setup in setups):
-            from svmdist.estimation.association import Association
-
             self._associations = [Association(self._arms) for _ in conditions]
         self._lanes = [[self._lane(setup, known) for setup in setups] for known in self._checks]
         self._needs = reduce(Needs.__or__, (lane.needs for lane in self._lanes[0]))
@@ -207,16 +199,12 @@ class _Replay:
                 self._checks = self._checked(spread, int(needs_rows))
         self._doubt_tissue(profile.tissue, list(self._checks[0].values()))
 
-    def _checked(self, spread: Sequence[Sighted], pairs: int) -> list[dict[str, Checks]]:
+    def _checked(self, spread: Sequence[EncodedObservation], pairs: int) -> list[dict[str, Checks]]:
         """What is compared of each instrument, under each condition."""
         every = []
+        how = self._recording, spread, self._arms, self._segmenter, self._rows
         for at, condition in enumerate(self._conditions):
-
-            def looked(number: int, seen: tuple[Observation, ...]) -> list[Frame]:
-                changed = tuple(condition.apply(one, number) for one in seen)  # noqa: B023
-                return look(changed, self._arms, self._segmenter, self._rows)
-
-            known, found = checked(self._recording, spread, self._arms, looked, pairs=pairs)
+            known, found = checked(*how, condition, pairs=pairs)
             every.append(known)
             self._looked |= {(at, number): frames for number, frames in found.items()}
         return every

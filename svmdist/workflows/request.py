@@ -21,15 +21,17 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
 from svmdist.estimation.scene import Arm
+from svmdist.estimation.tissue.detection import require_tissue
 from svmdist.perturbations import UNPERTURBED, Perturbations, require_at_replay
 from svmdist.perturbations.calibration import perturbed_image, perturbed_right_view, stated_profile
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
-from svmdist.recording.log import KnownLag, Recording, open_recording
+from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.observations import ALL_IMAGES, Window
 from svmdist.recording.topics import Role
 from svmdist.remote import LogPath
 from svmdist.results import FrameResult
 from svmdist.samples import Image, Observation
+from svmdist.tracks import LagEstimate
 from svmdist.vision import degradations
 from svmdist.vision.segmentation import Segmenter, make_segmenter
 from svmdist.workflows.scoring.references import ANY_TRUTH, TruthRules
@@ -182,19 +184,15 @@ class Setup:
         bind: Callable[[Recording], OwnMethod] | None = getattr(self.own, "for_log", None)
         return self if bind is None else replace(self, own=bind(recording))
 
-    def for_instrument(self, name: str) -> Setup:
-        """The same for one of the profile's instruments."""
-        return replace(self, profile=self.profile.for_instrument(name))
-
     def perturbed(self, perturbations: Perturbations, seed: int) -> Setup:
         """The same with a profile that is wrong about instrument, tag and plane."""
         return replace(self, profile=stated_profile(self.profile, perturbations, seed))
 
-    def knowing(self, lag: KnownLag | None) -> Setup:
+    def knowing(self, lag: LagEstimate | None) -> Setup:
         """The same where the offset between joints and images is known: it may be wrong by what is left of it."""
         if lag is None:
             return self
-        std_s = math.hypot(self.profile.settings.filter.given_lag_std_s, lag.std_s)
+        std_s = math.hypot(self.profile.settings.filter.given_lag_std_s, lag.std_s or 0.0)
         error = self.profile.kinematic_error.model_copy(update={"time_offset_std_s": std_s})
         return replace(self, profile=self.profile.model_copy(update={"kinematic_error": error}))
 
@@ -301,8 +299,6 @@ def prepare(
     # A network or a mesh that cannot be used is told before a recording is opened.
     _ = setup.segmenter
     if not is_planar:
-        from svmdist.estimation.tissue.detection import require_tissue
-
         require_tissue(loaded)
     return setup
 

@@ -16,7 +16,7 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import read_regular, why, write_atomically
-from svmdist.recording.log import KnownLag, Recording
+from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
 from svmdist.workflows.capabilities import require_clearance
 from svmdist.workflows.ending import Ending
@@ -142,18 +142,18 @@ def score_recording(
         ending.add(row)
     ending.close(read.remarks)
     for name in names:
-        view, seen = recording.for_instrument(name), setup.for_instrument(name)
+        view = recording.for_instrument(name)
         rows = [row for row in every if row.instrument == name]
         label = recording.name if name == setup.profile.instrument_name else f"{recording.name} {name}"
         offset = found
         if planar and lag == "auto":
-            offset = recording_lag(Readings(rows), view, seen.profile, rules)
+            offset = recording_lag(Readings(rows), view, rules)
         if not offset.told:
             notes.append(f"{label}: the lag cannot be told and 0 is used: {offset.reason}")
         for reference in wanted:
             given = by.get((reference, name))
             try:
-                score = score_rows(rows, view, seen, reference, rules, offset, request.alarms, given)
+                score = score_rows(rows, view, setup, reference, rules, offset, request.alarms, given)
             except (RecordingError, KinematicsError) as problem:
                 missing.append(f"{label}: no {reference} to compare with: {problem}")
                 if reference in asked_for:
@@ -164,8 +164,7 @@ def score_recording(
         methods = "`svmdist compare` sets methods against each other, without a truth"
         raise RecordingError("; ".join([*missing, methods]))
     if keep is not None:
-        lag_s = scores[0].lag.lag_s if scores[0].lag else 0.0
-        keep(Measured(recording, read, tuple(every), KnownLag(lag_s)))
+        keep(Measured(recording, read, tuple(every), scores[0].lag))
     notes += missing
     if setup.equations == "printed" and Reference.KINEMATICS in {score.reference for score in scores}:
         notes.append(KINEMATICS_PRINTED_NOTE)
@@ -236,21 +235,6 @@ class Baseline(BaseModel, extra="forbid", frozen=True):
     alarms: StoredAlarmRules | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Regression:
-    """One figure that got worse than its tolerance; `found` is None where the figure is gone."""
-
-    recording: str
-    reference: str
-    metric: str
-    stored: float
-    found: float | None
-
-    def __str__(self) -> str:
-        found = "nothing" if self.found is None else f"{self.found:.6g}"
-        return f"{self.recording} against {self.reference}: {self.metric} was {self.stored:.6g}, is {found}"
-
-
 def make_baseline(validation: Validation) -> Baseline:
     """Take the figures of a validation, per recording and overall."""
     return Baseline(
@@ -271,8 +255,8 @@ def require_same_alarms(baseline: Baseline, asked: AlarmRules | None) -> None:
         )
 
 
-def find_regressions(validation: Validation, baseline: Baseline, *, complete: bool) -> list[Regression]:
-    """Compare a validation with the stored figures of the same method and equations.
+def find_regressions(validation: Validation, baseline: Baseline, *, complete: bool) -> list[str]:
+    """What got worse than its tolerance, a line for each figure, of the same method and equations.
 
     With `complete`, all of them must be there; without, those of other recordings (and the overall ones) are skipped.
     Raises RecordingError where nothing can be compared.
@@ -294,7 +278,9 @@ def find_regressions(validation: Validation, baseline: Baseline, *, complete: bo
             if after is not None:
                 loss = before - after if metric.better is Better.HIGHER else after - before
             if not baseline.tolerances.get(key, Tolerance()).allows(loss, before):
-                regressions.append(Regression(stored.recording, stored.reference, key, before, after))
+                where = f"{stored.recording} against {stored.reference}"
+                found_now = "nothing" if after is None else f"{after:.6g}"
+                regressions.append(f"{where}: {key} was {before:.6g}, is {found_now}")
     return regressions
 
 

@@ -10,11 +10,11 @@ import pytest
 from svmdist.errors import ProfileError
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
+from svmdist.estimation.plane_mapping import PUBLISHED_MAPPING
 from svmdist.estimation.scene import Arm
 from svmdist.recording.log import open_recording
 from svmdist.samples import Observation
 from svmdist.vision.segmentation import make_segmenter
-from svmdist.workflows.calibrate import PIXELS_AS_THEY_ARE
 from tests.measuring import frame_of
 from tests.reading import read_observations
 from tests.shipped import PROFILE
@@ -30,7 +30,7 @@ REQUIRES = {
 
 
 def made(method: str) -> Estimator:
-    return make_estimator(method, Arm(PROFILE), PIXELS_AS_THEY_ARE if method in PLANAR_METHODS else None)
+    return make_estimator(method, Arm(PROFILE), PUBLISHED_MAPPING if method in PLANAR_METHODS else None)
 
 
 @pytest.fixture(scope="module")

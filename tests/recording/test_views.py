@@ -10,9 +10,10 @@ import pytest
 from svmdist.perturbations import Perturbations
 from svmdist.profile import load_profile
 from svmdist.recording import mcap
-from svmdist.recording.log import KnownLag, Recording, open_recording
+from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.observations import Window
 from svmdist.samples import Observation
+from svmdist.tracks import LagEstimate
 from svmdist.workflows.request import Request, prepare
 from svmdist.workflows.validate import validate
 from tests.reading import read_observations
@@ -23,7 +24,7 @@ VIEWS = {
     "perturbed": lambda log, profile: log.perturbed(
         Perturbations((("backlash", 0.5), ("lag", 20.0))), profile
     ),
-    "clock": lambda log, _: replace(log, lag=KnownLag(0.02)),
+    "clock": lambda log, _: replace(log, lag=LagEstimate(0.02, 0.0, 1.0)),
     "instrument": lambda log, profile: log.for_instrument(log.instruments[0]),
     "window": lambda log, _: replace(log, alias="other", window=Window(0.05, 0.2, 2)),
 }

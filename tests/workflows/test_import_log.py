@@ -16,7 +16,7 @@ from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.messages import message_class
 from svmdist.samples import Image, ImageSample, Observation
 from svmdist.workflows.check import ViewsCompared
-from svmdist.workflows.import_log import ImportOptions, ViewOptions, import_log
+from svmdist.workflows.import_log import ImportOptions, import_log
 from tests.reading import read_images, read_observations
 
 CAMERA = (60.0, 61.0, 31.0, 23.0)
@@ -48,8 +48,8 @@ def test_two_views_pass_through(tmp_path, ends):
         for side, end in enumerate(ends):
             cv2.imwrite(str(tmp_path / f"{number}{end}"), _picture(100 * side + number))
     patterns = [f"*{end}" for end in ends]
-    views = ViewOptions(tmp_path, None, *patterns, rate_hz=4.0, start_ns=10**9)
-    result = import_log(ImportOptions(views, PAIR), tmp_path / "out.mcap")
+    options = ImportOptions(tmp_path, PAIR, None, *patterns, rate_hz=4.0, start_ns=10**9)
+    result = import_log(options, tmp_path / "out.mcap")
     assert result.counts["/ECM/left/image"] == result.counts["/ECM/right/image"] == 3
     assert result.has_baseline is True
     for side, end in zip(("left", "right"), ends, strict=True):
@@ -71,8 +71,8 @@ def test_side_by_side(tmp_path, crop):
     both = [_picture(number, 128) for number in range(2)]
     for number, image in enumerate(both):
         cv2.imwrite(str(tmp_path / f"img{number}.png"), image)
-    views = ViewOptions(tmp_path, side_by_side=True, rate_hz=1.0, crop=crop)
-    result = import_log(ImportOptions(views, ONE), tmp_path / "out.mcap")
+    options = ImportOptions(tmp_path, ONE, side_by_side=True, rate_hz=1.0, crop=crop)
+    result = import_log(options, tmp_path / "out.mcap")
     assert result.has_baseline is False
     recording = _open(result.path)
     rights = _messages(result.path, "/ECM/right/image")
@@ -91,7 +91,7 @@ def test_other_formats_are_decoded(tmp_path):
     for name, image in zip(("a1.bmp", "a2.tiff", "b1.pgm"), pixels, strict=True):
         cv2.imwrite(str(tmp_path / name), image[..., 0] if name.endswith("pgm") else image)
     cv2.imwrite(str(tmp_path / "b2.tiff"), _picture(4).astype(np.uint16))
-    result = import_log(ImportOptions(ViewOptions(tmp_path, rate_hz=1.0), ONE), tmp_path / "out.mcap")
+    result = import_log(ImportOptions(tmp_path, ONE, rate_hz=1.0), tmp_path / "out.mcap")
     assert result.losses == [f"{tmp_path / 'b2.tiff'}: an image of 16 bits; 8 are expected"]
     for found, expected in zip(_images(_open(result.path)), pixels, strict=True):
         np.testing.assert_array_equal(found.image_bgr, expected)
@@ -105,7 +105,7 @@ def test_stamps_of_names_poses_and_joints(tmp_path):
     (tmp_path / "poses.csv").write_text(f"x,y,z,qx,qy,qz,qw\n{poses}")
     (tmp_path / "joints.csv").write_text("".join(f"0.{n} 0.2\n" for n in range(3)))
     options = ImportOptions(
-        ViewOptions(tmp_path),
+        tmp_path,
         ONE,
         poses={"PSM2": tmp_path / "poses.csv"},
         joints={"PSM1": tmp_path / "joints.csv"},
@@ -130,8 +130,8 @@ def test_own_stamps_of_both_views(tmp_path):
         for number in range(2):
             stamp = 1_700_000_000_000_000_000 + number * 40_000_000 + offset
             cv2.imwrite(str(tmp_path / side / f"{stamp}.png"), _picture(number))
-    views = ViewOptions(tmp_path / "left", tmp_path / "right")
-    recording = _open(import_log(ImportOptions(views, PAIR), tmp_path / "out.mcap").path)
+    options = ImportOptions(tmp_path / "left", PAIR, tmp_path / "right")
+    recording = _open(import_log(options, tmp_path / "out.mcap").path)
     stamps = {
         topic: [raw.log_time_ns for raw in recording.file.source.messages() if raw.topic == topic]
         for topic in ("/ECM/left/image", "/ECM/right/image")
@@ -163,8 +163,7 @@ def test_video(tmp_path):
     images = [_picture(number) for number in range(5)]
     path = tmp_path / "endoscope.mkv"
     _write_video(path, "ffv1", "bgr0", images)
-    views = ViewOptions(path, start_ns=7 * 10**9, every=2)
-    result = import_log(ImportOptions(views, ONE), tmp_path / "out.mcap")
+    result = import_log(ImportOptions(path, ONE, start_ns=7 * 10**9, every=2), tmp_path / "out.mcap")
     found = _images(_open(result.path))
     assert [image.stamp_ns for image in found] == [7 * 10**9, 7_080_000_000, 7_160_000_000]
     for image, place in zip(found, (0, 2, 4), strict=True):
@@ -191,7 +190,7 @@ def test_what_is_damaged_of_a_video_is_left_out(tmp_path, damage, places, said):
     if damage == "damaged":
         data = data.replace(packets[5], bytes(len(packets[5])))
     path.write_bytes(data)
-    result = import_log(ImportOptions(ViewOptions(path), ONE), tmp_path / "out.mcap")
+    result = import_log(ImportOptions(path, ONE), tmp_path / "out.mcap")
     assert result.losses == [f"{path}: {one}" for one in said]
     found = _images(_open(result.path))
     assert [image.stamp_ns for image in found] == [40_000_000 * place for place in places]
@@ -201,7 +200,7 @@ def test_what_is_damaged_of_a_video_is_left_out(tmp_path, damage, places, said):
         data = data.replace(packet, bytes(len(packet)))
     path.write_bytes(data)
     with pytest.raises(SourceError, match=r"damaged or cut at image 1 of 1[12]; 1[12] left out"):
-        import_log(ImportOptions(ViewOptions(path), ONE), tmp_path / "none.mcap")
+        import_log(ImportOptions(path, ONE), tmp_path / "none.mcap")
     assert not (tmp_path / "none.mcap").exists()
 
 
@@ -226,9 +225,7 @@ def test_a_damaged_image_is_left_out(tmp_path, monkeypatch, damaged, kind, crop,
     monkeypatch.setattr(
         "svmdist.workflows.import_log.compare_views", lambda few, _: pairs.extend(few) or seen
     )
-    result = import_log(
-        ImportOptions(ViewOptions(tmp_path, **PAIRED, crop=crop), PAIR), tmp_path / "out.mcap"
-    )
+    result = import_log(ImportOptions(tmp_path, PAIR, **PAIRED, crop=crop), tmp_path / "out.mcap")
     assert len(result.losses) == (said is not None)
     assert all(loss.startswith(f"{tmp_path / damaged}: ") and said in loss for loss in result.losses)
     places = [place for place in range(3) if place != int(damaged[0]) - 1]
@@ -312,7 +309,7 @@ def test_wrong_files(tmp_path, files, views, calibration, said):
     for name in files:
         _write(folder / name.split()[0], (name + " ").split(" ")[1])
     source = folder / views.get("source", ".")
-    options = ImportOptions(ViewOptions(**{**views, "source": source}), calibration)
+    options = ImportOptions(**{**views, "source": source, "calibration": calibration})
     with pytest.raises((SourceError, UsageError)) as caught:
         import_log(options, output)
     assert said in str(caught.value)

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from svmdist.estimation.plane_mapping import PUBLISHED_MAPPING
 from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
 from svmdist.samples import JointSample
-from svmdist.workflows.calibrate import PIXELS_AS_THEY_ARE
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.request import Setup
 from tests.shipped import CHAIN, POSTURE
@@ -20,7 +20,7 @@ from tests.synthetic import write_log, write_samples
 
 def _peak_bytes(path: Path) -> int:
     """Peak of what Python and NumPy allocate while every result is made and dropped, by one worker."""
-    setup = Setup(load_profile(), "overlay", "corrected", None, PIXELS_AS_THEY_ARE)
+    setup = Setup(load_profile(), "overlay", "corrected", None, PUBLISHED_MAPPING)
     gc.collect()
     tracemalloc.start()
     try:

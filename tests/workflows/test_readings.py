@@ -64,7 +64,7 @@ def test_pooling_counts_every_pair_the_same():
     together = scores.pooled_score([scores.score_pairs(part) for part in parts])
     assert together.statistics.bias == pytest.approx(0.3 / 4)
     assert together.interval_coverage == 0.75  # 0.3 lies outside ±1.96 x 0.1
-    assert len(scores.pooled(parts)) == 4
+    assert len(together.pairs) == 4
 
 
 STAMPS_NS = np.array([0, 1, 2, 3, 4], np.int64) * 1_000_000_000

@@ -135,7 +135,7 @@ def test_what_is_looked_at_is_spread_over_the_log(tmp_path):
     """Evenly from the first image, at least as many as wanted and at most twice as many."""
     recording = open_recording(write_log(tmp_path / "a.mcap", frame_count=23), prepare().profile)
     for wanted in (1, 3, 8, 40):
-        numbers = [one.encoded.number for one in spread_observations(recording, wanted)]
+        numbers = [one.number for one in spread_observations(recording, wanted)]
         assert numbers[0] == 0
         assert len(set(np.diff(numbers))) <= 1
         assert min(wanted, 23) <= len(numbers) <= 2 * wanted

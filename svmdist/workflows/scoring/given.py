@@ -80,15 +80,14 @@ class Given:
 
     def _poses(self, view: Recording, images_ns: Stamps) -> Rows:
         """Poses of a topic or a reference, interpolated to the images."""
-        profile = view.origin.profile.for_instrument(view.instruments[0])
         if self.rules is not None:
-            at = tool_track(view, profile, Reference.PLANE, self.rules)
+            at = tool_track(view, Reference.PLANE, self.rules)
         else:
             topics = view.origin.topics | {"pose": self.topic}
             track = open_recording(view.path, view.origin.profile, topics=topics).pose_track()
             require_common_time(Path(self.name), track.stamps_ns, images_ns.tolist())
             images_ns = images_ns[_nearest(images_ns, track.stamps_ns)[0]]
-            at = in_camera(view, profile, track.parent, track.at)
+            at = in_camera(view, track.parent, track.at)
         found = at(images_ns)
         return {"stamp_ns": images_ns[found.valid], "T": found.values[found.valid]}
 
@@ -115,9 +114,8 @@ class Given:
         rows, frames = _taken(rows, order), np.unique(rows.get("frame_id", np.array([""]))).tolist()
         if len(frames) > 1:
             raise RecordingError(f"{self.name}: poses in several frames: {', '.join(frames)}")
-        profile = view.origin.profile.for_instrument(view.instruments[0])
         poses = Sampled(rows["T"], np.ones(len(rows["T"]), np.bool_))
-        T = in_camera(view, profile, frames[0], lambda _: poses)(rows["stamp_ns"]).values
+        T = in_camera(view, frames[0], lambda _: poses)(rows["stamp_ns"]).values
         require_common_time(Path(self.name), rows["stamp_ns"], images_ns.tolist())
         images, places = _nearest(images_ns, rows["stamp_ns"])
         return {**_taken({**rows, "T": T}, places), "stamp_ns": images_ns[images]}

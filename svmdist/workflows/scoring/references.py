@@ -14,9 +14,9 @@ from svmdist.estimation import plane_mapping as paper
 from svmdist.estimation.plane_mapping import Equations
 from svmdist.kinematics import chain_of, forward_kinematics, select_joints
 from svmdist.profile import Profile
-from svmdist.recording.log import KnownLag, Recording
+from svmdist.recording.log import Recording
 from svmdist.recording.topics import Role
-from svmdist.tracks import MAX_GAP_NS, Sampled
+from svmdist.tracks import MAX_GAP_NS, LagEstimate, Sampled
 from svmdist.transforms import Array, Stamps
 
 KINEMATICS_PRINTED_NOTE = (
@@ -112,12 +112,7 @@ class Truth:
 
 
 def truth_at(
-    recording: Recording,
-    profile: Profile,
-    reference: Reference,
-    stamps_ns: Stamps,
-    equations: Equations,
-    rules: TruthRules,
+    recording: Recording, reference: Reference, stamps_ns: Stamps, equations: Equations, rules: TruthRules
 ) -> Truth:
     """What a reference says at stamps; without the tissue's place in the log, the tool alone.
 
@@ -128,19 +123,20 @@ def truth_at(
     if reference is Reference.KINEMATICS and equations == "printed":
         # eqs. (33)–(35) as published, on the tool in the base frame, which the identity for (28) leaves. The
         # translation of the last row is zero, so that (30)'s reflection leaves the position as it is.
-        in_base = _kinematic_poses(recording, profile, rules.max_gap_ns)(stamps_ns)
+        in_base = _kinematic_poses(recording, rules.max_gap_ns)(stamps_ns)
         displacement_cm = paper.displacement_cm_as_published(in_base.values[:, :3, 3])
         planar_m = np.where(in_base.valid, paper.planar_distance_cm(displacement_cm) / 100.0, np.nan)
         return Truth(np.stack([planar_m, unknown_m, unknown_m], -1))
     has_truth = recording.topic_of(Role.GROUND_TRUTH_TF) is not None
     if has_truth or not is_truth:
-        found = tool_track(recording, profile, reference, rules)(stamps_ns)
+        found = tool_track(recording, reference, rules)(stamps_ns)
         tool = np.where(found.valid[:, None, None], found.values, np.nan)
     if is_truth:
         return Truth(recording.distance_track().at(stamps_ns, rules.max_gap_ns).values, tool)
     if tool is None or not (rules.tissue_frames or has_truth):
         return Truth(np.stack([unknown_m] * 3, -1), tool)
-    pair = rules.tissue_frames or (profile.frames.camera, profile.frames.tissue)
+    frames = recording.profile.frames
+    pair = rules.tissue_frames or (frames.camera, frames.tissue)
     tissue = recording.transform_track(*pair, ground_truth=rules.tissue_frames is None)
     tool_m, tissue_m = tool[:, :3, 3], tissue.at(stamps_ns, rules.max_gap_ns).values[:, :3, 3]
     planar_m = paper.planar_distance_cm(paper.displacement_cm_corrected(tool_m, tissue_m)) / 100.0
@@ -148,9 +144,9 @@ def truth_at(
     return Truth(np.stack([planar_m, spatial_m, unknown_m], -1), tool)
 
 
-def tool_track(log: Recording, profile: Profile, reference: Reference, rules: TruthRules) -> PoseAt:
+def tool_track(log: Recording, reference: Reference, rules: TruthRules) -> PoseAt:
     """`T_camera_tool` by a reference; raises RecordingError or KinematicsError where the log has no such one."""
-    frames, gap_ns = profile.frames, rules.max_gap_ns
+    frames, gap_ns = log.profile.frames, rules.max_gap_ns
     if reference in BY_POSES:
         reference = Reference.TF if rules.tool_frames else Reference.POSE
     if reference in (Reference.GROUND_TRUTH, Reference.TF):
@@ -162,20 +158,19 @@ def tool_track(log: Recording, profile: Profile, reference: Reference, rules: Tr
         frame: str = poses.parent
         in_frame: PoseAt = partial(poses.at, max_gap_ns=gap_ns)
     else:
-        frame, in_frame = frames.base, _kinematic_poses(log, profile, gap_ns)
-    return in_camera(log, profile, frame, in_frame, gap_ns)
+        frame, in_frame = frames.base, _kinematic_poses(log, gap_ns)
+    return in_camera(log, frame, in_frame, gap_ns)
 
 
-def in_camera(
-    log: Recording, profile: Profile, frame: str, in_frame: PoseAt, max_gap_ns: int = MAX_GAP_NS
-) -> PoseAt:
+def in_camera(log: Recording, frame: str, in_frame: PoseAt, max_gap_ns: int = MAX_GAP_NS) -> PoseAt:
     """Poses in a frame as poses in the camera frame, by the log's transforms; a frame without a name is the camera's.
 
     Raises RecordingError where the log does not link them.
     """
-    if frame in ("", "camera", profile.frames.camera) or frame == log.logged_camera.frame_id:
+    camera = log.profile.frames.camera
+    if frame in ("", "camera", camera) or frame == log.logged_camera.frame_id:
         return in_frame
-    nominal = log.transform_track(profile.frames.camera, frame)
+    nominal = log.transform_track(camera, frame)
 
     def at(stamps_ns: Stamps) -> Sampled:
         T_camera_frame, T_frame_tool = nominal.at(stamps_ns, max_gap_ns), in_frame(stamps_ns)
@@ -184,8 +179,9 @@ def in_camera(
     return at
 
 
-def _kinematic_poses(recording: Recording, profile: Profile, max_gap_ns: int) -> PoseAt:
+def _kinematic_poses(recording: Recording, max_gap_ns: int) -> PoseAt:
     """`T_base_tool` by DH kinematics of the measured joints, eq. (31)."""
+    profile = recording.profile
     if profile.robot is None:
         raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
     chain = chain_of(profile.robot)
@@ -201,9 +197,7 @@ def _kinematic_poses(recording: Recording, profile: Profile, max_gap_ns: int) ->
     return at
 
 
-def reference_lag_ns(
-    recording: Recording, profile: Profile, reference: Reference, lag: KnownLag | None
-) -> int:
+def reference_lag_ns(recording: Recording, reference: Reference, lag: LagEstimate | None) -> int:
     """Time offset from a reference's stamps to the images': the lag, or 0 where the reference has the images' clock.
 
     Of ground truth, the true tool is compared with the nominal one under either clock; what the robot believes wrongly
@@ -212,9 +206,9 @@ def reference_lag_ns(
     lag_ns = lag.lag_ns if lag else 0
     if lag_ns == 0 or reference is not Reference.GROUND_TRUTH:
         return lag_ns
-    recording, frames = replace(recording, lag=lag), profile.frames
+    recording, frames = replace(recording, lag=lag), recording.profile.frames
     try:
-        nominal = tool_track(recording, profile, Reference.KINEMATICS, ANY_TRUTH)
+        nominal = tool_track(recording, Reference.KINEMATICS, ANY_TRUTH)
         true = recording.transform_track(frames.camera, frames.tool, ground_truth=True)
     except (RecordingError, KinematicsError):
         return lag_ns

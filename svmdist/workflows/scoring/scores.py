@@ -14,11 +14,10 @@ import numpy as np
 from svmdist import metrics
 from svmdist.errors import RecordingError
 from svmdist.estimation.alarms import AlarmEvent, AlarmRules, AlarmWatch, alarm_events
-from svmdist.estimation.lag import LagEstimate
 from svmdist.estimation.plane_mapping import Equations
-from svmdist.recording.log import KnownLag, Recording
+from svmdist.recording.log import Recording
 from svmdist.results import Z_95, FrameResult
-from svmdist.tracks import Mask
+from svmdist.tracks import LagEstimate, Mask
 from svmdist.transforms import (
     Array,
     Stamps,
@@ -156,12 +155,6 @@ class Readings:
         return Pairs(at_ns[kept], estimate[kept], true[kept], std[kept])
 
 
-def pooled(parts: Sequence[Pairs]) -> Pairs:
-    """The pairs of several recordings: every frame counts the same."""
-    columns = ([getattr(part, column.name) for part in parts] for column in fields(Pairs))
-    return Pairs(*map(np.concatenate, columns))
-
-
 def score_pairs(pairs: Pairs) -> DistanceScore | None:
     """The figures of pairs; None for no pairs."""
     statistics, known = metrics.error_statistics(pairs.estimate_m, pairs.truth_m), np.isfinite(pairs.std_m)
@@ -172,7 +165,8 @@ def score_pairs(pairs: Pairs) -> DistanceScore | None:
 def pooled_score(parts: Sequence[DistanceScore | None]) -> DistanceScore | None:
     """The figures of several recordings together; None where none has any."""
     known = [part.pairs for part in parts if part]
-    return score_pairs(pooled(known)) if known else None
+    columns = ([getattr(pairs, column.name) for pairs in known] for column in fields(Pairs))
+    return score_pairs(Pairs(*map(np.concatenate, columns))) if known else None
 
 
 def score_alarms(
@@ -327,11 +321,10 @@ def score_rows(
     def truth_of(at_ns: Stamps) -> Truth:
         if by is not None:
             return by.truth
-        return references.truth_at(recording, setup.profile, reference, at_ns, setup.equations, rules)
+        return references.truth_at(recording, reference, at_ns, setup.equations, rules)
 
     readings = Readings(rows)
-    known = KnownLag(lag.lag_s if lag else 0.0)
-    lag_ns = references.reference_lag_ns(recording, setup.profile, reference, known)
+    lag_ns = references.reference_lag_ns(recording, reference, lag)
     stamps_ns = readings.stamps_ns - lag_ns
     truth = truth_of(stamps_ns)
     figures = figures_of(readings, truth, stamps_ns=stamps_ns)

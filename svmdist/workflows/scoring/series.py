@@ -131,12 +131,12 @@ def series_of(
     each = [(one, name) for one in measured for name in dict.fromkeys(row.instrument for row in one.rows)]
     for one, name in each:
         rows = [row for row in one.rows if row.instrument == name]
-        recording, setup = one.recording.for_instrument(name), request.setup.for_instrument(name)
+        recording, setup = one.recording.for_instrument(name), request.setup
         readings = Readings(rows)
-        at_ns = readings.stamps_ns - reference_lag_ns(recording, setup.profile, asked, one.lag)
+        at_ns = readings.stamps_ns - reference_lag_ns(recording, asked, one.lag)
         truths = {name: np.full(len(rows), np.nan) for name in PREFERRED}
         try:
-            truth = truth_at(recording, setup.profile, asked, at_ns, setup.equations, request.rules)
+            truth = truth_at(recording, asked, at_ns, setup.equations, request.rules)
             truths = dict(zip(DISTANCES, truth.distances_m.T, strict=True))
         except (RecordingError, KinematicsError):
             if reference is not None:
