@@ -221,11 +221,13 @@ def by_definition(
     model: ErrorModel, robot: RobotState, at: Correction, anchor_m: Array, link: str | None
 ) -> Array:
     """The corrected pose as the head of `correction` writes it, by a chain with other lengths."""
-    q, moving = robot.q.copy(), slice(-model.columns.joint_count, None)
-    q[moving] += robot.rates[moving] * at.time_offset_s + at.q_offset + at.play
-    rows, lengths = list(model.chain.rows), iter(at.length_m)
+    count = len(model.joints.turns)
+    shift_m, _, q_offset, play, (late_s,), length_m = np.split(at.x, np.cumsum([3, 3, count, count, 1]))
+    q, moving = robot.q.copy(), slice(-count, None)
+    q[moving] += robot.rates[moving] * late_s + q_offset + play
+    rows, lengths = list(model.chain.rows), iter(length_m)
     is_modified = model.chain.convention == "modified"
-    first = int(model.chain.moving_rows[len(q) - model.columns.joint_count])
+    first = int(model.chain.moving_rows[len(q) - count])
     for index in range(first + is_modified, len(rows)):
         row = rows[index]
         if row.a_m != 0.0:
@@ -238,7 +240,7 @@ def by_definition(
     if link is not None:
         last = frame_transforms(chain, q)[row_index(chain, link)]
     T = T_CAMERA_BASE @ last
-    return make_transform(at.turn @ T[:3, :3], anchor_m + at.shift_m + at.turn @ (T[:3, 3] - anchor_m))
+    return make_transform(at.turn @ T[:3, :3], anchor_m + shift_m + at.turn @ (T[:3, 3] - anchor_m))
 
 
 @pytest.mark.parametrize(("chain", "error", "q", "links"), CASES)

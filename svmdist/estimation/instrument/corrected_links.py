@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from svmdist.kinematics import DHChain, link_transforms, row_index, running_product
 from svmdist.kinematics.robot_state import RobotState
@@ -26,70 +25,41 @@ class RowLength:
     column: int
 
 
-@dataclass(frozen=True, slots=True)
 class MovingJoints:
     """The joints of a chain from `first_joint` on, whose offsets are corrected; their rows begin at `first_row`.
 
     `axes` are the places of the frames with their axes among those from the row before `first_row` on; `turns` and
-    `slides`, shape (n_joints - first_joint,), are 1 for joints of that type and 0 for others.
+    `slides`, shape (n_joints - first_joint,), are 1 for joints of that type and 0 for others. `offsets`, `play`,
+    `time_offset` and `lengths` are where these stand in the error state (δp, δφ, δq, play, τ, δl), of `size` numbers.
     """
 
-    chain: DHChain
-    first_joint: int
-    first_row: int
-    axes: NDArray[np.intp]
-    turns: Array
-    slides: Array
-    lengths: tuple[RowLength, ...]
-
-    @property
-    def columns(self) -> ErrorColumns:
-        """Where in the error state what stands."""
-        return ErrorColumns.of(len(self.turns), len(self.lengths))
+    def __init__(self, chain: DHChain, first_joint: int) -> None:
+        self.chain, self.first_joint = chain, first_joint
+        rows = chain.moving_rows[first_joint:]
+        self.first_row, late = int(rows[0]), 6 + 2 * len(rows)
+        self.axes = rows - rows[0] + (chain.convention == "modified")
+        self.turns: Array = chain.is_revolute[first_joint:].astype(np.float64)
+        self.slides: Array = 1.0 - self.turns
+        self.row_lengths = tuple(_lengths(chain, self.first_row))
+        self.size = late + 1 + len(self.row_lengths)
+        self.offsets, self.play = slice(6, 6 + len(rows)), slice(6 + len(rows), late)
+        self.time_offset, self.lengths = late, slice(late + 1, self.size)
 
     @property
     def constant_columns(self) -> dict[str, int]:
         """Where in the error state each constant stands, by its name."""
-        at, names = self.columns, self.chain.joint_names[self.first_joint :]
-        found = {OFFSET.format(name): at.offsets.start + place for place, name in enumerate(names)}
-        found |= {LENGTH.format(place + 1): at.lengths.start + place for place in range(at.length_count)}
-        return found | {TIME_OFFSET: at.time_offset}
-
-    @classmethod
-    def of(cls, chain: DHChain, first_joint: int) -> MovingJoints:
-        """Of a chain with at least one such joint."""
-        rows = chain.moving_rows[first_joint:]
-        turns = chain.is_revolute[first_joint:].astype(np.float64)
-        axes = rows - rows[0] + (chain.convention == "modified")
-        lengths = tuple(_lengths(chain, int(rows[0])))
-        return cls(chain, first_joint, int(rows[0]), axes, turns, 1.0 - turns, lengths)
+        names = self.chain.joint_names[self.first_joint :]
+        found = {OFFSET.format(name): at for at, name in enumerate(names, self.offsets.start)}
+        lengths = enumerate(range(self.size)[self.lengths], 1)
+        found |= {LENGTH.format(number): at for number, at in lengths}
+        return found | {TIME_OFFSET: self.time_offset}
 
     def corrected(self, robot: RobotState, correction: Correction) -> Array:
         """Reported joints at the corrected time, with offsets and play, shape (n_joints,)."""
-        q, moving = robot.q.copy(), slice(self.first_joint, None)
-        late_s = correction.time_offset_s - robot.time_offset_s
-        q[moving] += robot.rates[moving] * late_s + correction.q_offset + correction.play
+        q, moving, x = robot.q.copy(), slice(self.first_joint, None), correction.x
+        late_s = x[self.time_offset] - robot.time_offset_s
+        q[moving] += robot.rates[moving] * late_s + x[self.offsets] + x[self.play]
         return q
-
-
-@dataclass(frozen=True, slots=True)
-class ErrorColumns:
-    """Where in the error state (δp, δφ, δq, play, τ, δl) what stands, and its size."""
-
-    joint_count: int
-    length_count: int
-    offsets: slice
-    play: slice
-    time_offset: int
-    lengths: slice
-    size: int
-
-    @classmethod
-    def of(cls, joints: int, lengths: int) -> ErrorColumns:
-        """Of so many moving joints and lengths."""
-        late, size = 6 + 2 * joints, 7 + 2 * joints + lengths
-        offsets, play = slice(6, 6 + joints), slice(6 + joints, late)
-        return cls(joints, lengths, offsets, play, late, slice(late + 1, size), size)
 
 
 def _lengths(chain: DHChain, first_row: int) -> Iterator[RowLength]:
@@ -107,35 +77,21 @@ def _lengths(chain: DHChain, first_row: int) -> Iterator[RowLength]:
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """What is added to nominal kinematics.
+    """What is added to nominal kinematics: the error state `x`, shape (n,), but for its turn, shape (3, 3).
 
-    A shift in m, a turn, shape (3, 3), joint offsets and `play`, joint errors that change with the motion, how late
-    the joints' stamps are in s, and errors of the chain's lengths in m.
+    Turns do not add up as the rest does, so that x[3:6] is not used.
     """
 
-    shift_m: Array
+    x: Array
     turn: Array
-    q_offset: Array
-    play: Array
-    time_offset_s: float
-    length_m: Array
 
     def retract(self, step: Array) -> Correction:
         """The correction after an error state, shape (n,), was found in it (box-plus)."""
-        at = ErrorColumns.of(len(self.q_offset), len(self.length_m))
-        return Correction(
-            self.shift_m + step[:3],
-            rotation_of(step[3:6]) @ self.turn,
-            self.q_offset + step[at.offsets],
-            self.play + step[at.play],
-            self.time_offset_s + float(step[at.time_offset]),
-            self.length_m + step[at.lengths],
-        )
+        return Correction(self.x + step, rotation_of(step[3:6]) @ self.turn)
 
     def vector(self) -> Array:
         """All of it as an error state about no correction, shape (n,)."""
-        turn, late_s = rotation_vector(self.turn), np.array([self.time_offset_s])
-        return np.concatenate([self.shift_m, turn, self.q_offset, self.play, late_s, self.length_m])
+        return np.concatenate([self.x[:3], rotation_vector(self.turn), self.x[6:]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +114,7 @@ class CorrectedLinks:
         self, joints: MovingJoints, robot: RobotState, correction: Correction, anchor_m: Array
     ) -> None:
         self._joints, self._robot = joints, robot
-        pivot_m = anchor_m + correction.shift_m
+        pivot_m = anchor_m + correction.x[:3]
         self._correct = make_transform(correction.turn, pivot_m - correction.turn @ anchor_m)
 
         # Frames from the one before the first joint with an offset on.
@@ -166,19 +122,18 @@ class CorrectedLinks:
         before = robot.frames_in_camera[first_row - 1] if first_row else robot.base_in_camera
         links = link_transforms(joints.chain, joints.corrected(robot, correction))[first_row:]
         self._frames = running_product(np.concatenate([(self._correct @ before)[None], links]))
-        columns = joints.columns
-        self._twists = np.zeros((6, columns.size))
-        for at, length in enumerate(joints.lengths):
+        self._twists = np.zeros((6, joints.size))
+        for at, length in enumerate(joints.row_lengths, joints.lengths.start):
             # A shift along an axis turns nothing, so that the frames behind it are shifted alike.
             axis = self._frames[length.axis_row - first_row + 1, :3, length.column].copy()
-            self._frames[length.row - first_row + 1 :, :3, 3] += axis * correction.length_m[at]
-            self._twists[:3, columns.lengths.start + at] = axis
+            self._frames[length.row - first_row + 1 :, :3, 3] += axis * correction.x[at]
+            self._twists[:3, at] = axis
 
         self._twists[:, :6] = np.eye(6)
         self._twists[:3, 3:6] = skew(pivot_m)
         z, at_m = self._frames[joints.axes, :3, 2], self._frames[joints.axes, :3, 3]
-        self._twists[:3, columns.offsets] = joints.turns * cross(at_m, z).T + joints.slides * z.T
-        self._twists[3:, columns.offsets] = joints.turns * z.T
+        self._twists[:3, joints.offsets] = joints.turns * cross(at_m, z).T + joints.slides * z.T
+        self._twists[3:, joints.offsets] = joints.turns * z.T
         self._links: dict[str | None, CorrectedLink] = {}
 
     def link(self, name: str | None) -> CorrectedLink:
@@ -188,7 +143,7 @@ class CorrectedLinks:
         return self._links[name]
 
     def _corrected(self, name: str | None) -> CorrectedLink:
-        joints, columns = self._joints, self._joints.columns
+        joints = self._joints
         row = len(joints.chain.rows) - 1 if name is None else row_index(joints.chain, name)
         if row < joints.first_row:
             T = self._correct @ self._robot.frames_in_camera[row]
@@ -200,13 +155,13 @@ class CorrectedLinks:
         derivative[:3] -= skew(T[:3, 3]) @ self._twists[3:]
         # Joints behind a link do not move it, nor do lengths.
         moved_by = int(np.searchsorted(joints.chain.moving_rows, row, side="right"))
-        derivative[:, 6 + max(0, moved_by - joints.first_joint) : columns.offsets.stop] = 0.0
-        derivative[:, columns.play] = derivative[:, columns.offsets]
+        derivative[:, 6 + max(0, moved_by - joints.first_joint) : joints.offsets.stop] = 0.0
+        derivative[:, joints.play] = derivative[:, joints.offsets]
         # Later stamps: every joint goes on at its rate.
         rates = self._robot.rates[joints.first_joint :]
-        derivative[:, columns.time_offset] = derivative[:, columns.offsets] @ rates
-        is_behind = [row < length.row for length in joints.lengths]
-        derivative[:, columns.lengths][:, is_behind] = 0.0
+        derivative[:, joints.time_offset] = derivative[:, joints.offsets] @ rates
+        is_behind = [row < length.row for length in joints.row_lengths]
+        derivative[:, joints.lengths][:, is_behind] = 0.0
         T.setflags(write=False)
         derivative.setflags(write=False)
-        return CorrectedLink(T, derivative, derivative[:, columns.time_offset])
+        return CorrectedLink(T, derivative, derivative[:, joints.time_offset])

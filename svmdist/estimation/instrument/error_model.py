@@ -35,41 +35,39 @@ class ErrorModel:
                 f"no joint {error.first_moving_joint} to be the first moving one:"
                 f" {did_you_mean(error.first_moving_joint, names)}"
             )
-        self.joints = MovingJoints.of(chain, names.index(error.first_moving_joint or names[0]))
+        self.joints = MovingJoints(chain, names.index(error.first_moving_joint or names[0]))
         turns, slides = self.joints.turns, self.joints.slides
         self._joint_std = error.joint_std_rad * turns + error.joint_std_m * slides
         self._play_std = error.play_std_rad * turns + error.play_std_m * slides
-        self.columns = self.joints.columns
-        self.size = self.columns.size
+        self.size = self.joints.size
         self.constant_columns = self.joints.constant_columns
         self._drift = np.zeros(self.size)
         self._drift[:3], self._drift[3:6] = error.drift_m_per_sqrt_s, error.drift_rad_per_sqrt_s
-        self._drift[self.columns.offsets] = self._drift[3] * turns + self._drift[0] * slides
-        self._drift[self.columns.time_offset] = error.time_offset_drift_s_per_sqrt_s
+        self._drift[self.joints.offsets] = self._drift[3] * turns + self._drift[0] * slides
+        self._drift[self.joints.time_offset] = error.time_offset_drift_s_per_sqrt_s
 
     def time_offset_std_s(self, age_s: float) -> float:
         """Standard deviation of the joints' time offset after a time, by what the profile states."""
-        drift_s = self._drift[self.columns.time_offset] * np.sqrt(age_s)
+        drift_s = self._drift[self.joints.time_offset] * np.sqrt(age_s)
         return float(np.hypot(self.error.time_offset_std_s, drift_s))
 
     def no_correction(self) -> Correction:
         """What is there before anything was measured."""
-        joints, lengths = np.zeros(self.columns.joint_count), np.zeros(self.columns.length_count)
-        return Correction(np.zeros(3), np.eye(3), joints, joints, 0.0, lengths)
+        return Correction(np.zeros(self.size), np.eye(3))
 
     @property
     def play_covariance(self) -> Array:
         """Of joint errors that change with the motion, at any instant, shape (n, n)."""
         P = np.zeros((self.size, self.size))
-        P[self.columns.play, self.columns.play] = np.diag(self._play_std**2)
+        P[self.joints.play, self.joints.play] = np.diag(self._play_std**2)
         return P
 
     def propagation(self, elapsed_s: float) -> tuple[Array, Array]:
         """Factors and added variance (n,) over a time: play is a Gauss–Markov process, all else a random walk."""
         keep = np.ones(self.size)
-        keep[self.columns.play] = np.exp(-elapsed_s / self.error.play_time_s)
+        keep[self.joints.play] = np.exp(-elapsed_s / self.error.play_time_s)
         added = self._drift**2 * elapsed_s
-        added[self.columns.play] = self._play_std**2 * (1.0 - keep[self.columns.play] ** 2)
+        added[self.joints.play] = self._play_std**2 * (1.0 - keep[self.joints.play] ** 2)
         return keep, added
 
     def anchor_m(self, robot: RobotState) -> Array:
@@ -85,10 +83,10 @@ class ErrorModel:
         """
         P = np.zeros((self.size, self.size))
         P[:6, :6] = self._transform_covariance(robot)
-        at = self.columns
+        at = self.joints
         P[at.offsets, at.offsets] = np.diag(self._joint_std**2)
         P[at.time_offset, at.time_offset] = self.error.time_offset_std_s**2
-        P[at.lengths, at.lengths] = self.error.length_std_m**2 * np.eye(at.length_count)
+        P[at.lengths, at.lengths] = self.error.length_std_m**2 * np.eye(len(at.row_lengths))
         # What a transform by hand-eye owes to the offset of a joint is not to be counted beside that offset.
         for name, effect in self._hand_eye_effects(robot).items():
             if (column := self.constant_columns.get(name)) is not None:

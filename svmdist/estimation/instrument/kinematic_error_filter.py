@@ -158,7 +158,7 @@ class KinematicErrorFilter:
         if start is None:
             self.consistency.add(state.robot.stamp_ns, results)
         late_std_s = self._model.time_offset_std_s(self._age_s)
-        self.consistency.watch(state.furthest_constant(), state.correction.time_offset_s, late_std_s)
+        self.consistency.watch(state.furthest_constant(), state.time_offset_s, late_std_s)
         return tuple(results)
 
     def update_scene(self, name: str, part: Linearised) -> GatingResult:

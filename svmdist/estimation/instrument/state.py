@@ -95,12 +95,17 @@ class ErrorState:
             raise ValueError("the filter knows no joints yet: predict comes first")
         return self._robot
 
+    @property
+    def time_offset_s(self) -> float:
+        """How late the joints' stamps are, by the correction."""
+        return float(self.correction.x[self.model.joints.time_offset])
+
     def go_to(self, robot: RobotState) -> float | None:
         """Take over the robot's state at a new instant, the joints at the time that the correction says.
 
         Gives the time that has passed in s; None for the first state.
         """
-        before, self._robot = self._robot, robot.shifted(self.correction.time_offset_s)
+        before, self._robot = self._robot, robot.shifted(self.time_offset_s)
         self._linked = None
         return None if before is None else max(0.0, (robot.stamp_ns - before.stamp_ns) / 1e9)
 
@@ -161,7 +166,7 @@ class ErrorState:
         Several that each give way a little may together be what no calibration allows: along the directions that
         measurements tell, their means are compared with what these means would vary by if all stated were right.
         """
-        size, at = self.model.size, self.model.columns.lengths
+        size, at = self.model.size, self.model.joints.lengths
         names = ["a length of the chain"] * (at.stop - at.start)
         places = list(range(at.start, at.stop))
         for name, one in self._bias_slices.items():
@@ -189,8 +194,7 @@ class ErrorState:
         added = np.concatenate([added_error, 1.0 - keep**2])
         self.P = factor[:, None] * self.P * factor + np.diag(added)
         self.bias_mean = keep * self.bias_mean
-        play = keep_error[self.model.columns.play] * self.correction.play
-        self.correction = replace(self.correction, play=play)
+        self.correction = replace(self.correction, x=keep_error * self.correction.x)
 
     def link(self, name: str | None) -> CorrectedLink:
         """A link under the correction; None is the tool. Computed once for a robot's state and a correction."""
