@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -34,9 +34,6 @@ def huber_weights(deviation: Array, bound: Array | float) -> Array:
     return np.minimum(1.0, bound / np.maximum(np.abs(deviation), 1e-12))
 
 
-State = TypeVar("State")
-
-
 @dataclass(frozen=True, slots=True)
 class NormalEquations:
     """A problem about a state: its cost, gradient Jᵀ W r, shape (n,), and information Jᵀ W J, shape (n, n).
@@ -54,59 +51,40 @@ class NormalEquations:
         return all(np.isfinite(part).all() for part in (self.cost, self.gradient, self.information))
 
 
-@dataclass(frozen=True, slots=True)
-class Minimum(Generic[State]):
-    """The state that was reached, and the normal equations there."""
-
-    state: State
-    equations: NormalEquations
-
-
-@dataclass(frozen=True, slots=True)
-class Steps:
-    """When to stop, and how steps are damped: in proportion to the information's diagonal; none may raise the cost."""
-
-    max_steps: int
-    settled: float = 0.0  # the largest element of a last step is below
-    damping: float = 0.0
+State = TypeVar("State")
+Equations = TypeVar("Equations", bound=NormalEquations)
 
 
 def minimise(
     start: State,
-    linearise: Callable[[State], NormalEquations | None],
+    linearise: Callable[[State], Equations | None],
     retract: Callable[[State, Array], State],
-    steps: Steps,
-) -> Minimum[State] | None:
-    """Minimise from a start; None where the problem cannot be linearised at the start itself.
+    max_steps: int,
+    settled: float,
+    damping: float,
+) -> tuple[State, Equations] | None:
+    """The state that is reached from a start, and the equations there; None where they are undefined at the start.
 
-    `linearise` gives None, or what is not finite, for a state where the problem is undefined: a damped iteration
-    turns back from there, an undamped one ends with None.
+    `linearise` gives None, or what is not finite, for a state where the problem is undefined. Steps are damped in
+    proportion to the information's diagonal, more where one would raise the cost or lead to such a state, which is
+    not taken, and less after each that is. It ends with a step whose largest element is below `settled`.
     """
     equations = linearise(start)
     if equations is None or not equations.is_finite:
         return None
-    state, damping = start, steps.damping
-    for _ in range(steps.max_steps):
-        step = _step(equations, damping)
+    state = start
+    for _ in range(max_steps):
+        information = equations.information + damping * np.diag(np.diag(equations.information))
+        try:
+            step = np.asarray(np.linalg.solve(information, equations.gradient), np.float64)
+        except np.linalg.LinAlgError:
+            step = np.asarray(np.linalg.lstsq(information, equations.gradient, rcond=None)[0], np.float64)
         trial_state = retract(state, step)
         trial = linearise(trial_state)
-        converged = float(np.abs(step).max()) < steps.settled
-        if trial is not None and trial.is_finite and (steps.damping == 0.0 or trial.cost <= equations.cost):
-            state, equations, damping = trial_state, trial, max(0.1 * damping, 1e-9 * bool(steps.damping))
-        elif steps.damping == 0.0:
-            return None
+        if trial is not None and trial.is_finite and trial.cost <= equations.cost:
+            state, equations, damping = trial_state, trial, max(0.1 * damping, 1e-9)
         else:
             damping *= 10.0
-        if converged:
+        if float(np.abs(step).max()) < settled:
             break
-    return Minimum(state, equations)
-
-
-def _step(equations: NormalEquations, damping: float) -> Array:
-    information = equations.information
-    if damping > 0.0:
-        information = information + damping * np.diag(np.diag(information))
-    try:
-        return np.asarray(np.linalg.solve(information, equations.gradient), np.float64)
-    except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.lstsq(information, equations.gradient, rcond=None)[0], np.float64)
+    return state, equations

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from svmdist.least_squares import NormalEquations, Steps, huber_weights, median, minimise, scale_of
+from svmdist.least_squares import NormalEquations, huber_weights, median, minimise, scale_of
 from svmdist.transforms import rotation_of, rotation_vector
 
 
@@ -16,10 +16,23 @@ def _rosenbrock(x):
     return NormalEquations(float(residual @ residual), J.T @ residual, J.T @ J)
 
 
-@pytest.mark.parametrize("damping", [0.0, 1e-3], ids=["Gauss-Newton", "Levenberg-Marquardt"])
+@pytest.mark.parametrize("damping", [1e-9, 1e-3], ids=["Gauss-Newton", "Levenberg-Marquardt"])
 def test_rosenbrock(damping):
-    found = minimise(np.array([-1.2, 1.0]), _rosenbrock, np.add, Steps(100, settled=1e-10, damping=damping))
-    np.testing.assert_allclose(found.state, [1.0, 1.0], atol=1e-8)
+    start = np.array([-1.2, 1.0])
+    x, there = minimise(start, _rosenbrock, np.add, max_steps=100, settled=1e-10, damping=damping)
+    np.testing.assert_allclose(x, [1.0, 1.0], atol=1e-8)
+    assert there.cost == _rosenbrock(x).cost
+
+
+def test_a_step_to_where_a_problem_is_undefined_is_tried_again_shorter():
+    def linearise(x):
+        return _rosenbrock(x) if x[1] > -2.0 else None
+
+    start = np.array([-1.2, 1.0])
+    first = _rosenbrock(start)
+    assert linearise(start + np.linalg.solve(first.information, first.gradient)) is None
+    x, _ = minimise(start, linearise, np.add, max_steps=100, settled=1e-10, damping=1e-9)
+    np.testing.assert_allclose(x, [1.0, 1.0], atol=1e-8)
 
 
 def test_a_rotation_is_a_state():
@@ -30,15 +43,17 @@ def test_a_rotation_is_a_state():
         residual = rotation_vector(R_true @ R.T)
         return NormalEquations(float(residual @ residual), residual, np.eye(3))
 
-    found = minimise(np.eye(3), linearise, lambda R, step: rotation_of(step) @ R, Steps(20, settled=1e-12))
-    np.testing.assert_allclose(found.state, R_true, atol=1e-12)
+    def turn(R, step):
+        return rotation_of(step) @ R
+
+    R, _ = minimise(np.eye(3), linearise, turn, max_steps=20, settled=1e-12, damping=1e-9)
+    np.testing.assert_allclose(R, R_true, atol=1e-12)
 
 
 def test_undefined_problems_have_no_minimum():
-    nowhere = Steps(5)
-    assert minimise(0.0, lambda _: None, lambda x, s: x + s[0], nowhere) is None
-    undefined = NormalEquations(np.inf, np.zeros(1), np.eye(1))
-    assert minimise(0.0, lambda _: undefined, lambda x, s: x + s[0], nowhere) is None
+    for nowhere in (None, NormalEquations(np.inf, np.zeros(1), np.eye(1))):
+        stop = {"max_steps": 5, "settled": 0.0, "damping": 1e-9}
+        assert minimise(0.0, lambda _, found=nowhere: found, lambda x, s: x + s[0], **stop) is None
 
 
 def test_weights_and_scale():

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 import cv2
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.least_squares import Steps, minimise
+from svmdist.least_squares import minimise
 from svmdist.samples import Image
 from svmdist.transforms import Array, make_transform, rotation_angle
 from svmdist.vision.tag_overlay import (
@@ -98,9 +97,11 @@ def _minimise(
         offset, contrast = overlay.offset + GREY * float(step[7]), overlay.contrast + GREY * float(step[8])
         return Overlay(moved, blur_px, offset, contrast)
 
-    steps = Steps(max_steps, settled=settled, damping=DAMPING)
-    minimum = minimise(start, lambda overlay: lay_pattern(pixels, overlay, pattern, loss), retract, steps)
-    return None if minimum is None else cast(LaidPattern, minimum.equations)
+    def lay(overlay: Overlay) -> LaidPattern | None:
+        return lay_pattern(pixels, overlay, pattern, loss)
+
+    found = minimise(start, lay, retract, max_steps, settled, DAMPING)
+    return None if found is None else found[1]
 
 
 def find_tag_pose(
