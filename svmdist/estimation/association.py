@@ -108,9 +108,9 @@ class Association:
             told = np.array(alike).reshape(len(nominal), -1) + _as_beside(expected, ends, offsets, width)
             found = tracker.update(stamp_ns, expected, ends, told)
             return [other_than(identity.blob, seen) for identity in found], _offsets(found, expected, ends)
-        regions = ColouredRegions.of(context.masks.instrument, self._gate)
+        regions = ColouredRegions(context.masks.instrument, self._gate)
         shafts = context.masks.shaft
-        dark = None if shafts is None else DarkPixels.of(shafts, context.masks.black)
+        dark = None if shafts is None else DarkPixels(shafts, context.masks.black)
 
         # Whose the regions are, by where they are expected and by whose shaft is behind them.
         evidence = np.zeros((len(nominal), len(regions.blobs)))
@@ -143,73 +143,58 @@ class ShaftAxis:
     radius_px: float
 
 
-@dataclass(frozen=True)
 class ColouredRegions:
-    """The coloured parts of an image: mask and labels of all, shape (h, w), and the parts above the area gate."""
+    """The coloured parts of a mask of all instruments, shape (h, w); `blobs` are those above the area gate."""
 
-    mask: Image
-    labels: NDArray[np.int32]
-    blobs: Sequence[Blob]
-    names: Sequence[int]
-    fragments: Sequence[tuple[int, Blob]]
-
-    @classmethod
-    def of(cls, mask: Image, rule: AreaGate) -> ColouredRegions:
-        """Find them in the mask of all instruments, shape (h, w)."""
+    def __init__(self, mask: Image, rule: AreaGate) -> None:
         count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
         areas = stats[:, cv2.CC_STAT_AREA]
         parts = [(at, Blob(np.asarray(centres[at]), float(areas[at]))) for at in range(1, count)]
         whole = [part for part in parts if part[1].area_px > rule.min_area_px]
-        fragments = [part for part in parts if part[1].area_px <= rule.min_area_px]
-        blobs = [blob for _, blob in whole]
-        return cls(mask, np.asarray(labels, np.int32), blobs, [label for label, _ in whole], fragments)
+        self._mask, self._labels = mask, np.asarray(labels)
+        self._fragments = [part for part in parts if part[1].area_px <= rule.min_area_px]
+        self._names, self.blobs = [label for label, _ in whole], [blob for _, blob in whole]
 
     def without(self, index: int | None) -> Image:
         """Mask of everything coloured but one region and the fragments about it; of everything for None."""
-        mine = np.zeros_like(self.mask)
+        mine = np.zeros_like(self._mask)
         if index is not None:
             centre_px, reach_px = self.blobs[index].centre_px, FRAGMENT_REACH * self.blobs[index].radius_px
             near = [
-                at for at, part in self.fragments if np.linalg.norm(part.centre_px - centre_px) < reach_px
+                at for at, part in self._fragments if np.linalg.norm(part.centre_px - centre_px) < reach_px
             ]
-            mine[np.isin(self.labels, [self.names[index], *near])] = 255
-            mine &= self.mask
-        rest = cv2.dilate(cv2.subtract(self.mask, mine), np.ones((GROWN_PX, GROWN_PX), np.uint8))
+            mine[np.isin(self._labels, [self._names[index], *near])] = 255
+            mine &= self._mask
+        rest = cv2.dilate(cv2.subtract(self._mask, mine), np.ones((GROWN_PX, GROWN_PX), np.uint8))
         return np.asarray(cv2.subtract(rest, mine), np.uint8)
 
 
-@dataclass(frozen=True)
 class DarkPixels:
-    """The pixels that are as dark as a shaft, and what the endoscope shows; masks of shape (h, w)."""
+    """The pixels that are as dark as a shaft; by the masks, shape (h, w), of all shafts and of what may be border."""
 
-    mask: Image
-    view: Image
-
-    @classmethod
-    def of(cls, shafts: Image, black: Image | None) -> DarkPixels:
-        """Find them in the mask of all shafts, shape (h, w), and that of what may be border beside them."""
-        mask = np.asarray(cv2.medianBlur(shafts, 3), np.uint8)
-        view = field_of_view(mask if black is None else np.asarray(mask | black))
-        return cls(mask, view)
+    def __init__(self, shafts: Image, black: Image | None) -> None:
+        self._mask = np.asarray(cv2.medianBlur(shafts, 3), np.uint8)
+        # What the endoscope shows.
+        self._view = field_of_view(self._mask if black is None else np.asarray(self._mask | black))
 
     def evidence(self, axis: ShaftAxis) -> float:
         """Log-likelihood ratio of a shaft being there against none, from a line along its axis."""
         along = np.linspace(*RAY_SPAN, RAY_COUNT) * axis.begin_px
         points = np.round(axis.tool_px + along[:, None] * axis.direction).astype(int)
-        height, width = self.mask.shape
+        height, width = self._mask.shape
         inside = np.all((points >= 0) & (points < [width, height]), axis=1)
         x, y = points[inside].T
-        seen = self.view[y, x] > 0
+        seen = self._view[y, x] > 0
         if np.count_nonzero(seen) < MIN_RAY_FRACTION * RAY_COUNT:
             return 0.0
-        dark = float(np.mean(self.mask[y[seen], x[seen]] > 0))
+        dark = float(np.mean(self._mask[y[seen], x[seen]] > 0))
         yes, no = np.log(LIKELY_DARK / UNLIKELY_DARK), np.log((1 - LIKELY_DARK) / (1 - UNLIKELY_DARK))
         return float(dark * yes + (1.0 - dark) * no)
 
     def by_axis(self, axes: Sequence[ShaftAxis | None]) -> NDArray[np.int8]:
         """For every pixel the index of the axis that it is nearest to, shape (h, w); -1 where it is no shaft's."""
-        owner = np.full(self.mask.shape, -1, np.int8)
-        y, x = np.nonzero(self.mask)
+        owner = np.full(self._mask.shape, -1, np.int8)
+        y, x = np.nonzero(self._mask)
         best = np.full(len(x), SHAFT_REACH)
         found = np.full(len(x), -1, np.int8)
         for index, axis in enumerate(axes):
