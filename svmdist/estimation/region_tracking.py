@@ -195,26 +195,22 @@ Assignment = tuple[int | None, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class _Past:
-    """One way to name all regions until now: its -log likelihood, and the tracks that it leads to."""
-
-    cost: float
-    tracks: tuple[_Track, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class _Naming:
-    """One way to name an image's regions after a past, by its -log likelihood, and where they were expected."""
+    """One way to name all regions until now: -log likelihoods of this image's, `cost`, and of those `before`.
+
+    The latter lead to the `tracks`, which are `expected` there in this image.
+    """
 
     cost: float
     regions: Assignment
-    past: _Past
+    before: float
+    tracks: tuple[_Track, ...]
     expected: tuple[Gaussian | None, ...]
 
     @property
     def total(self) -> float:
-        """-log likelihood of the whole, the past included."""
-        return self.past.cost + self.cost
+        """-log likelihood of the whole."""
+        return self.before + self.cost
 
 
 class RegionTracker:
@@ -224,7 +220,8 @@ class RegionTracker:
         self._width_px = width_px
         self._settings = settings
         self._extra_region_cost = float(np.log(width_px * height_px / CLUTTER_COUNT))
-        self._pasts = [_Past(0.0, tuple(_Track(width_px, settings) for _ in range(count)))]
+        # Ways to name all regions until now: their -log likelihoods, and the tracks that they lead to.
+        self._pasts = [(0.0, tuple(_Track(width_px, settings) for _ in range(count)))]
         self._stamp_ns: int | None = None
 
     def update(
@@ -242,15 +239,15 @@ class RegionTracker:
         order = sorted(range(len(blobs)), key=lambda at: -blobs[at].area_px)[:MAX_REGIONS]
         seen, told = [blobs[at] for at in order], 0.0 if evidence is None else evidence[:, order]
         namings: list[_Naming] = []
-        for past in self._pasts:
-            expected = tuple(t.predict(stamp_ns, p) for t, p in zip(past.tracks, places, strict=True))
+        for before, tracks in self._pasts:
+            expected = tuple(t.predict(stamp_ns, p) for t, p in zip(tracks, places, strict=True))
             ranked = ranked_assignments(
                 self._costs(expected, seen) - told, self._extra_region_cost, self._settings.miss_cost
             )
-            namings += [_Naming(*one, past, expected) for one in ranked if np.isfinite(one[0])]
+            namings += [_Naming(*one, before, tracks, expected) for one in ranked if np.isfinite(one[0])]
         namings.sort(key=lambda one: one.total)
         identities = []
-        for i, track in enumerate(namings[0].past.tracks):
+        for i, track in enumerate(namings[0].tracks):
             at, where = self._named(i, namings)
             radius_px = track.alone.radius_px if track.alone else None
             identities.append(Identity(None if at is None else order[at], where, radius_px))
@@ -273,13 +270,13 @@ class RegionTracker:
                 break
             if None in one.regions or one.regions not in [other.regions for other in kept]:
                 kept.append(one)
-        costs = [one.past.cost + tells * one.cost for one in kept]
+        costs = [one.before + tells * one.cost for one in kept]
         self._pasts = []
         for one, cost in zip(kept, costs, strict=True):
-            tracks = tuple(track.copied() for track in one.past.tracks)
+            tracks = tuple(track.copied() for track in one.tracks)
             for track, at, where, place in zip(tracks, one.regions, one.expected, places, strict=True):
                 track.update(None if at is None else seen[at], where, place)
-            self._pasts.append(_Past(cost - min(costs), tracks))
+            self._pasts.append((cost - min(costs), tracks))
 
     def _named(self, i: int, namings: Sequence[_Naming]) -> tuple[int | None, Gaussian | None]:
         """An instrument's region and expected place; no region where another naming is nearly as likely."""
@@ -303,14 +300,12 @@ class RegionTracker:
                 S = where.covariance + spread_px2 * np.eye(2) + MIN_STD_PX**2 * np.eye(2)
                 offset = blob.centre_px - where.mean
                 d2 = float(offset @ np.linalg.solve(S, offset))
-                if self._is_uncertain(where):  # a robot's base may be anywhere: its errors have long tails
+                # A robot's base may be anywhere: its errors have long tails.
+                if where.std_px > UNCERTAIN_FRACTION * self._width_px:
                     d2 = min((TAIL + 2.0) * float(np.log1p(d2 / TAIL)), GATE_D2)
                 if d2 <= GATE_D2:
                     cost[i, a] = 0.5 * d2 + 0.5 * float(np.log(np.linalg.det(2.0 * np.pi * S)))
         return cost
-
-    def _is_uncertain(self, where: Gaussian | None) -> bool:
-        return where is None or where.std_px > UNCERTAIN_FRACTION * self._width_px
 
 
 def ranked_assignments(cost: Array, unnamed_cost: float, miss_cost: float) -> list[tuple[float, Assignment]]:
