@@ -136,8 +136,8 @@ class FusedEstimator:
         if not isinstance(fit, Failure) and fit.pose is not image:
             poses.append(fit.pose)
         if frame.tag is not None:
-            poses.append(tool_from_tag(self._arm, frame.left.camera, frame.tag, kalman.robot))
-        nominal = nominal_tool(self._chain, self._arm.profile.kinematic_error, kalman.robot)
+            poses.append(tool_from_tag(self._arm, frame.left.camera, frame.tag, kalman.state.robot))
+        nominal = nominal_tool(self._chain, self._arm.profile.kinematic_error, kalman.state.robot)
         seen = self._of_images(frame)
         starts: list[Start] = [(pose, [*seen, *self._tag(frame, pose)]) for pose in poses]
         starts.append((None, [*seen, *self._tag(frame, nominal)]))
@@ -157,7 +157,7 @@ class FusedEstimator:
 
     def _tag(self, frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
         """The tag's factor, which a predicted pose tells from its mirrored one."""
-        return tag(frame, self._filter.robot, predicted, self._lasting_share)
+        return tag(frame, self._filter.state.robot, predicted, self._lasting_share)
 
     def _watch(self, frame: Frame, gating: Sequence[GatingResult]) -> str:
         """Why the images contradict the prediction; empty where they do not.

@@ -238,7 +238,7 @@ def _marker_place_m(arm: Arm, seen: SeenMarker) -> Array:
 
 def jaw_scale(kalman: KinematicErrorFilter, arm: Arm) -> float:
     """The jaws' length over the profile's, by their tips in the image: never less, as what is seen may lack them."""
-    deviations = kalman.constant(kinds.JAWS)
+    deviations = kalman.state.bias(kinds.JAWS)
     if deviations <= 0.0 or arm.straight is None:
         return 1.0
     return 1.0 + deviations * arm.straight.jaw_tip_std_m / arm.straight.instrument.jaw_length_m

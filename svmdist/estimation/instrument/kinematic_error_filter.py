@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from svmdist.estimation.instrument.consistency import (
     chi_square_bound,
     student_weight,
 )
-from svmdist.estimation.instrument.corrected_links import Correction
 from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.instrument.measurement import LinkMeasurement, SharedBias
 from svmdist.estimation.instrument.measurement_kinds import PoseMeasurement
@@ -44,16 +43,6 @@ JUMP_PRICE = 13.8  # twice the logarithm of how rarely that happens: in one fram
 TINY_POSE = np.diag([1e-10] * 3 + [1e-8] * 3)  # m², rad²: an image's pose is never surer
 
 
-@dataclass(frozen=True, slots=True)
-class _Begun:
-    """A start by its number, what it costs where it leads, the state there, and whether that refuses a measurement."""
-
-    index: int
-    cost: float = np.inf
-    x: Array | None = None
-    refuses: bool = True
-
-
 Start = tuple[ToolPose | None, Sequence[LinkMeasurement]]
 """A pose of the tool by the images, or None for nominal kinematics, and the measurements made about it."""
 
@@ -65,7 +54,8 @@ class KinematicErrorFilter:
         self._settings = settings or FilterSettings()
         self._shaft = shaft_of(chain)
         self._model = ErrorModel(chain, error)
-        self._state = ErrorState(self._model)
+        self.state = ErrorState(self._model)
+        """The correction now and the robot that was predicted from, its joints at the time that the correction says."""
         self._start_x: Array | None = None
         self._age_s = 0.0
         self.has_jumped = False
@@ -75,26 +65,16 @@ class KinematicErrorFilter:
     @property
     def covariance(self) -> Array:
         """Covariance of the error state, shape (n, n)."""
-        return self._state.P[: self._model.size, : self._model.size]
-
-    @property
-    def robot(self) -> RobotState:
-        """The robot's state that was predicted from: its joints at the time that the correction says."""
-        return self._state.robot
-
-    @property
-    def correction(self) -> Correction:
-        """What is added to nominal kinematics now."""
-        return self._state.correction
+        return self.state.P[: self._model.size, : self._model.size]
 
     def predict(self, robot: RobotState) -> None:
         """Go on to the robot's state at a new instant; raises ValueError where that does not know the camera."""
-        elapsed_s = self._state.go_to(robot)
+        elapsed_s = self.state.go_to(robot)
         if elapsed_s is None:
-            self._state.start()
+            self.state.start()
         else:
             self._age_s += elapsed_s
-            self._state.propagate(elapsed_s)
+            self.state.propagate(elapsed_s)
 
     def begin(self, starts: Sequence[Start]) -> int:
         """Forget what was measured and begin where prior and measurements are the most probable; gives which start.
@@ -102,34 +82,38 @@ class KinematicErrorFilter:
         A start is where to linearise first, never a measurement of its own. One that an earlier one led to the
         neighbourhood of would lead to the same. Where the best refuses a measurement, small steps are tried, too.
         """
-        found = self._best_of(starts, descends=False)
-        if found.refuses:
-            found = min(found, self._best_of(starts, descends=True), key=lambda one: one.cost)
-        self._begin_at(starts[found.index][0])
-        self._start_x = self._start_x if found.x is None else found.x[: self._model.size]
-        return found.index
+        index, found, cost = self._best_of(starts, descends=False)
+        if found is None or found.refuses:
+            by_small_steps = self._best_of(starts, descends=True)
+            if by_small_steps[2] < cost:
+                index, found, _ = by_small_steps
+        self._begin_at(starts[index][0])
+        self._start_x = self._start_x if found is None else found.x[: self._model.size]
+        return index
 
-    def _best_of(self, starts: Sequence[Start], *, descends: bool) -> _Begun:
+    def _best_of(self, starts: Sequence[Start], *, descends: bool) -> tuple[int, Solution | None, float]:
+        """The start that leads to the least cost, by its number, where it leads, and that cost."""
         every = {measurement.name: measurement for _, seen in starts for measurement in seen}
-        best, places = _Begun(0), list[ToolPose]()
+        best: tuple[int, Solution | None, float] = 0, None, np.inf
+        places = list[ToolPose]()
         for index, (pose, seen) in enumerate(starts):
             if pose is not None and any(pose_distance(pose, tool) < chi_square_bound(6) for tool in places):
                 continue
             solved = self._solved(pose, seen, descends)
             if solved is None:
                 continue
-            T_camera_tool = self._state.retracted(solved.x).link(None).T_camera_link
+            T_camera_tool = self.state.retracted(solved.x).link(None).T_camera_link
             places.append(ToolPose(T_camera_tool, np.zeros((6, 6)), T_camera_tool[:3, 0]))
             cost = robust_cost(solved, seen)
             for name in every.keys() - {measurement.name for measurement in seen}:
                 cost += heavy_tailed(UNSEEN_SQUARE, every[name].covariance)
-            if cost < best.cost:
-                best = _Begun(index, cost, solved.x, solved.refuses)
+            if cost < best[2]:
+                best = index, solved, cost
         return best
 
     def update(self, measurements: Sequence[LinkMeasurement]) -> tuple[GatingResult, ...]:
         """Take up what the image shows; gives how each measurement agrees with the prediction."""
-        state, start = self._state, self._start_x
+        state, start = self.state, self._start_x
         self._start_x, self.has_jumped = None, False
         there = state if start is None else state.retracted(self._padded(start))
         parts = there.linearise(measurements)
@@ -163,7 +147,7 @@ class KinematicErrorFilter:
 
     def update_scene(self, name: str, part: Linearised) -> GatingResult:
         """Take up a measurement of constants alone, of which no link is a part: the tissue's height by stereo."""
-        state, size = self._state, len(part.residual)
+        state, size = self.state, len(part.residual)
         part = replace(part, H=np.zeros((size, self._model.size)))
         state.augment_state([part])
         innovation, S, H = state.innovation(part)
@@ -176,31 +160,27 @@ class KinematicErrorFilter:
         self.consistency.add(state.robot.stamp_ns, [result], of_tool=False)
         return result
 
-    def constant(self, name: str) -> float:
-        """What a constant of one number was found to be, in units of its deviation; 0 before it was measured."""
-        return self._state.bias(name)
-
     def coupled(self, biases: Sequence[SharedBias]) -> tuple[Array, Array]:
         """Of what biases move by their derivatives, shape (3, k): covariance (3, 3), and that with the tool, (6, 3)."""
         part = Linearised(np.zeros(3), np.zeros((3, self._model.size)), tuple(biases), np.zeros((3, 3)))
-        self._state.augment_state([part])
-        G, P = self._state.full_jacobian([part]), self._state.P
-        tool, widening = self._state.link(None).derivative, self.consistency.widening
+        self.state.augment_state([part])
+        G, P = self.state.full_jacobian([part]), self.state.P
+        tool, widening = self.state.link(None).derivative, self.consistency.widening
         return widening * G @ P @ G.T, widening * tool @ P[: self._model.size] @ G.T
 
     def tool_pose(self) -> ToolPose:
         """The corrected pose of the tool and its covariance."""
-        tool, widening = self._state.link(None), self.consistency.widening
+        tool, widening = self.state.link(None), self.consistency.widening
         covariance = widening * (tool.derivative @ self.covariance @ tool.derivative.T)
         if self._shaft is None:
             return ToolPose(tool.T_camera_link, covariance, self.shaft_axis(), None)
-        turn = self._state.link(self._shaft.link).derivative[3:]
+        turn = self.state.link(self._shaft.link).derivative[3:]
         of_axis = across_std_rad(widening * turn @ self.covariance @ turn.T, self.shaft_axis())
         return ToolPose(tool.T_camera_link, covariance, self.shaft_axis(), of_axis)
 
     def hinge(self, name: str, p_link_m: Array) -> Hinge:
         """The wrist's hinge, from where it is in the frame of a link, shape (3,)."""
-        link = self._state.link(name)
+        link = self.state.link(name)
         arm_m = link.T_camera_link[:3, :3] @ p_link_m
         J = link.derivative[:3] - skew(arm_m) @ link.derivative[3:]
         covariance = self.consistency.widening * (J @ self.covariance @ J.T)
@@ -208,34 +188,34 @@ class KinematicErrorFilter:
 
     def corrected_joints(self) -> Array:
         """Reported joints at the corrected time, with offsets and play, shape (n_joints,)."""
-        return self._model.joints.corrected(self._state.robot, self._state.correction)
+        return self._model.joints.corrected(self.state.robot, self.state.correction)
 
     def shaft_axis(self) -> Array:
         """The shaft's direction towards the tip in the camera frame, shape (3,); the tool's x without a shaft."""
         if self._shaft is None:
-            return np.asarray(self._state.link(None).T_camera_link[:3, 0])
-        return np.asarray(self._state.link(self._shaft.link).T_camera_link[:3, :3] @ self._shaft.axis)
+            return np.asarray(self.state.link(None).T_camera_link[:3, 0])
+        return np.asarray(self.state.link(self._shaft.link).T_camera_link[:3, :3] @ self._shaft.axis)
 
     def _padded(self, x: Array) -> Array:
-        return np.concatenate([x, np.zeros(len(self._state.P) - len(x))])
+        return np.concatenate([x, np.zeros(len(self.state.P) - len(x))])
 
     def _prefers_jump(self, measurements: Sequence[LinkMeasurement], found: Solution) -> bool:
         """Whether measurements are more probable after a jump of the base than as wild ones, by Bayes' factor."""
         degrees = sum(len(measurement.covariance) for measurement in measurements)
         if found.innovations.sum() < chi_square_bound(degrees):
             return False
-        there = copy(self._state)
-        there.P = self._state.P.copy()
+        there = copy(self.state)
+        there.P = self.state.P.copy()
         there.P[:6, :6] += JUMP
         moved = most_probable(there, measurements, np.zeros(len(there.P)))
         if moved is None:
             return False
-        as_wild = evidence(found, self._state.P, measurements)
+        as_wild = evidence(found, self.state.P, measurements)
         return evidence(moved, there.P, measurements) + JUMP_PRICE < as_wild
 
     def _begin_at(self, pose: ToolPose | None) -> None:
         """The prior, linearised where a pose puts the tool, and widened where that would surprise it."""
-        state = self._state
+        state = self.state
         state.correction = self._model.no_correction()
         state.go_to(state.robot)
         state.start()
@@ -261,12 +241,12 @@ class KinematicErrorFilter:
         if not measurements:
             return None
         self._begin_at(pose)
-        x = np.zeros(len(self._state.P)) if self._start_x is None else self._start_x
-        parts = self._state.retracted(x).linearise(measurements)
+        x = np.zeros(len(self.state.P)) if self._start_x is None else self._start_x
+        parts = self.state.retracted(x).linearise(measurements)
         if not all(part.is_finite for part in parts):
             return None
-        self._state.augment_state(parts)
-        return most_probable(self._state, measurements, self._padded(x), descends=descends)
+        self.state.augment_state(parts)
+        return most_probable(self.state, measurements, self._padded(x), descends=descends)
 
 
 def as_measurement(pose: ToolPose) -> PoseMeasurement:

@@ -185,7 +185,7 @@ def at_height(
     of_camera = frame.arm.deviations.camera
     plane, biases = tissue_plane(tissue), height_biases(tissue, known.position_m)
     offset_m = plane.offset_m + sum(
-        float(bias.jacobian[0, 0]) * kalman.constant(bias.name) for bias in biases
+        float(bias.jacobian[0, 0]) * kalman.state.bias(bias.name) for bias in biases
     )
     scale = offset_m / plane.offset_m
     placed = known.at(scale * known.position_m, scale)
