@@ -54,7 +54,7 @@ def measured(
     if frame.arm.body is not None:
         capsules = frame.arm.body.posed(pose, tool.joints, tool.has_plate)
         gap = separation(capsules, tissue.surface)
-        frame.left.found["measured_surface"] = tissue.surface  # for drawings
+        frame.left.measured_surface = tissue.surface
         parts_m = clearance_std_m(gap, pose, tissue, coupling), _bent_std_m(gap, capsules, pose, tissue)
         std_m = float(np.linalg.norm([*parts_m, frame.arm.body.surface_std_m]))
         # With all of an overlap in it: soft tissue has given way, or tool or tissue is elsewhere.

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from svmdist.estimation.instrument.shaft_detection import (
 )
 from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
 from svmdist.estimation.scene import OF_BOTH_VIEWS, Arm, Scene
+from svmdist.geometry import Surface
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure
 from svmdist.samples import Image, JointSample, Observation, RightView
@@ -41,9 +42,10 @@ MAX_PRINTED_FRACTION = 0.1
 class View:
     """One camera's image as the methods of one instrument see it, and what it shows of that instrument.
 
-    Every detection is computed when it is first asked for. `others`, shape (h, w), marks the pixels that have an
-    instrument's colours and belong to another one, or to none that is known; None where there is one instrument only.
-    `T_view_left`, shape (4, 4), maps the left camera's coordinates to its own; its stamp is `delay_s` later.
+    Every detection is computed when it is first asked for; `vars` has those that were. `others`, shape (h, w), marks
+    the pixels that have an instrument's colours and belong to another one, or to none that is known; None where there
+    is one instrument only. `T_view_left`, shape (4, 4), maps the left camera's coordinates to its own; its stamp is
+    `delay_s` later.
     """
 
     def __init__(
@@ -54,11 +56,7 @@ class View:
         if isinstance(seen, RightView):
             self.T_view_left, self.delay_s = inverse(seen.T_left_right), seen.delay_s
         self._arm, self._settings = arm, arm.profile.settings
-
-    @property
-    def found(self) -> dict[str, Any]:
-        """The detections that were asked for, by name."""
-        return self.__dict__
+        self.measured_surface: Surface | None = None  # that a clearance was measured to, for drawings
 
     @cached_property
     def masks(self) -> Masks:

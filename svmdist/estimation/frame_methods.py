@@ -284,7 +284,7 @@ def _to_tissue(
     other = measured(replace(result, detail=said), frame, tool, by_profile)
     if (other_std_m := _std_m(other)) is not None and MUCH_SURER * other_std_m < std_m:
         return other
-    frame.left.found["measured_surface"] = seen.surface
+    frame.left.measured_surface = seen.surface
     return found
 
 

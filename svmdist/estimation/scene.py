@@ -5,7 +5,6 @@ from __future__ import annotations
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 from svmdist.errors import ProfileError
 from svmdist.estimation.instrument.measurement import Deviations
@@ -79,7 +78,7 @@ class Scene:
     """One moment of a log before the instruments are told apart; all methods and instruments share its detections.
 
     Its `observation` is what ideal cameras would have seen; `lens` is the left camera as it is. The right
-    view's `rows` are aligned with the left one's.
+    view's `rows` are aligned with the left one's. Detections are computed as those of a view are.
     """
 
     def __init__(
@@ -98,17 +97,12 @@ class Scene:
         self.left = FrameContext(observation.image_bgr, *rules)
         self.right = None if right is None else FrameContext(right.image_bgr, *rules)
 
-    @property
-    def found(self) -> dict[str, Any]:
-        """The detections that were asked for, by name."""
-        return self.__dict__
-
     def left_alone(self) -> Scene:
         """The same without the right view, with what was found in the left one."""
         alone = copy(self)
         alone.observation, alone.right = replace(self.observation, right=None), None
         for name in OF_BOTH_VIEWS:
-            alone.found.pop(name, None)
+            vars(alone).pop(name, None)
         return alone
 
     @cached_property

@@ -89,7 +89,7 @@ def warnings(drawing: FrameDrawing) -> list[str]:
 def _surface(frame: DrawnFrame, frame_id: str) -> Iterator[tuple[str, EncodedSample]]:
     """The tissue's surface where a method looked for it in both views, with an instrument there or not."""
     frames = frame.replayed.frames
-    surface = frames[0].scene.found.get("stereo_surface") if frames else None
+    surface = vars(frames[0].scene).get("stereo_surface") if frames else None
     if surface is None:
         return
     seen = frames[0].scene.observation

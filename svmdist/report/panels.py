@@ -130,7 +130,7 @@ def phases_picture(frame: DrawnFrame, title: str, method: str = "") -> Image:
 
 def _segmentation(frame: DrawnFrame, _: Image) -> Image:
     first = frame.replayed.frames[0]
-    recorded = "regions_as_recorded" in first.left.found
+    recorded = "regions_as_recorded" in vars(first.left)
     parts: list[tuple[Part, Image | None]] = []
     for one in frame.replayed.frames:
         masks = one.left.masks_as_recorded if recorded else one.left.masks
@@ -179,7 +179,7 @@ def _matches(frame: DrawnFrame, sheet: Image) -> Image:
 def _surface(frame: DrawnFrame, pixels: Image) -> Image:
     """Points of the stereo surface, coloured by depth: yellow is near, violet far."""
     scene = frame.replayed.frames[0].scene
-    surface = scene.found.get("stereo_surface")
+    surface = vars(scene).get("stereo_surface")
     if surface is None:
         return pixels
     depth_m = surface.points_m[:, 2]

@@ -119,8 +119,8 @@ def frame_drawing(
         if (seen := shaft_sections(frame.left.camera, capsules)) is not None:
             outline = Shape(Part.POSE, Form.LOOP, seen.outline_px, result.instrument)
             shapes.append(_through_lens(outline, scene.lens))
-    tissue, cloud = (scene.found.get(name) for name in ("tissue", "stereo_surface"))
-    surfaces = (of for one in frames if (of := one.left.found.get("measured_surface")) is not None)
+    tissue, cloud = (vars(scene).get(name) for name in ("tissue", "stereo_surface"))
+    surfaces = (of for one in frames if (of := one.left.measured_surface) is not None)
     return FrameDrawing(
         results[0].stamp_ns,
         tuple(shapes),
@@ -135,12 +135,12 @@ def frame_drawing(
 
 def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup: Setup) -> Iterator[Shape]:
     """The tissue, and of each instrument contours, distal marker, shaft, tag and virtual marker."""
-    tissue = frames[0].scene.found.get("tissue")
+    tissue = vars(frames[0].scene).get("tissue")
     if tissue is not None:
         yield from _contours(frames[0].scene.left.masks.tissue, tissue.region, Part.TISSUE)
         yield Shape(Part.TISSUE, Form.LOOP, np.asarray(tissue.outline.curve_px, np.float64))
     for frame, name in ((frame, result.instrument) for frame, result in zip(frames, results, strict=True)):
-        left, found = frame.left, frame.left.found
+        left, found = frame.left, vars(frame.left)
         organ, instrument = found.get("regions_as_recorded") or (None, None)
         if organ is not None:
             yield from _contours(left.masks_as_recorded.tissue, organ, Part.TISSUE)
@@ -223,7 +223,7 @@ def _shaft(silhouette: Silhouette, name: str) -> Iterator[Shape]:
 
 def virtual_marker(frame: Frame) -> MarkerSearch | None:
     """Search for the marker as `overlay` did in this frame; None where it pasted none."""
-    tissue, instrument = frame.left.found.get("regions_as_recorded") or (None, None)
+    tissue, instrument = vars(frame.left).get("regions_as_recorded") or (None, None)
     if tissue is None or instrument is None:
         return None
     template = template_features(frame.arm.profile.marker, frame.arm.profile.features)

@@ -201,7 +201,7 @@ def test_tissue_that_both_views_show_far_away_only_is_the_profiles(golden):
     assert not found.detail
     surface = frame.scene.stereo_surface
     assert surface is not None
-    frame.scene.found["stereo_surface"] = replace(surface, grid_std_m=5e-3 + surface.grid_std_m)
+    vars(frame.scene)["stereo_surface"] = replace(surface, grid_std_m=5e-3 + surface.grid_std_m)
     other = make_estimator("stereo", arm).estimate(frame)
     assert "the profile's is used" in other.detail
     seen, known = found.distances.clearance, other.distances.clearance

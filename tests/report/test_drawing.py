@@ -116,7 +116,7 @@ def test_a_clearance_is_a_segment_of_its_length_that_starts_on_the_instrument(du
         off_m = np.abs(np.linalg.norm(nearest - segment.start_m, axis=1) - body.radius_m)
         assert off_m.min() < 1e-9
         end_m = segment.end_m[None]
-        on_tissue = separation(Capsules(end_m, end_m, np.zeros(1)), frame.left.found["measured_surface"])
+        on_tissue = separation(Capsules(end_m, end_m, np.zeros(1)), frame.left.measured_surface)
         assert on_tissue.distance_m == pytest.approx(0.0, abs=1e-9)
         assert f"{clearance.value_m * 1e3:.2f} mm" in segment.text
         lens = replayed.frames[0].scene.lens
