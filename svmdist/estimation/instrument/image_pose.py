@@ -18,7 +18,6 @@ from svmdist.estimation.instrument.factors import DISPARITY, jaw_scale, of_image
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import SHAFT
-from svmdist.estimation.instrument.shaft_detection import DistalMarker
 from svmdist.estimation.instrument.shaft_model import ShaftModel
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import KinematicError
@@ -109,19 +108,11 @@ def _first_places(
         yield make_transform(R_nominal, tool_m - R_nominal @ model.T_shaft_tool[:3, 3])
 
 
-def _tool_marker(view: View) -> DistalMarker | None:
-    """The distal marker; or the tool's origin by the outline of the wrist, as a point without a size."""
-    wrist = view.shaft.wrist
-    if view.distal_marker is not None or wrist is None:
-        return view.distal_marker
-    return DistalMarker(wrist.pixel, wrist.std_px, None, 0.0)
-
-
 def _first_shafts(view: View, model: ShaftModel, R_nominal: Array | None) -> Iterator[Array | Failure]:
     """First `T_view_shaft`, (4, 4): by the closed form, by the nominal rotation and a marker; or why none."""
     if len(view.shaft.contours) == 2:
         yield _start_from_sides(view, model, R_nominal)
-    marker = _tool_marker(view)
+    marker = view.distal_marker
     if R_nominal is None:
         yield Failure("no long enough part of a shaft is to be seen with both sides")
     elif marker is None or marker.radius_px is None:
@@ -190,7 +181,7 @@ def _turned_to_tip(d: Array, view: View, R_nominal: Array | None) -> Array | Non
 
 def _along_axis(p_m: Array, d: Array, view: View, model: ShaftModel) -> Array | None:
     """The hinge: where the axis passes the landmark's ray, less the landmark's place on the straight tool."""
-    rim, marker = view.shaft.rim, _tool_marker(view)
+    rim, marker = view.shaft.rim, view.distal_marker
     if rim is not None:
         pixel, ahead_m = rim.pixel, model.outline_end_m if rim.is_outline else -model.neck_m
     elif marker is not None:
