@@ -13,7 +13,7 @@ import numpy as np
 
 from svmdist.estimation.instrument.consistency import NU, REFUSED_WEIGHT, student_weight
 from svmdist.estimation.instrument.measurement import LinkMeasurement
-from svmdist.estimation.instrument.state import ErrorState, block_diagonal
+from svmdist.estimation.instrument.state import ErrorState
 from svmdist.transforms import Array
 
 MAX_ITERATIONS = 12
@@ -75,13 +75,14 @@ def most_probable(
     state less probable is halved.
     """
     P, size = state.P, state.model.size
-    noise = block_diagonal([np.asarray(measurement.covariance) for measurement in measurements])
     degrees = np.array([len(measurement.covariance) for measurement in measurements])
     at_row = np.repeat(np.arange(len(degrees)), degrees)  # which measurement
-    begins, own, certainty = np.cumsum(degrees) - degrees, at_row[:, None] == at_row, np.linalg.inv(noise)
+    begins, own = np.cumsum(degrees) - degrees, at_row[:, None] == at_row
+    noise = np.zeros(own.shape)
+    noise[own] = np.concatenate([np.ravel(measurement.covariance) for measurement in measurements])
+    certainty, rests = np.linalg.inv(noise), _rests(measurements)
     deviations, moved = np.sqrt(np.diag(P) + 1e-18), np.inf
     weights, first = np.ones(len(degrees)), np.zeros(0)
-    rests = _rests(measurements)
     unlikely = _unlikely(P, deviations) if descends else None
     best: tuple[Array, Solution | None] = x, None
     least = np.inf

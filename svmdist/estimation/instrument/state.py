@@ -57,17 +57,6 @@ def linearise(measurement: LinkMeasurement, link: CorrectedLink) -> Linearised:
     return Linearised(residual, H, (own, *shared), measurement.covariance)
 
 
-def block_diagonal(blocks: Sequence[Array]) -> Array:
-    """Square matrices along the diagonal of one."""
-    size = sum(len(block) for block in blocks)
-    joined = np.zeros((size, size))
-    at = 0
-    for block in blocks:
-        joined[at : at + len(block), at : at + len(block)] = block
-        at += len(block)
-    return joined
-
-
 TINY_M = 1e-9  # stands in for a deviation of zero
 MIN_TOLD = 0.2  # of the variance of constants along a direction: of less the measurements tell too little
 
