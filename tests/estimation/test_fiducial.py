@@ -95,7 +95,7 @@ def test_a_length_moves_the_tool_along_its_own_axis(name):
         update={"link": chain.rows[kinematics.rows_behind_insertion(chain)[0]].name}
     )
     q = 0.4 * chain.lower + 0.6 * chain.upper
-    tag = TagPose(make_transform(rotation_x(2.0), [0.0, 0.0, 0.09]), np.zeros((6, 6)), 0.0, 0.8)
+    tag = TagPose(make_transform(rotation_x(2.0), [0.0, 0.0, 0.09]), np.zeros((6, 6)))
     error = KinematicError(joint_std_rad=0.0, joint_std_m=0.0, play_std_rad=0.0, length_std_m=4e-4)
     arm = Arm(profile.model_copy(update={"fiducial": fiducial, "kinematic_error": error}))
     arm.deviations = EXACT

@@ -51,14 +51,10 @@ class TagPose:
     """A tag's pose `T_camera_tag`, shape (4, 4), and the covariance of (δp, δθ), shape (6, 6).
 
     The error is as in `ToolPose`: p_true = p + δp in m, R_true = exp([δθ]) R, both in the camera frame.
-    `residual` is the root mean square of image less pattern, outliers left out, over the contrast; `blur_px` the
-    image's blur.
     """
 
     T_camera_tag: Array
     covariance: Array
-    residual: float
-    blur_px: float
 
 
 def _lay_coarsely(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) -> LaidPattern | None:
@@ -82,7 +78,7 @@ def _refine_fit(pixels: TagPixels, coarse: LaidPattern, pattern: TagPattern) -> 
     to_camera[:3, :3] = pattern.size_m * T[:3, :3]
     to_camera[3:, 3:] = T[:3, :3]
     covariance = to_camera @ fit.covariance(CLUSTER_INFLATION)[:6, :6] @ to_camera.T
-    return TagPose(T, covariance, fit.misfit, fit.overlay.blur_px)
+    return TagPose(T, covariance)
 
 
 def _minimise(
