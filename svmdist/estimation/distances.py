@@ -56,7 +56,7 @@ def measured(
         gap = separation(capsules, tissue.surface)
         frame.left.measured_surface = tissue.surface
         parts_m = clearance_std_m(gap, pose, tissue, coupling), _bent_std_m(gap, capsules, pose, tissue)
-        std_m = float(np.linalg.norm([*parts_m, frame.arm.body.surface_std_m]))
+        std_m = float(np.linalg.norm([*parts_m, frame.arm.body.instrument.body_std_m]))
         # With all of an overlap in it: soft tissue has given way, or tool or tissue is elsewhere.
         overlap_std_m = float(np.hypot(std_m, max(-gap.distance_m, 0.0)))
         ends = as_vector(gap.direction), as_vector(gap.on_instrument_m)
@@ -151,7 +151,7 @@ def with_clearance_between(
     for first, (i, capsules, pose, body) in enumerate(posed):
         for j, other_capsules, other_pose, other_body in posed[:first]:
             gap = capsule_separation(capsules, other_capsules)
-            of_surfaces_m = np.hypot(body.surface_std_m, other_body.surface_std_m)
+            of_surfaces_m = np.hypot(body.instrument.body_std_m, other_body.instrument.body_std_m)
             std_m = float(np.hypot(between_std_m(gap, pose, other_pose), of_surfaces_m))
             ends = ((i, gap.direction, gap.on_instrument_m), (j, -gap.direction, gap.on_tissue_m))
             for at, direction, start_m in ends:

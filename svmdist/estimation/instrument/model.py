@@ -136,54 +136,47 @@ PLATE_RADIUS_M, PLATE_RODS = 0.0003, 7
 BLADE_OFFSET = 0.55  # of a blade's middle plane from the one where the jaws meet, in radii of the jaw
 
 
+@dataclass(frozen=True, slots=True)
 class InstrumentModel:
     """Capsules of one instrument."""
 
-    def __init__(
-        self, instrument: Instrument, chain: DHChain | None, fiducial: Fiducial | None = None
-    ) -> None:
-        self._instrument = instrument
-        self._kinematics = WristKinematics.of(chain) if chain is not None else None
-        self._fiducial = fiducial
+    instrument: Instrument
+    kinematics: WristKinematics | None
+    fiducial: Fiducial | None
 
     @classmethod
     def of(cls, profile: Profile) -> InstrumentModel | None:
         """The profile's instrument; None where it has none."""
         if profile.instrument is None:
             return None
-        chain = chain_of(profile.robot) if profile.robot else None
-        return cls(profile.instrument, chain, profile.fiducial)
-
-    @property
-    def surface_std_m(self) -> float:
-        """How far the instrument's surface may stand off the capsules, as a standard deviation."""
-        return self._instrument.body_std_m
+        kinematics = WristKinematics.of(chain_of(profile.robot)) if profile.robot else None
+        return cls(profile.instrument, kinematics, profile.fiducial)
 
     def posed(self, pose: ToolPose, joints: JointSample | None = None, has_plate: bool = False) -> Capsules:
         """Capsules in the camera frame, bent by the joints where there are any; `has_plate` adds the tag's plate."""
-        kinematics = self._kinematics
+        kinematics = self.kinematics
         q = joints_of(kinematics.chain, joints) if kinematics is not None else None
         if kinematics is None or q is None:
-            return capsules_about(self._instrument, self._wrist_without_joints(pose), pose.jaw_scale)
+            return capsules_about(self.instrument, self._wrist_without_joints(pose), pose.jaw_scale)
         frames = frame_transforms(kinematics.chain, q)
-        body = capsules_about(self._instrument, kinematics.wrist_in_tool(frames, q), pose.jaw_scale)
-        if has_plate and self._fiducial is not None:
-            T_base_link = frames[row_index(kinematics.chain, self._fiducial.link)]
+        body = capsules_about(self.instrument, kinematics.wrist_in_tool(frames, q), pose.jaw_scale)
+        if has_plate and self.fiducial is not None:
+            T_base_link = frames[row_index(kinematics.chain, self.fiducial.link)]
             T_tool_base = inverse(frames[-1] @ kinematics.chain.T_last_tool)
-            T_tool_tag = T_tool_base @ T_base_link @ self._fiducial.T_link_tag
-            body = join(body, plate_capsules(self._fiducial).transformed(T_tool_tag))
+            T_tool_tag = T_tool_base @ T_base_link @ self.fiducial.T_link_tag
+            body = join(body, plate_capsules(self.fiducial).transformed(T_tool_tag))
         return body.transformed(pose.T_camera_tool)
 
     def _wrist_without_joints(self, pose: ToolPose) -> Wrist:
         tool_m, axis = pose.position_m, pose.axis
-        length_m = WRIST_LENGTH_PER_RADIUS * self._instrument.wrist_radius_m
-        if self._kinematics is not None:
-            length_m = self._kinematics.length_m
+        length_m = WRIST_LENGTH_PER_RADIUS * self.instrument.wrist_radius_m
+        if self.kinematics is not None:
+            length_m = self.kinematics.length_m
         side = cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
         pivot = side / np.linalg.norm(side)
-        if pose.hinge is None or self._kinematics is None:
+        if pose.hinge is None or self.kinematics is None:
             return Wrist(tool_m - length_m * axis, tool_m, axis, pivot, jaws_of(axis, pivot, 0.0))
-        jaws = pose.T_camera_tool[:3, :3] @ self._kinematics.straight
+        jaws = pose.T_camera_tool[:3, :3] @ self.kinematics.straight
         return Wrist(pose.hinge.position_m, tool_m, axis, pivot, jaws_of(jaws, pivot, 0.0))
 
 

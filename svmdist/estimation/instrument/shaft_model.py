@@ -150,16 +150,25 @@ class ShaftModel(ShaftSizes):
     @classmethod
     def of(cls, robot: RobotState | Failure, chain: DHChain, instrument: Instrument) -> ShaftModel:
         """By the joints and the base, as far as they are known; ProfileError for a chain without a shaft."""
+        turns, axis = rows_behind_insertion(chain), shaft_of(chain)
+        if len(turns) < 2 or axis is None:
+            raise ProfileError(
+                "the method shaft needs a chain that slides along its shaft, turns it, and has a wrist"
+            )
         q = robot.q if isinstance(robot, RobotState) else np.zeros(len(chain.joint_names))
-        T_base_shaft, T_shaft_tool = shaft_frames(chain, q)
+        roll, frames = turns[0], frame_transforms(chain, q)
+        z, on_axis_m = joint_axis(chain, frames, roll)
+        _, on_hinge_m = joint_axis(chain, frames, roll + 1)
+        x = frames[roll, :3, 0] - z * float(z @ frames[roll, :3, 0])
+        x /= np.linalg.norm(x)
+        origin_m = on_axis_m + z * float(z @ (on_hinge_m - on_axis_m))
+        T_base_shaft = make_transform(np.stack([x, cross(z, x), z], -1), origin_m)
+        T_shaft_tool = inverse(T_base_shaft) @ frames[-1] @ chain.T_last_tool
         R_camera_shaft = None
         if isinstance(robot, RobotState) and robot.T_camera_base is not None:
             R_camera_shaft = np.asarray((robot.T_camera_base @ T_base_shaft)[:3, :3])
         reach_m = float(np.linalg.norm(T_shaft_tool[:3, 3]))
-        axis = shaft_of(chain)
-        assert axis is not None  # its frame is there
-        T_base_link = frame_transforms(chain, q)[row_index(chain, axis.link)]
-        hinge_m = np.asarray((inverse(T_base_link) @ T_base_shaft)[:3, 3])
+        hinge_m = np.asarray((inverse(frames[row_index(chain, axis.link)]) @ T_base_shaft)[:3, 3])
         return cls(instrument, reach_m, q, T_base_shaft, T_shaft_tool, R_camera_shaft, axis, hinge_m)
 
     def wrist_shape(self, *, ends_dark: bool) -> WristShape:
@@ -167,20 +176,3 @@ class ShaftModel(ShaftSizes):
         ahead_m = max(self.reach_m - (-self.neck_m if ends_dark else self.outline_end_m), 0.0)
         length_m = ahead_m + self.instrument.jaw_length_m
         return WristShape(ahead_m / length_m, length_m / (2.0 * self.radius_m))
-
-
-def shaft_frames(chain: DHChain, q: Array) -> tuple[Array, Array]:
-    """`T_base_shaft` and `T_shaft_tool` at joints `q`, (n_joints,); ProfileError for a chain without a shaft."""
-    turns = rows_behind_insertion(chain)
-    if len(turns) < 2:
-        raise ProfileError(
-            "the method shaft needs a chain that slides along its shaft, turns it, and has a wrist"
-        )
-    roll, frames = turns[0], frame_transforms(chain, q)
-    z, on_axis_m = joint_axis(chain, frames, roll)
-    _, hinge_m = joint_axis(chain, frames, roll + 1)
-    x = frames[roll, :3, 0] - z * float(z @ frames[roll, :3, 0])
-    x /= np.linalg.norm(x)
-    origin_m = on_axis_m + z * float(z @ (hinge_m - on_axis_m))
-    T_base_shaft = make_transform(np.stack([x, cross(z, x), z], -1), origin_m)
-    return T_base_shaft, inverse(T_base_shaft) @ frames[-1] @ chain.T_last_tool
