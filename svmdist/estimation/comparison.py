@@ -9,7 +9,7 @@ says what to look at.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -79,13 +79,7 @@ class Comparison:
     usual: Difference
     frames: int
     contradicting: int
-    least: int = 1  # frames that must contradict, and of all that compare
-    share: float = MIN_SHARE
-
-    @property
-    def contradicts(self) -> bool:
-        """Whether enough frames are beyond what is uncertain."""
-        return self.contradicting >= max(self.least, self.share * self.frames)
+    contradicts: bool  # whether enough frames are beyond what is uncertain
 
     @property
     def verdict(self) -> str:
@@ -183,16 +177,16 @@ class Checks:
 
 def _compared(ones: Sequence[Difference], frames: int) -> Comparison:
     beyond = [one for one in ones if one.deviations > MAX_DEVIATIONS]
-    least, share = min(MIN_FRAMES, frames), MIN_SHARE
+    least, share = min(MIN_FRAMES, frames), MIN_SHARE  # of those that compare, to contradict
     if ones[0].what == MOTION:
         least, share = MIN_MOTIONS, MOST
     elif JAWS in ones[0].sources:  # a hole in a mask behind them may be anything dark
         share = MOST
     elif ones[0].sources[0] in (PROFILE, VIEWS, CAMERAS):  # of a profile, or of many points
         least = 1
-    found = Comparison(ones[0], len(ones), len(beyond), least, share)
-    shown = sorted(beyond if found.contradicts else ones, key=lambda one: one.deviations)
-    return replace(found, usual=shown[len(shown) // 2])
+    contradicts = len(beyond) >= max(least, share * len(ones))
+    shown = sorted(beyond if contradicts else ones, key=lambda one: one.deviations)
+    return Comparison(shown[len(shown) // 2], len(ones), len(beyond), contradicts)
 
 
 def readable(found: Difference) -> str:
