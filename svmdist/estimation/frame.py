@@ -20,7 +20,7 @@ from svmdist.estimation.instrument.shaft_detection import (
 from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
 from svmdist.estimation.scene import OF_BOTH_VIEWS, Arm, Scene
 from svmdist.geometry import Surface
-from svmdist.kinematics.robot_state import RobotState
+from svmdist.kinematics.robot_state import NO_CAMERA, RobotState
 from svmdist.results import Failure
 from svmdist.samples import Image, JointSample, Observation, RightView
 from svmdist.transforms import Array, inverse
@@ -223,16 +223,16 @@ class Frame:
     @property
     def robot_in_camera(self) -> RobotState | Failure:
         """Joints and nominal poses in the camera frame; or what of them the log lacks."""
-        if isinstance(self.robot, Failure):
-            return self.robot
-        return self.robot.camera_failure or self.robot
+        if isinstance(self.robot, RobotState) and self.robot.T_camera_base is None:
+            return NO_CAMERA
+        return self.robot
 
     @cached_property
     def tag(self) -> TagPose | None:
         """The tag's pose by the left view, its ambiguity decided by nominal kinematics where the image does not."""
-        fiducial, R_camera_tag = self.arm.profile.fiducial, None
-        if fiducial is not None and not isinstance(self.robot, Failure) and not self.robot.camera_failure:
-            R_camera_tag = (self.robot.T_camera_link(fiducial.link) @ fiducial.T_link_tag)[:3, :3]
+        fiducial, robot, R_camera_tag = self.arm.profile.fiducial, self.robot_in_camera, None
+        if fiducial is not None and isinstance(robot, RobotState):
+            R_camera_tag = (robot.T_camera_link(fiducial.link) @ fiducial.T_link_tag)[:3, :3]
         return self.tag_near(R_camera_tag)
 
     def tag_near(self, R_camera_tag: Array | None, std_rad: float = np.inf) -> TagPose | None:

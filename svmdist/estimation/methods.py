@@ -44,12 +44,7 @@ class Method:
     estimator: str
     inputs: tuple[Input, ...]
     draws: tuple[Phase, ...]
-    measures: tuple[Literal["planar", "spatial", "clearance"], ...] = ("planar", "spatial", "clearance")
-
-    @property
-    def is_planar(self) -> bool:
-        """Whether it measures in the paper's plane only, and needs the mapping from pixels to it."""
-        return self.measures == ("planar",)
+    is_planar: bool = False  # in the paper's plane only: it needs the mapping from pixels to it
 
 
 _TABLE = (
@@ -58,14 +53,14 @@ _TABLE = (
         "planar.OverlayEstimator",
         ("calibration",),
         ("segmentation", "contours", "marker", "matches", "outline and distance"),
-        ("planar",),
+        is_planar=True,
     ),
     Method(
         "centroid",
         "planar.CentroidEstimator",
         ("calibration",),
         ("segmentation", "contours", "distance"),
-        ("planar",),
+        is_planar=True,
     ),
     Method(
         "fiducial",

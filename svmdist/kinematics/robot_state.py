@@ -73,11 +73,6 @@ class RobotState:
             return np.zeros(len(self.q))
         return self.track.rate_near(self.stamp_ns + round(1e9 * self.time_offset_s))
 
-    @property
-    def camera_failure(self) -> Failure | None:
-        """Why there is no pose in the camera frame; None where there is."""
-        return None if self.T_camera_base is not None else NO_CAMERA
-
     @cached_property
     def frames(self) -> Array:
         """Poses of all row frames in the base frame, shape (n_rows, 4, 4), not to be written to."""

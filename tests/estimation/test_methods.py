@@ -13,7 +13,7 @@ from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_
 from svmdist.estimation.plane_mapping import PUBLISHED_MAPPING
 from svmdist.estimation.scene import Arm
 from svmdist.recording.log import open_recording
-from svmdist.samples import Observation
+from svmdist.samples import Observation, Status
 from svmdist.vision.segmentation import make_segmenter
 from tests.measuring import frame_of
 from tests.reading import read_observations
@@ -43,6 +43,12 @@ def seen(golden: Path) -> list[Observation]:
 def fresh(seen: Observation) -> Frame:
     """A frame of which nothing is detected yet."""
     return frame_of(seen, Arm(PROFILE), make_segmenter(PROFILE.segmentation))
+
+
+@pytest.mark.parametrize("method", ["kinematic", "fused"])
+def test_a_robot_that_does_not_know_the_camera_is_a_reason(method, seen):
+    result = made(method).estimate(fresh(replace(seen[0], T_camera_base=None)))
+    assert (result.status, result.detail) == (Status.NO_JOINTS, "no transform from the camera to the base")
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -35,7 +35,6 @@ def test_what_a_sample_lacks_is_told():
 def test_a_state_without_the_camera_still_knows_its_base_frame():
     """Poses in the base frame are there; what needs the camera raises ValueError with the reason."""
     state = state_of(T_camera_base=None)
-    assert state.camera_failure == Failure("no transform from the camera to the base")
     np.testing.assert_array_equal(state.T_base_tool, state_of().T_base_tool)
     with pytest.raises(ValueError, match="no transform from the camera to the base"):
         _ = state.T_camera_link(None)
@@ -45,7 +44,7 @@ def test_poses_are_those_of_forward_kinematics():
     """Of a sample in another order: frames and tool equal the functions of `dh` within 1e-13, and are kept."""
     state, link = state_of(), CHAIN.rows[8].name
     np.testing.assert_array_equal(state.q, POSTURE)
-    assert (state.stamp_ns, state.camera_failure) == (7, None)
+    assert state.stamp_ns == 7
     frames = kinematics.frame_transforms(CHAIN, POSTURE)
     np.testing.assert_allclose(state.T_base_tool, kinematics.forward_kinematics(CHAIN, POSTURE), atol=1e-13)
     np.testing.assert_allclose(state.T_camera_link(None), T_CAMERA_BASE @ state.T_base_tool, atol=1e-13)

@@ -26,7 +26,6 @@ from svmdist.estimation.instrument.most_probable import (
     heavy_tailed,
     most_probable,
     most_probable_from,
-    normalised_square,
     robust_cost,
 )
 from svmdist.estimation.instrument.state import ErrorState, Linearised
@@ -150,7 +149,9 @@ class KinematicErrorFilter:
         state, size = self.state, len(part.residual)
         part = replace(part, H=np.zeros((size, self._model.size)))
         state.augment_state([part])
-        innovation, S, H = state.innovation(part)
+        H = state.full_jacobian([part])
+        innovation = part.residual - H[:, self._model.size :] @ state.bias_mean
+        S = H @ state.P @ H.T + part.noise
         nis = float(innovation @ np.linalg.solve(S, innovation))
         is_accepted = nis <= chi_square_bound(size, self._settings.gate_z)
         result = GatingResult(name, nis, size, float(student_weight(nis, size)) if is_accepted else 0.0, name)
@@ -264,5 +265,5 @@ def as_measurement(pose: ToolPose) -> PoseMeasurement:
 def pose_distance(image: ToolPose, predicted: ToolPose) -> float:
     """Squared deviation of an image's pose from a predicted one: six degrees of freedom."""
     found = as_measurement(image).linearise(predicted.T_camera_tool)
-    J = found.derivative
-    return normalised_square(found.residual, image.covariance + TINY_POSE + J @ predicted.covariance @ J.T)
+    v, J = found.residual, found.derivative
+    return float(v @ np.linalg.solve(image.covariance + TINY_POSE + J @ predicted.covariance @ J.T, v))

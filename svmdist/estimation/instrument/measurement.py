@@ -30,10 +30,6 @@ class SharedBias:
     jacobian: Array
     correlation_time_s: float = FOR_EVER_S
 
-    def scaled(self, factor: float) -> SharedBias:
-        """The same in another unit of the residual."""
-        return SharedBias(self.name, factor * self.jacobian, self.correlation_time_s)
-
 
 @dataclass(frozen=True)
 class Deviations:

@@ -159,11 +159,6 @@ def evidence(found: Solution, P: Array, measurements: Sequence[LinkMeasurement])
     return robust_cost(found, measurements) + float(told)
 
 
-def normalised_square(v: Array, S: Array) -> float:
-    """The square of v, (n,), over its covariance S, (n, n)."""
-    return float(v @ np.linalg.solve(S, v))
-
-
 def heavy_tailed(square: float, covariance: Array) -> float:
     """Minus twice the logarithm of Student's density, but for a constant."""
     size = len(covariance)

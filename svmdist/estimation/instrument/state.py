@@ -196,12 +196,6 @@ class ErrorState:
         """The measurements about the present state."""
         return [linearise(measurement, self.link(measurement.link)) for measurement in measurements]
 
-    def innovation(self, part: Linearised) -> tuple[Array, Array, Array]:
-        """How far a measurement is off state and biases, its covariance, and its derivative: (m,), (m, m), (m, n)."""
-        H = self.full_jacobian([part])
-        off = part.residual - H[:, self.model.size :] @ self.bias_mean
-        return off, H @ self.P @ H.T + part.noise, H
-
     def full_jacobian(self, parts: Sequence[Linearised]) -> Array:
         """The derivative of the residuals, one below the other, by the whole state, shape (m, n)."""
         H = np.zeros((sum(len(part.residual) for part in parts), len(self.P)))

@@ -162,14 +162,14 @@ def measure_height(
     at_m = np.median(surface.points_m[above.inner], 0)
     # Disparity to depth to height along the plane's normal: a larger disparity is nearer to the camera.
     along_normal = abs(float(dome.T_camera_tissue[2, 2]))
-    of_cameras = depth_biases(at_m, frame.left.camera, right, frame.arm.deviations)
+    by_depth = depth_biases(at_m, frame.left.camera, right, frame.arm.deviations)
+    of_cameras = [replace(bias, jacobian=along_normal * bias.jacobian) for bias in by_depth]
     by_shape = dome.derivative(above.flat_m).mean(0)
     dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
     lasting_m = np.hypot(LASTING_HEIGHT_SHARE * surface.std_m, dome_std_m)
     own = SharedBias(OUTLINE, np.array([[lasting_m]]), HEIGHT_CORRELATION_TIME_S)
     noise_m2 = (1.0 - LASTING_HEIGHT_SHARE**2) * surface.std_m**2
-    of_plane = height_biases(tissue, known.position_m)
-    biases = (own, *of_plane, *(bias.scaled(along_normal) for bias in of_cameras))
+    biases = (own, *height_biases(tissue, known.position_m), *of_cameras)
     over_m = np.array([median(above.over_m)])
     return kalman.update_scene(OUTLINE, Linearised(over_m, np.zeros((1, 0)), biases, np.array([[noise_m2]])))
 
