@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.measurement import Deviations, SharedBias
-from svmdist.geometry import Cloud
 from svmdist.profile.robot import FieldOfView
 from svmdist.profile.settings import StereoSettings
 from svmdist.samples import Image, RightView
@@ -63,11 +62,6 @@ class StereoSurface:
         columns, rows = np.rint(camera.project(self.points_m)).astype(np.intp).T
         height, width = bgr.shape[:2]
         return np.asarray(bgr[rows.clip(0, height - 1), columns.clip(0, width - 1)])
-
-    def cloud(self, camera: Camera, right: RightView, deviations: Deviations) -> Cloud:
-        """What distances are to: also what is hidden between what is seen."""
-        std_m = self.deviations_m(camera, right, deviations)
-        return Cloud(self.grid_m[self.is_within], std_m[self.is_within])
 
 
 def depth_biases(

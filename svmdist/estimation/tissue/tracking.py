@@ -129,7 +129,8 @@ def surface_by_stereo(frame: Frame, known: TissuePose) -> TissuePose | None:
     surface, right = frame.scene.stereo_surface, frame.scene.observation.right
     if surface is None or right is None:
         return None
-    cloud = surface.cloud(frame.left.camera, right, frame.arm.deviations)
+    std_m, within = surface.deviations_m(frame.left.camera, right, frame.arm.deviations), surface.is_within
+    cloud = Cloud(surface.grid_m[within], std_m[within])  # also what is hidden between what is seen
     off_m = _off_plane_m(surface.points_m, median(cloud.std_m), require_tissue(frame.arm.profile))
     return replace(known, surface=cloud, surface_std_m=off_m, dome=None, is_measured=True)
 
