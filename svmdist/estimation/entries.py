@@ -43,14 +43,6 @@ SIDES: dict[EntrySide, tuple[float, float]] = {
 """The middle of each side of a picture, over its size."""
 
 
-@dataclass(frozen=True, slots=True)
-class NamedInstrument:
-    """Which of an image's seen instruments an instrument is, None where it is not seen, and why that is in doubt."""
-
-    seen: int | None
-    doubt: str = ""
-
-
 @dataclass
 class _Track:
     """Where an instrument came in and ended when it was last seen for sure, over the image's size; None before."""
@@ -70,8 +62,8 @@ class EntryTracker:
 
     def update(
         self, stamp_ns: int, seen: Sequence[SeenInstrument], unlike: Array | float = 0.0
-    ) -> tuple[NamedInstrument, ...]:
-        """Name the seen instruments of the next image; an entry for each name.
+    ) -> tuple[list[int | None], list[str]]:
+        """Say for each name which of the next image's seen instruments it is, None for none, and why that is in doubt.
 
         `unlike`, shape (n_names, n_seen), is the -log likelihood of each by another view, where there is one.
         """
@@ -80,14 +72,12 @@ class EntryTracker:
         # What is surer an instrument is the likelier one where one name has a choice.
         cost = cost - np.log(np.array([max(one.evidence, 1e-3) for one in seen])) + unlike
         hypotheses = ranked_assignments(cost, UNNAMED_COST, UNSEEN_COST)
-        named = []
-        for place, at in enumerate(hypotheses[0][1]):
-            doubt = "" if at is None else self._doubt(place, hypotheses)
-            named.append(NamedInstrument(at, doubt))
+        named = list(hypotheses[0][1])
+        doubts = ["" if at is None else self._doubt(place, hypotheses) for place, at in enumerate(named)]
+        for track, at, doubt in zip(self._tracks, named, doubts, strict=True):
             if at is not None and not doubt:
-                track = self._tracks[place]
                 (track.entry, track.end), track.stamp_ns = places[at], stamp_ns
-        return tuple(named)
+        return named, doubts
 
     def _cost(self, track: _Track, stamp_ns: int, entry: Array, end: Array) -> float:
         """-log likelihood of a seen instrument under a track, up to a constant that all tracks share."""
@@ -151,21 +141,25 @@ class EntryAssociation:
         beside, cost = self._across_views(scene, seen)
         # What the right view does not show, or elsewhere than at its depth, is as likely none of them.
         unlike = np.min(np.minimum(cost, UNNAMED_COST), 2) if len(beside) else np.zeros(cost.shape[:2])
-        named = self._left.update(stamp_ns, seen, unlike)
-        self._before, self._before_ns = [seen[one.seen] for one in named if one.seen is not None], stamp_ns
+        left, doubts = self._left.update(stamp_ns, seen, unlike)
+        self._before, self._before_ns = [seen[at] for at in left if at is not None], stamp_ns
         if scene.right is None:
-            return [(other_than(one.seen, seen), None) for one in named], [one.doubt for one in named]
-        return self._in_both_views(scene, seen, named, cost)
+            return [(other_than(at, seen), None) for at in left], doubts
+        return self._in_both_views(scene, seen, left, doubts, cost)
 
     def _in_both_views(
-        self, scene: Scene, seen: Sequence[SeenInstrument], named: Sequence[NamedInstrument], cost: Array
+        self,
+        scene: Scene,
+        seen: Sequence[SeenInstrument],
+        left: list[int | None],
+        doubts: Sequence[str],
+        cost: Array,
     ) -> tuple[list[OtherMasks], list[str]]:
         """The same of both views: what one of them shows is sought in the other one.
 
         What that does not show, either, is measured by the one alone. `cost` is that of `_across_views` so far.
         """
         # What the left view shows is sought in the right one, where it is at the depth of the instrument's radius.
-        left = [one.seen for one in named]
         for i, at in enumerate(left):
             if at is not None and cost[i, at].min(initial=np.inf) > UNNAMED_COST:
                 self._seek_in_other(scene, i, seen[at], is_left=True)
@@ -179,13 +173,10 @@ class EntryAssociation:
                 unlike[i, at] = 0.0
             elif left[i] is None:
                 unlike[i, [place not in right for place in range(len(beside))]] = 0.0
-        there = self._right.update(scene.observation.stamp_ns, beside, unlike)
-        doubts = [
-            one.doubt if one.seen is not None else other.doubt
-            for one, other in zip(named, there, strict=True)
-        ]
+        there, doubts_there = self._right.update(scene.observation.stamp_ns, beside, unlike)
+        doubts = [doubts_there[i] if at is None else doubts[i] for i, at in enumerate(left)]
         known = len(scene.left.masks.seen or ())
-        alone = {i: one.seen for i, one in enumerate(there) if left[i] is None and one.seen is not None}
+        alone = {i: at for i, at in enumerate(there) if left[i] is None and at is not None}
         for i, at in alone.items():
             right[i] = at
             self._seek_in_other(scene, i, beside[at], is_left=False)

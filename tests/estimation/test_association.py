@@ -117,7 +117,7 @@ def test_from_left_to_right_in_the_order_of_the_profile():
         ([left], [0, None]),
         ([], [None, None]),
     ):
-        assert [one.seen for one in EntryTracker(*TWO).update(0, found)] == named
+        assert EntryTracker(*TWO).update(0, found)[0] == named
 
 
 def test_tips_that_cross_keep_their_names():
@@ -134,9 +134,8 @@ def test_tips_that_cross_keep_their_names():
                 entry = places[at] + rng.normal(0.0, 6.0, 2)
                 end = [320 + 120 * np.sin(0.3 * step + phase[at]), 260 + 60 * np.cos(0.23 * step + phase[at])]
                 found.append(entering(entry, end))
-            named = watch.update(step * SECOND // 8, found)
-            for name, one in enumerate(named):
-                assert one.seen is None or one.doubt or shown[one.seen] == name
+            for name, (at, doubt) in enumerate(zip(*watch.update(step * SECOND // 8, found), strict=True)):
+                assert at is None or doubt or shown[at] == name
 
 
 def shaft_seen(camera: Camera, T_camera_left: Array, end_m: Array, direction: Array) -> SeenInstrument:
