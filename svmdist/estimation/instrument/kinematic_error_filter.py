@@ -170,14 +170,15 @@ class KinematicErrorFilter:
         return widening * G @ P @ G.T, widening * tool @ P[: self._model.size] @ G.T
 
     def tool_pose(self) -> ToolPose:
-        """The corrected pose of the tool and its covariance."""
+        """The corrected pose of the tool and its covariance; without a shaft its axis is the tool's x."""
         tool, widening = self.state.link(None), self.consistency.widening
         covariance = widening * (tool.derivative @ self.covariance @ tool.derivative.T)
         if self._shaft is None:
-            return ToolPose(tool.T_camera_link, covariance, self.shaft_axis(), None)
-        turn = self.state.link(self._shaft.link).derivative[3:]
-        of_axis = across_std_rad(widening * turn @ self.covariance @ turn.T, self.shaft_axis())
-        return ToolPose(tool.T_camera_link, covariance, self.shaft_axis(), of_axis)
+            return ToolPose(tool.T_camera_link, covariance, tool.T_camera_link[:3, 0])
+        link = self.state.link(self._shaft.link)
+        axis, turn = link.T_camera_link[:3, :3] @ self._shaft.axis, link.derivative[3:]
+        axis_std_rad = across_std_rad(widening * turn @ self.covariance @ turn.T, axis)
+        return ToolPose(tool.T_camera_link, covariance, axis, axis_std_rad)
 
     def hinge(self, name: str, p_link_m: Array) -> Hinge:
         """The wrist's hinge, from where it is in the frame of a link, shape (3,)."""
@@ -190,12 +191,6 @@ class KinematicErrorFilter:
     def corrected_joints(self) -> Array:
         """Reported joints at the corrected time, with offsets and play, shape (n_joints,)."""
         return self._model.joints.corrected(self.state.robot, self.state.correction)
-
-    def shaft_axis(self) -> Array:
-        """The shaft's direction towards the tip in the camera frame, shape (3,); the tool's x without a shaft."""
-        if self._shaft is None:
-            return np.asarray(self.state.link(None).T_camera_link[:3, 0])
-        return np.asarray(self.state.link(self._shaft.link).T_camera_link[:3, :3] @ self._shaft.axis)
 
     def _padded(self, x: Array) -> Array:
         return np.concatenate([x, np.zeros(len(self.state.P) - len(x))])
