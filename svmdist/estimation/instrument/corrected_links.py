@@ -35,15 +35,16 @@ class MovingJoints:
 
     def __init__(self, chain: DHChain, first_joint: int) -> None:
         self.chain, self.first_joint = chain, first_joint
-        rows = chain.moving_rows[first_joint:]
-        self.first_row, late = int(rows[0]), 6 + 2 * len(rows)
+        rows, count = chain.moving_rows[first_joint:], len(chain.moving_rows) - first_joint
+        self.first_row = int(rows[0])
         self.axes = rows - rows[0] + (chain.convention == "modified")
         self.turns: Array = chain.is_revolute[first_joint:].astype(np.float64)
         self.slides: Array = 1.0 - self.turns
         self.row_lengths = tuple(_lengths(chain, self.first_row))
-        self.size = late + 1 + len(self.row_lengths)
-        self.offsets, self.play = slice(6, 6 + len(rows)), slice(6 + len(rows), late)
-        self.time_offset, self.lengths = late, slice(late + 1, self.size)
+        self.offsets, self.play = slice(6, 6 + count), slice(6 + count, 6 + 2 * count)
+        self.time_offset = 6 + 2 * count
+        self.size = self.time_offset + 1 + len(self.row_lengths)
+        self.lengths = slice(self.time_offset + 1, self.size)
 
     @property
     def constant_columns(self) -> dict[str, int]:

@@ -41,7 +41,6 @@ JUMP = np.diag([0.02**2] * 3 + [0.05**2] * 3)  # m², rad²: an endoscope that i
 JUMP_PRICE = 13.8  # twice the logarithm of how rarely that happens: in one frame of a thousand
 TINY_POSE = np.diag([1e-10] * 3 + [1e-8] * 3)  # m², rad²: an image's pose is never surer
 
-
 Start = tuple[ToolPose | None, Sequence[LinkMeasurement]]
 """A pose of the tool by the images, or None for nominal kinematics, and the measurements made about it."""
 
