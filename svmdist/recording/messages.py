@@ -20,8 +20,8 @@ from google.protobuf import message as protobuf
 from svmdist import samples
 from svmdist.camera import KNOWN_DISTORTION, MAX_COEFFICIENTS, Camera
 from svmdist.profile import Limits
-from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
 from svmdist.recording.images import ImageError, VideoDecoder, decode_raw, decode_still
+from svmdist.recording.own_messages_pb2 import GroundTruthDistance
 from svmdist.recording.source import RawMessage, cut
 from svmdist.transforms import Array, make_transform, rotation_from_quaternion_xyzw
 

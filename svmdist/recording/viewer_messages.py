@@ -17,7 +17,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from svmdist import drawing as draw
 from svmdist.geometry import Capsules, Mesh
-from svmdist.recording.distance_estimate_pb2 import DistanceEstimate
+from svmdist.recording.own_messages_pb2 import DistanceEstimate
 from svmdist.recording.writer import EncodedSample, Fields, encode, encoded, stamp_fields, vector_fields
 from svmdist.samples import Image, TransformSample, TransformsSample
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation

@@ -29,9 +29,9 @@ from svmdist.camera import Camera
 from svmdist.errors import OutputError, UsageError
 from svmdist.files import open_new, why
 from svmdist.profile import Limits
-from svmdist.recording.ground_truth_distance_pb2 import GroundTruthDistance
 from svmdist.recording.images import still_format, still_size
 from svmdist.recording.mcap import METADATA_NAME
+from svmdist.recording.own_messages_pb2 import GroundTruthDistance
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
 PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 6)

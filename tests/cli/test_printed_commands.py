@@ -48,7 +48,7 @@ OTHER_PROGRAMS = {
     "pip install": "changes the environment; .ci/run installs the wheel",
     "python -m training.train": "needs PyTorch, which is no dependency, and an hour",
     "python -m grpc_tools": "needs a compiler of protobuf that is no dependency",
-    "cp out/svmdist/": "copies what that compiler wrote",
+    "grep -o": "reads what that compiler wrote",
 }
 """Beginnings of commands of other programs, which are not run, each with the reason."""
 SHELL_FENCE = re.compile(r"^```(console|bash|sh|shell)\n(.*?)^```", re.MULTILINE | re.DOTALL)

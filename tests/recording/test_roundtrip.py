@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorProto
 from hypothesis import given
 from hypothesis import strategies as st
@@ -12,9 +13,9 @@ from hypothesis.extra.numpy import arrays
 
 from svmdist import samples
 from svmdist.profile import Limits
-from svmdist.recording.ground_truth_distance_pb2 import DESCRIPTOR, GroundTruthDistance
 from svmdist.recording.log import open_recording
 from svmdist.recording.messages import Decoder, EncodedImage, Message, to_sample
+from svmdist.recording.own_messages_pb2 import DistanceEstimate, GroundTruthDistance
 from svmdist.recording.source import RawMessage
 from svmdist.recording.writer import EncodedSample, encode
 from svmdist.transforms import make_transform, rotation_from_quaternion_xyzw
@@ -88,13 +89,17 @@ def test_a_recording_gives_everything_back(native, entries, profile):
     assert recording.health.is_clean
 
 
-def test_the_proto_and_its_python_agree():
-    text = re.sub(r"//.*", "", (SCHEMAS / "svmdist/GroundTruthDistance.proto").read_text())
-    declared = re.findall(r"(\S+) (\w+) = (\d+);", text)
+@pytest.mark.parametrize("message_class", [DistanceEstimate, GroundTruthDistance])
+def test_the_proto_and_its_python_agree(message_class):
+    name = message_class.DESCRIPTOR.name
+    text = re.sub(r"//.*", "", (SCHEMAS / f"svmdist/{name}.proto").read_text())
+    declared = re.findall(r"(optional )?(\S+) (\w+) = (\d+);", text)
     file = FileDescriptorProto()
-    DESCRIPTOR.CopyToProto(file)
+    message_class.DESCRIPTOR.file.CopyToProto(file)
     (message,) = file.message_type
-    types = {1: "double", 11: "google.protobuf.Timestamp"}
+    types = {1: "double", 8: "bool", 9: "string", 11: "google.protobuf.Timestamp"}
     assert file.package == "svmdist"
-    assert message.name == GroundTruthDistance.DESCRIPTOR.name
-    assert declared == [(types[f.type], f.name, str(f.number)) for f in message.field]
+    assert message.name == name
+    assert declared == [
+        ("optional " * f.proto3_optional, types[f.type], f.name, str(f.number)) for f in message.field
+    ]

@@ -21,8 +21,8 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from svmdist.camera import Camera
 from svmdist.drawing import Part
-from svmdist.recording.distance_estimate_pb2 import DistanceEstimate
 from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.own_messages_pb2 import DistanceEstimate
 from svmdist.recording.summary import TRUE_SUFFIX
 from svmdist.report.annotated import write_annotated, write_video
 from svmdist.report.on_image import draw_on
