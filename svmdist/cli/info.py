@@ -6,18 +6,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from svmdist.cli import options
+from svmdist.cli import options, output
 from svmdist.cli.logs import LogOptions, Run
 from svmdist.cli.options import FORCE, argument, option
-from svmdist.cli.output import (
-    LOG,
-    ExitCode,
-    next_command,
-    progress_bar,
-    require_toml,
-    write_lines,
-    write_results,
-)
+from svmdist.cli.output import LOG, ExitCode
 from svmdist.errors import RecordingError, SvmdistError
 from svmdist.report.writers import Holds
 
@@ -56,7 +48,8 @@ class Info(LogOptions, options.ReadOptions, options.OutputOptions):
         run = Run(self, inspect_log, request, dict[str, Any], "inspecting", options=(writer.name != "csv",))
         run.finish()
         found = [(log.name, document) for log, _, document in run.measured]
-        write_results(info_results(found[0][1]) if self.is_one else logs_results(found), writer, self.output)
+        results = info_results(found[0][1]) if self.is_one else logs_results(found)
+        output.write_results(results, writer, self.output)
         return run.exit_code()
 
 
@@ -67,7 +60,7 @@ def inspect_log(recording: Recording, request: Request, _threads: int, looks_for
     from svmdist.workflows.capabilities import look_for_tag
 
     profile, tags = request.setup.profile, None
-    with progress_bar(f"looking at {recording.name}"):
+    with output.progress_bar(f"looking at {recording.name}"):
         summary = inspect_recording(recording.path, profile, topics=dict(request.topics))
         if looks_for_tag and {"image", "camera_info"} <= set(summary.roles):
             with suppress(RecordingError):  # a calibration that is not usable: the summary says so
@@ -121,7 +114,7 @@ class Check(LogOptions, options.ReadOptions, options.OutputOptions):
         request = Request(Setup.reading(self.profile, self.hand_eye), self.topics)
         run = Run(self, compared_rows, request, list[dict[str, Any]], "comparing")
         rows = [row for found in run.finish() for row in found]
-        write_results(check_results(rows), writer, self.output)
+        output.write_results(check_results(rows), writer, self.output)
         code = run.exit_code()
         return ExitCode.WORSE if any(row["verdict"] == "contradicts" for row in rows) else code
 
@@ -131,7 +124,7 @@ def compared_rows(recording: Recording, request: Request, _threads: int) -> list
     from svmdist.report.info import check_rows
     from svmdist.workflows.check import check_log
 
-    with progress_bar(f"comparing {recording.name}"):
+    with output.progress_bar(f"comparing {recording.name}"):
         return list(check_rows(recording.name, check_log(recording, request.setup.profile)))
 
 
@@ -171,16 +164,16 @@ class New(options.TopicOption):
         from svmdist.workflows.check import check_log, warning
         from svmdist.workflows.new_profile import draft_profile
 
-        require_toml(self.output, [self.file], force=self.force)
+        output.require_toml(self.output, [self.file], force=self.force)
         if self.instrument is not None:
             instrument_sizes(self.instrument)
         name = self.name or self.file.resolve().stem
-        with progress_bar(f"looking at {self.file.name}"):
+        with output.progress_bar(f"looking at {self.file.name}"):
             draft = draft_profile(self.file, name, self.topics, self.instrument)
             text = profile_text(draft)
             profile = Profile.model_validate(tomllib.loads(text))
             found = check_log(open_recording(self.file, profile), profile)
-        write_lines([text], self.output)
+        output.write_lines([text], self.output)
         instruments = ", ".join(one.name for one in draft.instruments)
         plane = "the plane from both views" if draft.plane else "measure the plane of the tissue"
         mark = "a distal marker by its colour" if draft.mark else "no colour of its own"
@@ -191,5 +184,5 @@ class New(options.TopicOption):
             count = sum(len(one.comparisons) for one in found.values())
             LOG.info("%s of the log with it: nothing contradicts", counted(count, "comparison"))
         if self.output is not None:
-            with_it = next_command("estimate", self.file, "--profile", self.output)
+            with_it = output.next_command("estimate", self.file, "--profile", self.output)
             LOG.info("next: complete what is marked MEASURE, and %s", with_it)

@@ -9,17 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+import pydantic
+from pydantic import Field
 from pydantic_core import PydanticCustomError
 
 from svmdist.errors import SvmdistError, did_you_mean
@@ -34,12 +25,12 @@ UNKNOWN = "unknown_key"
 SIZE_UNITS = {"KiB": 1 << 10, "MiB": 1 << 20, "GiB": 1 << 30}
 
 
-class StrictModel(BaseModel):
+class StrictModel(pydantic.BaseModel):
     """Base of what is read from TOML: frozen, and an unknown key or an absurd number is an error."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
-    @model_validator(mode="before")
+    @pydantic.model_validator(mode="before")
     @classmethod
     def _no_unknown_keys(cls, data: Any) -> Any:
         keys = [field.alias or name for name, field in cls.model_fields.items()]
@@ -49,7 +40,7 @@ class StrictModel(BaseModel):
             raise PydanticCustomError(UNKNOWN, "unknown key: {hints}", {"hints": hints})
         return data
 
-    @field_validator("*", mode="after")
+    @pydantic.field_validator("*", mode="after")
     @classmethod
     def _bounded(cls, value: Any) -> Any:
         for part in value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else ():
@@ -58,7 +49,7 @@ class StrictModel(BaseModel):
             raise ValueError(f"a number is 0, or from {MIN_NUMBER:g} to {MAX_NUMBER:g} in size")
         return value
 
-    @model_validator(mode="after")
+    @pydantic.model_validator(mode="after")
     def _sound(self) -> Self:
         self._require_sound()
         return self
@@ -93,7 +84,7 @@ def _parse_size(value: Any) -> Any:
     return int(number) * SIZE_UNITS[unit]
 
 
-def _beside_the_file(path: Path, info: ValidationInfo) -> Path:
+def _beside_the_file(path: Path, info: pydantic.ValidationInfo) -> Path:
     """A relative path starts from the folder of the file that names it."""
     if "\0" in str(path):
         raise ValueError("a path cannot have the character NUL")
@@ -106,12 +97,12 @@ Share = Annotated[float, Field(gt=0.0, lt=1.0)]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 Level = Annotated[float, Field(ge=0.0, le=255.0)]
 Count = Annotated[int, Field(ge=1)]
-Angle = Annotated[float, BeforeValidator(_parse_angle)]
-Size = Annotated[int, BeforeValidator(_parse_size), Field(ge=1 << 10, le=1 << 40)]
+Angle = Annotated[float, pydantic.BeforeValidator(_parse_angle)]
+Size = Annotated[int, pydantic.BeforeValidator(_parse_size), Field(ge=1 << 10, le=1 << 40)]
 Length = Annotated[float, Field(gt=1e-6, lt=10.0)]
 SmallLength = Annotated[float, Field(gt=1e-6, lt=0.1)]
 """Of a part that a hand holds: 0.1 m and more is a number of millimetres that was meant."""
-NeighbourFile = Annotated[Path, AfterValidator(_beside_the_file)]
+NeighbourFile = Annotated[Path, pydantic.AfterValidator(_beside_the_file)]
 Byte = Annotated[int, Field(ge=0, le=255)]
 Hue = Annotated[int, Field(ge=0, le=179)]
 
@@ -129,7 +120,7 @@ def parse_toml(path: Path, model: type[Model], error: type[SvmdistError]) -> Mod
         raise error(f"{path}: not a TOML file: {problem}") from None
     try:
         return model.model_validate(data, context={"folder": path.parent})
-    except ValidationError as problem:
+    except pydantic.ValidationError as problem:
         needed = {field.alias or name: field.is_required() for name, field in model.model_fields.items()}
         if len(data) >= FEW_KEYS and 2 * len(needed.keys() & data.keys()) < len(data):
             kind = re.sub(r"(?<=[a-z])(?=[A-Z])", "-", model.__name__).lower().removesuffix("-file")
@@ -142,7 +133,7 @@ def parse_toml(path: Path, model: type[Model], error: type[SvmdistError]) -> Mod
         raise error(f"{path}: {'; '.join(faults)}") from None
 
 
-def _describe(problem: ValidationError) -> Iterator[str]:
+def _describe(problem: pydantic.ValidationError) -> Iterator[str]:
     for item in problem.errors(include_url=False):
         # A union's tag in parentheses is no key of the file.
         table = [str(part) for part in item["loc"] if not str(part).startswith("(")]

@@ -21,17 +21,8 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from svmdist.errors import RecordingError
 from svmdist.files import open_regular, read_regular, why
 from svmdist.profile import Limits
+from svmdist.recording import source
 from svmdist.recording.mcap import McapSource
-from svmdist.recording.source import (
-    METADATA_FILE,
-    Health,
-    LossKind,
-    RawMessage,
-    Source,
-    TopicInfo,
-    merge_topics,
-    sanitize,
-)
 from svmdist.remote import LogPath
 
 METADATA_BYTES = 1 << 20
@@ -44,17 +35,17 @@ class BagSource:
 
     def __init__(self, path: LogPath, encoding: str) -> None:
         self.path = path
-        self.health = Health()
+        self.health = source.Health()
         self._encoding = encoding
         if encoding == "cdr":
             _require_whole_database(Path(str(path)))
             for left in (Path(f"{path}{suffix}") for suffix in UNMERGED_SUFFIXES):
                 if left.exists() and left.stat().st_size:
                     detail = f"{left.name}, left by an interrupted recorder, is not read; sqlite3 merges it"
-                    self.health.lose(LossKind.STRUCTURE, detail)
+                    self.health.lose(source.LossKind.STRUCTURE, detail)
         reader = self._opened()
-        self.topics = merge_topics(
-            TopicInfo(one.topic, one.msgtype, encoding, one.msgcount) for one in reader.connections
+        self.topics = source.merge_topics(
+            source.TopicInfo(one.topic, one.msgtype, encoding, one.msgcount) for one in reader.connections
         )
         reader.close()
 
@@ -62,7 +53,7 @@ class BagSource:
         """Bags have no metadata of svmdist's."""
         return {}
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[source.RawMessage]:
         """Yield the messages of some topics, or of all, in the order of their times."""
         reader = self._opened()
         count = 0
@@ -70,10 +61,10 @@ class BagSource:
             wanted = [one for one in reader.connections if topics is None or one.topic in topics]
             for one, time_ns, data in reader.messages(wanted) if wanted else ():
                 count += 1
-                yield RawMessage(one.topic, one.msgtype, self._encoding, time_ns, bytes(data))
+                yield source.RawMessage(one.topic, one.msgtype, self._encoding, time_ns, bytes(data))
         except Exception as problem:  # rosbags lets through whatever its parsers raise
             rest = f"the rest of {self.path.name} is unreadable ({_line(problem)})"
-            self.health.lose(LossKind.TRUNCATED, f"{rest}, {count} messages recovered")
+            self.health.lose(source.LossKind.TRUNCATED, f"{rest}, {count} messages recovered")
         finally:
             reader.close()
 
@@ -107,39 +98,39 @@ class FolderSource:
 
     def __init__(self, path: Path, limits: Limits) -> None:
         self.path: LogPath = path
-        self.health = Health()
+        self.health = source.Health()
         self._message_bytes = 4 * limits.image_pixels + limits.message_bytes
         names, self._declared, self._is_compressed, storage = _read_metadata(path)
         if packed := [name for name in names if name.endswith(".zstd")]:
             raise RecordingError(
-                f"{path}: its files are compressed as a whole; expand them first: zstd -d {sanitize(packed[0])}"
+                f"{path}: its files are compressed as a whole; expand them first: zstd -d {source.sanitize(packed[0])}"
             )
-        self._parts: list[Source] = []
+        self._parts: list[source.Source] = []
         for file in (path / name for name in names):
             if not file.is_file():
-                detail = f"{file.name} named in {METADATA_FILE} but not there"
-                self.health.lose(LossKind.STRUCTURE, detail)
+                detail = f"{file.name} named in {source.METADATA_FILE} but not there"
+                self.health.lose(source.LossKind.STRUCTURE, detail)
             elif file.suffix in {".mcap", ".db3"}:
                 mcap = file.suffix == ".mcap"
                 self._parts.append(McapSource(file, limits) if mcap else BagSource(file, "cdr"))
         if not self._parts:
             raise RecordingError(
-                f"{path}: a rosbag2 folder without any .mcap or .db3 file; its storage is {sanitize(storage)}"
+                f"{path}: a rosbag2 folder without any .mcap or .db3 file; its storage is {source.sanitize(storage)}"
             )
         for part in self._parts:
             self.health.join(part.health)
             part.health = self.health
 
     @cached_property
-    def topics(self) -> tuple[TopicInfo, ...]:
+    def topics(self) -> tuple[source.TopicInfo, ...]:
         """The topics of all files."""
-        return merge_topics(info for part in self._parts for info in part.topics)
+        return source.merge_topics(info for part in self._parts for info in part.topics)
 
     def metadata(self) -> dict[str, str]:
         """Read the record `svmdist` of the first file that has one."""
         return next((found for part in self._parts if (found := part.metadata())), {})
 
-    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[source.RawMessage]:
         """Yield the messages of some topics, or of all, file by file."""
         losses, counts = 0, Counter[str]()
         for part in self._parts:
@@ -152,21 +143,21 @@ class FolderSource:
                         message = message._replace(data=_expanded(raw.data, self._message_bytes))
                     except (ValueError, zstandard.ZstdError) as problem:
                         losses += 1
-                        self.health.lose(LossKind.MESSAGE, str(problem), raw.offset, raw.topic)
+                        self.health.lose(source.LossKind.MESSAGE, str(problem), raw.offset, raw.topic)
                         continue
                 before = message.losses_before
                 yield message
             losses = max(losses, before) + 1  # what the end of a file lost shows in no message of it
         for topic, declared in self._declared.items() if self.health.is_clean else ():
             if (topics is None or topic in topics) and declared != counts[topic]:
-                detail = f"{METADATA_FILE} declares {declared} messages, {counts[topic]} were read"
-                self.health.lose(LossKind.STATISTICS, detail, None, topic)
+                detail = f"{source.METADATA_FILE} declares {declared} messages, {counts[topic]} were read"
+                self.health.lose(source.LossKind.STATISTICS, detail, None, topic)
 
 
 def _read_metadata(folder: Path) -> tuple[list[str], dict[str, int], bool, str]:
     """Storage files in order, counts of messages by topic, whether these are compressed, and the storage's name."""
     try:
-        document = yaml.safe_load(read_regular(folder / METADATA_FILE, METADATA_BYTES))
+        document = yaml.safe_load(read_regular(folder / source.METADATA_FILE, METADATA_BYTES))
         known = document["rosbag2_bagfile_information"]
         counts = known.get("topics_with_message_count") or []
         return (
@@ -176,7 +167,7 @@ def _read_metadata(folder: Path) -> tuple[list[str], dict[str, int], bool, str]:
             str(known.get("storage_identifier")),
         )
     except Exception as problem:  # somebody else's file: anything can be missing, or of another type
-        raise RecordingError(f"{folder}: {METADATA_FILE} is not usable: {_line(problem)}") from None
+        raise RecordingError(f"{folder}: {source.METADATA_FILE} is not usable: {_line(problem)}") from None
 
 
 def _expanded(data: bytes, limit_bytes: int) -> bytes:

@@ -11,16 +11,7 @@ import numpy as np
 from svmdist.drawing import COLOURS, WHITE, Form, FrameDrawing, Label, Part, Shape
 from svmdist.estimation.methods import REGISTRY, Phase
 from svmdist.geometry import Mesh, Plane
-from svmdist.report.on_image import (
-    DARK,
-    bgr,
-    draw_on,
-    enlarged,
-    text_size,
-    under,
-    within_reach,
-    write_text,
-)
+from svmdist.report.on_image import DARK, bgr, draw_on, enlarged, text_size, under, within_reach, write_text
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.marker import EDGE_MARGIN_PX, padded_template
