@@ -59,15 +59,15 @@ def inspect_log(recording: Recording, request: Request, _threads: int, looks_for
     from svmdist.report.info import info_document
     from svmdist.workflows.capabilities import look_for_tag
 
-    profile, tags = request.setup.profile, None
+    profile, no_tag = request.setup.profile, ""
     with output.progress_bar(f"looking at {recording.name}"):
         summary = inspect_recording(recording.path, profile, topics=dict(request.topics))
         if looks_for_tag and {"image", "camera_info"} <= set(summary.roles):
             with suppress(RecordingError):  # a calibration that is not usable: the summary says so
-                tags = look_for_tag(recording, profile)
+                no_tag = look_for_tag(recording, profile)
         found = _checks(recording, profile, summary.health)
         recording.health.join(summary.health)
-        return info_document(summary, profile, tags) | {"checks": found}
+        return info_document(summary, profile, no_tag) | {"checks": found}
 
 
 def _checks(recording: Recording, profile: Profile, health: Health) -> dict[str, Any]:

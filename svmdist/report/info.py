@@ -74,12 +74,10 @@ def logs_results(documents: Sequence[tuple[str, dict[str, Any]]]) -> Results:
     return Results(columns, topics, tables=tables, document=[document for _, document in documents])
 
 
-def info_document(
-    summary: RecordingSummary, profile: Profile, tags: capabilities.TagCheck | None = None
-) -> dict[str, Any]:
+def info_document(summary: RecordingSummary, profile: Profile, no_tag: str = "") -> dict[str, Any]:
     """The JSON document `svmdist.info/1`."""
-    methods = _served(capabilities.method_capabilities(summary, profile, tags))
-    commands = _served(capabilities.capabilities(summary, profile, tags))
+    methods = _served(capabilities.method_capabilities(summary, profile, no_tag))
+    commands = _served(capabilities.capabilities(summary, profile, no_tag))
     if commands["estimate"]["served"]:
         best = next(name for name in capabilities.PREFERRED if methods[name]["served"])
         commands["estimate"]["note"] = f"by {best}"

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from svmdist.camera import stereo_transform
@@ -41,23 +40,12 @@ HEAD_S = 2.0  # of a log
 TAG_IMAGES = 8  # that a tag is looked for in, spread over the log
 
 
-@dataclass(frozen=True, slots=True)
-class TagCheck:
-    """A tag's family and number, the images that it was looked for in, and those that show it."""
-
-    name: str
-    image_count: int
-    found_count: int
-
-
-def capabilities(
-    summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None
-) -> dict[str, tuple[str, ...]]:
+def capabilities(summary: RecordingSummary, profile: Profile, no_tag: str = "") -> dict[str, tuple[str, ...]]:
     """What a recording lacks for each command that reads recordings, empty for those that it can serve.
 
-    `tags` is what `look_for_tag` found.
+    `no_tag` is what `look_for_tag` says.
     """
-    methods, lacking = method_capabilities(summary, profile, tags), _lacking(summary, profile)
+    methods, lacking = method_capabilities(summary, profile, no_tag), _lacking(summary, profile)
     lacks = () if () in methods.values() else methods[METHODS[0]]
     if said := misfit(summary, profile):
         lacks = (f"a profile of its own: it is {said}",)
@@ -84,11 +72,11 @@ def best_method(
     for with_tags in (False, True):  # a tag is looked for in all of a log, and only where it matters
         served, lacks = Counter[str](), dict[str, tuple[str, ...]]()
         for summary in summaries:
-            tags = None
+            no_tag = ""
             with suppress(RecordingError):  # whoever measures it says so
                 if with_tags:
-                    tags = look_for_tag(open_recording(summary.path, profile, topics=topics), profile)
-            for name, missing in method_capabilities(summary, profile, tags).items():
+                    no_tag = look_for_tag(open_recording(summary.path, profile, topics=topics), profile)
+            for name, missing in method_capabilities(summary, profile, no_tag).items():
                 served[name] += not missing
                 lacks.setdefault(name, missing)
         best = max(PREFERRED, key=served.__getitem__)  # the first of several
@@ -104,10 +92,10 @@ def best_method(
 
 
 def method_capabilities(
-    summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None
+    summary: RecordingSummary, profile: Profile, no_tag: str = ""
 ) -> dict[str, tuple[str, ...]]:
     """The same for each method of `estimate`."""
-    lacking = _lacking(summary, profile, tags)
+    lacking = _lacking(summary, profile, no_tag)
     return {name: _words(lacking, (*IMAGES, *method.inputs)) for name, method in REGISTRY.items()}
 
 
@@ -170,17 +158,18 @@ def require_clearance(setup: Setup) -> None:
         )
 
 
-def look_for_tag(recording: Recording, profile: Profile) -> TagCheck | None:
-    """Look for the fiducial of the first instrument in some images of a log; None where the profile has none."""
-    view = profile.for_instrument(recording.instruments[0])
-    if view.fiducial is None:
-        return None
+def look_for_tag(recording: Recording, profile: Profile) -> str:
+    """Look for the fiducial of the first instrument in some images: that it is in none of them, in words, or ""."""
+    fiducial = profile.for_instrument(recording.instruments[0]).fiducial
+    if fiducial is None:
+        return ""
     looked = found = 0
     for observation in observations_of(recording, (recording.image_count() or 0) // TAG_IMAGES, LEFT_IMAGES):
-        tags = find_tags(to_grey(observation.image_bgr), view.fiducial.family, profile.settings.tag)
+        tags = find_tags(to_grey(observation.image_bgr), fiducial.family, profile.settings.tag)
         looked += 1
-        found += view.fiducial.id in tags
-    return TagCheck(f"{view.fiducial.family} {view.fiducial.id}", looked, found)
+        found += fiducial.id in tags
+    tag = f"the tag {fiducial.family} {fiducial.id}"
+    return f"{tag}: it is in none of {looked} images looked at" if looked and not found else ""
 
 
 def observations_of(recording: Recording, stride: int, needs: Needs = EVERYTHING) -> Iterator[Observation]:
@@ -194,9 +183,7 @@ def _words(lacking: Mapping[str, tuple[str, ...]], needs: Iterable[str]) -> tupl
     return tuple(words for need in needs for words in lacking[need])
 
 
-def _lacking(
-    summary: RecordingSummary, profile: Profile, tags: TagCheck | None = None
-) -> dict[str, tuple[str, ...]]:
+def _lacking(summary: RecordingSummary, profile: Profile, no_tag: str = "") -> dict[str, tuple[str, ...]]:
     """What of each need of a command or a method is missing for the log's first instrument, in words."""
     profile = profile.for_instrument(summary.instruments[0])
     roles, frames, of_profile = summary.roles, profile.frames, f"in profile {profile.name}"
@@ -214,9 +201,6 @@ def _lacking(
     has_baseline = left is None or right is None or stereo_transform(left, right) is not None
     has_base = profile.camera_to_base or {frames.camera, frames.base} <= set(summary.frames)
     has_tool = not joints or "pose" in roles or frames.tool in summary.frames
-    tag: tuple[str, ...] = ()
-    if tags is not None and tags.image_count and not tags.found_count:
-        tag = (f"the tag {tags.name}: it is in none of {tags.image_count} images looked at",)
     return {
         **{role: topics(role) for role in Role},
         **{part: unless(getattr(profile, part), f"[{part}] {of_profile}") for part in PARTS},
@@ -231,7 +215,7 @@ def _lacking(
         "calibration": unless(profile.calibration, f"a calibration {of_profile} (--calibration)"),
         "camera_to_base": unless(has_base, f"transforms from {frames.camera} to {frames.base}"),
         "shaft": unless(profile.segmentation.shaft, f"[segmentation.shaft] {of_profile}"),
-        "tag": tag,
+        "tag": unless(not no_tag, no_tag),
     }
 
 
