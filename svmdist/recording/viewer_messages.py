@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -17,9 +17,8 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from svmdist import drawing as draw
 from svmdist.geometry import Capsules, Mesh
-from svmdist.recording.own_messages_pb2 import DistanceEstimate
-from svmdist.recording.writer import EncodedSample, Fields, encode, encoded, stamp_fields, vector_fields
-from svmdist.samples import Image, TransformSample, TransformsSample
+from svmdist.recording.writer import EncodedSample, Fields, encoded, stamp_fields, vector_fields
+from svmdist.samples import Image
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
 FORMS = {
@@ -87,17 +86,6 @@ def point_cloud(points_m: Array, std_m: Array, bgr: Image, frame_id: str, stamp_
         fields=[{"name": name, "offset": offsets[name][1], "type": numbers[kind]} for name, kind in kinds],
         data=packed.tobytes(),
     )
-
-
-def tool_transforms(poses: Iterable[tuple[str, Array]], frame_id: str, stamp_ns: int) -> EncodedSample:
-    """Estimated poses of tools as `foxglove.FrameTransforms`: (child frame, `T_camera_tool` of shape (4, 4)) pairs."""
-    transforms = tuple(TransformSample(stamp_ns, frame_id, child, T) for child, T in poses)
-    return encode(TransformsSample(stamp_ns, transforms))
-
-
-def distance_estimate(fields: Mapping[str, Any], stamp_ns: int) -> EncodedSample:
-    """What was measured of one instrument as `svmdist.DistanceEstimate`; a field that is None is left out."""
-    return encoded(DistanceEstimate, stamp_ns, **fields)
 
 
 def log_line(text: str, stamp_ns: int, *, is_warning: bool) -> EncodedSample:

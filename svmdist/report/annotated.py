@@ -16,13 +16,14 @@ from svmdist.errors import OutputError
 from svmdist.files import atomic_file
 from svmdist.recording import viewer_messages
 from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.own_messages_pb2 import DistanceEstimate
 from svmdist.recording.summary import copied_messages
 from svmdist.recording.topics import Role
-from svmdist.recording.writer import EncodedSample, RecordingWriter
+from svmdist.recording.writer import EncodedSample, RecordingWriter, encoded
 from svmdist.report.on_image import draw_on
 from svmdist.report.rows import estimate_fields
 from svmdist.results import FrameResult
-from svmdist.samples import Image
+from svmdist.samples import Image, Sample, TransformSample, TransformsSample
 from svmdist.transforms import Array
 from svmdist.workflows.frame_drawing import DrawnFrame
 from svmdist.workflows.request import Setup
@@ -53,7 +54,7 @@ def write_annotated(
 
 def _annotations(
     recording: Recording, frames: Iterable[DrawnFrame], setup: Setup
-) -> Iterator[tuple[str, EncodedSample]]:
+) -> Iterator[tuple[str, Sample | EncodedSample]]:
     frame_id = recording.logged_camera.frame_id
     image_topic = f"{recording.topic_of(Role.IMAGE)}/{ANNOTATIONS}"
     for at, frame in enumerate(frames):
@@ -63,11 +64,12 @@ def _annotations(
             yield LOG_TOPIC, viewer_messages.log_line(text, stamp_ns, is_warning=False)
         yield image_topic, viewer_messages.image_annotations(drawing)
         for result in results:
+            # Fields that are None are left out.
             fields = estimate_fields(result, setup.method, frame.alarms.get(result.instrument))
-            message = viewer_messages.distance_estimate(fields, stamp_ns)
-            yield f"/svmdist/{result.instrument}/distance", message
+            yield f"/svmdist/{result.instrument}/distance", encoded(DistanceEstimate, stamp_ns, **fields)
         if poses := tool_poses(results):
-            yield TF_TOPIC, viewer_messages.tool_transforms(poses, frame_id, stamp_ns)
+            tools = tuple(TransformSample(stamp_ns, frame_id, child, T) for child, T in poses)
+            yield TF_TOPIC, TransformsSample(stamp_ns, tools)
         names = [result.instrument for result in results]
         yield SCENE_TOPIC, viewer_messages.scene_update(drawing, names, frame_id)
         yield from _surface(frame, frame_id)
