@@ -34,7 +34,7 @@ from svmdist.vision.disparity import disparity_map
 from svmdist.vision.instruments.evidence import picture_of
 from svmdist.vision.segmentation import make_segmenter
 from svmdist.vision.stereo import RectifiedPair
-from svmdist.workflows.check import PAIRS, first_of, offset_to_remove, spread_observations
+from svmdist.workflows.check import first_of, offset_to_remove, spread_observations
 
 GOLDEN = ("3d/contact", "3d/duo", "real/random", "real/contact")
 PHOTOGRAPHS = Path("laparoscopic-dataset", "images")
@@ -141,7 +141,7 @@ def _scenes(recording: Recording, count: int) -> Iterator[Scene]:
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
     spread = spread_observations(recording)
     rows = offset_to_remove(first_of(spread, profile), profile)
-    images = recording.encoded_observations(recording.instruments[:1], PAIRS)
+    images = recording.encoded_observations(recording.instruments[:1], robot=False)
     stride = max(1, (recording.image_count() or count) // count)
     for encoded in islice(images, 0, None, stride):
         found = encoded.decode().found

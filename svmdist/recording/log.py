@@ -211,28 +211,31 @@ class Recording:
         return tuple(one for topic in topics if topic for one in self.file.cameras[topic].changes(topic))
 
     def encoded_observations(
-        self, names: Sequence[str], needs: obs.Needs = obs.EVERYTHING
+        self, names: Sequence[str], *, robot: bool = True, right: bool = True, rest: bool = True
     ) -> Iterator[obs.EncodedObservation]:
         """Yield for every image, by stamp, what estimators may see of each instrument, not decoded yet.
 
         Joints and the nominal camera-to-base transform are interpolated to the image's stamp between samples
         at most 0.1 s apart. The right image is the one within `[limits] pair_tolerance_s`, where the cameras form a
-        stereo pair. Each is None where the log has none, or `needs` leaves it out. RecordingError at once where the log
-        has no images or camera. One thread at a time goes through the iterator, any thread
-        decodes, and `record_losses` takes the results. The caller bounds how many are held.
+        stereo pair. Each is None where the log has none. Without `robot`, joints and transforms are neither read nor
+        given, without `right` the right images; with `rest` the pass over the images reads everything else, too, for
+        those who ask for it later. RecordingError at once where the log has no images or camera.
+        One thread at a time goes through the iterator, any thread decodes, and `record_losses` takes the results. The
+        caller bounds how many are held.
         """
-        topic, states = self._require(Role.IMAGE), self._states(names, needs)
-        right = self._right_topic() if needs.right else None
-        of_right = None if right is None else self.file.cameras[self._require(Role.RIGHT_CAMERA_INFO)]
+        topic = self._require(Role.IMAGE)
+        states = [self._arm_states(self._arm(name), robot) for name in names]
+        right_topic = self._right_topic() if right else None
+        of_right = None if right_topic is None else self.file.cameras[self._require(Role.RIGHT_CAMERA_INFO)]
         cameras = cameras_at(self._left_track, of_right, self.world.perturbations)
         missing = self.file.missing = MissingPartners(self.file.limits.pair_tolerance_s)
-        images = self.file.images({topic, right or topic}, rest=needs.rest)
-        pairs = Pairs(right, missing.pair_tolerance_s, self.health)
-        has_joints = [needs.robot and self._arm(name).find(Role.JOINTS) is not None for name in names]
+        images = self.file.images({topic, right_topic or topic}, rest=rest)
+        pairs = Pairs(right_topic, missing.pair_tolerance_s, self.health)
+        has_joints = [robot and self._arm(name).find(Role.JOINTS) is not None for name in names]
 
         def observation(number: int, at_ns: int, pair: obs.Pair) -> obs.EncodedObservation:
             stamp_ns = pair.left.stamp_ns
-            arms = states(stamp_ns)
+            arms = tuple(state(stamp_ns) for state in states)
             lacks = (has and arm.joints is None for has, arm in zip(has_joints, arms, strict=True))
             missing.add(pair.right_apart_s, lacks_joints=any(lacks))
             held, place = cameras(stamp_ns), self.health.next_place()
@@ -244,8 +247,8 @@ class Recording:
         self, images: Sequence[obs.EncodedObservation], names: Sequence[str]
     ) -> list[obs.EncodedObservation]:
         """Images that were read without what each instrument reported, with it: after a pass that read the rest."""
-        states = self._states(names, obs.EVERYTHING)
-        return [replace(one, arms=states(one.stamp_ns)) for one in images]
+        states = [self._arm_states(self._arm(name)) for name in names]
+        return [replace(one, arms=tuple(state(one.stamp_ns) for state in states)) for one in images]
 
     def record_losses(self, decoded: obs.Decoded) -> tuple[Observation, ...] | Rejection:
         """Add losses of decoding to `health`, in file order; give the rest."""
@@ -253,15 +256,11 @@ class Recording:
             self.health.add(loss, decoded.place)
         return decoded.found
 
-    def _states(self, names: Sequence[str], needs: obs.Needs) -> Callable[[int], tuple[obs.ArmState, ...]]:
-        """What some arms reported, as a function of a stamp."""
-        states = [self._arm_states(self._arm(name), needs) for name in names]
-        return lambda stamp_ns: tuple(state(stamp_ns) for state in states)
-
-    def _arm_states(self, arm: LoggedArm, needs: obs.Needs) -> Callable[[int], obs.ArmState]:
-        joints = self._joints(arm) if needs.robot else None
+    def _arm_states(self, arm: LoggedArm, robot: bool = True) -> Callable[[int], obs.ArmState]:
+        """What an arm reported, as a function of a stamp."""
+        joints = self._joints(arm) if robot else None
         fixed, frames = self.bases.get(arm.name), (arm.frames.camera, arm.frames.base)
-        tree = self._nominal_tree if needs.robot and arm.name not in self.bases else None
+        tree = self._nominal_tree if robot and arm.name not in self.bases else None
         tree = tree if tree and tree.links(*frames) else None
 
         def at(stamp_ns: int) -> obs.ArmState:

@@ -183,20 +183,6 @@ class Window:
 ALL_IMAGES = Window()
 
 
-@dataclass(frozen=True, slots=True)
-class Needs:
-    """What a method uses of a log beside the left images; what it does not use is neither read nor given."""
-
-    robot: bool = True  # joints and transforms
-    right: bool = True
-    rest: bool = True
-    """Whether the pass over the images shall read everything else, too, for those who ask for it later."""
-
-
-EVERYTHING = Needs()
-LEFT_IMAGES = Needs(robot=False, right=False)
-
-
 def decode_image(image: EncodedImage, losses: list[Loss], camera: Camera | None = None) -> Image | Rejection:
     """The pixels; of an image that cannot be decoded, or has not the camera's size, a rejection, and a loss more."""
     try:

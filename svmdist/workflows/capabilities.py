@@ -12,7 +12,6 @@ from svmdist.errors import CalibrationError, ProfileError, RecordingError, Usage
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, REGISTRY, SPATIAL_METHODS
 from svmdist.profile import DEFAULT_PROFILE, Profile
 from svmdist.recording.log import Recording, open_recording
-from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs
 from svmdist.recording.source import sanitize_list
 from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role
@@ -164,7 +163,8 @@ def look_for_tag(recording: Recording, profile: Profile) -> str:
     if fiducial is None:
         return ""
     looked = found = 0
-    for observation in observations_of(recording, (recording.image_count() or 0) // TAG_IMAGES, LEFT_IMAGES):
+    stride = (recording.image_count() or 0) // TAG_IMAGES
+    for observation in observations_of(recording, stride, left_alone=True):
         tags = find_tags(to_grey(observation.image_bgr), fiducial.family, profile.settings.tag)
         looked += 1
         found += fiducial.id in tags
@@ -172,9 +172,10 @@ def look_for_tag(recording: Recording, profile: Profile) -> str:
     return f"{tag}: it is in none of {looked} images looked at" if looked and not found else ""
 
 
-def observations_of(recording: Recording, stride: int, needs: Needs = EVERYTHING) -> Iterator[Observation]:
-    """What the first instrument's method would see, at each n-th image that can be decoded."""
-    for number, encoded in enumerate(recording.encoded_observations(recording.instruments[:1], needs)):
+def observations_of(recording: Recording, stride: int, *, left_alone: bool = False) -> Iterator[Observation]:
+    """What the first instrument's method would see, or the left images, at each n-th image that can be decoded."""
+    names, more = recording.instruments[:1], not left_alone
+    for number, encoded in enumerate(recording.encoded_observations(names, robot=more, right=more)):
         if number % max(1, stride) == 0 and not isinstance(found := encoded.decode().found, Rejection):
             yield found[0]
 

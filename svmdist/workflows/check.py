@@ -19,7 +19,7 @@ from svmdist.profile import Profile
 from svmdist.profile.robot import Tissue
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import Recording
-from svmdist.recording.observations import EncodedObservation, Needs
+from svmdist.recording.observations import EncodedObservation
 from svmdist.results import Failure, ToolPose
 from svmdist.samples import Observation, Rejection
 from svmdist.transforms import Array
@@ -42,7 +42,6 @@ SUSPECT_DEVIATIONS = 2.5
 MIN_ROW_OFFSET_PX = 0.5
 
 SOMEWHERE = Tissue(plane_distance_m=0.1)  # of a profile without a tissue, whose instrument can be compared
-PAIRS = Needs(robot=False)  # a pass over the images that reads all else on its way
 
 
 def spread_observations(recording: Recording, count: int = CHECKED) -> list[EncodedObservation]:
@@ -54,7 +53,7 @@ def spread_observations(recording: Recording, count: int = CHECKED) -> list[Enco
     kept: list[EncodedObservation] = []
     stride = 1
     names = recording.instruments
-    for place, one in enumerate(recording.encoded_observations(names, PAIRS)):
+    for place, one in enumerate(recording.encoded_observations(names, robot=False)):
         if place % stride == 0:
             kept.append(one)
         if len(kept) > 2 * count:

@@ -18,7 +18,6 @@ from svmdist.estimation.instrument.model import shaft_sections
 from svmdist.estimation.instrument.shaft_detection import DistalMarker
 from svmdist.estimation.planar import MarkerSearch, search_marker, template_features
 from svmdist.recording.log import Recording
-from svmdist.recording.observations import LEFT_IMAGES
 from svmdist.recording.topics import Role
 from svmdist.results import Distance, FrameResult
 from svmdist.samples import Image, Status
@@ -82,7 +81,8 @@ class Segmented:
 
 def image_stamps_ns(recording: Recording) -> list[int]:
     """The stamp of every image of a log, in file order; raises UsageError for a log without one."""
-    stamps = [one.stamp_ns for one in recording.encoded_observations(recording.instruments[:1], LEFT_IMAGES)]
+    images = recording.encoded_observations(recording.instruments[:1], robot=False, right=False)
+    stamps = [one.stamp_ns for one in images]
     if not stamps:
         raise UsageError(f"{recording.path.name}: no image on {recording.topic_of(Role.IMAGE)} can be read")
     return stamps

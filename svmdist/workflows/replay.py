@@ -26,7 +26,6 @@ from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile.robot import Tissue
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import Decoded, EncodedObservation
-from svmdist.recording.observations import Needs as ReadNeeds
 from svmdist.recording.source import Loss, LossKind
 from svmdist.results import Distances, FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection, Status
@@ -255,8 +254,8 @@ class _Replay:
     def run(self, jobs: int, rest: bool) -> Iterator[tuple[Replayed, ...]]:
         several = len(self._arms) > 1  # what tells them apart starts from nominal kinematics
         robot, right = self._needs.robot or several, self._needs.right_view
-        logged = ReadNeeds(robot, right, rest)
-        encoded = self._recording.encoded_observations(self._recording.instruments, logged)
+        names = self._recording.instruments
+        encoded = self._recording.encoded_observations(names, robot=robot, right=right, rest=rest)
         with one_opencv_thread():
             for decoded, conditions in in_order(self._prepare, encoded, jobs):
                 self._recording.record_losses(decoded)

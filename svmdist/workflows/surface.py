@@ -22,7 +22,7 @@ from svmdist.samples import Rejection
 from svmdist.transforms import Array
 from svmdist.vision.segmentation import make_segmenter
 from svmdist.workflows.capabilities import HEAD_S, misfit
-from svmdist.workflows.check import PAIRS, compare_views, first_of, offset_to_remove, spread_observations
+from svmdist.workflows.check import compare_views, first_of, offset_to_remove, spread_observations
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,7 @@ def tissue_surface(recording: Recording, profile: Profile, number: int) -> Tissu
         raise RecordingError(f"{recording.name} shows no surface: {views.refusal}")
     if views.warning:
         recording.health.add(Loss(LossKind.CONTRADICTION, views.warning))
-    images = recording.encoded_observations(recording.instruments[:1], PAIRS)
+    images = recording.encoded_observations(recording.instruments[:1], robot=False)
     chosen = next(islice(images, number, None), None)
     if chosen is None:
         raise UsageError(f"{recording.name} has no image {number}")

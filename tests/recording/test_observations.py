@@ -12,7 +12,6 @@ from svmdist import samples
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording, open_recording
-from svmdist.recording.observations import EVERYTHING, LEFT_IMAGES, Needs
 from svmdist.recording.source import LossKind
 from svmdist.recording.summary import inspect_recording
 from svmdist.recording.writer import RecordingWriter, encode
@@ -97,7 +96,7 @@ def test_what_images_lack_near_them_is_counted(tmp_path, profile):
         == "in 1 of 5 frames no right image within 0.5 ms of the left (nearest 40 ms): measured with one camera"
     )
     assert joints == "in 3 of 5 frames no joint states within 100 ms of the image"
-    decoded(partly, LEFT_IMAGES)
+    decoded(partly, robot=False, right=False)
     assert partly.remarks == []
 
 
@@ -111,7 +110,7 @@ def test_an_image_has_the_calibration_that_holds_at_its_stamp(tmp_path, profile,
         entries.append(Entry("/ECM/left/camera_info", info))
     entries.sort(key=lambda one: one.sample.stamp_ns)  # with each image, but after it in the file
     recording = open_recording(write_scene(tmp_path / "zoom.mcap", entries), profile)
-    items = decoded(recording, replace(LEFT_IMAGES, rest=False) if is_planar else EVERYTHING)
+    items = decoded(recording, **dict.fromkeys(("robot", "right", "rest"), not is_planar))
     unknown = items.pop(3)
     assert isinstance(unknown, samples.Rejection)
     assert unknown.status is samples.Status.INCONSISTENT
@@ -192,11 +191,9 @@ def damaged(path: Path) -> Path:
     return write_messages(path, rows)
 
 
-def decoded(
-    recording: Recording, needs: Needs = EVERYTHING
-) -> list[tuple[samples.Observation, ...] | samples.Rejection]:
+def decoded(recording: Recording, **read: bool) -> list[tuple[samples.Observation, ...] | samples.Rejection]:
     """One after another."""
-    encoded = recording.encoded_observations(recording.instruments, needs)
+    encoded = recording.encoded_observations(recording.instruments, **read)
     return [recording.record_losses(one.decode()) for one in encoded]
 
 
@@ -221,7 +218,7 @@ def test_losses_are_in_file_order_whenever_they_are_found(tmp_path, profile):
     assert ahead.health.losses == one_by_one.health.losses
     # A planar method gets images alone; a broken joint state is a loss all the same.
     planar = open_recording(path, profile)
-    found = decoded(planar, LEFT_IMAGES)
+    found = decoded(planar, robot=False, right=False)
     assert len(found) == 60
     assert all(item[0].joints is None for item in found if not isinstance(item, samples.Rejection))
     assert {loss.topic for loss in planar.health.losses} == {"/ECM/left/image", "/PSM1/measured_js"}

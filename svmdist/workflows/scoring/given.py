@@ -20,7 +20,7 @@ from svmdist.geometry.distance import separation
 from svmdist.importing.estimates import DISTANCES, TEXTS, Rows, read_estimates
 from svmdist.importing.tables import require_common_time
 from svmdist.recording.log import Recording, open_recording
-from svmdist.recording.observations import ALL_IMAGES, LEFT_IMAGES
+from svmdist.recording.observations import ALL_IMAGES
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose, as_vector
 from svmdist.samples import Status
 from svmdist.tracks import MAX_GAP_NS, Sampled, sort_stamps
@@ -67,7 +67,8 @@ class Given:
         return replace(self, rows=self._rows(log), sees_tissue=sees_tissue)
 
     def _rows(self, log: Recording) -> dict[str, Rows]:
-        images = replace(log, window=ALL_IMAGES).encoded_observations(log.instruments[:1], LEFT_IMAGES)
+        every = replace(log, window=ALL_IMAGES)
+        images = every.encoded_observations(log.instruments[:1], robot=False, right=False)
         images_ns = np.unique(np.array([image.stamp_ns for image in images], np.int64))
         views = {name: log.for_instrument(name) for name in log.instruments if len(images_ns)}
         if self.table is not None and views:
