@@ -42,14 +42,6 @@ ROTATION_TOLERANCE = 1e-2
 FARTHEST_M = 10.0  # from a robot's base: no instrument is farther, and one of millimetres read as metres is
 
 
-@dataclass(frozen=True)
-class ImageTimes:
-    """Names and stamps of the images, which rows without a time belong to."""
-
-    names: list[str]
-    stamps_ns: list[int]
-
-
 def parse_stamp_ns(text: str, unit: str | None = None) -> int:
     """A stamp in ns, or ValueError; without a unit (s, ms, us, ns) it follows from the size, for times since 1970."""
     try:
@@ -113,13 +105,14 @@ def read_times(path: Path, names: Sequence[str]) -> list[int]:
     return [found[place] for place in range(len(names))]
 
 
-def read_poses(path: Path, images: ImageTimes, unit_m: float, frame_id: str) -> TransformTrack:
+def read_poses(path: Path, images_ns: Mapping[str, int], unit_m: float, frame_id: str) -> TransformTrack:
     """Poses of a table: columns by name, or `[time] x y z qx qy qz qw` (TUM), or 12 or 16 numbers of a matrix.
 
-    `unit_m` is the unit of lengths whose column has none.
+    `images_ns` are the stamps of the images by their names, in order; `unit_m` is the unit of lengths whose column has
+    none.
     """
     table = read_table(path)
-    stamps_ns, others = _row_stamps(table, images, {7, 12, 16})
+    stamps_ns, others = _row_stamps(table, images_ns, {7, 12, 16})
     if table.names is None and len(others) in (12, 16):  # a matrix by rows
         matrices = table.numbers(others).reshape(len(stamps_ns), -1, 4)
         R = matrices[:, :3, :3]
@@ -149,13 +142,13 @@ def read_poses(path: Path, images: ImageTimes, unit_m: float, frame_id: str) -> 
     return TransformTrack(frame_id, "", stamps_ns, T)
 
 
-def read_joints(path: Path, images: ImageTimes, names: Sequence[str] | None = None) -> JointTrack:
+def read_joints(path: Path, images_ns: Mapping[str, int], names: Sequence[str] | None = None) -> JointTrack:
     """Joint positions of a table with one column per joint; `names` are theirs where the file has none.
 
     Columns are in rad and m; `_deg` or `_mm` behind a name says otherwise, and is no part of it.
     """
     table = read_table(path)
-    stamps_ns, others = _row_stamps(table, images, {len(names)} if names else set())
+    stamps_ns, others = _row_stamps(table, images_ns, {len(names)} if names else set())
     if names is None and table.names is None:
         raise SourceError(f"{path}: the columns have no names: give --joint-names")
     columns = list(names) if names else [table.names[column] for column in others if table.names]
@@ -323,9 +316,11 @@ def split_unit(name: str, units: Collection[str]) -> tuple[str, str]:
     return (stem, suffix.lower()) if stem and suffix.lower() in units else (name.strip(), "")
 
 
-def _row_stamps(table: Table, images: ImageTimes, plain_widths: set[int]) -> tuple[Stamps, list[int]]:
+def _row_stamps(
+    table: Table, images_ns: Mapping[str, int], plain_widths: set[int]
+) -> tuple[Stamps, list[int]]:
     stamp, image = table.special
-    columns = range(len(table.rows[0]))
+    columns, of_images = range(len(table.rows[0])), list(images_ns.values())
     if table.names is None and len(columns) - 1 in plain_widths:
         stamp = 0
     if stamp is not None:
@@ -334,15 +329,15 @@ def _row_stamps(table: Table, images: ImageTimes, plain_widths: set[int]) -> tup
             if stamp_ns <= before_ns:
                 raise table.fail(row, f"its time {stamp_ns} ns is not after the one before, {before_ns} ns")
     elif image is not None:
-        places = table.places(image, images.names)
+        places = table.places(image, [*images_ns])
         if sorted(set(places)) != places:
             raise SourceError(f"{table.path}: rows that are not in the order of the images")
-        stamps = [images.stamps_ns[place] for place in places]
-    elif len(table.rows) == len(images.stamps_ns):
-        stamps = list(images.stamps_ns)
+        stamps = [of_images[place] for place in places]
+    elif len(table.rows) == len(of_images):
+        stamps = of_images
     else:
         raise SourceError(
             f"{table.path}: no column of times (stamp_ns, timestamp) or images (image), and {len(table.rows)} rows"
-            f" for {len(images.stamps_ns)} images"
+            f" for {len(of_images)} images"
         )
     return np.array(stamps, np.int64), [column for column in columns if column not in (stamp, image)]

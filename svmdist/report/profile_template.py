@@ -75,11 +75,10 @@ def profile_text(draft: ProfileDraft) -> str:
     if not draft.has_camera_to_base:
         named.append("# No transform leads from camera to base: svmdist hand-eye finds it by the seen tool.")
     tissue = _block("unknown_plane")
-    if draft.plane is not None:
-        plane = draft.plane.tissue
+    if (plane := draft.plane) is not None:
         tissue = _block(
             "surface",
-            pair_count=draft.plane.pair_count,
+            pair_count=draft.pair_count,
             normal=", ".join(f"{value:.4f}" for value in plane.plane_normal),
             distance_m=f"{plane.plane_distance_m:.4f}",
             distance_std_m=f"{plane.plane_distance_std_m:.2g}",

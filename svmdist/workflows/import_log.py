@@ -119,7 +119,7 @@ def import_log(
     halved = 2 if options.side_by_side else 1
     sizes = [(view.size_px[0] // halved, view.size_px[1]) for view in views] * halved
     cameras = complete(stated, sizes, FRAMES[: options.count], options.calibration.size_px, options.crop)
-    tables = _table_messages(options, table_files.ImageTimes(views[0].names, views[0].stamps_ns))
+    tables = _table_messages(options, dict(zip(views[0].names, views[0].stamps_ns, strict=True)))
     images = [_image_messages(views, at, cameras, options) for at in range(len(views))]
     total = sum(len(range(0, len(view.names), options.every)) for view in views)
     sources = (options.source, options.right, *options.poses.values(), *options.joints.values())
@@ -195,16 +195,16 @@ def _pairs(
                 yield Observation(views[0].stamps_ns[place], images[0], cameras[0], right=right)
 
 
-def _table_messages(options: ImportOptions, times: table_files.ImageTimes) -> list[list[Message]]:
+def _table_messages(options: ImportOptions, images_ns: Mapping[str, int]) -> list[list[Message]]:
     found: list[list[Message]] = []
-    taken_ns = times.stamps_ns[:: options.every]
+    taken_ns = list(images_ns.values())[:: options.every]
     for name, path in options.poses.items():
-        poses = table_files.read_poses(path, times, options.calibration.unit_m, f"{name}_base")
+        poses = table_files.read_poses(path, images_ns, options.calibration.unit_m, f"{name}_base")
         table_files.require_common_time(path, poses.stamps_ns, taken_ns)
         rows = zip(poses.stamps_ns.tolist(), poses.T_parent_child, strict=True)
         found.append([(ns, f"/{name}/measured_cp", PoseSample(ns, poses.parent, T)) for ns, T in rows])
     for name, path in options.joints.items():
-        joints = table_files.read_joints(path, times, options.joint_names)
+        joints = table_files.read_joints(path, images_ns, options.joint_names)
         table_files.require_common_time(path, joints.stamps_ns, taken_ns)
         rows = zip(joints.stamps_ns.tolist(), joints.positions, strict=True)
         found.append([(ns, f"/{name}/measured_js", JointSample(ns, joints.names, q)) for ns, q in rows])

@@ -64,14 +64,6 @@ class InstrumentDraft:
 
 
 @dataclass(frozen=True)
-class TissueDraft:
-    """The plane through the tissue's surface, by so many pairs of views."""
-
-    tissue: Tissue
-    pair_count: int
-
-
-@dataclass(frozen=True)
 class ProfileDraft:
     """What a first profile is made of; `instrument` is a name in the table of instruments."""
 
@@ -83,7 +75,8 @@ class ProfileDraft:
     camera_frame: str
     instruments: tuple[InstrumentDraft, ...]
     mark: DistinctColour | None
-    plane: TissueDraft | None
+    plane: Tissue | None
+    pair_count: int  # of views, which show the plane
     instrument: str
     has_camera_to_base: bool
     image_count: int
@@ -135,7 +128,7 @@ def draft_profile(
         camera.frame_id or "camera",
         instruments,
         find_distinct_colour(images, len(instruments)),
-        _surface(recording, observations, views.rows),
+        *_surface(recording, observations, views.rows),
         instrument or (UNKNOWN_INSTRUMENT if instruments[0].chain is None else DA_VINCI_INSTRUMENT),
         has_base,
         len(images),
@@ -269,10 +262,10 @@ def _instruments_by_sides(images: Sequence[Image]) -> tuple[InstrumentDraft, ...
 
 def _surface(
     recording: Recording, observations: Sequence[Observation], rows: RowAlignment | None
-) -> TissueDraft | None:
-    """The plane through the tissue's surface as pairs of views show it; None where too few agree on one."""
+) -> tuple[Tissue | None, int]:
+    """The plane through the tissue's surface as pairs of views show it, and how many; None where too few agree."""
     if recording.right_camera is None:
-        return None
+        return None, 0
     rules = _blank({}).model_copy(
         update={"segmentation": AutoSegmentation(method="auto"), "tissue": FIRST_GUESS}
     )
@@ -290,12 +283,12 @@ def _surface(
         biases = depth_biases(at_m, scene.observation.camera, right, deviations)
         stds_m.append(float(np.sqrt(sum(float(np.sum(bias.jacobian**2)) for bias in biases))))
     if len(clouds) < MIN_PLANES:
-        return None
+        return None, 0
     points_m = np.concatenate(clouds)
     normal = np.linalg.svd(points_m - points_m.mean(0), full_matrices=False)[2][2]
     normal *= -np.sign(normal[2])
     if normal[2] > -0.3:  # too steep for a surface that an endoscope looks at
-        return None
+        return None, 0
     distances_m = np.array([-np.mean(cloud @ normal) for cloud in clouds])
     heights_m = points_m @ normal - np.mean(points_m @ normal)
     distance_std_m = np.hypot(np.median(stds_m), scale_of(distances_m - np.median(distances_m)))
@@ -306,7 +299,7 @@ def _surface(
         plane_tilt_std_rad=LEAST_TILT_STD_RAD,
         surface_std_m=max(float(np.sqrt(np.mean(heights_m**2))), LEAST_SURFACE_STD_M),
     )
-    return TissueDraft(tissue, len(clouds))
+    return tissue, len(clouds)
 
 
 def _instrument(

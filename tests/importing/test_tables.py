@@ -8,7 +8,6 @@ import pytest
 from svmdist.errors import SourceError
 from svmdist.importing import tables
 from svmdist.importing.tables import (
-    ImageTimes,
     parse_stamp_ns,
     read_joints,
     read_poses,
@@ -19,7 +18,7 @@ from svmdist.importing.tables import (
 from svmdist.transforms import make_transform, quaternion_xyzw_from_rotation, rotation_of
 
 T = make_transform(rotation_of([0.3, -0.2, 0.5]), [0.01, -0.02, 0.15])
-IMAGES = ImageTimes(["1_L.jpg", "2_L.jpg"], [10**9, 2 * 10**9])
+IMAGES_NS = {"1_L.jpg": 10**9, "2_L.jpg": 2 * 10**9}
 
 
 def _pose_files() -> dict[str, str]:
@@ -45,7 +44,7 @@ def test_poses(tmp_path, form):
     """Every form gives the same pose at the same time."""
     path = tmp_path / "poses.csv"
     path.write_text(_pose_files()[form])
-    poses = read_poses(path, IMAGES, 1.0, "base")
+    poses = read_poses(path, IMAGES_NS, 1.0, "base")
     assert poses.stamps_ns[0] == 10**9
     np.testing.assert_allclose(poses.T_parent_child[0], T, atol=1e-12)
 
@@ -54,13 +53,13 @@ def test_joints(tmp_path):
     """Names, units behind them, and names from elsewhere."""
     path = tmp_path / "joints.csv"
     path.write_text("stamp,yaw_deg,insertion_mm,roll\n0.5,90,100,0.25\n0.75,45,110,0.5\n")
-    joints = read_joints(path, IMAGES)
+    joints = read_joints(path, IMAGES_NS)
     assert joints.names == ("yaw", "insertion", "roll")
     assert joints.stamps_ns.tolist() == [500_000_000, 750_000_000]
     np.testing.assert_allclose(joints.positions, [[np.pi / 2, 0.1, 0.25], [np.pi / 4, 0.11, 0.5]])
     path.write_text("0.1 0.2\n0.3 0.4\n")
-    joints = read_joints(path, IMAGES, ["yaw", "pitch"])
-    assert joints.stamps_ns.tolist() == IMAGES.stamps_ns
+    joints = read_joints(path, IMAGES_NS, ["yaw", "pitch"])
+    assert joints.stamps_ns.tolist() == [*IMAGES_NS.values()]
     np.testing.assert_allclose(joints.positions, [[0.1, 0.2], [0.3, 0.4]])
 
 
@@ -74,11 +73,11 @@ def test_times(tmp_path):
         "stamp_ns\n1500000000\n2500000000\n",
     ):
         path.write_text(text)
-        assert read_times(path, IMAGES.names) == [1_500_000_000, 2_500_000_000], text
+        assert read_times(path, [*IMAGES_NS]) == [1_500_000_000, 2_500_000_000], text
     path.write_text("1_L.jpg,2024-05-01T10:00:00\n2_L.jpg,2024-05-01T10:00:01\n")
     said = r"line 2: expected a time as a number of s, ms, us or ns, found '2_L\.jpg, 2024-05-01T10:00:01'"
     with pytest.raises(SourceError, match=said):
-        read_times(path, IMAGES.names)
+        read_times(path, [*IMAGES_NS])
 
 
 def test_stamps():
@@ -119,7 +118,7 @@ def test_wrong_poses(tmp_path, text, said):
     path = tmp_path / "wrong.csv"
     path.write_text(text)
     with pytest.raises(SourceError, match=r"wrong\.csv") as caught:
-        read_poses(path, IMAGES, 1.0, "base")
+        read_poses(path, IMAGES_NS, 1.0, "base")
     assert said in str(caught.value)
 
 
@@ -135,17 +134,17 @@ def test_wrong_joints(tmp_path, text, names, said):
     path = tmp_path / "wrong.csv"
     path.write_text(text)
     with pytest.raises(SourceError, match=said):
-        read_joints(path, IMAGES, names)
+        read_joints(path, IMAGES_NS, names)
 
 
 def test_a_table_of_another_clock():
     """One row near one image will do."""
     rows_ns = np.array([0, 1_080_000_000, 5 * 10**9])
-    tables.require_common_time(Path("poses.csv"), rows_ns, IMAGES.stamps_ns)
-    tables.require_common_time(Path("poses.csv"), rows_ns[1:2], IMAGES.stamps_ns)
+    tables.require_common_time(Path("poses.csv"), rows_ns, [*IMAGES_NS.values()])
+    tables.require_common_time(Path("poses.csv"), rows_ns[1:2], [*IMAGES_NS.values()])
     for stamps_ns in (rows_ns + 10**12, rows_ns[1:2] + 50_000_000, rows_ns[:1]):
         with pytest.raises(SourceError, match=r"poses\.csv: no row is within 0\.1 s .* 1\.000 s to 2\.000 s"):
-            tables.require_common_time(Path("poses.csv"), stamps_ns, IMAGES.stamps_ns)
+            tables.require_common_time(Path("poses.csv"), stamps_ns, [*IMAGES_NS.values()])
 
 
 def test_a_table_is_a_regular_file_up_to_a_limit(tmp_path, monkeypatch):
