@@ -215,11 +215,6 @@ def _broken_image(log_time_ns: int, reason: str) -> EncodedImage:
     return EncodedImage(min(log_time_ns, MAX_STAMP_NS), "", fail)
 
 
-def _is_set(message: Any, name: str) -> bool:
-    """Whether a message has a part, which protobuf alone may leave out."""
-    return not isinstance(message, Protobuf) or message.HasField(name)
-
-
 def _header(message: Any, log_time_ns: int) -> tuple[int, str]:
     """The stamp in ns, the log time where none was set, and the frame of a message or a transform."""
     if isinstance(message, Protobuf):
@@ -283,18 +278,13 @@ def _camera(message: Any, stamp_ns: int, frame_id: str) -> samples.CameraSample:
     return samples.CameraSample(stamp_ns, camera)
 
 
-def _foxglove_joints(message: Any, stamp_ns: int, _: str) -> samples.JointSample:
-    """Joints without a position are left out."""
-    joints = [joint for joint in message.joints if joint.HasField("position")]
-    return _checked_joints(stamp_ns, [joint.name for joint in joints], [joint.position for joint in joints])
-
-
-def _ros_joints(message: Any, stamp_ns: int, _: str) -> samples.JointSample:
-    return _checked_joints(stamp_ns, message.name, message.position.tolist())
-
-
-def _checked_joints(stamp_ns: int, names: Sequence[str], positions: Sequence[float]) -> samples.JointSample:
+def _joints(message: Any, stamp_ns: int, _: str) -> samples.JointSample:
     """A sample; DecodeError for names that repeat and positions that are missing or not finite."""
+    if isinstance(message, Protobuf):  # which may leave a position out: such a joint is left out
+        joints = [joint for joint in message.joints if joint.HasField("position")]
+        names, positions = [joint.name for joint in joints], [joint.position for joint in joints]
+    else:
+        names, positions = message.name, message.position.tolist()
     if len(names) != len(positions) or not names:
         raise DecodeError(f"{len(names)} joint names and {len(positions)} positions")
     if len(set(names)) != len(names):
@@ -305,17 +295,14 @@ def _checked_joints(stamp_ns: int, names: Sequence[str], positions: Sequence[flo
 
 
 def _pose(message: Any, stamp_ns: int, frame_id: str) -> RawTransform:
-    pose = message.pose
-    q = pose.orientation if _is_set(pose, "orientation") else None
-    return _checked_transform(stamp_ns, frame_id, "", pose.position, q)
+    return _rigid(stamp_ns, frame_id, "", message.pose, "position", "orientation")
 
 
 def _transform(message: Any, stamp_ns: int, frame_id: str) -> RawTransform:
     """A transform; as a topic of its own it is in ROS the pose of its child, as older CRTK publishes `*_cp`."""
     is_ros = not isinstance(message, Protobuf)
     rigid, parent = (message.transform, frame_id) if is_ros else (message, message.parent_frame_id)
-    q = rigid.rotation if _is_set(rigid, "rotation") else None
-    return _checked_transform(stamp_ns, parent, message.child_frame_id, rigid.translation, q)
+    return _rigid(stamp_ns, parent, message.child_frame_id, rigid, "translation", "rotation")
 
 
 def _transforms(message: Any, log_time_ns: int, _: str) -> RawTransforms:
@@ -325,10 +312,12 @@ def _transforms(message: Any, log_time_ns: int, _: str) -> RawTransforms:
     return RawTransforms(found[0].stamp_ns if found else log_time_ns, found)
 
 
-def _checked_transform(stamp_ns: int, parent: str, child: str, position: Any, rotation: Any) -> RawTransform:
-    """A transform, of None without rotation; DecodeError for values that are not finite or name no rotation."""
-    q = (0.0, 0.0, 0.0, 1.0) if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w)
-    values = (position.x, position.y, position.z, *q)
+def _rigid(stamp_ns: int, parent: str, child: str, of: Any, position: str, rotation: str) -> RawTransform:
+    """The transform in two parts of a message; DecodeError for values that are not finite or name no rotation."""
+    is_turned = not isinstance(of, Protobuf) or of.HasField(rotation)  # which protobuf alone may leave out
+    t, turn = getattr(of, position), getattr(of, rotation)
+    q = (turn.x, turn.y, turn.z, turn.w) if is_turned else (0.0, 0.0, 0.0, 1.0)
+    values = (t.x, t.y, t.z, *q)
     _check_numbers(values, "a transform")
     if math.hypot(*q) <= MIN_QUATERNION:
         raise DecodeError("a rotation needs a finite quaternion that is not zero")
@@ -347,7 +336,7 @@ PROTOBUF: dict[str, tuple[Kind, Converter]] = {
     "foxglove.RawImage": (Kind.IMAGE, _raw_image),
     "foxglove.CompressedVideo": (Kind.IMAGE, _video),
     "foxglove.CameraCalibration": (Kind.CAMERA, _camera),
-    "foxglove.JointStates": (Kind.JOINTS, _foxglove_joints),
+    "foxglove.JointStates": (Kind.JOINTS, _joints),
     "foxglove.PoseInFrame": (Kind.POSE, _pose),
     "foxglove.FrameTransform": (Kind.TRANSFORMS, _transforms),
     "foxglove.FrameTransforms": (Kind.TRANSFORMS, _transforms),
@@ -357,7 +346,7 @@ ROS: dict[str, tuple[Kind, Converter]] = {
     "sensor_msgs/Image": (Kind.IMAGE, _raw_image),
     "sensor_msgs/CompressedImage": (Kind.IMAGE, _still_image),
     "sensor_msgs/CameraInfo": (Kind.CAMERA, _camera),
-    "sensor_msgs/JointState": (Kind.JOINTS, _ros_joints),
+    "sensor_msgs/JointState": (Kind.JOINTS, _joints),
     "geometry_msgs/PoseStamped": (Kind.POSE, _pose),
     "geometry_msgs/TransformStamped": (Kind.POSE, _transform),
     "tf2_msgs/TFMessage": (Kind.TRANSFORMS, _transforms),
