@@ -206,9 +206,9 @@ def pose_rows_of(
     with output.progress_bar("reading", "joint states") as advance:
         made = fk_blocks(recording, in_camera=in_camera, on_progress=advance)
         with closing(made):
-            for block in made:
-                errors.append(block.errors)
-                for row in pose_rows(block.stamps_ns, block.poses):
+            for stamps_ns, poses, block_errors in made:
+                errors.append(block_errors)
+                for row in pose_rows(stamps_ns, poses):
                     yield row | {"recording": recording.name} if named else row
                     count += 1
     if recording.topic_of("pose") is not None:

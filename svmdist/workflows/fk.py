@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,30 +15,21 @@ from svmdist.workflows.parallel import Progress
 BLOCK = 1 << 14
 
 
-@dataclass(frozen=True)
-class PoseBlock:
-    """Some thousand poses of the tool, (n, 4, 4) in the base's frame or the camera's, at the joint states' stamps.
-
-    `errors`, (m, 2), are those of all joint states against the log's pose topic: position in m and angle in rad, NaN
-    without a pose, with a constant offset where its frame is not the chain's base.
-    """
-
-    stamps_ns: Stamps
-    poses: Array
-    errors: Array
-
-
 def fk_blocks(
     recording: Recording,
     *,
     in_camera: bool = False,
     on_progress: Progress = lambda _done, _total: None,
-) -> Generator[PoseBlock]:
-    """Yield the tool's pose for every joint state in a recording's window, by the profile's chain.
+) -> Generator[tuple[Stamps, Array, Array]]:
+    """Yield the tool's pose for every joint state in a recording's window, by the profile's chain, in blocks.
 
-    With `in_camera` by the transform of a hand-eye file or of the log; joint states without one at their stamp are left
-    out. Raises, before the first block, RecordingError without joint states, transform or chain, and KinematicsError
-    where the chain's joints are not in the log.
+    Each has some thousand stamps of joint states, (n,), the poses, (n, 4, 4), in the base's frame, and the errors of
+    all its joint states against the log's pose topic, (m, 2): position in m and angle in rad, NaN without a pose, with
+    a constant offset where its frame is not the chain's base. With `in_camera`, poses are in the camera's frame, by the
+    transform of a hand-eye file or of the log; joint states without one at their stamp are left out.
+
+    Raises, before the first block, RecordingError without joint states, transform or chain, and KinematicsError where
+    the chain's joints are not in the log.
     """
     profile = recording.profile
     if profile.robot is None:
@@ -66,4 +56,4 @@ def fk_blocks(
         if base is not None:
             T_camera_base = base.at(at_ns)
             at_ns, T = at_ns[T_camera_base.valid], (T_camera_base.values @ T)[T_camera_base.valid]
-        yield PoseBlock(at_ns, T, errors)
+        yield at_ns, T, errors
