@@ -42,23 +42,15 @@ TOPICS = {
 _ENCODER_STREAM, _JOINT_STREAM, _CAMERA_BASE_STREAM = 10, 12, 13
 
 
-@dataclass(frozen=True)
-class NominalKinematics:
-    """What is added to true joints, rad or m, (n_joints,), the nominal `T_camera_base`, the profile's chain."""
-
-    joint_offsets: Array
-    T_camera_base: Array
-    chain: DHChain
-
-
 def draw_nominal_kinematics(
     chain: DHChain, T_camera_base: Array, profile: Profile, seed: int, scale: float = 0.0, arm: int = 0
-) -> NominalKinematics:
+) -> tuple[Array, Array]:
     """Draw the nominal kinematics of a seed for one of the arms; `scale` multiplies the profile's kinematic error.
 
-    The same seed draws the same directions at every scale. The error of `T_camera_base` is a rotation about the
-    base's origin and a shift, both in the camera's axes. Joints that hold still while the robot works have no error:
-    theirs is a part of the error of `T_camera_base`.
+    Gives what is added to true joints, rad or m, (n_joints,), and the nominal `T_camera_base`, (4, 4). The same seed
+    draws the same directions at every scale. The error of `T_camera_base` is a rotation about the base's origin and a
+    shift, both in the camera's axes. Joints that hold still while the robot works have no error: theirs is a part of
+    the error of `T_camera_base`.
     """
     further = [arm] if arm else []
     slides = np.array([row.type == "prismatic" for row in chain.rows if row.type != "fixed"])
@@ -77,22 +69,23 @@ def draw_nominal_kinematics(
     if error.first_moving_joint is not None:
         joint_offsets[: chain.joint_names.index(error.first_moving_joint)] = 0.0
     T_nominal = make_transform(R, T_camera_base[:3, 3] + shift_m)
-    return NominalKinematics(offsets + joint_offsets, T_nominal, chain)
+    return offsets + joint_offsets, T_nominal
 
 
 @dataclass(frozen=True)
 class Arm:
     """An arm of a scene: profile and scene as it sees them, its topics, its exact joints (n, n_joints) at all stamps.
 
-    `reported` are the joints that it reports at the same stamps, (n, n_joints). `prefix` stands before the names of its
-    links in transforms; the first arm's have none.
+    `nominal_chain` is the profile's. `reported` are the joints that it reports at the same stamps, (n, n_joints).
+    `prefix` stands before the names of its links in transforms; the first arm's have none.
     """
 
     profile: Profile
     scene: Scene
     topics: dict[str, str]
     q: Array
-    nominal: NominalKinematics
+    nominal_chain: DHChain
+    nominal_T_camera_base: Array
     reported: Array
     prefix: str
 
@@ -100,7 +93,7 @@ class Arm:
         """Yield joints and pose as the encoders have them at the stamp number `index`."""
         q = self.reported[index]
         yield self.topics["joints"], JointSample(stamp_ns, self.scene.chain.joint_names, q)
-        T_base_tool = forward_kinematics(self.nominal.chain, q)
+        T_base_tool = forward_kinematics(self.nominal_chain, q)
         yield self.topics["pose"], PoseSample(stamp_ns, self.profile.frames.base, T_base_tool)
 
     def true_tool(self, stamp_ns: int, index: int) -> TransformSample:
@@ -111,12 +104,12 @@ class Arm:
 
     def nominal_transforms(self, stamp_ns: int, index: int) -> tuple[TransformSample, ...]:
         """The nominal camera-to-base transform, then the whole chain as the reported joints place it."""
-        frames, chain = self.profile.frames, self.nominal.chain
+        frames, chain = self.profile.frames, self.nominal_chain
         links = link_transforms(chain, self.reported[index])
         links[-1] = links[-1] @ chain.T_last_tool
         between = [self.prefix + row.name for row in chain.rows[:-1]]
         names = (frames.camera, frames.base, *between, frames.tool)
-        transforms = (self.nominal.T_camera_base, *links)
+        transforms = (self.nominal_T_camera_base, *links)
         return tuple(
             TransformSample(stamp_ns, parent, child, T)
             for parent, child, T in zip(names[:-1], names[1:], transforms, strict=True)
@@ -218,10 +211,9 @@ def make_plan(
     for number, (view, its, q, prefix, distance) in enumerate(paths):
         assert view.robot is not None  # the scene has checked it
         chain = chain_of(view.robot)  # an arm takes itself for the profile's
-        nominal = draw_nominal_kinematics(
-            chain, its.T_camera_base, view, seed, options.kinematic_error, number
-        )
-        exact = q + nominal.joint_offsets
+        scale = options.kinematic_error
+        offsets, T_nominal = draw_nominal_kinematics(chain, its.T_camera_base, view, seed, scale, number)
+        exact = q + offsets
         exact[:, -1] -= its.jaw_opening_rad(path_s, number)
         reported = exact
         if perturbations.changes(Place.JOINTS, Place.CLOCK):
@@ -234,7 +226,7 @@ def make_plan(
         defaults = TOPICS | {"joints": f"/{name}/measured_js", "pose": f"/{name}/measured_cp"}
         defaults["ground_truth_distance"] = distance
         topics = {role: getattr(view.topics, role) or topic for role, topic in defaults.items()}
-        arms.append(Arm(view, its, topics, q, nominal, reported, prefix))
+        arms.append(Arm(view, its, topics, q, chain, T_nominal, reported, prefix))
     return Plan(
         profile=profile,
         scene=scene,

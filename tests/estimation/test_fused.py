@@ -213,11 +213,9 @@ def test_the_stated_ellipsoid_holds_the_tool():
     truth_m = (T_camera_base @ forward_kinematics(CHAIN, POSTURE))[:3, 3]
     nees, within = [], []
     for seed in range(600):
-        nominal = draw_nominal_kinematics(CHAIN, T_camera_base, PROFILE, seed, scale=1.0)
-        joints = POSTURE + nominal.joint_offsets
-        stated = nominal_tool(
-            CHAIN, PROFILE.kinematic_error, RobotState(CHAIN, 0, joints, nominal.T_camera_base)
-        )
+        offsets, T_nominal = draw_nominal_kinematics(CHAIN, T_camera_base, PROFILE, seed, scale=1.0)
+        state = RobotState(CHAIN, 0, POSTURE + offsets, T_nominal)
+        stated = nominal_tool(CHAIN, PROFILE.kinematic_error, state)
         error_m, covariance = truth_m - stated.position_m, stated.position_covariance
         nees.append(float(error_m @ np.linalg.solve(covariance, error_m)))
         within.append(np.abs(error_m) < 1.96 * np.sqrt(np.diag(covariance)))

@@ -153,10 +153,10 @@ def test_options_leave_truth_and_left_camera_alone(plain, full, profile):
             np.testing.assert_array_equal(one.image_bgr, other.image_bgr)
     bare = of(stream(profile), topics.image)[0].image_bgr
     assert 0 < (bare != of(plain, topics.image)[0].image_bgr).any(axis=-1).sum() < 6000  # the plate
-    nominal = draw_nominal_kinematics(scene.chain, scene.T_camera_base, profile, SHORT.seed, 1.0)
+    offsets, T_nominal = draw_nominal_kinematics(scene.chain, scene.T_camera_base, profile, SHORT.seed, 1.0)
     tf, joints = of(full, topics.tf)[0], of(full, topics.joints)[0]
-    np.testing.assert_array_equal(tf.transforms[0].T_parent_child, nominal.T_camera_base)
-    true_q = joints.positions - nominal.joint_offsets
+    np.testing.assert_array_equal(tf.transforms[0].T_parent_child, T_nominal)
+    true_q = joints.positions - offsets
     true_tool = scene.T_camera_base @ forward_kinematics(scene.chain, true_q)
     truth = of(full, topics.ground_truth_tf)[0].transforms[0].T_parent_child
     np.testing.assert_allclose(true_tool, truth, atol=1e-12)
@@ -175,14 +175,14 @@ def test_kinematic_error_has_the_profiles_spread(scene, profile):
     drawn = [
         [draw_nominal_kinematics(*world, seed, scale) for seed in range(400)] for scale in (0.0, 1.0, 2.0)
     ]
-    zero, one, two = (np.array([each.joint_offsets for each in its]) for its in drawn)
+    zero, one, two = (np.array([offsets for offsets, _ in its]) for its in drawn)
     names = scene.chain.joint_names
     moving = names.index("yaw")
     assert not (one - zero)[:, :moving].any()
     expected = [0.001 if name == "insertion" else np.radians(1.0) for name in names[moving:]]
     np.testing.assert_allclose((one - zero).std(axis=0)[moving:], expected, rtol=0.15)
     np.testing.assert_allclose(two - zero, 2.0 * (one - zero), atol=1e-12)
-    T = np.array([nominal.T_camera_base for nominal in drawn[1]])
+    T = np.array([T_nominal for _, T_nominal in drawn[1]])
     np.testing.assert_allclose((T[:, :3, 3] - scene.T_camera_base[:3, 3]).std(axis=0), 0.005, rtol=0.15)
     turns_rad = rotation_angle(T[:, :3, :3], scene.T_camera_base[:3, :3])
     assert np.sqrt(np.mean(turns_rad**2)) == pytest.approx(np.radians(2.0) * np.sqrt(3.0), rel=0.1)
