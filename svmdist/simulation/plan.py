@@ -117,15 +117,6 @@ class Arm:
 
 
 @dataclass(frozen=True)
-class Block:
-    """The stamps from number `begin` to before `end`; the first of them is that of image number `frame`."""
-
-    frame: int
-    begin: int
-    end: int
-
-
-@dataclass(frozen=True)
 class SceneState:
     """Joints of each arm, (n_joints,), the retractor's pose, (4, 4), and the tissue's offset from rest in m."""
 
@@ -156,11 +147,10 @@ class Plan:
     tissue_offset_m: Array
 
     @property
-    def blocks(self) -> list[Block]:
-        """All blocks in the order of time; the first image has the first stamp."""
+    def blocks(self) -> list[range]:
+        """The numbers of the stamps of each block, in the order of time; the first image has the first stamp."""
         begins = np.nonzero(self.with_image)[0].tolist()
-        ends = [*begins[1:], len(self.stamps_ns)]
-        return [Block(frame, *span) for frame, span in enumerate(zip(begins, ends, strict=True))]
+        return list(map(range, begins, [*begins[1:], len(self.stamps_ns)]))
 
     def state(self, index: int, after_ns: float = 0.0) -> SceneState:
         """The state at the stamp number `index`, or later: interpolated between stamps, still after the last one."""

@@ -22,7 +22,7 @@ from svmdist.samples import (
     TransformsSample,
 )
 from svmdist.simulation.clearance import InstrumentClearance, TissueClearance
-from svmdist.simulation.plan import Block, Plan, SceneState
+from svmdist.simulation.plan import Plan, SceneState
 from svmdist.simulation.render import Renderer
 from svmdist.simulation.scene import Options
 from svmdist.transforms import Array
@@ -93,10 +93,10 @@ class Simulator(ExitStack):
         self._between = [self.enter_context(InstrumentClearance(scene, other)) for other in others]
         self._view = self.enter_context(Renderer(scenes))
 
-    def samples(self, block: Block, noise: Noise) -> Iterator[tuple[str, Sample]]:
+    def samples(self, block: range, noise: Noise) -> Iterator[tuple[str, Sample]]:
         """Yield (topic, sample) of a block, given the noise of its image."""
         plan = self._plan
-        for index in range(block.begin, block.end):
+        for index in block:
             stamp_ns = int(plan.stamps_ns[index])
             if plan.with_camera_info[index]:
                 left, right = self._stated_cameras
@@ -109,7 +109,7 @@ class Simulator(ExitStack):
             if plan.with_image[index]:
                 yield from self._truth(stamp_ns, index)
                 yield plan.topics["tf"], self._nominal_transforms(stamp_ns, index)
-                yield from self._images(stamp_ns, index, block.frame, noise)
+                yield from self._images(stamp_ns, index, noise)
 
     @cached_property
     def _stated_cameras(self) -> tuple[Camera, Camera]:
@@ -152,8 +152,9 @@ class Simulator(ExitStack):
             right = [TransformSample(stamp_ns, *frames, T_camera_right)]
         return TransformsSample(stamp_ns, (*first, *right, *(sample for other in others for sample in other)))
 
-    def _images(self, stamp_ns: int, index: int, frame: int, noise: Noise) -> Iterator[tuple[str, Sample]]:
+    def _images(self, stamp_ns: int, index: int, noise: Noise) -> Iterator[tuple[str, Sample]]:
         scene, topics = self._plan.scene, self._plan.topics
+        frame = int(np.count_nonzero(self._plan.with_image[:index]))  # the image's number
         interlace = scene.perturbations["interlace"]
         delays_ns = (0.0, interlace * FIELD_NS) if interlace else (0.0,)  # even rows first, then odd ones
         fields = [

@@ -19,7 +19,7 @@ from svmdist.recording.log import open_recording
 from svmdist.recording.writer import EncodedSample, RecordingWriter, encode
 from svmdist.simulation.bullet import require_pybullet
 from svmdist.simulation.motion import Scenario
-from svmdist.simulation.plan import Block, Plan, make_plan
+from svmdist.simulation.plan import Plan, make_plan
 from svmdist.simulation.scene import Options
 from svmdist.simulation.simulate import Sensors, Simulator
 from svmdist.workflows import parallel
@@ -28,7 +28,7 @@ VERSIONED_PACKAGES = ("svmdist", "pybullet", "numpy", "opencv-python-headless")
 FRAMES_PER_WORKER = 12
 """What a worker's start costs, about a second, is what so many images take: below this, one worker less is faster."""
 
-Task = tuple[list[Block], list[np.random.Generator]]
+Task = tuple[list[range], list[np.random.Generator]]
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def encoded_samples(plan: Plan, jobs: int, jpeg_quality: int | None) -> Generato
 
 
 def _encoded(
-    simulator: Simulator, blocks: Sequence[Block], jpeg_quality: int | None
+    simulator: Simulator, blocks: Sequence[range], jpeg_quality: int | None
 ) -> Iterator[tuple[str, EncodedSample]]:
     for block in blocks:
         for topic, sample in simulator.samples(block, simulator.sensors.draw_noise()):

@@ -97,7 +97,7 @@ def test_soft_tissue_touches_what_presses(pressed):
     scene, q = pressed.scene, pressed.arms[0].q
     rigid_scene = replace(scene, perturbations=UNPERTURBED)
     tissue, rigid = TissueClearance([scene]), TissueClearance([rigid_scene])
-    frames = [int(block.begin) for block in pressed.blocks]
+    frames = [block.start for block in pressed.blocks]
     truth_m, at_rest_m = (
         np.array([each.clearances_m([q[at]])[0] for at in frames]) for each in (tissue, rigid)
     )
@@ -113,7 +113,7 @@ def test_soft_tissue_touches_what_presses(pressed):
 
 def test_beside_a_dent_and_too_deep(pressed):
     """An arm that hovers over what another presses in, and one that presses deeper than the tissue gives way."""
-    scene, q = pressed.scene, pressed.state(int(pressed.blocks[20].begin)).q[0]
+    scene, q = pressed.scene, pressed.state(pressed.blocks[20].start).q[0]
     insertion = list(scene.chain.joint_names).index("insertion")
     rigid, hovering = replace(scene, perturbations=UNPERTURBED), q.copy()
     for _ in range(6):

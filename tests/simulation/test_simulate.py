@@ -76,7 +76,7 @@ def test_a_dent_shows_frame_after_frame_and_goes(profile):
             block = plan.blocks[frame]
             (image,) = images(list(simulator.samples(block, (None,))))
             with Renderer([plan.scene]) as at_rest:
-                at_rest.pose(plan.state(block.begin))
+                at_rest.pose(plan.state(block.start))
                 assert (image != at_rest.draw(0, frame)).any() == (frame != 14)
 
 
@@ -130,14 +130,15 @@ def test_a_real_world_is_the_same_in_any_order_and_neutral_strengths_change_noth
     small = profile.model_copy(update={"simulation": simulation})
     world = Options(stereo=True, tag=True, perturbations=draw_world(World.REAL, 5), world=World.REAL)
     plan = make_plan(Scenario("random", 5, 0.9, 3.4), small, noise=1.0, options=world)
-    found: list[dict[int, list[np.ndarray]]] = []
+    found: list[list[list[np.ndarray]]] = []
     for backwards in (False, True):
         with Simulator(plan) as simulator:
-            noises = {block.frame: simulator.sensors.draw_noise() for block in plan.blocks}
-            blocks = plan.blocks[::-1] if backwards else plan.blocks
-            found.append({b.frame: images(list(simulator.samples(b, noises[b.frame]))) for b in blocks})
-    for frame in range(3):
-        np.testing.assert_array_equal(found[0][frame], found[1][frame])
+            noises = [simulator.sensors.draw_noise() for _ in plan.blocks]
+            blocks = list(zip(plan.blocks, noises, strict=True))
+            drawn = [images(list(simulator.samples(*one))) for one in blocks[:: -1 if backwards else 1]]
+            found.append(drawn[::-1] if backwards else drawn)
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_array_equal(one, other)
     neutral = ",".join(f"{name}={entry.neutral}" for name, entry in TABLE.items())
     for one, other in zip(stream(small), stream(small, neutral), strict=True):
         assert repr(one) == repr(other)
@@ -268,7 +269,7 @@ def test_odd_rows_are_a_field_later_and_replay_makes_the_same_border(profile):
         (frame,) = images(list(simulator.samples(block, (None,))))
     with Renderer([plan.scene]) as renderer:
         for number, after_ns in enumerate((0.0, 2.0 * FIELD_NS)):
-            renderer.pose(plan.state(block.begin, after_ns))
+            renderer.pose(plan.state(block.start, after_ns))
             fields.append(renderer.draw(0, 2 + number))
     np.testing.assert_array_equal(frame[::2], fields[0][::2])
     np.testing.assert_array_equal(frame[1::2], fields[1][1::2])
