@@ -48,30 +48,8 @@ def in_order(stamps_ns: Stamps, rows: Array, late_ns: int = 0) -> tuple[Stamps, 
     return stamps_ns[order], rows[order]
 
 
-class Contents:
-    """What messages of some topics hold, topic by topic."""
-
-    def __init__(self) -> None:
-        self.rows: defaultdict[str, defaultdict[Hashable, Rows]] = defaultdict(lambda: defaultdict(Rows))
-        """By topic, and by names of joints, frame of poses, or edge of transforms."""
-
-    def add(self, topic: str, message: messages.Message) -> None:
-        """Take up a message; DecodeError where it cannot be used."""
-        rows = self.rows[topic]
-        match message:
-            case JointSample(stamp_ns, names, positions):
-                if rows and names not in rows:
-                    raise messages.DecodeError("its joints are others than those of the first message")
-                rows[names].add(stamp_ns, positions.tolist())
-            case DistanceSample(stamp_ns, planar_m, spatial_m, clearance_m):
-                rows[None].add(stamp_ns, (planar_m, spatial_m, clearance_m))
-            case messages.RawTransform():
-                rows[message.parent].add(message.stamp_ns, message.values)
-            case messages.RawTransforms(transforms=transforms):
-                for one in transforms:
-                    # As tf2 has the names: tf of old wrote /base.
-                    edge = one.parent.removeprefix("/"), one.child.removeprefix("/")
-                    rows[edge].add(one.stamp_ns, one.values)
+Contents = defaultdict[str, defaultdict[Hashable, Rows]]
+"""What messages hold: by topic, and by names of joints, frame of poses, or edge of transforms."""
 
 
 class TransformTree:
@@ -84,7 +62,7 @@ class TransformTree:
         self._edges: dict[Edge, tuple[Rows, bool]] = {
             edge: (rows, is_static)  # type: ignore[misc]
             for topic, is_static in topics.items()
-            for edge, rows in contents.rows.get(topic, {}).items()
+            for edge, rows in contents.get(topic, {}).items()
         }
         self._late_ns = late_ns
         self._tracks: dict[Edge, TransformTrack] = {}
@@ -166,6 +144,10 @@ class TransformTree:
         return reached
 
 
+def _no_contents() -> Contents:
+    return defaultdict(lambda: defaultdict(Rows))
+
+
 @dataclass(eq=False)
 class LogFile:
     """An open file, and what the first whole pass read of it beside images; all views of a recording share it."""
@@ -190,7 +172,7 @@ class LogFile:
 
     def images(self, image_topics: Collection[str], *, rest: bool = True) -> Iterator[messages.EncodedImage]:
         """Yield the images of some topics in file order, not decoded; with `rest` reads all else that is not read."""
-        contents, others = Contents(), frozenset[str]()
+        contents, others = _no_contents(), frozenset[str]()
         if self._contents is None:
             others = self.topics if rest else self.camera_topics
         decoder = messages.Decoder(self.limits)
@@ -206,7 +188,7 @@ class LogFile:
         """What is known of a topic's calibrations so far: the first usable one at least, where there is one."""
         track = self.cameras[topic]
         if not track.runs and self._contents is None:
-            contents, decoder = Contents(), messages.Decoder(self.limits)
+            contents, decoder = _no_contents(), messages.Decoder(self.limits)
             for raw in self.source.messages({topic}):
                 self._collect(contents, decoder, raw)
                 if track.runs:
@@ -214,10 +196,24 @@ class LogFile:
         return track
 
     def _collect(self, contents: Contents, decoder: messages.Decoder, raw: RawMessage) -> None:
+        """Take up what a message holds; one that cannot be used is a loss."""
+        rows = contents[raw.topic]
         try:
-            message = decoder.decode(raw)
-            if isinstance(message, CameraSample):  # a recorder that sets no stamp writes 0
-                self.cameras[raw.topic].add(message.stamp_ns or raw.log_time_ns, message.camera)
-            contents.add(raw.topic, message)
+            match decoder.decode(raw):
+                case CameraSample(stamp_ns, camera):  # a recorder that sets no stamp writes 0
+                    self.cameras[raw.topic].add(stamp_ns or raw.log_time_ns, camera)
+                case JointSample(stamp_ns, names, positions):
+                    if rows and names not in rows:
+                        raise messages.DecodeError("its joints are others than those of the first message")
+                    rows[names].add(stamp_ns, positions.tolist())
+                case DistanceSample(stamp_ns, planar_m, spatial_m, clearance_m):
+                    rows[None].add(stamp_ns, (planar_m, spatial_m, clearance_m))
+                case messages.RawTransform(stamp_ns, parent, values=values):
+                    rows[parent].add(stamp_ns, values)
+                case messages.RawTransforms(transforms=transforms):
+                    for one in transforms:
+                        # As tf2 has the names: tf of old wrote /base.
+                        edge = one.parent.removeprefix("/"), one.child.removeprefix("/")
+                        rows[edge].add(one.stamp_ns, one.values)
         except messages.DecodeError as problem:
             self.source.health.lose(LossKind.MESSAGE, str(problem), raw.offset, raw.topic)

@@ -289,7 +289,7 @@ class Recording:
     def _joints(self, arm: LoggedArm) -> JointTrack | None:
         """The joint states of an arm, as a perturbed world has them, at the stamps of the images' clock."""
         topic = arm.find(Role.JOINTS)
-        for names, rows in self.file.contents.rows.get(topic or "", {}).items():
+        for names, rows in self.file.contents.get(topic or "", {}).items():
             assert isinstance(names, tuple)
             reported = self.world.reported(arm.name, names, *rows.arrays())
             stamps_ns, positions = in_order(*reported, self._lag_ns)
@@ -322,7 +322,7 @@ class Recording:
 
     def pose_track(self) -> TransformTrack:
         """All poses, at the stamps of the images' clock; RecordingError unless they are in one frame."""
-        known = self.file.contents.rows[self._require(Role.POSE)]
+        known = self.file.contents[self._require(Role.POSE)]
         frames = sorted(map(str, known))
         if len(frames) != 1:
             several = f", in several frames ({sanitize_list(frames)})," if frames else ""
@@ -333,7 +333,7 @@ class Recording:
     def distance_track(self) -> DistanceTrack:
         """All true distances."""
         topic = self._require(Role.GROUND_TRUTH_DISTANCE)
-        stamps_ns, rows = in_order(*self.file.contents.rows[topic][None].arrays())
+        stamps_ns, rows = in_order(*self.file.contents[topic][None].arrays())
         return DistanceTrack(stamps_ns, rows.reshape(-1, 3))
 
     @property
