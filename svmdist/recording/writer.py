@@ -25,7 +25,6 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.writer import CompressionType, Writer
 
 from svmdist import samples
-from svmdist.camera import Camera
 from svmdist.errors import OutputError, UsageError
 from svmdist.files import open_new, why
 from svmdist.profile import Limits
@@ -77,7 +76,20 @@ def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSa
             data = cv2.imencode(f".{name}", image, options)[1].tobytes()
             return encoded(CompressedImage, stamp_ns, frame_id=frame_id, format=name, data=data)
         case samples.CameraSample(camera=camera):
-            return encoded(CameraCalibration, stamp_ns, **_camera_fields(camera))
+            # Foxglove's names of the lenses.
+            pinhole = "plumb_bob" if len(camera.D) <= 5 else "rational_polynomial"
+            optional = {"R": camera.R_rectified_camera, "P": camera.P}
+            return encoded(
+                CameraCalibration,
+                stamp_ns,
+                frame_id=camera.frame_id,
+                width=camera.width_px,
+                height=camera.height_px,
+                distortion_model="kannala_brandt" if camera.distortion_model == "fisheye" else pinhole,
+                D=camera.D,
+                K=camera.K.ravel(),
+                **{name: values.ravel() for name, values in optional.items() if values is not None},
+            )
         case samples.JointSample(names=names, positions=positions):
             pairs = zip(names, np.asarray(positions).tolist(), strict=True)
             joints = [{"name": name, "position": position} for name, position in pairs]
@@ -100,21 +112,6 @@ def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSa
         case samples.DistanceSample(_, planar_m, spatial_m, clearance_m):
             values = {"planar_m": planar_m, "spatial_m": spatial_m, "clearance_m": clearance_m}
             return encoded(GroundTruthDistance, stamp_ns, **values)
-
-
-def _camera_fields(camera: Camera) -> Fields:
-    # Foxglove's names of the lenses.
-    pinhole = "plumb_bob" if len(camera.D) <= 5 else "rational_polynomial"
-    optional = {"R": camera.R_rectified_camera, "P": camera.P}
-    return {
-        "frame_id": camera.frame_id,
-        "width": camera.width_px,
-        "height": camera.height_px,
-        "distortion_model": "kannala_brandt" if camera.distortion_model == "fisheye" else pinhole,
-        "D": camera.D,
-        "K": camera.K.ravel(),
-        **{name: values.ravel() for name, values in optional.items() if values is not None},
-    }
 
 
 def _rigid_fields(transforms: Sequence[Array], position: str, rotation: str) -> list[Fields]:
@@ -214,7 +211,11 @@ class RecordingWriter:
             sample = encode(sample, self._jpeg_quality)
         stamp_ns, needed_bytes = sample.stamp_ns, MESSAGE_HEAD_BYTES + len(sample.data)
         try:
-            self._end_chunk_before(stamp_ns, needed_bytes)
+            if self._chunk_start_ns is not None:
+                span_ns = abs(stamp_ns - self._chunk_start_ns)
+                if span_ns >= CHUNK_SPAN_NS or self._chunk_bytes + needed_bytes > CHUNK_BYTES:
+                    self._writer.flush()
+                    self._chunk_bytes, self._chunk_start_ns = 0, None
             channel_id = self._channel(topic, sample.schema)
             self._writer.add_message(channel_id, stamp_ns, sample.data, stamp_ns, self._sequences[channel_id])
         except OSError as problem:
@@ -251,14 +252,6 @@ class RecordingWriter:
             self.part_path.replace(self.path)
         except OSError as problem:
             raise self._failure(problem) from problem
-
-    def _end_chunk_before(self, stamp_ns: int, needed_bytes: int) -> None:
-        if self._chunk_start_ns is None:
-            return
-        too_long = abs(stamp_ns - self._chunk_start_ns) >= CHUNK_SPAN_NS
-        if too_long or self._chunk_bytes + needed_bytes > CHUNK_BYTES:
-            self._writer.flush()
-            self._chunk_bytes, self._chunk_start_ns = 0, None
 
     def _channel(self, topic: str, schema: str) -> int:
         if topic in self._channels:
