@@ -28,18 +28,11 @@ class Run(NamedTuple):
     last_ns: int
 
 
-class RightCamera(NamedTuple):
-    """The camera of right images, and where it stands: `T_left_right`, shape (4, 4)."""
-
-    camera: Camera
-    T_left_right: Array
-
-
 class Cameras(NamedTuple):
     """The cameras of an image and of the right one, if any; `doubt` says why it is not known which hold."""
 
     left: Camera
-    right: RightCamera | None = None
+    right: tuple[Camera, Array] | None = None  # with `T_left_right`, shape (4, 4)
     doubt: str = ""
 
 
@@ -102,7 +95,7 @@ def cameras_at(
             return Cameras(camera)
         other = stated_right_camera(right.runs[right_run].camera, stated)
         T_left_right = stereo_transform(camera, other)
-        return Cameras(camera, None if T_left_right is None else RightCamera(other, T_left_right))
+        return Cameras(camera, None if T_left_right is None else (other, T_left_right))
 
     def at(stamp_ns: int) -> Cameras:
         left_run, doubt = left.at(stamp_ns)
