@@ -62,13 +62,8 @@ def read_estimates(path: Path) -> Rows:
         if kind.endswith("_std") and (values < 0.0).any():
             raise table.fail(int(np.argmax(values < 0.0)), f"a negative deviation {names[column]}")
         if np.nanmax(np.abs(values), initial=0.0) > FARTHEST_M < np.nanpercentile(np.abs(values), 90):
-            LOG.warning(
-                "warning: %s: %s reaches %.4g m: where it is in mm, name it %s_mm",
-                path,
-                names[column],
-                np.nanmax(values),
-                kind,
-            )
+            said = "warning: %s: %s reaches %.4g m: where it is in mm, name it %s_mm"
+            LOG.warning(said, path, names[column], np.nanmax(values), kind)
     nothing = np.full(len(table.rows), np.nan)
     position, quaternion = (np.stack([rows.pop(kind, nothing) for kind in of], -1) for of in ("xyz", TUM[4:]))
     return rows | {"T": make_transform(table.rotations(quaternion), position)}

@@ -355,9 +355,8 @@ class Recording:
         why = next((sanitize(loss.detail) for loss in self.health.losses if loss.topic == topic), "")
         named = f"{named}: {why}" if why else named
         others = [one.topic for one in self.topics() if kind_of(*one[1:3]) is kind and one.topic != topic]
-        return RecordingError(
-            f"{named}; other topics with {kind}: {sanitize_list(others)}" if others else named
-        )
+        listed = f"; other topics with {kind}: {sanitize_list(others)}" if others else ""
+        return RecordingError(f"{named}{listed}")
 
 
 def _reopened(origin: Origin, view: Mapping[str, Any]) -> Recording:

@@ -162,7 +162,7 @@ class Decoder:
             message = _parser(encoding, schema)(raw.data)
         except (
             Exception
-        ) as problem:  # of protobuf and rosbags: errors of their own, or of struct, NumPy and text
+        ) as problem:  # protobuf and rosbags raise their own, and those of struct, NumPy and text
             raise DecodeError(f"not a {schema}: {' '.join(str(problem).split())}") from None
         if kind is Kind.TRANSFORMS:  # whose parts have each a stamp of its own
             return convert(message, raw.log_time_ns, "")

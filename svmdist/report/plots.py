@@ -228,10 +228,8 @@ def draw_compare(scores: Sequence[MethodScore]) -> Figure:
     groups = list(dict.fromkeys(score.group for score in scores))
     methods = list(dict.fromkeys(score.method for score in scores))
     metrics = {metric.key: metric for metric in figure_metrics()}
-    others, kinds = (
-        (one for one in groups if one != Group(ALL, ALL)),
-        product(("0.35", "0.6", "0.0"), MARKERS[1:]),
-    )
+    others = (one for one in groups if one != Group(ALL, ALL))
+    kinds = product(("0.35", "0.6", "0.0"), MARKERS[1:])
     looks = {group: (grey, marker, 4.0) for group, (grey, marker) in zip(others, kinds, strict=False)}
     known = [key for key in NAMES if any(metrics[f"{key}rmse_m"].value(score.figures) for score in scores)]
     legend_rows = -(-len(groups) // _columns(map(str, groups), PAGE_IN)) if len(groups) > 1 else 0

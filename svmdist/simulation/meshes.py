@@ -63,9 +63,8 @@ def loft(x_m: Array, half_y_m: Array, half_z_m: Array, roundness: float = 2.0) -
         vertices.append(np.vstack([ring, ring.mean(axis=0)]))
         normals.append(np.tile([direction, 0.0, 0.0], (SIDE_COUNT + 1, 1)))
     points_m = np.concatenate(vertices)
-    return DrawnMesh(
-        points_m, np.concatenate(faces), np.concatenate(normals), np.full((len(points_m), 2), 0.5)
-    )
+    uv = np.full((len(points_m), 2), 0.5)
+    return DrawnMesh(points_m, np.concatenate(faces), np.concatenate(normals), uv)
 
 
 def revolve(x_m: Array, radius_m: Array) -> DrawnMesh:

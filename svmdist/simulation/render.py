@@ -86,10 +86,14 @@ class Renderer(BulletWorld):
         # From the ideal world's lamp to one beside the lens, and less light around.
         share = scene.perturbations["light"]
         ideal, to_lens = np.array(LIGHT_DIRECTION), -scene.T_world_camera[:3, 2]
-        self._light = {
+        self._light: dict[str, Any] = {
+            "renderer": self.pb.ER_TINY_RENDERER,
+            "shadow": 0,
+            "lightColor": (1.0, 0.985, 0.96),
             "lightDirection": (ideal + share * (to_lens - ideal)).tolist(),
             "lightAmbientCoeff": AMBIENT + share * (0.18 - AMBIENT),
             "lightDiffuseCoeff": DIFFUSE + share * 0.35,
+            "lightSpecularCoeff": SPECULAR,
         }
         has_surfaces = scene.perturbations.has("light", "shadow", "wet", "blood")
         self._shader = Shader(scene.perturbations, scene.seed) if has_surfaces else None
@@ -205,18 +209,8 @@ class Renderer(BulletWorld):
     def _draw(self, width: int, height: int, view: list[float], projection: list[float]) -> Any:
         self._turn += 1
         with quiet():
-            return self.call(
-                "getCameraImage",
-                width,
-                height,
-                viewMatrix=view,
-                projectionMatrix=projection,
-                lightColor=(1.0, 0.985, 0.96),
-                shadow=0,
-                lightSpecularCoeff=SPECULAR,
-                renderer=self.pb.ER_TINY_RENDERER,
-                **self._light,
-            )
+            matrices = {"viewMatrix": view, "projectionMatrix": projection}
+            return self.call("getCameraImage", width, height, **matrices, **self._light)
 
     def _add_part(self, part: Part) -> int:
         body = self._add_mesh(part.mesh, part.colour_rgba)
