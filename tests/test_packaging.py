@@ -23,7 +23,7 @@ TOP = {
 SUFFIXES = {
     "docs": {".md", ".jpg", ".png", ".svg", ".json", ".css"},
     "schemas": {".md", ".proto"},
-    "svmdist": {".py", ".pyi", ".toml", ".j2", ".js", ".css", ".onnx"},
+    "svmdist": {".py", ".toml", ".j2", ".js", ".css", ".onnx"},
 }
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["project"]
 
