@@ -200,7 +200,7 @@ def _directions(frame: Frame, sources: Mapping[str, ToolPose]) -> Iterator[Diffe
 
     Where kinematics and tag agree, the sides are not those of the shaft: a mask has a strip of it.
     """
-    sides = {contour.side: contour.plane for contour in frame.left.shaft.contours}
+    sides = {contour.side: contour for contour in frame.left.shaft.contours}
     if len(sides) < 2:
         return
     middle = sides[1].normal - sides[-1].normal

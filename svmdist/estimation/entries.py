@@ -17,7 +17,7 @@ from svmdist.samples import Image
 from svmdist.transforms import Array, inverse, transform_points
 from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.instruments.find_instruments import AutoMasks, SeenInstrument
-from svmdist.vision.lines import axis_of_cylinder, line_between, tangent_normal, tangent_plane
+from svmdist.vision.lines import axis_of_cylinder, line_between, tangent_normal
 
 SIDE_STD = 0.25  # from the middle of its side, over the image's size, for a new instrument
 ENTRY_STD = 0.04  # from the previous entry: the outline is found a little longer or wider
@@ -243,10 +243,10 @@ def sides_beside(
     seen: SeenInstrument, cameras: tuple[Camera, Camera], T_other_own: Array, radius_m: float
 ) -> Array | None:
     """Where one camera has the sides of a shaft of a radius that another one shows, (2, 2, 2) in px, or None."""
-    K, ends = cameras[0].K, cameras[0].rays(seen.sides)[:, :2].reshape(2, 2, 2)
-    inside, scale = ends.mean((0, 1)), float(K[0, 0]) ** -2
-    lines = [line_between(*one) for one in zip(ends, scale * seen.side_covariance, strict=True)]
-    axis = axis_of_cylinder(tangent_plane(lines[0], inside), tangent_plane(lines[1], inside), radius_m)
+    ends = cameras[0].rays(seen.sides)[:, :2].reshape(2, 2, 2)
+    inside = ends.mean((0, 1))
+    planes = [line_between(side, np.zeros((2, 2)), inside) for side in ends]
+    axis = axis_of_cylinder(planes, radius_m)
     if axis is None:
         return None
     rays = np.column_stack([ends.mean(0), np.ones(2)])

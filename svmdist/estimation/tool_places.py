@@ -57,8 +57,8 @@ def _by_width(frame: Frame) -> ToolPose | None:
     view, instrument, marker = frame.left, frame.arm.profile.instrument, frame.left.distal_marker
     if instrument is None or marker is None or len(view.shaft.contours) < 2:
         return None
-    planes = [contour.plane for contour in view.shaft.contours]
-    axis = axis_of_cylinder(planes[0], planes[1], instrument.shaft_radius_m)
+    planes = view.shaft.contours
+    axis = axis_of_cylinder(planes, instrument.shaft_radius_m)
     if axis is None:
         return None
     ray = view.camera.rays(marker.centre_px)[0]

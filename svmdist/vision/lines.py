@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -19,36 +20,26 @@ FIT_STEPS, TRIALS, SEED = 6, 120, 7
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
-    """The points with `normal` · p = `offset`, in the unit of the points that were fitted.
+class TangentPlane:
+    """A plane through the camera's centre that touches the cylinder: unit normal (3,), covariance (3, 3).
 
-    `normal` (2,) has length 1; `covariance` (2, 2) belongs to (turn in rad about `centre`, the points' middle (2,),
-    shift along the normal).
+    `side` is +1 to the right of the axis as it runs through the image, y being down, -1 to the left, 0 where not told.
     """
 
     normal: Array
-    offset: float
-    centre: Array
     covariance: Array
-
-    @property
-    def direction(self) -> Array:
-        """Unit vector along the line, the normal turned by a quarter turn, shape (2,)."""
-        return np.array([-self.normal[1], self.normal[0]])
+    side: int = 0
 
 
 def fit_line(
-    points: Array,
-    unit: float,
-    min_count: int = 8,
-    inlier_px: float = 1.0,
-    systematic_px: float = 0.0,
-) -> Line | None:
-    """The line through most of the points, shape (n, 2): RANSAC, then total least squares with Huber's weights.
+    points: Array, unit: float, inside: Array, min_count: int, inlier_px: float, systematic_px: float
+) -> TangentPlane | None:
+    """The plane of the line through most of the points, (n, 2): RANSAC, then total least squares by Huber's weights.
 
-    `unit` is the size of a pixel in the unit of the points. None where fewer than `min_count` points agree within
-    `inlier_px`, or less than half of them. `systematic_px` is an error that the points share, at each end of the line
-    another. Points closer than `POINT_CORRELATION_PX` err alike.
+    Points are on z = 1 of the camera frame, `inside` (2,) is one on the cylinder's side, and `unit` is the size of a
+    pixel there. None where fewer than `min_count` points agree within `inlier_px`, or less than half of them.
+    `systematic_px` is an error that the points share, at each end of the line another. Points closer than
+    `POINT_CORRELATION_PX` err alike.
     """
     chosen = _consensus(points, inlier_px * unit)
     if np.count_nonzero(chosen) < max(min_count, len(points) // 2):
@@ -73,16 +64,38 @@ def fit_line(
     shared = (systematic_px * unit) ** 2
     turn = (variance / weight.sum() + shared) / max(float(weight @ position**2 / weight.sum()), 1e-30)
     shift = variance / weight.sum() + shared
-    return Line(normal, float(normal @ centre), centre, np.diag([turn, shift]))
+    return _tangent_plane(normal, float(normal @ centre), centre, np.diag([turn, shift]), inside)
 
 
-def line_between(ends: Array, covariance: Array) -> Line:
-    """The line through two points, shape (2, 2), whose offsets across it have a covariance, (2, 2)."""
+def line_between(ends: Array, covariance: Array, inside: Array) -> TangentPlane:
+    """The plane of the line through two points of z = 1, shape (2, 2), by their offsets' covariance across it, (2, 2).
+
+    `inside` (2,) is a point on the cylinder's side.
+    """
     along = ends[1] - ends[0]
     length = float(np.linalg.norm(along))
     normal = np.array([-along[1], along[0]]) / length
     J = np.array([[-1.0 / length, 1.0 / length], [0.5, 0.5]])  # turn and shift by both offsets
-    return Line(normal, float(normal @ ends[0]), ends.mean(axis=0), J @ covariance @ J.T)
+    return _tangent_plane(normal, float(normal @ ends[0]), ends.mean(axis=0), J @ covariance @ J.T, inside)
+
+
+def _tangent_plane(
+    normal: Array, offset: float, centre: Array, covariance: Array, inside: Array
+) -> TangentPlane:
+    """The plane of the line on z = 1 with `normal` · p = `offset`.
+
+    `covariance` (2, 2) is that of its turn in rad about `centre`, (2,), and of its shift along the normal.
+    """
+    raw = np.array([normal[0], normal[1], -offset])
+    # Turn about the centre c by τ, shift by s: normal + τ t, offset + τ t · c + s with t along the line.
+    t = np.array([-normal[1], normal[0]])
+    d_raw = np.array([[t[0], 0.0], [t[1], 0.0], [-float(t @ centre), -1.0]])
+    if raw @ np.array([inside[0], inside[1], 1.0]) < 0.0:
+        raw, d_raw = -raw, -d_raw
+    length = float(np.linalg.norm(raw))
+    n = raw / length
+    J = (np.eye(3) - np.outer(n, n)) @ d_raw / length
+    return TangentPlane(n, np.asarray(J @ covariance @ J.T))
 
 
 def _consensus(points: Array, tolerance: float) -> NDArray[np.bool_]:
@@ -114,20 +127,11 @@ MIN_SINE = 5e-3  # of two planes' angle: a radius below 0.25 % of the distance h
 
 
 @dataclass(frozen=True, slots=True)
-class TangentPlane:
-    """A plane through the camera's centre that touches the cylinder: unit normal (3,), covariance (3, 3)."""
-
-    normal: Array
-    covariance: Array
-
-
-@dataclass(frozen=True, slots=True)
 class CylinderAxis:
-    """The axis: point nearest to the camera's centre (3,) in m, unit direction (3,), and covariance (6, 6) of both."""
+    """The axis: point nearest to the camera's centre (3,) in m, and unit direction (3,)."""
 
     point_m: Array
     direction: Array
-    covariance: Array
 
     def depth_m(self, ray: Array) -> float:
         """Where a ray (3,) of unit depth passes the axis, to one side of it as a rule."""
@@ -135,35 +139,14 @@ class CylinderAxis:
         return float(self.point_m @ across) / float(ray @ across)
 
 
-def tangent_plane(line: Line, inside: Array) -> TangentPlane:
-    """The plane of a line on z = 1 of the camera frame; `inside`, (2,), is a point on the cylinder's side."""
-    a, b = line.normal
-    raw = np.array([a, b, -line.offset])
-    # Turn about the centre c by τ, shift by s: normal + τ t, offset + τ t · c + s with t along the line.
-    t = line.direction
-    d_raw = np.array([[t[0], 0.0], [t[1], 0.0], [-float(t @ line.centre), -1.0]])
-    if raw @ np.array([inside[0], inside[1], 1.0]) < 0.0:
-        raw, d_raw = -raw, -d_raw
-    length = float(np.linalg.norm(raw))
-    normal = raw / length
-    J = (np.eye(3) - np.outer(normal, normal)) @ d_raw / length
-    return TangentPlane(normal, np.asarray(J @ line.covariance @ J.T))
-
-
-def axis_of_cylinder(first: TangentPlane, second: TangentPlane, radius_m: float) -> CylinderAxis | None:
+def axis_of_cylinder(planes: Iterable[TangentPlane], radius_m: float) -> CylinderAxis | None:
     """The axis of a cylinder of known radius between two planes; None where the planes nearly coincide."""
-    n1, n2 = first.normal, second.normal
+    n1, n2 = (plane.normal for plane in planes)
     across = cross(n1, n2)
-    sine, cosine = float(np.linalg.norm(across)), float(n1 @ n2)
+    sine = float(np.linalg.norm(across))
     if sine < MIN_SINE:
         return None
-    d = across / sine
-    p = radius_m * (n1 + n2) / (1.0 + cosine)
-    into_d = (np.eye(3) - np.outer(d, d)) / sine
-    J1 = np.vstack([(radius_m * np.eye(3) - np.outer(p, n2)) / (1.0 + cosine), into_d @ -skew(n2)])
-    J2 = np.vstack([(radius_m * np.eye(3) - np.outer(p, n1)) / (1.0 + cosine), into_d @ skew(n1)])
-    covariance = J1 @ first.covariance @ J1.T + J2 @ second.covariance @ J2.T
-    return CylinderAxis(p, d, covariance)
+    return CylinderAxis(radius_m * (n1 + n2) / (1.0 + float(n1 @ n2)), across / sine)
 
 
 def tangent_normal(

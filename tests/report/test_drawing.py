@@ -143,7 +143,7 @@ def test_what_was_found_of_each_instrument_is_drawn_where_it_is(duo):
         for contour, ends_px in zip(frame.left.shaft.contours, edges_px, strict=False):
             K = frame.left.camera.K
             rays = np.column_stack([ends_px, np.ones(2)]) @ np.linalg.inv(K).T
-            np.testing.assert_allclose(K[0, 0] * (rays @ contour.plane.normal), 0.0, atol=0.3)
+            np.testing.assert_allclose(K[0, 0] * (rays @ contour.normal), 0.0, atol=0.3)
             edge_count += 1
     assert edge_count >= 1
 

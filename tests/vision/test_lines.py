@@ -32,19 +32,21 @@ def test_axis_comes_back_from_its_silhouette_to_1e_9():
         p *= rng.uniform(0.03, 0.3) / np.linalg.norm(p)
         radius_m = rng.uniform(0.001, 0.01)
         normals = silhouette_normals(p, d, radius_m)
-        axis = axis_of_cylinder(*(TangentPlane(n, np.zeros((3, 3))) for n in normals), radius_m)
+        axis = axis_of_cylinder([TangentPlane(n, np.zeros((3, 3))) for n in normals], radius_m)
         assert axis is not None
         np.testing.assert_allclose(axis.point_m, p, atol=1e-9)
         np.testing.assert_allclose(axis.direction * np.sign(axis.direction @ d), d, atol=1e-9)
 
 
 def test_offsets_of_a_line_have_the_covariance_of_its_ends():
-    """The line's turn and shift, carried back to both ends, are the offsets that it was made of."""
+    """The plane's covariance, carried back to where its line has its ends, is that of the offsets it was made of."""
     rng = np.random.default_rng(1)
     for _ in range(50):
-        ends, root = rng.normal(size=(2, 2)), rng.normal(size=(2, 2))
+        ends, root, inside = rng.normal(size=(2, 2)), rng.normal(size=(2, 2)), rng.normal(size=2)
         covariance = root @ root.T
-        line = line_between(ends, covariance)
-        np.testing.assert_allclose(ends @ line.normal, line.offset, atol=1e-12)
-        J = np.stack([(ends - line.centre) @ line.direction * -1.0, np.ones(2)], -1)
-        np.testing.assert_allclose(J @ line.covariance @ J.T, covariance, atol=1e-9)
+        plane = line_between(ends, covariance, inside)
+        rays = np.column_stack([ends, np.ones(2)])
+        np.testing.assert_allclose(rays @ plane.normal, 0.0, atol=1e-12)
+        assert plane.normal @ np.append(inside, 1.0) > 0.0
+        J = rays / np.linalg.norm(plane.normal[:2])
+        np.testing.assert_allclose(J @ plane.covariance @ J.T, covariance, atol=1e-9)

@@ -150,8 +150,7 @@ def _end_error(view: View, arm: Arm) -> tuple[Array, float] | None:
     shaft, instrument = view.shaft, arm.profile.instrument
     if shaft.rim is None or view.rim_ahead is None or instrument is None or len(shaft.contours) < 2:
         return None
-    first, second = (contour.plane for contour in shaft.contours)
-    axis = axis_of_cylinder(first, second, instrument.shaft_radius_m)
+    axis = axis_of_cylinder(shaft.contours, instrument.shaft_radius_m)
     if axis is None:
         return None
     ray = view.camera.rays(shaft.rim.pixel)[0]

@@ -86,13 +86,13 @@ def sides(
         radius_std = float(np.hypot(radius_std, view.shaft.wrist_std))
     deviations = replace(arm.deviations, shaft_radius_fraction=radius_std)
     for contour in view.shaft.contours:
-        _, axes = np.linalg.eigh(contour.plane.covariance)
+        _, axes = np.linalg.eigh(contour.covariance)
         across = axes[:, 1:].T
-        covariance = across @ contour.plane.covariance @ across.T
+        covariance = across @ contour.covariance @ across.T
         yield kinds.ContourMeasurement(
             name=EDGE.format(contour.side),
             link=axis.link,
-            normal=contour.plane.normal,
+            normal=contour.normal,
             across=across,
             covariance=(1.0 - lasting_share) * covariance,
             p_axis_m=axis.p_axis_m,

@@ -124,8 +124,7 @@ def _first_shafts(view: View, model: ShaftModel, R_nominal: Array | None) -> Ite
 
 
 def _start_from_sides(view: View, model: ShaftModel, R_nominal: Array | None) -> Array | Failure:
-    first, second = (contour.plane for contour in view.shaft.contours)
-    axis = axis_of_cylinder(first, second, model.radius_m)
+    axis = axis_of_cylinder(view.shaft.contours, model.radius_m)
     if axis is None:
         return Failure("the shaft's sides are too close together")
     d = _turned_to_tip(axis.direction, view, R_nominal)

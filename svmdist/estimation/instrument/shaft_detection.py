@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -13,15 +13,7 @@ from svmdist.profile.settings import DistalMarkerSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.discs import Disc, fit_disc
-from svmdist.vision.lines import (
-    Line,
-    TangentPlane,
-    axis_of_cylinder,
-    fit_line,
-    line_between,
-    tangent_plane,
-    without_perspective,
-)
+from svmdist.vision.lines import TangentPlane, axis_of_cylinder, fit_line, line_between, without_perspective
 from svmdist.vision.regions import Region
 from svmdist.vision.silhouette import FROM_ONE_END, Silhouette, WristPoint
 
@@ -110,14 +102,6 @@ NEAREST_M, FARTHEST_M = 0.02, 0.5  # of a shaft's end: nearer it fills the view,
 
 
 @dataclass(frozen=True, slots=True)
-class Contour:
-    """One side of the silhouette: the plane that touches the shaft there; `side` is +1 to the right of the axis."""
-
-    plane: TangentPlane
-    side: int
-
-
-@dataclass(frozen=True, slots=True)
 class Rim:
     """The shaft's end on its middle line: pixel (2,), direction to the tip (2,); by the outline or the dark part.
 
@@ -136,14 +120,14 @@ class Rim:
 
 @dataclass(frozen=True, slots=True)
 class ShaftDetection:
-    """Contours (none, one or two) and the rim, each as far as it is visible.
+    """Contours (none, one or two), the planes that touch the shaft there, and the rim, each as far as it is visible.
 
     `towards_tip` (2,) is the direction of the shaft's middle line in the image, None where nothing tells it. `wrist` is
     where the tool's origin is in the outline of a whole instrument. `width_std` is the deviation over the width of what
     both contours get wrong alike, `wrist_std` the same of what may be no shaft, where nothing else tells its depth.
     """
 
-    contours: tuple[Contour, ...]
+    contours: tuple[TangentPlane, ...]
     rim: Rim | None
     towards_tip: Array | None
     middle_px: Array | None
@@ -163,18 +147,19 @@ def detect_silhouette(silhouette: Silhouette | None, camera: Camera, radius_m: f
     if silhouette is None:
         return NO_SHAFT
     towards_tip, middle_px = silhouette.towards_tip, silhouette.middle_px
-    found, unit = [], 1.0 / float(camera.K[0, 0])
+    found, unit, inside = [], 1.0 / float(camera.K[0, 0]), camera.rays(middle_px)[0, :2]
     for edge in silhouette.edges:
-        outward = 0.5 * (edge.start_px + edge.end_px) - middle_px
         inlier_px = max(LINE_INLIER_PX, LINE_INLIER_PER_WIDTH * silhouette.width_px, edge.within_px)
         if edge.covariance is None:
             points = camera.rays(edge.points_px)[:, :2]
-            line = fit_line(points, unit, MIN_LINE_POINTS, inlier_px, SHADING_STD_PX)
+            plane = fit_line(points, unit, inside, MIN_LINE_POINTS, inlier_px, SHADING_STD_PX)
         else:
             ends = camera.rays(np.stack([edge.start_px, edge.end_px]))[:, :2]
-            line = line_between(ends, edge.covariance * unit**2)
-        if line is not None:
-            found.append(_contour_of(line, middle_px, outward, towards_tip, camera))
+            plane = line_between(ends, edge.covariance * unit**2, inside)
+        if plane is not None:
+            outward = 0.5 * (edge.start_px + edge.end_px) - middle_px
+            right = towards_tip[0] * outward[1] - towards_tip[1] * outward[0]
+            found.append(replace(plane, side=1 if right > 0 else -1))
     contours = _one_per_side(found)
     if len(contours) == 2 and not _can_stand(contours, silhouette, camera, radius_m):
         return NO_SHAFT
@@ -187,24 +172,19 @@ def detect_silhouette(silhouette: Silhouette | None, camera: Camera, radius_m: f
     return ShaftDetection(contours, rim, known, middle_px, silhouette.wrist, *stds)
 
 
-def _one_per_side(contours: Sequence[Contour]) -> tuple[Contour, ...]:
-    first: dict[int, Contour] = {}
+def _one_per_side(contours: Sequence[TangentPlane]) -> tuple[TangentPlane, ...]:
+    first: dict[int, TangentPlane] = {}
     for contour in contours:
         first.setdefault(contour.side, contour)
     return tuple(first.values())
 
 
-def _can_stand(contours: Sequence[Contour], silhouette: Silhouette, camera: Camera, radius_m: float) -> bool:
+def _can_stand(
+    contours: Sequence[TangentPlane], silhouette: Silhouette, camera: Camera, radius_m: float
+) -> bool:
     """Whether a shaft of a radius between two planes is before the camera, as far as one may be."""
-    axis = axis_of_cylinder(contours[0].plane, contours[1].plane, radius_m)
+    axis = axis_of_cylinder(contours, radius_m)
     if axis is None:
         return False
     place_px = silhouette.middle_px if silhouette.end_px is None else silhouette.end_px
     return NEAREST_M < axis.depth_m(camera.rays(place_px)[0]) < FARTHEST_M
-
-
-def _contour_of(line: Line, middle_px: Array, outward: Array, towards_tip: Array, camera: Camera) -> Contour:
-    """The contour on a line of z = 1; `middle_px` is on the shaft, `outward` leads off it, (2,)."""
-    plane = tangent_plane(line, camera.rays(middle_px)[0, :2])
-    right = towards_tip[0] * outward[1] - towards_tip[1] * outward[0]
-    return Contour(plane, 1 if right > 0 else -1)
