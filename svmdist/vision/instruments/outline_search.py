@@ -173,35 +173,14 @@ LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by ch
 
 @dataclass(frozen=True)
 class Judged:
-    """Mean probabilities of instrument in the strip, and of none beside it, and the share of both sides with a step.
+    """How sure it is that this is an instrument, from 0 to 1, whether it is taken for one, and its weaker side.
 
-    `entering` is the share of the strip's third at the border that is not hidden: without it a wrist may pass for a
-    shaft. `weaker_side` is the mean of log-odds inside of the weaker side.
+    The latter is the mean of log-odds inside of that side.
     """
 
-    inside: float
-    beside: float
-    stepped: float
-    length_px: float
-    length_widths: float
-    entering: float
+    evidence: float
+    is_accepted: bool
     weaker_side: float
-
-    @property
-    def is_accepted(self) -> bool:
-        """Whether this is an instrument."""
-        is_long = self.length_widths > LEAST_WIDTHS and self.length_px > LEAST_LENGTH_PX
-        return is_long and self.entering > 0.5 and self.evidence > LEAST_EVIDENCE
-
-    @property
-    def evidence(self) -> float:
-        """From 0 to 1, how sure it is that this is an instrument."""
-        return (
-            self.inside
-            * self.beside
-            * float(np.sqrt(self.stepped))
-            * min(1.0, 0.5 + 0.25 * self.length_widths)
-        )
 
 
 def mean_odds(outline: Outline, evidence: Evidence) -> float:
@@ -252,12 +231,11 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
     good = (step.max(2) > EDGE_LEVELS) & straight
     stepped = float(good[whole].mean()) if whole.any() else 0.0
     shown = sampled(evidence.hidden, outline.across(along, MIDDLE), nearest=True) == 0
-    return Judged(
-        _likely(*within),
-        min(free, default=0.0),
-        stepped,
-        outline.length_px,
-        outline.length_px / outline.width_px,
-        float(shown[: STATIONS // 3].mean()),
-        min(_mean(*side) for side in others[:2]),
-    )
+    length_widths = outline.length_px / outline.width_px
+    inside, beside = _likely(*within), min(free, default=0.0)
+    sure = inside * beside * float(np.sqrt(stepped)) * min(1.0, 0.5 + 0.25 * length_widths)
+    is_long = length_widths > LEAST_WIDTHS and outline.length_px > LEAST_LENGTH_PX
+    # With what comes in at the border hidden, a wrist may pass for a shaft.
+    comes_in = float(shown[: STATIONS // 3].mean()) > 0.5
+    is_accepted = is_long and comes_in and sure > LEAST_EVIDENCE
+    return Judged(sure, is_accepted, min(_mean(*side) for side in others[:2]))
