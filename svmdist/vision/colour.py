@@ -149,40 +149,23 @@ def field_of_view(dark: Image) -> Image:
     return view
 
 
-@dataclass(frozen=True, slots=True)
-class Exposure:
-    """The map I' = `gain` (I - `veil`), in levels of 255."""
-
-    veil: float
-    gain: float
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether the image is well exposed as it is."""
-        return self.veil == 0.0 and self.gain == 1.0
-
-
-def exposure_of(bgr: Image, settings: ExposureSettings) -> Exposure:
-    """The map that normalises the exposure of an image, shape (h, w, 3)."""
+def normalised(bgr: Image, settings: ExposureSettings) -> Image:
+    """The image at normalised exposure, shape (h, w, 3); the same array where it is well exposed already."""
     # NumPy's maximum along the short axis takes twenty times as long.
     blue, green, red = cv2.split(np.ascontiguousarray(bgr[::SAMPLING_PX, ::SAMPLING_PX]))
     value = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
     bright = np.percentile(value, 90.0)
     view = field_of_view(np.asarray(255 * (value <= BORDER_FRACTION * bright), np.uint8))
     if not view.any():
-        return Exposure(0.0, 1.0)
+        return bgr
     black, middle = np.percentile(value[view > 0], (BLACK_PERCENTILE, MIDDLE_PERCENTILE)).tolist()
     veil = max(0.0, black - settings.dark_level) if black < DISTINCT_FRACTION * middle else 0.0
-    return Exposure(veil, max(1.0, settings.fair_level / max(middle - veil, 1.0)))
-
-
-def apply_exposure(bgr: Image, exposure: Exposure) -> Image:
-    """The image at normalised exposure, shape (h, w, 3); the same array where it is well exposed already."""
-    if exposure.is_plain:
+    gain = max(1.0, settings.fair_level / max(middle - veil, 1.0))
+    if veil == 0.0 and gain == 1.0:
         return bgr
-    if exposure.gain > NOISY_GAIN:
+    if gain > NOISY_GAIN:
         bgr = np.asarray(cv2.GaussianBlur(bgr, (0, 0), NOISE_SIGMA_PX), np.uint8)
-    levels = exposure.gain * (np.arange(256) - exposure.veil)
+    levels = gain * (np.arange(256) - veil)
     return np.asarray(cv2.LUT(bgr, np.clip(np.rint(levels), 0, 255).astype(np.uint8)), np.uint8)
 
 

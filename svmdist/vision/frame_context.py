@@ -13,7 +13,7 @@ from svmdist.camera import Camera
 from svmdist.profile.settings import ExposureSettings, InterlaceSettings, TagSettings
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform
-from svmdist.vision.colour import Exposure, Masks, apply_exposure, exposure_of, to_grey, to_hsv
+from svmdist.vision.colour import Masks, normalised, to_grey, to_hsv
 from svmdist.vision.segmentation import Segmenter
 from svmdist.vision.stereo import LEVEL, RowAlignment
 
@@ -182,14 +182,9 @@ class FrameContext:
         return height, width
 
     @cached_property
-    def exposure(self) -> Exposure:
-        """The map that normalises this image's exposure."""
-        return exposure_of(self.bgr_as_recorded, self._exposure_settings)
-
-    @cached_property
     def bgr(self) -> Image:
         """The image at normalised exposure; the same array where it is well exposed already."""
-        return apply_exposure(self.bgr_as_recorded, self.exposure)
+        return normalised(self.bgr_as_recorded, self._exposure_settings)
 
     @cached_property
     def hsv_as_recorded(self) -> Image:
@@ -199,7 +194,7 @@ class FrameContext:
     @cached_property
     def hsv(self) -> Image:
         """OpenCV's 8-bit HSV at normalised exposure."""
-        return self.hsv_as_recorded if self.exposure.is_plain else to_hsv(self.bgr)
+        return self.hsv_as_recorded if self.bgr is self.bgr_as_recorded else to_hsv(self.bgr)
 
     @cached_property
     def grey(self) -> Image:
@@ -216,7 +211,7 @@ class FrameContext:
     @cached_property
     def masks(self) -> Masks:
         """What is what in the image, at normalised exposure where that makes a difference."""
-        if self._segmenter.uses_colours and not self.exposure.is_plain:
+        if self._segmenter.uses_colours and self.bgr is not self.bgr_as_recorded:
             return self._segmenter.masks(self.hsv)
         return self.masks_as_recorded
 
