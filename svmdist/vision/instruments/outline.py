@@ -209,48 +209,6 @@ def from_border(outline: Outline, evidence: Evidence) -> Outline | None:
     return outline.cut(start_px, float(along[first])) if along[first] - start_px > LEAST_WIDTH_PX else None
 
 
-@dataclass(frozen=True)
-class _Profiles:
-    """Across both sides of an outline: log p of the edge (2, n, m) at offsets (m,), outwards; what is usable (2, n).
-
-    The stations are at shares (n,) of the outline's length; `half_px` is how far the profiles reach.
-    """
-
-    share: Array
-    offsets: Array
-    half_px: float
-    log_p: Array
-    usable: NDArray[np.bool_]
-    outward: Array
-
-    @classmethod
-    def of(cls, outline: Outline, evidence: Evidence, reach_widths: float, region_weight: float) -> _Profiles:
-        share = np.linspace(0.02, 0.99, STATIONS)
-        outward = outline.normal * np.array([-1.0, 1.0])[:, None]
-        half_px = max(reach_widths * outline.width_px, LEAST_REACH_PX)
-        offsets = np.linspace(-half_px, half_px, SAMPLES)
-        points = outline.at(share * outline.length_px)
-        places = points[:, :, None] + offsets[:, None] * outward[:, None, None]
-        log_p, seen = _log_posterior(evidence, places, float(offsets[1] - offsets[0]), region_weight)
-        return cls(share, offsets, half_px, log_p, seen.mean(2) > 0.6, outward)
-
-    @property
-    def by_ends(self) -> Array:
-        """Derivatives of a side's offsets by those of its ends, shape (n, 2)."""
-        return np.stack([1.0 - self.share, self.share], -1)
-
-    def moments(self, at: Array, window: float) -> tuple[Array, Array]:
-        """Mean and variance of each edge in a window about offsets `at` (2, n), the window's own share taken out."""
-        window_px = window * self.half_px
-        windowed = self.log_p - 0.5 * ((self.offsets - at[..., None]) / window_px) ** 2
-        p = np.exp(windowed - windowed.max(2, keepdims=True))
-        p /= p.sum(2, keepdims=True)
-        mean = p @ self.offsets
-        variance = (p * (self.offsets - mean[..., None]) ** 2).sum(2) + 0.1
-        free = 1.0 / np.maximum(1.0 / variance - 1.0 / window_px**2, 0.15 / window_px**2)
-        return at + (mean - at) * np.minimum(free / variance, 3.0), free
-
-
 def _before_end(outline: Outline, along_px: Array) -> Array:
     """How likely places along the axis, (n,), are well before the shaft's end, whichever of its two that is."""
     ends_px, shares = np.array([outline.length_px]), np.ones(1)
@@ -268,9 +226,14 @@ def _before_end(outline: Outline, along_px: Array) -> Array:
 def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_weight: float) -> Outline | None:
     """Both sides moved onto their edges, found along profiles; None where they leave the picture or meet."""
     length_px, width_px = outline.length_px, outline.width_px
-    profiles = _Profiles.of(outline, evidence, reach_widths, region_weight)
-    share, J, usable = profiles.share, profiles.by_ends, profiles.usable
-    before = _before_end(outline, share * length_px)
+    share = np.linspace(0.02, 0.99, STATIONS)  # of the length, where profiles cross both sides
+    J = np.stack([1.0 - share, share], -1)  # of a side's offsets there by those of its ends
+    outward = outline.normal * np.array([-1.0, 1.0])[:, None]
+    half_px = max(reach_widths * width_px, LEAST_REACH_PX)
+    offsets = np.linspace(-half_px, half_px, SAMPLES)
+    places = outline.at(share * length_px)[:, :, None] + offsets[:, None] * outward[:, None, None]
+    log_p, seen = _log_posterior(evidence, places, float(offsets[1] - offsets[0]), region_weight)
+    before, usable = _before_end(outline, share * length_px), seen.mean(2) > 0.6
     weight_cap = min(1.0, length_px / STATIONS / CORRELATION_PX) * before * usable
     per_px = length_px * width_px / (FOCAL_WIDTHS * evidence.core.shape[1])
     narrowing = np.array([1.0, -1.0, 1.0, -1.0])  # of the width, by the offsets of all ends
@@ -281,7 +244,7 @@ def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_wei
     moved = np.zeros((2, 2))
     for window in WINDOWS:
         at = moved @ J.T
-        mean, variance = profiles.moments(at, window)
+        mean, variance = _moments(log_p, offsets, at, window * half_px)
         std = np.sqrt(variance + EDGE_STD_PX**2)
         z = (at - mean) / std
         weight = weight_cap / (1.0 + (z / CAUCHY) ** 2) / std**2
@@ -298,10 +261,24 @@ def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_wei
     agreement = (weight * (at - mean) ** 2).sum() / max(weight_cap.sum(), 1e-9)
     known = np.linalg.inv((A - prior) / float(np.clip(agreement, LEAST_AGREEMENT, MOST_DISAGREEMENT)) + prior)
     covariance = np.stack([known[:2, :2], known[2:, 2:]]) + EDGE_STD_PX**2 * np.eye(2)
-    sides = outline.sides + moved[..., None] * profiles.outward[:, None]
+    sides = outline.sides + moved[..., None] * outward[:, None]
     new = replace(outline, sides=sides, covariance=covariance)
     fits = LEAST_WIDTH_PX <= new.width_px <= MOST_WIDTH * evidence.core.shape[1] and _widths(new).min() > 1.0
     return from_border(new, evidence) if fits and new.axis @ outline.axis > 0.5 else None
+
+
+def _moments(log_p: Array, offsets: Array, at: Array, window_px: float) -> tuple[Array, Array]:
+    """Mean and variance (2, n) of edges of log p (2, n, m) at offsets (m,), each in a window about `at` (2, n).
+
+    The window's own share is taken out.
+    """
+    windowed = log_p - 0.5 * ((offsets - at[..., None]) / window_px) ** 2
+    p = np.exp(windowed - windowed.max(2, keepdims=True))
+    p /= p.sum(2, keepdims=True)
+    mean = p @ offsets
+    variance = (p * (offsets - mean[..., None]) ** 2).sum(2) + 0.1
+    free = 1.0 / np.maximum(1.0 / variance - 1.0 / window_px**2, 0.15 / window_px**2)
+    return at + (mean - at) * np.minimum(free / variance, 3.0), free
 
 
 def _widths(outline: Outline) -> Array:
