@@ -98,7 +98,7 @@ class Association:
         And by how much it is seen off its nominal place, (2,) in px, None where it is not named; `offsets` are those
         of another view, which sees the same robot's error.
         """
-        height, width = context.shape
+        height, width = context.bgr_as_recorded.shape[:2]
         tracker = self._trackers.setdefault(name, RegionTracker(len(nominal), width, height, self._settings))
         stamp_ns, seen = scene.observation.stamp_ns, context.masks.seen
         if seen is not None:

@@ -84,18 +84,14 @@ class Scene:
     def __init__(
         self, observation: Observation, profile: Profile, segmenter: Segmenter, rows: RowAlignment = LEVEL
     ) -> None:
-        settings = profile.settings
+        interlace = profile.settings.interlace
         self.lens, self.profile, self._rows = observation.camera, profile, rows
-        first = with_first_fields(observation, settings.interlace)
-        self.mixes_colours = first is not observation and mixes_colours(
-            observation.image_bgr, settings.interlace
-        )
+        first = with_first_fields(observation, interlace)
+        self.mixes_colours = first is not observation and mixes_colours(observation.image_bgr, interlace)
         self.observation = observation = as_pinholes(first, rows)
         right = observation.right
-        family = None if profile.fiducial is None else profile.fiducial.family
-        rules = segmenter, settings.exposure, family, settings.tag
-        self.left = FrameContext(observation.image_bgr, *rules)
-        self.right = None if right is None else FrameContext(right.image_bgr, *rules)
+        self.left = FrameContext(observation.image_bgr, segmenter, profile)
+        self.right = None if right is None else FrameContext(right.image_bgr, segmenter, profile)
 
     def left_alone(self) -> Scene:
         """The same without the right view, with what was found in the left one."""

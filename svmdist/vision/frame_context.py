@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property, lru_cache
-from typing import Protocol, runtime_checkable
 
 import cv2
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.profile.settings import ExposureSettings, InterlaceSettings, TagSettings
+from svmdist.profile import Profile
+from svmdist.profile.settings import InterlaceSettings
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform
 from svmdist.vision.colour import Masks, normalised, to_grey, to_hsv
+from svmdist.vision.instruments.find_instruments import AutoMasks
 from svmdist.vision.segmentation import Segmenter
 from svmdist.vision.stereo import LEVEL, RowAlignment
+from svmdist.vision.tags import find_tags, tag_plate
 
 COMB_RATIO = 3.0  # combed pixels over those that differ from the same field's rows: fine texture does both
 # Side of the blocks in which these are counted, at 640 columns: smaller than an instrument's tip
@@ -146,14 +148,6 @@ def _maps(
     return np.asarray(maps[0]), np.asarray(maps[1])
 
 
-@runtime_checkable
-class Hiding(Protocol):
-    """Masks that leave out what is no part of an instrument, though it is on one."""
-
-    def hide(self, mask: Image) -> None:
-        """Take what is marked, shape (h, w), for nothing."""
-
-
 USUAL_FAMILY = "36h11"  # of tags: AprilTag's own default
 
 
@@ -164,27 +158,14 @@ class FrameContext:
     paper's methods segment. Nothing that it keeps refers back to it: its images are freed with its last user.
     """
 
-    def __init__(
-        self,
-        bgr: Image,
-        segmenter: Segmenter,
-        exposure: ExposureSettings,
-        tag_family: str | None,
-        tag_settings: TagSettings,
-    ) -> None:
-        self.bgr_as_recorded, self._segmenter = bgr, segmenter
-        self._exposure_settings, self._tag_family, self._tag_settings = exposure, tag_family, tag_settings
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Height and width in px."""
-        height, width = self.bgr_as_recorded.shape[:2]
-        return height, width
+    def __init__(self, bgr: Image, segmenter: Segmenter, profile: Profile) -> None:
+        self.bgr_as_recorded, self._segmenter, self._settings = bgr, segmenter, profile.settings
+        self._tag_family = None if profile.fiducial is None else profile.fiducial.family
 
     @cached_property
     def bgr(self) -> Image:
         """The image at normalised exposure; the same array where it is well exposed already."""
-        return normalised(self.bgr_as_recorded, self._exposure_settings)
+        return normalised(self.bgr_as_recorded, self._settings.exposure)
 
     @cached_property
     def hsv_as_recorded(self) -> Image:
@@ -204,9 +185,7 @@ class FrameContext:
     @cached_property
     def tags(self) -> dict[int, Array]:
         """Corners, shape (4, 2) in px, of every tag of the family, by number; none where no family is given."""
-        from svmdist.vision.tags import find_tags  # its detectors take a while to import
-
-        return find_tags(self.grey, self._tag_family, self._tag_settings) if self._tag_family else {}
+        return find_tags(self.grey, self._tag_family, self._settings.tag) if self._tag_family else {}
 
     @cached_property
     def masks(self) -> Masks:
@@ -220,7 +199,7 @@ class FrameContext:
         """What is what in the image as it is."""
         image = self.hsv_as_recorded if self._segmenter.uses_colours else self.bgr_as_recorded
         masks = self._segmenter.masks(image)
-        if isinstance(masks, Hiding) and self.plates is not None:
+        if isinstance(masks, AutoMasks) and self.plates is not None:
             masks.hide(self.plates)
         return masks
 
@@ -230,9 +209,6 @@ class FrameContext:
 
         Whoever glued a tag to an instrument need not have told: it is as wide as the shaft, and none of its parts.
         """
-        from svmdist.vision.tags import find_tags, tag_plate
-
-        settings = self._tag_settings
-        tags = self.tags if self._tag_family else find_tags(self.grey, USUAL_FAMILY, settings)
-        plates = [tag_plate(corners_px, self.shape, settings) for corners_px in tags.values()]
+        tags = self.tags if self._tag_family else find_tags(self.grey, USUAL_FAMILY, self._settings.tag)
+        plates = [tag_plate(one, self.grey.shape, self._settings.tag) for one in tags.values()]
         return np.asarray(np.bitwise_or.reduce(plates)) if plates else None

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.masks import iou
-from svmdist.profile.settings import AutoSettings, ExposureSettings, TagSettings
+from svmdist.profile.settings import AutoSettings
 from svmdist.recording.log import open_recording
 from svmdist.samples import Image
 from svmdist.vision.frame_context import FrameContext
@@ -259,7 +259,7 @@ def test_a_wrist_that_comes_in_from_the_border_is_no_shaft(golden):
 
     def seen(frame: int) -> tuple[SeenInstrument, ...]:
         """Without the plates of tags, which stand out beside the shafts."""
-        context = FrameContext(images[frame], segmenter, ExposureSettings(), None, TagSettings())
+        context = FrameContext(images[frame], segmenter, PROFILE)
         return context.masks_as_recorded.seen
 
     wrists, shafts = ([one for frame in frames for one in seen(frame)] for frames in ((19, 27), (3, 15)))
