@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.least_squares import median, scale_of
+from svmdist.least_squares import median
 from svmdist.results import Failure
 from svmdist.samples import Image, RightView
 from svmdist.transforms import Array
@@ -142,15 +142,6 @@ POINTS, CONTRAST, EDGE = 1000, 0.015, 8.0
 RATIO = 0.8  # of the distances to the nearest and the next descriptor (Lowe 2004)
 PEAK_PX = 1.5  # differences of rows this near to the most frequent one are of points that do correspond
 MIN_PEAK_SHARE = 0.3  # of all matches, at the most frequent difference; without meaning it is a fifth
-LEAST_STD_PX = 0.02
-
-
-@dataclass(frozen=True, slots=True)
-class RowOffset:
-    """Row in the right view less that in the left one, in px, and its standard deviation."""
-
-    px: float
-    std_px: float
 
 
 def corresponding_points(
@@ -190,8 +181,8 @@ def corresponding_points(
     return left_px[is_match], right_px[nearest[is_match]]
 
 
-def agreed_offset(differences_px: Array) -> RowOffset | None:
-    """The offset that most differences, shape (n,), agree on; None where too few do."""
+def agreed_offset(differences_px: Array) -> float | None:
+    """The offset in px that most differences, shape (n,), agree on; None where too few do."""
     if len(differences_px) < MIN_ROW_POINTS:
         return None
     ordered = np.sort(differences_px)
@@ -200,10 +191,7 @@ def agreed_offset(differences_px: Array) -> RowOffset | None:
     peak = ordered[first : first + int(inside[first])]
     if len(peak) < max(MIN_ROW_POINTS, MIN_PEAK_SHARE * len(ordered)):
         return None
-    middle_px = median(peak)
-    # Points of one texture err alike: a tenth of them count.
-    std_px = float(np.hypot(LEAST_STD_PX, scale_of(peak - middle_px) / np.sqrt(0.1 * len(peak))))
-    return RowOffset(middle_px, std_px)
+    return median(peak)
 
 
 def reduced(image: Image, step: int, how: int = cv2.INTER_AREA) -> Image:

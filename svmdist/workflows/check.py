@@ -26,13 +26,7 @@ from svmdist.transforms import Array
 from svmdist.vision.colour import to_grey
 from svmdist.vision.frame_context import as_pinholes, with_first_fields
 from svmdist.vision.segmentation import Segmenter, make_segmenter
-from svmdist.vision.stereo import (
-    LEVEL,
-    RowAlignment,
-    agreed_offset,
-    corresponding_points,
-    rectified_pair,
-)
+from svmdist.vision.stereo import LEVEL, RowAlignment, agreed_offset, corresponding_points, rectified_pair
 from svmdist.workflows.request import CLEAN, Condition
 
 CHECKED = 6  # images, and up to twice as many, evenly over the log
@@ -68,9 +62,9 @@ def offset_to_remove(pairs: Sequence[Observation], profile: Profile) -> RowAlign
     """
     pairs = [one for one in pairs if one.right is not None]
     for step in (2, 1) if pairs else ():
-        found = agreed_offset(np.concatenate([_row_differences(one, profile, step) for one in pairs]))
-        if found is not None:
-            return LEVEL if abs(found.px) < MIN_ROW_OFFSET_PX else RowAlignment(found.px)
+        offset_px = agreed_offset(np.concatenate([_row_differences(one, profile, step) for one in pairs]))
+        if offset_px is not None:
+            return LEVEL if abs(offset_px) < MIN_ROW_OFFSET_PX else RowAlignment(offset_px)
     return LEVEL
 
 
