@@ -24,10 +24,9 @@ from svmdist.kinematics.robot_state import NO_CAMERA, RobotState
 from svmdist.results import Failure
 from svmdist.samples import Image, JointSample, Observation, RightView
 from svmdist.transforms import Array, inverse
-from svmdist.vision.colour import Masks
 from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.regions import Region, find_region
-from svmdist.vision.segmentation import InstrumentMasks
+from svmdist.vision.segmentation import Masks, without
 from svmdist.vision.shaft_segmentation import ShaftRegion, bright_fraction, find_shaft
 from svmdist.vision.silhouette import Silhouette, WristShape, find_silhouette
 from svmdist.vision.tags import tag_plate
@@ -62,13 +61,13 @@ class View:
     def masks(self) -> Masks:
         """What is what, at normalised exposure, without the other instruments."""
         masks = self.context.masks
-        return masks if self.others is None else InstrumentMasks(masks, self.others)
+        return masks if self.others is None else without(masks, self.others)
 
     @cached_property
     def masks_as_recorded(self) -> Masks:
         """The same of the image as it is, for the paper's methods."""
         masks = self.context.masks_as_recorded
-        return masks if self.others is None else InstrumentMasks(masks, self.others)
+        return masks if self.others is None else without(masks, self.others)
 
     @property
     def tag_corners_px(self) -> Array | None:

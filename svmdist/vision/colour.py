@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
-from typing import TYPE_CHECKING, Protocol
+from functools import cache
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -26,58 +26,22 @@ NOISY_GAIN = 1.5  # dim light comes with shot noise: from this gain on, neighbou
 NOISE_SIGMA_PX = 1.0  # width of that average
 
 
-class Masks(Protocol):
-    """What is what in one image: masks of shape (h, w), uint8, 0 or 255; they may be combined by `&`."""
+@dataclass(frozen=True, slots=True)
+class KnownMasks:
+    """What is what in one image: masks of shape (h, w), uint8, 0 or 255; they may be combined by `&`.
 
-    @property
-    def tissue(self) -> Image:
-        """The tissue."""
+    `instrument` is the instrument's distal part, about the tool's origin, and `shaft` is None where the profile knows
+    none. `black` may be border around the endoscope's view, None where the shaft's mask holds it already; `picture` is
+    surely not border, None where that is not known. `seen` are whole instruments with their geometry, the surest first,
+    None where instruments are not separated.
+    """
 
-    @property
-    def instrument(self) -> Image:
-        """The instrument's distal part, about the tool's origin."""
-
-    @property
-    def shaft(self) -> Image | None:
-        """The instrument's shaft; None where the profile knows none."""
-
-    @property
-    def black(self) -> Image | None:
-        """What may be border around the endoscope's view; None where the shaft's mask holds it already."""
-        return None
-
-    @property
-    def picture(self) -> Image | None:
-        """What is surely not border around the endoscope's view; None where that is not known."""
-        return None
-
-    @property
-    def seen(self) -> tuple[SeenInstrument, ...] | None:
-        """Whole instruments with their geometry, the surest first; None where instruments are not separated."""
-        return None
-
-
-class HsvMasks(Masks):
-    """The masks of one image by colour, each made when it is first asked for."""
-
-    def __init__(self, hsv: Image, rules: HsvSegmentation) -> None:
-        self._channels = _channels_of(hsv)
-        self._rules = rules
-
-    @cached_property
-    def tissue(self) -> Image:
-        """Pixels of the tissue's colour."""
-        return _mask(self._channels, self._rules.tissue)
-
-    @cached_property
-    def instrument(self) -> Image:
-        """Pixels of the instrument's colour."""
-        return _mask(self._channels, self._rules.instrument)
-
-    @cached_property
-    def shaft(self) -> Image | None:
-        """Pixels as dark as the shaft."""
-        return None if self._rules.shaft is None else _mask(self._channels, self._rules.shaft)
+    tissue: Image
+    instrument: Image
+    shaft: Image | None
+    black: Image | None = None
+    picture: Image | None = None
+    seen: tuple[SeenInstrument, ...] | None = None
 
 
 class HsvSegmenter:
@@ -88,9 +52,11 @@ class HsvSegmenter:
     def __init__(self, rules: HsvSegmentation) -> None:
         self._rules = rules
 
-    def masks(self, image: Image, /) -> HsvMasks:
+    def masks(self, image: Image, /) -> KnownMasks:
         """The masks of an image as HSV, shape (h, w, 3)."""
-        return HsvMasks(image, self._rules)
+        channels, rules = _channels_of(image), self._rules
+        shaft = None if rules.shaft is None else _mask(channels, rules.shaft)
+        return KnownMasks(_mask(channels, rules.tissue), _mask(channels, rules.instrument), shaft)
 
 
 def to_hsv(bgr: Image) -> Image:

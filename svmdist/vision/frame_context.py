@@ -13,9 +13,9 @@ from svmdist.profile import Profile
 from svmdist.profile.settings import InterlaceSettings
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform
-from svmdist.vision.colour import Masks, normalised, to_grey, to_hsv
+from svmdist.vision.colour import normalised, to_grey, to_hsv
 from svmdist.vision.instruments.find_instruments import AutoMasks
-from svmdist.vision.segmentation import Segmenter
+from svmdist.vision.segmentation import Masks, Segmenter
 from svmdist.vision.stereo import LEVEL, RowAlignment
 from svmdist.vision.tags import find_tags, tag_plate
 

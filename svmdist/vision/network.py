@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cached_property
 from pathlib import Path
 from threading import Lock
 
@@ -16,7 +15,7 @@ from svmdist.errors import ProfileError, did_you_mean
 from svmdist.files import open_regular, why
 from svmdist.profile.segmentation import ClassRegion, OnnxSegmentation
 from svmdist.samples import Image
-from svmdist.vision.colour import Masks, field_of_view
+from svmdist.vision.colour import KnownMasks, field_of_view
 
 MARGIN = 0.02  # from the border, over the image's width, where a part may end: networks are coarse
 VIEW_PX = 480  # longer side of the image, about, in which the view is looked for
@@ -30,63 +29,6 @@ Labels = NDArray[np.int32]
 Tensor = NDArray[np.generic]
 Runtime = Callable[[NDArray[np.float32]], dict[str, Tensor]]
 """Runs a network: of its input, (1, 3, h, w), all outputs by name."""
-
-
-class ClassMasks(Masks):
-    """The masks of one image by the class of every pixel, shape (h, w)."""
-
-    def __init__(self, image_bgr: Image, labels: Labels, rules: OnnxSegmentation) -> None:
-        self._image_bgr = image_bgr
-        self._labels = labels
-        self._rules = rules
-
-    @cached_property
-    def tissue(self) -> Image:
-        """Pixels of the tissue's classes."""
-        return self._of(self._rules.tissue)
-
-    @cached_property
-    def instrument(self) -> Image:
-        """Pixels of the classes of the instrument's distal part."""
-        return self._kept(self._of(self._rules.instrument))
-
-    @cached_property
-    def shaft(self) -> Image | None:
-        """Pixels of the shaft's classes."""
-        return None if self._rules.shaft is None else self._kept(self._of(self._rules.shaft))
-
-    @cached_property
-    def black(self) -> Image:
-        """Pixels as black as the border around an endoscope's view, which no class represents."""
-        return _black(self._image_bgr)
-
-    def _kept(self, mask: Image) -> Image:
-        return mask if self._from_border is None else np.asarray(mask & self._from_border, np.uint8)
-
-    @cached_property
-    def _from_border(self) -> Image | None:
-        """Connected parts of the instrument that reach the picture's border; None where all parts are kept."""
-        if not self._rules.from_border:
-            return None
-        union = np.maximum(self._of(self._rules.instrument), self._of(self._rules.shaft))
-        picture = field_of_view(self.black)
-        height, width = union.shape
-        reach = max(2, round(MARGIN * width))
-        # A frame of nothing around the image, so that the image's own edge is border too.
-        framed = cv2.copyMakeBorder(picture, reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=0)
-        kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-        inner = cv2.erode(framed, kernel, borderValue=0)[reach : reach + height, reach : reach + width]
-        count, parts, statistics, _ = cv2.connectedComponentsWithStats(union & picture)
-        kept = np.zeros(count, np.uint8)
-        kept[np.unique(parts[inner == 0])] = 255
-        kept[statistics[:, cv2.CC_STAT_AREA] < LEAST_AREA * cv2.countNonZero(picture)] = 0
-        kept[0] = 0
-        return np.asarray(kept[parts], np.uint8)
-
-    def _of(self, region: ClassRegion | None) -> Image:
-        if region is None:
-            return np.zeros(self._labels.shape, np.uint8)
-        return np.where(np.isin(self._labels, region.class_ids), 255, 0).astype(np.uint8)
 
 
 class OnnxSegmenter:
@@ -111,7 +53,7 @@ class OnnxSegmenter:
                     f" tells {count} classes, 0 to {count - 1}"
                 )
 
-    def masks(self, bgr: Image, /) -> ClassMasks:
+    def masks(self, bgr: Image, /) -> KnownMasks:
         """The masks of an image, shape (h, w, 3) in BGR as recorded."""
         left, top, width, height = self.view(bgr) if self._rules.crop_to_view else (0, 0, *bgr.shape[1::-1])
         output = self._run(np.ascontiguousarray(bgr[top : top + height, left : left + width]))
@@ -123,7 +65,14 @@ class OnnxSegmenter:
             inside = np.asarray(enlarged, np.int32)
         labels = np.full(bgr.shape[:2], -1, np.int32)  # outside of the view: no class
         labels[top : top + height, left : left + width] = inside
-        return ClassMasks(bgr, labels, self._rules)
+        rules, black = self._rules, _black(bgr)
+        instrument, shaft = _of(labels, rules.instrument), _of(labels, rules.shaft)
+        if rules.from_border:
+            kept = _from_border(instrument | shaft, field_of_view(black))
+            instrument, shaft = instrument & kept, shaft & kept
+        return KnownMasks(
+            _of(labels, rules.tissue), instrument, None if rules.shaft is None else shaft, black
+        )
 
     @staticmethod
     def view(bgr: Image) -> tuple[int, int, int, int]:
@@ -204,7 +153,29 @@ def _by_onnxruntime(path: Path, blob: NDArray[np.float32]) -> Runtime | None:
     return lambda blob: dict(zip(names, session.run(names, {given: blob}), strict=True))
 
 
+def _of(labels: Labels, region: ClassRegion | None) -> Image:
+    """Pixels of a region's classes; none without a region."""
+    return np.where(np.isin(labels, region.class_ids if region else ()), 255, 0).astype(np.uint8)
+
+
+def _from_border(union: Image, picture: Image) -> Image:
+    """Connected parts of the instrument that reach the border of the picture."""
+    height, width = union.shape
+    reach = max(2, round(MARGIN * width))
+    # A frame of nothing around the image, so that the image's own edge is border too.
+    framed = cv2.copyMakeBorder(picture, reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=0)
+    kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    inner = cv2.erode(framed, kernel, borderValue=0)[reach : reach + height, reach : reach + width]
+    count, parts, statistics, _ = cv2.connectedComponentsWithStats(union & picture)
+    kept = np.zeros(count, np.uint8)
+    kept[np.unique(parts[inner == 0])] = 255
+    kept[statistics[:, cv2.CC_STAT_AREA] < LEAST_AREA * cv2.countNonZero(picture)] = 0
+    kept[0] = 0
+    return np.asarray(kept[parts], np.uint8)
+
+
 def _black(bgr: Image) -> Image:
+    """Pixels as black as the border around an endoscope's view, which no class represents."""
     return np.asarray(cv2.inRange(bgr, np.full(3, 0), np.full(3, BLACK_LEVEL)), np.uint8)
 
 

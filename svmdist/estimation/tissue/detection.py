@@ -17,8 +17,8 @@ from svmdist.profile.hand_eye import FOCAL_LENGTH, PRINCIPAL_POINT
 from svmdist.profile.robot import CameraError, Tissue
 from svmdist.samples import Image
 from svmdist.transforms import Array, cross, make_transform
-from svmdist.vision.colour import Masks
 from svmdist.vision.regions import CompletedOutline, Region, complete_outline, find_region
+from svmdist.vision.segmentation import Masks
 
 # Parts below this fraction of the tissue may be blood on an instrument, as red as tissue
 BLOOD_FRACTION = 0.1
