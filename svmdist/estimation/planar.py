@@ -22,16 +22,13 @@ from svmdist.vision.colour import colour_mask, to_grey, to_hsv
 from svmdist.vision.marker import (
     EDGE_MARGIN_PX,
     Features,
-    MarkedWindow,
     Matches,
     detect_orb,
     fit_homography,
-    is_plausible,
+    marker_corners,
     match_features,
     padded_template,
     paste_marker,
-    square_corners,
-    transfer,
 )
 from svmdist.vision.regions import Region, find_region
 
@@ -73,11 +70,13 @@ def template_features(marker: Marker, rules: FeatureRules) -> Features:
 class MarkerSearch:
     """What the search for the pasted marker saw, in px of the window that has the marker in it.
 
+    `origin_px` is the window's top left pixel (x, y) in the image, and may lie outside of it.
     `inliers`, shape (n,), are the matches that agree with the homography; `corners_px`, shape (4, 2), is the marker's
     outline by it, None where there is no plausible one.
     """
 
-    window: MarkedWindow
+    window_bgr: Image
+    origin_px: tuple[int, int]
     features: Features
     matches: Matches
     inliers: NDArray[np.bool_]
@@ -88,17 +87,19 @@ def search_marker(frame: Frame, centre_px: Array, template: Features) -> MarkerS
     """Paste the marker about `centre_px`, (2,), and find it again: features, matches, homography."""
     profile = frame.arm.profile
     size_px, rules = profile.marker.size_px, profile.features
-    window = paste_marker(frame.left.context.bgr_as_recorded, centre_px, size_px, EDGE_MARGIN_PX)
-    features = detect_orb(to_grey(window.window_bgr), rules.feature_count)
+    image_bgr = frame.left.context.bgr_as_recorded
+    window_bgr, origin_px = paste_marker(image_bgr, centre_px, size_px, EDGE_MARGIN_PX)
+    features = detect_orb(to_grey(window_bgr), rules.feature_count)
     matches = match_features(template, features, rules.ratio)
-    found = MarkerSearch(window, features, matches, np.zeros(len(matches), np.bool_))
+    found = MarkerSearch(window_bgr, origin_px, features, matches, np.zeros(len(matches), np.bool_))
     if len(matches) < rules.min_match_count:
         return found
     homography = fit_homography(matches, rules.reprojection_px)
-    if homography is None or not is_plausible(homography.H, size_px, profile.settings.marker):
+    if homography is None:
         return found
-    corners_px = transfer(homography.H, square_corners(size_px))
-    return replace(found, inliers=homography.inliers, corners_px=corners_px)
+    H, inliers = homography
+    corners_px = marker_corners(H, size_px, profile.settings.marker)
+    return found if corners_px is None else replace(found, inliers=inliers, corners_px=corners_px)
 
 
 def third_contour(
@@ -152,11 +153,11 @@ class OverlayEstimator:
         result = result.with_image(inlier_count=int(np.count_nonzero(found.inliers)))
 
         # Final phase: third contour, both places to the plane, and the distance between them.
-        marker, window = self._profile.marker, found.window
-        outline = third_contour(window.window_bgr, found.corners_px, marker, self._profile.settings.outline)
+        marker, settings = self._profile.marker, self._profile.settings
+        outline = third_contour(found.window_bgr, found.corners_px, marker, settings.outline)
         if outline is None:
             return result.rejected(Status.NO_OUTLINE)
-        tool_px = outline.centroid_px + np.array(window.origin_px, np.float64)
+        tool_px = outline.centroid_px + found.origin_px
         return in_plane(result, tool_px, tissue.centroid_px, self._mapping)
 
 

@@ -132,7 +132,7 @@ def _segmentation(frame: DrawnFrame, _: Image) -> Image:
 
 def _marker(frame: DrawnFrame, pixels: Image) -> Image:
     for found in filter(None, map(virtual_marker, frame.replayed.frames)):
-        (x, y), window = found.window.origin_px, found.window.window_bgr
+        (x, y), window = found.origin_px, found.window_bgr
         rows, columns = (np.arange(length) for length in window.shape[:2])
         r = (rows + y >= 0) & (rows + y < pixels.shape[0])
         c = (columns + x >= 0) & (columns + x < pixels.shape[1])
@@ -150,7 +150,7 @@ def _matches(frame: DrawnFrame, sheet: Image) -> Image:
     if (found := virtual_marker(one)) is None:
         return sheet
     template = padded_template(one.arm.profile.marker.size_px, EDGE_MARGIN_PX)
-    left, right = cv2.cvtColor(template, cv2.COLOR_GRAY2BGR), found.window.window_bgr
+    left, right = cv2.cvtColor(template, cv2.COLOR_GRAY2BGR), found.window_bgr
     both = np.hstack([left, np.full((left.shape[0], 20, 3), DARK, np.uint8), right[: left.shape[0]]])
     times = max(1, min(width // both.shape[1], height // both.shape[0]))
     large = cv2.resize(both, None, fx=times, fy=times, interpolation=cv2.INTER_NEAREST)

@@ -29,18 +29,6 @@ EDGE_SOFTNESS_PX = 1.0
 score, and its non-maximum suppression then drops them all at full resolution."""
 
 
-@dataclass(frozen=True, slots=True)
-class MarkedWindow:
-    """The part of an image about the marker, with the marker pasted in its middle.
-
-    Its margin, alike on every side, keeps a marker at the image's border uncut and far enough from the edge for ORB.
-    `origin_px` is the window's top left pixel (x, y) in the image, and may lie outside of it.
-    """
-
-    window_bgr: Image
-    origin_px: tuple[int, int]
-
-
 @lru_cache(maxsize=8)
 def marker_pattern(size_px: int) -> Image:
     """The marker as a grey image, shape (size_px, size_px), read-only."""
@@ -53,8 +41,14 @@ def marker_pattern(size_px: int) -> Image:
     return pattern
 
 
-def paste_marker(image_bgr: Image, centre_px: Array, size_px: int, margin_px: int) -> MarkedWindow:
-    """A window with the marker about `centre_px` (x, y, rounded); the image's edge is repeated beyond it."""
+def paste_marker(
+    image_bgr: Image, centre_px: Array, size_px: int, margin_px: int
+) -> tuple[Image, tuple[int, int]]:
+    """A window with the marker in its middle, about `centre_px` (x, y, rounded), and the window's top left pixel.
+
+    Its margin, alike on every side, keeps a marker at the image's border uncut and far enough from the edge for ORB:
+    the window may reach out of the image, whose edge is repeated beyond it.
+    """
     height, width = image_bgr.shape[:2]
     x0 = _first_px(float(centre_px[0]), size_px, width) - margin_px
     y0 = _first_px(float(centre_px[1]), size_px, height) - margin_px
@@ -63,7 +57,7 @@ def paste_marker(image_bgr: Image, centre_px: Array, size_px: int, margin_px: in
     top, bottom, left, right = max(-y0, 0), max(y1 - height, 0), max(-x0, 0), max(x1 - width, 0)
     window = np.asarray(cv2.copyMakeBorder(window, top, bottom, left, right, cv2.BORDER_REPLICATE), np.uint8)
     window[margin_px:-margin_px, margin_px:-margin_px] = marker_pattern(size_px)[..., None]
-    return MarkedWindow(window, (x0, y0))
+    return window, (x0, y0)
 
 
 def _first_px(centre_px: float, size_px: int, length_px: int) -> int:
@@ -148,16 +142,11 @@ UNIT_PX = 100.0  # about a marker's side: in this unit the elements of H are of 
 PX_PER_ELEMENT: Array = np.outer([1.0 / UNIT_PX, 1.0 / UNIT_PX, 1.0], [UNIT_PX, UNIT_PX, 1.0])
 
 
-@dataclass(frozen=True, slots=True)
-class Homography:
-    """`H`, shape (3, 3) with H[2, 2] = 1, and which matches agree with it, shape (n,) of bool."""
+def fit_homography(matches: Matches, reprojection_px: float) -> tuple[Array, NDArray[np.bool_]] | None:
+    """Fit a homography robustly (MAGSAC, Barath 2019), inliers by eq. (18); None for fewer than four.
 
-    H: Array
-    inliers: NDArray[np.bool_]
-
-
-def fit_homography(matches: Matches, reprojection_px: float) -> Homography | None:
-    """Fit a homography robustly (MAGSAC, Barath 2019), inliers by eq. (18); None for fewer than four."""
+    It is H, shape (3, 3) with H[2, 2] = 1, and which matches agree with it, shape (n,).
+    """
     if len(matches) < 4:
         return None
     parameters = cv2.UsacParams()
@@ -178,7 +167,7 @@ def fit_homography(matches: Matches, reprojection_px: float) -> Homography | Non
         return None
     H, error_px = _refit(np.asarray(fitted / fitted[2, 2], np.float64), matches)
     inliers = error_px <= reprojection_px
-    return Homography(H, inliers) if np.count_nonzero(inliers) >= 4 else None
+    return (H, inliers) if np.count_nonzero(inliers) >= 4 else None
 
 
 def _refit(H: Array, matches: Matches) -> tuple[Array, Array]:
@@ -237,19 +226,18 @@ def _transfer_error(H: Array, matches: Matches) -> Array:
     return np.where(np.isfinite(error_px), error_px, np.inf)
 
 
-def is_plausible(H: Array, size_px: int, settings: MarkerSettings) -> bool:
-    """Whether the template's square becomes a convex shape of similar size: it was pasted without scaling."""
-    corners = transfer(H, square_corners(size_px))
+def marker_corners(H: Array, size_px: int, settings: MarkerSettings) -> Array | None:
+    """Where H puts the template's corners, clockwise from the top left, shape (4, 2) in px.
+
+    None where its square becomes no convex shape of similar size: it was pasted without scaling.
+    """
+    last = size_px - 1.0
+    corners = transfer(H, np.array([[0.0, 0.0], [last, 0.0], [last, last], [0.0, last]]))
     if not np.all(np.isfinite(corners)):
-        return False
+        return None
     edges = np.roll(corners, -1, 0) - corners
     following = np.roll(edges, -1, 0)
     cross = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
     area_ratio = cv2.contourArea(corners.astype(np.float32)) / (size_px - 1) ** 2
-    return bool(np.all(cross > 0)) and 1.0 / settings.max_area_ratio < area_ratio < settings.max_area_ratio
-
-
-def square_corners(size_px: int) -> Array:
-    """Corners of a square of pixels, clockwise from the top left, shape (4, 2) in px."""
-    last = size_px - 1.0
-    return np.array([[0.0, 0.0], [last, 0.0], [last, last], [0.0, last]])
+    is_alike = 1.0 / settings.max_area_ratio < area_ratio < settings.max_area_ratio
+    return corners if np.all(cross > 0) and is_alike else None

@@ -110,8 +110,8 @@ def _count(frame: Frame, result: FrameResult, values: dict[str, list[int]]) -> N
     if instrument is None:
         return
     size_px, feature_count = profile.marker.size_px, profile.features.feature_count
-    marked = paste_marker(context.bgr_as_recorded, instrument.centroid_px, size_px, EDGE_MARGIN_PX)
-    points_px = detect_orb(to_grey(marked.window_bgr), feature_count).points_px - EDGE_MARGIN_PX
+    marked_bgr, _ = paste_marker(context.bgr_as_recorded, instrument.centroid_px, size_px, EDGE_MARGIN_PX)
+    points_px = detect_orb(to_grey(marked_bgr), feature_count).points_px - EDGE_MARGIN_PX
     counts = (
         len(detect_orb(context.grey, feature_count, frame.left.masks_as_recorded.instrument)),
         instrument.area_px,

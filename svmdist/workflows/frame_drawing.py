@@ -159,12 +159,11 @@ def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup
         pasted = virtual_marker(frame) if setup.method == "overlay" else None
         if pasted is None:
             continue
-        origin_px = np.array(pasted.window.origin_px, np.float64)
         if pasted.corners_px is not None:
-            yield Shape(Part.MARKER, Form.LOOP, pasted.corners_px + origin_px, name)
+            yield Shape(Part.MARKER, Form.LOOP, pasted.corners_px + pasted.origin_px, name)
         for part, chosen in ((Part.MATCH, ~pasted.inliers), (Part.INLIER, pasted.inliers)):
             if chosen.any():
-                yield Shape(part, Form.POINTS, pasted.matches.frame_px[chosen] + origin_px, name)
+                yield Shape(part, Form.POINTS, pasted.matches.frame_px[chosen] + pasted.origin_px, name)
 
 
 def _through_lens(shape: Shape, lens: Camera) -> Shape:
