@@ -162,24 +162,33 @@ ENDS_APART = 0.3  # of an end over the distance of both: deviation of a uniform 
 
 
 @dataclass(frozen=True, slots=True)
+class Rim:
+    """The shaft's end on its middle line: pixel (2,), direction to the tip (2,); by the outline or the dark part.
+
+    `std_px` is its deviation along the shaft. With a probability of `other_share` it is the end of the other one of
+    these, as many radii further along; `narrows` is how likely an outline goes on narrower there.
+    """
+
+    pixel: Array
+    towards_tip: Array
+    std_px: float
+    is_outline: bool = False
+    other_radii: float = 0.0
+    other_share: float = 0.0
+    narrows: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
 class Silhouette:
     """Both edges of a shaft as the camera sees them, border first, and where they end.
 
-    `end_px` (2,) is the middle between both ends, None where the shaft goes on to the border of the picture; `std_px`
-    is its deviation along the shaft; `is_outline` is False where the dark part ends there and the outline goes on.
-    The other one of these is `other_px` further along, and the shaft's end by a probability of `other_share`; of an
-    outline, `narrows` is how likely something narrower goes on. `wrist` is None where no wrist is seen beyond.
+    `rim` is None where the shaft goes on to the border of the picture, `wrist` where no wrist is seen beyond.
     `wrist_std` is the width's deviation over it by what may be no shaft: the wrist is narrower.
     """
 
     edges: tuple[EdgeLine, EdgeLine]
-    end_px: Array | None = None
-    std_px: float = np.inf
+    rim: Rim | None = None
     wrist: WristPoint | None = None
-    is_outline: bool = True
-    other_px: float = 0.0
-    other_share: float = 0.0
-    narrows: float = 0.0
     knows_tip: bool = True
     wrist_std: float = 0.0
 
@@ -253,8 +262,9 @@ def find_silhouette(
         std_px = float(np.hypot(std_px, FROM_ONE_END * point.excess_px))
     # Beyond a wrist that was taken for a shaft there are jaws at most.
     wrist_std = seen.wrist_std * (1.0 if point is None else min(1.0, 2.0 * point.missing))
-    other = seen.other_px, seen.other_share, narrows
-    return Silhouette((first, second), end_px, std_px, point, not seen.ends_dark, *other, wrist_std=wrist_std)
+    other_radii = 2.0 * seen.other_px / width_px
+    rim = Rim(end_px, along, std_px, not seen.ends_dark, other_radii, seen.other_share, narrows)
+    return Silhouette((first, second), rim, point, wrist_std=wrist_std)
 
 
 def _with_doubtful_side(

@@ -214,9 +214,9 @@ def _shaft(silhouette: Silhouette, name: str) -> Iterator[Shape]:
     """The measured edges, as long as the shaft is visible, and its end across its middle line."""
     for edge in silhouette.edges:
         yield Shape(Part.SHAFT, Form.LINE, np.stack([edge.start_px, edge.end_px]), name)
-    if silhouette.end_px is not None:
+    if silhouette.rim is not None:
         across = np.array([-silhouette.towards_tip[1], silhouette.towards_tip[0]])
-        ends_px = silhouette.end_px + 0.5 * silhouette.width_px * np.array([[-1.0], [1.0]]) * across
+        ends_px = silhouette.rim.pixel + 0.5 * silhouette.width_px * np.array([[-1.0], [1.0]]) * across
         yield Shape(Part.SHAFT, Form.LINE, ends_px, name)
 
 

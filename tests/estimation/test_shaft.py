@@ -10,7 +10,7 @@ from svmdist.camera import Camera
 from svmdist.estimation.instrument.factors import end
 from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.model import InstrumentModel, shaft_sections
-from svmdist.estimation.instrument.shaft_detection import NO_SHAFT, Rim
+from svmdist.estimation.instrument.shaft_detection import NO_SHAFT
 from svmdist.estimation.instrument.shaft_model import ShaftSizes
 from svmdist.estimation.scene import Arm
 from svmdist.profile import Profile, load_profile
@@ -21,6 +21,7 @@ from svmdist.samples import Observation
 from svmdist.vision.instruments import find_instruments
 from svmdist.vision.instruments.find_instruments import SeenInstrument
 from svmdist.vision.segmentation import make_segmenter
+from svmdist.vision.silhouette import Rim
 from tests.measuring import frame_of
 from tests.pictures import END_M, PALE_BGR, RED_BGR, WRIST_M, ShaftImage, entering_from
 

@@ -89,10 +89,10 @@ def test_the_end_is_between_that_of_edges_and_that_of_evidence():
             SeenInstrument(mask, (240, 320), sides, np.array([end, 119.5]), 1.0, end_std_px=2.0, pixel_px=1.0)
         ]
     ]
-    (at_edges, beyond) = (one for one in found if one is not None and one.end_px is not None)
-    assert at_edges.end_px[0] == pytest.approx(200.0, abs=2.0)
-    assert beyond.end_px[0] == pytest.approx(215.0, abs=2.0)
-    assert abs(beyond.end_px[0] - 200.0) < 2.0 * beyond.std_px
+    (at_edges, beyond) = (one.rim for one in found if one is not None and one.rim is not None)
+    assert at_edges.pixel[0] == pytest.approx(200.0, abs=2.0)
+    assert beyond.pixel[0] == pytest.approx(215.0, abs=2.0)
+    assert abs(beyond.pixel[0] - 200.0) < 2.0 * beyond.std_px
 
 
 @pytest.mark.parametrize("end", [200.0, 130.0], ids=["the end", "a band before it"])
@@ -108,11 +108,11 @@ def test_an_outline_longer_than_a_wrist_says_that_its_end_is_none(end):
     )
     found = find_silhouette(bgr, seen, None, WristShape(0.3, 2.0), 12.0)
     assert found is not None
-    assert found.end_px is not None
+    assert found.rim is not None
     assert found.wrist is not None
     assert found.wrist.tip_px == pytest.approx([279.0, 119.5], abs=3.0)
-    assert abs(found.end_px[0] - 200.0) < 2.0 * found.std_px
-    assert found.std_px < (5.0 if end == 200.0 else 45.0)
+    assert abs(found.rim.pixel[0] - 200.0) < 2.0 * found.rim.std_px
+    assert found.rim.std_px < (5.0 if end == 200.0 else 45.0)
 
 
 @pytest.mark.parametrize("touches", [False, True], ids=["alone", "touched"])

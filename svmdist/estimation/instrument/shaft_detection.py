@@ -15,7 +15,7 @@ from svmdist.transforms import Array
 from svmdist.vision.discs import Disc, fit_disc
 from svmdist.vision.lines import TangentPlane, axis_of_cylinder, fit_line, line_between, without_perspective
 from svmdist.vision.regions import Region
-from svmdist.vision.silhouette import FROM_ONE_END, Silhouette, WristPoint
+from svmdist.vision.silhouette import FROM_ONE_END, Rim, Silhouette, WristPoint
 
 LINE_INLIER_PX = 0.5  # of an edge's point off its line: ten times the least deviation of a point
 LINE_INLIER_PER_WIDTH = 0.012  # for a silhouette's edges: near ones are less sharp, and lenses bend them
@@ -102,23 +102,6 @@ NEAREST_M, FARTHEST_M = 0.02, 0.5  # of a shaft's end: nearer it fills the view,
 
 
 @dataclass(frozen=True, slots=True)
-class Rim:
-    """The shaft's end on its middle line: pixel (2,), direction to the tip (2,); by the outline or the dark part.
-
-    With a probability of `other_share` it is the end of the other one of these, as many radii further along; `narrows`
-    is how likely an outline goes on narrower there.
-    """
-
-    pixel: Array
-    towards_tip: Array
-    std_px: float
-    is_outline: bool = False
-    other_radii: float = 0.0
-    other_share: float = 0.0
-    narrows: float = 1.0
-
-
-@dataclass(frozen=True, slots=True)
 class ShaftDetection:
     """Contours (none, one or two), the planes that touch the shaft there, and the rim, each as far as it is visible.
 
@@ -163,13 +146,9 @@ def detect_silhouette(silhouette: Silhouette | None, camera: Camera, radius_m: f
     contours = _one_per_side(found)
     if len(contours) == 2 and not _can_stand(contours, silhouette, camera, radius_m):
         return NO_SHAFT
-    end_px, rim = silhouette.end_px, None
-    if end_px is not None:
-        other = 2.0 * silhouette.other_px / silhouette.width_px, silhouette.other_share
-        rim = Rim(end_px, towards_tip, silhouette.std_px, silhouette.is_outline, *other, silhouette.narrows)
     known = towards_tip if silhouette.knows_tip else None
     stds = silhouette.width_std, silhouette.wrist_std
-    return ShaftDetection(contours, rim, known, middle_px, silhouette.wrist, *stds)
+    return ShaftDetection(contours, silhouette.rim, known, middle_px, silhouette.wrist, *stds)
 
 
 def _one_per_side(contours: Sequence[TangentPlane]) -> tuple[TangentPlane, ...]:
@@ -186,5 +165,5 @@ def _can_stand(
     axis = axis_of_cylinder(contours, radius_m)
     if axis is None:
         return False
-    place_px = silhouette.middle_px if silhouette.end_px is None else silhouette.end_px
+    place_px = silhouette.middle_px if silhouette.rim is None else silhouette.rim.pixel
     return NEAREST_M < axis.depth_m(camera.rays(place_px)[0]) < FARTHEST_M
