@@ -42,13 +42,12 @@ CENTRE_SETTLED_PX = 0.01
 class CompletedOutline:
     """A whole outline: its centroid, shape (2,), with covariance (2, 2), and its curve, shape (n, 2), all in px.
 
-    `fitted` is False where too little of the hull is outline, and curve and centroid are the hull's.
+    Where too little of the hull is outline, curve and centroid are the hull's.
     """
 
     centroid_px: Array
     covariance_px2: Array
     curve_px: Array
-    fitted: bool
 
 
 def complete_outline(
@@ -62,7 +61,7 @@ def complete_outline(
     visible = _is_outline(points_px, step_px, mask, radius_px)
     visible_count = np.count_nonzero(visible)
     if visible_count < 4 * HARMONICS + 2 or visible_count / len(points_px) < settings.min_visible_fraction:
-        return CompletedOutline(centroid_px, (HIDDEN_STD * radius_px) ** 2 * np.eye(2), corners, False)
+        return CompletedOutline(centroid_px, (HIDDEN_STD * radius_px) ** 2 * np.eye(2), corners)
     return _fit(points_px[visible], centroid_px, step_px, settings)
 
 
@@ -154,7 +153,7 @@ def _fit(points_px: Array, centre_px: Array, step_px: float, settings: OutlineSe
     covariance = posterior + (follows * shift_px**2) @ follows.T
     on_curve = (coefficients @ CIRCLE_SERIES) * CIRCLE
     curve_px = np.stack([on_curve.real, on_curve.imag], -1) + fitted_about_px
-    return CompletedOutline(centre_px, J @ covariance @ J.T, curve_px, True)
+    return CompletedOutline(centre_px, J @ covariance @ J.T, curve_px)
 
 
 def _series(unit: NDArray[np.complex128]) -> Array:

@@ -82,10 +82,6 @@ class RectifiedPair:
         x, y, w = self.homography(right=right) @ np.array([pixel[0], pixel[1], 1.0])
         return np.array([x / w, y / w])
 
-    def disparity_px(self, left_x_px: float, right_x_px: float) -> float:
-        """Disparity of a point seen in both images, as if the principal points were one."""
-        return left_x_px - right_x_px - self.offset_px
-
     def disparity_at(self, depth_m: float) -> float:
         """Disparity in px at a depth: f b / z."""
         return float(self.K[0, 0] * self.baseline_m / depth_m)
@@ -105,11 +101,6 @@ class RectifiedPair:
         moved = [self.to_rows(left_px + step) - self.to_rows(left_px - step) for step in 0.5 * np.eye(2)]
         J[:, :2] = J[:, :2] @ np.stack(moved, -1)
         return self.R_rows_left.T @ p_rows_m, self.R_rows_left.T @ J
-
-    def depth_m(self, p_camera_m: Array) -> tuple[float, Array]:
-        """A point's depth where rows correspond, which its disparity tells, and its derivative by the point, (3,)."""
-        along = np.array([0.0, 0.0, 1.0]) if self.R_rows_left is None else self.R_rows_left[2]
-        return float(along @ p_camera_m), along
 
     def points(self, rows_px: Array, disparity_px: Array) -> Array:
         """Points of pixels of the left view where rows correspond, shape (n, 2), and disparities (n,): (n, 3) in m."""

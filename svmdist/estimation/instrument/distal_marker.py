@@ -170,7 +170,7 @@ def pair_markers(frame: Frame, pair: RectifiedPair, expected: Expected | None = 
     left_at, right_at = pair.to_rows(one.pixel), pair.to_rows(other.pixel, right=True)
     if abs(left_at[1] - right_at[1]) > ROW_TOLERANCE_PX + one.std_px + other.std_px:
         return Failure("the views do not agree on the instrument")
-    disparity_px = pair.disparity_px(float(left_at[0]), float(right_at[0]))
+    disparity_px = float(left_at[0] - right_at[0]) - pair.offset_px
     far_m = arm.profile.stereo_in_range.far_m
     if disparity_px <= pair.disparity_at(far_m):
         return Failure(
