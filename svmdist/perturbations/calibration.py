@@ -28,25 +28,19 @@ TURN_DEG_PER_MM = 4.0
 Model = TypeVar("Model", bound=StrictModel)
 
 
-def stated_camera(camera: Camera, perturbations: Perturbations) -> Camera:
-    """A camera as a log states it; the baseline in its P stays."""
-    if not perturbations.has("focal", "principal_point"):
-        return camera
-    scale, shift_px = 1.0 + 1e-2 * perturbations["focal"], perturbations["principal_point"]
+def stated_camera(camera: Camera, perturbations: Perturbations, *, right: bool = False) -> Camera:
+    """A camera as a log states it: the right one of a pair with its baseline in P, which of others stays."""
     P = camera.P
-    if P is not None:
-        P = np.column_stack([_intrinsics(P[:, :3], scale, shift_px), P[:, 3] * [scale, scale, 1.0]])
-    return replace(camera, K=_intrinsics(camera.K, scale, shift_px), P=P)
-
-
-def stated_right_camera(camera: Camera, perturbations: Perturbations) -> Camera:
-    """The right camera of a pair as a log states it, with its baseline."""
-    stated = stated_camera(camera, perturbations)
-    P = stated.P
-    if P is not None and P[0, 3] and perturbations.has("baseline"):  # a pair
+    if perturbations.has("focal", "principal_point"):
+        scale, shift_px = 1.0 + 1e-2 * perturbations["focal"], perturbations["principal_point"]
+        if P is not None:
+            P = np.column_stack([_intrinsics(P[:, :3], scale, shift_px), P[:, 3] * [scale, scale, 1.0]])
+        camera = replace(camera, K=_intrinsics(camera.K, scale, shift_px), P=P)
+    if right and P is not None and P[0, 3] and perturbations.has("baseline"):  # a pair
         P = P.copy()
         P[0, 3] -= P[0, 0] * 1e-3 * perturbations["baseline"]
-    return replace(stated, P=P)
+        camera = replace(camera, P=P)
+    return camera
 
 
 def right_turn(perturbations: Perturbations) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.perturbations import Perturbations
-from svmdist.perturbations.calibration import stated_camera, stated_right_camera
+from svmdist.perturbations.calibration import stated_camera
 from svmdist.transforms import Array
 
 ROUNDING = 1e-6  # relative, and in px: calibrations that differ by no more are one
@@ -93,7 +93,7 @@ def cameras_at(
         camera = stated_camera(left.runs[left_run].camera, stated)
         if right is None:
             return Cameras(camera)
-        other = stated_right_camera(right.runs[right_run].camera, stated)
+        other = stated_camera(right.runs[right_run].camera, stated, right=True)
         T_left_right = stereo_transform(camera, other)
         return Cameras(camera, None if T_left_right is None else (other, T_left_right))
 

@@ -17,7 +17,7 @@ from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import RecordingError, did_you_mean
 from svmdist.files import files_of, open_regular, reading
 from svmdist.perturbations import Perturbations
-from svmdist.perturbations.calibration import stated_camera, stated_right_camera
+from svmdist.perturbations.calibration import stated_camera
 from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Profile
 from svmdist.recording import observations as obs
@@ -193,7 +193,7 @@ class Recording:
         if topic is None or topic == self.topic_of(Role.CAMERA_INFO):
             return None
         runs = self.file.camera_track(topic).runs
-        return stated_right_camera(runs[0].camera, self.world.perturbations) if runs else None
+        return stated_camera(runs[0].camera, self.world.perturbations, right=True) if runs else None
 
     @property
     def remarks(self) -> list[str]:

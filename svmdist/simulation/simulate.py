@@ -11,7 +11,7 @@ import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.perturbations import Place
-from svmdist.perturbations.calibration import stated_camera, stated_right_camera, zoomed_camera
+from svmdist.perturbations.calibration import stated_camera, zoomed_camera
 from svmdist.samples import (
     CameraSample,
     DistanceSample,
@@ -117,7 +117,7 @@ class Simulator(ExitStack):
         scene, perturbations = self._plan.scene, self._plan.options.perturbations
         as_stated = 1.0 / perturbations["zoom"]  # which the log does not state
         left, right = (zoomed_camera(each, as_stated) for each in (scene.camera, scene.right_camera))
-        return stated_camera(left, perturbations), stated_right_camera(right, perturbations)
+        return stated_camera(left, perturbations), stated_camera(right, perturbations, right=True)
 
     def _truth(self, stamp_ns: int, index: int) -> Iterator[tuple[str, Sample]]:
         """Yield the poses of tools and tissue, and their distances."""

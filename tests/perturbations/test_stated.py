@@ -25,7 +25,8 @@ RIGHT = replace(LEFT, P=LEFT.K @ np.column_stack([np.eye(3), [-0.005, 0.0, 0.0]]
 
 def test_focal_length_and_principal_point_are_off_in_K_and_P_and_leave_the_pair():
     chosen = parse_perturbations("focal=1,principal_point=5")
-    left, right = calibration.stated_camera(LEFT, chosen), calibration.stated_right_camera(RIGHT, chosen)
+    left = calibration.stated_camera(LEFT, chosen)
+    right = calibration.stated_camera(RIGHT, chosen, right=True)
     expected = LEFT.K * [[1.01, 1.0, 1.0], [1.0, 1.01, 1.0], [1.0] * 3] + 5.0 * np.eye(3, k=2)
     expected[1, 2] += 5.0
     np.testing.assert_allclose(left.K, expected)
