@@ -91,22 +91,15 @@ class OnnxSegmenter:
         """The classes' scores, (C, h', w'), of a BGR image, by a network that gives scores."""
         return np.asarray(self._run(image_bgr)[0], np.float32)
 
-    def scores_and_keypoints(self, image_bgr: Image) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Scores (4, h', w') and keypoints' log-odds (4, h', w') of a BGR image, by the network that ships.
-
-        Scores are logarithms of the classes' probabilities, up to a constant of each pixel. Of keypoints: that a pixel
-        is within 1/64 of the image's width of where a shaft enters the view, where one ends, a hinge of jaws, a tip.
-        Both are calibrated on drawn pictures. Give it what `view` leaves of the image.
-        """
-        outputs = self._runtime(network_input(image_bgr, self._rules))
-        scores, keypoints = (np.asarray(outputs[name][0], np.float32) for name in (self._output, "keypoints"))
-        return scores, keypoints
+    def outputs(self, image_bgr: Image) -> dict[str, Tensor]:
+        """What the network gives of a BGR image, by name and unchecked."""
+        return self._runtime(network_input(image_bgr, self._rules))
 
     def _run(self, image_bgr: Image) -> Tensor:
         """The network's output, checked: (1, C, h', w') scores, or (1, 1, h', w') or (1, h', w') labels."""
         rules, where = self._rules, f"{self._rules.model}: output {self._output}"
         try:
-            output = self._runtime(network_input(image_bgr, rules))[self._output]
+            output = self.outputs(image_bgr)[self._output]
         except (cv2.error, MemoryError) as problem:
             raise ProfileError(f"{rules.model}: {_why_not_run(problem, rules)}") from None
         if output.ndim not in (3, 4) or output.shape[0] != 1 or 0 in output.shape:

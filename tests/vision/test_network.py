@@ -127,9 +127,11 @@ def test_onnxruntime_and_opencv_say_the_same(monkeypatch):
     bgr, found = surgery_image(7000).bgr, [OnnxSegmenter(shipped)]
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     found.append(OnnxSegmenter(shipped))
-    for fast, slow in zip(*(one.scores_and_keypoints(bgr) for one in found), strict=True):
-        np.testing.assert_allclose(fast, slow, atol=1e-3)
-        assert (fast != slow).any()
+    fast, slow = (one.outputs(bgr) for one in found)
+    assert set(fast) == set(slow) == {"scores", "keypoints"}
+    for name, values in fast.items():
+        np.testing.assert_allclose(values, slow[name], atol=1e-3)
+        assert (values != slow[name]).any()
 
 
 def test_it_finds_instruments_in_pictures_of_another_renderer():
