@@ -44,14 +44,8 @@ END_STEPS, ROBUST_STEPS = 2, 5
 UNSEEN_SHARE = 0.15
 """Against a line by a profile without an edge, where one beside the line counts `END_SHARE`."""
 
-
-@dataclass(frozen=True, slots=True)
-class Profiles:
-    """Slopes of three channels across a segment (3, n, k) at `offsets` (k,) px, and what is seen (n, k)."""
-
-    slopes: NDArray[np.float32]
-    offsets: Array
-    seen: NDArray[np.bool_]
+Profiles = tuple[NDArray[np.float32], Array, NDArray[np.bool_]]
+"""Slopes of three channels across a segment (3, n, k), at offsets (k,) in px, and what is seen (n, k)."""
 
 
 def _profiles_across(
@@ -75,7 +69,7 @@ def _profiles_across(
     values = cv2.remap(window.astype(np.float32), *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     kernel = SLOPE_FILTER[None].astype(np.float32)
     slopes = np.moveaxis(cv2.filter2D(values, -1, kernel, borderType=cv2.BORDER_REPLICATE), 2, 0)
-    return Profiles(np.ascontiguousarray(slopes), offsets, seen)
+    return np.ascontiguousarray(slopes), offsets, seen
 
 
 def _points_near(
@@ -85,7 +79,7 @@ def _points_near(
 
     And how wide that edge is, shape (n,): the variance in px² of a Gaussian with the slope's peak.
     """
-    slopes, offsets, seen = profiles.slopes, profiles.offsets, profiles.seen
+    slopes, offsets, seen = profiles
     rows = np.arange(len(place))
     column = np.rint((place - offsets[0]) / STEP_PX).astype(int)
     reach = int(reach_px / STEP_PX)
@@ -179,11 +173,12 @@ def edge_line(
     ends_at = np.array([0.0, end_at])
     first, last = points(ends_at, offset_px + slope * ends_at)
     beyond = (at > end_at) & (at < end_at + END_PROFILES * spacing_px)
-    column = np.clip(np.rint((offset_px + slope * at - profiles.offsets[0]) / STEP_PX).astype(int), 0, None)
-    shown = profiles.seen[np.arange(len(at)), np.minimum(column, profiles.seen.shape[1] - 1)]
+    slopes, offsets, seen = profiles
+    column = np.clip(np.rint((offset_px + slope * at - offsets[0]) / STEP_PX).astype(int), 0, None)
+    shown = seen[np.arange(len(at)), np.minimum(column, len(offsets) - 1)]
     ends = bool(end_at < at[-1] - 2.0 * spacing_px and shown[beyond].mean() > 0.5)
     blur_px = float(np.sqrt(max(median(width_px2[on_line]) - SLOPE_SIGMA_PX**2, 0.0)))
-    shift_px = _shading_shift_px(profiles.slopes[:, on_line], column[on_line], blur_px) * across
+    shift_px = _shading_shift_px(slopes[:, on_line], column[on_line], blur_px) * across
     first, last = first - shift_px, last - shift_px
     return EdgeLine(first, last, points(at[used], off_px[used]) - shift_px, ends, straight_px, None, blur_px)
 
