@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tomllib
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
@@ -30,34 +30,24 @@ class Place(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Uniform:
-    """A strength from `low` to `high`, in the perturbation's unit; often a single value."""
+class Size:
+    """A strength in real worlds, in the perturbation's unit: `uniform` between two bounds, or a normal of mean 0.
 
-    low: float
-    high: float
-
-    def draw(self, rng: np.random.Generator) -> float:
-        """Draw the strength of one world."""
-        return float(rng.uniform(self.low, self.high))
-
-    def __str__(self) -> str:
-        return f"{self.low:g}" if self.low == self.high else f"{self.low:g} to {self.high:g}"
-
-
-@dataclass(frozen=True, slots=True)
-class Normal:
-    """A normal with a mean of 0; `std` is the deviation that a profile may state.
-
-    With several `axes`, the strength is the length of a vector that has `std` along each of them; its direction is
-    drawn apart from it. Beyond `limit` it is drawn again.
+    The bounds are often the same. `std` is the normal's deviation, which a profile may state. With several `axes`, the
+    strength is the length of a vector that has `std` along each of them; its direction is drawn apart from it. Beyond
+    `limit` it is drawn again.
     """
 
-    std: float
+    uniform: Sequence[float] | None = None
+    std: float = 0.0
     axes: int = 1
     limit: float = np.inf
 
     def draw(self, rng: np.random.Generator) -> float:
         """Draw the strength of one world."""
+        if self.uniform is not None:
+            low, high = self.uniform
+            return float(rng.uniform(low, high))
         while True:
             drawn = rng.normal(0.0, self.std, self.axes)
             strength = float(drawn[0]) if self.axes == 1 else float(np.linalg.norm(drawn))
@@ -65,6 +55,9 @@ class Normal:
                 return strength
 
     def __str__(self) -> str:
+        if self.uniform is not None:
+            low, high = self.uniform
+            return f"{low:g}" if low == high else f"{low:g} to {high:g}"
         along = f" along each of {self.axes} axes" if self.axes > 1 else ""
         within = f", at most {self.limit:g}" if np.isfinite(self.limit) else ""
         return f"std {self.std:g}{along}{within}"
@@ -84,7 +77,7 @@ class Perturbation:
     meaning: str
     low: float
     high: float
-    real: Uniform | Normal | None = None
+    real: Size | None = None
     source: str = ""
     neutral: float = 0.0
     at_replay: bool = True
@@ -95,8 +88,7 @@ def _read_table() -> Iterator[Perturbation]:
     rows: dict[str, dict[str, Any]] = tomllib.loads(text)
     for name, row in rows.items():
         low, high = map(float, row.pop("range"))
-        size, place = row.pop("real", None), Place(row.pop("changes"))
-        real = None if size is None else Uniform(*size["uniform"]) if "uniform" in size else Normal(**size)
+        place, real = Place(row.pop("changes")), Size(**row.pop("real")) if "real" in row else None
         row.setdefault("at_replay", place is not Place.IMAGES)
         yield Perturbation(name, place=place, low=low, high=high, real=real, **row)
 
