@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -130,7 +129,8 @@ def detect_silhouette(silhouette: Silhouette | None, camera: Camera, radius_m: f
     if silhouette is None:
         return NO_SHAFT
     towards_tip, middle_px = silhouette.towards_tip, silhouette.middle_px
-    found, unit, inside = [], 1.0 / float(camera.K[0, 0]), camera.rays(middle_px)[0, :2]
+    unit, inside = 1.0 / float(camera.K[0, 0]), camera.rays(middle_px)[0, :2]
+    found: dict[int, TangentPlane] = {}
     for edge in silhouette.edges:
         inlier_px = max(LINE_INLIER_PX, LINE_INLIER_PER_WIDTH * silhouette.width_px, edge.within_px)
         if edge.covariance is None:
@@ -141,29 +141,14 @@ def detect_silhouette(silhouette: Silhouette | None, camera: Camera, radius_m: f
             plane = line_between(ends, edge.covariance * unit**2, inside)
         if plane is not None:
             outward = 0.5 * (edge.start_px + edge.end_px) - middle_px
-            right = towards_tip[0] * outward[1] - towards_tip[1] * outward[0]
-            found.append(replace(plane, side=1 if right > 0 else -1))
-    contours = _one_per_side(found)
-    if len(contours) == 2 and not _can_stand(contours, silhouette, camera, radius_m):
-        return NO_SHAFT
+            side = 1 if towards_tip[0] * outward[1] - towards_tip[1] * outward[0] > 0 else -1
+            found.setdefault(side, replace(plane, side=side))
+    contours = tuple(found.values())
+    if len(contours) == 2:
+        axis = axis_of_cylinder(contours, radius_m)
+        place_px = middle_px if silhouette.rim is None else silhouette.rim.pixel
+        if axis is None or not NEAREST_M < axis.depth_m(camera.rays(place_px)[0]) < FARTHEST_M:
+            return NO_SHAFT
     known = towards_tip if silhouette.knows_tip else None
     stds = silhouette.width_std, silhouette.wrist_std
     return ShaftDetection(contours, silhouette.rim, known, middle_px, silhouette.wrist, *stds)
-
-
-def _one_per_side(contours: Sequence[TangentPlane]) -> tuple[TangentPlane, ...]:
-    first: dict[int, TangentPlane] = {}
-    for contour in contours:
-        first.setdefault(contour.side, contour)
-    return tuple(first.values())
-
-
-def _can_stand(
-    contours: Sequence[TangentPlane], silhouette: Silhouette, camera: Camera, radius_m: float
-) -> bool:
-    """Whether a shaft of a radius between two planes is before the camera, as far as one may be."""
-    axis = axis_of_cylinder(contours, radius_m)
-    if axis is None:
-        return False
-    place_px = silhouette.middle_px if silhouette.rim is None else silhouette.rim.pixel
-    return NEAREST_M < axis.depth_m(camera.rays(place_px)[0]) < FARTHEST_M
