@@ -89,11 +89,6 @@ class Evidence:
         blue, green, red = (np.asarray(cv2.LUT(level, table), np.float32) for level in cv2.split(softened))
         return np.asarray(cv2.merge([red - green, green - blue, (red + green + blue) / 3.0]), np.float32)
 
-    @property
-    def warmth(self) -> Floats:
-        """log(R/√(GB)), shape (h, w): high in tissue, low in steel."""
-        return np.asarray(self.colours[..., 0] + 0.5 * self.colours[..., 1])
-
     @cached_property
     def odds(self) -> Floats:
         """Log-odds of instrument, shape (h, w); lowest where no light reaches, 0 where it is hidden."""
@@ -150,7 +145,7 @@ DISTINCT_WARMTH = 0.4
 
 def tissue_of(image: Evidence) -> Image:
     """Mask, shape (h, w), of what may be tissue; instruments are not yet taken out of it."""
-    warmth = image.warmth
+    warmth = image.colours[..., 0] + 0.5 * image.colours[..., 1]  # log(R/√(GB)): high in tissue, low in steel
     values = warmth[image.core > 0]
     if not len(values):
         return image.picture
