@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.factors import end
+from svmdist.estimation.instrument.factors import end, of_images
 from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.model import InstrumentModel, shaft_sections
 from svmdist.estimation.instrument.shaft_detection import NO_SHAFT
@@ -257,3 +257,22 @@ def test_an_outline_beyond_which_nothing_is_seen_ends_anywhere_up_to_the_tips():
     near_m, tip_m = 0.004, 0.017
     assert mean_m - 2.0 * std_m < near_m < tip_m < mean_m + 2.0 * std_m
     assert ahead(narrows=1.0, other_radii=-3.0, other_share=0.3)[1] > 1e-3
+
+
+def test_every_point_of_an_image_errs_for_as_long_as_the_profile_says():
+    """The bias of marker, size and shaft's end fades with one setting, that of edges with another."""
+    times = {"point_correlation_time_s": 7.0, "edge_correlation_time_s": 9.0}
+    settings = PROFILE.settings.model_copy(
+        update={"filter": PROFILE.settings.filter.model_copy(update=times)}
+    )
+    profile = PROFILE.model_copy(update={"settings": settings})
+    drawn = picture(SMALL, "right", **PALE)
+    seen = Observation(0, drawn.draw(2), drawn.camera)
+    frame = frame_of(seen, Arm(profile), make_segmenter(profile.segmentation))
+    found = {one.name: one.correlation_time_s for one in of_images(frame, None, both_views=False)}
+    edges = {name: time_s for name, time_s in found.items() if name.startswith("edge")}
+    assert len(edges) == 2
+    assert set(edges.values()) == {9.0}
+    points = found.keys() - edges.keys()
+    assert {"end", "distal marker"} <= points
+    assert {found[name] for name in points} == {7.0}

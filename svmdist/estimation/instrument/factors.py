@@ -125,6 +125,7 @@ def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
         model_std_m=ahead[1],
         lasting_std_px=float(np.sqrt(kinds.LASTING_OUTLINE)) * rim.std_px,
         deviations=arm.deviations,
+        correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
         rests_on=tuple(EDGE.format(contour.side) for contour in view.shaft.contours),
     )
 
@@ -168,6 +169,7 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
             covariance=wrist.tip_std_px**2 * np.eye(2),
             error=kinds.PointError(kinds.JAWS, arm.straight.jaw_tip_std_m),
             deviations=arm.deviations,
+            correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
         )
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.measurement import (
     MIN_DEPTH_M,
-    POINT_CORRELATION_TIME_S,
     LinkMeasurement,
     PoseResidual,
     SharedBias,
@@ -56,14 +55,17 @@ class PointError:
             [self.place_std_m * by_offset, self.part_std_m * by_offset, self.shading_px * tilt]
         )
 
-    def of_outline(self, R_camera_link: Array, derivative: Array) -> tuple[SharedBias, ...]:
-        """What the shaft's end and the jaws' length do to what was found between them; nothing to others."""
+    def of_outline(self, R_camera_link: Array, derivative: Array, time_s: float) -> tuple[SharedBias, ...]:
+        """What the shaft's end and the jaws' length do to what was found between them; nothing to others.
+
+        Both fade with `time_s`.
+        """
         if self.with_end_m is None:
             return ()
         by_place = -derivative[:, :3]
         by_length = np.zeros((len(by_place), 7))  # as the offset of the jaws' tip
         by_length[:, 0] = by_place @ R_camera_link[:, 0] * self.with_jaws_m
-        by_end, time_s = by_place @ self.with_end_m[:, None], POINT_CORRELATION_TIME_S
+        by_end = by_place @ self.with_end_m[:, None]
         return SharedBias(END_BIAS, by_end, time_s), SharedBias(JAWS, by_length, time_s)
 
 
@@ -103,7 +105,7 @@ class PointMeasurement(_OfPoint):
         tilt = (self.pixel - K[:2, 2]) / np.diag(K)[:2]
         bias = self.error.jacobian(tilt, R, derivative)
         of_camera = self.deviations.of_pixels(self.pixel, self.camera)
-        shared = (*of_camera, *self.error.of_outline(R, derivative))
+        shared = (*of_camera, *self.error.of_outline(R, derivative, self.correlation_time_s))
         return PoseResidual(self.pixel - pixel, derivative, bias, shared)
 
 
@@ -141,7 +143,7 @@ class DisparityMeasurement(_OfPoint):
             *self.deviations.of_disparity(
                 p_left_m, self.right, np.array(self.disparity_px), self.T_right_left
             ),
-            *self.error.of_outline(R, derivative),
+            *self.error.of_outline(R, derivative, self.correlation_time_s),
             SharedBias("disparity of the marker", lasting, self.correlation_time_s),
         )
         return PoseResidual(residual, derivative, bias, shared)

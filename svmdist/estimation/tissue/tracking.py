@@ -113,7 +113,7 @@ class TissueTracker:
         position_m, covariance = self._place.now()
         offset_m = pose.position_m - position_m
         nis = offset_m @ np.linalg.solve(pose.outline_covariance + covariance + TINY_M2 * np.eye(3), offset_m)
-        return bool(nis <= chi_square_bound(3, GATE_Z))
+        return bool(nis <= chi_square_bound(PLANE_DEGREES, GATE_Z))
 
 
 MIN_POINTS = 50  # of a surface inside of the dome's rim: fewer are no view of it
