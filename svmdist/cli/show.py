@@ -107,20 +107,11 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
         return log_losses(recording.path, recording.health)
 
     def _numbers(self, recording: Recording, request: Request) -> set[int]:
-        """The numbers of the images to draw, of the worst ones also how bad each is; raises UsageError."""
-        from svmdist.workflows.estimate import Measured, estimate
+        """The numbers of the images to draw; raises UsageError."""
         from svmdist.workflows.frame_drawing import image_stamps_ns
-        from svmdist.workflows.scoring.series import series_of, worst_frames
 
         if self.worst is not None:
-            instruments, images = request.instruments or recording.instruments, recording.image_count()
-            with output.steps(f"measuring {recording.name}", "rows", images, len(instruments)) as steps:
-                rows = steps.of(estimate(recording, request.setup, request.instruments, self.jobs))
-                series = series_of([Measured(recording, recording, tuple(rows), None)], request)
-            worst = worst_frames(series, self.worst)
-            for one in worst:
-                LOG.info("%s", one.in_words)
-            return {one.number for one in worst}
+            return _worst(recording, request, self.worst, self.jobs)
         chosen = self.image_number(recording)
         if chosen is not None:
             return {chosen}
@@ -154,6 +145,21 @@ def _is_one_picture(path: Path, count: int) -> bool:
             f"{path}: is one picture, and {count} are asked for: give --frame, --at, or a folder"
         )
     return True
+
+
+def _worst(recording: Recording, request: Request, count: int, jobs: int | None) -> set[int]:
+    """The numbers of the worst frames of any instrument; says of each how bad it is."""
+    from svmdist.workflows.estimate import Measured, estimate
+    from svmdist.workflows.scoring.series import series_of, worst_frames
+
+    instruments = request.instruments or recording.instruments
+    images = recording.image_count()
+    with output.steps(f"measuring {recording.name}", "rows", images, len(instruments)) as steps:
+        rows = list(steps.of(estimate(recording, request.setup, request.instruments, jobs)))
+    worst = worst_frames(series_of([Measured(recording, recording, tuple(rows), None)], request), count)
+    for one in worst:
+        LOG.info("%s", one.in_words)
+    return {one.number for one in worst}
 
 
 class Surface(options.ReadOptions, FrameOptions, options.OutputOptions):

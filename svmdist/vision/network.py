@@ -153,7 +153,10 @@ def _by_onnxruntime(path: Path, blob: NDArray[np.float32]) -> Runtime | None:
 
 def _of(labels: Labels, region: ClassRegion | None) -> Image:
     """Pixels of a region's classes; none without a region."""
-    return np.where(np.isin(labels, region.class_ids if region else ()), 255, 0).astype(np.uint8)
+    mask = np.zeros(labels.shape, np.uint8)
+    for class_id in region.class_ids if region else ():
+        mask[labels == class_id] = 255
+    return mask
 
 
 def _from_border(union: Image, picture: Image) -> Image:
