@@ -196,8 +196,9 @@ def test_what_is_refused_makes_nothing_surer(scene, profile):
     kalman.predict(RobotState(scene.chain, 0, joints, scene.T_camera_base))
     before = kalman.covariance
     at_px = scene.camera.project(kalman.tool_pose().position_m)
+    off_px = at_px.ravel() + 2000.0
     wild = PointMeasurement(
-        name="wild", camera=scene.camera, pixel=at_px.ravel() + 2000.0, covariance=np.eye(2)
+        name="wild", camera=scene.camera, pixel=off_px, covariance=np.eye(2), correlation_time_s=30.0
     )
     (judged,) = kalman.update([wild])
     assert not judged.is_accepted

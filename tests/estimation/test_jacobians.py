@@ -46,6 +46,7 @@ PAIR = DisparityMeasurement(
     T_right_left=T_RIGHT_LEFT,
     disparity_px=30.0,
     covariance=np.eye(1),
+    correlation_time_s=30.0,
     error=shaded(1e-4, 0.5),
 )
 
@@ -74,6 +75,7 @@ def measurements() -> list[LinkMeasurement]:
         radius_m=0.004,
         side=1,
         bias_covariance=np.diag([2e-4, 1e-6]),
+        correlation_time_s=30.0,
     )
     sides = [edge, replace(edge, name="edge -1", side=-1)]
     end = EndMeasurement(
@@ -88,6 +90,7 @@ def measurements() -> list[LinkMeasurement]:
         ahead_m=-0.006,
         radius_m=0.004,
         model_std_m=2e-4,
+        correlation_time_s=30.0,
     )
     ends = [end, replace(end, name="outline's end", ahead_m=0.003, radius_m=0.0)]
     origin = PointMeasurement(
@@ -97,6 +100,7 @@ def measurements() -> list[LinkMeasurement]:
         pixel=pixels[0],
         covariance=np.diag([0.2, 0.3]),
         error=shaded(1e-4, 0.7),
+        correlation_time_s=30.0,
     )
     corner = {"camera": LENS, "p_link_m": p_m[0], "pixel": pixels[1], "covariance": np.eye(2)}
     size = {"camera": IDEAL, "radius_m": 0.00175, "radius_px": 12.0, "covariance": np.eye(1)}
@@ -115,7 +119,7 @@ def measurements() -> list[LinkMeasurement]:
         *(replace(one, name=f"right {one.name}", T_view_left=T_RIGHT_LEFT) for one in (sides[0], ends[0])),
         PAIR,
         replace(PAIR, name="lens", left=LENS, error=shaded(1e-4)),
-        SizeMeasurement(name="size", link=None, bias_std_px=0.2, **size),
+        SizeMeasurement(name="size", link=None, bias_std_px=0.2, correlation_time_s=30.0, **size),
         *sides,
         pose,
         replace(pose, name="far", T_camera_frame=far, bias_covariance=np.eye(6)),

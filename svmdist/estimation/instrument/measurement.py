@@ -11,13 +11,11 @@ from svmdist.camera import Camera
 from svmdist.profile import Profile
 from svmdist.profile.hand_eye import BASELINE, FOCAL_LENGTH, PRINCIPAL_POINT, TAG_SIZE
 from svmdist.profile.robot import CameraError
-from svmdist.profile.settings import FilterSettings
 from svmdist.transforms import Array, skew
 
 RIGHT_ROTATION = "right camera's rotation"
 FOR_EVER_S = np.inf
 ONE_FRAME_S = 1e-3  # of what is drawn anew in every frame
-POINT_CORRELATION_TIME_S = FilterSettings().point_correlation_time_s
 MIN_DEPTH_M = 1e-3  # what is nearer to the camera, or behind it, has no image
 AHEAD_M = np.array([0.0, 0.0, 1.0])  # in place of a point that cannot be seen, so that it has a projection
 
@@ -138,7 +136,7 @@ class LinkMeasurement(ABC):
     covariance: Array
     link: str | None = None
     source: str = ""
-    correlation_time_s: float = POINT_CORRELATION_TIME_S
+    correlation_time_s: float
     deviations: Deviations = EXACT
     T_view_left: Array | None = None
     delay_s: float = 0.0

@@ -18,13 +18,11 @@ from svmdist.estimation.instrument.measurement import (
     SharedBias,
 )
 from svmdist.profile.hand_eye import FOCAL_LENGTH, PRINCIPAL_POINT, SHAFT_RADIUS
-from svmdist.profile.settings import FilterSettings
 from svmdist.transforms import Array, inverse_right_jacobian, rotation_vector, skew
 from svmdist.vision.lines import apparent_radius_px, tangent_normal
 
 MARKER, SHAFT = "distal marker", "shaft"
 END_BIAS, JAWS = "shaft's end", "jaws"
-EDGE_CORRELATION_TIME_S = FilterSettings().edge_correlation_time_s
 LASTING_OUTLINE = 0.75  # of the variance of what ends an outline in the image: what looks like it stays
 NEAR_M = 1e-3  # A camera is no nearer to an edge than this: it bounds a derivative
 
@@ -201,7 +199,6 @@ class ContourMeasurement(LinkMeasurement):
     radius_m: float
     side: int
     bias_covariance: Array
-    correlation_time_s: float = EDGE_CORRELATION_TIME_S
     focal_px: Array = field(default_factory=lambda: np.ones(2))
 
     @cached_property
