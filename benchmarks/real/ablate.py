@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from benchmarks.generated_pages import DOCS, table, write_table
-from benchmarks.real import common, d_lfd, in_vivo, laparoscopy, operations, super_deep, thrust
+from benchmarks.real import common, d_lfd, in_vivo, laparoscopy, operations, recode, super_deep, thrust
 from svmdist.estimation.instrument import verification
 from svmdist.estimation.instrument.most_probable import Solution
 from svmdist.estimation.instrument.shaft_detection import ShaftDetection
@@ -31,6 +31,7 @@ SETS = {
     "thrust": thrust,
     "d_lfd": d_lfd,
     "super_deep": super_deep,
+    "recode": recode,
     "in_vivo": in_vivo,
     "laparoscopy": laparoscopy,
     "operations": operations,
@@ -41,6 +42,7 @@ COLUMNS = {
     "d-lfd": ("d-lfd", "`shaft`", "robot, fitted"),
     "d-lfd, pairs": ("d-lfd", "`stereo`", "robot, fitted"),
     "SuPer Deep": ("SuPer Deep", "`shaft`", "wrist"),
+    "ReCoDE": ("ReCoDE", "`shaft`", "hinge"),
     "in vivo": ("in vivo", "`shaft`", "tip"),
     "laparoscopy, end": ("laparoscopy", "`shaft`", "shaft's end"),
     "operations": ("operations", "`shaft`", "outlines"),
@@ -68,6 +70,7 @@ CASES: dict[str, tuple[object, str, Any]] = {
         "_material",
         lambda _, middle, __: np.zeros(len(middle)),
     ),
+    "colours beyond sides": (outline_search, "_of_beyond", lambda *_: 0.0),
     "likelier end": (ShaftSizes, "with_likelier_end", lambda _, seen, __: seen),
     "other end": (ShaftSizes, "rim_ahead", own_end),
     "wrist's colours": (silhouette, "_unlike_flanks", nothing_unlike),
@@ -78,10 +81,11 @@ CASES: dict[str, tuple[object, str, Any]] = {
     "small steps": (Solution, "refuses", False),
     "holes closed": (find_instruments, "_without_holes", lambda mask, _: mask),
 }
-"""What stands for a part that is left out. The likelier of a shaft's two ends, as its sizes have it, and the other one;
-what of a wrist is beside its mask, by its colours; the evidence that a sharp edge must be near to; a shadow's colour;
-seeking what the other view shows; that each view shows the instrument where it is projected; small steps to the most
-probable pose, where long ones refuse something.
+"""What stands for a part that is left out. What lies beyond a side, whose colours most inside of it must not have; the
+likelier of a shaft's two ends, as its sizes have it, and the other one; what of a wrist is beside its mask, by its
+colours; the evidence that a sharp edge must be near to; a shadow's colour; seeking what the other view shows; that each
+view shows the instrument where it is projected; small steps to the most probable pose, where long ones refuse
+something.
 """
 
 

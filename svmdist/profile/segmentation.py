@@ -14,8 +14,8 @@ MODELS = Path(__file__).parent.with_name("models")
 PREFIX = "svmdist:"  # of a `model` in a profile: a network of the package
 SHIPPED = f"{PREFIX}instruments"
 INSTRUMENTS: dict[str, Any] = {
-    "width_px": 320,
-    "height_px": 256,
+    "width_px": 480,
+    "height_px": 384,
     "channels": "bgr",
     "mean": (127.5, 127.5, 127.5),
     "scale": 1 / 127.5,

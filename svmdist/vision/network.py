@@ -192,10 +192,11 @@ def network_input(image_bgr: Image, rules: OnnxSegmentation) -> NDArray[np.float
         shrinks = image_bgr.shape[1] >= size[0] and image_bgr.shape[0] >= size[1]
         how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
         image_bgr = np.asarray(cv2.resize(image_bgr, size, interpolation=how), np.uint8)
-    pixels = image_bgr[..., ::-1] if rules.channels == "rgb" else image_bgr
+    channels = cv2.split(image_bgr)[:: -1 if rules.channels == "rgb" else 1]
     mean, scale = np.array(rules.mean, np.float32), np.array(rules.scale, np.float32)
-    scaled = (pixels.astype(np.float32) - mean) * scale
-    return np.ascontiguousarray(scaled.transpose(2, 0, 1)[None])
+    levels = (np.arange(256, dtype=np.float32)[:, None] - mean) * scale
+    scaled = [cv2.LUT(channel, of_it) for channel, of_it in zip(channels, levels.T, strict=True)]
+    return np.asarray(scaled, np.float32)[None]
 
 
 def _best_class(scores: NDArray[np.float32], size: tuple[int, int]) -> Labels:

@@ -262,7 +262,7 @@ def test_a_wrist_that_comes_in_from_the_border_is_no_shaft(golden):
         context = FrameContext(images[frame], segmenter, PROFILE)
         return context.masks_as_recorded.seen
 
-    wrists, shafts = ([one for frame in frames for one in seen(frame)] for frames in ((19, 27), (3, 15)))
+    wrists, shafts = ([one for frame in frames for one in seen(frame)] for frames in ((20, 27), (3, 15)))
     assert [one.shows_shaft for one in wrists] == [False] * 2
     assert [one.shows_shaft for one in shafts] == [True] * 4
     assert [one.wrist_std for one in shafts] == [0.0] * 4
@@ -317,6 +317,21 @@ def test_the_network_is_sure_of_a_shaft_only_along_both_sides(first_side):
     found = outline, odds[0] > 0.0, judged(outline, image)
     assert found[2].is_accepted
     assert seen_instrument(found, image).is_sure is (first_side == 4.0)
+
+
+@pytest.mark.parametrize(("first_side", "is_shaft"), [(80, False), (100, True)])
+def test_a_cable_beside_a_shaft_is_no_part_of_it(first_side, is_shaft):
+    """Where the network takes both for one, most inside of the outline's side has the colours beyond it."""
+    levels = np.full(240, 120.0)
+    levels[80:100], levels[100:140], levels[112:118] = 150.0, 40.0, 230.0  # cable, shaft, and light on it
+    bgr = np.repeat(np.repeat(levels[:, None], 320, axis=1)[..., None], 3, axis=2).astype(np.uint8)
+    bgr[:, 200:] = 120
+    image = Evidence(bgr, AutoSettings())
+    odds = np.full((2, 240, 320), -2.0, np.float32)
+    odds[:, first_side:140, :200] = 3.0
+    image.scores, image.odds = odds, odds[0]
+    sides = np.array([[[0.0, first_side - 0.5], [199.5, first_side - 0.5]], [[0.0, 139.5], [199.5, 139.5]]])
+    assert judged(Outline(sides), image).is_accepted is is_shaft
 
 
 def test_highlights_at_the_border_are_no_instruments():

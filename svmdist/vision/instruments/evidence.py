@@ -73,8 +73,8 @@ class Evidence:
         x, y, width, height = cv2.boundingRect(self.picture)
         left, top, right, bottom = (round(at / self.scale) for at in (x, y, x + width, y + height))
         scores = _network().scores(np.ascontiguousarray(self._image[top:bottom, left:right]))
-        others = np.logaddexp.reduce(np.delete(scores, (DISTAL, SHAFT), 0))
-        odds = np.logaddexp(scores[DISTAL], scores[SHAFT]) - others
+        likely = np.exp(np.maximum(scores - scores.max(0), -50.0))
+        odds = np.log(likely[[DISTAL, SHAFT]].sum(0) / np.delete(likely, (DISTAL, SHAFT), 0).sum(0))
         both = np.stack([odds, scores[SHAFT] - scores[DISTAL]], -1)
         both = np.clip(both, -MOST_AGAINST, MOST_ODDS).astype(np.float32)
         placed = np.zeros((*self.picture.shape, 2), np.float32)

@@ -167,6 +167,8 @@ LEAST_EVIDENCE = 0.43  # nearly all real instruments have more, and of glare, fa
 STEP_REACH_PX = 4  # from a side, where the steepest step across it is sought
 STRAIGHT_PX, STRAIGHT_WIDTHS = 1.5, 0.05
 """Of those steps off a common line, in px or over the width: of glare's jagged edge few are that near."""
+MOST_OF_BEYOND = 0.5
+"""Of the places inside of a side whose colour is nearer to what lies beyond it than to the rest of the instrument."""
 LEAST_STRIP = -0.5  # mean odds of a strip: what becomes a shaft has more, half of the rest less
 LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by chance
 
@@ -206,6 +208,20 @@ def part_entering(outline: Outline, evidence: Evidence) -> float:
     return median(sampled(evidence.scores[1], places)[shown]) if shown.any() else -np.inf
 
 
+def _of_beyond(colours: list[Floats], seen: NDArray[np.bool_]) -> float:
+    """The share of places inside of a side that look rather like what lies beyond it than like the rest of the shaft.
+
+    A cable beside a shaft may be as straight as its side, and the network take both for one. Colours (n, k, 3) are
+    those within, inside of both sides and beyond both; of the worse side, of places that are `seen`, (n,).
+    """
+    within, first, second, *beyond = (one[seen].mean(1) for one in (colours[0][:, 3:-3], *colours[1:]))
+    apart = [
+        np.linalg.norm([own - one for one in (out, within, other)], axis=2)
+        for own, other, out in ((first, second, beyond[0]), (second, first, beyond[1]))
+    ]
+    return float((np.argmin(apart, axis=1) == 0).mean(1).max()) if seen.any() else 0.0
+
+
 def judged(outline: Outline, evidence: Evidence) -> Judged:
     """What evidence and image say of an outline, as far as it goes: a part of anything may be straight."""
     outline = outline.whole
@@ -217,6 +233,8 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
     seen, odds = seen_at(evidence, places), sampled(evidence.odds, places)
     within, *others = zip(np.split(odds, parts, 1), np.split(seen, parts, 1), strict=True)
     free = [_likely(-odds, seen) for odds, seen in others[2:] if np.count_nonzero(seen) > 6]
+    shown = sampled(evidence.hidden, outline.across(along, MIDDLE), nearest=True) == 0
+    of_beyond = _of_beyond(np.split(sampled(evidence.colours, places), parts, 1), seen.all(1) & shown.all(1))
     points = outline.at(along)
     outward = outline.normal * np.array([-1.0, 1.0])[:, None]
     around = np.arange(-STEP_REACH_PX - 1.0, STEP_REACH_PX + 1.5)
@@ -230,12 +248,11 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
     )
     good = (step.max(2) > EDGE_LEVELS) & straight
     stepped = float(good[whole].mean()) if whole.any() else 0.0
-    shown = sampled(evidence.hidden, outline.across(along, MIDDLE), nearest=True) == 0
     length_widths = outline.length_px / outline.width_px
     inside, beside = _likely(*within), min(free, default=0.0)
     sure = inside * beside * float(np.sqrt(stepped)) * min(1.0, 0.5 + 0.25 * length_widths)
     is_long = length_widths > LEAST_WIDTHS and outline.length_px > LEAST_LENGTH_PX
     # With what comes in at the border hidden, a wrist may pass for a shaft.
     comes_in = float(shown[: STATIONS // 3].mean()) > 0.5
-    is_accepted = is_long and comes_in and sure > LEAST_EVIDENCE
+    is_accepted = is_long and comes_in and of_beyond < MOST_OF_BEYOND and sure > LEAST_EVIDENCE
     return Judged(sure, is_accepted, min(_mean(*side) for side in others[:2]))
