@@ -76,16 +76,14 @@ CASES: dict[str, tuple[object, str, Any]] = {
     "wrist's colours": (silhouette, "_unlike_flanks", nothing_unlike),
     "evidence": (silhouette, "_agrees", lambda *_: True),
     "shadows": (silhouette, "edge_within", lambda *_: None),
-    "other view": (find_instruments.AutoMasks, "seek", lambda *_: None),
     "projection": (verification, "_share_shown", lambda *_: 1.0),
     "small steps": (Solution, "refuses", False),
     "holes closed": (find_instruments, "_without_holes", lambda mask, _: mask),
 }
 """What stands for a part that is left out. What lies beyond a side, whose colours most inside of it must not have; the
 likelier of a shaft's two ends, as its sizes have it, and the other one; what of a wrist is beside its mask, by its
-colours; the evidence that a sharp edge must be near to; a shadow's colour; seeking what the other view shows; that each
-view shows the instrument where it is projected; small steps to the most probable pose, where long ones refuse
-something.
+colours; the evidence that a sharp edge must be near to; a shadow's colour; that each view shows the instrument where it
+is projected; small steps to the most probable pose, where long ones refuse something.
 """
 
 

@@ -15,8 +15,7 @@ from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile.robot import EntrySide, Instrument
 from svmdist.samples import Image
 from svmdist.transforms import Array, inverse, transform_points
-from svmdist.vision.frame_context import FrameContext
-from svmdist.vision.instruments.find_instruments import AutoMasks, SeenInstrument
+from svmdist.vision.instruments.find_instruments import SeenInstrument
 from svmdist.vision.lines import axis_of_cylinder, line_between, tangent_normal
 
 SIDE_STD = 0.25  # from the middle of its side, over the image's size, for a new instrument
@@ -27,8 +26,6 @@ END_SPEED = 0.3  # the same for the shaft's end, per s, as instruments move
 UNSEEN_COST = 6.0  # -log of the chance that an instrument is not seen although it is there, or is not there
 UNNAMED_COST = 6.0  # -log of the chance that what is seen as an instrument is none of those in the profile
 CONTEST = 4.6  # a name is in doubt where another naming is more than a hundredth (e^-4.6) as likely
-
-FOLLOWED_S = 0.5  # after which an instrument may be anywhere
 
 ENDS_STD_WIDTHS = 0.5  # of the shaft's end along it, over its width: one view may show the dark part's
 WIDTH_STD = 0.08  # logarithm of the width in one view: shade and blur take a pixel of it
@@ -128,78 +125,31 @@ class EntryAssociation:
         self._instruments = [one.instrument for one in profiles]
         names, sides = [one.instrument_name for one in profiles], [one.entry for one in profiles]
         self._left, self._right = EntryTracker(names, sides), EntryTracker(names, sides)
-        self._before: list[SeenInstrument] = []
-        self._before_ns = 0
 
     def others(self, scene: Scene) -> tuple[list[OtherMasks], list[str]]:
         """For each instrument the pixels of others in both views, and why it is not sure which one it is."""
         stamp_ns = scene.observation.stamp_ns
-        # What the image before shows and this one was not found to is sought where it was.
-        for before in self._before if abs(stamp_ns - self._before_ns) < 1e9 * FOLLOWED_S else ():
-            _seek(scene.left, before.sides)
         seen = (scene.left.masks.seen or ())[:MAX_REGIONS]
         beside, cost = self._across_views(scene, seen)
         # What the right view does not show, or elsewhere than at its depth, is as likely none of them.
         unlike = np.min(np.minimum(cost, UNNAMED_COST), 2) if len(beside) else np.zeros(cost.shape[:2])
         left, doubts = self._left.update(stamp_ns, seen, unlike)
-        self._before, self._before_ns = [seen[at] for at in left if at is not None], stamp_ns
         if scene.right is None:
             return [(other_than(at, seen), None) for at in left], doubts
-        return self._in_both_views(scene, seen, left, doubts, cost)
-
-    def _in_both_views(
-        self,
-        scene: Scene,
-        seen: Sequence[SeenInstrument],
-        left: list[int | None],
-        doubts: Sequence[str],
-        cost: Array,
-    ) -> tuple[list[OtherMasks], list[str]]:
-        """The same of both views: what one of them shows is sought in the other one.
-
-        What that does not show, either, is measured by the one alone. `cost` is that of `_across_views` so far.
-        """
-        # What the left view shows is sought in the right one, where it is at the depth of the instrument's radius.
-        for i, at in enumerate(left):
-            if at is not None and cost[i, at].min(initial=np.inf) > UNNAMED_COST:
-                self._seek_in_other(scene, i, seen[at], is_left=True)
-        beside, cost = self._across_views(scene, seen)
         right = _assigned([None if at is None else cost[i, at] for i, at in enumerate(left)], len(beside))
 
-        # What the right view alone shows is named by where it comes in there, and sought in the left one.
+        # What the right view alone shows is named by where it comes in there.
         unlike = np.full(cost.shape[::2], np.inf)
         for i, at in enumerate(right):
             if at is not None:
                 unlike[i, at] = 0.0
             elif left[i] is None:
                 unlike[i, [place not in right for place in range(len(beside))]] = 0.0
-        there, doubts_there = self._right.update(scene.observation.stamp_ns, beside, unlike)
+        there, doubts_there = self._right.update(stamp_ns, beside, unlike)
+        right = [there[i] if at is None else right[i] for i, at in enumerate(left)]
         doubts = [doubts_there[i] if at is None else doubts[i] for i, at in enumerate(left)]
-        known = len(scene.left.masks.seen or ())
-        alone = {i: at for i, at in enumerate(there) if left[i] is None and at is not None}
-        for i, at in alone.items():
-            right[i] = at
-            self._seek_in_other(scene, i, beside[at], is_left=False)
-        seen = scene.left.masks.seen or ()
-        _, cost = self._across_views(scene, seen[known:])
-        own = [cost[i, :, alone[i]] if i in alone else None for i in range(len(left))]
-        for i, at in enumerate(_assigned(own, len(seen) - known)):
-            if at is not None:
-                left[i] = known + at
-                self._before.append(seen[known + at])
         pairs = zip(left, right, strict=True)
         return [(other_than(at, seen), other_than(at_right, beside)) for at, at_right in pairs], doubts
-
-    def _seek_in_other(self, scene: Scene, i: int, seen: SeenInstrument, is_left: bool) -> None:
-        """Look in the other view for what one of them shows of an instrument, at the depth of its radius."""
-        instrument, right = self._instruments[i], scene.observation.right
-        if instrument is None or scene.right is None or right is None:
-            return
-        cameras, radius_m = (scene.observation.camera, right.camera), instrument.shaft_radius_m
-        if is_left:
-            _seek(scene.right, sides_beside(seen, cameras, inverse(right.T_left_right), radius_m))
-        else:
-            _seek(scene.left, sides_beside(seen, cameras[::-1], right.T_left_right, radius_m))
 
     def _across_views(
         self, scene: Scene, seen: Sequence[SeenInstrument]
@@ -232,11 +182,6 @@ def _assigned(cost: Sequence[Array | None], count: int) -> list[int | None]:
     none = np.full(count, np.inf)
     rows = np.array([none if row is None else row for row in cost])
     return list(ranked_assignments(rows, UNNAMED_COST, UNSEEN_COST)[0][1])
-
-
-def _seek(context: FrameContext, sides: Array | None) -> None:
-    if sides is not None and isinstance(context.masks, AutoMasks):
-        context.masks.seek(sides)
 
 
 def sides_beside(

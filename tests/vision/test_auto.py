@@ -289,20 +289,6 @@ def test_instruments_without_a_straight_shaft_are_no_tissue():
     assert np.median(covered) > 0.7
 
 
-def test_what_was_seen_is_found_again_where_it_was():
-    """Of sides a fifth of the width beside it the same instrument is found, once; in bare tissue none."""
-    one, bare = surgery_image(1, count=1), surgery_image(1, count=0)
-    (seen,) = AutoSegmenter().masks(one.bgr).seen
-    sides = seen.sides + 0.2 * seen.width_px / np.sqrt(2.0)
-    again, without = AutoSegmenter().masks(one.bgr), AutoSegmenter().masks(bare.bgr)
-    again.__dict__["seen"] = ()
-    for _ in range(2):
-        again.seek(sides)
-        without.seek(sides)
-    assert [iou(found.mask > 0, seen.mask > 0) > 0.9 for found in again.seen] == [True]
-    assert without.seen == ()
-
-
 @pytest.mark.parametrize("first_side", [4.0, 1.0])
 def test_the_network_is_sure_of_a_shaft_only_along_both_sides(first_side):
     """Sure of its middle, it may have something beside a shaft for a part of that: both sides have to be sure."""

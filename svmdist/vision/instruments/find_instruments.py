@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -40,14 +40,14 @@ Found = tuple[Outline, Mask, Judged]
 """An instrument in a working image: its shaft's outline, its mask, (h, w), and what evidence and image say of it."""
 
 
-def find_instruments(evidence: Evidence, strips: Iterable[Outline] | None = None) -> list[Found]:
-    """The instruments of an image, the surest first; with strips only those near them.
+def find_instruments(evidence: Evidence) -> list[Found]:
+    """The instruments of an image, the surest first.
 
     What explains most of the evidence of a place is the shaft there, or nothing is: a lesser part may look like one.
     """
     shafts: list[tuple[Outline, Judged, Image]] = []
     tried: list[Image] = []
-    for rough in rough_outlines(evidence, strips):
+    for rough in rough_outlines(evidence):
         if _is_taken(rough, tried):
             continue
         outline = sharpened(rough, evidence)
@@ -267,18 +267,6 @@ class AutoMasks:
     def seen(self) -> tuple[SeenInstrument, ...]:
         """The instruments, the surest first."""
         return tuple(seen_instrument(found, self._evidence) for found in find_instruments(self._evidence))
-
-    def seek(self, sides: Array) -> None:
-        """Add the instrument near two sides, (2, 2, 2) in px, where evidence bears one out that is not yet seen."""
-        strips = [_filled(Outline(one.sides), self.picture) for one in self.seen]
-        if _is_taken(Outline(sides), strips):
-            return
-        rough = Outline((sides + 0.5) * self._evidence.scale - 0.5)
-        found = [seen_instrument(one, self._evidence) for one in find_instruments(self._evidence, (rough,))]
-        if found and not _is_taken(Outline(found[0].sides), strips):
-            self.__dict__["seen"] = (*self.seen, found[0])
-            for name in ("tissue", "instrument", "shaft"):
-                self.__dict__.pop(name, None)
 
     @cached_property
     def _others(self) -> Image:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -135,10 +134,10 @@ def _material(outline: Outline, middle: Array, evidence: Evidence) -> Array:
     return np.where(is_hidden, 0.5 * MOST_MATERIAL, odds)  # there may be a change, and there may be none
 
 
-def rough_outlines(evidence: Evidence, strips: Iterable[Outline] | None = None) -> list[Outline]:
-    """Outlines where the evidence is, from strips or every place where an instrument may come in, the most first."""
+def rough_outlines(evidence: Evidence) -> list[Outline]:
+    """Outlines where the evidence is, from every place where an instrument may come in, the most first."""
     found: list[tuple[float, Outline]] = []
-    for strip in starts(evidence) if strips is None else strips:
+    for strip in starts(evidence):
         outline = from_border(strip, evidence)
         if outline is not None and mean_odds(outline, evidence) > LEAST_STRIP:
             outline = fitted(ended(outline, evidence), evidence, *SCALES[0])
