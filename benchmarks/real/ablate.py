@@ -25,7 +25,7 @@ from svmdist.estimation.instrument.most_probable import Solution
 from svmdist.estimation.instrument.shaft_detection import ShaftDetection
 from svmdist.estimation.instrument.shaft_model import ShaftSizes
 from svmdist.vision import shadows, silhouette
-from svmdist.vision.instruments import find_instruments, outline_search
+from svmdist.vision.instruments import outline_search
 
 SETS = {
     "thrust": thrust,
@@ -78,7 +78,6 @@ CASES: dict[str, tuple[object, str, Any]] = {
     "shadows": (silhouette, "edge_within", lambda *_: None),
     "projection": (verification, "_share_shown", lambda *_: 1.0),
     "small steps": (Solution, "refuses", False),
-    "holes closed": (find_instruments, "_without_holes", lambda mask, _: mask),
 }
 """What stands for a part that is left out. What lies beyond a side, whose colours most inside of it must not have; the
 likelier of a shaft's two ends, as its sizes have it, and the other one; what of a wrist is beside its mask, by its

@@ -31,9 +31,7 @@ BESIDE_WIDTHS = 0.08  # how far evidence beside a side is still that of the shaf
 LEAST_ENTERING, SURE_ENTERING = 0.0, 1.5  # log-odds of a shaft against wrist and jaws, of what comes in
 WRIST_NARROWER = 0.3  # by how much of the width a wrist is narrower, which may come in instead
 LIKELY = 0.7  # mean odds of what shows no straight shaft
-SURE_ALONG = 1.5  # inside of the weaker side, where no edge is sharp: the network's own is soft
 ENTRY_WIDTHS = 2.0  # about its axis, over its width, where an instrument itself comes in
-MOST_HOLE = 0.003  # of the picture: glare and blood; through a larger hole tissue is seen
 
 Mask = NDArray[np.bool_]
 Found = tuple[Outline, Mask, Judged]
@@ -115,15 +113,7 @@ def _belonging(outline: Outline, evidence: Evidence, free: Mask) -> Mask:
     opened = cv2.morphologyEx(mine.astype(np.uint8), cv2.MORPH_OPEN, SQUARE_3)
     _, labels = cv2.connectedComponents(opened)
     own = np.bincount(labels[strip & (opened > 0)], minlength=1)
-    mask = labels == int(own.argmax()) if own.any() else strip & free
-    return _without_holes(np.asarray(mask), MOST_HOLE * cv2.countNonZero(evidence.core))
-
-
-def _without_holes(mask: Mask, most_px: float) -> Mask:
-    solid = mask.astype(np.uint8)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(1 - solid)
-    small = [label for label in range(1, count) if stats[label, cv2.CC_STAT_AREA] < most_px]
-    return np.asarray(mask | np.isin(labels, small))
+    return np.asarray(labels == int(own.argmax()) if own.any() else strip & free)
 
 
 def likely_parts(evidence: Evidence) -> Mask:
@@ -144,10 +134,10 @@ class SeenInstrument:
     middle of the shaft's end. `evidence`, from 0 to 1, says how sure it is that this is an instrument.
     `side_covariance` (2, 2, 2) is that of each side's offsets at both ends in px², `end_std_px` the end's deviation
     along the axis, infinite where the shaft goes on to the border, and `ends_dark` says that it is the end of a part
-    and not of the outline: the other one of both, `other_px` further along, has a probability of `other_share`. The
-    network alone `is_sure` of the shaft, along both sides; it `shows_shaft` where what comes in is not a wrist already,
-    and where it may be one, the shaft's width is off by `wrist_std` over it. It `touches_another` where what hangs
-    together with it comes in elsewhere, too. `knows_tip` is False where the tip may be at either end.
+    and not of the outline: the other one of both, `other_px` further along, has a probability of `other_share`. It
+    `shows_shaft` where what comes in is not a wrist already, and where it may be one, the shaft's width is off by
+    `wrist_std` over it. It `touches_another` where what hangs together with it comes in elsewhere, too. `knows_tip` is
+    False where the tip may be at either end.
     """
 
     small_mask: Mask
@@ -161,7 +151,6 @@ class SeenInstrument:
     pixel_px: float = 2.0
     other_px: float = 0.0
     other_share: float = 0.0
-    is_sure: bool = False
     shows_shaft: bool = True
     wrist_std: float = 0.0
     touches_another: bool = False
@@ -220,11 +209,9 @@ def seen_instrument(found: Found, evidence: Evidence) -> SeenInstrument:
     pixel_px = 1.0 / evidence.scale
     known = pixel_px**2 * outline.covariance, pixel_px * outline.end_std_px, outline.ends_dark
     other = pixel_px * outline.other_px, outline.other_share
-    # Infinite where nothing is seen; a plate on an instrument may hide its sides.
-    is_sure = SURE_ALONG < score.weaker_side < np.inf and not evidence.hides
     entering, touches = part_entering(outline, evidence), _comes_in_elsewhere(outline, mask, evidence)
     known_of_part = entering > LEAST_ENTERING, WRIST_NARROWER * _may_be_wrist(outline, entering), touches
-    of_image = sides, end_px, score.evidence, *known, pixel_px, *other, is_sure
+    of_image = sides, end_px, score.evidence, *known, pixel_px, *other
     return SeenInstrument(mask, evidence.size, *of_image, *known_of_part)
 
 

@@ -174,24 +174,17 @@ LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by ch
 
 @dataclass(frozen=True)
 class Judged:
-    """How sure it is that this is an instrument, from 0 to 1, whether it is taken for one, and its weaker side.
-
-    The latter is the mean of log-odds inside of that side.
-    """
+    """How sure it is that this is an instrument, from 0 to 1, and whether it is taken for one."""
 
     evidence: float
     is_accepted: bool
-    weaker_side: float
 
 
 def mean_odds(outline: Outline, evidence: Evidence) -> float:
     """The mean of the log-odds between the sides; infinite where nothing is seen."""
     places = outline.across(ALONG * outline.length_px, WITHIN)
-    return _mean(sampled(evidence.odds, places), seen_at(evidence, places))
-
-
-def _mean(values: Floats, seen: NDArray[np.bool_]) -> float:
-    return float(values[seen].mean()) if seen.any() else np.inf
+    odds, seen = sampled(evidence.odds, places), seen_at(evidence, places)
+    return float(odds[seen].mean()) if seen.any() else np.inf
 
 
 def _likely(odds: Floats, seen: NDArray[np.bool_]) -> float:
@@ -230,8 +223,8 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
     places = outline.across(along, np.concatenate(shares))
     parts = np.cumsum([len(one) for one in shares])[:-1]
     seen, odds = seen_at(evidence, places), sampled(evidence.odds, places)
-    within, *others = zip(np.split(odds, parts, 1), np.split(seen, parts, 1), strict=True)
-    free = [_likely(-odds, seen) for odds, seen in others[2:] if np.count_nonzero(seen) > 6]
+    within, _, _, *beside = zip(np.split(odds, parts, 1), np.split(seen, parts, 1), strict=True)
+    free = [_likely(-odds, seen) for odds, seen in beside if np.count_nonzero(seen) > 6]
     shown = sampled(evidence.hidden, outline.across(along, MIDDLE), nearest=True) == 0
     of_beyond = _of_beyond(np.split(sampled(evidence.colours, places), parts, 1), seen.all(1) & shown.all(1))
     points = outline.at(along)
@@ -248,10 +241,14 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
     good = (step.max(2) > EDGE_LEVELS) & straight
     stepped = float(good[whole].mean()) if whole.any() else 0.0
     length_widths = outline.length_px / outline.width_px
-    inside, beside = _likely(*within), min(free, default=0.0)
-    sure = inside * beside * float(np.sqrt(stepped)) * min(1.0, 0.5 + 0.25 * length_widths)
+    sure = (
+        _likely(*within)
+        * min(free, default=0.0)
+        * float(np.sqrt(stepped))
+        * min(1.0, 0.5 + 0.25 * length_widths)
+    )
     is_long = length_widths > LEAST_WIDTHS and outline.length_px > LEAST_LENGTH_PX
     # With what comes in at the border hidden, a wrist may pass for a shaft.
     comes_in = float(shown[: STATIONS // 3].mean()) > 0.5
     is_accepted = is_long and comes_in and of_beyond < MOST_OF_BEYOND and sure > LEAST_EVIDENCE
-    return Judged(sure, is_accepted, min(_mean(*side) for side in others[:2]))
+    return Judged(sure, is_accepted)
