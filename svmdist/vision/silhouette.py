@@ -222,7 +222,7 @@ def find_silhouette(
 
     Nor of what is hardly longer than wide: at the border that is as likely the wrist, which may be narrower. Edges are
     steps of at least so many levels; where the image has none so sharp, a side is what the evidence has. With `wrist`,
-    what is seen of it beyond the end is measured, too.
+    what is seen of it beyond the end is measured, too; without, the instrument is a dark bar.
     """
     first, second = _edges(bgr, seen, picture, least_levels)
     if not seen.shows_shaft or first.direction @ second.direction < np.cos(MAX_TAPER_RAD):
@@ -231,6 +231,9 @@ def find_silhouette(
     along, width_px = endless.towards_tip, endless.width_px
     least_px = MIN_LENGTH_WIDTHS * width_px
     if not 0.5 * (first.length_px + second.length_px) >= least_px > 0.0:
+        return None
+    # A dark bar's sides, which no evidence bears out, are known by their edges alone.
+    if wrist is None and not all(len(edge.points_px) for edge in (first, second)):
         return None
     ends = [] if seen.ends_dark else [edge.end_px for edge in (first, second) if edge.ends]
     if not ends and not np.isfinite(seen.end_std_px):

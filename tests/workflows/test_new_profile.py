@@ -159,9 +159,10 @@ def test_instruments_by_the_side_they_come_in_from(tmp_path):
         noise = np.random.default_rng(number).normal(0, 6, (480, 640, 3))
         image = np.clip(np.add((90, 100, 190), noise), 0, 255).astype(np.uint8)
         for start, end in (((0, 120), (240, 240 + 4 * number)), ((639, 90), (400, 250 - 4 * number))):
-            cv2.line(image, start, end, (70, 68, 65), 60)
-            cv2.line(image, start, end, (110, 108, 105), 24)  # round things shine along their middle
-        images.append(image)
+            for half_px in range(30, 0, -2):  # round things shine along their middle
+                level = 130.0 - 75.0 * (half_px / 30) ** 2
+                cv2.line(image, start, end, (level, level, level), 2 * half_px)
+        images.append(cv2.GaussianBlur(image, (0, 0), 1.5))
     profile = _profile(scope_log(tmp_path / "two.mcap", images))
     assert profile.instrument_names == ("PSM1", "PSM2")
     assert (profile.entry, profile.other_instruments[0].entry) == ("right", "left")
