@@ -28,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add(
         "--start",
         type=Path,
-        nargs="*",
+        nargs="+",
         help="weights to go on from, .pt, or their mean; without it ImageNet's",
     )
     add("--steps", type=int, default=2200, help="of each process; 2200 take 140 minutes on two cores")

@@ -225,13 +225,11 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
     seen, odds = seen_at(evidence, places), sampled(evidence.odds, places)
     within, _, _, *beside = zip(np.split(odds, parts, 1), np.split(seen, parts, 1), strict=True)
     free = [_likely(-odds, seen) for odds, seen in beside if np.count_nonzero(seen) > 6]
-    shown = sampled(evidence.hidden, outline.across(along, MIDDLE), nearest=True) == 0
-    of_beyond = _of_beyond(np.split(sampled(evidence.colours, places), parts, 1), seen.all(1) & shown.all(1))
     points = outline.at(along)
     outward = outline.normal * np.array([-1.0, 1.0])[:, None]
     around = np.arange(-STEP_REACH_PX - 1.0, STEP_REACH_PX + 1.5)
-    places = points[:, :, None] + around[:, None] * outward[:, None, None]
-    levels, is_seen = sampled(evidence.bgr_float, places), seen_at(evidence, places)
+    across_sides = points[:, :, None] + around[:, None] * outward[:, None, None]
+    levels, is_seen = sampled(evidence.bgr_float, across_sides), seen_at(evidence, across_sides)
     step = np.abs(levels[:, :, 2:] - levels[:, :, :-2]).max(3)
     whole, steepest = is_seen.all(2), np.argmax(step, axis=2) - STEP_REACH_PX
     # The steepest step may be that of the limb's shade, but then it is that all along the side.
@@ -240,6 +238,7 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
     )
     good = (step.max(2) > EDGE_LEVELS) & straight
     stepped = float(good[whole].mean()) if whole.any() else 0.0
+    shown = sampled(evidence.hidden, outline.across(along, MIDDLE), nearest=True) == 0
     length_widths = outline.length_px / outline.width_px
     sure = (
         _likely(*within)
@@ -250,5 +249,7 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
     is_long = length_widths > LEAST_WIDTHS and outline.length_px > LEAST_LENGTH_PX
     # With what comes in at the border hidden, a wrist may pass for a shaft.
     comes_in = float(shown[: STATIONS // 3].mean()) > 0.5
-    is_accepted = is_long and comes_in and of_beyond < MOST_OF_BEYOND and sure > LEAST_EVIDENCE
-    return Judged(sure, is_accepted)
+    if not (is_long and comes_in and sure > LEAST_EVIDENCE):
+        return Judged(sure, is_accepted=False)
+    colours = np.split(sampled(evidence.colours, places), parts, 1)
+    return Judged(sure, _of_beyond(colours, seen.all(1) & shown.all(1)) < MOST_OF_BEYOND)
