@@ -111,10 +111,11 @@ class ShaftSizes:
         return replace(moved, other_px=-seen.other_px, other_share=1.0 - share)
 
     def rim_ahead(self, shaft: ShaftDetection, stated_std_m: float) -> tuple[float, float]:
-        """How far beyond the hinge a shaft's rim is, by all that it may be, and the deviation of that.
+        """How far beyond the hinge a shaft's rim is, and the deviation of that by all that it may be.
 
         Wrist and jaws in line with a shaft look like more of it, so that an outline beyond which nothing is seen may be
-        that of anything up to their tips.
+        that of anything up to their tips. Where another end is possible, the likelier one stays where it is, and is
+        less sure: between both there is none.
         """
         rim = shaft.rim
         assert rim is not None  # who asks has one
@@ -127,7 +128,7 @@ class ShaftSizes:
         share[2] = 1.0 - share.sum()
         ahead_m = np.array([own[0], other[0] - rim.other_radii * self.radius_m, own[0] + 0.5 * beyond_m])
         variance_m2 = np.square([own[1], other[1], np.hypot(own[1], beyond_m / np.sqrt(12.0))])
-        mean_m = float(share @ ahead_m)
+        mean_m = float(share[::2] @ ahead_m[::2]) / float(share[::2].sum())
         return mean_m, float(np.sqrt(share @ (variance_m2 + (ahead_m - mean_m) ** 2)))
 
 
