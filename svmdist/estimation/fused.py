@@ -20,7 +20,6 @@ from svmdist.estimation.instrument.kinematic_error_filter import (
     pose_distance,
 )
 from svmdist.estimation.instrument.measurement import LinkMeasurement
-from svmdist.estimation.instrument.measurement_kinds import SHAFT
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue.detection import require_tissue
 from svmdist.estimation.tissue.tracking import TissueTracker, at_height, measure_height
@@ -77,8 +76,11 @@ class FusedEstimator:
         predicted = start or kalman.tool_pose()
         by_tag = list(self._tag(frame, predicted))
         shown = self._of_images(frame)
-        # A stub at the border or a shadow has sides and an end, too: alone they count where they hold a pose.
-        if not by_tag and all(one.source == SHAFT for one in shown) and self._image_pose(frame) is None:
+        # A stub at the border, a wrist or a shadow has an outline, too: alone it counts where it holds a pose.
+        is_marked = any(
+            view is not None and view.distal_marker is not None for view in (frame.left, frame.right)
+        )
+        if not (by_tag or is_marked) and self._image_pose(frame) is None:
             shown = []
         gating = kalman.update([*shown, *by_tag])
         said = self._watch(frame, gating)

@@ -18,14 +18,15 @@ from svmdist.estimation.instrument.measurement_kinds import PointMeasurement
 from svmdist.kinematics import forward_kinematics
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
+from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.profile.settings import FilterSettings
 from svmdist.recording.log import open_recording
-from svmdist.results import ToolPose
+from svmdist.results import FrameResult, ToolPose
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.simulation.plan import draw_nominal_kinematics
 from svmdist.simulation.scene import make_scene as simulated_scene
 from svmdist.transforms import Array
-from tests.measuring import Measuring
+from tests.measuring import Measuring, frame_of
 from tests.reading import read_observations
 from tests.shipped import CHAIN, POSTURE, PROFILE
 from tests.synthetic import START_NS, SyntheticScene, make_scene
@@ -174,6 +175,25 @@ def test_images_that_show_nothing_confirm_nothing(golden):
     off_m = errors_m(golden, range(36), blinking)
     assert np.isnan([off_m[number] for number in (24, 26, 28)]).all()
     assert all(off_m[number] < 0.5e-3 for number in (30, 32, 34))
+
+
+def test_an_outline_counts_where_the_images_hold_a_pose(golden):
+    """Found by shape, with a wrist; where its own pose is in doubt, it may be a wrist or a shadow: nothing begins."""
+    rules = AutoSegmentation(method="auto")
+    profile = PROFILE.model_copy(update={"segmentation": rules, "fiducial": None})
+    recording = open_recording(golden / "3d" / "contact.mcap", profile)
+    (seen,) = islice(read_observations(recording), 24, 25)
+    assert isinstance(seen, Observation)
+
+    def found(doubt: str) -> FrameResult:
+        measuring = Measuring("fused", profile)
+        frame = frame_of(replace(seen, right=None), measuring.arm, measuring.segmenter)
+        assert isinstance(frame.shaft_pose, ImagePose)
+        vars(frame)["shaft_pose"] = replace(frame.shaft_pose, doubt=doubt)
+        return measuring.estimator.estimate(frame)
+
+    assert "distal marker" in found("").accepted
+    assert found("the depth is in doubt").detail.endswith("joints alone")
 
 
 def test_a_shaft_is_followed_without_marker_and_tag(golden_rows):
