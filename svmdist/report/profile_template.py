@@ -6,9 +6,8 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib.resources import files
-from string import Template
 from typing import Any
 
 from svmdist.errors import UsageError, did_you_mean
@@ -18,7 +17,7 @@ from svmdist.profile.robot import Instrument, Joint
 from svmdist.vision.colour import DistinctColour
 from svmdist.workflows.new_profile import InstrumentDraft, ProfileDraft, shipped_robot
 
-ROLES = tuple(Topics.model_fields)
+SECOND_CAMERA = "  # the second camera: stereo, and fused gains"
 
 
 def instrument_table() -> dict[str, Any]:
@@ -33,8 +32,8 @@ def instrument_sizes(name: str) -> dict[str, Any]:
     return dict(table[name])
 
 
-def _with_guesses(sizes: dict[str, Any]) -> dict[str, str]:
-    """The sizes of the table and all others of the template, as text.
+def _with_guesses(sizes: dict[str, Any]) -> dict[str, Any]:
+    """The sizes of the table and all others of the template.
 
     What no source gives follows from the shaft's radius, as in a da Vinci instrument of 8 mm: drawings and images put
     the shaft's visible end 1.6 to 2.3 radii behind the hinge.
@@ -50,54 +49,39 @@ def _with_guesses(sizes: dict[str, Any]) -> dict[str, str]:
         "jaw_radius_m": 0.22 * radius_m,
     }
     shaft = ShaftSizes(Instrument.model_construct(**found), 0.0)
-    found |= {"outline_end_m": shaft.outline_end_m, "outline_end_std_m": shaft.outline_end_std_m}
-    return {key: value if isinstance(value, str) else f"{value:.2g}" for key, value in found.items()}
+    return found | {"outline_end_m": shaft.outline_end_m, "outline_end_std_m": shaft.outline_end_std_m}
 
 
 def profile_text(draft: ProfileDraft) -> str:
     """The profile."""
     sizes = instrument_sizes(draft.instrument)
-    wrist_length_m = sizes["wrist_length_m"]
     first, *others = draft.instruments
-    identity = [f"name = {_text(draft.name)}"]
+    named = {"name": draft.name}
     if first.name != "PSM1" or others:
-        identity.append(f"instrument_name = {_text(first.name)}")
+        named["instrument_name"] = first.name
+    identity = _entries(named)
     if first.entry is not None:
         note = "the side of the picture that it comes in from; names are guesses"
         identity.append(f'entry = "{first.entry}"              # {note}')
     by_role = {**draft.topics, **first.topics}
-    notes = {"right_image": "  # the second camera: stereo, and fused gains"}
-    topics = [f"{role} = {_text(by_role[role])}{notes.get(role, '')}" for role in ROLES if role in by_role]
+    topics = _entries({role: by_role[role] for role in Topics.model_fields if role in by_role})
+    topics = [line + SECOND_CAMERA if line.startswith("right_image = ") else line for line in topics]
     if draft.other_images:
         topics.append(f"# Other topics with images: {_plain(', '.join(draft.other_images))}")
-    frames = {"camera": draft.camera_frame, "base": first.base, "tool": first.tool}
-    named = [f"{key} = {_text(name)}" for key, name in frames.items()]
+    frames = _entries({"camera": draft.camera_frame, "base": first.base, "tool": first.tool})
     if not draft.has_camera_to_base:
-        named.append("# No transform leads from camera to base: svmdist hand-eye finds it by the seen tool.")
-    tissue = _block("unknown_plane")
-    if (plane := draft.plane) is not None:
-        tissue = _block(
-            "surface",
-            pair_count=draft.pair_count,
-            normal=", ".join(f"{value:.4f}" for value in plane.plane_normal),
-            distance_m=f"{plane.plane_distance_m:.4f}",
-            distance_std_m=f"{plane.plane_distance_std_m:.2g}",
-            tilt_std_rad=f"{plane.plane_tilt_std_rad:.2g}",
-            surface_std_m=f"{plane.surface_std_m:.2g}",
-        )
+        frames.append("# No transform leads from camera to base: svmdist hand-eye finds it by the seen tool.")
     text = _block(
         "profile",
         log=_plain(draft.log),
         identity="\n".join(identity),
         topics="\n".join(topics),
-        frames="\n".join(named),
+        frames="\n".join(frames),
         colour=_by_colour(draft.mark, draft) if draft.mark else "",
-        robot="\n".join(_chain("[robot]", first, wrist_length_m)),
-        tissue=tissue,
-        others="\n".join(
-            ["", *(line for other in others for line in _other(other, first, wrist_length_m)), ""]
-        ),
-        **_with_guesses(sizes),
+        sizes=_with_guesses(sizes),
+        robot="\n".join(_chain("[robot]", first, sizes)),
+        tissue=_block("surface" if draft.plane else "unknown_plane", draft=draft, plane=draft.plane),
+        others="\n".join(["", *(line for other in others for line in _other(other, first, sizes)), ""]),
     )
     return re.sub(r'(?m)^(\w+ = (?:-?[\d.e-]+|"-?pi/\d+")) # ', lambda line: f"{line[1]:<28} # ", text)
 
@@ -106,19 +90,21 @@ def _block(name: str, **values: object) -> str:
     """A block of the template with its places filled."""
     text = files("svmdist.report").joinpath("profile_template.toml").read_text("utf-8")
     blocks = dict(block.split("\n", 1) for block in text.split("#: ")[1:])
-    return Template(blocks[name].removesuffix("\n")).substitute(values)
+    return blocks[name].removesuffix("\n").format(**values)
+
+
+def _entries(values: Mapping[str, str]) -> list[str]:
+    """Texts under their keys, a line each."""
+    return [f"{key} = {_text(value)}" for key, value in values.items()]
 
 
 def _by_colour(mark: DistinctColour, draft: ProfileDraft) -> str:
     pixels = draft.size_px[0] * draft.size_px[1]
     areas = {"tissue_px": max(50, pixels // 450), "shaft_px": max(50, pixels // 600)}
-    areas["marker_px"] = max(5, round(mark.area_px / 8))
-    ranges = {"hue": list(mark.hue), "saturation": list(mark.saturation), "value": list(mark.value)}
-    found = {"image_count": draft.image_count, "area_px": f"{mark.area_px:.0f}"}
-    return _block("colour", low=mark.hue[0], high=mark.hue[1], **found, **ranges, **areas)
+    return _block("colour", draft=draft, mark=mark, marker_px=max(5, round(mark.area_px / 8)), **areas)
 
 
-def _chain(table: str, instrument: InstrumentDraft, wrist_length_m: float) -> Iterator[str]:
+def _chain(table: str, instrument: InstrumentDraft, sizes: dict[str, Any]) -> Iterator[str]:
     if instrument.chain is None:
         if instrument.joint_names:
             there = _plain(", ".join(instrument.joint_names))
@@ -126,7 +112,7 @@ def _chain(table: str, instrument: InstrumentDraft, wrist_length_m: float) -> It
             yield "# put your robot's DH rows here. These are the instrument's last joints, for shaft and stereo."
         else:
             yield "# The log has no joints: the instrument's last ones are enough for shaft and stereo."
-        yield f"{table}\n{_block('wrist', wrist_length_m=wrist_length_m)}"
+        yield f"{table}\n{_block('wrist', sizes=sizes)}"
         return
     robot = shipped_robot(instrument.chain)
     yield f"{table}  # the chain of {instrument.chain}"
@@ -135,7 +121,8 @@ def _chain(table: str, instrument: InstrumentDraft, wrist_length_m: float) -> It
     insertion = max(place for place, joint in enumerate(robot.joints) if joint.type == "prismatic")
     for place, joint in enumerate(robot.joints):
         is_wrist = place > insertion and joint.a_m != 0.0
-        yield f"    {_joint(joint.model_copy(update={'a_m': wrist_length_m}) if is_wrist else joint)},"
+        own = {"a_m": sizes["wrist_length_m"]} if is_wrist else {}
+        yield f"    {_joint(joint.model_copy(update=own))},"
     yield "]"
     if robot.tool_rotation is not None:
         rows = ", ".join("[" + ", ".join(f"{value:g}" for value in row) + "]" for row in robot.tool_rotation)
@@ -153,17 +140,16 @@ def _joint(joint: Joint) -> str:
     return "{ " + ", ".join(parts) + " }"
 
 
-def _other(other: InstrumentDraft, first: InstrumentDraft, wrist_length_m: float) -> Iterator[str]:
-    yield f"\n[[other_instruments]]\nname = {_text(other.name)}"
+def _other(other: InstrumentDraft, first: InstrumentDraft, sizes: dict[str, Any]) -> Iterator[str]:
+    yield from ("", "[[other_instruments]]", *_entries({"name": other.name}))
     if other.entry is not None:
         yield f'entry = "{other.entry}"'
         return
-    yield "\n[other_instruments.topics]"
-    yield from (f"{role} = {_text(topic)}" for role, topic in other.topics.items())
-    yield f"\n[other_instruments.frames]\nbase = {_text(other.base)}\ntool = {_text(other.tool)}"
+    yield from ("", "[other_instruments.topics]", *_entries(other.topics))
+    yield from ("", "[other_instruments.frames]", *_entries({"base": other.base, "tool": other.tool}))
     if other.chain != first.chain:
         yield ""
-        yield from _chain("[other_instruments.robot]", other, wrist_length_m)
+        yield from _chain("[other_instruments.robot]", other, sizes)
 
 
 def _angle(value: float) -> str:
