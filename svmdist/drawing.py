@@ -76,16 +76,10 @@ class Label:
 
 @dataclass(frozen=True, slots=True)
 class StatusLine:
-    """One line about one instrument: what was measured, or why nothing was."""
+    """One line about one instrument: what was measured, or why nothing was; `warns` is of that and of alarms."""
 
     text: str
-    measured: bool
-    alarm: bool = False
-
-    @property
-    def warns(self) -> bool:
-        """Whether it is an alarm, or says why nothing was measured."""
-        return self.alarm or not self.measured
+    warns: bool = False
 
     @property
     def colour(self) -> Rgb:

@@ -169,15 +169,13 @@ def _matches(frame: DrawnFrame, sheet: Image) -> Image:
 
 def _surface(frame: DrawnFrame, pixels: Image) -> Image:
     """Points of the stereo surface, coloured by depth: yellow is near, violet far."""
-    scene = frame.replayed.frames[0].scene
-    surface = vars(scene).get("stereo_surface")
-    if surface is None:
+    if (cloud_m := frame.drawing.cloud_m) is None:
         return pixels
-    depth_m = surface.points_m[:, 2]
+    depth_m, lens = cloud_m[:, 2], frame.replayed.frames[0].scene.lens
     near_m, far_m = np.percentile(depth_m, NEAR_FAR_PERCENT)
     share = np.clip((far_m - depth_m) / max(far_m - near_m, 1e-9), 0.0, 1.0)
     colours = cv2.applyColorMap((255 * share).astype(np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)[:, 0]
-    for place, colour in zip(scene.lens.project(surface.points_m), colours.tolist(), strict=True):
+    for place, colour in zip(lens.project(cloud_m), colours.tolist(), strict=True):
         cv2.circle(pixels, (round(place[0]), round(place[1])), 2, colour, cv2.FILLED)
     return pixels
 

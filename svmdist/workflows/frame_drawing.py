@@ -249,9 +249,9 @@ def status_line(result: FrameResult, method: str, alarm: AlarmState | None = Non
     who, shown = f"{result.instrument} {method}".strip(), _shown_distance(result)
     if shown is None:
         detail = f" ({result.detail})" if result.detail else ""
-        return StatusLine(f"{who}: not measured: {result.status}{detail}", False)
+        return StatusLine(f"{who}: not measured: {result.status}{detail}", warns=True)
     is_alarm = bool(alarm and alarm.alarm)
-    return StatusLine(f"{who}: {shown[0]} {in_words(shown[1])}{'  ALARM' * is_alarm}", True, is_alarm)
+    return StatusLine(f"{who}: {shown[0]} {in_words(shown[1])}{'  ALARM' * is_alarm}", is_alarm)
 
 
 def segments(result: FrameResult) -> Iterator[Segment]:

@@ -46,7 +46,7 @@ def test_words_and_lines_of_a_distance():
     """The clearance goes before the planar distance, and is drawn where the camera sees it, with its alarm."""
     assert (in_words(CLEARANCE), in_words(Distance(0.02))) == ("10.00 mm [8.04, 11.96]", "20.00 mm")
     alarmed = status_line(RESULT, "fused", AlarmState(alarm=True))
-    assert (alarmed.text, alarmed.alarm) == ("PSM1 fused: clearance 10.00 mm [8.04, 11.96]  ALARM", True)
+    assert (alarmed.text, alarmed.warns) == ("PSM1 fused: clearance 10.00 mm [8.04, 11.96]  ALARM", True)
     ((line, label),) = distance_shapes(RESULT, CAMERA)
     np.testing.assert_allclose(line.points_px, [[320.0, 240.0], [370.0, 240.0]])
     np.testing.assert_allclose(label.place_px, [345.0, 240.0])
@@ -168,7 +168,7 @@ def test_a_rejected_frame_says_why_and_has_no_distance(sweep):
     assert not [shape for shape in drawing.shapes if shape.part is Part.DISTANCE]
     unread = frame_drawing(Replayed((rejected,), (0.0,)), setup)
     assert unread.shapes == ()
-    assert not unread.lines[0].measured
+    assert unread.lines[0].warns
 
 
 def test_shapes_follow_the_lens(sweep):
@@ -207,7 +207,7 @@ def test_no_label_hides_what_was_measured_or_another_label(size_px):
         shapes = tuple(Shape(Part.DISTANCE, Form.LINE, ends) for ends in ends_px)
         labels = tuple(Label(Part.DISTANCE, ends.mean(0), "PSM1 12.34 mm [10.00, 14.00]") for ends in ends_px)
         bare = draw_on(ground, FrameDrawing(0, shapes))
-        lines = (StatusLine("PSM1 fused: clearance 12.34 mm", True),)
+        lines = (StatusLine("PSM1 fused: clearance 12.34 mm"),)
         drawn = draw_on(ground, FrameDrawing(0, shapes, labels, lines))
         x, y = np.rint(np.concatenate([np.linspace(*ends, 50) for ends in ends_px])).astype(int).T
         assert (drawn[y, x] == bare[y, x]).all()
