@@ -14,7 +14,6 @@ from svmdist.errors import UsageError, did_you_mean
 from svmdist.estimation.instrument.shaft_model import ShaftSizes
 from svmdist.profile import Topics
 from svmdist.profile.robot import Instrument, Joint
-from svmdist.vision.colour import DistinctColour
 from svmdist.workflows.new_profile import InstrumentDraft, ProfileDraft, shipped_robot
 
 SECOND_CAMERA = "  # the second camera: stereo, and fused gains"
@@ -71,16 +70,22 @@ def profile_text(draft: ProfileDraft) -> str:
     frames = _entries({"camera": draft.camera_frame, "base": first.base, "tool": first.tool})
     if not draft.has_camera_to_base:
         frames.append("# No transform leads from camera to base: svmdist hand-eye finds it by the seen tool.")
+    colour = ""
+    if draft.mark is not None:
+        pixels = draft.size_px[0] * draft.size_px[1]
+        areas = {"tissue_px": max(50, pixels // 450), "shaft_px": max(50, pixels // 600)}
+        areas["marker_px"] = max(5, round(draft.mark.area_px / 8))
+        colour = _block("colour", draft=draft, **areas)
     text = _block(
         "profile",
         log=_plain(draft.log),
         identity="\n".join(identity),
         topics="\n".join(topics),
         frames="\n".join(frames),
-        colour=_by_colour(draft.mark, draft) if draft.mark else "",
+        colour=colour,
         sizes=_with_guesses(sizes),
         robot="\n".join(_chain("[robot]", first, sizes)),
-        tissue=_block("surface" if draft.plane else "unknown_plane", draft=draft, plane=draft.plane),
+        tissue=_block("surface" if draft.plane else "unknown_plane", draft=draft),
         others="\n".join(["", *(line for other in others for line in _other(other, first, sizes)), ""]),
     )
     return re.sub(r'(?m)^(\w+ = (?:-?[\d.e-]+|"-?pi/\d+")) # ', lambda line: f"{line[1]:<28} # ", text)
@@ -96,12 +101,6 @@ def _block(name: str, **values: object) -> str:
 def _entries(values: Mapping[str, str]) -> list[str]:
     """Texts under their keys, a line each."""
     return [f"{key} = {_text(value)}" for key, value in values.items()]
-
-
-def _by_colour(mark: DistinctColour, draft: ProfileDraft) -> str:
-    pixels = draft.size_px[0] * draft.size_px[1]
-    areas = {"tissue_px": max(50, pixels // 450), "shaft_px": max(50, pixels // 600)}
-    return _block("colour", draft=draft, mark=mark, marker_px=max(5, round(mark.area_px / 8)), **areas)
 
 
 def _chain(table: str, instrument: InstrumentDraft, sizes: dict[str, Any]) -> Iterator[str]:
