@@ -233,37 +233,33 @@ def _sections(report: Report) -> list[tuple[str, list[tuple[str, Chart]]]]:
 
 def plotly_figure(chart: Chart) -> go.Figure:
     """A chart for plotly, in single precision: more than a screen shows, in half of the bytes."""
-    figure = go.Figure(
-        layout={
-            "template": None,
-            "margin": {"l": 60, "r": 15, "t": 10, "b": 45},
-            "xaxis": {"title": {"text": chart.x_title}},
-            "yaxis": {"title": {"text": chart.y_title}},
-            "legend": {"orientation": "h", "y": 1.12, "x": 0},
-            "hovermode": "closest",
-        }
-    )
     dots = sum(curve.form == "dots" for curve in chart.curves)
-    for curve in chart.curves:
-        hover = {"hovertemplate": curve.hover} if curve.hover else {}
-        for x, y, look in _traces(curve, dots):
-            options = {"name": printable(curve.name), **hover, **look}
-            if curve.form == "bars":
-                figure.add_bar(x=x, y=y, **options)
-                figure.update_layout(bargap=0.02)
-            else:
-                figure.add_scatter(x=x.astype(np.float32), y=y.astype(np.float32), **options)
-        if curve.form == "spans":
-            top = {"overlaying": "y", "range": [0, 1], "fixedrange": True, "visible": False}
-            figure.update_layout(yaxis2=top)
+    traces = [
+        {
+            **{"type": "scatter", "name": printable(curve.name), "hovertemplate": curve.hover or None},
+            **look,
+            **{"x": x.astype(np.float32), "y": y.astype(np.float32)},
+        }
+        for curve in chart.curves
+        for x, y, look in _traces(curve, dots)
+    ]
+    layout: dict[str, Any] = {
+        "template": None,
+        "margin": {"l": 60, "r": 15, "t": 10, "b": 45},
+        "xaxis": {"title": {"text": chart.x_title}},
+        "yaxis": {"title": {"text": chart.y_title}, "autorange": "reversed" if chart.is_image else None},
+        "legend": {"orientation": "h", "y": 1.12, "x": 0},
+        "hovermode": "closest",
+        "bargap": 0.02,
+    }
+    if any(curve.form == "spans" for curve in chart.curves):
+        layout["yaxis2"] = {"overlaying": "y", "range": [0, 1], "fixedrange": True, "visible": False}
     if chart.over_time:  # all plots over time begin and end alike
         seconds = np.concatenate([curve.x for curve in chart.curves if curve.form == "line"])
-        ends = [round(float(end), 3) for end in (np.nanmin(seconds), np.nanmax(seconds))]
-        if ends[0] < ends[1]:
-            figure.update_xaxes(range=ends, autorange=False)
-    if chart.is_image:
-        figure.update_yaxes(autorange="reversed")
-    return figure
+        begin, end = (round(float(one), 3) for one in (np.nanmin(seconds), np.nanmax(seconds)))
+        if begin < end:
+            layout["xaxis"] |= {"range": [begin, end], "autorange": False}
+    return go.Figure(traces, layout)
 
 
 def _traces(curve: Curve, sharing: int) -> Iterator[tuple[Array, Array, dict[str, Any]]]:
@@ -279,7 +275,7 @@ def _traces(curve: Curve, sharing: int) -> Iterator[tuple[Array, Array, dict[str
         x = np.stack([curve.x, curve.x, curve.y, curve.y], 1).ravel()
         yield x, np.tile([0, 1, 1, 0], len(curve.x)), area | {"fill": "tozeroy", "yaxis": "y2"}
     elif curve.form == "bars":
-        yield curve.x, curve.y, {"marker": {"color": colour}}
+        yield curve.x, curve.y, {"type": "bar", "marker": {"color": colour}}
     else:  # dots, thinned out evenly where there are many
         count = len(curve.x)
         kept = np.linspace(0, max(count - 1, 0), min(count, MAX_MARKERS // sharing))
