@@ -18,9 +18,7 @@ from svmdist.errors import printable
 from svmdist.files import atomic_file
 from svmdist.metrics import COUNT, TEXT, Unit
 
-if TYPE_CHECKING:  # rows that are written as they come need no layout, and start sooner without it
-    from rich.table import Table as RichTable
-
+if TYPE_CHECKING:
     from svmdist.report.writers import Results
     from svmdist.workflows.scoring.metric_table import Metric
 
@@ -125,14 +123,26 @@ def table_lines(results: Results, width: int | None, colour: bool) -> Iterator[s
 
 def render(table: Table, *, width: int | None = None, colour: bool = False) -> str:
     """Render a table to text, as wide as it needs without a width; a wider one comes in parts with whole cells."""
+    from rich import box
     from rich.console import Console
+    from rich.table import Table as RichTable
+    from rich.text import Text  # rich takes a plain "[mm]" for markup
 
     console = Console(
         width=width or 1000, force_terminal=colour, no_color=not colour, emoji=False, highlight=False
     )
     with console.capture() as captured:
         for at, indices in enumerate(_parts(table, width) if width else [range(len(table.headings))]):
-            console.print(_rich(table, indices, table.title if at == 0 else ""))
+            made = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, title_justify="left")
+            made.title, made.title_style = Text(table.title) if table.title and at == 0 else None, "bold"
+            for index in indices:
+                justify: Any = "left" if table.is_text[index] else "right"
+                made.add_column(Text(table.headings[index]), justify=justify, overflow="fold")
+            for rows, style in ((table.rows, None), (table.overall, "bold")):
+                for row in rows:
+                    made.add_row(*(Text(row[index]) for index in indices), style=style)
+                made.add_section()
+            console.print(made)
     return "\n".join(line.rstrip() for line in captured.get().splitlines()) + "\n"
 
 
@@ -141,13 +151,13 @@ def _parts(table: Table, width: int) -> Iterator[list[int]]:
 
     Columns under one heading, those whose own begins with an empty line, stay together.
     """
-    from rich.console import Console
+    from rich.cells import cell_len
 
-    def is_within(indices: Sequence[int], limit: int) -> bool:
-        return Console(width=1000).measure(_rich(table, indices, "")).maximum <= limit
-
+    columns = zip(table.headings, *table.rows, *table.overall, strict=True)
+    lines = ([line for text in column for line in text.splitlines()] for column in columns)
+    widths = [2 + max(map(cell_len, texts), default=0) for texts in lines]  # with the space to the next one
     lead = [0]
-    while table.is_text[len(lead)] and is_within([*lead, len(lead)], width // 2):
+    while table.is_text[len(lead)] and sum(widths[: len(lead) + 1]) <= width // 2:
         lead.append(len(lead))
     groups: list[list[int]] = []
     for index in range(len(lead), len(table.headings)):
@@ -157,29 +167,11 @@ def _parts(table: Table, width: int) -> Iterator[list[int]]:
             groups.append([index])
     taken = lead
     for group in groups:
-        if taken != lead and not is_within(taken + group, width):
+        if taken != lead and sum(widths[index] for index in taken + group) > width:
             yield taken
             taken = lead
         taken = taken + group
     yield taken
-
-
-def _rich(table: Table, indices: Sequence[int], title: str) -> RichTable:
-    """Some columns of a table; as `Text`, since rich takes a plain "[mm]" for markup."""
-    from rich import box
-    from rich.table import Table as RichTable
-    from rich.text import Text
-
-    made = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, title_justify="left")
-    made.title, made.title_style = Text(title) if title else None, "bold"
-    for index in indices:
-        justify = "left" if table.is_text[index] else "right"
-        made.add_column(Text(table.headings[index]), justify=justify, overflow="fold")  # type: ignore[arg-type]
-    for rows, style in ((table.rows, None), (table.overall, "bold")):
-        for row in rows:
-            made.add_row(*(Text(row[index]) for index in indices), style=style)
-        made.add_section()
-    return made
 
 
 def text_lines(columns: Sequence[Column], rows: Iterable[Row]) -> Iterator[str]:
