@@ -51,12 +51,12 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class EncodedImage:
-    """An image whose pixels `decode` makes when asked, in any thread, or raises ImageError; those of videos at once."""
+    """An image whose pixels `decode` makes when asked, in any thread, or raises ImageError."""
 
     stamp_ns: int
     frame_id: str
-    decode: Callable[..., samples.Image]  # from a `Decoder` it takes nothing; from a converter, the limits
-    video: tuple[str, bytes] | None = None  # format and data of a frame that is not decoded
+    decode: Callable[[], samples.Image]
+    video: tuple[str, bytes] | None = None  # format and data of a frame that needs those before it
     topic: str = ""
     log_time_ns: int = 0
     size_bytes: int = 0
@@ -110,34 +110,29 @@ class Decoder:
         self._videos: dict[str, VideoDecoder] = {}
         self._failure_count = 0
 
-    def decode(self, raw: RawMessage, *, with_video: bool = True) -> Message:
-        """Turn a message into a sample, of a video with or without pixels; DecodeError where it is malformed."""
+    def decode(self, raw: RawMessage) -> Message:
+        """Turn a message into a sample, of images without pixels; DecodeError where it is malformed."""
         try:
-            found = self._converted(raw)
+            return self._converted(raw)
         except DecodeError:
             self._failure_count += 1
             raise
-        if not isinstance(found, EncodedImage):
-            return found
-        if found.video is None:
-            return replace(found, decode=partial(found.decode, self._limits))
-        if not with_video:
-            return found
-        video = self._videos.setdefault(raw.topic, VideoDecoder(self._limits))
-        try:
-            pixels = video.decode(*found.video, raw.losses_before + self._failure_count)
-        except ImageError as problem:
-            return _broken_image(found.stamp_ns, str(problem))
-        return EncodedImage(found.stamp_ns, found.frame_id, lambda: pixels)
 
     def image(self, raw: RawMessage) -> EncodedImage:
-        """Turn a message into an image; one that is broken becomes an image that is broken."""
+        """Turn a message into an image, of a video with its pixels; a broken one becomes an image that is broken."""
         try:
             found = self.decode(raw)
         except DecodeError as problem:
             found = _broken_image(raw.log_time_ns, str(problem))
         if not isinstance(found, EncodedImage):
             found = _broken_image(raw.log_time_ns, "no image")
+        if found.video is not None:
+            video = self._videos.setdefault(raw.topic, VideoDecoder(self._limits))
+            try:
+                pixels = video.decode(*found.video, raw.losses_before + self._failure_count)
+                found = EncodedImage(found.stamp_ns, found.frame_id, lambda: pixels)
+            except ImageError as problem:
+                found = _broken_image(found.stamp_ns, str(problem))
         logged_ns, size_bytes = raw.log_time_ns, len(raw.data)
         return replace(
             found, topic=raw.topic, log_time_ns=logged_ns, size_bytes=size_bytes, offset=raw.offset
@@ -166,7 +161,8 @@ class Decoder:
             raise DecodeError(f"not a {schema}: {' '.join(str(problem).split())}") from None
         if kind is Kind.TRANSFORMS:  # whose parts have each a stamp of its own
             return convert(message, raw.log_time_ns, "")
-        return convert(message, *_header(message, raw.log_time_ns))
+        of_images = (self._limits,) if kind is Kind.IMAGE else ()
+        return convert(message, *_header(message, raw.log_time_ns), *of_images)
 
 
 def kind_of(schema: str, message_encoding: str) -> Kind | None:
@@ -241,18 +237,18 @@ def _check_numbers(values: Sequence[float], what: str) -> None:
             raise DecodeError(f"{what}: {bad} is no usable number")
 
 
-def _raw_image(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
+def _raw_image(message: Any, stamp_ns: int, frame_id: str, limits: Limits) -> EncodedImage:
     size_px = message.width, message.height
-    decode = partial(decode_raw, message.encoding, size_px, message.step, message.data)
+    decode = partial(decode_raw, message.encoding, size_px, message.step, message.data, limits)
     return EncodedImage(stamp_ns, frame_id, decode)
 
 
-def _still_image(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
+def _still_image(message: Any, stamp_ns: int, frame_id: str, limits: Limits) -> EncodedImage:
     """A compressed image; its `format` is ignored, for its data say what they are."""
-    return EncodedImage(stamp_ns, frame_id, partial(decode_still, message.data))
+    return EncodedImage(stamp_ns, frame_id, partial(decode_still, message.data, limits))
 
 
-def _video(message: Any, stamp_ns: int, frame_id: str) -> EncodedImage:
+def _video(message: Any, stamp_ns: int, frame_id: str, _: Limits) -> EncodedImage:
     image = _broken_image(stamp_ns, "a frame of a video that was not decoded")
     return replace(image, frame_id=frame_id, video=(message.format, message.data))
 
@@ -330,7 +326,9 @@ def _distance(message: Any, stamp_ns: int, _: str) -> samples.DistanceSample:
     return samples.DistanceSample(stamp_ns, *values)
 
 
-Converter = Callable[[Any, int, str], Message]  # from a parsed message, its stamp in ns, and its frame
+Converter = Callable[
+    ..., Message
+]  # of a parsed message, its stamp in ns, its frame, and of images the limits
 PROTOBUF: dict[str, tuple[Kind, Converter]] = {
     "foxglove.CompressedImage": (Kind.IMAGE, _still_image),
     "foxglove.RawImage": (Kind.IMAGE, _raw_image),

@@ -121,7 +121,7 @@ def inspect_recording(
         infos.setdefault(raw.topic, TopicInfo(*raw[:3]))
         if kind_of(raw.schema, raw.message_encoding) is not None:
             try:
-                sample = decoder.decode(raw, with_video=False)
+                sample = decoder.decode(raw)
             except DecodeError as problem:
                 undecodable[raw.topic] += 1
                 recording.health.lose(LossKind.MESSAGE, str(problem), raw.offset, raw.topic)

@@ -84,10 +84,9 @@ def message(encoding: str) -> Callable[[bytes, Path], None]:
         for schema in SCHEMAS[encoding]:
             raw = RawMessage("/t", schema, encoding, 1, data)
             with suppress(DecodeError):
-                pixels = getattr(Decoder(LIMITS).decode(raw), "decode", None)
-                if pixels is not None:
-                    with suppress(ImageError):
-                        pixels()
+                Decoder(LIMITS).decode(raw)
+            with suppress(ImageError):
+                Decoder(LIMITS).image(raw).decode()
 
     return decode
 
