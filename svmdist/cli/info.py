@@ -65,8 +65,8 @@ def inspect_log(recording: Recording, request: Request, _threads: int, looks_for
         if looks_for_tag and {"image", "camera_info"} <= set(summary.roles):
             with suppress(RecordingError):  # a calibration that is not usable: the summary says so
                 no_tag = look_for_tag(recording, profile)
-        found = _checks(recording, profile, summary.health)
-        recording.health.join(summary.health)
+        found = _checks(recording, profile, summary.recording.health)
+        recording.health.join(summary.recording.health)
         return info_document(summary, profile, no_tag) | {"checks": found}
 
 

@@ -16,7 +16,7 @@ from svmdist.recording.cameras import CameraTrack
 from svmdist.recording.images import ImageError
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.messages import DecodeError, Decoder, kind_of
-from svmdist.recording.source import Health, LossKind, TopicInfo
+from svmdist.recording.source import LossKind, TopicInfo
 from svmdist.recording.topics import Role
 from svmdist.recording.writer import EncodedSample
 from svmdist.remote import LogPath
@@ -50,22 +50,15 @@ class TopicSummary:
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """A whole recording; `roles` names the topic of every role that has one with a message that can be read.
+    """What was read of a recording; `roles` names the topic of every role that has one with a readable message."""
 
-    `instruments` are those of the profile that the log has, as `Recording` names them.
-    """
-
-    path: LogPath
-    size_bytes: int
-    metadata: dict[str, str]
+    recording: Recording
     duration_s: float
     topics: tuple[TopicSummary, ...]
     roles: dict[str, str]
     cameras: dict[str, CameraTrack]
     frames: tuple[str, ...]
     joint_names: dict[str, tuple[str, ...]]
-    health: Health
-    instruments: tuple[str, ...]
 
 
 def _summary(info: TopicInfo, logged_ns: array[int], undecodable_count: int) -> TopicSummary:
@@ -141,17 +134,13 @@ def inspect_recording(
     usable = {topic.topic for topic in listed if topic.message_count > topic.undecodable_count}
     ends_ns = [at for logged in stamps_ns.values() if logged for at in (min(logged), max(logged))]
     return RecordingSummary(
-        recording.path,
-        recording.size_bytes(),
-        recording.metadata,
+        recording,
         (max(ends_ns) - min(ends_ns)) / 1e9 if ends_ns else 0.0,
         listed,
         {str(role): name for role in Role if (name := recording.topic_of(role)) in usable},
         dict(cameras),
         tuple(sorted(frames)),
         joint_names,
-        recording.health,
-        recording.instruments,
     )
 
 

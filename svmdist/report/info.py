@@ -81,16 +81,17 @@ def info_document(summary: RecordingSummary, profile: Profile, no_tag: str = "")
     if commands["estimate"]["served"]:
         best = next(name for name in capabilities.PREFERRED if methods[name]["served"])
         commands["estimate"]["note"] = f"by {best}"
+    recording = summary.recording
     return {
         "schema": SCHEMA,
-        "path": str(summary.path),
+        "path": str(recording.path),
         "profile": profile.name,
-        "size_bytes": summary.size_bytes,
+        "size_bytes": recording.size_bytes(),
         "duration_s": summary.duration_s,
-        "metadata": summary.metadata,
+        "metadata": recording.metadata,
         "topics": [row_of(TOPIC_COLUMNS, topic) for topic in summary.topics],
         "roles": summary.roles,
-        "instruments": list(summary.instruments),
+        "instruments": list(recording.instruments),
         "cameras": {
             topic: _camera_document(track.runs[0].camera) for topic, track in summary.cameras.items()
         },
@@ -99,8 +100,8 @@ def info_document(summary: RecordingSummary, profile: Profile, no_tag: str = "")
         ],
         "frames": list(summary.frames),
         "joint_names": {topic: list(names) for topic, names in summary.joint_names.items()},
-        "is_clean": summary.health.is_clean,
-        "losses": [str(loss) for loss in summary.health.losses],
+        "is_clean": recording.health.is_clean,
+        "losses": [str(loss) for loss in recording.health.losses],
         "commands": commands,
         "methods": methods,
     }

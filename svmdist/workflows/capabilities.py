@@ -11,7 +11,7 @@ from svmdist.camera import stereo_transform
 from svmdist.errors import CalibrationError, ProfileError, RecordingError, UsageError
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, REGISTRY, SPATIAL_METHODS
 from svmdist.profile import DEFAULT_PROFILE, Profile
-from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.log import Recording
 from svmdist.recording.source import sanitize_list
 from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role
@@ -66,7 +66,7 @@ def best_method(
     summaries = [one for one in few if not misfit(one, profile)]
     if not summaries:
         if few:
-            raise UsageError(f"{few[-1].path}: {misfit(few[-1], profile)}")
+            raise UsageError(f"{few[-1].recording.path}: {misfit(few[-1], profile)}")
         return "kinematic", "no log could be looked at"
     for with_tags in (False, True):  # a tag is looked for in all of a log, and only where it matters
         served, lacks = Counter[str](), dict[str, tuple[str, ...]]()
@@ -74,7 +74,7 @@ def best_method(
             no_tag = ""
             with suppress(RecordingError):  # whoever measures it says so
                 if with_tags:
-                    no_tag = look_for_tag(open_recording(summary.path, profile, topics=topics), profile)
+                    no_tag = look_for_tag(summary.recording, profile)
             for name, missing in method_capabilities(summary, profile, no_tag).items():
                 served[name] += not missing
                 lacks.setdefault(name, missing)
@@ -119,7 +119,7 @@ def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup,
         else:
             left += (setup,)
     if reasons and (said := misfit(summary, profile)):
-        raise RecordingError(f"{summary.path}: {said}")
+        raise RecordingError(f"{summary.recording.path}: {said}")
     if not left:
         raise RecordingError(
             f"no method can measure this log with profile {profile.name}: {'. '.join(reasons)}"
@@ -131,14 +131,15 @@ def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup,
 
 def misfit(summary: RecordingSummary, profile: Profile) -> str:
     """Why a log is none of the profile that is taken where none is given: neither made by it, nor with its joints."""
-    is_its_own = summary.metadata.get("profile") == profile.name or (
+    path, metadata = summary.recording.path, summary.recording.metadata
+    is_its_own = metadata.get("profile") == profile.name or (
         "joints" in summary.roles and not _missing_chain(summary, profile)
     )
     if is_its_own or profile.name != DEFAULT_PROFILE:
         return ""
-    stem = Path(str(summary.path)).stem
+    stem = Path(str(path)).stem
     return (
-        f"not a log of profile {profile.name}, the simulator's: write one with `svmdist profile new {summary.path}"
+        f"not a log of profile {profile.name}, the simulator's: write one with `svmdist profile new {path}"
         f" -o {stem}.toml` and give --profile {stem}.toml"
     )
 
@@ -186,7 +187,7 @@ def _words(lacking: Mapping[str, tuple[str, ...]], needs: Iterable[str]) -> tupl
 
 def _lacking(summary: RecordingSummary, profile: Profile, no_tag: str = "") -> dict[str, tuple[str, ...]]:
     """What of each need of a command or a method is missing for the log's first instrument, in words."""
-    profile = profile.for_instrument(summary.instruments[0])
+    profile = profile.for_instrument(summary.recording.instruments[0])
     roles, frames, of_profile = summary.roles, profile.frames, f"in profile {profile.name}"
 
     def topics(*names: str) -> tuple[str, ...]:

@@ -144,7 +144,7 @@ def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
         if chosen not in there:
             known = did_you_mean(sanitize(chosen), map(sanitize, there))
             raise RecordingError(
-                f"{summary.path.name}: no topic {sanitize(chosen)} for {sanitize(role)}: {known}"
+                f"{summary.recording.path.name}: no topic {sanitize(chosen)} for {sanitize(role)}: {known}"
             )
 
     def carrying(kind: str, *unwanted: str) -> list[str]:
@@ -155,13 +155,13 @@ def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
     image = given.get("image") or _left_image(images, summary)
     if not (cameras or "camera_info" in given):
         raise RecordingError(
-            f"{summary.path.name}: no topic with camera calibrations: estimates need one"
+            f"{summary.recording.path.name}: no topic with camera calibrations: estimates need one"
             " (svmdist import writes a log of images and a calibration)"
         )
     fitting = [topic for topic in cameras if is_right(image) or not is_right(topic)]
     if not (fitting or "camera_info" in given):
         raise RecordingError(
-            f"{summary.path.name}: no topic with camera calibrations for {sanitize(image)}:"
+            f"{summary.recording.path.name}: no topic with camera calibrations for {sanitize(image)}:"
             f" {sanitize_list(cameras)} is the right view's (--topic camera_info=TOPIC chooses another)"
         )
     camera = given.get("camera_info") or _nearest(image, fitting)
@@ -193,7 +193,7 @@ def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
 
 def _left_image(images: Sequence[str], summary: RecordingSummary) -> str:
     """The only topic of images that is not a right camera's, or the only left one."""
-    name, lefts = summary.path.name, list(images)
+    name, lefts = summary.recording.path.name, list(images)
     if not lefts:
         there = sanitize_list(topic.topic for topic in summary.topics)
         raise RecordingError(f"{name}: no topic with images; the topics are {there or 'none'}")

@@ -2,13 +2,15 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
 from svmdist.errors import UsageError
 from svmdist.estimation.methods import METHODS
 from svmdist.profile import Profile, load_profile
-from svmdist.recording.source import Health
+from svmdist.recording.log import Recording
 from svmdist.recording.summary import RecordingSummary, TopicSummary
 from svmdist.recording.topics import Role
 from svmdist.workflows.capabilities import best_method, capabilities, method_capabilities
@@ -24,18 +26,15 @@ def topic(name: str) -> TopicSummary:
     return TopicSummary(name, "", "", None, 1, None, None, None, 0.0, 0, 0, 0)
 
 
+NAMED = SimpleNamespace(path=Path("a.mcap"), metadata={}, instruments=(PROFILE.instrument_name,))
 FULL = RecordingSummary(
-    path=Path("a.mcap"),
-    size_bytes=1,
-    metadata={},
+    recording=cast(Recording, NAMED),
     duration_s=1.0,
     topics=(topic("/PSM1/measured_js"), topic("/image")),
     roles={str(role): f"/{role}" for role in Role},
     cameras={},
     frames=(FRAMES.base, FRAMES.camera, FRAMES.tissue, FRAMES.tool),
     joint_names={f"/{Role.JOINTS}": JOINTS},
-    health=Health(),
-    instruments=(PROFILE.instrument_name,),
 )
 """A recording that has everything."""
 
@@ -127,7 +126,7 @@ def test_auto_is_the_best_method_that_log_and_profile_serve(golden, log, changes
 
 def test_a_log_that_is_none_of_the_default_profile_s_names_what_makes_one(golden, tmp_path):
     """Neither made with it nor with its joints: its colours and sizes are another scene's."""
-    foreign = replace(FULL, metadata={}, joint_names={})
+    foreign = replace(FULL, joint_names={})
     assert "svmdist profile new a.mcap -o a.toml" in capabilities(foreign, PROFILE)["estimate"][0]
     mine = PROFILE.model_copy(update={"name": "mine"})
     assert lacking(capabilities(foreign, mine)).keys() <= {"fk"}
@@ -155,7 +154,7 @@ def test_a_log_of_another_arm_is_that_arms():
         roles={**FULL.roles, "joints": "/PSM2/measured_js"},
         frames=("ECM", "PSM2_base", "tissue"),
         joint_names={"/PSM2/measured_js": names},
-        instruments=("PSM2",),
+        recording=cast(Recording, SimpleNamespace(**(vars(NAMED) | {"instruments": ("PSM2",)}))),
     )
     assert "fk" not in lacking(capabilities(log, dvrk))
     assert lacking(method_capabilities(log, dvrk))["kinematic"] == ("[tissue] in profile dvrk-psm",)
