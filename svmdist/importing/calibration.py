@@ -55,7 +55,7 @@ class StatedCamera:
 
     K: Array
     D: Array = field(default_factory=lambda: np.zeros(0))
-    model: str = "plumb_bob"
+    model: DistortionModel = "plumb_bob"
     size_px: Size = None
     R: Array | None = None
     P: Array | None = None
@@ -142,9 +142,8 @@ def complete(
         K = to_image @ camera.K
         P = K @ np.eye(3, 4) if camera.P is None else to_image @ camera.P
         R = np.eye(3) if camera.R is None else camera.R
-        model = cast(DistortionModel, camera.model)
         try:
-            cameras.append(Camera(width_px, height_px, K, camera.D, R, P, frame_id, model))
+            cameras.append(Camera(width_px, height_px, K, camera.D, R, P, frame_id, camera.model))
         except ValueError as problem:
             raise SourceError(str(problem)) from None
     T_left_right = stereo_transform(cameras[0], cameras[1]) if len(cameras) == 2 else None
@@ -326,7 +325,7 @@ def _intrinsic_matrix(fx: float, fy: float, cx: float, cy: float) -> Array:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def _model_of(name: str, count: int) -> str:
+def _model_of(name: str, count: int) -> DistortionModel:
     known = KNOWN_DISTORTION.get(name.lower())
     if known is None:
         raise ValueError(f"distortion model {name!r}: {did_you_mean(name, filter(None, KNOWN_DISTORTION))}")

@@ -122,23 +122,21 @@ def read_poses(path: Path, images_ns: Mapping[str, int], unit_m: float, frame_id
         u, _, vt = np.linalg.svd(R)  # the nearest rotations of rounded ones
         T = make_transform(u @ vt, matrices[:, :3, 3] * unit_m)
         return TransformTrack(frame_id, "", stamps_ns, table.near(T))
-    if table.names is None:
-        position, quaternion, scale = others[:3], others[3:], [unit_m] * 3
-        if len(others) != 7:
-            raise SourceError(
-                f"{path}: expected 7 numbers of a pose (x y z qx qy qz qw), or 12 or 16 of a matrix, and a time"
-                f" before them or none; found {len(others)}"
-            )
-    else:
+    if table.names is not None:
         found = table.columns(POSE)
         if missing := [kind for kind in POSE if kind not in found]:
             raise SourceError(f"{path}: no column {missing[0]}; the columns are {', '.join(table.names)}")
-        position, quaternion = (
-            [found[kind][0] for kind in POSE if (len(kind) > 1) is turned] for turned in (False, True)
+    elif len(others) == len(POSE):
+        found = {kind: (column, "") for kind, column in zip(POSE, others, strict=True)}
+    else:
+        raise SourceError(
+            f"{path}: expected 7 numbers of a pose (x y z qx qy qz qw), or 12 or 16 of a matrix, and a time"
+            f" before them or none; found {len(others)}"
         )
-        scale = [LENGTHS_M.get(found[axis][1], unit_m) for axis in "xyz"]
-    R = table.rotations(table.numbers(quaternion))
-    T = table.near(make_transform(R, table.numbers(position) * scale))
+    columns = [found[kind][0] for kind in POSE]
+    R = table.rotations(table.numbers(columns[3:]))
+    scale = [LENGTHS_M.get(found[axis][1], unit_m) for axis in "xyz"]
+    T = table.near(make_transform(R, table.numbers(columns[:3]) * scale))
     return TransformTrack(frame_id, "", stamps_ns, T)
 
 
@@ -173,14 +171,12 @@ class Table:
     @property
     def special(self) -> tuple[int | None, int | None]:
         """The columns of times and of images, by their names."""
-        stamp = image = None
-        for column, name in enumerate(self.names or ()):
-            plain = split_unit(name, UNITS_NS)[0].lower()
-            if stamp is None and plain in STAMP_NAMES:
-                stamp = column
-            elif image is None and plain in IMAGE_NAMES:
-                image = column
-        return stamp, image
+        plain = [split_unit(name, UNITS_NS)[0].lower() for name in self.names or ()]
+
+        def first_of(known: Collection[str]) -> int | None:
+            return next((column for column, name in enumerate(plain) if name in known), None)
+
+        return first_of(STAMP_NAMES), first_of(IMAGE_NAMES)
 
     def fail(self, row: int, reason: str) -> SourceError:
         """The error for a row."""

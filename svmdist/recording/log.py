@@ -181,7 +181,7 @@ class Recording:
     @property
     def _left_track(self) -> CameraTrack:
         """What is known of the camera so far, its first calibration at least; RecordingError where there is none."""
-        track = self.file.camera_track(self._require(Role.CAMERA_INFO))
+        track = self.file.camera_track(self.arms[0].require(Role.CAMERA_INFO))
         if not track.runs:
             raise self._unusable("camera calibration", Role.CAMERA_INFO)
         return track
@@ -223,23 +223,24 @@ class Recording:
         One thread at a time goes through the iterator, any thread decodes, and `record_losses` takes the results. The
         caller bounds how many are held.
         """
-        topic = self._require(Role.IMAGE)
-        states = [self._arm_states(self._arm(name), robot) for name in names]
+        first = self.arms[0]
+        topic, arms = first.require(Role.IMAGE), [self._arm(name) for name in names]
+        states = [self._arm_states(arm, robot) for arm in arms]
         right_topic = self._right_topic() if right else None
-        of_right = None if right_topic is None else self.file.cameras[self._require(Role.RIGHT_CAMERA_INFO)]
+        of_right = self.file.cameras[first.require(Role.RIGHT_CAMERA_INFO)] if right_topic else None
         cameras = cameras_at(self._left_track, of_right, self.world.perturbations)
         missing = self.file.missing = MissingPartners(self.file.limits.pair_tolerance_s)
         images = self.file.images({topic, right_topic or topic}, rest=rest)
         pairs = Pairs(right_topic, missing.pair_tolerance_s, self.health)
-        has_joints = [robot and self._arm(name).find(Role.JOINTS) is not None for name in names]
+        has_joints = [robot and arm.find(Role.JOINTS) is not None for arm in arms]
 
         def observation(number: int, at_ns: int, pair: obs.Pair) -> obs.EncodedObservation:
             stamp_ns = pair.left.stamp_ns
-            arms = tuple(state(stamp_ns) for state in states)
-            lacks = (has and arm.joints is None for has, arm in zip(has_joints, arms, strict=True))
+            reported = tuple(state(stamp_ns) for state in states)
+            lacks = (has and one.joints is None for has, one in zip(has_joints, reported, strict=True))
             missing.add(pair.right_apart_s, lacks_joints=any(lacks))
             held, place = cameras(stamp_ns), self.health.next_place()
-            return obs.EncodedObservation(pair.left, pair.right, arms, held, place, number, at_ns)
+            return obs.EncodedObservation(pair.left, pair.right, reported, held, place, number, at_ns)
 
         return starmap(observation, self.window.of(pairs.of(images)))
 
@@ -280,7 +281,7 @@ class Recording:
 
     def joint_track(self) -> JointTrack:
         """All joint states; RecordingError where there are none."""
-        self._require(Role.JOINTS)
+        self.arms[0].require(Role.JOINTS)
         track = self._joints(self.arms[0])
         if track is None:
             raise self._unusable("joint states", Role.JOINTS)
@@ -307,10 +308,10 @@ class Recording:
                 T = (T if parent == arm.frames.camera else inverse(T))[None]
                 return TransformTrack(parent, child, np.zeros(1, np.int64), T, is_static=True)
         if ground_truth:
-            topics = {self._require(Role.GROUND_TRUTH_TF): False}
+            topics = {self.arms[0].require(Role.GROUND_TRUTH_TF): False}
             return TransformTree(self.file.contents, topics).track(parent, child)
         if not self.arms[0].static_transforms():
-            self._require(Role.TF)
+            self.arms[0].require(Role.TF)
         return self._nominal_tree.track(parent, child)
 
     @cached_property
@@ -322,7 +323,7 @@ class Recording:
 
     def pose_track(self) -> TransformTrack:
         """All poses, at the stamps of the images' clock; RecordingError unless they are in one frame."""
-        known = self.file.contents[self._require(Role.POSE)]
+        known = self.file.contents[self.arms[0].require(Role.POSE)]
         frames = sorted(map(str, known))
         if len(frames) != 1:
             several = f", in several frames ({sanitize_list(frames)})," if frames else ""
@@ -332,7 +333,7 @@ class Recording:
 
     def distance_track(self) -> DistanceTrack:
         """All true distances."""
-        topic = self._require(Role.GROUND_TRUTH_DISTANCE)
+        topic = self.arms[0].require(Role.GROUND_TRUTH_DISTANCE)
         stamps_ns, rows = in_order(*self.file.contents[topic][None].arrays())
         return DistanceTrack(stamps_ns, rows.reshape(-1, 3))
 
@@ -346,11 +347,8 @@ class Recording:
         known = did_you_mean(name, self.instruments)
         raise RecordingError(f"{self.path.name}: no topic of an instrument {sanitize(name)}: {known}")
 
-    def _require(self, role: Role) -> str:
-        return self.arms[0].require(role)
-
     def _unusable(self, what: str, role: Role) -> RecordingError:
-        topic, kind = self._require(role), role.kind
+        topic, kind = self.arms[0].require(role), role.kind
         named = f"{self.path.name}: no usable {what} on {sanitize(topic)}"
         why = next((sanitize(loss.detail) for loss in self.health.losses if loss.topic == topic), "")
         named = f"{named}: {why}" if why else named

@@ -155,9 +155,7 @@ class Decoder:
             raise DecodeError(f"not plain CDR: it begins with {raw.data[:2].hex(' ')}")
         try:
             message = _parser(encoding, schema)(raw.data)
-        except (
-            Exception
-        ) as problem:  # protobuf and rosbags raise their own, and those of struct, NumPy and text
+        except Exception as problem:  # protobuf and rosbags raise their own, and those of NumPy and text
             raise DecodeError(f"not a {schema}: {' '.join(str(problem).split())}") from None
         if kind is Kind.TRANSFORMS:  # whose parts have each a stamp of its own
             return convert(message, raw.log_time_ns, "")

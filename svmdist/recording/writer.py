@@ -78,7 +78,7 @@ def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSa
         case samples.CameraSample(camera=camera):
             # Foxglove's names of the lenses.
             pinhole = "plumb_bob" if len(camera.D) <= 5 else "rational_polynomial"
-            optional = {"R": camera.R_rectified_camera, "P": camera.P}
+            R, P = (None if one is None else one.ravel() for one in (camera.R_rectified_camera, camera.P))
             return encoded(
                 CameraCalibration,
                 stamp_ns,
@@ -88,7 +88,8 @@ def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSa
                 distortion_model="kannala_brandt" if camera.distortion_model == "fisheye" else pinhole,
                 D=camera.D,
                 K=camera.K.ravel(),
-                **{name: values.ravel() for name, values in optional.items() if values is not None},
+                R=R,
+                P=P,
             )
         case samples.JointSample(names=names, positions=positions):
             pairs = zip(names, np.asarray(positions).tolist(), strict=True)
@@ -178,10 +179,11 @@ class RecordingWriter:
         self._chunk_bytes = 0
         self._chunk_start_ns: int | None = None
 
-    @property
-    def opened(self) -> bool:
-        """Whether the `.part` file is this writer's own."""
-        return self._file is not None
+    def discard(self) -> None:
+        """Remove the `.part` file where it is this writer's own."""
+        if self._file is not None:
+            with suppress(OSError):
+                self.part_path.unlink(missing_ok=True)
 
     def __enter__(self) -> Self:
         if self.path.is_dir():
@@ -241,7 +243,7 @@ class RecordingWriter:
             with suppress(OSError):
                 self._file.close()
             if not self._channels:  # there is nothing in it worth keeping
-                self.part_path.unlink(missing_ok=True)
+                self.discard()
             return
         try:
             self._writer.finish()
@@ -254,16 +256,17 @@ class RecordingWriter:
             raise self._failure(problem) from problem
 
     def _channel(self, topic: str, schema: str) -> int:
-        if topic in self._channels:
-            channel_id, known = self._channels[topic]
-            if known == schema:
-                return channel_id
+        if topic not in self._channels:
+            if schema not in self._schemas:
+                file = descriptor_pool.Default().FindMessageTypeByName(schema).file
+                self._schemas[schema] = self._writer.register_schema(
+                    schema, "protobuf", _descriptor_set(file)
+                )
+            number = self._writer.register_channel(topic, "protobuf", self._schemas[schema])
+            self._channels[topic] = number, schema
+        channel_id, known = self._channels[topic]
+        if known != schema:
             raise ValueError(f"{topic} carries {known}, not {schema}")
-        if schema not in self._schemas:
-            file = descriptor_pool.Default().FindMessageTypeByName(schema).file
-            self._schemas[schema] = self._writer.register_schema(schema, "protobuf", _descriptor_set(file))
-        channel_id = self._writer.register_channel(topic, "protobuf", self._schemas[schema])
-        self._channels[topic] = (channel_id, schema)
         return channel_id
 
     def _refuse_to_replace(self, path: Path) -> None:
@@ -277,6 +280,5 @@ class RecordingWriter:
             with suppress(OSError):
                 self._file.close()
             if problem.errno in NO_SPACE:  # what is left would keep the disk full
-                with suppress(OSError):
-                    self.part_path.unlink()
+                self.discard()
         return OutputError(f"{self.path}: cannot write: {why(problem)}")

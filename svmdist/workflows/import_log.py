@@ -145,9 +145,7 @@ def import_log(
                 if on_progress is not None and topic.endswith("/image"):
                     on_progress(sum(counts[f"/ECM/{side}/image"] for side in SIDES) // halved, total)
     except SvmdistError:
-        with suppress(OSError):
-            if writer.opened:
-                writer.part_path.unlink(missing_ok=True)
+        writer.discard()
         raise
     has_baseline = None if options.count == 1 else T_left_right is not None
     losses = [loss for view in views for loss in view.losses.values()]
