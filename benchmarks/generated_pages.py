@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import ast
 import inspect
+import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from svmdist.perturbations import TABLE
+from svmdist.perturbations import TABLE, Size
 from svmdist.profile.settings import Settings
 from svmdist.profile.toml import StrictModel
 from svmdist.report.rows import ESTIMATE_COLUMNS
@@ -81,10 +82,22 @@ def meanings(group: type[StrictModel]) -> dict[str, str]:
 def simulation_page(page: str) -> str:
     """The page of the simulation with its table of perturbations."""
     rows = [
-        (f"`{one.name}`" + r"\*" * (not one.at_replay), one.unit, one.meaning, str(one.real or "–"))
+        (f"`{one.name}`" + r"\*" * (not one.at_replay), one.unit, one.meaning, size_in_words(one.real))
         for one in TABLE.values()
     ]
     return with_table(page, "perturbations", table(("name", "unit", "meaning", "`--world real`"), rows))
+
+
+def size_in_words(size: Size | None) -> str:
+    """The size of a perturbation in real worlds."""
+    if size is None:
+        return "–"
+    if size.uniform is not None:
+        low, high = size.uniform
+        return f"{low:g}" if low == high else f"{low:g} to {high:g}"
+    along = f" along each of {size.axes} axes" if size.axes > 1 else ""
+    within = f", at most {size.limit:g}" if math.isfinite(size.limit) else ""
+    return f"std {size.std:g}{along}{within}"
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -54,14 +54,6 @@ class Size:
             if abs(strength) <= self.limit:
                 return strength
 
-    def __str__(self) -> str:
-        if self.uniform is not None:
-            low, high = self.uniform
-            return f"{low:g}" if low == high else f"{low:g} to {high:g}"
-        along = f" along each of {self.axes} axes" if self.axes > 1 else ""
-        within = f", at most {self.limit:g}" if np.isfinite(self.limit) else ""
-        return f"std {self.std:g}{along}{within}"
-
 
 @dataclass(frozen=True, slots=True)
 class Perturbation:

@@ -69,8 +69,11 @@ def _intrinsics(K: Array, scale: float, shift_px: float) -> Array:
 def perturbed_image(image_bgr: Image, perturbations: Perturbations) -> Image:
     """Apply to an image of either camera, shape (height, width, 3), what can be applied at replay."""
     zoom, chroma = perturbations["zoom"], perturbations["chroma"]
-    if zoom != 1.0:
-        image_bgr = zoomed_image(image_bgr, zoom)
+    if zoom != 1.0:  # about the image's middle; of a smaller one the border is black
+        height, width = image_bgr.shape[:2]
+        T = np.column_stack([zoom * np.eye(2), (1.0 - zoom) * 0.5 * np.array([width - 1, height - 1])])
+        enlarged = cv2.warpAffine(image_bgr, T, (width, height), flags=cv2.INTER_CUBIC)
+        image_bgr = np.asarray(enlarged, np.uint8)
     image_bgr = dimmed(image_bgr, perturbations["border"], perturbations["vignette"])
     return subsampled(image_bgr, chroma) if chroma else image_bgr
 
@@ -87,13 +90,6 @@ def perturbed_right_view(right: RightView, perturbations: Perturbations) -> Righ
         size = (camera.width_px, camera.height_px)
         image_bgr = np.asarray(cv2.warpPerspective(image_bgr, H, size, flags=cv2.INTER_CUBIC), np.uint8)
     return replace(right, image_bgr=perturbed_image(image_bgr, perturbations))
-
-
-def zoomed_image(image_bgr: Image, zoom: float) -> Image:
-    """Enlarge an image about its middle; of a smaller one the border is black."""
-    height, width = image_bgr.shape[:2]
-    T = np.column_stack([zoom * np.eye(2), (1.0 - zoom) * 0.5 * np.array([width - 1, height - 1])])
-    return np.asarray(cv2.warpAffine(image_bgr, T, (width, height), flags=cv2.INTER_CUBIC), np.uint8)
 
 
 def stated_profile(profile: Profile, perturbations: Perturbations, seed: int) -> Profile:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from svmdist.errors import ProfileError
+from svmdist.kinematics import chain_of
 from svmdist.perturbations import Perturbations, Place, path_stream
 from svmdist.profile import Profile
 from svmdist.transforms import Array
@@ -51,13 +52,13 @@ DRIFT_PERIODS_S = np.array([16.0, 24.0, 36.0, 54.0])  # slower than a task, and 
 
 @dataclass(frozen=True)
 class JointUnits:
-    """The joints of a robot by name, base first; a degree in a joint's unit, and its share of the backlash, shape (n,).
+    """Of the joints of a robot, base first: a degree in a joint's unit, and its share of the backlash, shape (n,).
 
-    The set-up joints hold still behind brakes: nothing perturbs them.
+    `places` has the index of each by its name, and by its aliases. The set-up joints hold still behind brakes: nothing
+    perturbs them.
     """
 
-    names: tuple[str, ...]
-    aliases: dict[str, str]
+    places: dict[str, int]
     per_deg: Array
     backlash_share: Array
 
@@ -66,24 +67,15 @@ class JointUnits:
         """The joints of a profile; raises ProfileError where it has no robot."""
         if profile.robot is None:
             raise ProfileError(f"profile {profile.name} has no [robot]: joints cannot be perturbed")
-        joints = [joint for joint in profile.robot.joints if joint.type != "fixed"]
-        first = profile.kinematic_error.first_moving_joint
-        names = tuple(joint.name for joint in joints)
-        begin = 0 if first is None else names.index(first)
-        sliding = [index for index, joint in enumerate(joints) if joint.type == "prismatic"]
+        chain, first = chain_of(profile.robot), profile.kinematic_error.first_moving_joint
+        at = np.arange(len(chain.joint_names))
+        begin = 0 if first is None else chain.joint_names.index(first)
         # Behind the insertion comes the roll, then the wrist.
-        wrist = (sliding[-1] if sliding else -1) + 2
-        per_deg = np.full(len(joints), np.pi / 180.0)
-        per_deg[sliding] = METRES_PER_DEG
-        per_deg[:begin] = 0.0
-        share = np.where(np.arange(len(joints)) < wrist, PROXIMAL_SHARE, 1.0)
-        aliases = {alias: joint.name for joint in joints for alias in joint.aliases}
-        return cls(names, aliases, per_deg, share)
-
-    def places(self, logged: Sequence[str]) -> NDArray[np.intp]:
-        """For each joint of a log its place among these, -1 for one that is none of them; shape (n_logged,)."""
-        by_name = {name: index for index, name in enumerate(self.names)}
-        return np.array([by_name.get(self.aliases.get(name, name), -1) for name in logged], np.intp)
+        wrist = max(at[~chain.is_revolute], default=-1) + 2
+        per_deg = np.where(chain.is_revolute, np.pi / 180.0, METRES_PER_DEG)
+        places = {name: place for place, name in enumerate(chain.joint_names)}
+        places |= {name: place for place, one in enumerate(chain.moving_joints) for name in one.aliases}
+        return cls(places, np.where(at < begin, 0.0, per_deg), np.where(at < wrist, PROXIMAL_SHARE, 1.0))
 
 
 def reported_joints(
@@ -102,7 +94,7 @@ def reported_joints(
     reported = q + (q - trailing)
     # A smooth normal process of each joint: 0 at the start, a standard deviation of 1 after 8 s.
     seconds, turns = 1e-9 * (stamps_ns - stamps_ns[:1]), 2.0 * np.pi / DRIFT_PERIODS_S
-    waves = path_stream(seed, "joint_drift", arm).normal(0.0, 1.0, (2, len(units.names), len(turns)))
+    waves = path_stream(seed, "joint_drift", arm).normal(0.0, 1.0, (2, q.shape[1], len(turns)))
     drift = sum(
         cosine * (np.cos(turn * seconds) - 1.0)[:, None] + sine * np.sin(turn * seconds)[:, None]
         for turn, (cosine, sine) in zip(turns, waves.transpose(2, 0, 1), strict=True)
@@ -141,8 +133,8 @@ class ReplayedWorld:
         at_ns = np.concatenate([start_ns - before * step_ns, stamps_ns])
         late_ns = late_stamps_ns(at_ns, perturbations, start_ns)
         units = JointUnits.of(self.profile.for_instrument(instrument))
-        places = units.places(names)
-        known, q = places >= 0, np.zeros((len(at_ns), len(units.names)))
+        places = np.array([units.places.get(name, -1) for name in names])
+        known, q = places >= 0, np.zeros((len(at_ns), len(units.per_deg)))
         q[:, places[known]] = reported[:, known]
         arm = self.profile.instrument_names.index(instrument)
         perturbed = reported_joints(q, late_ns, units, perturbations, self.seed, arm)

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from svmdist.kinematics import chain_of
 from svmdist.perturbations import Perturbations, parse_perturbations
 from svmdist.perturbations.joints import (
     METRES_PER_DEG,
@@ -22,14 +23,14 @@ from svmdist.transforms import Array
 
 PROFILE = load_profile()
 UNITS = JointUnits.of(PROFILE)
-NAMES = UNITS.names
+NAMES = chain_of(PROFILE.robot).joint_names
 WRIST = NAMES.index("wrist_pitch")
 STEP_NS = 10_000_000
 PATHS = arrays(np.float64, st.tuples(st.integers(1, 40), st.just(3)), elements=st.floats(-2.0, 2.0))
 
 
 def leads(path: Array, half_width: float) -> Array:
-    units = JointUnits(("a", "b", "c"), {}, np.ones(3), np.ones(3))
+    units = JointUnits({}, np.ones(3), np.ones(3))
     backlash = Perturbations((("backlash", half_width),))
     return reported_joints(path, np.zeros(len(path), np.int64), units, backlash, 1) - path
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import UsageError
 from svmdist.perturbations import calibration, parse_perturbations
-from svmdist.perturbations.calibration import perturbed_image, perturbed_right_view, zoomed_image
+from svmdist.perturbations.calibration import perturbed_image, perturbed_right_view
 from svmdist.profile import Profile, load_profile
 from svmdist.samples import RightView
 from svmdist.transforms import rotation_angle
@@ -46,7 +46,6 @@ def test_a_zoomed_image_is_that_of_a_zoomed_camera(zoom):
     np.testing.assert_allclose(
         found, calibration.zoomed_camera(scene.camera, zoom).project(point_m)[0], atol=0.1
     )
-    np.testing.assert_array_equal(zoomed_image(image, 1.0), image)
     assert perturbed_image(image, parse_perturbations("focal=1")) is image
 
 
