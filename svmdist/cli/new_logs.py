@@ -104,8 +104,9 @@ class Record(options.Options):
             self.arms,
             draw_world(world, self.seed, perturbations),
             world,
+            self.noise,
         )
-        recipe = Recipe(scenario, profile, effects, self.noise, self.jpeg)
+        recipe = Recipe(scenario, profile, effects, self.jpeg)
         if self.episodes is not None:
             series = Episodes(recipe, perturbations, self.force, self.skip_existing)
             return _record_episodes(series, path, self.episodes, self.jobs)

@@ -100,16 +100,6 @@ class Scenario:
 
 
 @dataclass(frozen=True)
-class Stage:
-    """Where a motion takes place, in m: the tissue's origin on the floor, (2,), and the working height."""
-
-    tissue_xy_m: Array
-    tissue_height_m: float
-    working_height_m: float
-    duration_s: float
-
-
-@dataclass(frozen=True)
 class Motion:
     """A motion sampled over progress.
 
@@ -126,13 +116,15 @@ class Motion:
     lowest_at: float = 1.0
 
 
-def plan_motion(scenario: Scenario, progress: Array, stage: Stage) -> Motion:
-    """Sample a scenario's motion at values of progress, shape (n,)."""
+def plan_motion(scenario: Scenario, progress: Array, scene: Scene) -> Motion:
+    """Sample a scenario's motion in a scene at values of progress, shape (n,)."""
     rng = np.random.default_rng([scenario.seed, zlib.crc32(scenario.name.encode())])
-    return SCENARIOS[scenario.name](rng, progress, stage)
+    motion = SCENARIOS[scenario.name](rng, progress, scene, scenario.duration_s)
+    motion.wrist_rad[:, 3] += scene.jaw_opening_rad(progress * scenario.duration_s)
+    return motion
 
 
-def _waves(rng: np.random.Generator, s: Array, stage: Stage, *, crosses_field: bool) -> Motion:
+def _waves(rng: np.random.Generator, s: Array, scene: Scene, _: float, *, crosses_field: bool) -> Motion:
     """A closed figure, whose height has its own frequency; `calibration` crosses the field nine times each way."""
     phases = rng.uniform(0.0, 2.0 * np.pi, 3)
     if crosses_field:
@@ -140,14 +132,15 @@ def _waves(rng: np.random.Generator, s: Array, stage: Stage, *, crosses_field: b
     else:
         amplitudes_m, cycles = (0.034, 0.024, 0.0015), (*((3, 2), (2, 3), (3, 4))[rng.integers(3)], 4.4)
     p_m = np.array(amplitudes_m) * np.sin(2 * np.pi * np.array(cycles) * s[:, None] + phases)
-    p_m[:, 2] += stage.working_height_m
+    p_m[:, 2] += scene.working_height_m
     return Motion(p_m, gentle_wrist(rng, s))
 
 
 def _descent(
     rng: np.random.Generator,
     s: Array,
-    stage: Stage,
+    scene: Scene,
+    _: float,
     *,
     path: Callable[[Array], Array],
     clearance_m: float,
@@ -156,11 +149,11 @@ def _descent(
     """Go from the image's border, where `path` is 0, to a place over the organ, where it is 1, at a clearance."""
     there = path(s)
     bearing = rng.uniform(-0.9, 0.9)
-    start = np.array([0.045, 0.031 * np.sin(bearing) / np.sin(0.9), stage.working_height_m + 0.003])
+    start = np.array([0.045, 0.031 * np.sin(bearing) / np.sin(0.9), scene.working_height_m + 0.003])
     radius_m, angle = rng.uniform(0.002, 0.007), rng.uniform(0.0, 2.0 * np.pi)
     # Jaws point to -x: this far to the right of the place that their tips are to reach.
     offset_m = np.array([0.006 + radius_m * np.cos(angle), radius_m * np.sin(angle)])
-    target = np.array([*(stage.tissue_xy_m + offset_m), stage.tissue_height_m + 0.014])
+    target = np.array([*(scene.T_world_tissue[:2, 3] + offset_m), scene.organ.height_m + 0.014])
     p_m = start + there[:, None] * (target - start)
     p_m[:, 1] += 0.004 * np.sin(np.pi * there) ** 2 * rng.uniform(-1.0, 1.0)
     # The wrist is still at the lowest point, so that it is the lowest.
@@ -170,7 +163,7 @@ def _descent(
     return Motion(p_m, wrist, clearance_m=clearance_m, lowering=there**3, lowest_at=lowest_at)
 
 
-def _occlusion(rng: np.random.Generator, s: Array, stage: Stage) -> Motion:
+def _occlusion(rng: np.random.Generator, s: Array, scene: Scene, _: float) -> Motion:
     parked = np.array([0.040, rng.uniform(0.006, 0.014)])
     far_left = np.array([rng.uniform(-0.034, -0.026), rng.uniform(-0.012, 0.012)])
     outside = np.array([0.062, rng.uniform(-0.02, 0.0)])
@@ -179,17 +172,17 @@ def _occlusion(rng: np.random.Generator, s: Array, stage: Stage) -> Motion:
     away = smooth_pulse(s, (0.68, 0.82), (0.86, 1.0))[:, None]
     xy_m = parked + across * (far_left - parked) + away * (outside - parked)
     xy_m[:, 1] += 0.004 * wander(rng, s)
-    z_m = stage.working_height_m + 0.001 * wander(rng, s, 2.0)
+    z_m = scene.working_height_m + 0.001 * wander(rng, s, 2.0)
     over = smooth_pulse(s, (0.02, 0.10), (0.13, 0.22))
     # The blade hangs at half the camera's distance: seen from there, it stands over the parked tool.
     retractor = np.stack([np.full_like(s, rng.uniform(0.0235, 0.0245)), 0.032 - 0.029 * over], -1)
     return Motion(np.column_stack([xy_m, z_m]), gentle_wrist(rng, s), retractor_xy_m=retractor)
 
 
-def _random(rng: np.random.Generator, s: Array, stage: Stage) -> Motion:
+def _random(rng: np.random.Generator, s: Array, scene: Scene, duration_s: float) -> Motion:
     half_m = np.array([0.020, 0.015, 0.010])
-    centre_m = np.array([stage.tissue_xy_m[0] + 0.012, stage.tissue_xy_m[1], stage.working_height_m])
-    count = max(12, round(2.5 * stage.duration_s))
+    centre_m = np.array([*(scene.T_world_tissue[:2, 3] + [0.012, 0.0]), scene.working_height_m])
+    count = max(12, round(2.5 * duration_s))
     # Latin hypercube: every slice of the box is visited once along each axis, whatever the seed.
     slices = np.stack([rng.permutation(count) for _ in range(3)], -1)
     waypoints = (slices + rng.uniform(0.0, 1.0, slices.shape)) / count * 2.0 - 1.0
@@ -202,7 +195,7 @@ def _random(rng: np.random.Generator, s: Array, stage: Stage) -> Motion:
     return Motion(centre_m + unit * half_m, wrist)
 
 
-SCENARIOS: dict[str, Callable[[np.random.Generator, Array, Stage], Motion]] = {
+SCENARIOS: dict[str, Callable[[np.random.Generator, Array, Scene, float], Motion]] = {
     "calibration": partial(_waves, crosses_field=True),
     "sweep": partial(_waves, crosses_field=False),
     "approach": partial(
@@ -219,26 +212,17 @@ SCENARIOS: dict[str, Callable[[np.random.Generator, Array, Stage], Motion]] = {
 }
 
 
-def make_trajectory(
-    scene: Scene, scenario: Scenario, working_height_m: float, progress: Array
-) -> tuple[Array, Array | None]:
+def make_trajectory(scene: Scene, scenario: Scenario, progress: Array) -> tuple[Array, Array | None]:
     """Plan a scenario in a scene at values of progress, shape (n,); raises SimulationError out of reach.
 
     Gives exact joints, shape (n, n_joints), and the retractor's poses (n, 4, 4), or None without one. Where tissue
     moves, paths that end at a clearance move with it as they come near, as a surgeon's hand does.
     """
-    stage = Stage(scene.T_world_tissue[:2, 3], scene.organ.height_m, working_height_m, scenario.duration_s)
-
-    def planned(at: Array) -> Motion:
-        motion = plan_motion(scenario, at, stage)
-        motion.wrist_rad[:, 3] += scene.jaw_opening_rad(at * scenario.duration_s)
-        return motion
-
-    motion = planned(progress)
+    motion = plan_motion(scenario, progress, scene)
     p_m, xy_m = motion.p_world_tool_m, motion.retractor_xy_m
     try:
         if motion.lowering is not None:
-            lowering_m = _lowering_m(scene, planned(np.array([motion.lowest_at])))
+            lowering_m = _lowering_m(scene, plan_motion(scenario, np.array([motion.lowest_at]), scene))
             p_m[:, 2] -= lowering_m * motion.lowering
             p_m[:, 2] += scene.tissue_offset_m(progress * scenario.duration_s) * motion.lowering
         q = _joints(scene, p_m, motion.wrist_rad)
@@ -296,13 +280,11 @@ def make_other_arms(
     for number, name in enumerate(placed[: options.arms - 1], start=1):
         view = profile.for_instrument(name)
         other = make_scene(view, scene.seed, options)
-        assert view.simulation is not None  # the scene has checked it
-        plane_m = view.simulation.working_height_m
         rng = np.random.default_rng([scene.seed, _PATH_STREAM, number])
         # The shaft comes in from there, as an angle in the world's xy plane.
         bearing = float(np.arctan2(other.T_world_base[1, 3], other.T_world_base[0, 3]))
         # Seen through the working plane, the path is an offset from the first instrument's.
-        depth_m = camera_m - plane_m
+        depth_m = camera_m - other.working_height_m
         wanted_m = p_world_m[:, :2] * (depth_m / (camera_m - p_world_m[:, 2:]))
         wanted_m += _offsets(rng, progress, duration_s, bearing)
         # The same inside of 70 % of the field, bent smoothly to stay within it outside.
@@ -314,7 +296,7 @@ def make_other_arms(
         wrist_rad[:, 3] += scene.jaw_opening_rad(progress * duration_s, number)
         with InstrumentClearance(scene, other) as between:
             for lift_m in LIFTS_M:
-                z_m = plane_m + float(lift_m) + rise_m
+                z_m = other.working_height_m + float(lift_m) + rise_m
                 target_m = np.column_stack([wanted_m * ((camera_m - z_m) / depth_m)[:, None], z_m])
                 try:
                     path = _joints(other, target_m, wrist_rad)

@@ -24,7 +24,7 @@ from svmdist.perturbations.joints import JointUnits, reported_joints, reported_l
 from svmdist.profile import Profile
 from svmdist.samples import JointSample, PoseSample, Sample, TransformSample
 from svmdist.simulation.motion import Scenario, make_other_arms, make_trajectory
-from svmdist.simulation.scene import Options, Scene, make_scene
+from svmdist.simulation.scene import PLAIN, Options, Scene, make_scene
 from svmdist.transforms import Array, make_transform
 
 START_NS = 1_700_000_000_000_000_000
@@ -53,11 +53,10 @@ def draw_nominal_kinematics(
     the error of `T_camera_base`.
     """
     further = [arm] if arm else []
-    slides = np.array([row.type == "prismatic" for row in chain.rows if row.type != "fixed"])
 
     def drawn(stream: int, std_rad: float, std_m: float) -> Array:
-        unit = np.random.default_rng([seed, stream, *further]).normal(0.0, 1.0, len(slides))
-        return np.asarray(unit * np.where(slides, std_m, std_rad))
+        unit = np.random.default_rng([seed, stream, *further]).normal(0.0, 1.0, len(chain.joint_names))
+        return np.asarray(unit * np.where(chain.is_revolute, std_rad, std_m))
 
     settings, error = profile.simulation, profile.kinematic_error
     assert settings is not None  # the scene has checked it
@@ -133,11 +132,9 @@ class Plan:
     come with it (n,), the retractor's poses (n, 4, 4), or None where there is none, and the tissue's offset (n,).
     """
 
-    profile: Profile
     scene: Scene
     arms: tuple[Arm, ...]
     topics: dict[str, str]
-    noise: float
     options: Options
     stamps_ns: NDArray[np.int64]
     with_image: NDArray[np.bool_]
@@ -169,16 +166,13 @@ class Plan:
         return SceneState(tuple(at(arm.q) for arm in self.arms), blade, float(at(self.tissue_offset_m)))
 
 
-def make_plan(
-    scenario: Scenario, profile: Profile, *, noise: float = 0.0, options: Options | None = None
-) -> Plan:
-    """Plan a recording; `noise` is a standard deviation in 8-bit levels.
+def make_plan(scenario: Scenario, profile: Profile, options: Options = PLAIN) -> Plan:
+    """Plan a recording.
 
     Joints and poses come at the profile's joint rate, transforms and truth at every image's stamp. Raises
     SimulationError where PyBullet is missing and needed, or the profile cannot be simulated.
     """
-    options, seed = options or Options(), scenario.seed
-    perturbations = options.perturbations
+    perturbations, seed = options.perturbations, scenario.seed
     built = built_profile(profile, perturbations, seed)
     scene = make_scene(built, seed, options)
     settings = built.simulation
@@ -193,7 +187,7 @@ def make_plan(
     with_camera_info[np.searchsorted(stamps, due)] = True
     progress = np.clip((stamps - START_NS) / (scenario.duration_s * 1e9), 0.0, 1.0)
     path_s = progress * scenario.duration_s
-    path, T_world_retractor = make_trajectory(scene, scenario, settings.working_height_m, progress)
+    path, T_world_retractor = make_trajectory(scene, scenario, progress)
     paths = [(profile, scene, path, "", "/ground_truth/distance")]
     for name, other, q in make_other_arms(built, scene, options, path, progress, scenario.duration_s):
         paths.append((profile.for_instrument(name), other, q, f"{name}_", f"/ground_truth/{name}/distance"))
@@ -218,11 +212,9 @@ def make_plan(
         topics = {role: getattr(view.topics, role) or topic for role, topic in defaults.items()}
         arms.append(Arm(view, its, topics, q, chain, T_nominal, reported, prefix))
     return Plan(
-        profile=profile,
         scene=scene,
         arms=tuple(arms),
         topics=arms[0].topics,
-        noise=noise,
         options=options,
         stamps_ns=stamps,
         with_image=np.isin(stamps, images),

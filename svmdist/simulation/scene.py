@@ -40,6 +40,7 @@ class Options:
     `stereo` adds the right camera, `tag` mounts the profile's fiducial plate, `kinematic_error` scales the error of
     the nominal kinematics (0 none, 1 as the profile states). `degradations` are applied to the images in order, behind
     the sensor's noise: (name, severity). `arms` is the number of instruments. `perturbations` were drawn for `world`.
+    `noise` is the sensor's, a standard deviation in 8-bit levels.
     """
 
     stereo: bool = False
@@ -49,13 +50,14 @@ class Options:
     arms: int = 1
     perturbations: Perturbations = UNPERTURBED
     world: World = World.IDEAL
+    noise: float = 0.0
 
     def __post_init__(self) -> None:
         for name, severity in self.degradations:
             require_degradation(name, severity)
 
     def metadata(self) -> dict[str, str]:
-        """What is set, for a recording's metadata; empty for a plain recording."""
+        """What is set beside noise, for a recording's metadata; empty for a plain recording."""
         named = {
             "stereo": "yes" if self.stereo else "",
             "tag": "yes" if self.tag else "",
@@ -66,6 +68,9 @@ class Options:
             "perturb": str(self.perturbations),
         }
         return {name: value for name, value in named.items() if value}
+
+
+PLAIN = Options()
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +91,7 @@ class Scene:
     tissue_texture: Image
     floor_texture: Image
     baseline_m: float
+    working_height_m: float  # of the tool's origin above the floor
     perturbations: Perturbations
     seed: int
 
@@ -145,9 +151,8 @@ class Scene:
         return np.asarray(np.deg2rad(self.perturbations["jaw"]) * wave * wave)
 
 
-def make_scene(profile: Profile, seed: int, options: Options | None = None) -> Scene:
+def make_scene(profile: Profile, seed: int, options: Options = PLAIN) -> Scene:
     """Set up the world of a seed; raises SimulationError for a profile that describes no such simulation."""
-    options = options or Options()
     perturbations = options.perturbations
     if profile.robot is None or profile.instrument is None or profile.simulation is None:
         raise SimulationError(
@@ -184,6 +189,7 @@ def make_scene(profile: Profile, seed: int, options: Options | None = None) -> S
         tissue_texture=tissue_texture(red),
         floor_texture=floor_texture(dull),
         baseline_m=settings.stereo_baseline_m,
+        working_height_m=settings.working_height_m,
         perturbations=perturbations,
         seed=seed,
     )

@@ -41,8 +41,8 @@ Noise = tuple[Array | None, ...]
 class Sensors:
     """The cameras' noise, chroma and degradations by seed; `generators`: where the next image's noise begins."""
 
-    def __init__(self, camera: Camera, seed: int, noise: float, options: Options) -> None:
-        self._shape, self._seed, self._noise = (camera.height_px, camera.width_px, 3), seed, noise
+    def __init__(self, camera: Camera, seed: int, options: Options) -> None:
+        self._shape, self._seed, self._noise = (camera.height_px, camera.width_px, 3), seed, options.noise
         placed = [(at, Degradation(name), much) for at, (name, much) in enumerate(options.degradations)]
         by_field = OPTICS if options.perturbations["interlace"] else frozenset()
         self._of_fields = [one for one in placed if one[1] in by_field]
@@ -87,7 +87,7 @@ class Simulator(ExitStack):
     def __init__(self, plan: Plan) -> None:
         super().__init__()
         self._plan = plan
-        self.sensors = Sensors(plan.scene.camera, plan.scene.seed, plan.noise, plan.options)
+        self.sensors = Sensors(plan.scene.camera, plan.scene.seed, plan.options)
         scene, *others = scenes = [arm.scene for arm in plan.arms]
         self._tissue = TissueClearance(scenes)
         self._between = [self.enter_context(InstrumentClearance(scene, other)) for other in others]
@@ -121,8 +121,8 @@ class Simulator(ExitStack):
 
     def _truth(self, stamp_ns: int, index: int) -> Iterator[tuple[str, Sample]]:
         """Yield the poses of tools and tissue, and their distances."""
-        plan, scene, frames, arms = self._plan, self._plan.scene, self._plan.profile.frames, self._plan.arms
-        state = plan.state(index)
+        plan, scene, arms = self._plan, self._plan.scene, self._plan.arms
+        frames, state = arms[0].profile.frames, plan.state(index)
         T_camera_tissue = scene.T_camera_tissue(state.offset_m)
         tools = [arm.true_tool(stamp_ns, index) for arm in arms]
         tissue = TransformSample(stamp_ns, frames.camera, frames.tissue, T_camera_tissue)

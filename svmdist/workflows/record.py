@@ -20,7 +20,7 @@ from svmdist.recording.writer import EncodedSample, RecordingWriter, encode
 from svmdist.simulation.bullet import require_pybullet
 from svmdist.simulation.motion import Scenario
 from svmdist.simulation.plan import Plan, make_plan
-from svmdist.simulation.scene import Options
+from svmdist.simulation.scene import PLAIN, Options
 from svmdist.simulation.simulate import Sensors, Simulator
 from svmdist.workflows import parallel
 
@@ -49,8 +49,7 @@ class Recipe:
 
     scenario: Scenario
     profile: Profile
-    options: Options = Options()  # noqa: RUF009  (it is frozen)
-    noise: float = 0.0
+    options: Options = PLAIN
     jpeg_quality: int | None = None
 
     def metadata(self) -> dict[str, str]:
@@ -61,7 +60,7 @@ class Recipe:
             "seed": str(scenario.seed),
             "duration_s": f"{scenario.duration_s:g}",
             "rate_hz": f"{scenario.rate_hz:g}",
-            "noise": f"{self.noise:g}",
+            "noise": f"{self.options.noise:g}",
             "renderer": "tiny",
             "profile": self.profile.name,
             **{f"version_{name}": _version(name) for name in VERSIONED_PACKAGES},
@@ -88,7 +87,7 @@ def record(
     writer = RecordingWriter(output, recipe.metadata(), force=force, jpeg_quality=recipe.jpeg_quality)
     try:
         with writer:
-            plan = make_plan(recipe.scenario, recipe.profile, noise=recipe.noise, options=recipe.options)
+            plan = make_plan(recipe.scenario, recipe.profile, recipe.options)
             made = encoded_samples(plan, jobs or parallel.usable_cores(), recipe.jpeg_quality)
             with closing(made) as samples:
                 for topic, sample in samples:
@@ -98,7 +97,7 @@ def record(
                         frame_count += 1
                         on_progress(frame_count, recipe.scenario.frame_count)
     except parallel.WorkerDiedError:
-        writer.part_path.unlink(missing_ok=True)
+        writer.discard()
         raise
     return Recorded(output, frame_count, message_count, output.stat().st_size)
 
@@ -135,7 +134,7 @@ def _encoded(
 
 def _tasks(plan: Plan) -> Iterator[Task]:
     """The blocks of each task, an even number of pictures (see `Renderer`), and the random streams before it."""
-    sensors = Sensors(plan.scene.camera, plan.scene.seed, plan.noise, plan.options)
+    sensors = Sensors(plan.scene.camera, plan.scene.seed, plan.options)
     size = 1 if plan.options.stereo else 2
     for begin in range(0, len(plan.blocks), size):
         blocks = plan.blocks[begin : begin + size]

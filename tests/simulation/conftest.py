@@ -8,7 +8,7 @@ from svmdist.perturbations import UNPERTURBED, Perturbations, parse_perturbation
 from svmdist.profile import Profile, load_profile
 from svmdist.samples import Sample
 from svmdist.simulation.motion import Scenario
-from svmdist.simulation.scene import Options, Scene, make_scene
+from svmdist.simulation.scene import PLAIN, Options, Scene, make_scene
 from svmdist.transforms import Array, inverse, transform_points
 
 
@@ -30,14 +30,12 @@ def perturbed(text: str, **options: object) -> Options:
     return Options(perturbations=chosen(text), **options)  # type: ignore[arg-type]
 
 
-def simulate(
-    scenario: Scenario, profile: Profile, noise: float = 0.0, options: Options | None = None
-) -> Iterator[tuple[str, Sample]]:
+def simulate(scenario: Scenario, profile: Profile, options: Options = PLAIN) -> Iterator[tuple[str, Sample]]:
     """Topics and samples of a recording."""
     from svmdist.simulation.plan import make_plan
     from svmdist.simulation.simulate import Simulator
 
-    plan = make_plan(scenario, profile, noise=noise, options=options)
+    plan = make_plan(scenario, profile, options)
     with Simulator(plan) as simulator:
         for block in plan.blocks:
             yield from simulator.samples(block, simulator.sensors.draw_noise())

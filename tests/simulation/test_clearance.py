@@ -12,7 +12,7 @@ from svmdist.geometry import Mesh
 from svmdist.kinematics import forward_kinematics
 from svmdist.perturbations import UNPERTURBED
 from svmdist.profile import Profile
-from svmdist.simulation.motion import SCENARIOS, Scenario, Stage, cubic_spline, plan_motion
+from svmdist.simulation.motion import SCENARIOS, Scenario, cubic_spline, plan_motion
 from svmdist.simulation.scene import Options, Scene, make_scene, raised
 from svmdist.transforms import Array, transform_points
 from tests.simulation.conftest import perturbed, posed
@@ -24,7 +24,6 @@ from svmdist.simulation.plan import Plan, make_plan
 
 TOLERANCE_M = 2e-5
 WORKING_HEIGHT_M = 0.0245
-STAGE = Stage(np.array([0.001, -0.001]), 0.008, WORKING_HEIGHT_M, 8.0)
 TIP = ("knuckle", "left_tine", "right_tine", "fixed_jaw", "moving_jaw")
 
 
@@ -137,7 +136,7 @@ def test_scenarios_keep_their_clearances(seed, profile):
     """approach ends 2 mm from the tissue, contact touches by at most 0.5 mm, all others stay clear."""
     scene, progress = make_scene(profile, seed), np.linspace(0.0, 1.0, 61)
     for name in SCENARIOS:
-        q, _ = make_trajectory(scene, Scenario(name, seed), WORKING_HEIGHT_M, progress)
+        q, _ = make_trajectory(scene, Scenario(name, seed), progress)
         smallest_m = min(clearance_m(scene, each) for each in q)
         if name == "approach":
             assert smallest_m == pytest.approx(0.002, abs=1e-4)
@@ -152,11 +151,11 @@ def test_contact_moves_with_the_tissue(profile):
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_motions_stay_in_their_boxes_and_are_smooth(name):
-    s = np.linspace(0.0, 1.0, 1601)
+def test_motions_stay_in_their_boxes_and_are_smooth(name, profile):
+    s, scene = np.linspace(0.0, 1.0, 1601), make_scene(profile, 1)
     boxes = {"sweep": [0.034, 0.024], "calibration": [0.0455, 0.0335]}
     for seed in range(6):
-        p_m = plan_motion(Scenario(name, seed), s, STAGE).p_world_tool_m
+        p_m = plan_motion(Scenario(name, seed), s, scene).p_world_tool_m
         if name in boxes:
             assert np.abs(p_m[:, 2] - WORKING_HEIGHT_M).max() <= 0.002
             assert np.abs(p_m[:, :2]).max(axis=0) == pytest.approx(boxes[name], abs=2e-4)
@@ -173,7 +172,7 @@ def test_pictures_cross_and_bodies_keep_apart(name, profile):
     """The distal markers come within their own diameter in the image, the surfaces never touch, as trimesh has it."""
     seed = 7 + len(name)
     scene, progress = make_scene(profile, seed), np.linspace(0.0, 1.0, 61)
-    q, _ = make_trajectory(scene, Scenario(name, seed), WORKING_HEIGHT_M, progress)
+    q, _ = make_trajectory(scene, Scenario(name, seed), progress)
     ((_, other, q_other),) = make_other_arms(profile, scene, Options(arms=2), q, progress, 8.0)
     pixels = [
         view.camera.project((view.T_camera_base @ forward_kinematics(view.chain, at))[:, :3, 3])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import sys
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -43,7 +44,7 @@ Stream = list[tuple[str, samples.Sample]]
 
 
 def stream(profile: Profile, text: str = "", scenario: Scenario = SHORT, **options: object) -> Stream:
-    return list(simulate(scenario, profile, noise=1.0, options=perturbed(text, **options)))
+    return list(simulate(scenario, profile, perturbed(text, noise=1.0, **options)))
 
 
 def of(found: Stream, topic: str | None) -> list:
@@ -65,7 +66,7 @@ def plain(profile: Profile) -> Stream:
 
 @pytest.fixture(scope="module")
 def full(profile: Profile) -> Stream:
-    return list(simulate(SHORT, profile, noise=1.0, options=FULL))
+    return list(simulate(SHORT, profile, replace(FULL, noise=1.0)))
 
 
 def test_a_dent_shows_frame_after_frame_and_goes(profile):
@@ -129,7 +130,7 @@ def test_a_real_world_is_the_same_in_any_order_and_neutral_strengths_change_noth
     simulation = profile.simulation.model_copy(update={"width_px": 160, "height_px": 120})
     small = profile.model_copy(update={"simulation": simulation})
     world = Options(stereo=True, tag=True, perturbations=draw_world(World.REAL, 5), world=World.REAL)
-    plan = make_plan(Scenario("random", 5, 0.9, 3.4), small, noise=1.0, options=world)
+    plan = make_plan(Scenario("random", 5, 0.9, 3.4), small, replace(world, noise=1.0))
     found: list[list[list[np.ndarray]]] = []
     for backwards in (False, True):
         with Simulator(plan) as simulator:
@@ -192,7 +193,7 @@ def test_kinematic_error_has_the_profiles_spread(scene, profile):
 def test_a_second_arm_has_topics_frames_and_errors_of_its_own(full, profile):
     """The first arm does what it does alone, bit by bit; the second one's transforms agree with its joints."""
     topics = profile.topics
-    two = list(simulate(SHORT, profile, noise=1.0, options=Options(True, True, 1.0, arms=2)))
+    two = list(simulate(SHORT, profile, Options(True, True, 1.0, arms=2, noise=1.0)))
     for topic in (topics.joints, topics.pose, topics.ground_truth_distance):
         assert repr(of(two, topic)) == repr(of(full, topic))
     scene = make_scene(profile.for_instrument("PSM2"), SHORT.seed)
@@ -219,7 +220,7 @@ def test_a_second_arm_has_topics_frames_and_errors_of_its_own(full, profile):
 def test_sensors_add_noise_then_degrade():
     """NumPy's own noise, rounded and saturated; both cameras look through the same smoke, with noise of their own."""
     camera = Camera.from_horizontal_fov(640, 480, 1.0)
-    generator, sensors = np.random.default_rng([5, 11]), Sensors(camera, 5, 2.0, Options())
+    generator, sensors = np.random.default_rng([5, 11]), Sensors(camera, 5, Options(noise=2.0))
     for frame, level in enumerate((0, 1, 127, 254, 255)):
         image = np.full((480, 640, 3), level, np.uint8)
         expected = np.clip(np.rint(image + generator.normal(0.0, 2.0, image.shape)), 0, 255).astype(np.uint8)
@@ -227,7 +228,7 @@ def test_sensors_add_noise_then_degrade():
     grey = np.full((480, 640, 3), 128, np.uint8)
 
     def frames(eye: int, *degradations: tuple[str, int], noise: float = 0.0) -> list[np.ndarray]:
-        sensors = Sensors(camera, 1, noise, Options(stereo=True, degradations=degradations))
+        sensors = Sensors(camera, 1, Options(stereo=True, degradations=degradations, noise=noise))
         return [sensors.expose(eye, grey, sensors.draw_noise()[eye], frame) for frame in range(2)]
 
     left, right = (frames(camera, ("smoke", 3)) for camera in (0, 1))
@@ -274,12 +275,10 @@ def test_odd_rows_are_a_field_later_and_replay_makes_the_same_border(profile):
     np.testing.assert_array_equal(frame[::2], fields[0][::2])
     np.testing.assert_array_equal(frame[1::2], fields[1][1::2])
     options = perturbed("interlace=2,breathing=2", degradations=(("defocus", 3),))
-    blurred = Sensors(plan.scene.camera, 1, 0.0, options).focus(0, fields, 0)
+    blurred = Sensors(plan.scene.camera, 1, options).focus(0, fields, 0)
     for rows, field in enumerate(fields):  # what falls on the sensor is blurred before it is read
         np.testing.assert_array_equal(blurred[rows::2], degrade(field, Degradation.DEFOCUS, 3, 0)[rows::2])
-    np.testing.assert_array_equal(
-        Sensors(plan.scene.camera, 1, 0.0, options).expose(0, blurred, None, 0), blurred
-    )
+    np.testing.assert_array_equal(Sensors(plan.scene.camera, 1, options).expose(0, blurred, None, 0), blurred)
     text, drawn = "border=0.8,vignette=0.3,chroma=1", []
     for each in ("", text):
         plan = make_plan(Scenario("sweep", 1, 0.2, 5.0), profile, options=perturbed(each))
