@@ -173,21 +173,14 @@ def _read_obj(content: bytes) -> Array:
             if words[:1] == ["v"]:
                 vertices.append([float(word) for word in (words[1], words[2], words[3])])
             elif words[:1] == ["f"]:
-                corners = [_obj_index(word, len(vertices)) for word in words[1:]]
-                if len(corners) < 3:
+                numbers = [int(word.partition("/")[0]) for word in words[1:]]
+                corners = [number - 1 if number > 0 else len(vertices) + number for number in numbers]
+                if len(corners) < 3 or not all(0 <= corner < len(vertices) for corner in corners):
                     raise ValueError
                 faces += [(corners[0], *pair) for pair in pairwise(corners[1:])]
         except (ValueError, IndexError):
             raise ValueError(f"line {number} is no {'vertex' if words[0] == 'v' else 'face'}") from None
     return np.array(vertices, np.float64).reshape(-1, 3)[np.array(faces, np.int64).reshape(-1, 3)]
-
-
-def _obj_index(word: str, count: int) -> int:
-    number = int(word.partition("/")[0])
-    index = number - 1 if number > 0 else count + number
-    if number == 0 or not 0 <= index < count:
-        raise ValueError
-    return index
 
 
 def _read_stl(content: bytes) -> Array:
@@ -207,15 +200,12 @@ def _require_closed(path: Path, faces: Indices, vertex_count: int) -> None:
     """Every edge is run once in each direction: the surface has no border, and one outside."""
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     forward, counts = np.unique(start * vertex_count + end, return_counts=True)
-    backward = end * vertex_count + start
-    lonely = int(np.count_nonzero(~np.isin(backward, forward)))
     undirected = np.unique(np.sort(np.stack([start, end], -1), axis=1), axis=0, return_counts=True)[1]
-    if (undirected > 2).any():
-        count = int(np.count_nonzero(undirected > 2))
+    if count := int(np.count_nonzero(undirected > 2)):
         raise ProfileError(f"{path}: {count} edges have more than two faces: the surface runs through itself")
     if (counts > 1).any():
         raise ProfileError(f"{path}: faces are not all turned the same way: turn them outwards")
-    if lonely:
+    if lonely := int(np.count_nonzero(~np.isin(end * vertex_count + start, forward))):
         raise ProfileError(
             f"{path}: an open mesh: {lonely} edges have one face only; close it, its underside too"
         )

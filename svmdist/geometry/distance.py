@@ -82,11 +82,11 @@ def _to_points(capsules: Capsules, points_m: Array) -> Separation:
         raise ValueError("a cloud without points has no distance")
     rough = distances_to_axes(points_m, capsules) - capsules.radius_m[:, None]
     index, at = np.nonzero(rough <= rough.min() + 2.0 * ROUGH_M)
-    pair = point_to_segment(points_m[at], capsules.start_m[index], capsules.end_m[index])
-    gap = pair.distance - capsules.radius_m[index]
+    on_axis = _on_segment(points_m[at], capsules.start_m[index], capsules.end_m[index])
+    away = points_m[at] - on_axis
+    gap = _lengths(away) - capsules.radius_m[index]
     k = int(np.argmin(gap))
-    direction = _unit_or_any(pair.first[k] - pair.second[k])
-    return _outside(capsules, int(index[k]), pair.second[k], direction, float(gap[k]))
+    return _outside(capsules, int(index[k]), on_axis[k], _unit_or_any(away[k]), float(gap[k]))
 
 
 def _to_mesh(capsules: Capsules, mesh: Mesh) -> Separation:
@@ -105,11 +105,8 @@ def _to_mesh(capsules: Capsules, mesh: Mesh) -> Separation:
         height_m = signed_distances(0.5 * (start_m + end_m), mesh)[1] - radius_m[inside]
         inside = inside[height_m - 0.5 * _lengths(end_m - start_m) <= height_m.min()]
         found = [_deepest(capsules, int(k), mesh) for k in inside]
-        deepest = min(
-            (each for each in found if each is not None), key=lambda each: each.distance_m, default=None
-        )
-        if deepest is not None:
-            return deepest
+        if deep := [each for each in found if each is not None]:
+            return min(deep, key=lambda each: each.distance_m)
     at = int(np.argmin(gap))
     if pair.distance[at] <= TOUCH_M:  # an end touches from outside
         a, b, c = corners[at]
@@ -128,10 +125,11 @@ def _near_faces(axes: Capsules, mesh: Mesh, rough: Array, upper_m: Array) -> tup
     upper_m = upper_m + 2.0 * ROUGH_M
     row, face = np.nonzero(rough <= upper_m[:, None] + mesh.reach_m)
     middle = mesh.middles_m[face]
-    pair = point_to_segment(middle, axes.start_m[row], axes.end_m[row])
-    u = (middle - pair.second) / np.where(pair.distance > 0.0, pair.distance, 1.0)[:, None]
+    away = middle - _on_segment(middle, axes.start_m[row], axes.end_m[row])
+    distance = _lengths(away)
+    u = away / np.where(distance > 0.0, distance, 1.0)[:, None]
     back_m = np.einsum("pi,pki->kp", u, mesh.triangles_m[face] - middle[:, None]).min(0)
-    near = pair.distance + back_m <= upper_m[row]
+    near = distance + back_m <= upper_m[row]
     return row[near], face[near]
 
 
@@ -225,12 +223,6 @@ class ClosestPair(NamedTuple):
     distance: Array
 
 
-def point_to_segment(point: Array, start: Array, end: Array) -> ClosestPair:
-    """Closest point of the segments to the points; a segment may have no length."""
-    on_segment = _on_segment(point, start, end)
-    return ClosestPair(np.broadcast_to(point, on_segment.shape), on_segment, _lengths(point - on_segment))
-
-
 def segment_to_segment(start_a: Array, end_a: Array, start_b: Array, end_b: Array) -> ClosestPair:
     """Closest points of two segments: an end of either, or the feet of the common perpendicular."""
     start_a, end_a, start_b, end_b = np.broadcast_arrays(start_a, end_a, start_b, end_b)
@@ -295,6 +287,7 @@ def _following(triangle: Array) -> Array:
 
 
 def _on_segment(point: Array, start: Array, end: Array) -> Array:
+    """Closest point of the segments to the points; a segment may have no length."""
     along = end - start
     length2 = dot(along, along)
     t = dot(point - start, along) / np.where(length2 > 0.0, length2, 1.0)

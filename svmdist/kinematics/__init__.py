@@ -19,7 +19,6 @@ from svmdist.errors import KinematicsError
 from svmdist.profile.robot import Joint, Robot
 from svmdist.transforms import Array
 
-Convention = Literal["standard", "modified"]
 CHUNK = 2048  # joint vectors that are worked on together: more links at once leave the processor's cache
 CLOSE_M, MAX_STEPS = 1e-9, 60  # of inverse kinematics
 DAMPING = 1e-4  # in m: far below a robot's lever arms, it slows convergence near singularities only
@@ -30,7 +29,7 @@ class DHChain:
     """A serial chain from base to tool, the last transform constant; tolerances are beyond joints' limits."""
 
     rows: tuple[Joint, ...]
-    convention: Convention = "standard"
+    convention: Literal["standard", "modified"] = "standard"
     T_last_tool: Array = field(default_factory=lambda: np.eye(4))
     limit_tolerance_rad: float = np.inf
     limit_tolerance_m: float = np.inf
@@ -144,18 +143,16 @@ def running_product(links: Array) -> Array:
 
 def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) -> Array:
     """Positions, (..., len(names)), in the chain's order, by name or alias; KinematicsError names lacking ones."""
-    places, missing = [], []
-    for joint in chain.moving_joints:
-        logged = next((name for name in (joint.name, *joint.aliases) if name in names), None)
-        if logged is None:
-            missing.append(joint.name)
-        else:
-            places.append(names.index(logged))
-    if missing:
+    at = {name: place for place, name in enumerate(names)}
+    named = {
+        joint.name: [at[name] for name in (joint.name, *joint.aliases) if name in at]
+        for joint in chain.moving_joints
+    }
+    if missing := [name for name, places in named.items() if not places]:
         raise KinematicsError(
             f"the chain needs the joints {', '.join(missing)}; the log has {', '.join(names) or 'none'}"
         )
-    return np.asarray(positions, np.float64)[..., places]
+    return np.asarray(positions, np.float64)[..., [places[0] for places in named.values()]]
 
 
 def joint_axis(chain: DHChain, frames: Array, index: int) -> tuple[Array, Array]:
