@@ -80,7 +80,7 @@ class FusedEstimator:
         is_marked = any(
             view is not None and view.distal_marker is not None for view in (frame.left, frame.right)
         )
-        if not (by_tag or is_marked) and self._image_pose(frame) is None:
+        if shown and not (by_tag or is_marked) and self._image_pose(frame) is None:
             shown = []
         gating = kalman.update([*shown, *by_tag])
         said = self._watch(frame, gating)

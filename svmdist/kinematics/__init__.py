@@ -143,16 +143,18 @@ def running_product(links: Array) -> Array:
 
 def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) -> Array:
     """Positions, (..., len(names)), in the chain's order, by name or alias; KinematicsError names lacking ones."""
-    at = {name: place for place, name in enumerate(names)}
-    named = {
-        joint.name: [at[name] for name in (joint.name, *joint.aliases) if name in at]
-        for joint in chain.moving_joints
-    }
-    if missing := [name for name, places in named.items() if not places]:
+    places, missing = [], []
+    for joint in chain.moving_joints:
+        logged = next((name for name in (joint.name, *joint.aliases) if name in names), None)
+        if logged is None:
+            missing.append(joint.name)
+        else:
+            places.append(names.index(logged))
+    if missing:
         raise KinematicsError(
             f"the chain needs the joints {', '.join(missing)}; the log has {', '.join(names) or 'none'}"
         )
-    return np.asarray(positions, np.float64)[..., [places[0] for places in named.values()]]
+    return np.asarray(positions, np.float64)[..., places]
 
 
 def joint_axis(chain: DHChain, frames: Array, index: int) -> tuple[Array, Array]:

@@ -122,7 +122,6 @@ class _Pass:
         is_chunked = False
         for offset, record in self.frames(topics):
             inner: list[McapRecord] = [record]
-            chunked_kinds = Message if self._has_data_ended else Message | Schema | Channel
             if isinstance(record, Chunk):
                 is_chunked = True
                 try:
@@ -131,7 +130,11 @@ class _Pass:
                     self._lose(LossKind.CHUNK, f"dropped: {problem or type(problem).__name__}", offset)
                     continue
             # A record that belongs into a chunk, as all others are in one: its opcode is broken.
-            elif is_chunked and not self._is_cut and isinstance(record, chunked_kinds):
+            elif (
+                is_chunked
+                and not self._is_cut
+                and isinstance(record, Message if self._has_data_ended else Message | Schema | Channel)
+            ):
                 self._lose(LossKind.RECORD, f"{type(record).__name__} outside of chunks dropped", offset)
                 continue
             yield from ((offset, one) for one in inner if self._is_usable(one, offset))

@@ -324,9 +324,8 @@ def _distance(message: Any, stamp_ns: int, _: str) -> samples.DistanceSample:
     return samples.DistanceSample(stamp_ns, *values)
 
 
-Converter = Callable[
-    ..., Message
-]  # of a parsed message, its stamp in ns, its frame, and of images the limits
+Converter = Callable[..., Message]
+"""Of a parsed message, its stamp in ns, its frame, and for images the limits."""
 PROTOBUF: dict[str, tuple[Kind, Converter]] = {
     "foxglove.CompressedImage": (Kind.IMAGE, _still_image),
     "foxglove.RawImage": (Kind.IMAGE, _raw_image),

@@ -236,9 +236,12 @@ def plotly_figure(chart: Chart) -> go.Figure:
     dots = sum(curve.form == "dots" for curve in chart.curves)
     traces = [
         {
-            **{"type": "scatter", "name": printable(curve.name), "hovertemplate": curve.hover or None},
+            "type": "scatter",
+            "name": printable(curve.name),
+            "hovertemplate": curve.hover or None,
+            "x": x.astype(np.float32),
+            "y": y.astype(np.float32),
             **look,
-            **{"x": x.astype(np.float32), "y": y.astype(np.float32)},
         }
         for curve in chart.curves
         for x, y, look in _traces(curve, dots)

@@ -16,7 +16,7 @@ from svmdist.profile import Topics
 from svmdist.profile.robot import Instrument, Joint
 from svmdist.workflows.new_profile import InstrumentDraft, ProfileDraft, shipped_robot
 
-SECOND_CAMERA = "  # the second camera: stereo, and fused gains"
+NOTES = {"right_image": "  # the second camera: stereo, and fused gains"}
 
 
 def instrument_table() -> dict[str, Any]:
@@ -63,8 +63,8 @@ def profile_text(draft: ProfileDraft) -> str:
         note = "the side of the picture that it comes in from; names are guesses"
         identity.append(f'entry = "{first.entry}"              # {note}')
     by_role = {**draft.topics, **first.topics}
-    topics = _entries({role: by_role[role] for role in Topics.model_fields if role in by_role})
-    topics = [line + SECOND_CAMERA if line.startswith("right_image = ") else line for line in topics]
+    roles = [role for role in Topics.model_fields if role in by_role]
+    topics = [f"{role} = {_text(by_role[role])}{NOTES.get(role, '')}" for role in roles]
     if draft.other_images:
         topics.append(f"# Other topics with images: {_plain(', '.join(draft.other_images))}")
     frames = _entries({"camera": draft.camera_frame, "base": first.base, "tool": first.tool})

@@ -128,7 +128,7 @@ class ShaftSizes:
         share[2] = 1.0 - share.sum()
         ahead_m = np.array([own[0], other[0] - rim.other_radii * self.radius_m, own[0] + 0.5 * beyond_m])
         variance_m2 = np.square([own[1], other[1], np.hypot(own[1], beyond_m / np.sqrt(12.0))])
-        mean_m = float(share[::2] @ ahead_m[::2]) / float(share[::2].sum())
+        mean_m = own[0] + 0.5 * is_tip * beyond_m
         return mean_m, float(np.sqrt(share @ (variance_m2 + (ahead_m - mean_m) ** 2)))
 
 
