@@ -125,6 +125,7 @@ def certain(frame: Frame, found: ImagePose | Failure, max_std_m: float) -> Image
         return Rejection(frame.stamp_ns, Status.NO_INSTRUMENT, found.reason)
     if found.doubt:
         return Rejection(frame.stamp_ns, Status.INCONSISTENT, found.doubt)
+    max_std_m *= max(1.0, float(np.linalg.norm(found.pose.position_m)) / BOUND_AT_M)
     if not found.pose.position_std_m <= max_std_m:  # NaN is not
         said = f"the position is uncertain by {found.pose.position_std_m * 1e3:.1f} mm"
         return Rejection(frame.stamp_ns, Status.UNCERTAIN, said)
@@ -133,10 +134,7 @@ def certain(frame: Frame, found: ImagePose | Failure, max_std_m: float) -> Image
 
 def certain_by_pair(frame: Frame, found: ImagePose | Failure) -> ImagePose | Rejection:
     """The same of a pose by both views: what a disparity tells of depth is a share of it."""
-    max_std_m = frame.arm.profile.stereo_in_range.max_depth_std_m
-    if isinstance(found, ImagePose):
-        max_std_m *= max(1.0, float(np.linalg.norm(found.pose.position_m)) / BOUND_AT_M)
-    return certain(frame, found, max_std_m)
+    return certain(frame, found, frame.arm.profile.stereo_in_range.max_depth_std_m)
 
 
 class ShaftEstimator:

@@ -85,7 +85,7 @@ class ShaftSettings(StrictModel):
     unknown_bend_rad: float = Field(default=0.8, gt=0.0, lt=3.2)
     """Standard deviation of the wrist's bend about each axis without joints: any bend within 1.4 rad is as likely."""
     max_position_std_m: float = Field(default=0.015, gt=0.0, lt=1.0)
-    """Along any direction, whatever the distance: a shaft of which half is seen is twice as far, and as uncertain."""
+    """Largest standard deviation up to 10 cm, in proportion beyond: half of a shaft is twice as far, and as unsure."""
 
 
 class DistalMarkerSettings(StrictModel):

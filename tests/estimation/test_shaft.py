@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
+from svmdist.estimation.frame_methods import certain
 from svmdist.estimation.instrument.factors import end, of_images
 from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.model import InstrumentModel, shaft_sections
@@ -17,7 +18,8 @@ from svmdist.profile import Profile, load_profile
 from svmdist.profile.robot import Instrument
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.results import Failure
-from svmdist.samples import Observation
+from svmdist.samples import Observation, Rejection, Status
+from svmdist.transforms import make_transform
 from svmdist.vision.instruments import find_instruments
 from svmdist.vision.instruments.find_instruments import SeenInstrument
 from svmdist.vision.segmentation import make_segmenter
@@ -214,6 +216,27 @@ def test_a_shaft_out_of_focus_is_measured(side):
     off_m = fit.pose.hinge.position_m - drawn.tool_m
     across_m = np.linalg.norm(off_m - (off_m @ drawn.direction) * drawn.direction)
     assert across_m < 2.0 * fit.pose.position_std_m
+
+
+def test_beyond_10_cm_a_scene_of_twice_the_size_is_as_certain():
+    """Without a known diameter or focal length every length is off alike, and the least certainty is a share of it."""
+    observation = Observation(0, picture(SMALL, "left", **PALE).draw(2), SMALL)
+    frame, fit = (
+        frame_of(observation, Arm(PROFILE), make_segmenter(PROFILE.segmentation)),
+        find_tool(observation),
+    )
+    assert isinstance(fit, ImagePose), fit
+    std = fit.pose.position_std_m / np.linalg.norm(fit.pose.position_m)
+    for away_m in (0.15, 0.3):
+        scale = away_m / np.linalg.norm(fit.pose.position_m)
+        place, spread = scale * fit.pose.position_m, scale**2 * fit.pose.covariance
+        scaled = replace(
+            fit, pose=replace(fit.pose, T_camera_tool=make_transform(np.eye(3), place), covariance=spread)
+        )
+        assert certain(frame, scaled, 0.101 * std) is scaled
+        refused = certain(frame, scaled, 0.099 * std)
+        assert isinstance(refused, Rejection)
+        assert refused.status is Status.UNCERTAIN
 
 
 @pytest.mark.parametrize("grey", [0, 150])
