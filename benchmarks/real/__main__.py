@@ -19,6 +19,7 @@ from benchmarks.generated_pages import DOCS, table, write_table
 from benchmarks.real import (
     bop,
     d_lfd,
+    endovis_2015,
     in_vivo,
     laparoscopy,
     open_cas,
@@ -32,7 +33,10 @@ from benchmarks.real.common import COLUMNS
 
 SETS = {
     module.__name__.rpartition(".")[2]: module
-    for module in (thrust, super_deep, d_lfd, recode, bop, in_vivo, laparoscopy, operations, ucl, open_cas)
+    for module in (
+        *(thrust, super_deep, d_lfd, recode, bop),
+        *(in_vivo, laparoscopy, operations, endovis_2015, ucl, open_cas),
+    )
 }
 
 if __name__ == "__main__":

@@ -19,7 +19,17 @@ import cv2
 import numpy as np
 
 from benchmarks.generated_pages import DOCS, table, write_table
-from benchmarks.real import common, d_lfd, in_vivo, laparoscopy, operations, recode, super_deep, thrust
+from benchmarks.real import (
+    common,
+    d_lfd,
+    endovis_2015,
+    in_vivo,
+    laparoscopy,
+    operations,
+    recode,
+    super_deep,
+    thrust,
+)
 from svmdist.estimation.instrument import verification
 from svmdist.estimation.instrument.most_probable import Solution
 from svmdist.estimation.instrument.shaft_detection import ShaftDetection
@@ -35,6 +45,7 @@ SETS = {
     "in_vivo": in_vivo,
     "laparoscopy": laparoscopy,
     "operations": operations,
+    "endovis_2015": endovis_2015,
 }
 COLUMNS = {
     "thrust": ("thrust", "`shaft`", "red joint"),
@@ -46,6 +57,7 @@ COLUMNS = {
     "in vivo": ("in vivo", "`shaft`", "tip"),
     "laparoscopy, end": ("laparoscopy", "`shaft`", "shaft's end"),
     "operations": ("operations", "`shaft`", "outlines"),
+    "EndoVis 2015": ("EndoVis 2015", "`shaft`", "masks"),
 }
 """Of the table, each a line of the page of real images: its set, method and reference."""
 

@@ -292,6 +292,20 @@ def test_a_cable_beside_a_shaft_is_no_part_of_it(first_side, is_shaft):
     assert judged(Outline(sides), image).is_accepted is is_shaft
 
 
+def test_lettering_is_a_part_of_the_shaft():
+    """Beside white letters a dark side looks like dark tissue, but the shaft between the letters looks like it, too."""
+    bgr = np.full((240, 320, 3), 64, np.uint8)
+    bgr[100:140, :200] = np.linspace(54.0, 30.0, 40)[:, None, None]  # shaded across
+    for x in range(0, 190, 16):
+        bgr[119:122, x : x + 13] = 230
+    image = Evidence(bgr, AutoSettings())
+    odds = np.full((2, 240, 320), -2.0, np.float32)
+    odds[:, 100:140, :200] = 3.0
+    image.scores, image.odds = odds, odds[0]
+    sides = np.array([[[0.0, 99.5], [199.5, 99.5]], [[0.0, 139.5], [199.5, 139.5]]])
+    assert judged(Outline(sides), image).is_accepted
+
+
 def test_highlights_at_the_border_are_no_instruments():
     """A ragged patch of glare is long, bright and without colour, as steel is, but has no straight sides: 5 of 6."""
     counts = []

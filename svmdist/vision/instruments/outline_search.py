@@ -166,7 +166,7 @@ LEAST_EVIDENCE = 0.43  # nearly all real instruments have more, and of glare, fa
 STEP_REACH_PX = 4  # from a side, where the steepest step across it is sought
 STRAIGHT_PX, STRAIGHT_WIDTHS = 1.5, 0.05
 """Of those steps off a common line, in px or over the width: of glare's jagged edge few are that near."""
-MOST_OF_BEYOND = 0.5
+MOST_OF_BEYOND = 0.6
 """Of the places inside of a side whose colour is nearer to what lies beyond it than to the rest of the instrument."""
 LEAST_STRIP = -0.5  # mean odds of a strip: what becomes a shaft has more, half of the rest less
 LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by chance
@@ -204,14 +204,19 @@ def _of_beyond(colours: list[Floats], seen: NDArray[np.bool_]) -> float:
     """The share of places inside of a side that look rather like what lies beyond it than like the rest of the shaft.
 
     A cable beside a shaft may be as straight as its side, and the network take both for one. Colours (n, k, 3) are
-    those within, inside of both sides and beyond both; of the worse side, of places that are `seen`, (n,).
+    those within, inside of both sides and beyond both; of the worse side, of places that are `seen`, (n,). The rest is
+    what lies between at that place, the other side, or the middle colour of all: lettering is of another one.
     """
-    within, first, second, *beyond = (one[seen].mean(1) for one in (colours[0][:, 3:-3], *colours[1:]))
-    apart = [
-        np.linalg.norm([own - one for one in (out, within, other)], axis=2)
-        for own, other, out in ((first, second, beyond[0]), (second, first, beyond[1]))
-    ]
-    return float((np.argmin(apart, axis=1) == 0).mean(1).max()) if seen.any() else 0.0
+    if not seen.any():
+        return 0.0
+    within = colours[0][seen][:, 3:-3]
+    first, second, *beyond = (one[seen].mean(1) for one in colours[1:])
+    own_rest = within.mean(1), np.median(within, (0, 1))
+    shares = []
+    for own, other, out in ((first, second, beyond[0]), (second, first, beyond[1])):
+        apart = [np.linalg.norm(own - one, axis=1) for one in (out, other, *own_rest)]
+        shares.append(float((np.argmin(apart, axis=0) == 0).mean()))
+    return max(shares)
 
 
 def judged(outline: Outline, evidence: Evidence) -> Judged:
