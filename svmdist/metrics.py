@@ -1,16 +1,19 @@
-"""How good estimates and alarms are against a reference: arrays in, figures out."""
+"""How good estimates and alarms are against a reference: arrays in, figures out; and the columns that show them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import astuple, dataclass
 from functools import reduce
 from operator import add
 from statistics import NormalDist
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from svmdist.errors import printable
 from svmdist.tracks import Mask
 from svmdist.transforms import Array
 
@@ -31,12 +34,77 @@ DEGREES = Unit("rad", 180.0 / np.pi, 2)
 PIXELS, SECONDS, RADIANS = Unit("px", digits=1), Unit("s", digits=2), Unit("rad", digits=4)
 
 
+Cell = str | int | float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column: `key` in machine output, in SI; `heading` in a readable table, in the unit shown there.
+
+    `of` reads the value from the object that a row is made of: a function, or a path of attributes and indices; by
+    default the key. A column without a heading is for machines only, one that is not `stored` for readable tables only.
+    `meaning` and `given_by` are for the documentation; columns with the same meaning stand in one line there. `field`
+    is its name in `svmdist.DistanceEstimate`. `width` is the least one of a plain table, in characters.
+    """
+
+    key: str
+    unit: Unit = COUNT
+    heading: str = ""
+    of: Callable[[Any], Cell] | str = ""
+    meaning: str = ""
+    given_by: str = ""
+    field: str = ""
+    width: int = 0
+    stored: bool = True
+
+    def value(self, source: Any) -> Cell:
+        """The value of a row's source; None where its path leads nowhere."""
+        if callable(self.of):
+            return self.of(source)
+        for step in (self.of or self.key).split("."):
+            if source is None:
+                return None
+            source = source[int(step)] if step.isdecimal() else getattr(source, step)
+        return float(source) if isinstance(source, float) else source
+
+    def show(self, value: Cell) -> str:
+        """The readable value; a number that does not exist is a dash."""
+        value = finite(value)
+        if self.is_text or isinstance(value, str):
+            return printable("" if value is None else str(value))
+        if value is None:
+            return "–"
+        return str(value) if self.unit.digits is None else f"{value * self.unit.factor:z.{self.unit.digits}f}"
+
+    @property
+    def is_text(self) -> bool:
+        """Whether the column is text, flush left."""
+        return self.unit is TEXT
+
+
+def row_of(columns: Iterable[Column], source: Any) -> dict[str, Cell]:
+    """The row of a source."""
+    return {column.key: column.value(source) for column in columns}
+
+
+def finite(value: Cell) -> Cell:
+    """The value; None for a number that is not finite, which no format for machines can hold."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 @dataclass(frozen=True, slots=True)
 class Interval:
     """The bounds of a 95 % bootstrap interval."""
 
     low: float
     high: float
+
+
+class Intervals(NamedTuple):
+    """The intervals of RMSE and of R²; None where there is none."""
+
+    rmse: Interval | None
+    r_squared: Interval | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +156,7 @@ def error_statistics(estimate: ArrayLike, truth: ArrayLike) -> ErrorStatistics |
 
 def bootstrap_intervals(
     estimate: ArrayLike, truth: ArrayLike, seed: int, resamples: int = 1000, block: int | None = None
-) -> tuple[Interval | None, Interval | None]:
+) -> Intervals:
     """Percentile intervals of RMSE and of R² by a moving-block bootstrap (Künsch 1989).
 
     Errors of neighbouring frames are correlated, so that drawing single frames gives too narrow an interval: whole
@@ -98,7 +166,7 @@ def bootstrap_intervals(
     f, y = np.asarray(estimate, np.float64), np.asarray(truth, np.float64)
     n = len(f)
     if n < 8:
-        return None, None
+        return Intervals(None, None)
     block = block or int(np.ceil(n ** (1.0 / 3.0)))
     rng = np.random.default_rng(seed)
     starts = rng.integers(0, n - block + 1, size=(resamples, -(-n // block)))
@@ -107,11 +175,11 @@ def bootstrap_intervals(
     squares = np.sum(errors**2, axis=1)
     rmse = _interval(np.sqrt(squares / n))
     if not _varies(y):
-        return rmse, None
+        return Intervals(rmse, None)
     totals = np.sum((truths - truths.mean(1, keepdims=True)) ** 2, axis=1)
     usable = totals > 1e-12 * float(np.sum((y - y.mean()) ** 2))
     r2 = 1.0 - squares[usable] / totals[usable]
-    return rmse, _interval(r2) if len(r2) else None
+    return Intervals(rmse, _interval(r2) if len(r2) else None)
 
 
 def interval_coverage(estimate: Array, truth: Array, std: Array, level: float = 0.95) -> float | None:

@@ -171,9 +171,8 @@ class Fk(LogOptions, options.ReadOptions, options.WindowOptions, options.OutputO
     form: str | None = options.format_option(Holds.POSES)
 
     def _run(self) -> ExitCode:
-        from svmdist.metrics import TEXT
+        from svmdist.metrics import TEXT, Column
         from svmdist.report.rows import POSE_COLUMNS
-        from svmdist.report.tables import Column
         from svmdist.workflows.request import Request, Setup
 
         writer = self.writer(self.paths, Holds.POSES)

@@ -11,12 +11,12 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.errors import printable
 from svmdist.estimation.comparison import Checks, readable
-from svmdist.metrics import COUNT, LENGTH, RADIANS, RATIO, SECONDS, TEXT, Unit
+from svmdist.metrics import COUNT, LENGTH, RADIANS, RATIO, SECONDS, TEXT, Column, Unit, row_of
 from svmdist.profile import Profile
 from svmdist.profile.hand_eye import FORMAT, HandEyeFile, Source
 from svmdist.recording.log import Recording
 from svmdist.recording.summary import RecordingSummary
-from svmdist.report.tables import Column, Row, Table, counted, keys_of, render, row_of
+from svmdist.report.tables import Row, Table, counted, keys_of, render
 from svmdist.report.writers import Results
 from svmdist.transforms import quaternion_xyzw_from_rotation
 from svmdist.workflows import capabilities

@@ -13,8 +13,21 @@ from numpy.typing import NDArray
 
 from svmdist.estimation.alarms import AlarmState
 from svmdist.files import atomic_file
-from svmdist.metrics import COUNT, LENGTH, PIXELS, RADIANS, RATIO, SECONDS, SPEED, TEXT, Unit
-from svmdist.report.tables import Cell, Column, Row, keys_of, row_of, text_width
+from svmdist.metrics import (
+    COUNT,
+    LENGTH,
+    PIXELS,
+    RADIANS,
+    RATIO,
+    SECONDS,
+    SPEED,
+    TEXT,
+    Cell,
+    Column,
+    Unit,
+    row_of,
+)
+from svmdist.report.tables import Row, keys_of, text_width
 from svmdist.report.writers import Results
 from svmdist.results import FrameResult, ToolPose
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from operator import itemgetter
 from typing import Any
 
 from svmdist.errors import printable
 from svmdist.estimation.methods import PLANAR_METHODS
-from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Unit, coverage
-from svmdist.report.tables import Column, Row, Table, counted, finite, metric_column, row_of
+from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Column, Interval, Unit, coverage, finite, row_of
+from svmdist.report.tables import Row, Table, counted
 from svmdist.report.writers import Results
 from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.scoring import metric_table
-from svmdist.workflows.scoring.metric_table import Metric, Output, cells, of_part, within
+from svmdist.workflows.scoring.metric_table import Metric, Output, of_part, within
 from svmdist.workflows.scoring.scores import Score
 from svmdist.workflows.validate import PAPER_R_SQUARED, Validation
 
@@ -42,8 +42,8 @@ BLUR_NOTE = (
 
 def _in_order(before: Sequence[Column], metrics: Sequence[Metric], after: Sequence[Column]) -> list[Column]:
     """The columns of a row: labels, metrics, labels, and metrics that came later."""
-    early = [metric_column(metric) for metric in metrics if not metric.is_late]
-    return [*before, *early, *after, *(metric_column(metric) for metric in metrics if metric.is_late)]
+    early = [metric for metric in metrics if not metric.is_late]
+    return [*before, *early, *after, *(metric for metric in metrics if metric.is_late)]
 
 
 def score_columns() -> list[Column]:
@@ -92,15 +92,15 @@ def _interval_column(key: str, unit: Unit) -> Column:
     bound = Column(key, unit)
 
     def read(score: Score) -> str:
-        found = getattr(score, key)
+        found: Interval | None = getattr(score.intervals, key)
         return "–" if found is None else f"{bound.show(found.low)}–{bound.show(found.high)}"
 
-    return Column(key, TEXT, "95 %", read)
+    return Column(f"{key}_interval", TEXT, "95 %", read)
 
 
 _INTERVALS = {
-    "r_squared": [_interval_column("r_squared_interval", Unit("1", digits=3))],
-    "rmse_m": [_interval_column("rmse_interval_m", LENGTH)],
+    "r_squared": [_interval_column("r_squared", Unit("1", digits=3))],
+    "rmse_m": [_interval_column("rmse", LENGTH)],
 }
 """The bootstrap interval that is shown beside a metric."""
 
@@ -113,25 +113,25 @@ def validation_tables(validation: Validation) -> list[Table]:
     columns = [_NAME, _AGAINST]
     for metric in within(metric_table.score_metrics(), Output.SCORE_TABLE):
         # Lengths in mm, as the title says: a unit in every heading would not fit a terminal.
-        columns += [metric_column(metric), *_INTERVALS.get(metric.key, [])]
+        columns += [metric, *_INTERVALS.get(metric.key, [])]
     title = f"{first.method}, {how}; errors and σ (of the truth) in mm; 95 %: bootstrap interval"
     # Where a reference has the tool alone, its table says all.
     shown = [[row_of(columns, score) for score in part if score.planar or not score.tool] for part in parts]
     tables = [Table.of(title, columns, *shown)] if any(shown) else []
     if any(score.spatial or score.clearance for part in parts for score in part):
         metrics = within(metric_table.distance_metrics(), Output.DISTANCE_TABLE)
-        columns = [_NAME, _AGAINST, Column("distance", TEXT, "distance"), *map(metric_column, metrics)]
+        columns = [_NAME, _AGAINST, Column("distance", TEXT, "distance"), *metrics]
         title = "in 3D; errors and σ (of the truth) in mm; in 95 %: truths inside the stated interval"
         tables.append(Table.of(title, columns, *(_distance_rows(part, metrics) for part in parts)))
     if any(score.tool for part in parts for score in part):
         metrics = [metric_table.COVERAGE, *within(metric_table.tool_metrics(), Output.TOOL_TABLE)]
-        columns = [_NAME, _AGAINST, *map(metric_column, metrics)]
+        columns = [_NAME, _AGAINST, *metrics]
         rows = ([row_of(columns, score) for score in part if score.tool] for part in parts)
         tables.append(Table.of(f"{first.method}, the tool's pose; errors of position in mm", columns, *rows))
     if (rules := validation.alarm_rules) is not None:
         alarms = within(metric_table.score_metrics(), Output.ALARM_TABLE)
         alarms.sort(key=lambda metric: ["unsafe", "alarm_recall", metric.key].index(metric.key))
-        columns = [_NAME, *map(metric_column, alarms)]
+        columns = [_NAME, *alarms]
         title = f"alarms: {rules.in_words}; shares in %, leads in s"
         rows = ([row_of(columns, score) for score in part if score.alarms] for part in parts)
         tables.append(Table.of(title, columns, *rows))
@@ -142,7 +142,7 @@ def _distance_rows(scores: Iterable[Score], metrics: list[Metric]) -> Iterator[R
     for score in scores:
         for name in ("planar", "spatial", "clearance"):
             if (part := getattr(score, name)) is not None:
-                yield row_of((_NAME, _AGAINST), score) | {"distance": name} | cells(metrics, part)
+                yield row_of((_NAME, _AGAINST), score) | {"distance": name} | row_of(metrics, part)
 
 
 def remarks(validation: Validation) -> list[str]:
@@ -205,9 +205,9 @@ def _figures_shown(rows: Sequence[Row], with_tool: bool, paired: bool) -> list[C
         if (with_tool and not has_any) or (name == "tool" and not with_tool):
             continue
         for index, metric in enumerate(group):
-            title = metric.narrow_title or metric.title
+            title = metric.narrow_heading or metric.heading
             heading = f"{'' if index else name}\n{title}" if name else title.replace(" ", "\n")
-            shown.append(metric_column(metric, heading))
+            shown.append(replace(metric, heading=heading))
     return shown
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -16,15 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 from svmdist.errors import printable
 from svmdist.files import atomic_file
-from svmdist.metrics import COUNT, TEXT, Unit
+from svmdist.metrics import Cell, Column, finite
 
 if TYPE_CHECKING:  # rows that are written as they come need no layout, and start sooner without it
     from rich.table import Table as RichTable
 
     from svmdist.report.writers import Results
-    from svmdist.workflows.scoring.metric_table import Metric
 
-Cell = str | int | float | None
 Row = Mapping[str, Cell]
 
 SURROGATES = re.compile("[\ud800-\udfff]")
@@ -34,64 +31,9 @@ PARQUET_ROWS = 1 << 14
 """Rows that are held at once."""
 
 
-@dataclass(frozen=True, slots=True)
-class Column:
-    """One column: `key` in machine output, in SI; `heading` in a readable table, in the unit shown there.
-
-    `of` reads the value from the object that a row is made of: a function, or a path of attributes and indices; by
-    default the key. A column without a heading is for machines only, one that is not `stored` for readable tables only.
-    `meaning` and `given_by` are for the documentation; columns with the same meaning stand in one line there. `field`
-    is its name in `svmdist.DistanceEstimate`. `width` is the least one of a plain table, in characters.
-    """
-
-    key: str
-    unit: Unit = COUNT
-    heading: str = ""
-    of: Callable[[Any], Cell] | str = ""
-    meaning: str = ""
-    given_by: str = ""
-    field: str = ""
-    width: int = 0
-    stored: bool = True
-
-    def value(self, source: Any) -> Cell:
-        """The value of a row's source; None where its path leads nowhere."""
-        if callable(self.of):
-            return self.of(source)
-        for step in (self.of or self.key).split("."):
-            if source is None:
-                return None
-            source = source[int(step)] if step.isdecimal() else getattr(source, step)
-        return float(source) if isinstance(source, float) else source
-
-    def show(self, value: Cell) -> str:
-        """The readable value; a number that does not exist is a dash."""
-        value = finite(value)
-        if self.is_text or isinstance(value, str):
-            return printable("" if value is None else str(value))
-        if value is None:
-            return "–"
-        return str(value) if self.unit.digits is None else f"{value * self.unit.factor:z.{self.unit.digits}f}"
-
-    @property
-    def is_text(self) -> bool:
-        """Whether the column is text, flush left."""
-        return self.unit is TEXT
-
-
 def keys_of(columns: Iterable[Column]) -> tuple[str, ...]:
     """The keys for machines, in order."""
     return tuple(column.key for column in columns if column.stored)
-
-
-def row_of(columns: Iterable[Column], source: Any) -> dict[str, Cell]:
-    """The row of a source."""
-    return {column.key: column.value(source) for column in columns}
-
-
-def metric_column(metric: Metric, heading: str = "") -> Column:
-    """The column of a metric; a heading replaces its own."""
-    return Column(metric.key, metric.unit, heading or metric.title, metric.value)
 
 
 @dataclass(frozen=True)
@@ -240,11 +182,6 @@ def json_text(document: object, indent: int | None = None) -> str:
     """JSON of a document. A byte of a file's name that is not UTF-8 becomes U+FFFD, which every reader takes."""
     text = json.dumps(document, indent=indent, ensure_ascii=False)
     return text if text.isascii() else SURROGATES.sub("\N{REPLACEMENT CHARACTER}", text)
-
-
-def finite(value: Cell) -> Cell:
-    """The value; None for a number that is not finite, which no format for machines can hold."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _csv_cell(value: Cell) -> Cell:

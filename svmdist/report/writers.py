@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 from svmdist.errors import OutputError, UsageError, did_you_mean, optional_package
 
 if TYPE_CHECKING:
-    from svmdist.report.tables import Column, Row, Table
+    from svmdist.metrics import Column
+    from svmdist.report.tables import Row, Table
 
 
 class Holds(Flag):

@@ -16,6 +16,7 @@ from pydantic import BaseModel, Field, ValidationError, model_validator
 from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import read_regular, why, write_atomically
+from svmdist.metrics import row_of
 from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
 from svmdist.workflows.capabilities import require_clearance
@@ -25,7 +26,7 @@ from svmdist.workflows.parallel import Steps
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Request
 from svmdist.workflows.scoring.given import Given
-from svmdist.workflows.scoring.metric_table import FIRST_KEYS, Better, Tolerance, cells, stored_metrics
+from svmdist.workflows.scoring.metric_table import FIRST_KEYS, Better, Tolerance, stored_metrics
 from svmdist.workflows.scoring.references import BY_POSES, KINEMATICS_PRINTED_NOTE, Reference
 from svmdist.workflows.scoring.scores import Readings, Score, pool_scores, score_rows
 
@@ -93,8 +94,6 @@ def require_truth_for_alarms(request: Request) -> None:
 def combine(parts: Sequence[Scored], request: Request, groups: Sequence[str] = ()) -> Validation:
     """The scores of recordings, and those of all together; where `groups` names a group of each, of these too."""
     scores = [score for part in parts for score in part.scores]
-    if not scores:
-        raise RecordingError("no recording could be scored")
     of_groups = []
     for group in sorted(set(groups)):
         members = [s for part, name in zip(parts, groups, strict=True) if name == group for s in part.scores]
@@ -153,7 +152,7 @@ def score_recording(
         for reference in wanted:
             given = by.get((reference, name))
             try:
-                score = score_rows(rows, view, setup, reference, rules, offset, request.alarms, given)
+                score = score_rows(rows, view, request, reference, offset, given)
             except (RecordingError, KinematicsError) as problem:
                 missing.append(f"{label}: no {reference} to compare with: {problem}")
                 if reference in asked_for:
@@ -307,4 +306,4 @@ def _stored_rules(rules: AlarmRules | None) -> StoredAlarmRules | None:
 
 def _stored(score: Score) -> StoredScore:
     labels = {key: str(getattr(score, key)) for key in ("recording", "method", "equations", "reference")}
-    return StoredScore.model_validate(labels | cells(stored_metrics().values(), score))
+    return StoredScore.model_validate(labels | row_of(stored_metrics().values(), score))

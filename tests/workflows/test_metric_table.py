@@ -82,14 +82,14 @@ def added(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     metric = Metric(
         "p99_abs_error_m",
         LENGTH,
+        "p99",
         lambda d: float(np.percentile(np.abs(d.pairs.estimate_m - d.pairs.truth_m), 99)),
         "99th percentile of the absolute error.",
-        Better.LOWER,
-        "p99",
-        EVERYWHERE,
-        Tolerance(absolute=1e-5),
-        IN_3D,
-        Tolerance(absolute=1e-5),
+        better=Better.LOWER,
+        outputs=EVERYWHERE,
+        tolerance=Tolerance(absolute=1e-5),
+        outputs_in_3d=IN_3D,
+        tolerance_in_3d=Tolerance(absolute=1e-5),
         is_late=True,
     )
     monkeypatch.setattr(metric_table, "ERRORS", (*metric_table.ERRORS, metric))

@@ -8,9 +8,9 @@ import pytest
 
 from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
+from svmdist.metrics import row_of
 from svmdist.recording.log import Recording, open_recording
 from svmdist.report.scores import score_columns
-from svmdist.report.tables import row_of
 from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import Status
 from svmdist.workflows.request import Request, prepare
@@ -58,7 +58,7 @@ def rows_of(recording: Recording, error_m: float = ERROR_M) -> list[FrameResult]
 
 def scored(recording: Recording, rows: list[FrameResult], alarms: AlarmRules | None = None) -> Score:
     """The score of rows against the simulator's truth."""
-    return score_rows(rows, recording, SETUP, Reference.GROUND_TRUTH, alarms=alarms)
+    return score_rows(rows, recording, Request(SETUP, alarms=alarms), Reference.GROUND_TRUTH)
 
 
 def test_spatial_and_clearance_figures_are_the_injected_errors(recording):
@@ -77,7 +77,7 @@ def test_spatial_and_clearance_figures_are_the_injected_errors(recording):
 
 def test_other_references_tell_spatial_but_no_clearance(recording):
     """DH kinematics give the tool in 3D, to the accuracy of this log's truth, and no surface."""
-    score = score_rows(rows_of(recording), recording, SETUP, Reference.KINEMATICS)
+    score = score_rows(rows_of(recording), recording, Request(SETUP), Reference.KINEMATICS)
     assert score.spatial.statistics.rmse == pytest.approx(ERROR_M, rel=1e-3)
     assert score.clearance is None
 
@@ -111,11 +111,10 @@ def test_overall_figures_do_not_depend_on_the_order_of_the_files(recording):
         planar = score_pairs(replace(score.pairs, estimate_m=estimate_m))
         several.append(replace(score, recording=name, planar=planar))
     first, *others = (pool_scores([several[n] for n in order]) for order in ((0, 1, 2), (2, 1, 0), (1, 0, 2)))
-    assert first.rmse_interval_m.low < first.rmse_interval_m.high
+    assert first.intervals.rmse.low < first.intervals.rmse.high
     for other in others:
         assert other.statistics == first.statistics
-        assert other.rmse_interval_m == first.rmse_interval_m
-        assert other.r_squared_interval == first.r_squared_interval
+        assert other.intervals == first.intervals
 
 
 def test_a_baseline_catches_worse_alarms_and_worse_clearance(recording):

@@ -26,7 +26,7 @@ from svmdist.transforms import (
     quaternion_xyzw_from_rotation,
     rotation_angle,
 )
-from svmdist.workflows.request import Setup
+from svmdist.workflows.request import Request
 from svmdist.workflows.scoring import references
 from svmdist.workflows.scoring.references import Truth
 
@@ -272,18 +272,9 @@ class Score(Figures):
         """The error figures of the planar distance, in m."""
         return self.planar.statistics if self.planar else None
 
-    @property
-    def rmse_interval_m(self) -> metrics.Interval | None:
-        """The bootstrap interval of the planar RMSE; None for few pairs."""
-        return self._intervals[0]
-
-    @property
-    def r_squared_interval(self) -> metrics.Interval | None:
-        """The bootstrap interval of the planar R²; None where it is undefined."""
-        return self._intervals[1]
-
     @cached_property
-    def _intervals(self) -> tuple[metrics.Interval | None, metrics.Interval | None]:
+    def intervals(self) -> metrics.Intervals:
+        """The bootstrap intervals of the planar RMSE and R²; None for few pairs, and where R² is undefined."""
         return metrics.bootstrap_intervals(self.pairs.estimate_m, self.pairs.truth_m, BOOTSTRAP_SEED)
 
     @property
@@ -305,11 +296,9 @@ class Score(Figures):
 def score_rows(
     rows: Sequence[FrameResult],
     recording: Recording,
-    setup: Setup,
+    request: Request,
     reference: references.Reference,
-    rules: references.TruthRules = references.ANY_TRUTH,
     lag: LagEstimate | None = None,
-    alarms: AlarmRules | None = None,
     by: Readings | None = None,
 ) -> Score:
     """Score the estimates of one recording, shape (n_frames,), against one reference.
@@ -321,9 +310,9 @@ def score_rows(
     def truth_of(at_ns: Stamps) -> Truth:
         if by is not None:
             return by.truth
-        return references.truth_at(recording, reference, at_ns, setup.equations, rules)
+        return references.truth_at(recording, reference, at_ns, setup.equations, request.rules)
 
-    readings = Readings(rows)
+    setup, alarms, readings = request.setup, request.alarms, Readings(rows)
     lag_ns = references.reference_lag_ns(recording, reference, lag)
     stamps_ns = readings.stamps_ns - lag_ns
     truth = truth_of(stamps_ns)
