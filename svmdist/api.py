@@ -26,7 +26,7 @@ from svmdist.workflows.compare import compare as _compare
 from svmdist.workflows.ending import Ending, alarms_in_words
 from svmdist.workflows.estimate import estimate as _estimate
 from svmdist.workflows.estimate import with_lag
-from svmdist.workflows.request import Lag, OwnMethod, Request, Setup, prepare, prepare_every
+from svmdist.workflows.request import Lag, OwnMethod, Request, Setup, prepare, prepare_methods
 from svmdist.workflows.scoring.given import given_estimates
 from svmdist.workflows.scoring.references import TruthRules
 from svmdist.workflows.surface import TissueSurface
@@ -213,7 +213,7 @@ def compare(
     several = _opened(recordings)
     given = [_setup(several[0], given_estimates(text)) for text in estimates]
     if methods is None:
-        return _compare(several, [*prepare_every(several[0].origin.profile), *given], jobs=jobs)
+        return _compare(several, [*prepare_methods(several[0].origin.profile), *given], jobs=jobs)
     return _compare(several, [*(_setup(several[0], one) for one in _each(methods)), *given], jobs=jobs)
 
 

@@ -179,21 +179,16 @@ class Compare(ScoreOptions, options.LagOption, GroupOption):
     def _run(self) -> ExitCode:
         from svmdist.report.scores import compare_results
         from svmdist.workflows.compare import MethodScore, compared
-        from svmdist.workflows.request import Request, prepare, prepare_every
+        from svmdist.workflows.request import Request, prepare, prepare_methods
         from svmdist.workflows.scoring.given import given_estimates, require_distinct
 
         writer = self.writer(self.paths, Holds.FIGURES)
         output.require_plot(self.save_plot, self.paths, self.plot)
         keys, lag, conditions = self.group_keys, self.given_lag, self.conditions
-        methods = list(dict.fromkeys(map(str, self.method or MethodChoice)))
+        methods = list(dict.fromkeys(map(str, self.method or ())))
         given = [given_estimates(text) for text in self.estimates or []]
-        require_distinct([*methods, *(one.name for one in given)])
-        calibrations = {"overlay": self.calibration, "centroid": self.calibration}
-        if self.method:
-            of = partial(prepare, self.profile, equations="corrected", hand_eye=self.hand_eye)
-            setups = tuple(of(method, calibration=calibrations.get(method)) for method in methods)
-        else:
-            setups = prepare_every(self.profile, self.calibration, self.hand_eye)
+        require_distinct([*(methods or MethodChoice), *(one.name for one in given)])
+        setups = prepare_methods(self.profile, self.calibration, self.hand_eye, methods)
         setups += tuple(prepare(self.profile, one, hand_eye=self.hand_eye) for one in given)
         request = Request(setups[0], self.topics, self.window, lag=lag, conditions=tuple(conditions))
         run = Run(

@@ -91,17 +91,17 @@ class MultiInstrumentEstimator:
         self,
         setup: Setup,
         arms: Sequence[Arm],
-        checks: Mapping[str, Checks] | None = None,
-        camera: Camera | None = None,
+        checks: Mapping[str, Checks],
+        camera: Camera,
         *,
-        left_alone: bool = False,
+        left_alone: bool,
     ) -> None:
         self._left_alone = left_alone
         self._calibrated = camera if setup.calibration else None
         self._estimators = [setup.estimator_for(arm) for arm in arms]
         self._arms = tuple(arms)
         self._is_given = setup.is_given
-        known = checks if checks and setup.own is None else {}
+        known = {} if setup.own else checks
         self._doubts = {name: one.doubt(setup.method) for name, one in known.items()}
         needs: Needs = self._estimators[0].needs
         self.needs = needs.left_alone() if left_alone else needs
@@ -213,7 +213,8 @@ class _Replay:
         camera = self._recording.camera
         view_rad = 0.5 * camera.width_px / camera.K[0, 0]
         self._rows = rows
-        self._setup = self._setup.with_right_rotation_std(view_rad * float(np.hypot(*rows.slope)))
+        std_rad = view_rad * float(np.hypot(*rows.slope))
+        self._setup = self._setup.with_stds("camera_error", right_rotation_std_rad=std_rad)
         self._arms = self._stereo_arms = self._arms_of(self._setup)
         self._looked.clear()
 
@@ -231,10 +232,10 @@ class _Replay:
             shape_m = max(shape_m, off_m or 0.0)
         if std_m <= stated.plane_distance_std_m and shape_m == 0.0:
             return
-        setup = self._setup
-        self._stereo_arms = self._arms_of(setup.with_tissue_std(std_m if off_m is None else 0.0, shape_m))
-        self._setup = setup.with_tissue_std(std_m, shape_m)
+        shaped = self._setup.with_stds("tissue", surface_std_m=shape_m)
+        self._setup = shaped.with_stds("tissue", plane_distance_std_m=std_m)
         self._arms = self._arms_of(self._setup)
+        self._stereo_arms = self._arms if off_m is None else self._arms_of(shaped)
         self._looked.clear()
 
     def _arms_of(self, setup: Setup) -> list[Arm]:

@@ -6,7 +6,7 @@ import copy
 import logging
 import math
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -196,21 +196,12 @@ class Setup:
         error = self.profile.kinematic_error.model_copy(update={"time_offset_std_s": std_s})
         return replace(self, profile=self.profile.model_copy(update={"kinematic_error": error}))
 
-    def with_tissue_std(self, std_m: float, shape_std_m: float = 0.0) -> Setup:
-        """The same where the tissue's place, and its shape, have another standard deviation beside the stated one."""
-        tissue = self.profile.tissue
-        assert tissue is not None  # only of one that was compared is it known how far it is off
-        stds = {"plane_distance_std_m": std_m, "surface_std_m": shape_std_m}
-        stds = {name: math.hypot(getattr(tissue, name), other) for name, other in stds.items()}
-        tissue = tissue.model_copy(update=stds)
-        return replace(self, profile=self.profile.model_copy(update={"tissue": tissue}))
-
-    def with_right_rotation_std(self, std_rad: float) -> Setup:
-        """The same where the right camera may be turned by more than is stated, about each axis."""
-        error = self.profile.camera_error
-        std_rad = math.hypot(error.right_rotation_std_rad, std_rad)
-        error = error.model_copy(update={"right_rotation_std_rad": std_rad})
-        return replace(self, profile=self.profile.model_copy(update={"camera_error": error}))
+    def with_stds(self, part: Literal["tissue", "camera_error"], **stds: float) -> Setup:
+        """The same where numbers of a part of the profile have other standard deviations beside the stated ones."""
+        stated = getattr(self.profile, part)
+        both = {name: math.hypot(getattr(stated, name), std) for name, std in stds.items()}
+        changed: dict[str, Any] = {part: stated.model_copy(update=both)}
+        return replace(self, profile=self.profile.model_copy(update=changed))
 
     def was_fitted_on(self, recording: Recording) -> bool:
         """Whether the calibration was fitted on this very recording: then its figures prove nothing."""
@@ -267,8 +258,6 @@ def prepare(
     """
     if isinstance(method, str) and method not in METHODS:
         raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
-    if equations not in ("corrected", "printed"):
-        raise UsageError(f"no equations {equations}: {did_you_mean(equations, ('corrected', 'printed'))}")
     loaded = profile if isinstance(profile, Profile) else load_profile(profile, hand_eye)
     if not isinstance(method, str):
         if not isinstance(method, OwnMethod):
@@ -303,17 +292,23 @@ def prepare(
     return setup
 
 
-def prepare_every(
-    profile: str | Path | Profile = DEFAULT_PROFILE,
+def prepare_methods(
+    profile: str | Path | Profile,
     calibration: Path | None = None,
     hand_eye: Path | None = None,
+    methods: Sequence[str] = (),
 ) -> tuple[Setup, ...]:
-    """Every method that a profile serves; the others are remarked. Raises what `prepare` does where none is served."""
+    """These methods, or every one that the profile serves, with a remark on others; raises what `prepare` does.
+
+    A calibration is for those that measure in the plane.
+    """
     setups: tuple[Setup, ...] = ()
-    for method in METHODS:
+    for method in methods or METHODS:
         given = calibration if method in PLANAR_METHODS else None
         try:
             setups += (prepare(profile, method, "corrected", given, hand_eye),)
         except CalibrationError as problem:
+            if methods:
+                raise
             LOG.info("note: without %s: %s", method, problem)
     return setups

@@ -110,7 +110,10 @@ def test_one_instrument_is_as_ever(synthetic_log):
     recording = open_recording(synthetic_log, setup.profile)
     assert recording.instruments == ("PSM1",)
     # The synthetic log has one camera: what it says of the tissue is not verified.
-    alone = Measuring(setup.method, setup.with_tissue_std(setup.profile.tissue.unverified_std_m).profile)
+    alone = Measuring(
+        setup.method,
+        setup.with_stds("tissue", plane_distance_std_m=setup.profile.tissue.unverified_std_m).profile,
+    )
     plain = [alone.estimate(seen) for seen in read_observations(recording) if isinstance(seen, Observation)]
     named = [flat(row) for row in estimate(recording, setup)]
     assert all(row.instrument == "PSM1" and row.instrument_clearance_m is None for row in named)
