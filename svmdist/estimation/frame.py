@@ -25,17 +25,15 @@ from svmdist.results import Failure
 from svmdist.samples import Image, JointSample, Observation, RightView
 from svmdist.transforms import Array, inverse
 from svmdist.vision.frame_context import FrameContext
+from svmdist.vision.instruments.find_instruments import SeenInstrument
 from svmdist.vision.regions import Region, find_region
 from svmdist.vision.segmentation import Masks, without
-from svmdist.vision.shaft_segmentation import ShaftRegion, bright_fraction, find_shaft
+from svmdist.vision.shaft_segmentation import find_shaft
 from svmdist.vision.silhouette import Silhouette, WristShape, find_silhouette
 from svmdist.vision.tags import tag_plate
 
 if TYPE_CHECKING:
     from svmdist.estimation.instrument.image_pose import ImagePose  # which is made of a frame
-
-# Bright part of a dark stub above which it is a tag's print, half of which is white
-MAX_PRINTED_FRACTION = 0.1
 
 
 class View:
@@ -106,9 +104,9 @@ class View:
         picture: Image | None
         wrist: WristShape | None
         if masks.seen is None:
-            if (bar := self.shaft_region) is None:
+            if self.dark_bar is None:
                 return None
-            seen, picture, wrist = bar.seen, bar.field_of_view, None
+            (seen, picture), wrist = self.dark_bar, None
         elif masks.seen:
             seen, picture = straight.with_likelier_end(masks.seen[0], settings.end_model_std_m), masks.picture
             wrist = straight.wrist_shape(ends_dark=seen.ends_dark)
@@ -122,18 +120,16 @@ class View:
         )
 
     @cached_property
-    def shaft_region(self) -> ShaftRegion | None:
-        """The dark bar that comes in from the border, without the tag's plate on it."""
+    def dark_bar(self) -> tuple[SeenInstrument, Image] | None:
+        """The dark bar that comes in from the border, without the tag's plate on it, and what the endoscope shows."""
         profile, masks, corners_px = self._arm.profile, self.masks, self.tag_corners_px
         rule = profile.segmentation.shaft
         if rule is None or masks.shaft is None:
             return None
         covered = None if corners_px is None else tag_plate(corners_px, masks.shaft.shape, self._settings.tag)
-        region = find_shaft(masks.shaft, rule, covered, masks.black)
-        if region is None or profile.fiducial is None or covered is not None or not region.is_stub:
-            return region
         # The border may cut the plate, whose black print is then as wide as the shaft and ends where it does.
-        return None if bright_fraction(region, masks.shaft) > MAX_PRINTED_FRACTION else region
+        may_be_print = profile.fiducial is not None and covered is None
+        return find_shaft(masks.shaft, rule, covered, masks.black, may_be_print=may_be_print)
 
     @cached_property
     def shaft(self) -> ShaftDetection:

@@ -25,6 +25,9 @@ MAX_TAPER_RAD = 0.6  # between the sides; a cylinder that points at the camera h
 BEYOND, MORE_STRIP = np.arange(0.25, 2.5, 0.05), 0.25
 """Where more of a shaft is sought beyond its end, and to either side of the middle, over its width."""
 MORE, MORE_SHARE = 10, 0.35  # of half a width along that, dark is so much of more shaft; of wrists, less
+MAX_PRINTED_FRACTION = (
+    0.1  # of a dark stub that is bright: beyond, it is a tag's print, half of which is white
+)
 MIN_END_STD_PX = 3.0  # of the shaft's end: steel, jaws and shadow are as dark, 4 px and more off it
 WORKING_PX = 320  # of such a picture's width, a pixel is how far a mask's border may be off an edge
 MAX_SAMPLES = 120  # points of a contour among which its two corners are searched
@@ -48,53 +51,19 @@ class Side:
         return float(np.linalg.norm(self.end_px - self.start_px))
 
 
-@dataclass(frozen=True, slots=True)
-class ShaftRegion:
-    """The dark shaft of an image: its mask (h, w), contour lines and end, and what the endoscope shows, shape (h, w).
-
-    `end_px` (2,) is the middle of the distal end, None where the shaft runs through the whole image, when the sides do
-    not tell base from tip. `end_is_free` is False where something is mounted there, so that it is not the shaft's rim.
-    """
-
-    mask: Image
-    first: Side
-    second: Side
-    end_px: Array | None
-    end_is_free: bool
-    field_of_view: Image
-
-    @property
-    def is_stub(self) -> bool:
-        """Whether less of the shaft's length is to be seen than twice its width."""
-        width_px = float(np.linalg.norm(self.first.start_px - self.second.start_px))
-        return min(self.first.length_px, self.second.length_px) < 2.0 * width_px
-
-    @property
-    def seen(self) -> SeenInstrument:
-        """What is found of it as of one without colours: its end is that of the dark part, and its sides are rough."""
-        sides = np.array([[side.start_px, side.end_px] for side in (self.first, self.second)])
-        knows_tip, pixel_px = self.end_px is not None, max(max(self.mask.shape) / WORKING_PX, 1.0)
-        small = cv2.resize(
-            self.mask, None, fx=1.0 / pixel_px, fy=1.0 / pixel_px, interpolation=cv2.INTER_AREA
-        )
-        return SeenInstrument(
-            small > 127,
-            self.mask.shape,
-            sides,
-            sides[:, 1].mean(0) if self.end_px is None else self.end_px,
-            evidence=1.0,
-            side_covariance=np.tile(pixel_px**2 * np.eye(2), (2, 1, 1)),
-            end_std_px=MIN_END_STD_PX if knows_tip and self.end_is_free else np.inf,
-            ends_dark=True,
-            pixel_px=pixel_px,
-            knows_tip=knows_tip,
-        )
-
-
 def find_shaft(
-    shaft: Image, rule: AreaGate, covered: Image | None = None, black: Image | None = None
-) -> ShaftRegion | None:
-    """Find the shaft in its mask (h, w), less `covered`; `black` may be border; None where none comes in."""
+    shaft: Image,
+    rule: AreaGate,
+    covered: Image | None = None,
+    black: Image | None = None,
+    *,
+    may_be_print: bool = False,
+) -> tuple[SeenInstrument, Image] | None:
+    """Find the shaft in its mask (h, w), less `covered`, and what the endoscope shows; None where none comes in.
+
+    `black` may be border. Where it `may_be_print`, a stub that is as bright as that is none. Sides do not tell base
+    from tip of a shaft that runs through the whole image, and where something is mounted, its end is not to be seen.
+    """
     width = shaft.shape[1]
     dark = np.asarray(cv2.medianBlur(shaft, 3), np.uint8)
     view = field_of_view(dark if black is None else np.asarray(dark | black))
@@ -119,18 +88,49 @@ def find_shaft(
             return None
         points = np.asarray(contour.reshape(-1, 2), np.int32)
         inside = at_border[points[:, 1], points[:, 0]] == 0
-        sides = _sides_of(points + np.array(corner, np.int32), inside)
-        if sides is not None:
-            shape = np.zeros_like(shaft)
-            cv2.drawContours(shape, [contour], -1, 255, cv2.FILLED, offset=corner)
-            is_free = _is_free(sides, covered) and not _is_cut(sides, dark)
-            return ShaftRegion(shape, *sides, is_free, view)
+        found = _sides_of(points + np.array(corner, np.int32), inside)
+        if found is None:
+            continue
+        first, second, end_px = found
+        whole = np.zeros_like(shaft)
+        cv2.drawContours(whole, [contour], -1, 255, cv2.FILLED, offset=corner)
+        if may_be_print and _is_stub(first, second) and _bright_fraction(whole, shaft) > MAX_PRINTED_FRACTION:
+            return None
+        is_rim = end_px is not None and not (
+            _is_covered(first, second, end_px, covered) or _is_cut(first, second, end_px, dark)
+        )
+        return _as_seen(whole, (first, second), end_px, is_rim=is_rim), view
     return None
 
 
-def bright_fraction(region: ShaftRegion, dark: Image) -> float:
-    """How much of the region's inside is not dark: streaks of glare on a shaft, and the white cells of a print."""
-    inside = _eroded(region.mask, 2)
+def _as_seen(mask: Image, edges: tuple[Side, Side], end_px: Array | None, *, is_rim: bool) -> SeenInstrument:
+    """The shaft as one found without colours: its end is that of the dark part, and its sides are rough."""
+    pixel_px = max(max(mask.shape) / WORKING_PX, 1.0)
+    small = cv2.resize(mask, None, fx=1.0 / pixel_px, fy=1.0 / pixel_px, interpolation=cv2.INTER_AREA)
+    sides = np.array([[side.start_px, side.end_px] for side in edges])
+    return SeenInstrument(
+        small > 127,
+        mask.shape,
+        sides,
+        sides[:, 1].mean(0) if end_px is None else end_px,
+        evidence=1.0,
+        side_covariance=np.tile(pixel_px**2 * np.eye(2), (2, 1, 1)),
+        end_std_px=MIN_END_STD_PX if is_rim else np.inf,
+        ends_dark=True,
+        pixel_px=pixel_px,
+        knows_tip=end_px is not None,
+    )
+
+
+def _is_stub(first: Side, second: Side) -> bool:
+    """Whether less of the shaft's length is to be seen than twice its width."""
+    width_px = float(np.linalg.norm(first.start_px - second.start_px))
+    return min(first.length_px, second.length_px) < 2.0 * width_px
+
+
+def _bright_fraction(mask: Image, dark: Image) -> float:
+    """How much of a shaft's inside is not dark: streaks of glare on it, and the white cells of a print."""
+    inside = _eroded(mask, 2)
     return 1.0 - cv2.countNonZero(cv2.bitwise_and(inside, dark)) / max(cv2.countNonZero(inside), 1)
 
 
@@ -161,22 +161,18 @@ def _apex(arc: Array, first: Side, second: Side) -> Array:
     return np.asarray(middle_px + (ahead[near].max() if near.any() else 0.0) * along)
 
 
-def _is_free(sides: tuple[Side, Side, Array | None], covered: Image | None) -> bool:
-    first, second, end_px = sides
-    if end_px is None or covered is None:
-        return True
+def _is_covered(first: Side, second: Side, end_px: Array, covered: Image | None) -> bool:
+    if covered is None:
+        return False
     radius_px = 0.7 * float(np.linalg.norm(first.end_px - second.end_px))
     left, top = (max(0, int(value - radius_px)) for value in end_px)
     right, bottom = (max(0, int(value + radius_px) + 2) for value in end_px)
     y, x = np.nonzero(covered[top:bottom, left:right])
-    return bool(np.all(np.hypot(x + left - end_px[0], y + top - end_px[1]) > radius_px))
+    return not np.all(np.hypot(x + left - end_px[0], y + top - end_px[1]) > radius_px)
 
 
-def _is_cut(sides: tuple[Side, Side, Array | None], dark: Image) -> bool:
+def _is_cut(first: Side, second: Side, end_px: Array, dark: Image) -> bool:
     """Whether more of a shaft is beyond its end: blood, or a band, cuts it in two."""
-    first, second, end_px = sides
-    if end_px is None:
-        return False
     along, apart_px = first.direction + second.direction, second.end_px - first.end_px
     along /= np.linalg.norm(along)
     ahead, aside = BEYOND * np.linalg.norm(apart_px), np.linspace(-MORE_STRIP, MORE_STRIP, 9)

@@ -135,7 +135,7 @@ def test_blood_across_a_shaft_is_not_its_end(side):
     cut = cv2.fillConvexPoly(whole.copy(), np.rint(band).astype(np.int32), RED_BGR)
     views = [frame_of(Observation(0, bgr, SMALL), Arm(PROFILE), segmenter).left for bgr in (whole, cut)]
     assert [view.shaft.rim is None for view in views] == [False, True]
-    assert all(view.shaft_region is not None for view in views)
+    assert all(view.dark_bar is not None for view in views)
 
 
 def test_a_dark_end_is_no_shafts_where_nothing_of_the_chain_slides():
