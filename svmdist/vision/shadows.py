@@ -39,36 +39,30 @@ STARTS = 30  # points of which each two give a line to be tried
 
 
 def edge_within(
-    bgr: Image,
-    outer: Array,
-    blur_px: float,
-    other: Array,
-    other_blur_px: float,
-    picture: Image | None,
-    least_levels: float,
+    bgr: Image, outer: EdgeLine, other: EdgeLine, picture: Image | None, least_levels: float
 ) -> EdgeLine | None:
     """The shaft's edge, where a side of a silhouette is that of its shadow; None where it is its own.
 
-    Sides are (2, 2) in px from the border on; the blur of one without a sharp edge is infinite. Both edges of a shaft
-    are equally far, and as sharp. Within the one that is less so there is a shadow, if what is there is darker than
-    what is beside it, and has its ratios of red, green and blue (Gevers and Smeulders 1999), up to a line from which on
-    they are the shaft's. Where the image has an edge of brightness along that line, too, it is sharper.
+    Both edges of a shaft are equally far, and as sharp. Within the one that is less so there is a shadow, if what is
+    there is darker than what is beside it, and has its ratios of red, green and blue (Gevers and Smeulders 1999), up to
+    a line from which on they are the shaft's. Where the image has an edge of brightness along that line, too, it is
+    sharper.
     """
-    sharp_px = PENUMBRA_RATIO * max(PENUMBRA_BLUR_PX, other_blur_px if np.isfinite(other_blur_px) else 0.0)
-    length_px = float(np.linalg.norm(outer[1] - outer[0]))
-    if blur_px <= sharp_px or length_px < MIN_POINTS * SPACING_PX:
+    sharp_px = PENUMBRA_RATIO * max(PENUMBRA_BLUR_PX, other.blur_px if other.covariance is None else 0.0)
+    is_sharp, start_px, length_px = outer.covariance is None, outer.start_px, outer.length_px
+    if (is_sharp and outer.blur_px <= sharp_px) or length_px < MIN_POINTS * SPACING_PX:
         return None
-    along = (outer[1] - outer[0]) / length_px
+    along = outer.direction
     across = np.array([-along[1], along[0]])
-    width_px = float(np.mean((other - outer[0]) @ across))
+    width_px = float(np.mean((np.stack([other.start_px, other.end_px]) - start_px) @ across))
     across, width_px = across * np.sign(width_px), abs(width_px)
     at = np.arange(0.5, length_px, max(SPACING_PX, length_px / MOST_PROFILES))
     offsets = np.arange(-BESIDE_PX[1], CORE[1] * width_px, STEP_PX)
 
     def points(at: Array, off_px: Array) -> Array:
-        return np.asarray(outer[0] + at[:, None] * along + off_px[:, None] * across)
+        return np.asarray(start_px + at[:, None] * along + off_px[:, None] * across)
 
-    places = (outer[0] + at[:, None, None] * along + offsets[:, None] * across).astype(np.float32)
+    places = (start_px + at[:, None, None] * along + offsets[:, None] * across).astype(np.float32)
     maps = places[..., 0], places[..., 1]
     levels = cv2.remap(bgr, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
     logs = np.asarray(
@@ -97,7 +91,7 @@ def edge_within(
     rough = points(ends_at, offset_px + slope * ends_at)
     sharp = edge_line(bgr, rough, width_px, COLOUR_STD_PX, picture, least_levels)
     if sharp is not None and sharp.blur_px <= sharp_px:
-        ends = np.stack([sharp.start_px, sharp.end_px]) - outer[0]
+        ends = np.stack([sharp.start_px, sharp.end_px]) - start_px
         apart_px = ends @ across - offset_px - slope * (ends @ along)
         column = np.searchsorted(offsets, np.interp(at, ends @ along, ends @ across))
         sides = (column + off for off in (SIDE, -SIDE))
@@ -109,7 +103,7 @@ def edge_within(
             return sharp
     seen_px, covariance = points(at, off_px)[is_on], COLOUR_STD_PX**2 * np.eye(2)
     by_colours = EdgeLine(rough[0], rough[1], seen_px, False, within_px, covariance, COLOUR_STD_PX)
-    return None if np.isinf(blur_px) else by_colours  # where nothing is sharp, there may be anything
+    return by_colours if is_sharp else None  # where nothing is sharp, there may be anything
 
 
 def _shares(ratios: Array, offsets: Array, width_px: float) -> Array:

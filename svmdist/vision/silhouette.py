@@ -302,14 +302,8 @@ def _edges(bgr: Image, seen: SeenInstrument, picture: Image | None, least_levels
             (start_px, end_px), covariance = rough, seen.side_covariance[side]
             one = EdgeLine(start_px, end_px, np.zeros((0, 2)), False, 0.0, covariance, seen.pixel_px)
         edges.append(one)
-    sides = [np.stack([one.start_px, one.end_px]) for one in edges]
-    blurs_px = [one.blur_px if one.covariance is None else np.inf for one in edges]
-    within = [
-        edge_within(
-            bgr, sides[side], blurs_px[side], sides[1 - side], blurs_px[1 - side], picture, least_levels
-        )
-        for side in (0, 1)
-    ]
+    pairs = (edges, edges[::-1])
+    within = [edge_within(bgr, outer, other, picture, least_levels) for outer, other in pairs]
     return [one or outer for one, outer in zip(within, edges, strict=True)]
 
 

@@ -8,6 +8,7 @@ from benchmarks.masks import iou
 from svmdist.profile.settings import AutoSettings
 from svmdist.recording.log import open_recording
 from svmdist.samples import Image
+from svmdist.vision.edge_lines import EdgeLine
 from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.instruments.evidence import Evidence, picture_of
 from svmdist.vision.instruments.find_instruments import AutoSegmenter, SeenInstrument
@@ -207,12 +208,16 @@ def stained_shaft(share: float) -> Image:
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.4])
 def test_a_shaft_ends_at_its_shadow_by_colours_alone_with_blood_on_it(share):
     """Red is no colour of the shaft either, so that blood on its limb looks like more of what is beside it."""
-    outer, other = (np.array([[0.0, y], [280.0, y]]) for y in (158.0, 99.5))
-    found = edge_within(stained_shaft(share), outer, 3.0, other, 0.8, None, 12.0)
+
+    def side(y: float, blur_px: float) -> EdgeLine:
+        return EdgeLine(np.array([0.0, y]), np.array([280.0, y]), np.zeros((0, 2)), False, blur_px=blur_px)
+
+    other = side(99.5, 0.8)
+    found = edge_within(stained_shaft(share), side(158.0, 3.0), other, None, 12.0)
     assert found is not None
     assert [found.start_px[1], found.end_px[1]] == pytest.approx([139.5, 139.5], abs=1.0)
     lit = np.where(np.arange(240)[:, None, None] >= 140, np.uint8(160), stained_shaft(share))
-    assert edge_within(lit, np.array([[0.0, 139.5], [280.0, 139.5]]), 3.0, other, 0.8, None, 12.0) is None
+    assert edge_within(lit, side(139.5, 3.0), other, None, 12.0) is None
 
 
 @pytest.mark.parametrize("is_cap", [False, True], ids=["shadow", "cap"])
