@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from benchmarks.generated_pages import table_row
 from svmdist.profile.segmentation import INSTRUMENTS, OnnxSegmentation
 from svmdist.samples import Image
-from svmdist.vision.instruments.find_instruments import AutoSegmenter
+from svmdist.vision.instruments.find_instruments import AutoMasks
 from svmdist.vision.network import OnnxSegmenter
-from svmdist.vision.segmentation import Segmenter
+from svmdist.vision.segmentation import Masks
 from training.instruments import DISTAL
 from training.scene import VALIDATION_SEED, render
 
@@ -152,19 +152,14 @@ SETS: dict[str, tuple[str, str, Callable[[Path], Masked]]] = {
 """Each set's public repository, what it shows, and how its images are read from the folder of that repository."""
 
 
-def instruments_of(segmenter: Segmenter, bgr: Image) -> Mask:
+def instruments_of(masks: Masks) -> Mask:
     """Shafts, wrists and jaws of all instruments, shape (h, w)."""
-    masks = segmenter.masks(bgr)
     return (masks.instrument > 0) if masks.shaft is None else ((masks.instrument | masks.shaft) > 0)
 
 
-def _segmenters() -> dict[str, Segmenter]:
-    """What segments the images."""
-    found: dict[str, Segmenter] = {"`auto`": AutoSegmenter()}
-    for name, from_border in (("network", False), ("network, from the border", True)):
-        rules = {**INSTRUMENTS, "method": "onnx", "model": "svmdist:instruments", "from_border": from_border}
-        found[name] = OnnxSegmenter(OnnxSegmentation.model_validate(rules))
-    return found
+def _network(*, from_border: bool) -> OnnxSegmenter:
+    rules = {**INSTRUMENTS, "method": "onnx", "model": "svmdist:instruments", "from_border": from_border}
+    return OnnxSegmenter(OnnxSegmentation.model_validate(rules))
 
 
 def iou(found: Mask, truth: Mask) -> float:
@@ -197,13 +192,19 @@ def print_row(name: str, shows: str, images: Sequence[tuple[Image, Mask]]) -> tu
         defaultdict[str, list[float]](list),
         list[Mask](),
     )
-    for method, segmenter in _segmenters().items():
+    network = _network(from_border=False)
+    segmenters: dict[str, Callable[[Image], Masks]] = {
+        "`auto`": AutoMasks,
+        "network": network.masks,
+        "network, from the border": _network(from_border=True).masks,
+    }
+    for method, masks_of in segmenters.items():
         for bgr, truth in images:
-            found = instruments_of(segmenter, bgr)
+            found = instruments_of(masks_of(bgr))
             into, value = (ious, iou(found, truth)) if truth.any() else (wrong, float(found.mean()))
             into[method].append(value)
-            if method == "network" and isinstance(segmenter, OnnxSegmenter):
-                likely.append(nine_of_ten(segmenter, bgr, truth))
+            if method == "network":
+                likely.append(nine_of_ten(network, bgr, truth))
     cells = (
         f"{method}: {np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f})"
         + (f"; {100 * float(np.mean(wrong[method])):.1f}%" if method in wrong else "")

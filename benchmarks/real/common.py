@@ -163,7 +163,7 @@ def _network() -> OnnxSegmenter:
 
 def by_network(bgr: Image) -> Mask:
     """Where the shipped network sees an instrument, shape (h, w): no truth, for sets without masks."""
-    return instruments_of(_network(), bgr)
+    return instruments_of(_network().masks(bgr))
 
 
 def outline(pose: ToolPose, K: Array, size: tuple[int, int], radius_m: float) -> Mask:

@@ -44,19 +44,11 @@ class KnownMasks:
     seen: tuple[SeenInstrument, ...] | None = None
 
 
-class HsvSegmenter:
-    """`method = "hsv"`: a box of colours for each part."""
-
-    uses_colours = True
-
-    def __init__(self, rules: HsvSegmentation) -> None:
-        self._rules = rules
-
-    def masks(self, image: Image, /) -> KnownMasks:
-        """The masks of an image as HSV, shape (h, w, 3)."""
-        channels, rules = _channels_of(image), self._rules
-        shaft = None if rules.shaft is None else _mask(channels, rules.shaft)
-        return KnownMasks(_mask(channels, rules.tissue), _mask(channels, rules.instrument), shaft)
+def masks_by_colours(rules: HsvSegmentation, image_hsv: Image) -> KnownMasks:
+    """`method = "hsv"`: the masks of an image as HSV, shape (h, w, 3), by a box of colours for each part."""
+    channels = _channels_of(image_hsv)
+    shaft = None if rules.shaft is None else _mask(channels, rules.shaft)
+    return KnownMasks(_mask(channels, rules.tissue), _mask(channels, rules.instrument), shaft)
 
 
 def to_hsv(bgr: Image) -> Image:

@@ -34,8 +34,6 @@ Runtime = Callable[[NDArray[np.float32]], dict[str, Tensor]]
 class OnnxSegmenter:
     """`method = "onnx"`: the class of every pixel by a network; ProfileError at once where it cannot run."""
 
-    uses_colours = False
-
     def __init__(self, rules: OnnxSegmentation) -> None:
         self._rules = rules
         net, blank = _read(rules.model), np.zeros((rules.height_px, rules.width_px, 3), np.uint8)
@@ -53,7 +51,7 @@ class OnnxSegmenter:
                     f" tells {count} classes, 0 to {count - 1}"
                 )
 
-    def masks(self, bgr: Image, /) -> KnownMasks:
+    def masks(self, bgr: Image) -> KnownMasks:
         """The masks of an image, shape (h, w, 3) in BGR as recorded."""
         left, top, width, height = self.view(bgr) if self._rules.crop_to_view else (0, 0, *bgr.shape[1::-1])
         output = self._run(np.ascontiguousarray(bgr[top : top + height, left : left + width]))

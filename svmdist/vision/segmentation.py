@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -10,30 +12,32 @@ import numpy as np
 from svmdist.profile.segmentation import AutoSegmentation, HsvSegmentation, Segmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
-from svmdist.vision.colour import HsvSegmenter, KnownMasks
-from svmdist.vision.instruments.find_instruments import AutoMasks, AutoSegmenter
+from svmdist.vision.colour import KnownMasks, masks_by_colours
+from svmdist.vision.instruments.find_instruments import AutoMasks
 from svmdist.vision.network import OnnxSegmenter
 
 DEFAULT = AutoSettings()
 Masks = KnownMasks | AutoMasks
 
 
-class Segmenter(Protocol):
-    """What every method of segmentation is: one image to its masks, at the image's own resolution."""
+@dataclass(frozen=True)
+class Segmenter:
+    """A method of segmentation: one image, shape (h, w, 3), to its `masks`, at the image's own resolution.
 
-    @property
-    def uses_colours(self) -> bool:
-        """Whether it takes the image as HSV; a network takes BGR as recorded, as it did in its training."""
+    One that `uses_colours` takes HSV; a network takes BGR as recorded, as it did in its training.
+    """
 
-    def masks(self, image: Image, /) -> Masks:
-        """The masks of an image, shape (h, w, 3), as HSV for one that uses colours, else as BGR."""
+    masks: Callable[[Image], Masks]
+    uses_colours: bool = False
 
 
 def make_segmenter(rules: Segmentation, auto: AutoSettings = DEFAULT) -> Segmenter:
     """Make the segmenter that a profile asks for; raises ProfileError where its network cannot be used."""
     if isinstance(rules, HsvSegmentation):
-        return HsvSegmenter(rules)
-    return AutoSegmenter(auto) if isinstance(rules, AutoSegmentation) else OnnxSegmenter(rules)
+        return Segmenter(partial(masks_by_colours, rules), uses_colours=True)
+    if isinstance(rules, AutoSegmentation):
+        return Segmenter(partial(AutoMasks, settings=auto))
+    return Segmenter(OnnxSegmenter(rules).masks)
 
 
 def without(masks: Masks, others: Image) -> KnownMasks:

@@ -28,7 +28,8 @@ from svmdist.samples import Image, Observation
 from svmdist.transforms import Array
 from svmdist.vision.colour import DistinctColour, find_distinct_colour
 from svmdist.vision.frame_context import as_pinholes
-from svmdist.vision.instruments.find_instruments import AutoSegmenter
+from svmdist.vision.instruments.find_instruments import AutoMasks
+from svmdist.vision.segmentation import make_segmenter
 from svmdist.vision.stereo import RowAlignment
 from svmdist.workflows.capabilities import observations_of
 from svmdist.workflows.check import compare_views, offset_to_remove
@@ -242,12 +243,11 @@ def _blank(topics: Mapping[str, str]) -> Profile:
 
 def _instruments_by_sides(images: Sequence[Image]) -> tuple[InstrumentDraft, ...]:
     """Instruments by the sides of the picture that they come in from in most images; one where no two are seen."""
-    segmenter = AutoSegmenter()
     sides: Counter[str] = Counter()
     for image in images:
         height_px, width_px = image.shape[:2]
         here = set()
-        for one in segmenter.masks(image).seen or ():
+        for one in AutoMasks(image).seen:
             x, y = one.entry_px / [width_px, height_px] - 0.5
             here.add(("left" if x < 0 else "right") if abs(x) > abs(y) else ("above" if y < 0 else "below"))
         sides.update(here)
@@ -269,7 +269,7 @@ def _surface(
     rules = _blank({}).model_copy(
         update={"segmentation": AutoSegmentation(method="auto"), "tissue": FIRST_GUESS}
     )
-    segmenter, deviations = AutoSegmenter(), Deviations(CameraError())
+    segmenter, deviations = make_segmenter(rules.segmentation), Deviations(CameraError())
     rows = rows or offset_to_remove(observations, rules)
     clouds: list[Array] = []
     stds_m: list[float] = []

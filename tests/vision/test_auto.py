@@ -5,15 +5,17 @@ import numpy as np
 import pytest
 
 from benchmarks.masks import iou
+from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.recording.log import open_recording
 from svmdist.samples import Image
 from svmdist.vision.edge_lines import EdgeLine
 from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.instruments.evidence import Evidence, picture_of
-from svmdist.vision.instruments.find_instruments import AutoSegmenter, SeenInstrument
+from svmdist.vision.instruments.find_instruments import AutoMasks, SeenInstrument
 from svmdist.vision.instruments.outline import Outline
 from svmdist.vision.instruments.outline_search import judged
+from svmdist.vision.segmentation import make_segmenter
 from svmdist.vision.shadows import edge_within
 from svmdist.vision.silhouette import WristShape, find_silhouette
 from tests.pictures import BORDERS, surgery_image
@@ -23,7 +25,7 @@ from tests.shipped import PROFILE
 
 def instruments(bgr: Image) -> np.ndarray:
     """All instruments' pixels, shape (h, w)."""
-    masks = [one.mask > 0 for one in AutoSegmenter().masks(bgr).seen]
+    masks = [one.mask > 0 for one in AutoMasks(bgr).seen]
     return np.any(masks, axis=0) if masks else np.zeros(bgr.shape[:2], np.bool_)
 
 
@@ -39,7 +41,7 @@ def test_instruments_over_tissue():
 @pytest.mark.slow
 def test_bare_tissue_holds_no_instrument():
     """Vessels, fat, highlights, light that falls off and any border are no straight sides that come in."""
-    counts = [len(AutoSegmenter().masks(surgery_image(seed, count=0).bgr).seen) for seed in range(24)]
+    counts = [len(AutoMasks(surgery_image(seed, count=0).bgr).seen) for seed in range(24)]
     assert counts.count(0) >= 23
 
 
@@ -49,7 +51,7 @@ def test_the_picture_inside_its_border(border):
     for seed in range(3):
         one = surgery_image(seed, border=border)
         assert iou(picture_of(one.bgr) > 0, one.picture > 0) > 0.97
-        masks = AutoSegmenter().masks(one.bgr)
+        masks = AutoMasks(one.bgr)
         outside = cv2.dilate(one.picture, np.ones((9, 9), np.uint8)) == 0
         assert masks.shaft is not None
         assert not (masks.shaft[outside] > 0).any()
@@ -61,7 +63,7 @@ def test_an_image_of_one_level_is_all_picture(level):
     """The lens before a lamp, or covered: nothing is darker than the rest, and there is no instrument."""
     bgr = np.full((120, 160, 3), level, np.uint8)
     assert picture_of(bgr).all()
-    assert not AutoSegmenter().masks(bgr).seen
+    assert not AutoMasks(bgr).seen
 
 
 def test_instruments_come_in_where_light_ends():
@@ -150,7 +152,7 @@ def test_sides_run_along_the_outline():
     for one in map(surgery_image, range(6)):
         outline = cv2.Canny(one.instruments, 100, 200) == 0
         distance = cv2.distanceTransform(outline.astype(np.uint8), cv2.DIST_L2, 5)
-        for seen in AutoSegmenter().masks(one.bgr).seen:
+        for seen in AutoMasks(one.bgr).seen:
             share = np.linspace(0.1, 0.9, 20)[:, None]
             for start, end in seen.sides:
                 x, y = np.rint(start + share * (end - start)).astype(int).T
@@ -164,7 +166,7 @@ def test_sides_without_an_edge_are_those_of_the_evidence():
     """In an image without edges a shaft's sides are as wide as the evidence has them."""
     told = 0
     for one in map(surgery_image, range(6)):
-        for seen in AutoSegmenter().masks(one.bgr).seen:
+        for seen in AutoMasks(one.bgr).seen:
             if find_silhouette(one.bgr, seen, None, WristShape(0.3, 2.0), 12.0) is None:
                 continue
             told += 1
@@ -248,7 +250,7 @@ def test_a_side_that_goes_on_alone_is_doubtful_unless_the_instrument_does(is_cap
 def test_a_wrist_that_comes_in_from_the_border_is_no_shaft(golden):
     """A wrist is half as wide as the shaft: taken for it, its depth would be twice as large."""
     images = [one.image_bgr for one in read_images(open_recording(golden / "3d" / "duo.mcap", PROFILE))]
-    segmenter = AutoSegmenter()
+    segmenter = make_segmenter(AutoSegmentation(method="auto"))
 
     def seen(frame: int) -> tuple[SeenInstrument, ...]:
         """Without the plates of tags, which stand out beside the shafts."""
@@ -273,7 +275,7 @@ def test_instruments_without_a_straight_shaft_are_no_tissue():
         one, bare = surgery_image(seed, count=1), surgery_image(seed, count=0)
         inner = cv2.erode(one.picture, np.ones((91, 91), np.uint8), borderValue=0) > 0
         floating = inner & (one.instruments > 0)
-        masks = AutoSegmenter().masks(np.where(floating[..., None], one.bgr, bare.bgr))
+        masks = AutoMasks(np.where(floating[..., None], one.bgr, bare.bgr))
         if masks.seen or np.count_nonzero(floating) < 0.01 * floating.size:
             continue
         covered.append(float((masks.instrument[floating] > 0).mean()))
@@ -321,7 +323,5 @@ def test_highlights_at_the_border_are_no_instruments():
             centre = (x, int(240 + 0.2 * x + rng.normal(0.0, 9.0)))
             axes = (int(rng.integers(4, 12)), int(rng.integers(4, 16)))
             cv2.ellipse(bgr, centre, axes, float(rng.uniform(0, 180)), 0, 360, (250, 248, 252), cv2.FILLED)
-        counts.append(
-            len(AutoSegmenter().masks(np.asarray(cv2.GaussianBlur(bgr, (0, 0), 1.0), np.uint8)).seen)
-        )
+        counts.append(len(AutoMasks(np.asarray(cv2.GaussianBlur(bgr, (0, 0), 1.0), np.uint8)).seen))
     assert counts.count(0) >= 5

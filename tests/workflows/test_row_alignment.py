@@ -10,10 +10,11 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.estimation.scene import Scene
 from svmdist.profile import load_profile
+from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import open_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import CameraSample, ImageSample
-from svmdist.vision.instruments.find_instruments import AutoSegmenter
+from svmdist.vision.segmentation import make_segmenter
 from svmdist.vision.stereo import RowAlignment
 from svmdist.workflows import replay
 from svmdist.workflows.check import compare_views, first_of, offset_to_remove, spread_observations
@@ -66,7 +67,7 @@ def test_a_lens_that_is_not_stated_widens_what_is_measured(tmp_path):
     assert found.warning.startswith("rows of both views")
     assert found.rows is not None
     assert found.rows.slope == pytest.approx((0.0, 0.03), abs=2e-3)
-    aligned = Scene(pairs[0], PROFILE, AutoSegmenter(), found.rows).surface()
+    aligned = Scene(pairs[0], PROFILE, make_segmenter(AutoSegmentation(method="auto")), found.rows).surface()
     assert aligned is not None
     off_m = np.abs(aligned.points_m[:, 2] - 0.1)
     assert np.percentile(off_m, 90.0) > 1e-3  # three pixels of 18 at the border

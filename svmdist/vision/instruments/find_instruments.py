@@ -241,9 +241,9 @@ DEFAULT = AutoSettings()
 
 
 class AutoMasks:
-    """The masks of one image, shape (h, w) with 0 or 255, made when they are first asked for."""
+    """`method = "auto"`: the masks of one image, shape (h, w) with 0 or 255, made when they are first asked for."""
 
-    def __init__(self, bgr: Image, settings: AutoSettings) -> None:
+    def __init__(self, bgr: Image, settings: AutoSettings = DEFAULT) -> None:
         self._evidence = Evidence(bgr, settings)
 
     def hide(self, mask: Image) -> None:
@@ -291,16 +291,3 @@ class AutoMasks:
 
     def _union(self, masks: Sequence[Image]) -> Image:
         return np.asarray(np.bitwise_or.reduce([np.zeros(self._evidence.size, np.uint8), *masks]))
-
-
-class AutoSegmenter:
-    """Finds instruments by the evidence of the network that ships, inside of straight sides."""
-
-    uses_colours = False
-
-    def __init__(self, settings: AutoSettings = DEFAULT) -> None:
-        self._settings = settings
-
-    def masks(self, bgr: Image, /) -> AutoMasks:
-        """The masks of an image, shape (h, w, 3) in BGR as recorded."""
-        return AutoMasks(bgr, self._settings)
