@@ -25,9 +25,7 @@ MAX_TAPER_RAD = 0.6  # between the sides; a cylinder that points at the camera h
 BEYOND, MORE_STRIP = np.arange(0.25, 2.5, 0.05), 0.25
 """Where more of a shaft is sought beyond its end, and to either side of the middle, over its width."""
 MORE, MORE_SHARE = 10, 0.35  # of half a width along that, dark is so much of more shaft; of wrists, less
-MAX_PRINTED_FRACTION = (
-    0.1  # of a dark stub that is bright: beyond, it is a tag's print, half of which is white
-)
+MAX_PRINTED_FRACTION = 0.1  # of a dark stub that is bright: of a tag's print half is white
 MIN_END_STD_PX = 3.0  # of the shaft's end: steel, jaws and shadow are as dark, 4 px and more off it
 WORKING_PX = 320  # of such a picture's width, a pixel is how far a mask's border may be off an edge
 MAX_SAMPLES = 120  # points of a contour among which its two corners are searched
