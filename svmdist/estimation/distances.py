@@ -52,7 +52,7 @@ def measured(
     planar, spatial = _length(offset_m[:2], covariance[:2, :2]), _length(offset_m, covariance)
     clearance = capsules = None
     if frame.arm.body is not None:
-        capsules = frame.arm.body.posed(pose, tool.joints, tool.has_plate)
+        capsules = frame.arm.body.posed(tool)
         gap = separation(capsules, tissue.surface)
         frame.left.measured_surface = tissue.surface
         parts_m = clearance_std_m(gap, pose, tissue, coupling), _bent_std_m(gap, capsules, pose, tissue)
@@ -142,7 +142,7 @@ def with_clearance_between(
 ) -> list[FrameResult]:
     """The results of one image, one per instrument, each with the smallest distance to another instrument's surface."""
     posed = [
-        (at, body.posed(result.tool.pose, result.tool.joints, result.tool.has_plate), result.tool.pose, body)
+        (at, body.posed(result.tool), result.tool.pose, body)
         for at, (result, body) in enumerate(zip(results, bodies, strict=True))
         if result.tool is not None and body is not None and result.measured
     ]

@@ -112,7 +112,7 @@ def frame_drawing(
         tool, body = result.tool, frame.arm.body
         if tool is None or body is None:
             continue
-        capsules = body.posed(tool.pose, tool.joints, tool.has_plate)
+        capsules = body.posed(tool)
         if result.measured:
             bodies[result.instrument] = capsules
         # Also of a pose that the image refutes: then it shows why.

@@ -118,13 +118,13 @@ def test_the_deviation_is_that_of_two_poses_that_err_alone():
         pose_at(x_m, root @ root.T, turn)
         for x_m, root, turn in ((-0.012, roots[0], (0.2, 0.3, 0.0)), (0.012, roots[1], (-0.1, 0.1, 0.4)))
     ]
-    gap = capsule_separation(BODY.posed(poses[0]), BODY.posed(poses[1]))
+    gap = capsule_separation(*(BODY.posed(ToolEstimate(pose)) for pose in poses))
     told_m = between_std_m(gap, *poses)
     found_m = []
     for _ in range(1500):
         drawn = []
         for pose, root in zip(poses, roots, strict=True):
             T = nudged(pose.T_camera_tool, root @ rng.normal(size=6))
-            drawn.append(BODY.posed(ToolPose(T, pose.covariance, T[:3, 2])))
+            drawn.append(BODY.posed(ToolEstimate(ToolPose(T, pose.covariance, T[:3, 2]))))
         found_m.append(capsule_separation(*drawn).distance_m)
     assert told_m == pytest.approx(float(np.std(found_m)), rel=0.08)

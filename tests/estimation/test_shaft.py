@@ -17,7 +17,7 @@ from svmdist.estimation.scene import Arm
 from svmdist.profile import Profile, load_profile
 from svmdist.profile.robot import Instrument
 from svmdist.profile.segmentation import AutoSegmentation
-from svmdist.results import Failure
+from svmdist.results import Failure, ToolEstimate
 from svmdist.samples import Observation, Rejection, Status
 from svmdist.transforms import make_transform
 from svmdist.vision.instruments import find_instruments
@@ -102,7 +102,7 @@ def test_steel_tip_without_a_coloured_part(side):
     assert of_bend_m.min() > 0.3 * WRIST_M
     # The instrument's model, too, has its shaft where it is seen, however its wrist is bent.
     assert fit.pose.hinge is not None
-    shaft = shaft_sections(SMALL, InstrumentModel.of(PROFILE).posed(fit.pose))
+    shaft = shaft_sections(SMALL, InstrumentModel.of(PROFILE).posed(ToolEstimate(fit.pose)))
     along = drawn.hinge_m + np.linspace(-0.3, -END_M, 300)[:, None] * drawn.direction
     middle_px = SMALL.project(along[along[:, 2] > 0.02])
     off_px = np.linalg.norm(shaft.middles_px[:, None] - middle_px, axis=2).min(1)
@@ -183,7 +183,8 @@ def test_jaws_are_as_long_as_their_tips_are_seen_and_never_shorter(side):
         assert "jaws' tip" in fit.used
         assert (fit.pose.jaw_scale > 1.1) == (share > 1.0)
         bodies = [
-            InstrumentModel.of(profile).posed(one) for one in (fit.pose, replace(fit.pose, jaw_scale=1.0))
+            InstrumentModel.of(profile).posed(ToolEstimate(one))
+            for one in (fit.pose, replace(fit.pose, jaw_scale=1.0))
         ]
         tips_m = [body.end_m[np.argmax(body.end_m @ drawn.direction)] for body in bodies]
         seen_px = SMALL.project(drawn.tool_m + length_m * drawn.direction)

@@ -21,7 +21,7 @@ from svmdist.kinematics import (
 )
 from svmdist.profile import Profile
 from svmdist.profile.robot import Fiducial, Instrument
-from svmdist.results import ToolPose
+from svmdist.results import ToolEstimate, ToolPose
 from svmdist.samples import JointSample
 from svmdist.transforms import Array, cross, inverse
 from svmdist.vision.lines import tangent_normal
@@ -152,15 +152,15 @@ class InstrumentModel:
         kinematics = WristKinematics.of(chain_of(profile.robot)) if profile.robot else None
         return cls(profile.instrument, kinematics, profile.fiducial)
 
-    def posed(self, pose: ToolPose, joints: JointSample | None = None, has_plate: bool = False) -> Capsules:
-        """Capsules in the camera frame, bent by the joints where there are any; `has_plate` adds the tag's plate."""
-        kinematics = self.kinematics
-        q = joints_of(kinematics.chain, joints) if kinematics is not None else None
+    def posed(self, tool: ToolEstimate) -> Capsules:
+        """Capsules in the camera frame, bent by the joints where there are any, with the plate where it has one."""
+        kinematics, pose = self.kinematics, tool.pose
+        q = joints_of(kinematics.chain, tool.joints) if kinematics is not None else None
         if kinematics is None or q is None:
             return capsules_about(self.instrument, self._wrist_without_joints(pose), pose.jaw_scale)
         frames = frame_transforms(kinematics.chain, q)
         body = capsules_about(self.instrument, kinematics.wrist_in_tool(frames, q), pose.jaw_scale)
-        if has_plate and self.fiducial is not None:
+        if tool.has_plate and self.fiducial is not None:
             T_base_link = frames[row_index(kinematics.chain, self.fiducial.link)]
             T_tool_base = inverse(frames[-1] @ kinematics.chain.T_last_tool)
             T_tool_tag = T_tool_base @ T_base_link @ self.fiducial.T_link_tag
