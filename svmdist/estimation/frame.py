@@ -134,10 +134,10 @@ class View:
     @cached_property
     def shaft(self) -> ShaftDetection:
         """The shaft's edges and end."""
-        straight = self._arm.straight
-        if straight is None:
+        straight, silhouette = self._arm.straight, self.silhouette
+        if straight is None or silhouette is None:
             return NO_SHAFT
-        return detect_silhouette(self.silhouette, self.camera, straight.radius_m)
+        return detect_silhouette(silhouette, self.camera, straight.radius_m)
 
     @cached_property
     def rim_ahead(self) -> tuple[float, float] | None:
@@ -241,17 +241,17 @@ class Frame:
     @cached_property
     def shaft_pose(self) -> ImagePose | Failure:
         """The tool's pose by the left view, through shaft, wrist and distal marker."""
-        from svmdist.estimation.instrument.image_pose import pose_by_image
+        from svmdist.estimation.instrument.image_pose import pose_by_images
 
-        return pose_by_image(self)
+        return pose_by_images(self)
 
     @cached_property
     def pair_pose(self) -> ImagePose | Failure:
         """The tool's pose by both views."""
-        from svmdist.estimation.instrument.image_pose import pose_by_pair
+        from svmdist.estimation.instrument.image_pose import pose_by_images
 
         pair = self.scene.stereo_pair
-        return pair if isinstance(pair, Failure) else pose_by_pair(self, pair)
+        return pair if isinstance(pair, Failure) else pose_by_images(self, pair)
 
 
 def prefetch(source: object, names: Iterable[str]) -> dict[str, float]:

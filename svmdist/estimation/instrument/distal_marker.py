@@ -11,11 +11,11 @@ import numpy as np
 
 from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.measurement_kinds import MARKER, PointError
-from svmdist.estimation.instrument.shaft_detection import BORDER_STD_PER_BLUR, FARTHEST_M, marker_centre
+from svmdist.estimation.instrument.shaft_detection import BORDER_STD_PER_BLUR, FARTHEST_M
 from svmdist.estimation.scene import Arm
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, transform_points
-from svmdist.vision.lines import axis_of_cylinder
+from svmdist.vision.lines import axis_of_cylinder, without_perspective
 from svmdist.vision.stereo import RectifiedPair, matched_place
 
 WRIST = "wrist"
@@ -123,7 +123,10 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
     tolerance = np.exp(4.0 * np.hypot(unknown, instrument.knuckle_radius_std_fraction))
     is_other = not MIN_VISIBLE_FRACTION / tolerance <= whole <= MAX_AREA_FRACTION * tolerance
     wrong = max(0.0, abs(1.0 - whole) - WHOLE_AREA_SPREAD)
-    pixel, blur_px = marker_centre(marker, view.camera, expected.depth_m, radius_m)
+    pixel, blur_px = marker.centre_px, 0.0
+    if (disc := marker.disc) is not None:
+        pixel = without_perspective(disc.centre_px, view.camera, expected.depth_m, radius_m)
+        blur_px = disc.blur_px
     hidden = 0.0 if is_other else float(np.hypot(0.5 * wrong, unknown))  # jaws that move hide other parts
     error = PointError(
         "other part" if is_other else MARKER,

@@ -62,36 +62,30 @@ class ImagePose:
         return any(name == DISPARITY or name.startswith("right ") for name in self.used)
 
 
-def pose_by_image(frame: Frame) -> ImagePose | Failure:
-    """The tool by the left view; or why it cannot be measured."""
-    arm, left, instrument = frame.arm, frame.left, frame.arm.profile.instrument
+def pose_by_images(frame: Frame, pair: RectifiedPair | None = None) -> ImagePose | Failure:
+    """The tool by the left view, or by both views of a pair; or why it cannot be measured."""
+    arm, right, instrument = frame.arm, frame.right, frame.arm.profile.instrument
     if instrument is None:
         return Failure(f"profile {arm.profile.name} has no [instrument]")
     model = ShaftModel.of(frame.robot, arm.required_chain, instrument)
-    firsts = list(_first_shafts(left, model, model.R_camera_shaft))
-    return _located(frame, firsts, of_images(frame, None, both_views=False), model)
-
-
-def pose_by_pair(frame: Frame, pair: RectifiedPair) -> ImagePose | Failure:
-    """The tool by both views; or why it cannot be measured."""
-    arm, left, right, instrument = frame.arm, frame.left, frame.right, frame.arm.profile.instrument
-    assert instrument is not None
-    assert right is not None  # the pair has one
-    if left.region is None and right.region is None and (left.shaft.contours or right.shaft.contours):
-        # What hides the distal part ends the shaft, too: its end is then anywhere.
-        return Failure("the instrument's distal part is hidden in both views")
-    model = ShaftModel.of(frame.robot, arm.required_chain, instrument)
-    markers, tool_m, expected = pair_markers(frame, pair), None, None
-    if isinstance(markers, MarkerPair):
-        tool_m, expected = pair.point(markers.left.pixel, markers.disparity_px)[0], markers.expected
-    firsts = list(_first_places((left, right), tool_m, model))
-    return _located(frame, firsts, of_images(frame, expected, markers, both_views=True), model)
+    views, markers, tool_m, expected = [frame.left], None, None, None
+    if pair is not None:
+        assert right is not None  # the pair has one
+        views.append(right)
+        if all(view.region is None for view in views) and any(view.shaft.contours for view in views):
+            # What hides the distal part ends the shaft, too: its end is then anywhere.
+            return Failure("the instrument's distal part is hidden in both views")
+        markers = pair_markers(frame, pair)
+        if isinstance(markers, MarkerPair):
+            tool_m, expected = pair.point(markers.left.pixel, markers.disparity_px)[0], markers.expected
+    firsts = list(_first_places(views, tool_m, model))
+    return _located(frame, firsts, of_images(frame, expected, markers, both_views=pair is not None), model)
 
 
 def _first_places(
-    views: tuple[View, View], tool_m: Array | None, model: ShaftModel
+    views: Sequence[View], tool_m: Array | None, model: ShaftModel
 ) -> Iterator[Array | Failure]:
-    """First `T_left_shaft`, (4, 4): by the sides in either view, by the triangulated marker; or what is missing."""
+    """First `T_left_shaft`, (4, 4): by the sides in a view, by the triangulated marker; or what is missing."""
     R_nominal = model.R_camera_shaft
     for view in views:
         T_left_view = inverse(view.T_view_left)

@@ -12,7 +12,7 @@ from svmdist.profile.settings import DistalMarkerSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.discs import Disc, fit_disc
-from svmdist.vision.lines import TangentPlane, axis_of_cylinder, fit_line, line_between, without_perspective
+from svmdist.vision.lines import TangentPlane, axis_of_cylinder, fit_line, line_between
 from svmdist.vision.regions import Region
 from svmdist.vision.silhouette import FROM_ONE_END, Rim, Silhouette, WristPoint
 
@@ -44,10 +44,10 @@ class DistalMarker:
 
 
 def detect_distal_marker(
-    image_hsv: Image, mask: Image, region: Region | None, settings: DistalMarkerSettings
+    image_hsv: Image, mask: Image, region: Region, settings: DistalMarkerSettings
 ) -> DistalMarker | None:
     """The region of the mask (h, w) as a disc, sized where the colour has half its strength; None of bare steel."""
-    if region is None or _median_saturation(image_hsv, mask) < settings.min_saturation:
+    if _median_saturation(image_hsv, mask) < settings.min_saturation:
         return None
     disc = _marker_disc(image_hsv, mask, region)
     if disc is None:
@@ -78,16 +78,6 @@ def _marker_disc(image_hsv: Image, mask: Image, region: Region) -> Disc | None:
     return disc
 
 
-def marker_centre(
-    marker: DistalMarker, camera: Camera, depth_m: float, radius_m: float
-) -> tuple[Array, float]:
-    """The pixel (2,) of a sphere's middle, and its border's blur in px; without a circle the centroid, blur 0."""
-    disc = marker.disc
-    if disc is None:
-        return marker.centre_px, 0.0
-    return without_perspective(disc.centre_px, camera, depth_m, radius_m), disc.blur_px
-
-
 def _median_saturation(image_hsv: Image, mask: Image) -> float:
     x, y, width, height = cv2.boundingRect(mask)
     window = np.s_[y : y + height, x : x + width]
@@ -109,25 +99,20 @@ class ShaftDetection:
     both contours get wrong alike, `wrist_std` the same of what may be no shaft, where nothing else tells its depth.
     """
 
-    contours: tuple[TangentPlane, ...]
-    rim: Rim | None
-    towards_tip: Array | None
-    middle_px: Array | None
+    contours: tuple[TangentPlane, ...] = ()
+    rim: Rim | None = None
+    towards_tip: Array | None = None
+    middle_px: Array | None = None
     wrist: WristPoint | None = None
     width_std: float = 0.0
     wrist_std: float = 0.0
 
 
-NO_SHAFT = ShaftDetection((), None, None, None)
+NO_SHAFT = ShaftDetection()
 
 
-def detect_silhouette(silhouette: Silhouette | None, camera: Camera, radius_m: float) -> ShaftDetection:
-    """Contours, end and wrist of a shaft whose silhouette was found, whatever its colour; `NO_SHAFT` for none.
-
-    None is it either that would stand elsewhere than a shaft of its radius can.
-    """
-    if silhouette is None:
-        return NO_SHAFT
+def detect_silhouette(silhouette: Silhouette, camera: Camera, radius_m: float) -> ShaftDetection:
+    """Contours, end and wrist of a shaft by its silhouette; `NO_SHAFT` where one of its radius cannot stand."""
     towards_tip, middle_px = silhouette.towards_tip, silhouette.middle_px
     unit, inside = 1.0 / float(camera.K[0, 0]), camera.rays(middle_px)[0, :2]
     found: dict[int, TangentPlane] = {}
