@@ -111,7 +111,7 @@ def tool_from_tag(arm: Arm, camera: Camera, tag: TagPose, robot: RobotState) -> 
     covariance = J @ (tag.covariance + constants) @ J.T
     # What the errors of kinematics do to the tool, less what they do to it through the tag's link.
     model = ErrorModel(robot.chain, arm.profile.kinematic_error)
-    links = model.links(robot, model.no_correction(), model.anchor_m(robot))
+    links = model.nominal_links(robot)
     link = links.link(fiducial.link)
     behind = links.link(None).derivative - carried(link.T_camera_link[:3, 3]) @ link.derivative
     covariance += behind @ model.prior(robot) @ behind.T

@@ -188,7 +188,7 @@ def _reported_tool(
         state = RobotState.of(chain, sample, np.eye(4), sample.stamp_ns, around)
         if isinstance(state, Failure):
             raise KinematicsError(state.reason)
-        links = model.links(state, model.no_correction(), model.anchor_m(state))
+        links = model.nominal_links(state)
         tool = links.link(None)
         nominal_m[at] = tool.T_camera_link[:3, 3]
         noise[at] = tool.derivative[:3] @ model.play_covariance @ tool.derivative[:3].T

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.corrected_links import CorrectedLink, Correction
-from svmdist.estimation.instrument.error_model import ErrorModel
+from svmdist.estimation.instrument.error_model import CorrectedLink, CorrectedLinks, Correction, ErrorModel
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import (
     JAWS,
@@ -130,8 +129,8 @@ def test_what_looks_like_the_shafts_end_does_so_in_the_next_frame():
     """Its deviation in the image is no noise that many frames take away: it lasts as that of the model does."""
     _, _, _, end, *_ = measurements()
     assert isinstance(end, EndMeasurement)
-    by_model = replace(end, model_std_m=1e-3).linearise(T_LINK).bias
-    both = replace(end, model_std_m=1e-3, lasting_std_px=20.0).linearise(T_LINK).bias
+    by_model = replace(end, model_std_m=1e-3).linearise(T_LINK).biases[0].jacobian
+    both = replace(end, model_std_m=1e-3, lasting_std_px=20.0).linearise(T_LINK).biases[0].jacobian
     assert both == pytest.approx(np.copysign(np.hypot(by_model, 20.0), by_model))
 
 
@@ -143,11 +142,11 @@ def test_what_is_found_between_end_and_tips_is_off_with_both():
     ahead_m = 1e-3 * T_LINK[:3, :3] @ end.axis
     moved = nudged(T_LINK, np.concatenate([ahead_m, np.zeros(3)]))
     for one in (origin, PAIR):
-        own = {bias.name for bias in one.linearise(T_LINK).shared}
+        own = {bias.name for bias in one.linearise(T_LINK).biases[1:]}
         assert end.bias_name not in own
         off = {
             bias.name: bias
-            for bias in replace(one, error=PointError(with_end_m=ahead_m)).linearise(T_LINK).shared
+            for bias in replace(one, error=PointError(with_end_m=ahead_m)).linearise(T_LINK).biases[1:]
         }
         # As if the tool were nearer by as much: what is measured would be what is predicted there.
         expected = one.linearise(T_LINK).residual - one.linearise(moved).residual
@@ -157,10 +156,10 @@ def test_what_is_found_between_end_and_tips_is_off_with_both():
         longer = np.concatenate([5e-4 * T_LINK[:3, 0], np.zeros(3)])
         expected = one.linearise(T_LINK).residual - one.linearise(nudged(T_LINK, longer)).residual
         error = PointError(with_end_m=ahead_m, with_jaws_m=5e-4)
-        both = replace(one, error=error).linearise(T_LINK).shared
+        both = replace(one, error=error).linearise(T_LINK).biases[1:]
         by_jaws = next(bias.jacobian for bias in both if bias.name == JAWS)
         assert by_jaws == pytest.approx(np.column_stack([expected, np.zeros((len(expected), 6))]), rel=0.05)
-    by_end = replace(end, model_std_m=1e-3).linearise(T_LINK).bias
+    by_end = replace(end, model_std_m=1e-3).linearise(T_LINK).biases[0].jacobian
     assert by_end[0] == pytest.approx(
         end.linearise(T_LINK).residual - end.linearise(moved).residual, rel=0.05
     )
@@ -175,7 +174,7 @@ def test_what_is_seen_later_is_compared_with_where_the_link_has_gone():
         there = one.linearise(nudged(T_LINK, velocity * delay_s)).residual
         np.testing.assert_allclose(late.residual, there, rtol=1e-2, atol=1e-3 * np.abs(there).max())
         *_, motion = late.biases
-        by_m = one.linearise(T_LINK).derivative[:, :3]
+        by_m = one.linearise(T_LINK).H[:, :3]
         std_m = 0.1 * np.linalg.norm(velocity[:3]) * delay_s
         np.testing.assert_allclose(motion.jacobian @ motion.jacobian.T, std_m**2 * by_m @ by_m.T)
         still = linearise(replace(one, delay_s=delay_s), replace(link, velocity=np.zeros(6)))
@@ -187,10 +186,8 @@ def test_what_is_seen_later_is_compared_with_where_the_link_has_gone():
 def test_derivatives_are_those_of_the_residual(measurement):
     """To 1e-7 of the largest element; rounding over the step leaves 1e-9 px/m of some 1e4."""
     found = measurement.linearise(T_LINK)
-    assert found.derivative.shape == (len(measurement.covariance), 6)
-    check_jacobian(
-        lambda step: measurement.linearise(nudged(T_LINK, step)).residual, found.derivative, relative=1e-7
-    )
+    assert found.H.shape == (len(measurement.covariance), 6)
+    check_jacobian(lambda step: measurement.linearise(nudged(T_LINK, step)).residual, -found.H, relative=1e-7)
 
 
 T_CAMERA_BASE = make_transform(rotation_of([2.0, 0.4, -0.3]), [0.1, -0.2, 0.9])
@@ -221,11 +218,9 @@ def moving_robot(chain: DHChain, q: Array) -> RobotState:
     return RobotState(chain, 0, q, T_CAMERA_BASE, track)
 
 
-def by_definition(
-    model: ErrorModel, robot: RobotState, at: Correction, anchor_m: Array, link: str | None
-) -> Array:
+def by_definition(model: ErrorModel, robot: RobotState, at: Correction, link: str | None) -> Array:
     """The corrected pose as the head of `correction` writes it, by a chain with other lengths."""
-    count = len(model.joints.turns)
+    count = len(model.turns)
     shift_m, _, q_offset, play, (late_s,), length_m = np.split(at.x, np.cumsum([3, 3, count, count, 1]))
     q, moving = robot.q.copy(), slice(-count, None)
     q[moving] += robot.rates[moving] * late_s + q_offset + play
@@ -244,23 +239,22 @@ def by_definition(
     if link is not None:
         last = frame_transforms(chain, q)[row_index(chain, link)]
     T = T_CAMERA_BASE @ last
-    return make_transform(at.turn @ T[:3, :3], anchor_m + shift_m + at.turn @ (T[:3, 3] - anchor_m))
+    return make_transform(at.turn @ T[:3, :3], at.anchor_m + shift_m + at.turn @ (T[:3, 3] - at.anchor_m))
 
 
 @pytest.mark.parametrize(("chain", "error", "q", "links"), CASES)
 def test_links_are_moved_and_turned_about_the_anchor(chain, error, q, links):
     """Poses equal the definition within 1e-13, derivatives central differences of it to 1e-8."""
     model, robot = ErrorModel(chain, error), moving_robot(chain, q)
-    anchor_m = model.anchor_m(robot)
-    at = model.no_correction().retract(0.05 * np.random.default_rng(1).normal(size=model.size))
-    found = model.links(robot, at, anchor_m)
+    at = model.no_correction(robot).retract(0.05 * np.random.default_rng(1).normal(size=model.size))
+    found = CorrectedLinks(model, robot, at)
     for name in links:
-        link, T = found.link(name), by_definition(model, robot, at, anchor_m, name)
+        link, T = found.link(name), by_definition(model, robot, at, name)
         assert found.link(name) is link
         np.testing.assert_allclose(link.T_camera_link, T, atol=1e-13)
 
         def pose(step: Array, name: str | None = name, T: Array = T) -> Array:
-            stepped = by_definition(model, robot, at.retract(step), anchor_m, name)
+            stepped = by_definition(model, robot, at.retract(step), name)
             return np.concatenate([stepped[:3, 3], rotation_vector(stepped[:3, :3] @ T[:3, :3].T)])
 
         check_jacobian(pose, link.derivative, absolute=1e-8)

@@ -1,78 +1,98 @@
-"""How wrong nominal kinematics may be: prior, drift and what the error state does to the links."""
+"""How wrong nominal kinematics may be: the error state, its prior and drift, and the links under a correction by it."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from svmdist.errors import KinematicsError, did_you_mean
-from svmdist.estimation.instrument.corrected_links import (
-    CorrectedLinks,
-    Correction,
-    MovingJoints,
-)
-from svmdist.kinematics import DHChain, shaft_of
+from svmdist.kinematics import DHChain, link_transforms, row_index, running_product, shaft_of
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile.hand_eye import HandEyeError
+from svmdist.profile.hand_eye import LENGTH, OFFSET, TIME_OFFSET, HandEyeError
 from svmdist.profile.robot import KinematicError
 from svmdist.results import ToolPose
-from svmdist.transforms import Array, skew
+from svmdist.transforms import Array, cross, make_transform, rotation_of, rotation_vector, skew
+
+
+@dataclass(frozen=True, slots=True)
+class RowLength:
+    """A constant length of the chain that may be wrong: it shifts all frames from `row` on along an axis of a frame.
+
+    The axis is column `column` of the frame of row `axis_row`, which is one before `row` or `row` itself.
+    """
+
+    row: int
+    axis_row: int
+    column: int
 
 
 class ErrorModel:
-    """The error state (δp, δφ, δq, play, τ, δl) of a chain: its prior, how it changes, and what it does to the links.
+    """The error state (δp, δφ, δq, play, τ, δl) of a chain: its layout, its prior, and how it changes.
 
     δp in m and δφ in rad are displacement and rotation vector of everything behind the set-up joints, in the camera
-    frame about the anchor; δq are the offsets of the joints that move, `play` what of their errors changes with the
-    motion (backlash, cables, noise), τ how late the joints' stamps are, δl the errors of lengths.
+    frame about the anchor; δq are the offsets of the joints from `first_joint` on, `play` what of their errors changes
+    with the motion (backlash, cables, noise), τ how late the joints' stamps are, δl the errors of `row_lengths`.
+
+    `offsets`, `play`, `time_offset` and `lengths` are where these stand among its `size` numbers. `turns` and `slides`,
+    shape (n_joints - first_joint,), are 1 for joints of that type and 0 for others; `axes` are the places of the frames
+    with their axes among those from the row before `first_row` on.
     """
 
     def __init__(self, chain: DHChain, error: KinematicError) -> None:
-        self.chain = chain
-        self.error = error
-        names = chain.joint_names
+        self.chain, self.error, names = chain, error, chain.joint_names
         if error.first_moving_joint is not None and error.first_moving_joint not in names:
             raise KinematicsError(
                 f"no joint {error.first_moving_joint} to be the first moving one:"
                 f" {did_you_mean(error.first_moving_joint, names)}"
             )
-        self.joints = MovingJoints(chain, names.index(error.first_moving_joint or names[0]))
-        turns, slides = self.joints.turns, self.joints.slides
-        self._joint_std = error.joint_std_rad * turns + error.joint_std_m * slides
-        self._play_std = error.play_std_rad * turns + error.play_std_m * slides
-        self.size = self.joints.size
-        self.constant_columns = self.joints.constant_columns
+        self.first_joint = names.index(error.first_moving_joint or names[0])
+        rows = chain.moving_rows[self.first_joint :]
+        self.first_row, count = int(rows[0]), len(rows)
+        self.axes = rows - rows[0] + (chain.convention == "modified")
+        self.turns: Array = chain.is_revolute[self.first_joint :].astype(np.float64)
+        self.slides: Array = 1.0 - self.turns
+        self.row_lengths = tuple(_lengths(chain, self.first_row))
+        self.offsets, self.play = slice(6, 6 + count), slice(6 + count, 6 + 2 * count)
+        self.time_offset = 6 + 2 * count
+        self.size = self.time_offset + 1 + len(self.row_lengths)
+        self.lengths = slice(self.time_offset + 1, self.size)
+        self._joint_std = error.joint_std_rad * self.turns + error.joint_std_m * self.slides
+        self._play_std = error.play_std_rad * self.turns + error.play_std_m * self.slides
         self._drift = np.zeros(self.size)
         self._drift[:3], self._drift[3:6] = error.drift_m_per_sqrt_s, error.drift_rad_per_sqrt_s
-        self._drift[self.joints.offsets] = self._drift[3] * turns + self._drift[0] * slides
-        self._drift[self.joints.time_offset] = error.time_offset_drift_s_per_sqrt_s
+        self._drift[self.offsets] = self._drift[3] * self.turns + self._drift[0] * self.slides
+        self._drift[self.time_offset] = error.time_offset_drift_s_per_sqrt_s
+
+    @property
+    def constant_columns(self) -> dict[str, int]:
+        """Where in the error state each constant stands, by its name."""
+        names = self.chain.joint_names[self.first_joint :]
+        found = {OFFSET.format(name): at for at, name in enumerate(names, self.offsets.start)}
+        lengths = enumerate(range(self.size)[self.lengths], 1)
+        found |= {LENGTH.format(number): at for number, at in lengths}
+        return found | {TIME_OFFSET: self.time_offset}
 
     def time_offset_std_s(self, age_s: float) -> float:
         """Standard deviation of the joints' time offset after a time, by what the profile states."""
-        drift_s = self._drift[self.joints.time_offset] * np.sqrt(age_s)
+        drift_s = self._drift[self.time_offset] * np.sqrt(age_s)
         return float(np.hypot(self.error.time_offset_std_s, drift_s))
-
-    def no_correction(self) -> Correction:
-        """What is there before anything was measured."""
-        return Correction(np.zeros(self.size), np.eye(3))
 
     @property
     def play_covariance(self) -> Array:
         """Of joint errors that change with the motion, at any instant, shape (n, n)."""
         P = np.zeros((self.size, self.size))
-        P[self.joints.play, self.joints.play] = np.diag(self._play_std**2)
+        P[self.play, self.play] = np.diag(self._play_std**2)
         return P
 
     def propagation(self, elapsed_s: float) -> tuple[Array, Array]:
         """Factors and added variance (n,) over a time: play is a Gauss–Markov process, all else a random walk."""
         keep = np.ones(self.size)
-        keep[self.joints.play] = np.exp(-elapsed_s / self.error.play_time_s)
+        keep[self.play] = np.exp(-elapsed_s / self.error.play_time_s)
         added = self._drift**2 * elapsed_s
-        added[self.joints.play] = self._play_std**2 * (1.0 - keep[self.joints.play] ** 2)
+        added[self.play] = self._play_std**2 * (1.0 - keep[self.play] ** 2)
         return keep, added
-
-    def anchor_m(self, robot: RobotState) -> Array:
-        """The tool's nominal position, shape (3,) in the camera frame."""
-        return np.asarray(robot.T_camera_link(None)[:3, 3])
 
     def prior(self, robot: RobotState) -> Array:
         """Covariance of the error state that the profile states, shape (n, n).
@@ -82,41 +102,159 @@ class ErrorModel:
         transform by hand-eye has a covariance of its own.
         """
         P = np.zeros((self.size, self.size))
-        P[:6, :6] = self._transform_covariance(robot)
-        at = self.joints
-        P[at.offsets, at.offsets] = np.diag(self._joint_std**2)
-        P[at.time_offset, at.time_offset] = self.error.time_offset_std_s**2
-        P[at.lengths, at.lengths] = self.error.length_std_m**2 * np.eye(len(at.row_lengths))
+        P[:6, :6], effects = self._transform(robot)
+        P[self.offsets, self.offsets] = np.diag(self._joint_std**2)
+        P[self.time_offset, self.time_offset] = self.error.time_offset_std_s**2
+        P[self.lengths, self.lengths] = self.error.length_std_m**2 * np.eye(len(self.row_lengths))
         # What a transform by hand-eye owes to the offset of a joint is not to be counted beside that offset.
-        for name, effect in self._hand_eye_effects(robot).items():
-            if (column := self.constant_columns.get(name)) is not None:
+        columns = self.constant_columns
+        for name, effect in effects.items():
+            if (column := columns.get(name)) is not None:
                 P[:6, column] = P[column, :6] = effect[:, 0] * np.sqrt(P[column, column])
         return P + self.play_covariance
 
     def prior_with_constants(self, robot: RobotState) -> dict[str, Array]:
         """Covariance, shape (n, k), of the error state with constants of variance one that are no part of it."""
-        effects, below = self._hand_eye_effects(robot), ((0, self.size - 6), (0, 0))
-        own = self.constant_columns
+        _, effects = self._transform(robot)
+        own, below = self.constant_columns, ((0, self.size - 6), (0, 0))
         return {name: np.pad(effect, below) for name, effect in effects.items() if name not in own}
 
-    def _hand_eye_effects(self, robot: RobotState) -> dict[str, Array]:
+    def _transform(self, robot: RobotState) -> tuple[Array, dict[str, Array]]:
+        """Covariance (6, 6) of (δp, δφ), and what constants did to a transform by hand-eye, (6, k), by their names."""
+        anchor_m = anchor_of(robot)
         if isinstance(self.error, HandEyeError):
-            return self.error.hand_eye.effects_at(self.anchor_m(robot))
-        return {}
-
-    def _transform_covariance(self, robot: RobotState) -> Array:
-        if isinstance(self.error, HandEyeError):
-            return self.error.hand_eye.covariance_at(self.anchor_m(robot))
+            hand_eye = self.error.hand_eye
+            return hand_eye.covariance_at(anchor_m), hand_eye.effects_at(anchor_m)
         turn_var = self.error.camera_base_std_rad**2
-        arm = skew(self.anchor_m(robot) - robot.base_in_camera[:3, 3])
+        arm = skew(anchor_m - robot.base_in_camera[:3, 3])
         P = np.zeros((6, 6))
         P[:3, :3] = self.error.camera_base_std_m**2 * np.eye(3) + turn_var * arm @ arm.T
         P[3:, 3:] = turn_var * np.eye(3)
-        return P
+        return P, {}
 
-    def links(self, robot: RobotState, correction: Correction, anchor_m: Array) -> CorrectedLinks:
-        """All links under a correction."""
-        return CorrectedLinks(self.joints, robot, correction, anchor_m)
+    def corrected_joints(self, robot: RobotState, correction: Correction) -> Array:
+        """Reported joints at the corrected time, with offsets and play, shape (n_joints,)."""
+        q, moving, x = robot.q.copy(), slice(self.first_joint, None), correction.x
+        late_s = x[self.time_offset] - robot.time_offset_s
+        q[moving] += robot.rates[moving] * late_s + x[self.offsets] + x[self.play]
+        return q
+
+    def no_correction(self, robot: RobotState) -> Correction:
+        """What is there before anything was measured."""
+        return Correction(np.zeros(self.size), np.eye(3), anchor_of(robot))
+
+    def nominal_links(self, robot: RobotState) -> CorrectedLinks:
+        """All links by nominal kinematics."""
+        return CorrectedLinks(self, robot, self.no_correction(robot))
+
+
+def anchor_of(robot: RobotState) -> Array:
+    """The tool's nominal position, shape (3,) in the camera frame."""
+    return np.asarray(robot.T_camera_link(None)[:3, 3])
+
+
+def _lengths(chain: DHChain, first_row: int) -> Iterator[RowLength]:
+    """Lengths behind the first moving joint that no joint's offset could stand in for."""
+    is_modified = chain.convention == "modified"
+    for index, row in enumerate(chain.rows):
+        if index < first_row or (is_modified and index == first_row):
+            continue
+        # Standard: Rot_z(θ) Trans_z(d) Trans_x(a) Rot_x(α); modified: Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d).
+        if row.a_m != 0.0:
+            yield RowLength(index, index - 1 if is_modified else index, 0)
+        if row.d_m != 0.0 and row.type != "prismatic" and (is_modified or index > first_row):
+            yield RowLength(index, index if is_modified else index - 1, 2)
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """What is added to nominal kinematics: the error state `x`, shape (n,), but for its turn, shape (3, 3).
+
+    Turns, about `anchor_m`, (3,) in the camera frame, do not add up as the rest does, so that x[3:6] is not used.
+    """
+
+    x: Array
+    turn: Array
+    anchor_m: Array
+
+    def retract(self, step: Array) -> Correction:
+        """The correction after an error state, shape (n,), was found in it (box-plus)."""
+        return replace(self, x=self.x + step, turn=rotation_of(step[3:6]) @ self.turn)
+
+    def vector(self) -> Array:
+        """All of it as an error state about no correction, shape (n,)."""
+        return np.concatenate([self.x[:3], rotation_vector(self.turn), self.x[6:]])
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectedLink:
+    """A link's corrected pose, (4, 4), the derivative of its (δp, δθ) by the error state, (6, n), and by time, (6,)."""
+
+    T_camera_link: Array
+    derivative: Array
+    velocity: Array
+
+
+class CorrectedLinks:
+    """All links of a robot under one correction; frames and the twists of the error state are computed once.
+
+    A twist (v, w) moves a point p of a body by v + w x p: each component of the error state is one in the camera
+    frame (Murray, Li, Sastry 1994, sec. 3.4), so that one matrix serves all links behind a joint.
+    """
+
+    def __init__(self, model: ErrorModel, robot: RobotState, correction: Correction) -> None:
+        self._model, self._robot, self.correction = model, robot, correction
+        pivot_m = correction.anchor_m + correction.x[:3]
+        self._correct = make_transform(correction.turn, pivot_m - correction.turn @ correction.anchor_m)
+
+        # Frames from the one before the first joint with an offset on.
+        first_row = model.first_row
+        before = robot.frames_in_camera[first_row - 1] if first_row else robot.base_in_camera
+        links = link_transforms(model.chain, model.corrected_joints(robot, correction))[first_row:]
+        self._frames = running_product(np.concatenate([(self._correct @ before)[None], links]))
+        self._twists = np.zeros((6, model.size))
+        for at, length in enumerate(model.row_lengths, model.lengths.start):
+            # A shift along an axis turns nothing, so that the frames behind it are shifted alike.
+            axis = self._frames[length.axis_row - first_row + 1, :3, length.column].copy()
+            self._frames[length.row - first_row + 1 :, :3, 3] += axis * correction.x[at]
+            self._twists[:3, at] = axis
+
+        self._twists[:, :6] = np.eye(6)
+        self._twists[:3, 3:6] = skew(pivot_m)
+        z, at_m = self._frames[model.axes, :3, 2], self._frames[model.axes, :3, 3]
+        self._twists[:3, model.offsets] = model.turns * cross(at_m, z).T + model.slides * z.T
+        self._twists[3:, model.offsets] = model.turns * z.T
+        self._links: dict[str | None, CorrectedLink] = {}
+
+    def link(self, name: str | None) -> CorrectedLink:
+        """The frame of a DH row, or the tool for None; raises ValueError for a row that the chain lacks."""
+        if name not in self._links:
+            self._links[name] = self._corrected(name)
+        return self._links[name]
+
+    def _corrected(self, name: str | None) -> CorrectedLink:
+        model = self._model
+        row = len(model.chain.rows) - 1 if name is None else row_index(model.chain, name)
+        if row < model.first_row:
+            T = self._correct @ self._robot.frames_in_camera[row]
+        else:
+            T = self._frames[row - model.first_row + 1]
+        if name is None:
+            T = T @ model.chain.T_last_tool
+        derivative = self._twists.copy()
+        derivative[:3] -= skew(T[:3, 3]) @ self._twists[3:]
+        # Joints behind a link do not move it, nor do lengths.
+        moved_by = int(np.searchsorted(model.chain.moving_rows, row, side="right"))
+        derivative[:, 6 + max(0, moved_by - model.first_joint) : model.offsets.stop] = 0.0
+        derivative[:, model.play] = derivative[:, model.offsets]
+        # Later stamps: every joint goes on at its rate.
+        rates = self._robot.rates[model.first_joint :]
+        derivative[:, model.time_offset] = derivative[:, model.offsets] @ rates
+        is_behind = [row < length.row for length in model.row_lengths]
+        derivative[:, model.lengths][:, is_behind] = 0.0
+        T.setflags(write=False)
+        derivative.setflags(write=False)
+        return CorrectedLink(T, derivative, derivative[:, model.time_offset])
 
 
 def nominal_tool(chain: DHChain, error: KinematicError, state: RobotState) -> ToolPose:
@@ -127,7 +265,7 @@ def nominal_tool(chain: DHChain, error: KinematicError, state: RobotState) -> To
     pull the tool 1.7 mm towards a base 1.4 m away, beside 68 mm of error.
     """
     model = ErrorModel(chain, error)
-    links = model.links(state, model.no_correction(), model.anchor_m(state))
+    links = model.nominal_links(state)
     tool, shaft = links.link(None), shaft_of(chain)
     axis = tool.T_camera_link[:3, 0]
     if shaft is not None:

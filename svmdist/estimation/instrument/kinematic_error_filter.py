@@ -18,7 +18,7 @@ from svmdist.estimation.instrument.consistency import (
     student_weight,
 )
 from svmdist.estimation.instrument.error_model import ErrorModel
-from svmdist.estimation.instrument.measurement import LinkMeasurement, SharedBias
+from svmdist.estimation.instrument.measurement import Linearised, LinkMeasurement, SharedBias
 from svmdist.estimation.instrument.measurement_kinds import PoseMeasurement
 from svmdist.estimation.instrument.most_probable import (
     Solution,
@@ -28,7 +28,7 @@ from svmdist.estimation.instrument.most_probable import (
     most_probable_from,
     robust_cost,
 )
-from svmdist.estimation.instrument.state import ErrorState, Linearised
+from svmdist.estimation.instrument.state import ErrorState
 from svmdist.kinematics import DHChain, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import KinematicError
@@ -125,11 +125,11 @@ class KinematicErrorFilter:
             else:
                 found = most_probable_from(state, seen, self._padded(start))
             if found is not None:
-                for measurement, nis, weight in zip(seen, found.innovations, found.weights, strict=True):
-                    size = len(measurement.covariance)
-                    results.append(
-                        GatingResult(measurement.name, float(nis), size, float(weight), measurement.source)
-                    )
+                judged = zip(seen, found.innovations.tolist(), found.weights.tolist(), strict=True)
+                results = [
+                    GatingResult(one.name, nis, len(one.covariance), weight, one.source)
+                    for one, nis, weight in judged
+                ]
                 self.has_jumped = start is None and self._prefers_jump(seen, found)
                 if not self.has_jumped:
                     state.retract(found.x)
@@ -189,7 +189,7 @@ class KinematicErrorFilter:
 
     def corrected_joints(self) -> Array:
         """Reported joints at the corrected time, with offsets and play, shape (n_joints,)."""
-        return self._model.joints.corrected(self.state.robot, self.state.correction)
+        return self._model.corrected_joints(self.state.robot, self.state.correction)
 
     def _padded(self, x: Array) -> Array:
         return np.concatenate([x, np.zeros(len(self.state.P) - len(x))])
@@ -211,7 +211,7 @@ class KinematicErrorFilter:
     def _begin_at(self, pose: ToolPose | None) -> None:
         """The prior, linearised where a pose puts the tool, and widened where that would surprise it."""
         state = self.state
-        state.correction = self._model.no_correction()
+        state.correction = self._model.no_correction(state.robot)
         state.go_to(state.robot)
         state.start()
         self.consistency.clear()
@@ -259,5 +259,5 @@ def as_measurement(pose: ToolPose) -> PoseMeasurement:
 def pose_distance(image: ToolPose, predicted: ToolPose) -> float:
     """Squared deviation of an image's pose from a predicted one: six degrees of freedom."""
     found = as_measurement(image).linearise(predicted.T_camera_tool)
-    v, J = found.residual, found.derivative
+    v, J = found.residual, found.H
     return float(v @ np.linalg.solve(image.covariance + TINY_POSE + J @ predicted.covariance @ J.T, v))

@@ -1,8 +1,9 @@
-"""A measurement of a link: residual of its pose, derivative, noise, bias, and the calibration parameters all share."""
+"""A measurement of a link, linearised: residual, derivative, noise, bias, and calibration parameters that all share."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -104,21 +105,22 @@ EXACT = Deviations(
 
 
 @dataclass(frozen=True, slots=True)
-class PoseResidual:
-    """Measured minus predicted (m,), derivative (m, 6) by (δp, δθ) in the camera frame; inf and NaN where unseen.
+class Linearised:
+    """A measurement about a state: measured minus predicted, the residual (..., m), = H δ + Σ B ξ + noise.
 
-    `bias`, (m, k), is the derivative by the measurement's own bias, `shared` what errors of constants do.
+    δ is the error state, or (δp, δθ) of a link in the camera frame, and H has shape (..., m, n); of the biases, the
+    first is the measurement's own and the others are errors of constants. Not finite where the link cannot be seen.
     """
 
     residual: Array
-    derivative: Array
-    bias: Array
-    shared: tuple[SharedBias, ...] = ()
+    H: Array
+    biases: tuple[SharedBias, ...]
+    noise: Array
 
-    @classmethod
-    def unseen(cls, size: int) -> PoseResidual:
-        """What has no image: behind the camera, or around it."""
-        return cls(np.full(size, np.inf), np.full((size, 6), np.nan), np.zeros((size, 0)))
+    @property
+    def is_finite(self) -> bool:
+        """Whether the link could be seen."""
+        return bool(np.isfinite(self.residual).all() and np.isfinite(self.H).all())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,22 +150,28 @@ class LinkMeasurement(ABC):
         return self.name
 
     @abstractmethod
-    def in_view(self, T_view_link: Array, /) -> PoseResidual:
+    def in_view(self, T_view_link: Array, /) -> Linearised:
         """All that it says about a pose of the link, shape (4, 4), in the frame of the camera that sees it."""
 
-    def linearise(self, T_camera_link: Array) -> PoseResidual:
+    def about(self, residual: Array, H: Array, own: Array, shared: Iterable[SharedBias]) -> Linearised:
+        """It about a pose, by its derivative (m, 6) and by those by its own bias, (m, k), and of what is shared."""
+        bias = SharedBias(self.bias_name, own, self.correlation_time_s)
+        return Linearised(residual, H, (bias, *shared), self.covariance)
+
+    def unseen(self) -> Linearised:
+        """What has no image: behind the camera, or around it."""
+        size = len(self.covariance)
+        return Linearised(np.full(size, np.inf), np.full((size, 6), np.nan), (), self.covariance)
+
+    def linearise(self, T_camera_link: Array) -> Linearised:
         """All that it says about a pose of the link, shape (4, 4), in the left camera's frame."""
         if self.T_view_left is None:
             return self.in_view(T_camera_link)
         T, camera = self.T_view_left @ T_camera_link, self.deviations.camera
         found, R = self.in_view(T), self.T_view_left[:3, :3]
-        by_place, by_turn = -found.derivative[:, :3], -found.derivative[:, 3:]
+        by_place, by_turn = found.H[:, :3], found.H[:, 3:]
         # The right camera is off by its place along the baseline, and turned about its own centre.
         baseline = camera.baseline_std_fraction * by_place @ self.T_view_left[:3, 3, None]
         turned = camera.right_rotation_std_rad * (by_turn - by_place @ skew(T[:3, 3]))
-        shared = (
-            *found.shared,
-            SharedBias(BASELINE, baseline),
-            SharedBias(RIGHT_ROTATION, turned),
-        )
-        return replace(found, derivative=found.derivative @ np.kron(np.eye(2), R), shared=shared)
+        biases = *found.biases, SharedBias(BASELINE, baseline), SharedBias(RIGHT_ROTATION, turned)
+        return replace(found, H=found.H @ np.kron(np.eye(2), R), biases=biases)

@@ -13,8 +13,8 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.measurement import (
     MIN_DEPTH_M,
+    Linearised,
     LinkMeasurement,
-    PoseResidual,
     SharedBias,
 )
 from svmdist.profile.hand_eye import FOCAL_LENGTH, PRINCIPAL_POINT, SHAFT_RADIUS
@@ -45,22 +45,22 @@ class PointError:
     with_end_m: Array | None = None
     with_jaws_m: float = 0.0
 
-    def jacobian(self, tilt: Array, R_camera_link: Array, derivative: Array) -> Array:
+    def jacobian(self, tilt: Array, R_camera_link: Array, H: Array) -> Array:
         """Derivative of a residual (m,) by both offsets and shading, (m, 7), where shading does it by `tilt`, (m,)."""
         # An offset in the link's frame moves the point as the link's own motion would.
-        by_offset = -derivative[:, :3] @ R_camera_link
+        by_offset = H[:, :3] @ R_camera_link
         return np.column_stack(
             [self.place_std_m * by_offset, self.part_std_m * by_offset, self.shading_px * tilt]
         )
 
-    def of_outline(self, R_camera_link: Array, derivative: Array, time_s: float) -> tuple[SharedBias, ...]:
+    def of_outline(self, R_camera_link: Array, H: Array, time_s: float) -> tuple[SharedBias, ...]:
         """What the shaft's end and the jaws' length do to what was found between them; nothing to others.
 
         Both fade with `time_s`.
         """
         if self.with_end_m is None:
             return ()
-        by_place = -derivative[:, :3]
+        by_place = H[:, :3]
         by_length = np.zeros((len(by_place), 7))  # as the offset of the jaws' tip
         by_length[:, 0] = by_place @ R_camera_link[:, 0] * self.with_jaws_m
         by_end = by_place @ self.with_end_m[:, None]
@@ -91,20 +91,20 @@ class PointMeasurement(_OfPoint):
     camera: Camera
     pixel: Array
 
-    def in_view(self, T_view_link: Array, /) -> PoseResidual:
+    def in_view(self, T_view_link: Array, /) -> Linearised:
         """Measured minus projected, shape (2,); the bias is offset and shading in units of their deviations, (2, 7)."""
         K, R = self.camera.K, T_view_link[:3, :3]
         arm_m = R @ self.p_link_m
         p_camera_m = arm_m + T_view_link[:3, 3]
         if p_camera_m[2] < MIN_DEPTH_M:
-            return PoseResidual.unseen(2)
+            return self.unseen()
         pixel, J = self.camera.project_with_derivative(p_camera_m)
-        derivative = np.concatenate([-J, J @ skew(arm_m)], 1)
+        H = np.concatenate([J, -J @ skew(arm_m)], 1)
         tilt = (self.pixel - K[:2, 2]) / np.diag(K)[:2]
-        bias = self.error.jacobian(tilt, R, derivative)
+        bias = self.error.jacobian(tilt, R, H)
         of_camera = self.deviations.of_pixels(self.pixel, self.camera)
-        shared = (*of_camera, *self.error.of_outline(R, derivative, self.correlation_time_s))
-        return PoseResidual(self.pixel - pixel, derivative, bias, shared)
+        shared = (*of_camera, *self.error.of_outline(R, H, self.correlation_time_s))
+        return self.about(self.pixel - pixel, H, bias, shared)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,29 +122,29 @@ class DisparityMeasurement(_OfPoint):
     disparity_px: float
     lasting_std_px: float = 0.0
 
-    def in_view(self, T_view_link: Array, /) -> PoseResidual:
+    def in_view(self, T_view_link: Array, /) -> Linearised:
         """Measured minus predicted, shape (1,); the bias is offset and shading in units of their deviations, (1, 7)."""
         R, R_right_left = T_view_link[:3, :3], self.T_right_left[:3, :3]
         arm_m = R @ self.p_link_m
         p_left_m = arm_m + T_view_link[:3, 3]
         p_right_m = R_right_left @ p_left_m + self.T_right_left[:3, 3]
         if min(p_left_m[2], p_right_m[2]) < MIN_DEPTH_M:
-            return PoseResidual.unseen(1)
+            return self.unseen()
         left_px, J_left = self.left.project_with_derivative(p_left_m)
         right_px, J_right = self.right.project_with_derivative(p_right_m)
-        by_place = (J_right[:1] @ R_right_left) - J_left[:1]
-        derivative = np.concatenate([by_place, -by_place @ skew(arm_m)], 1)
+        by_place = J_left[:1] - J_right[:1] @ R_right_left
+        H = np.concatenate([by_place, -by_place @ skew(arm_m)], 1)
         residual = np.array([self.disparity_px - float(left_px[0] - right_px[0])])
-        bias = self.error.jacobian(np.array([self.disparity_px / self.left.K[0, 0]]), R, derivative)
+        bias = self.error.jacobian(np.array([self.disparity_px / self.left.K[0, 0]]), R, H)
         lasting = np.array([[self.lasting_std_px]])
         shared = (
             *self.deviations.of_disparity(
                 p_left_m, self.right, np.array(self.disparity_px), self.T_right_left
             ),
-            *self.error.of_outline(R, derivative, self.correlation_time_s),
+            *self.error.of_outline(R, H, self.correlation_time_s),
             SharedBias("disparity of the marker", lasting, self.correlation_time_s),
         )
-        return PoseResidual(residual, derivative, bias, shared)
+        return self.about(residual, H, bias, shared)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,30 +157,39 @@ class SizeMeasurement(LinkMeasurement):
     radius_px: float
     bias_std_px: float
 
-    def in_view(self, T_view_link: Array, /) -> PoseResidual:
+    def in_view(self, T_view_link: Array, /) -> Linearised:
         """Measured minus predicted, shape (1,)."""
         p_m = T_view_link[:3, 3]
         if p_m[2] < MIN_DEPTH_M:
-            return PoseResidual.unseen(1)
+            return self.unseen()
         predicted_px = float(apparent_radius_px(p_m, self.radius_m, self.camera))
         # Of f r |p|^½ z^(-3/2), by its logarithm.
         slope = 0.5 * p_m / float(p_m @ p_m)
         slope[2] -= 1.5 / p_m[2]
-        derivative = np.concatenate([-predicted_px * slope, np.zeros(3)])[None]
+        H = np.concatenate([predicted_px * slope, np.zeros(3)])[None]
         fractions = self.deviations.camera.focal_std_fraction, self.deviations.marker_radius_fraction
         focal, radius = (np.array([[fraction * self.radius_px]]) for fraction in fractions)
         shared = SharedBias(FOCAL_LENGTH, focal), SharedBias("marker radius", radius)
         residual, bias = np.array([self.radius_px - predicted_px]), np.array([[self.bias_std_px]])
-        return PoseResidual(residual, derivative, bias, shared)
-
-
-def _root(covariance: Array) -> Array:
-    """A root of a bias' covariance, shape (m, m), as its derivative; zero where nothing of an error lasts."""
-    return np.asarray(np.linalg.cholesky(covariance) if covariance.any() else np.zeros_like(covariance))
+        return self.about(residual, H, bias, shared)
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContourMeasurement(LinkMeasurement):
+class _WithBias(LinkMeasurement):
+    """A measurement by a camera of `focal_px`, (2,), whose bias has a covariance, (m, m), zero where nothing lasts."""
+
+    bias_covariance: Array
+    focal_px: Array = field(default_factory=lambda: np.ones(2))
+
+    @cached_property
+    def lasting(self) -> Array:
+        """A root of the bias' covariance, shape (m, m): the derivative by the bias."""
+        C = self.bias_covariance
+        return np.asarray(np.linalg.cholesky(C) if C.any() else np.zeros_like(C))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContourMeasurement(_WithBias):
     """One edge of the shaft's silhouette: the plane through the camera's centre and the edge touches the shaft.
 
     `normal`, shape (3,), is that plane's unit normal in the camera frame, turned to the shaft's side; `across`, shape
@@ -198,22 +207,16 @@ class ContourMeasurement(LinkMeasurement):
     axis: Array
     radius_m: float
     side: int
-    bias_covariance: Array
-    focal_px: Array = field(default_factory=lambda: np.ones(2))
 
-    @cached_property
-    def _lasting(self) -> Array:
-        return _root(self.bias_covariance)
-
-    def in_view(self, T_view_link: Array, /) -> PoseResidual:
+    def in_view(self, T_view_link: Array, /) -> Linearised:
         """By what the normal is off the predicted one, shape (2,) in rad."""
         d, arm_m = T_view_link[:3, :3] @ self.axis, T_view_link[:3, :3] @ self.p_axis_m
         point_m = T_view_link[:3, 3] + arm_m
         normal, by_point, by_direction = tangent_normal(point_m, d, self.radius_m, self.side)
         if not np.isfinite(normal).all():  # the camera is inside the shaft
-            return PoseResidual.unseen(2)
+            return self.unseen()
         by_turn = -by_point @ skew(arm_m) - by_direction @ skew(d)
-        derivative = -(self.across @ np.concatenate([by_point, by_turn], 1))
+        H = self.across @ np.concatenate([by_point, by_turn], 1)
         foot_m = point_m - (d * point_m).sum() * d
         square_m2 = (foot_m * foot_m).sum()
         beside_m = self.side * np.sqrt(max(square_m2 - self.radius_m**2, NEAR_M**2))
@@ -227,7 +230,7 @@ class ContourMeasurement(LinkMeasurement):
             SharedBias(PRINCIPAL_POINT, centre),
             SharedBias(SHAFT_RADIUS, radius),
         )
-        return PoseResidual(self.across @ (self.normal - normal), derivative, self._lasting, shared)
+        return self.about(self.across @ (self.normal - normal), H, self.lasting, shared)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,7 +258,7 @@ class EndMeasurement(LinkMeasurement):
         """That of the shaft's end, whichever view shows it."""
         return END_BIAS
 
-    def in_view(self, T_view_link: Array, /) -> PoseResidual:
+    def in_view(self, T_view_link: Array, /) -> Linearised:
         """Measured minus predicted in px, shape (1,); the bias is along the shaft in units of its deviation."""
         d, arm_m = T_view_link[:3, :3] @ self.axis, T_view_link[:3, :3] @ self.p_hinge_m
         hinge_m = T_view_link[:3, 3] + arm_m
@@ -265,45 +268,39 @@ class EndMeasurement(LinkMeasurement):
         facing = foot_m / max(distance_m, MIN_DEPTH_M)
         point_m = hinge_m + self.ahead_m * d - self.radius_m * facing
         if point_m[2] < MIN_DEPTH_M or distance_m < MIN_DEPTH_M:
-            return PoseResidual.unseen(1)
+            return self.unseen()
         pixel, J = self.camera.project_with_derivative(point_m)
         across = self.radius_m / distance_m * (np.eye(3) - np.outer(facing, facing))
         by_hinge = np.eye(3) - across @ (np.eye(3) - np.outer(d, d))
         by_axis = self.ahead_m * np.eye(3) + across @ (along_m * np.eye(3) + np.outer(d, hinge_m))
         by_pose = np.concatenate([by_hinge, -by_hinge @ skew(arm_m) - by_axis @ skew(d)], 1)
-        derivative = -(self.towards_tip @ J @ by_pose)[None]
-        by_place = -derivative[:, :3] @ T_view_link[:3, :3] @ self.axis[:, None]
+        H = (self.towards_tip @ J @ by_pose)[None]
+        by_place = H[:, :3] @ T_view_link[:3, :3] @ self.axis[:, None]
         bias = np.copysign(np.hypot(self.model_std_m * by_place, self.lasting_std_px), by_place)
         of_camera = self.deviations.of_pixels(self.pixel, self.camera)
         shared = tuple(SharedBias(one.name, (self.towards_tip @ one.jacobian)[None]) for one in of_camera)
         residual = np.array([(self.pixel - pixel) @ self.towards_tip])
-        return PoseResidual(residual, derivative, bias, shared)
+        return self.about(residual, H, bias, shared)
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseMeasurement(LinkMeasurement):
+class PoseMeasurement(_WithBias):
     """A pose measured as a whole: `T_camera_frame` of a frame fixed on a link by `T_link_frame`, (4, 4)."""
 
     source: str = "tag"
     T_link_frame: Array
     T_camera_frame: Array
-    bias_covariance: Array
     correlation_time_s: float = 0.5
-    focal_px: Array = field(default_factory=lambda: np.ones(2))
 
-    @cached_property
-    def _lasting(self) -> Array:
-        return _root(self.bias_covariance)
-
-    def in_view(self, T_view_link: Array, /) -> PoseResidual:
+    def in_view(self, T_view_link: Array, /) -> Linearised:
         """(δp, δθ) from predicted to measured, shape (6,) in m and rad."""
         predicted = T_view_link @ self.T_link_frame
         turn = rotation_vector(self.T_camera_frame[:3, :3] @ predicted[:3, :3].T)
         residual = np.concatenate([self.T_camera_frame[:3, 3] - predicted[:3, 3], turn])
-        derivative = np.zeros((6, 6))
-        derivative[:3, :3] = -np.eye(3)
-        derivative[:3, 3:] = skew(predicted[:3, 3] - T_view_link[:3, 3])
+        H = np.zeros((6, 6))
+        H[:3, :3] = np.eye(3)
+        H[:3, 3:] = -skew(predicted[:3, 3] - T_view_link[:3, 3])
         # exp([φ]) exp([-δθ]) = exp([φ - J⁻¹ δθ]), J the right Jacobian (Solà 2018, "A micro Lie theory", sec. 4.3).
-        derivative[3:, 3:] = -inverse_right_jacobian(turn)
+        H[3:, 3:] = inverse_right_jacobian(turn)
         shared = self.deviations.of_tag(self.T_camera_frame, self.focal_px)
-        return PoseResidual(residual, derivative, self._lasting, shared)
+        return self.about(residual, H, self.lasting, shared)

@@ -4,39 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from svmdist.estimation.instrument.corrected_links import (
-    CorrectedLink,
-    CorrectedLinks,
-    Correction,
-)
-from svmdist.estimation.instrument.error_model import ErrorModel
-from svmdist.estimation.instrument.measurement import ONE_FRAME_S, LinkMeasurement, SharedBias
+from svmdist.estimation.instrument.error_model import CorrectedLink, CorrectedLinks, Correction, ErrorModel
+from svmdist.estimation.instrument.measurement import ONE_FRAME_S, Linearised, LinkMeasurement, SharedBias
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.transforms import Array
-
-
-@dataclass(frozen=True, slots=True)
-class Linearised:
-    """A measurement about a state: residual (..., m) = H δ + Σ B ξ + noise.
-
-    δ is the error state, H has shape (..., m, n); of the biases, the first is the measurement's own and the others are
-    errors of constants. Residual and H are not finite where the link cannot be seen.
-    """
-
-    residual: Array
-    H: Array
-    biases: tuple[SharedBias, ...]
-    noise: Array
-
-    @property
-    def is_finite(self) -> bool:
-        """Whether the link could be seen."""
-        return bool(np.isfinite(self.residual).all() and np.isfinite(self.H).all())
-
 
 TOOL_SPEED_M_S = 0.05  # standard deviation along each axis, where no joints tell
 MOTION_STD = 0.1  # over the motion by the joints: how late something is, is known to a tenth
@@ -45,16 +20,12 @@ MOTION_STD = 0.1  # over the motion by the joints: how late something is, is kno
 def linearise(measurement: LinkMeasurement, link: CorrectedLink) -> Linearised:
     """A measurement about its link's pose, which goes on to the instant that it shows."""
     found, delay_s = measurement.linearise(link.T_camera_link), measurement.delay_s
-    own = SharedBias(measurement.bias_name, found.bias, measurement.correlation_time_s)
-    H, residual, shared = -(found.derivative @ link.derivative), found.residual, found.shared
+    residual, biases = found.residual, found.biases
     if delay_s != 0.0:
-        residual = residual + found.derivative @ link.velocity * delay_s
+        residual = residual - found.H @ link.velocity * delay_s
         std_m = (MOTION_STD * float(np.linalg.norm(link.velocity[:3])) or TOOL_SPEED_M_S) * abs(delay_s)
-        shared = (
-            *shared,
-            SharedBias("motion since the stamp", std_m * -found.derivative[:, :3], ONE_FRAME_S),
-        )
-    return Linearised(residual, H, (own, *shared), measurement.covariance)
+        biases = *biases, SharedBias("motion since the stamp", std_m * found.H[:, :3], ONE_FRAME_S)
+    return replace(found, residual=residual, H=found.H @ link.derivative, biases=biases)
 
 
 TINY_M = 1e-9  # stands in for a deviation of zero
@@ -66,16 +37,13 @@ class ErrorState:
 
     def __init__(self, model: ErrorModel) -> None:
         self.model = model
-        self.correction = model.no_correction()
-        self.anchor_m: Array = np.zeros(3)
+        self.correction = Correction(np.zeros(model.size), np.eye(3), np.zeros(3))
         self.P: Array = np.zeros((model.size, model.size))
         self.bias_mean: Array = np.zeros(0)
         self._bias_slices: dict[str, slice] = {}
         self._correlation_times_s: Array = np.zeros(0)
         self._robot: RobotState | None = None
-        # Links under `_linked`, the correction that they were computed for.
         self._links: CorrectedLinks | None = None
-        self._linked: Correction | None = None
 
     @property
     def robot(self) -> RobotState:
@@ -87,7 +55,7 @@ class ErrorState:
     @property
     def time_offset_s(self) -> float:
         """How late the joints' stamps are, by the correction."""
-        return float(self.correction.x[self.model.joints.time_offset])
+        return float(self.correction.x[self.model.time_offset])
 
     def go_to(self, robot: RobotState) -> float | None:
         """Take over the robot's state at a new instant, the joints at the time that the correction says.
@@ -95,12 +63,12 @@ class ErrorState:
         Gives the time that has passed in s; None for the first state.
         """
         before, self._robot = self._robot, robot.shifted(self.time_offset_s)
-        self._linked = None
+        self._links = None
         return None if before is None else max(0.0, (robot.stamp_ns - before.stamp_ns) / 1e9)
 
     def start(self) -> None:
         """Start from nominal kinematics with the covariance that the profile states, without biases of measurements."""
-        self.anchor_m, self.correction = self.model.anchor_m(self.robot), self.model.no_correction()
+        self.correction = self.model.no_correction(self.robot)
         self.P, self.bias_mean = self.model.prior(self.robot), np.zeros(0)
         self._bias_slices, self._correlation_times_s = {}, np.zeros(0)
         for name, covariance in self.model.prior_with_constants(self.robot).items():
@@ -155,7 +123,7 @@ class ErrorState:
         Several that each give way a little may together be what no calibration allows: along the directions that
         measurements tell, their means are compared with what these means would vary by if all stated were right.
         """
-        size, at = self.model.size, self.model.joints.lengths
+        size, at = self.model.size, self.model.lengths
         names = ["a length of the chain"] * (at.stop - at.start)
         places = list(range(at.start, at.stop))
         for name, one in self._bias_slices.items():
@@ -187,9 +155,8 @@ class ErrorState:
 
     def link(self, name: str | None) -> CorrectedLink:
         """A link under the correction; None is the tool. Computed once for a robot's state and a correction."""
-        if self._links is None or self._linked is not self.correction:
-            self._links = self.model.links(self.robot, self.correction, self.anchor_m)
-            self._linked = self.correction
+        if self._links is None or self._links.correction is not self.correction:
+            self._links = CorrectedLinks(self.model, self.robot, self.correction)
         return self._links.link(name)
 
     def linearise(self, measurements: Sequence[LinkMeasurement]) -> list[Linearised]:

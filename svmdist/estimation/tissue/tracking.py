@@ -9,8 +9,7 @@ import numpy as np
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
-from svmdist.estimation.instrument.measurement import SharedBias
-from svmdist.estimation.instrument.state import Linearised
+from svmdist.estimation.instrument.measurement import Linearised, SharedBias
 from svmdist.estimation.tissue.detection import (
     TissueDetection,
     TissuePose,
