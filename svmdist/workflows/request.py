@@ -258,6 +258,8 @@ def prepare(
     """
     if isinstance(method, str) and method not in METHODS:
         raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
+    if equations not in ("corrected", "printed"):
+        raise UsageError(f"no equations {equations}: {did_you_mean(equations, ('corrected', 'printed'))}")
     loaded = profile if isinstance(profile, Profile) else load_profile(profile, hand_eye)
     if not isinstance(method, str):
         if not isinstance(method, OwnMethod):

@@ -94,6 +94,8 @@ def require_truth_for_alarms(request: Request) -> None:
 def combine(parts: Sequence[Scored], request: Request, groups: Sequence[str] = ()) -> Validation:
     """The scores of recordings, and those of all together; where `groups` names a group of each, of these too."""
     scores = [score for part in parts for score in part.scores]
+    if not scores:
+        raise RecordingError("no recording could be scored")
     of_groups = []
     for group in sorted(set(groups)):
         members = [s for part, name in zip(parts, groups, strict=True) if name == group for s in part.scores]
