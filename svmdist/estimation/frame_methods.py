@@ -120,7 +120,10 @@ def tool_from_tag(arm: Arm, camera: Camera, tag: TagPose, robot: RobotState) -> 
 
 
 def certain(frame: Frame, found: ImagePose | Failure, max_std_m: float) -> ImagePose | Rejection:
-    """A pose by images that nothing contradicts and that is as certain as a method wants it, or why there is none."""
+    """A pose by images that nothing contradicts and that is as certain as a method wants it, or why there is none.
+
+    Beyond `BOUND_AT_M` the bound grows in proportion: errors of size, focal length and disparity are shares of a depth.
+    """
     if isinstance(found, Failure):
         return Rejection(frame.stamp_ns, Status.NO_INSTRUMENT, found.reason)
     if found.doubt:
@@ -130,11 +133,6 @@ def certain(frame: Frame, found: ImagePose | Failure, max_std_m: float) -> Image
         said = f"the position is uncertain by {found.pose.position_std_m * 1e3:.1f} mm"
         return Rejection(frame.stamp_ns, Status.UNCERTAIN, said)
     return found
-
-
-def certain_by_pair(frame: Frame, found: ImagePose | Failure) -> ImagePose | Rejection:
-    """The same of a pose by both views: what a disparity tells of depth is a share of it."""
-    return certain(frame, found, frame.arm.profile.stereo_in_range.max_depth_std_m)
 
 
 class ShaftEstimator:
@@ -206,7 +204,8 @@ class StereoEstimator:
         located = frame.pair_pose if self._uses_shaft else self._triangulated(frame)
         if isinstance(located, ImagePose):
             result = with_detections(result, located.gating)
-        found = located if isinstance(located, Rejection) else certain_by_pair(frame, located)
+        max_std_m = self._profile.settings.stereo.max_depth_std_m
+        found = located if isinstance(located, Rejection) else certain(frame, located, max_std_m)
         if isinstance(found, Rejection):
             return result.rejected(found.status, found.detail)
 

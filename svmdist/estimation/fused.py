@@ -9,7 +9,7 @@ import numpy as np
 
 from svmdist.estimation.distances import measured, with_tissue, with_tool
 from svmdist.estimation.frame import Frame, Needs
-from svmdist.estimation.frame_methods import certain, certain_by_pair, tool_from_tag
+from svmdist.estimation.frame_methods import certain, tool_from_tag
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound, with_detections
 from svmdist.estimation.instrument.distal_marker import Expected, MarkerPair, pair_markers
 from svmdist.estimation.instrument.error_model import nominal_tool
@@ -110,7 +110,7 @@ class FusedEstimator:
         """The tool by the images alone: by both views, or by the shaft in the left one; None where neither tells."""
         if not self._has_sizes:
             return None
-        found = certain_by_pair(frame, frame.pair_pose)
+        found = certain(frame, frame.pair_pose, self._arm.profile.settings.stereo.max_depth_std_m)
         if isinstance(found, Rejection):
             found = certain(frame, frame.shaft_pose, MAX_IMAGE_STD_M)
         return None if isinstance(found, Rejection) else found.pose

@@ -13,10 +13,9 @@ from svmdist.profile.segmentation import AutoSegmentation, HsvSegmentation, Segm
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.vision.colour import KnownMasks, masks_by_colours
-from svmdist.vision.instruments.find_instruments import AutoMasks
+from svmdist.vision.instruments.find_instruments import DEFAULT, AutoMasks
 from svmdist.vision.network import OnnxSegmenter
 
-DEFAULT = AutoSettings()
 Masks = KnownMasks | AutoMasks
 
 

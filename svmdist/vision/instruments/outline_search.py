@@ -211,10 +211,10 @@ def _of_beyond(colours: list[Floats], seen: NDArray[np.bool_]) -> float:
         return 0.0
     within = colours[0][seen][:, 3:-3]
     first, second, *beyond = (one[seen].mean(1) for one in colours[1:])
-    own_rest = within.mean(1), np.median(within, (0, 1))
+    between = within.mean(1), np.median(within, (0, 1))
     shares = []
     for own, other, out in ((first, second, beyond[0]), (second, first, beyond[1])):
-        apart = [np.linalg.norm(own - one, axis=1) for one in (out, other, *own_rest)]
+        apart = [np.linalg.norm(own - one, axis=1) for one in (out, other, *between)]
         shares.append(float((np.argmin(apart, axis=0) == 0).mean()))
     return max(shares)
 
