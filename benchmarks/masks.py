@@ -14,6 +14,7 @@ import json
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -37,6 +38,7 @@ CALIBRATED = (0.85, 0.95)  # which probabilities are called 0.9
 PANEL_SIZE = (240, 427)
 """(h, w) of each of a panel's three pictures: the image, its classes, what some network made of it."""
 GRASPER_BGR, HOOK_BGR = (233, 180, 86), (139, 139, 0)
+ENDOVIS_2015 = "t*/img_*_raw.png"
 SUPER_DEEP = "ForwardPassDeepLabCut/DaVinci-Ambar-2019-10-31/labeled-data/video_1"
 
 
@@ -141,7 +143,7 @@ SETS: dict[str, tuple[str, str, Callable[[Path], Masked]]] = {
     "EndoVis 2015": (
         "Warlord437/Surgical-Image-Segmentation",
         "operations, 640x480",
-        _polygons("t*/img_*_raw.png", "."),
+        _polygons(ENDOVIS_2015, "."),
     ),
     "Cholec80": (
         "labdeeman7/cholec_instance_seg",
@@ -157,7 +159,9 @@ def instruments_of(masks: Masks) -> Mask:
     return (masks.instrument > 0) if masks.shaft is None else ((masks.instrument | masks.shaft) > 0)
 
 
-def _network(*, from_border: bool) -> OnnxSegmenter:
+@cache
+def shipped_network(*, from_border: bool) -> OnnxSegmenter:
+    """The network that ships, with all that it takes for an instrument, or with what comes in from the border alone."""
     rules = {**INSTRUMENTS, "method": "onnx", "model": "svmdist:instruments", "from_border": from_border}
     return OnnxSegmenter(OnnxSegmentation.model_validate(rules))
 
@@ -192,11 +196,11 @@ def print_row(name: str, shows: str, images: Sequence[tuple[Image, Mask]]) -> tu
         defaultdict[str, list[float]](list),
         list[Mask](),
     )
-    network = _network(from_border=False)
+    network = shipped_network(from_border=False)
     segmenters: dict[str, Callable[[Image], Masks]] = {
         "`auto`": AutoMasks,
         "network": network.masks,
-        "network, from the border": _network(from_border=True).masks,
+        "network, from the border": shipped_network(from_border=True).masks,
     }
     for method, masks_of in segmenters.items():
         for bgr, truth in images:

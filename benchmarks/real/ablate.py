@@ -19,17 +19,8 @@ import cv2
 import numpy as np
 
 from benchmarks.generated_pages import DOCS, table, write_table
-from benchmarks.real import (
-    common,
-    d_lfd,
-    endovis_2015,
-    in_vivo,
-    laparoscopy,
-    operations,
-    recode,
-    super_deep,
-    thrust,
-)
+from benchmarks.real import common
+from benchmarks.real.__main__ import SETS
 from svmdist.estimation.instrument import verification
 from svmdist.estimation.instrument.most_probable import Solution
 from svmdist.estimation.instrument.shaft_detection import ShaftDetection
@@ -37,16 +28,11 @@ from svmdist.estimation.instrument.shaft_model import ShaftSizes
 from svmdist.vision import shadows, silhouette
 from svmdist.vision.instruments import outline_search
 
-SETS = {
-    "thrust": thrust,
-    "d_lfd": d_lfd,
-    "super_deep": super_deep,
-    "recode": recode,
-    "in_vivo": in_vivo,
-    "laparoscopy": laparoscopy,
-    "operations": operations,
-    "endovis_2015": endovis_2015,
-}
+OF_INSTRUMENTS = (
+    *("thrust", "d_lfd", "super_deep", "recode"),
+    *("in_vivo", "laparoscopy", "operations", "endovis_2015"),
+)
+"""The sets that are measured."""
 COLUMNS = {
     "thrust": ("thrust", "`shaft`", "red joint"),
     "thrust, pairs": ("thrust", "`stereo`", "red joint"),
@@ -105,7 +91,7 @@ def cells(part: str, folder: Path, out: Path) -> list[str]:
     lines: dict[tuple[str, str, str], common.Line] = {}
     with patch.object(place, attribute, by):
         for name, module in SETS.items():
-            if (folder / module.SET).is_dir():
+            if name in OF_INSTRUMENTS and (folder / module.SET).is_dir():
                 for line in module.measure(folder, out / part.replace(" ", "-") / name):
                     lines[line.of, line.method, line.against] = line
                     if all(key in lines for key in COLUMNS.values() if key[0] == line.of):

@@ -9,7 +9,6 @@ import sys
 import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import svmdist
-from benchmarks.masks import instruments_of
+from benchmarks.masks import instruments_of, shipped_network
 from svmdist.estimation.hand_eye import rigid_fit
 from svmdist.profile import Profile
-from svmdist.profile.segmentation import INSTRUMENTS, OnnxSegmentation
 from svmdist.results import FrameResult, ToolPose
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.network import OnnxSegmenter
 
 Mask = NDArray[np.bool_]
 FRAMES: dict[str, Any] = tomllib.loads(Path(__file__).with_name("frames.toml").read_text("utf-8"))
@@ -34,6 +31,8 @@ CHI_95 = {2: 5.99, 3: 7.81}
 """Squares of normalised errors, by the degrees of freedom, that 95 % are below."""
 ON_INSTRUMENT = 0.7
 """Least share of what a row projects to that is on an instrument, if the row is."""
+LIT = 20
+"""Level, of 255, above which a pixel is picture: around a round view it is black."""
 COLUMNS = (
     *("set", "method", "against", "rows", "error", "in 95%", "on instrument"),
     *("OpenCV: rows", "error", "on instrument"),
@@ -155,15 +154,9 @@ def read(path: Path) -> Image:
     return np.asarray(image, np.uint8)
 
 
-@cache
-def _network() -> OnnxSegmenter:
-    rules = {**INSTRUMENTS, "method": "onnx", "model": "svmdist:instruments", "from_border": False}
-    return OnnxSegmenter(OnnxSegmentation.model_validate(rules))
-
-
 def by_network(bgr: Image) -> Mask:
     """Where the shipped network sees an instrument, shape (h, w): no truth, for sets without masks."""
-    return instruments_of(_network().masks(bgr))
+    return instruments_of(shipped_network(from_border=False).masks(bgr))
 
 
 def outline(pose: ToolPose, K: Array, size: tuple[int, int], radius_m: float) -> Mask:
@@ -188,6 +181,14 @@ def on_instrument(pose: ToolPose, K: Array, seen: Mask, radius_m: float, lit: Ma
     """The share of what a pose projects to that is on what is seen, shape (h, w), within a round view; 0 beside it."""
     covered = outline(pose, K, (seen.shape[0], seen.shape[1]), radius_m) & lit
     return float(seen[covered].mean()) if covered.any() else 0.0
+
+
+def on_instruments(
+    rows: Iterable[FrameResult], K: Array, pictures: Sequence[Image], seen: Sequence[Mask], radius_m: float
+) -> list[float]:
+    """The same of each row, by what is seen of instruments in its picture, where light reaches."""
+    lit = [(bgr.max(axis=2) > LIT) | mask for bgr, mask in zip(pictures, seen, strict=True)]
+    return [on_instrument(pose_of(row), K, seen[row.number], radius_m, lit[row.number]) for row in rows]
 
 
 def pixel(point_m: Array, K: Array) -> Array:

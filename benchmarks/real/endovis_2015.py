@@ -14,24 +14,19 @@ from svmdist.profile import load_profile
 
 SET = Path("Surgical-Image-Segmentation")
 K = common.K_of(512.0, 512.0, 319.5, 239.5)
-LIT = 20
 
 
 def measure(folder: Path, out: Path) -> Iterator[common.Line]:
     """Rows of `shaft`, one an image at most, and how many of them lie on an instrument."""
     pictures, seen = zip(*masks.SETS["EndoVis 2015"][2](folder / SET), strict=True)
-    images = common.copied(sorted((folder / SET).glob("t*/img_*_raw.png")), out / "images")
+    images = common.copied(sorted((folder / SET).glob(masks.ENDOVIS_2015)), out / "images")
     numbers = ("--rate", 0.1, "--camera", "512,512,319.5,239.5")
     log, path = common.make_log(out / "endovis-2015.mcap", images, *numbers, instrument="laparoscopic-5mm")
     instrument = load_profile(path).instrument
     assert instrument is not None
     rows, total = common.rows_of(log, path, "shaft")
     radius_m = instrument.shaft_radius_m
-    lit = [(bgr.max(axis=2) > LIT) | mask for bgr, mask in zip(pictures, seen, strict=True)]
-    on = [
-        common.on_instrument(common.pose_of(row), K, seen[row.number], radius_m, lit[row.number])
-        for row in rows
-    ]
+    on = common.on_instruments(rows, K, pictures, seen, radius_m)
     other = peer.figures(peer.found(pictures, K, radius_m), seen)
     yield common.Line(
         "EndoVis 2015", "`shaft`", "masks", common.Figures(f"{len(rows)}/{total}", on=on), other

@@ -16,7 +16,7 @@ from svmdist.profile import load_profile
 
 SET = Path("laparoscopic-dataset", "images")
 K = common.K_of(900.0, 900.0, 639.5, 359.5)
-RADIUS_M, LIT = 0.0025, 20
+RADIUS_M = 0.0025
 OUTLINES = Path(__file__).with_name("operations.json")
 
 
@@ -43,12 +43,8 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
     seen = [
         filled(outlines.get(path.stem, []), bgr.shape[:2]) for path, bgr in zip(paths, pictures, strict=True)
     ]
-    lit = [(bgr.max(axis=2) > LIT) | mask for bgr, mask in zip(pictures, seen, strict=True)]
     rows, _ = common.rows_of(log, profile, "shaft")
-    on = [
-        common.on_instrument(common.pose_of(r), K, seen[r.number], instrument.shaft_radius_m, lit[r.number])
-        for r in rows
-    ]
+    on = common.on_instruments(rows, K, pictures, seen, instrument.shaft_radius_m)
     other = peer.figures(peer.found(pictures, K, RADIUS_M, 2), seen)
     count = f"{len(rows)}/{sum(len(outlines.get(path.stem, [])) for path in paths)}"
     yield common.Line("operations", "`shaft`", "outlines", common.Figures(count, on=on), other)
