@@ -234,6 +234,8 @@ def _each(one_or_several: Any) -> list[Any]:
 
 def _opened(recordings: Recording | Sequence[Recording]) -> list[Recording]:
     several = _each(recordings)
+    if not several:
+        raise UsageError("expected a recording or several, found none")
     for one in several:
         if not isinstance(one, Recording):
             raise UsageError(f"expected what svmdist.open_recording gives, found {type(one).__name__}")

@@ -124,6 +124,8 @@ def test_what_is_no_recording_frame_or_method_is_told(golden):
         (lambda: svmdist.estimate("contact.mcap"), "what svmdist.open_recording gives, found str"),
         (lambda: svmdist.estimate([recording, recording]), "svmdist.open_recording gives, found list"),
         (lambda: svmdist.compare([recording, 3]), "what svmdist.open_recording gives, found int"),
+        (lambda: svmdist.validate([]), "expected a recording or several, found none"),
+        (lambda: svmdist.compare(()), "expected a recording or several, found none"),
         (lambda: svmdist.estimate(recording, 3), r"an object with estimate\(frame\); found int"),
         (lambda: svmdist.estimate(recording, every=0), "--every 0: expected 1 or more"),
         (lambda: svmdist.surface(recording, -1), "the number of an image, 0 or more; found -1"),
