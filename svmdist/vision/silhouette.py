@@ -16,6 +16,7 @@ from svmdist.vision.shadows import edge_within
 
 MIN_LENGTH_WIDTHS = 1.25  # of both sides, on average: where it comes in at a slant one is shorter
 MOST_OFF_STDS = 2.5  # of a sharp edge from the rough side it was sought at
+SOFT_STD_WIDTHS = 0.05  # of a side without one, over the width: beside what people draw in photographs
 MAX_TAPER_RAD = 0.6  # between the sides; a cylinder that points at the camera shows no length
 ENDS_AGREE_WIDTHS = 0.3  # both edges' ends along the shaft: clevises are lopsided
 MIN_END_STD_WIDTHS = 0.08  # of the cylinder's end, over the width: ears and bevels hide it
@@ -299,7 +300,8 @@ def _edges(bgr: Image, seen: SeenInstrument, picture: Image | None, least_levels
     for side, rough in enumerate(seen.sides):
         one = edge_line(bgr, rough, seen.width_px, seen.pixel_px, picture, least_levels)
         if one is None or not _agrees(one, seen, side):  # the side as the evidence has it
-            (start_px, end_px), covariance = rough, seen.side_covariance[side]
+            (start_px, end_px), variance_px2 = rough, (SOFT_STD_WIDTHS * seen.width_px) ** 2
+            covariance = seen.side_covariance[side] + variance_px2 * np.eye(2)
             one = EdgeLine(start_px, end_px, np.zeros((0, 2)), False, 0.0, covariance, seen.pixel_px)
         edges.append(one)
     pairs = (edges, edges[::-1])

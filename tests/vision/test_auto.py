@@ -163,7 +163,7 @@ def test_sides_run_along_the_outline():
 
 
 def test_sides_without_an_edge_are_those_of_the_evidence():
-    """In an image without edges a shaft's sides are as wide as the evidence has them."""
+    """In an image without edges a shaft's sides are as the evidence has them, and off by a few percent of the width."""
     told = 0
     for one in map(surgery_image, range(6)):
         for seen in AutoMasks(one.bgr).seen:
@@ -172,7 +172,9 @@ def test_sides_without_an_edge_are_those_of_the_evidence():
             told += 1
             flat = find_silhouette(np.full_like(one.bgr, 120), seen, None, WristShape(0.3, 2.0), 12.0)
             assert flat is not None
-            assert all(edge.covariance is not None for edge in flat.edges)
+            for edge in flat.edges:
+                assert edge.covariance is not None
+                assert np.diag(edge.covariance).min() > (0.04 * flat.width_px) ** 2
     assert told >= 6
 
 
