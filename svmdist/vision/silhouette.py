@@ -110,9 +110,10 @@ def _wrist_point(
     if np.count_nonzero(ring) < 3:
         return None
     at = offset[ring].mean(0)
-    apart_px = 0.0
-    if instrument.touches_another:  # the origin is in either of them
+    apart_px = shared_px = 0.0
+    if instrument.touches_another:  # the origin is in either of them, and the farthest point the other one's
         apart_px = float(np.sqrt(max(offset[ring].var(0).sum() - (WRIST_SCATTER * width_px) ** 2, 0.0)))
+        shared_px = FROM_ONE_END * (reach_px - MIN_WRIST_SHARE * expected_px)
     # The middle of an arc lies inside of it.
     at *= shape.tool_fraction * reach_px / max(float(np.linalg.norm(at)), 1e-9)
     # An outline shorter than a straight wrist comes towards the camera, or lacks its jaws: then the origin is beyond.
@@ -121,7 +122,7 @@ def _wrist_point(
     pixel, tip_px = (end_px + place[0] * along + place[1] * across for place in (at, tip))
     unsure_px = float(np.hypot(short_px, apart_px / shape.tool_fraction))
     std_px = float(np.hypot(WRIST_STD * reach_px, shape.tool_fraction * unsure_px))
-    tip_std_px = float(np.hypot(TIP_STD * reach_px, unsure_px))
+    tip_std_px = float(np.linalg.norm([TIP_STD * reach_px, unsure_px, shared_px]))
     excess_px, missing = max(0.0, reach_px - MOST_REACH * expected_px), max(0.0, 1.0 - reach_px / expected_px)
     return WristPoint(pixel, std_px, tip_px, tip_std_px, 1.0 - shape.tool_fraction, excess_px, missing)
 

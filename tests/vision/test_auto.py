@@ -249,6 +249,28 @@ def test_a_side_that_goes_on_alone_is_doubtful_unless_the_instrument_does(is_cap
     assert (lower.covariance is None) is is_cap
 
 
+def test_the_tip_of_what_touches_another_instrument_may_be_the_other_ones():
+    """Jaws of two instruments meet in line: nothing shows where the first ends, at a straight wrist's length or so."""
+    bgr = np.full((240, 320, 3), 170.0)
+    bgr[100:140, :160] = 40
+    bgr[110:130, 160:310] = 90
+    mask = np.zeros((240, 320), np.bool_)
+    mask[100:140, :160] = mask[110:130, 160:310] = True
+    sides = np.array([[[0.0, 99.5], [160.0, 99.5]], [[0.0, 139.5], [160.0, 139.5]]])
+    seen = SeenInstrument(
+        mask, (240, 320), sides, sides[:, 1].mean(0), 1.0, end_std_px=2.0, pixel_px=1.0, touches_another=True
+    )
+    shape = WristShape(0.3, 2.0)
+    found = find_silhouette(
+        cv2.GaussianBlur(bgr, (0, 0), 0.8).astype(np.uint8), seen, None, shape, least_levels=12.0
+    )
+    assert found is not None
+    assert found.wrist is not None
+    own_tip_px = np.array([160.0 + shape.length_widths * 40.0, 119.5])
+    off_px = np.linalg.norm(found.wrist.tip_px - own_tip_px)
+    assert 50.0 < off_px < 2.0 * found.wrist.tip_std_px
+
+
 def test_a_wrist_that_comes_in_from_the_border_is_no_shaft(golden):
     """A wrist is half as wide as the shaft: taken for it, its depth would be twice as large."""
     images = [one.image_bgr for one in read_images(open_recording(golden / "3d" / "duo.mcap", PROFILE))]
