@@ -36,7 +36,7 @@ def cells(logs: Sequence[Measured], below_m: float) -> Iterator[str]:
         states = []
         for rows, _ in logs:
             watch = AlarmWatch(AlarmRules(below_m, when))
-            states += [watch.watch(row).alarm for row in rows]
+            states += [watch.watch(row).is_raised for row in rows]
         judged, alarms = np.array([state is not None for state in states]), np.array(states) == True  # noqa: E712
         unsafe, safe = true_m < below_m, true_m >= below_m
         if at == 0:

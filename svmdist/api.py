@@ -52,10 +52,7 @@ class Estimates(Sequence[FrameResult]):
 
     def __repr__(self) -> str:
         """What was measured, in a few lines."""
-        ending = Ending(self.recording.instruments, self.alarms)
-        for result in self.results:
-            ending.add(result)
-        ending.close()
+        ending = Ending.of(self.results)
         counts = ", ".join(f"{count} {status}" for status, count in ending.statuses.items())
         lines = [f"{self.recording.name}: {len(self)} rows by {self.setup.method}", counts or "no image"]
         if ending.least is not None:
@@ -85,10 +82,8 @@ class Estimates(Sequence[FrameResult]):
 
     def rows(self) -> Iterator[Row]:
         """The rows of `svmdist estimate -f csv`, in SI; None for what does not exist."""
-        ending = Ending(self.recording.instruments, self.alarms)
         for result in self.results:
-            alarm = ending.add(result)
-            row = estimate_row(self.recording.name, result, self.setup.method, self.setup.equations, alarm)
+            row = estimate_row(self.recording.name, result, self.setup.method, self.setup.equations)
             yield {key: row.get(key) for key in ESTIMATE_KEYS}
 
     def to_dataframe(self) -> DataFrame:
@@ -161,7 +156,8 @@ def estimate(
     setup = _setup(recording, method, calibration)
     names = None if instruments is None else tuple(instruments)
     read, _ = with_lag(recording, Request(setup, instruments=names, lag=lag), jobs)
-    return Estimates(recording, setup, tuple(_estimate(read, setup, names, jobs)), alarms)
+    results = tuple(_estimate(read, setup, names, jobs, alarms=alarms))
+    return Estimates(recording, setup, results, alarms)
 
 
 def validate(

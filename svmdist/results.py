@@ -144,6 +144,41 @@ class ImageFindings:
 
 
 @dataclass(frozen=True, slots=True)
+class AlarmEvent:
+    """Alarmed rows of one instrument, from the first to the last of them, and the smallest clearance of these.
+
+    A row that is judged safe ends it, and so do a few rows in a row without a clearance. Numbers are those of images in
+    the log, seconds since its first image.
+    """
+
+    instrument: str
+    start_number: int
+    start_s: float
+    end_s: float
+    least_m: float
+    least_number: int
+    least_half_m: float | None = None  # of its 95 % interval
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last alarmed image: 0 for a single one."""
+        return self.end_s - self.start_s
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmState:
+    """Of one row: whether an alarm is raised, closing speed in m/s (positive: closer), time to contact in s.
+
+    None where unknown. `event` is the event so far that an alarmed row belongs to.
+    """
+
+    is_raised: bool | None = None
+    closing_speed_m_s: float | None = None
+    time_to_contact_s: float | None = None
+    event: AlarmEvent | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class FrameResult:
     """The outcome of one frame for one instrument: its distances, or the status that says why there are none."""
 
@@ -160,6 +195,7 @@ class FrameResult:
     refused: tuple[str, ...] = ()
     number: int = 0  # of the image in its log, from 0
     seconds: float = 0.0  # since the first image of the log
+    alarm: AlarmState = AlarmState()  # by the rules that were asked for
 
     @property
     def measured(self) -> bool:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from svmdist.report.tables import Row
     from svmdist.workflows.ending import Ending
     from svmdist.workflows.estimate import Keep
+    from svmdist.workflows.frame_drawing import DrawnFrame
     from svmdist.workflows.request import Request
     from svmdist.workflows.validate import Validation
 
@@ -170,7 +171,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
 
         head, every = run.begun(2, self.output)
         several = len({row.get("instrument") for row in head}) > 1 or any(
-            len(ending.wanted) > 1 for ending in run.results
+            len(ending.events) > 1 for ending in run.results
         )
         if writer.name == "tum" and several:
             raise UsageError("--format tum writes one trajectory: choose an instrument with --instrument")
@@ -189,13 +190,18 @@ def draw_log(
     from svmdist.workflows.ending import Ending
     from svmdist.workflows.frame_drawing import drawn_frames
 
-    setup, ending = request.setup, Ending(request.instruments or recording.instruments, request.alarms)
+    setup, ending = request.setup, Ending()
     seen = corrected(recording, request, threads)
 
+    def counted() -> Iterator[DrawnFrame]:
+        for frame in drawn_frames(seen, setup, request.instruments, threads, alarms=request.alarms):
+            for row in frame.replayed.results:
+                ending.add(row)
+            yield frame
+
     with output.steps(f"drawing {recording.name}", "images", recording.image_count()) as steps:
-        frames = drawn_frames(seen, setup, ending, request.instruments, threads)
-        writer.write(steps.of(frames), output_path, seen, setup, force)
-    ending.close(seen.remarks)
+        writer.write(steps.of(counted()), output_path, seen, setup, force)
+    ending.remarks = seen.remarks
     return ending
 
 
@@ -210,16 +216,17 @@ def measure_rows(
     setup = request.setup
     seen = corrected(recording, request, threads)
     wanted = request.instruments or recording.instruments
-    ending, kept = Ending(wanted, request.alarms), []
+    ending, kept = Ending(), []
+    rows = estimate(seen, setup, request.instruments, threads, rest=keep is not None, alarms=request.alarms)
     with output.steps("measuring", "rows", recording.image_count(), len(wanted)) as steps:
-        for row in steps.of(estimate(seen, setup, request.instruments, threads, rest=keep is not None)):
-            alarm = ending.add(row)
+        for row in steps.of(rows):
+            ending.add(row)
             if keep is not None:
                 kept.append(row)
-            yield estimate_row(recording.name, row, setup.method, setup.equations, alarm)
+            yield estimate_row(recording.name, row, setup.method, setup.equations)
     if keep is not None:
         keep(Measured(recording, seen, tuple(kept), seen.lag))
-    ending.close(seen.remarks)
+    ending.remarks = seen.remarks
     return ending
 
 

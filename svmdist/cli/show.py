@@ -123,7 +123,7 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
         from svmdist.report.panels import masks_picture, phases_picture
         from svmdist.workflows.frame_drawing import drawn_frames
 
-        setup, given = request.setup, (None, request.instruments, self.jobs, numbers)
+        setup, given = request.setup, (request.instruments, self.jobs, numbers)
         with output.steps(f"drawing {log.name}", "images", max(numbers) + 1) as steps:
             for shown in drawn_frames(log, setup, *given, steps.advance):
                 where = f"{log.name}  frame {shown.number}"

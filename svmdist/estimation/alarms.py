@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from svmdist.errors import UsageError
-from svmdist.results import Distance, FrameResult
+from svmdist.results import AlarmEvent, AlarmState, Distance, FrameResult
 
 MIN_SLOPE_ROWS = 3
 MIN_CLOSING_M_S = 1e-3  # below a millimetre a second the time to contact is noise divided by noise
@@ -53,59 +52,18 @@ class AlarmRules:
         return f"clearance below {self.below_m * 1e3:g} mm{''.join(names)}, P ≥ {self.probability:g}"
 
 
-@dataclass(frozen=True, slots=True)
-class AlarmState:
-    """Of one row: alarm, closing speed in m/s (positive: closer), time to contact in s; None where unknown."""
-
-    alarm: bool | None = None
-    closing_speed_m_s: float | None = None
-    time_to_contact_s: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class AlarmEvent:
-    """Alarmed rows of one instrument, from the first to the last of them, and the smallest clearance of these.
-
-    A row that is judged safe ends it, and so do more than `MAX_GAP_ROWS` rows in a row without a clearance. Numbers
-    are those of images in the log, seconds since its first image.
-    """
-
-    instrument: str
-    start_number: int
-    start_s: float
-    end_s: float
-    least_m: float
-    least_number: int
-    least_half_m: float | None = None  # of its 95 % interval
-
-    @property
-    def duration_s(self) -> float:
-        """From the first to the last alarmed image: 0 for a single one."""
-        return self.end_s - self.start_s
-
-    def extended(self, row: FrameResult, clearance: Distance) -> AlarmEvent:
-        """The event with one more row."""
-        longer = replace(self, end_s=row.seconds)
-        if not clearance.value_m < self.least_m:
-            return longer
-        return replace(
-            longer, least_m=clearance.value_m, least_number=row.number, least_half_m=clearance.half_m
-        )
-
-
 class AlarmWatch:
-    """Watches the rows of one instrument in the order of their stamps, and keeps the `events` so far."""
+    """Watches the rows of one instrument in the order of the log."""
 
     def __init__(self, rules: AlarmRules) -> None:
-        self.events: list[AlarmEvent] = []
         self._rules = rules
         self._last_ns: int | None = None
         self._restart()
 
     def _restart(self) -> None:
         self._recent: deque[tuple[int, float]] = deque()
-        self._is_alarmed, self._gap = False, 0
-        self._overlap_std_m = math.inf
+        self._event: AlarmEvent | None = None
+        self._gap, self._overlap_std_m = 0, math.inf
 
     def watch(self, row: FrameResult) -> AlarmState:
         """Judge one row."""
@@ -118,23 +76,20 @@ class AlarmWatch:
         if row.doubt or not row.measured or clearance is None:
             self._gap += 1
             if self._gap > MAX_GAP_ROWS:
-                self._is_alarmed, self._overlap_std_m = False, math.inf
+                self._event, self._overlap_std_m = None, math.inf
             return AlarmState()
         self._gap = 0
         std_m = self._deviation_m(clearance)
-        is_alarm = probability_below(self._rules.below_m, clearance.value_m, std_m) >= self._rules.probability
-        if is_alarm:
-            first = (row.instrument, row.number, row.seconds, row.seconds, math.inf, row.number)
-            begun = self.events.pop() if self._is_alarmed else AlarmEvent(*first)
-            self.events.append(begun.extended(row, clearance))
-        self._is_alarmed = is_alarm
+        probability = probability_below(self._rules.below_m, clearance.value_m, std_m)
+        is_raised = probability >= self._rules.probability
+        self._event = _extended(self._event, row, clearance) if is_raised else None
         speed_m_s = self._closing_speed_m_s(row.stamp_ns, clearance.value_m)
         contact_s = None
         if clearance.value_m <= 0.0:
             contact_s = 0.0
         elif speed_m_s is not None and speed_m_s > MIN_CLOSING_M_S:
             contact_s = clearance.value_m / speed_m_s
-        return AlarmState(is_alarm, speed_m_s, contact_s)
+        return AlarmState(is_raised, speed_m_s, contact_s, self._event)
 
     def _deviation_m(self, clearance: Distance) -> float:
         """The deviation that the probability is of: deeper inside the tissue, the probability is never smaller.
@@ -161,14 +116,14 @@ class AlarmWatch:
         return -float(np.median(slopes))
 
 
-def alarm_events(rows: Iterable[FrameResult], rules: AlarmRules | None) -> list[AlarmEvent]:
-    """The alarms of one instrument's rows; none without rules."""
-    if rules is None:
-        return []
-    watch = AlarmWatch(rules)
-    for row in rows:
-        watch.watch(row)
-    return watch.events
+def _extended(begun: AlarmEvent | None, row: FrameResult, clearance: Distance) -> AlarmEvent:
+    """An event with one more row, or the one that begins with it."""
+    least = clearance.value_m, row.number, clearance.half_m
+    if begun is None:
+        return AlarmEvent(row.instrument, row.number, row.seconds, row.seconds, *least)
+    if clearance.value_m < begun.least_m:
+        return AlarmEvent(begun.instrument, begun.start_number, begun.start_s, row.seconds, *least)
+    return replace(begun, end_s=row.seconds)
 
 
 def probability_below(below_m: float, clearance_m: float, std_m: float) -> float:

@@ -65,7 +65,7 @@ def _annotations(
         yield image_topic, viewer_messages.image_annotations(drawing)
         for result in results:
             # Fields that are None are left out.
-            fields = estimate_fields(result, setup.method, frame.alarms.get(result.instrument))
+            fields = estimate_fields(result, setup.method)
             yield f"/svmdist/{result.instrument}/distance", encoded(DistanceEstimate, stamp_ns, **fields)
         if poses := tool_poses(results):
             tools = tuple(TransformSample(stamp_ns, frame_id, child, T) for child, T in poses)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.drawing import ALARM_COLOUR, ESTIMATE_COLOUR, LOST_COLOUR, TRUTH_COLOUR, Rgb
-from svmdist.estimation.alarms import AlarmEvent
 from svmdist.metrics import interval_coverage
 from svmdist.report.tables import counted
+from svmdist.results import AlarmEvent
 from svmdist.transforms import Array
 from svmdist.workflows.scoring.series import Series
 

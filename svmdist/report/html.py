@@ -29,7 +29,6 @@ from svmdist.report.tables import Table, counted
 from svmdist.report.writers import Results
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.workflows.ending import Ending
 from svmdist.workflows.estimate import Measured
 from svmdist.workflows.frame_drawing import drawn_frames
 from svmdist.workflows.parallel import Progress, Steps
@@ -127,8 +126,7 @@ def _worst(
     steps, pictures = Steps(on_progress, sum(max(numbers) + 1 for numbers in wanted.values())), {}
     look: Any = {"lines": False, "least_px": MIN_WIDTH_PX, "letters": THUMBNAIL_LETTERS}
     for name, log in ((one.recording.name, one) for one in measured if one.recording.name in wanted):
-        ending = Ending(log.read.instruments, request.alarms)
-        given = log.read, request.setup, ending, None, jobs, wanted[name], steps.advance
+        given = log.read, request.setup, None, jobs, wanted[name], steps.advance, request.alarms
         for drawn in drawn_frames(*given):
             if (image := drawn.replayed.image_bgr) is not None:
                 pictures[name, drawn.number] = _jpeg(draw_on(image, drawn.drawing, **look))

@@ -78,7 +78,7 @@ def _log_frame(stream: rr.RecordingStream, frame: DrawnFrame, setup: Setup) -> N
         turn = rr.Transform3D(translation=T_camera_tool[:3, 3], mat3x3=T_camera_tool[:3, :3])
         stream.log(f"{SCENE}/{escaped(name)}", turn, rr.TransformAxes3D(AXIS_M))
     for result in frame.replayed.results:
-        fields: Any = estimate_fields(result, setup.method, frame.alarms.get(result.instrument))
+        fields: Any = estimate_fields(result, setup.method)
         name = escaped(result.instrument)
         for key in SHOWN:
             if (distance_m := fields.get(f"{key}_m")) is not None:

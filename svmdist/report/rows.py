@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.estimation.alarms import AlarmState
 from svmdist.files import atomic_file
 from svmdist.metrics import (
     COUNT,
@@ -44,11 +43,15 @@ class _Estimate:
     result: FrameResult
     method: str
     equations: str = ""
-    alarm: AlarmState | None = None
 
     @property
     def pose(self) -> ToolPose | None:
         return self.result.tool.pose if self.result.tool and self.result.measured else None
+
+    @property
+    def alarm(self) -> int | None:
+        raised = self.result.alarm.is_raised
+        return None if raised is None else int(raised)
 
     @cached_property
     def quaternion_xyzw(self) -> Array | None:
@@ -106,12 +109,12 @@ ESTIMATE_COLUMNS: tuple[Column, ...] = (
     *_several("direction_{}", "result.distances.clearance.direction.{}", "x y z", RATIO,
               "unit vector of the shortest separation from instrument to tissue, in the camera frame",
               "with `clearance_m`"),
-    Column("alarm", COUNT, "alarm", lambda e: None if e.alarm is None or e.alarm.alarm is None else int(e.alarm.alarm),
+    Column("alarm", COUNT, "alarm", "",
            "1 or 0; empty without a clearance, which does not mean that the frame is safe", "`--alarm-below`", "alarm"),
-    Column("closing_speed_m_s", SPEED, "closing [mm/s]", "alarm.closing_speed_m_s",
+    Column("closing_speed_m_s", SPEED, "closing [mm/s]", "result.alarm.closing_speed_m_s",
            "speed at which the clearance shrinks, over the last 0.5 s; negative where it grows", "`--alarm-below`",
            "closing_speed_m_s"),
-    Column("time_to_contact_s", SECONDS, "contact [s]", "alarm.time_to_contact_s",
+    Column("time_to_contact_s", SECONDS, "contact [s]", "result.alarm.time_to_contact_s",
            "clearance over closing speed; empty below 1 mm/s", "`--alarm-below`", "time_to_contact_s"),
     Column("instrument", TEXT, "instrument", "result.instrument", "the instrument", "all", "instrument",
            width=10),
@@ -173,16 +176,14 @@ def shown_columns(
     return columns
 
 
-def estimate_row(
-    recording: str, result: FrameResult, method: str, equations: str, alarm: AlarmState | None = None
-) -> Row:
+def estimate_row(recording: str, result: FrameResult, method: str, equations: str) -> Row:
     """The row of a result."""
-    return row_of(ESTIMATE_COLUMNS, _Estimate(recording, result, method, equations, alarm))
+    return row_of(ESTIMATE_COLUMNS, _Estimate(recording, result, method, equations))
 
 
-def estimate_fields(result: FrameResult, method: str, alarm: AlarmState | None = None) -> Row:
+def estimate_fields(result: FrameResult, method: str) -> Row:
     """A result as the fields of `svmdist.DistanceEstimate`, None for what does not exist."""
-    estimate = _Estimate("", result, method, alarm=alarm)
+    estimate = _Estimate("", result, method)
     return {column.field: column.value(estimate) for column in ESTIMATE_COLUMNS if column.field}
 
 

@@ -6,8 +6,8 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from svmdist.estimation.alarms import AlarmEvent, AlarmRules, AlarmState, AlarmWatch
-from svmdist.results import FrameResult
+from svmdist.estimation.alarms import AlarmRules
+from svmdist.results import AlarmEvent, FrameResult
 from svmdist.samples import Status
 
 MAX_REMARKS = 6  # lines
@@ -15,26 +15,29 @@ MAX_REMARKS = 6  # lines
 
 @dataclass
 class Ending:
-    """Counts over the rows of a log, and its alarms by `rules`: `events` of all instruments, which `wanted` names.
+    """Counts over the rows of a log, and its alarms: `events` by instrument, and the number of their first image.
 
     `tally` has the rows by status and detail, in the order in which they first came; `seen` and `refused` those in
     which a detection was measured, and contradicted the rest; `remarks` are the recording's.
     """
 
-    wanted: tuple[str, ...] = ()
-    rules: AlarmRules | None = None
     tally: dict[str, Counter[str]] = field(default_factory=dict)
     seen: Counter[str] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
-    events: list[AlarmEvent] = field(default_factory=list)
+    events: dict[str, dict[int, AlarmEvent]] = field(default_factory=dict)
     remarks: list[str] = field(default_factory=list)
     least: FrameResult | None = None  # the row of the smallest clearance
 
-    def __post_init__(self) -> None:
-        self._watches = {name: AlarmWatch(self.rules) for name in self.wanted} if self.rules else {}
+    @classmethod
+    def of(cls, rows: Iterable[FrameResult], remarks: Iterable[str] = ()) -> Ending:
+        """The ending of all rows of a log, and what is remarked on it."""
+        ending = cls(remarks=list(remarks))
+        for row in rows:
+            ending.add(row)
+        return ending
 
-    def add(self, row: FrameResult) -> AlarmState | None:
-        """Count a row, and judge it by the rules of alarms; None without any."""
+    def add(self, row: FrameResult) -> None:
+        """Count a row."""
         self.tally.setdefault(str(row.status), Counter())[row.detail] += 1
         least = None if self.least is None else self.least.distances.clearance
         found = row.distances.clearance if row.measured else None
@@ -42,13 +45,15 @@ class Ending:
             self.least = row
         self.seen.update((*row.accepted, *row.refused))
         self.refused.update(row.refused)
-        return self._watches[row.instrument].watch(row) if self._watches else None
+        events = self.events.setdefault(row.instrument, {})
+        if (event := row.alarm.event) is not None:
+            events[event.start_number] = event
 
-    def close(self, remarks: Iterable[str] = ()) -> None:
-        """Keep the alarms of all instruments in the order of time, and what is remarked on the log."""
-        self.remarks = list(remarks)
-        every = (event for watch in self._watches.values() for event in watch.events)
-        self.events = sorted(every, key=lambda event: event.start_s)
+    @property
+    def alarms(self) -> list[AlarmEvent]:
+        """The alarms of all instruments in the order of time."""
+        every = (event for events in self.events.values() for event in events.values())
+        return sorted(every, key=lambda event: event.start_s)
 
     @property
     def least_in_words(self) -> str:
@@ -94,7 +99,7 @@ def remarks_in_words(endings: Mapping[str, Ending]) -> Iterator[str]:
 
 def alarms_in_words(endings: Mapping[str, Ending], rules: AlarmRules) -> str:
     """How many alarms logs had, and the first and the longest of them."""
-    every = [(log, event) for log, one in endings.items() for event in one.events]
+    every = [(log, event) for log, one in endings.items() for event in one.alarms]
     instruments = {event.instrument for _, event in every}
 
     def at(log: str, event: AlarmEvent, number: int) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import KinematicsError, RecordingError
+from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.lag import Predict, estimate_lag
 from svmdist.estimation.plane_mapping import PUBLISHED_MAPPING
 from svmdist.recording.log import Recording
@@ -46,13 +47,14 @@ def estimate(
     jobs: int | None = None,
     *,
     rest: bool = True,
+    alarms: AlarmRules | None = None,
 ) -> Iterator[FrameResult]:
     """Give one result per image and instrument, in order, holding a few frames at a time.
 
-    An image that cannot be decoded is a result with the status of its rejection. `wanted`, `jobs` and
-    `rest` are as in `replay`.
+    An image that cannot be decoded is a result with the status of its rejection. `wanted`, `jobs`, `rest` and `alarms`
+    are as in `replay`.
     """
-    lanes = replay(recording, [setup], wanted=wanted, jobs=jobs, rest=rest)
+    lanes = replay(recording, [setup], wanted=wanted, jobs=jobs, rest=rest, alarms=alarms)
     return (result for (replayed,) in lanes for result in replayed.results)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -12,7 +12,7 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.drawing import Form, FrameDrawing, Label, Part, Segment, Shape, StatusLine
 from svmdist.errors import UsageError
-from svmdist.estimation.alarms import AlarmState
+from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import shaft_sections
 from svmdist.estimation.instrument.shaft_detection import DistalMarker
@@ -24,7 +24,6 @@ from svmdist.samples import Image, Status
 from svmdist.vision.frame_context import seen_through
 from svmdist.vision.regions import Region
 from svmdist.vision.silhouette import Silhouette
-from svmdist.workflows.ending import Ending
 from svmdist.workflows.replay import Replayed, replay
 from svmdist.workflows.request import Setup
 
@@ -36,35 +35,29 @@ BEND_STEP_PX = 10.0
 
 @dataclass(frozen=True)
 class DrawnFrame:
-    """One image of a log: its number, what a method gave, the alarms by instrument, and the drawing."""
+    """One image of a log: its number, what a method gave, and the drawing."""
 
     number: int
     seconds: float
     replayed: Replayed
-    alarms: Mapping[str, AlarmState | None]
     drawing: FrameDrawing
 
 
 def drawn_frames(
     recording: Recording,
     setup: Setup,
-    ending: Ending | None = None,
     wanted: Sequence[str] | None = None,
     jobs: int | None = None,
     numbers: Collection[int] | None = None,
     on_image: Callable[[], None] = lambda: None,
+    alarms: AlarmRules | None = None,
 ) -> Iterator[DrawnFrame]:
-    """Replay and draw every image, or some `numbers` up to the last; `on_image` is called for each one read.
-
-    All rows are added to `ending`, whose alarms are drawn.
-    """
-    ending = ending or Ending()
-    for (replayed,) in replay(recording, [setup], wanted=wanted, jobs=jobs):
+    """Replay and draw every image, or some `numbers` up to the last; `on_image` is called for each one read."""
+    for (replayed,) in replay(recording, [setup], wanted=wanted, jobs=jobs, alarms=alarms):
         number, seconds = replayed.results[0].number, replayed.results[0].seconds
-        alarms = {result.instrument: ending.add(result) for result in replayed.results}
         on_image()
         if numbers is None or number in numbers:
-            yield DrawnFrame(number, seconds, replayed, alarms, frame_drawing(replayed, setup, alarms))
+            yield DrawnFrame(number, seconds, replayed, frame_drawing(replayed, setup))
         if numbers is not None and number >= max(numbers, default=-1):
             return
 
@@ -88,13 +81,10 @@ def image_stamps_ns(recording: Recording) -> list[int]:
     return stamps
 
 
-def frame_drawing(
-    replayed: Replayed, setup: Setup, alarms: Mapping[str, AlarmState | None] | None = None
-) -> FrameDrawing:
+def frame_drawing(replayed: Replayed, setup: Setup) -> FrameDrawing:
     """Draw one image of a replay in its recorded pixels; one that could not be read has only lines that say so."""
     frames, results = replayed.frames, replayed.results
-    alarms = alarms or {}
-    lines = tuple(status_line(result, setup.method, alarms.get(result.instrument)) for result in results)
+    lines = tuple(status_line(result, setup.method) for result in results)
     if not frames:
         return FrameDrawing(results[0].stamp_ns, lines=lines)
     scene = frames[0].scene
@@ -244,14 +234,14 @@ def in_words(distance: Distance) -> str:
     return f"{distance.value_m * 1e3:z.2f} mm{interval}"
 
 
-def status_line(result: FrameResult, method: str, alarm: AlarmState | None = None) -> StatusLine:
+def status_line(result: FrameResult, method: str) -> StatusLine:
     """One line about one instrument's result."""
     who, shown = f"{result.instrument} {method}".strip(), _shown_distance(result)
     if shown is None:
         detail = f" ({result.detail})" if result.detail else ""
         return StatusLine(f"{who}: not measured: {result.status}{detail}", warns=True)
-    is_alarm = bool(alarm and alarm.alarm)
-    return StatusLine(f"{who}: {shown[0]} {in_words(shown[1])}{'  ALARM' * is_alarm}", is_alarm)
+    warns = bool(result.alarm.is_raised)
+    return StatusLine(f"{who}: {shown[0]} {in_words(shown[1])}{'  ALARM' * warns}", warns)
 
 
 def segments(result: FrameResult) -> Iterator[Segment]:

@@ -18,6 +18,7 @@ from functools import reduce
 import numpy as np
 
 from svmdist.camera import Camera
+from svmdist.estimation.alarms import AlarmRules, AlarmWatch
 from svmdist.estimation.association import Association
 from svmdist.estimation.comparison import Checks
 from svmdist.estimation.distances import with_clearance_between
@@ -66,6 +67,7 @@ def replay(
     wanted: Sequence[str] | None = None,
     jobs: int | None = None,
     rest: bool = True,
+    alarms: AlarmRules | None = None,
 ) -> Iterator[tuple[Replayed, ...]]:
     """Yield for each image what every setup gave under every condition, conditions first, in order.
 
@@ -73,10 +75,11 @@ def replay(
     reaches another. `wanted` names some of the recording's instruments; the others are told apart from them, and not
     measured. `jobs` threads work ahead, by default one for each core. Raises RecordingError at once for a name that
     the recording has no topics of, and CalibrationError for another camera. Where the lag of a recording is known,
-    methods take the offset of its joints for as well known. Without `rest`, what no method uses is not read.
+    methods take the offset of its joints for as well known. Without `rest`, what no method uses is not read. Rows
+    are judged by the rules of `alarms`.
     """
     replaying = _Replay(recording, setups, conditions, wanted)
-    return replaying.run(usable_cores() if jobs is None else jobs, rest)
+    return replaying.run(usable_cores() if jobs is None else jobs, rest, alarms)
 
 
 class MultiInstrumentEstimator:
@@ -138,6 +141,12 @@ def _through_lens(result: FrameResult, frame: Frame) -> FrameResult:
     places = (("tool_px", result.image.tool_px), ("tissue_px", result.image.tissue_px))
     moved = {name: as_pixel(seen_through(lens, np.array([px]))[0]) for name, px in places if px is not None}
     return result.with_image(**moved)
+
+
+def _judged(replayed: Replayed, watches: Sequence[AlarmWatch]) -> Replayed:
+    """The same with the alarm of each row."""
+    each = zip(replayed.results, watches, strict=True)
+    return replace(replayed, results=tuple(replace(row, alarm=watch.watch(row)) for row, watch in each))
 
 
 Unfinished = Callable[[], list[Replayed]]
@@ -252,15 +261,18 @@ class _Replay:
         chosen, camera = [arms[place] for place in self._places], self._recording.camera
         return MultiInstrumentEstimator(setup, chosen, known, camera, left_alone=left_alone)
 
-    def run(self, jobs: int, rest: bool) -> Iterator[tuple[Replayed, ...]]:
+    def run(self, jobs: int, rest: bool, alarms: AlarmRules | None) -> Iterator[tuple[Replayed, ...]]:
         several = len(self._arms) > 1  # what tells them apart starts from nominal kinematics
         robot, right = self._needs.robot or several, self._needs.right_view
         names = self._recording.instruments
         encoded = self._recording.encoded_observations(names, robot=robot, right=right, rest=rest)
+        lanes = [lane for of_condition in self._lanes for lane in of_condition]
+        watches = [[AlarmWatch(alarms) for _ in self._wanted] for _ in lanes] if alarms else []
         with one_opencv_thread():
             for decoded, conditions in in_order(self._prepare, encoded, jobs):
                 self._recording.record_losses(decoded)
-                yield tuple(replayed for unfinished in conditions for replayed in unfinished())
+                done = [replayed for unfinished in conditions for replayed in unfinished()]
+                yield tuple(map(_judged, done, watches) if alarms else done)
 
     def _prepare(self, encoded: EncodedObservation) -> tuple[Decoded, list[Unfinished]]:
         """Whatever of a frame needs no other one."""

@@ -138,10 +138,6 @@ def score_recording(
     asked_for = rules.references or (Reference.TF,) * bool(rules.tool_frames)
     scores, missing, lacking = [], [], []
     names = dict.fromkeys(row.instrument for row in every)
-    ending = Ending(tuple(names), request.alarms)
-    for row in every:
-        ending.add(row)
-    ending.close(read.remarks)
     for name in names:
         view = recording.for_instrument(name)
         rows = [row for row in every if row.instrument == name]
@@ -169,7 +165,7 @@ def score_recording(
     notes += missing
     if setup.equations == "printed" and Reference.KINEMATICS in {score.reference for score in scores}:
         notes.append(KINEMATICS_PRINTED_NOTE)
-    return Scored(tuple(scores), tuple(notes), ending, tuple(lacking))
+    return Scored(tuple(scores), tuple(notes), Ending.of(every, read.remarks), tuple(lacking))
 
 
 def _measured(
@@ -180,7 +176,7 @@ def _measured(
     setups = [request.setup, *(replace(request.setup, method=one.name, own=one) for one in given)]
     every: list[FrameResult] = []
     by = defaultdict[tuple[Reference, str], Readings](Readings)
-    for first, *rest in replay(read, setups, wanted=request.instruments, jobs=jobs):
+    for first, *rest in replay(read, setups, wanted=request.instruments, jobs=jobs, alarms=request.alarms):
         every += steps.of(first.results)
         for reference, replayed in zip(references, rest, strict=True):
             for row in replayed.results:

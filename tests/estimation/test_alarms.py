@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from svmdist.errors import UsageError
-from svmdist.estimation.alarms import AlarmRules, AlarmState, AlarmWatch, alarm_events, probability_below
-from svmdist.results import Distance, Distances, FrameResult
+from svmdist.estimation.alarms import AlarmRules, AlarmWatch, probability_below
+from svmdist.results import AlarmState, Distance, Distances, FrameResult
 from svmdist.samples import Status
+from svmdist.workflows.ending import Ending
 
 
 def row(seconds: float, clearance_m: float | None, std_m: float = 0.5e-3) -> FrameResult:
@@ -27,8 +28,8 @@ def test_probability_and_confidence_decide():
     assert probability_below(0.005, 0.003, 1e-3) == pytest.approx(0.97725, abs=1e-5)
     assert (probability_below(0.005, 0.004, 0.0), probability_below(0.005, 0.006, 0.0)) == (1.0, 0.0)
     near = row(0.0, 0.00475)
-    assert AlarmWatch(AlarmRules(0.005, 0.5)).watch(near).alarm is True
-    assert AlarmWatch(AlarmRules(0.005, 0.9)).watch(near).alarm is False
+    assert AlarmWatch(AlarmRules(0.005, 0.5)).watch(near).is_raised is True
+    assert AlarmWatch(AlarmRules(0.005, 0.9)).watch(near).is_raised is False
 
 
 def test_contact_alarms_at_every_confidence():
@@ -36,7 +37,7 @@ def test_contact_alarms_at_every_confidence():
     gap = Distance(-2e-3, 2.06e-3, without_overlap_std_m=0.5e-3)
     contact = FrameResult(0, Status.OK, distances=Distances(clearance=gap))
     for confidence in (0.05, 0.9, 0.99):
-        assert AlarmWatch(AlarmRules(0.0, confidence)).watch(contact).alarm is True
+        assert AlarmWatch(AlarmRules(0.0, confidence)).watch(contact).is_raised is True
 
 
 def test_words_stand_for_probabilities():
@@ -59,22 +60,25 @@ def test_deeper_is_never_less_probable():
     rows = [row(0.1 * at, -depth, 5e-4 + 3.0 * max(depth, 0.0)) for at, depth in enumerate(depths)]
     rows.insert(4, replace(row(0.35, None), status=Status.NO_TISSUE))
     watch = AlarmWatch(AlarmRules(0.001, "certain"))
-    assert [watch.watch(one).alarm for one in rows] == [False, True, True, True, None, True, True]
-    assert watch.watch(row(0.7, 0.0005, 2e-3)).alarm is False
-    assert watch.watch(row(0.8, -0.0005, 2e-3)).alarm is False
+    assert [watch.watch(one).is_raised for one in rows] == [False, True, True, True, None, True, True]
+    assert watch.watch(row(0.7, 0.0005, 2e-3)).is_raised is False
+    assert watch.watch(row(0.8, -0.0005, 2e-3)).is_raised is False
 
 
 def test_events_begin_and_end_with_alarmed_rows():
     """Two rows without a clearance do not end one, three do, and so does one that is judged safe."""
     near, far, none = 0.002, 0.02, None
     clearances_m = (far, near, 0.001, none, none, near, far, near, none, none, none, near, near)
-    rows = [row(0.1 * at, clearance_m) for at, clearance_m in enumerate(clearances_m)]
-    found = alarm_events(rows, AlarmRules(0.005))
+    watch, rows = (
+        AlarmWatch(AlarmRules(0.005)),
+        [row(0.1 * at, gap_m) for at, gap_m in enumerate(clearances_m)],
+    )
+    found = Ending.of(replace(one, alarm=watch.watch(one)) for one in rows).alarms
     assert [(one.start_number, one.least_number, one.least_m) for one in found] == [
         *((1, 2, 0.001), (7, 7, near), (11, 11, near)),
     ]
     np.testing.assert_allclose([one.duration_s for one in found], [0.4, 0.0, 0.1])
-    assert alarm_events(rows, None) == []
+    assert Ending.of(rows).alarms == []
 
 
 def test_closing_speed_and_contact():

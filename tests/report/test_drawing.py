@@ -8,13 +8,12 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from svmdist.camera import Camera
 from svmdist.drawing import Form, FrameDrawing, Label, Part, Shape, StatusLine
-from svmdist.estimation.alarms import AlarmState
 from svmdist.geometry import Capsules
 from svmdist.geometry.distance import separation
 from svmdist.recording.log import open_recording
 from svmdist.recording.viewer_messages import scene_update
 from svmdist.report.on_image import draw_on
-from svmdist.results import Distance, Distances, FrameResult, ImageFindings
+from svmdist.results import AlarmState, Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 from svmdist.vision.frame_context import seen_through
 from svmdist.workflows.frame_drawing import (
@@ -45,7 +44,7 @@ RESULT = FrameResult(
 def test_words_and_lines_of_a_distance():
     """The clearance goes before the planar distance, and is drawn where the camera sees it, with its alarm."""
     assert (in_words(CLEARANCE), in_words(Distance(0.02))) == ("10.00 mm [8.04, 11.96]", "20.00 mm")
-    alarmed = status_line(RESULT, "fused", AlarmState(alarm=True))
+    alarmed = status_line(replace(RESULT, alarm=AlarmState(is_raised=True)), "fused")
     assert (alarmed.text, alarmed.warns) == ("PSM1 fused: clearance 10.00 mm [8.04, 11.96]  ALARM", True)
     ((line, label),) = distance_shapes(RESULT, CAMERA)
     np.testing.assert_allclose(line.points_px, [[320.0, 240.0], [370.0, 240.0]])

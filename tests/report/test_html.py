@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from svmdist.estimation.alarms import AlarmEvent
 from svmdist.report import charts
 from svmdist.report.html import WORST_COUNT, Report, page, plotly_figure
 from svmdist.report.tables import Table
+from svmdist.results import AlarmEvent
 from svmdist.workflows.scoring.series import Series
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from benchmarks.generated_pages import DOCS, metrics_page
-from svmdist.estimation.alarms import AlarmState
 from svmdist.recording.log import open_recording
 from svmdist.report.rows import (
     ESTIMATE_COLUMNS,
@@ -22,7 +21,7 @@ from svmdist.report.rows import (
 from svmdist.report.scores import compare_columns, score_columns
 from svmdist.report.tables import keys_of, text_lines, text_width
 from svmdist.report.writers import Results
-from svmdist.results import Distance, Distances, FrameResult, ImageFindings
+from svmdist.results import AlarmState, Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 from svmdist.transforms import rotation_from_quaternion_xyzw, rotation_z
 from svmdist.workflows.estimate import estimate
@@ -49,8 +48,8 @@ MEASURED = FrameResult(
 def test_the_columns_are_those_of_the_contract():
     """In their order; a measured frame fills them in SI, and stamps keep their nanoseconds."""
     assert list(ESTIMATE_KEYS) == CONTRACT.split()
-    alarm = AlarmState(True, 0.01, 0.4)
-    row = estimate_row("a", MEASURED, "overlay", "corrected", alarm)
+    alarmed = replace(MEASURED, alarm=AlarmState(True, 0.01, 0.4))
+    row = estimate_row("a", alarmed, "overlay", "corrected")
     assert (row["stamp_ns"], row["time_s"], row["distance_m"]) == (1_700_000_000_500_000_000, 0.5, 0.004)
     assert (row["planar_m"], row["clearance_m"], row["distance_std_m"]) == (0.0123, 0.004, 1e-3)
     assert [row[key] for key in ESTIMATE_KEYS[4:13]] == [1.5, 2.5, 3.5, 4.5, 200, 5000, 900, 120, 100]

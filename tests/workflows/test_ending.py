@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from svmdist.estimation.alarms import AlarmRules
+from svmdist.estimation.alarms import AlarmRules, AlarmWatch
 from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import Status
 from svmdist.workflows.ending import Ending, alarms_in_words, refusals_in_words
@@ -12,17 +12,15 @@ RULES = AlarmRules(0.005, "likely")
 
 def ending(clearances_m: list[float], refused: int = 0) -> Ending:
     """Rows of one log at 10 Hz, the first ones with a refused tag, and one that is not measured."""
-    found = Ending(("PSM1",), RULES)
+    rows, watch = [], AlarmWatch(RULES)
     for at, clearance_m in enumerate(clearances_m):
         accepted, wrong = ("shaft", "disparity"), ("tag",)
         if at >= refused:
             accepted, wrong = (*accepted, *wrong), ()
         distances = Distances(clearance=Distance(clearance_m, 1e-3))
         row = FrameResult(at, Status.OK, distances=distances, instrument="PSM1", number=at, seconds=0.1 * at)
-        found.add(replace(row, accepted=accepted, refused=wrong))
-    found.add(FrameResult(99, Status.NO_TISSUE, instrument="PSM1"))
-    found.close()
-    return found
+        rows.append(replace(row, accepted=accepted, refused=wrong, alarm=watch.watch(row)))
+    return Ending.of([*rows, FrameResult(99, Status.NO_TISSUE, instrument="PSM1")])
 
 
 def test_what_was_refused_and_what_it_contradicts():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from svmdist.errors import RecordingError
-from svmdist.estimation.alarms import AlarmRules
+from svmdist.estimation.alarms import AlarmRules, AlarmWatch
 from svmdist.results import Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 from svmdist.workflows.scoring import scores
@@ -68,10 +68,12 @@ def test_pooling_counts_every_pair_the_same():
 
 
 STAMPS_NS = np.array([0, 1, 2, 3, 4], np.int64) * 1_000_000_000
-WITH_ALARMS = [
+BEFORE = [
     result_of(int(stamp_ns), Status.OK, clearance=None if clearance_m is None else Distance(clearance_m))
     for stamp_ns, clearance_m in zip(STAMPS_NS, (0.010, 0.004, None, 0.004, 0.010), strict=True)
 ]
+WATCH = AlarmWatch(AlarmRules(0.005))
+WITH_ALARMS = [replace(row, alarm=WATCH.watch(row)) for row in BEFORE]
 
 
 def true_clearance(*clearance_m: float) -> Truth:
@@ -82,10 +84,10 @@ def true_clearance(*clearance_m: float) -> Truth:
 def test_frames_without_a_true_clearance_are_left_out():
     """They count nowhere; where they are all frames, that is an error."""
     true = true_clearance(np.nan, 0.003, np.nan, np.nan, 0.010)
-    found = scores.score_alarms(WITH_ALARMS, true, STAMPS_NS, AlarmRules(0.005))
+    found = scores.score_alarms(WITH_ALARMS, true, STAMPS_NS, 0.005)
     assert (found.frame_count, found.unsafe_count, found.true_alarm_count) == (2, 1, 1)
     with pytest.raises(RecordingError, match="no frame with a true clearance"):
-        scores.score_alarms(WITH_ALARMS, true_clearance(*[np.nan] * 5), STAMPS_NS, AlarmRules(0.005))
+        scores.score_alarms(WITH_ALARMS, true_clearance(*[np.nan] * 5), STAMPS_NS, 0.005)
 
 
 SERIES = Series(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from svmdist.errors import RecordingError, UsageError
-from svmdist.estimation.alarms import AlarmRules
+from svmdist.estimation.alarms import AlarmRules, AlarmWatch
 from svmdist.metrics import row_of
 from svmdist.recording.log import Recording, open_recording
 from svmdist.report.scores import score_columns
@@ -57,7 +57,10 @@ def rows_of(recording: Recording, error_m: float = ERROR_M) -> list[FrameResult]
 
 
 def scored(recording: Recording, rows: list[FrameResult], alarms: AlarmRules | None = None) -> Score:
-    """The score of rows against the simulator's truth."""
+    """The score of rows, with their alarms, against the simulator's truth."""
+    if alarms is not None:
+        watch = AlarmWatch(alarms)
+        rows = [replace(row, alarm=watch.watch(row)) for row in rows]
     return score_rows(rows, recording, Request(SETUP, alarms=alarms), Reference.GROUND_TRUTH)
 
 

@@ -13,10 +13,9 @@ import numpy as np
 
 from svmdist import metrics
 from svmdist.errors import RecordingError
-from svmdist.estimation.alarms import AlarmEvent, AlarmRules, AlarmWatch, alarm_events
 from svmdist.estimation.plane_mapping import Equations
 from svmdist.recording.log import Recording
-from svmdist.results import Z_95, FrameResult
+from svmdist.results import Z_95, AlarmEvent, FrameResult
 from svmdist.tracks import LagEstimate, Mask
 from svmdist.transforms import (
     Array,
@@ -26,6 +25,7 @@ from svmdist.transforms import (
     quaternion_xyzw_from_rotation,
     rotation_angle,
 )
+from svmdist.workflows.ending import Ending
 from svmdist.workflows.request import Request
 from svmdist.workflows.scoring import references
 from svmdist.workflows.scoring.references import Truth
@@ -170,19 +170,19 @@ def pooled_score(parts: Sequence[DistanceScore | None]) -> DistanceScore | None:
 
 
 def score_alarms(
-    rows: Sequence[FrameResult], truth: Truth, stamps_ns: Stamps, rules: AlarmRules
+    rows: Sequence[FrameResult], truth: Truth, stamps_ns: Stamps, below_m: float
 ) -> metrics.AlarmStatistics:
     """Score the alarms of all rows at their true clearances; RecordingError where none of these is known."""
     clearance_m = truth.distances_m[:, DISTANCES.index("clearance")]
     known = np.isfinite(clearance_m)
     if not known.any():
         raise RecordingError("there is no frame with a true clearance to score alarms against")
-    watch, order = AlarmWatch(rules), np.argsort(stamps_ns, kind="stable")
-    states = {index: watch.watch(rows[index]).alarm for index in order.tolist()}
+    order = np.argsort(stamps_ns, kind="stable")
     kept = order[known[order]].tolist()
     seconds = (stamps_ns[kept] - stamps_ns[order[0]]) / 1e9
-    alarms, judged = [states[at] is True for at in kept], [states[at] is not None for at in kept]
-    return metrics.alarm_statistics(seconds, alarms, clearance_m[kept], rules.below_m, judged)
+    raised = [rows[at].alarm.is_raised for at in kept]
+    alarms, judged = [one is True for one in raised], [one is not None for one in raised]
+    return metrics.alarm_statistics(seconds, alarms, clearance_m[kept], below_m, judged)
 
 
 @dataclass(frozen=True)
@@ -333,9 +333,9 @@ def score_rows(
         fitted_on=setup.was_fitted_on(recording),
         lag=lag,
         uncorrected=unshifted.statistics if unshifted else None,
-        alarms=score_alarms(rows, truth, stamps_ns, alarms) if alarms and is_truth else None,
+        alarms=score_alarms(rows, truth, stamps_ns, alarms.below_m) if alarms and is_truth else None,
         start_ns=rows[0].stamp_ns - round(rows[0].seconds * 1e9) if rows else 0,
-        alarm_events=tuple(alarm_events(rows, alarms)),
+        alarm_events=tuple(Ending.of(rows).alarms),
     )
 
 

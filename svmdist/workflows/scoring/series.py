@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import KinematicsError, RecordingError
-from svmdist.estimation.alarms import AlarmEvent, alarm_events
-from svmdist.results import Z_95
+from svmdist.results import Z_95, AlarmEvent
 from svmdist.transforms import Array
+from svmdist.workflows.ending import Ending
 from svmdist.workflows.estimate import Measured
 from svmdist.workflows.request import Request
 from svmdist.workflows.scoring.references import Reference, reference_lag_ns, truth_at
@@ -159,7 +159,7 @@ def series_of(
             truths[distance],
             np.array([row.image.tool_px or (np.nan, np.nan) for row in rows]),
             np.array([np.nan if row.consistency is None else row.consistency for row in rows]),
-            alarm_events(rows, request.alarms),
+            Ending.of(rows).alarms,
         )
         found.append(series)
     return found
