@@ -155,9 +155,8 @@ class AlarmEvent:
     start_number: int
     start_s: float
     end_s: float
-    least_m: float
+    least: Distance
     least_number: int
-    least_half_m: float | None = None  # of its 95 % interval
 
     @property
     def duration_s(self) -> float:

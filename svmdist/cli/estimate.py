@@ -57,8 +57,7 @@ class PictureOptions(OutputOptions):
                 plots.save_figure(self.save_plot, plots.draw, result)
             else:
                 series = series_of(measured, request, result.reference if result else None)
-                below_m = request.alarms.below_m if request.alarms else None
-                plots.save_figure(self.save_plot, plots.draw_series, series, kind or "time", below_m)
+                plots.save_figure(self.save_plot, plots.draw_series, series, kind or "time")
         if self.report:
             from svmdist.report.html import make_report, page
 

@@ -118,12 +118,12 @@ class AlarmWatch:
 
 def _extended(begun: AlarmEvent | None, row: FrameResult, clearance: Distance) -> AlarmEvent:
     """An event with one more row, or the one that begins with it."""
-    least = clearance.value_m, row.number, clearance.half_m
     if begun is None:
-        return AlarmEvent(row.instrument, row.number, row.seconds, row.seconds, *least)
-    if clearance.value_m < begun.least_m:
-        return AlarmEvent(begun.instrument, begun.start_number, begun.start_s, row.seconds, *least)
-    return replace(begun, end_s=row.seconds)
+        return AlarmEvent(row.instrument, row.number, row.seconds, row.seconds, clearance, row.number)
+    longer = replace(begun, end_s=row.seconds)
+    if clearance.value_m < begun.least.value_m:
+        return replace(longer, least=clearance, least_number=row.number)
+    return longer
 
 
 def probability_below(below_m: float, clearance_m: float, std_m: float) -> float:

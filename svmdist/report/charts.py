@@ -115,7 +115,7 @@ def alarm_spans(events: Sequence[AlarmEvent], seconds: Array) -> list[Curve]:
     return [Curve("spans", "alarm", "alarm", begins, ends)]
 
 
-def distance_over_time(series: Series, alarm_below_m: float | None = None) -> Chart:
+def distance_over_time(series: Series) -> Chart:
     """Estimate with its interval, truth, the alarms and their threshold, and the spans that were not measured."""
     estimate_mm, name, spans = series.estimate_m * 1e3, distance_name(series), rejected_spans(series)
     text = f"{int(series.measured.sum())} of {len(series)} frames measured."
@@ -128,10 +128,10 @@ def distance_over_time(series: Series, alarm_below_m: float | None = None) -> Ch
         begins, ends = np.array(spans).T
         curves.append(Curve("spans", "lost", "not measured", begins, ends))
     line = []
-    if alarm_below_m is not None and series.distance == "clearance":
+    if series.alarm_below_m is not None and series.distance == "clearance":
         curves += alarm_spans(series.events, series.seconds)
         text += f" {counted(len(series.events), 'alarm')}."
-        line = [threshold(series.seconds, alarm_below_m)]
+        line = [threshold(series.seconds, series.alarm_below_m)]
     curves += distance_curves(series.seconds, estimate_mm, series.half_m * 1e3, series.truth_m * 1e3)
     curves += line
     return _over_time(series, f"{name} over time", text, f"{name} [mm]", curves)

@@ -56,7 +56,6 @@ class Report:
     frames: Sequence[tuple[str, bytes]]
     facts: Sequence[tuple[str, str]]
     notes: Sequence[str] = ()
-    alarm_below_m: float | None = None
 
 
 def make_report(
@@ -90,7 +89,6 @@ def make_report(
         _worst(measured, series, request, jobs, on_progress),
         facts(request.setup, [one.recording for one in measured], command),
         notes,
-        request.alarms.below_m if request.alarms else None,
     )
 
 
@@ -169,8 +167,8 @@ EVENT_COLUMNS = (
     Column("start_s", SECONDS, "from [s]", "1.start_s"),
     Column("end_s", SECONDS, "to [s]", "1.end_s"),
     Column("duration_s", SECONDS, "duration [s]", "1.duration_s"),
-    Column("least_m", LENGTH, "smallest clearance [mm]", "1.least_m"),
-    Column("least_half_m", LENGTH, "± [mm]", "1.least_half_m"),
+    Column("least_m", LENGTH, "smallest clearance [mm]", "1.least.value_m"),
+    Column("least_half_m", LENGTH, "± [mm]", "1.least.half_m"),
     Column("least_number", COUNT, "in frame", "1.least_number"),
 )
 LAG_COLUMNS = (
@@ -209,7 +207,7 @@ def _sections(report: Report) -> list[tuple[str, list[tuple[str, Chart]]]]:
     """Named charts over time, log by log, then those of all logs together, under their headings."""
     sections = []
     for at, one in enumerate(report.series):
-        named = [(f"distance-{at}", charts.distance_over_time(one, report.alarm_below_m))]
+        named = [(f"distance-{at}", charts.distance_over_time(one))]
         if np.isfinite(one.error_m).any():
             named.append((f"error-{at}", charts.error_over_time(one)))
         if np.isfinite(one.consistency).any():

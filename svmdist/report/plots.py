@@ -109,13 +109,13 @@ def _draw_curves(axes: Axes, curves: Sequence[Curve]) -> None:
 SeriesPlot = Literal["time", "residuals", "bland-altman", "calibration"]
 
 
-def draw_series(series: Sequence[Series], kind: SeriesPlot, alarm_below_m: float | None = None) -> Figure:
+def draw_series(series: Sequence[Series], kind: SeriesPlot) -> Figure:
     """A panel for each series over time, else one for all of each distance; raises OutputError without any."""
     panels: list[tuple[Chart, str]] = []
     for one in series if kind == "time" else ():
         name = plain_name(f"{one.recording} {one.instrument}")
         title = f"{name}: {one.method}, {int(one.measured.sum())} of {len(one)} frames"
-        panels.append((charts.distance_over_time(one, alarm_below_m), title))
+        panels.append((charts.distance_over_time(one), title))
     for group in () if kind == "time" else charts.with_errors(series):
         of = f"{group[0].method}: {charts.distance_name(group[0])}"
         if kind == "residuals":

@@ -74,7 +74,7 @@ def test_events_begin_and_end_with_alarmed_rows():
         [row(0.1 * at, gap_m) for at, gap_m in enumerate(clearances_m)],
     )
     found = Ending.of(replace(one, alarm=watch.watch(one)) for one in rows).alarms
-    assert [(one.start_number, one.least_number, one.least_m) for one in found] == [
+    assert [(one.start_number, one.least_number, one.least.value_m) for one in found] == [
         *((1, 2, 0.001), (7, 7, near), (11, 11, near)),
     ]
     np.testing.assert_allclose([one.duration_s for one in found], [0.4, 0.0, 0.1])

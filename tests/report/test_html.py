@@ -14,7 +14,7 @@ import pytest
 from svmdist.report import charts
 from svmdist.report.html import WORST_COUNT, Report, page, plotly_figure
 from svmdist.report.tables import Table
-from svmdist.results import AlarmEvent
+from svmdist.results import AlarmEvent, Distance
 from svmdist.workflows.scoring.series import Series
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
@@ -37,7 +37,7 @@ def make_series(count: int, name: str = "log", every: int | None = None) -> Seri
         name, "PSM1", "fused", "clearance", np.arange(count), seconds,
         tuple("ok" if one else "no_tissue" for one in measured), ("",) * count, estimate_m,
         np.where(measured, 0.001, np.nan), truth_m, rng.uniform(0, 480, (count, 2)), np.full(count, 0.9),
-        (AlarmEvent("PSM1", 20, 2.0, 2.5, 0.004, 22),),
+        (AlarmEvent("PSM1", 20, 2.0, 2.5, Distance(0.004), 22),), 0.005,
     )  # fmt: skip
 
 
@@ -45,9 +45,7 @@ def make_report(*series: Series) -> Report:
     """A report whose texts try to end the element that they stand in."""
     table = Table("Counts", ("log", "frames"), (True, False), (("</script><b>log", "100"),))
     frames = [("log, frame 3: clearance error +1.00 mm", b"\xff\xd8")]
-    return Report(
-        "A report of <svmdist>\x1b", series, [table], frames, [("profile", "psm13")], alarm_below_m=0.005
-    )
+    return Report("A report of <svmdist>\x1b", series, [table], frames, [("profile", "psm13")])
 
 
 def figures_of(text: str) -> dict[str, Any]:

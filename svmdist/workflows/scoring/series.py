@@ -26,7 +26,7 @@ class Series:
     """One of the three distances over the frames of a log, shape (n,) each; NaN for what does not exist.
 
     `number` counts the images of the log from 0, `seconds` from the first one. `tool_px`, shape (n, 2), is where the
-    tool was seen; `events` are its alarms.
+    tool was seen; `events` are its alarms, of a clearance below `alarm_below_m`.
     """
 
     recording: str
@@ -43,6 +43,7 @@ class Series:
     tool_px: Array
     consistency: Array
     events: Sequence[AlarmEvent] = ()
+    alarm_below_m: float | None = None
 
     def __len__(self) -> int:
         return len(self.number)
@@ -160,6 +161,7 @@ def series_of(
             np.array([row.image.tool_px or (np.nan, np.nan) for row in rows]),
             np.array([np.nan if row.consistency is None else row.consistency for row in rows]),
             Ending.of(rows).alarms,
+            request.alarms.below_m if request.alarms else None,
         )
         found.append(series)
     return found
