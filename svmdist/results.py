@@ -203,7 +203,7 @@ class FrameResult:
 
     def rejected(self, status: Status, detail: str = "") -> FrameResult:
         """The same without a distance, for a reason."""
-        return replace(self, status=status, detail=detail)
+        return replace(self, status=status, detail=detail, distances=Distances())
 
     def doubted(self, doubt: str) -> FrameResult:
         """The same of an instrument that may be another one: its detail says so."""

@@ -20,14 +20,14 @@ from svmdist.transforms import Array, cross, make_transform
 
 def with_tissue(frame: Frame) -> FrameResult:
     """A result of status `ok` with the tissue that this frame shows, or of `no_tissue`."""
-    result, tissue = FrameResult(frame.stamp_ns, Status.NO_TISSUE), frame.scene.tissue
+    result, tissue = FrameResult(frame.stamp_ns, Status.OK), frame.scene.tissue
     if tissue is None:
-        return result
+        return result.rejected(Status.NO_TISSUE)
     tissue_px, area_px = as_pixel(tissue.outline.centroid_px), tissue.region.area_px
     result = result.with_image(tissue_px=tissue_px, tissue_area_px=area_px)
     if tissue.pose is None:
         return result.rejected(Status.NO_TISSUE, "the tissue's ray does not meet the profile's plane")
-    return result.rejected(Status.OK)
+    return result
 
 
 INDEPENDENT = np.zeros((6, 3))

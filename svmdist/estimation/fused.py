@@ -23,7 +23,7 @@ from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue.detection import require_tissue
 from svmdist.estimation.tissue.tracking import TissueTracker, at_height, measure_height
-from svmdist.results import Distances, Failure, FrameResult, ToolEstimate, ToolPose
+from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import JointSample, Rejection, Status
 
 MAX_IMAGE_STD_M = 0.008  # a pose by one view that is less certain tells nothing of where to begin
@@ -104,7 +104,7 @@ class FusedEstimator:
         placed, coupling = at_height(self._stated_tissue, tissue, frame, kalman)
         found = measured(result, frame, tool, placed, coupling)
         doubt = said or consistency.doubt if found.status in (Status.OK, Status.INCONSISTENT) else ""
-        return replace(found.rejected(Status.INCONSISTENT, doubt), distances=Distances()) if doubt else found
+        return found.rejected(Status.INCONSISTENT, doubt) if doubt else found
 
     def _image_pose(self, frame: Frame) -> ToolPose | None:
         """The tool by the images alone: by both views, or by the shaft in the left one; None where neither tells."""

@@ -28,7 +28,7 @@ from svmdist.profile.robot import Tissue
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import Decoded, EncodedObservation
 from svmdist.recording.source import Loss, LossKind
-from svmdist.results import Distances, FrameResult, as_pixel
+from svmdist.results import FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection, Status
 from svmdist.vision.frame_context import seen_through
 from svmdist.vision.stereo import LEVEL, RowAlignment
@@ -128,7 +128,7 @@ class MultiInstrumentEstimator:
             if self._calibrated is not None and not self._calibrated.same_optics(frame.scene.lens):
                 said = "the calibration is for the camera as it was first"
             if named.measured and said:
-                named = replace(named.rejected(Status.INCONSISTENT, said), distances=Distances())
+                named = named.rejected(Status.INCONSISTENT, said)
             results.append(named.doubted(frame.doubt) if frame.doubt else named)
         if len(results) > 1 and not self._is_given:
             results = with_clearance_between(results, [arm.body for arm in self._arms])
