@@ -48,15 +48,16 @@ class PictureOptions(OutputOptions):
 
     def draw(self, run: Run[Any], request: Request, result: Validation | None = None, kind: str = "") -> None:
         """Draw the plot and the report of what was measured, and validated."""
+        from svmdist.workflows.scoring.series import series_of
+
         measured = run.kept()
+        series = series_of(measured, request, result.reference if result else None)
         if self.save_plot:
             from svmdist.report import plots
-            from svmdist.workflows.scoring.series import series_of
 
             if result and kind == "fig6":
                 plots.save_figure(self.save_plot, plots.draw, result)
             else:
-                series = series_of(measured, request, result.reference if result else None)
                 plots.save_figure(self.save_plot, plots.draw_series, series, kind or "time")
         if self.report:
             from svmdist.report.html import make_report, page
@@ -64,7 +65,7 @@ class PictureOptions(OutputOptions):
             command = shlex.join(["svmdist", *map(concealed, sys.argv[1:])])
             jobs, logs = run.given.jobs, None if run.given.is_one else run.ranking()
             with output.progress_bar("drawing the worst frames", "images") as advance:
-                report = make_report(measured, request, command, result, jobs, logs, advance)
+                report = make_report(series, measured, request, command, result, jobs, logs, advance)
             write_atomically(self.report, [page(report)])
 
 

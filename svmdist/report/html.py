@@ -33,7 +33,7 @@ from svmdist.workflows.estimate import Measured
 from svmdist.workflows.frame_drawing import drawn_frames
 from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.request import Request, Setup
-from svmdist.workflows.scoring.series import Series, series_of, worst_frames
+from svmdist.workflows.scoring.series import Series, worst_frames
 from svmdist.workflows.validate import Validation
 
 WORST_COUNT = 10
@@ -59,6 +59,7 @@ class Report:
 
 
 def make_report(
+    series: Sequence[Series],
     measured: Sequence[Measured],
     request: Request,
     command: str,
@@ -68,7 +69,6 @@ def make_report(
     on_progress: Progress | None = None,
 ) -> Report:
     """The report of estimates or of their validation; `logs` has a table of all logs, of which `measured` are some."""
-    series = series_of(measured, request, validation.reference if validation else None)
     tables, notes = [*(logs.tables if logs else ())], []
     if validation is None:
         tables.append(Table.of("Frames", SERIES_COLUMNS, [row_of(SERIES_COLUMNS, one) for one in series]))
