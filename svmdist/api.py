@@ -149,8 +149,8 @@ def estimate(
     _opened([recording])
     if hand_eye is not None:
         origin = recording.origin
-        profile = taking_hand_eye(origin.profile, hand_eye)
-        recording = replace(_open(origin.path, profile, topics=origin.topics), window=recording.window)
+        origin = origin._replace(profile=taking_hand_eye(origin.profile, hand_eye))
+        recording = replace(origin.open(), window=recording.window)
     if (start_s, end_s, every) != (0.0, math.inf, 1):
         recording = replace(recording, window=Window(start_s, end_s, every))
     setup = _setup(recording, method, calibration)

@@ -139,11 +139,12 @@ class HandEye(options.TopicOption, options.InstrumentOption, options.LagOption, 
 
 def _served(file: Path, profile: Profile, topics: dict[str, str]) -> list[str]:
     """The methods that log and profile serve, the surest first; RecordingError where there is none."""
+    from svmdist.recording.log import open_recording
     from svmdist.recording.summary import inspect_recording
     from svmdist.workflows.calibrate import SEEING_METHODS
     from svmdist.workflows.capabilities import method_capabilities, misfit
 
-    summary = inspect_recording(file, profile, topics=topics)
+    summary = inspect_recording(open_recording(file, profile, topics=topics))
     if said := misfit(summary, profile):
         raise RecordingError(f"{file}: {said}")
     lacks = method_capabilities(summary, profile)

@@ -61,7 +61,7 @@ def inspect_log(recording: Recording, request: Request, _threads: int, looks_for
 
     profile, no_tag = request.setup.profile, ""
     with output.progress_bar(f"looking at {recording.name}"):
-        summary = inspect_recording(recording.path, profile, topics=dict(request.topics))
+        summary = inspect_recording(recording.origin.open())
         if looks_for_tag and {"image", "camera_info"} <= set(summary.roles):
             with suppress(RecordingError):  # a calibration that is not usable: the summary says so
                 no_tag = look_for_tag(recording, profile)
@@ -72,12 +72,11 @@ def inspect_log(recording: Recording, request: Request, _threads: int, looks_for
 
 def _checks(recording: Recording, profile: Profile, health: Health) -> dict[str, Any]:
     """How many comparisons a log allows with a profile, and what contradicts most; lost images join `health`."""
-    from svmdist.recording.log import open_recording
     from svmdist.recording.source import LossKind
     from svmdist.workflows.check import check_log, warning
 
     # Read anew: what else is lost on the way is told by the summary already.
-    again = open_recording(recording.path, profile, topics=recording.origin.topics)
+    again = recording.origin.open()
     found: dict[str, Checks] = {}
     with suppress(SvmdistError):  # what it lacks, or what the profile lacks, stands in the methods' lines
         found = check_log(again, profile)

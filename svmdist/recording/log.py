@@ -43,23 +43,27 @@ def open_recording(
     """
     if isinstance(path, str):
         path = RemoteFile(path) if is_url(path) else Path(path)
-    origin = Origin(path, profile, dict(topics or {}))
-    source = open_source(path, profile.limits)
-    arms = find_arms(source, profile, origin.topics)
-    beside_images = frozenset(topic for arm in arms for topic in arm.topics_beside_images())
-    infos = {info.topic for info in source.topics if kind_of(*info[1:3]) is Kind.CAMERA}
-    file = LogFile(source, profile.limits, beside_images, beside_images & infos)
-    fixed = {arm.name: profile.for_instrument(arm.name).camera_to_base for arm in arms}
-    bases = {name: one.T_camera_base for name, one in fixed.items() if one is not None}
-    return Recording(file, arms, origin, bases, ReplayedWorld(Perturbations(), profile))
+    return Origin(path, profile, dict(topics or {})).open()
 
 
 class Origin(NamedTuple):
-    """What a recording was opened by, so that another process can open it too."""
+    """What a recording is opened by: once more, or by another process, or with something else in it."""
 
     path: LogPath
     profile: Profile
     topics: dict[str, str]
+
+    def open(self) -> Recording:
+        """Open the recording, of which nothing is read yet, and nothing lost; raises as `open_recording`."""
+        path, profile, topics = self
+        source = open_source(path, profile.limits)
+        arms = find_arms(source, profile, topics)
+        beside_images = frozenset(topic for arm in arms for topic in arm.topics_beside_images())
+        infos = {info.topic for info in source.topics if kind_of(*info[1:3]) is Kind.CAMERA}
+        file = LogFile(source, profile.limits, beside_images, beside_images & infos)
+        fixed = {arm.name: profile.for_instrument(arm.name).camera_to_base for arm in arms}
+        bases = {name: one.T_camera_base for name, one in fixed.items() if one is not None}
+        return Recording(file, arms, self, bases, ReplayedWorld(Perturbations(), profile))
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,4 +362,4 @@ class Recording:
 
 
 def _reopened(origin: Origin, view: Mapping[str, Any]) -> Recording:
-    return replace(open_recording(origin.path, origin.profile, topics=origin.topics), **view)
+    return replace(origin.open(), **view)

@@ -5,21 +5,19 @@ from __future__ import annotations
 import math
 from array import array
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.profile import Profile
 from svmdist.recording import messages
 from svmdist.recording.cameras import CameraTrack
 from svmdist.recording.images import ImageError
-from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.log import Recording
 from svmdist.recording.messages import DecodeError, Decoder, kind_of
 from svmdist.recording.source import LossKind, TopicInfo
 from svmdist.recording.topics import Role
 from svmdist.recording.writer import EncodedSample
-from svmdist.remote import LogPath
 from svmdist.samples import CameraSample, JointSample, Sample, TransformsSample
 
 GAP_FACTOR = 3.0
@@ -85,19 +83,12 @@ def _summary(info: TopicInfo, logged_ns: array[int], undecodable_count: int) -> 
     )
 
 
-def inspect_recording(
-    path: LogPath | str,
-    profile: Profile,
-    *,
-    topics: Mapping[str, str] | None = None,
-    head_s: float = math.inf,
-) -> RecordingSummary:
-    """Read a recording once and summarise it, without pixels; a topic that svmdist cannot read is counted.
+def inspect_recording(recording: Recording, head_s: float = math.inf) -> RecordingSummary:
+    """Read a recording once and summarise it, without pixels; what cannot be decoded is counted, and a loss.
 
     With `head_s`, reading ends after so many seconds of the log, once each topic of a role has had a message.
     """
-    recording = open_recording(path, profile, topics=topics)
-    decoder = Decoder(profile.limits)
+    decoder = Decoder(recording.file.limits)
     infos: dict[str, TopicInfo] = {}
     stamps_ns: defaultdict[str, array[int]] = defaultdict(lambda: array("q"))
     undecodable: Counter[str] = Counter()

@@ -15,7 +15,7 @@ from svmdist.drawing import FrameDrawing
 from svmdist.errors import OutputError
 from svmdist.files import atomic_file
 from svmdist.recording import viewer_messages
-from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.log import Recording
 from svmdist.recording.own_messages_pb2 import DistanceEstimate
 from svmdist.recording.summary import copied_messages
 from svmdist.recording.topics import Role
@@ -42,9 +42,7 @@ def write_annotated(
     frames: Iterable[DrawnFrame], output: Path, recording: Recording, setup: Setup, force: bool = False
 ) -> None:
     """Copy a recording, each image followed by what was drawn of it; UsageError where that exists, unless `force`."""
-    path, profile, topics = recording.origin
-    # A pass of its own over the recording opened anew, so that losses are counted once.
-    copies = copied_messages(open_recording(path, profile, topics=topics))
+    copies = copied_messages(recording.origin.open())  # anew, so that losses are counted once
     metadata = {**recording.metadata, "annotated_by": f"svmdist estimate --method {setup.method}"}
     with RecordingWriter(output, metadata, force=force) as writer:
         annotations = _annotations(recording, frames, setup)

@@ -11,7 +11,7 @@ from svmdist.camera import stereo_transform
 from svmdist.errors import CalibrationError, ProfileError, RecordingError, UsageError
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, REGISTRY, SPATIAL_METHODS
 from svmdist.profile import DEFAULT_PROFILE, Profile
-from svmdist.recording.log import Recording
+from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.source import sanitize_list
 from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role
@@ -61,7 +61,7 @@ def best_method(
     few = list[RecordingSummary]()
     for path in paths[:: -(-len(paths) // LOOKED_AT)]:
         with suppress(RecordingError):  # whoever measures it says so
-            few.append(inspect_recording(path, profile, topics=topics, head_s=HEAD_S))
+            few.append(inspect_recording(open_recording(path, profile, topics=topics), HEAD_S))
     few = [one for one in few if set(IMAGES) <= set(one.roles)]  # of the others, too
     summaries = [one for one in few if not misfit(one, profile)]
     if not summaries:
@@ -103,8 +103,8 @@ def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup,
 
     Raises RecordingError where there is none, and where the log is another one than the default profile's.
     """
-    profile, topics = setups[0].profile, recording.origin.topics
-    summary = inspect_recording(recording.path, profile, topics=topics, head_s=HEAD_S)
+    profile = setups[0].profile
+    summary = inspect_recording(recording.origin.open(), HEAD_S)
     lacks = method_capabilities(summary, profile)
     left: tuple[Setup, ...] = ()
     reasons = []

@@ -99,7 +99,7 @@ def draft_profile(
     `instrument` is a name in the table of instruments; without it, joints of a da Vinci tell one of 8 mm.
     """
     blank = _blank({})
-    summary = inspect_recording(path, blank)
+    summary = inspect_recording(open_recording(path, blank))
     roles = find_roles(summary, topics)
     recording = open_recording(path, _blank(roles.topics))
     camera = recording.camera

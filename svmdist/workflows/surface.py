@@ -58,7 +58,7 @@ def tissue_surface(recording: Recording, profile: Profile, number: int) -> Tissu
     if not isinstance(number, int) or number < 0:
         raise UsageError(f"expected the number of an image, 0 or more; found {number}")
     if recording.topic_of(Role.RIGHT_IMAGE) is None or recording.right_camera is None:
-        summary = inspect_recording(recording.path, profile, topics=recording.origin.topics, head_s=HEAD_S)
+        summary = inspect_recording(recording, HEAD_S)
         needs = "a surface needs a calibrated right view, which it has not: `svmdist import` takes two"
         raise RecordingError(f"{recording.name}: {misfit(summary, profile) or needs}")
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)

@@ -28,7 +28,7 @@ from svmdist.recording.log import open_recording
 from svmdist.samples import Rejection
 from tests.reading import read_images
 try:
-    inspect_recording(sys.argv[1], load_profile())
+    inspect_recording(open_recording(sys.argv[1], load_profile()))
     recording = open_recording(sys.argv[1], load_profile(), topics={"image": "/image"})
     found = list(read_images(recording))
     assert all(isinstance(item, Rejection) for item in found), found

@@ -35,7 +35,7 @@ def log(data: bytes, folder: Path) -> None:
     path = folder / "mutant"
     path.write_bytes(data)
     with suppress(SvmdistError):
-        inspect_recording(path, load_profile())
+        inspect_recording(open_recording(path, load_profile()))
 
 
 def far(data: bytes, _: Path) -> None:

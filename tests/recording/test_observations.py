@@ -122,7 +122,7 @@ def test_an_image_has_the_calibration_that_holds_at_its_stamp(tmp_path, profile,
     (change,) = recording.camera_changes
     assert recording.remarks == [f"the camera changes: {change}"]
     assert str(change) == f"{said} between 0.08 and 0.16 s (/ECM/left/camera_info)"
-    (track,) = inspect_recording(recording.path, profile).cameras.values()
+    (track,) = inspect_recording(recording).cameras.values()
     assert [str(one) for one in track.changes(change.topic)] == [str(change)]
 
 

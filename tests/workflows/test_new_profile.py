@@ -16,6 +16,7 @@ from svmdist.estimation.checks import of_profile
 from svmdist.estimation.scene import Arm
 from svmdist.profile import Profile, load_profile
 from svmdist.profile.robot import Instrument
+from svmdist.recording.log import open_recording
 from svmdist.recording.summary import inspect_recording
 from svmdist.report.profile_template import instrument_sizes, instrument_table, profile_text
 from svmdist.samples import CameraSample, Image, ImageSample, PoseSample, Sample
@@ -126,7 +127,8 @@ def test_choices_are_the_users(tmp_path):
         draft_profile(tmp_path / "two.mcap", "mine", {})
     with pytest.raises(RecordingError, match="no topic with camera calibrations"):
         draft_profile(tmp_path / "bare.mcap", "mine", {})
-    chosen = find_roles(inspect_recording(tmp_path / "two.mcap", load_profile()), {"image": "/scope/image"})
+    two = open_recording(tmp_path / "two.mcap", load_profile())
+    chosen = find_roles(inspect_recording(two), {"image": "/scope/image"})
     assert chosen.topics["camera_info"] == "/scope/camera_info"
     assert chosen.other_images == ("/room/image",)
 

@@ -19,7 +19,7 @@ from svmdist.estimation.tissue.tracking import surface_by_stereo
 from svmdist.geometry.distance import separation
 from svmdist.importing.estimates import DISTANCES, TEXTS, Rows, read_estimates
 from svmdist.importing.tables import require_common_time
-from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.log import Recording
 from svmdist.recording.observations import ALL_IMAGES
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose, as_vector
 from svmdist.samples import Status
@@ -84,8 +84,8 @@ class Given:
         if self.rules is not None:
             at = tool_track(view, Reference.PLANE, self.rules)
         else:
-            topics = view.origin.topics | {"pose": self.topic}
-            track = open_recording(view.path, view.origin.profile, topics=topics).pose_track()
+            origin = view.origin._replace(topics=view.origin.topics | {"pose": self.topic})
+            track = origin.open().pose_track()
             require_common_time(Path(self.name), track.stamps_ns, images_ns.tolist())
             images_ns = images_ns[_nearest(images_ns, track.stamps_ns)[0]]
             at = in_camera(view, track.parent, track.at)
