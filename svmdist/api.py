@@ -220,7 +220,7 @@ def surface(recording: Recording, frame: int = 0) -> TissueSurface:
     Raises RecordingError where the log has no right view, or the image shows no surface; UsageError without the image.
     """
     _opened([recording])
-    return _surface(recording, recording.origin.profile, frame)
+    return _surface(recording, frame)
 
 
 def _each(one_or_several: Any) -> list[Any]:

@@ -145,9 +145,9 @@ def _served(file: Path, profile: Profile, topics: dict[str, str]) -> list[str]:
     from svmdist.workflows.capabilities import method_capabilities, misfit
 
     summary = inspect_recording(open_recording(file, profile, topics=topics))
-    if said := misfit(summary, profile):
+    if said := misfit(summary):
         raise RecordingError(f"{file}: {said}")
-    lacks = method_capabilities(summary, profile)
+    lacks = method_capabilities(summary)
     if served := [name for name in SEEING_METHODS if not lacks[name]]:
         return served
     lacking = "; ".join(f"{name} lacks {', '.join(lacks[name])}" for name in SEEING_METHODS)

@@ -15,7 +15,6 @@ from svmdist.report.writers import Holds
 
 if TYPE_CHECKING:
     from svmdist.estimation.comparison import Checks
-    from svmdist.profile import Profile
     from svmdist.recording.log import Recording
     from svmdist.recording.source import Health
     from svmdist.report.tables import Row
@@ -53,25 +52,27 @@ class Info(LogOptions, options.ReadOptions, options.OutputOptions):
         return run.exit_code()
 
 
-def inspect_log(recording: Recording, request: Request, _threads: int, looks_for_tag: bool) -> dict[str, Any]:
+def inspect_log(
+    recording: Recording, _request: Request, _threads: int, looks_for_tag: bool
+) -> dict[str, Any]:
     """A whole log as a document, with the profile's tag looked for in some images."""
     from svmdist.recording.summary import inspect_recording
     from svmdist.report.info import info_document
     from svmdist.workflows.capabilities import look_for_tag
 
-    profile, no_tag = request.setup.profile, ""
+    no_tag = ""
     with output.progress_bar(f"looking at {recording.name}"):
         summary = inspect_recording(recording.origin.open())
         if looks_for_tag and {"image", "camera_info"} <= set(summary.roles):
             with suppress(RecordingError):  # a calibration that is not usable: the summary says so
-                no_tag = look_for_tag(recording, profile)
-        found = _checks(recording, profile, summary.recording.health)
+                no_tag = look_for_tag(recording)
+        found = _checks(recording, summary.recording.health)
         recording.health.join(summary.recording.health)
-        return info_document(summary, profile, no_tag) | {"checks": found}
+        return info_document(summary, no_tag) | {"checks": found}
 
 
-def _checks(recording: Recording, profile: Profile, health: Health) -> dict[str, Any]:
-    """How many comparisons a log allows with a profile, and what contradicts most; lost images join `health`."""
+def _checks(recording: Recording, health: Health) -> dict[str, Any]:
+    """How many comparisons a log allows with its profile, and what contradicts most; lost images join `health`."""
     from svmdist.recording.source import LossKind
     from svmdist.workflows.check import check_log, warning
 
@@ -79,7 +80,7 @@ def _checks(recording: Recording, profile: Profile, health: Health) -> dict[str,
     again = recording.origin.open()
     found: dict[str, Checks] = {}
     with suppress(SvmdistError):  # what it lacks, or what the profile lacks, stands in the methods' lines
-        found = check_log(again, profile)
+        found = check_log(again)
     for loss in again.health.losses:
         if loss.kind is LossKind.IMAGE:
             health.add(loss)
@@ -118,13 +119,13 @@ class Check(LogOptions, options.ReadOptions, options.OutputOptions):
         return ExitCode.WORSE if any(row["verdict"] == "contradicts" for row in rows) else code
 
 
-def compared_rows(recording: Recording, request: Request, _threads: int) -> list[Row]:
+def compared_rows(recording: Recording, _request: Request, _threads: int) -> list[Row]:
     """The comparisons of a log as rows."""
     from svmdist.report.info import check_rows
     from svmdist.workflows.check import check_log
 
     with output.progress_bar(f"comparing {recording.name}"):
-        return list(check_rows(recording.name, check_log(recording, request.setup.profile)))
+        return list(check_rows(recording.name, check_log(recording)))
 
 
 class New(options.TopicOption):
@@ -171,7 +172,7 @@ class New(options.TopicOption):
             draft = draft_profile(self.file, name, self.topics, self.instrument)
             text = profile_text(draft)
             profile = Profile.model_validate(tomllib.loads(text))
-            found = check_log(open_recording(self.file, profile), profile)
+            found = check_log(open_recording(self.file, profile))
         output.write_lines([text], self.output)
         instruments = ", ".join(one.name for one in draft.instruments)
         plane = "the plane from both views" if draft.plane else "measure the plane of the tissue"

@@ -188,7 +188,7 @@ class Surface(options.ReadOptions, FrameOptions, options.OutputOptions):
         setup = Setup.reading(self.profile, self.hand_eye)
         with output.progress_bar(f"looking at {self.file.name}"):
             recording = Request(setup, self.topics).open(self.file, self.file.stem)
-            found = tissue_surface(recording, setup.profile, self.image_number(recording) or 0)
+            found = tissue_surface(recording, self.image_number(recording) or 0)
         output.write_results(cloud_results(found), writer, self.output)
         near_m, half_m, far_m = found.quantiles_m
         LOG.info(

@@ -101,11 +101,11 @@ class Recording:
         """The same log as one of its instruments sees it; RecordingError lists those that there are."""
         return replace(self, arms=(self._arm(name),))
 
-    def perturbed(self, perturbations: Perturbations, profile: Profile) -> Recording:
+    def perturbed(self, perturbations: Perturbations) -> Recording:
         """The same log in a perturbed world, of other joints, stamps and cameras, drawn by the log's seed or 0."""
         seed = self.metadata.get("seed", "")
-        world = ReplayedWorld(perturbations, profile, int(seed) if seed.isdecimal() else 0)
-        return replace(self, world=world)
+        seed_or_0 = int(seed) if seed.isdecimal() else 0
+        return replace(self, world=ReplayedWorld(perturbations, self.origin.profile, seed_or_0))
 
     @property
     def instruments(self) -> tuple[str, ...]:

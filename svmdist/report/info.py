@@ -12,7 +12,6 @@ from svmdist.camera import Camera
 from svmdist.errors import printable
 from svmdist.estimation.comparison import Checks, readable
 from svmdist.metrics import COUNT, LENGTH, RADIANS, RATIO, SECONDS, TEXT, Column, Unit, row_of
-from svmdist.profile import Profile
 from svmdist.profile.hand_eye import FORMAT, HandEyeFile, Source
 from svmdist.recording.log import Recording
 from svmdist.recording.summary import RecordingSummary
@@ -74,10 +73,10 @@ def logs_results(documents: Sequence[tuple[str, dict[str, Any]]]) -> Results:
     return Results(columns, topics, tables=tables, document=[document for _, document in documents])
 
 
-def info_document(summary: RecordingSummary, profile: Profile, no_tag: str = "") -> dict[str, Any]:
+def info_document(summary: RecordingSummary, no_tag: str = "") -> dict[str, Any]:
     """The JSON document `svmdist.info/1`."""
-    methods = _served(capabilities.method_capabilities(summary, profile, no_tag))
-    commands = _served(capabilities.capabilities(summary, profile, no_tag))
+    methods = _served(capabilities.method_capabilities(summary, no_tag))
+    commands = _served(capabilities.capabilities(summary, no_tag))
     if commands["estimate"]["served"]:
         best = next(name for name in capabilities.PREFERRED if methods[name]["served"])
         commands["estimate"]["note"] = f"by {best}"
@@ -85,7 +84,7 @@ def info_document(summary: RecordingSummary, profile: Profile, no_tag: str = "")
     return {
         "schema": SCHEMA,
         "path": str(recording.path),
-        "profile": profile.name,
+        "profile": recording.profile.name,
         "size_bytes": recording.size_bytes(),
         "duration_s": summary.duration_s,
         "metadata": recording.metadata,

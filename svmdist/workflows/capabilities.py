@@ -39,14 +39,14 @@ HEAD_S = 2.0  # of a log
 TAG_IMAGES = 8  # that a tag is looked for in, spread over the log
 
 
-def capabilities(summary: RecordingSummary, profile: Profile, no_tag: str = "") -> dict[str, tuple[str, ...]]:
+def capabilities(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str, ...]]:
     """What a recording lacks for each command that reads recordings, empty for those that it can serve.
 
     `no_tag` is what `look_for_tag` says.
     """
-    methods, lacking = method_capabilities(summary, profile, no_tag), _lacking(summary, profile)
+    methods, lacking = method_capabilities(summary, no_tag), _lacking(summary)
     lacks = () if () in methods.values() else methods[METHODS[0]]
-    if said := misfit(summary, profile):
+    if said := misfit(summary):
         lacks = (f"a profile of its own: it is {said}",)
     return {"estimate": lacks} | {name: _words(lacking, needs) for name, needs in COMMANDS.items()}
 
@@ -63,10 +63,10 @@ def best_method(
         with suppress(RecordingError):  # whoever measures it says so
             few.append(inspect_recording(open_recording(path, profile, topics=topics), HEAD_S))
     few = [one for one in few if set(IMAGES) <= set(one.roles)]  # of the others, too
-    summaries = [one for one in few if not misfit(one, profile)]
+    summaries = [one for one in few if not misfit(one)]
     if not summaries:
         if few:
-            raise UsageError(f"{few[-1].recording.path}: {misfit(few[-1], profile)}")
+            raise UsageError(f"{few[-1].recording.path}: {misfit(few[-1])}")
         return "kinematic", "no log could be looked at"
     for with_tags in (False, True):  # a tag is looked for in all of a log, and only where it matters
         served, lacks = Counter[str](), dict[str, tuple[str, ...]]()
@@ -74,8 +74,8 @@ def best_method(
             no_tag = ""
             with suppress(RecordingError):  # whoever measures it says so
                 if with_tags:
-                    no_tag = look_for_tag(summary.recording, profile)
-            for name, missing in method_capabilities(summary, profile, no_tag).items():
+                    no_tag = look_for_tag(summary.recording)
+            for name, missing in method_capabilities(summary, no_tag).items():
                 served[name] += not missing
                 lacks.setdefault(name, missing)
         best = max(PREFERRED, key=served.__getitem__)  # the first of several
@@ -90,11 +90,9 @@ def best_method(
     return best, f"the best that the log can serve{', as ' if why else ''}{', and '.join(why)}"
 
 
-def method_capabilities(
-    summary: RecordingSummary, profile: Profile, no_tag: str = ""
-) -> dict[str, tuple[str, ...]]:
+def method_capabilities(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str, ...]]:
     """The same for each method of `estimate`."""
-    lacking = _lacking(summary, profile, no_tag)
+    lacking = _lacking(summary, no_tag)
     return {name: _words(lacking, (*IMAGES, *method.inputs)) for name, method in REGISTRY.items()}
 
 
@@ -103,9 +101,8 @@ def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup,
 
     Raises RecordingError where there is none, and where the log is another one than the default profile's.
     """
-    profile = setups[0].profile
     summary = inspect_recording(recording.origin.open(), HEAD_S)
-    lacks = method_capabilities(summary, profile)
+    lacks = method_capabilities(summary)
     left: tuple[Setup, ...] = ()
     reasons = []
     for setup in setups:
@@ -118,22 +115,21 @@ def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup,
             reasons.append(f"{setup.method}: {str(problem).removeprefix(f'{recording.name}: ')}")
         else:
             left += (setup,)
-    if reasons and (said := misfit(summary, profile)):
+    if reasons and (said := misfit(summary)):
         raise RecordingError(f"{summary.recording.path}: {said}")
     if not left:
-        raise RecordingError(
-            f"no method can measure this log with profile {profile.name}: {'. '.join(reasons)}"
-        )
+        name = recording.profile.name
+        raise RecordingError(f"no method can measure this log with profile {name}: {'. '.join(reasons)}")
     for reason in reasons:
         LOG.info("note: %s: without %s", recording.name, reason)
     return left
 
 
-def misfit(summary: RecordingSummary, profile: Profile) -> str:
+def misfit(summary: RecordingSummary) -> str:
     """Why a log is none of the profile that is taken where none is given: neither made by it, nor with its joints."""
-    path, metadata = summary.recording.path, summary.recording.metadata
+    path, profile, metadata = summary.recording.path, summary.recording.profile, summary.recording.metadata
     is_its_own = metadata.get("profile") == profile.name or (
-        "joints" in summary.roles and not _missing_chain(summary, profile)
+        "joints" in summary.roles and not _missing_chain(summary)
     )
     if is_its_own or profile.name != DEFAULT_PROFILE:
         return ""
@@ -158,15 +154,15 @@ def require_clearance(setup: Setup) -> None:
         )
 
 
-def look_for_tag(recording: Recording, profile: Profile) -> str:
+def look_for_tag(recording: Recording) -> str:
     """Look for the fiducial of the first instrument in some images: that it is in none of them, in words, or ""."""
-    fiducial = profile.for_instrument(recording.instruments[0]).fiducial
+    fiducial, settings = recording.profile.fiducial, recording.profile.settings.tag
     if fiducial is None:
         return ""
     looked = found = 0
     stride = (recording.image_count() or 0) // TAG_IMAGES
     for observation in observations_of(recording, stride, left_alone=True):
-        tags = find_tags(to_grey(observation.image_bgr), fiducial.family, profile.settings.tag)
+        tags = find_tags(to_grey(observation.image_bgr), fiducial.family, settings)
         looked += 1
         found += fiducial.id in tags
     tag = f"the tag {fiducial.family} {fiducial.id}"
@@ -185,10 +181,10 @@ def _words(lacking: Mapping[str, tuple[str, ...]], needs: Iterable[str]) -> tupl
     return tuple(words for need in needs for words in lacking[need])
 
 
-def _lacking(summary: RecordingSummary, profile: Profile, no_tag: str = "") -> dict[str, tuple[str, ...]]:
+def _lacking(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str, ...]]:
     """What of each need of a command or a method is missing for the log's first instrument, in words."""
-    profile = profile.for_instrument(summary.recording.instruments[0])
-    roles, frames, of_profile = summary.roles, profile.frames, f"in profile {profile.name}"
+    profile, roles = summary.recording.profile, summary.roles
+    frames, of_profile = profile.frames, f"in profile {profile.name}"
 
     def topics(*names: str) -> tuple[str, ...]:
         return tuple(_topic_for(role, summary) for role in names if role not in roles)
@@ -196,7 +192,7 @@ def _lacking(summary: RecordingSummary, profile: Profile, no_tag: str = "") -> d
     def unless(condition: object, words: str) -> tuple[str, ...]:
         return () if condition else (words,)
 
-    joints = topics("joints") + _missing_chain(summary, profile)
+    joints = topics("joints") + _missing_chain(summary)
     tracks = [summary.cameras.get(roles.get(role, "")) for role in ("camera_info", "right_camera_info")]
     left, right = (track.runs[0].camera if track and track.runs else None for track in tracks)
     # It is there where it cannot be told yet.
@@ -230,9 +226,9 @@ def _topic_for(role: str, summary: RecordingSummary) -> str:
     return f"a topic for {role}" + (" (of several: choose it with --topic)" if len(found) > 1 else "")
 
 
-def _missing_chain(summary: RecordingSummary, profile: Profile) -> tuple[str, ...]:
+def _missing_chain(summary: RecordingSummary) -> tuple[str, ...]:
+    profile, topic = summary.recording.profile, summary.roles.get("joints")
     if profile.robot is None:
         return (f"a [robot] in profile {profile.name}",)
-    topic = summary.roles.get("joints")
     missing = profile.robot.missing_joints(summary.joint_names.get(topic, ())) if topic else ()
     return (f"the joints {', '.join(missing)} of profile {profile.name}",) if missing else ()

@@ -205,12 +205,13 @@ def warning(found: Mapping[str, Checks]) -> str:
     return f"{worst[0].with_mistakes()}{more}"
 
 
-def check_log(recording: Recording, profile: Profile) -> dict[str, Checks]:
-    """All comparisons that a log and a profile allow, by the name of the instrument; RecordingError without images.
+def check_log(recording: Recording) -> dict[str, Checks]:
+    """All comparisons that a log and its profile allow, by the name of the instrument; RecordingError without images.
 
     Images that cannot be used join the log's losses.
     """
-    profile = profile.model_copy(update={"tissue": profile.tissue or SOMEWHERE})
+    stated = recording.origin.profile
+    profile = stated.model_copy(update={"tissue": stated.tissue or SOMEWHERE})
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
     spread = spread_observations(recording)
     arms = [Arm(profile.for_instrument(name)) for name in recording.instruments]

@@ -158,9 +158,9 @@ class _Work:
 
     def _one_pass(self, at: Sequence[int], setups_at: Sequence[int], advance: Callable[[], None]) -> Found:
         conditions = [self.conditions[place] for place in at]
-        read, setups, profile = self.recording, [self.setups[of] for of in setups_at], self.setups[0].profile
+        read, setups = self.recording, [self.setups[of] for of in setups_at]
         if world := conditions[0].world:  # it has a pass of its own
-            read = self.recording.perturbed(world, profile)
+            read = self.recording.perturbed(world)
             setups = [setup.perturbed(world, read.world.seed) for setup in setups]
         keys = [(place, of, name) for place in at for of in setups_at for name in self.names]
         readings, seconds = {key: Readings() for key in keys}, dict.fromkeys(keys, 0.0)

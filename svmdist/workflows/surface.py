@@ -12,7 +12,6 @@ from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.scene import Scene
 from svmdist.estimation.tissue.surface import ALL_PX
-from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.recording.source import Loss, LossKind
 from svmdist.recording.summary import inspect_recording
@@ -50,7 +49,7 @@ class TissueSurface:
         return float(near_m), float(np.median(self.std_m)), float(far_m)
 
 
-def tissue_surface(recording: Recording, profile: Profile, number: int) -> TissueSurface:
+def tissue_surface(recording: Recording, number: int) -> TissueSurface:
     """The surface that both views of an image, by its number from 0, show: with instruments in view or without.
 
     Raises RecordingError where the log has no right view, or the image shows no surface; UsageError without the image.
@@ -60,7 +59,8 @@ def tissue_surface(recording: Recording, profile: Profile, number: int) -> Tissu
     if recording.topic_of(Role.RIGHT_IMAGE) is None or recording.right_camera is None:
         summary = inspect_recording(recording, HEAD_S)
         needs = "a surface needs a calibrated right view, which it has not: `svmdist import` takes two"
-        raise RecordingError(f"{recording.name}: {misfit(summary, profile) or needs}")
+        raise RecordingError(f"{recording.name}: {misfit(summary) or needs}")
+    profile = recording.origin.profile
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
     pairs = first_of(spread_observations(recording), profile)
     views = compare_views(pairs, profile)

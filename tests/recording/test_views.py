@@ -20,22 +20,19 @@ from tests.reading import read_observations
 from tests.synthetic import make_scene, write_log
 
 VIEWS = {
-    "as opened": lambda log, profile: log,
-    "perturbed": lambda log, profile: log.perturbed(
-        Perturbations((("backlash", 0.5), ("lag", 20.0))), profile
-    ),
-    "clock": lambda log, _: replace(log, lag=LagEstimate(0.02, 0.0, 1.0)),
-    "instrument": lambda log, profile: log.for_instrument(log.instruments[0]),
-    "window": lambda log, _: replace(log, alias="other", window=Window(0.05, 0.2, 2)),
+    "as opened": lambda log: log,
+    "perturbed": lambda log: log.perturbed(Perturbations((("backlash", 0.5), ("lag", 20.0)))),
+    "clock": lambda log: replace(log, lag=LagEstimate(0.02, 0.0, 1.0)),
+    "instrument": lambda log: log.for_instrument(log.instruments[0]),
+    "window": lambda log: replace(log, alias="other", window=Window(0.05, 0.2, 2)),
 }
 
 
 @pytest.mark.parametrize("view", VIEWS)
 def test_a_view_can_be_sent_to_another_process(tmp_path, view):
     """What comes out of it there is the same to the last bit."""
-    profile = load_profile()
     path = write_log(tmp_path / "a.mcap", make_scene(64, 48), 12)
-    mine: Recording = VIEWS[view](open_recording(path, profile), profile)
+    mine: Recording = VIEWS[view](open_recording(path, load_profile()))
     theirs = pickle.loads(pickle.dumps(mine))
     assert (theirs.name, theirs.lag, theirs.world.seed) == (mine.name, mine.lag, mine.world.seed)
     assert theirs.origin == mine.origin

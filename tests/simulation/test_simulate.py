@@ -295,7 +295,7 @@ def test_a_log_of_a_perturbed_world_is_the_plain_log_perturbed_at_replay(profile
         options = perturbed(its, stereo=True, kinematic_error=1.0)
         record(Recipe(SHORT, profile, options), path, jobs=1)
     ideal, recorded = (open_recording(path, profile) for path in paths)
-    replayed = ideal.perturbed(chosen(text), profile)
+    replayed = ideal.perturbed(chosen(text))
     for one, other in zip(read_observations(recorded), read_observations(replayed), strict=True):
         assert isinstance(one, samples.Observation)
         assert isinstance(other, samples.Observation)

@@ -26,9 +26,13 @@ def topic(name: str) -> TopicSummary:
     return TopicSummary(name, "", "", None, 1, None, None, None, 0.0, 0, 0, 0)
 
 
-NAMED = SimpleNamespace(path=Path("a.mcap"), metadata={}, instruments=(PROFILE.instrument_name,))
+def read_by(profile: Profile) -> Recording:
+    """A recording of which only the name and the profile matter."""
+    return cast(Recording, SimpleNamespace(path=Path("a.mcap"), metadata={}, profile=profile))
+
+
 FULL = RecordingSummary(
-    recording=cast(Recording, NAMED),
+    recording=read_by(PROFILE),
     duration_s=1.0,
     topics=(topic("/PSM1/measured_js"), topic("/image")),
     roles={str(role): f"/{role}" for role in Role},
@@ -52,9 +56,9 @@ def lacking(found: dict[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
 
 def test_a_recording_that_has_everything_serves_everything():
     """Every method is listed, in order; those that need a calibration of the profile find it."""
-    assert lacking(capabilities(FULL, PROFILE)) == {}
-    assert tuple(method_capabilities(FULL, PROFILE)) == tuple(METHODS)
-    assert lacking(method_capabilities(FULL, PROFILE)) == {}
+    assert lacking(capabilities(FULL)) == {}
+    assert tuple(method_capabilities(FULL)) == tuple(METHODS)
+    assert lacking(method_capabilities(FULL)) == {}
 
 
 def poorer(table: str) -> Profile:
@@ -89,12 +93,13 @@ ONE_JOINT_LESS = replace(FULL, joint_names={f"/{Role.JOINTS}": JOINTS[1:]})
 )
 def test_each_part_of_log_and_profile_is_needed_by_its_own_methods(summary, profile, methods, words):
     """Without images, of the commands only `fk` remains."""
-    found = lacking(method_capabilities(summary, profile))
+    summary = replace(summary, recording=read_by(profile))
+    found = lacking(method_capabilities(summary))
     assert set(found) == methods
     assert all(any(words in one for one in each) for each in found.values())
     if methods == set(METHODS):
         commands = {"estimate", "calibrate", "validate", "compare", "blur-bench"}
-        assert set(lacking(capabilities(summary, profile))) == commands
+        assert set(lacking(capabilities(summary))) == commands
 
 
 @pytest.mark.parametrize(
@@ -127,21 +132,21 @@ def test_auto_is_the_best_method_that_log_and_profile_serve(golden, log, changes
 def test_a_log_that_is_none_of_the_default_profile_s_names_what_makes_one(golden, tmp_path):
     """Neither made with it nor with its joints: its colours and sizes are another scene's."""
     foreign = replace(FULL, joint_names={})
-    assert "svmdist profile new a.mcap -o a.toml" in capabilities(foreign, PROFILE)["estimate"][0]
-    mine = PROFILE.model_copy(update={"name": "mine"})
-    assert lacking(capabilities(foreign, mine)).keys() <= {"fk"}
+    assert "svmdist profile new a.mcap -o a.toml" in capabilities(foreign)["estimate"][0]
+    mine = replace(foreign, recording=read_by(PROFILE.model_copy(update={"name": "mine"})))
+    assert lacking(capabilities(mine)).keys() <= {"fk"}
 
 
 def test_the_reference_of_validation_is_truth_or_the_tool_s_poses():
     """Any of the tool's sources will do; where there is none, that is said."""
     truthless = ("ground_truth_distance", "ground_truth_tf", "pose", "joints")
-    (missing,) = lacking(capabilities(without(*truthless, frames=()), PROFILE))["validate"]
+    (missing,) = lacking(capabilities(without(*truthless, frames=())))["validate"]
     assert missing.startswith("the tool's pose")
     for source in ("pose", "joints"):
         roles = set(truthless) - {source}
-        assert "validate" not in lacking(capabilities(without(*roles, frames=()), PROFILE))
+        assert "validate" not in lacking(capabilities(without(*roles, frames=())))
     served = without(*truthless, frames=(FRAMES.tool,))
-    assert "validate" not in lacking(capabilities(served, PROFILE))
+    assert "validate" not in lacking(capabilities(served))
 
 
 def test_a_log_of_another_arm_is_that_arms():
@@ -154,7 +159,7 @@ def test_a_log_of_another_arm_is_that_arms():
         roles={**FULL.roles, "joints": "/PSM2/measured_js"},
         frames=("ECM", "PSM2_base", "tissue"),
         joint_names={"/PSM2/measured_js": names},
-        recording=cast(Recording, SimpleNamespace(**(vars(NAMED) | {"instruments": ("PSM2",)}))),
+        recording=read_by(dvrk.for_instrument("PSM2")),
     )
-    assert "fk" not in lacking(capabilities(log, dvrk))
-    assert lacking(method_capabilities(log, dvrk))["kinematic"] == ("[tissue] in profile dvrk-psm",)
+    assert "fk" not in lacking(capabilities(log))
+    assert lacking(method_capabilities(log))["kinematic"] == ("[tissue] in profile dvrk-psm",)

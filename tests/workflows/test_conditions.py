@@ -151,7 +151,7 @@ def test_a_log_says_what_world_it_was_recorded_in(tmp_path):
 
 
 def test_a_perturbed_recording_is_perturbed_for_each_of_its_instruments(log):
-    world = log.perturbed(parse_perturbations("focal=1,joint_noise=1"), PROFILE)
+    world = log.perturbed(parse_perturbations("focal=1,joint_noise=1"))
     (name,) = world.instruments
     view = world.for_instrument(name)
     np.testing.assert_array_equal(view.camera.K, world.camera.K)
