@@ -315,6 +315,6 @@ def opened(path: str, profile_name: str, views: str, folder: Path) -> Case:
     messages = [
         [raw.topic, raw.log_time_ns, message_class(raw.schema).FromString(raw.data)]
         for raw in source.messages()
-        if raw.topic not in dropped and kind_of(raw.schema, raw.message_encoding)
+        if raw.topic not in dropped and kind_of(raw)
     ]
     return Case(folder, profile, topics, messages, source.metadata())

@@ -178,10 +178,8 @@ class WindowOptions(Options):
     every: int = EVERY
 
     @property
-    def window(self) -> Window | None:
-        """The window that the options name, None for all images; raises UsageError for one without any."""
-        if (self.start, self.end, self.every) == (0.0, None, 1):
-            return None
+    def window(self) -> Window:
+        """The window that the options name; raises UsageError for one without any image."""
         from svmdist.recording.observations import Window
 
         return Window(self.start, math.inf if self.end is None else self.end, self.every)

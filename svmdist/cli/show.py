@@ -86,7 +86,7 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
         lag, folder = self.given_lag, self.output
         method = Segmented() if self.masks else self.chosen_method([self.file])
         setup = prepare(self.profile, method, "corrected", self.calibration, self.hand_eye)
-        request = Request(setup, self.topics, None, self.instruments(setup.profile), lag)
+        request = Request(setup, self.topics, instruments=self.instruments(setup.profile), lag=lag)
         recording = request.open(self.file, self.file.stem)
         seen = corrected(recording, request, self.jobs)
         numbers = self._numbers(seen, request)

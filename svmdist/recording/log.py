@@ -59,7 +59,7 @@ class Origin(NamedTuple):
         source = open_source(path, profile.limits)
         arms = find_arms(source, profile, topics)
         beside_images = frozenset(topic for arm in arms for topic in arm.topics_beside_images())
-        infos = {info.topic for info in source.topics if kind_of(*info[1:3]) is Kind.CAMERA}
+        infos = {info.topic for info in source.topics if kind_of(info) is Kind.CAMERA}
         file = LogFile(source, profile.limits, beside_images, beside_images & infos)
         fixed = {arm.name: profile.for_instrument(arm.name).camera_to_base for arm in arms}
         bases = {name: one.T_camera_base for name, one in fixed.items() if one is not None}
@@ -356,7 +356,7 @@ class Recording:
         named = f"{self.path.name}: no usable {what} on {sanitize(topic)}"
         why = next((sanitize(loss.detail) for loss in self.health.losses if loss.topic == topic), "")
         named = f"{named}: {why}" if why else named
-        others = [one.topic for one in self.topics() if kind_of(*one[1:3]) is kind and one.topic != topic]
+        others = [one.topic for one in self.topics() if kind_of(one) is kind and one.topic != topic]
         listed = f"; other topics with {kind}: {sanitize_list(others)}" if others else ""
         return RecordingError(f"{named}{listed}")
 

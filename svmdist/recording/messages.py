@@ -22,7 +22,7 @@ from svmdist.camera import KNOWN_DISTORTION, MAX_COEFFICIENTS, Camera
 from svmdist.profile import Limits
 from svmdist.recording.images import ImageError, VideoDecoder, decode_raw, decode_still
 from svmdist.recording.own_messages_pb2 import GroundTruthDistance
-from svmdist.recording.source import RawMessage, cut
+from svmdist.recording.source import RawMessage, TopicInfo, cut
 from svmdist.transforms import Array, make_transform, rotation_from_quaternion_xyzw
 
 MAX_STAMP_NS = (1 << 63) - 1
@@ -163,9 +163,9 @@ class Decoder:
         return convert(message, *_header(message, raw.log_time_ns), *of_images)
 
 
-def kind_of(schema: str, message_encoding: str) -> Kind | None:
-    """Tell what a topic carries; None for a schema or an encoding that svmdist does not read."""
-    known = SCHEMAS.get(message_encoding, {}).get(_short(schema))
+def kind_of(one: TopicInfo | RawMessage) -> Kind | None:
+    """Tell what a topic or a message carries; None for a schema or an encoding that svmdist does not read."""
+    known = SCHEMAS.get(one.message_encoding, {}).get(_short(one.schema))
     return known[0] if known else None
 
 

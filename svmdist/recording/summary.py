@@ -71,7 +71,7 @@ def _summary(info: TopicInfo, logged_ns: array[int], undecodable_count: int) -> 
     span_s = 0.0 if start_ns is None or end_ns is None else (end_ns - start_ns) / 1e9
     return TopicSummary(
         *info[:3],
-        kind_of(info.schema, info.message_encoding),
+        kind_of(info),
         count,
         (count - 1) / span_s if span_s > 0 else None,
         start_ns,
@@ -103,7 +103,7 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
         if stamp_ns > end_ns and awaited <= infos.keys():
             break
         infos.setdefault(raw.topic, TopicInfo(*raw[:3]))
-        if kind_of(raw.schema, raw.message_encoding) is not None:
+        if kind_of(raw) is not None:
             try:
                 sample = decoder.decode(raw)
             except DecodeError as problem:
@@ -148,7 +148,7 @@ def copied_messages(recording: Recording) -> Iterator[tuple[str, Sample | Encode
     decoder = Decoder(recording.file.limits)
     truth = recording.topic_of(Role.GROUND_TRUTH_TF)
     for raw in recording.file.source.messages():
-        if kind_of(raw.schema, raw.message_encoding) is None:
+        if kind_of(raw) is None:
             continue
         if raw.message_encoding == "protobuf" and raw.topic != truth:
             schema = messages.message_class(raw.schema).DESCRIPTOR.full_name

@@ -136,7 +136,7 @@ class LoggedArm:
         return {topic for topic in topics if topic is not None}
 
     def _candidates(self, kind: Kind) -> list[str]:
-        return sorted({one.topic for one in self.infos if kind_of(one.schema, one.message_encoding) is kind})
+        return sorted({one.topic for one in self.infos if kind_of(one) is kind})
 
     def _unclaimed(self, role: Role, candidates: Sequence[str]) -> list[str]:
         """Leave out topics that are known to play another role or are another arm's, and static transforms.

@@ -175,7 +175,8 @@ class RecordingWriter:
         self._file: IO[bytes] | None = None
         self._channels: dict[str, tuple[int, str]] = {}
         self._schemas: dict[str, int] = {}
-        self._sequences = Counter[int]()
+        self.counts = Counter[str]()
+        """The messages that were written, by topic."""
         self._chunk_bytes = 0
         self._chunk_start_ns: int | None = None
 
@@ -219,10 +220,10 @@ class RecordingWriter:
                     self._writer.flush()
                     self._chunk_bytes, self._chunk_start_ns = 0, None
             channel_id = self._channel(topic, sample.schema)
-            self._writer.add_message(channel_id, stamp_ns, sample.data, stamp_ns, self._sequences[channel_id])
+            self._writer.add_message(channel_id, stamp_ns, sample.data, stamp_ns, self.counts[topic])
         except OSError as problem:
             raise self._failure(problem) from problem
-        self._sequences[channel_id] += 1
+        self.counts[topic] += 1
         self._chunk_bytes += needed_bytes
         if self._chunk_start_ns is None:
             self._chunk_start_ns = stamp_ns

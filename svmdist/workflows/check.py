@@ -35,7 +35,8 @@ SUSPECT_DEVIATIONS = 2.5
 # A smaller offset is left: it does less harm than shifting an image between its pixels
 MIN_ROW_OFFSET_PX = 0.5
 
-SOMEWHERE = Tissue(plane_distance_m=0.1)  # of a profile without a tissue, whose instrument can be compared
+SOMEWHERE = Tissue(plane_distance_m=0.1)
+"""Where an endoscope works, of a profile without a tissue: instruments and both views can be compared all the same."""
 
 
 def spread_observations(recording: Recording, count: int = CHECKED) -> list[EncodedObservation]:

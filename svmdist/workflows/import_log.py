@@ -6,7 +6,6 @@ A PNG or JPEG is stored as it is. Other formats, frames of a video and halves of
 from __future__ import annotations
 
 import heapq
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -128,7 +127,6 @@ def import_log(
         "side_by_side": "yes" if options.side_by_side else "no",
         "version_svmdist": version("svmdist"),
     }
-    counts: Counter[str] = Counter()
     T_left_right, said = stereo_transform(*cameras) if options.count == 2 else None, ""
     if T_left_right is not None:
         few = islice(_pairs(views, cameras, T_left_right, options), LOOKED_AT)
@@ -141,15 +139,14 @@ def import_log(
         with writer:
             for _, topic, sample in heapq.merge(*images, *tables, key=lambda message: message[0]):
                 writer.write(topic, sample)
-                counts[topic] += 1
                 if on_progress is not None and topic.endswith("/image"):
-                    on_progress(sum(counts[f"/ECM/{side}/image"] for side in SIDES) // halved, total)
+                    on_progress(sum(writer.counts[f"/ECM/{side}/image"] for side in SIDES) // halved, total)
     except SvmdistError:
         writer.discard()
         raise
     has_baseline = None if options.count == 1 else T_left_right is not None
     losses = [loss for view in views for loss in view.losses.values()]
-    return ImportResult(output, dict(counts), output.stat().st_size, has_baseline, losses, said)
+    return ImportResult(output, dict(writer.counts), output.stat().st_size, has_baseline, losses, said)
 
 
 def _image_messages(

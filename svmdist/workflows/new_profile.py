@@ -32,7 +32,7 @@ from svmdist.vision.instruments.find_instruments import AutoMasks
 from svmdist.vision.segmentation import make_segmenter
 from svmdist.vision.stereo import RowAlignment
 from svmdist.workflows.capabilities import observations_of
-from svmdist.workflows.check import compare_views, offset_to_remove
+from svmdist.workflows.check import SOMEWHERE, compare_views, offset_to_remove
 
 OTHER_ARMS = re.compile(r"/(ECM|MTM\w*|SUJ\w*)(/|$)")  # of a da Vinci, without an instrument
 SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("_l/", "_r/"), ("/l/", "/r/"))
@@ -47,8 +47,6 @@ MOST_IMAGES = 0.6  # share of the images that an instrument is at least visible 
 MIN_PLANES = 3
 LEAST_PLANE_STD_M, LEAST_TILT_STD_RAD, LEAST_SURFACE_STD_M = 1e-3, 0.05, 1e-3
 POINTS_PER_PAIR = 500
-FIRST_GUESS = Tissue(plane_distance_m=0.1)
-"""Where an endoscope works; a surface by stereo does not depend on it."""
 
 
 @dataclass(frozen=True)
@@ -267,7 +265,7 @@ def _surface(
     if recording.right_camera is None:
         return None, 0
     rules = _blank({}).model_copy(
-        update={"segmentation": AutoSegmentation(method="auto"), "tissue": FIRST_GUESS}
+        update={"segmentation": AutoSegmentation(method="auto"), "tissue": SOMEWHERE}
     )
     segmenter, deviations = make_segmenter(rules.segmentation), Deviations(CameraError())
     rows = rows or offset_to_remove(observations, rules)

@@ -83,23 +83,21 @@ def record(
     number. Raises UsageError where the file exists and `force` is not set, OutputError, SimulationError, and
     WorkerDiedError, which leaves no file.
     """
-    frame_count = message_count = 0
     writer = RecordingWriter(output, recipe.metadata(), force=force, jpeg_quality=recipe.jpeg_quality)
     try:
         with writer:
             plan = make_plan(recipe.scenario, recipe.profile, recipe.options)
+            image = plan.topics["image"]
             made = encoded_samples(plan, jobs or parallel.usable_cores(), recipe.jpeg_quality)
             with closing(made) as samples:
                 for topic, sample in samples:
                     writer.write(topic, sample)
-                    message_count += 1
-                    if topic == plan.topics["image"]:
-                        frame_count += 1
-                        on_progress(frame_count, recipe.scenario.frame_count)
+                    if topic == image:
+                        on_progress(writer.counts[image], recipe.scenario.frame_count)
     except parallel.WorkerDiedError:
         writer.discard()
         raise
-    return Recorded(output, frame_count, message_count, output.stat().st_size)
+    return Recorded(output, writer.counts[image], writer.counts.total(), output.stat().st_size)
 
 
 def _version(package: str) -> str:

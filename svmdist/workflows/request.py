@@ -227,7 +227,7 @@ class Request:
 
     setup: Setup
     topics: Mapping[str, str] = field(default_factory=dict)
-    window: Window | None = None
+    window: Window = ALL_IMAGES
     instruments: tuple[str, ...] | None = None
     lag: Lag | None = None
     alarms: AlarmRules | None = None
@@ -237,7 +237,7 @@ class Request:
     def open(self, path: LogPath, name: str) -> Recording:
         """Open a log under a name; raises RecordingError, or UsageError for an unknown role."""
         recording = open_recording(path, self.setup.profile, topics=dict(self.topics))
-        recording = replace(recording, alias=name, window=self.window or ALL_IMAGES)
+        recording = replace(recording, alias=name, window=self.window)
         found = [f"{role} {topic}" for role in Role if (topic := recording.topic_of(role))]
         LOG.debug("%s: %s: %s", name, path, ", ".join(found))
         return recording
