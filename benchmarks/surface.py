@@ -141,7 +141,7 @@ def _scenes(recording: Recording, count: int) -> Iterator[Scene]:
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
     spread = spread_observations(recording)
     rows = offset_to_remove(first_of(spread, profile), profile)
-    images = recording.encoded_observations(recording.instruments[:1], robot=False)
+    images = recording.encoded_observations(robot=False)
     stride = max(1, (recording.image_count() or count) // count)
     for encoded in islice(images, 0, None, stride):
         found = encoded.decode().found

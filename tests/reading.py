@@ -10,7 +10,7 @@ from svmdist.samples import ImageSample, Observation, Rejection
 
 def read_observations(recording: Recording) -> Iterator[Observation | Rejection]:
     """What an estimator may see of the first instrument in every image, by stamp; errors come at once."""
-    encoded = recording.encoded_observations(recording.instruments[:1])
+    encoded = recording.encoded_observations()
     items = (recording.record_losses(one.decode()) for one in encoded)
     return (item if isinstance(item, Rejection) else item[0] for item in items)
 

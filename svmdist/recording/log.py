@@ -215,7 +215,7 @@ class Recording:
         return tuple(one for topic in topics if topic for one in self.file.cameras[topic].changes(topic))
 
     def encoded_observations(
-        self, names: Sequence[str], *, robot: bool = True, right: bool = True, rest: bool = True
+        self, *, robot: bool = True, right: bool = True, rest: bool = True
     ) -> Iterator[obs.EncodedObservation]:
         """Yield for every image, by stamp, what estimators may see of each instrument, not decoded yet.
 
@@ -228,15 +228,14 @@ class Recording:
         caller bounds how many are held.
         """
         first = self.arms[0]
-        topic, arms = first.require(Role.IMAGE), [self._arm(name) for name in names]
-        states = [self._arm_states(arm, robot) for arm in arms]
+        topic, states = first.require(Role.IMAGE), [self._arm_states(arm, robot) for arm in self.arms]
         right_topic = self._right_topic() if right else None
         of_right = self.file.cameras[first.require(Role.RIGHT_CAMERA_INFO)] if right_topic else None
         cameras = cameras_at(self._left_track, of_right, self.world.perturbations)
         missing = self.file.missing = MissingPartners(self.file.limits.pair_tolerance_s)
         images = self.file.images({topic, right_topic or topic}, rest=rest)
         pairs = Pairs(right_topic, missing.pair_tolerance_s, self.health)
-        has_joints = [robot and arm.find(Role.JOINTS) is not None for arm in arms]
+        has_joints = [robot and arm.find(Role.JOINTS) is not None for arm in self.arms]
 
         def observation(number: int, at_ns: int, pair: obs.Pair) -> obs.EncodedObservation:
             stamp_ns = pair.left.stamp_ns
@@ -248,11 +247,9 @@ class Recording:
 
         return starmap(observation, self.window.of(pairs.of(images)))
 
-    def with_states(
-        self, images: Sequence[obs.EncodedObservation], names: Sequence[str]
-    ) -> list[obs.EncodedObservation]:
+    def with_states(self, images: Sequence[obs.EncodedObservation]) -> list[obs.EncodedObservation]:
         """Images that were read without what each instrument reported, with it: after a pass that read the rest."""
-        states = [self._arm_states(self._arm(name)) for name in names]
+        states = [self._arm_states(arm) for arm in self.arms]
         return [replace(one, arms=tuple(state(one.stamp_ns) for state in states)) for one in images]
 
     def record_losses(self, decoded: obs.Decoded) -> tuple[Observation, ...] | Rejection:

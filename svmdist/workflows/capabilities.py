@@ -171,8 +171,8 @@ def look_for_tag(recording: Recording) -> str:
 
 def observations_of(recording: Recording, stride: int, *, left_alone: bool = False) -> Iterator[Observation]:
     """What the first instrument's method would see, or the left images, at each n-th image that can be decoded."""
-    names, more = recording.instruments[:1], not left_alone
-    for number, encoded in enumerate(recording.encoded_observations(names, robot=more, right=more)):
+    more = not left_alone
+    for number, encoded in enumerate(recording.encoded_observations(robot=more, right=more)):
         if number % max(1, stride) == 0 and not isinstance(found := encoded.decode().found, Rejection):
             yield found[0]
 

@@ -47,13 +47,12 @@ def spread_observations(recording: Recording, count: int = CHECKED) -> list[Enco
     """
     kept: list[EncodedObservation] = []
     stride = 1
-    names = recording.instruments
-    for place, one in enumerate(recording.encoded_observations(names, robot=False)):
+    for place, one in enumerate(recording.encoded_observations(robot=False)):
         if place % stride == 0:
             kept.append(one)
         if len(kept) > 2 * count:
             kept, stride = kept[::2], 2 * stride
-    return recording.with_states(kept, names)
+    return recording.with_states(kept)
 
 
 def offset_to_remove(pairs: Sequence[Observation], profile: Profile) -> RowAlignment:

@@ -74,8 +74,7 @@ class Segmented:
 
 def image_stamps_ns(recording: Recording) -> list[int]:
     """The stamp of every image of a log, in file order; raises UsageError for a log without one."""
-    images = recording.encoded_observations(recording.instruments[:1], robot=False, right=False)
-    stamps = [one.stamp_ns for one in images]
+    stamps = [one.stamp_ns for one in recording.encoded_observations(robot=False, right=False)]
     if not stamps:
         raise UsageError(f"{recording.path.name}: no image on {recording.topic_of(Role.IMAGE)} can be read")
     return stamps

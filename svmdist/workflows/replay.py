@@ -264,8 +264,7 @@ class _Replay:
     def run(self, jobs: int, rest: bool, alarms: AlarmRules | None) -> Iterator[tuple[Replayed, ...]]:
         several = len(self._arms) > 1  # what tells them apart starts from nominal kinematics
         robot, right = self._needs.robot or several, self._needs.right_view
-        names = self._recording.instruments
-        encoded = self._recording.encoded_observations(names, robot=robot, right=right, rest=rest)
+        encoded = self._recording.encoded_observations(robot=robot, right=right, rest=rest)
         lanes = [lane for of_condition in self._lanes for lane in of_condition]
         watches = [[AlarmWatch(alarms) for _ in self._wanted] for _ in lanes] if alarms else []
         with one_opencv_thread():

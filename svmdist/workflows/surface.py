@@ -68,8 +68,7 @@ def tissue_surface(recording: Recording, number: int) -> TissueSurface:
         raise RecordingError(f"{recording.name} shows no surface: {views.refusal}")
     if views.warning:
         recording.health.add(Loss(LossKind.CONTRADICTION, views.warning))
-    images = recording.encoded_observations(recording.instruments[:1], robot=False)
-    chosen = next(islice(images, number, None), None)
+    chosen = next(islice(recording.encoded_observations(robot=False), number, None), None)
     if chosen is None:
         raise UsageError(f"{recording.name} has no image {number}")
     found, where = chosen.decode().found, f"{recording.name}: frame {number}"

@@ -193,7 +193,7 @@ def damaged(path: Path) -> Path:
 
 def decoded(recording: Recording, **read: bool) -> list[tuple[samples.Observation, ...] | samples.Rejection]:
     """One after another."""
-    encoded = recording.encoded_observations(recording.instruments, **read)
+    encoded = recording.encoded_observations(**read)
     return [recording.record_losses(one.decode()) for one in encoded]
 
 
@@ -203,7 +203,7 @@ def test_losses_are_in_file_order_whenever_they_are_found(tmp_path, profile):
     one_by_one, ahead = open_recording(path, profile), open_recording(path, profile)
     mine = decoded(one_by_one)
     with ThreadPoolExecutor(3) as pool:
-        found = list(pool.map(lambda one: one.decode(), ahead.encoded_observations(ahead.instruments)))
+        found = list(pool.map(lambda one: one.decode(), ahead.encoded_observations()))
     others = [ahead.record_losses(one) for one in reversed(found)][::-1]
     for number, (one, other) in enumerate(zip(mine, others, strict=True)):
         assert isinstance(one, samples.Rejection) == (number % 3 == 0)

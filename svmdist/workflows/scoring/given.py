@@ -67,8 +67,7 @@ class Given:
         return replace(self, rows=self._rows(log), sees_tissue=sees_tissue)
 
     def _rows(self, log: Recording) -> dict[str, Rows]:
-        every = replace(log, window=ALL_IMAGES)
-        images = every.encoded_observations(log.instruments[:1], robot=False, right=False)
+        images = replace(log, window=ALL_IMAGES).encoded_observations(robot=False, right=False)
         images_ns = np.unique(np.array([image.stamp_ns for image in images], np.int64))
         views = {name: log.for_instrument(name) for name in log.instruments if len(images_ns)}
         if self.table is not None and views:
