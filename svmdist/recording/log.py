@@ -16,6 +16,7 @@ import numpy as np
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import RecordingError, did_you_mean
 from svmdist.files import files_of, open_regular, reading
+from svmdist.kinematics import DHChain, chain_of
 from svmdist.perturbations import Perturbations
 from svmdist.perturbations.calibration import stated_camera
 from svmdist.perturbations.joints import ReplayedWorld
@@ -116,6 +117,13 @@ class Recording:
     def profile(self) -> Profile:
         """The profile that it was opened with, as its first instrument sees it."""
         return self.origin.profile.for_instrument(self.instruments[0])
+
+    @property
+    def chain(self) -> DHChain:
+        """The chain of its instrument's robot; RecordingError where the profile has none."""
+        if self.profile.robot is None:
+            raise RecordingError(f"profile {self.profile.name} has no [robot]: kinematics need its chain")
+        return chain_of(self.profile.robot)
 
     @property
     def is_part(self) -> bool:

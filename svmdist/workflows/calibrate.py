@@ -16,7 +16,7 @@ from svmdist.errors import CalibrationError, KinematicsError, RecordingError
 from svmdist.estimation import plane_mapping
 from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye
 from svmdist.estimation.instrument.error_model import ErrorModel
-from svmdist.kinematics import chain_of, shaft_of
+from svmdist.kinematics import shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
 from svmdist.profile import hand_eye as hand_eye_file
@@ -172,9 +172,7 @@ def _reported_tool(
         poses = log.pose_track().at(stamps_ns)
         noise = np.repeat(profile.settings.hand_eye.pose_std_m**2 * np.eye(3)[None], count, 0)
         return poses.valid, (), [poses.values[:, :3, 3], noise, axes, np.zeros((count, 6, 0))]
-    if profile.robot is None:
-        raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
-    chain = chain_of(profile.robot)
+    chain = log.chain
     model = ErrorModel(chain, profile.kinematic_error)
     shaft, joints = shaft_of(chain), log.joint_track()
     columns = list(model.constant_columns.values())

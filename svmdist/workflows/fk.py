@@ -7,7 +7,7 @@ from collections.abc import Generator
 import numpy as np
 
 from svmdist.errors import RecordingError
-from svmdist.kinematics import chain_of, forward_kinematics, select_joints
+from svmdist.kinematics import forward_kinematics, select_joints
 from svmdist.recording.log import Recording
 from svmdist.transforms import Array, Stamps, inverse, rotation_angle
 from svmdist.workflows.parallel import Progress
@@ -31,10 +31,7 @@ def fk_blocks(
     Raises, before the first block, RecordingError without joint states, transform or chain, and KinematicsError where
     the chain's joints are not in the log.
     """
-    profile = recording.profile
-    if profile.robot is None:
-        raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
-    chain = chain_of(profile.robot)
+    chain, frames = recording.chain, recording.profile.frames
     joints = recording.joint_track()
     count = len(joints.stamps_ns)
     on_progress(count, count)
@@ -42,7 +39,7 @@ def fk_blocks(
     if len(inside) == 0:
         raise RecordingError(f"{recording.path.name}: no joint state is between --start and --end")
     poses = recording.pose_track() if recording.topic_of("pose") is not None else None
-    base = recording.transform_track(profile.frames.camera, profile.frames.base) if in_camera else None
+    base = recording.transform_track(frames.camera, frames.base) if in_camera else None
     for start in range(0, len(inside), BLOCK):
         places = inside[start : start + BLOCK]
         at_ns = joints.stamps_ns[places]

@@ -12,7 +12,7 @@ import numpy as np
 from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation import plane_mapping as paper
 from svmdist.estimation.plane_mapping import Equations
-from svmdist.kinematics import chain_of, forward_kinematics, select_joints
+from svmdist.kinematics import forward_kinematics, select_joints
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
 from svmdist.recording.topics import Role
@@ -181,11 +181,7 @@ def in_camera(log: Recording, frame: str, in_frame: PoseAt, max_gap_ns: int = MA
 
 def _kinematic_poses(recording: Recording, max_gap_ns: int) -> PoseAt:
     """`T_base_tool` by DH kinematics of the measured joints, eq. (31)."""
-    profile = recording.profile
-    if profile.robot is None:
-        raise RecordingError(f"profile {profile.name} has no [robot]: kinematics need its chain")
-    chain = chain_of(profile.robot)
-    joints = recording.joint_track()
+    chain, joints = recording.chain, recording.joint_track()
     select_joints(chain, joints.names, joints.positions[:1])  # says at once which joints are missing
 
     def at(stamps_ns: Stamps) -> Sampled:
