@@ -27,7 +27,7 @@ from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile.robot import Tissue
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import Decoded, EncodedObservation
-from svmdist.recording.source import Loss, LossKind
+from svmdist.recording.source import LossKind
 from svmdist.results import FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection, Status
 from svmdist.vision.frame_context import seen_through
@@ -199,7 +199,7 @@ class _Replay:
         self._checks = self._checked(spread, int(needs_rows))
         first = self._checks[0]
         if self._conditions[0] == CLEAN and (said := warning(first)):
-            health.add(Loss(LossKind.CONTRADICTION, said))
+            health.lose(LossKind.CONTRADICTION, said)
         if needs_rows and any(one.bends_rows for one in first.values()):
             views = compare_views(first_of(spread, profile), profile)
             if views.rows is not None and not views.refusal:

@@ -13,7 +13,7 @@ from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.scene import Scene
 from svmdist.estimation.tissue.surface import ALL_PX
 from svmdist.recording.log import Recording
-from svmdist.recording.source import Loss, LossKind
+from svmdist.recording.source import LossKind
 from svmdist.recording.summary import inspect_recording
 from svmdist.recording.topics import Role
 from svmdist.results import Failure
@@ -67,7 +67,7 @@ def tissue_surface(recording: Recording, number: int) -> TissueSurface:
     if views.refusal:
         raise RecordingError(f"{recording.name} shows no surface: {views.refusal}")
     if views.warning:
-        recording.health.add(Loss(LossKind.CONTRADICTION, views.warning))
+        recording.health.lose(LossKind.CONTRADICTION, views.warning)
     chosen = next(islice(recording.encoded_observations(robot=False), number, None), None)
     if chosen is None:
         raise UsageError(f"{recording.name} has no image {number}")
