@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,7 +17,6 @@ from svmdist.report.writers import Holds
 if TYPE_CHECKING:
     from svmdist.estimation.comparison import Checks
     from svmdist.recording.log import Recording
-    from svmdist.recording.source import Health
     from svmdist.report.tables import Row
     from svmdist.workflows.request import Request
 
@@ -55,36 +55,29 @@ class Info(LogOptions, options.ReadOptions, options.OutputOptions):
 def inspect_log(
     recording: Recording, _request: Request, _threads: int, looks_for_tag: bool
 ) -> dict[str, Any]:
-    """A whole log as a document, with the profile's tag looked for in some images."""
+    """A whole log as a document: what it holds, whether images show the profile's tag, and what contradicts."""
+    from svmdist.recording.source import LossKind
     from svmdist.recording.summary import inspect_recording
     from svmdist.report.info import info_document
     from svmdist.workflows.capabilities import look_for_tag
+    from svmdist.workflows.check import check_log
 
     no_tag = ""
+    checks: Mapping[str, Checks] = {}
     with output.progress_bar(f"looking at {recording.name}"):
         summary = inspect_recording(recording.origin.open())
         if looks_for_tag and {"image", "camera_info"} <= set(summary.roles):
             with suppress(RecordingError):  # a calibration that is not usable: the summary says so
                 no_tag = look_for_tag(recording)
-        found = _checks(recording, summary.recording.health)
-        recording.health.join(summary.recording.health)
-        return info_document(summary, no_tag) | {"checks": found}
-
-
-def _checks(recording: Recording, health: Health) -> dict[str, Any]:
-    """How many comparisons a log allows with its profile, and what contradicts most; lost images join `health`."""
-    from svmdist.recording.source import LossKind
-    from svmdist.workflows.check import check_log, warning
-
-    # Read anew: what else is lost on the way is told by the summary already.
-    again = recording.origin.open()
-    found: dict[str, Checks] = {}
-    with suppress(SvmdistError):  # what it lacks, or what the profile lacks, stands in the methods' lines
-        found = check_log(again)
-    for loss in again.health.losses:
-        if loss.kind is LossKind.IMAGE:
-            health.add(loss)
-    return {"count": sum(len(one.comparisons) for one in found.values()), "contradiction": warning(found)}
+        again = recording.origin.open()
+        with suppress(SvmdistError):  # what it lacks, or what the profile lacks, stands in the methods' lines
+            checks = check_log(again)
+        health = summary.recording.health
+        for loss in again.health.losses:
+            if loss.kind is LossKind.IMAGE:  # what else is lost on the way is told by the summary already
+                health.add(loss)
+        recording.health.join(health)
+        return info_document(summary, checks, no_tag)
 
 
 class Check(LogOptions, options.ReadOptions, options.OutputOptions):

@@ -20,6 +20,7 @@ from svmdist.report.writers import Results
 from svmdist.transforms import quaternion_xyzw_from_rotation
 from svmdist.workflows import capabilities
 from svmdist.workflows.calibrate import HandEyeResult
+from svmdist.workflows.check import warning
 
 SCHEMA = "svmdist.info/1"
 MAX_CHANGES = 4  # of cameras' calibrations that are listed
@@ -73,8 +74,10 @@ def logs_results(documents: Sequence[tuple[str, dict[str, Any]]]) -> Results:
     return Results(columns, topics, tables=tables, document=[document for _, document in documents])
 
 
-def info_document(summary: RecordingSummary, no_tag: str = "") -> dict[str, Any]:
-    """The JSON document `svmdist.info/1`."""
+def info_document(
+    summary: RecordingSummary, checks: Mapping[str, Checks], no_tag: str = ""
+) -> dict[str, Any]:
+    """The JSON document `svmdist.info/1`; of comparisons it has how many there are, and what contradicts most."""
     methods = _served(capabilities.method_capabilities(summary, no_tag))
     commands = _served(capabilities.capabilities(summary, no_tag))
     if commands["estimate"]["served"]:
@@ -103,6 +106,10 @@ def info_document(summary: RecordingSummary, no_tag: str = "") -> dict[str, Any]
         "losses": [str(loss) for loss in recording.health.losses],
         "commands": commands,
         "methods": methods,
+        "checks": {
+            "count": sum(len(one.comparisons) for one in checks.values()),
+            "contradiction": warning(checks),
+        },
     }
 
 
