@@ -16,7 +16,7 @@ from svmdist.perturbations import parse_perturbations
 from svmdist.recording.log import open_recording
 from svmdist.workflows.compare import MethodScore, measure_runs
 from svmdist.workflows.request import CLEAN, Condition, prepare
-from svmdist.workflows.scoring.scores import pooled_score
+from svmdist.workflows.scoring.scores import pooled_pairs
 
 METHODS = ("fiducial", "shaft", "stereo", "fused")
 WORLDS = (
@@ -44,11 +44,12 @@ def cell(runs: Sequence[MethodScore], distance: str = "spatial") -> str:
     count = sum(run.figures.frame_count for run in runs)
     missing = 1.0 - sum(run.figures.measured_count for run in runs) / count
     text = "–"
-    if score := pooled_score([getattr(run.figures, distance) for run in runs]):
-        text = f"{1e3 * score.statistics.rmse:.2f} ({100 * (score.interval_coverage or 0.0):.0f})"
-        off_m = np.abs(score.pairs.estimate_m - score.pairs.truth_m)
-        known = np.isfinite(score.pairs.std_m)
-        far = 100 * np.mean(off_m[known] > FAR_STDS * score.pairs.std_m[known]) if known.any() else 0.0
+    pairs = pooled_pairs([getattr(run.figures, distance) for run in runs])
+    if pairs is not None and pairs.statistics is not None:
+        text = f"{1e3 * pairs.statistics.rmse:.2f} ({100 * (pairs.interval_coverage or 0.0):.0f})"
+        off_m = np.abs(pairs.estimate_m - pairs.truth_m)
+        known = np.isfinite(pairs.std_m)
+        far = 100 * np.mean(off_m[known] > FAR_STDS * pairs.std_m[known]) if known.any() else 0.0
         text += f", {far:.0f}% far off" if far >= 0.5 else ""
     return text + (f" [{100 * missing:.0f}%]" if missing >= 0.015 else "")
 

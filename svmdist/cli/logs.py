@@ -97,8 +97,8 @@ def group_name(metadata: dict[str, str], keys: Sequence[str]) -> str:
 class Run(Generic[Result]):
     """What a job makes of the logs of a command: `outcomes` are known when the rows are at their end.
 
-    The arguments are those of `Job`. With a `unit`, `measure` is given `steps`, which are shown. With `keeps`, it gives
-    its argument `keep` what pictures and pages are made of. By `keys` of their metadata logs are grouped.
+    The arguments are those of `Job`. With a `unit`, the progress of `measure` is shown. With `keeps`, it gives its
+    argument `keep` what pictures and pages are made of. By `keys` of their metadata logs are grouped.
     """
 
     given: LogOptions
@@ -166,14 +166,14 @@ class Run(Generic[Result]):
     def _measured(self, log: LogFile) -> Generator[Row, None, Outcome[Result]]:
         """Measure a log in this process, with progress."""
         from svmdist.workflows.batch import measured
-        from svmdist.workflows.parallel import Steps, usable_cores
+        from svmdist.workflows.parallel import usable_cores
 
         threads = self.given.jobs or usable_cores()
         more: dict[str, Any] = {"keep": self._kept.append} if self.keeps else {}
         if not self.unit:  # it shows progress by itself
             return (yield from measured(self._job, log, threads, **more))
         with progress_bar(self.title, self.unit) as advance:
-            return (yield from measured(self._job, log, threads, **more, steps=Steps(advance)))
+            return (yield from measured(self._job, log, threads, **more, on_progress=advance))
 
     def finish(self) -> list[Result]:
         """Measure the logs with a job that has no rows: its results."""

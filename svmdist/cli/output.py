@@ -123,7 +123,7 @@ def steps(title: str, unit: str, count: int | None, each: int = 1) -> Iterator[S
     from svmdist.workflows.parallel import Steps
 
     with progress_bar(title, unit) as advance:
-        yield Steps(advance, count and count * each)
+        yield Steps(advance, count, each)
 
 
 def _how_far(done: int, total: int | None, unit: str, seconds: float) -> str:

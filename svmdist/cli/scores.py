@@ -247,17 +247,15 @@ class BlurBench(ScoreOptions):
 
     def _run(self) -> ExitCode:
         from svmdist.report.scores import blur_results
-        from svmdist.vision.degradations import Blur
-        from svmdist.workflows.blur_bench import BlurTally, blur_rows, blur_tallies
+        from svmdist.workflows.blur_bench import BlurTally, blur_tallies
         from svmdist.workflows.request import Request, prepare
 
         writer = self.writer(self.paths, Holds.FIGURES)
         kernels_px = self._kernels_px()
         setup = prepare(self.profile, calibration=self.calibration, hand_eye=self.hand_eye)
         request = Request(setup, self.topics, self.window)
-        run = Run(self, blur_tallies, request, dict[Blur, BlurTally], "Table I", "images", (kernels_px,))
-        tallies = run.finish()
-        output.write_results(blur_results(blur_rows(tallies, kernels_px), len(tallies)), writer, self.output)
+        run = Run(self, blur_tallies, request, list[BlurTally], "Table I", "images", (kernels_px,))
+        output.write_results(blur_results(run.finish()), writer, self.output)
         return run.exit_code()
 
     def _kernels_px(self) -> dict[Blur, int]:

@@ -26,7 +26,7 @@ from svmdist.results import Z_95
 from svmdist.workflows.compare import ALL, Group, MethodScore
 from svmdist.workflows.scoring.metric_table import figure_metrics
 from svmdist.workflows.scoring.references import Reference
-from svmdist.workflows.scoring.scores import DistanceScore, Score
+from svmdist.workflows.scoring.scores import Pairs, Score
 from svmdist.workflows.scoring.series import Series
 from svmdist.workflows.validate import Validation
 
@@ -185,7 +185,7 @@ def draw(validation: Validation) -> Figure:
 def _draw_score(upper: Axes, lower: Axes, score: Score, alarms: AlarmRules | None) -> None:
     known = {"clearance": score.clearance, "spatial distance": score.spatial}
     distance, in_3d = next(((name, found) for name, found in known.items() if found), ("distance", None))
-    pairs = in_3d.pairs if in_3d else score.pairs
+    pairs = in_3d or score.pairs
     seconds = (pairs.stamps_ns - score.start_ns) / 1e9
     truth_mm, estimate_mm = pairs.truth_m * 1e3, pairs.estimate_m * 1e3
     half_mm = Z_95 * pairs.std_m * 1e3
@@ -203,7 +203,7 @@ def _draw_score(upper: Axes, lower: Axes, score: Score, alarms: AlarmRules | Non
     lower.tick_params(labelsize=7)
 
 
-def _title(score: Score, distance: str, in_3d: DistanceScore | None) -> str:
+def _title(score: Score, distance: str, in_3d: Pairs | None) -> str:
     name = f"{plain_name(score.recording)}: {plain_name(score.method)}"
     if (found := in_3d.statistics if in_3d else score.statistics) is None:
         return f"{name}\nnothing measured"

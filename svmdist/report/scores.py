@@ -14,6 +14,7 @@ from svmdist.estimation.methods import PLANAR_METHODS
 from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Column, Interval, Unit, coverage, finite, row_of
 from svmdist.report.tables import Row, Table, counted
 from svmdist.report.writers import Results
+from svmdist.workflows.blur_bench import BlurTally, pooled_tallies
 from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.scoring import metric_table
 from svmdist.workflows.scoring.metric_table import Metric, Output, of_part, within
@@ -214,24 +215,25 @@ def _figures_shown(rows: Sequence[Row], with_tool: bool, paired: bool) -> list[C
 BLUR_COLUMNS = (
     Column("blur", TEXT, "blur"),
     Column("kernel_px", COUNT, "kernel [px]"),
-    Column("keypoint_count", Unit(digits=1), "features, alone"),
-    Column("contour_area_px", Unit("px²", digits=0), "area [px²]"),
-    Column("marker_keypoint_count", Unit(digits=0), "features, marker"),
-    Column("match_count", Unit(digits=0), "matches"),
-    Column("inlier_count", Unit(digits=0), "inliers"),
-    Column("coverage", SHARE, "coverage [%]"),
-    Column("rmse_m", Unit("m", 1e3, 3), "RMSE [mm]"),
-    Column("frame_count"),
-    Column("paper_keypoint_count", COUNT, "paper"),
-    Column("paper_contour_area_px", COUNT, "paper"),
+    Column("keypoint_count", Unit(digits=1), "features, alone", "means.0"),
+    Column("contour_area_px", Unit("px²", digits=0), "area [px²]", "means.1"),
+    Column("marker_keypoint_count", Unit(digits=0), "features, marker", "means.2"),
+    Column("match_count", Unit(digits=0), "matches", "means.3"),
+    Column("inlier_count", Unit(digits=0), "inliers", "means.4"),
+    Column("coverage", SHARE, "coverage [%]", "figures.coverage"),
+    Column("rmse_m", Unit("m", 1e3, 3), "RMSE [mm]", "figures.planar.statistics.rmse"),
+    Column("frame_count", of="figures.frame_count"),
+    Column("paper_keypoint_count", COUNT, "paper", "published.0"),
+    Column("paper_contour_area_px", COUNT, "paper", "published.1"),
 )
 
 
-def blur_results(rows: Sequence[Row], recording_count: int) -> Results:
-    """The blur bench: Table I of the paper beside ours."""
+def blur_results(parts: Sequence[Sequence[BlurTally]]) -> Results:
+    """The blur bench over several recordings: Table I of the paper beside ours."""
+    rows = [row_of(BLUR_COLUMNS, tally) for tally in pooled_tallies(parts)]
     (*ours, _, paper_keypoints, paper_area) = BLUR_COLUMNS
     shown = [*ours[:3], paper_keypoints, ours[3], paper_area, *ours[4:]]
-    title = f"{rows[0]['frame_count']} frames of {counted(recording_count, 'recording')}"
+    title = f"{rows[0]['frame_count']} frames of {counted(len(parts), 'recording')}"
     return Results(BLUR_COLUMNS, rows, tables=[Table.of(title, shown, rows)], notes=[BLUR_NOTE])
 
 

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from svmdist.errors import RecordingError
-from svmdist.estimation.frame import Frame
 from svmdist.recording.log import Recording
-from svmdist.results import FrameResult
 from svmdist.vision.colour import to_grey
 from svmdist.vision.degradations import Blur
 from svmdist.vision.marker import EDGE_MARGIN_PX, detect_orb, paste_marker
-from svmdist.workflows.parallel import Steps
-from svmdist.workflows.replay import replay
+from svmdist.workflows.parallel import Progress, Steps
+from svmdist.workflows.replay import Replayed, replay
 from svmdist.workflows.request import Condition, Request
 from svmdist.workflows.scoring.references import Truth
 from svmdist.workflows.scoring.scores import Figures, Readings, figures_of, pooled_figures
@@ -30,9 +28,6 @@ DEFAULT_KERNELS_PX: Mapping[Blur, int] = {
 }
 """The paper states no kernels. These are the smallest usual ones: an instrument region is some 15 px across."""
 
-
-MEANS = ("keypoint_count", "contour_area_px", "marker_keypoint_count", "match_count", "inlier_count")
-"""What is counted in each frame: features and area of the instrument alone come first, as in Table I."""
 TABLE_I: Mapping[Blur, tuple[int, int]] = {
     Blur.EROSION: (7, 221),
     Blur.DILATION: (2, 219),
@@ -43,12 +38,29 @@ TABLE_I: Mapping[Blur, tuple[int, int]] = {
 """The paper's Table I as published: features, and the contour's area in px."""
 
 
+Counts = tuple[int | None, int | None, int | None, int | None, int | None]
+"""Keypoints and area in px of the instrument alone; keypoints in the marker's window, matches and inliers."""
+
+
 @dataclass(frozen=True)
 class BlurTally:
-    """What one blur did to the frames of a log: its figures, and the counts of each frame by the names in `MEANS`."""
+    """What one blur did to the frames of a log, or of several: figures, and the counts of each frame."""
 
+    blur: Blur
+    kernel_px: int
     figures: Figures
-    counts: dict[str, list[int]]
+    counts: list[Counts]
+
+    @property
+    def means(self) -> list[float | None]:
+        """The mean of each count over the frames that have it; None where none has."""
+        known = [[count for count in of if count is not None] for of in zip(*self.counts, strict=True)]
+        return [float(np.mean(of)) if of else None for of in known]
+
+    @property
+    def published(self) -> tuple[int, int] | None:
+        """The row of the paper's Table I; None where it has none."""
+        return TABLE_I.get(self.blur)
 
 
 def blur_tallies(
@@ -56,69 +68,50 @@ def blur_tallies(
     request: Request,
     jobs: int | None,
     kernels_px: Mapping[Blur, int],
-    steps: Steps | None = None,
-) -> dict[Blur, BlurTally]:
+    on_progress: Progress | None = None,
+) -> list[BlurTally]:
     """Degrade each frame by every blur, paste the marker behind it, measure and count; an image is a step."""
-    counts: dict[Blur, dict[str, list[int]]] = {blur: {name: [] for name in MEANS} for blur in kernels_px}
     readings = {blur: Readings() for blur in kernels_px}
+    counts: dict[Blur, list[Counts]] = {blur: [] for blur in kernels_px}
     conditions = [Condition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]
-    steps = steps or Steps()
-    steps.total, first = recording.image_count(), recording.instruments[:1]
+    steps, first = Steps(on_progress, recording.image_count()), recording.instruments[:1]
     for replayed in steps.of(replay(recording, [request.setup], conditions, wanted=first, jobs=jobs)):
         for blur, lane in zip(kernels_px, replayed, strict=True):
-            (result,) = lane.results
-            readings[blur].add(result)
-            for frame in lane.frames:
-                _count(frame, result, counts[blur])
-    track = recording.distance_track()
-    return {
-        blur: BlurTally(figures_of(rows, Truth(track.at(rows.stamps_ns).values)), counts[blur])
-        for blur, rows in readings.items()
-    }
+            readings[blur].add(lane.results[0])
+            counts[blur].append(_counts(lane))
+    track, tallies = recording.distance_track(), []
+    for blur, rows in readings.items():
+        figures = figures_of(rows, Truth(track.at(rows.stamps_ns).values))
+        tallies.append(BlurTally(blur, kernels_px[blur], figures, counts[blur]))
+    return tallies
 
 
-def blur_rows(
-    parts: Sequence[Mapping[Blur, BlurTally]], kernels_px: Mapping[Blur, int]
-) -> list[dict[str, str | float | None]]:
-    """A row a blur, over all recordings, by its columns; RecordingError where there is no image."""
-    rows: list[dict[str, str | float | None]] = []
-    for blur, kernel_px in kernels_px.items():
-        tallies = [part[blur] for part in parts]
-        figures = pooled_figures([tally.figures for tally in tallies])
+def pooled_tallies(parts: Sequence[Sequence[BlurTally]]) -> list[BlurTally]:
+    """The tallies of several recordings together, by blur; RecordingError where there is no image."""
+    pooled = []
+    for of_blur in zip(*parts, strict=True):
+        figures = pooled_figures([one.figures for one in of_blur])
         if not figures.frame_count:
             raise RecordingError("there is no image to measure in these recordings")
-        counts = {name: [count for tally in tallies for count in tally.counts[name]] for name in MEANS}
-        paper_count, paper_area_px = TABLE_I.get(blur, (None, None))
-        rows.append(
-            {
-                "blur": blur,
-                "kernel_px": kernel_px,
-                **{name: float(np.mean(of)) if of else None for name, of in counts.items()},
-                "coverage": figures.coverage,
-                "rmse_m": figures.planar.statistics.rmse if figures.planar else None,
-                "frame_count": figures.frame_count,
-                "paper_keypoint_count": paper_count,
-                "paper_contour_area_px": paper_area_px,
-            }
-        )
-    return rows
+        counts = [frame for one in of_blur for frame in one.counts]
+        pooled.append(replace(of_blur[0], figures=figures, counts=counts))
+    return pooled
 
 
-def _count(frame: Frame, result: FrameResult, values: dict[str, list[int]]) -> None:
-    profile, context = frame.arm.profile, frame.left.context
-    _, instrument = frame.left.regions_as_recorded
+def _counts(lane: Replayed) -> Counts:
+    """The counts of one image; None of one that could not be read, or without an instrument."""
+    instrument = lane.frames[0].left.regions_as_recorded[1] if lane.frames else None
     if instrument is None:
-        return
+        return (None,) * 5
+    (frame,), (result,) = lane.frames, lane.results
+    profile, context = frame.arm.profile, frame.left.context
     size_px, feature_count = profile.marker.size_px, profile.features.feature_count
     marked_bgr, _ = paste_marker(context.bgr_as_recorded, instrument.centroid_px, size_px, EDGE_MARGIN_PX)
     points_px = detect_orb(to_grey(marked_bgr), feature_count).points_px - EDGE_MARGIN_PX
-    counts = (
+    return (
         len(detect_orb(context.grey, feature_count, frame.left.masks_as_recorded.instrument)),
         instrument.area_px,
-        np.count_nonzero(np.all((points_px >= 0) & (points_px < size_px), axis=1)),
+        int(np.count_nonzero(np.all((points_px >= 0) & (points_px < size_px), axis=1))),
         result.image.match_count,
         result.image.inlier_count,
     )
-    for name, count in zip(MEANS, counts, strict=True):
-        if count is not None:
-            values[name].append(int(count))

@@ -43,11 +43,11 @@ class CalibrationPart:
 
 
 def collect_part(
-    recording: Recording, request: Request, jobs: int | None = None, steps: Steps | None = None
+    recording: Recording, request: Request, jobs: int | None = None, on_progress: Progress | None = None
 ) -> CalibrationPart:
     """Pairs of tool pixel and true position in the camera's plane; RecordingError where the log has no true pose."""
-    setup, steps = replace(request.setup, mapping=plane_mapping.PUBLISHED_MAPPING), steps or Steps()
-    steps.total, frames = recording.image_count(), setup.profile.frames
+    setup = replace(request.setup, mapping=plane_mapping.PUBLISHED_MAPPING)
+    steps, frames = Steps(on_progress, recording.image_count()), setup.profile.frames
     rows = steps.of(estimate(recording, setup, recording.instruments[:1], jobs))
     results = [result for result in rows if result.measured]
     stamps_ns = np.array([result.stamp_ns for result in results], np.int64)
@@ -126,8 +126,7 @@ def hand_eye(
     own = recording.for_instrument(instrument)
     against = against or _default_reference(own, profile)
     twice = against == "kinematics" and setup.method != "fiducial"
-    count = recording.image_count()
-    steps = Steps(on_progress, count and count * (1 + twice))
+    steps = Steps(on_progress, recording.image_count(), 1 + twice)
 
     def fit_to(log: Recording) -> HandEyeResult | Failure:
         lanes = steps.of(replay(log, [setup], wanted=[instrument], jobs=jobs))

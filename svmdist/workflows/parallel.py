@@ -253,11 +253,14 @@ def _quiet_start() -> Iterator[None]:
 
 
 class Steps:
-    """Counts what is done, in all passes over all recordings, and reports it."""
+    """Counts what is done, in all passes over all images, and reports it.
 
-    def __init__(self, on_progress: Progress | None = None, total: int | None = None) -> None:
-        self.total = total
+    There are `count` images, where that is known, with `each` so many steps.
+    """
+
+    def __init__(self, on_progress: Progress | None, count: int | None, each: int = 1) -> None:
         self._on_progress = on_progress
+        self._total = count and count * each
         self._done = 0
 
     def of(self, items: Iterable[Item]) -> Iterator[Item]:
@@ -270,4 +273,4 @@ class Steps:
         """Count one step."""
         self._done += 1
         if self._on_progress is not None:
-            self._on_progress(self._done, self.total)
+            self._on_progress(self._done, self._total)

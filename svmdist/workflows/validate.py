@@ -22,7 +22,7 @@ from svmdist.results import FrameResult
 from svmdist.workflows.capabilities import require_clearance
 from svmdist.workflows.ending import Ending
 from svmdist.workflows.estimate import Keep, Measured, given_lag, recording_lag, with_lag
-from svmdist.workflows.parallel import Steps
+from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Request
 from svmdist.workflows.scoring.given import Given
@@ -119,17 +119,16 @@ def score_recording(
     recording: Recording,
     request: Request,
     jobs: int | None = None,
-    steps: Steps | None = None,
+    on_progress: Progress | None = None,
     keep: Keep | None = None,
 ) -> Scored:
     """Score every wanted instrument. Scores are named after the recording, and after any instrument but the first."""
-    steps, count = steps or Steps(), recording.image_count()
     setup, rules, lag = request.setup, request.rules, request.lag
     notes = setup.degeneracies(recording.camera)
     planar = setup.is_planar  # it needs no joints, and its own rows show the lag
     # A row of each instrument, and one step more where the lag is estimated first.
     each = len(request.instruments or recording.instruments) + (lag == "auto" and not planar)
-    steps.total = count and count * each
+    steps = Steps(on_progress, recording.image_count(), each)
     read, found = (recording, given_lag(lag)) if planar else with_lag(recording, request, jobs, steps.advance)
     wanted = rules.of(recording)
     every, by = _measured(read, request, [one for one in wanted if one in BY_POSES], jobs, steps)

@@ -16,7 +16,7 @@ from svmdist.report.charts import pooled
 from svmdist.report.plots import COLUMN_IN, PAGE_IN, draw, draw_compare, draw_series, save_figure
 from svmdist.workflows.compare import ALL, Group, MethodScore
 from svmdist.workflows.scoring.references import Reference
-from svmdist.workflows.scoring.scores import DistanceScore, Figures, Pairs, score_pairs
+from svmdist.workflows.scoring.scores import Figures, Pairs
 from svmdist.workflows.validate import Validation
 from tests.report.test_html import make_series
 from tests.report.test_scores import score, validation
@@ -83,11 +83,10 @@ def test_curves_are_broken_where_frames_are_missing():
 def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval():
     """Clearance before spatial distance before the planar one; the band is 1.96 deviations wide on either side."""
     planar = score()
-    stated = replace(
+    spatial = replace(
         planar.pairs, std_m=np.full(len(planar.pairs), 1e-3), truth_m=planar.pairs.truth_m - 0.02
     )
-    spatial = score_pairs(stated)
-    clearance = score_pairs(replace(stated, estimate_m=stated.estimate_m - 0.02))
+    clearance = replace(spatial, estimate_m=spatial.estimate_m - 0.02)
     for made, name, thresholds in (
         (replace(planar, spatial=spatial, clearance=clearance), "clearance", [5.0]),
         (replace(planar, spatial=spatial), "spatial distance", []),
@@ -124,8 +123,7 @@ def test_agreement_calibration_and_residuals():
 def figures(error_mm: float, measured: int = 20, std_mm: float = np.nan, *, in_3d: bool = False) -> Figures:
     """The figures of a method with a constant error."""
     truth_m = np.linspace(0.01, 0.05, 20)
-    one = score_pairs(Pairs(np.arange(20), truth_m + error_mm * 1e-3, truth_m, np.full(20, std_mm * 1e-3)))
-    assert isinstance(one, DistanceScore)
+    one = Pairs(np.arange(20), truth_m + error_mm * 1e-3, truth_m, np.full(20, std_mm * 1e-3))
     return Figures(20, measured, 0.1, one, one if in_3d else None, one if in_3d else None)
 
 

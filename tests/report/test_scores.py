@@ -19,7 +19,7 @@ from svmdist.report.scores import (
 from svmdist.report.tables import csv_lines, keys_of, render
 from svmdist.workflows.compare import Group, MethodScore
 from svmdist.workflows.scoring.references import Reference
-from svmdist.workflows.scoring.scores import Figures, Pairs, Score, score_pairs
+from svmdist.workflows.scoring.scores import Figures, Pairs, Score
 from svmdist.workflows.validate import Validation
 
 START_NS = 1_700_000_000_000_000_000
@@ -42,7 +42,7 @@ def score(
     rejected = {"no_instrument": 9, "no_tissue": 1}
     return Score(
         *(count + 12, count + 2),
-        planar=score_pairs(pairs),
+        planar=pairs or None,
         recording=name,
         method="overlay",
         equations="corrected",
@@ -126,7 +126,7 @@ def test_the_table_shows_r_squared_with_rmse_sigma_and_n():
 def test_a_comparison_names_each_distance_once():
     """In SI in rows and in mm in tables; the distance over its first column, the method's time last, – for nothing."""
     truth_m = np.linspace(0.01, 0.02, 10)
-    half_mm = score_pairs(Pairs(np.arange(10), truth_m + 5e-4, truth_m, np.full(10, np.nan)))
+    half_mm = Pairs(np.arange(10), truth_m + 5e-4, truth_m, np.full(10, np.nan))
     figures = Figures(20, 10, 0.068, half_mm, None, half_mm)
     results = compare_results([MethodScore(Group("sweep"), "fused", figures)])
     (row,), (table,) = results.rows, results.tables  # type: ignore[misc]

@@ -107,7 +107,7 @@ def figures(run: MethodScore) -> tuple[object, ...]:
     """What a run says, without its time: whose it is, and every pair of estimate and truth."""
     of = run.figures
     pairs = [
-        score and (score.pairs.estimate_m.tobytes(), score.pairs.truth_m.tobytes(), score.statistics.rmse)
+        score and (score.estimate_m.tobytes(), score.truth_m.tobytes(), score.statistics.rmse)
         for score in (of.planar, of.spatial, of.clearance)
     ]
     return (run.group, run.method, run.instrument, of.frame_count, of.measured_count, *pairs)

@@ -18,7 +18,7 @@ from svmdist.workflows.compare import Group, MethodScore
 from svmdist.workflows.scoring import metric_table
 from svmdist.workflows.scoring.metric_table import EVERYWHERE, IN_3D, LENGTH, Better, Metric, Tolerance
 from svmdist.workflows.scoring.references import Reference
-from svmdist.workflows.scoring.scores import Figures, Pairs, Score, score_pairs
+from svmdist.workflows.scoring.scores import Figures, Pairs, Score
 from svmdist.workflows.validate import StoredScore, Validation, load_baseline, save_baseline
 
 SCORE_COLUMNS = """
@@ -49,9 +49,8 @@ def pairs(error_m: float = 1e-3) -> Pairs:
 
 def validation(error_m: float = 1e-3) -> Validation:
     """A validation with a score in 3D and alarms."""
-    planar, rules = pairs(error_m), AlarmRules(0.02)
-    distance = score_pairs(planar)
-    alarms = alarm_statistics(planar.stamps_ns / 1e9, planar.estimate_m < 0.02, planar.truth_m, 0.02)
+    distance, rules = pairs(error_m), AlarmRules(0.02)
+    alarms = alarm_statistics(distance.stamps_ns / 1e9, distance.estimate_m < 0.02, distance.truth_m, 0.02)
     score = Score(
         *(20, 20),
         recording="a",
@@ -83,7 +82,7 @@ def added(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
         "p99_abs_error_m",
         LENGTH,
         "p99",
-        lambda d: float(np.percentile(np.abs(d.pairs.estimate_m - d.pairs.truth_m), 99)),
+        lambda d: float(np.percentile(np.abs(d.estimate_m - d.truth_m), 99)),
         "99th percentile of the absolute error.",
         better=Better.LOWER,
         outputs=EVERYWHERE,
@@ -117,7 +116,7 @@ def test_a_new_metric_is_declared_once(added):
     assert f"|`{keys[0]}`, `{keys[1]}`, `{keys[2]}`|1e-05 m|" in metrics_page(
         (DOCS / "metrics.md").read_text("utf-8")
     )
-    distance = score_pairs(pairs())
+    distance = pairs()
     figures = Figures(20, 20, 3.0, distance, distance, distance)
     compared = scores.compare_results([MethodScore(Group("sweep"), "fused", figures)])
     stored = keys_of(compared.columns)

@@ -49,8 +49,8 @@ def test_no_rows_make_no_pairs():
     """Without rows there are arrays of length 0, and no score."""
     pairs = scores.Readings().pairs("spatial", Truth(np.empty((0, 3))))
     assert len(pairs) == 0
-    assert scores.score_pairs(pairs) is None
-    assert scores.pooled_score([None, scores.score_pairs(pairs)]) is None
+    assert pairs.statistics is None
+    assert scores.pooled_pairs([None, pairs]) is None
 
 
 def test_pooling_counts_every_pair_the_same():
@@ -61,10 +61,10 @@ def test_pooling_counts_every_pair_the_same():
         return scores.Pairs(np.arange(count), truth_m + error_m, truth_m, np.full(count, 0.1))
 
     parts = [off_by(0.3, 1), off_by(0.0, 3)]
-    together = scores.pooled_score([scores.score_pairs(part) for part in parts])
+    together = scores.pooled_pairs(parts)
     assert together.statistics.bias == pytest.approx(0.3 / 4)
     assert together.interval_coverage == 0.75  # 0.3 lies outside ±1.96 x 0.1
-    assert len(together.pairs) == 4
+    assert len(together) == 4
 
 
 STAMPS_NS = np.array([0, 1, 2, 3, 4], np.int64) * 1_000_000_000

@@ -15,7 +15,7 @@ from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import Status
 from svmdist.workflows.request import Request, prepare
 from svmdist.workflows.scoring.references import Reference, TruthRules
-from svmdist.workflows.scoring.scores import Score, pool_scores, score_pairs, score_rows
+from svmdist.workflows.scoring.scores import Score, pool_scores, score_rows
 from svmdist.workflows.validate import (
     Validation,
     find_regressions,
@@ -111,7 +111,7 @@ def test_overall_figures_do_not_depend_on_the_order_of_the_files(recording):
     several = []
     for name, std_m in (("b", 1e-3), ("c", 3e-3), ("a", 1e-4)):
         estimate_m = score.pairs.truth_m + rng.normal(0.0, std_m, len(score.pairs))
-        planar = score_pairs(replace(score.pairs, estimate_m=estimate_m))
+        planar = replace(score.pairs, estimate_m=estimate_m)
         several.append(replace(score, recording=name, planar=planar))
     first, *others = (pool_scores([several[n] for n in order]) for order in ((0, 1, 2), (2, 1, 0), (1, 0, 2)))
     assert first.intervals.rmse.low < first.intervals.rmse.high

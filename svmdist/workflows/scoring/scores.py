@@ -6,7 +6,7 @@ import math
 from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
@@ -38,7 +38,7 @@ SCORED = (*DISTANCES, "tool", "rotation")
 NUMBERS = 16  # of a row: its pixel, distances with deviations, the tool's deviation, position and quaternion
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Pairs:
     """Measured frames with a reference, shape (n,) each: stamps, and estimate, truth and deviation (or NaN) in m."""
 
@@ -50,24 +50,30 @@ class Pairs:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
+    def __repr__(self) -> str:
+        """The figures, not the numbers."""
+        return f"Pairs({self.statistics}, interval_coverage={self.interval_coverage})"
 
-NO_PAIRS = Pairs(np.empty(0, np.int64), *(np.empty(0) for _ in range(3)))
+    @cached_property
+    def statistics(self) -> metrics.ErrorStatistics | None:
+        """The error figures in m; None for no pairs."""
+        return metrics.error_statistics(self.estimate_m, self.truth_m)
 
-
-@dataclass(frozen=True, slots=True)
-class DistanceScore:
-    """Error figures of a distance in m, and the share of truths inside the 95 % interval (None without intervals)."""
-
-    statistics: metrics.ErrorStatistics
-    interval_coverage: float | None
-    pairs: Pairs = field(repr=False)
+    @cached_property
+    def interval_coverage(self) -> float | None:
+        """The share of truths inside the 95 % interval; None without intervals."""
+        known = np.isfinite(self.std_m)
+        return metrics.interval_coverage(self.estimate_m[known], self.truth_m[known], self.std_m[known])
 
     @property
     def normalized_rmse(self) -> float | None:
         """The root of the mean squared error over its standard deviation; None without any."""
-        known = np.isfinite(self.pairs.std_m) & (self.pairs.std_m > 0.0)
-        errors = (self.pairs.estimate_m - self.pairs.truth_m)[known] / self.pairs.std_m[known]
+        known = np.isfinite(self.std_m) & (self.std_m > 0.0)
+        errors = (self.estimate_m - self.truth_m)[known] / self.std_m[known]
         return float(np.sqrt(np.mean(errors**2))) if known.any() else None
+
+
+NO_PAIRS = Pairs(np.empty(0, np.int64), *(np.empty(0) for _ in range(3)))
 
 
 class Readings:
@@ -155,18 +161,11 @@ class Readings:
         return Pairs(at_ns[kept], estimate[kept], true[kept], std[kept])
 
 
-def score_pairs(pairs: Pairs) -> DistanceScore | None:
-    """The figures of pairs; None for no pairs."""
-    statistics, known = metrics.error_statistics(pairs.estimate_m, pairs.truth_m), np.isfinite(pairs.std_m)
-    held = metrics.interval_coverage(pairs.estimate_m[known], pairs.truth_m[known], pairs.std_m[known])
-    return DistanceScore(statistics, held, pairs) if statistics else None
-
-
-def pooled_score(parts: Sequence[DistanceScore | None]) -> DistanceScore | None:
-    """The figures of several recordings together; None where none has any."""
-    known = [part.pairs for part in parts if part]
+def pooled_pairs(parts: Sequence[Pairs | None]) -> Pairs | None:
+    """The pairs of several recordings together; None where none has any."""
+    known = [pairs for pairs in parts if pairs]
     columns = ([getattr(pairs, column.name) for pairs in known] for column in fields(Pairs))
-    return score_pairs(Pairs(*map(np.concatenate, columns))) if known else None
+    return Pairs(*map(np.concatenate, columns)) if known else None
 
 
 def score_alarms(
@@ -197,11 +196,11 @@ class Figures:
     frame_count: int
     measured_count: int
     seconds: float = math.nan
-    planar: DistanceScore | None = None
-    spatial: DistanceScore | None = None
-    clearance: DistanceScore | None = None
-    tool: DistanceScore | None = None
-    rotation: DistanceScore | None = None
+    planar: Pairs | None = None
+    spatial: Pairs | None = None
+    clearance: Pairs | None = None
+    tool: Pairs | None = None
+    rotation: Pairs | None = None
 
     @property
     def coverage(self) -> float:
@@ -225,9 +224,8 @@ def figures_of(
     unmeasured = rows.rejected.total()
     if other is not None:
         unmeasured = int(np.count_nonzero(rows.is_rejected | other.is_rejected))
-    pairs = (None if truth is None else rows.pairs(name, truth, stamps_ns, other) for name in SCORED)
-    scores = (None if of is None else score_pairs(of) for of in pairs)
-    return Figures(len(rows), len(rows) - unmeasured, seconds, *scores)
+    pairs = (None if truth is None else rows.pairs(name, truth, stamps_ns, other) or None for name in SCORED)
+    return Figures(len(rows), len(rows) - unmeasured, seconds, *pairs)
 
 
 def pooled_figures(figures: Sequence[Figures]) -> Figures:
@@ -236,7 +234,7 @@ def pooled_figures(figures: Sequence[Figures]) -> Figures:
         sum(one.frame_count for one in figures),
         sum(one.measured_count for one in figures),
         sum(one.seconds for one in figures),
-        *(pooled_score([getattr(one, name) for one in figures]) for name in SCORED),
+        *(pooled_pairs([getattr(one, name) for one in figures]) for name in SCORED),
     )
 
 
@@ -265,12 +263,12 @@ class Score(Figures):
     @property
     def pairs(self) -> Pairs:
         """Those of the planar distance."""
-        return self.planar.pairs if self.planar else NO_PAIRS
+        return self.planar or NO_PAIRS
 
     @property
     def statistics(self) -> metrics.ErrorStatistics | None:
         """The error figures of the planar distance, in m."""
-        return self.planar.statistics if self.planar else None
+        return self.pairs.statistics
 
     @cached_property
     def intervals(self) -> metrics.Intervals:
@@ -322,7 +320,7 @@ def score_rows(
     is_truth = reference is references.Reference.GROUND_TRUTH
     unshifted = figures.planar
     if lag_ns:
-        unshifted = score_pairs(readings.pairs("planar", truth_of(readings.stamps_ns)))
+        unshifted = readings.pairs("planar", truth_of(readings.stamps_ns))
     return Score(
         **vars(figures),
         recording=recording.name,
