@@ -155,9 +155,8 @@ def estimate(
         recording = replace(recording, window=Window(start_s, end_s, every))
     setup = _setup(recording, method, calibration)
     names = None if instruments is None else tuple(instruments)
-    read, _ = with_lag(recording, Request(setup, instruments=names, lag=lag), jobs)
-    results = tuple(_estimate(read, setup, names, jobs, alarms=alarms))
-    return Estimates(recording, setup, results, alarms)
+    read, _ = with_lag(replace(recording, wanted=names), Request(setup, lag=lag), jobs)
+    return Estimates(recording, setup, tuple(_estimate(read, setup, jobs, alarms=alarms)), alarms)
 
 
 def validate(

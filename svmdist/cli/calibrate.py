@@ -117,7 +117,7 @@ class HandEye(options.TopicOption, options.InstrumentOption, options.LagOption, 
             recording = request.open(file, file.stem)
             seen = corrected(recording, request, self.jobs)
             results = []
-            for name in request.instruments or recording.instruments:
+            for name in recording.measured:
                 with output.progress_bar(f"{method} finds {name}", "images") as advance:
                     found = hand_eye(seen, setup, name, self.against, self.jobs, advance)
                 if isinstance(found, Failure):

@@ -194,7 +194,7 @@ def draw_log(
     seen = corrected(recording, request, threads)
 
     def counted() -> Iterator[DrawnFrame]:
-        for frame in drawn_frames(seen, setup, request.instruments, threads, alarms=request.alarms):
+        for frame in drawn_frames(seen, setup, threads, alarms=request.alarms):
             for row in frame.replayed.results:
                 ending.add(row)
             yield frame
@@ -215,10 +215,9 @@ def measure_rows(
 
     setup = request.setup
     seen = corrected(recording, request, threads)
-    wanted = request.instruments or recording.instruments
     ending, kept = Ending(), []
-    rows = estimate(seen, setup, request.instruments, threads, rest=keep is not None, alarms=request.alarms)
-    with output.steps("measuring", "rows", recording.image_count(), len(wanted)) as steps:
+    rows = estimate(seen, setup, threads, rest=keep is not None, alarms=request.alarms)
+    with output.steps("measuring", "rows", seen.image_count(), len(seen.measured)) as steps:
         for row in steps.of(rows):
             ending.add(row)
             if keep is not None:

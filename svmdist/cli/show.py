@@ -123,7 +123,7 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
         from svmdist.report.panels import masks_picture, phases_picture
         from svmdist.workflows.frame_drawing import drawn_frames
 
-        setup, given = request.setup, (request.instruments, self.jobs, numbers)
+        setup, given = request.setup, (self.jobs, numbers)
         with output.steps(f"drawing {log.name}", "images", max(numbers) + 1) as steps:
             for shown in drawn_frames(log, setup, *given, steps.advance):
                 where = f"{log.name}  frame {shown.number}"
@@ -152,10 +152,9 @@ def _worst(recording: Recording, request: Request, count: int, jobs: int | None)
     from svmdist.workflows.estimate import Measured, estimate
     from svmdist.workflows.scoring.series import series_of, worst_frames
 
-    instruments = request.instruments or recording.instruments
-    images = recording.image_count()
-    with output.steps(f"measuring {recording.name}", "rows", images, len(instruments)) as steps:
-        rows = list(steps.of(estimate(recording, request.setup, request.instruments, jobs)))
+    images, each = recording.image_count(), len(recording.measured)
+    with output.steps(f"measuring {recording.name}", "rows", images, each) as steps:
+        rows = list(steps.of(estimate(recording, request.setup, jobs)))
     worst = worst_frames(series_of([Measured(recording, recording, tuple(rows), None)], request), count)
     for one in worst:
         LOG.info("%s", one.in_words)

@@ -85,6 +85,7 @@ class Recording:
     """The known time offset of the images: joints, poses and transforms are read at their stamps; truth keeps its."""
     alias: str | None = None  # the name that it goes by; None for its file's
     window: obs.Window = obs.ALL_IMAGES  # which of its images are read; whatever else it has is read whole
+    wanted: tuple[str, ...] | None = None  # the instruments that are measured; None for all
 
     def __repr__(self) -> str:
         """Its name, what is measured in it, and its topics by role."""
@@ -100,7 +101,7 @@ class Recording:
 
     def for_instrument(self, name: str) -> Recording:
         """The same log as one of its instruments sees it; RecordingError lists those that there are."""
-        return replace(self, arms=(self._arm(name),))
+        return replace(self, arms=(self._arm(name),), wanted=None)
 
     def perturbed(self, perturbations: Perturbations) -> Recording:
         """The same log in a perturbed world, of other joints, stamps and cameras, drawn by the log's seed or 0."""
@@ -112,6 +113,13 @@ class Recording:
     def instruments(self) -> tuple[str, ...]:
         """The profile's own instrument, and the others that have a topic in the log."""
         return tuple(arm.name for arm in self.arms)
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """The instruments that are measured; the others are told apart from them. RecordingError for an unknown one."""
+        return (
+            self.instruments if self.wanted is None else tuple(self._arm(name).name for name in self.wanted)
+        )
 
     @cached_property
     def profile(self) -> Profile:

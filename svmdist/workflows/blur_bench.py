@@ -74,8 +74,9 @@ def blur_tallies(
     readings = {blur: Readings() for blur in kernels_px}
     counts: dict[Blur, list[Counts]] = {blur: [] for blur in kernels_px}
     conditions = [Condition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]
-    steps, first = Steps(on_progress, recording.image_count()), recording.instruments[:1]
-    for replayed in steps.of(replay(recording, [request.setup], conditions, wanted=first, jobs=jobs)):
+    steps = Steps(on_progress, recording.image_count())
+    recording = replace(recording, wanted=recording.instruments[:1])
+    for replayed in steps.of(replay(recording, [request.setup], conditions, jobs=jobs)):
         for blur, lane in zip(kernels_px, replayed, strict=True):
             readings[blur].add(lane.results[0])
             counts[blur].append(_counts(lane))

@@ -48,7 +48,8 @@ def collect_part(
     """Pairs of tool pixel and true position in the camera's plane; RecordingError where the log has no true pose."""
     setup = replace(request.setup, mapping=plane_mapping.PUBLISHED_MAPPING)
     steps, frames = Steps(on_progress, recording.image_count()), setup.profile.frames
-    rows = steps.of(estimate(recording, setup, recording.instruments[:1], jobs))
+    first = replace(recording, wanted=recording.instruments[:1])
+    rows = steps.of(estimate(first, setup, jobs))
     results = [result for result in rows if result.measured]
     stamps_ns = np.array([result.stamp_ns for result in results], np.int64)
     tool_px = np.array([result.image.tool_px for result in results], np.float64).reshape(-1, 2)
@@ -129,7 +130,7 @@ def hand_eye(
     steps = Steps(on_progress, recording.image_count(), 1 + twice)
 
     def fit_to(log: Recording) -> HandEyeResult | Failure:
-        lanes = steps.of(replay(log, [setup], wanted=[instrument], jobs=jobs))
+        lanes = steps.of(replay(log, [setup], jobs=jobs))
         rows = [replayed.results[0] for (replayed,) in lanes]
         seen = [row for row in rows if row.measured and row.tool is not None]
         found = _fit(seen, own, setup.method, profile, against)
@@ -138,7 +139,7 @@ def hand_eye(
             return Failure(found.reason + "".join(f"; {count} frames say: {why}" for why, count in said))
         return found
 
-    without = replace(recording, bases=dict.fromkeys(recording.instruments))
+    without = replace(recording, bases=dict.fromkeys(recording.instruments), wanted=(instrument,))
     found = fit_to(without)
     if isinstance(found, HandEyeResult) and twice:
         second = fit_to(replace(without, bases={**without.bases, instrument: found.fit.T_camera_base}))

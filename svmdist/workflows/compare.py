@@ -95,12 +95,12 @@ def measure_runs(
     known = [name for name, view in views.items() if view.topic_of(Role.GROUND_TRUTH_DISTANCE) is not None]
     if first not in known and len(setups) == 1:
         views[first].distance_track()  # raises
-    names = [name for name in views if name in known or first not in known]
+    names = tuple(name for name in views if name in known or first not in known)
     setups = [setup.for_log(recording) for setup in served_setups(recording, setups)]
     parts = _parts(setups, len(conditions), jobs)
     if jobs == 1 or parallel.is_worker():
         parts = [(range(len(conditions)), range(len(setups)))]
-    work = _Work(recording, names, conditions, setups, max(1, jobs // len(parts)))
+    work = _Work(replace(recording, wanted=names), conditions, setups, max(1, jobs // len(parts)))
     if len(parts) == 1:
         ended = [work.measure(parts[0], advance)]
     else:
@@ -140,10 +140,9 @@ def _parts(setups: Sequence[Setup], condition_count: int, jobs: int) -> list[Par
 
 @dataclass(frozen=True)
 class _Work:
-    """A recording, its instruments, and all that it is measured by, with so many threads."""
+    """A recording, and all that it is measured by, with so many threads."""
 
     recording: Recording
-    names: Sequence[str]
     conditions: Sequence[Condition]
     setups: Sequence[Setup]
     threads: int
@@ -162,9 +161,9 @@ class _Work:
         if world := conditions[0].world:  # it has a pass of its own
             read = self.recording.perturbed(world)
             setups = [setup.perturbed(world, read.world.seed) for setup in setups]
-        keys = [(place, of, name) for place in at for of in setups_at for name in self.names]
+        keys = [(place, of, name) for place in at for of in setups_at for name in read.measured]
         readings, seconds = {key: Readings() for key in keys}, dict.fromkeys(keys, 0.0)
-        for replayed in replay(read, setups, conditions, wanted=self.names, jobs=self.threads):
+        for replayed in replay(read, setups, conditions, jobs=self.threads):
             results = [pair for lane in replayed for pair in zip(lane.results, lane.seconds, strict=True)]
             for key, (result, spent_s) in zip(keys, results, strict=True):
                 readings[key].add(result)

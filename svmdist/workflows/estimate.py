@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,18 +43,17 @@ Keep = Callable[[Measured], None]
 def estimate(
     recording: Recording,
     setup: Setup,
-    wanted: Sequence[str] | None = None,
     jobs: int | None = None,
     *,
     rest: bool = True,
     alarms: AlarmRules | None = None,
 ) -> Iterator[FrameResult]:
-    """Give one result per image and instrument, in order, holding a few frames at a time.
+    """Give one result per image and wanted instrument, in order, holding a few frames at a time.
 
-    An image that cannot be decoded is a result with the status of its rejection. `wanted`, `jobs`, `rest` and `alarms`
-    are as in `replay`.
+    An image that cannot be decoded is a result with the status of its rejection. `jobs`, `rest` and `alarms` are as in
+    `replay`.
     """
-    lanes = replay(recording, [setup], wanted=wanted, jobs=jobs, rest=rest, alarms=alarms)
+    lanes = replay(recording, [setup], jobs=jobs, rest=rest, alarms=alarms)
     return (result for (replayed,) in lanes for result in replayed.results)
 
 
@@ -72,8 +71,8 @@ def with_lag(
     found = given_lag(request.lag)
     if request.lag == "auto":
         seen = Setup(request.setup.profile, "centroid", mapping=PUBLISHED_MAPPING)
-        readings = {name: Readings() for name in request.instruments or recording.instruments}
-        for (replayed,) in replay(recording, [seen], wanted=list(readings), jobs=jobs):
+        readings = {name: Readings() for name in recording.measured}
+        for (replayed,) in replay(recording, [seen], jobs=jobs):
             for of_instrument, result in zip(readings.values(), replayed.results, strict=True):
                 of_instrument.add(result)
             on_image()

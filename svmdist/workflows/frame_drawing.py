@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -46,14 +46,13 @@ class DrawnFrame:
 def drawn_frames(
     recording: Recording,
     setup: Setup,
-    wanted: Sequence[str] | None = None,
     jobs: int | None = None,
     numbers: Collection[int] | None = None,
     on_image: Callable[[], None] = lambda: None,
     alarms: AlarmRules | None = None,
 ) -> Iterator[DrawnFrame]:
     """Replay and draw every image, or some `numbers` up to the last; `on_image` is called for each one read."""
-    for (replayed,) in replay(recording, [setup], wanted=wanted, jobs=jobs, alarms=alarms):
+    for (replayed,) in replay(recording, [setup], jobs=jobs, alarms=alarms):
         number, seconds = replayed.results[0].number, replayed.results[0].seconds
         on_image()
         if numbers is None or number in numbers:

@@ -64,7 +64,6 @@ def replay(
     setups: Sequence[Setup],
     conditions: Sequence[Condition] = (CLEAN,),
     *,
-    wanted: Sequence[str] | None = None,
     jobs: int | None = None,
     rest: bool = True,
     alarms: AlarmRules | None = None,
@@ -72,13 +71,12 @@ def replay(
     """Yield for each image what every setup gave under every condition, conditions first, in order.
 
     The setups share a profile. Every setup and condition has estimators of its own, so that what one remembers never
-    reaches another. `wanted` names some of the recording's instruments; the others are told apart from them, and not
-    measured. `jobs` threads work ahead, by default one for each core. Raises RecordingError at once for a name that
-    the recording has no topics of, and CalibrationError for another camera. Where the lag of a recording is known,
-    methods take the offset of its joints for as well known. Without `rest`, what no method uses is not read. Rows
-    are judged by the rules of `alarms`.
+    reaches another. `jobs` threads work ahead, by default one for each core. Raises RecordingError at once for a
+    wanted instrument that the recording has no topics of, and CalibrationError for another camera. Where the lag of a
+    recording is known, methods take the offset of its joints for as well known. Without `rest`, what no method uses is
+    not read. Rows are judged by the rules of `alarms`.
     """
-    replaying = _Replay(recording, setups, conditions, wanted)
+    replaying = _Replay(recording, setups, conditions)
     return replaying.run(usable_cores() if jobs is None else jobs, rest, alarms)
 
 
@@ -157,11 +155,7 @@ class _Replay:
     """One pass over a recording."""
 
     def __init__(
-        self,
-        recording: Recording,
-        setups: Sequence[Setup],
-        conditions: Sequence[Condition],
-        wanted: Sequence[str] | None,
+        self, recording: Recording, setups: Sequence[Setup], conditions: Sequence[Condition]
     ) -> None:
         self._recording = recording
         setups = [setup.for_log(recording).knowing(recording.lag) for setup in setups]
@@ -169,12 +163,9 @@ class _Replay:
         for setup in setups:
             setup.require_camera(recording)
         every = recording.instruments
-        self._wanted = every if wanted is None else tuple(wanted)
-        for name in self._wanted:
-            recording.for_instrument(name)
+        self._places = [every.index(name) for name in recording.measured]
         self._arms = [Arm(self._setup.profile.for_instrument(name)) for name in every]
         self._stereo_arms = self._arms
-        self._places = [every.index(name) for name in self._wanted]
         self._conditions = tuple(conditions)
         self._segmenter = self._setup.segmenter  # one network, whatever becomes of the setup
         self._rows = LEVEL
@@ -266,7 +257,7 @@ class _Replay:
         robot, right = self._needs.robot or several, self._needs.right_view
         encoded = self._recording.encoded_observations(robot=robot, right=right, rest=rest)
         lanes = [lane for of_condition in self._lanes for lane in of_condition]
-        watches = [[AlarmWatch(alarms) for _ in self._wanted] for _ in lanes] if alarms else []
+        watches = [[AlarmWatch(alarms) for _ in self._places] for _ in lanes] if alarms else []
         with one_opencv_thread():
             for decoded, conditions in in_order(self._prepare, encoded, jobs):
                 self._recording.record_losses(decoded)
@@ -280,7 +271,7 @@ class _Replay:
         if isinstance(found, Rejection):
             unread = FrameResult(found.stamp_ns, found.status, detail=found.detail)
             unread = replace(unread, number=number, seconds=seconds)
-            lost = tuple(replace(unread, instrument=name) for name in self._wanted)
+            lost = tuple(replace(unread, instrument=name) for name in self._recording.measured)
             every = [Replayed(lost, (0.0,) * len(lost))] * sum(map(len, self._lanes))
             return decoded, [lambda: every]
         return decoded, [self._look(at, number, seconds, found) for at in range(len(self._conditions))]

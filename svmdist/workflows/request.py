@@ -237,7 +237,7 @@ class Request:
     def open(self, path: LogPath, name: str) -> Recording:
         """Open a log under a name; raises RecordingError, or UsageError for an unknown role."""
         recording = open_recording(path, self.setup.profile, topics=dict(self.topics))
-        recording = replace(recording, alias=name, window=self.window)
+        recording = replace(recording, alias=name, window=self.window, wanted=self.instruments)
         found = [f"{role} {topic}" for role in Role if (topic := recording.topic_of(role))]
         LOG.debug("%s: %s: %s", name, path, ", ".join(found))
         return recording

@@ -127,7 +127,7 @@ def score_recording(
     notes = setup.degeneracies(recording.camera)
     planar = setup.is_planar  # it needs no joints, and its own rows show the lag
     # A row of each instrument, and one step more where the lag is estimated first.
-    each = len(request.instruments or recording.instruments) + (lag == "auto" and not planar)
+    each = len(recording.measured) + (lag == "auto" and not planar)
     steps = Steps(on_progress, recording.image_count(), each)
     read, found = (recording, given_lag(lag)) if planar else with_lag(recording, request, jobs, steps.advance)
     wanted = rules.of(recording)
@@ -175,7 +175,7 @@ def _measured(
     setups = [request.setup, *(replace(request.setup, method=one.name, own=one) for one in given)]
     every: list[FrameResult] = []
     by = defaultdict[tuple[Reference, str], Readings](Readings)
-    for first, *rest in replay(read, setups, wanted=request.instruments, jobs=jobs, alarms=request.alarms):
+    for first, *rest in replay(read, setups, jobs=jobs, alarms=request.alarms):
         every += steps.of(first.results)
         for reference, replayed in zip(references, rest, strict=True):
             for row in replayed.results:

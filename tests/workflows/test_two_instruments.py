@@ -1,5 +1,6 @@
 """A rendered log of two instruments: rows for each, names that hold, what is between; and one instrument as ever."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,7 @@ def test_scores_are_per_instrument(two):
         ("overall PSM2", "PSM2"),
     ]
     assert validation.primary.instrument == "PSM1"
-    only = validate([recording], Request(setup, instruments=("PSM2",), rules=rules))
+    only = validate([replace(recording, wanted=("PSM2",))], Request(setup, rules=rules))
     assert [s.instrument for s in only.scores] == ["PSM2"]
     compared = compare([recording], [setup])
     assert [(str(s.group), s.instrument) for s in compared] == [("sweep", "PSM1"), ("sweep PSM2", "PSM2")]
@@ -119,4 +120,4 @@ def test_one_instrument_is_as_ever(synthetic_log):
     assert all(row.instrument == "PSM1" and row.instrument_clearance_m is None for row in named)
     assert [vars(row) | {"instrument": ""} for row in named] == [vars(row) for row in plain]
     with pytest.raises(RecordingError, match="no topic of an instrument PSM2: did you mean PSM1"):
-        estimate(recording, setup, ["PSM2"])
+        estimate(replace(recording, wanted=("PSM2",)), setup)
