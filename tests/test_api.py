@@ -97,7 +97,7 @@ def test_what_is_no_result_is_told(golden):
             return 3.0
 
     with pytest.raises(TypeError, match="expected a FrameResult, found float"):
-        OwnEstimator(Wrong()).estimate(None)  # type: ignore[arg-type]
+        OwnEstimator(Wrong()).estimate(None)
 
 
 def test_importing_is_light_and_an_unknown_name_has_choices():

@@ -157,7 +157,7 @@ def test_every_command_is_in_the_readme():
 
     from svmdist.cli.main import app
 
-    commands = set(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+    commands = set(typer.main.get_command(app).commands)
     text = (REPOSITORY / "README.md").read_text("utf-8")
     section = text.partition("## What it does")[2].partition("\n## ")[0]
     assert commands <= set(re.findall(r"`([\w-]+)[ `]", section)), "a command is missing"

@@ -94,7 +94,6 @@ def test_outlines_become_labels_of_real_pictures(tmp_path, monkeypatch):
             str(tmp_path / "set" / name), cv2.rectangle(shown, (40, 120), (360, 180), (40, 40, 40), -1)
         )
     real = pictures.outlined([tmp_path / "set"])
-    assert real is not None
     (first, second), (labels, others) = real
     assert first[labels == INSTRUMENT].max() < 60
     assert first[labels == TISSUE][:, 2].min() > 150
@@ -121,7 +120,6 @@ def test_grey_pictures_with_masks_get_the_colours_of_tissue(tmp_path):
             path.parent.mkdir(parents=True, exist_ok=True)
             cv2.imwrite(str(path), image)
     grey = pictures.masked([tmp_path])
-    assert grey is not None
     images, labels = grey
     assert images.shape == (1, HEIGHT, WIDTH, 3)
     assert (labels == INSTRUMENT).mean() == pytest.approx(100 / 470, abs=0.02)

@@ -102,7 +102,6 @@ def for_guide(folder: Path) -> None:
     shipped = profile_path("psm13")
     (folder / "arm.toml").write_bytes(shipped.read_bytes())
     calibration = load_profile().calibration
-    assert calibration is not None
     (folder / calibration).write_bytes((shipped.parent / calibration).read_bytes())
 
 

@@ -21,13 +21,12 @@ def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A hand-eye file of the log, by its tag."""
     from svmdist.profile.hand_eye import save_hand_eye
     from svmdist.report.info import hand_eye_file
-    from svmdist.workflows.calibrate import HandEyeResult, hand_eye
+    from svmdist.workflows.calibrate import hand_eye
     from svmdist.workflows.request import prepare
 
     setup = prepare("psm13", "fiducial")
     recording = open_recording(LOG, setup.profile)
     found = hand_eye(recording, setup, "PSM1")
-    assert isinstance(found, HandEyeResult)
     path = tmp_path_factory.mktemp("hand-eye") / "he.toml"
     save_hand_eye(path, hand_eye_file([found], recording))
     return path

@@ -41,7 +41,7 @@ def samples(
 
 def fitted(**changes: object) -> Calibration:
     """A calibration fitted to the samples that the changes ask for."""
-    return fit_calibration(*samples(**changes), CAMERA, "overlay", "svmdist 0.1.0", SOURCES)  # type: ignore[arg-type]
+    return fit_calibration(*samples(**changes), CAMERA, "overlay", "svmdist 0.1.0", SOURCES)
 
 
 coefficients = st.builds(

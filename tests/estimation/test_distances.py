@@ -111,7 +111,6 @@ def test_the_deviation_is_that_of_two_poses_that_err_alone():
     As many samples settle a deviation to 1.8 % (1/√(2n)); 0.2 mm and 0.5° about tools whose closest points are 20 mm
     apart leave terms of second order of some percent.
     """
-    assert BODY is not None
     rng = np.random.default_rng(5)
     roots = [drawn_root(rng, 1e-4, 4e-3) for _ in range(2)]
     poses = [

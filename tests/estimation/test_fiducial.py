@@ -70,7 +70,6 @@ def test_a_tag_is_placed_to_a_tenth_of_a_millimetre(depth_m, noise):
         image = draw(T, noise, seed)
         corners = find_tags(image, "36h11", PROFILE.settings.tag)[0]
         pose = find_tag_pose(image, corners, CAMERA, PATTERN, rotation_x(0.05) @ T[:3, :3])
-        assert pose is not None
         error_m = pose.T_camera_tag[:3, 3] - T[:3, 3]
         turn = cv2.Rodrigues(T[:3, :3] @ pose.T_camera_tag[:3, :3].T)[0].ravel()
         assert np.linalg.norm(error_m[:2]) < 1e-4
@@ -88,8 +87,6 @@ def test_a_tag_is_placed_to_a_tenth_of_a_millimetre(depth_m, noise):
 def test_a_length_moves_the_tool_along_its_own_axis(name):
     """In both conventions: the covariance is that of the derivatives by differences of the chain's lengths."""
     profile, mounting = load_profile(name), PROFILE.fiducial
-    assert profile.robot is not None
-    assert mounting is not None
     chain = kinematics.chain_of(profile.robot)
     fiducial = mounting.model_copy(
         update={"link": chain.rows[kinematics.rows_behind_insertion(chain)[0]].name}
@@ -118,7 +115,6 @@ def test_a_length_moves_the_tool_along_its_own_axis(name):
 def observation(joints: bool = True, tag: bool = True) -> tuple[Observation, Array]:
     """A drawn scene: the red organ, the tag over it; and the true pose of the tool."""
     fiducial = PROFILE.fiducial
-    assert fiducial is not None
     T = make_transform(rotation_x(np.pi + 0.5) @ rotation_of([0.0, 0.2, 0.0]), [0.02, 0.01, 0.085])
     grey = draw(T, 2.0, 3) if tag else np.full((480, 640), 110, np.uint8)
     image = np.repeat(grey[..., None], 3, axis=2)
@@ -138,12 +134,9 @@ def test_a_frame_is_measured():
     seen, T_camera_tool = observation()
     row = Measuring("fiducial", PROFILE).estimate(seen)
     assert row.status is Status.OK
-    assert row.tool_position_m is not None
     np.testing.assert_allclose(row.tool_position_m, T_camera_tool[:3, 3], atol=2e-4)
     tissue = np.append((np.array([150.0, 200.0]) - CAMERA.K[:2, 2]) / CAMERA.K[0, 0], 1.0) * 0.112
     truth = float(np.linalg.norm(T_camera_tool[:3, 3] - tissue))
-    assert row.spatial_m is not None
-    assert row.spatial_std_m is not None
     assert abs(row.spatial_m - truth) < 3.0 * row.spatial_std_m < 4e-3
     assert None not in (row.distance_m, row.clearance_m, row.clearance_std_m, row.tool_axis)
 

@@ -41,7 +41,6 @@ def scene() -> SyntheticScene:
 def profile(scene: SyntheticScene) -> Profile:
     """The shipped profile with the plane that the synthetic disc lies on, and no wrist to bend."""
     tissue = scene.profile.tissue
-    assert tissue is not None
     plane = tissue.model_copy(update={"plane_distance_m": 0.09, "dome": None})
     return scene.profile.model_copy(update={"tissue": plane})
 
@@ -80,9 +79,6 @@ def test_kinematic_is_as_wrong_as_nominal_kinematics(scene, profile):
     off = estimator.estimate(observe(scene, 0.5, shift_m))
     np.testing.assert_allclose(off.tool_position_m, truth_m + shift_m, atol=1e-12)
     assert off.status is Status.OK
-    assert off.spatial_m is not None
-    assert row.spatial_m is not None
-    assert off.spatial_std_m is not None
     assert abs(off.spatial_m - row.spatial_m) < 1.96 * off.spatial_std_m
 
 
@@ -128,7 +124,6 @@ def errors_m(
     estimator, truth, off_m = Measuring("fused", PROFILE), recording.distance_track(), {}
     for number, one in enumerate(islice(read_observations(recording), numbers.stop)):
         if number in numbers:
-            assert isinstance(one, Observation)
             found = estimator.result(change(number, one)).distances.spatial
             true_m = float(truth.at(np.array([one.stamp_ns])).values[0, 1])
             off_m[number] = np.nan if found is None else abs(found.value_m - true_m)
@@ -137,7 +132,6 @@ def errors_m(
 
 def shifted(one: Observation, *shift_m: float) -> Observation:
     """With another transform from camera to base."""
-    assert one.T_camera_base is not None
     T = one.T_camera_base.copy()
     T[:3, 3] += shift_m
     return replace(one, T_camera_base=T)
@@ -165,7 +159,6 @@ def test_images_that_show_nothing_confirm_nothing(golden):
         if number < 24:
             return one
         blank, shown = np.full_like(one.image_bgr, 120), shifted(one, 0.0, 0.01, 0.0)
-        assert one.right is not None
         return (
             replace(shown, image_bgr=blank, right=replace(one.right, image_bgr=blank))
             if number % 2
@@ -183,12 +176,10 @@ def test_an_outline_counts_where_the_images_hold_a_pose(golden):
     profile = PROFILE.model_copy(update={"segmentation": rules, "fiducial": None})
     recording = open_recording(golden / "3d" / "contact.mcap", profile)
     (seen,) = islice(read_observations(recording), 24, 25)
-    assert isinstance(seen, Observation)
 
     def found(doubt: str) -> FrameResult:
         measuring = Measuring("fused", profile)
         frame = frame_of(replace(seen, right=None), measuring.arm, measuring.segmenter)
-        assert isinstance(frame.shaft_pose, ImagePose)
         vars(frame)["shaft_pose"] = replace(frame.shaft_pose, doubt=doubt)
         return measuring.estimator.estimate(frame)
 

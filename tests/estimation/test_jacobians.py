@@ -128,7 +128,6 @@ def measurements() -> list[LinkMeasurement]:
 def test_what_looks_like_the_shafts_end_does_so_in_the_next_frame():
     """Its deviation in the image is no noise that many frames take away: it lasts as that of the model does."""
     _, _, _, end, *_ = measurements()
-    assert isinstance(end, EndMeasurement)
     by_model = replace(end, model_std_m=1e-3).linearise(T_LINK).biases[0].jacobian
     both = replace(end, model_std_m=1e-3, lasting_std_px=20.0).linearise(T_LINK).biases[0].jacobian
     assert both == pytest.approx(np.copysign(np.hypot(by_model, 20.0), by_model))
@@ -137,8 +136,6 @@ def test_what_looks_like_the_shafts_end_does_so_in_the_next_frame():
 def test_what_is_found_between_end_and_tips_is_off_with_both():
     """In the image and in disparity, to the same side, under one name: one error does not look like two."""
     origin, _, _, end, *_ = measurements()
-    assert isinstance(origin, PointMeasurement)
-    assert isinstance(end, EndMeasurement)
     ahead_m = 1e-3 * T_LINK[:3, :3] @ end.axis
     moved = nudged(T_LINK, np.concatenate([ahead_m, np.zeros(3)]))
     for one in (origin, PAIR):
@@ -194,7 +191,7 @@ T_CAMERA_BASE = make_transform(rotation_of([2.0, 0.4, -0.3]), [0.1, -0.2, 0.9])
 rng = np.random.default_rng(11)
 LENGTHS = ("a_m", "alpha_rad", "d_m", "theta_rad")
 ROWS = tuple(
-    Joint(name=f"j{index}", type=kind, **dict(zip(LENGTHS, rng.uniform(-1.0, 1.0, 4), strict=True)))  # type: ignore[arg-type]
+    Joint(name=f"j{index}", type=kind, **dict(zip(LENGTHS, rng.uniform(-1.0, 1.0, 4), strict=True)))
     for index, kind in enumerate(("prismatic", "revolute", "fixed", "revolute", "prismatic", "revolute"))
 )
 SHORT = DHChain(ROWS, "modified", make_transform(rotation_x(0.7), [0.1, -0.2, 0.05]))

@@ -62,7 +62,6 @@ def test_eqs_5_6_are_the_published_quadratics_and_25_to_27_the_euclidean_distanc
 def test_the_shipped_chain_begins_with_eq_29_and_ends_with_eq_30_corrected():
     """Joint 1 slides with α = θ = 0, joint 13 turns with α = π/2 and a = d = 0 (Table II); bit for bit."""
     robot = load_profile().robot
-    assert robot is not None
     first, *_, last = chain_of(robot).rows
     T = np.eye(4)
     T[0, 3], T[2, 3] = first.a_m, first.d_m + 0.17

@@ -38,7 +38,7 @@ PALE, RED = {"background_bgr": PALE_BGR}, {"background_bgr": RED_BGR}
 
 
 def picture(camera: Camera, side: str, **kwargs: object) -> ShaftImage:
-    return ShaftImage(camera, *entering_from(SIDES[side], camera), **kwargs)  # type: ignore[arg-type]
+    return ShaftImage(camera, *entering_from(SIDES[side], camera), **kwargs)
 
 
 def find_tool(observation: Observation, profile: Profile = PROFILE) -> ImagePose | Failure:
@@ -125,7 +125,6 @@ def test_axis_without_colours(side, scene):
 @pytest.mark.parametrize("side", list(SIDES)[:4])
 def test_blood_across_a_shaft_is_not_its_end(side):
     """Over half of a width it is red, and beyond that the shaft goes on for a width."""
-    assert PROFILE.instrument is not None
     drawn, segmenter = picture(SMALL, side, **RED), make_segmenter(PROFILE.segmentation)
     back_m = END_M + np.array([[1.6], [1.0]]) * 2.0 * PROFILE.instrument.shaft_radius_m
     from_px, to_px = SMALL.project(drawn.hinge_m - back_m * drawn.direction)
@@ -140,7 +139,6 @@ def test_blood_across_a_shaft_is_not_its_end(side):
 
 def test_a_dark_end_is_no_shafts_where_nothing_of_the_chain_slides():
     """Another robot's: the image shows an end, and no link of the chain carries it."""
-    assert PROFILE.robot is not None
     rows = tuple(
         row.model_copy(update={"type": "fixed"} if row.type == "prismatic" else {})
         for row in PROFILE.robot.joints
@@ -172,7 +170,6 @@ def painted_jaws(drawn: ShaftImage, length_m: float) -> Observation:
 @pytest.mark.parametrize("side", list(SIDES)[:2])
 def test_jaws_are_as_long_as_their_tips_are_seen_and_never_shorter(side):
     """Of jaws that may be off by 4 mm. Shorter ones may be half hidden; the end, too, may explain longer ones."""
-    assert PROFILE.instrument is not None
     instrument = PROFILE.instrument.model_copy(update={"body_std_m": 0.004})
     by_shape = {"segmentation": AutoSegmentation(method="auto"), "instrument": instrument}
     profile, drawn = PROFILE.model_copy(update=by_shape), picture(SMALL, side, **PALE)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.distal_marker import Expected, MarkerPair, pair_markers
+from svmdist.estimation.instrument.distal_marker import Expected, pair_markers
 from svmdist.estimation.instrument.factors import marked, of_images
 from svmdist.estimation.methods import make_estimator
 from svmdist.estimation.scene import Arm
@@ -21,7 +21,7 @@ from svmdist.samples import Image, Observation, RightView, Status
 from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.frame_context import as_pinholes
 from svmdist.vision.segmentation import make_segmenter
-from svmdist.vision.stereo import LEVEL, RectifiedPair, RowAlignment
+from svmdist.vision.stereo import LEVEL, RowAlignment
 from svmdist.workflows.check import look
 from tests.measuring import Measuring, frame_of
 from tests.pictures import RED_BGR, ShaftImage, entering_from
@@ -58,7 +58,6 @@ def measured(observation: Observation) -> FrameResult:
 
 def deviations(result: FrameResult, angle_rad: float) -> float:
     """The error over what is stated of it, as one number of three degrees of freedom, rooted."""
-    assert result.tool is not None
     pose = result.tool.pose
     error_m = pose.position_m - tool_m(angle_rad)
     return float(np.sqrt(error_m @ np.linalg.solve(pose.position_covariance, error_m)))
@@ -74,7 +73,6 @@ def test_plain_tissue_costs_no_row(angle_rad):
     found = measured(pair(drawn(angle_rad, False), drawn(angle_rad, True)))
     assert found.status is Status.OK
     assert "surface" in found.detail
-    assert found.tool is not None
     assert np.linalg.norm(found.tool.pose.position_m - tool_m(angle_rad)) < 1e-3
     assert deviations(found, angle_rad) < 2.8
 
@@ -96,23 +94,18 @@ def test_a_marker_in_one_view_is_enough(hidden_left):
     assert found.status is Status.OK
     assert deviations(found, 2.4) < 2.8
     both = measured(pair(drawn(2.4, False), drawn(2.4, True)))
-    assert found.tool is not None
-    assert both.tool is not None
     assert both.tool.pose.position_std_m < found.tool.pose.position_std_m
 
 
 @pytest.mark.parametrize(("size", "is_marker"), [(1.0, True), (0.55, False), (2.0, False)])
 def test_what_is_coloured_and_of_another_size_is_somewhere_about_the_origin(size, is_marker):
     """Point and disparity share the offset, three radii of the marker that the profile states; its size is not used."""
-    assert PROFILE.instrument is not None
     radius_m = size * PROFILE.instrument.knuckle_radius_m
     instrument = PROFILE.instrument.model_copy(update={"knuckle_radius_m": radius_m})
     profile = PROFILE.model_copy(update={"instrument": instrument, "fiducial": None})
     seen = pair(drawn(2.4, False), drawn(2.4, True))
     frame = frame_of(seen, Arm(profile), make_segmenter(profile.segmentation))
-    assert isinstance(frame.scene.stereo_pair, RectifiedPair)
     markers = pair_markers(frame, frame.scene.stereo_pair)
-    assert isinstance(markers, MarkerPair)
     factors = {one.name: one for one in of_images(frame, markers.expected, markers, both_views=True)}
     assert ("size" in factors) is is_marker
     T = make_transform(np.eye(3), tool_m(2.4))
@@ -155,7 +148,6 @@ def test_an_offset_between_the_rows_is_removed(rows_px):
     shift = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, rows_px]])
     lower = np.asarray(cv2.warpAffine(right, shift, (640, 480), None, cv2.INTER_CUBIC), np.uint8)
     aligned = as_pinholes(pair(left, lower), RowAlignment(rows_px))
-    assert aligned.right is not None
     inner = np.s_[10:-10, 10:-10]
     error = aligned.right.image_bgr[inner].astype(float) - right[inner]
     assert np.sqrt(np.mean(error**2)) < 3.0
@@ -200,7 +192,6 @@ def test_tissue_that_both_views_show_far_away_only_is_the_profiles(golden):
     found = make_estimator("stereo", arm).estimate(frame)
     assert not found.detail
     surface = frame.scene.stereo_surface
-    assert surface is not None
     vars(frame.scene)["stereo_surface"] = replace(surface, grid_std_m=5e-3 + surface.grid_std_m)
     other = make_estimator("stereo", arm).estimate(frame)
     assert "the profile's is used" in other.detail

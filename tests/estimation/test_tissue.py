@@ -47,7 +47,6 @@ def drawn_masks(*, blood: bool = False) -> SimpleNamespace:
 
 def centroid(masks: SimpleNamespace) -> Array:
     found = detect_tissue(masks, PROFILE, CAMERA)
-    assert found is not None
     return found.outline.centroid_px
 
 

@@ -57,7 +57,6 @@ def moved(*offset_m: float) -> Callable[[Observation], Observation]:
     """What makes the camera-to-base transform of an observation wrong."""
 
     def change(one: Observation) -> Observation:
-        assert one.T_camera_base is not None
         T = one.T_camera_base.copy()
         T[:3, 3] += offset_m
         return replace(one, T_camera_base=T)
@@ -141,7 +140,6 @@ def test_the_projected_shaft_covers_the_one_that_is_drawn():
     """The silhouette of the mesh that the simulation draws, in postures all over the picture: IoU above 0.9."""
     scene, rng, shares = make_scene(PROFILE, 3), np.random.default_rng(2), []
     camera, T_camera_world = scene.camera, inverse(scene.T_world_camera)
-    assert PROFILE.instrument is not None
     part = next(one for one in scene.parts if one.name == "shaft")
     for _ in range(60):
         q = scene.posture.copy()
@@ -156,7 +154,6 @@ def test_the_projected_shaft_covers_the_one_that_is_drawn():
         cv2.fillConvexPoly(drawn, np.rint(hull_px).astype(np.int32), 1)
         if np.count_nonzero(drawn) < MIN_SHAFT_PX:
             continue
-        assert found is not None
         cv2.fillConvexPoly(projected, np.rint(found.outline_px).astype(np.int32), 1)
         shares.append(np.count_nonzero(drawn & projected) / np.count_nonzero(drawn | projected))
     assert len(shares) > 30

@@ -18,16 +18,13 @@ JOINTS = JointSample(7, tuple(reversed(CHAIN.joint_names)), POSTURE[::-1])
 
 
 def state_of(T_camera_base=T_CAMERA_BASE) -> RobotState:
-    state = RobotState.of(CHAIN, JOINTS, T_camera_base, 7)
-    assert isinstance(state, RobotState)
-    return state
+    return RobotState.of(CHAIN, JOINTS, T_camera_base, 7)
 
 
 def test_what_a_sample_lacks_is_told():
     """No sample, or one without the chain's joints: a failure in words."""
     assert RobotState.of(CHAIN, None, T_CAMERA_BASE, 0) == Failure("no joints near the image")
     few = RobotState.of(CHAIN, JointSample(0, ("elbow",), np.zeros(1)), T_CAMERA_BASE, 0)
-    assert isinstance(few, Failure)
     assert few.reason.startswith("the chain needs the joints")
     assert few.reason.endswith("the log has elbow")
 
@@ -88,8 +85,6 @@ def test_a_stray_sample_beside_the_image_is_left_out():
     positions = np.array([[0.5, 0.1], [0.5, 0.1], [0.5, 1e6]])
     track = JointTrack(np.array([10, 20, 30], np.int64), joints.names, positions)
     state = RobotState.of(BOUNDED, joints, T_CAMERA_BASE, 20, track)
-    assert isinstance(state, RobotState)
-    assert state.track is not None
     assert state.track.stamps_ns.tolist() == [10, 20]
     np.testing.assert_allclose(state.rates, 0.0)
 

@@ -9,7 +9,6 @@ from svmdist.profile.hand_eye import (
     SHAFT_RADIUS,
     ConstantEffect,
     HandEye,
-    HandEyeError,
     HandEyeFile,
     load_hand_eye,
     save_hand_eye,
@@ -27,7 +26,6 @@ BY_PITCH = np.array([[0.0, 1e-3, 0.0, 0.02, 0.0, -0.01]])
 def hand_eye() -> HandEye:
     """A transform that a radius and a joint had a part in."""
     stated, assumed = stated_deviations(PROFILE), PROFILE.robot
-    assert assumed is not None
     joint = OFFSET.format(next(one.name for one in assumed.joints if one.type == "revolute"))
     effects = [
         ConstantEffect(constant=name, deviation=stated[name], effects=effect.tolist())
@@ -85,13 +83,11 @@ def test_the_file_keeps_them_and_files_without_them_are_read(hand_eye, tmp_path)
 
 def test_a_profile_states_its_own_deviations(hand_eye):
     """The instrument's profile has the file's effects in its own deviations, and does not restate them twice."""
-    assert PROFILE.instrument is not None
     wide = PROFILE.instrument.model_copy(update={"shaft_radius_std_fraction": 0.04})
     file = HandEyeFile(format="svmdist.hand-eye/1", transforms=(hand_eye,))
     own = PROFILE.model_copy(update={"instrument": wide, "hand_eye": file})
     once = own.for_instrument(PROFILE.instrument_name)
     again = once.for_instrument(PROFILE.instrument_name)
     for found in (once, again):
-        assert isinstance(found.kinematic_error, HandEyeError)
         effect = next(one for one in found.kinematic_error.hand_eye.constants if one.constant == SHAFT_RADIUS)
         assert effect.deviation == 0.04

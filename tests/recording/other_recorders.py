@@ -55,8 +55,6 @@ def ros_message(sample: Sample) -> tuple[str, dict[str, Any]] | None:
             head = {"header": header(sample.stamp_ns, sample.frame_id)}
             return "sensor_msgs/msg/Image", head | ros_image(sample.image_bgr[:, :, ::-1], "rgb8")
         case CameraSample(camera=camera):
-            assert camera.R_rectified_camera is not None
-            assert camera.P is not None
             return "sensor_msgs/msg/CameraInfo", {
                 "header": header(sample.stamp_ns, camera.frame_id),
                 "height": camera.height_px,

@@ -161,7 +161,7 @@ def test_what_a_server_refuses_is_there(status):
             self.send_error(status)
 
         do_HEAD = do_GET
-        log_message = staticmethod(lambda *_: None)  # type: ignore[assignment]
+        log_message = staticmethod(lambda *_: None)
 
     with ThreadingHTTPServer(("127.0.0.1", 0), Refused) as server:
         Thread(target=server.serve_forever, daemon=True).start()

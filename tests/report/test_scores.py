@@ -54,7 +54,7 @@ def score(
 
 def validation(*names: str, **changes: object) -> Validation:
     """A validation with a score per name and an overall score."""
-    scores = tuple(score(name, **changes) for name in names)  # type: ignore[arg-type]
+    scores = tuple(score(name, **changes) for name in names)
     return Validation(scores, (replace(scores[0], recording="overall"),), ("a note",))
 
 
@@ -68,7 +68,7 @@ def test_the_document_has_the_fields_of_its_schema():
     made = validation("sweep", "random")
     document = strict(validation_document(made))
     assert document["schema"] == "svmdist.validation/1"
-    row, other = document["recordings"]  # type: ignore[misc]
+    row, other = document["recordings"]
     statistics = made.scores[0].statistics
     assert set(row) == {*keys_of(score_columns())}
     assert other["recording"] == "random"
@@ -76,7 +76,7 @@ def test_the_document_has_the_fields_of_its_schema():
     assert counts == [60, 10, 72, 2]
     assert row["rejected"] == {"no_instrument": 9, "no_tissue": 1}
     assert (row["r_squared"], row["rmse_m"]) == (statistics.r_squared, statistics.rmse)
-    assert document["overall"]["recording"] == "overall"  # type: ignore[index]
+    assert document["overall"]["recording"] == "overall"
     assert document["notes"] == ["a note"]
 
 
@@ -84,7 +84,7 @@ def test_the_document_has_the_fields_of_its_schema():
 def test_undefined_metrics_are_null(changes):
     """A still truth, few pairs and no pairs leave R², intervals or all metrics out, alike in CSV and JSON."""
     made = validation("a", **changes)
-    (row, *_) = strict(validation_document(made))["recordings"]  # type: ignore[misc]
+    (row, *_) = strict(validation_document(made))["recordings"]
     results = validation_results(made)
     cells = next(csv.DictReader(io.StringIO("".join(csv_lines(results)))))
     assert None in row.values()
@@ -129,7 +129,7 @@ def test_a_comparison_names_each_distance_once():
     half_mm = Pairs(np.arange(10), truth_m + 5e-4, truth_m, np.full(10, np.nan))
     figures = Figures(20, 10, 0.068, half_mm, None, half_mm)
     results = compare_results([MethodScore(Group("sweep"), "fused", figures)])
-    (row,), (table,) = results.rows, results.tables  # type: ignore[misc]
+    (row,), (table,) = results.rows, results.tables
     assert (row["rmse_m"], row["coverage"], row["spatial_rmse_m"]) == (pytest.approx(5e-4), 0.5, None)
     stored = keys_of(results.columns)
     at = stored.index("scenario")

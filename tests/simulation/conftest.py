@@ -27,7 +27,7 @@ def chosen(text: str) -> Perturbations:
 
 
 def perturbed(text: str, **options: object) -> Options:
-    return Options(perturbations=chosen(text), **options)  # type: ignore[arg-type]
+    return Options(perturbations=chosen(text), **options)
 
 
 def simulate(scenario: Scenario, profile: Profile, options: Options = PLAIN) -> Iterator[tuple[str, Sample]]:

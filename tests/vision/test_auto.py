@@ -53,7 +53,6 @@ def test_the_picture_inside_its_border(border):
         assert iou(picture_of(one.bgr) > 0, one.picture > 0) > 0.97
         masks = AutoMasks(one.bgr)
         outside = cv2.dilate(one.picture, np.ones((9, 9), np.uint8)) == 0
-        assert masks.shaft is not None
         assert not (masks.shaft[outside] > 0).any()
         assert not (masks.tissue[outside] > 0).any()
 
@@ -106,9 +105,6 @@ def test_an_outline_longer_than_a_wrist_says_that_its_end_is_none(end):
     at = np.array([end, 119.5])
     seen = SeenInstrument(mask, (240, 320), sides, at, 1.0, end_std_px=2.0, ends_dark=True, pixel_px=1.0)
     found = find_silhouette(bgr, seen, None, WristShape(0.3, 2.0), 12.0)
-    assert found is not None
-    assert found.rim is not None
-    assert found.wrist is not None
     assert found.wrist.tip_px == pytest.approx([279.0, 119.5], abs=3.0)
     assert abs(found.rim.pixel[0] - 200.0) < 2.0 * found.rim.std_px
     assert found.rim.std_px < (5.0 if end == 200.0 else 45.0)
@@ -126,8 +122,6 @@ def test_of_two_wrists_that_touch_the_origin_is_in_either(touches):
         end_std_px=2.0, pixel_px=1.0, touches_another=touches,
     )  # fmt: skip
     found = find_silhouette(bgr, seen, None, WristShape(0.6, 2.0), 12.0)
-    assert found is not None
-    assert found.wrist is not None
     off_px = float(np.linalg.norm(found.wrist.pixel - [248.0, 119.5]))
     assert (off_px < 1.5 * found.wrist.std_px) is touches
 
@@ -142,7 +136,6 @@ def test_beyond_a_wrist_that_was_taken_for_a_shaft_there_is_no_wrist(wrist_px):
         end_std_px=2.0, pixel_px=1.0, wrist_std=0.3,
     )  # fmt: skip
     found = find_silhouette(bgr, seen, None, WristShape(0.6, 2.0), 12.0)
-    assert found is not None
     assert found.wrist_std == pytest.approx(0.0 if wrist_px else 0.3, abs=0.05)
 
 
@@ -171,9 +164,7 @@ def test_sides_without_an_edge_are_those_of_the_evidence():
                 continue
             told += 1
             flat = find_silhouette(np.full_like(one.bgr, 120), seen, None, WristShape(0.3, 2.0), 12.0)
-            assert flat is not None
             for edge in flat.edges:
-                assert edge.covariance is not None
                 assert np.diag(edge.covariance).min() > (0.04 * flat.width_px) ** 2
     assert told >= 6
 
@@ -194,7 +185,6 @@ def test_the_shaft_ends_before_its_own_shadow(behind, light):
     mask[100 : int(below + 0.5), :200] = True
     seen = SeenInstrument(mask, (240, 320), sides, sides[:, 1].mean(0), 1.0, end_std_px=2.0, pixel_px=2.0)
     found = find_silhouette(bgr, seen, None, WristShape(0.3, 2.0), 12.0)
-    assert found is not None
     assert found.width_px == pytest.approx(40.0, abs=0.7)
 
 
@@ -218,7 +208,6 @@ def test_a_shaft_ends_at_its_shadow_by_colours_alone_with_blood_on_it(share):
 
     other = side(99.5, 0.8)
     found = edge_within(stained_shaft(share), side(158.0, 3.0), other, None, 12.0)
-    assert found is not None
     assert [found.start_px[1], found.end_px[1]] == pytest.approx([139.5, 139.5], abs=1.0)
     lit = np.where(np.arange(240)[:, None, None] >= 140, np.uint8(160), stained_shaft(share))
     assert edge_within(lit, side(139.5, 3.0), other, None, 12.0) is None
@@ -242,7 +231,6 @@ def test_a_side_that_goes_on_alone_is_doubtful_unless_the_instrument_does(is_cap
     found = find_silhouette(
         cv2.GaussianBlur(bgr, (0, 0), 0.8).astype(np.uint8), seen, None, WristShape(0.3, 2.0), 12.0
     )
-    assert found is not None
     upper, lower = found.edges
     assert lower.end_px[0] > 250.0
     assert upper.covariance is None
@@ -264,8 +252,6 @@ def test_the_tip_of_what_touches_another_instrument_may_be_the_other_ones():
     found = find_silhouette(
         cv2.GaussianBlur(bgr, (0, 0), 0.8).astype(np.uint8), seen, None, shape, least_levels=12.0
     )
-    assert found is not None
-    assert found.wrist is not None
     own_tip_px = np.array([160.0 + shape.length_widths * 40.0, 119.5])
     off_px = np.linalg.norm(found.wrist.tip_px - own_tip_px)
     assert 50.0 < off_px < 2.0 * found.wrist.tip_std_px

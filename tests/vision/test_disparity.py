@@ -55,7 +55,6 @@ def test_a_surface_is_found_within_its_deviations(rows_px, slope):
     """A dome and a steep plane: most of it is seen, to a tenth of a pixel, and as well as is stated."""
     shape = _disparity if slope == 0.0 else (lambda u, v: 30.0 + slope * (u - 160) - 0.5 * slope * (v - 120))
     found = matched(*views_of(shape, np.random.default_rng(3), rows_px))
-    assert found is not None
     error_px = (found.disparity_px - shape(*np.meshgrid(found.columns_px, found.rows_px)))[found.is_seen]
     assert len(error_px) > 0.7 * np.pi * 95 * 85 / 16
     assert float(np.sqrt(np.mean(error_px**2))) < 0.1

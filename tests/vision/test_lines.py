@@ -33,7 +33,6 @@ def test_axis_comes_back_from_its_silhouette_to_1e_9():
         radius_m = rng.uniform(0.001, 0.01)
         normals = silhouette_normals(p, d, radius_m)
         axis = axis_of_cylinder([TangentPlane(n, np.zeros((3, 3))) for n in normals], radius_m)
-        assert axis is not None
         np.testing.assert_allclose(axis.point_m, p, atol=1e-9)
         np.testing.assert_allclose(axis.direction * np.sign(axis.direction @ d), d, atol=1e-9)
 

@@ -47,7 +47,6 @@ def test_a_regions_count_and_centroid_are_those_of_its_pixels(seed):
         centre = (int(rng.integers(0, 160)), int(rng.integers(0, 120)))
         cv2.ellipse(mask, centre, (int(rng.integers(9, 40)), int(rng.integers(9, 30))), 25, 0, 360, 255, -1)
     region = find_region(mask, rule(min_area_px=1))
-    assert region is not None
     assert region.area_px == np.count_nonzero(mask)
     np.testing.assert_allclose(region.centroid_px, mean_of_pixels(mask), atol=1e-9)
 

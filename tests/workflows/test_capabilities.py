@@ -16,7 +16,6 @@ from svmdist.recording.topics import Role
 from svmdist.workflows.capabilities import best_method, capabilities, method_capabilities
 
 PROFILE = load_profile()
-assert PROFILE.robot is not None
 JOINTS = tuple(joint.name for joint in PROFILE.robot.joints)
 FRAMES = PROFILE.frames
 

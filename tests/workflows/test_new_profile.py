@@ -145,7 +145,7 @@ def test_distinct_colours():
     """A mark that moves and whose hue is its own is found; one that stands still or is of the tissue's hue is not."""
     moving = [_scene([(60 + 15 * n, 100)], (200, 180, 20)) for n in range(6)]
     found = find_distinct_colour(moving)
-    hue = int(cv2.cvtColor(np.uint8([[(200, 180, 20)]]), cv2.COLOR_BGR2HSV)[0, 0, 0])  # type: ignore[arg-type]
+    hue = int(cv2.cvtColor(np.uint8([[(200, 180, 20)]]), cv2.COLOR_BGR2HSV)[0, 0, 0])
     assert found.hue[0] <= hue <= found.hue[1]
     assert find_distinct_colour([_scene([(60, 100)], (200, 180, 20))] * 6) is None
     assert find_distinct_colour([_scene([(60 + 15 * n, 100)], (20, 20, 200)) for n in range(6)]) is None

@@ -99,7 +99,7 @@ def test_who_stops_early_stops_the_work(workers):
 
     results = in_order(work, source, workers)
     assert [next(results) for _ in range(3)] == [0, 1, 4]
-    results.close()  # type: ignore[attr-defined]
+    results.close()
     taken, so_far = source.taken, len(begun)
     time.sleep(0.02)
     assert (source.taken, len(begun)) == (taken, so_far)

@@ -65,10 +65,8 @@ def test_a_lens_that_is_not_stated_widens_what_is_measured(tmp_path):
     found = compare_views(pairs, PROFILE)
     assert not found.refusal
     assert found.warning.startswith("rows of both views")
-    assert found.rows is not None
     assert found.rows.slope == pytest.approx((0.0, 0.03), abs=2e-3)
     aligned = Scene(pairs[0], PROFILE, make_segmenter(AutoSegmentation(method="auto")), found.rows).surface()
-    assert aligned is not None
     off_m = np.abs(aligned.points_m[:, 2] - 0.1)
     assert np.percentile(off_m, 90.0) > 1e-3  # three pixels of 18 at the border
     assert np.mean(off_m < 2.0 * aligned.grid_std_m[aligned.is_seen]) > 0.95
@@ -92,7 +90,7 @@ def test_every_scene_has_it_removed(tmp_path, monkeypatch):
     kept: list[tuple[int, np.ndarray]] = []
 
     class Kept(Scene):
-        def __init__(self, *args, **options) -> None:  # type: ignore[no-untyped-def]
+        def __init__(self, *args, **options) -> None:
             super().__init__(*args, **options)
             kept.append((self.observation.stamp_ns, self.observation.right.image_bgr))
 
@@ -116,8 +114,8 @@ def test_every_scene_has_it_removed(tmp_path, monkeypatch):
 def test_views_of_different_times_are_paired_as_the_profile_allows(tmp_path):
     """Four milliseconds are too many by default, and not where the profile says so; the delay is told."""
     path = log(tmp_path / "apart.mcap", 0.0, apart_ns=4_000_000)
-    assert all(one.right is None for one in read_observations(open_recording(path, PROFILE)))  # type: ignore[union-attr]
+    assert all(one.right is None for one in read_observations(open_recording(path, PROFILE)))
     limits = PROFILE.limits.model_copy(update={"pair_tolerance_s": 5e-3})
     allowing = PROFILE.model_copy(update={"limits": limits})
     for one in read_observations(open_recording(path, allowing)):
-        assert one.right.delay_s == pytest.approx(4e-3)  # type: ignore[union-attr]
+        assert one.right.delay_s == pytest.approx(4e-3)
