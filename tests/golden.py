@@ -3,21 +3,39 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from filelock import FileLock
 
 import svmdist
+from svmdist.profile import Profile
 from svmdist.results import FrameResult
+from svmdist.samples import Observation
 from svmdist.transforms import Array
 from svmdist.workflows.scoring.scores import DISTANCES
+from tests.reading import read_observations
+from tests.shipped import PROFILE
 
 RECORDINGS = Path(__file__).resolve().parent.parent / "recordings"
 PLANAR = ("calibration", "sweep", "approach", "contact", "occlusion", "random")
 IN_3D = ("3d/contact", "3d/duo")
 REAL = ("real/random", "real/contact")
+
+
+def golden_frames(log: str, numbers: range, profile: Profile = PROFILE) -> list[Observation]:
+    """What an estimator may see of some frames of a golden log, by their numbers."""
+    every = read_observations(svmdist.open_recording(RECORDINGS / f"{log}.mcap", profile))
+    return list(islice(every, numbers.start, numbers.stop, numbers.step))
+
+
+def true_distances_m(log: str, seen: Sequence[Observation]) -> Array:
+    """The true planar and spatial distances and clearances at observations of a golden log, shape (n, 3)."""
+    track = svmdist.open_recording(RECORDINGS / f"{log}.mcap").distance_track()
+    return track.at(np.array([one.stamp_ns for one in seen], np.int64)).values
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """A method with all that it needs around it: one observation in, one flat row out."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,6 +18,13 @@ def frame_of(observation: Observation, arm: Arm, segmenter: Segmenter) -> Frame:
     """The frame of the only instrument of an observation."""
     scene = Scene(observation, arm.profile, segmenter)
     return Frame.of(scene, arm, observation, arm.state_at(observation))
+
+
+def shifted(observation: Observation, *shift_m: float) -> Observation:
+    """With another transform from camera to base."""
+    T = observation.T_camera_base.copy()
+    T[:3, 3] += shift_m
+    return replace(observation, T_camera_base=T)
 
 
 class Measuring:

@@ -1,12 +1,15 @@
 """The robot that ships, in the posture that its profile gives it: what many tests measure with."""
 
+import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from svmdist.kinematics import chain_of
-from svmdist.profile import load_profile
+from svmdist.profile import load_profile, profile_path
 
+PSM13 = profile_path("psm13").read_text("utf-8")
 PROFILE = load_profile()
 assert PROFILE.robot is not None
 assert PROFILE.simulation is not None
@@ -19,6 +22,16 @@ CONSTANT_ERROR = PROFILE.kinematic_error.model_copy(
     update={"play_std_rad": 0.0, "play_std_m": 0.0, "time_offset_std_s": 0.0, "length_std_m": 0.0}
 )
 """A robot whose errors never change: with it a filter can be held to what constant errors leave."""
+
+
+def write_profile(path: Path, *changes: tuple[str, str]) -> Path:
+    """Write the profile with other text for some patterns, and without the calibration that stands beside it."""
+    text = PSM13
+    for pattern, new in ((r"(?m)^calibration = .*\n", ""), *changes):
+        text, count = re.subn(pattern, new.replace("\\", r"\\"), text)
+        assert count, pattern
+    path.write_text(text, "utf-8")
+    return path
 
 
 def _with(part: Any, **zeros: Any) -> Any:

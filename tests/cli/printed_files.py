@@ -1,24 +1,22 @@
 """The files that the documentation's commands take for the user's own, made of golden logs."""
 
 import json
-from collections.abc import Callable
-from itertools import islice
+from collections.abc import Callable, Iterator
+from itertools import takewhile
 from pathlib import Path
 
 import cv2
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from mcap.reader import make_reader
-from mcap.writer import Writer
 
 from svmdist.camera import Camera
 from svmdist.profile import load_profile, profile_path
 from svmdist.recording.log import open_recording
+from svmdist.recording.writer import EncodedSample
 from svmdist.samples import Image
-from tests.conftest import REPOSITORY
-from tests.reading import read_observations
+from tests.golden import RECORDINGS, golden_frames
+from tests.synthetic import write_samples
 
-RECORDINGS = REPOSITORY / "recordings"
 FIRST_FRAME, FRAME_COUNT = 40, 6  # in which most of the shaft is in the picture
 BASELINE_M = 0.0052
 IN_ENDOSCOPE_FRAME = {"tool": "tracker", "tissue": "tissue"}
@@ -26,10 +24,8 @@ IN_ENDOSCOPE_FRAME = {"tool": "tracker", "tissue": "tissue"}
 
 def golden_pairs() -> tuple[Camera, list[tuple[Image, Image]]]:
     """The camera, and both views of some frames from the middle of a golden log."""
-    recording = open_recording(RECORDINGS / "3d" / "contact.mcap", load_profile())
-    observations = islice(read_observations(recording), FIRST_FRAME, FIRST_FRAME + FRAME_COUNT)
-    pairs = [(one.image_bgr, one.right.image_bgr) for one in observations]
-    return recording.camera, pairs
+    seen = golden_frames("3d/contact", range(FIRST_FRAME, FIRST_FRAME + FRAME_COUNT))
+    return seen[0].camera, [(one.image_bgr, one.right.image_bgr) for one in seen]
 
 
 def write_images(folder: Path, names: str, images: list[Image]) -> None:
@@ -55,29 +51,21 @@ def ros_camera(camera: Camera) -> dict[str, object]:
 
 def write_log(path: Path, source: Path, seconds: float = 60.0) -> None:
     """A robot's log: the beginning of a golden one, with a tracker in `/tf` that sees tool and tissue, and no truth."""
-    with source.open("rb") as golden, path.open("wb") as target:
-        writer = Writer(target)
-        writer.start()
-        channels: dict[str, int] = {}
-        reader = make_reader(golden)
-        summary = reader.get_summary()
-        end_ns = summary.statistics.message_start_time + round(seconds * 1e9)
-        for schema, channel, message in reader.iter_messages():
-            if message.log_time > end_ns:
-                break
-            data, topic = message.data, channel.topic
+    messages = list(open_recording(source, load_profile()).file.source.messages())
+    end_ns = messages[0].log_time_ns + round(seconds * 1e9)
+
+    def robots() -> Iterator[tuple[str, EncodedSample]]:
+        for raw in takewhile(lambda one: one.log_time_ns <= end_ns, messages):
+            data, topic = raw.data, raw.topic
             if topic == "/ground_truth/tf":
                 transforms = FrameTransforms.FromString(data)
                 for transform in transforms.transforms:
                     transform.child_frame_id = IN_ENDOSCOPE_FRAME[transform.child_frame_id]
                 data, topic = transforms.SerializeToString(), "/tf"
-            elif topic.startswith("/ground_truth"):
-                continue
-            if topic not in channels:
-                number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[topic] = writer.register_channel(topic, channel.message_encoding, number)
-            writer.add_message(channels[topic], message.log_time, data, message.publish_time)
-        writer.finish()
+            if not topic.startswith("/ground_truth"):
+                yield topic, EncodedSample(raw.log_time_ns, raw.schema, bytes(data))
+
+    write_samples(path, robots())
 
 
 def write_video(path: Path, pairs: list[tuple[Image, Image]]) -> None:

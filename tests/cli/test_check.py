@@ -1,8 +1,6 @@
 """Log and profile against each other: what `svmdist check` says, and what a contradiction does to rows."""
 
 import json
-import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,25 +8,12 @@ import numpy as np
 import pytest
 
 from benchmarks.log_changes import opened, optics
-from svmdist.profile import load_profile, profile_path
+from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
 from tests.golden import RECORDINGS
+from tests.shipped import write_profile
 
 CONTACT = RECORDINGS / "3d" / "contact.mcap"
-
-
-@pytest.fixture
-def changed(tmp_path: Path) -> Callable[[str, str], Path]:
-    """The shipped profile with one line changed."""
-
-    def change(key: str, value: str) -> Path:
-        text = profile_path("psm13").read_text().replace('calibration = "psm13.calibration.toml"\n', "")
-        lines = [f"{key} = {value}" if line.startswith(f"{key} =") else line for line in text.splitlines()]
-        (path := tmp_path / "changed.toml").write_text("\n".join(lines))
-        load_profile(path)
-        return path
-
-    return change
 
 
 @pytest.mark.parametrize("log", ["3d/contact", "3d/duo", "real/contact", "real/random", "sweep"])
@@ -44,10 +29,12 @@ def test_nothing_contradicts_in_golden_logs(cli: Any, log: str):
 @pytest.mark.parametrize(("distance_m", "verdict", "code"), [(0.108, "agrees", 0), (0.125, "contradicts", 4)])
 def test_a_plane_is_compared_as_a_dome_is(cli: Any, tmp_path: Path, distance_m, verdict, code):
     """Through the middle of an organ of 8 mm it agrees with what both views show, farther it does not."""
-    text = profile_path("psm13").read_text().replace('calibration = "psm13.calibration.toml"\n', "")
-    text = re.sub(r"\[tissue\.dome\]\n(.+\n)+", "", text)
-    text = text.replace("plane_distance_m = 0.112", f"plane_distance_m = {distance_m}")
-    (path := tmp_path / "plane.toml").write_text(text.replace("surface_std_m = 5e-5", "surface_std_m = 3e-3"))
+    path = write_profile(
+        tmp_path / "plane.toml",
+        (r"\[tissue\.dome\]\n(.+\n)+", ""),
+        ("plane_distance_m = 0.112", f"plane_distance_m = {distance_m}"),
+        ("surface_std_m = 5e-5", "surface_std_m = 3e-3"),
+    )
     rows = cli("check", CONTACT, "--profile", path, "-f", "json", code=code).json
     assert {row["what"]: row["verdict"] for row in rows}["height of the tissue"] == verdict
 
@@ -60,9 +47,9 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("key", "value", "what", "method"), MISTAKES)
-def test_a_wrong_profile_is_named(cli: Any, changed: Callable[[str, str], Path], key, value, what, method):
+def test_a_wrong_profile_is_named(cli: Any, tmp_path: Path, key, value, what, method):
     """By what does not agree, with what it could be; no row that rests on it is ok, and one line warns."""
-    profile = changed(key, value)
+    profile = write_profile(tmp_path / "mine.toml", (rf"(?m)^{key} = .*$", f"{key} = {value}"))
     rows = cli("check", CONTACT, "--profile", profile, "-f", "json", code=4).json
     found = [row for row in rows if row["verdict"] == "contradicts"]
     assert what in {row["what"] for row in found}

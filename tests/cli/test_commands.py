@@ -3,20 +3,19 @@
 import hashlib
 import json
 import os
-import re
 import shlex
 import shutil
 import subprocess
 import sys
 import tomllib
-from pathlib import Path
 
 import pytest
 
-from svmdist.profile import load_profile, profile_path
+from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
 from svmdist.report.rows import ESTIMATE_KEYS
 from tests.conftest import ended
+from tests.shipped import write_profile
 from tests.synthetic import write_log
 
 Arguments = tuple[object, ...]
@@ -46,18 +45,10 @@ def test_estimate_ends_with_a_command_that_shows_the_smallest_clearance(cli, gol
     said, _, command = last.partition(": svmdist ")
     assert "smallest clearance" in said
     assert cli(*shlex.split(command)).out.strip().endswith(".png")
-    none = cli(
-        "estimate", golden / "3d" / "contact.mcap", "--method", "shaft", "--profile", blind(tmp_path), code=1
-    )
-    assert f"svmdist show {golden / '3d' / 'contact.mcap'} --masks --profile" in none.err
-
-
-def blind(folder: Path) -> Path:
-    """A profile whose colours are those of nothing."""
-    path = folder / "blind.toml"
-    text = profile_path("psm13").read_text("utf-8").replace('calibration = "psm13.calibration.toml"', "")
-    path.write_text(re.sub(r"(?m)^value = .*$", "value = [254, 255]", text))
-    return path
+    log, blind = golden / "3d" / "contact.mcap", (r"(?m)^value = .*$", "value = [254, 255]")
+    profile = write_profile(tmp_path / "blind.toml", blind)
+    none = cli("estimate", log, "--method", "shaft", "--profile", profile, code=1)
+    assert f"svmdist show {log} --masks --profile" in none.err
 
 
 def test_help_of_a_command_by_its_name(cli):

@@ -10,6 +10,7 @@ from svmdist.profile.hand_eye import load_hand_eye
 from svmdist.recording.log import open_recording
 from svmdist.transforms import rotation_vector
 from tests.conftest import REPOSITORY
+from tests.shipped import PSM13
 
 LOG = REPOSITORY / "recordings" / "real" / "random.mcap"
 EXACT = REPOSITORY / "recordings" / "sweep.mcap"
@@ -65,9 +66,8 @@ def test_fk_in_the_camera(cli, fitted):
 
 def test_a_profile_names_the_file(cli, fitted):
     """A profile beside the file names it, and `info` needs no transforms of the log any more."""
-    text = (REPOSITORY / "svmdist" / "profiles" / "psm13.toml").read_text("utf-8")
     mine = fitted.parent / "mine.toml"
-    mine.write_text(f'hand_eye = "{fitted.name}"\n' + text, "utf-8")
+    mine.write_text(f'hand_eye = "{fitted.name}"\n' + PSM13, "utf-8")
     profile = load_profile(mine)
     assert profile.for_instrument("PSM2").camera_to_base is None
     tf = open_recording(LOG, profile).transform_track("camera", "base")

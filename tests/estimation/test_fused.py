@@ -1,9 +1,7 @@
 """Nominal kinematics, and nominal kinematics corrected by the image."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import islice
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,14 +18,12 @@ from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.profile.settings import FilterSettings
-from svmdist.recording.log import open_recording
 from svmdist.results import FrameResult, ToolPose
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.simulation.plan import draw_nominal_kinematics
 from svmdist.simulation.scene import make_scene as simulated_scene
-from svmdist.transforms import Array
-from tests.measuring import Measuring, frame_of
-from tests.reading import read_observations
+from tests.golden import golden_frames, true_distances_m
+from tests.measuring import Measuring, frame_of, shifted
 from tests.shipped import CHAIN, POSTURE, PROFILE
 from tests.synthetic import START_NS, SyntheticScene, make_scene
 
@@ -46,22 +42,15 @@ def profile(scene: SyntheticScene) -> Profile:
 
 
 def observe(
-    scene: SyntheticScene, seconds: float, shift_m: Array | None = None, dark: bool = False
+    scene: SyntheticScene, seconds: float, shift_m: Sequence[float] = (0.0, 0.0, 0.0), dark: bool = False
 ) -> Observation:
     """One frame of the synthetic scene; the nominal camera-to-base transform may be off by a shift."""
-    T_camera_base = scene.T_camera_base.copy()
-    if shift_m is not None:
-        T_camera_base[:3, 3] += shift_m
     image = scene.frame_at(seconds)
+    shown = np.full_like(image, 120) if dark else image
     joints = JointSample(START_NS, scene.chain.joint_names, scene.joints_at(seconds))
-    return Observation(
-        START_NS + round(seconds * 1e9),
-        np.full_like(image, 120) if dark else image,
-        scene.camera,
-        joints,
-        None,
-        T_camera_base,
-    )
+    stamp_ns = START_NS + round(seconds * 1e9)
+    seen = Observation(stamp_ns, shown, scene.camera, joints, None, scene.T_camera_base)
+    return shifted(seen, *shift_m)
 
 
 def across_m(row: Any, scene: SyntheticScene, seconds: float) -> float:
@@ -116,43 +105,31 @@ def test_fused_rejects_an_outlier_and_follows_a_base_that_jumped(scene, profile)
         assert across_m(rows[step], scene, 2.1 + 0.1 * step) < 0.3e-3
 
 
-def errors_m(
-    golden: Path, numbers: range, change: Callable[[int, Observation], Observation]
-) -> dict[int, float]:
+def errors_m(numbers: range, change: Callable[[int, Observation], Observation]) -> dict[int, float]:
     """How far the spatial distance of `fused` is off in some frames of a golden log, changed; NaN without one."""
-    recording = open_recording(golden / "3d" / "contact.mcap", PROFILE)
-    estimator, truth, off_m = Measuring("fused", PROFILE), recording.distance_track(), {}
-    for number, one in enumerate(islice(read_observations(recording), numbers.stop)):
-        if number in numbers:
-            found = estimator.result(change(number, one)).distances.spatial
-            true_m = float(truth.at(np.array([one.stamp_ns])).values[0, 1])
-            off_m[number] = np.nan if found is None else abs(found.value_m - true_m)
+    seen, estimator, off_m = golden_frames("3d/contact", numbers), Measuring("fused", PROFILE), {}
+    for number, one, true_m in zip(numbers, seen, true_distances_m("3d/contact", seen)[:, 1], strict=True):
+        found = estimator.result(change(number, one)).distances.spatial
+        off_m[number] = np.nan if found is None else abs(found.value_m - true_m)
     return off_m
 
 
-def shifted(one: Observation, *shift_m: float) -> Observation:
-    """With another transform from camera to base."""
-    T = one.T_camera_base.copy()
-    T[:3, 3] += shift_m
-    return replace(one, T_camera_base=T)
-
-
 @pytest.mark.parametrize("bump_m", [0.003, 0.010, 0.030])
-def test_a_camera_that_is_bumped_costs_three_rows_and_gives_none_that_is_wrong(golden, bump_m):
+def test_a_camera_that_is_bumped_costs_three_rows_and_gives_none_that_is_wrong(bump_m):
     """The transform from camera to base is off by as much from one frame on; ground truth is of before and after."""
-    off_m = errors_m(golden, range(36), lambda number, one: shifted(one, 0.0, bump_m * (number >= 24), 0.0))
+    off_m = errors_m(range(36), lambda number, one: shifted(one, 0.0, bump_m * (number >= 24), 0.0))
     assert np.isnan([off_m[number] for number in range(24, 27)]).all()
     assert all(off_m[number] < 0.5e-3 for number in range(27, 36))
 
 
-def test_a_first_frame_that_is_wrong_costs_one_row(golden):
+def test_a_first_frame_that_is_wrong_costs_one_row():
     """Joints that are not the first image's: the second frame contradicts, and is as much worth as the first."""
-    off_m = errors_m(golden, range(30, 36), lambda number, one: shifted(one, 0.0, 0.0, 0.01 * (number == 30)))
+    off_m = errors_m(range(30, 36), lambda number, one: shifted(one, 0.0, 0.0, 0.01 * (number == 30)))
     assert np.isnan(off_m.pop(31))
     assert all(each < 0.5e-3 for each in off_m.values())
 
 
-def test_images_that_show_nothing_confirm_nothing(golden):
+def test_images_that_show_nothing_confirm_nothing():
     """After a bump every other image is blank: it begins anew as soon as three of the others contradict."""
 
     def blinking(number: int, one: Observation) -> Observation:
@@ -165,17 +142,16 @@ def test_images_that_show_nothing_confirm_nothing(golden):
             else shown
         )
 
-    off_m = errors_m(golden, range(36), blinking)
+    off_m = errors_m(range(36), blinking)
     assert np.isnan([off_m[number] for number in (24, 26, 28)]).all()
     assert all(off_m[number] < 0.5e-3 for number in (30, 32, 34))
 
 
-def test_an_outline_counts_where_the_images_hold_a_pose(golden):
+def test_an_outline_counts_where_the_images_hold_a_pose():
     """Found by shape, with a wrist; where its own pose is in doubt, it may be a wrist or a shadow: nothing begins."""
     rules = AutoSegmentation(method="auto")
     profile = PROFILE.model_copy(update={"segmentation": rules, "fiducial": None})
-    recording = open_recording(golden / "3d" / "contact.mcap", profile)
-    (seen,) = islice(read_observations(recording), 24, 25)
+    (seen,) = golden_frames("3d/contact", range(24, 25), profile)
 
     def found(doubt: str) -> FrameResult:
         measuring = Measuring("fused", profile)

@@ -4,11 +4,10 @@ import numpy as np
 
 from svmdist.estimation.instrument.model import capsules_about, wrist_in_tool
 from svmdist.kinematics import forward_kinematics
-from svmdist.profile import load_profile
 from svmdist.simulation.scene import make_scene
 from svmdist.transforms import inverse, transform_points
+from tests.shipped import PROFILE
 
-PROFILE = load_profile()
 SCENE = make_scene(PROFILE, 3)
 
 

@@ -1,8 +1,6 @@
 """Every method behind the one interface: honest about what it needs and remembers; a frame is looked at once."""
 
 from dataclasses import replace
-from itertools import islice
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +10,10 @@ from svmdist.estimation.frame import Frame
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
 from svmdist.estimation.plane_mapping import PUBLISHED_MAPPING
 from svmdist.estimation.scene import Arm
-from svmdist.recording.log import open_recording
 from svmdist.samples import Observation, Status
 from svmdist.vision.segmentation import make_segmenter
+from tests.golden import golden_frames
 from tests.measuring import frame_of
-from tests.reading import read_observations
 from tests.shipped import PROFILE
 
 REQUIRES = {
@@ -34,10 +31,9 @@ def made(method: str) -> Estimator:
 
 
 @pytest.fixture(scope="module")
-def seen(golden: Path) -> list[Observation]:
+def seen() -> list[Observation]:
     """The first frames of a rendered log with both views, joints and transforms."""
-    recording = open_recording(golden / "3d" / "contact.mcap", PROFILE)
-    return [one for one in islice(read_observations(recording), 3) if isinstance(one, Observation)]
+    return golden_frames("3d/contact", range(3))
 
 
 def fresh(seen: Observation) -> Frame:

@@ -21,10 +21,10 @@ from svmdist.estimation.plane_mapping import (
     screen_cm_as_published,
     screen_cm_corrected,
 )
-from svmdist.kinematics import DHChain, chain_of, forward_kinematics
-from svmdist.profile import load_profile
+from svmdist.kinematics import DHChain, forward_kinematics
 from svmdist.samples import Observation, Status
 from tests.measuring import Measuring
+from tests.shipped import CHAIN, PROFILE
 
 
 @pytest.mark.parametrize(
@@ -61,8 +61,7 @@ def test_eqs_5_6_are_the_published_quadratics_and_25_to_27_the_euclidean_distanc
 
 def test_the_shipped_chain_begins_with_eq_29_and_ends_with_eq_30_corrected():
     """Joint 1 slides with α = θ = 0, joint 13 turns with α = π/2 and a = d = 0 (Table II); bit for bit."""
-    robot = load_profile().robot
-    first, *_, last = chain_of(robot).rows
+    first, *_, last = CHAIN.rows
     T = np.eye(4)
     T[0, 3], T[2, 3] = first.a_m, first.d_m + 0.17
     np.testing.assert_array_equal(forward_kinematics(DHChain((first,)), [0.17]), T)
@@ -90,7 +89,6 @@ def test_eqs_33_to_35_corrected_give_centimetres():
 
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
-PROFILE = load_profile()
 MAPPING = PlaneMapping(
     "corrected",
     Quadratic(quadratic_per_cm=0.0, linear=0.8, constant_cm=0.0),

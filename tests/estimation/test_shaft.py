@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
+from svmdist.estimation.frame import Frame
 from svmdist.estimation.frame_methods import certain
 from svmdist.estimation.instrument.factors import end, of_images
 from svmdist.estimation.instrument.image_pose import ImagePose
@@ -18,7 +19,7 @@ from svmdist.profile import Profile, load_profile
 from svmdist.profile.robot import Instrument
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.results import Failure, ToolEstimate
-from svmdist.samples import Observation, Rejection, Status
+from svmdist.samples import Image, Observation, Rejection, Status
 from svmdist.transforms import make_transform
 from svmdist.vision.instruments import find_instruments
 from svmdist.vision.instruments.find_instruments import SeenInstrument
@@ -28,6 +29,7 @@ from tests.measuring import frame_of
 from tests.pictures import END_M, PALE_BGR, RED_BGR, WRIST_M, ShaftImage, entering_from
 
 PROFILE = load_profile().model_copy(update={"fiducial": None})
+BY_SHAPE = PROFILE.model_copy(update={"segmentation": AutoSegmentation(method="auto")})
 SMALL = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 LARGE = Camera.from_horizontal_fov(1920, 1080, np.pi / 2.6)
 SIDES = {
@@ -41,14 +43,14 @@ def picture(camera: Camera, side: str, **kwargs: object) -> ShaftImage:
     return ShaftImage(camera, *entering_from(SIDES[side], camera), **kwargs)
 
 
-def find_tool(observation: Observation, profile: Profile = PROFILE) -> ImagePose | Failure:
-    """The tool's pose by the shaft alone."""
-    return frame_of(observation, Arm(profile), make_segmenter(profile.segmentation)).shaft_pose
+def frame_in(image_bgr: Image, camera: Camera = SMALL, profile: Profile = PROFILE) -> Frame:
+    """The frame of an image, without joints and without a camera-to-base transform."""
+    return frame_of(Observation(0, image_bgr, camera), Arm(profile), make_segmenter(profile.segmentation))
 
 
-def measured(drawn: ShaftImage, parts: int = 2) -> ImagePose:
-    """Without joints and without a camera-to-base transform."""
-    fit = find_tool(Observation(0, drawn.draw(parts), drawn.camera))
+def measured(drawn: ShaftImage, profile: Profile = PROFILE, image_bgr: Image | None = None) -> ImagePose:
+    """The tool's pose by the shaft alone, in the picture or in what was made of it."""
+    fit = frame_in(drawn.draw(2) if image_bgr is None else image_bgr, drawn.camera, profile).shaft_pose
     assert isinstance(fit, ImagePose), fit
     return fit
 
@@ -113,10 +115,8 @@ def test_steel_tip_without_a_coloured_part(side):
 @pytest.mark.parametrize("scene", [PALE, RED], ids=["pale", "red"])
 def test_axis_without_colours(side, scene):
     """Told by shape: the axis to 2 degrees, and its distance to 2 %. The tip is not the profile's: it has no jaws."""
-    profile = PROFILE.model_copy(update={"segmentation": AutoSegmentation(method="auto")})
     drawn = picture(SMALL, side, **scene)
-    fit = find_tool(Observation(0, drawn.draw(2), SMALL), profile)
-    assert isinstance(fit, ImagePose), fit
+    fit = measured(drawn, BY_SHAPE)
     assert np.arccos(np.clip(fit.pose.axis @ drawn.direction, -1.0, 1.0)) < np.deg2rad(2.0)
     off_m = fit.pose.hinge.position_m - drawn.tool_m
     assert np.linalg.norm(off_m - (off_m @ drawn.direction) * drawn.direction) < 0.02 * drawn.tool_m[2]
@@ -125,14 +125,14 @@ def test_axis_without_colours(side, scene):
 @pytest.mark.parametrize("side", list(SIDES)[:4])
 def test_blood_across_a_shaft_is_not_its_end(side):
     """Over half of a width it is red, and beyond that the shaft goes on for a width."""
-    drawn, segmenter = picture(SMALL, side, **RED), make_segmenter(PROFILE.segmentation)
+    drawn = picture(SMALL, side, **RED)
     back_m = END_M + np.array([[1.6], [1.0]]) * 2.0 * PROFILE.instrument.shaft_radius_m
     from_px, to_px = SMALL.project(drawn.hinge_m - back_m * drawn.direction)
     aside = 2.0 * np.array([from_px[1] - to_px[1], to_px[0] - from_px[0]])
     band = np.array([from_px - aside, from_px + aside, to_px + aside, to_px - aside])
     whole = drawn.draw(2)
     cut = cv2.fillConvexPoly(whole.copy(), np.rint(band).astype(np.int32), RED_BGR)
-    views = [frame_of(Observation(0, bgr, SMALL), Arm(PROFILE), segmenter).left for bgr in (whole, cut)]
+    views = [frame_in(bgr).left for bgr in (whole, cut)]
     assert [view.shaft.rim is None for view in views] == [False, True]
     assert all(view.dark_bar is not None for view in views)
 
@@ -144,18 +144,16 @@ def test_a_dark_end_is_no_shafts_where_nothing_of_the_chain_slides():
         for row in PROFILE.robot.joints
     )
     robot = PROFILE.robot.model_copy(update={"joints": rows})
-    drawn, segmenter = picture(SMALL, "left"), make_segmenter(PROFILE.segmentation)
-    observation = Observation(0, drawn.draw(2), SMALL)
+    image = picture(SMALL, "left").draw(2)
     own, other = (
-        frame_of(observation, Arm(profile), segmenter)
-        for profile in (PROFILE, PROFILE.model_copy(update={"robot": robot}))
+        frame_in(image, profile=profile) for profile in (PROFILE, PROFILE.model_copy(update={"robot": robot}))
     )
     assert own.left.shaft.rim is not None
     assert [one.name for one in end(own.left, own.arm)] == ["end"]
     assert list(end(other.left, other.arm)) == []
 
 
-def painted_jaws(drawn: ShaftImage, length_m: float) -> Observation:
+def painted_jaws(drawn: ShaftImage, length_m: float) -> Image:
     """The picture with closed, straight jaws of a length, of steel."""
     ends_m = np.stack([drawn.hinge_m, drawn.tool_m + length_m * drawn.direction])
     base, tip = drawn.camera.project(ends_m)
@@ -164,19 +162,17 @@ def painted_jaws(drawn: ShaftImage, length_m: float) -> Observation:
     image = drawn.draw(2)
     corners = np.rint([base + half, tip + 0.5 * half, tip - 0.5 * half, base - half]).astype(np.int32)
     cv2.fillPoly(image, [corners], (120, 120, 115))
-    return Observation(0, np.asarray(cv2.GaussianBlur(image, (0, 0), 0.8), np.uint8), drawn.camera)
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), 0.8), np.uint8)
 
 
 @pytest.mark.parametrize("side", list(SIDES)[:2])
 def test_jaws_are_as_long_as_their_tips_are_seen_and_never_shorter(side):
     """Of jaws that may be off by 4 mm. Shorter ones may be half hidden; the end, too, may explain longer ones."""
     instrument = PROFILE.instrument.model_copy(update={"body_std_m": 0.004})
-    by_shape = {"segmentation": AutoSegmentation(method="auto"), "instrument": instrument}
-    profile, drawn = PROFILE.model_copy(update=by_shape), picture(SMALL, side, **PALE)
+    profile, drawn = BY_SHAPE.model_copy(update={"instrument": instrument}), picture(SMALL, side, **PALE)
     for share in (0.5, 1.0, 2.0):
         length_m = share * instrument.jaw_length_m
-        fit = find_tool(painted_jaws(drawn, length_m), profile)
-        assert isinstance(fit, ImagePose), fit
+        fit = measured(drawn, profile, painted_jaws(drawn, length_m))
         assert "jaws' tip" in fit.used
         assert (fit.pose.jaw_scale > 1.1) == (share > 1.0)
         bodies = [
@@ -191,12 +187,10 @@ def test_jaws_are_as_long_as_their_tips_are_seen_and_never_shorter(side):
 
 def test_a_wrist_that_may_have_been_taken_for_a_shaft_leaves_the_depth_open(monkeypatch):
     """Where the network is less sure of a shaft, and no wrist is seen beyond it, it may be nearer by a third."""
-    profile = PROFILE.model_copy(update={"segmentation": AutoSegmentation(method="auto")})
     drawn, std_m = picture(SMALL, "left", **PALE), []
     for log_odds in (3.0, 0.7):
         monkeypatch.setattr(find_instruments, "part_entering", lambda *_, odds=log_odds: odds)
-        fit = find_tool(Observation(0, drawn.draw(2), SMALL), profile)
-        assert isinstance(fit, ImagePose), fit
+        fit = measured(drawn, BY_SHAPE)
         ray = drawn.hinge_m / np.linalg.norm(drawn.hinge_m)
         std_m.append(float(np.sqrt(ray @ fit.pose.hinge.covariance @ ray)))
     assert std_m[0] < 0.1 * drawn.hinge_m[2] < std_m[1]
@@ -205,11 +199,8 @@ def test_a_wrist_that_may_have_been_taken_for_a_shaft_leaves_the_depth_open(monk
 @pytest.mark.parametrize("side", list(SIDES)[:2])
 def test_a_shaft_out_of_focus_is_measured(side):
     """Blurred by 4 px its sides are still where the evidence is: the axis to 2 degrees, within the stated interval."""
-    profile = PROFILE.model_copy(update={"segmentation": AutoSegmentation(method="auto")})
     drawn = picture(SMALL, side, **PALE)
-    blurred = np.asarray(cv2.GaussianBlur(drawn.draw(2), (0, 0), 4.0), np.uint8)
-    fit = find_tool(Observation(0, blurred, SMALL), profile)
-    assert isinstance(fit, ImagePose), fit
+    fit = measured(drawn, BY_SHAPE, np.asarray(cv2.GaussianBlur(drawn.draw(2), (0, 0), 4.0), np.uint8))
     assert np.arccos(np.clip(fit.pose.axis @ drawn.direction, -1.0, 1.0)) < np.deg2rad(2.0)
     off_m = fit.pose.hinge.position_m - drawn.tool_m
     across_m = np.linalg.norm(off_m - (off_m @ drawn.direction) * drawn.direction)
@@ -218,12 +209,8 @@ def test_a_shaft_out_of_focus_is_measured(side):
 
 def test_beyond_10_cm_a_scene_of_twice_the_size_is_as_certain():
     """Without a known diameter or focal length every length is off alike, and the least certainty is a share of it."""
-    observation = Observation(0, picture(SMALL, "left", **PALE).draw(2), SMALL)
-    frame, fit = (
-        frame_of(observation, Arm(PROFILE), make_segmenter(PROFILE.segmentation)),
-        find_tool(observation),
-    )
-    assert isinstance(fit, ImagePose), fit
+    frame = frame_in(picture(SMALL, "left", **PALE).draw(2))
+    fit = frame.shaft_pose
     std = fit.pose.position_std_m / np.linalg.norm(fit.pose.position_m)
     for away_m in (0.15, 0.3):
         scale = away_m / np.linalg.norm(fit.pose.position_m)
@@ -239,7 +226,7 @@ def test_beyond_10_cm_a_scene_of_twice_the_size_is_as_certain():
 
 @pytest.mark.parametrize("grey", [0, 150])
 def test_an_image_without_an_instrument_says_so(grey):
-    assert isinstance(find_tool(Observation(0, np.full((480, 640, 3), grey, np.uint8), SMALL)), Failure)
+    assert isinstance(frame_in(np.full((480, 640, 3), grey, np.uint8)).shaft_pose, Failure)
 
 
 ENDS = ShaftSizes(
@@ -290,9 +277,7 @@ def test_every_point_of_an_image_errs_for_as_long_as_the_profile_says():
         update={"filter": PROFILE.settings.filter.model_copy(update=times)}
     )
     profile = PROFILE.model_copy(update={"settings": settings})
-    drawn = picture(SMALL, "right", **PALE)
-    seen = Observation(0, drawn.draw(2), drawn.camera)
-    frame = frame_of(seen, Arm(profile), make_segmenter(profile.segmentation))
+    frame = frame_in(picture(SMALL, "right", **PALE).draw(2), profile=profile)
     found = {one.name: one.correlation_time_s for one in of_images(frame, None, both_views=False)}
     edges = {name: time_s for name, time_s in found.items() if name.startswith("edge")}
     assert len(edges) == 2

@@ -1,8 +1,6 @@
 """The tissue: where it lies, its surface by outline, stereo or mesh, and how sure that is."""
 
-import re
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,16 +16,15 @@ from svmdist.estimation.tissue.detection import TissuePose, detect_tissue, tissu
 from svmdist.estimation.tissue.dome import DomeModel
 from svmdist.geometry import Capsules, Cloud
 from svmdist.geometry.distance import separation
-from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
+from svmdist.profile import Profile, load_profile
 from svmdist.profile.robot import Dome
-from svmdist.recording.log import open_recording
 from svmdist.results import ToolPose
-from svmdist.samples import Observation, Status
+from svmdist.samples import Status
 from svmdist.simulation.scene import Scene, make_scene
 from svmdist.transforms import Array, rotation_z, transform_points
+from tests.golden import golden_frames, true_distances_m
 from tests.measuring import Measuring
-from tests.reading import read_observations
-from tests.shipped import PROFILE
+from tests.shipped import PROFILE, write_profile
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 
@@ -125,50 +122,43 @@ def organ_obj(scene: Scene, path: Path) -> Path:
 
 def profile_with(folder: Path, tissue: str) -> Profile:
     """The shipped profile with other lines in place of its dome."""
-    text = profile_path(DEFAULT_PROFILE).read_text("utf-8")
-    text, count = re.subn(r"surface_std_m = .*\n\n\[tissue\.dome\]\n(.+\n)+", lambda _: tissue, text)
-    assert count == 1
-    path = folder / "mine.toml"
-    path.write_text(text, "utf-8")
-    return load_profile(path)
+    dome = (r"surface_std_m = .*\n\n\[tissue\.dome\]\n(.+\n)+", tissue)
+    return load_profile(write_profile(folder / "mine.toml", dome))
 
 
-def test_clearance_is_nearer_to_the_truth_than_with_the_dome(tmp_path, golden):
+def test_clearance_is_nearer_to_the_truth_than_with_the_dome(tmp_path):
     """With the organ's own mesh, the clearance's RMSE on a golden log falls from 0.36 to 0.20 mm."""
-    shipped = load_profile()
-    scene = make_scene(shipped, GOLDEN_SEED)
+    scene = make_scene(PROFILE, GOLDEN_SEED)
     organ_obj(scene, tmp_path / "organ.obj")
     R = scene.T_camera_tissue()[:3, :3]
     yaw_rad = float(np.arctan2(-R[1, 0], R[0, 0]))
     offset = rotation_z(yaw_rad) @ [-0.01, 0.0, 0.0]
     lines = f'mesh = "organ.obj"\nmesh_unit = "mm"\nmesh_yaw_rad = {yaw_rad}\nmesh_position_m = {offset.tolist()}\n'
     meshed = profile_with(tmp_path, lines)
-    recording = open_recording(golden / "contact.mcap", shipped)
-    seen = [each for each in read_observations(recording) if isinstance(each, Observation)][::10]
-    truth = recording.distance_track().at(np.array([each.stamp_ns for each in seen]))
+    seen = golden_frames("contact", range(0, 80, 10))
+    truth_m = true_distances_m("contact", seen)[:, 2]
     rmse_m = []
-    for profile in (shipped, meshed):
+    for profile in (PROFILE, meshed):
         shaft = Measuring("shaft", profile)
         rows = [shaft.estimate(each) for each in seen]
         assert all(row.clearance_m is not None for row in rows)
-        errors = np.array([row.clearance_m for row in rows], np.float64) - truth.values[:, 2]
+        errors = np.array([row.clearance_m for row in rows], np.float64) - truth_m
         rmse_m.append(float(np.sqrt(np.mean(errors**2))))
     assert rmse_m[1] < 0.7 * rmse_m[0]
 
 
 @pytest.mark.parametrize("plane_distance_m", [0.112, 0.122])
-def test_a_surface_that_both_views_show_needs_no_shape_from_the_profile(tmp_path, golden, plane_distance_m):
+def test_a_surface_that_both_views_show_needs_no_shape_from_the_profile(tmp_path, plane_distance_m):
     """`fused` without a dome, on a plane that is right or 10 mm off and says so: contact is seen as such."""
     bare = profile_with(tmp_path, "surface_std_m = 5e-3\n")
     rough = {"plane_distance_m": plane_distance_m, "plane_distance_std_m": 0.01}
     bare = bare.model_copy(update={"tissue": bare.tissue.model_copy(update=rough)})
-    recording = open_recording(golden / "3d" / "contact.mcap", bare)
-    seen = [each for each in islice(read_observations(recording), 36) if isinstance(each, Observation)][::7]
-    truth = recording.distance_track().at(np.array([each.stamp_ns for each in seen]))
+    seen = golden_frames("3d/contact", range(0, 36, 7), bare)
+    truth_m = true_distances_m("3d/contact", seen)[:, 2]
     fused = Measuring("fused", bare)
     rows = [fused.estimate(each) for each in seen]
     assert all(row.status is Status.OK and row.clearance_std_m < 3e-3 for row in rows)
-    errors_m = np.array([row.clearance_m for row in rows]) - truth.values[:, 2]
+    errors_m = np.array([row.clearance_m for row in rows]) - truth_m
     assert np.all(np.abs(errors_m) < 2e-3)
 
 

@@ -2,8 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import islice
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,13 +10,11 @@ import pytest
 from svmdist.estimation.instrument.model import capsules_about, shaft_sections, wrist_in_tool
 from svmdist.kinematics import forward_kinematics
 from svmdist.profile import Profile
-from svmdist.recording.log import open_recording
 from svmdist.samples import Image, Observation, Status
 from svmdist.simulation.scene import make_scene
 from svmdist.transforms import inverse, transform_points
-from tests.golden import IN_3D, REAL
-from tests.measuring import Measuring
-from tests.reading import read_observations
+from tests.golden import IN_3D, REAL, golden_frames
+from tests.measuring import Measuring, shifted
 from tests.shipped import PROFILE
 
 PLAIN_LOGS = ("sweep", "random", "approach")
@@ -37,15 +33,13 @@ MIN_SHAFT_PX = 4000  # a stub of less is mostly the rounded end, which sections 
 GREY_BGR, TISSUE_BGR = (150, 150, 150), (90, 80, 200)
 
 
-def frames_of(path: Path) -> list[Observation]:
-    """Some frames of a log, with the instrument in view."""
-    recording = open_recording(path, PROFILE)
-    return [one for one in islice(read_observations(recording), 20, 60, 8) if isinstance(one, Observation)]
+IN_VIEW = range(20, 60, 8)
+"""Some frames of these logs, with the instrument in view."""
 
 
 @pytest.fixture(scope="module", params=PLAIN_LOGS)
-def seen(request, golden: Path) -> list[Observation]:
-    return frames_of(golden / f"{request.param}.mcap")
+def seen(request) -> list[Observation]:
+    return golden_frames(request.param, IN_VIEW)
 
 
 def results(profile: Profile, seen: list[Observation], change: Callable[[Observation], Observation]):
@@ -55,13 +49,7 @@ def results(profile: Profile, seen: list[Observation], change: Callable[[Observa
 
 def moved(*offset_m: float) -> Callable[[Observation], Observation]:
     """What makes the camera-to-base transform of an observation wrong."""
-
-    def change(one: Observation) -> Observation:
-        T = one.T_camera_base.copy()
-        T[:3, 3] += offset_m
-        return replace(one, T_camera_base=T)
-
-    return change
+    return lambda one: shifted(one, *offset_m)
 
 
 def painted(paint: Callable[[Image], None], after: Callable[[Observation], Observation]):
@@ -105,8 +93,8 @@ def test_a_tool_behind_the_camera_is_never_ok(seen, profile):
 
 
 @pytest.mark.parametrize("log", PLAIN_LOGS[:2])
-def test_a_shaft_beside_the_one_in_the_image_is_refuted_without_a_marker(log, golden):
-    seen = frames_of(golden / f"{log}.mcap")
+def test_a_shaft_beside_the_one_in_the_image_is_refuted_without_a_marker(log):
+    seen = golden_frames(log, IN_VIEW)
     sure = SURE_PROFILE.kinematic_error.model_copy(
         update={"camera_base_std_m": 3e-4, "camera_base_std_rad": 1e-4, "joint_std_rad": 1e-4}
     )

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from svmdist.kinematics import chain_of
 from svmdist.perturbations import Perturbations, parse_perturbations
 from svmdist.perturbations.joints import (
     METRES_PER_DEG,
@@ -18,12 +17,11 @@ from svmdist.perturbations.joints import (
     reported_joints,
     reported_late,
 )
-from svmdist.profile import load_profile
 from svmdist.transforms import Array
+from tests.shipped import CHAIN, PROFILE
 
-PROFILE = load_profile()
 UNITS = JointUnits.of(PROFILE)
-NAMES = chain_of(PROFILE.robot).joint_names
+NAMES = CHAIN.joint_names
 WRIST = NAMES.index("wrist_pitch")
 STEP_NS = 10_000_000
 PATHS = arrays(np.float64, st.tuples(st.integers(1, 40), st.just(3)), elements=st.floats(-2.0, 2.0))

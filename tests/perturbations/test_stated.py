@@ -11,12 +11,12 @@ from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import UsageError
 from svmdist.perturbations import calibration, parse_perturbations
 from svmdist.perturbations.calibration import perturbed_image, perturbed_right_view
-from svmdist.profile import Profile, load_profile
+from svmdist.profile import Profile
 from svmdist.samples import RightView
 from svmdist.transforms import rotation_angle
+from tests.shipped import PROFILE
 from tests.synthetic import make_scene
 
-PROFILE = load_profile()
 LEFT = Camera.from_horizontal_fov(640, 480, 1.0)
 
 

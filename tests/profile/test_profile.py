@@ -9,8 +9,8 @@ import pytest
 from svmdist.errors import ProfileError, UsageError
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path, shipped_profiles
 from svmdist.profile.robot import TAGS, Joint
+from tests.shipped import PSM13
 
-TEXT = profile_path(DEFAULT_PROFILE).read_text("utf-8")
 NO_ANGLES = "|-|90|90deg|pi/0|pi*2|pi/2/2|pi/pi|2pi|--pi|tau|nan*pi|pi/nan|inf*pi|pi/|*pi"
 MINIMAL = """
 name = "mine"
@@ -120,15 +120,25 @@ MISTAKES = [
     ('tool = "PSM2_tool"', 'tool = "tool"', "needs a frame of its own; given twice: tool"),
     ("fiducial_id = 1", "fiducial_id = 0", "needs a fiducial_id of its own; given twice: 0"),
     ('joints = "/PSM2/measured_js"\npose = "/PSM2/measured_cp"', "", "name joints or pose"),
+    # What would overflow when it is squared, which NumPy would warn of later.
+    (
+        "[features]",
+        "[camera_error]\nfocal_std_fraction = 1e308\n[features]",
+        r"camera_error\.focal_std_fraction",
+    ),
+    ("distance_std_m = 1.0e-3", "distance_std_m = 1e308", r"tissue\.plane_distance_std_m"),
+    ("a_m = 0.43", "a_m = 1e308", r"robot\.joints\.1\.a_m"),
+    ("shaft_radius_m = 0.004", "shaft_radius_m = 1e-308", r"instrument\.shaft_radius_m"),
+    ("[0.0, 0.0085, 0.0046]", "[0.0, -1e308, 0.0]", r"fiducial\.position_m"),
 ]
 
 
 @pytest.mark.parametrize(("old", "new", "message"), MISTAKES)
 def test_a_mistake_names_file_key_and_what_was_expected(tmp_path, old, new, message):
     """Each mistake gives one line that begins with the file and names the key and the value or nearest key."""
-    assert old in TEXT
+    assert old in PSM13
     with pytest.raises(ProfileError, match=message) as caught:
-        load_text(tmp_path, TEXT.replace(old, new, 1))
+        load_text(tmp_path, PSM13.replace(old, new, 1))
     assert str(caught.value).startswith(f"{tmp_path / 'mine.toml'}: ")
     assert "\n" not in str(caught.value)
 
@@ -137,9 +147,9 @@ def test_several_mistakes_are_reported_at_once(tmp_path):
     """Two mistakes give one line with both, so that they can be mended together; of many the first five."""
     many = "".join(f"k{number} = 1\n" for number in range(9))
     with pytest.raises(ProfileError, match=r"and 4 more$"):
-        load_text(tmp_path, many + TEXT)
+        load_text(tmp_path, many + PSM13)
     with pytest.raises(ProfileError) as caught:
-        load_text(tmp_path, TEXT.replace("ratio = 0.75", "ratio = 2").replace("size_px = 96", "size = 96"))
+        load_text(tmp_path, PSM13.replace("ratio = 0.75", "ratio = 2").replace("size_px = 96", "size = 96"))
     assert "features.ratio: " in str(caught.value)
     assert "unknown key marker.size: did you mean size_px?" in str(caught.value)
 
@@ -156,7 +166,7 @@ def test_angles_are_numbers_or_multiples_of_pi():
 
 def test_a_rotation_of_the_tool_becomes_a_transform(tmp_path):
     """tool_rotation stands in the upper left of T_last_tool, and its absence is the identity."""
-    text = TEXT.replace("[robot]", "[robot]\ntool_rotation = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]", 1)
+    text = PSM13.replace("[robot]", "[robot]\ntool_rotation = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]", 1)
     turned = [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
     for robot, T in ((load_text(tmp_path, text).robot, turned), (load_profile().robot, np.eye(4))):
         np.testing.assert_array_equal(robot.T_last_tool, T)
@@ -178,6 +188,10 @@ def test_a_rotation_of_the_tool_becomes_a_transform(tmp_path):
         ("", None, "cannot read: Is a directory"),
         ("a.toml", b'name = "x"\nhue = [1, = 2]\n', r"a\.toml: not a TOML file: .*line 2, column 11"),
         ("a.toml", 'name = "Ger\xe4t"'.encode("latin-1"), r"a\.toml: not a TOML file: byte 11 is not UTF-8"),
+        ("a.toml", b"[robot]\njoints = " + b"[" * 10_000 + b"]" * 10_000, "nested too deeply"),
+        ("a.toml", b"a = " + b"{b=" * 10_000 + b"1" + b"}" * 10_000, "nested too deeply"),
+        ("a.toml", b'name = "x"\n[features]\nfeature_count = ' + b"9" * 5000, "value has 5000 digits"),
+        ("a.toml", b"[" + b"a." * 10_000 + b"b]\n", "unknown key a"),
     ],
 )
 def test_what_is_no_toml_file_says_why_and_where(tmp_path, name, data, message):

@@ -5,22 +5,20 @@ import logging
 import pytest
 from pydantic import ValidationError
 
-from svmdist.profile import DEFAULT_PROFILE, SHIPPED, load_profile, profile_path
+from svmdist.profile import SHIPPED, load_profile
 from svmdist.profile.settings import FusedSettings, OutlineSettings, Settings, former_keys
 from svmdist.recording.log import open_recording
 from svmdist.samples import Status
 from svmdist.vision.regions import find_region
 from svmdist.workflows.estimate import estimate
 from svmdist.workflows.request import Setup, prepare
-from tests.shipped import EXACT_PROFILE
-
-TEXT = profile_path(DEFAULT_PROFILE).read_text("utf-8")
+from tests.shipped import EXACT_PROFILE, PSM13
 
 
 def test_a_profile_sets_them(tmp_path):
     """One key of one table changes that setting alone."""
     path = tmp_path / "mine.toml"
-    path.write_text(TEXT + "\n[settings.shaft]\nmax_position_std_m = 0.002\n", "utf-8")
+    path.write_text(PSM13 + "\n[settings.shaft]\nmax_position_std_m = 0.002\n", "utf-8")
     changed, shipped = load_profile(path).settings, load_profile().settings
     assert changed.shaft.max_position_std_m == 0.002
     assert changed.model_copy(update={"shaft": shipped.shaft}) == shipped
@@ -30,7 +28,7 @@ def test_keys_of_older_profiles_are_ignored_with_a_warning(tmp_path, caplog):
     """What was a setting once and is a constant now leaves a profile as valid as it was, whatever its table."""
     tables = "".join(f"\n[{table}]\n{min(keys)} = 3\n" for table, keys in former_keys().items())
     path = tmp_path / "mine.toml"
-    path.write_text(TEXT + tables, "utf-8")
+    path.write_text(PSM13 + tables, "utf-8")
     with caplog.at_level(logging.WARNING):
         assert load_profile(path) == load_profile()
     assert len(caplog.messages) == len(former_keys())

@@ -16,15 +16,15 @@ from fsspec.spec import AbstractBufferedFile, AbstractFileSystem
 
 from svmdist import remote
 from svmdist.errors import RecordingError, concealed
-from svmdist.profile import Limits, load_profile
+from svmdist.profile import Limits
 from svmdist.recording.log import open_recording
 from svmdist.recording.mcap import McapSource
 from svmdist.remote import RemoteFile, without_secrets
 from tests.recording.builders import rewrite, write_messages
 from tests.recording.faults import flip_bit, is_subsequence
+from tests.shipped import PROFILE
 from tests.synthetic import make_scene, write_log
 
-PROFILE = load_profile()
 FETCHED: dict[str, int] = {}
 HARM: dict[str, str] = {}
 

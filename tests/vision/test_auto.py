@@ -17,7 +17,7 @@ from svmdist.vision.instruments.outline import Outline
 from svmdist.vision.instruments.outline_search import judged
 from svmdist.vision.segmentation import make_segmenter
 from svmdist.vision.shadows import edge_within
-from svmdist.vision.silhouette import WristShape, find_silhouette
+from svmdist.vision.silhouette import Silhouette, WristShape, find_silhouette
 from tests.pictures import BORDERS, surgery_image
 from tests.reading import read_images
 from tests.shipped import PROFILE
@@ -27,6 +27,32 @@ def instruments(bgr: Image) -> np.ndarray:
     """All instruments' pixels, shape (h, w)."""
     masks = [one.mask > 0 for one in AutoMasks(bgr).seen]
     return np.any(masks, axis=0) if masks else np.zeros(bgr.shape[:2], np.bool_)
+
+
+def sides_of(end: float = 200.0, top: float = 99.5, bottom: float = 139.5) -> np.ndarray:
+    """The sides of a shaft that comes in from the left, shape (2, 2, 2)."""
+    return np.array([[[0.0, top], [end, top]], [[0.0, bottom], [end, bottom]]])
+
+
+def seen_as(mask: np.ndarray, sides: np.ndarray, **known: object) -> SeenInstrument:
+    """An instrument in a picture of 320x240 px, whose end is between those of its sides, to 2 px."""
+    known = {"end_px": sides[:, 1].mean(0), "end_std_px": 2.0, "pixel_px": 1.0, **known}
+    return SeenInstrument(mask, (240, 320), sides, evidence=1.0, **known)
+
+
+def bars(*boxes: tuple[int, int, int, int], ground: int = 120) -> Image:
+    """A grey picture of 320x240 px with dark bars, each from left to right and from above to below."""
+    bgr = np.full((240, 320, 3), ground, np.uint8)
+    for left, right, above, below in boxes:
+        bgr[above:below, left:right] = 30
+    return bgr
+
+
+SHAFT, WRIST = (0, 200, 100, 140), (200, 280, 108, 132)
+
+
+def silhouette(bgr: Image, seen: SeenInstrument, tool_fraction: float = 0.3) -> Silhouette | None:
+    return find_silhouette(bgr, seen, None, WristShape(tool_fraction, 2.0), 12.0)
 
 
 @pytest.mark.slow
@@ -77,19 +103,11 @@ def test_instruments_come_in_where_light_ends():
 
 def test_the_end_is_between_that_of_edges_and_that_of_evidence():
     """A wrist as bright as what is behind it has no edges; a shaft's end may be where these stop, or beyond."""
-    bgr = np.full((240, 320, 3), 120, np.uint8)
-    bgr[100:140, :200] = 30
-    mask = np.zeros((240, 320), np.bool_)
-    mask[100:140, :230] = True
-    sides = np.array([[[0.0, 99.5], [230.0, 99.5]], [[0.0, 139.5], [230.0, 139.5]]])
-    found = [
-        find_silhouette(bgr, seen, None, WristShape(0.3, 2.0), 12.0)
+    mask = bars((0, 230, 100, 140))[..., 0] == 30
+    at_edges, beyond = (
+        silhouette(bars(SHAFT), seen_as(mask, sides_of(230.0), end_px=np.array([end, 119.5]))).rim
         for end in (200.0, 230.0)
-        for seen in [
-            SeenInstrument(mask, (240, 320), sides, np.array([end, 119.5]), 1.0, end_std_px=2.0, pixel_px=1.0)
-        ]
-    ]
-    (at_edges, beyond) = (one.rim for one in found if one is not None and one.rim is not None)
+    )
     assert at_edges.pixel[0] == pytest.approx(200.0, abs=2.0)
     assert beyond.pixel[0] == pytest.approx(215.0, abs=2.0)
     assert abs(beyond.pixel[0] - 200.0) < 2.0 * beyond.std_px
@@ -98,13 +116,8 @@ def test_the_end_is_between_that_of_edges_and_that_of_evidence():
 @pytest.mark.parametrize("end", [200.0, 130.0], ids=["the end", "a band before it"])
 def test_an_outline_longer_than_a_wrist_says_that_its_end_is_none(end):
     """Beyond a band the rest of the shaft looks like wrist: the tip is seen, and the end is as uncertain."""
-    bgr = np.full((240, 320, 3), 120, np.uint8)
-    bgr[100:140, :200] = bgr[108:132, 200:280] = 30
-    mask = bgr[..., 0] == 30
-    sides = np.array([[[0.0, 99.5], [end, 99.5]], [[0.0, 139.5], [end, 139.5]]])
-    at = np.array([end, 119.5])
-    seen = SeenInstrument(mask, (240, 320), sides, at, 1.0, end_std_px=2.0, ends_dark=True, pixel_px=1.0)
-    found = find_silhouette(bgr, seen, None, WristShape(0.3, 2.0), 12.0)
+    bgr = bars(SHAFT, WRIST)
+    found = silhouette(bgr, seen_as(bgr[..., 0] == 30, sides_of(end), ends_dark=True))
     assert found.wrist.tip_px == pytest.approx([279.0, 119.5], abs=3.0)
     assert abs(found.rim.pixel[0] - 200.0) < 2.0 * found.rim.std_px
     assert found.rim.std_px < (5.0 if end == 200.0 else 45.0)
@@ -113,30 +126,17 @@ def test_an_outline_longer_than_a_wrist_says_that_its_end_is_none(end):
 @pytest.mark.parametrize("touches", [False, True], ids=["alone", "touched"])
 def test_of_two_wrists_that_touch_the_origin_is_in_either(touches):
     """The one of another instrument, as long as its own, begins where this one ends: alone, it is a part of it."""
-    bgr = np.full((240, 320, 3), 120, np.uint8)
-    bgr[100:140, :200] = bgr[108:132, 200:280] = 30
-    cv2.line(bgr, (205, 115), (240, 40), (30, 30, 30), 24)
-    sides = np.array([[[0.0, 99.5], [200.0, 99.5]], [[0.0, 139.5], [200.0, 139.5]]])
-    seen = SeenInstrument(
-        bgr[..., 0] == 30, (240, 320), sides, np.array([200.0, 119.5]), 1.0,
-        end_std_px=2.0, pixel_px=1.0, touches_another=touches,
-    )  # fmt: skip
-    found = find_silhouette(bgr, seen, None, WristShape(0.6, 2.0), 12.0)
+    bgr = cv2.line(bars(SHAFT, WRIST), (205, 115), (240, 40), (30, 30, 30), 24)
+    found = silhouette(bgr, seen_as(bgr[..., 0] == 30, sides_of(), touches_another=touches), 0.6)
     off_px = float(np.linalg.norm(found.wrist.pixel - [248.0, 119.5]))
     assert (off_px < 1.5 * found.wrist.std_px) is touches
 
 
-@pytest.mark.parametrize("wrist_px", [0, 80])
-def test_beyond_a_wrist_that_was_taken_for_a_shaft_there_is_no_wrist(wrist_px):
-    bgr = np.full((240, 320, 3), 120, np.uint8)
-    bgr[100:140, :200] = bgr[108:132, 200 : 200 + wrist_px] = 30
-    sides = np.array([[[0.0, 99.5], [200.0, 99.5]], [[0.0, 139.5], [200.0, 139.5]]])
-    seen = SeenInstrument(
-        bgr[..., 0] == 30, (240, 320), sides, np.array([200.0, 119.5]), 1.0,
-        end_std_px=2.0, pixel_px=1.0, wrist_std=0.3,
-    )  # fmt: skip
-    found = find_silhouette(bgr, seen, None, WristShape(0.6, 2.0), 12.0)
-    assert found.wrist_std == pytest.approx(0.0 if wrist_px else 0.3, abs=0.05)
+@pytest.mark.parametrize(("wrist", "std"), [((), 0.3), ((WRIST,), 0.0)])
+def test_beyond_a_wrist_that_was_taken_for_a_shaft_there_is_no_wrist(wrist, std):
+    bgr = bars(SHAFT, *wrist)
+    found = silhouette(bgr, seen_as(bgr[..., 0] == 30, sides_of(), wrist_std=0.3), 0.6)
+    assert found.wrist_std == pytest.approx(std, abs=0.05)
 
 
 def test_sides_run_along_the_outline():
@@ -160,10 +160,10 @@ def test_sides_without_an_edge_are_those_of_the_evidence():
     told = 0
     for one in map(surgery_image, range(6)):
         for seen in AutoMasks(one.bgr).seen:
-            if find_silhouette(one.bgr, seen, None, WristShape(0.3, 2.0), 12.0) is None:
+            if silhouette(one.bgr, seen) is None:
                 continue
             told += 1
-            flat = find_silhouette(np.full_like(one.bgr, 120), seen, None, WristShape(0.3, 2.0), 12.0)
+            flat = silhouette(np.full_like(one.bgr, 120), seen)
             for edge in flat.edges:
                 assert np.diag(edge.covariance).min() > (0.04 * flat.width_px) ** 2
     assert told >= 6
@@ -180,11 +180,8 @@ def test_the_shaft_ends_before_its_own_shadow(behind, light):
     bgr[100:140, :200] = 35, 32, 32
     bgr = cv2.GaussianBlur(bgr, (0, 0), 0.8).astype(np.uint8)
     below = 139.5 if light == 1.0 else 157.5
-    sides = np.array([[[0.0, 99.5], [200.0, 99.5]], [[0.0, below], [200.0, below]]])
-    mask = np.zeros((240, 320), np.bool_)
-    mask[100 : int(below + 0.5), :200] = True
-    seen = SeenInstrument(mask, (240, 320), sides, sides[:, 1].mean(0), 1.0, end_std_px=2.0, pixel_px=2.0)
-    found = find_silhouette(bgr, seen, None, WristShape(0.3, 2.0), 12.0)
+    mask = bars((0, 200, 100, int(below + 0.5)))[..., 0] == 30
+    found = silhouette(bgr, seen_as(mask, sides_of(bottom=below), pixel_px=2.0))
     assert found.width_px == pytest.approx(40.0, abs=0.7)
 
 
@@ -222,16 +219,9 @@ def test_a_side_that_goes_on_alone_is_doubtful_unless_the_instrument_does(is_cap
     bgr[135:140, :200] = 55
     if is_cap:
         bgr[110:146, 200:280] = 200
-    sides = np.array([[[0.0, 99.5], [200.0, 99.5]], [[0.0, 145.5], [200.0, 145.5]]])
-    mask = np.zeros((240, 320), np.bool_)
-    mask[100:146, : 280 if is_cap else 200] = True
-    seen = SeenInstrument(
-        mask, (240, 320), sides, sides[:, 1].mean(0), 1.0, end_std_px=2.0, ends_dark=True, pixel_px=1.0
-    )
-    found = find_silhouette(
-        cv2.GaussianBlur(bgr, (0, 0), 0.8).astype(np.uint8), seen, None, WristShape(0.3, 2.0), 12.0
-    )
-    upper, lower = found.edges
+    mask = bars((0, 280 if is_cap else 200, 100, 146))[..., 0] == 30
+    seen = seen_as(mask, sides_of(bottom=145.5), ends_dark=True)
+    upper, lower = silhouette(cv2.GaussianBlur(bgr, (0, 0), 0.8).astype(np.uint8), seen).edges
     assert lower.end_px[0] > 250.0
     assert upper.covariance is None
     assert (lower.covariance is None) is is_cap
@@ -275,7 +265,7 @@ def test_a_wrist_that_comes_in_from_the_border_is_no_shaft(golden):
     # Also those that touch have their own wrist and jaws, and not the other one's.
     assert min(np.count_nonzero(one.distal) for one in shafts) > 1000
     assert all(np.linalg.norm(one.tip_px - one.end_px) < 3.0 * one.width_px for one in shafts)
-    assert find_silhouette(images[27], wrists[1], None, WristShape(0.3, 2.0), 12.0) is None
+    assert silhouette(images[27], wrists[1]) is None
 
 
 def test_instruments_without_a_straight_shaft_are_no_tissue():
@@ -294,6 +284,14 @@ def test_instruments_without_a_straight_shaft_are_no_tissue():
     assert np.median(covered) > 0.7
 
 
+def is_accepted(bgr: Image, top: int) -> bool:
+    """Whether what the network takes for an instrument, from a row down to row 140, has a shaft's outline."""
+    image, odds = Evidence(bgr, AutoSettings()), np.full((2, 240, 320), -2.0, np.float32)
+    odds[:, top:140, :200] = 3.0
+    image.scores, image.odds = odds, odds[0]
+    return judged(Outline(sides_of(199.5, top - 0.5)), image).is_accepted
+
+
 @pytest.mark.parametrize(("first_side", "is_shaft"), [(80, False), (100, True)])
 def test_a_cable_beside_a_shaft_is_no_part_of_it(first_side, is_shaft):
     """Where the network takes both for one, most inside of the outline's side has the colours beyond it."""
@@ -301,26 +299,16 @@ def test_a_cable_beside_a_shaft_is_no_part_of_it(first_side, is_shaft):
     levels[80:100], levels[100:140], levels[112:118] = 150.0, 40.0, 230.0  # cable, shaft, and light on it
     bgr = np.repeat(np.repeat(levels[:, None], 320, axis=1)[..., None], 3, axis=2).astype(np.uint8)
     bgr[:, 200:] = 120
-    image = Evidence(bgr, AutoSettings())
-    odds = np.full((2, 240, 320), -2.0, np.float32)
-    odds[:, first_side:140, :200] = 3.0
-    image.scores, image.odds = odds, odds[0]
-    sides = np.array([[[0.0, first_side - 0.5], [199.5, first_side - 0.5]], [[0.0, 139.5], [199.5, 139.5]]])
-    assert judged(Outline(sides), image).is_accepted is is_shaft
+    assert is_accepted(bgr, first_side) is is_shaft
 
 
 def test_lettering_is_a_part_of_the_shaft():
     """Beside white letters a dark side looks like dark tissue, but the shaft between the letters looks like it, too."""
-    bgr = np.full((240, 320, 3), 64, np.uint8)
+    bgr = bars(ground=64)
     bgr[100:140, :200] = np.linspace(54.0, 30.0, 40)[:, None, None]  # shaded across
     for x in range(0, 190, 16):
         bgr[119:122, x : x + 13] = 230
-    image = Evidence(bgr, AutoSettings())
-    odds = np.full((2, 240, 320), -2.0, np.float32)
-    odds[:, 100:140, :200] = 3.0
-    image.scores, image.odds = odds, odds[0]
-    sides = np.array([[[0.0, 99.5], [199.5, 99.5]], [[0.0, 139.5], [199.5, 139.5]]])
-    assert judged(Outline(sides), image).is_accepted
+    assert is_accepted(bgr, 100)
 
 
 def test_highlights_at_the_border_are_no_instruments():

@@ -14,8 +14,8 @@ from svmdist.recording.log import Recording
 from svmdist.recording.summary import RecordingSummary, TopicSummary
 from svmdist.recording.topics import Role
 from svmdist.workflows.capabilities import best_method, capabilities, method_capabilities
+from tests.shipped import PROFILE
 
-PROFILE = load_profile()
 JOINTS = tuple(joint.name for joint in PROFILE.robot.joints)
 FRAMES = PROFILE.frames
 

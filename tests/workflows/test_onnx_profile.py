@@ -1,6 +1,5 @@
 """A profile that segments by a network, from the command line to the distances."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +7,7 @@ import pytest
 
 from svmdist.profile import DEFAULT_PROFILE, profile_path
 from tests.onnx_file import write_classifier
+from tests.shipped import write_profile
 
 # Scores of background, tissue (red), instrument (cyan) and shaft (dark), linear in RGB from 0 to 1.
 WEIGHTS = np.array([[0.0, 0.0, 0.0], [0.69, -0.5, -0.5], [-1.0, 0.36, 0.36], [-1.0, -1.0, -1.0]])
@@ -20,17 +20,17 @@ def onnx_profile(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("onnx")
     (folder / "models").mkdir()
     write_classifier(folder / "models" / "colours.onnx", WEIGHTS, BIAS, (640, 480))
-    text = profile_path(DEFAULT_PROFILE).read_text("utf-8")
-    for number, part in enumerate(("tissue", "instrument", "shaft"), 1):
-        pattern = rf"(\[segmentation\.{part}\]\n)hue = .*\nsaturation = .*\nvalue = .*\n"
-        text, count = re.subn(pattern, rf"\1class_ids = [{number}]\n", text)
-        assert count == 1
     head = (
         '[segmentation]\nmethod = "onnx"\nmodel = "models/colours.onnx"\nwidth_px = 640\nheight_px = 480\n\n'
     )
-    path = folder / "mine.toml"
-    path.write_text(text.replace("[segmentation.tissue]", head + "[segmentation.tissue]", 1), "utf-8")
-    return path
+    classes = [
+        (
+            rf"(?<=\[segmentation\.{part}\]\n)hue = .*\nsaturation = .*\nvalue = .*\n",
+            f"class_ids = [{number}]\n",
+        )
+        for number, part in enumerate(("tissue", "instrument", "shaft"), 1)
+    ]
+    return write_profile(folder / "mine.toml", *classes, (r"(?=\[segmentation\.tissue\])", head))
 
 
 def test_estimate_takes_the_profile(cli, golden, onnx_profile):
