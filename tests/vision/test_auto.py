@@ -238,11 +238,8 @@ def test_the_tip_of_what_touches_another_instrument_may_be_the_other_ones():
     seen = SeenInstrument(
         mask, (240, 320), sides, sides[:, 1].mean(0), 1.0, end_std_px=2.0, pixel_px=1.0, touches_another=True
     )
-    shape = WristShape(0.3, 2.0)
-    found = find_silhouette(
-        cv2.GaussianBlur(bgr, (0, 0), 0.8).astype(np.uint8), seen, None, shape, least_levels=12.0
-    )
-    own_tip_px = np.array([160.0 + shape.length_widths * 40.0, 119.5])
+    found = silhouette(cv2.GaussianBlur(bgr, (0, 0), 0.8).astype(np.uint8), seen)
+    own_tip_px = np.array([160.0 + 2.0 * 40.0, 119.5])
     off_px = np.linalg.norm(found.wrist.tip_px - own_tip_px)
     assert 50.0 < off_px < 2.0 * found.wrist.tip_std_px
 
