@@ -111,8 +111,10 @@ def open_recording(
         profile: What the log shows.
         topics: Topics of roles, as `{"image": "/left/image_raw"}`, instead of the profile's.
 
-    Raises ProfileError, or RecordingError for a file that is no recording.
+    Raises ProfileError, RecordingError for a file that is no recording, or UsageError for what is no path.
     """
+    if not isinstance(path, str | Path):
+        raise UsageError(f"expected the path or URL of a log, found {type(path).__name__}")
     loaded = profile if isinstance(profile, Profile) else load_profile(profile)
     return _open(path, loaded, topics=topics)
 

@@ -156,3 +156,9 @@ def stereo_transform(left: Camera, right: Camera) -> Array | None:
     rotations = (left.R_rectified_camera, right.R_rectified_camera)
     R_left, R_right = (np.eye(3) if R is None else R for R in rotations)
     return make_transform(R_left.T @ R_right, R_left.T @ [*position_m, 0.0])
+
+
+def are_exchanged(left: Camera, right: Camera) -> bool:
+    """Whether the left one's own matrix has it at the right of the other one, which has no baseline."""
+    found = stereo_transform(right, left) if stereo_transform(left, right) is None else None
+    return found is not None and bool(found[0, 3] > 0.0)

@@ -121,6 +121,7 @@ def test_what_is_no_recording_frame_or_method_is_told(golden):
     recording = svmdist.open_recording(golden / "3d" / "contact.mcap")
     assert repr(recording).startswith("contact: instruments PSM1; image /ECM/left/image, ")
     for call, expected in (
+        (lambda: svmdist.open_recording(42), "expected the path or URL of a log, found int"),
         (lambda: svmdist.estimate("contact.mcap"), "what svmdist.open_recording gives, found str"),
         (lambda: svmdist.estimate([recording, recording]), "svmdist.open_recording gives, found list"),
         (lambda: svmdist.compare([recording, 3]), "what svmdist.open_recording gives, found int"),

@@ -151,6 +151,11 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
             elif statuses & DOUBTED:
                 command = ["check", path]
             LOG.info("next: %s", next_command(*command, *reading))
+        sizes = request.setup.profile.instrument
+        if "uncertain" in statuses and sizes is not None and sizes.has_guessed_radius:
+            share = f"{sizes.shaft_radius_std_fraction:.0%}"
+            said = "the depth is as unsure as shaft_radius_m of [instrument], which is guessed to %s"
+            LOG.info(f"{said}: measure it, or svmdist profile new --instrument NAME", share)
 
     def _require_one_kind(self, writer: Writer) -> None:
         """Raise UsageError where a file of images or a report is asked for, and something else, too."""

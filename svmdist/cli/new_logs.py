@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from svmdist.cli import options
 from svmdist.cli.options import argument, option
-from svmdist.cli.output import LOG, ExitCode, next_command, progress_bar, require_output, with_name
+from svmdist.cli.output import LOG, ExitCode, next_command, progress_bar, require_mcap, with_name
 from svmdist.errors import UsageError
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ class Record(options.Options):
             raise UsageError("--skip-existing goes with --episodes, and without --force")
         path = self.output or Path("" if self.episodes else f"{self.scenario}-{self.seed}.mcap")
         if self.episodes is None:
-            require_output(path)
+            require_mcap(path)
         together = [",".join(self.perturb)] if self.perturb else None
         (perturbations,) = options.parse_perturbations(together) or (UNPERTURBED,)
         scenario = Scenario(self.scenario, self.seed, self.duration, self.images_per_second)
@@ -197,7 +197,7 @@ class Import(options.Options):
         from svmdist.workflows.import_log import ImportOptions, import_log
 
         path = self.output or Path(f"{self.source.resolve().stem}.mcap")
-        require_output(path)
+        require_mcap(path)
         if self.right_camera is not None and self.camera is None:
             raise UsageError("--right-camera goes with --camera")
         if self.baseline_length is not None and not (self.right or self.right_pattern or self.side_by_side):

@@ -84,19 +84,34 @@ def function_of(command: type[Options]) -> Callable[..., None]:
 
 
 OUTPUTS = ("-o", "--report", "--save-plot", "--summary", "--write-baseline")
+INPUTS = ("profile", "calibration", "hand_eye", "estimates")
+"""Options that name files to read; a baseline that was read may be written anew."""
 
 
 def _require_files_apart(values: Mapping[str, Any]) -> None:
-    """Raise UsageError where two outputs are one file, or one is `-` and cannot go to stdout."""
+    """Raise UsageError where two outputs are one file, one is an input, or is `-` and cannot go to stdout."""
+    outputs = {"output" if one == "-o" else one.removeprefix("--").replace("-", "_"): one for one in OUTPUTS}
+    read = {os.path.realpath(path): name for name in INPUTS for path in _files_of(values.get(name))}
     named: dict[str, str] = {}
-    for given in OUTPUTS:
-        path = values.get("output" if given == "-o" else given.removeprefix("--").replace("-", "_"))
+    for key, given in outputs.items():
+        path = values.get(key)
         if path == Path("-"):  # where it is stdout, it was read as None
             raise UsageError(f"{given} -: expected the name of a file; this is not written to stdout")
         if path is not None and path.parent != Path("/dev"):
-            other = named.setdefault(os.path.realpath(path), given)
+            place = os.path.realpath(path)
+            other = named.setdefault(place, given)
             if other != given:
                 raise UsageError(f"{other} and {given} are both {path}: give each a file of its own")
+            if place in read:
+                option_read = f"--{read[place].replace('_', '-')}"
+                raise UsageError(f"{given} {path}: is what {option_read} reads; give the output another name")
+
+
+def _files_of(value: Any) -> list[str]:
+    """What exists of an option's files, each also as NAME=FILE; nothing of other values."""
+    every = value if isinstance(value, list) else [value]
+    found = [one for text in map(str, every) for one in (text, text.partition("=")[2])]
+    return [one for one in found if os.path.isfile(one)]
 
 
 def name_of(command: type[Options]) -> str:

@@ -227,6 +227,13 @@ def require_toml(output: Path | None, inputs: Iterable[LogPath], *, force: bool)
         raise UsageError(f"{output}: exists already; give another name, or --force to replace it")
 
 
+def require_mcap(output: Path) -> None:
+    """The same of a log; raises UsageError for another ending than .mcap."""
+    if output.suffix.lower() != ".mcap":
+        raise UsageError(f"-o {output}: is written as MCAP: give it the ending .mcap")
+    require_output(output)
+
+
 def require_plot(path: Path | None, inputs: Iterable[LogPath], kind: str | None = None) -> None:
     """Raise OutputError for a plot that cannot be written, UsageError for another ending or a kind without a file."""
     if path is not None:

@@ -120,10 +120,14 @@ class Checks:
 
     @classmethod
     def of(cls, differences: Iterable[Difference], frames: int) -> Checks:
-        """Put the differences of some frames together by their kind, in the order in which they first came."""
+        """Put the differences of some frames together by their kind, in the order in which they first came.
+
+        One of an infinite deviation compares nothing.
+        """
         kinds: dict[tuple[str, tuple[str, ...]], list[Difference]] = {}
         for one in differences:
-            kinds.setdefault((one.what, one.sources), []).append(one)
+            if one.std < np.inf:
+                kinds.setdefault((one.what, one.sources), []).append(one)
         return cls(tuple(_compared(ones, frames) for ones in kinds.values()))
 
     @property

@@ -39,6 +39,7 @@ QUATERNION = r"(q_?|quat_|orientation[_.]|q_rs_|pose\.orientation\.|rotation_|qu
 POSE = {axis: POSITION + axis for axis in "xyz"} | {f"q{axis}": QUATERNION + axis for axis in "xyzw"}
 ROTATION_TOLERANCE = 1e-2
 """Of a quaternion's length and of R Rᵀ - I: rounded numbers are accepted, other quantities are not."""
+FARTHEST_JOINT = 10.0  # rad or m: no joint of a surgical robot goes farther, and degrees read as rad do
 FARTHEST_M = 10.0  # from a robot's base: no instrument is farther, and one of millimetres read as metres is
 
 
@@ -152,11 +153,15 @@ def read_joints(path: Path, images_ns: Mapping[str, int], names: Sequence[str] |
     columns = list(names) if names else [table.names[column] for column in others if table.names]
     if len(columns) != len(others) or not columns:
         raise SourceError(f"{path}: {len(others)} columns of numbers for {len(columns)} joint names")
-    numbers = table.numbers(others)
     joints, units = zip(*(split_unit(column, JOINT_UNITS) for column in columns), strict=True)
     if len(set(joints)) < len(joints):
         raise SourceError(f"{path}: two columns are of the same joint: {', '.join(columns)}")
-    return JointTrack(stamps_ns, joints, numbers * [JOINT_UNITS.get(unit, 1.0) for unit in units])
+    numbers = table.numbers(others) * [JOINT_UNITS.get(unit, 1.0) for unit in units]
+    for row, column in np.argwhere(np.abs(numbers) > FARTHEST_JOINT):
+        expected = f"expected {joints[column]} in rad or m, at most {FARTHEST_JOINT:g}"
+        found = f"found {numbers[row, column]:.4g}"
+        raise table.fail(int(row), f"{expected}; {found}: of other units, name the column as q_deg or q_mm")
+    return JointTrack(stamps_ns, joints, numbers)
 
 
 @dataclass(frozen=True)

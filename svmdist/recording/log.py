@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from svmdist.camera import Camera, stereo_transform
+from svmdist.camera import Camera, are_exchanged, stereo_transform
 from svmdist.errors import RecordingError, did_you_mean
 from svmdist.files import files_of, open_regular, reading
 from svmdist.kinematics import DHChain, chain_of
@@ -291,9 +291,13 @@ class Recording:
         return at
 
     def _right_topic(self) -> str | None:
-        """The right images' topic; None where the log has no stereo pair."""
+        """The right images' topic; None without a stereo pair, RecordingError where left and right are exchanged."""
         topic = self.topic_of(Role.RIGHT_IMAGE)
-        right = None if topic in (None, self.topic_of(Role.IMAGE)) else self.right_camera
+        left = self.topic_of(Role.IMAGE)
+        right = None if topic in (None, left) else self.right_camera
+        if right is not None and are_exchanged(self.camera, right):
+            said = f"by their camera infos, {left} is the right view and {topic} the left one"
+            raise RecordingError(f"{self.name}: {said}: choose them with --topic")
         return topic if right is not None and stereo_transform(self.camera, right) is not None else None
 
     def joint_track(self) -> JointTrack:

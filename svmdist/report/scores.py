@@ -27,7 +27,7 @@ PAPER_NOTE = (
     " differ, so that figure and ours stand side by side and are not compared."
 )
 FIGURE_NOTE = (
-    "Errors in mm against the simulator's truth. ∈95 %: share in % of truths inside the stated 95 % interval."
+    "Errors in mm against the truth of logs that have one. ∈95 %: share in % of truths inside the stated 95 % interval."
     " ms: processor time of the method per frame, with its detections, without reading, decoding and degrading."
     " –: the method does not estimate it."
 )

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from svmdist.camera import stereo_transform
+from svmdist.camera import are_exchanged, stereo_transform
 from svmdist.errors import CalibrationError, ProfileError, RecordingError, UsageError
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, REGISTRY, SPATIAL_METHODS
 from svmdist.profile import DEFAULT_PROFILE, Profile
@@ -121,7 +121,7 @@ def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup,
         name = recording.profile.name
         raise RecordingError(f"no method can measure this log with profile {name}: {'. '.join(reasons)}")
     for reason in reasons:
-        LOG.info("note: %s: without %s", recording.name, reason)
+        LOG.info("note: %s: left out: %s", recording.name, reason)
     return left
 
 
@@ -197,6 +197,7 @@ def _lacking(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str
     left, right = (track.runs[0].camera if track and track.runs else None for track in tracks)
     # It is there where it cannot be told yet.
     has_baseline = left is None or right is None or stereo_transform(left, right) is not None
+    is_in_order = left is None or right is None or not are_exchanged(left, right)
     has_base = profile.camera_to_base or {frames.camera, frames.base} <= set(summary.frames)
     has_tool = not joints or "pose" in roles or frames.tool in summary.frames
     return {
@@ -204,6 +205,7 @@ def _lacking(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str
         **{part: unless(getattr(profile, part), f"[{part}] {of_profile}") for part in PARTS},
         "right_image": topics("right_image", "right_camera_info")
         or unless(roles["right_image"] != roles.get("image"), "a left image: it has the right")
+        or unless(is_in_order, "left and right in their order: by their camera infos they are exchanged")
         or unless(has_baseline, "the distance of the cameras (`svmdist import --baseline`)"),
         "joints": joints,
         "reference": unless(

@@ -18,13 +18,14 @@ from pathlib import Path
 import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
-from svmdist.errors import SourceError, SvmdistError, UsageError
+from svmdist.errors import RecordingError, SourceError, SvmdistError, UsageError
 from svmdist.files import nearest_file
 from svmdist.importing import tables as table_files
 from svmdist.importing.calibration import CalibrationOptions, Crop, complete, stated_cameras
 from svmdist.importing.images import Video, list_images, matching, require_one_view
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.images import ImageError, decode_still, read_file
+from svmdist.recording.topics import open_source
 from svmdist.recording.writer import EncodedSample, RecordingWriter, encode_still
 from svmdist.samples import (
     CameraSample,
@@ -113,6 +114,9 @@ def import_log(
     options: ImportOptions, output: Path, *, force: bool = False, on_progress: Progress | None = None
 ) -> ImportResult:
     """Write a log of files. Raises UsageError, SourceError or OutputError, and leaves no file then."""
+    with suppress(RecordingError):
+        open_source(options.source, Limits())
+        raise UsageError(f"{options.source}: is a log already, which needs no import: svmdist info")
     stated = stated_cameras(options.calibration, options.count)
     views = _open_views(options)
     halved = 2 if options.side_by_side else 1

@@ -82,9 +82,8 @@ def tissue_surface(recording: Recording, number: int) -> TissueSurface:
         )
     surface = scene.surface(most_px=ALL_PX)
     if surface is None:
-        raise RecordingError(
-            f"{where}: too little of the tissue is found in both views (svmdist show --masks)"
-        )
+        few = "too little of the tissue is found in both views (svmdist show --masks)"
+        raise RecordingError(f"{where}: {misfit(inspect_recording(recording, HEAD_S)) or few}")
     is_seen = surface.is_seen
     std_m = surface.deviations_m(seen.camera, right, Deviations.of(profile))[is_seen]
     return TissueSurface(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.log_changes import opened, optics
+from svmdist.estimation.comparison import Checks, Difference
 from svmdist.profile import load_profile
 from svmdist.recording.log import open_recording
 from tests.golden import RECORDINGS
@@ -74,3 +75,11 @@ def test_rows_that_bend_are_aligned(cli: Any, tmp_path: Path, method: str):
     true_m = truth.at(np.array([row["stamp_ns"] for row in rows], np.int64)).values[:, 2]
     off = [abs(row["clearance_m"] - m) / row["clearance_std_m"] for row, m in zip(rows, true_m, strict=True)]
     assert np.max(off) < 2.5
+
+
+def test_what_is_infinitely_unsure_is_not_compared():
+    """It would count as an agreement, and JSON has no word for it."""
+    sure, unsure = (Difference("place", ("a", "b"), 1.0, std, "px") for std in (2.0, np.inf))
+    assert Checks.of([unsure], 1).comparisons == ()
+    (one,) = Checks.of([unsure, sure], 2).comparisons
+    assert (one.usual, one.frames) == (sure, 1)

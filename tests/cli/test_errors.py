@@ -110,6 +110,11 @@ ERRORS = [
     ("validate log.mcap -o a.json --write-baseline a.json", 2, "-o and --write-baseline are both a.json"),
     ("compare log.mcap -o a.png --save-plot a.png", 2, "-o and --save-plot are both a.png"),
     *(
+        (f"{command} log.mcap --profile sizeless.toml {given} ./sizeless.toml", 2, "is what --profile reads")
+        for command, given in (("estimate", "--report"), ("info", "-o"), ("fk", "-o"))
+    ),
+    ("validate log.mcap --estimates a=rows.csv -o rows.csv", 2, "is what --estimates reads"),
+    *(
         (f"{command} -", 2, f"{command.split()[-1]} -: expected the name of a file")
         for command in ("estimate log.mcap --summary", "calibrate log.mcap -o", "hand-eye log.mcap -o")
     ),
@@ -171,6 +176,8 @@ ERRORS = [
     ("import images -o out.mcap --camera 60,61,310,23 --rate 1", 1, "principal point (310, 23) is outside"),
     ("import images -o out.mcap --calibration no.yaml --rate 1", 1, "no.yaml: cannot read: No such file"),
     ("import images -o out.mcap --right-camera 60,61,31,23", 2, "--right-camera goes with --camera"),
+    (f"{CAMERA} --rate 1".replace("mcap", "csv"), 2, "is written as MCAP: give it the ending .mcap"),
+    (CAMERA.replace("images", "log.mcap"), 2, "log.mcap: is a log already, which needs no import"),
     (CAMERA, 2, "img0.png has no time"),
     (f"{CAMERA} --rate 0", 2, "--rate 0: expected HZ, greater than or equal to 0.001"),
     (f"{CAMERA} --unit inch", 2, "'--unit': inch: the choices are: cm, m, mm"),
@@ -196,6 +203,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (made / "red\x1b[31m.mcap").write_text("junk")
     (made / "key.toml").write_text('name = "a"\n[segmentation.tissue]\nhue = [170, 8]\nmin_aera_px = 50\n')
     (made / "sizeless.toml").write_text(re.sub(r"\[instrument\]\n(.+\n)+", "", PSM13))
+    (made / "rows.csv").write_text("stamp,distance_m\n0,0.01\n")
     (made / "uncalibrated.toml").write_text(re.sub(r"(?m)^calibration.*\n", "", PSM13))
     (made / "recordings").mkdir()
     (made / "recordings" / "3d").symlink_to(REPOSITORY / "recordings" / "3d")

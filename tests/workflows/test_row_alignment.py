@@ -8,14 +8,17 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
+from svmdist.errors import RecordingError
 from svmdist.estimation.scene import Scene
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import open_recording
+from svmdist.recording.summary import inspect_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import CameraSample, ImageSample
 from svmdist.vision.segmentation import make_segmenter
 from svmdist.vision.stereo import RowAlignment
 from svmdist.workflows import replay
+from svmdist.workflows.capabilities import method_capabilities
 from svmdist.workflows.check import compare_views, first_of, offset_to_remove, spread_observations
 from svmdist.workflows.request import prepare
 from tests.reading import read_images, read_observations
@@ -80,6 +83,20 @@ def test_exchanged_views_are_refused(tmp_path):
         if one.right is not None
     ]
     assert compare_views(swapped, PROFILE).refusal.startswith("disparities")
+
+
+def test_exchanged_topics_are_refused(tmp_path):
+    """By `--topic`, with the camera infos, whose baseline says which view is the right one; info says it, too."""
+    left, right = {"image": "/ECM/left/image"}, {"image": "/ECM/right/image"}
+    left["camera_info"], right["camera_info"] = "/ECM/left/camera_info", "/ECM/right/camera_info"
+    exchanged = right | {f"right_{role}": topic for role, topic in left.items()}
+    recording = open_recording(log(tmp_path / "pair.mcap", 0.0), PROFILE, topics=exchanged)
+    with pytest.raises(
+        RecordingError, match="/ECM/right/image is the right view and /ECM/left/image the left"
+    ):
+        list(recording.encoded_observations())
+    lacking = method_capabilities(inspect_recording(recording))["stereo"]
+    assert any("exchanged" in reason for reason in lacking)
 
 
 def test_every_scene_has_it_removed(tmp_path, monkeypatch):
