@@ -26,6 +26,7 @@ Pixels = NDArray[np.int32]
 FILLED = (Part.SHAFT, Part.WRIST, Part.POSE, Part.TAG)
 NEAR, HIDDEN = 1e3, 1e6
 """What a pixel beside something measured costs a label, and one of what is measured or a label, in other pixels."""
+NEAR_LETTERS = 2.0  # of their height: a label so near to what it names needs no line
 LETTERS, LEAST_LETTER_PX = 1 / 44, 9.0
 """Height of a capital letter over the picture's width, and the least one that can be read."""
 
@@ -162,9 +163,10 @@ def _write_beside(
         x, y = np.clip(leader(one), 0, last).T
         best, at = min((best, at), (prices[one] + float(cost[y, x].sum()), one))
     line, ((left, top), (right, bottom)) = leader(at), boxes[at]
-    colour = bgr(COLOURS[label.part])
-    cv2.polylines(pixels, [line], False, colour, max(1, pixels.shape[1] // 900), cv2.LINE_AA)
-    cv2.polylines(cost, [line], False, HIDDEN)
+    if np.linalg.norm(nearest[at] - place) > NEAR_LETTERS * letter_px:
+        width_px = max(1, pixels.shape[1] // 900)
+        cv2.polylines(pixels, [line], False, bgr(COLOURS[label.part]), width_px, cv2.LINE_AA)
+        cv2.polylines(cost, [line], False, HIDDEN)
     for canvas, value in ((pixels, DARK), (cost, HIDDEN)):
         canvas[top : bottom + 1, left : right + 1] = value
     write_text(

@@ -211,11 +211,13 @@ def test_no_label_hides_what_was_measured_or_another_label(size_px):
         assert (drawn[y, x] == bare[y, x]).all()
 
 
-def test_labels_leave_instruments_free():
-    """Only their lines run over the shaft that they name."""
-    ground = np.full((480, 640, 3), 90, np.uint8)
-    shaft = Shape(Part.SHAFT, Form.LOOP, np.array([[0, 180], [300, 180], [300, 220], [0, 220]], float))
+@pytest.mark.parametrize("half_px", [20, 40])
+def test_labels_leave_instruments_free(half_px):
+    """Only their lines run over the shaft that they name, of labels that are not next to it already."""
+    ground, low, high = np.full((480, 640, 3), 90, np.uint8), 200 - half_px, 200 + half_px
+    shaft = Shape(Part.SHAFT, Form.LOOP, np.array([[0, low], [300, low], [300, high], [0, high]], float))
     labels = tuple(Label(Part.TIP, np.array([x, 200.0]), "a long name of an arm") for x in (150.0, 170.0))
     bare, drawn = (draw_on(ground, FrameDrawing(0, (shaft,), shown)) for shown in ((), labels))
-    changed = (drawn != bare).any(2)[180:221, :301]
-    assert 0 < changed.sum() < 80
+    changed = (drawn != bare).any(2)[low : high + 1, :301]
+    assert (changed.sum() > 0) == (half_px == 40)
+    assert changed.sum() < 4 * half_px
