@@ -137,6 +137,9 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         reading += ["--hand-eye", str(self.hand_eye)] if self.hand_eye else []
         reading += [word for topic in self.topic or [] for word in ("--topic", topic)]
         found = [(path, ending, ending.least) for path, ending in endings.items() if ending.least is not None]
+        if (guesses := request.setup.profile.guesses) and not request.setup.is_planar:
+            said = ", ".join(guesses)
+            LOG.info("guessed in %s, so that distances are as unsure: %s", self.profile, said)
         if found:
             path, ending, least = min(found, key=lambda one: one[2].distances.clearance.value_m)  # type: ignore[union-attr]
             frame = ["--frame", str(least.number), "--method", request.setup.method]
@@ -151,11 +154,6 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
             elif statuses & DOUBTED:
                 command = ["check", path]
             LOG.info("next: %s", next_command(*command, *reading))
-        sizes = request.setup.profile.instrument
-        if "uncertain" in statuses and sizes is not None and sizes.has_guessed_radius:
-            share = f"{sizes.shaft_radius_std_fraction:.0%}"
-            said = "the depth is as unsure as shaft_radius_m of [instrument], which is guessed to %s"
-            LOG.info(f"{said}: measure it, or svmdist profile new --instrument NAME", share)
 
     def _require_one_kind(self, writer: Writer) -> None:
         """Raise UsageError where a file of images or a report is asked for, and something else, too."""

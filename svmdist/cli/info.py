@@ -171,8 +171,8 @@ class New(options.TopicOption):
         plane = "the plane from both views" if draft.plane else "measure the plane of the tissue"
         mark = "a distal marker by its colour" if draft.mark else "no colour of its own"
         LOG.info("%s: instruments %s; %s; %s", draft.name, instruments, mark, plane)
-        if (sizes := profile.instrument) is not None and sizes.has_guessed_radius:
-            LOG.info("%s: nobody says which instrument this is: --instrument NAME has its sizes", draft.name)
+        if profile.guesses:
+            LOG.info("%s: guessed: %s; --instrument NAME has sizes", draft.name, ", ".join(profile.guesses))
         if said := warning(found):
             LOG.warning("%s", said)
         else:

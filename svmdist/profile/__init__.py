@@ -21,6 +21,7 @@ from svmdist.profile.toml import Byte, Positive, Share, Size, StrictModel, parse
 
 DEFAULT_PROFILE = "psm13"
 SHIPPED = Path(__file__).parent.with_name("profiles")
+GUESSED_RADIUS, GUESSED_PLANE_M = 0.1, 0.02  # deviations from which on nobody has measured them
 BEHIND_PLANE = 1.5  # the range of stereo over the distance of the plane that the tissue lies on
 
 
@@ -130,6 +131,16 @@ class Profile(StrictModel):
             return settings
         far_m = max(settings.far_m, BEHIND_PLANE * self.tissue.plane_distance_m)
         return settings.model_copy(update={"far_m": far_m})
+
+    @property
+    def guesses(self) -> tuple[str, ...]:
+        """What nobody has measured, so that depths and distances are as unsure: key and deviation, in words."""
+        found: list[str] = []
+        if self.instrument and self.instrument.shaft_radius_std_fraction > GUESSED_RADIUS:
+            found.append(f"shaft_radius_m to {self.instrument.shaft_radius_std_fraction:.0%}")
+        if self.tissue and self.tissue.plane_distance_std_m > GUESSED_PLANE_M:
+            found.append(f"plane_distance_m to {self.tissue.plane_distance_std_m * 1e3:.0f} mm")
+        return tuple(found)
 
     @property
     def instrument_names(self) -> tuple[str, ...]:

@@ -132,11 +132,6 @@ class Instrument(StrictModel):
     jaw_radius_m: SmallLength
     body_std_m: NonNegative = 1e-4  # between the real instrument's surface and the capsules of its model
 
-    @property
-    def has_guessed_radius(self) -> bool:
-        """Whether the shaft's radius, and every depth with it, is that of any instrument."""
-        return self.shaft_radius_std_fraction > 0.1
-
 
 class Fiducial(StrictModel):
     """A tag on the instrument's plate; its frame: origin in the tag's middle, x right, y up, z towards the reader."""

@@ -45,10 +45,11 @@ def capabilities(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple
     `no_tag` is what `look_for_tag` says.
     """
     methods, lacking = method_capabilities(summary, no_tag), _lacking(summary)
-    lacks = () if () in methods.values() else methods[METHODS[0]]
+    found = {"estimate": () if () in methods.values() else methods[METHODS[0]]}
+    found |= {name: _words(lacking, needs) for name, needs in COMMANDS.items()}
     if said := misfit(summary):
-        lacks = (f"a profile of its own: it is {said}",)
-    return {"estimate": lacks} | {name: _words(lacking, needs) for name, needs in COMMANDS.items()}
+        found |= dict.fromkeys(("estimate", "compare"), (f"a profile of its own: it is {said}",))
+    return found
 
 
 def best_method(

@@ -15,6 +15,7 @@ from svmdist.errors import UsageError
 from svmdist.profile import SHIPPED
 from svmdist.samples import CameraSample, ImageSample, JointSample, Sample
 from tests.conftest import REPOSITORY
+from tests.shipped import write_profile
 from tests.synthetic import make_scene, right_of, samples, without, write_log, write_samples
 
 PSM13 = (SHIPPED / "psm13.toml").read_text("utf-8")
@@ -245,6 +246,17 @@ def test_a_method_says_what_the_log_lacks(cli, tmp_path, method, said):
         f"svmdist: next: svmdist info {path}",
     ]
     assert [f"{row['status']} ({row['detail']})" for row in outcome.rows] == [said] * 3
+
+
+def test_what_is_guessed_is_said(cli, tmp_path):
+    """Intervals are as wide as a radius that nobody measured; of the simulator's profile nothing is a guess."""
+    log = write_log(tmp_path / "still.mcap", frame_count=2)
+    radius = "shaft_radius_m = 0.004", "shaft_radius_m = 0.004\nshaft_radius_std_fraction = 0.25"
+    guessed = write_profile(tmp_path / "guessed.toml", radius)
+    said = "so that distances are as unsure: shaft_radius_m to 25%"
+    for profile, is_said in ((guessed, True), ("psm13", False)):
+        outcome = cli("estimate", log, "--method", "kinematic", "--profile", profile, "-f", "csv")
+        assert (said in outcome.err) == is_said
 
 
 def test_views_that_never_meet_are_said(cli, tmp_path):
