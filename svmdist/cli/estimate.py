@@ -272,8 +272,9 @@ def _log_tally(tallies: Sequence[Mapping[str, Mapping[str, int]]]) -> ExitCode:
         return ExitCode.UNUSABLE
     lost = []
     for status, details in sorted(counts.items()):
-        ((commonest, _),) = details.most_common(1)
-        lost.append(f"{details.total()} {status}" + (f" ({commonest})" if commonest else ""))
+        ((commonest, times),) = details.most_common(1)
+        of_some = f"{times} of them: " if len(details) > 1 else ""
+        lost.append(f"{details.total()} {status}" + (f" ({of_some}{commonest})" if commonest else ""))
     share = f"{measured} of {total} frames measured ({100 * measured / total:.1f}%)"
     LOG.info("%s", "; ".join([share, ", ".join(lost)] if lost else [share]))
     return ExitCode.CLEAN if measured else ExitCode.UNUSABLE

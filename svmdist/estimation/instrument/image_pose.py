@@ -226,7 +226,8 @@ def _located(
         refused = [result for result in told if not result.is_accepted]
         share = 0.0 if source else MAX_REFUSED_SHARE * sum(result.degrees_of_freedom for result in told)
         if sum(result.degrees_of_freedom for result in refused) > share:
-            doubt = f"{', '.join(result.name for result in refused)} do not fit the rest"
+            names = ", ".join(result.name for result in refused)
+            doubt = f"{names} {'does' if len(refused) == 1 else 'do'} not fit the rest"
     hinge = kalman.hinge(model.axis.link, model.hinge_m)
     pose = replace(kalman.tool_pose(), hinge=hinge, jaw_scale=jaw_scale(kalman, frame.arm))
     # A marker is at the tool's origin itself, however the wrist is bent.
