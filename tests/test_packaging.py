@@ -45,7 +45,8 @@ def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("sdist")
     archive = build("sdist", REPOSITORY, folder / "built")
     with tarfile.open(archive) as files:
-        files.extractall(folder / "unpacked", filter="data")
+        files.extraction_filter = getattr(tarfile, "data_filter", None)  # Python has one from 3.11.4 on
+        files.extractall(folder / "unpacked")
     (root,) = (folder / "unpacked").iterdir()
     return root
 
@@ -96,7 +97,8 @@ def test_the_package_page_has_no_relative_link(sdist, tmp_path):
     assert "How far is a surgical instrument from the tissue" in plain.get_payload()
 
     with tarfile.open(build("sdist", REPOSITORY, tmp_path / "built", URL)) as files:
-        files.extractall(tmp_path / "unpacked", filter="data")
+        files.extraction_filter = getattr(tarfile, "data_filter", None)  # Python has one from 3.11.4 on
+        files.extractall(tmp_path / "unpacked")
     (root,) = (tmp_path / "unpacked").iterdir()
     addressed = page(root)
     targets = links(addressed.get_payload())

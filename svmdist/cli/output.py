@@ -228,8 +228,10 @@ def require_toml(output: Path | None, inputs: Iterable[LogPath], *, force: bool)
 
 
 def require_mcap(output: Path) -> None:
-    """The same of a log; raises UsageError for another ending than .mcap."""
-    if output.suffix.lower() != ".mcap":
+    """The same of a log; raises UsageError also for another format's ending."""
+    if any(
+        output.suffix.lower() in writer.endings for writer in WRITERS[1:] if ".mcap" not in writer.endings
+    ):
         raise UsageError(f"-o {output}: is written as MCAP: give it the ending .mcap")
     require_output(output)
 
