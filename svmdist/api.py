@@ -16,6 +16,7 @@ from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, taking_hand_
 from svmdist.recording.log import Recording
 from svmdist.recording.log import open_recording as _open
 from svmdist.recording.observations import Window
+from svmdist.remote import RemoteFile
 from svmdist.report.rows import ESTIMATE_COLUMNS, ESTIMATE_KEYS, estimate_row, shown_columns
 from svmdist.report.tables import Row, text_lines
 from svmdist.results import FrameResult
@@ -113,7 +114,7 @@ def open_recording(
 
     Raises ProfileError, RecordingError for a file that is no recording, or UsageError for what is no path.
     """
-    if not isinstance(path, str | Path):
+    if not isinstance(path, str | Path | RemoteFile):
         raise UsageError(f"expected the path or URL of a log, found {type(path).__name__}")
     loaded = profile if isinstance(profile, Profile) else load_profile(profile)
     return _open(path, loaded, topics=topics)

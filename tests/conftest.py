@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import tarfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -147,6 +148,13 @@ def started(*arguments: object, **options: Any) -> Iterator[subprocess.Popen[str
                 process.kill()  # does nothing to one that has ended
     finally:
         watchdog.cancel()
+
+
+def unpack(archive: Path, folder: Path) -> None:
+    """Unpack a tar, with the filter of archives that Python has from 3.11.4 on."""
+    with tarfile.open(archive) as files:
+        files.extraction_filter = getattr(tarfile, "data_filter", None)
+        files.extractall(folder)
 
 
 def one_line(err: str) -> str:

@@ -10,6 +10,7 @@ import pytest
 import svmdist
 from svmdist.api import Estimates
 from svmdist.estimation.frame import Frame
+from svmdist.remote import RemoteFile
 from svmdist.results import Distance, Distances, FrameResult
 from svmdist.samples import Status
 from svmdist.workflows.request import OwnEstimator, prepare
@@ -65,8 +66,9 @@ def test_alarms_and_a_window_from_python(golden):
     for window in ({"start_s": np.inf}, {"start_s": np.nan}, {"start_s": 2.0, "end_s": 1.0}):
         with pytest.raises(svmdist.errors.UsageError, match="--start"):
             svmdist.estimate(recording, **window)
-    with pytest.raises(svmdist.errors.RecordingError):
-        svmdist.open_recording("none.mcap")
+    for none in ("none.mcap", RemoteFile("http://127.0.0.1:9/none.mcap")):  # as the `path` of a recording is
+        with pytest.raises(svmdist.errors.RecordingError):
+            svmdist.open_recording(none)
 
 
 class Constant:

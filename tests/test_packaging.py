@@ -5,7 +5,6 @@ import os
 import re
 import subprocess
 import sys
-import tarfile
 import tomllib
 import zipfile
 from email.message import Message
@@ -13,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import REPOSITORY
+from tests.conftest import REPOSITORY, unpack
 
 URL = "https://example.org/somebody/svmdist"
 TOP = {
@@ -43,10 +42,7 @@ def build(kind: str, source: Path, folder: Path, url: str | None = None) -> Path
 def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The sdist, unpacked."""
     folder = tmp_path_factory.mktemp("sdist")
-    archive = build("sdist", REPOSITORY, folder / "built")
-    with tarfile.open(archive) as files:
-        files.extraction_filter = getattr(tarfile, "data_filter", None)  # Python has one from 3.11.4 on
-        files.extractall(folder / "unpacked")
+    unpack(build("sdist", REPOSITORY, folder / "built"), folder / "unpacked")
     (root,) = (folder / "unpacked").iterdir()
     return root
 
@@ -96,9 +92,7 @@ def test_the_package_page_has_no_relative_link(sdist, tmp_path):
     assert links(plain.get_payload()) == [target for target in links(readme) if "://" in target]
     assert "How far is a surgical instrument from the tissue" in plain.get_payload()
 
-    with tarfile.open(build("sdist", REPOSITORY, tmp_path / "built", URL)) as files:
-        files.extraction_filter = getattr(tarfile, "data_filter", None)  # Python has one from 3.11.4 on
-        files.extractall(tmp_path / "unpacked")
+    unpack(build("sdist", REPOSITORY, tmp_path / "built", URL), tmp_path / "unpacked")
     (root,) = (tmp_path / "unpacked").iterdir()
     addressed = page(root)
     targets = links(addressed.get_payload())

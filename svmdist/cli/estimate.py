@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from svmdist.workflows.estimate import Keep
     from svmdist.workflows.frame_drawing import DrawnFrame
     from svmdist.workflows.request import Request
+    from svmdist.workflows.scoring.series import Series
     from svmdist.workflows.validate import Validation
 
 
@@ -50,13 +51,15 @@ class PictureOptions(OutputOptions):
         """Draw the plot and the report of what was measured, and validated."""
         from svmdist.workflows.scoring.series import series_of
 
-        measured = run.kept()
-        series = series_of(measured, request, result.reference if result else None)
+        measured, scored = run.kept(), result if kind == "fig6" else None
+        series: list[Series] = []
+        if self.report or not scored:
+            series = series_of(measured, request, result.reference if result else None)
         if self.save_plot:
             from svmdist.report import plots
 
-            if result and kind == "fig6":
-                plots.save_figure(self.save_plot, plots.draw, result)
+            if scored:
+                plots.save_figure(self.save_plot, plots.draw, scored)
             else:
                 plots.save_figure(self.save_plot, plots.draw_series, series, kind or "time")
         if self.report:
@@ -138,8 +141,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         reading += [word for topic in self.topic or [] for word in ("--topic", topic)]
         found = [(path, ending, ending.least) for path, ending in endings.items() if ending.least is not None]
         if (guesses := request.setup.profile.guesses) and not request.setup.is_planar:
-            said = ", ".join(guesses)
-            LOG.info("guessed in %s, so that distances are as unsure: %s", self.profile, said)
+            LOG.info("guessed in %s, so that distances are as unsure: %s", self.profile, guesses)
         if found:
             path, ending, least = min(found, key=lambda one: one[2].distances.clearance.value_m)  # type: ignore[union-attr]
             frame = ["--frame", str(least.number), "--method", request.setup.method]

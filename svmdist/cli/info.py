@@ -172,7 +172,8 @@ class New(options.TopicOption):
         mark = "a distal marker by its colour" if draft.mark else "no colour of its own"
         LOG.info("%s: instruments %s; %s; %s", draft.name, instruments, mark, plane)
         if profile.guesses:
-            LOG.info("%s: guessed: %s; --instrument NAME has sizes", draft.name, ", ".join(profile.guesses))
+            sizes = "; --instrument NAME has sizes" if self.instrument is None else ""
+            LOG.info("%s: guessed: %s%s", draft.name, profile.guesses, sizes)
         if said := warning(found):
             LOG.warning("%s", said)
         else:

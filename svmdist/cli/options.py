@@ -83,17 +83,27 @@ def function_of(command: type[Options]) -> Callable[..., None]:
     return run
 
 
-OUTPUTS = ("-o", "--report", "--save-plot", "--summary", "--write-baseline")
-INPUTS = ("profile", "calibration", "hand_eye", "estimates")
+OUTPUTS = {
+    "output": "-o",
+    "report": "--report",
+    "save_plot": "--save-plot",
+    "summary": "--summary",
+    "write_baseline": "--write-baseline",
+}
+INPUTS = {
+    "profile": "--profile",
+    "calibration": "--calibration",
+    "hand_eye": "--hand-eye",
+    "estimates": "--estimates",
+}
 """Options that name files to read; a baseline that was read may be written anew."""
 
 
 def _require_files_apart(values: Mapping[str, Any]) -> None:
     """Raise UsageError where two outputs are one file, one is an input, or is `-` and cannot go to stdout."""
-    outputs = {"output" if one == "-o" else one.removeprefix("--").replace("-", "_"): one for one in OUTPUTS}
-    read = {os.path.realpath(path): name for name in INPUTS for path in _files_of(values.get(name))}
+    read = {os.path.realpath(path): of for key, of in INPUTS.items() for path in _files_of(values.get(key))}
     named: dict[str, str] = {}
-    for key, given in outputs.items():
+    for key, given in OUTPUTS.items():
         path = values.get(key)
         if path == Path("-"):  # where it is stdout, it was read as None
             raise UsageError(f"{given} -: expected the name of a file; this is not written to stdout")
@@ -103,8 +113,7 @@ def _require_files_apart(values: Mapping[str, Any]) -> None:
             if other != given:
                 raise UsageError(f"{other} and {given} are both {path}: give each a file of its own")
             if place in read:
-                option_read = f"--{read[place].replace('_', '-')}"
-                raise UsageError(f"{given} {path}: is what {option_read} reads; give the output another name")
+                raise UsageError(f"{given} {path}: is what {read[place]} reads; give the output another name")
 
 
 def _files_of(value: Any) -> list[str]:

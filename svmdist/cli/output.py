@@ -221,19 +221,23 @@ def require_toml(output: Path | None, inputs: Iterable[LogPath], *, force: bool)
     require_output(output, inputs)
     if output is None:
         return
-    if any(output.suffix.lower() in writer.endings for writer in WRITERS[1:]):
-        raise UsageError(f"-o {output}: is written as TOML: give it the ending .toml")
+    _require_ending(output, ".toml")
     if output.exists() and not force:
         raise UsageError(f"{output}: exists already; give another name, or --force to replace it")
 
 
 def require_mcap(output: Path) -> None:
     """The same of a log; raises UsageError also for another format's ending."""
-    if any(
-        output.suffix.lower() in writer.endings for writer in WRITERS[1:] if ".mcap" not in writer.endings
-    ):
-        raise UsageError(f"-o {output}: is written as MCAP: give it the ending .mcap")
+    _require_ending(output, ".mcap")
     require_output(output)
+
+
+def _require_ending(output: Path, ending: str) -> None:
+    """Raise UsageError for the ending of another format than the one that is written."""
+    others = [writer for writer in WRITERS[1:] if ending not in writer.endings]
+    if any(output.suffix.lower() in writer.endings for writer in others):
+        name = ending.removeprefix(".").upper()
+        raise UsageError(f"-o {output}: is written as {name}: give it the ending {ending}")
 
 
 def require_plot(path: Path | None, inputs: Iterable[LogPath], kind: str | None = None) -> None:

@@ -133,14 +133,14 @@ class Profile(StrictModel):
         return settings.model_copy(update={"far_m": far_m})
 
     @property
-    def guesses(self) -> tuple[str, ...]:
-        """What nobody has measured, so that depths and distances are as unsure: key and deviation, in words."""
+    def guesses(self) -> str:
+        """What nobody has measured, so that distances are as unsure, with its deviation; empty without any."""
         found: list[str] = []
         if self.instrument and self.instrument.shaft_radius_std_fraction > GUESSED_RADIUS:
             found.append(f"shaft_radius_m to {self.instrument.shaft_radius_std_fraction:.0%}")
         if self.tissue and self.tissue.plane_distance_std_m > GUESSED_PLANE_M:
             found.append(f"plane_distance_m to {self.tissue.plane_distance_std_m * 1e3:.0f} mm")
-        return tuple(found)
+        return ", ".join(found)
 
     @property
     def instrument_names(self) -> tuple[str, ...]:

@@ -162,9 +162,9 @@ def _write_beside(
             break
         x, y = np.clip(leader(one), 0, last).T
         best, at = min((best, at), (prices[one] + float(cost[y, x].sum()), one))
-    line, ((left, top), (right, bottom)) = leader(at), boxes[at]
+    (left, top), (right, bottom) = boxes[at]
     if np.linalg.norm(nearest[at] - place) > NEAR_LETTERS * letter_px:
-        width_px = max(1, pixels.shape[1] // 900)
+        line, width_px = leader(at), max(1, pixels.shape[1] // 900)
         cv2.polylines(pixels, [line], False, bgr(COLOURS[label.part]), width_px, cv2.LINE_AA)
         cv2.polylines(cost, [line], False, HIDDEN)
     for canvas, value in ((pixels, DARK), (cost, HIDDEN)):

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol, get_args, runtime_checkable
 
 import numpy as np
 
@@ -258,8 +258,8 @@ def prepare(
     """
     if isinstance(method, str) and method not in METHODS:
         raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
-    if equations not in ("corrected", "printed"):
-        raise UsageError(f"no equations {equations}: {did_you_mean(equations, ('corrected', 'printed'))}")
+    if equations not in (known := get_args(plane_mapping.Equations)):
+        raise UsageError(f"no equations {equations}: {did_you_mean(equations, known)}")
     loaded = profile if isinstance(profile, Profile) else load_profile(profile, hand_eye)
     if not isinstance(method, str):
         if not isinstance(method, OwnMethod):

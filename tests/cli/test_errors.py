@@ -12,13 +12,11 @@ import pytest
 
 from svmdist.cli.options import parse_length_m
 from svmdist.errors import UsageError
-from svmdist.profile import SHIPPED
 from svmdist.samples import CameraSample, ImageSample, JointSample, Sample
 from tests.conftest import REPOSITORY
-from tests.shipped import write_profile
+from tests.shipped import PSM13, write_profile
 from tests.synthetic import make_scene, right_of, samples, without, write_log, write_samples
 
-PSM13 = (SHIPPED / "psm13.toml").read_text("utf-8")
 CAMERA = "import images -o out.mcap --camera 60,61,31,23"
 ALARM = "validate log.mcap --method fused --alarm-below 5mm --alarm-confidence"
 ERRORS = [
@@ -205,7 +203,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (made / "key.toml").write_text('name = "a"\n[segmentation.tissue]\nhue = [170, 8]\nmin_aera_px = 50\n')
     (made / "sizeless.toml").write_text(re.sub(r"\[instrument\]\n(.+\n)+", "", PSM13))
     (made / "rows.csv").write_text("stamp,distance_m\n0,0.01\n")
-    (made / "uncalibrated.toml").write_text(re.sub(r"(?m)^calibration.*\n", "", PSM13))
+    write_profile(made / "uncalibrated.toml")
     (made / "recordings").mkdir()
     (made / "recordings" / "3d").symlink_to(REPOSITORY / "recordings" / "3d")
     (made / "images").mkdir()

@@ -4,12 +4,12 @@ They stand in `tests/data/mcap-conformance.tar.xz`, under the licence beside it 
 """
 
 import json
-import tarfile
 from pathlib import Path
 from typing import Any
 
 from svmdist.profile import Limits
 from svmdist.recording.mcap import McapSource, _Pass
+from tests.conftest import unpack
 
 ARCHIVE = Path(__file__).parents[1] / "data" / "mcap-conformance.tar.xz"
 
@@ -29,9 +29,7 @@ def as_json(value: Any) -> Any:
 
 def test_all_files_read_equal_to_their_json(tmp_path):
     """Every field of every record."""
-    with tarfile.open(ARCHIVE) as archive:
-        archive.extraction_filter = getattr(tarfile, "data_filter", None)  # Python has one from 3.11.4 on
-        archive.extractall(tmp_path)
+    unpack(ARCHIVE, tmp_path)
     files = sorted(tmp_path.glob("*.mcap"))
     assert len(files) == 416
     for path in files:
