@@ -55,6 +55,11 @@ class View:
         self._arm, self._settings = arm, arm.profile.settings
         self.measured_surface: Surface | None = None  # that a clearance was measured to, for drawings
 
+    @property
+    def has_plate(self) -> bool:
+        """Whether the instrument carries its tag's plate."""
+        return self._arm.has_plate or self.tag_corners_px is not None
+
     @cached_property
     def masks(self) -> Masks:
         """What is what, at normalised exposure, without the other instruments."""
@@ -137,7 +142,10 @@ class View:
         straight, silhouette = self._arm.straight, self.silhouette
         if straight is None or silhouette is None:
             return NO_SHAFT
-        return detect_silhouette(silhouette, self.camera, straight.radius_m)
+        # A plate hides sides; one whose tag is not read, bloody or cut by the border, has sharp ones of its own.
+        soft = self._arm.plate_beside if self.has_plate else 0.0
+        sharp = soft if self.tag_corners_px is None else 0.0
+        return detect_silhouette(silhouette, self.camera, straight.radius_m, (sharp, soft))
 
     @cached_property
     def rim_ahead(self) -> tuple[float, float] | None:

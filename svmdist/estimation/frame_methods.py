@@ -88,7 +88,7 @@ class FiducialEstimator:
 
         # Through mounting and wrist to the tool, and the distances from there.
         pose = tool_from_tag(frame.arm, frame.left.camera, tag, frame.robot)
-        return measured(result, frame, ToolEstimate(pose, frame.joints, has_plate=True), tissue.pose)
+        return measured(result, frame, ToolEstimate(pose, frame.joints, frame.left.has_plate), tissue.pose)
 
 
 def tool_from_tag(arm: Arm, camera: Camera, tag: TagPose, robot: RobotState) -> ToolPose:
@@ -136,10 +136,10 @@ def certain(frame: Frame, found: ImagePose | Failure, max_std_m: float) -> Image
 
 
 class ShaftEstimator:
-    """`--method shaft`. Keeps between frames whether it saw the tag's plate, and nothing else."""
+    """`--method shaft`. Keeps no state between frames."""
 
     name = "shaft"
-    keeps_state = True
+    keeps_state = False
     needs = Needs(scene=("tissue", "left.tags"), frame=("shaft_pose",))
 
     def __init__(self, arm: Arm) -> None:
@@ -151,7 +151,6 @@ class ShaftEstimator:
             )
         require_tissue(profile)
         self._settings = profile.settings.shaft
-        self._has_plate = False
 
     def estimate(self, frame: Frame) -> FrameResult:
         """Measure one frame; a frame that cannot be measured says why."""
@@ -161,7 +160,6 @@ class ShaftEstimator:
             return result
 
         # The shaft's edges and end, the distal marker, and the pose that fits them through the wrist.
-        self._has_plate |= frame.left.tag_corners_px is not None
         fit = frame.shaft_pose
         if isinstance(fit, Failure) and len(frame.left.shaft.contours) == 2:
             return result.rejected(Status.UNCERTAIN, fit.reason)
@@ -170,14 +168,16 @@ class ShaftEstimator:
         found = certain(frame, fit, self._settings.max_position_std_m)
         if isinstance(found, Rejection):
             return result.rejected(found.status, found.detail)
-        return measured(result, frame, ToolEstimate(found.pose, frame.joints, self._has_plate), tissue.pose)
+        return measured(
+            result, frame, ToolEstimate(found.pose, frame.joints, frame.left.has_plate), tissue.pose
+        )
 
 
 class StereoEstimator:
-    """`--method stereo`. Keeps between frames whether it saw the tag's plate, and nothing else."""
+    """`--method stereo`. Keeps no state between frames."""
 
     name = "stereo"
-    keeps_state = True
+    keeps_state = False
 
     def __init__(self, arm: Arm) -> None:
         profile = arm.profile
@@ -185,7 +185,6 @@ class StereoEstimator:
         self._chain = arm.required_chain
         self._profile = profile
         self._uses_shaft = profile.segmentation.shaft is not None and profile.instrument is not None
-        self._has_plate = False
         parts = ("distal_marker", "shaft") if self._uses_shaft else ("distal_marker",)
         views = tuple(f"{view}.{part}" for part in parts for view in ("left", "right"))
         self.needs = Needs(("tissue", "stereo_surface", "left.tags"), views, right_view=True)
@@ -200,7 +199,6 @@ class StereoEstimator:
             return result.rejected(Status.NO_STEREO, pair.reason)
 
         # The tool: its distal marker in both views, and the shaft's direction.
-        self._has_plate |= frame.left.tag_corners_px is not None
         located = frame.pair_pose if self._uses_shaft else self._triangulated(frame)
         if isinstance(located, ImagePose):
             result = with_detections(result, located.gating)
@@ -211,7 +209,7 @@ class StereoEstimator:
 
         # The tissue's surface, and the distances. A surface by stereo has its own error in place of the dome's.
         seen = surface_by_stereo(frame, tissue.pose)
-        tool = ToolEstimate(found.pose, frame.joints, self._has_plate)
+        tool = ToolEstimate(found.pose, frame.joints, frame.left.has_plate)
         if seen is not None:
             return _to_tissue(result, frame, tool, seen, tissue.pose)
         if not found.is_by_right_view:

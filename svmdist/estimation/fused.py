@@ -57,7 +57,7 @@ class FusedEstimator:
         self._filter = KinematicErrorFilter(self._chain, profile.kinematic_error, profile.settings.filter)
         self._has_sizes = profile.segmentation.shaft is not None and profile.instrument is not None
         self._lasting_share = profile.settings.fused.lasting_share
-        self._has_plate = self._is_located = False
+        self._is_located = False
         self._contradictions, self._agreed, self._has_agreed = 0, 0, False
         self._begun_ns: int | None = None
         self._image_variance_m2 = 0.0
@@ -87,7 +87,6 @@ class FusedEstimator:
         height = None if tissue is None else measure_height(self._stated_tissue, tissue, frame, kalman)
 
         # The tool with the error found, and the distances from there.
-        self._has_plate |= frame.left.tag_corners_px is not None
         region, consistency = frame.left.region, kalman.consistency
         result = with_detections(result, gating if height is None else (*gating, height))
         result = replace(result, detail=_detail(gating, height), consistency=consistency.ratio).with_image(
@@ -97,7 +96,7 @@ class FusedEstimator:
         )
         joints = JointSample(frame.stamp_ns, self._chain.joint_names, kalman.corrected_joints())
         pose = replace(kalman.tool_pose(), jaw_scale=jaw_scale(kalman, self._arm))
-        tool = ToolEstimate(pose, joints, self._has_plate)
+        tool = ToolEstimate(pose, joints, frame.left.has_plate)
         if tissue is None:
             result = with_tool(result, frame, tool)
             return result.rejected(Status.NO_TISSUE, "no tissue, in this frame or before")

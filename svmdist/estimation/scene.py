@@ -26,10 +26,13 @@ OF_BOTH_VIEWS = "stereo_pair", "stereo_surface"  # what a scene finds by both of
 
 
 class Arm:
-    """An instrument's profile, with its chain, its body and its fiducial made ready; shared by all methods."""
+    """An instrument's profile, with its chain, its body and its fiducial made ready; shared by all methods.
 
-    def __init__(self, profile: Profile) -> None:
-        self.profile = profile
+    It `has_plate` where its tag is seen anywhere in the log.
+    """
+
+    def __init__(self, profile: Profile, has_plate: bool = False) -> None:
+        self.profile, self.has_plate = profile, has_plate
 
     @cached_property
     def chain(self) -> DHChain | None:
@@ -60,6 +63,15 @@ class Arm:
         if instrument is None or self.chain is None or shaft_of(self.chain) is None:
             return None
         return ShaftModel.of(Failure(""), self.chain, instrument)
+
+    @property
+    def plate_beside(self) -> float:
+        """By how much its tag's plate is wider than the shaft, over its width."""
+        tag, instrument = self.profile.fiducial, self.profile.instrument
+        if tag is None or instrument is None:
+            return 0.0
+        plate_m = self.profile.settings.tag.plate_ratio * tag.size_m
+        return max(0.5 * plate_m / instrument.shaft_radius_m - 1.0, 0.0)
 
     @cached_property
     def tag_pattern(self) -> TagPattern | None:

@@ -27,6 +27,7 @@ from svmdist.vision.colour import to_grey
 from svmdist.vision.frame_context import as_pinholes, with_first_fields
 from svmdist.vision.segmentation import Segmenter, make_segmenter
 from svmdist.vision.stereo import LEVEL, RowAlignment, agreed_offset, corresponding_points, rectified_pair
+from svmdist.vision.tags import find_tags
 from svmdist.workflows.request import CLEAN, Condition
 
 CHECKED = 6  # images, and up to twice as many, evenly over the log
@@ -88,6 +89,18 @@ def _row_differences(seen: Observation, profile: Profile, step: int) -> Array:
     views = to_grey(seen.image_bgr), to_grey(right.image_bgr)
     found = corresponding_points(views, pair, settings.max_row_offset_px, (far_px, near_px), step)
     return np.asarray(found[1][:, 1] - found[0][:, 1])
+
+
+def tags_shown(spread: Sequence[EncodedObservation], profile: Profile) -> set[int]:
+    """The numbers of the tags of the profile's family that images show; none where it has no family."""
+    if profile.fiducial is None:
+        return set()
+    family, settings, shown = profile.fiducial.family, profile.settings, set[int]()
+    for seen in (one.decoded.seen for one in spread):
+        if seen is not None:
+            first = with_first_fields(seen[0], settings.interlace)
+            shown |= find_tags(to_grey(first.image_bgr), family, settings.tag).keys()
+    return shown
 
 
 def needs_association(arms: Sequence[Arm]) -> bool:

@@ -185,6 +185,25 @@ def test_jaws_are_as_long_as_their_tips_are_seen_and_never_shorter(side):
         assert own_px < (0.8 * stated_px if share > 1.0 else stated_px + 1e-9)
 
 
+@pytest.mark.parametrize("has_plate", [False, True])
+def test_sides_may_be_those_of_a_plate_whose_tag_is_not_read(has_plate):
+    """Elsewhere in the log the tag is seen: here an outline as wide as its plate is within the stated interval."""
+    profile = load_profile()
+    tag, sizes = profile.fiducial, profile.instrument
+    share = 2.0 * sizes.shaft_radius_m / (profile.settings.tag.plate_ratio * tag.size_m)
+    narrower = {
+        "instrument": sizes.model_copy(update={"shaft_radius_m": share * sizes.shaft_radius_m}),
+        "fiducial": tag.model_copy(update={"size_m": share * tag.size_m}),
+    }
+    profile = profile.model_copy(update=narrower)
+    drawn = picture(SMALL, "left", marker=False)
+    seen = Observation(0, drawn.draw(2), SMALL)
+    fit = frame_of(seen, Arm(profile, has_plate), make_segmenter(profile.segmentation)).shaft_pose
+    error_m = fit.pose.hinge.position_m - drawn.hinge_m
+    square = error_m @ np.linalg.solve(fit.pose.hinge.covariance, error_m)
+    assert (square < 7.8) == has_plate  # 95 % of χ² with 3 dof
+
+
 def test_a_wrist_that_may_have_been_taken_for_a_shaft_leaves_the_depth_open(monkeypatch):
     """Where the network is less sure of a shaft, and no wrist is seen beyond it, it may be nearer by a third."""
     drawn, std_m = picture(SMALL, "left", **PALE), []

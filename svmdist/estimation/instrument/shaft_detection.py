@@ -111,23 +111,30 @@ class ShaftDetection:
 NO_SHAFT = ShaftDetection()
 
 
-def detect_silhouette(silhouette: Silhouette, camera: Camera, radius_m: float) -> ShaftDetection:
-    """Contours, end and wrist of a shaft by its silhouette; `NO_SHAFT` where one of its radius cannot stand."""
+def detect_silhouette(
+    silhouette: Silhouette, camera: Camera, radius_m: float, beside: tuple[float, float] = (0.0, 0.0)
+) -> ShaftDetection:
+    """Contours, end and wrist of a shaft by its silhouette; `NO_SHAFT` where one of its radius cannot stand.
+
+    Its sides may be those of something wider on it, by `beside` of its width: of a sharp side, of one without an edge.
+    """
     towards_tip, middle_px = silhouette.towards_tip, silhouette.middle_px
     unit, inside = 1.0 / float(camera.K[0, 0]), camera.rays(middle_px)[0, :2]
     found: dict[int, TangentPlane] = {}
     for edge in silhouette.edges:
         inlier_px = max(LINE_INLIER_PX, LINE_INLIER_PER_WIDTH * silhouette.width_px, edge.within_px)
+        ends = camera.rays(np.stack([edge.start_px, edge.end_px]))[:, :2]
         if edge.covariance is None:
             points = camera.rays(edge.points_px)[:, :2]
             plane = fit_line(points, unit, inside, MIN_LINE_POINTS, inlier_px, SHADING_STD_PX)
         else:
-            ends = camera.rays(np.stack([edge.start_px, edge.end_px]))[:, :2]
             plane = line_between(ends, edge.covariance * unit**2, inside)
         if plane is not None:
+            off = 0.5 * beside[edge.covariance is not None] * silhouette.width_px * unit
+            wider = line_between(ends, np.full((2, 2), off**2), inside)
             outward = 0.5 * (edge.start_px + edge.end_px) - middle_px
             side = 1 if towards_tip[0] * outward[1] - towards_tip[1] * outward[0] > 0 else -1
-            found.setdefault(side, replace(plane, side=side))
+            found.setdefault(side, replace(plane, covariance=plane.covariance + wider.covariance, side=side))
     contours = tuple(found.values())
     if len(contours) == 2:
         axis = axis_of_cylinder(contours, radius_m)
