@@ -30,6 +30,7 @@ MAX_IMAGE_STD_M = 0.008  # a pose by one view that is less certain tells nothing
 LOCATED_STD_M = 0.01  # a prediction as certain that agrees with the images needs no start by them
 MAX_CONTRADICTIONS = 3  # frames in a row: what hides an instrument misleads one or two
 YOUNG_S = 2.0  # how long a filter that has begun anew is held to be hardly surer than the images
+SURER = 0.5  # of the variance it began with: an image of less begins anew what is as young
 
 
 class FusedEstimator:
@@ -119,15 +120,18 @@ class FusedEstimator:
         kalman = self._filter
         # What only the first frame speaks for is as likely wrong as the second, which contradicts it.
         enough = min(MAX_CONTRADICTIONS, max(self._agreed, 1))
-        if self._is_located and self._contradictions < enough:
-            return None
-        image = self._image_pose(frame)
+        is_due = not self._is_located or self._contradictions >= enough
+        image = self._image_pose(frame) if is_due or self._age_s(frame) < YOUNG_S else None
         if image is None:
+            return None
+        variance_m2 = float(np.trace(image.position_covariance))
+        # What it began with may be a stub at the border, whose errors it would keep.
+        if not (is_due or variance_m2 < SURER * self._image_variance_m2):
             return None
         is_first, predicted = not self._is_located, kalman.tool_pose()
         self._is_located, self._has_agreed = True, False
         self._contradictions = self._agreed = 0
-        self._begun_ns, self._image_variance_m2 = frame.stamp_ns, float(np.trace(image.position_covariance))
+        self._begun_ns, self._image_variance_m2 = frame.stamp_ns, variance_m2
         # What was measured before may have led there already.
         is_sure = is_first and predicted.position_std_m < LOCATED_STD_M
         if is_sure and pose_distance(image, predicted) <= chi_square_bound(6):
@@ -160,15 +164,17 @@ class FusedEstimator:
         """The tag's factor, which a predicted pose tells from its mirrored one."""
         return tag(frame, self._filter.state.robot, predicted, self._lasting_share)
 
+    def _age_s(self, frame: Frame) -> float:
+        """Since the filter began by an image; infinite where it did not."""
+        return np.inf if self._begun_ns is None else (frame.stamp_ns - self._begun_ns) / 1e9
+
     def _watch(self, frame: Frame, gating: Sequence[GatingResult]) -> str:
         """Why the images contradict the prediction; empty where they do not.
 
         Until what agrees has been seen for a while, a filter that has begun anew is hardly surer than the images.
         """
-        consistency, age = self._filter.consistency, YOUNG_S
+        consistency, age = self._filter.consistency, self._age_s(frame)
         consistency.excess = 1.0
-        if self._begun_ns is not None:
-            age = (frame.stamp_ns - self._begun_ns) / 1e9
         if age < YOUNG_S:
             own_m2 = float(np.trace(self._filter.tool_pose().position_covariance)) / consistency.widening
             more = max(self._image_variance_m2 / own_m2 - 1.0, 0.0)

@@ -163,6 +163,21 @@ def test_an_outline_counts_where_the_images_hold_a_pose():
     assert found("the depth is in doubt").detail.endswith("joints alone")
 
 
+def test_what_began_by_a_poor_image_begins_anew_by_a_surer_one():
+    """Of a stub at the border little is known, and it may be wrong: the next image is surer by more than half."""
+    profile = PROFILE.model_copy(update={"segmentation": AutoSegmentation(method="auto"), "fiducial": None})
+    measuring, stds_m = Measuring("fused", profile), []
+    for seen in golden_frames("3d/contact", range(24, 26), profile):
+        frame = frame_of(seen, measuring.arm, measuring.segmenter)
+        for view in (frame.left, frame.right) if not stds_m else ():
+            unsure = [
+                replace(one, covariance=one.covariance + 1e-4 * np.eye(3)) for one in view.shaft.contours
+            ]
+            vars(view)["shaft"] = replace(view.shaft, contours=tuple(unsure))
+        stds_m.append(measuring.estimator.estimate(frame).distances.spatial.std_m)
+    assert stds_m[1] < 0.85 * stds_m[0]
+
+
 def test_a_shaft_is_followed_without_marker_and_tag(golden_rows):
     """Blood hides the distal marker from frame 3 on, the plate is not to be read: sides and end of the shaft are left.
 
