@@ -91,16 +91,16 @@ def _row_differences(seen: Observation, profile: Profile, step: int) -> Array:
     return np.asarray(found[1][:, 1] - found[0][:, 1])
 
 
-def tags_shown(spread: Sequence[EncodedObservation], profile: Profile) -> set[int]:
-    """The numbers of the tags of the profile's family that images show; none where it has no family."""
-    if profile.fiducial is None:
-        return set()
-    family, settings, shown = profile.fiducial.family, profile.settings, set[int]()
-    for seen in (one.decoded.seen for one in spread):
-        if seen is not None:
-            first = with_first_fields(seen[0], settings.interlace)
-            shown |= find_tags(to_grey(first.image_bgr), family, settings.tag).keys()
-    return shown
+def arms_of(recording: Recording, profile: Profile, spread: Sequence[EncodedObservation]) -> list[Arm]:
+    """The arms of a recording's instruments, with the plates whose tags its images show."""
+    profiles, shown = [profile.for_instrument(name) for name in recording.instruments], set[int]()
+    if profile.fiducial is not None:
+        family, settings = profile.fiducial.family, profile.settings
+        for seen in (one.decoded.seen for one in spread):
+            if seen is not None:
+                image_bgr = with_first_fields(seen[0], settings.interlace).image_bgr
+                shown |= find_tags(to_grey(image_bgr), family, settings.tag).keys()
+    return [Arm(one, one.fiducial is not None and one.fiducial.id in shown) for one in profiles]
 
 
 def needs_association(arms: Sequence[Arm]) -> bool:
@@ -227,7 +227,7 @@ def check_log(recording: Recording) -> dict[str, Checks]:
     profile = stated.model_copy(update={"tissue": stated.tissue or SOMEWHERE})
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
     spread = spread_observations(recording)
-    arms = [Arm(profile.for_instrument(name)) for name in recording.instruments]
+    arms = arms_of(recording, profile, spread)
     rows = offset_to_remove(first_of(spread, profile), profile)
     for one in spread:
         recording.record_losses(one.decoded)

@@ -33,13 +33,13 @@ from svmdist.samples import Image, Observation, Rejection, Status
 from svmdist.vision.frame_context import seen_through
 from svmdist.vision.stereo import LEVEL, RowAlignment
 from svmdist.workflows.check import (
+    arms_of,
     checked,
     compare_views,
     first_of,
     needs_association,
     offset_to_remove,
     spread_observations,
-    tags_shown,
     warning,
 )
 from svmdist.workflows.parallel import in_order, one_opencv_thread, usable_cores
@@ -181,14 +181,10 @@ class _Replay:
         self._needs = reduce(Needs.__or__, (lane.needs for lane in self._lanes[0]))
 
     def _compare(self, needs_rows: bool) -> None:
-        """Look at some images of all of the log: learn colours, find the offset of rows, compare what must agree."""
+        """Look at some images of all of the log: find plates and the offset of rows, compare what must agree."""
         profile, health = self._setup.profile, self._recording.health
         spread = spread_observations(self._recording)
-        shown = tags_shown(spread, profile)
-        self._arms = self._stereo_arms = [
-            Arm(arm.profile, (tag := arm.profile.fiducial) is not None and tag.id in shown)
-            for arm in self._arms
-        ]
+        self._arms = self._stereo_arms = arms_of(self._recording, profile, spread)
         if needs_rows:
             self._rows = offset_to_remove(first_of(spread, profile), profile)
         if profile.tissue is None:
@@ -245,10 +241,8 @@ class _Replay:
         self._looked.clear()
 
     def _arms_of(self, setup: Setup) -> list[Arm]:
-        return [
-            Arm(setup.profile.for_instrument(arm.profile.instrument_name), arm.has_plate)
-            for arm in self._arms
-        ]
+        profile = setup.profile
+        return [Arm(profile.for_instrument(arm.profile.instrument_name), arm.has_plate) for arm in self._arms]
 
     def _lane(self, setup: Setup, known: Mapping[str, Checks]) -> MultiInstrumentEstimator:
         """A method on the wanted instruments; one that measures the tissue itself takes the profile as it is.
