@@ -245,10 +245,10 @@ def plotly_figure(chart: Chart) -> go.Figure:
     ]
     layout: dict[str, Any] = {
         "template": None,
-        "margin": {"l": 60, "r": 15, "t": 10, "b": 45},
+        "margin": {"l": 60, "r": 15, "t": 30, "b": 45},  # the tool bar is above, the legend below
         "xaxis": {"title": {"text": chart.x_title}},
         "yaxis": {"title": {"text": chart.y_title}, "autorange": "reversed" if chart.is_image else None},
-        "legend": {"orientation": "h", "y": 1.12, "x": 0},
+        "legend": {"orientation": "h", "x": 0, "y": 0, "yanchor": "bottom", "yref": "container"},
         "hovermode": "closest",
         "bargap": 0.02,
     }

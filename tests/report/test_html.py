@@ -214,7 +214,14 @@ def test_ten_thousand_frames_are_shown_in_a_browser(browser, tmp_path, every, sc
     assert shown.locator(".plot .main-svg").count() >= 8
     shown.locator("#distance-0").scroll_into_view_if_needed()
     shown.wait_for_timeout(500)  # plots are redrawn after the window has changed
-    box = shown.locator("#distance-0 .nsewdrag").bounding_box()
+    # The tool bar covers neither plot nor legend, and has no button that sends the data away.
+    boxes = [
+        shown.locator(f"#distance-0 {name}").bounding_box() for name in (".modebar", ".nsewdrag", ".legend")
+    ]
+    ends = [(one["y"], one["y"] + one["height"]) for one in boxes]
+    assert ends[0][1] <= ends[1][0] < ends[1][1] <= ends[2][0]
+    assert shown.locator("[data-title^=Share]").count() == 0
+    box = boxes[1]
     shown.mouse.move(box["x"] + 0.505 * box["width"], box["y"] + 0.5 * box["height"])
     shown.wait_for_selector("#distance-0 .hovertext")
     shown.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 0.5 * box["height"])
