@@ -39,7 +39,7 @@ STYLES: dict[Role, dict[str, Any]] = {
     "estimate": {"linewidth": 1.0, "marker": ".", "markersize": 3},
     "error": {"linewidth": 0.9, "marker": ".", "markersize": 2},
     "truth": {"linewidth": 1.4, "linestyle": "--"},
-    "interval": {"linewidth": 0.0, "alpha": 0.3},
+    "interval": {"linewidth": 0.8, "alpha": 0.3},  # of a frame that stands alone, all is outline
     "lost": {"linewidth": 0.0, "alpha": 0.35},
     "alarm": {"facecolor": "none", "hatch": "////", "linewidth": 0.0, "alpha": 0.4},
     "threshold": {"linewidth": 0.9, "linestyle": ":"},
@@ -127,13 +127,16 @@ def draw_series(series: Sequence[Series], kind: SeriesPlot) -> Figure:
             panels.append((charts.calibration(group), f"{of}, interval"))
     if not panels:
         lacking = "an interval" if kind == "calibration" else "a truth"
-        raise OutputError(f"--plot {kind}: nothing to draw: no frame has {lacking}")
+        raise OutputError(f"--plot {kind}: nothing to draw: no measured frame has {lacking}")
     across = 2 if kind == "residuals" else 1
     rows, height_in = len(panels) // across, PANEL_IN if kind == "time" else 1.3 * PANEL_IN
     width_in = COLUMN_IN if kind in ("bland-altman", "calibration") else PAGE_IN
     figure = Figure(figsize=(width_in, height_in * rows), layout="constrained")
+    first: dict[str, Axes] = {}  # over time, panels of one log share their axis
     for at, (chart, title) in enumerate(panels):
-        axes = figure.add_subplot(rows, across, at + 1)
+        log = series[at].recording if kind == "time" else title
+        axes = figure.add_subplot(rows, across, at + 1, sharex=first.get(log))
+        first.setdefault(log, axes)
         _draw_curves(axes, chart.curves)
         if chart.y_title == "error [mm]":
             axes.axhline(0.0, color="0.0", linewidth=0.6)
@@ -173,11 +176,15 @@ def draw(validation: Validation) -> Figure:
     width_in = COLUMN_IN if columns == 1 else PAGE_IN
     figure = Figure(figsize=(width_in, SCORE_IN * rows), layout="constrained")
     grid = figure.add_gridspec(rows, columns)
+    first: dict[str, Axes] = {}  # panels of one log share their axis
     for index, score in enumerate(scores):
+        log = score.recording.removesuffix(f" {score.instrument}")
         cell = grid[index // columns, index % columns].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.04)
-        upper = figure.add_subplot(cell[0])
+        upper = figure.add_subplot(cell[0], sharex=first.get(log))
+        first.setdefault(log, upper)
         lower = figure.add_subplot(cell[1], sharex=upper)
         _draw_score(upper, lower, score, validation.alarm_rules)
+        figure.align_ylabels([upper, lower])
     _legend(figure, figure.axes[::2])
     return figure
 

@@ -100,6 +100,22 @@ def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval():
         assert [line.get_ydata()[0] for line in dotted] == thresholds
 
 
+def test_panels_of_one_log_have_the_same_axis_of_time():
+    """Also where an instrument was measured in a part of the log only; a frame that stands alone has an interval."""
+    series, alone = make_series(100), np.where(np.arange(100) == 70, 0.02, np.nan)
+    late = replace(series, instrument="PSM2", estimate_m=alone, truth_m=alone)
+    first, second, other = draw_series([series, late, make_series(40, "other")], "time").axes
+    assert first.get_xlim() == second.get_xlim() != other.get_xlim()
+    (band,) = (one for one in second.collections if one.get_label() == "95 % interval")
+    assert band.get_linewidth() > 0.0
+    made = score("a", count=60), replace(score("a PSM2", count=20), instrument="PSM2"), score("b", count=20)
+    figure = draw(Validation(made, (), ()))
+    first, below_first, second, _, other, _ = figure.axes
+    assert first.get_xlim() == second.get_xlim() != other.get_xlim()
+    figure.draw_without_rendering()
+    assert other.get_tightbbox().ymax <= below_first.get_tightbbox().ymin  # the next row of panels
+
+
 def test_agreement_calibration_and_residuals():
     """Bias and limits; shares of truths inside; a marker for each log. Without a truth there is nothing to draw."""
     series = make_series(300)
@@ -116,7 +132,7 @@ def test_agreement_calibration_and_residuals():
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["log PSM1", "other PSM1"]
     assert "fused" in over_time.get_title(loc="left")
     blind = replace(series, truth_m=np.full(300, np.nan))
-    with pytest.raises(OutputError, match="no frame has a truth"):
+    with pytest.raises(OutputError, match="no measured frame has a truth"):
         draw_series([blind], "residuals")
 
 
