@@ -74,7 +74,7 @@ def masks_picture(frame: DrawnFrame, title: str) -> Image:
             shapes.append(Shape(Part.TIP, Form.POINTS, np.stack([seen.end_px, seen.tip_px])))
             place_px = 0.5 * (seen.entry_px + seen.end_px)
             labels.append(Label(part, place_px, f"{owner or f'instrument {at + 1}'}  {seen.evidence:.2f}"))
-    tinted = _tinted(image, [(part, mask) for part, mask in named.values() if part is not Part.TISSUE])
+    tinted = _tinted(image, list(named.values()))
     drawing = FrameDrawing(frame.drawing.stamp_ns, tuple(shapes), tuple(labels))
     return under(lines, draw_on(tinted, drawing, least_px=MASKS_PX))
 
@@ -218,10 +218,16 @@ def _side_view(frame: DrawnFrame, pixels: Image) -> tuple[Image, float] | None:
         shapes.append(Shape(Part.TISSUE, Form.POINTS, seen(drawing.cloud_m[is_near])))
     filled = {part: np.zeros((height, width), np.uint8) for part in (Part.SHAFT, Part.WRIST)}
     circle = np.array(cv2.ellipse2Poly((0, 0), (1000, 1000), 0, 0, 360, 12)) * 1e-3
-    for at, radius_m in enumerate(body.radius_m):
-        ends = (seen(one[at]) + radius_m * px_per_m * circle for one in (body.start_m, body.end_m))
-        hull = cv2.convexHull(np.rint(within_reach(np.concatenate([*ends]))).astype(np.int32))
+    around = px_per_m * body.radius_m[:, None, None] * circle
+    outlines_px = np.concatenate([seen(one)[:, None] + around for one in (body.start_m, body.end_m)], 1)
+    rods = np.column_stack([body.end_m - body.start_m, body.radius_m])
+    for at in range(len(body)):
+        # Equal rods side by side stand for a plate, or a blade: what is between two of them is filled, too.
+        first = at - 1 if at and np.allclose(rods[at], rods[at - 1]) else at
+        points_px = within_reach(np.concatenate(outlines_px[first : at + 1]))
+        hull = cv2.convexHull(np.rint(points_px).astype(np.int32))
         cv2.fillConvexPoly(filled[Part.WRIST if at else Part.SHAFT], hull, 255)
+    filled[Part.WRIST][filled[Part.SHAFT] > 0] = 0
     shapes += [outline for part, mask in filled.items() for outline in contours_of(mask, part)]
     canvas = _tinted(canvas, list(filled.items()))
     ends_px = seen(np.stack([segment.start_m, segment.end_m]))

@@ -7,16 +7,19 @@ import pytest
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from svmdist.camera import Camera
-from svmdist.drawing import Form, FrameDrawing, Label, Part, Shape, StatusLine
-from svmdist.geometry import Capsules
+from svmdist.drawing import Form, FrameDrawing, Label, Part, Segment, Shape, StatusLine
+from svmdist.estimation.instrument.model import plate_capsules
+from svmdist.geometry import Capsules, join
 from svmdist.geometry.distance import separation
 from svmdist.recording.log import open_recording
 from svmdist.recording.viewer_messages import scene_update
-from svmdist.report.on_image import draw_on
+from svmdist.report.on_image import DARK, draw_on
+from svmdist.report.panels import _side_view
 from svmdist.results import AlarmState, Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 from svmdist.vision.frame_context import seen_through
 from svmdist.workflows.frame_drawing import (
+    DrawnFrame,
     _through_lens,
     distance_shapes,
     frame_drawing,
@@ -72,6 +75,24 @@ def test_a_scene_holds_capsules_and_deletes_what_is_gone():
     along = [2 * (q.x * q.z + q.w * q.y), 2 * (q.y * q.z - q.w * q.x), 1 - 2 * (q.x**2 + q.y**2)]
     np.testing.assert_allclose(along, [0.0, 0.6, 0.8], atol=1e-12)  # the cylinder's own z axis
     assert {deletion.id for deletion in message.deletions} == {"tissue", "PSM1 distance", "PSM1 between"}
+
+
+def test_a_plate_is_whole_from_the_side(duo):
+    """It is modelled as rods side by side; what is between them is filled, too."""
+    setup, replayed = duo
+    plate = plate_capsules(setup.profile.fiducial)
+    seen_face_on = np.array([[1.0, 0, 0, 0], [0, 0, -1.0, 0], [0, 1.0, 0, 0.1], [0, 0, 0, 1.0]])
+    shaft = Capsules(np.array([[0.05, 0.0, 0.1]]), np.array([[0.2, 0.0, 0.1]]), np.array([0.004]))
+    low_m, tissue_m = np.array([0.0, 0.0, 0.104]), np.array([0.0, 0.0, 0.11])
+    drawing = FrameDrawing(
+        0,
+        bodies={"PSM1": join(shaft, plate.transformed(seen_face_on))},
+        segments=(Segment("PSM1 distance", Part.DISTANCE, low_m, tissue_m, ""),),
+    )
+    picture, px_per_m = _side_view(DrawnFrame(0, 0.0, replayed, drawing), np.zeros((480, 640, 3), np.uint8))
+    aside_px = round(0.36 * 640 + 0.001 * px_per_m)  # beside the line of the clearance
+    above_px = np.round(240 - np.linspace(0.0035, 0.0085, 200) * px_per_m).astype(int)
+    assert (picture[above_px, aside_px] != DARK).any(1).all()
 
 
 def first_frames(name: str, method: str, count: int) -> tuple[Setup, list[Replayed]]:
