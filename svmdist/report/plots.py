@@ -175,16 +175,16 @@ def draw(validation: Validation) -> Figure:
     rows = -(-len(scores) // columns)
     width_in = COLUMN_IN if columns == 1 else PAGE_IN
     figure = Figure(figsize=(width_in, SCORE_IN * rows), layout="constrained")
-    grid = figure.add_gridspec(rows, columns)
+    grid = figure.add_gridspec(2 * rows, columns, height_ratios=(3, 1) * rows, hspace=0.04)
     first: dict[str, Axes] = {}  # panels of one log share their axis
     for index, score in enumerate(scores):
         log = score.recording.removesuffix(f" {score.instrument}")
-        cell = grid[index // columns, index % columns].subgridspec(2, 1, height_ratios=(3, 1), hspace=0.04)
-        upper = figure.add_subplot(cell[0], sharex=first.get(log))
+        row, column = 2 * (index // columns), index % columns
+        upper = figure.add_subplot(grid[row, column], sharex=first.get(log))
         first.setdefault(log, upper)
-        lower = figure.add_subplot(cell[1], sharex=upper)
+        lower = figure.add_subplot(grid[row + 1, column], sharex=upper)
         _draw_score(upper, lower, score, validation.alarm_rules)
-        figure.align_ylabels([upper, lower])
+    figure.align_ylabels()
     _legend(figure, figure.axes[::2])
     return figure
 
