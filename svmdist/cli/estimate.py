@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import shlex
 import sys
 from collections import Counter, defaultdict
@@ -125,12 +126,12 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         if self.summary is not None:
             output.write_results(run.ranking(), summary_writer, self.summary)
         self.say_choice()
-        code = _log_tally([ending.tally for ending in run.results])
+        measured = _log_tally([ending.tally for ending in run.results])
         log_ending({log.name: ending for log, _, ending in run.measured}, request)
         self._say_next({str(log.path): ending for log, _, ending in run.measured}, request)
         if draws:
             self.draw(run, request)
-        return run.exit_code() or code
+        return run.exit_code(measured)
 
     def _say_next(self, endings: Mapping[str, Ending], request: Request) -> None:
         """Log the smallest clearance, and the command that shows it; without any, the one that says why."""
@@ -261,22 +262,19 @@ def log_ending(endings: Mapping[str, Ending], request: Request) -> None:
         LOG.info("%s", alarms_in_words(endings, request.alarms))
 
 
-def _log_tally(tallies: Sequence[Mapping[str, Mapping[str, int]]]) -> ExitCode:
+def _log_tally(tallies: Sequence[Mapping[str, Mapping[str, int]]]) -> bool:
     """Log how many frames were measured, and the other statuses with their commonest details; whether any was."""
     counts = defaultdict[str, Counter[str]](Counter)
     for status, details in (item for one in tallies for item in one.items()):
         counts[status].update(details)
     total = sum(details.total() for details in counts.values())
     measured = counts.pop("ok", Counter()).total()
-    if total == 0:
-        reason = "the log has no image, or none between --start and --end; `svmdist info` says how long it is"
-        LOG.error("no frame to measure: %s", reason)
-        return ExitCode.UNUSABLE
     lost = []
     for status, details in sorted(counts.items()):
         ((commonest, times),) = details.most_common(1)
         of_some = f"{times} of them: " if len(details) > 1 else ""
         lost.append(f"{details.total()} {status}" + (f" ({of_some}{commonest})" if commonest else ""))
     share = f"{measured} of {total} frames measured ({100 * measured / total:.1f}%)"
-    LOG.info("%s", "; ".join([share, ", ".join(lost)] if lost else [share]))
-    return ExitCode.CLEAN if measured else ExitCode.UNUSABLE
+    level = logging.INFO if measured else logging.ERROR
+    LOG.log(level, "%s", "; ".join([share, ", ".join(lost)] if lost else [share]))
+    return measured > 0

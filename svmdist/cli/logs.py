@@ -231,8 +231,11 @@ class Run(Generic[Result]):
                     deque(self._measured(log), maxlen=0)
         return self._kept
 
-    def exit_code(self) -> ExitCode:
-        """Say what was lost, which logs were left out and why, and which keys no log has; a loss gives its code."""
+    def exit_code(self, measured: bool = True) -> ExitCode:
+        """Say what was lost, which logs were left out and why, and which keys no log has.
+
+        A loss or a contradiction gives its code; else nothing that was `measured` is unusable.
+        """
         known = {key for _, one in self.outcomes if one.failure is None for key in one.metadata}
         for key in self.keys:
             if key not in known:
@@ -242,7 +245,7 @@ class Run(Generic[Result]):
             if one.failure is not None:
                 codes.append(ExitCode.LOSS)
                 LOG.error("left out: %s", with_name(one.failure, log.path, log.name))
-        return max(codes, default=ExitCode.CLEAN)
+        return max(codes, default=ExitCode.CLEAN) or (ExitCode.CLEAN if measured else ExitCode.UNUSABLE)
 
 
 def log_losses(path: LogPath, health: Health) -> ExitCode:

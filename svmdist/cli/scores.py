@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from svmdist.cli import options, output
 from svmdist.cli.estimate import PictureOptions, corrected, log_ending
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from svmdist.vision.degradations import Blur
     from svmdist.workflows.compare import MethodScore
     from svmdist.workflows.request import Condition, Request, Setup
+    from svmdist.workflows.scoring.scores import Figures
 
 TruthChoice = StrEnum("TruthChoice", "ground_truth tf surface plane pose kinematics")
 PlotKind = Literal["fig6", "time", "residuals", "bland-altman", "calibration"]
@@ -33,6 +34,14 @@ class ScoreOptions(GoldenLogOptions, options.CalibrationOption, options.WindowOp
     """What scores are made of, and where they go."""
 
     form: str | None = format_option(Holds.FIGURES)
+
+
+def _exit_code(run: Run[Any], figures: Iterable[Figures]) -> ExitCode:
+    """The exit code of a run with these figures; says where nothing was measured."""
+    measured = any(one.measured_count for one in figures)
+    if not measured:
+        LOG.error("no frame is measured")
+    return run.exit_code(measured)
 
 
 class Validate(ScoreOptions, options.MeasureOptions, GroupOption, PictureOptions):
@@ -107,7 +116,7 @@ class Validate(ScoreOptions, options.MeasureOptions, GroupOption, PictureOptions
         self.say_choice()
         log_ending({log.name: scored.ending for log, _, scored in run.measured}, request)
         self.draw(run, request, result, kind)
-        code = max(run.exit_code(), ExitCode.LOSS if lacking else ExitCode.CLEAN)
+        code = _exit_code(run, result.scores) or (ExitCode.LOSS if lacking else ExitCode.CLEAN)
         if self.write_baseline:
             validate.save_baseline(validate.make_baseline(result), self.write_baseline)
         if stored:
@@ -200,7 +209,7 @@ class Compare(ScoreOptions, options.LagOption, GroupOption):
             from svmdist.report.plots import draw_compare, save_figure
 
             save_figure(self.save_plot, draw_compare, scores)
-        return run.exit_code()
+        return _exit_code(run, [score.figures for score in scores])
 
     @property
     def conditions(self) -> list[Condition]:
@@ -255,8 +264,9 @@ class BlurBench(ScoreOptions):
         setup = prepare(self.profile, calibration=self.calibration, hand_eye=self.hand_eye)
         request = Request(setup, self.topics, self.window)
         run = Run(self, blur_tallies, request, list[BlurTally], "Table I", "images", (kernels_px,))
-        output.write_results(blur_results(run.finish()), writer, self.output)
-        return run.exit_code()
+        tallies = run.finish()
+        output.write_results(blur_results(tallies), writer, self.output)
+        return _exit_code(run, [one.figures for of_log in tallies for one in of_log])
 
     def _kernels_px(self) -> dict[Blur, int]:
         """The kernels by blur, those of the paper where none is given; raises UsageError."""

@@ -32,7 +32,7 @@ class FrameOptions(options.Options):
 
     def image_number(self, recording: Recording) -> int | None:
         """The number of the chosen image, None where none is chosen; raises UsageError."""
-        from svmdist.workflows.frame_drawing import image_stamps_ns
+        from svmdist.workflows.replay import image_stamps_ns
 
         frame, at_s = self.frame, self.at
         if frame is not None and at_s is not None:
@@ -108,7 +108,7 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
 
     def _numbers(self, recording: Recording, request: Request) -> set[int]:
         """The numbers of the images to draw; raises UsageError."""
-        from svmdist.workflows.frame_drawing import image_stamps_ns
+        from svmdist.workflows.replay import image_stamps_ns
 
         if self.worst is not None:
             return _worst(recording, request, self.worst, self.jobs)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.errors import RecordingError
 from svmdist.recording.log import Recording
 from svmdist.vision.colour import to_grey
 from svmdist.vision.degradations import Blur
@@ -88,12 +87,10 @@ def blur_tallies(
 
 
 def pooled_tallies(parts: Sequence[Sequence[BlurTally]]) -> list[BlurTally]:
-    """The tallies of several recordings together, by blur; RecordingError where there is no image."""
+    """The tallies of several recordings together, by blur."""
     pooled = []
     for of_blur in zip(*parts, strict=True):
         figures = pooled_figures([one.figures for one in of_blur])
-        if not figures.frame_count:
-            raise RecordingError("there is no image to measure in these recordings")
         counts = [frame for one in of_blur for frame in one.counts]
         pooled.append(replace(of_blur[0], figures=figures, counts=counts))
     return pooled

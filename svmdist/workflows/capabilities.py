@@ -57,7 +57,7 @@ def best_method(
 ) -> tuple[str, str]:
     """The best method that most of the logs can serve, of many those of some, and why it is that one, in words.
 
-    Raises UsageError where none can be served, or none of the logs is one of the profile.
+    Raises RecordingError where none can be served, or none of the logs is one of the profile.
     """
     few = list[RecordingSummary]()
     for path in paths[:: -(-len(paths) // LOOKED_AT)]:
@@ -67,7 +67,7 @@ def best_method(
     summaries = [one for one in few if not misfit(one)]
     if not summaries:
         if few:
-            raise UsageError(f"{few[-1].recording.path}: {misfit(few[-1])}")
+            raise RecordingError(f"{few[-1].recording.path}: {misfit(few[-1])}")
         return "kinematic", "no log could be looked at"
     for with_tags in (False, True):  # a tag is looked for in all of a log, and only where it matters
         served, lacks = Counter[str](), dict[str, tuple[str, ...]]()
@@ -85,7 +85,7 @@ def best_method(
     above = PREFERRED[: PREFERRED.index(best)] if served[best] else PREFERRED
     why = [f"{name} lacks {'; '.join(lacks[name])}" for name in above if lacks.get(name)]
     if not served[best]:
-        raise UsageError(
+        raise RecordingError(
             f"{paths[0]}: no method can measure this log with profile {profile.name}: {'. '.join(why)}"
         )
     return best, f"the best that the log can serve{', as ' if why else ''}{', and '.join(why)}"

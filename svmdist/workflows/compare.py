@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.errors import RecordingError
 from svmdist.recording.log import Recording
 from svmdist.recording.source import Health
 from svmdist.recording.topics import Role
@@ -67,7 +66,7 @@ def compare(
     *,
     jobs: int | None = None,
 ) -> list[MethodScore]:
-    """Run every setup on every recording under every condition; RecordingError without an image or a comparison."""
+    """Run every setup on every recording under every condition; raises what `measure_runs` does."""
     require_distinct([setup.method for setup in setups])
     return compared([run for one in recordings for run in measure_runs(one, setups, conditions, jobs=jobs)])
 
@@ -197,9 +196,7 @@ def group_of(
 
 
 def compared(runs: Sequence[MethodScore]) -> list[MethodScore]:
-    """Scores by group, by degradation over all scenarios where both differ, and over all; RecordingError."""
-    if not any(run.figures.frame_count for run in runs):
-        raise RecordingError("there is no image to measure in these recordings")
+    """Scores by group, by degradation over all scenarios where both differ, and over all."""
     kinds = {(run.group.scenario, run.group.degradation) for run in runs}
     scores = _pooled(runs, [run.group for run in runs])
     if all(len(set(several)) > 1 for several in zip(*kinds, strict=True)):

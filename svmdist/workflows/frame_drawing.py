@@ -11,14 +11,12 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.drawing import Form, FrameDrawing, Label, Part, Segment, Shape, StatusLine
-from svmdist.errors import UsageError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import shaft_sections
 from svmdist.estimation.instrument.shaft_detection import DistalMarker
 from svmdist.estimation.planar import MarkerSearch, search_marker, template_features
 from svmdist.recording.log import Recording
-from svmdist.recording.topics import Role
 from svmdist.results import Distance, FrameResult
 from svmdist.samples import Image, Status
 from svmdist.vision.frame_context import seen_through
@@ -69,14 +67,6 @@ class Segmented:
     def estimate(self, frame: Frame) -> FrameResult:
         """A result without a distance."""
         return FrameResult(frame.scene.observation.stamp_ns, Status.OK)
-
-
-def image_stamps_ns(recording: Recording) -> list[int]:
-    """The stamp of every image of a log, in file order; raises UsageError for a log without one."""
-    stamps = [one.stamp_ns for one in recording.encoded_observations(robot=False, right=False)]
-    if not stamps:
-        raise UsageError(f"{recording.path.name}: no image on {recording.topic_of(Role.IMAGE)} can be read")
-    return stamps
 
 
 def frame_drawing(replayed: Replayed, setup: Setup) -> FrameDrawing:

@@ -10,6 +10,7 @@ number of workers.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +19,7 @@ from functools import reduce
 import numpy as np
 
 from svmdist.camera import Camera
+from svmdist.errors import RecordingError
 from svmdist.estimation.alarms import AlarmRules, AlarmWatch
 from svmdist.estimation.association import Association
 from svmdist.estimation.comparison import Checks
@@ -26,8 +28,9 @@ from svmdist.estimation.frame import Frame, Needs, prefetch
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile.robot import Tissue
 from svmdist.recording.log import Recording
-from svmdist.recording.observations import Decoded, EncodedObservation
+from svmdist.recording.observations import ALL_IMAGES, Decoded, EncodedObservation
 from svmdist.recording.source import LossKind
+from svmdist.recording.topics import Role
 from svmdist.results import FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection, Status
 from svmdist.vision.frame_context import seen_through
@@ -73,9 +76,9 @@ def replay(
 
     The setups share a profile. Every setup and condition has estimators of its own, so that what one remembers never
     reaches another. `jobs` threads work ahead, by default one for each core. Raises RecordingError at once for a
-    wanted instrument that the recording has no topics of, and CalibrationError for another camera. Where the lag of a
-    recording is known, methods take the offset of its joints for as well known. Without `rest`, what no method uses is
-    not read. Rows are judged by the rules of `alarms`.
+    wanted instrument that the recording has no topics of, and at the end where there was no image, and CalibrationError
+    for another camera. Where the lag of a recording is known, methods take the offset of its joints for as well known.
+    Without `rest`, what no method uses is not read. Rows are judged by the rules of `alarms`.
     """
     replaying = _Replay(recording, setups, conditions)
     return replaying.run(usable_cores() if jobs is None else jobs, rest, alarms)
@@ -146,6 +149,26 @@ def _judged(replayed: Replayed, watches: Sequence[AlarmWatch]) -> Replayed:
     """The same with the alarm of each row."""
     each = zip(replayed.results, watches, strict=True)
     return replace(replayed, results=tuple(replace(row, alarm=watch.watch(row)) for row, watch in each))
+
+
+def image_stamps_ns(recording: Recording) -> list[int]:
+    """The stamp of every image of a log, in file order; raises RecordingError for a log without one."""
+    stamps = [one.stamp_ns for one in recording.encoded_observations(robot=False, right=False)]
+    if not stamps:
+        unread = f"{recording.path.name}: no image on {recording.topic_of(Role.IMAGE)} can be read"
+        raise RecordingError("; ".join([unread, *recording.health.describe()]))
+    return stamps
+
+
+def _no_image(recording: Recording) -> str:
+    """Why no image was read; raises what says so of a log without one."""
+    window, stamps_ns = recording.window, image_stamps_ns(replace(recording, window=ALL_IMAGES))
+    end = "its end" if window.end_s == math.inf else f"--end {window.end_s:g}"
+    length_s = round((max(stamps_ns) - stamps_ns[0]) * 1e-9, 3)
+    return (
+        f"{recording.name}: no image to measure from --start {window.start_s:g} to {end}:"
+        f" the log has {length_s:g} s"
+    )
 
 
 Unfinished = Callable[[], list[Replayed]]
@@ -262,10 +285,14 @@ class _Replay:
         lanes = [lane for of_condition in self._lanes for lane in of_condition]
         watches = [[AlarmWatch(alarms) for _ in self._places] for _ in lanes] if alarms else []
         with one_opencv_thread():
+            any_image = False
             for decoded, conditions in in_order(self._prepare, encoded, jobs):
+                any_image = True
                 self._recording.record_losses(decoded)
                 done = [replayed for unfinished in conditions for replayed in unfinished()]
                 yield tuple(map(_judged, done, watches) if alarms else done)
+        if not any_image:
+            raise RecordingError(_no_image(self._recording))
 
     def _prepare(self, encoded: EncodedObservation) -> tuple[Decoded, list[Unfinished]]:
         """Whatever of a frame needs no other one."""

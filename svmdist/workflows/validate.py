@@ -132,8 +132,6 @@ def score_recording(
     read, found = (recording, given_lag(lag)) if planar else with_lag(recording, request, jobs, steps.advance)
     wanted = rules.of(recording)
     every, by = _measured(read, request, [one for one in wanted if one in BY_POSES], jobs, steps)
-    if not every:
-        raise RecordingError(f"{recording.name}: there is no image to measure")
     asked_for = rules.references or (Reference.TF,) * bool(rules.tool_frames)
     scores, missing, lacking = [], [], []
     names = dict.fromkeys(row.instrument for row in every)

@@ -153,7 +153,14 @@ ERRORS = [
         "no such file; `svmdist profile new LOG -o none.toml` writes",
     ),
     ("estimate log.mcap --profile sizeles.toml", 1, "no such file: did you mean sizeless.toml?"),
-    ("compare foreign.mcap", 1, "foreign.mcap: not a log of profile psm13, the simulator's: write one with"),
+    *(
+        (
+            f"{command} foreign.mcap",
+            1,
+            "foreign.mcap: not a log of profile psm13, the simulator's: write one with",
+        )
+        for command in ("estimate", "validate", "compare", "show")
+    ),
     ("estimate log.mcap --method overlay --profile uncalibrated.toml", 1, "svmdist calibrate"),
     ("profile new junk.mcap", 1, "junk.mcap"),
     ("profile new none.mcap", 1, "none.mcap"),
@@ -290,6 +297,10 @@ def test_joints_where_no_joint_can_be(cli, tmp_path, place_m):
     for method in ("kinematic", "fused"):
         line, _ = cli("estimate", path, "--method", method, "-f", "csv", code=1).err.splitlines()
         assert line.startswith("svmdist: 0 of 3 frames measured (0.0%); 3 no_joints (joint insertion is at ")
+    for command in ("validate", "compare"):
+        assert cli(command, path, "--method", "kinematic", code=1).err.endswith(
+            "svmdist: no frame is measured\n"
+        )
 
 
 def test_of_a_file_that_is_cut_the_readable_frames_are_measured(cli, tmp_path, synthetic_log):

@@ -3,6 +3,7 @@
 import pytest
 import typer
 
+import svmdist
 from svmdist.cli import output
 from svmdist.cli.logs import named_logs
 from svmdist.cli.main import app
@@ -91,8 +92,10 @@ def test_logs_are_named_by_files_folders_and_globs(tmp_path):
 
 
 def test_a_window_without_images_says_so(golden, cli):
-    """Nothing to compare and nothing to measure is one sentence."""
-    assert (
-        "none between --start and --end"
-        in cli("estimate", golden / "sweep.mcap", "--start", "100", code=1).err
-    )
+    """One line, in Python the same."""
+    log = golden / "sweep.mcap"
+    said = "sweep: no image to measure from --start 100 to its end: the log has 7.9 s"
+    for command in ("estimate", "validate", "compare"):
+        assert cli(command, log, "--start", "100", code=1).err.splitlines()[-1] == f"svmdist: {said}"
+    with pytest.raises(svmdist.errors.RecordingError, match=f"^{said}$"):
+        svmdist.estimate(svmdist.open_recording(log), "overlay", start_s=100)

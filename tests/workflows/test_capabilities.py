@@ -7,7 +7,7 @@ from typing import cast
 
 import pytest
 
-from svmdist.errors import UsageError
+from svmdist.errors import RecordingError
 from svmdist.estimation.methods import METHODS
 from svmdist.profile import Profile, load_profile
 from svmdist.recording.log import Recording
@@ -120,7 +120,7 @@ def test_auto_is_the_best_method_that_log_and_profile_serve(golden, log, changes
         }
     )
     if not best:
-        with pytest.raises(UsageError, match=r"no method can measure .* fused lacks \[tissue\]"):
+        with pytest.raises(RecordingError, match=r"no method can measure .* fused lacks \[tissue\]"):
             best_method([golden / log], profile)
         return
     found, why = best_method([golden / log], profile)
