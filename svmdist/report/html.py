@@ -7,7 +7,7 @@ import hashlib
 import platform
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import distributions
 from importlib.resources import files
 from typing import Any
@@ -124,8 +124,7 @@ def _worst(
     steps, pictures = Steps(on_progress, sum(max(numbers) + 1 for numbers in wanted.values())), {}
     look: Any = {"lines": False, "least_px": MIN_WIDTH_PX, "letters": THUMBNAIL_LETTERS}
     for name, log in ((one.recording.name, one) for one in measured if one.recording.name in wanted):
-        every = replace(log.read, wanted=None)
-        given = every, request.setup, jobs, wanted[name], steps.advance, request.alarms
+        given = log.read, request.setup, jobs, wanted[name], steps.advance, request.alarms
         for drawn in drawn_frames(*given):
             if (image := drawn.replayed.image_bgr) is not None:
                 pictures[name, drawn.number] = _jpeg(draw_on(image, drawn.drawing, **look))

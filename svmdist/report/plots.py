@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from itertools import product
 from pathlib import Path
@@ -112,9 +113,12 @@ SeriesPlot = Literal["time", "residuals", "bland-altman", "calibration"]
 def draw_series(series: Sequence[Series], kind: SeriesPlot) -> Figure:
     """A panel for each series over time, else one for all of each distance; raises OutputError without any."""
     panels: list[tuple[Chart, str]] = []
+    unmeasured: dict[int, Series] = {}
     for one in series if kind == "time" else ():
         name = plain_name(f"{one.recording} {one.instrument}")
         title = f"{name}: {one.method}, {int(one.measured.sum())} of {len(one)} frames"
+        if not one.measured.any():
+            unmeasured[len(panels)] = one
         panels.append((charts.distance_over_time(one), title))
     for group in () if kind == "time" else charts.with_errors(series):
         of = f"{group[0].method}: {charts.distance_name(group[0])}"
@@ -142,11 +146,21 @@ def draw_series(series: Sequence[Series], kind: SeriesPlot) -> Figure:
             axes.axhline(0.0, color="0.0", linewidth=0.6)
         axes.set(xlabel=chart.x_title, ylabel=chart.y_title)
         axes.set_title(title, loc="left")
+        if at in unmeasured:
+            _say_nothing(axes, unmeasured[at].status)
         if len(chart.curves) > 1 and width_in == COLUMN_IN:  # each panel has curves of its own
             axes.legend(loc="upper left", bbox_to_anchor=(0.0, 0.0), borderaxespad=4.5, ncols=2)
     if width_in != COLUMN_IN:
         _legend(figure, figure.axes)
     return figure
+
+
+def _say_nothing(axes: Axes, statuses: Iterable[str]) -> None:
+    """Say that nothing was measured, and why, in place of a scale where nothing has one."""
+    reasons = ", ".join(f"{count} {status}" for status, count in Counter(statuses).most_common())
+    axes.text(0.5, 0.5, f"nothing measured\n{reasons}", transform=axes.transAxes, ha="center", va="center")
+    if not any(np.isfinite(line.get_ydata()).any() for line in axes.get_lines()):
+        axes.set(ylabel="distance [mm]", yticks=[])
 
 
 def _legend(figure: Figure, panels: Iterable[Axes]) -> None:
@@ -206,6 +220,9 @@ def _draw_score(upper: Axes, lower: Axes, score: Score, alarms: AlarmRules | Non
     upper.set_title(_title(score, distance, in_3d), loc="left")
     upper.set_ylabel(f"{distance} [mm]")
     lower.set(xlabel="time [s]", ylabel="error [mm]")
+    if not score.measured_count:
+        _say_nothing(upper, Counter(score.rejected).elements())
+        lower.set_yticks([])
     upper.tick_params(labelsize=7, labelbottom=False)
     lower.tick_params(labelsize=7)
 

@@ -18,6 +18,7 @@ from svmdist.workflows.blur_bench import BlurTally, pooled_tallies
 from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.scoring import metric_table
 from svmdist.workflows.scoring.metric_table import Metric, Output, of_part, within
+from svmdist.workflows.scoring.references import Reference
 from svmdist.workflows.scoring.scores import Score
 from svmdist.workflows.validate import PAPER_R_SQUARED, Validation
 
@@ -35,6 +36,7 @@ PAIR_NOTE = (
     "Differences of two methods say nothing about which of them is right. / σ: RMSE of differences over their joint"
     " standard deviations; about 1 where both are honest and independent, – where either states none."
 )
+SAME_TOOL_M = 1e-4  # no two measurements of a tool agree to this everywhere
 BLUR_NOTE = (
     "The paper's columns are Table I as published. The paper states no kernels, has no row without blur, and used"
     " another scene. Counts are means per frame. The virtual marker is pasted after the blur, so it stays sharp."
@@ -160,6 +162,11 @@ def remarks(validation: Validation) -> list[str]:
             found.append(f"no clearance to alarm by: {score.alarms.unjudged_count} frames{missed}")
         if score.unpaired_count and (score.planar or not score.tool):
             found.append(f"measured where there is no {score.reference}: {score.unpaired_count}")
+        is_measured_by = score.reference is not Reference.GROUND_TRUTH and score.tool
+        if is_measured_by and is_measured_by.estimate_m.max() < SAME_TOOL_M:
+            found.append(
+                f"the tool is that of {score.reference}: of the same kinematics, whose errors do not show"
+            )
         if score.lag and score.lag.lag_s != 0.0 and (before := score.uncorrected):
             found.append(f"lag {score.lag.lag_s * 1e3:+.1f} ms (confidence {score.lag.confidence:.2f})")
             r2 = "–" if before.r_squared is None else f"{before.r_squared:.4f}"

@@ -136,6 +136,19 @@ def test_agreement_calibration_and_residuals():
         draw_series([blind], "residuals")
 
 
+def test_where_nothing_was_measured_the_plot_says_why():
+    """In place of a scale that stands for nothing."""
+    none = make_series(300)
+    nothing = np.full(300, np.nan)
+    none = replace(none, estimate_m=nothing, truth_m=nothing, status=("no_tissue",) * 300, alarm_below_m=None)
+    empty = replace(score(count=0), rejected={"no_tissue": 300}, frame_count=300, measured_count=0)
+    for figure in (draw_series([none], "time"), draw(Validation((empty,), (), ()))):
+        axes = figure.axes[0]
+        assert [text.get_text() for text in axes.texts] == ["nothing measured\n300 no_tissue"]
+        assert axes.get_ylabel() == "distance [mm]"
+        assert all(len(panel.get_yticks()) == 0 for panel in figure.axes)
+
+
 def figures(error_mm: float, measured: int = 20, std_mm: float = np.nan, *, in_3d: bool = False) -> Figures:
     """The figures of a method with a constant error."""
     truth_m = np.linspace(0.01, 0.05, 20)
