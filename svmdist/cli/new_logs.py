@@ -11,12 +11,14 @@ from svmdist.cli import options
 from svmdist.cli.options import argument, option
 from svmdist.cli.output import LOG, ExitCode, next_command, progress_bar, require_mcap, with_name
 from svmdist.errors import UsageError
+from svmdist.files import files_of
 
 if TYPE_CHECKING:
     from svmdist.workflows.record import Episodes
 
 INSTRUMENT = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 SIZE = r"([1-9]\d{0,4})x([1-9]\d{0,4})"
+LARGE_BYTES, MANY_TIMES = 10e6, 3.0  # a log of so much, and so many times its source, is worth a hint
 CROP = r"(\d{1,5}),(\d{1,5}),([1-9]\d{0,4}),([1-9]\d{0,4})"
 
 
@@ -233,8 +235,14 @@ class Import(options.Options):
             LOG.info("no baseline is known: stereo needs --baseline, or a calibration of the pair")
         for loss in result.losses:
             LOG.error("loss: %s", loss)
-        if result.warning:
-            LOG.warning("%s", result.warning)
+        for warning in filter(None, result.warnings):
+            LOG.warning("warning: %s", warning)
+        read = [file for path in (self.source, self.right) if path is not None for file in files_of(path)]
+        times = result.size_bytes / max(
+            1, sum(file.stat().st_size for file in read if isinstance(file, Path))
+        )
+        if self.jpeg is None and result.size_bytes > LARGE_BYTES and times > MANY_TIMES:
+            LOG.info("stored as PNG, %.0f times as large as its source: --jpeg 92 makes it smaller", times)
         LOG.info("next: %s", next_command("profile", "new", path, "-o", f"{path.stem}.toml"))
         return ExitCode.LOSS if result.losses else ExitCode.CLEAN
 

@@ -59,6 +59,7 @@ class StatedCamera:
     size_px: Size = None
     R: Array | None = None
     P: Array | None = None
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -262,7 +263,18 @@ def _cameras_in(document: Document, unit_m: float) -> tuple[StatedCamera, ...]:
     camera = _camera(document, K_KEYS, D_KEYS, model, size_px)
     P = _numbers(document, ("projection_matrix", "P", "p"), (3, 4))
     P = P * [1.0, 1.0, 1.0, unit_m] if P is not None and P.any() else None
-    return (replace(camera, R=_numbers(document, ("rectification_matrix", "R", "r"), (3, 3)), P=P),)
+    R = _numbers(document, ("rectification_matrix", "R", "r"), (3, 3))
+    return (replace(camera, R=R, P=P, name=str(document.get("camera_name", ""))),)
+
+
+def exchanged_names(stated: Sequence[StatedCamera]) -> str:
+    """That the cameras of two views are named as those of the other view, in words; else ""."""
+    wrong = [
+        f"the camera of the {side} view is named {camera.name}"
+        for side, other, camera in zip(("left", "right"), ("right", "left"), stated, strict=False)
+        if other in camera.name.lower() and side not in camera.name.lower()
+    ]
+    return f"{' and '.join(wrong)}: exchange the calibrations" if len(stated) == 2 and wrong else ""
 
 
 def _kalibr(document: Document, unit_m: float) -> tuple[StatedCamera, ...]:

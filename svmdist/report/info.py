@@ -14,6 +14,8 @@ from svmdist.estimation.comparison import Checks, readable
 from svmdist.metrics import COUNT, LENGTH, RADIANS, RATIO, SECONDS, TEXT, Column, Unit, row_of
 from svmdist.profile.hand_eye import FORMAT, HandEyeFile, Source
 from svmdist.recording.log import Recording
+from svmdist.recording.messages import Kind
+from svmdist.recording.source import sanitize_list
 from svmdist.recording.summary import RecordingSummary
 from svmdist.report.tables import Row, Table, counted, keys_of, render
 from svmdist.report.writers import Results
@@ -41,9 +43,16 @@ TOPIC_COLUMNS = (
 )
 
 
-def _image_count(log: dict[str, Any]) -> int:
+def _image_counts(log: dict[str, Any]) -> dict[str, int]:
+    """How many images are on the topic that is read; where none is chosen, on each that has some."""
+    counts = {one["topic"]: int(one["message_count"]) for one in log["topics"] if one["kind"] == Kind.IMAGE}
     image = log["roles"].get("image")
-    return next((int(topic["message_count"]) for topic in log["topics"] if topic["topic"] == image), 0)
+    return counts if image is None else {image: counts[image]}
+
+
+def _image_count(log: dict[str, Any]) -> int | None:
+    counts = _image_counts(log)
+    return sum(counts.values()) if len(counts) < 2 else None
 
 
 def _methods(log: dict[str, Any]) -> str:
@@ -71,7 +80,12 @@ def logs_results(documents: Sequence[tuple[str, dict[str, Any]]]) -> Results:
     topics = [topic | {"recording": name} for name, document in documents for topic in document["topics"]]
     logs = [row_of(LOG_COLUMNS, document | {"recording": name}) for name, document in documents]
     columns, tables = (*TOPIC_COLUMNS, Column("recording", TEXT)), [Table.of("", LOG_COLUMNS, logs)]
-    return Results(columns, topics, tables=tables, document=[document for _, document in documents])
+    notes = []
+    for name, document in documents:
+        if len(counts := _image_counts(document)) > 1:
+            listed = sanitize_list(f"{topic} ({count} images)" for topic, count in counts.items())
+            notes.append(f"{name}: choose one with --topic image=TOPIC of {listed}")
+    return Results(columns, topics, None, tables, notes, [document for _, document in documents])
 
 
 def info_document(

@@ -21,7 +21,7 @@ from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import RecordingError, SourceError, SvmdistError, UsageError
 from svmdist.files import nearest_file
 from svmdist.importing import tables as table_files
-from svmdist.importing.calibration import CalibrationOptions, Crop, complete, stated_cameras
+from svmdist.importing.calibration import CalibrationOptions, Crop, complete, exchanged_names, stated_cameras
 from svmdist.importing.images import Video, list_images, matching, require_one_view
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.images import ImageError, decode_still, read_file
@@ -93,7 +93,7 @@ class ImportResult:
     size_bytes: int
     has_baseline: bool | None
     losses: list[str]
-    warning: str = ""  # what of both views contradicts the stated cameras
+    warnings: list[str]  # what of names and both views contradicts the stated cameras
 
 
 @dataclass(frozen=True)
@@ -131,13 +131,16 @@ def import_log(
         "side_by_side": "yes" if options.side_by_side else "no",
         "version_svmdist": version("svmdist"),
     }
-    T_left_right, said = stereo_transform(*cameras) if options.count == 2 else None, ""
+    T_left_right, warnings = (
+        stereo_transform(*cameras) if options.count == 2 else None,
+        [exchanged_names(stated)],
+    )
     if T_left_right is not None:
         few = islice(_pairs(views, cameras, T_left_right, options), LOOKED_AT)
         compared = compare_views(few, load_profile())
         if compared.refusal:
             raise SourceError(f"no log is written: {compared.refusal}")
-        said = compared.warning
+        warnings.append(compared.warning)
     writer = RecordingWriter(output, metadata, force=force, jpeg_quality=options.jpeg_quality)
     try:
         with writer:
@@ -150,7 +153,7 @@ def import_log(
         raise
     has_baseline = None if options.count == 1 else T_left_right is not None
     losses = [loss for view in views for loss in view.losses.values()]
-    return ImportResult(output, dict(writer.counts), output.stat().st_size, has_baseline, losses, said)
+    return ImportResult(output, dict(writer.counts), output.stat().st_size, has_baseline, losses, warnings)
 
 
 def _image_messages(

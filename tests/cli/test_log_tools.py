@@ -1,5 +1,7 @@
 """Commands and options for logs that people have: lag, truth, topics, forward kinematics, info, import, profiles."""
 
+import json
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -85,6 +87,11 @@ def test_the_choices_of_truth_agree(cli, tmp_path, synthetic_calibration):
     for score in (by_default["kinematics"], *by_pair.values(), *by_pose.values()):
         assert score["rmse_m"] == pytest.approx(expected["rmse_m"], abs=1e-9)
         assert score["sample_count"] == expected["sample_count"]
+    by_itself = cli(
+        "validate", path, "--method", "kinematic", "--truth", "pose", "--truth", "ground_truth"
+    ).out
+    assert by_itself.count("the tool is that of pose: of the same kinematics, whose errors do not show") == 1
+    assert "the tool is that of ground_truth" not in by_itself
 
 
 def test_truth_is_not_carried_across_long_gaps(cli, tmp_path, synthetic_calibration):
@@ -151,6 +158,18 @@ def test_info_tells_what_a_log_can_serve(cli, tmp_path, synthetic_log):
     right = (
         (topic.replace("left/camera_info", "right/camera_info"), one) for topic, one in samples(SCENE, 3)
     )
+    twice = (
+        (topic.replace("ECM/left/image", place), one)
+        for topic, one in samples(SCENE, 3)
+        for place in ("one/image", "two/image")[: 1 + topic.endswith("left/image")]
+    )
+    unclear = write_samples(tmp_path / "unclear.mcap", twice)
+    several = cli("info", unclear, blind).out
+    assert (
+        "unclear: choose one with --topic image=TOPIC of /one/image (3 images), /two/image (3 images)"
+        in several
+    )
+    assert re.search(r"unclear .* –  .*\n blind .* 0  ", several)
     other = write_samples(tmp_path / "other.mcap", right)
     assert cli("info", other, "-f", "json").json["commands"]["estimate"]["missing"] == [
         "a topic for camera_info"
@@ -207,6 +226,34 @@ def test_images_are_imported(cli, tmp_path, options, baseline, camera):
 
 
 @pytest.mark.slow
+def test_a_log_that_is_much_larger_than_its_images_names_jpeg(cli, tmp_path):
+    """Where they were decoded and written as PNG."""
+    images, log, rng = tmp_path / "endoscope", tmp_path / "out.mcap", np.random.default_rng(1)
+    images.mkdir()
+    for number in range(12):
+        noise = rng.integers(0, 256, (480, 640, 3), np.uint8)
+        cv2.imwrite(str(images / f"{number}.jpg"), noise, (cv2.IMWRITE_JPEG_QUALITY, 30))
+    common = ("import", images, "--camera", "600,600,319,239", "--rate", "25", "-o", log, "--force")
+    decoded = ("--crop", "0,0,640,478")
+    for options, is_said in (((), False), (decoded, True), ((*decoded, "--jpeg", "50"), False)):
+        assert ("times as large as its source: --jpeg 92" in cli(*common, *options).err) == is_said
+
+
+def test_exchanged_calibrations_are_said(cli, tmp_path):
+    """By the names of the cameras, as ROS writes them."""
+    for side in ("left", "right"):
+        (tmp_path / side).mkdir()
+        cv2.imwrite(str(tmp_path / side / "0.png"), np.full((48, 64, 3), 90, np.uint8))
+        stated = {"camera_name": f"stereo/{side}", "camera_matrix": {"data": [60, 0, 31, 0, 60, 23, 0, 0, 1]}}
+        (tmp_path / f"{side}.yaml").write_text(json.dumps(stated))
+    left, right = tmp_path / "left.yaml", tmp_path / "right.yaml"
+    said = "the camera of the left view is named stereo/right and the camera of the right view is named stereo/left"
+    for files, is_said in (((left, right), False), ((right, left), True)):
+        given = ("--calibration", files[0], "--right-calibration", files[1])
+        command = ("import", tmp_path / "left", tmp_path / "right", *given, "--rate", "25", "--force")
+        assert (f"{said}: exchange" in cli(*command, "-o", tmp_path / "out.mcap").err) == is_said
+
+
 def test_shaft_with_a_new_profile_raises_every_alarm(cli, tmp_path, golden):
     """Also beside a tag that the profile does not name: its plate is not taken for the shaft's end."""
     log, mine = golden / "3d" / "contact.mcap", tmp_path / "mine.toml"
