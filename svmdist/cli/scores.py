@@ -116,7 +116,7 @@ class Validate(ScoreOptions, options.MeasureOptions, GroupOption, PictureOptions
         self.say_choice()
         log_ending({log.name: scored.ending for log, _, scored in run.measured}, request)
         self.draw(run, request, result, kind)
-        code = _exit_code(run, result.scores) or (ExitCode.LOSS if lacking else ExitCode.CLEAN)
+        code = max(_exit_code(run, result.scores), ExitCode.LOSS if lacking else ExitCode.CLEAN)
         if self.write_baseline:
             validate.save_baseline(validate.make_baseline(result), self.write_baseline)
         if stored:
