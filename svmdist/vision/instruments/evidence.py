@@ -47,14 +47,13 @@ class Evidence:
         how = cv2.INTER_AREA if self.scale < 1.0 else cv2.INTER_LINEAR
         self.bgr = np.asarray(cv2.resize(bgr, size, interpolation=how), np.uint8)
         self.picture = picture_of(self.bgr)
-        self.hidden, self.hides = np.zeros_like(self.picture), False
+        self.hidden = np.zeros_like(self.picture)
 
     def hide(self, mask: Image) -> None:
         """Take what is marked in the image, shape (h, w), for nothing: neither its colours nor its borders tell."""
         size = self.picture.shape[::-1]
         smaller = cv2.resize(mask, size, interpolation=cv2.INTER_AREA)
         self.hidden |= np.where(smaller > 0, 255, 0).astype(np.uint8)
-        self.hides = True
 
     @cached_property
     def core(self) -> Image:
@@ -153,15 +152,16 @@ def tissue_of(image: Evidence) -> Image:
     if high - low < DISTINCT_WARMTH:
         return image.picture
     levels = np.clip((warmth - low) * (255.0 / (high - low)), 0, 255).astype(np.uint8)
-    inside = levels[image.core > 0].reshape(-1, 1)
+    inside = levels[image.core > 0]
     threshold, _ = cv2.threshold(inside, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
-    red = inside > threshold
-    share = float(np.mean(red))
+    level, count = np.arange(256), np.bincount(inside, minlength=256)
+    is_red, total, mean = level > threshold, len(inside), float(level @ count) / len(inside)
+    share = float(count[is_red].sum()) / total
     if not 0.0 < share < 1.0:
         return image.picture
-    shown = inside.astype(np.float64)
-    apart = float(shown[red].mean() - shown[~red].mean())
-    between = share * (1.0 - share) * apart**2 / max(float(shown.var()), 1e-9)
+    apart = (float((level * count)[is_red].sum()) / total - share * mean) / (share * (1.0 - share))
+    variance = float((level - mean) ** 2 @ count) / total
+    between = share * (1.0 - share) * apart**2 / max(variance, 1e-9)
     if between < DISTINCT_SHARE or apart * (high - low) / 255.0 < DISTINCT_WARMTH:
         return image.picture
     return np.asarray(np.where(levels > threshold, image.picture, 0), np.uint8)

@@ -26,6 +26,8 @@ LEAST_WIDTH_PX, MOST_WIDTH = 4.0, 0.5  # of a strip in px, and over the working 
 CLIPPED = 2.0  # odds of a pixel of the strip: one that is very sure outweighs no more than its neighbour
 
 STATIONS, SAMPLES = 28, 33
+STATION_SHARES = np.linspace(0.02, 0.99, STATIONS)  # of the length, where profiles cross both sides
+BY_ENDS = np.stack([1.0 - STATION_SHARES, STATION_SHARES], -1)  # a side's offsets there by those of its ends
 WINDOWS = (0.5, 0.3, 0.3)  # about the line of each step, over the profiles' reach
 LEAST_REACH_PX = 3.0
 CORRELATION_PX = 3.5  # the network's pixel is 2 of the working image or more: neighbours within err alike
@@ -69,13 +71,17 @@ class Outline:
     @cached_property
     def start(self) -> Array:
         """The middle between both sides at the border, shape (2,)."""
-        return np.asarray(self.sides[:, 0].mean(0))
+        return np.asarray(0.5 * (self.sides[0, 0] + self.sides[1, 0]))
+
+    @cached_property
+    def _run(self) -> Array:
+        """From the start to the middle between both inner ends, shape (2,)."""
+        return np.asarray(0.5 * (self.sides[0, 1] + self.sides[1, 1]) - self.start)
 
     @cached_property
     def axis(self) -> Array:
         """Unit vector inwards, shape (2,)."""
-        along = self.sides[:, 1].mean(0) - self.start
-        return np.asarray(along / max(float(np.linalg.norm(along)), 1e-9))
+        return np.asarray(self._run / max(float(np.sqrt(self._run @ self._run)), 1e-9))
 
     @cached_property
     def normal(self) -> Array:
@@ -86,12 +92,13 @@ class Outline:
     @cached_property
     def length_px(self) -> float:
         """From border to end along the axis."""
-        return float((self.sides[:, 1].mean(0) - self.start) @ self.axis)
+        return float(self._run @ self.axis)
 
     @cached_property
     def width_px(self) -> float:
         """Mean distance of both sides."""
-        return float((self.sides[1] - self.sides[0]).mean(0) @ self.normal)
+        between = self.sides[1] - self.sides[0]
+        return float(0.5 * (between[0] + between[1]) @ self.normal)
 
     @property
     def end_width_px(self) -> float:
@@ -122,15 +129,17 @@ class Outline:
 
     def across(self, along_px: Array, shares: Array) -> Array:
         """Points between both sides, 0 at the first and 1 at the second, shape (n, m, 2)."""
-        first, second = self.at(along_px)
-        return np.asarray(first[:, None] + shares[None, :, None] * (second - first)[:, None])
+        # As complex numbers: NumPy is slow along an axis of two.
+        first, second = self.at(along_px).view(np.complex128)
+        between = np.asarray(first + shares * (second - first))
+        return between.view(np.float64).reshape(*between.shape, 2)
 
 
 def sampled(field: Image | Floats, places: Array, nearest: bool = False) -> NDArray[np.float32]:
     """A field's values at places (x, y), shape (..., 2), linearly; 0 outside of it."""
     flat = np.ascontiguousarray(places.reshape(-1, places.shape[-2], 2), np.float32)
     how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
-    values = cv2.remap(field, flat[..., 0], flat[..., 1], how, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+    values = cv2.remap(field, flat, None, how, borderMode=cv2.BORDER_CONSTANT, borderValue=0)  # type: ignore[call-overload]
     return np.asarray(values.reshape(*places.shape[:-1], *field.shape[2:]), np.float32)
 
 
@@ -171,8 +180,9 @@ def _strips(clipped: Floats, core: Image, entry: Array, reach_px: float) -> Iter
         np.arange(2.0, START_LENGTHS[-1] * width, ALONG_PX),
         np.arange(-reach_px, reach_px + 1.0, ACROSS_PX),
     )
-    lines = (entry + off[:, None] * normal[:, None]).astype(np.float32)  # (angles, off, 2)
-    places = lines[:, None] + (along[None, :, None, None] * u[:, None, None]).astype(np.float32)
+    lines = (entry + off[:, None] * normal[:, None]).astype(np.float32).view(np.complex64)  # (angles, off, 1)
+    steps = (along[:, None] * u[:, None]).astype(np.float32).view(np.complex64)  # (angles, along, 1)
+    places = (lines[:, None, :, 0] + steps).view(np.float32).reshape(*steps.shape[:2], -1, 2)
     total = np.cumsum(sampled(clipped, places), axis=1)  # (angles, along, off)
     best: list[tuple[float, int, int, int, int]] = []
     for length in START_LENGTHS:
@@ -226,14 +236,13 @@ def _before_end(outline: Outline, along_px: Array) -> Array:
 def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_weight: float) -> Outline | None:
     """Both sides moved onto their edges, found along profiles; None where they leave the picture or meet."""
     length_px, width_px = outline.length_px, outline.width_px
-    share = np.linspace(0.02, 0.99, STATIONS)  # of the length, where profiles cross both sides
-    J = np.stack([1.0 - share, share], -1)  # of a side's offsets there by those of its ends
+    along_px, J = STATION_SHARES * length_px, BY_ENDS
     outward = outline.normal * np.array([-1.0, 1.0])[:, None]
     half_px = max(reach_widths * width_px, LEAST_REACH_PX)
     offsets = np.linspace(-half_px, half_px, SAMPLES)
-    places = outline.at(share * length_px)[:, :, None] + offsets[:, None] * outward[:, None, None]
+    places = outline.at(along_px)[:, :, None] + offsets[:, None] * outward[:, None, None]
     log_p, seen = _log_posterior(evidence, places, float(offsets[1] - offsets[0]), region_weight)
-    before, usable = _before_end(outline, share * length_px), seen.mean(2) > 0.6
+    before, usable = _before_end(outline, along_px), seen.mean(2) > 0.6
     weight_cap = min(1.0, length_px / STATIONS / CORRELATION_PX) * before * usable
     per_px = length_px * width_px / (FOCAL_WIDTHS * evidence.core.shape[1])
     narrowing = np.array([1.0, -1.0, 1.0, -1.0])  # of the width, by the offsets of all ends

@@ -66,8 +66,7 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
     odds = np.clip(sampled(evidence.odds, places), -MOST_MARGIN, MOST_MARGIN)
     # What comes in is surely the instrument: half of its own log-odds are its border, however the network blurs it.
     odds -= 0.5 * max(median(_weaker_side(odds)[: int(outline.width_px) + 1]), 0.0)
-    if evidence.hides:
-        odds[sampled(evidence.hidden, places, nearest=True) > 0] = 0.0
+    odds[sampled(evidence.hidden, places, nearest=True) > 0] = 0.0
     margins = np.cumsum(_weaker_side(odds)) / CORRELATION_PX
     outline_ends = np.exp(np.maximum(margins - margins.max(), -50.0))
     outline_ends /= outline_ends.sum()
@@ -80,10 +79,10 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
     # What comes in is surely shaft: half of its own log-odds are no more than the image's.
     part = sampled(evidence.scores[1], middle).mean(1)
     part -= 0.5 * max(median(part[: 1 + int(0.5 * (outline_ends @ along))]), 0.0)
-    if evidence.hides:
-        part[sampled(evidence.hidden, middle, nearest=True).max(1) > 0] = 0.0
+    hidden = sampled(evidence.hidden, middle, nearest=True).max(1) > 0
+    part[hidden] = 0.0
     parts = np.cumsum(is_instrument * np.clip(part, -MOST_PART, MOST_PART)) / (PART_WIDTHS * outline.width_px)
-    log_p = np.log(possible + 1e-30) + parts + _material(outline, middle, evidence)
+    log_p = np.log(possible + 1e-30) + parts + _material(outline, middle, hidden, evidence)
     log_p[along < min(LEAST_LENGTH * outline.width_px, along[-1] - 2.0)] = -np.inf
     p = np.exp(np.maximum(log_p - log_p.max(), -50.0))
     p /= p.sum()
@@ -112,8 +111,11 @@ def _weaker_side(odds: Floats) -> Array:
     return np.asarray(np.minimum(odds[:, :4].mean(1), odds[:, 4:].mean(1)), np.float64)
 
 
-def _material(outline: Outline, middle: Array, evidence: Evidence) -> Array:
-    """Log-odds of a shaft's end at places along the axis by how colour and light change there, (n,), of (n, m, 2)."""
+def _material(outline: Outline, middle: Array, hidden: NDArray[np.bool_], evidence: Evidence) -> Array:
+    """Log-odds of a shaft's end at places along the axis by how colour and light change there, (n,), of (n, m, 2).
+
+    Nothing is known of those that are `hidden`, (n,).
+    """
     colours = np.sort(sampled(evidence.colours, middle), axis=1)[:, middle.shape[1] // 2]  # their medians
     half = max(3, round(STEP_WIDTHS * outline.width_px))
     count = len(colours)
@@ -124,10 +126,8 @@ def _material(outline: Outline, middle: Array, evidence: Evidence) -> Array:
     step -= (total[at] - total[before]) / np.maximum(at - before, 1)[:, None]
     change = np.sqrt((step**2).sum(1))
     change[(at < half) | (at > count - half)] = 0.0
-    is_hidden = np.zeros(count, np.bool_)
-    if evidence.hides:
-        hidden = np.cumsum(np.append(0.0, sampled(evidence.hidden, middle, nearest=True).max(1)))
-        is_hidden = hidden[after] > hidden[before]
+    up_to = np.append(0, np.cumsum(hidden))
+    is_hidden = up_to[after] > up_to[before]
     change[is_hidden] = 0.0
     odds = MATERIAL_WEIGHT * np.log1p((change / MATERIAL_STEP) ** 2)
     odds *= min(1.0, MOST_MATERIAL / max(float(odds.max()), 1e-9))
@@ -144,7 +144,7 @@ def rough_outlines(evidence: Evidence) -> list[Outline]:
             if outline is None:
                 continue
             outline = ended(outline, evidence)
-            score = judged(outline, evidence).evidence
+            score = judged(outline, evidence, least=np.inf).evidence
             if score > LEAST_ROUGH_EVIDENCE:
                 found.append((score * np.sqrt(outline.whole.length_px * outline.width_px), outline))
     return [outline for _, outline in sorted(found, key=lambda one: -one[0])]
@@ -219,8 +219,11 @@ def _of_beyond(colours: list[Floats], seen: NDArray[np.bool_]) -> float:
     return max(shares)
 
 
-def judged(outline: Outline, evidence: Evidence) -> Judged:
-    """What evidence and image say of an outline, as far as it goes: a part of anything may be straight."""
+def judged(outline: Outline, evidence: Evidence, least: float = LEAST_EVIDENCE) -> Judged:
+    """What evidence and image say of an outline, as far as it goes: a part of anything may be straight.
+
+    With no more than the `least` evidence it is not accepted, and its colours are not looked at.
+    """
     outline = outline.whole
     along = ALONG * outline.length_px
     off = BESIDE * max(1.0, NARROW_PX / outline.width_px)
@@ -254,7 +257,7 @@ def judged(outline: Outline, evidence: Evidence) -> Judged:
     is_long = length_widths > LEAST_WIDTHS and outline.length_px > LEAST_LENGTH_PX
     # With what comes in at the border hidden, a wrist may pass for a shaft.
     comes_in = float(shown[: STATIONS // 3].mean()) > 0.5
-    if not (is_long and comes_in and sure > LEAST_EVIDENCE):
+    if not (is_long and comes_in and sure > least):
         return Judged(sure, is_accepted=False)
     colours = np.split(sampled(evidence.colours, places), parts, 1)
     return Judged(sure, _of_beyond(colours, seen.all(1) & shown.all(1)) < MOST_OF_BEYOND)
