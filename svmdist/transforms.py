@@ -90,16 +90,22 @@ def rotation_vector(R: Array) -> Array:
 def skew(v: ArrayLike) -> Array:
     """[v], shape (..., 3, 3), with [v] u = v x u, of vectors (..., 3)."""
     v = np.asarray(v, np.float64)
-    K = np.zeros((*v.shape, 3))
-    K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
-    K[..., 1, 0], K[..., 2, 0], K[..., 2, 1] = v[..., 2], -v[..., 1], v[..., 0]
-    return K
+    return (v @ SKEW).reshape(*v.shape, 3)
+
+
+SKEW = np.array(
+    [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], np.float64
+)
+"""The matrices [x], [y] and [z] of the axes, a row each."""
 
 
 def cross(a: Array, b: Array) -> Array:
     """Vector products a x b along the last axis, shape (..., 3): NumPy's takes four times as long for a few."""
-    first, second = [1, 2, 0], [2, 0, 1]
-    return np.asarray(a[..., first] * b[..., second] - a[..., second] * b[..., first])
+    next_a, next_b = a.take(NEXT, -1), b.take(NEXT, -1)
+    return np.asarray((a * next_b - next_a * b).take(NEXT, -1))
+
+
+NEXT = np.array([1, 2, 0])  # x → y → z → x
 
 
 def inverse_right_jacobian(vector_rad: ArrayLike) -> Array:

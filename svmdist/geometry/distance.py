@@ -123,14 +123,15 @@ def _near_faces(axes: Capsules, mesh: Mesh, rough: Array, upper_m: Array) -> tup
     along u, so that a corner that reaches back by h along u leaves the face at least D - h away.
     """
     upper_m = upper_m + 2.0 * ROUGH_M
-    row, face = np.nonzero(rough <= upper_m[:, None] + mesh.reach_m)
+    near = np.flatnonzero(rough <= upper_m[:, None] + mesh.reach_m)  # much faster than by rows and columns
+    row, face = np.divmod(near, rough.shape[1])
     middle = mesh.middles_m[face]
     away = middle - _on_segment(middle, axes.start_m[row], axes.end_m[row])
     distance = _lengths(away)
     u = away / np.where(distance > 0.0, distance, 1.0)[:, None]
     back_m = np.einsum("pi,pki->kp", u, mesh.triangles_m[face] - middle[:, None]).min(0)
-    near = distance + back_m <= upper_m[row]
-    return row[near], face[near]
+    is_near = distance + back_m <= upper_m[row]
+    return row[is_near], face[is_near]
 
 
 def _with_an_end_inside(capsules: Capsules, mesh: Mesh) -> Indices:
@@ -204,14 +205,16 @@ def distances_to_axes(points: Array, capsules: Capsules) -> Array:
     points, start = points - middle, capsules.start_m - middle
     along = capsules.end_m - capsules.start_m
     length2 = dot(along, along)
-    from_start = along @ points.T - dot(start, along)[:, None]
+    from_start = along @ points.T
+    from_start -= dot(start, along)[:, None]
     t = from_start / np.where(length2 > 0.0, length2, 1.0)[:, None]
     np.minimum(np.maximum(t, 0.0, out=t), 1.0, out=t)
-    distance2 = start @ points.T
-    distance2 *= -2.0
+    distance2 = (-2.0 * start) @ points.T
     distance2 += dot(points, points)
     distance2 += dot(start, start)[:, None]
-    distance2 += t * (t * length2[:, None] - 2.0 * from_start)
+    from_start *= -2.0
+    from_start += t * length2[:, None]
+    distance2 += np.multiply(t, from_start, out=t)
     return np.asarray(np.sqrt(np.maximum(distance2, 0.0, out=distance2), out=distance2))
 
 
