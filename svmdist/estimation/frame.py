@@ -94,8 +94,7 @@ class View:
     @cached_property
     def distal_marker(self) -> DistalMarker | None:
         """The coloured marker about the tool's origin; None of a tip that has none."""
-        region = self.region
-        if region is None or self.masks.seen is not None:  # found by shape, it has no colour
+        if self.masks.seen is not None or (region := self.region) is None:  # found by shape, it has no colour
             return None
         settings = self._settings.distal_marker
         return detect_distal_marker(self.context.hsv, self.masks.instrument, region, settings)

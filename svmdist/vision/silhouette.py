@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.least_squares import median, scale_of
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.edge_lines import ROUGH_PX, EdgeLine, edge_line
@@ -35,7 +36,6 @@ MAX_FLANK_OUTLIERS = 0.05  # with more of a flank so far off, fat or vessels lie
 WIDTH_CELLS = 24  # of the patch that is looked at, across the shaft: its cost is the same for every image
 BEHIND, BESIDE = 0.75, 2.0  # how far it reaches behind the end and beside the axis, over the shaft's width
 FLANK = 0.75  # what is farther from the axis, over the width, is background beside a wrist for the most part
-MAD = 1.4826
 MIN_CELLS = 12
 FROM_ONE_END = 1.0 / np.sqrt(3.0)  # from what may be anywhere in a range to its one end, RMS, over its length
 FAR_PERCENTILE = 99.0  # of the outline's distances from the shaft's end: its tip, without a speck on it
@@ -81,10 +81,12 @@ def _wrist_point(
     u = np.arange(-BEHIND, farthest, 1.0 / WIDTH_CELLS) * width_px
     v = np.arange(-BESIDE, BESIDE + 0.5 / WIDTH_CELLS, 1.0 / WIDTH_CELLS) * width_px
     across = np.array([-along[1], along[0]])
-    place = end_px + u[:, None, None] * along + v[None, :, None] * across
     height, width = mask.shape
-    seen = np.all((place >= 0) & (place <= [width - 1, height - 1]), axis=2)
-    x, y = (np.ascontiguousarray(place[..., axis], np.float32) for axis in (0, 1))
+    places = [end_px[axis] + u[:, None] * along[axis] + v * across[axis] for axis in (0, 1)]
+    inside_x, inside_y = (
+        (at >= 0) & (at <= size - 1) for at, size in zip(places, (width, height), strict=True)
+    )
+    seen, (x, y) = inside_x & inside_y, (at.astype(np.float32) for at in places)
     left, top = (int(np.clip(v.min() - cell_px, 0, size - 1)) for v, size in ((x, width), (y, height)))
     window = bgr[
         top : max(int(y.max() + cell_px) + 2, top + 1), left : max(int(x.max() + cell_px) + 2, left + 1)
@@ -129,16 +131,18 @@ def _wrist_point(
 
 def _unlike_flanks(patch: Image, flanks: NDArray[np.bool_], v: Array) -> NDArray[np.bool_]:
     """What of a patch, shape (m, n, 3), looks like neither flank; nothing without a flank of one colour."""
-    lab = cv2.cvtColor(patch, cv2.COLOR_BGR2LAB).astype(np.float32)
-    floor = np.array([FLANK_LIGHT_LEVELS, FLANK_COLOUR_LEVELS, FLANK_COLOUR_LEVELS])
+    lab = cv2.split(cv2.cvtColor(patch, cv2.COLOR_BGR2LAB))
+    channels = [np.asarray(channel, np.float64) for channel in lab]
+    floors = FLANK_LIGHT_LEVELS, FLANK_COLOUR_LEVELS, FLANK_COLOUR_LEVELS
     unlike: list[NDArray[np.bool_]] = []
     for side in (flanks & (v < 0.0), flanks & (v > 0.0)):
-        pixels = lab[side]
-        if len(pixels) < 4 * MIN_CELLS:
+        if np.count_nonzero(side) < 4 * MIN_CELLS:
             continue
-        middle = np.median(pixels, axis=0)
-        scatter = np.maximum(MAD * np.median(np.abs(pixels - middle), axis=0), floor)
-        away = np.sqrt(np.sum(((lab - middle) / scatter) ** 2, axis=2)) > FLANK_STDS
+        square = np.zeros(side.shape)
+        for channel, floor in zip(channels, floors, strict=True):
+            off = channel - median(channel[side])
+            square += (off / max(scale_of(off[side]), floor)) ** 2
+        away = square > FLANK_STDS**2
         if np.mean(away[side]) > MAX_FLANK_OUTLIERS:
             return np.zeros_like(flanks)  # several things are there, and a wrist would be one more
         unlike.append(away)

@@ -63,9 +63,9 @@ def _edge_lines(image_grey: Image, corners_px: Array, reach_px: Array) -> Array 
     feet_px = corners_px[:, None] + at[:, None] * along_px[:, None]
     places = feet_px[:, :, None] + offset_px[:, None, :, None] * outward[:, None, None]
     # Whole levels would round what lies between pixels; only what the edges reach is converted.
-    x0, y0, width, height = cv2.boundingRect(np.floor(places.reshape(-1, 2)).astype(np.int32))
-    x0, y0 = max(x0, 0), max(y0, 0)
-    window = image_grey[y0 : y0 + height + 2, x0 : x0 + width + 2].astype(np.float32)
+    x, y = places[..., 0], places[..., 1]
+    x0, y0 = max(int(np.floor(x.min())), 0), max(int(np.floor(y.min())), 0)
+    window = image_grey[y0 : max(int(y.max()) + 3, y0), x0 : max(int(x.max()) + 3, x0)].astype(np.float32)
     if window.size == 0:
         return None
     flat = (places.reshape(4 * count, samples, 2) - [x0, y0]).astype(np.float32)

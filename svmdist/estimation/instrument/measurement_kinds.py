@@ -208,6 +208,14 @@ class ContourMeasurement(_WithBias):
     radius_m: float
     side: int
 
+    @cached_property
+    def of_camera(self) -> tuple[SharedBias, ...]:
+        """What focal length and principal point do to it, whatever the pose."""
+        error, flat = self.deviations.camera, self.normal * np.array([1.0, 1.0, 0.0])
+        focal = -error.focal_std_fraction * (self.across @ flat[:, None])
+        centre = -error.centre_std_px * self.across[:, 2:] * (self.normal[:2] / self.focal_px)
+        return SharedBias(FOCAL_LENGTH, focal), SharedBias(PRINCIPAL_POINT, centre)
+
     def in_view(self, T_view_link: Array, /) -> Linearised:
         """By what the normal is off the predicted one, shape (2,) in rad."""
         d, arm_m = T_view_link[:3, :3] @ self.axis, T_view_link[:3, :3] @ self.p_axis_m
@@ -221,15 +229,8 @@ class ContourMeasurement(_WithBias):
         square_m2 = (foot_m * foot_m).sum()
         beside_m = self.side * np.sqrt(max(square_m2 - self.radius_m**2, NEAR_M**2))
         by_radius = (beside_m * foot_m - self.radius_m * (skew(d) @ foot_m)) / (square_m2 * beside_m)
-        error, flat = self.deviations.camera, self.normal * np.array([1.0, 1.0, 0.0])
-        focal = -error.focal_std_fraction * (self.across @ flat[:, None])
-        centre = -error.centre_std_px * self.across[:, 2:] * (self.normal[:2] / self.focal_px)
         radius = self.across @ (by_radius * self.radius_m)[:, None] * self.deviations.shaft_radius_fraction
-        shared = (
-            SharedBias(FOCAL_LENGTH, focal),
-            SharedBias(PRINCIPAL_POINT, centre),
-            SharedBias(SHAFT_RADIUS, radius),
-        )
+        shared = *self.of_camera, SharedBias(SHAFT_RADIUS, radius)
         return self.about(self.across @ (self.normal - normal), H, self.lasting, shared)
 
 
@@ -258,6 +259,12 @@ class EndMeasurement(LinkMeasurement):
         """That of the shaft's end, whichever view shows it."""
         return END_BIAS
 
+    @cached_property
+    def of_camera(self) -> tuple[SharedBias, ...]:
+        """What focal length and principal point do to it, whatever the pose."""
+        each = self.deviations.of_pixels(self.pixel, self.camera)
+        return tuple(SharedBias(one.name, (self.towards_tip @ one.jacobian)[None]) for one in each)
+
     def in_view(self, T_view_link: Array, /) -> Linearised:
         """Measured minus predicted in px, shape (1,); the bias is along the shaft in units of its deviation."""
         d, arm_m = T_view_link[:3, :3] @ self.axis, T_view_link[:3, :3] @ self.p_hinge_m
@@ -277,10 +284,8 @@ class EndMeasurement(LinkMeasurement):
         H = (self.towards_tip @ J @ by_pose)[None]
         by_place = H[:, :3] @ T_view_link[:3, :3] @ self.axis[:, None]
         bias = np.copysign(np.hypot(self.model_std_m * by_place, self.lasting_std_px), by_place)
-        of_camera = self.deviations.of_pixels(self.pixel, self.camera)
-        shared = tuple(SharedBias(one.name, (self.towards_tip @ one.jacobian)[None]) for one in of_camera)
         residual = np.array([(self.pixel - pixel) @ self.towards_tip])
-        return self.about(residual, H, bias, shared)
+        return self.about(residual, H, bias, self.of_camera)
 
 
 @dataclass(frozen=True, kw_only=True)

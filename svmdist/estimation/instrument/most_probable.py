@@ -89,10 +89,10 @@ def most_probable(
     for _ in range(MAX_ITERATIONS if unlikely is None else MAX_SEARCH):
         there = state.retracted(x)
         parts = there.linearise(measurements)
-        if not all(part.is_finite for part in parts):
-            return None
         H = state.full_jacobian(parts)
         residual = np.concatenate([part.residual for part in parts]) - H[:, size:] @ there.bias_mean
+        if not (np.isfinite(residual).all() and np.isfinite(H).all()):
+            return None
         innovation = residual + H @ x
         # Solved with a unit-free H P: the units of the state differ by orders of magnitude.
         HP = H @ P

@@ -104,9 +104,13 @@ def _off_marker(
     view: View, pose: ToolPose, instrument: Instrument, error: CameraError, shaft: _ShaftEvidence | None
 ) -> str:
     """Whether the coloured distal marker is seen where the pose does not allow it, or of another size."""
-    region, camera = view.region, view.camera
+    camera = view.camera
     marker_m = pose.position_m + pose.T_camera_tool[:3, :3] @ np.array(instrument.knuckle_position_m)
-    if region is None or view.masks.seen is not None or not marker_m[2] > instrument.knuckle_radius_m:
+    if (
+        view.masks.seen is not None
+        or not marker_m[2] > instrument.knuckle_radius_m
+        or (region := view.region) is None
+    ):
         return ""
     radius_px = float(apparent_radius_px(marker_m, instrument.knuckle_radius_m, camera))
 
