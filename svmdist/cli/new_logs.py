@@ -238,9 +238,8 @@ class Import(options.Options):
         for warning in filter(None, result.warnings):
             LOG.warning("warning: %s", warning)
         read = [file for path in (self.source, self.right) if path is not None for file in files_of(path)]
-        times = result.size_bytes / max(
-            1, sum(file.stat().st_size for file in read if isinstance(file, Path))
-        )
+        read_bytes = sum(file.stat().st_size for file in read if isinstance(file, Path))
+        times = result.size_bytes / max(read_bytes, 1)
         if self.jpeg is None and result.size_bytes > LARGE_BYTES and times > MANY_TIMES:
             LOG.info("stored as PNG, %.0f times as large as its source: --jpeg 92 makes it smaller", times)
         LOG.info("next: %s", next_command("profile", "new", path, "-o", f"{path.stem}.toml"))

@@ -113,12 +113,9 @@ SeriesPlot = Literal["time", "residuals", "bland-altman", "calibration"]
 def draw_series(series: Sequence[Series], kind: SeriesPlot) -> Figure:
     """A panel for each series over time, else one for all of each distance; raises OutputError without any."""
     panels: list[tuple[Chart, str]] = []
-    unmeasured: dict[int, Series] = {}
     for one in series if kind == "time" else ():
         name = plain_name(f"{one.recording} {one.instrument}")
         title = f"{name}: {one.method}, {int(one.measured.sum())} of {len(one)} frames"
-        if not one.measured.any():
-            unmeasured[len(panels)] = one
         panels.append((charts.distance_over_time(one), title))
     for group in () if kind == "time" else charts.with_errors(series):
         of = f"{group[0].method}: {charts.distance_name(group[0])}"
@@ -146,8 +143,8 @@ def draw_series(series: Sequence[Series], kind: SeriesPlot) -> Figure:
             axes.axhline(0.0, color="0.0", linewidth=0.6)
         axes.set(xlabel=chart.x_title, ylabel=chart.y_title)
         axes.set_title(title, loc="left")
-        if at in unmeasured:
-            _say_nothing(axes, unmeasured[at].status)
+        if kind == "time" and not series[at].measured.any():
+            _say_nothing(axes, series[at].status)
         if len(chart.curves) > 1 and width_in == COLUMN_IN:  # each panel has curves of its own
             axes.legend(loc="upper left", bbox_to_anchor=(0.0, 0.0), borderaxespad=4.5, ncols=2)
     if width_in != COLUMN_IN:

@@ -162,11 +162,10 @@ def remarks(validation: Validation) -> list[str]:
             found.append(f"no clearance to alarm by: {score.alarms.unjudged_count} frames{missed}")
         if score.unpaired_count and (score.planar or not score.tool):
             found.append(f"measured where there is no {score.reference}: {score.unpaired_count}")
-        is_measured_by = score.reference is not Reference.GROUND_TRUTH and score.tool
-        if is_measured_by and is_measured_by.estimate_m.max() < SAME_TOOL_M:
-            found.append(
-                f"the tool is that of {score.reference}: of the same kinematics, whose errors do not show"
-            )
+        is_simulated = score.reference is Reference.GROUND_TRUTH
+        if score.tool and not is_simulated and score.tool.estimate_m.max() < SAME_TOOL_M:
+            said = f"the tool is that of {score.reference}: of the same kinematics, whose errors do not show"
+            found.append(said)
         if score.lag and score.lag.lag_s != 0.0 and (before := score.uncorrected):
             found.append(f"lag {score.lag.lag_s * 1e3:+.1f} ms (confidence {score.lag.confidence:.2f})")
             r2 = "–" if before.r_squared is None else f"{before.r_squared:.4f}"

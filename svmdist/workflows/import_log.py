@@ -131,10 +131,8 @@ def import_log(
         "side_by_side": "yes" if options.side_by_side else "no",
         "version_svmdist": version("svmdist"),
     }
-    T_left_right, warnings = (
-        stereo_transform(*cameras) if options.count == 2 else None,
-        [exchanged_names(stated)],
-    )
+    T_left_right = stereo_transform(*cameras) if options.count == 2 else None
+    warnings = [exchanged_names(stated)]
     if T_left_right is not None:
         few = islice(_pairs(views, cameras, T_left_right, options), LOOKED_AT)
         compared = compare_views(few, load_profile())
