@@ -93,13 +93,15 @@ def _row_differences(seen: Observation, profile: Profile, step: int) -> Array:
 
 def arms_of(recording: Recording, profile: Profile, spread: Sequence[EncodedObservation]) -> list[Arm]:
     """The arms of a recording's instruments, with the plates whose tags its images show."""
-    profiles, shown = [profile.for_instrument(name) for name in recording.instruments], set[int]()
-    if profile.fiducial is not None:
-        family, settings = profile.fiducial.family, profile.settings
-        for seen in (one.decoded.seen for one in spread):
-            if seen is not None:
-                image_bgr = with_first_fields(seen[0], settings.interlace).image_bgr
-                shown |= find_tags(to_grey(image_bgr), family, settings.tag).keys()
+    profiles, settings = [profile.for_instrument(name) for name in recording.instruments], profile.settings
+    families = {one.fiducial.id: one.fiducial.family for one in profiles if one.fiducial is not None}
+    shown = set[int]()
+    for one in spread:
+        if families.keys() <= shown:
+            break
+        if (seen := one.decoded.seen) is not None:
+            grey = to_grey(with_first_fields(seen[0], settings.interlace).image_bgr)
+            shown |= {tag for family in {*families.values()} for tag in find_tags(grey, family, settings.tag)}
     return [Arm(one, one.fiducial is not None and one.fiducial.id in shown) for one in profiles]
 
 
