@@ -235,13 +235,15 @@ class Import(options.Options):
             LOG.info("no baseline is known: stereo needs --baseline, or a calibration of the pair")
         for loss in result.losses:
             LOG.error("loss: %s", loss)
-        for warning in filter(None, result.warnings):
+        for warning in result.warnings:
             LOG.warning("warning: %s", warning)
-        read = [file for path in (self.source, self.right) if path is not None for file in files_of(path)]
-        read_bytes = sum(file.stat().st_size for file in read if isinstance(file, Path))
-        times = result.size_bytes / max(read_bytes, 1)
-        if self.jpeg is None and result.size_bytes > LARGE_BYTES and times > MANY_TIMES:
-            LOG.info("stored as PNG, %.0f times as large as its source: --jpeg 92 makes it smaller", times)
+        if self.jpeg is None and result.size_bytes > LARGE_BYTES:
+            read = [file for one in (self.source, self.right) if one is not None for file in files_of(one)]
+            read_bytes = sum(file.stat().st_size for file in read if isinstance(file, Path))
+            if (times := result.size_bytes / max(read_bytes, 1)) > MANY_TIMES:
+                LOG.info(
+                    "stored as PNG, %.0f times as large as its source: --jpeg 92 makes it smaller", times
+                )
         LOG.info("next: %s", next_command("profile", "new", path, "-o", f"{path.stem}.toml"))
         return ExitCode.LOSS if result.losses else ExitCode.CLEAN
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any, Literal
@@ -144,7 +144,7 @@ def draw_series(series: Sequence[Series], kind: SeriesPlot) -> Figure:
         axes.set(xlabel=chart.x_title, ylabel=chart.y_title)
         axes.set_title(title, loc="left")
         if kind == "time" and not series[at].measured.any():
-            _say_nothing(axes, series[at].status)
+            _say_nothing(axes, Counter(series[at].status))
         if len(chart.curves) > 1 and width_in == COLUMN_IN:  # each panel has curves of its own
             axes.legend(loc="upper left", bbox_to_anchor=(0.0, 0.0), borderaxespad=4.5, ncols=2)
     if width_in != COLUMN_IN:
@@ -152,9 +152,9 @@ def draw_series(series: Sequence[Series], kind: SeriesPlot) -> Figure:
     return figure
 
 
-def _say_nothing(axes: Axes, statuses: Iterable[str]) -> None:
+def _say_nothing(axes: Axes, rejected: Mapping[str, int]) -> None:
     """Say that nothing was measured, and why, in place of a scale where nothing has one."""
-    reasons = ", ".join(f"{count} {status}" for status, count in Counter(statuses).most_common())
+    reasons = ", ".join(f"{count} {status}" for status, count in Counter(rejected).most_common())
     axes.text(0.5, 0.5, f"nothing measured\n{reasons}", transform=axes.transAxes, ha="center", va="center")
     if not any(np.isfinite(line.get_ydata()).any() for line in axes.get_lines()):
         axes.set(ylabel="distance [mm]", yticks=[])
@@ -218,7 +218,7 @@ def _draw_score(upper: Axes, lower: Axes, score: Score, alarms: AlarmRules | Non
     upper.set_ylabel(f"{distance} [mm]")
     lower.set(xlabel="time [s]", ylabel="error [mm]")
     if not score.measured_count:
-        _say_nothing(upper, Counter(score.rejected).elements())
+        _say_nothing(upper, score.rejected)
         lower.set_yticks([])
     upper.tick_params(labelsize=7, labelbottom=False)
     lower.tick_params(labelsize=7)

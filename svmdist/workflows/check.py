@@ -94,15 +94,15 @@ def _row_differences(seen: Observation, profile: Profile, step: int) -> Array:
 def arms_of(recording: Recording, profile: Profile, spread: Sequence[EncodedObservation]) -> list[Arm]:
     """The arms of a recording's instruments, with the plates whose tags its images show."""
     profiles, settings = [profile.for_instrument(name) for name in recording.instruments], profile.settings
-    families = {one.fiducial.id: one.fiducial.family for one in profiles if one.fiducial is not None}
-    shown = set[int]()
+    tags = [one.fiducial for one in profiles]
+    wanted, shown = {tag.id for tag in tags if tag is not None}, set[int]()
     for one in spread:
-        if families.keys() <= shown:
+        if profile.fiducial is None or wanted <= shown:
             break
         if (seen := one.decoded.seen) is not None:
             grey = to_grey(with_first_fields(seen[0], settings.interlace).image_bgr)
-            shown |= {tag for family in {*families.values()} for tag in find_tags(grey, family, settings.tag)}
-    return [Arm(one, one.fiducial is not None and one.fiducial.id in shown) for one in profiles]
+            shown |= find_tags(grey, profile.fiducial.family, settings.tag).keys()
+    return [Arm(one, tag is not None and tag.id in shown) for one, tag in zip(profiles, tags, strict=True)]
 
 
 def needs_association(arms: Sequence[Arm]) -> bool:

@@ -132,13 +132,13 @@ def import_log(
         "version_svmdist": version("svmdist"),
     }
     T_left_right = stereo_transform(*cameras) if options.count == 2 else None
-    warnings = [exchanged_names(stated)]
+    said = [exchanged_names(stated)]
     if T_left_right is not None:
         few = islice(_pairs(views, cameras, T_left_right, options), LOOKED_AT)
         compared = compare_views(few, load_profile())
         if compared.refusal:
             raise SourceError(f"no log is written: {compared.refusal}")
-        warnings.append(compared.warning)
+        said.append(compared.warning)
     writer = RecordingWriter(output, metadata, force=force, jpeg_quality=options.jpeg_quality)
     try:
         with writer:
@@ -151,6 +151,7 @@ def import_log(
         raise
     has_baseline = None if options.count == 1 else T_left_right is not None
     losses = [loss for view in views for loss in view.losses.values()]
+    warnings = [one for one in said if one]
     return ImportResult(output, dict(writer.counts), output.stat().st_size, has_baseline, losses, warnings)
 
 

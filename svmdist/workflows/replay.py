@@ -240,7 +240,7 @@ class _Replay:
         self._rows = rows
         std_rad = view_rad * float(np.hypot(*rows.slope))
         self._setup = self._setup.with_stds("camera_error", right_rotation_std_rad=std_rad)
-        self._arms = self._stereo_arms = self._arms_of(self._setup)
+        self._arms = self._stereo_arms = self._arms_with(self._setup)
         self._looked.clear()
 
     def _doubt_tissue(self, stated: Tissue, found: Sequence[Checks]) -> None:
@@ -259,11 +259,11 @@ class _Replay:
             return
         shaped = self._setup.with_stds("tissue", surface_std_m=shape_m)
         self._setup = shaped.with_stds("tissue", plane_distance_std_m=std_m)
-        self._arms = self._arms_of(self._setup)
-        self._stereo_arms = self._arms if off_m is None else self._arms_of(shaped)
+        self._arms = self._arms_with(self._setup)
+        self._stereo_arms = self._arms if off_m is None else self._arms_with(shaped)
         self._looked.clear()
 
-    def _arms_of(self, setup: Setup) -> list[Arm]:
+    def _arms_with(self, setup: Setup) -> list[Arm]:
         profile = setup.profile
         return [Arm(profile.for_instrument(arm.profile.instrument_name), arm.has_plate) for arm in self._arms]
 
