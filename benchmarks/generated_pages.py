@@ -1,6 +1,7 @@
 """Pages and tables of the documentation that are written from the code: columns, metrics, settings, perturbations.
 
-Run `uv run python -m benchmarks.generated_pages` after a change of them; a test compares the pages with the code.
+What columns and metrics mean is written into their page by hand, and stays there. Run
+`uv run python -m benchmarks.generated_pages` after a change of them; a test compares the pages with the code.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Any
 from svmdist.perturbations import TABLE, Size
 from svmdist.profile.settings import Settings
 from svmdist.profile.toml import StrictModel
-from svmdist.report.rows import ESTIMATE_COLUMNS
+from svmdist.report.rows import ESTIMATE_KEYS
 from svmdist.workflows.scoring.metric_table import Output, Tolerance, figure_metrics, score_metrics
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -26,13 +27,23 @@ REASON = re.compile(r"(?<!\d): .*$")  # what follows a colon says why, which is 
 
 
 def metrics_page(page: str) -> str:
-    """The page with all columns and metrics; those with the same meaning stand in one line."""
+    """The page with all columns and metrics; those with the same meaning stand in one line, new ones have none yet."""
     metrics = {metric.key: metric for metric in (*score_metrics(), *figure_metrics())}.values()
-    rows = [(one.key, one.given_by, one.meaning) for one in ESTIMATE_COLUMNS if one.stored]
+    of_columns, of_metrics = words_in(page, "columns"), words_in(page, "metrics")
+    rows = [(key, *of_columns.get(key, ("", ""))) for key in ESTIMATE_KEYS]
     shown = [metric for metric in metrics if metric.outputs & (Output.SCORES | Output.FIGURES)]
-    figures = [(one.key, tolerance(one.tolerance, one.unit.name), one.meaning) for one in shown]
+    figures = [
+        (one.key, tolerance(one.tolerance, one.unit.name), of_metrics.get(one.key, ("", ""))[1])
+        for one in shown
+    ]
     page = with_table(page, "columns", by_meaning("given by", rows))
     return with_table(page, "metrics", by_meaning("tolerance", figures))
+
+
+def words_in(page: str, name: str) -> dict[str, tuple[str, str]]:
+    """The second cell and the meaning of each key in a table of the page."""
+    lines = (line.strip("|").split("|") for line in table_in(page, name).splitlines()[2:])
+    return {key: (second, meaning) for keys, second, meaning in lines for key in re.findall(r"`(\w+)`", keys)}
 
 
 def by_meaning(second: str, rows: Sequence[tuple[str, str, str]]) -> str:

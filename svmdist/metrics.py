@@ -43,16 +43,14 @@ class Column:
 
     `of` reads the value from the object that a row is made of: a function, or a path of attributes and indices; by
     default the key. A column without a heading is for machines only, one that is not `stored` for readable tables only.
-    `meaning` and `given_by` are for the documentation; columns with the same meaning stand in one line there. `field`
-    is its name in `svmdist.DistanceEstimate`. `width` is the least one of a plain table, in characters.
+    `field` is its name in `svmdist.DistanceEstimate`. `width` is the least one of a plain table, in characters. What
+    columns mean is told in docs/metrics.md.
     """
 
     key: str
     unit: Unit = COUNT
     heading: str = ""
     of: Callable[[Any], Cell] | str = ""
-    meaning: str = ""
-    given_by: str = ""
     field: str = ""
     width: int = 0
     stored: bool = True

@@ -26,7 +26,7 @@ from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Request
 from svmdist.workflows.scoring.given import Given
-from svmdist.workflows.scoring.metric_table import FIRST_KEYS, Better, Tolerance, stored_metrics
+from svmdist.workflows.scoring.metric_table import FIRST_KEYS, Tolerance, stored_metrics
 from svmdist.workflows.scoring.references import BY_POSES, KINEMATICS_PRINTED_NOTE, Reference
 from svmdist.workflows.scoring.scores import Readings, Score, pool_scores, score_rows
 
@@ -270,7 +270,7 @@ def find_regressions(validation: Validation, baseline: Baseline, *, complete: bo
                 continue
             loss, after = math.inf, now.get(key)
             if after is not None:
-                loss = before - after if metric.better is Better.HIGHER else after - before
+                loss = before - after if metric.higher_is_better else after - before
             if not baseline.tolerances.get(key, Tolerance()).allows(loss, before):
                 where = f"{stored.recording} against {stored.reference}"
                 found_now = "nothing" if after is None else f"{after:.6g}"

@@ -16,7 +16,7 @@ from svmdist.report import scores
 from svmdist.report.tables import csv_lines, keys_of, render
 from svmdist.workflows.compare import Group, MethodScore
 from svmdist.workflows.scoring import metric_table
-from svmdist.workflows.scoring.metric_table import EVERYWHERE, IN_3D, LENGTH, Better, Metric, Tolerance
+from svmdist.workflows.scoring.metric_table import EVERYWHERE, IN_3D, LENGTH, Metric, Tolerance
 from svmdist.workflows.scoring.references import Reference
 from svmdist.workflows.scoring.scores import Figures, Pairs, Score
 from svmdist.workflows.validate import StoredScore, Validation, load_baseline, save_baseline
@@ -83,8 +83,6 @@ def added(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
         LENGTH,
         "p99",
         lambda d: float(np.percentile(np.abs(d.estimate_m - d.truth_m), 99)),
-        "99th percentile of the absolute error.",
-        better=Better.LOWER,
         outputs=EVERYWHERE,
         tolerance=Tolerance(absolute=1e-5),
         outputs_in_3d=IN_3D,

@@ -1,25 +1,19 @@
-"""Every metric, declared once: tables, CSV, JSON, baselines and docs/metrics.md are made from these declarations.
+"""Every metric, declared once: tables, CSV, JSON and baselines are made from these declarations.
 
-A new metric is one entry in one of the tuples below. Give it `is_late=True`: columns may be added at the end only.
+A new metric is one entry in one of the tuples below. Give it `is_late=True`: columns may be added at the end only. What
+it means is told in docs/metrics.md, whose keys and tolerances are these.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from enum import Flag, StrEnum, auto
+from enum import Flag, auto
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from svmdist.metrics import COUNT, DEGREES, LENGTH, RATIO, SECONDS, SHARE, TEXT, Cell, Column, Unit
-
-
-class Better(StrEnum):
-    """Which way a metric gets better."""
-
-    HIGHER = "higher"
-    LOWER = "lower"
 
 
 class Output(Flag):
@@ -51,13 +45,13 @@ class Tolerance(BaseModel):
 class Metric(Column):
     """A column of a score or of figures, or of a part of them; `key` is its name in CSV, JSON and baselines.
 
-    A baseline stores it where it has a `tolerance`, which needs `better`. `in_3d` is of the spatial distance and the
-    clearance. `is_late` moves its columns behind all others, where new columns belong.
+    A baseline stores it where it has a `tolerance`, of how much it may grow, or fall where `higher_is_better`. `in_3d`
+    is of the spatial distance and the clearance. `is_late` moves its columns behind all others, where new ones belong.
     """
 
-    better: Better | None = None
     outputs: Output = Output.SCORES
     tolerance: Tolerance | None = None
+    higher_is_better: bool = False
     outputs_in_3d: Output = Output(0)  # noqa: RUF009  (it is a constant)
     tolerance_in_3d: Tolerance | None = None
     narrow_heading: str = ""
@@ -90,7 +84,6 @@ def within(metrics: Iterable[Metric], output: Output) -> list[Metric]:
     return [metric for metric in metrics if output & metric.outputs]
 
 
-LOWER, HIGHER = Better.LOWER, Better.HIGHER
 SCORES, FIGURES = Output.SCORES, Output.FIGURES
 SCORE_TABLE = SCORES | Output.SCORE_TABLE
 ALARM_TABLE = SCORES | Output.ALARM_TABLE
@@ -108,130 +101,101 @@ P95_TOLERANCE = Tolerance(absolute=5e-5, relative=0.05)
 ALARM_TOLERANCE = Tolerance(absolute=0.005)
 
 # fmt: off
-FRAME_COUNT = Metric("frame_count", COUNT, "", "frame_count", "Number of frames.", outputs=SCORES | FIGURES)
-COVERAGE = Metric("coverage", SHARE, "cov. %", "coverage", "Share of the frames that were measured.", better=HIGHER,
-                  outputs=SCORE_TABLE | REPLAY | PAIRS, tolerance=Tolerance(absolute=0.0))
+FRAME_COUNT = Metric("frame_count", COUNT, "", "frame_count", outputs=SCORES | FIGURES)
+COVERAGE = Metric("coverage", SHARE, "cov. %", "coverage", outputs=SCORE_TABLE | REPLAY | PAIRS,
+                  tolerance=Tolerance(absolute=0.0), higher_is_better=True)
 
 COUNTS = (
-    Metric("sample_count", COUNT, "n", "sample_count", "Measured frames with a truth.", outputs=SCORE_TABLE),
-    Metric("rejected_count", COUNT, "", "rejected_count", "Frames that could not be measured.", better=LOWER),
+    Metric("sample_count", COUNT, "n", "sample_count", outputs=SCORE_TABLE),
+    Metric("rejected_count", COUNT, "", "rejected_count"),
     COVERAGE,
 )
 """How many frames `validate` scored."""
 
 ERRORS = (
-    Metric("count", COUNT, "n", "statistics.count", "Number of pairs.", outputs=Output.DISTANCE_TABLE),
-    Metric("r_squared", RATIO, "R²", "statistics.r_squared",
-           "Coefficient of determination, 1 - SS_res / SS_tot against the identity line.", better=HIGHER,
-           outputs=EVERYWHERE, tolerance=R_SQUARED_TOLERANCE, outputs_in_3d=FIGURES),
-    Metric("rmse_m", LENGTH, "RMSE", "statistics.rmse", "Root of the mean squared error.", better=LOWER,
-           outputs=EVERYWHERE | PAIRS, tolerance=RMSE_TOLERANCE, outputs_in_3d=IN_3D | PAIRS,
-           tolerance_in_3d=RMSE_TOLERANCE),
-    Metric("mae_m", LENGTH, "MAE", "statistics.mae", "Mean of the absolute error.", better=LOWER, outputs=SCORE_TABLE),
-    Metric("median_abs_error_m", LENGTH, "med.", "statistics.median_abs_error", "Median of the absolute error.",
-           better=LOWER, outputs=SCORE_TABLE),
-    Metric("p95_abs_error_m", LENGTH, "p95", "statistics.p95_abs_error", "95th percentile of the absolute error.",
-           better=LOWER, outputs=EVERYWHERE | PAIRS, tolerance=P95_TOLERANCE, outputs_in_3d=IN_3D | PAIRS),
-    Metric("max_abs_error_m", LENGTH, "max", "statistics.max_abs_error", "Largest absolute error.", better=LOWER,
-           outputs=SCORE_TABLE),
-    Metric("bias_m", LENGTH, "bias", "statistics.bias", "Mean of estimate minus truth; best at 0.",
-           outputs=SCORE_TABLE | Output.DISTANCE_TABLE, outputs_in_3d=SCORES),
-    Metric("truth_std_m", LENGTH, "σ", "statistics.truth_std", "Standard deviation of the truth.",
-           outputs=SCORE_TABLE | Output.DISTANCE_TABLE),
-    Metric("pearson_r", RATIO, "r", "statistics.pearson_r", "Pearson's correlation of estimate and truth.",
-           better=HIGHER, outputs=SCORE_TABLE),
+    Metric("count", COUNT, "n", "statistics.count", outputs=Output.DISTANCE_TABLE),
+    Metric("r_squared", RATIO, "R²", "statistics.r_squared", outputs=EVERYWHERE, tolerance=R_SQUARED_TOLERANCE,
+           outputs_in_3d=FIGURES, higher_is_better=True),
+    Metric("rmse_m", LENGTH, "RMSE", "statistics.rmse", outputs=EVERYWHERE | PAIRS, tolerance=RMSE_TOLERANCE,
+           outputs_in_3d=IN_3D | PAIRS, tolerance_in_3d=RMSE_TOLERANCE),
+    Metric("mae_m", LENGTH, "MAE", "statistics.mae", outputs=SCORE_TABLE),
+    Metric("median_abs_error_m", LENGTH, "med.", "statistics.median_abs_error", outputs=SCORE_TABLE),
+    Metric("p95_abs_error_m", LENGTH, "p95", "statistics.p95_abs_error", outputs=EVERYWHERE | PAIRS,
+           tolerance=P95_TOLERANCE, outputs_in_3d=IN_3D | PAIRS),
+    Metric("max_abs_error_m", LENGTH, "max", "statistics.max_abs_error", outputs=SCORE_TABLE),
+    Metric("bias_m", LENGTH, "bias", "statistics.bias", outputs=SCORE_TABLE | Output.DISTANCE_TABLE,
+           outputs_in_3d=SCORES),
+    Metric("truth_std_m", LENGTH, "σ", "statistics.truth_std", outputs=SCORE_TABLE | Output.DISTANCE_TABLE),
+    Metric("pearson_r", RATIO, "r", "statistics.pearson_r", outputs=SCORE_TABLE),
 )
 """How far the estimates of a distance are from the truth."""
 
 INTERVALS = (
-    Metric("interval_coverage", SHARE, "in 95 %", "interval_coverage",
-           "Share of truths inside estimate ± 1.96 standard deviations; best at 0.95.", narrow_heading="∈95 %",
+    Metric("interval_coverage", SHARE, "in 95 %", "interval_coverage", narrow_heading="∈95 %",
            outputs=SCORES | Output.DISTANCE_TABLE | REPLAY, outputs_in_3d=IN_3D),
-    Metric("normalized_rmse", Unit("1", digits=2), "/ σ", "normalized_rmse",
-           "RMSE of errors over their (joint) standard deviations; best at 1.", outputs=SCORES | FIGURES | PAIRS,
+    Metric("normalized_rmse", Unit("1", digits=2), "/ σ", "normalized_rmse", outputs=SCORES | FIGURES | PAIRS,
            outputs_in_3d=SCORES | FIGURES | PAIRS, is_late=True),
 )
 """Whether the stated standard deviations of a distance are honest."""
 
-POSITION_ERRORS = "Errors of the tool's position: RMSE, median, 95th percentile."
-ROTATION_ERRORS = "Errors of the tool's rotation: median, 95th percentile."
 TOOL = (
-    Metric("tool_sample_count", COUNT, "n", "tool.statistics.count", "Measured frames with a true pose of the tool.",
-           outputs=TOOL_TABLE),
-    Metric("tool_rmse_m", LENGTH, "RMSE", "tool.statistics.rmse", POSITION_ERRORS, better=LOWER,
-           outputs=TOOL_TABLE | REPLAY | PAIRS, tolerance=RMSE_TOLERANCE),
-    Metric("tool_median_abs_error_m", LENGTH, "med.", "tool.statistics.median_abs_error", POSITION_ERRORS, better=LOWER,
-           outputs=TOOL_TABLE),
-    Metric("tool_p95_abs_error_m", LENGTH, "p95", "tool.statistics.p95_abs_error", POSITION_ERRORS, better=LOWER,
+    Metric("tool_sample_count", COUNT, "n", "tool.statistics.count", outputs=TOOL_TABLE),
+    Metric("tool_rmse_m", LENGTH, "RMSE", "tool.statistics.rmse", outputs=TOOL_TABLE | REPLAY | PAIRS,
+           tolerance=RMSE_TOLERANCE),
+    Metric("tool_median_abs_error_m", LENGTH, "med.", "tool.statistics.median_abs_error", outputs=TOOL_TABLE),
+    Metric("tool_p95_abs_error_m", LENGTH, "p95", "tool.statistics.p95_abs_error", outputs=TOOL_TABLE | REPLAY | PAIRS),
+    Metric("tool_interval_coverage", SHARE, "in 95 %", "tool.interval_coverage", outputs=TOOL_TABLE),
+    Metric("rotation_median_rad", DEGREES, "rot. °", "rotation.statistics.median_abs_error",
            outputs=TOOL_TABLE | REPLAY | PAIRS),
-    Metric("tool_interval_coverage", SHARE, "in 95 %", "tool.interval_coverage",
-           "Share of true positions within 2.80 times `tool_std_m`, the 95 % of an isotropic error.",
-           outputs=TOOL_TABLE),
-    Metric("rotation_median_rad", DEGREES, "rot. °", "rotation.statistics.median_abs_error", ROTATION_ERRORS,
-           better=LOWER, outputs=TOOL_TABLE | REPLAY | PAIRS),
-    Metric("rotation_p95_rad", DEGREES, "p95 °", "rotation.statistics.p95_abs_error", ROTATION_ERRORS, better=LOWER,
-           outputs=TOOL_TABLE)
+    Metric("rotation_p95_rad", DEGREES, "p95 °", "rotation.statistics.p95_abs_error", outputs=TOOL_TABLE),
 )
 """How far the tool's poses are from the true ones."""
 
 FRAMES_AND_BOUNDS = (
     FRAME_COUNT,
-    Metric("unpaired_count", COUNT, "", "unpaired_count", "Measured frames without a truth."),
-    Metric("rmse_low_m", LENGTH, "", "intervals.rmse.low", "95 % interval of `rmse_m`."),
-    Metric("rmse_high_m", LENGTH, "", "intervals.rmse.high", "95 % interval of `rmse_m`."),
-    Metric("r_squared_low", RATIO, "", "intervals.r_squared.low", "95 % interval of `r_squared`."),
-    Metric("r_squared_high", RATIO, "", "intervals.r_squared.high", "95 % interval of `r_squared`."),
-    Metric("fitted_on", COUNT, "", "fitted_on",
-           "Whether the calibration was fitted on this log: left out of the overall score."),
-    Metric("rejected", TEXT, "", lambda s: " ".join(f"{reason}={count}" for reason, count in s.rejected.items()),
-           "Frames that could not be measured, by status."),
-    Metric("lag_s", SECONDS, "", "lag.lag_s", "Time by which image stamps are late; it was taken off."),
-    Metric("lag_confidence", RATIO, "", "lag.confidence",
-           "How much better this lag explains the images than its best rival: 1 - J_best / J_rival.", better=HIGHER),
-    Metric("r_squared_uncorrected", RATIO, "", "uncorrected.r_squared", "The same with the lag left in.",
-           better=HIGHER),
-    Metric("rmse_uncorrected_m", LENGTH, "", "uncorrected.rmse", "The same with the lag left in.", better=LOWER),
+    Metric("unpaired_count", COUNT, "", "unpaired_count"),
+    Metric("rmse_low_m", LENGTH, "", "intervals.rmse.low"),
+    Metric("rmse_high_m", LENGTH, "", "intervals.rmse.high"),
+    Metric("r_squared_low", RATIO, "", "intervals.r_squared.low"),
+    Metric("r_squared_high", RATIO, "", "intervals.r_squared.high"),
+    Metric("fitted_on", COUNT, "", "fitted_on"),
+    Metric("rejected", TEXT, "", lambda s: " ".join(f"{reason}={count}" for reason, count in s.rejected.items())),
+    Metric("lag_s", SECONDS, "", "lag.lag_s"),
+    Metric("lag_confidence", RATIO, "", "lag.confidence"),
+    Metric("r_squared_uncorrected", RATIO, "", "uncorrected.r_squared"),
+    Metric("rmse_uncorrected_m", LENGTH, "", "uncorrected.rmse"),
 )
 """The frames of a score and what was done to them, and the intervals of its figures."""
 
-LEADS = "Median and shortest time from the start of an alarm to its event; negative where it came late."
 ALARMS = (
     Metric("unsafe", COUNT, "unsafe", lambda s: s.alarms and f"{s.alarms.unsafe_count} of {s.alarms.frame_count}",
-           "Unsafe frames, and all.", outputs=Output.ALARM_TABLE),
-    Metric("alarm_frame_count", COUNT, "", "alarms.frame_count", "Frames with a true clearance."),
-    Metric("alarm_unsafe_count", COUNT, "", "alarms.unsafe_count",
-           "Unsafe frames: those whose true clearance is below the threshold."),
-    Metric("alarm_unjudged_count", COUNT, "", "alarms.unjudged_count",
-           "Frames without an estimated clearance: no alarm.", better=LOWER),
-    Metric("alarm_unsafe_unjudged_count", COUNT, "", "alarms.unsafe_unjudged_count",
-           "Those of them that are unsafe; missed, for the recall.", better=LOWER),
-    Metric("alarm_precision", SHARE, "precision", "alarms.precision", "Share of the alarmed frames that are unsafe.",
-           better=HIGHER, outputs=ALARM_TABLE),
-    Metric("alarm_recall", SHARE, "recall", "alarms.recall", "Share of the unsafe frames that are alarmed.",
-           better=HIGHER, outputs=ALARM_TABLE, tolerance=ALARM_TOLERANCE),
-    Metric("false_alarm_fraction", SHARE, "safe alarmed", "alarms.false_alarm_fraction",
-           "Share of the safe frames that are alarmed.", better=LOWER, outputs=ALARM_TABLE, tolerance=ALARM_TOLERANCE),
+           outputs=Output.ALARM_TABLE),
+    Metric("alarm_frame_count", COUNT, "", "alarms.frame_count"),
+    Metric("alarm_unsafe_count", COUNT, "", "alarms.unsafe_count"),
+    Metric("alarm_unjudged_count", COUNT, "", "alarms.unjudged_count"),
+    Metric("alarm_unsafe_unjudged_count", COUNT, "", "alarms.unsafe_unjudged_count"),
+    Metric("alarm_precision", SHARE, "precision", "alarms.precision", outputs=ALARM_TABLE),
+    Metric("alarm_recall", SHARE, "recall", "alarms.recall", outputs=ALARM_TABLE, tolerance=ALARM_TOLERANCE,
+           higher_is_better=True),
+    Metric("false_alarm_fraction", SHARE, "safe alarmed", "alarms.false_alarm_fraction", outputs=ALARM_TABLE,
+           tolerance=ALARM_TOLERANCE),
     Metric("false_alarms_per_minute", Unit("1/min", digits=1), "false/min", "alarms.false_alarms_per_minute",
-           "Unbroken stretches of alarmed frames without an unsafe frame, per minute of recording.", better=LOWER,
            outputs=ALARM_TABLE),
     Metric("warned", COUNT, "warned", lambda s: s.alarms and f"{len(s.alarms.lead_times_s)} of {s.alarms.event_count}",
-           "Events with an alarm, and all.", outputs=Output.ALARM_TABLE),
-    Metric("alarm_event_count", COUNT, "", "alarms.event_count",
-           "Events: unbroken stretches of unsafe frames that begin inside the recording."),
-    Metric("alarm_missed_event_count", COUNT, "", "alarms.missed_event_count", "Events without an alarm.",
-           better=LOWER),
-    Metric("alarm_lead_median_s", SECONDS, "lead", "alarms.median_lead_s", LEADS, better=HIGHER, outputs=ALARM_TABLE),
-    Metric("alarm_lead_min_s", SECONDS, "least", "alarms.min_lead_s", LEADS, better=HIGHER, outputs=ALARM_TABLE),
+           outputs=Output.ALARM_TABLE),
+    Metric("alarm_event_count", COUNT, "", "alarms.event_count"),
+    Metric("alarm_missed_event_count", COUNT, "", "alarms.missed_event_count"),
+    Metric("alarm_lead_median_s", SECONDS, "lead", "alarms.median_lead_s", outputs=ALARM_TABLE),
+    Metric("alarm_lead_min_s", SECONDS, "least", "alarms.min_lead_s", outputs=ALARM_TABLE),
 )
 """How alarms did, with `--alarm-below`. Recall is stored with the share of false alarms: alarming always has a
 recall of 1."""
 
 REPLAYS = (
     FRAME_COUNT,
-    Metric("measured_count", COUNT, "", "measured_count", "Measured frames.", better=HIGHER, outputs=FIGURES),
+    Metric("measured_count", COUNT, "", "measured_count", outputs=FIGURES),
     COVERAGE,
-    Metric("ms_per_frame", Unit("ms", digits=0), "ms", "ms_per_frame", "Processor time per frame of the method alone.",
-           better=LOWER, outputs=REPLAY),
+    Metric("ms_per_frame", Unit("ms", digits=0), "ms", "ms_per_frame", outputs=REPLAY),
 )
 """What `compare` and the degradation grid tell beside the distances."""
 # fmt: on
