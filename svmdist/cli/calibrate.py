@@ -118,8 +118,8 @@ class HandEye(options.TopicOption, options.InstrumentOption, options.LagOption, 
             seen = corrected(recording, request, self.jobs)
             results = []
             for name in recording.measured:
-                with output.progress_bar(f"{method} finds {name}", "images") as advance:
-                    found = hand_eye(seen, setup, name, self.against, self.jobs, advance)
+                with output.watched(seen, f"{method} finds {name}") as log:
+                    found = hand_eye(log, setup, name, self.against, self.jobs)
                 if isinstance(found, Failure):
                     failures.append(f"{method}, {name}: {found.reason}")
                 else:
@@ -203,14 +203,15 @@ def pose_rows_of(
     from svmdist.workflows.fk import fk_blocks
 
     errors, count = [], 0
-    with output.progress_bar("reading", "joint states") as advance:
-        made = fk_blocks(recording, in_camera=in_camera, on_progress=advance)
-        with closing(made):
-            for stamps_ns, poses, block_errors in made:
-                errors.append(block_errors)
-                for row in pose_rows(stamps_ns, poses):
-                    yield row | {"recording": recording.name} if named else row
-                    count += 1
+    with (
+        output.progress_bar("reading joint states"),
+        closing(fk_blocks(recording, in_camera=in_camera)) as made,
+    ):
+        for stamps_ns, poses, block_errors in made:
+            errors.append(block_errors)
+            for row in pose_rows(stamps_ns, poses):
+                yield row | {"recording": recording.name} if named else row
+                count += 1
     if recording.topic_of("pose") is not None:
         of = f"{recording.name}: " if named else ""
         _log_errors(np.concatenate(errors), recording.pose_track().parent, of)

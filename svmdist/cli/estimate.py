@@ -7,6 +7,7 @@ import shlex
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Generator, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,7 +70,8 @@ class PictureOptions(OutputOptions):
             command = shlex.join(["svmdist", *map(concealed, sys.argv[1:])])
             jobs, logs = run.given.jobs, None if run.given.is_one else run.ranking()
             with output.progress_bar("drawing the worst frames", "images") as advance:
-                report = make_report(series, measured, request, command, result, jobs, logs, advance)
+                watched = [replace(one, read=replace(one.read, on_progress=advance)) for one in measured]
+                report = make_report(series, watched, request, command, result, jobs, logs)
             write_atomically(self.report, [page(report)])
 
 
@@ -199,14 +201,14 @@ def draw_log(
     setup, ending = request.setup, Ending()
     seen = corrected(recording, request, threads)
 
-    def counted() -> Iterator[DrawnFrame]:
-        for frame in drawn_frames(seen, setup, threads, alarms=request.alarms):
+    def counted(log: Recording) -> Iterator[DrawnFrame]:
+        for frame in drawn_frames(log, setup, threads, alarms=request.alarms):
             for row in frame.replayed.results:
                 ending.add(row)
             yield frame
 
-    with output.steps(f"drawing {recording.name}", "images", recording.image_count()) as steps:
-        writer.write(steps.of(counted()), output_path, seen, setup, force)
+    with output.watched(seen, f"drawing {recording.name}") as log:
+        writer.write(counted(log), output_path, seen, setup, force)
     ending.remarks = seen.remarks
     return ending
 
@@ -222,9 +224,8 @@ def measure_rows(
     setup = request.setup
     seen = corrected(recording, request, threads)
     ending, kept = Ending(), []
-    rows = estimate(seen, setup, threads, rest=keep is not None, alarms=request.alarms)
-    with output.steps("measuring", "rows", seen.image_count(), len(seen.measured)) as steps:
-        for row in steps.of(rows):
+    with output.watched(seen, "measuring") as log:
+        for row in estimate(log, setup, threads, rest=keep is not None, alarms=request.alarms):
             ending.add(row)
             if keep is not None:
                 kept.append(row)
@@ -243,8 +244,8 @@ def corrected(recording: Recording, request: Request, jobs: int | None) -> Recor
         LOG.info("warning: %s", warning)
     if request.lag != "auto":
         return with_lag(recording, request)[0]
-    with output.steps(f"lag of {recording.name}", "images", recording.image_count()) as steps:
-        seen, found = with_lag(recording, request, jobs, steps.advance)
+    with output.watched(recording, f"lag of {recording.name}") as log:
+        seen, found = with_lag(log, request, jobs)
     said = f"the lag cannot be estimated and none is applied: {found.reason}"
     if found.told:
         said = f"lag {found.lag_s * 1e3:+.1f} ms (confidence {found.confidence:.2f})"

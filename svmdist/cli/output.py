@@ -12,6 +12,7 @@ import stat
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from enum import IntEnum
 from itertools import chain
 from pathlib import Path
@@ -23,9 +24,9 @@ from svmdist.remote import LogPath
 from svmdist.report.writers import WRITERS, plot_format
 
 if TYPE_CHECKING:
+    from svmdist.recording.log import Recording
     from svmdist.report.writers import Results, Writer
     from svmdist.workflows.parallel import Progress as Advance
-    from svmdist.workflows.parallel import Steps
 
 LOG = logging.getLogger("svmdist")
 """What users are told beside the data: errors, then remarks (INFO), then choices and times (DEBUG)."""
@@ -118,12 +119,10 @@ def progress_bar(title: str, unit: str = "") -> Iterator[Advance]:
 
 
 @contextmanager
-def steps(title: str, unit: str, count: int | None, each: int = 1) -> Iterator[Steps]:
-    """Give what counts the steps of `count` images, `each` of so many, and shows them as `progress_bar` does."""
-    from svmdist.workflows.parallel import Steps
-
-    with progress_bar(title, unit) as advance:
-        yield Steps(advance, count, each)
+def watched(recording: Recording, title: str) -> Iterator[Recording]:
+    """Give the recording, each replay of which shows its progress."""
+    with progress_bar(title, "images") as advance:
+        yield replace(recording, on_progress=advance)
 
 
 def _how_far(done: int, total: int | None, unit: str, seconds: float) -> str:

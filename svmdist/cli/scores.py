@@ -104,7 +104,7 @@ class Validate(ScoreOptions, options.MeasureOptions, GroupOption, PictureOptions
         kind = self.plot or "fig6"
         keeps = self.report is not None or (self.save_plot is not None and kind != "fig6")
         measure, kind_of = validate.score_recording, validate.Scored
-        run = Run(self, measure, request, kind_of, "validating", "rows", (), keeps, keys)
+        run = Run(self, measure, request, kind_of, "validating", "images", (), keeps, keys)
         result = validate.combine(run.finish(), request, run.groups)
         lacking = {line for scored in run.results for line in scored.lacking}
         for note in result.notes:
@@ -234,9 +234,8 @@ def compare_log(
 
     seen = corrected(recording, request, threads)
     by = partial(group_name, keys=keys) if keys else None
-    each = len(request.conditions) * len(setups)
-    with output.steps("comparing", "measurements", recording.image_count(), each) as steps:
-        return measure_runs(seen, setups, request.conditions, jobs=threads, by=by, advance=steps.advance)
+    with output.watched(seen, "comparing") as log:
+        return measure_runs(log, setups, request.conditions, jobs=threads, by=by)
 
 
 class BlurBench(ScoreOptions):

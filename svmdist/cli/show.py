@@ -123,9 +123,9 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
         from svmdist.report.panels import masks_picture, phases_picture
         from svmdist.workflows.frame_drawing import drawn_frames
 
-        setup, given = request.setup, (self.jobs, numbers)
-        with output.steps(f"drawing {log.name}", "images", max(numbers) + 1) as steps:
-            for shown in drawn_frames(log, setup, *given, steps.advance):
+        setup = request.setup
+        with output.watched(log, f"drawing {log.name}") as seen:
+            for shown in drawn_frames(seen, setup, self.jobs, numbers):
                 where = f"{log.name}  frame {shown.number}"
                 if self.masks:
                     yield shown.number, masks_picture(shown, f"{where}  {shown.seconds:.2f} s  masks")
@@ -152,9 +152,8 @@ def _worst(recording: Recording, request: Request, count: int, jobs: int | None)
     from svmdist.workflows.estimate import Measured, estimate
     from svmdist.workflows.scoring.series import series_of, worst_frames
 
-    images, each = recording.image_count(), len(recording.measured)
-    with output.steps(f"measuring {recording.name}", "rows", images, each) as steps:
-        rows = list(steps.of(estimate(recording, request.setup, jobs)))
+    with output.watched(recording, f"measuring {recording.name}") as log:
+        rows = list(estimate(log, request.setup, jobs))
     worst = worst_frames(series_of([Measured(recording, recording, tuple(rows), None)], request), count)
     for one in worst:
         LOG.info("%s", one.in_words)

@@ -86,6 +86,8 @@ class Recording:
     alias: str | None = None  # the name that it goes by; None for its file's
     window: obs.Window = obs.ALL_IMAGES  # which of its images are read; whatever else it has is read whole
     wanted: tuple[str, ...] | None = None  # the instruments that are measured; None for all
+    on_progress: Callable[[int, int | None], None] = lambda _done, _total: None
+    """Is called in each replay with the images that are done, and how many there are where that is known."""
 
     def __repr__(self) -> str:
         """Its name, what is measured in it, and its topics by role."""
@@ -95,8 +97,9 @@ class Recording:
         )
 
     def __reduce__(self) -> tuple[Callable[..., Recording], tuple[object, ...]]:
-        """Another process opens the same file anew."""
-        view = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "file"}
+        """Another process opens the same file anew; it shows no progress."""
+        left = {"file", "on_progress"}
+        view = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in left}
         return _reopened, (self.origin, view)
 
     def for_instrument(self, name: str) -> Recording:

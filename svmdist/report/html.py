@@ -31,7 +31,6 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.workflows.estimate import Measured
 from svmdist.workflows.frame_drawing import drawn_frames
-from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.request import Request, Setup
 from svmdist.workflows.scoring.series import Series, worst_frames
 from svmdist.workflows.validate import Validation
@@ -66,7 +65,6 @@ def make_report(
     validation: Validation | None = None,
     jobs: int | None = None,
     logs: Results | None = None,
-    on_progress: Progress | None = None,
 ) -> Report:
     """The report of estimates or of their validation; `logs` has a table of all logs, of which `measured` are some."""
     tables, notes = [*(logs.tables if logs else ())], []
@@ -86,7 +84,7 @@ def make_report(
         f"svmdist {'validate' if validation else 'estimate'}: {request.setup.method}",
         series,
         tables,
-        _worst(measured, series, request, jobs, on_progress),
+        _worst(measured, series, request, jobs),
         facts(request.setup, [one.recording for one in measured], command),
         notes,
     )
@@ -110,22 +108,17 @@ def facts(setup: Setup, recordings: Sequence[Recording], command: str) -> list[t
 
 
 def _worst(
-    measured: Sequence[Measured],
-    series: Sequence[Series],
-    request: Request,
-    jobs: int | None,
-    on_progress: Progress | None,
+    measured: Sequence[Measured], series: Sequence[Series], request: Request, jobs: int | None
 ) -> list[tuple[str, bytes]]:
     """The worst frames of all logs with their captions, worst first; they are measured once more, to draw them."""
     chosen = worst_frames(series, WORST_COUNT)
     wanted = defaultdict[str, set[int]](set)
     for frame in chosen:
         wanted[frame.series.recording].add(frame.number)
-    steps, pictures = Steps(on_progress, sum(max(numbers) + 1 for numbers in wanted.values())), {}
+    pictures = {}
     look: Any = {"lines": False, "least_px": MIN_WIDTH_PX, "letters": THUMBNAIL_LETTERS}
     for name, log in ((one.recording.name, one) for one in measured if one.recording.name in wanted):
-        given = log.read, request.setup, jobs, wanted[name], steps.advance, request.alarms
-        for drawn in drawn_frames(*given):
+        for drawn in drawn_frames(log.read, request.setup, jobs, wanted[name], request.alarms):
             if (image := drawn.replayed.image_bgr) is not None:
                 pictures[name, drawn.number] = _jpeg(draw_on(image, drawn.drawing, **look))
     places = {(one.series.recording, one.number): one.in_words for one in chosen}

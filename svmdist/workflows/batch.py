@@ -91,10 +91,14 @@ class Outcome(Generic[Result]):
 
 
 def measured(
-    job: Job[Result], log: LogFile, threads: int, **more: Any
+    job: Job[Result],
+    log: LogFile,
+    threads: int,
+    on_progress: Progress = lambda _done, _total: None,
+    **more: Any,
 ) -> Generator[Row, None, Outcome[Result]]:
     """Measure a log in this process: yield its rows, return its outcome. Raises what measuring it raises."""
-    recording = job.request.open(log.path, log.name)
+    recording = replace(job.request.open(log.path, log.name), on_progress=on_progress)
     found = job.measure(recording, job.request, threads, *job.options, **more)
     result = (yield from found) if isinstance(found, Generator) else found
     health = recording.health

@@ -11,7 +11,6 @@ from svmdist.recording.log import Recording
 from svmdist.vision.colour import to_grey
 from svmdist.vision.degradations import Blur
 from svmdist.vision.marker import EDGE_MARGIN_PX, detect_orb, paste_marker
-from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.replay import Replayed, replay
 from svmdist.workflows.request import Condition, Request
 from svmdist.workflows.scoring.references import Truth
@@ -63,19 +62,14 @@ class BlurTally:
 
 
 def blur_tallies(
-    recording: Recording,
-    request: Request,
-    jobs: int | None,
-    kernels_px: Mapping[Blur, int],
-    on_progress: Progress | None = None,
+    recording: Recording, request: Request, jobs: int | None, kernels_px: Mapping[Blur, int]
 ) -> list[BlurTally]:
-    """Degrade each frame by every blur, paste the marker behind it, measure and count; an image is a step."""
+    """Degrade each frame by every blur, paste the marker behind it, measure and count."""
     readings = {blur: Readings() for blur in kernels_px}
     counts: dict[Blur, list[Counts]] = {blur: [] for blur in kernels_px}
     conditions = [Condition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]
-    steps = Steps(on_progress, recording.image_count())
     recording = replace(recording, wanted=recording.instruments[:1])
-    for replayed in steps.of(replay(recording, [request.setup], conditions, jobs=jobs)):
+    for replayed in replay(recording, [request.setup], conditions, jobs=jobs):
         for blur, lane in zip(kernels_px, replayed, strict=True):
             readings[blur].add(lane.results[0])
             counts[blur].append(_counts(lane))

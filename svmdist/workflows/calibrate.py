@@ -26,7 +26,6 @@ from svmdist.samples import JointSample
 from svmdist.tracks import JointTrack, Mask
 from svmdist.transforms import Array, Stamps, inverse, rotation_angle, skew
 from svmdist.workflows.estimate import estimate
-from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Request, Setup
 
@@ -42,15 +41,11 @@ class CalibrationPart:
     tool_m: Array
 
 
-def collect_part(
-    recording: Recording, request: Request, jobs: int | None = None, on_progress: Progress | None = None
-) -> CalibrationPart:
+def collect_part(recording: Recording, request: Request, jobs: int | None = None) -> CalibrationPart:
     """Pairs of tool pixel and true position in the camera's plane; RecordingError where the log has no true pose."""
     setup = replace(request.setup, mapping=plane_mapping.PUBLISHED_MAPPING)
-    steps, frames = Steps(on_progress, recording.image_count()), setup.profile.frames
-    first = replace(recording, wanted=recording.instruments[:1])
-    rows = steps.of(estimate(first, setup, jobs))
-    results = [result for result in rows if result.measured]
+    frames, first = setup.profile.frames, replace(recording, wanted=recording.instruments[:1])
+    results = [result for result in estimate(first, setup, jobs) if result.measured]
     stamps_ns = np.array([result.stamp_ns for result in results], np.int64)
     tool_px = np.array([result.image.tool_px for result in results], np.float64).reshape(-1, 2)
     camera = recording.camera
@@ -114,7 +109,6 @@ def hand_eye(
     instrument: str,
     against: Against | None = None,
     jobs: int | None = None,
-    on_progress: Progress | None = None,
 ) -> HandEyeResult | Failure:
     """Fit the camera-to-base transform of an instrument; a Failure says why that is impossible.
 
@@ -127,11 +121,9 @@ def hand_eye(
     own = recording.for_instrument(instrument)
     against = against or _default_reference(own, profile)
     twice = against == "kinematics" and setup.method != "fiducial"
-    steps = Steps(on_progress, recording.image_count(), 1 + twice)
 
     def fit_to(log: Recording) -> HandEyeResult | Failure:
-        lanes = steps.of(replay(log, [setup], jobs=jobs))
-        rows = [replayed.results[0] for (replayed,) in lanes]
+        rows = [replayed.results[0] for (replayed,) in replay(log, [setup], jobs=jobs)]
         seen = [row for row in rows if row.measured and row.tool is not None]
         found = _fit(seen, own, setup.method, profile, against)
         if isinstance(found, Failure) and len(seen) < profile.settings.hand_eye.min_count:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 
@@ -78,15 +79,14 @@ def measure_runs(
     *,
     jobs: int | None = None,
     by: GroupBy | None = None,
-    advance: Callable[[], None] = lambda: None,
 ) -> list[MethodScore]:
     """A score for every condition, setup and instrument of a recording, in that order.
 
     Then the differences of two methods: of all where the log has no ground truth, else of those of others from ours.
-    Processes share conditions or methods; `jobs` threads work ahead where nothing can be shared. `advance` is called
-    for every image, condition and setup; `by` groups by other metadata than the scenario. A method that the log cannot
-    serve is left out, with a remark; another instrument than the first where it has no truth that the first has. Raises
-    RecordingError where the recording has no ground-truth distances, and nothing to compare.
+    Processes share conditions or methods; `jobs` threads work ahead where nothing can be shared. `by` groups by other
+    metadata than the scenario. A method that the log cannot serve is left out, with a remark; another instrument than
+    the first where it has no truth that the first has. Raises RecordingError where the recording has no ground-truth
+    distances, and nothing to compare.
     """
     jobs = parallel.usable_cores() if jobs is None else jobs
     first = recording.instruments[0]
@@ -101,9 +101,14 @@ def measure_runs(
         parts = [(range(len(conditions)), range(len(setups)))]
     work = _Work(replace(recording, wanted=names), conditions, setups, max(1, jobs // len(parts)))
     if len(parts) == 1:
-        ended = [work.measure(parts[0], advance)]
+        ended = [work.measure(parts[0])]
     else:
-        ended = [made for _, made in parallel.each_in_processes(work.measure, parts, jobs, on_step=advance)]
+        steps, images = count(1), recording.image_count()
+        total = images and images * sum(len(work.passes(part)) for part in parts)
+        each = parallel.each_in_processes(
+            work.measure, parts, jobs, on_step=lambda: recording.on_progress(next(steps), total)
+        )
+        ended = [made for _, made in each]
         # Methods that need both views lose what others lose, and right images: their list has all in file order.
         for _, health in sorted(ended, key=lambda one: -len(one[1].losses)):
             recording.health.join(health)
@@ -146,19 +151,23 @@ class _Work:
     setups: Sequence[Setup]
     threads: int
 
-    def measure(self, part: Part, advance: Callable[[], None] = parallel.step) -> tuple[Found, Health]:
-        """One pass over the log for all conditions of its images, and one for every perturbed world."""
-        places, setups_at = part
-        images = [at for at in places if not self.conditions[at].world]
-        passes = [images, *([at] for at in places if at not in images)]
-        found = (self._one_pass(at, setups_at, advance) for at in passes if at)
+    def passes(self, part: Part) -> list[list[int]]:
+        """The conditions of each pass over the log: those of its images together, and every perturbed world."""
+        images = [at for at in part[0] if not self.conditions[at].world]
+        return [at for at in (images, *([at] for at in part[0] if at not in images)) if at]
+
+    def measure(self, part: Part) -> tuple[Found, Health]:
+        """What all passes of a part find, and what was lost on them."""
+        found = (self._one_pass(at, part[1]) for at in self.passes(part))
         return {key: rows for of_pass in found for key, rows in of_pass.items()}, self.recording.health
 
-    def _one_pass(self, at: Sequence[int], setups_at: Sequence[int], advance: Callable[[], None]) -> Found:
+    def _one_pass(self, at: Sequence[int], setups_at: Sequence[int]) -> Found:
         conditions = [self.conditions[place] for place in at]
         read, setups = self.recording, [self.setups[of] for of in setups_at]
+        if parallel.is_worker():
+            read = replace(read, on_progress=parallel.step)
         if world := conditions[0].world:  # it has a pass of its own
-            read = self.recording.perturbed(world)
+            read = read.perturbed(world)
             setups = [setup.perturbed(world, read.world.seed) for setup in setups]
         keys = [(place, of, name) for place in at for of in setups_at for name in read.measured]
         readings, seconds = {key: Readings() for key in keys}, dict.fromkeys(keys, 0.0)
@@ -167,8 +176,6 @@ class _Work:
             for key, (result, spent_s) in zip(keys, results, strict=True):
                 readings[key].add(result)
                 seconds[key] += spent_s
-            for _ in replayed:
-                advance()
         found: Found = {}
         for key, rows in readings.items():
             own, truth = read.for_instrument(key[2]), None

@@ -58,12 +58,9 @@ def estimate(
 
 
 def with_lag(
-    recording: Recording,
-    request: Request,
-    jobs: int | None = None,
-    on_image: Callable[[], None] = lambda: None,
+    recording: Recording, request: Request, jobs: int | None = None
 ) -> tuple[Recording, LagEstimate]:
-    """Apply the time offset of a request; `auto` is one pass over the images, and calls `on_image` for each.
+    """Apply the time offset of a request; `auto` is one pass over the images.
 
     `auto` is found from the middle of each instrument in the image, whatever the method, as nothing of the joints is in
     that. Of several instruments, which share a clock, the most confident one counts.
@@ -75,7 +72,6 @@ def with_lag(
         for (replayed,) in replay(recording, [seen], jobs=jobs):
             for of_instrument, result in zip(readings.values(), replayed.results, strict=True):
                 of_instrument.add(result)
-            on_image()
         each = [
             recording_lag(rows, recording.for_instrument(name), request.rules)
             for name, rows in readings.items()

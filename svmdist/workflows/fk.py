@@ -10,17 +10,11 @@ from svmdist.errors import RecordingError
 from svmdist.kinematics import forward_kinematics, select_joints
 from svmdist.recording.log import Recording
 from svmdist.transforms import Array, Stamps, inverse, rotation_angle
-from svmdist.workflows.parallel import Progress
 
 BLOCK = 1 << 14
 
 
-def fk_blocks(
-    recording: Recording,
-    *,
-    in_camera: bool = False,
-    on_progress: Progress = lambda _done, _total: None,
-) -> Generator[tuple[Stamps, Array, Array]]:
+def fk_blocks(recording: Recording, *, in_camera: bool = False) -> Generator[tuple[Stamps, Array, Array]]:
     """Yield the tool's pose for every joint state in a recording's window, by the profile's chain, in blocks.
 
     Each has some thousand stamps of joint states, (n,), the poses, (n, 4, 4), in the base's frame, and the errors of
@@ -33,8 +27,6 @@ def fk_blocks(
     """
     chain, frames = recording.chain, recording.profile.frames
     joints = recording.joint_track()
-    count = len(joints.stamps_ns)
-    on_progress(count, count)
     inside = recording.window.places(joints.stamps_ns)
     if len(inside) == 0:
         raise RecordingError(f"{recording.path.name}: no joint state is between --start and --end")

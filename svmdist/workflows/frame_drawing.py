@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -46,13 +46,14 @@ def drawn_frames(
     setup: Setup,
     jobs: int | None = None,
     numbers: Collection[int] | None = None,
-    on_image: Callable[[], None] = lambda: None,
     alarms: AlarmRules | None = None,
 ) -> Iterator[DrawnFrame]:
-    """Replay and draw every image, or some `numbers` up to the last; `on_image` is called for each one read."""
+    """Replay and draw every image, or some `numbers` up to the last, which are all that progress counts to."""
+    if numbers:
+        seen, last = recording.on_progress, max(numbers)
+        recording = replace(recording, on_progress=lambda done, _: seen(done, last + 1))
     for (replayed,) in replay(recording, [setup], jobs=jobs, alarms=alarms):
         number, seconds = replayed.results[0].number, replayed.results[0].seconds
-        on_image()
         if numbers is None or number in numbers:
             yield DrawnFrame(number, seconds, replayed, frame_drawing(replayed, setup))
         if numbers is not None and number >= max(numbers, default=-1):

@@ -157,8 +157,8 @@ def _count_in(steps: Any) -> None:
     _steps = steps
 
 
-def step() -> None:
-    """Count one step of the work of this worker process."""
+def step(*_: object) -> None:
+    """Count one step of the work of this worker process, as a recording's `on_progress`."""
     if _steps is not None:
         with _steps.get_lock():
             _steps.value += 1
@@ -250,27 +250,3 @@ def _quiet_start() -> Iterator[None]:
         os.dup2(stderr, 2)
         os.close(stderr)
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-
-
-class Steps:
-    """Counts what is done, in all passes over all images, and reports it.
-
-    There are `count` images, where that is known, with `each` so many steps.
-    """
-
-    def __init__(self, on_progress: Progress | None, count: int | None, each: int = 1) -> None:
-        self._on_progress = on_progress
-        self._total = count and count * each
-        self._done = 0
-
-    def of(self, items: Iterable[Item]) -> Iterator[Item]:
-        """The items as they come, each a step."""
-        for item in items:
-            yield item
-            self.advance()
-
-    def advance(self) -> None:
-        """Count one step."""
-        self._done += 1
-        if self._on_progress is not None:
-            self._on_progress(self._done, self._total)

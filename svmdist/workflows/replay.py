@@ -78,7 +78,8 @@ def replay(
     reaches another. `jobs` threads work ahead, by default one for each core. Raises RecordingError at once for a
     wanted instrument that the recording has no topics of, and at the end where there was no image, and CalibrationError
     for another camera. Where the lag of a recording is known, methods take the offset of its joints for as well known.
-    Without `rest`, what no method uses is not read. Rows are judged by the rules of `alarms`.
+    Without `rest`, what no method uses is not read. Rows are judged by the rules of `alarms`. The recording's
+    `on_progress` is called for each image.
     """
     replaying = _Replay(recording, setups, conditions)
     return replaying.run(usable_cores() if jobs is None else jobs, rest, alarms)
@@ -285,13 +286,14 @@ class _Replay:
         lanes = [lane for of_condition in self._lanes for lane in of_condition]
         watches = [[AlarmWatch(alarms) for _ in self._places] for _ in lanes] if alarms else []
         with one_opencv_thread():
-            any_image = False
+            count, total = 0, self._recording.image_count()
             for decoded, conditions in in_order(self._prepare, encoded, jobs):
-                any_image = True
                 self._recording.record_losses(decoded)
                 done = [replayed for unfinished in conditions for replayed in unfinished()]
+                count += 1
+                self._recording.on_progress(count, total)
                 yield tuple(map(_judged, done, watches) if alarms else done)
-        if not any_image:
+        if not count:
             raise RecordingError(_no_image(self._recording))
 
     def _prepare(self, encoded: EncodedObservation) -> tuple[Decoded, list[Unfinished]]:

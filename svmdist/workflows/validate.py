@@ -22,7 +22,6 @@ from svmdist.results import FrameResult
 from svmdist.workflows.capabilities import require_clearance
 from svmdist.workflows.ending import Ending
 from svmdist.workflows.estimate import Keep, Measured, given_lag, recording_lag, with_lag
-from svmdist.workflows.parallel import Progress, Steps
 from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Request
 from svmdist.workflows.scoring.given import Given
@@ -116,22 +115,15 @@ def _pooled(scores: Sequence[Score], request: Request, named: str = "overall") -
 
 
 def score_recording(
-    recording: Recording,
-    request: Request,
-    jobs: int | None = None,
-    on_progress: Progress | None = None,
-    keep: Keep | None = None,
+    recording: Recording, request: Request, jobs: int | None = None, keep: Keep | None = None
 ) -> Scored:
     """Score every wanted instrument. Scores are named after the recording, and after any instrument but the first."""
     setup, rules, lag = request.setup, request.rules, request.lag
     notes = setup.degeneracies(recording.camera)
     planar = setup.is_planar  # it needs no joints, and its own rows show the lag
-    # A row of each instrument, and one step more where the lag is estimated first.
-    each = len(recording.measured) + (lag == "auto" and not planar)
-    steps = Steps(on_progress, recording.image_count(), each)
-    read, found = (recording, given_lag(lag)) if planar else with_lag(recording, request, jobs, steps.advance)
+    read, found = (recording, given_lag(lag)) if planar else with_lag(recording, request, jobs)
     wanted = rules.of(recording)
-    every, by = _measured(read, request, [one for one in wanted if one in BY_POSES], jobs, steps)
+    every, by = _measured(read, request, [one for one in wanted if one in BY_POSES], jobs)
     asked_for = rules.references or (Reference.TF,) * bool(rules.tool_frames)
     scores, missing, lacking = [], [], []
     names = dict.fromkeys(row.instrument for row in every)
@@ -166,7 +158,7 @@ def score_recording(
 
 
 def _measured(
-    read: Recording, request: Request, references: Sequence[Reference], jobs: int | None, steps: Steps
+    read: Recording, request: Request, references: Sequence[Reference], jobs: int | None
 ) -> tuple[list[FrameResult], dict[tuple[Reference, str], Readings]]:
     """The rows of a recording, and in the same pass what references give, by instrument, whose tissue images show."""
     given = [Given(str(one), rules=request.rules, on_surface=one is Reference.SURFACE) for one in references]
@@ -174,7 +166,7 @@ def _measured(
     every: list[FrameResult] = []
     by = defaultdict[tuple[Reference, str], Readings](Readings)
     for first, *rest in replay(read, setups, jobs=jobs, alarms=request.alarms):
-        every += steps.of(first.results)
+        every += first.results
         for reference, replayed in zip(references, rest, strict=True):
             for row in replayed.results:
                 by[reference, row.instrument].add(row)

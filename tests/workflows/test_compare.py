@@ -116,14 +116,17 @@ def figures(run: MethodScore) -> tuple[object, ...]:
 @pytest.mark.parametrize("jobs", [2, 3, 8])
 @pytest.mark.parametrize("conditions", [CONDITIONS[:1], CONDITIONS])
 def test_processes_and_threads_give_the_same(recording, conditions, jobs):
-    """In the order of conditions and methods, bit for bit; each image counts once for each of them."""
+    """In the order of conditions and methods, bit for bit; each image counts once for each pass over the log."""
     alone = measure_runs(recording, SETUPS, conditions, jobs=1)
-    counted: list[int] = []
-    shared = measure_runs(recording, SETUPS, conditions, jobs=jobs, advance=lambda: counted.append(1))
+    counted: list[tuple[int, int | None]] = []
+    watched = replace(recording, on_progress=lambda *how_far: counted.append(how_far))
+    shared = measure_runs(watched, SETUPS, conditions, jobs=jobs)
     assert [figures(run) for run in shared] == [figures(run) for run in alone]
     assert [run.method for run in alone] == [setup.method for setup in SETUPS] * len(conditions)
     assert all(run.figures.seconds > 0.0 for run in shared)
-    assert len(counted) == FRAMES * len(SETUPS) * len(conditions)
+    total, left = len(counted), len(counted) % FRAMES
+    assert total >= 2 * FRAMES > left == 0
+    assert counted == [(done, total) for done in range(1, total + 1)]
 
 
 def test_losses_are_listed_once_in_the_file_s_order(tmp_path):
@@ -154,7 +157,8 @@ def test_losses_are_listed_once_in_the_file_s_order(tmp_path):
 
 def test_one_method_on_a_log_without_truth_is_refused_before_the_work(tmp_path):
     path = write_log(tmp_path / "bare.mcap", change=without("/ground_truth/distance"))
-    steps: list[int] = []
+    recording = open_recording(path, SETUPS[0].profile)
+    images: list[int] = []
     with pytest.raises(RecordingError, match="ground_truth_distance"):
-        measure_runs(open_recording(path, SETUPS[0].profile), SETUPS[:1], advance=lambda: steps.append(1))
-    assert not steps
+        measure_runs(replace(recording, on_progress=lambda done, _: images.append(done)), SETUPS[:1])
+    assert not images
