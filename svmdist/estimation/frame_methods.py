@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.errors import ProfileError
 from svmdist.estimation.distances import measured, with_tissue
-from svmdist.estimation.frame import Frame, Needs
+from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.consistency import with_detections
 from svmdist.estimation.instrument.distal_marker import pair_markers
 from svmdist.estimation.instrument.error_model import ErrorModel, nominal_tool
@@ -32,14 +31,7 @@ BOUND_AT_M = 0.1  # from an endoscope to a tool at work
 class KinematicEstimator:
     """`--method kinematic`: nothing of the tool is taken from the image. Keeps the tissue's pose between frames."""
 
-    name = "kinematic"
-    keeps_state = True
-    needs = Needs(scene=("tissue",))
-
     def __init__(self, arm: Arm) -> None:
-        require_tissue(arm.profile)
-        self._chain = arm.required_chain
-        self._error = arm.profile.kinematic_error
         self._tissue = TissueTracker(arm.profile.settings.tissue)
 
     def estimate(self, frame: Frame) -> FrameResult:
@@ -50,45 +42,33 @@ class KinematicEstimator:
             return result.rejected(Status.NO_JOINTS, robot.reason)
         if tissue is None:
             return result
-        tool = ToolEstimate(nominal_tool(self._chain, self._error, robot), frame.joints)
+        tool = ToolEstimate(_nominal(frame, robot), frame.joints)
         return measured(result.rejected(Status.OK), frame, tool, tissue)
 
 
-class FiducialEstimator:
-    """`--method fiducial`. Keeps no state between frames."""
+def _nominal(frame: Frame, robot: RobotState) -> ToolPose:
+    return nominal_tool(frame.arm.required_chain, frame.arm.profile.kinematic_error, robot)
 
-    name = "fiducial"
-    keeps_state = False
-    needs = Needs(scene=("tissue", "left.tags"), frame=("tag",))
 
-    def __init__(self, arm: Arm) -> None:
-        profile = arm.profile
-        if profile.fiducial is None or profile.robot is None:
-            raise ProfileError(
-                f"profile {profile.name} has no {'[fiducial]' if profile.robot else '[robot]'}: the method"
-                " fiducial needs the tag, the link that carries it, and the chain from there to the tool"
-            )
-        require_tissue(profile)
+def by_tag(frame: Frame) -> FrameResult:
+    """`--method fiducial`; a frame that cannot be measured says why."""
+    # The tissue, on the plane that it lies on.
+    result, tissue = with_tissue(frame), frame.scene.tissue
+    if tissue is None or tissue.pose is None:
+        return result
 
-    def estimate(self, frame: Frame) -> FrameResult:
-        """Measure one frame; a frame that cannot be measured says why."""
-        # The tissue, on the plane that it lies on.
-        result, tissue = with_tissue(frame), frame.scene.tissue
-        if tissue is None or tissue.pose is None:
-            return result
+    # The tag: corners, then both poses that they allow, and the one of them that is true.
+    if frame.left.tag_corners_px is None:
+        return result.rejected(Status.NO_FIDUCIAL)
+    if isinstance(frame.robot, Failure):
+        return result.rejected(Status.NO_JOINTS, frame.robot.reason)
+    tag = frame.tag
+    if tag is None:
+        return result.rejected(Status.AMBIGUOUS_POSE)
 
-        # The tag: corners, then both poses that they allow, and the one of them that is true.
-        if frame.left.tag_corners_px is None:
-            return result.rejected(Status.NO_FIDUCIAL)
-        if isinstance(frame.robot, Failure):
-            return result.rejected(Status.NO_JOINTS, frame.robot.reason)
-        tag = frame.tag
-        if tag is None:
-            return result.rejected(Status.AMBIGUOUS_POSE)
-
-        # Through mounting and wrist to the tool, and the distances from there.
-        pose = tool_from_tag(frame.arm, frame.left.camera, tag, frame.robot)
-        return measured(result, frame, ToolEstimate(pose, frame.joints, frame.left.has_plate), tissue.pose)
+    # Through mounting and wrist to the tool, and the distances from there.
+    pose = tool_from_tag(frame.arm, frame.left.camera, tag, frame.robot)
+    return measured(result, frame, ToolEstimate(pose, frame.joints, frame.left.has_plate), tissue.pose)
 
 
 def tool_from_tag(arm: Arm, camera: Camera, tag: TagPose, robot: RobotState) -> ToolPose:
@@ -135,100 +115,68 @@ def certain(frame: Frame, found: ImagePose | Failure, max_std_m: float) -> Image
     return found
 
 
-class ShaftEstimator:
-    """`--method shaft`. Keeps no state between frames."""
+def by_shaft(frame: Frame) -> FrameResult:
+    """`--method shaft`; a frame that cannot be measured says why."""
+    # The tissue, on the plane that it lies on.
+    result, tissue = with_tissue(frame), frame.scene.tissue
+    if tissue is None or tissue.pose is None:
+        return result
 
-    name = "shaft"
-    keeps_state = False
-    needs = Needs(scene=("tissue", "left.tags"), frame=("shaft_pose",))
-
-    def __init__(self, arm: Arm) -> None:
-        profile = arm.profile
-        if profile.segmentation.shaft is None or profile.robot is None or profile.instrument is None:
-            raise ProfileError(
-                f"profile {profile.name} cannot serve the method shaft: it needs [segmentation.shaft], [robot] and"
-                " [instrument]"
-            )
-        require_tissue(profile)
-        self._settings = profile.settings.shaft
-
-    def estimate(self, frame: Frame) -> FrameResult:
-        """Measure one frame; a frame that cannot be measured says why."""
-        # The tissue, on the plane that it lies on.
-        result, tissue = with_tissue(frame), frame.scene.tissue
-        if tissue is None or tissue.pose is None:
-            return result
-
-        # The shaft's edges and end, the distal marker, and the pose that fits them through the wrist.
-        fit = frame.shaft_pose
-        if isinstance(fit, Failure) and len(frame.left.shaft.contours) == 2:
-            return result.rejected(Status.UNCERTAIN, fit.reason)
-        if isinstance(fit, ImagePose):
-            result = with_detections(result, fit.gating)
-        found = certain(frame, fit, self._settings.max_position_std_m)
-        if isinstance(found, Rejection):
-            return result.rejected(found.status, found.detail)
-        return measured(
-            result, frame, ToolEstimate(found.pose, frame.joints, frame.left.has_plate), tissue.pose
-        )
+    # The shaft's edges and end, the distal marker, and the pose that fits them through the wrist.
+    fit = frame.shaft_pose
+    if isinstance(fit, Failure) and len(frame.left.shaft.contours) == 2:
+        return result.rejected(Status.UNCERTAIN, fit.reason)
+    if isinstance(fit, ImagePose):
+        result = with_detections(result, fit.gating)
+    found = certain(frame, fit, frame.arm.profile.settings.shaft.max_position_std_m)
+    if isinstance(found, Rejection):
+        return result.rejected(found.status, found.detail)
+    return measured(result, frame, ToolEstimate(found.pose, frame.joints, frame.left.has_plate), tissue.pose)
 
 
-class StereoEstimator:
-    """`--method stereo`. Keeps no state between frames."""
+def by_both_views(frame: Frame) -> FrameResult:
+    """`--method stereo`; a frame that cannot be measured says why."""
+    # The tissue's outline in the left view, and the pair's geometry.
+    result, tissue, pair = with_tissue(frame), frame.scene.tissue, frame.scene.stereo_pair
+    if tissue is None or tissue.pose is None:
+        return result
+    if isinstance(pair, Failure):
+        return result.rejected(Status.NO_STEREO, pair.reason)
 
-    name = "stereo"
-    keeps_state = False
+    # The tool: its distal marker in both views, and the shaft's direction.
+    profile = frame.arm.profile
+    has_sizes = profile.segmentation.shaft is not None and profile.instrument is not None
+    located = frame.pair_pose if has_sizes else _triangulated(frame)
+    if isinstance(located, ImagePose):
+        result = with_detections(result, located.gating)
+    max_std_m = profile.settings.stereo.max_depth_std_m
+    found = located if isinstance(located, Rejection) else certain(frame, located, max_std_m)
+    if isinstance(found, Rejection):
+        return result.rejected(found.status, found.detail)
 
-    def __init__(self, arm: Arm) -> None:
-        profile = arm.profile
-        require_tissue(profile)
-        self._chain = arm.required_chain
-        self._profile = profile
-        self._uses_shaft = profile.segmentation.shaft is not None and profile.instrument is not None
-        parts = ("distal_marker", "shaft") if self._uses_shaft else ("distal_marker",)
-        views = tuple(f"{view}.{part}" for part in parts for view in ("left", "right"))
-        self.needs = Needs(("tissue", "stereo_surface", "left.tags"), views, right_view=True)
+    # The tissue's surface, and the distances. A surface by stereo has its own error in place of the dome's.
+    seen = surface_by_stereo(frame, tissue.pose)
+    tool = ToolEstimate(found.pose, frame.joints, frame.left.has_plate)
+    if seen is not None:
+        return _to_tissue(result, frame, tool, seen, tissue.pose)
+    if not found.is_by_right_view:
+        said = "the right view shows neither the instrument nor the tissue's surface"
+        return result.rejected(Status.NO_STEREO, said)
+    said = "the views do not agree on the tissue's surface: the profile's is used"
+    return measured(replace(result, detail=said), frame, tool, tissue.pose)
 
-    def estimate(self, frame: Frame) -> FrameResult:
-        """Measure one frame; a frame that cannot be measured says why."""
-        # The tissue's outline in the left view, and the pair's geometry.
-        result, tissue, pair = with_tissue(frame), frame.scene.tissue, frame.scene.stereo_pair
-        if tissue is None or tissue.pose is None:
-            return result
-        if isinstance(pair, Failure):
-            return result.rejected(Status.NO_STEREO, pair.reason)
 
-        # The tool: its distal marker in both views, and the shaft's direction.
-        located = frame.pair_pose if self._uses_shaft else self._triangulated(frame)
-        if isinstance(located, ImagePose):
-            result = with_detections(result, located.gating)
-        max_std_m = self._profile.settings.stereo.max_depth_std_m
-        found = located if isinstance(located, Rejection) else certain(frame, located, max_std_m)
-        if isinstance(found, Rejection):
-            return result.rejected(found.status, found.detail)
-
-        # The tissue's surface, and the distances. A surface by stereo has its own error in place of the dome's.
-        seen = surface_by_stereo(frame, tissue.pose)
-        tool = ToolEstimate(found.pose, frame.joints, frame.left.has_plate)
-        if seen is not None:
-            return _to_tissue(result, frame, tool, seen, tissue.pose)
-        if not found.is_by_right_view:
-            said = "the right view shows neither the instrument nor the tissue's surface"
-            return result.rejected(Status.NO_STEREO, said)
-        said = "the views do not agree on the tissue's surface: the profile's is used"
-        return measured(replace(result, detail=said), frame, tool, tissue.pose)
-
-    def _triangulated(self, frame: Frame) -> ImagePose | Rejection | Failure:
-        """Without sizes of a shaft: the triangulated marker, with the nominal orientation."""
-        robot, nominal = frame.robot_in_camera, ANY_ORIENTATION
-        if not isinstance(robot, Failure):
-            nominal = nominal_tool(self._chain, self._profile.kinematic_error, robot)
-        pose = triangulated_tool(frame, nominal)
-        if isinstance(pose, Failure):
-            return pose
-        if isinstance(robot, Failure):  # a place, and no direction
-            return Rejection(frame.stamp_ns, Status.NO_JOINTS, robot.reason)
-        return ImagePose(pose, (DISPARITY,), "")
+def _triangulated(frame: Frame) -> ImagePose | Rejection | Failure:
+    """Without sizes of a shaft: the triangulated marker, with the nominal orientation."""
+    robot, nominal = frame.robot_in_camera, ANY_ORIENTATION
+    if not isinstance(robot, Failure):
+        nominal = _nominal(frame, robot)
+    pose = triangulated_tool(frame, nominal)
+    if isinstance(pose, Failure):
+        return pose
+    if isinstance(robot, Failure):  # a place, and no direction
+        return Rejection(frame.stamp_ns, Status.NO_JOINTS, robot.reason)
+    return ImagePose(pose, (DISPARITY,), "")
 
 
 ANY_ORIENTATION = ToolPose(np.eye(4), np.eye(6), np.array([1.0, 0.0, 0.0]))

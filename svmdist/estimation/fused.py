@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from svmdist.estimation.distances import measured, with_tissue, with_tool
-from svmdist.estimation.frame import Frame, Needs
+from svmdist.estimation.frame import Frame
 from svmdist.estimation.frame_methods import certain, tool_from_tag
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound, with_detections
 from svmdist.estimation.instrument.distal_marker import Expected, MarkerPair, pair_markers
@@ -40,14 +40,6 @@ class FusedEstimator:
     several frames, or as many as agreed before: the filter then takes the start that prior and measurements make the
     most probable.
     """
-
-    name = "fused"
-    keeps_state = True
-    needs = Needs(
-        scene=("tissue", "left.tags", "stereo_surface"),
-        frame=("left.distal_marker", "right.distal_marker", "left.shaft"),
-        right_view=True,
-    )
 
     def __init__(self, arm: Arm) -> None:
         profile = arm.profile

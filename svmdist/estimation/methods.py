@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
-from typing import Any, Literal, Protocol, cast
+from typing import Any, Literal
 
-from svmdist.errors import UsageError, did_you_mean
+from svmdist.errors import ProfileError, UsageError, did_you_mean
 from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.plane_mapping import PlaneMapping
 from svmdist.estimation.scene import Arm
+from svmdist.estimation.tissue.detection import require_tissue
+from svmdist.profile import Profile
 from svmdist.results import FrameResult
 
 
-class Estimator(Protocol):
-    """What every method is.
+@dataclass
+class Estimator:
+    """What measures frames by one method.
 
-    Its name; the detections that it always asks for, so that they may be computed ahead; and whether a result depends
-    on earlier frames: without state, frames may be measured in any order.
+    Its name; the detections that it always asks for, so that they may be computed ahead; whether a result depends on
+    earlier frames: without state, frames may be measured in any order. A frame that cannot be measured is an outcome,
+    not an exception.
     """
 
     name: str
     needs: Needs
     keeps_state: bool
-
-    def estimate(self, frame: Frame) -> FrameResult:
-        """Measure one frame. A frame that cannot be measured is an outcome, not an exception."""
+    estimate: Callable[[Frame], FrameResult]
 
 
 Topic = Literal["camera_to_base", "joints", "right_image", "robot"]
@@ -38,59 +42,75 @@ Phase = PaperPhase | Literal["edges and tip", "tip", "tag", "surface", "distance
 
 @dataclass(frozen=True)
 class Method:
-    """One method; `estimator` is the class, by its path in this package, imported when it is made."""
+    """One method, by the path of what measures in this package, which is imported when an estimator is made.
+
+    That is a function of a frame, with the mapping from pixels to the paper's plane for one that measures in it only;
+    for one that `keeps_state` a class, made for an arm.
+    """
 
     name: str
-    estimator: str
+    measures: str
     inputs: tuple[Input, ...]
     draws: tuple[Phase, ...]
-    is_planar: bool = False  # in the paper's plane only: it needs the mapping from pixels to it
+    needs: Needs
+    is_planar: bool = False
+    keeps_state: bool = False
 
 
+OF_BOTH = ("left.distal_marker", "right.distal_marker", "left.shaft", "right.shaft")
 _TABLE = (
     Method(
         "overlay",
-        "planar.OverlayEstimator",
+        "planar.by_overlay",
         ("calibration",),
         ("segmentation", "contours", "marker", "matches", "outline and distance"),
+        Needs(frame=("left.regions_as_recorded",), robot=False),
         is_planar=True,
     ),
     Method(
         "centroid",
-        "planar.CentroidEstimator",
+        "planar.by_centroid",
         ("calibration",),
         ("segmentation", "contours", "distance"),
+        Needs(frame=("left.regions_as_recorded",), robot=False),
         is_planar=True,
     ),
     Method(
         "fiducial",
-        "frame_methods.FiducialEstimator",
+        "frame_methods.by_tag",
         ("joints", "fiducial", "tissue", "tag"),
         ("segmentation", "tag", "distance", "side view"),
+        Needs(("tissue", "left.tags"), ("tag",)),
     ),
     Method(
         "shaft",
-        "frame_methods.ShaftEstimator",
+        "frame_methods.by_shaft",
         ("shaft", "instrument", "robot", "tissue"),
         ("segmentation", "edges and tip", "distance", "side view"),
+        Needs(("tissue", "left.tags"), ("shaft_pose",)),
     ),
     Method(
         "stereo",
-        "frame_methods.StereoEstimator",
+        "frame_methods.by_both_views",
         ("right_image", "robot", "tissue"),
         ("segmentation", "tip", "surface", "distance", "side view"),
+        Needs(("tissue", "stereo_surface", "left.tags"), OF_BOTH, right_view=True),
     ),
     Method(
         "kinematic",
         "frame_methods.KinematicEstimator",
         ("joints", "camera_to_base", "tissue"),
         ("segmentation", "distance", "side view"),
+        Needs(("tissue",)),
+        keeps_state=True,
     ),
     Method(
         "fused",
         "fused.FusedEstimator",
         ("joints", "camera_to_base", "tissue"),
         ("segmentation", "edges and tip", "tag", "surface", "distance", "side view"),
+        Needs(("tissue", "left.tags", "stereo_surface"), OF_BOTH[:3], right_view=True),
+        keeps_state=True,
     ),
 )
 
@@ -101,12 +121,38 @@ SPATIAL_METHODS = tuple(method.name for method in _TABLE if not method.is_planar
 
 
 def make_estimator(name: str, arm: Arm, mapping: PlaneMapping | None = None) -> Estimator:
-    """Make the estimator of that name; raises UsageError for an unknown name, or a planar one without mapping."""
+    """Make the estimator of that name; raises UsageError for an unknown name, or a planar one without mapping.
+
+    Raises ProfileError where the profile has not what the method needs.
+    """
     if name not in REGISTRY:
         raise UsageError(f"no method {name}: {did_you_mean(name, METHODS)}")
     method = REGISTRY[name]
     if method.is_planar and mapping is None:
         raise UsageError(f"method {name} is planar: it needs a calibration")
-    module, _, kind = method.estimator.rpartition(".")
-    make: Any = getattr(import_module(f"svmdist.estimation.{module}"), kind)
-    return cast("Estimator", make(arm, mapping) if method.is_planar else make(arm))
+    _require_inputs(method, arm.profile)
+    module, _, kind = method.measures.rpartition(".")
+    measures: Any = getattr(import_module(f"svmdist.estimation.{module}"), kind)
+    if method.keeps_state:
+        measures = measures(arm).estimate
+    elif method.is_planar:
+        measures = partial(measures, mapping=mapping)
+    return Estimator(name, method.needs, method.keeps_state, measures)
+
+
+def _require_inputs(method: Method, profile: Profile) -> None:
+    """Raise ProfileError where a table is missing in the profile; what a log lacks is an outcome of its frames."""
+    tables: dict[Input, tuple[str, object]] = {
+        "joints": ("robot", profile.robot),
+        "robot": ("robot", profile.robot),
+        "instrument": ("instrument", profile.instrument),
+        "fiducial": ("fiducial", profile.fiducial),
+        "shaft": ("segmentation.shaft", profile.segmentation.shaft),
+    }
+    of_method = [tables[one] for one in method.inputs if one in tables]
+    if lacks := [f"[{table}]" for table, found in of_method if found is None]:
+        raise ProfileError(
+            f"profile {profile.name} has no {', no '.join(lacks)}: {method.name} measures by it"
+        )
+    if "tissue" in method.inputs:
+        require_tissue(profile)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.estimation.frame import Frame, Needs
+from svmdist.estimation.frame import Frame
 from svmdist.estimation.plane_mapping import PlaneMapping, planar_distance_m
-from svmdist.estimation.scene import Arm
 from svmdist.profile import Features as FeatureRules
 from svmdist.profile import Marker
 from svmdist.profile.settings import OutlineSettings
@@ -60,7 +60,8 @@ def in_plane(result: FrameResult, tool_px: Array, tissue_px: Array, mapping: Pla
 SUBPIXEL_BITS = 4  # OpenCV draws at 1/16 px with this shift
 
 
-def template_features(marker: Marker, rules: FeatureRules) -> Features:
+@lru_cache(8)
+def _template(marker: Marker, rules: FeatureRules) -> Features:
     """ORB features of the marker itself, in px of the marker."""
     features = detect_orb(padded_template(marker.size_px, EDGE_MARGIN_PX), rules.feature_count)
     return replace(features, points_px=features.points_px - EDGE_MARGIN_PX)
@@ -83,14 +84,14 @@ class MarkerSearch:
     corners_px: Array | None = None
 
 
-def search_marker(frame: Frame, centre_px: Array, template: Features) -> MarkerSearch:
+def search_marker(frame: Frame, centre_px: Array) -> MarkerSearch:
     """Paste the marker about `centre_px`, (2,), and find it again: features, matches, homography."""
     profile = frame.arm.profile
     size_px, rules = profile.marker.size_px, profile.features
     image_bgr = frame.left.context.bgr_as_recorded
     window_bgr, origin_px = paste_marker(image_bgr, centre_px, size_px, EDGE_MARGIN_PX)
     features = detect_orb(to_grey(window_bgr), rules.feature_count)
-    matches = match_features(template, features, rules.ratio)
+    matches = match_features(_template(profile.marker, rules), features, rules.ratio)
     found = MarkerSearch(window_bgr, origin_px, features, matches, np.zeros(len(matches), np.bool_))
     if len(matches) < rules.min_match_count:
         return found
@@ -121,59 +122,38 @@ def third_contour(
     return replace(region, centroid_px=region.centroid_px + low, hull=region.hull + low.astype(np.int32))
 
 
-class OverlayEstimator:
-    """`--method overlay`: the paper's three phases. Keeps no state between frames."""
+def by_overlay(frame: Frame, mapping: PlaneMapping) -> FrameResult:
+    """`--method overlay`: the paper's three phases."""
+    # First phase: tissue, instrument, marker on the instrument.
+    profile = frame.arm.profile
+    result, tissue, instrument = locate(frame)
+    if tissue is None or instrument is None:
+        return result
 
-    name = "overlay"
-    needs = Needs(frame=("left.regions_as_recorded",), robot=False)
-    keeps_state = False
+    # Second phase: features, matches, homography, outline.
+    found = search_marker(frame, instrument.centroid_px)
+    result = result.with_image(keypoint_count=len(found.features))
+    if len(found.features) == 0:
+        return result.rejected(Status.NO_FEATURES)
+    result = result.with_image(match_count=len(found.matches))
+    if len(found.matches) < profile.features.min_match_count:
+        return result.rejected(Status.TOO_FEW_MATCHES)
+    if found.corners_px is None:
+        return result.rejected(Status.NO_HOMOGRAPHY)
+    result = result.with_image(inlier_count=int(np.count_nonzero(found.inliers)))
 
-    def __init__(self, arm: Arm, mapping: PlaneMapping) -> None:
-        self._profile = arm.profile
-        self._mapping = mapping
-        self._template = template_features(arm.profile.marker, arm.profile.features)
-
-    def estimate(self, frame: Frame) -> FrameResult:
-        """Measure one frame; a frame that cannot be measured says why."""
-        # First phase: tissue, instrument, marker on the instrument.
-        result, tissue, instrument = locate(frame)
-        if tissue is None or instrument is None:
-            return result
-
-        # Second phase: features, matches, homography, outline.
-        found = search_marker(frame, instrument.centroid_px, self._template)
-        result = result.with_image(keypoint_count=len(found.features))
-        if len(found.features) == 0:
-            return result.rejected(Status.NO_FEATURES)
-        result = result.with_image(match_count=len(found.matches))
-        if len(found.matches) < self._profile.features.min_match_count:
-            return result.rejected(Status.TOO_FEW_MATCHES)
-        if found.corners_px is None:
-            return result.rejected(Status.NO_HOMOGRAPHY)
-        result = result.with_image(inlier_count=int(np.count_nonzero(found.inliers)))
-
-        # Final phase: third contour, both places to the plane, and the distance between them.
-        marker, settings = self._profile.marker, self._profile.settings
-        outline = third_contour(found.window_bgr, found.corners_px, marker, settings.outline)
-        if outline is None:
-            return result.rejected(Status.NO_OUTLINE)
-        tool_px = outline.centroid_px + found.origin_px
-        return in_plane(result, tool_px, tissue.centroid_px, self._mapping)
+    # Final phase: third contour, both places to the plane, and the distance between them.
+    marker, settings = profile.marker, profile.settings
+    outline = third_contour(found.window_bgr, found.corners_px, marker, settings.outline)
+    if outline is None:
+        return result.rejected(Status.NO_OUTLINE)
+    tool_px = outline.centroid_px + found.origin_px
+    return in_plane(result, tool_px, tissue.centroid_px, mapping)
 
 
-class CentroidEstimator:
-    """`--method centroid`: the instrument's centroid is the tool's position. Keeps no state between frames."""
-
-    name = "centroid"
-    needs = Needs(frame=("left.regions_as_recorded",), robot=False)
-    keeps_state = False
-
-    def __init__(self, _: Arm, mapping: PlaneMapping) -> None:
-        self._mapping = mapping
-
-    def estimate(self, frame: Frame) -> FrameResult:
-        """Measure one frame; a frame that cannot be measured says why."""
-        result, tissue, instrument = locate(frame)
-        if tissue is None or instrument is None:
-            return result
-        return in_plane(result, instrument.centroid_px, tissue.centroid_px, self._mapping)
+def by_centroid(frame: Frame, mapping: PlaneMapping) -> FrameResult:
+    """`--method centroid`: the instrument's centroid is the tool's position."""
+    result, tissue, instrument = locate(frame)
+    if tissue is None or instrument is None:
+        return result
+    return in_plane(result, instrument.centroid_px, tissue.centroid_px, mapping)

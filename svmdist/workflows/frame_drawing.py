@@ -15,7 +15,7 @@ from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.model import shaft_sections
 from svmdist.estimation.instrument.shaft_detection import DistalMarker
-from svmdist.estimation.planar import MarkerSearch, search_marker, template_features
+from svmdist.estimation.planar import MarkerSearch, search_marker
 from svmdist.recording.log import Recording
 from svmdist.results import Distance, FrameResult
 from svmdist.samples import Image, Status
@@ -204,8 +204,7 @@ def virtual_marker(frame: Frame) -> MarkerSearch | None:
     tissue, instrument = vars(frame.left).get("regions_as_recorded") or (None, None)
     if tissue is None or instrument is None:
         return None
-    template = template_features(frame.arm.profile.marker, frame.arm.profile.features)
-    return search_marker(frame, instrument.centroid_px, template)
+    return search_marker(frame, instrument.centroid_px)
 
 
 def _shown_distance(result: FrameResult) -> tuple[str, Distance] | None:

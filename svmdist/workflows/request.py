@@ -175,7 +175,7 @@ class Setup:
         if self.calibration is not None:
             self.calibration.require_camera(recording.logged_camera, recording.name)
 
-    def estimator_for(self, arm: Arm) -> Estimator:
+    def estimator_for(self, arm: Arm) -> Estimator | OwnEstimator:
         """Make the estimator of one instrument."""
         return OwnEstimator(self.own) if self.own else make_estimator(self.method, arm, self.mapping)
 
