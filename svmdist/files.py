@@ -6,6 +6,7 @@ import codecs
 import errno
 import io
 import os
+import re
 import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -21,6 +22,7 @@ ASCII = str.maketrans(
     dict(zip("─–—−µ×’“”\N{REPLACEMENT CHARACTER}", '----ux\'""?', strict=True))
     | {"…": "...", "±": "+-", "°": " deg", "²": "2", "³": "3", "≥": ">=", "≤": "<=", "→": "->"}
 )
+COLLAPSED_URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:/")  # as a Path has it; C:/ is a drive
 FALLBACK = "svmdist.fallback"  # for `errors=` of a text stream: writing never fails for want of a character
 
 
@@ -48,12 +50,17 @@ def nearest_file(path: str | bytes | os.PathLike[str]) -> str:
     """What a file that is not there may be instead, as the end of a sentence; empty where nothing is alike."""
     from difflib import get_close_matches
 
-    folder, name = os.path.split(os.path.abspath(os.fsdecode(path)))
+    path = os.fsdecode(path)
+    if COLLAPSED_URL.match(path):
+        return ": a URL, which only logs may be; fetch the file first"
+    if os.path.islink(path):
+        return f": it is a link to {os.readlink(path)}"
+    folder, name = os.path.split(os.path.abspath(path))
     if not os.path.isdir(folder):
         return f": there is no folder {folder}"
     with suppress(OSError):
         if near := get_close_matches(name, os.listdir(folder), n=1, cutoff=0.8):
-            return f": did you mean {os.path.join(os.path.dirname(os.fsdecode(path)), near[0])}?"
+            return f": did you mean {os.path.join(os.path.dirname(path), near[0])}?"
     return ""
 
 

@@ -37,6 +37,7 @@ HEIGHT_KEYS = ("image_height", "height", "image_Height")
 PAIR_K_KEYS = (("M1", "M2"), ("K1", "K2"), ("cameraMatrix1", "cameraMatrix2"))
 PAIR_D_KEYS = tuple(tuple(f"{key}{side}" for key in D_KEYS) for side in "12")
 FORMS = "camera_info of ROS (camera_matrix or K), OpenCV (camera_matrix, or M1, D1, M2, D2, R, T), Kalibr (cam0, cam1)"
+TO_FORM = f"expected {FORMS}; or give --camera FX,FY,CX,CY"
 PLAUSIBLE_BASELINE_M = (2e-4, 1.0)
 """An endoscope's is about 5 mm; beyond these bounds the unit is another one."""
 MAX_NUMBER = 1e9
@@ -213,10 +214,10 @@ def read_calibration(path: Path, unit_m: float = 1.0) -> tuple[StatedCamera, ...
             form, read = "an XML", _xml_document
         document = read(text)
     except (yaml.YAMLError, SyntaxError, ValueError, AssertionError, RecursionError) as problem:
-        raise SourceError(f"{path}: not {form} file: {' '.join(str(problem).split())}") from None
+        raise SourceError(f"{path}: not {form} file: {' '.join(str(problem).split())}; {TO_FORM}") from None
     try:
         if not isinstance(document, dict):
-            raise ValueError(f"expected a YAML mapping of a calibration, found {type(document).__name__}")
+            raise ValueError(f"no calibration that is known; {TO_FORM}; found {str(document)[:40]!r}")
         return _cameras_in({str(key): value for key, value in document.items()}, unit_m)
     except ValueError as problem:
         raise SourceError(f"{path}: {problem}") from None
@@ -258,7 +259,7 @@ def _cameras_in(document: Document, unit_m: float) -> tuple[StatedCamera, ...]:
             return _rectified(left, right, R, t * unit_m)
     if not set(K_KEYS) & set(document):
         found = ", ".join(sorted(document)[:8]) or "nothing"
-        raise ValueError(f"no calibration that is known; expected {FORMS}; found the keys {found}")
+        raise ValueError(f"no calibration that is known; {TO_FORM}; found the keys {found}")
     model = str(document.get("distortion_model", document.get("camera_model", "")))
     camera = _camera(document, K_KEYS, D_KEYS, model, size_px)
     P = _numbers(document, ("projection_matrix", "P", "p"), (3, 4))
@@ -312,6 +313,8 @@ def _camera(document: Document, K_keys: Keys, D_keys: Keys, model: str, size_px:
     if K is None or not (K[0, 0] > 0 and K[1, 1] > 0):
         found = "no camera matrix" if K is None else f"fx = {K[0, 0]:g}, fy = {K[1, 1]:g}"
         raise ValueError(f"the camera is not calibrated: {found}")
+    if not np.allclose(K[2], [0.0, 0.0, 1.0]):
+        raise ValueError(f"expected 0 0 1 in the last row of K, found {K[2]}: transpose a matrix of MATLAB")
     return StatedCamera(K, D, _model_of("" if model == "pinhole" else model, D.size), size_px)
 
 

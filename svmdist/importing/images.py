@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,10 @@ def list_images(folder: Path, pattern: str | None = None) -> list[Path]:
     """The images of a folder, by a pattern such as `*_L.jpg`, in natural order."""
     with reading(folder, SourceError):
         every = sorted(folder.iterdir(), key=_natural_key)
-        images = [path for path in every if path.suffix.lower() in SUFFIXES and path.is_file()]
+        shown = [
+            path for path in every if not path.name.startswith(".")
+        ]  # `._1.png` is macOS's, of no picture
+        images = [path for path in shown if path.suffix.lower() in SUFFIXES and not path.is_dir()]
         folders = [path.name for path in every if path.is_dir()]
     if not images:
         found = f"{len(every)} other files" if every else "nothing"
@@ -39,11 +43,13 @@ def list_images(folder: Path, pattern: str | None = None) -> list[Path]:
 def require_one_view(images: Sequence[Path]) -> None:
     """Raise SourceError where the names are of both views: they differ in numbers, and in a left and a right.
 
-    The last of several numbers is the view's where it is 0 or 1 in all names, or 1 or 2, as in `0007_cam1.png`.
+    The last of several numbers is the view's where it is 0 or 1 in all names, or 1 or 2, as in `0007_cam1.png`. Names
+    that are the same up to their last digit are an image and its mask, or one in two formats, and refused, too.
     """
     last = [DIGITS.findall(path.stem)[1:][-1:] for path in images]
     is_side = len(images) > 2 and {tuple(map(int, one)) for one in last} in ({(0,), (1,)}, {(1,), (2,)})
     found: dict[str, tuple[list[str], Path]] = {}
+    by_start: dict[str, Path] = {}
     for path, number in zip(images, last, strict=True):
         sides = [side[0].lower() for side in SIDE.findall(path.stem)] + number * is_side
         before, other = found.setdefault(DIGITS.sub("#", SIDE.sub("*", path.stem)), (sides, path))
@@ -52,6 +58,10 @@ def require_one_view(images: Sequence[Path]) -> None:
                 f"{path.parent}: {other.name} and {path.name} are of two views: choose those of one by --pattern,"
                 " and those of the right one by --right-pattern"
             )
+        start = re.match(r".*\d", path.stem)
+        if start and (twin := by_start.setdefault(start[0], path)) is not path:
+            same = f"{twin.name} and {path.name} have the same number"
+            raise SourceError(f"{path.parent}: {same}: choose images of one kind by --pattern")
 
 
 def matching(left: Sequence[Path], right: Sequence[Path]) -> list[Path]:
@@ -78,6 +88,16 @@ def numbers_of(names: Sequence[str]) -> dict[int, int]:
     """The place of each image by its number; empty where two have the same, or one has none."""
     places = {number: at for at, number in enumerate(_numbers(names)) if isinstance(number, int)}
     return places if len(places) == len(names) else {}
+
+
+def missing_numbers(names: Sequence[str]) -> str:
+    """Between which names numbers are missing that stand nearer to each other elsewhere, in words; else ""."""
+    numbers = [*numbers_of(names)]
+    steps = [later - number for number, later in pairwise(numbers)]
+    if min(steps, default=0) <= 0 or len(set(steps)) == 1:
+        return ""
+    at = steps.index(max(steps))
+    return f"numbers are missing, as between {names[at]} and {names[at + 1]}"
 
 
 def _numbers(names: Sequence[str]) -> list[int | str]:

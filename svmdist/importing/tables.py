@@ -1,7 +1,7 @@
 """Tables of times, poses and joints that other programs write, and the time stamps of images.
 
-A table has cells between commas, semicolons, tabs or blanks, and names of columns in its first row or in a comment, or
-none. Rows without a time belong to the images, one each or by name.
+A table has cells between commas, semicolons, tabs, bars or blanks, and names of columns in its first row or in a
+comment, or none. Rows without a time belong to the images, one each or by name.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def parse_stamp_ns(text: str, unit: str | None = None) -> int:
     except InvalidOperation:
         value = Decimal("nan")
     if not value.is_finite():
-        raise ValueError(f"expected a time, found {text[:40]!r}")
+        raise ValueError(f"expected a time as a number, found {text[:40]!r}")
     if unit is None:
         sizes = (("ns", 10**17), ("us", 10**14), ("ms", 10**11))
         unit = next((name for name, least in sizes if value >= least), "s")
@@ -260,7 +260,7 @@ def read_table(path: Path) -> Table:
     lines = [(number, line) for number, line in written if not line.lstrip().startswith("#")]
     if not lines:
         raise SourceError(f"{path}: an empty table")
-    mark = next((mark for mark in (",", ";", "\t") if mark in lines[0][1]), None)
+    mark = next((mark for mark in (",", ";", "\t", "|") if mark in lines[0][1]), None)
 
     def split(line: str) -> list[str]:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=mark))] if mark else line.split()
@@ -280,23 +280,36 @@ def read_table(path: Path) -> Table:
     return Table(path, None if names is None else tuple(names), tuple(map(tuple, rows)), lines[0][0])
 
 
-def require_common_time(path: Path, stamps_ns: Stamps, images_ns: Sequence[int]) -> None:
-    """Raise SourceError where no row of a table is within `MAX_GAP_NS` of an image: their clocks are others."""
+def require_common_time(path: Path, stamps_ns: Stamps, images_ns: Sequence[int]) -> str:
+    """Raise SourceError where no row of a table is within `MAX_GAP_NS` of an image: their clocks or units are others.
+
+    Says so in words where less than half of the images have a row; else "".
+    """
     images, padded_ns = np.array(images_ns, np.int64), np.pad(stamps_ns, 1, mode="edge")
     before = np.searchsorted(stamps_ns, images)
-    if min(np.abs(padded_ns[before + side] - images).min() for side in (0, 1)) > MAX_GAP_NS:
-        table, pictures = (f"{one[0] / 1e9:.3f} s to {one[-1] / 1e9:.3f} s" for one in (stamps_ns, images))
-        raise SourceError(
-            f"{path}: no row is within {MAX_GAP_NS / 1e9:g} s of an image: its times are {table}, those of the images"
-            f" {pictures}; give both by one clock"
-        )
+    apart_ns = np.minimum(*(np.abs(padded_ns[before + side] - images) for side in (0, 1)))
+    near_count = int(np.count_nonzero(apart_ns <= MAX_GAP_NS))
+    table, pictures = (f"{one[0] / 1e9:.3f} s to {one[-1] / 1e9:.3f} s" for one in (stamps_ns, images))
+    within = f"within {MAX_GAP_NS / 1e9:g} s of"
+    times = (
+        f"its times are {table}, those of the images {pictures}; give both by one clock, and behind a column's name its"
+        " unit, if not s: time_ms, time_ns"
+    )
+    if not near_count:
+        raise SourceError(f"{path}: no row is {within} an image: {times}")
+    few = f"{path}: rows are {within} only {near_count} of {len(images)} images: {times}"
+    return few if 2 * near_count < len(images) else ""
 
 
 def _looks_named(rows: Sequence[Sequence[str]]) -> bool:
-    """Whether the first row names columns: one of its cells is text where the next row has a number."""
+    """Whether the first row names columns: one of its cells is text where the next row has a number.
+
+    That of decimal commas is one, too: the row is at fault then, not the names.
+    """
     if len(rows) == 1:
         return not any(map(is_number, rows[0]))
-    return any(not is_number(first) and is_number(second) for first, second in zip(*rows[:2], strict=False))
+    pairs = zip(*rows[:2], strict=False)
+    return any(not is_number(first) and is_number(second.replace(",", ".")) for first, second in pairs)
 
 
 def is_number(text: str) -> bool:

@@ -111,7 +111,7 @@ def parse_toml(path: Path, model: type[Model], error: type[SvmdistError]) -> Mod
     """Read a TOML file into a model; every problem becomes one line that names the file and the key."""
     try:
         with reading(path, error):
-            data = tomllib.loads(read_regular(path, MAX_FILE_BYTES).decode("utf-8"))
+            data = tomllib.loads(read_regular(path, MAX_FILE_BYTES).decode("utf-8-sig"))
     except UnicodeDecodeError as problem:
         raise error(f"{path}: not a TOML file: byte {problem.start} is not UTF-8") from None
     except RecursionError:

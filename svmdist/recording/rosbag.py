@@ -100,7 +100,7 @@ class FolderSource:
         self.path: LogPath = path
         self.health = source.Health()
         self._message_bytes = 4 * limits.image_pixels + limits.message_bytes
-        names, self._declared, self._is_compressed, storage = _read_metadata(path)
+        names, self._declared, self._is_compressed = _read_metadata(path)
         if packed := [name for name in names if name.endswith(".zstd")]:
             raise RecordingError(
                 f"{path}: its files are compressed as a whole; expand them first: zstd -d {source.sanitize(packed[0])}"
@@ -114,8 +114,10 @@ class FolderSource:
                 mcap = file.suffix == ".mcap"
                 self._parts.append(McapSource(file, limits) if mcap else BagSource(file, "cdr"))
         if not self._parts:
+            there = source.sanitize_list(sorted(file.name for file in path.iterdir()))
             raise RecordingError(
-                f"{path}: a rosbag2 folder without any .mcap or .db3 file; its storage is {source.sanitize(storage)}"
+                f"{path}: expected a .mcap or .db3 file that {source.METADATA_FILE} names, as"
+                f" {source.sanitize_list(names)}; found {there}"
             )
         for part in self._parts:
             self.health.join(part.health)
@@ -154,8 +156,8 @@ class FolderSource:
                 self.health.lose(source.LossKind.STATISTICS, detail, None, topic)
 
 
-def _read_metadata(folder: Path) -> tuple[list[str], dict[str, int], bool, str]:
-    """Storage files in order, counts of messages by topic, whether these are compressed, and the storage's name."""
+def _read_metadata(folder: Path) -> tuple[list[str], dict[str, int], bool]:
+    """Storage files in order, counts of messages by topic, and whether these are compressed."""
     try:
         document = yaml.safe_load(read_regular(folder / source.METADATA_FILE, METADATA_BYTES))
         known = document["rosbag2_bagfile_information"]
@@ -164,10 +166,12 @@ def _read_metadata(folder: Path) -> tuple[list[str], dict[str, int], bool, str]:
             [Path(name).name for name in known["relative_file_paths"]],
             {str(one["topic_metadata"]["name"]): int(one["message_count"]) for one in counts},
             str(known.get("compression_mode")).upper() == "MESSAGE",
-            str(known.get("storage_identifier")),
         )
     except Exception as problem:  # somebody else's file: anything can be missing, or of another type
-        raise RecordingError(f"{folder}: {source.METADATA_FILE} is not usable: {_line(problem)}") from None
+        expected = "expected rosbag2_bagfile_information with relative_file_paths"
+        raise RecordingError(
+            f"{folder}: {source.METADATA_FILE} is not usable: {expected} ({_line(problem)})"
+        ) from None
 
 
 def _expanded(data: bytes, limit_bytes: int) -> bytes:

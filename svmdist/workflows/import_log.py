@@ -19,10 +19,10 @@ import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import RecordingError, SourceError, SvmdistError, UsageError
-from svmdist.files import nearest_file
+from svmdist.files import nearest_file, open_regular, reading
 from svmdist.importing import tables as table_files
 from svmdist.importing.calibration import CalibrationOptions, Crop, complete, exchanged_names, stated_cameras
-from svmdist.importing.images import Video, list_images, matching, require_one_view
+from svmdist.importing.images import Video, list_images, matching, missing_numbers, require_one_view
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.images import ImageError, decode_still, read_file
 from svmdist.recording.topics import open_source
@@ -122,7 +122,7 @@ def import_log(
     halved = 2 if options.side_by_side else 1
     sizes = [(view.size_px[0] // halved, view.size_px[1]) for view in views] * halved
     cameras = complete(stated, sizes, FRAMES[: options.count], options.calibration.size_px, options.crop)
-    tables = _table_messages(options, dict(zip(views[0].names, views[0].stamps_ns, strict=True)))
+    tables, late = _table_messages(options, dict(zip(views[0].names, views[0].stamps_ns, strict=True)))
     images = [_image_messages(views, at, cameras, options) for at in range(len(views))]
     total = sum(len(range(0, len(view.names), options.every)) for view in views)
     sources = (options.source, options.right, *options.poses.values(), *options.joints.values())
@@ -132,7 +132,11 @@ def import_log(
         "version_svmdist": version("svmdist"),
     }
     T_left_right = stereo_transform(*cameras) if options.count == 2 else None
-    said = [exchanged_names(stated)]
+    said = [exchanged_names(stated), *late]
+    if options.rate_hz is not None and (missing := missing_numbers(views[0].names)):
+        said.append(
+            f"{missing}: by --rate these follow each other as all images do; --times FILE says otherwise"
+        )
     if T_left_right is not None:
         few = islice(_pairs(views, cameras, T_left_right, options), LOOKED_AT)
         compared = compare_views(few, load_profile())
@@ -196,20 +200,24 @@ def _pairs(
                 yield Observation(views[0].stamps_ns[place], images[0], cameras[0], right=right)
 
 
-def _table_messages(options: ImportOptions, images_ns: Mapping[str, int]) -> list[list[Message]]:
+def _table_messages(
+    options: ImportOptions, images_ns: Mapping[str, int]
+) -> tuple[list[list[Message]], list[str]]:
+    """The messages of each table, and in words which have rows near few images."""
     found: list[list[Message]] = []
+    said: list[str] = []
     taken_ns = list(images_ns.values())[:: options.every]
     for name, path in options.poses.items():
         poses = table_files.read_poses(path, images_ns, options.calibration.unit_m, f"{name}_base")
-        table_files.require_common_time(path, poses.stamps_ns, taken_ns)
+        said.append(table_files.require_common_time(path, poses.stamps_ns, taken_ns))
         rows = zip(poses.stamps_ns.tolist(), poses.T_parent_child, strict=True)
         found.append([(ns, f"/{name}/measured_cp", PoseSample(ns, poses.parent, T)) for ns, T in rows])
     for name, path in options.joints.items():
         joints = table_files.read_joints(path, images_ns, options.joint_names)
-        table_files.require_common_time(path, joints.stamps_ns, taken_ns)
+        said.append(table_files.require_common_time(path, joints.stamps_ns, taken_ns))
         rows = zip(joints.stamps_ns.tolist(), joints.positions, strict=True)
         found.append([(ns, f"/{name}/measured_js", JointSample(ns, joints.names, q)) for ns, q in rows])
-    return found
+    return found, said
 
 
 def _open_views(options: ImportOptions) -> list[View]:
@@ -222,6 +230,9 @@ def _open_views(options: ImportOptions) -> list[View]:
     for source in sources:
         if not source.exists():
             raise SourceError(f"{source}: no such folder or video{nearest_file(source)}")
+        if not source.is_dir():
+            with reading(source, SourceError):
+                open_regular(source).close()  # a pipe or a device would be waited for
         if source.is_dir() != options.source.is_dir():
             raise UsageError(
                 f"{source}: {'is' if source.is_dir() else 'is no'} folder, and {options.source}"

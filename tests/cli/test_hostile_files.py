@@ -59,6 +59,7 @@ USES: dict[str, Callable[[Path], list[object]]] = {
     "mesh": as_mesh,
     "network": as_network,
     "recording": lambda path: ["estimate", path],
+    "video": lambda path: ["import", path, "--camera", "60,61,31,23", "-o", "x.mcap"],
     "metadata": lambda path: ["info", path.rename(path.with_name("metadata.yaml")).parent],
     "file of a bag": as_member,
 }
@@ -70,7 +71,7 @@ def test_what_is_no_regular_file_is_not_waited_for(tmp_path, use, kind):
     """A pipe would be waited for without end, and a device fill the memory."""
     done = ended(*USES[use](named(tmp_path, kind, "it")), cwd=tmp_path)
     assert done.returncode == 1
-    said = ("regular file", "without .mcap", "without any .mcap or .db3 file")
+    said = ("regular file", "without .mcap", "expected a .mcap or .db3 file")
     assert any(fragment in done.stderr for fragment in said)
     assert "Traceback" not in done.stderr
 

@@ -99,6 +99,7 @@ def test_stamps():
         ("x,y,z\n", "without rows"),
         ("1,2,3,4,5,6,7\n1,2,3\n", "line 2: expected 7 cells, found 3"),
         ("stamp,x,y,z\n1,2,3,4\n", "no column qx"),
+        ("stamp;x;y\n1,0;2,0;3,0\n4,0;5,0;6,0\n", "line 2: expected a time as a number, found '1,0'"),
         ("stamp,x,y,z,qx,qy,qz,qw\n1,0,0,0,0,0,0,2\n", "line 2: its quaternion has length 2"),
         ("stamp,x,y,z,qx,qy,qz,qw\n2,0,0,0,0,0,0,1\n1,0,0,0,0,0,0,1\n", "line 3: its time"),
         ("stamp,x,y,z,qx,qy,qz,qw\n1,a,0,0,0,0,0,1\n", "line 2: expected a number, found 'a'"),

@@ -118,7 +118,7 @@ def test_an_unsupported_rosbag2_says_what_it_is(folder, profile):
     text = metadata.read_text()
     for changed, reason in (
         (text.replace("a.db3", "a.db3.zstd"), r"zstd -d a\.db3\.zstd"),
-        (text.replace("a.db3", "a.other"), "its storage is sqlite3"),
+        (text.replace("a.db3", "a.other"), r"names, as a\.other; found a\.db3, metadata\.yaml"),
         ("a: [", "metadata.yaml is not usable"),
     ):
         metadata.write_text(changed)

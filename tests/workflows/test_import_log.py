@@ -122,6 +122,18 @@ def test_stamps_of_names_poses_and_joints(tmp_path):
     np.testing.assert_allclose(poses.T_parent_child[:, 0, 3], [0.0, 0.01, 0.02])
 
 
+def test_times_that_may_be_wrong_are_said(tmp_path):
+    """Numbers that are missing among images of one rate, and rows near few of them; hidden files are no images."""
+    for number in (1, 2, 4):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), _picture(number))
+    (tmp_path / "._1.png").write_bytes(b"of macOS")
+    (tmp_path / "joints.csv").write_text("timestamp,yaw\n0,0.1\n1000,0.2\n2000,0.3\n")
+    options = ImportOptions(tmp_path, ONE, rate_hz=1.0, joints={"PSM1": tmp_path / "joints.csv"})
+    rows, numbers = import_log(options, tmp_path / "out.mcap").warnings
+    assert "rows are within 0.1 s of only 1 of 3 images: its times are 0.000 s to 2000.000 s" in rows
+    assert "numbers are missing, as between 2.png and 4.png" in numbers
+
+
 def test_own_stamps_of_both_views(tmp_path):
     """Where the names of both views tell times, each image keeps its own."""
     for side, offset in (("left", 0), ("right", 200_000)):
@@ -273,6 +285,18 @@ WRONG = {
         PAIR,
         "2_L.png and a2_L.png have one last number",
     ),
+    "masks": (
+        ("1.png", "1_mask.png"),
+        {"rate_hz": 1.0},
+        ONE,
+        "1.png and 1_mask.png have the same number: choose images of one kind by --pattern",
+    ),
+    "broken link": (
+        ("1.png link",),
+        {"rate_hz": 1.0},
+        ONE,
+        "1.png: cannot read: No such file or directory: it is a",
+    ),
     "both times": (
         ("1700000000.500_left.png", "1700000000.503_right.png"),
         {},
@@ -292,6 +316,9 @@ WRONG = {
 
 def _write(path: Path, kind: str) -> None:
     path.parent.mkdir(exist_ok=True)
+    if kind == "link":
+        path.symlink_to("nowhere.png")
+        return
     image = _picture(1, int(kind) if kind in ("60", "65") else 64)
     data = cv2.imencode(".png", image.astype(np.uint16) if kind == "16" else image)[1].tobytes()
     if kind == "grey":  # whole by its marks, and half of it is not there
