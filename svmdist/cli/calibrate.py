@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Literal
 
 from svmdist.cli import options, output
 from svmdist.cli.estimate import corrected
-from svmdist.cli.logs import LogOptions, Run, log_losses
-from svmdist.cli.options import FORCE, argument, option
+from svmdist.cli.logs import LogOptions, OneLogOptions, Run, log_losses
+from svmdist.cli.options import FORCE, option
 from svmdist.cli.output import LOG, ExitCode
 from svmdist.errors import RecordingError, UsageError
 from svmdist.report.writers import Holds, Results, choose_writer
@@ -19,6 +19,7 @@ from svmdist.report.writers import Holds, Results, choose_writer
 if TYPE_CHECKING:
     from svmdist.profile import Profile
     from svmdist.recording.log import Recording
+    from svmdist.remote import LogPath
     from svmdist.report.tables import Row
     from svmdist.transforms import Array
     from svmdist.workflows.request import Request
@@ -68,7 +69,9 @@ class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
         return run.exit_code()
 
 
-class HandEye(options.TopicOption, options.InstrumentOption, options.LagOption, options.WindowOptions):
+class HandEye(
+    OneLogOptions, options.TopicOption, options.InstrumentOption, options.LagOption, options.WindowOptions
+):
     """Fit the camera-to-base transform.
 
     The tool as the images show it is compared with the joints or poses that the robot reports. The result has a
@@ -81,7 +84,6 @@ class HandEye(options.TopicOption, options.InstrumentOption, options.LagOption, 
         svmdist estimate log.mcap --method fused --hand-eye hand-eye.toml
     """
 
-    file: Path = argument(..., "FILE", "Recording to fit on.")
     profile: str = options.PROFILE
     method: Literal["fiducial", "stereo", "shaft"] | None = option(
         "--method NAME", "fiducial, stereo or shaft. Default: the first that finds the tool."
@@ -105,16 +107,16 @@ class HandEye(options.TopicOption, options.InstrumentOption, options.LagOption, 
         from svmdist.workflows.calibrate import hand_eye
         from svmdist.workflows.request import Request, prepare
 
-        file, path = self.file, self.output
-        output.require_toml(path, [file], force=self.force)
+        log, path = self.log, self.output
+        output.require_toml(path, [log.path], force=self.force)
         writer = choose_writer(self.form, None, Holds.TABLES)
         lag, window, topics = self.given_lag, self.window, self.topics
-        methods = [self.method] if self.method else _served(file, load_profile(self.profile), topics)
+        methods = [self.method] if self.method else _served(log.path, load_profile(self.profile), topics)
         failures: list[str] = []
         for method in methods:
             setup = prepare(self.profile, method)
             request = Request(setup, topics, window, self.instruments(setup.profile), lag)
-            recording = request.open(file, file.stem)
+            recording = request.open(log.path, log.name)
             seen = corrected(recording, request, self.jobs)
             results = []
             for name in recording.measured:
@@ -127,7 +129,7 @@ class HandEye(options.TopicOption, options.InstrumentOption, options.LagOption, 
             if results:
                 break
         else:
-            raise RecordingError(f"{file}: no transform can be estimated: {'; '.join(failures)}")
+            raise RecordingError(f"{log.path}: no transform can be estimated: {'; '.join(failures)}")
         output.write_results(hand_eye_results(results), writer, None)
         for failure in failures:
             LOG.info("note: %s", failure)
@@ -137,7 +139,7 @@ class HandEye(options.TopicOption, options.InstrumentOption, options.LagOption, 
         return log_losses(recording.path, recording.health)
 
 
-def _served(file: Path, profile: Profile, topics: dict[str, str]) -> list[str]:
+def _served(file: LogPath, profile: Profile, topics: dict[str, str]) -> list[str]:
     """The methods that log and profile serve, the surest first; RecordingError where there is none."""
     from svmdist.recording.log import open_recording
     from svmdist.recording.summary import inspect_recording

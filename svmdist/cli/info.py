@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from svmdist.cli import options, output
-from svmdist.cli.logs import LogOptions, Run
-from svmdist.cli.options import FORCE, argument, option
+from svmdist.cli.logs import LogOptions, OneLogOptions, Run
+from svmdist.cli.options import FORCE, option
 from svmdist.cli.output import LOG, ExitCode
 from svmdist.errors import RecordingError, SvmdistError
 from svmdist.report.writers import Holds
@@ -121,7 +121,7 @@ def compared_rows(recording: Recording, _request: Request, _threads: int) -> lis
         return list(check_rows(recording.name, check_log(recording)))
 
 
-class New(options.TopicOption):
+class New(OneLogOptions, options.TopicOption):
     """Write a commented profile from a log.
 
     It has the log's topics, frames and instruments, a chain that fits its joints, an instrument's sizes, colours where
@@ -137,7 +137,6 @@ class New(options.TopicOption):
         svmdist profile new log.mcap --topic image=/left/image_raw
     """
 
-    file: Path = argument(..., "FILE", "Log to look at.")
     name: str | None = option("--name NAME", "Name of the profile. Default: that of the log.")
     instrument: str | None = option(
         "--instrument NAME",
@@ -157,15 +156,15 @@ class New(options.TopicOption):
         from svmdist.workflows.check import check_log, warning
         from svmdist.workflows.new_profile import draft_profile
 
-        output.require_toml(self.output, [self.file], force=self.force)
+        output.require_toml(self.output, [self.log.path], force=self.force)
         if self.instrument is not None:
             instrument_sizes(self.instrument)
-        name = self.name or self.file.resolve().stem
-        with output.progress_bar(f"looking at {self.file.name}"):
-            draft = draft_profile(self.file, name, self.topics, self.instrument)
+        name = self.name or self.log.name
+        with output.progress_bar(f"looking at {self.log.name}"):
+            draft = draft_profile(self.log.path, name, self.topics, self.instrument)
             text = profile_text(draft)
             profile = Profile.model_validate(tomllib.loads(text))
-            found = check_log(open_recording(self.file, profile))
+            found = check_log(open_recording(self.log.path, profile))
         output.write_lines([text], self.output)
         instruments = ", ".join(one.name for one in draft.instruments)
         plane = "the plane from both views" if draft.plane else "measure the plane of the tissue"
@@ -180,5 +179,5 @@ class New(options.TopicOption):
             count = sum(len(one.comparisons) for one in found.values())
             LOG.info("%s of the log with it: nothing contradicts", counted(count, "comparison"))
         if self.output is not None:
-            with_it = output.next_command("estimate", self.file, "--profile", self.output)
+            with_it = output.next_command("estimate", self.log.path, "--profile", self.output)
             LOG.info("next: complete what is marked MEASURE, and %s", with_it)

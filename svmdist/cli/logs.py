@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 Result = TypeVar("Result")
 
-LOG_ENDINGS = (".mcap", ".bag")
+LOG_ENDINGS = (".mcap", ".bag", ".db3")
 GLOB = re.compile(r"[*?\[]")
 MAX_REPORTED = 12  # the most logs whose frames are held at once, and fill a page
 
@@ -62,6 +62,22 @@ class LogOptions(Options):
     def is_one(self) -> bool:
         """Whether there is one log, measured here: its rows come as they are measured, its errors end the command."""
         return len(self.logs) == 1 and self.scheduler is None and self.resume is None
+
+
+class OneLogOptions(Options):
+    """One log."""
+
+    file: str = argument(..., "FILE", "Log (.mcap, .bag, rosbag2), or its URL.")
+
+    @cached_property
+    def log(self) -> LogFile:
+        """Where it is, and its name; raises UsageError where a folder or glob has several."""
+        logs = named_logs([self.file])
+        if len(logs) > 1:
+            raise UsageError(
+                f"{self.file}: expected one log, found {', '.join(str(one.path) for one in logs)}"
+            )
+        return logs[0]
 
 
 class GoldenLogOptions(LogOptions):

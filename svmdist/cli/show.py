@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from svmdist.cli import options, output
 from svmdist.cli.estimate import corrected
-from svmdist.cli.logs import log_losses
-from svmdist.cli.options import JOBS, argument, option
+from svmdist.cli.logs import OneLogOptions, log_losses
+from svmdist.cli.options import JOBS, option
 from svmdist.cli.output import LOG, ExitCode
 from svmdist.errors import OutputError, UsageError
 from svmdist.report.writers import Holds
@@ -24,7 +24,7 @@ PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".svg", ".pdf", ".gif", ".bmp", ".ti
 """Names that mean a picture, and not a folder."""
 
 
-class FrameOptions(options.Options):
+class FrameOptions(OneLogOptions):
     """Which image is looked at."""
 
     frame: int | None = option("--frame N", "The image of this number, from 0.", min=0)
@@ -66,7 +66,6 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
         svmdist show log.mcap --masks
     """
 
-    file: Path = argument(..., "FILE", "Recording to look at.")
     masks: bool = option("--masks", "Only what is segmented: tissue, shaft, distal part, border.", False)
     worst: int | None = option(
         "--worst N", "The N of largest error, or of widest interval without ground truth.", min=1
@@ -84,10 +83,10 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
         if self.masks and self.worst is not None:
             raise UsageError("--worst needs what a method measured, which --masks does not show")
         lag, folder = self.given_lag, self.output
-        method = Segmented() if self.masks else self.chosen_method([self.file])
+        method = Segmented() if self.masks else self.chosen_method([self.log.path])
         setup = prepare(self.profile, method, "corrected", self.calibration, self.hand_eye)
         request = Request(setup, self.topics, instruments=self.instruments(setup.profile), lag=lag)
-        recording = request.open(self.file, self.file.stem)
+        recording = request.open(self.log.path, self.log.name)
         seen = corrected(recording, request, self.jobs)
         numbers = self._numbers(seen, request)
         is_one = _is_one_picture(folder, len(numbers))
@@ -174,7 +173,6 @@ class Surface(options.ReadOptions, FrameOptions, options.OutputOptions):
         svmdist surface log.mcap --at 4.5 -o tissue.csv
     """
 
-    file: Path = argument(..., "FILE", "Recording with two views.")
     form: str | None = options.format_option(Holds.CLOUD)
 
     def _run(self) -> ExitCode:
@@ -182,10 +180,10 @@ class Surface(options.ReadOptions, FrameOptions, options.OutputOptions):
         from svmdist.workflows.request import Request, Setup
         from svmdist.workflows.surface import tissue_surface
 
-        writer = self.writer([self.file], Holds.CLOUD)
+        writer = self.writer([self.log.path], Holds.CLOUD)
         setup = Setup.reading(self.profile, self.hand_eye)
-        with output.progress_bar(f"looking at {self.file.name}"):
-            recording = Request(setup, self.topics).open(self.file, self.file.stem)
+        with output.progress_bar(f"looking at {self.log.name}"):
+            recording = Request(setup, self.topics).open(self.log.path, self.log.name)
             found = tissue_surface(recording, self.image_number(recording) or 0)
         output.write_results(cloud_results(found), writer, self.output)
         near_m, half_m, far_m = found.quantiles_m

@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +23,7 @@ from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.source import sanitize, sanitize_list
 from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role, is_right
+from svmdist.remote import LogPath
 from svmdist.samples import Image, Observation
 from svmdist.transforms import Array
 from svmdist.vision.colour import DistinctColour, find_distinct_colour
@@ -90,7 +90,7 @@ class LogRoles(NamedTuple):
 
 
 def draft_profile(
-    path: Path, name: str, topics: Mapping[str, str], instrument: str | None = None
+    path: LogPath, name: str, topics: Mapping[str, str], instrument: str | None = None
 ) -> ProfileDraft:
     """Look at a log and draft its profile; `topics` chooses some by role, where `find_roles` would raise.
 
@@ -301,7 +301,7 @@ def _surface(
 
 
 def _instrument(
-    name: str, topics: Mapping[str, str], summary: RecordingSummary, path: Path, blank: Profile, count: int
+    name: str, topics: Mapping[str, str], summary: RecordingSummary, path: LogPath, blank: Profile, count: int
 ) -> InstrumentDraft:
     joint_names = summary.joint_names.get(topics.get("joints", ""), ())
     base, frames = None, set(summary.frames)

@@ -144,6 +144,13 @@ ERRORS = [
     ("estimate log.mcap -f csv -o /dev/full", 1, "/dev/full"),
     # Files that are not what they should be, or lack something.
     ("estimate blind.mcap", 1, "/PSM1/measured_js"),
+    ("info link.mcap", 1, "link.mcap: no such file: it is a link to nowhere.mcap"),
+    ("show .", 2, ".: expected one log, found blind.mcap, "),
+    (
+        "show log.mcap --profile https://x.org/a.toml",
+        1,
+        "a URL, which only logs may be; fetch the file first",
+    ),
     ("estimate small.mcap --method overlay", 1, "320x240"),
     ("estimate red\x1b[31m.mcap", 1, "red\N{REPLACEMENT CHARACTER}[31m.mcap: is not a recording"),
     ("estimate log.mcap --profile key.toml", 1, "key.toml: unknown key segmentation.tissue.min_aera_px"),
@@ -206,6 +213,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_log(made / "blind.mcap", frame_count=3, change=without("image"))
     write_log(made / "small.mcap", make_scene(320, 240), frame_count=3)
     (made / "junk.mcap").write_text("junk")
+    (made / "link.mcap").symlink_to("nowhere.mcap")
     (made / "red\x1b[31m.mcap").write_text("junk")
     (made / "key.toml").write_text('name = "a"\n[segmentation.tissue]\nhue = [170, 8]\nmin_aera_px = 50\n')
     (made / "sizeless.toml").write_text(re.sub(r"\[instrument\]\n(.+\n)+", "", PSM13))
@@ -222,12 +230,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(("request_", "code", "said"), ERRORS, ids=[request for request, *_ in ERRORS])
 def test_a_wrong_request_is_one_line(cli, folder, monkeypatch, request_, code, said):
     monkeypatch.chdir(folder)
-    before = {path: path.stat().st_mtime_ns for path in folder.iterdir()}
+    before = {path: path.lstat().st_mtime_ns for path in folder.iterdir()}
     outcome = cli(*request_.split(" "), code=code)
     assert outcome.out == ""
     assert said in outcome.line
     assert "\x1b" not in outcome.err
-    assert {path: path.stat().st_mtime_ns for path in folder.iterdir()} == before
+    assert {path: path.lstat().st_mtime_ns for path in folder.iterdir()} == before
 
 
 def test_lengths_have_a_unit():
