@@ -64,7 +64,7 @@ def still_size(data: bytes, limits: Limits) -> tuple[int, int]:
         raise ImageError(f"{len(data)} bytes, the limit is {limits.image_bytes}")
     found = still_format(data)
     if found is None:
-        raise ImageError(f"expected a PNG or JPEG, found {data[:8].hex(' ') or 'nothing'}")
+        raise ImageError(f"expected a PNG or JPEG, found {repr(data[:16]) if data else 'nothing'}")
     width_px, height_px = _check_png(data) if found == "png" else _jpeg_header(data)[:2]
     check_dimensions(width_px, height_px, limits)
     return width_px, height_px
@@ -227,7 +227,9 @@ def read_file(path: Path, limits: Limits, *, decode: bool) -> tuple[bytes | Imag
             return decode_still(data, limits) if decode else data, size_px
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
         if image is None:
-            raise ImageError(f"not an image that can be decoded ({data[:8].hex(' ') or 'an empty file'})")
+            raise ImageError(
+                f"not an image that can be decoded ({repr(data[:16]) if data else 'an empty file'})"
+            )
         if image.dtype != np.uint8:
             raise ImageError(f"an image of {8 * image.dtype.itemsize} bits; 8 are expected")
         size_px = image.shape[1], image.shape[0]

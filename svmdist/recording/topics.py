@@ -189,8 +189,8 @@ def open_source(path: LogPath, limits: Limits) -> Source:
         if not isinstance(path, RemoteFile) and path.is_dir():
             if not (path / METADATA_FILE).is_file():
                 raise RecordingError(
-                    f"{path}: is a directory without .mcap, .bag, .db3 or {METADATA_FILE}; expected {WHAT_IS_EXPECTED};"
-                    f" {TO_IMPORT}"
+                    f"{path}: is a directory without {METADATA_FILE}, so no rosbag2 folder; expected"
+                    f" {WHAT_IS_EXPECTED}; {TO_IMPORT}"
                 )
             from svmdist.recording.rosbag import FolderSource
 

@@ -160,7 +160,7 @@ def remarks(validation: Validation) -> list[str]:
             unsafe = score.alarms.unsafe_unjudged_count
             missed = f", {unsafe} of them unsafe, which count as missed" if unsafe else ""
             found.append(f"no clearance to alarm by: {score.alarms.unjudged_count} frames{missed}")
-        if score.unpaired_count and (score.planar or not score.tool):
+        if score.unpaired_count and (score.planar or not (score.spatial or score.clearance or score.tool)):
             found.append(f"measured where there is no {score.reference}: {score.unpaired_count}")
         is_simulated = score.reference is Reference.GROUND_TRUTH
         if score.tool and not is_simulated and score.tool.estimate_m.max() < SAME_TOOL_M:

@@ -71,7 +71,7 @@ def test_what_is_no_regular_file_is_not_waited_for(tmp_path, use, kind):
     """A pipe would be waited for without end, and a device fill the memory."""
     done = ended(*USES[use](named(tmp_path, kind, "it")), cwd=tmp_path)
     assert done.returncode == 1
-    said = ("regular file", "without .mcap", "expected a .mcap or .db3 file")
+    said = ("regular file", "without metadata.yaml", "expected a .mcap or .db3 file")
     assert any(fragment in done.stderr for fragment in said)
     assert "Traceback" not in done.stderr
 

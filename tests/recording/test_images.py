@@ -34,7 +34,7 @@ def test_png_is_lossless_and_jpeg_near():
 
 NO_STILLS = {
     "empty": (b"", "found nothing"),
-    "GIF": (b"GIF89a" + bytes(20), "expected a PNG or JPEG"),
+    "GIF": (b"GIF89a" + bytes(20), "expected a PNG or JPEG, found b'GIF89a"),
     "BMP": (compress(".bmp", IMAGE), "expected a PNG or JPEG"),
     "PNG of 16 bits": (compress(".png", IMAGE.astype(np.uint16) * 257), "16 bits"),
     "PNG but for a byte": (PNG[:-1], "ends early"),

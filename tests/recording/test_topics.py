@@ -42,7 +42,7 @@ NO_RECORDING: dict[str, tuple[bytes | None, str]] = {
     "none.mcap": (None, "no such file"),
     "a\0b": (None, "a"),
     "pipe": (None, "no regular file"),
-    "folder": (None, "a directory without .mcap, .bag, .db3 or metadata.yaml"),
+    "folder": (None, "a directory without metadata.yaml, so no rosbag2 folder"),
     "empty": (b"", "is empty"),
     "text": (b"hello, this is text", "is not a recording; expected an MCAP file"),
     "begun.mcap": (b"\x89MCAP", "truncated at byte 5"),

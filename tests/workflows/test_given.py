@@ -113,6 +113,13 @@ def test_units_are_in_names_and_wrong_ones_are_doubted(cli, log, tmp_path):
     assert "where it is in mm, name it spatial_mm" in cli("validate", log, *TRUE, "--estimates", wrong).err
 
 
+def test_a_truth_is_not_said_to_be_missing_where_one_distance_is_scored(cli, log, tmp_path):
+    spatial = table(tmp_path / "a.csv", distances(log))
+    assert (
+        "where there is no" not in cli("validate", log, "--truth", "ground_truth", "--estimates", spatial).out
+    )
+
+
 WRONG: dict[str, tuple[Callable[[list[dict[str, object]]], list[dict[str, object]]], str]] = {
     "time": (
         lambda rows: [{**row, "stamp_ns": row["stamp_ns"] + 10**12} for row in rows],
