@@ -15,7 +15,7 @@ from typer.core import TyperCommand, TyperGroup
 from svmdist.cli import calibrate, estimate, info, new_logs, scores, show
 from svmdist.cli.options import QUIET, VERBOSE, Options, choose_verbosity, function_of, name_of, option
 from svmdist.cli.output import LOG, ExitCode, abandon, adapt_streams, print_log, with_notes
-from svmdist.errors import SvmdistError, Terminated, UsageError, concealed, did_you_mean
+from svmdist.errors import SvmdistError, Terminated, UsageError, did_you_mean
 
 NO_MEMORY = "there is not enough memory; try fewer --jobs"
 CV_NO_MEMORY = -4  # OpenCV's code of an allocation that failed
@@ -66,9 +66,11 @@ def _one_line() -> Iterator[None]:
             said += f" `{problem.ctx.command_path} -h` has examples."
         raise UsageError(said) from None
     except Exception as problem:
-        if isinstance(message := getattr(problem, "message", None), str):  # typer prints its own errors
-            problem.message = concealed(message)  # type: ignore[attr-defined]
-        raise
+        ctx, form = getattr(problem, "ctx", None), getattr(problem, "format_message", None)
+        if form is None or (ctx is not None and form() == ctx.get_help()):  # not of typer, or no words at all
+            raise
+        said, command = form(), "svmdist" if ctx is None else ctx.command_path
+        raise UsageError(f"{said}{'' if said[-1] in '.?' else '.'} `{command} -h` has examples.") from None
 
 
 class Helped:

@@ -22,6 +22,10 @@ ALARM = "validate log.mcap --method fused --alarm-below 5mm --alarm-confidence"
 ERRORS = [
     # What does not exist: commands, arguments, choices, with the nearest one.
     ("estimate", 2, "FILE"),
+    ("estimat log.mcap", 2, "No such command 'estimat'. Did you mean 'estimate'? `svmdist -h` has examples."),
+    ("import a.png b.png c.png", 2, "extra argument(s) (c.png). `svmdist import -h` has examples."),
+    ("show log.mcap --frme 3", 2, "--frme (Possible options: --frame). `svmdist show -h` has examples."),
+    ("estimate log.mcap -o", 2, "Option '-o' requires an argument."),
     ("validate", 2, "recordings"),
     ("estimate log.mcap --equations fixed", 2, "corrected"),
     ("estimate log.mcap -f xml", 2, "jsonl"),
