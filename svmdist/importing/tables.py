@@ -150,6 +150,8 @@ def read_joints(path: Path, images_ns: Mapping[str, int], names: Sequence[str] |
     stamps_ns, others = _row_stamps(table, images_ns, {len(names)} if names else set())
     if names is None and table.names is None:
         raise SourceError(f"{path}: the columns have no names: give --joint-names")
+    if table.columns(POSE).keys() == POSE.keys():
+        raise SourceError(f"{path}: expected joints, found a pose in the columns: give it as --poses")
     columns = list(names) if names else [table.names[column] for column in others if table.names]
     if len(columns) != len(others) or not columns:
         raise SourceError(f"{path}: {len(others)} columns of numbers for {len(columns)} joint names")

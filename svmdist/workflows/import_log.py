@@ -229,7 +229,8 @@ def _open_views(options: ImportOptions) -> list[View]:
     sources = [source for source in (options.source, options.right) if source is not None]
     for source in sources:
         if not source.exists():
-            raise SourceError(f"{source}: no such folder or video{nearest_file(source)}")
+            near = ": give the folder, and --pattern" if "*" in source.name else nearest_file(source)
+            raise SourceError(f"{source}: no such folder or video{near}")
         if not source.is_dir():
             with reading(source, SourceError):
                 open_regular(source).close()  # a pipe or a device would be waited for

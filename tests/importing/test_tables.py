@@ -129,6 +129,7 @@ def test_wrong_poses(tmp_path, text, said):
         ("1,2\n3,4\n", None, "give --joint-names"),
         ("1,2,3\n3,4,5\n", ["yaw"], "columns of numbers for 1 joint names"),
         ("stamp,yaw,yaw\n1,2,3\n", None, "the same joint"),
+        ("stamp,x,y,z,qx,qy,qz,qw\n1,0,0,0,0,0,0,1\n", None, "give it as --poses"),
         ("yaw,insertion\n0.1,0.12\n0.1,120\n", None, "line 3: expected insertion in rad or m, at most 10"),
     ],
 )

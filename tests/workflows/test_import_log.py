@@ -305,6 +305,12 @@ WRONG = {
     ),
     "odd": (("1.png 65",), {"side_by_side": True, "rate_hz": 1.0}, ONE, "65 px wide"),
     "no folder": (("1.png",), {"source": Path("nowhere")}, ONE, "no such folder"),
+    "glob": (
+        ("1.png",),
+        {"source": Path("*.png")},
+        ONE,
+        "no such folder or video: give the folder, and --pattern",
+    ),
     "no video": (
         ("a.mp4 text",),
         {"source": Path("a.mp4")},
