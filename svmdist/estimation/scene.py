@@ -28,7 +28,7 @@ OF_BOTH_VIEWS = "stereo_pair", "stereo_surface"  # what a scene finds by both of
 class Arm:
     """An instrument's profile, with its chain, its body and its fiducial made ready; shared by all methods.
 
-    It `has_plate` where its tag is seen anywhere in the log.
+    It `has_plate` where its tag, or that of another instrument, is seen anywhere in the log.
     """
 
     def __init__(self, profile: Profile, has_plate: bool = False) -> None:

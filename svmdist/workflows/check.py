@@ -92,17 +92,19 @@ def _row_differences(seen: Observation, profile: Profile, step: int) -> Array:
 
 
 def arms_of(recording: Recording, profile: Profile, spread: Sequence[EncodedObservation]) -> list[Arm]:
-    """The arms of a recording's instruments, with the plates whose tags its images show."""
+    """The arms of a recording's instruments, with the plates of their tags where its images show any of these.
+
+    Blood may hide one tag throughout a log, whose plate is then as wide as ever.
+    """
     profiles, settings = [profile.for_instrument(name) for name in recording.instruments], profile.settings
-    tags = [one.fiducial for one in profiles]
-    wanted, shown = {tag.id for tag in tags if tag is not None}, set[int]()
-    for one in spread:
-        if profile.fiducial is None or wanted <= shown:
-            break
-        if (seen := one.decoded.seen) is not None:
-            grey = to_grey(with_first_fields(seen[0], settings.interlace).image_bgr)
-            shown |= find_tags(grey, profile.fiducial.family, settings.tag).keys()
-    return [Arm(one, tag is not None and tag.id in shown) for one, tag in zip(profiles, tags, strict=True)]
+    wanted = {one.fiducial.id for one in profiles if one.fiducial is not None}
+    images = (one.decoded.seen[0] for one in spread if wanted and one.decoded.seen is not None)
+    first_fields = (with_first_fields(seen, settings.interlace).image_bgr for seen in images)
+    has_plates = profile.fiducial is not None and any(
+        not wanted.isdisjoint(find_tags(to_grey(bgr), profile.fiducial.family, settings.tag))
+        for bgr in first_fields
+    )
+    return [Arm(one, has_plates and one.fiducial is not None) for one in profiles]
 
 
 def needs_association(arms: Sequence[Arm]) -> bool:

@@ -1,6 +1,7 @@
 """The tag's pose on images made from a known pose, and the tool behind it."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ from svmdist.samples import JointSample, Observation, Status
 from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_x, rotation_z
 from svmdist.vision.tag_overlay import TagPattern
 from svmdist.vision.tags import find_tags, square_corners_m
+from svmdist.workflows.check import arms_of
 from tests.measuring import Measuring
 from tests.shipped import CHAIN, POSTURE, PROFILE
 
@@ -57,6 +59,16 @@ def draw(T_camera_tag: Array, noise: float, seed: int) -> np.ndarray:
     image = cv2.GaussianBlur(cv2.resize(dense, (640, 480), interpolation=cv2.INTER_AREA), (0, 0), 0.8)
     image = image + np.random.default_rng(seed).normal(0, noise, image.shape)
     return np.clip(np.round(image), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("is_shown", [False, True])
+def test_one_tag_says_that_all_instruments_carry_theirs(is_shown):
+    """Blood may hide the other one's throughout a log."""
+    grey = draw(tilted(np.random.default_rng(1), (0.3, 0.8), 0.08), 2.0, 0)
+    bgr = np.dstack([grey if is_shown else np.full_like(grey, 110)] * 3)
+    spread = [SimpleNamespace(decoded=SimpleNamespace(seen=(Observation(0, bgr, CAMERA),)))]
+    log = SimpleNamespace(instruments=("PSM1", "PSM2"))
+    assert [arm.has_plate for arm in arms_of(log, PROFILE, spread)] == [is_shown, is_shown]
 
 
 @pytest.mark.parametrize("depth_m", [0.06, 0.09, 0.12])
