@@ -12,7 +12,7 @@ from svmdist.least_squares import median, scale_of
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.edge_lines import ROUGH_PX, EdgeLine, edge_line
-from svmdist.vision.instruments.find_instruments import SeenInstrument
+from svmdist.vision.instruments.find_instruments import WRIST_NARROWER, SeenInstrument
 from svmdist.vision.shadows import edge_within
 
 MIN_LENGTH_WIDTHS = 1.25  # of both sides, on average: where it comes in at a slant one is shorter
@@ -249,25 +249,33 @@ def find_silhouette(
         first, second = _with_doubtful_side((first, second), seen, end_px, along, width_px)
         std_px = float(np.hypot(seen.end_std_px, MIN_END_STD_WIDTHS * width_px))
     else:
-        found, ends = bool(ends), ends or [seen.end_px]
-        places = [float(end @ along) for end in ends]
-        # One edge may fade before the other, on dark tissue; beyond the cylinder neither stays on its line.
-        apart_px = max(places) - min(places)
-        agree = apart_px <= ENDS_AGREE_WIDTHS * width_px
-        place = float(np.mean(places)) if agree else max(places)
-        std_px = MIN_END_STD_WIDTHS * width_px + ENDS_APART * (apart_px if len(places) == 2 else width_px)
-        std_px = max(std_px, 0.0 if found else seen.end_std_px)
-        # Sharp edges stop where steel begins, evidence may go on along the wrist: the end is anywhere between.
-        half_px = 0.5 * max(float(seen.end_px @ along) - place, 0.0)
-        std_px = float(np.hypot(std_px, FROM_ONE_END * half_px))
+        place, least_std_px = float(seen.end_px @ along), MIN_END_STD_WIDTHS * width_px
+        std_px = max(seen.end_std_px, least_std_px + ENDS_APART * width_px)
+        if ends:
+            places = [float(end @ along) for end in ends]
+            # One edge may fade before the other, on dark tissue; beyond the cylinder neither stays on its line.
+            apart_px = max(places) - min(places)
+            sharp = float(np.mean(places)) if apart_px <= ENDS_AGREE_WIDTHS * width_px else max(places)
+            sharp_std_px = least_std_px + ENDS_APART * (apart_px if len(places) == 2 else width_px)
+            # Sharp edges stop where steel begins, or go on along the wrist, and so does evidence: it is between.
+            off_px, share = place - sharp, sharp_std_px**2 / (sharp_std_px**2 + seen.end_std_px**2)
+            place = sharp + share * off_px
+            std_px = float(np.hypot(sharp_std_px * np.sqrt(1.0 - share), 0.5 * FROM_ONE_END * off_px))
         middle_px = 0.5 * (first.end_px + second.end_px)
-        end_px = middle_px + (place + half_px - float(middle_px @ along)) * along
+        end_px = middle_px + (place - float(middle_px @ along)) * along
         narrows = _inside(seen, end_px + np.linspace(*BEYOND_WIDTHS, 9)[:, None] * width_px * along)
     point = None if wrist is None else _wrist_point(bgr, seen, end_px, along, width_px, wrist)
     if point is not None:  # where the outline is longer than a wrist, its end is before the shaft's, or is it
         std_px = float(np.hypot(std_px, FROM_ONE_END * point.excess_px))
     # Beyond a wrist that was taken for a shaft there are jaws at most.
     wrist_std = seen.wrist_std * (1.0 if point is None else min(1.0, 2.0 * point.missing))
+    # Of a stub most of either side may be the wrist's, in line with it.
+    on_shaft = [
+        float((end_px - one.start_px) @ along) / max(float((one.end_px - one.start_px) @ along), 1e-9)
+        for one in (first, second)
+    ]
+    beyond = float(np.clip(1.5 - np.clip(on_shaft, 0.0, 1.0).sum(), 0.0, 1.0))
+    wrist_std = max(wrist_std, WRIST_NARROWER * beyond)
     other_radii = 2.0 * seen.other_px / width_px
     rim = Rim(end_px, along, std_px, not seen.ends_dark, other_radii, seen.other_share, narrows)
     return Silhouette((first, second), rim, point, wrist_std=wrist_std)

@@ -102,15 +102,26 @@ def test_instruments_come_in_where_light_ends():
 
 
 def test_the_end_is_between_that_of_edges_and_that_of_evidence():
-    """A wrist as bright as what is behind it has no edges; a shaft's end may be where these stop, or beyond."""
+    """A wrist as bright as what is behind it has no edges, sides of another go on: each counts as it is sure."""
     mask = bars((0, 230, 100, 140))[..., 0] == 30
-    at_edges, beyond = (
-        silhouette(bars(SHAFT), seen_as(mask, sides_of(230.0), end_px=np.array([end, 119.5]))).rim
-        for end in (200.0, 230.0)
+    before, at_edges, beyond = (
+        silhouette(
+            bars(SHAFT), seen_as(mask, sides_of(230.0), end_px=np.array([end, 119.5]), end_std_px=std_px)
+        ).rim
+        for end, std_px in ((170.0, 3.2), (200.0, 3.2), (230.0, 6.4))
     )
-    assert at_edges.pixel[0] == pytest.approx(200.0, abs=2.0)
-    assert beyond.pixel[0] == pytest.approx(215.0, abs=2.0)
-    assert abs(beyond.pixel[0] - 200.0) < 2.0 * beyond.std_px
+    assert at_edges.pixel[0] == pytest.approx(200.0, abs=1.0)
+    assert before.pixel[0] == pytest.approx(185.0, abs=2.0)
+    assert beyond.pixel[0] == pytest.approx(206.0, abs=2.0)
+    assert at_edges.std_px < 3.2
+    assert all(abs(rim.pixel[0] - 200.0) < 2.0 * rim.std_px for rim in (before, beyond))
+
+
+@pytest.mark.parametrize("end", [180.0, 60.0], ids=["a shaft", "a stub"])
+def test_sides_that_are_mostly_the_wrist_s_leave_the_width_open(end):
+    """A wrist in line with a stub of the shaft may be narrower."""
+    found = silhouette(bars(SHAFT), seen_as(bars(SHAFT)[..., 0] == 30, sides_of(end), ends_dark=True))
+    assert found.wrist_std == (pytest.approx(0.19, abs=0.02) if end == 60.0 else 0.0)
 
 
 @pytest.mark.parametrize("end", [200.0, 130.0], ids=["the end", "a band before it"])
