@@ -13,6 +13,7 @@ from svmdist.transforms import Array
 
 MIN_CHROMA = 25.0  # levels between inside and outside below which there is no border to find
 MIN_AGREEING_FRACTION = 0.5  # of rays on the border's circle: with less the circle is a guess
+AGREES = 0.06  # of the radius: what is farther off the circle is another thing's border
 RAYS = 64
 STEP_PX = 0.25
 # Where the strength within and without is read, over the radius: clear of the border's blur
@@ -106,7 +107,7 @@ def _circle(points_px: Array, centre_px: Array, blur_px: float, origin_px: Array
         J = np.column_stack([offset / distance_px[:, None], np.ones(len(offset))])
         step = np.linalg.solve(J.T @ (weight[:, None] * J) + 1e-9 * np.eye(3), J.T @ (weight * residual_px))
         centre_px, radius_px = centre_px + step[:2], radius_px + float(step[2])
-    agreeing = np.count_nonzero(np.abs(residual_px) < 3.0 * scale_px)
+    agreeing = np.count_nonzero(np.abs(residual_px) < max(2.0 * LEAST_SCATTER_PX, AGREES * radius_px))
     if not radius_px > 1.0 or agreeing < MIN_AGREEING_FRACTION * RAYS:
         return None
     # Blur of deviation σ draws the level of one half inwards by σ² / 2R on a border of radius R.

@@ -118,7 +118,9 @@ def measurements() -> list[LinkMeasurement]:
         *(replace(one, name=f"right {one.name}", T_view_left=T_RIGHT_LEFT) for one in (sides[0], ends[0])),
         PAIR,
         replace(PAIR, name="lens", left=LENS, error=shaded(1e-4)),
-        SizeMeasurement(name="size", link=None, bias_std_px=0.2, correlation_time_s=30.0, **size),
+        SizeMeasurement(
+            name="size", link=None, bias_std_px=0.2, hidden_std_px=0.5, correlation_time_s=30.0, **size
+        ),
         *sides,
         pose,
         replace(pose, name="far", T_camera_frame=far, bias_covariance=np.eye(6)),

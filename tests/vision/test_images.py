@@ -9,12 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from svmdist.camera import Camera
+from svmdist.estimation.instrument.shaft_detection import detect_distal_marker
+from svmdist.profile import load_profile
 from svmdist.profile.segmentation import ColourRegion
+from svmdist.profile.settings import DistalMarkerSettings, OutlineSettings
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.colour import colour_mask
 from svmdist.vision.discs import fit_disc
 from svmdist.vision.frame_context import as_pinholes, first_field, mixes_colours
+from svmdist.vision.regions import find_region
 from svmdist.vision.stereo import rectified_pair
 
 
@@ -62,26 +66,47 @@ def test_colours_of_both_fields_are_mixed_where_they_are_kept_for_two_rows(kept,
     assert mixes_colours(image) is mixed
 
 
-@pytest.mark.parametrize("angle", [0.0, 2.0, 4.0])
-@pytest.mark.parametrize("hidden", [0.0, 0.5])
-def test_a_disc_is_where_it_is_though_blood_hides_a_side(angle, hidden):
-    """Of a disc of 10 px a side up to `hidden` radii from its middle; 18 % of its area and 30 % of its border."""
-    middle, radius_px, big = np.array([31.3, 28.6]), 10.0, 8
+MIDDLE_PX = np.array([31.3, 28.6])
+
+
+def bloody_disc(angle: float, hidden: float) -> tuple[Image, Image]:
+    """HSV and mask of a disc of 10 px a side up to `hidden` radii from its rim, under blood."""
+    radius_px, big = 10.0, 8
     y, x = np.mgrid[: 60 * big, : 60 * big]
-    off_px = np.stack([x, y], -1) / big + (0.5 / big - 0.5) - middle
+    off_px = np.stack([x, y], -1) / big + (0.5 / big - 0.5) - MIDDLE_PX
     is_in = np.linalg.norm(off_px, axis=-1) < radius_px
     is_blood = is_in & (off_px @ np.array([np.cos(angle), np.sin(angle)]) > (1.0 - hidden) * radius_px)
     bgr = np.where(is_in[..., None], (200, 190, 20), (110, 110, 200)).astype(np.uint8)
     bgr[is_blood] = (15, 15, 110)
     image = cv2.GaussianBlur(cv2.resize(bgr, (60, 60), interpolation=cv2.INTER_AREA), (0, 0), 1.0)
     hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)
-    mask = np.asarray(cv2.inRange(hsv, (75, 90, 40), (105, 255, 255)), np.uint8)
+    return hsv, np.asarray(cv2.inRange(hsv, (75, 90, 40), (105, 255, 255)), np.uint8)
+
+
+@pytest.mark.parametrize("angle", [0.0, 2.0, 4.0])
+@pytest.mark.parametrize("hidden", [0.0, 0.5])
+def test_a_disc_is_where_it_is_though_blood_hides_a_side(angle, hidden):
+    """18 % of its area and 30 % of its border."""
+    hsv, mask = bloody_disc(angle, hidden)
     seen = np.argwhere(mask > 0)[:, ::-1].mean(0)
     disc = fit_disc(hsv, mask, seen, float(np.sqrt(np.count_nonzero(mask) / np.pi)))
-    np.testing.assert_allclose(disc.centre_px, middle, atol=0.3)
-    assert disc.radius_px == pytest.approx(radius_px, abs=0.3)
+    np.testing.assert_allclose(disc.centre_px, MIDDLE_PX, atol=0.3)
+    assert disc.radius_px == pytest.approx(10.0, abs=0.3)
     if hidden:
-        assert np.linalg.norm(seen - middle) > 1.0
+        assert np.linalg.norm(seen - MIDDLE_PX) > 1.0
+
+
+@pytest.mark.parametrize("angle", [0.0, 2.0, 4.0])
+@pytest.mark.parametrize("hidden", [0.0, 0.3, 0.5, 0.6, 0.8])
+def test_a_marker_under_blood_is_as_large_as_its_deviation_says(angle, hidden):
+    """A whole one is known to a twentieth; of one whose border is mostly that of blood there is no size."""
+    hsv, mask = bloody_disc(angle, hidden)
+    region = find_region(mask, load_profile().segmentation.instrument, OutlineSettings())
+    marker = detect_distal_marker(hsv, mask, region, DistalMarkerSettings())
+    assert (marker.radius_px is None) == (hidden > 0.6)
+    if marker.radius_px is not None:
+        assert abs(marker.radius_px - 10.0) < 1.5 * marker.radius_std_px
+        assert (marker.radius_std_px < 0.6) == (hidden < 0.4)
 
 
 IDEAL = Camera.from_horizontal_fov(640, 480, np.pi / 3)

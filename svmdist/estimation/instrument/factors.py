@@ -149,7 +149,7 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
         return
     is_other_part = seen.error.part_std_m > 0.0  # it is not of the marker's size
     if marker is not None and marker.radius_px is not None and not is_other_part:
-        lasting, variance_px2 = LASTING_SIZE, marker.radius_std_px**2
+        lasting, variance_px2 = LASTING_SIZE, marker.radius_std_px**2 - marker.hidden_px**2
         yield kinds.SizeMeasurement(
             name="size",
             camera=view.camera,
@@ -157,6 +157,7 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
             radius_px=marker.radius_px,
             covariance=np.array([[(1.0 - lasting) * variance_px2]]),
             bias_std_px=float(np.sqrt(lasting * variance_px2)),
+            hidden_std_px=marker.hidden_px,
             deviations=arm.deviations,
             correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
         )

@@ -149,13 +149,17 @@ class DisparityMeasurement(_OfPoint):
 
 @dataclass(frozen=True, kw_only=True)
 class SizeMeasurement(LinkMeasurement):
-    """The radius in px of the disc that a sphere about a link's origin shows; `bias_std_px` lasts."""
+    """The radius in px of the disc that a sphere about a link's origin shows; `bias_std_px` lasts.
+
+    As long as something hides a part of it, that adds `hidden_std_px`.
+    """
 
     source: str = MARKER
     camera: Camera
     radius_m: float
     radius_px: float
     bias_std_px: float
+    hidden_std_px: float = 0.0
 
     def in_view(self, T_view_link: Array, /) -> Linearised:
         """Measured minus predicted, shape (1,)."""
@@ -169,7 +173,10 @@ class SizeMeasurement(LinkMeasurement):
         H = np.concatenate([predicted_px * slope, np.zeros(3)])[None]
         fractions = self.deviations.camera.focal_std_fraction, self.deviations.marker_radius_fraction
         focal, radius = (np.array([[fraction * self.radius_px]]) for fraction in fractions)
-        shared = SharedBias(FOCAL_LENGTH, focal), SharedBias("marker radius", radius)
+        shared: tuple[SharedBias, ...] = SharedBias(FOCAL_LENGTH, focal), SharedBias("marker radius", radius)
+        if self.hidden_std_px:
+            hidden = np.array([[self.hidden_std_px]])
+            shared = *shared, SharedBias("hidden marker", hidden, self.correlation_time_s)
         residual, bias = np.array([self.radius_px - predicted_px]), np.array([[self.bias_std_px]])
         return self.about(residual, H, bias, shared)
 

@@ -14,7 +14,7 @@ from svmdist.transforms import Array
 from svmdist.vision.discs import Disc, fit_disc
 from svmdist.vision.lines import TangentPlane, axis_of_cylinder, fit_line, line_between
 from svmdist.vision.regions import Region
-from svmdist.vision.silhouette import FROM_ONE_END, Rim, Silhouette, WristPoint
+from svmdist.vision.silhouette import Rim, Silhouette, WristPoint
 
 LINE_INLIER_PX = 0.5  # of an edge's point off its line: ten times the least deviation of a point
 LINE_INLIER_PER_WIDTH = 0.012  # for a silhouette's edges: near ones are less sharp, and lenses bend them
@@ -23,7 +23,7 @@ SHADING_STD_PX = 0.15  # where nothing is known of the light: a limb fades or sh
 MAX_LOG_RATIO = 0.25  # between radii by circle and area: further apart they are different things
 BORDER_POINTS = 8.0  # of the border that err independently: it is cut by fork and jaws, each over an eighth
 BORDER_STD_PER_BLUR = 0.1  # what neighbours of other colours shift it, over the border's blur
-WHOLE_REACH = 1.1  # of a whole marker's farthest points over its area's radius: fork and jaws cut a fifth
+WHOLE_ASPECT = 0.9  # of a whole marker's width over its length: fork and jaws cut a tenth
 CENTROID_STD = 0.045  # by how much hidden parts move the region's centroid, over the radius
 
 
@@ -31,8 +31,9 @@ CENTROID_STD = 0.045  # by how much hidden parts move the region's centroid, ove
 class DistalMarker:
     """The marker: the middle of its circle, or of its region, (2,), and its radius, with standard deviations, in px.
 
-    `radius_px` is that of the whole sphere, None where the image's border or something else cuts it; `disc` is the
-    circle along its border that the radius comes from, `area_px` the area of what is visible.
+    `radius_px` is that of the whole sphere, None where the image's border or something else cuts it, and `hidden_px` by
+    how much of that deviation something hides it; `disc` is the circle along its border that the radius comes from,
+    `area_px` the area of what is visible.
     """
 
     centre_px: Array
@@ -41,6 +42,7 @@ class DistalMarker:
     radius_std_px: float
     disc: Disc | None = None
     area_px: float = 0.0
+    hidden_px: float = 0.0
 
 
 def detect_distal_marker(
@@ -53,16 +55,16 @@ def detect_distal_marker(
     if disc is None:
         std_px = 0.5 * float(np.sqrt(region.area_px / np.pi))
         return DistalMarker(region.centroid_px, std_px, None, 0.0, None, region.area_px)
-    whole_px = disc.radius_px / settings.visible_radius
+    # Of a disc whose part is hidden the circle is too small, as an ellipse's area is to the circle about it.
+    x2, xy, y2 = (cv2.moments(region.hull.astype(np.float32))[name] for name in ("mu20", "mu11", "mu02"))
+    narrow, long = np.sqrt(np.maximum(np.linalg.eigvalsh([[x2, xy], [xy, y2]]), 1.0))
+    hidden = max(0.0, float(np.sqrt(WHOLE_ASPECT * long / narrow)) - 1.0)
+    whole_px = (1.0 + hidden) * disc.radius_px / settings.visible_radius
     own_px = np.hypot(disc.scatter_px / np.sqrt(BORDER_POINTS), BORDER_STD_PER_BLUR * disc.blur_px)
-    # A part of a disc is longer than wide, and the whole is as wide as that is long, or less.
-    reach_px = cv2.minEnclosingCircle(region.hull.astype(np.float32))[1] + 0.5
-    hidden = max(0.0, reach_px / float(np.sqrt(region.area_px / np.pi)) - WHOLE_REACH)
-    radius_std_px = float(
-        np.linalg.norm([settings.radius_std * whole_px, own_px, FROM_ONE_END * hidden * whole_px])
-    )
+    hidden_px = hidden * disc.radius_px
+    radius_std_px = float(np.linalg.norm([settings.radius_std * whole_px, own_px, hidden_px]))
     std_px = CENTROID_STD * whole_px
-    return DistalMarker(disc.centre_px, std_px, whole_px, radius_std_px, disc, region.area_px)
+    return DistalMarker(disc.centre_px, std_px, whole_px, radius_std_px, disc, region.area_px, hidden_px)
 
 
 def _marker_disc(image_hsv: Image, mask: Image, region: Region) -> Disc | None:
