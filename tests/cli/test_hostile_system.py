@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import ended, one_line
+from tests.synthetic import write_log
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs the limits of Linux")
 MIB = 1 << 20
@@ -59,12 +60,16 @@ def test_a_limit_of_memory(synthetic_log, memory_mib):
         assert "memory" in done.stderr.strip().splitlines()[-1]
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252"])
-@pytest.mark.parametrize("form", ["table", "csv", "json", "jsonl"])
-def test_other_encodings(tmp_path, synthetic_log, encoding, form):
+@pytest.mark.parametrize(
+    ("form", "encoding"),
+    [
+        *(("table", encoding) for encoding in ("ascii", "latin-1", "cp1252")),
+        *((form, "ascii") for form in ("csv", "json", "jsonl")),
+    ],
+)
+def test_other_encodings(tmp_path, encoding, form):
     """Tables fall back to ASCII, and JSON stays what it is, whatever stdout is encoded in."""
-    log = tmp_path / "größe–Ω.mcap"
-    log.write_bytes(synthetic_log.read_bytes())
+    log = write_log(tmp_path / "größe–Ω.mcap", frame_count=3)
     command = ["estimate", log, "-f", form]
     there = {"PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"}
     done = ended(*command, environment=there, encoding=encoding, errors="strict")
@@ -75,21 +80,19 @@ def test_other_encodings(tmp_path, synthetic_log, encoding, form):
         rows = json.loads(text) if form == "json" else [json.loads(line) for line in text.splitlines()]
         assert {row["recording"] for row in rows} == {"größe–Ω"}
     else:
-        assert len(text.splitlines()) > 40
+        assert len(text.splitlines()) > 3
         assert ("gr??e-?" if encoding == "ascii" else "größe") in text
 
 
 @pytest.mark.parametrize("command", ["info", "estimate"])
-@pytest.mark.parametrize("encoding", ["ascii", "utf-8"])
-def test_a_name_that_is_not_utf8(tmp_path, synthetic_log, command, encoding):
+def test_a_name_that_is_not_utf8(cli, tmp_path, command):
     """Bytes of a file's name that are no text are shown as unknown characters."""
-    log = Path(os.fsdecode(os.fsencode(tmp_path) + b"/a\xff\xfe.mcap"))
-    log.write_bytes(synthetic_log.read_bytes())
-    for options in (["-f", "table"], ["-f", "json"], ["-f", "json", "-o", tmp_path / "out"]):
-        done = ended(command, log, *options, environment={"PYTHONIOENCODING": encoding})
+    log = write_log(Path(os.fsdecode(os.fsencode(tmp_path) + b"/a\xff\xfe.mcap")), frame_count=3)
+    for encoding in ("ascii", "utf-8"):
+        done = ended(command, log, "-f", "table", environment={"PYTHONIOENCODING": encoding})
         assert done.returncode == 0, done.stderr
         assert "Traceback" not in done.stderr
-        text = (tmp_path / "out").read_text("utf-8") if "-o" in options else done.stdout
-        if "json" in options:
-            shown = json.dumps(json.loads(text), ensure_ascii=False)
-            assert "a\N{REPLACEMENT CHARACTER}\N{REPLACEMENT CHARACTER}" in shown
+    cli(command, log, "-f", "json", "-o", tmp_path / "out")
+    for text in (cli(command, log, "-f", "json").out, (tmp_path / "out").read_text("utf-8")):
+        shown = json.dumps(json.loads(text), ensure_ascii=False)
+        assert "a\N{REPLACEMENT CHARACTER}\N{REPLACEMENT CHARACTER}" in shown
