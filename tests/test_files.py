@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from svmdist.errors import OutputError
-from svmdist.files import read_regular, why, write_atomically
+from svmdist.files import write_atomically
 
 
 def _cut_short(error: BaseException) -> Iterator[str]:
@@ -81,26 +81,3 @@ def test_the_name_appears_with_the_last_line(tmp_path, length):
     write_atomically(path, lines())
     assert path.read_bytes() == "é\r\nlast\n".encode()
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_file_within_its_limit_is_read(tmp_path):
-    path = tmp_path / "a"
-    path.write_bytes(b"12345")
-    assert read_regular(path, 5) == b"12345"
-    with pytest.raises(OSError, match="more than 4 bytes"):
-        read_regular(path, 4)
-
-
-@pytest.mark.parametrize("name", ["folder", "pipe", "missing", "nul\0"])
-def test_anything_else_says_why_at_once(tmp_path, name):
-    (tmp_path / "folder").mkdir()
-    os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(OSError) as caught:  # noqa: PT011  (the reason is looked at below)
-        read_regular(tmp_path / name, 10)
-    expected = {
-        "folder": "directory",
-        "pipe": "no regular file",
-        "missing": "No such file",
-        "nul\0": "character",
-    }
-    assert expected[name] in why(caught.value)

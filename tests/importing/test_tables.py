@@ -155,5 +155,9 @@ def test_a_table_is_a_regular_file_up_to_a_limit(tmp_path, monkeypatch):
     (tmp_path / "t.csv").write_text("stamp_ns,x\n" + "1,2\n" * 10)
     with pytest.raises(SourceError, match=r"t\.csv: cannot read: it has more than 20 bytes, the limit"):
         read_table(tmp_path / "t.csv")
-    with pytest.raises(SourceError, match="cannot read: "):
-        read_table(tmp_path)
+    for path, why in (
+        (tmp_path, "Is a directory"),
+        (tmp_path / "nul\0", "a character that no path can have"),
+    ):
+        with pytest.raises(SourceError, match=f"cannot read: .*{why}"):
+            read_table(path)

@@ -1,15 +1,16 @@
 """Small recordings for the tests: one scene, written natively or again with another compression."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from mcap.records import Channel, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from svmdist import samples
 from svmdist.camera import Camera
+from svmdist.profile import Limits
+from svmdist.recording.mcap import McapSource
 from svmdist.transforms import Array, make_transform, rotation_x, rotation_z
 from tests.synthetic import write_samples
 
@@ -63,43 +64,26 @@ def write_scene(path: Path, entries: list[Entry], metadata: dict[str, str] | Non
 def rewrite(
     source: Path, target: Path, compression: str, *, chunk_size: int = 4096, data_crc: bool = True
 ) -> Path:
-    """Copy a recording into smaller chunks of another compression, with the mcap library alone."""
-    with source.open("rb") as stream, target.open("wb") as output:
-        writer = Writer(
-            output, chunk_size=chunk_size, compression=COMPRESSIONS[compression], enable_data_crcs=data_crc
-        )
-        writer.start(library="tests")
-        schemas: dict[int, int] = {0: 0}
-        channels: dict[int, int] = {}
-        for record in StreamReader(stream).records:
-            match record:
-                case Schema() if record.id not in schemas:
-                    schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
-                case Channel() if record.id not in channels:
-                    channels[record.id] = writer.register_channel(
-                        record.topic, record.message_encoding, schemas[record.schema_id], record.metadata
-                    )
-                case Message():
-                    writer.add_message(
-                        channels[record.channel_id],
-                        record.log_time,
-                        record.data,
-                        record.publish_time,
-                        record.sequence,
-                    )
-                case Metadata():
-                    writer.add_metadata(record.name, record.metadata)
-        writer.finish()
-    return target
+    """Copy a recording into smaller chunks of another compression."""
+    whole = McapSource(source, Limits())
+    rows = [(m.topic, m.schema, m.message_encoding, bytes(m.data), m.log_time_ns) for m in whole.messages()]
+    options = {"chunk_size": chunk_size, "enable_data_crcs": data_crc}
+    return write_messages(target, rows, compression, whole.metadata(), **options)
 
 
 def write_messages(
-    path: Path, messages: list[tuple[str, str, str, bytes, int]], compression: str = "zstd"
+    path: Path,
+    messages: list[tuple[str, str, str, bytes, int]],
+    compression: str = "zstd",
+    metadata: Mapping[str, str] = {},
+    **options: Any,
 ) -> Path:
     """Write raw messages, each as topic, schema name, message encoding, data and log time in ns."""
     with path.open("wb") as output:
-        writer = Writer(output, compression=COMPRESSIONS[compression])
+        writer = Writer(output, compression=COMPRESSIONS[compression], **options)
         writer.start()
+        if metadata:
+            writer.add_metadata("svmdist", dict(metadata))
         channels: dict[tuple[str, str, str], int] = {}
         for topic, schema, encoding, data, log_time_ns in messages:
             key = (topic, schema, encoding)

@@ -186,14 +186,16 @@ def _write_all(
 
 MCAP, SQLITE, BAG1 = StoragePlugin.MCAP, StoragePlugin.SQLITE3, Bag1Writer.CompressionFormat
 WRITERS: dict[str, Callable[[Path, list[Message]], Path]] = {
-    "ros2 mcap": lambda folder, it: write_ros2_mcap(folder / "a.mcap", it),
+    "ros2 mcap": lambda folder, it: write_ros2_mcap(folder / "a.dat", it),
     "ros2 mcap without /msg/": lambda folder, it: write_ros2_mcap(folder / "a.mcap", it, with_msg=False),
     "rosbag2 sqlite": lambda folder, it: write_rosbag2(folder / "a", it, SQLITE),
     "rosbag2 sqlite compressed": lambda folder, it: write_rosbag2(folder / "a", it, SQLITE, compressed=True),
     "rosbag2 mcap": lambda folder, it: write_rosbag2(folder / "a", it, MCAP),
     "rosbag2 mcap compressed": lambda folder, it: write_rosbag2(folder / "a", it, MCAP, compressed=True),
-    "bare db3": lambda folder, it: next(write_rosbag2(folder / "a", it, SQLITE).glob("*.db3")),
-    "ros1 bag": lambda folder, it: write_rosbag1(folder / "a.bag", it),
+    "bare db3": lambda folder, it: (write_rosbag2(folder / "a", it, SQLITE) / "a.db3").rename(
+        folder / "b.dat"
+    ),
+    "ros1 bag": lambda folder, it: write_rosbag1(folder / "a.dat", it),
     "ros1 bag lz4": lambda folder, it: write_rosbag1(folder / "a.bag", it, BAG1.LZ4),
     "ros1 bag bz2": lambda folder, it: write_rosbag1(folder / "a.bag", it, BAG1.BZ2),
 }

@@ -33,6 +33,7 @@ def folder(tmp_path: Path, entries: list[Entry]) -> Path:
 
 @pytest.mark.parametrize("recorder", WRITERS)
 def test_the_same_scene_comes_out(tmp_path, native, entries, profile, recorder):
+    """Also of files whose names say nothing of their format."""
     ours = open_recording(native, profile)
     theirs = open_recording(WRITERS[recorder](tmp_path, ros_messages(entries)), profile)
     for mine, other in zip(read_observations(ours), read_observations(theirs), strict=True):

@@ -6,36 +6,18 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from rosbags.rosbag2 import StoragePlugin
 
 from svmdist.errors import RecordingError, UsageError
 from svmdist.profile import Limits, Profile, Topics, load_profile
 from svmdist.profile.robot import ArmFrames, ArmTopics, OtherInstrument
 from svmdist.recording.log import open_recording
 from svmdist.recording.mcap import McapSource
-from svmdist.recording.rosbag import BagSource, FolderSource
 from svmdist.recording.source import TopicInfo
 from svmdist.recording.topics import LoggedArm, Role, find_arms
 
 from .builders import write_messages
-from .other_recorders import ros_messages, write_rosbag1, write_rosbag2
 
 PROFILE = load_profile()
-
-
-def test_each_format_has_its_reader_whatever_its_name(tmp_path, native, entries):
-    """A bag, a folder, the database in it, and MCAP, under names that say nothing."""
-    messages = ros_messages(entries[:10])
-    bag = write_rosbag1(tmp_path / "a.dat", messages)
-    folder = write_rosbag2(tmp_path / "folder", messages, StoragePlugin.SQLITE3)
-    database = next(folder.glob("*.db3")).rename(tmp_path / "b.dat")
-    mcap = tmp_path / "c.dat"
-    mcap.write_bytes(native.read_bytes())
-    assert isinstance(open_recording(mcap, PROFILE).file.source, McapSource)
-    assert isinstance(open_recording(bag, PROFILE).file.source, BagSource)
-    assert isinstance(open_recording(database, PROFILE).file.source, BagSource)
-    database.rename(folder / "folder.db3")
-    assert isinstance(open_recording(folder, PROFILE).file.source, FolderSource)
 
 
 NO_RECORDING: dict[str, tuple[bytes | None, str]] = {

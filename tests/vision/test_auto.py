@@ -243,12 +243,8 @@ def test_the_tip_of_what_touches_another_instrument_may_be_the_other_ones():
     bgr = np.full((240, 320, 3), 170.0)
     bgr[100:140, :160] = 40
     bgr[110:130, 160:310] = 90
-    mask = np.zeros((240, 320), np.bool_)
-    mask[100:140, :160] = mask[110:130, 160:310] = True
-    sides = np.array([[[0.0, 99.5], [160.0, 99.5]], [[0.0, 139.5], [160.0, 139.5]]])
-    seen = SeenInstrument(
-        mask, (240, 320), sides, sides[:, 1].mean(0), 1.0, end_std_px=2.0, pixel_px=1.0, touches_another=True
-    )
+    mask = bars((0, 160, 100, 140), (160, 310, 110, 130))[..., 0] == 30
+    seen = seen_as(mask, sides_of(160.0), touches_another=True)
     found = silhouette(cv2.GaussianBlur(bgr, (0, 0), 0.8).astype(np.uint8), seen)
     own_tip_px = np.array([160.0 + 2.0 * 40.0, 119.5])
     off_px = np.linalg.norm(found.wrist.tip_px - own_tip_px)

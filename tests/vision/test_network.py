@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from benchmarks.masks import instruments_of, iou
 from svmdist.errors import ProfileError
@@ -110,6 +111,23 @@ def test_a_fault_is_one_line(tmp_path, capfd, fault, message):
     assert str(caught.value).startswith(f"{tmp_path / 'net.onnx'}: ")
     assert re.search(r"[\n\r]", str(caught.value)) is None
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"scale": 0}, "see nothing"),
+        ({"instrument": {"class_ids": [1, 2], "min_area_px": 5}}, "class 1 cannot be tissue and instrument"),
+        ({"method": "svm"}, "Input should be 'hsv', 'onnx' or 'auto'"),
+        ({"tissue": {"class_ids": [], "min_area_px": 5}}, "class_ids"),
+    ],
+)
+def test_a_network_that_cannot_work_is_refused(tmp_path, change, words):
+    """Where its rules are read; one number scales all channels, and a part may be missing."""
+    few = rules(tmp_path, scale=0.5, shaft=None)
+    assert (few.scale, set(few.parts)) == ((0.5, 0.5, 0.5), {"tissue", "instrument"})
+    with pytest.raises(ValidationError, match=words):
+        rules(tmp_path, **change)
 
 
 def test_an_unknown_name_is_one_line_with_the_choices(tmp_path):
