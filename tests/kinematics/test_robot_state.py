@@ -37,20 +37,6 @@ def test_a_state_without_the_camera_still_knows_its_base_frame():
         _ = state.T_camera_link(None)
 
 
-def test_poses_are_those_of_forward_kinematics():
-    """Of a sample in another order: frames and tool equal the functions of `dh` within 1e-13, and are kept."""
-    state, link = state_of(), CHAIN.rows[8].name
-    np.testing.assert_array_equal(state.q, POSTURE)
-    assert state.stamp_ns == 7
-    frames = kinematics.frame_transforms(CHAIN, POSTURE)
-    np.testing.assert_allclose(state.T_base_tool, kinematics.forward_kinematics(CHAIN, POSTURE), atol=1e-13)
-    np.testing.assert_allclose(state.T_camera_link(None), T_CAMERA_BASE @ state.T_base_tool, atol=1e-13)
-    np.testing.assert_allclose(state.T_camera_link(link), T_CAMERA_BASE @ state.T_base_link(link), atol=1e-13)
-    np.testing.assert_allclose(state.T_base_link(link), frames[kinematics.row_index(CHAIN, link)], atol=1e-13)
-    np.testing.assert_allclose(state.frames, frames, atol=1e-13)
-    assert state.frames is state.frames
-
-
 BOUNDED = kinematics.DHChain(
     (
         Joint(name="arm", type="revolute", lower=-1.0, upper=1.0),

@@ -11,7 +11,6 @@ import pytest
 from svmdist.report.scores import (
     compare_results,
     remarks,
-    score_columns,
     validation_document,
     validation_results,
     validation_tables,
@@ -63,23 +62,6 @@ def strict(document: object) -> dict[str, object]:
     return dict(json.loads(json.dumps(document, allow_nan=False)))
 
 
-def test_the_document_has_the_fields_of_its_schema():
-    """Every recording has all metrics of svmdist.validation/1, in SI, equal to the score's own."""
-    made = validation("sweep", "random")
-    document = strict(validation_document(made))
-    assert document["schema"] == "svmdist.validation/1"
-    row, other = document["recordings"]
-    statistics = made.scores[0].statistics
-    assert set(row) == {*keys_of(score_columns())}
-    assert other["recording"] == "random"
-    counts = [row[key] for key in ("sample_count", "rejected_count", "frame_count", "unpaired_count")]
-    assert counts == [60, 10, 72, 2]
-    assert row["rejected"] == {"no_instrument": 9, "no_tissue": 1}
-    assert (row["r_squared"], row["rmse_m"]) == (statistics.r_squared, statistics.rmse)
-    assert document["overall"]["recording"] == "overall"
-    assert document["notes"] == ["a note"]
-
-
 @pytest.mark.parametrize("changes", [{"constant": True}, {"count": 3}, {"count": 0}])
 def test_undefined_metrics_are_null(changes):
     """A still truth, few pairs and no pairs leave R², intervals or all metrics out, alike in CSV and JSON."""
@@ -96,8 +78,8 @@ def test_undefined_metrics_are_null(changes):
 def test_the_overall_score_is_against_the_strongest_reference():
     """With both references `overall` is against the simulator's truth, and both are listed by reference."""
     both = tuple(score(reference=reference) for reference in (Reference.KINEMATICS, Reference.GROUND_TRUTH))
-    document = validation_document(Validation(both, both, ()))
-    assert document["overall"]["reference"] == str(Reference.GROUND_TRUTH)
+    document = validation_document(Validation(both, both, ("a note",)))
+    assert (document["overall"]["reference"], document["notes"]) == (str(Reference.GROUND_TRUTH), ["a note"])
     assert list(document["overall_by_reference"]) == ["kinematics", "ground_truth"]
     assert validation_document(Validation(both, (), ()))["overall"] is None
 
@@ -121,6 +103,20 @@ def test_the_table_shows_r_squared_with_rmse_sigma_and_n():
     in_3d = replace(made, scores=(replace(score(), method="fused"),))
     assert render(validation_tables(in_3d)[0]).startswith("fused, planar distance; ")
     assert not any("paper" in remark for remark in remarks(in_3d))
+
+
+def test_distances_in_3d_have_a_table_of_their_own():
+    """A row for each distance, with its own figures in mm and the share of truths in its intervals."""
+    planar = score().planar
+    spatial = replace(planar, estimate_m=planar.truth_m + 2e-3, std_m=np.full(len(planar), 1e-3))
+    made = validation("sweep")
+    made = replace(made, scores=(replace(made.scores[0], spatial=spatial, clearance=planar),), overall=())
+    _, below = validation_tables(made)
+    rows = {row[2]: row for row in below.rows}
+    assert list(rows) == ["planar", "spatial", "clearance"]
+    assert "2.00" in rows["spatial"]
+    assert "0.0" in rows["spatial"]
+    assert rows["planar"][3:] == rows["clearance"][3:] != rows["spatial"][3:]
 
 
 def test_a_comparison_names_each_distance_once():

@@ -114,8 +114,6 @@ def test_breath_and_pulse_have_their_amplitudes_and_frequencies(profile):
         ({"robot": None}, {}, r"it needs \[robot\], \[instrument\] and \[simulation\]"),
         ({"fiducial": None}, {"tag": True}, r"it needs \[fiducial\]"),
         ({"other_instruments": ()}, {"arms": 2}, r"places 1 of 2 arms: it needs \[\[other_instruments\]\]"),
-        ({}, {"degradations": (("smok", 3),)}, "did you mean smoke"),
-        ({}, {"degradations": (("smoke", 6),)}, "1 to 5"),
     ],
 )
 def test_what_cannot_be_simulated_is_an_error(profile, update, options, said):

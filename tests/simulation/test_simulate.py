@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import sys
 import tomllib
 from dataclasses import replace
 
@@ -13,13 +12,12 @@ from packaging.requirements import Requirement
 
 from svmdist import samples
 from svmdist.camera import Camera, stereo_transform
-from svmdist.errors import SimulationError
 from svmdist.kinematics import forward_kinematics
 from svmdist.perturbations import TABLE, Place, World, draw_world, parse_perturbations
 from svmdist.perturbations.calibration import perturbed_image, perturbed_right_view
 from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
-from svmdist.simulation.bullet import how_to_install, load_pybullet
+from svmdist.simulation.bullet import how_to_install
 from svmdist.simulation.motion import Scenario
 from svmdist.simulation.plan import draw_nominal_kinematics
 from svmdist.simulation.scene import Options, make_scene
@@ -312,11 +310,8 @@ def test_metadata_name_what_is_set_so_that_a_world_can_be_recorded_again():
     assert all(drawn.changes(place) for place in Place)
 
 
-def test_missing_pybullet_says_why_and_what_to_do(monkeypatch):
-    """In one line, which agrees with the marker of the extra `sim`."""
-    monkeypatch.setitem(sys.modules, "pybullet", None)
-    with pytest.raises(SimulationError, match=r"needs PyBullet: .*svmdist\[sim\]"):
-        load_pybullet()
+def test_what_is_said_of_missing_pybullet_agrees_with_the_extra():
+    """With the marker of `sim`."""
     extras = tomllib.loads((REPOSITORY / "pyproject.toml").read_text("utf-8"))["project"]
     (requirement,) = map(Requirement, extras["optional-dependencies"]["sim"])
     places = itertools.product([(3, 11), (3, 12)], ["linux", "darwin", "win32"], ["x86_64", "aarch64"])

@@ -63,6 +63,8 @@ def test_outcomes_are_the_same_for_any_number_of_jobs(logs, tmp_path):
     assert [len(one[2]) for one in alone] == [2, 0, 0, 5]
     assert alone[0][2][1] == {"recording": "log0", "number": 1}
     assert [text for _, text in alone[0][3]][-1] == "only of log0"
+    who = {line for path in (tmp_path / "fates").glob("*.attempts") for line in path.read_text().split()}
+    assert 1 <= len(who - {str(os.getpid())}) <= 3
 
 
 def test_what_every_log_would_meet_ends_the_work(logs, tmp_path):

@@ -120,35 +120,22 @@ def test_a_truth_is_not_said_to_be_missing_where_one_distance_is_scored(cli, log
     )
 
 
-WRONG: dict[str, tuple[Callable[[list[dict[str, object]]], list[dict[str, object]]], str]] = {
-    "time": (
-        lambda rows: [{**row, "stamp_ns": row["stamp_ns"] + 10**12} for row in rows],
-        "no row is within 0.1 s",
-    ),
-    "column": (
-        lambda rows: [{"stamp_ns": row["stamp_ns"], "spatil": 1} for row in rows],
-        "did you mean spatial",
-    ),
-    "stamp": (lambda rows: [{"spatial_m": 1} for _ in rows], "expected stamp_ns"),
-    "text": (
-        lambda rows: [{**row, "spatial_m": "near"} for row in rows],
-        "line 2: expected a number, found 'near'",
-    ),
-    "deviation": (lambda rows: [{**row, "spatial_std_m": -1} for row in rows], "negative deviation"),
-    "log": (
-        lambda rows: [{**row, "recording": "other"} for row in rows],
-        "no row of recording log; it has other",
-    ),
-    "frame": (lambda rows: [{**row, "x": 0, "y": 0, "z": 0, "frame_id": "moon"} for row in rows], "moon"),
+WRONG: dict[str, tuple[Callable[[dict[str, object]], dict[str, object]], str]] = {
+    "time": (lambda row: row | {"stamp_ns": row["stamp_ns"] + 10**12}, "no row is within 0.1 s"),
+    "column": (lambda row: {"stamp_ns": row["stamp_ns"], "spatil": 1}, "did you mean spatial"),
+    "stamp": (lambda row: {"spatial_m": 1}, "expected stamp_ns"),
+    "text": (lambda row: row | {"spatial_m": "near"}, "line 2: expected a number, found 'near'"),
+    "deviation": (lambda row: row | {"spatial_std_m": -1}, "negative deviation"),
+    "log": (lambda row: row | {"recording": "other"}, "no row of recording log; it has other"),
+    "frame": (lambda row: row | {"x": 0, "y": 0, "z": 0, "frame_id": "moon"}, "moon"),
 }
 
 
 @pytest.mark.parametrize("kind", WRONG)
 def test_what_cannot_be_scored_is_one_clear_line(cli, log, tmp_path, kind):
     change, words = WRONG[kind]
-    outcome = cli(
-        "validate", log, *TRUE, "--estimates", table(tmp_path / "a.csv", change(distances(log))), code=1
-    )
+    path = table(tmp_path / "a.csv", [change(row) for row in distances(log)])
+    outcome = cli("validate", log, *TRUE, "--estimates", path, code=1)
     assert words in outcome.err
     assert "Traceback" not in outcome.err
     assert cli("compare", log, "--method", "kinematic", "--estimates", "topic:/nobody", code=1).line

@@ -228,7 +228,7 @@ def test_what_is_damaged_of_a_video_is_left_out(tmp_path, damage, places, said):
 @pytest.mark.parametrize("damaged", ["1_L.png", "2_R.png"])
 def test_a_damaged_image_is_left_out(tmp_path, monkeypatch, damaged, kind, crop, said):
     """The others keep their stamps and their partners."""
-    for name in (*NUMBERS, "2_R.png", "3_L.png", "3_R.png"):
+    for name in (f"{number}_{side}.png" for number in (1, 2, 3) for side in "LR"):
         cv2.imwrite(str(tmp_path / name), _picture(int(name[0])))
     _write(tmp_path / damaged, kind)
     pairs: list[Observation] = []
@@ -236,7 +236,7 @@ def test_a_damaged_image_is_left_out(tmp_path, monkeypatch, damaged, kind, crop,
     monkeypatch.setattr(
         "svmdist.workflows.import_log.compare_views", lambda few, _: pairs.extend(few) or seen
     )
-    result = import_log(ImportOptions(tmp_path, PAIR, **PAIRED, crop=crop), tmp_path / "out.mcap")
+    result = import_log(ImportOptions(tmp_path, **PAIRED, crop=crop), tmp_path / "out.mcap")
     assert len(result.losses) == (said is not None)
     assert all(loss.startswith(f"{tmp_path / damaged}: ") and said in loss for loss in result.losses)
     places = [place for place in range(3) if place != int(damaged[0]) - 1]
@@ -248,76 +248,42 @@ def test_a_damaged_image_is_left_out(tmp_path, monkeypatch, damaged, kind, crop,
         assert result.counts[f"/ECM/{side}/image"] == (2 if is_lost else 3)
 
 
-NUMBERS = ("1_L.png", "2_L.png", "1_R.png")
-PAIRED = {"pattern": "*_L.png", "right_pattern": "*_R.png", "rate_hz": 1.0}
-WRONG = {
-    "empty": ((), {"rate_hz": 1.0}, ONE, "no images"),
-    "parent": (
-        ("left/1.png", "right/1.png"),
-        {"rate_hz": 1.0},
-        PAIR,
-        "found the folders left, right: give one, or one for each view",
-    ),
-    "no times": (NUMBERS[:2], {}, ONE, "has no time"),
-    "no camera": (NUMBERS[:2], {"rate_hz": 1.0}, CalibrationOptions(), "a camera needs a calibration"),
-    "lonely": (NUMBERS, PAIRED, PAIR, "2_L.png: there is no right image"),
-    "size": ((*NUMBERS, "2_R.png 60"), PAIRED, PAIR, "60x48 px; 1_R.png has 64x48 px"),
-    "all damaged": (("1.png 16", "2.png cut"), {"rate_hz": 1.0}, ONE, "images/1.png: a PNG of 16 bits"),
-    "same": (NUMBERS, {"right_pattern": "*_L.png", "rate_hz": 1.0}, PAIR, "the same images"),
-    "both views": (
-        NUMBERS,
-        {"pattern": "*.png", "rate_hz": 1.0},
-        ONE,
-        "1_L.png and 1_R.png are of two views",
-    ),
+PAIRED = {"pattern": "*_L.png", "right_pattern": "*_R.png", "rate_hz": 1.0, "calibration": PAIR}
+ALL = {"pattern": "*.png"}
+WRONG: dict[str, tuple[object, ...]] = {
+    "empty": ("", "no images"),
+    "parent": ("left/1.png,right/1.png", "found the folders left, right: give one, or one for each view"),
+    "no times": ("1_L.png,2_L.png", "has no time", {"rate_hz": None}),
+    "no camera": ("1.png", "a camera needs a calibration", {"calibration": CalibrationOptions()}),
+    "lonely": ("1_L.png,2_L.png,1_R.png", "2_L.png: there is no right image", PAIRED),
+    "size": ("1_L.png,2_L.png,1_R.png,2_R.png 60", "60x48 px; 1_R.png has 64x48 px", PAIRED),
+    "all damaged": ("1.png 16,2.png cut", "images/1.png: a PNG of 16 bits"),
+    "same": ("1_L.png,2_L.png", "the same images", {"right_pattern": "*_L.png"}),
+    "both views": ("1_L.png,2_L.png,1_R.png", "1_L.png and 1_R.png are of two views", ALL),
     **{
-        f"both views by {ends}": (
-            [f"0{number}_{end}.png" for number in (1, 2) for end in ends],
-            {"rate_hz": 1.0},
-            ONE,
-            f"01_{ends[0]}.png and 01_{ends[1]}.png are of two views",
+        f"both views by {a}": (
+            f"01_{a}.png,01_{b}.png,02_{a}.png,02_{b}.png",
+            f"01_{a}.png and 01_{b}.png are of two views",
         )
-        for ends in (("cam0", "cam1"), ("cam1", "cam2"), ("0", "1"))
+        for a, b in (("cam0", "cam1"), ("cam1", "cam2"), ("0", "1"))
     },
-    "one number": (
-        ("1_L.png", "2_L.png", "a2_L.png", "1_R.png"),
-        PAIRED,
-        PAIR,
-        "2_L.png and a2_L.png have one last number",
-    ),
+    "one number": ("1_L.png,2_L.png,a2_L.png,1_R.png", "2_L.png and a2_L.png have one last number", PAIRED),
     "masks": (
-        ("1.png", "1_mask.png"),
-        {"rate_hz": 1.0},
-        ONE,
+        "1.png,1_mask.png",
         "1.png and 1_mask.png have the same number: choose images of one kind by --pattern",
     ),
-    "broken link": (
-        ("1.png link",),
-        {"rate_hz": 1.0},
-        ONE,
-        "1.png: cannot read: No such file or directory: it is a",
-    ),
+    "broken link": ("1.png link", "1.png: cannot read: No such file or directory: it is a"),
     "both times": (
-        ("1700000000.500_left.png", "1700000000.503_right.png"),
-        {},
-        ONE,
+        "1700000000.500_left.png,1700000000.503_right.png",
         "are of two views: choose those of one by --pattern",
+        {"rate_hz": None},
     ),
-    "odd": (("1.png 65",), {"side_by_side": True, "rate_hz": 1.0}, ONE, "65 px wide"),
-    "no folder": (("1.png",), {"source": Path("nowhere")}, ONE, "no such folder"),
-    "glob": (
-        ("1.png",),
-        {"source": Path("*.png")},
-        ONE,
-        "no such folder or video: give the folder, and --pattern",
-    ),
-    "no video": (
-        ("a.mp4 text",),
-        {"source": Path("a.mp4")},
-        ONE,
-        "a.mp4: neither an image nor a video that can be read",
-    ),
+    "odd": ("1.png 65", "65 px wide", {"side_by_side": True}),
+    "no folder": ("1.png", "no such folder", {"source": "nowhere"}),
+    "glob": ("1.png", "no such folder or video: give the folder, and --pattern", {"source": "*.png"}),
+    "no video": ("a.mp4 text", "a.mp4: neither an image nor a video that can be read", {"source": "a.mp4"}),
 }
+"""Files, each with what is wrong of it, the error, and other options than 1 Hz and one camera."""
 
 
 def _write(path: Path, kind: str) -> None:
@@ -333,15 +299,16 @@ def _write(path: Path, kind: str) -> None:
     path.write_bytes(b"no image" * 50 if kind == "text" else data[:-30] if kind == "cut" else data)
 
 
-@pytest.mark.parametrize(("files", "views", "calibration", "said"), WRONG.values(), ids=WRONG)
-def test_wrong_files(tmp_path, files, views, calibration, said):
+@pytest.mark.parametrize("kind", WRONG)
+def test_wrong_files(tmp_path, kind):
     """What does not fit is one line that names it, and leaves no log behind."""
+    files, said, *views = WRONG[kind]
     folder, output = tmp_path / "images", tmp_path / "out.mcap"
     folder.mkdir()
-    for name in files:
-        _write(folder / name.split()[0], (name + " ").split(" ")[1])
-    source = folder / views.get("source", ".")
-    options = ImportOptions(**{**views, "source": source, "calibration": calibration})
+    for name, _, wrong in (one.partition(" ") for one in files.split(",") if one):
+        _write(folder / name, wrong)
+    options = {"rate_hz": 1.0, "calibration": ONE, "source": ".", **(views[0] if views else {})}
+    options = ImportOptions(**options | {"source": folder / options["source"]})
     with pytest.raises((SourceError, UsageError)) as caught:
         import_log(options, output)
     assert said in str(caught.value)

@@ -1,8 +1,6 @@
 """Threads and processes: results do not depend on their number, few items are held, and none is left behind."""
 
 import multiprocessing
-import os
-import signal
 import threading
 import time
 from collections.abc import Iterator
@@ -15,12 +13,10 @@ import pytest
 from svmdist.errors import RecordingError
 from svmdist.workflows.parallel import (
     LOOK_AHEAD,
-    WorkerDiedError,
     each_in_processes,
     in_order,
     one_opencv_thread,
     process_pools,
-    step,
 )
 
 WORKERS = (1, 2, 3, 8)
@@ -44,13 +40,6 @@ def uneven(number: int) -> int:
     """The square; every third item takes longer than its followers together."""
     time.sleep(0.003 if number % 3 == 0 else 0.0)
     return number * number
-
-
-@pytest.mark.parametrize("workers", WORKERS)
-def test_results_come_in_the_items_order(workers):
-    assert list(in_order(uneven, range(COUNT), workers)) == [number * number for number in range(COUNT)]
-    assert list(in_order(uneven, [], workers)) == []
-    assert list(in_order(uneven, [3], workers)) == [9]
 
 
 @pytest.mark.parametrize("workers", WORKERS)
@@ -118,36 +107,10 @@ def test_opencv_has_its_threads_back():
     assert cv2.getNumThreads() == before
 
 
-def steps(part: int) -> tuple[int, int]:
-    """So many steps; the longest part comes first."""
-    for _ in range(part):
-        step()
-    time.sleep(0.01 * part)
-    return part, os.getpid()
-
-
 def one_fails(part: int) -> None:
     if part == 0:
         raise RecordingError("broken")
     time.sleep(60)
-
-
-def one_is_killed(part: int) -> int:
-    if part == 0:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return part
-
-
-def test_processes_give_every_part_once():
-    """From other processes, no more of them than asked for; every step is counted once."""
-    counted: list[int] = []
-    parts = [8, 2, 0, 5, 1]
-    results = dict(each_in_processes(steps, parts, 2, on_step=lambda: counted.append(1)))
-    assert [results[place][0] for place in range(len(parts))] == parts
-    assert len(counted) == sum(parts)
-    assert 1 <= len({process for _, process in results.values()} - {os.getpid()}) <= 2
-    with process_pools() as make:
-        assert [part for part, _ in in_order(steps, parts, 2, make(2))] == parts
 
 
 def test_an_error_ends_all_processes_at_once():
@@ -179,14 +142,4 @@ def test_an_error_ends_a_process_in_the_midst_of_a_result(tmp_path, after_s):
     failing.start()
     failing.join(60.0)
     assert not failing.is_alive()
-    assert not multiprocessing.active_children()
-
-
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system kills otherwise")
-def test_a_killed_process_takes_only_its_own_item():
-    assert dict(each_in_processes(one_is_killed, [1, 0, 2, 3], 2, attempts=2, died=-1)) == dict(
-        enumerate([1, -1, 2, 3])
-    )
-    with pytest.raises(WorkerDiedError, match=r"was killed.*--jobs"), process_pools() as make:
-        list(in_order(one_is_killed, [1, 0, 2, 3], 2, make(2)))
     assert not multiprocessing.active_children()
