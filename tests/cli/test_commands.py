@@ -49,7 +49,7 @@ def test_estimate_ends_with_a_command_that_shows_the_smallest_clearance(cli, gol
     assert cli(*shlex.split(command)).out.strip().endswith(".png")
     log, blind = golden / "3d" / "contact.mcap", (r"(?m)^value = .*$", "value = [254, 255]")
     profile = write_profile(tmp_path / "blind.toml", blind)
-    none = cli("estimate", log, "--method", "shaft", "--profile", profile, code=1)
+    none = cli("estimate", log, "--method", "shaft", "--profile", profile, "--every", 8, code=1)
     assert f"svmdist show {log} --masks --profile" in none.err
 
 

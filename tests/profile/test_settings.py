@@ -1,6 +1,7 @@
 """Settings: a profile sets them, each acts where it says, keys of older profiles are ignored with a warning."""
 
 import logging
+from dataclasses import replace
 
 import pytest
 from pydantic import ValidationError
@@ -8,6 +9,7 @@ from pydantic import ValidationError
 from svmdist.profile import SHIPPED, load_profile
 from svmdist.profile.settings import FusedSettings, OutlineSettings, Settings, former_keys
 from svmdist.recording.log import open_recording
+from svmdist.recording.observations import Window
 from svmdist.samples import Status
 from svmdist.vision.regions import find_region
 from svmdist.workflows.estimate import estimate
@@ -62,7 +64,8 @@ def test_what_lasts_is_not_averaged_away(golden):
     for share in (0.0, 0.1, 0.9):
         settings = Settings(fused=FusedSettings(lasting_share=share))
         setup = Setup(EXACT_PROFILE.model_copy(update={"settings": settings}), "fused", "corrected", None)
-        recording = open_recording(golden / "3d" / "contact.mcap", setup.profile)
+        whole = open_recording(golden / "3d" / "contact.mcap", setup.profile)
+        recording = replace(whole, window=Window(end_s=3.0))
         spatial = [row.distances.spatial for row in estimate(recording, setup) if row.distances.spatial]
         last_m.append(spatial[-1].std_m)
     assert 0.0 < last_m[0] < last_m[1] < last_m[2]

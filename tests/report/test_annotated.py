@@ -27,13 +27,13 @@ from svmdist.recording.summary import TRUE_SUFFIX
 from svmdist.report.annotated import write_annotated, write_video
 from svmdist.report.on_image import draw_on
 from svmdist.results import FrameResult
-from svmdist.workflows.estimate import estimate
 from svmdist.workflows.frame_drawing import DrawnFrame, drawn_frames
 from svmdist.workflows.request import Setup, prepare
 from tests.conftest import REPOSITORY
 
 Annotated = tuple[Recording, list[DrawnFrame], Setup]
 DUO = REPOSITORY / "recordings" / "3d" / "duo.mcap"
+COUNT = 21  # of its 80 images
 ANNOTATION_TOPICS = {
     "/ECM/left/image/annotations",
     "/svmdist/PSM1/distance",
@@ -47,19 +47,19 @@ ANNOTATION_TOPICS = {
 
 @pytest.fixture(scope="module")
 def annotated(tmp_path_factory: pytest.TempPathFactory) -> Annotated:
-    """The golden log of two instruments with its annotations, and what they were made of."""
+    """The golden log of two instruments with annotations of the first images, and what they were made of."""
     setup = prepare(method="fused")
     path = tmp_path_factory.mktemp("annotated") / "duo.mcap"
     frames: list[DrawnFrame] = []
 
     def kept() -> Any:
-        for frame in drawn_frames(recording, setup):
+        for frame in drawn_frames(recording, setup, numbers=range(COUNT)):
             frames.append(frame)
             yield frame
 
     recording = open_recording(DUO, setup.profile)
     write_annotated(kept(), path, recording, setup)
-    assert len(frames) == 80
+    assert len(frames) == COUNT
     return open_recording(path, setup.profile), frames, setup
 
 
@@ -108,12 +108,10 @@ def test_no_frame_of_the_copy_has_two_parents(annotated):
     assert {"tool", f"tool{TRUE_SUFFIX}", "PSM1_tool_estimate", "PSM2_tool_estimate"} <= set(parents)
 
 
-@pytest.mark.slow
-def test_the_numbers_are_those_of_estimate(annotated):
-    copy, _, setup = annotated
-    rows = list(estimate(open_recording(DUO, setup.profile), setup))
+def test_the_numbers_are_those_of_estimate(annotated, golden_rows):
+    copy = annotated[0]
     for name in ("PSM1", "PSM2"):
-        own: list[FrameResult] = [row for row in rows if row.instrument == name]
+        own: list[FrameResult] = golden_rows("3d/duo", "fused").of(name).rows[:COUNT]
         messages = messages_of(copy, f"/svmdist/{name}/distance", DistanceEstimate)
         assert [stamp_ns(message) for message in messages] == [row.stamp_ns for row in own]
         for message, row in zip(messages, own, strict=True):
@@ -242,7 +240,12 @@ def test_rerun_shows_image_camera_transforms_and_text(annotated, tmp_path):
     written = {info.topic: info.message_count for info in annotated[0].topics()}
     assert all(rows[topic] == written[topic] for topic in ANNOTATION_TOPICS - {"/svmdist/tf"})
     topics = ("/svmdist/PSM2/distance", "/svmdist/scene")
-    assert (rows["/ECM/left/image"], rows["/svmdist/tf"], *map(written.get, topics)) == (80, 160, 80, 80)
+    assert (rows["/ECM/left/image"], rows["/svmdist/tf"], *map(written.get, topics)) == (
+        80,
+        2 * COUNT,
+        COUNT,
+        COUNT,
+    )
     # What Rerun has no archetype for arrives with its message, to be looked at as data.
     assert "svmdist.DistanceEstimate:message" in columns["/svmdist/PSM1/distance"]
     assert "foxglove.SceneUpdate:message" in columns["/svmdist/scene"]
@@ -291,9 +294,10 @@ def test_an_odd_size_and_a_clock_that_is_set_back_give_a_video(golden, tmp_path)
 
 def test_estimate_writes_a_video_by_its_ending(golden, cli, tmp_path, monkeypatch):
     """And says without PyAV what to install."""
-    outcome = cli("estimate", golden / "sweep.mcap", "--method", "centroid", "-o", tmp_path / "out.mp4")
-    assert "80 of 80 frames measured" in outcome.err
-    assert len(decoded(tmp_path / "out.mp4")) == 80
+    few = ("--method", "centroid", "--every", 8)
+    outcome = cli("estimate", golden / "sweep.mcap", *few, "-o", tmp_path / "out.mp4")
+    assert "10 of 10 frames measured" in outcome.err
+    assert len(decoded(tmp_path / "out.mp4")) == 10
     monkeypatch.setitem(sys.modules, "av", None)
     refused = cli("estimate", golden / "sweep.mcap", "-o", tmp_path / "none.mp4", code=1)
     assert "svmdist[video]" in refused.line

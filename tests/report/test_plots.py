@@ -201,8 +201,8 @@ def test_commands_draw_what_they_print(cli, tmp_path, golden):
     )  # fmt: skip
     assert [row["method"] for row in outcome.json] == ["overlay", "kinematic"]
     assert re.search(r"<!-- overlay, kinematic: 4 frames -->", (tmp_path / "compare.svg").read_text("utf-8"))
-    cli("estimate", log, "-f", "csv", "--save-plot", tmp_path / "e.png")
-    cli("validate", log, "--plot", "residuals", "--save-plot", tmp_path / "v.png")
+    cli("estimate", log, "--every", 8, "-f", "csv", "--save-plot", tmp_path / "e.png")
+    cli("validate", log, "--every", 8, "--plot", "residuals", "--save-plot", tmp_path / "v.png")
     for name in ("e.png", "v.png"):
         picture = cv2.imread(str(tmp_path / name))
         assert picture.shape[1] == pytest.approx(PAGE_IN * 300, abs=2)

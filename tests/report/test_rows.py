@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import svmdist
 from benchmarks.generated_pages import DOCS, metrics_page
-from svmdist.recording.log import open_recording
 from svmdist.report.rows import (
     ESTIMATE_KEYS,
     POSE_COLUMNS,
@@ -23,8 +23,6 @@ from svmdist.report.writers import Results
 from svmdist.results import AlarmState, Distance, Distances, FrameResult, ImageFindings
 from svmdist.samples import Status
 from svmdist.transforms import rotation_from_quaternion_xyzw, rotation_z
-from svmdist.workflows.estimate import estimate
-from svmdist.workflows.request import prepare
 
 CONTRACT = """
 recording stamp_ns status distance_m tool_x_px tool_y_px tissue_x_px tissue_y_px tool_area_px tissue_area_px
@@ -99,9 +97,9 @@ def test_poses_keep_every_nanosecond_and_bit():
 def test_trajectories_are_the_tools_poses(golden, cli):
     """`estimate -f tum` of a method in 3D, for one instrument; a planar method has no pose."""
     log = golden / "3d" / "contact.mcap"
-    setup = prepare(method="fiducial")
-    rows = [row for row in estimate(open_recording(log, setup.profile), setup) if row.measured]
-    text = cli("estimate", log, "--method", "fiducial", "-f", "tum").out
+    found = svmdist.estimate(svmdist.open_recording(log), "fiducial", every=4)
+    rows = [row for row in found if row.measured]
+    text = cli("estimate", log, "--method", "fiducial", "--every", 4, "-f", "tum").out
     poses = np.array([line.split() for line in text.splitlines()[1:]], float)
     for pose, row in zip(poses, rows, strict=True):
         np.testing.assert_allclose(pose[1:4], row.tool.pose.position_m, atol=1e-9)

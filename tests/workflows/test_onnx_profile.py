@@ -36,9 +36,10 @@ def onnx_profile(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_estimate_takes_the_profile(cli, golden, onnx_profile):
     """The model is found beside the profile, and measures the golden log as the colours do."""
     calibration = profile_path(DEFAULT_PROFILE).with_name("psm13.calibration.toml")
-    common = (golden / "contact.mcap", "--method", "centroid", "--calibration", calibration, "-f", "json")
+    few = ("--every", 4, "-f", "json")
+    common = (golden / "contact.mcap", "--method", "centroid", "--calibration", calibration, *few)
     rows = [cli("estimate", *common, "--profile", name).json for name in (DEFAULT_PROFILE, onnx_profile)]
     assert [row["status"] for row in rows[0]] == [row["status"] for row in rows[1]]
     pairs = [(a["distance_m"], b["distance_m"]) for a, b in zip(*rows, strict=True) if a["status"] == "ok"]
-    assert len(pairs) > 60
+    assert len(pairs) > 15
     np.testing.assert_allclose(*np.array(pairs).T, atol=3e-4)
