@@ -137,7 +137,9 @@ def test_scenarios_keep_their_clearances(seed, profile):
     scene, progress = make_scene(profile, seed), np.linspace(0.0, 1.0, 61)
     for name in SCENARIOS:
         q, _ = make_trajectory(scene, Scenario(name, seed), progress)
-        smallest_m = min(clearance_m(scene, each) for each in q)
+        found_m = [clearance_m(scene, each) for each in q[::3]]
+        beside = {3 * at + step for at in np.argsort(found_m)[:5] for step in (-1, 1)} & {*range(len(q))}
+        smallest_m = min(*found_m, *(clearance_m(scene, q[at]) for at in beside))
         if name == "approach":
             assert smallest_m == pytest.approx(0.002, abs=1e-4)
         else:

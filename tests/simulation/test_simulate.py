@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import tomllib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from svmdist.kinematics import forward_kinematics
 from svmdist.perturbations import TABLE, Place, World, draw_world, parse_perturbations
 from svmdist.perturbations.calibration import perturbed_image, perturbed_right_view
 from svmdist.profile import Profile
-from svmdist.recording.log import open_recording
+from svmdist.recording.log import Recording, open_recording
 from svmdist.simulation.bullet import how_to_install
 from svmdist.simulation.motion import Scenario
 from svmdist.simulation.plan import draw_nominal_kinematics
@@ -282,15 +283,21 @@ def test_odd_rows_are_a_field_later_and_replay_makes_the_same_border(profile):
     np.testing.assert_array_equal(perturbed_image(drawn[0], chosen(text)), drawn[1])
 
 
+def recorded_in(folder: Path, profile: Profile, text: str) -> Recording:
+    options = perturbed(text, stereo=True, kinematic_error=1.0)
+    record(Recipe(SHORT, profile, options), folder / "log.mcap", jobs=1)
+    return open_recording(folder / "log.mcap", profile)
+
+
+@pytest.fixture(scope="module")
+def ideal(profile: Profile, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return recorded_in(tmp_path_factory.mktemp("ideal"), profile, "")
+
+
 @pytest.mark.parametrize("text", [REPORTED, f"{STATED},{REPORTED}", "lag=-20", "lag_drift=5"])
-def test_a_log_of_a_perturbed_world_is_the_plain_log_perturbed_at_replay(profile, tmp_path, text):
+def test_a_log_of_a_perturbed_world_is_the_plain_log_perturbed_at_replay(profile, ideal, tmp_path, text):
     """Joints at every image, cameras, and where the right one stands: recording and replay agree."""
-    paths = [tmp_path / "plain.mcap", tmp_path / "perturbed.mcap"]
-    for path, its in zip(paths, ("", text), strict=True):
-        options = perturbed(its, stereo=True, kinematic_error=1.0)
-        record(Recipe(SHORT, profile, options), path, jobs=1)
-    ideal, recorded = (open_recording(path, profile) for path in paths)
-    replayed = ideal.perturbed(chosen(text))
+    recorded, replayed = recorded_in(tmp_path, profile, text), ideal.perturbed(chosen(text))
     for one, other in zip(read_observations(recorded), read_observations(replayed), strict=True):
         np.testing.assert_allclose(other.joints.positions, one.joints.positions, atol=1e-6)
         np.testing.assert_allclose(other.camera.K, one.camera.K, atol=1e-9)
