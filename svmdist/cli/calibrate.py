@@ -120,8 +120,8 @@ class HandEye(
             seen = corrected(recording, request, self.jobs)
             results = []
             for name in recording.measured:
-                with output.watched(seen, f"{method} finds {name}") as log:
-                    found = hand_eye(log, setup, name, self.against, self.jobs)
+                with output.watched(seen, f"{method} finds {name}") as watched:
+                    found = hand_eye(watched, setup, name, self.against, self.jobs)
                 if isinstance(found, Failure):
                     failures.append(f"{method}, {name}: {found.reason}")
                 else:
