@@ -69,7 +69,7 @@ def test_no_line_of_help_is_wider_than_a_terminal(cli, command):
 
 def test_json_is_a_format_and_colours_may_be_forced(cli, synthetic_log, monkeypatch):
     assert cli("info", synthetic_log, "--json").out == cli("info", synthetic_log, "-f", "json").out
-    command = ("compare", synthetic_log, "--method", "kinematic", "--every", "10")
+    command = ("compare", synthetic_log, "--method", "kinematic", "--every", "10", "--jobs", "1")
     assert "\x1b[" not in cli(*command).out
     monkeypatch.setenv("TERM", "xterm-256color")
     monkeypatch.setenv("FORCE_COLOR", "1")
