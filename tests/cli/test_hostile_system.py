@@ -65,6 +65,7 @@ def test_a_limit_of_memory(synthetic_log, memory_mib):
     [
         *(("table", encoding) for encoding in ("ascii", "latin-1", "cp1252")),
         *((form, "ascii") for form in ("csv", "json", "jsonl")),
+        ("json", "cp1252"),
     ],
 )
 def test_other_encodings(tmp_path, encoding, form):
@@ -88,11 +89,11 @@ def test_other_encodings(tmp_path, encoding, form):
 def test_a_name_that_is_not_utf8(cli, tmp_path, command):
     """Bytes of a file's name that are no text are shown as unknown characters."""
     log = write_log(Path(os.fsdecode(os.fsencode(tmp_path) + b"/a\xff\xfe.mcap")), frame_count=3)
-    for encoding in ("ascii", "utf-8"):
-        done = ended(command, log, "-f", "table", environment={"PYTHONIOENCODING": encoding})
+    for form, encoding in (("table", "utf-8"), ("table", "ascii"), ("json", "ascii")):
+        done = ended(command, log, "-f", form, environment={"PYTHONIOENCODING": encoding})
         assert done.returncode == 0, done.stderr
         assert "Traceback" not in done.stderr
     cli(command, log, "-f", "json", "-o", tmp_path / "out")
-    for text in (cli(command, log, "-f", "json").out, (tmp_path / "out").read_text("utf-8")):
+    for text in (done.stdout, cli(command, log, "-f", "json").out, (tmp_path / "out").read_text("utf-8")):
         shown = json.dumps(json.loads(text), ensure_ascii=False)
         assert "a\N{REPLACEMENT CHARACTER}\N{REPLACEMENT CHARACTER}" in shown
