@@ -25,9 +25,8 @@ def list_images(folder: Path, pattern: str | None = None) -> list[Path]:
     """The images of a folder, by a pattern such as `*_L.jpg`, in natural order."""
     with reading(folder, SourceError):
         every = sorted(folder.iterdir(), key=_natural_key)
-        shown = [
-            path for path in every if not path.name.startswith(".")
-        ]  # `._1.png` is macOS's, of no picture
+        # Beside each file macOS leaves another one, `._1.png`, that is no picture.
+        shown = [path for path in every if not path.name.startswith(".")]
         images = [path for path in shown if path.suffix.lower() in SUFFIXES and not path.is_dir()]
         folders = [path.name for path in every if path.is_dir()]
     if not images:

@@ -56,8 +56,9 @@ def detect_distal_marker(
         std_px = 0.5 * float(np.sqrt(region.area_px / np.pi))
         return DistalMarker(region.centroid_px, std_px, None, 0.0, None, region.area_px)
     # Of a disc whose part is hidden the circle is too small, as an ellipse's area is to the circle about it.
-    x2, xy, y2 = (cv2.moments(region.hull.astype(np.float32))[name] for name in ("mu20", "mu11", "mu02"))
-    narrow, long = np.sqrt(np.maximum(np.linalg.eigvalsh([[x2, xy], [xy, y2]]), 1.0))
+    moments = cv2.moments(region.hull.astype(np.float32))
+    spread = [[moments["mu20"], moments["mu11"]], [moments["mu11"], moments["mu02"]]]
+    narrow, long = np.sqrt(np.maximum(np.linalg.eigvalsh(spread), 1.0))
     hidden = max(0.0, float(np.sqrt(WHOLE_ASPECT * long / narrow)) - 1.0)
     whole_px = (1.0 + hidden) * disc.radius_px / settings.visible_radius
     own_px = np.hypot(disc.scatter_px / np.sqrt(BORDER_POINTS), BORDER_STD_PER_BLUR * disc.blur_px)
