@@ -16,6 +16,7 @@ from svmdist.transforms import Array, skew
 
 RIGHT_ROTATION = "right camera's rotation"
 FOR_EVER_S = np.inf
+ONE_PLACE_S = 100.0  # of what a lens turns one part of the view by, and another part otherwise
 ONE_FRAME_S = 1e-3  # of what is drawn anew in every frame
 MIN_DEPTH_M = 1e-3  # what is nearer to the camera, or behind it, has no image
 AHEAD_M = np.array([0.0, 0.0, 1.0])  # in place of a point that cannot be seen, so that it has a projection
@@ -76,7 +77,7 @@ class Deviations:
         return (
             SharedBias(FOCAL_LENGTH, focal),
             SharedBias(BASELINE, by_baseline[..., None]),
-            SharedBias(RIGHT_ROTATION, by_turn),
+            SharedBias(RIGHT_ROTATION, by_turn, ONE_PLACE_S),
         )
 
     def of_tag(self, T_camera_tag: Array, focal_px: Array) -> tuple[SharedBias, ...]:
@@ -173,5 +174,6 @@ class LinkMeasurement(ABC):
         # The right camera is off by its place along the baseline, and turned about its own centre.
         baseline = camera.baseline_std_fraction * by_place @ self.T_view_left[:3, 3, None]
         turned = camera.right_rotation_std_rad * (by_turn - by_place @ skew(T[:3, 3]))
-        biases = *found.biases, SharedBias(BASELINE, baseline), SharedBias(RIGHT_ROTATION, turned)
+        of_pair = SharedBias(BASELINE, baseline), SharedBias(RIGHT_ROTATION, turned, ONE_PLACE_S)
+        biases = *found.biases, *of_pair
         return replace(found, H=found.H @ np.kron(np.eye(2), R), biases=biases)
