@@ -12,7 +12,7 @@ from svmdist.samples import Image
 from svmdist.vision.edge_lines import EdgeLine
 from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.instruments.evidence import Evidence, picture_of
-from svmdist.vision.instruments.find_instruments import AutoMasks, SeenInstrument
+from svmdist.vision.instruments.find_instruments import AutoMasks, SeenInstrument, find_instruments
 from svmdist.vision.instruments.outline import Outline
 from svmdist.vision.instruments.outline_search import judged
 from svmdist.vision.segmentation import make_segmenter
@@ -286,6 +286,17 @@ def test_instruments_without_a_straight_shaft_are_no_tissue():
         assert not (masks.tissue & masks.instrument).any()
     assert len(covered) >= 3
     assert np.median(covered) > 0.7
+
+
+def test_a_shaft_that_is_no_evidence_near_the_border_comes_in_there():
+    """In a dark corner the network sees none of it for a while."""
+    image, odds = Evidence(bars(SHAFT), AutoSettings()), np.full((2, 240, 320), -2.0, np.float32)
+    odds[:, 100:140, :30], odds[:, 100:140, 30:200] = -1.0, 3.0
+    image.scores, image.odds = odds, odds[0]
+    ((outline, mask, _),) = find_instruments(image)
+    assert outline.start[0] < 4.0
+    assert outline.end[0] == pytest.approx(200.0, abs=3.0)
+    assert iou(mask, bars(SHAFT)[..., 0] == 30) > 0.9
 
 
 def is_accepted(bgr: Image, top: int) -> bool:

@@ -15,6 +15,7 @@ from svmdist.transforms import Array
 from svmdist.vision.instruments.evidence import SQUARE_3, Evidence, Floats
 
 START_ODDS = 0.5  # from which on a pixel of the rim belongs to a place where an instrument comes in
+UNSURE_ODDS = -1.5  # down to which an instrument may go on to the rim: in the dark of a corner none is seen
 LEAST_RIM_PX = 6  # pixels of such a place
 MOST_PLACES, STARTS_PER_PLACE = 5, 2
 ANGLES = 60  # directions that are tried at each of them
@@ -149,11 +150,14 @@ def seen_at(evidence: Evidence, places: Array) -> NDArray[np.bool_]:
 
 
 def starts(evidence: Evidence) -> Iterator[Outline]:
-    """Strips from every place of the rim where evidence comes in, the best direction first."""
+    """Strips from every place of the rim where evidence comes in, for sure or not, the best direction first."""
     odds, core = evidence.odds, evidence.core
     width = odds.shape[1]
     likely = np.asarray(255 * ((odds > START_ODDS) & (core > 0)), np.uint8)
     likely = np.asarray(cv2.morphologyEx(likely, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
+    _, parts = cv2.connectedComponents(np.asarray((odds > UNSURE_ODDS) & (core > 0), np.uint8))
+    lost = np.setdiff1d(parts[likely > 0], parts[(likely & evidence.rim) > 0])
+    likely[np.isin(parts, lost)] = 255
     _, labels, stats, _ = cv2.connectedComponentsWithStats(cv2.bitwise_and(likely, evidence.rim))
     clipped = np.where(core > 0, np.clip(odds, -CLIPPED, CLIPPED), 0).astype(np.float32)
     for label in (np.argsort(-stats[1:, 4], kind="stable") + 1)[:MOST_PLACES]:

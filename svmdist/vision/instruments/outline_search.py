@@ -145,8 +145,9 @@ def rough_outlines(evidence: Evidence) -> list[Outline]:
                 continue
             outline = ended(outline, evidence)
             score = judged(outline, evidence, least=np.inf).evidence
-            if score > LEAST_ROUGH_EVIDENCE:
-                found.append((score * np.sqrt(outline.whole.length_px * outline.width_px), outline))
+            area_px2 = outline.whole.length_px * outline.width_px  # of sides that cross it is no area
+            if score > LEAST_ROUGH_EVIDENCE and area_px2 > 0.0:
+                found.append((score * np.sqrt(area_px2), outline))
     return [outline for _, outline in sorted(found, key=lambda one: -one[0])]
 
 
@@ -166,7 +167,7 @@ LEAST_EVIDENCE = 0.43  # nearly all real instruments have more, and of glare, fa
 STEP_REACH_PX = 4  # from a side, where the steepest step across it is sought
 STRAIGHT_PX, STRAIGHT_WIDTHS = 1.5, 0.05
 """Of those steps off a common line, in px or over the width: of glare's jagged edge few are that near."""
-MOST_OF_BEYOND = 0.6
+MOST_OF_BEYOND = 0.7
 """Of the places inside of a side whose colour is nearer to what lies beyond it than to the rest of the instrument."""
 LEAST_STRIP = -0.5  # mean odds of a strip: what becomes a shaft has more, half of the rest less
 LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by chance
