@@ -39,22 +39,17 @@ Found = tuple[Outline, Mask, Judged]
 
 
 def find_instruments(evidence: Evidence) -> list[Found]:
-    """The instruments of an image, the surest first.
-
-    What explains most of the evidence of a place is the shaft there, or nothing is: a lesser part may look like one.
-    """
+    """The instruments of an image, the surest first."""
     shafts: list[tuple[Outline, Judged, Image]] = []
-    tried: list[Image] = []
     for rough in rough_outlines(evidence):
-        if _is_taken(rough, tried):
+        strips = [strip for _, _, strip in shafts]
+        if _is_taken(rough, strips):
             continue
         outline = sharpened(rough, evidence)
-        if outline is None or _is_taken(outline, tried):
+        if outline is None or _is_taken(outline, strips):
             continue
-        strip = _filled(outline, evidence.core)
-        tried.append(strip)
         if (score := judged(outline, evidence)).is_accepted:
-            shafts.append((outline, score, strip))
+            shafts.append((outline, score, _filled(outline, evidence.core)))
         if len(shafts) == evidence.settings.most_instruments:
             break
     found: list[Found] = []
