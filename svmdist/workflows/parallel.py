@@ -186,10 +186,11 @@ def process_pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
     """
     context = _context()
     if context.get_start_method() == "forkserver":
-        from multiprocessing import forkserver
+        from multiprocessing import forkserver, resource_tracker
 
         context.set_forkserver_preload(PRELOADED)
         with _quiet_start():
+            resource_tracker.ensure_running()  # first: until the server runs, nobody removes the folder of sockets
             os.environ[SOCKETS] = get_temp_dir()
             forkserver.ensure_running()
             del os.environ[SOCKETS]
