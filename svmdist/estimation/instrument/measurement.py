@@ -16,7 +16,7 @@ from svmdist.transforms import Array, skew
 
 RIGHT_ROTATION = "right camera's rotation"
 FOR_EVER_S = np.inf
-ONE_PLACE_S = 100.0  # of what a lens turns one part of the view by, and another part otherwise
+ONE_PLACE_S = 100.0  # of what is left of a calibration, which is another error in another part of the view
 ONE_FRAME_S = 1e-3  # of what is drawn anew in every frame
 MIN_DEPTH_M = 1e-3  # what is nearer to the camera, or behind it, has no image
 AHEAD_M = np.array([0.0, 0.0, 1.0])  # in place of a point that cannot be seen, so that it has a projection
@@ -73,12 +73,16 @@ class Deviations:
         slope = right.project_with_derivative(p_right_m)[1][..., :1, :]
         focal = self.camera.focal_std_fraction * disparity_px[..., None, None]
         by_baseline = -(slope * T_right_left[:3, 3]).sum(-1) * self.camera.baseline_std_fraction
-        by_turn = slope @ skew(p_right_m) * self.camera.right_rotation_std_rad
+        by_turn = slope @ skew(p_right_m)
         return (
             SharedBias(FOCAL_LENGTH, focal),
             SharedBias(BASELINE, by_baseline[..., None]),
-            SharedBias(RIGHT_ROTATION, by_turn, ONE_PLACE_S),
+            self.of_right_turn(by_turn),
         )
+
+    def of_right_turn(self, by_turn: Array) -> SharedBias:
+        """Of what changes by a turn of the right camera about its own centre, with that derivative, (..., m, 3)."""
+        return SharedBias(RIGHT_ROTATION, by_turn * self.camera.right_rotation_std_rad, ONE_PLACE_S)
 
     def of_tag(self, T_camera_tag: Array, focal_px: Array) -> tuple[SharedBias, ...]:
         """Of a tag's pose, shape (4, 4): focal length, principal point, the tag's size, and how it is mounted."""
@@ -173,7 +177,6 @@ class LinkMeasurement(ABC):
         by_place, by_turn = found.H[:, :3], found.H[:, 3:]
         # The right camera is off by its place along the baseline, and turned about its own centre.
         baseline = camera.baseline_std_fraction * by_place @ self.T_view_left[:3, 3, None]
-        turned = camera.right_rotation_std_rad * (by_turn - by_place @ skew(T[:3, 3]))
-        of_pair = SharedBias(BASELINE, baseline), SharedBias(RIGHT_ROTATION, turned, ONE_PLACE_S)
-        biases = *found.biases, *of_pair
+        turned = self.deviations.of_right_turn(by_turn - by_place @ skew(T[:3, 3]))
+        biases = *found.biases, SharedBias(BASELINE, baseline), turned
         return replace(found, H=found.H @ np.kron(np.eye(2), R), biases=biases)

@@ -155,6 +155,7 @@ def starts(evidence: Evidence) -> Iterator[Outline]:
     width = odds.shape[1]
     likely = np.asarray(255 * ((odds > START_ODDS) & (core > 0)), np.uint8)
     likely = np.asarray(cv2.morphologyEx(likely, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
+    # What does not reach the rim goes on to it through what is not surely something else (hysteresis).
     _, parts = cv2.connectedComponents(np.asarray((odds > UNSURE_ODDS) & (core > 0), np.uint8))
     lost = np.setdiff1d(parts[likely > 0], parts[(likely & evidence.rim) > 0])
     likely[np.isin(parts, lost)] = 255
