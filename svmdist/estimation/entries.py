@@ -31,7 +31,7 @@ ENDS_STD_WIDTHS = 0.5  # of the shaft's end along it, over its width: one view m
 WIDTH_STD = 0.08  # logarithm of the width in one view: shade and blur take a pixel of it
 LINE_STD_PX = 1.5  # of a middle line, in pixels of the working image
 
-SIDES: dict[EntrySide, tuple[float, float]] = {
+SIDE_MIDDLES: dict[EntrySide, tuple[float, float]] = {
     "left": (0.0, 0.5),
     "right": (1.0, 0.5),
     "above": (0.5, 0.0),
@@ -110,7 +110,7 @@ class EntryTracker:
 def _side(side: EntrySide | None, at: int, count: int) -> Array | None:
     """Where an instrument is expected to come in, shape (2,) over the picture's size: in order, from left to right."""
     if side is not None:
-        return np.array(SIDES[side])
+        return np.array(SIDE_MIDDLES[side])
     if count == 1:
         return None
     angle = np.pi * (1.0 - at / (count - 1))

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
 
 from svmdist.errors import RecordingError, UsageError, did_you_mean
+from svmdist.estimation.entries import SIDE_MIDDLES
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.scene import Scene
 from svmdist.estimation.tissue.surface import depth_biases
 from svmdist.least_squares import scale_of
 from svmdist.profile import Profile, Topics, load_profile
-from svmdist.profile.robot import CameraError, Robot, Tissue
+from svmdist.profile.robot import CameraError, EntrySide, Robot, Tissue
 from svmdist.profile.segmentation import AutoSegmentation, ColourRegion, HsvSegmentation
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.source import sanitize, sanitize_list
@@ -43,7 +44,9 @@ CHAIN_PROFILES = ("dvrk-psm", "psm13")
 DA_VINCI_INSTRUMENT, UNKNOWN_INSTRUMENT = "da-vinci-8mm", "unknown"
 LOOKED_AT = 12  # images that colours and plane are taken from, spread over the log
 VIEWS_COMPARED = 4  # of them, against the cameras
-MOST_IMAGES = 0.6  # share of the images that an instrument is at least visible in
+ENOUGH_IMAGES = (
+    1.0 / 3.0
+)  # share of the images that show so many instruments: one may be out of view for a while
 MIN_PLANES = 3
 LEAST_PLANE_STD_M, LEAST_TILT_STD_RAD, LEAST_SURFACE_STD_M = 1e-3, 0.05, 1e-3
 POINTS_PER_PAIR = 500
@@ -59,7 +62,7 @@ class InstrumentDraft:
     tool: str
     chain: str | None
     joint_names: tuple[str, ...] = ()
-    entry: str | None = None
+    entry: EntrySide | None = None
 
 
 @dataclass(frozen=True)
@@ -113,7 +116,7 @@ def draft_profile(
     )
     has_base = bool(instruments) and {camera.frame_id, instruments[0].base} <= set(summary.frames)
     if not has_base and len(instruments) != 1:  # nothing else tells them apart
-        seen = _instruments_by_sides(images)
+        seen = _instruments_by_entries(images)
         if len(seen) == len(instruments):
             pairs = zip(instruments, seen, strict=True)
             instruments = tuple(replace(one, entry=other.entry) for one, other in pairs)
@@ -239,19 +242,31 @@ def _blank(topics: Mapping[str, str]) -> Profile:
     return Profile(name="blank", topics=Topics(**topics), segmentation=segmentation)
 
 
-def _instruments_by_sides(images: Sequence[Image]) -> tuple[InstrumentDraft, ...]:
-    """Instruments by the sides of the picture that they come in from in most images; one where no two are seen."""
-    sides: Counter[str] = Counter()
-    for image in images:
-        height_px, width_px = image.shape[:2]
-        here = set()
-        for one in AutoMasks(image).seen:
-            x, y = one.entry_px / [width_px, height_px] - 0.5
-            here.add(("left" if x < 0 else "right") if abs(x) > abs(y) else ("above" if y < 0 else "below"))
-        sides.update(here)
-    order = ("right", "left", "above", "below")
-    found = [side for side in order if sides[side] and sides[side] >= MOST_IMAGES * len(images)]
-    entries: Sequence[str | None] = found if len(found) > 1 else [None]
+def _instruments_by_entries(images: Sequence[Image]) -> tuple[InstrumentDraft, ...]:
+    """As many instruments as images often show, from right to left, with the sides that they come in nearest to.
+
+    One, of any side, where no two are seen.
+    """
+    seen = [
+        [one.entry_px / one.size[::-1] for one in AutoMasks(image).seen[: len(SIDE_MIDDLES)]]
+        for image in images
+    ]
+    least = max(ENOUGH_IMAGES * len(images), min(2, len(images)), 1)
+    several = range(2, len(SIDE_MIDDLES) + 1)
+    count = max([1, *(n for n in several if sum(len(one) >= n for one in seen) >= least)])
+    entries: Sequence[EntrySide | None] = [None]
+    if count > 1:
+        # In the order of the picture's rim, from below over left, above and right, the same place is the same one
+        around = [
+            sorted(one[:count], key=lambda at: np.arctan2(0.5 - at[0], at[1] - 0.5) % (2.0 * np.pi))
+            for one in seen
+            if len(one) >= count
+        ]
+        middles = np.array(sorted(np.median(around, 0), key=lambda at: -float(at[0])))
+        off = {side: np.sum((middles - at) ** 2, 1) for side, at in SIDE_MIDDLES.items()}
+        ways = permutations(SIDE_MIDDLES, count)
+        nearest = min(ways, key=lambda sides: sum(off[side][n] for n, side in enumerate(sides)))
+        entries = nearest
     return tuple(
         InstrumentDraft(f"PSM{number}", {}, f"PSM{number}_base", f"PSM{number}", None, entry=entry)
         for number, entry in enumerate(entries, 1)

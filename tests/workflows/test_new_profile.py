@@ -154,20 +154,33 @@ def test_distinct_colours():
     assert find_distinct_colour(two, 2) is not None
 
 
-def test_instruments_by_the_side_they_come_in_from(tmp_path):
+def _two_shafts(number, lefts, rights):
+    """An image of tissue with a shaft from each of two places on its rim."""
+    noise = np.random.default_rng(number).normal(0, 6, (480, 640, 3))
+    image = np.clip(np.add((90, 100, 190), noise), 0, 255).astype(np.uint8)
+    starts = lefts[number % len(lefts)], rights[number % len(rights)]
+    for start, end in zip(starts, ((240, 240 + 4 * number), (400, 250 - 4 * number)), strict=True):
+        for half_px in range(30, 0, -2) if start else ():  # round things shine along their middle
+            level = 130.0 - 75.0 * (half_px / 30) ** 2
+            cv2.line(image, start, end, (level, level, level), 2 * half_px)
+    return cv2.GaussianBlur(image, (0, 0), 1.5)
+
+
+@pytest.mark.parametrize(
+    ("lefts", "rights", "sides"),
+    [
+        ([(0, 120)], [(639, 90)], ("right", "left")),
+        ([(0, 60), (60, 0)], [(639, 60), (580, 0)], ("right", "left")),  # across corners of the picture
+        ([(0, 120)], [(480, 0)], ("above", "left")),
+        ([(0, 120)], [(639, 90), None], ("right", "left")),  # out of view every other time
+    ],
+)
+def test_instruments_by_the_side_they_come_in_from(tmp_path, lefts, rights, sides):
     """Where nothing but images tells of two instruments, they are named by their sides; estimate accepts it."""
-    images = []
-    for number in range(6):
-        noise = np.random.default_rng(number).normal(0, 6, (480, 640, 3))
-        image = np.clip(np.add((90, 100, 190), noise), 0, 255).astype(np.uint8)
-        for start, end in (((0, 120), (240, 240 + 4 * number)), ((639, 90), (400, 250 - 4 * number))):
-            for half_px in range(30, 0, -2):  # round things shine along their middle
-                level = 130.0 - 75.0 * (half_px / 30) ** 2
-                cv2.line(image, start, end, (level, level, level), 2 * half_px)
-        images.append(cv2.GaussianBlur(image, (0, 0), 1.5))
+    images = [_two_shafts(number, lefts, rights) for number in range(6)]
     profile = _profile(scope_log(tmp_path / "two.mcap", images))
     assert profile.instrument_names == ("PSM1", "PSM2")
-    assert (profile.entry, profile.other_instruments[0].entry) == ("right", "left")
+    assert (profile.entry, profile.other_instruments[0].entry) == sides
 
 
 def test_a_log_without_a_usable_image_is_told_by_all_that_look_at_it(cli, tmp_path):
