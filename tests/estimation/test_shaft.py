@@ -185,6 +185,22 @@ def test_jaws_are_as_long_as_their_tips_are_seen_and_never_shorter(side):
         assert own_px < (0.8 * stated_px if share > 1.0 else stated_px + 1e-9)
 
 
+@pytest.mark.parametrize("side", list(SIDES)[:2])
+def test_jaws_that_end_elsewhere_are_in_doubt_without_joints(side):
+    """Nothing tells whether the tip is another thing's, or the sides are: a shadow's, with the pose of another tool."""
+    drawn = picture(SMALL, side, **PALE)
+    image, doubts = painted_jaws(drawn, PROFILE.instrument.jaw_length_m), []
+    for aside_px in (0.0, 150.0):
+        frame = frame_in(image, profile=BY_SHAPE)
+        shaft = frame.left.shaft
+        x, y = shaft.towards_tip
+        tip_px = shaft.wrist.tip_px + aside_px * np.array([-y, x])
+        vars(frame.left)["shaft"] = replace(shaft, wrist=replace(shaft.wrist, tip_px=tip_px))
+        doubts.append(frame.shaft_pose.doubt)
+    assert doubts[0] == ""
+    assert "jaws' tip" in doubts[1]
+
+
 @pytest.mark.parametrize("has_plate", [False, True])
 def test_sides_may_be_those_of_a_plate_whose_tag_is_not_read(has_plate):
     """Elsewhere in the log the tag is seen: here an outline as wide as its plate is within the stated interval."""

@@ -30,6 +30,7 @@ OPEN_M = 0.3  # standard deviation of the base's place: a scene is no larger
 OPEN_RAD = 3.0  # of its rotation, where nothing tells it
 START_STD_M, START_STD_RAD = 5e-3, 0.1  # of a start, which is where to linearise and no more
 ROLL_COUNT = 4  # starts about a shaft whose rotation is not known
+TELLING_DEPTH = DISPARITY, "size"  # which are weighed against each other and the sides (`doubtful_depth`)
 MAX_REFUSED_SHARE = 1.0 / 3.0  # of what was measured: with more refused nothing tells which is right
 
 
@@ -220,14 +221,13 @@ def _located(
     if not judged:
         return Failure("the fit does not converge")
     doubt = kalman.consistency.doubt
-    # Without joints nothing but the other edges says which of them is wrong: it may be those of another instrument.
-    for source in ("", SHAFT) if isinstance(frame.robot, Failure) else ("",):
-        told = [result for result in judged if source in ("", result.source)]
-        refused = [result for result in told if not result.is_accepted]
-        share = 0.0 if source else MAX_REFUSED_SHARE * sum(result.degrees_of_freedom for result in told)
-        if sum(result.degrees_of_freedom for result in refused) > share:
-            names = ", ".join(result.name for result in refused)
-            doubt = f"{names} {'does' if len(refused) == 1 else 'do'} not fit the rest"
+    refused = [result for result in judged if not result.is_accepted]
+    # Without joints nothing but the rest says what is wrong: it may be those of another instrument, or a shadow's.
+    alone = isinstance(frame.robot, Failure) and any(one.name not in TELLING_DEPTH for one in refused)
+    most = MAX_REFUSED_SHARE * sum(result.degrees_of_freedom for result in judged)
+    if alone or sum(result.degrees_of_freedom for result in refused) > most:
+        names = ", ".join(result.name for result in refused)
+        doubt = f"{names} {'does' if len(refused) == 1 else 'do'} not fit the rest"
     hinge = kalman.hinge(model.axis.link, model.hinge_m)
     pose = replace(kalman.tool_pose(), hinge=hinge, jaw_scale=jaw_scale(kalman, frame.arm))
     # A marker is at the tool's origin itself, however the wrist is bent.
