@@ -19,7 +19,7 @@ BORDER_LEVELS = 6.0
 BORDER_FLOOR_LEVEL = 10.0  # what is darker than this is border, whatever the darkest thing is
 BORDER_SHARE = 0.005  # of all pixels, that are no brighter than the darkest things
 # The same of what light reaches: in the dark before a border a shaft is as dark as all else
-LIT_LEVELS = 18.0
+LIT_LEVELS = 14.0
 BORDER_FRACTION = 0.4  # of the picture's median; a border is darker, though haze may lift it
 # Added to levels before their logarithm is taken: noise of one or two levels must not be a colour
 LEVEL_OFFSET = 8.0
