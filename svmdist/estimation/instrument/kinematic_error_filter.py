@@ -78,10 +78,10 @@ class KinematicErrorFilter:
         """Forget what was measured and begin where prior and measurements are the most probable; gives which start.
 
         A start is where to linearise first, never a measurement of its own. One that an earlier one led to the
-        neighbourhood of would lead to the same. Where the best refuses a measurement, small steps are tried, too.
+        neighbourhood of would lead to the same. Where the best is not clear, small steps are tried, too.
         """
         index, found, cost = self._best_of(starts, descends=False)
-        if found is None or found.refuses:
+        if found is None or not found.is_clear:
             by_small_steps = self._best_of(starts, descends=True)
             if by_small_steps[2] < cost:
                 index, found, _ = by_small_steps

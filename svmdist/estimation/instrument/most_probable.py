@@ -14,8 +14,9 @@ import numpy as np
 from svmdist.estimation.instrument.consistency import NU, REFUSED_WEIGHT, student_weight
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.state import ErrorState
-from svmdist.transforms import Array
+from svmdist.transforms import Array, left_jacobian
 
+TURN = slice(3, 6)  # of a state: a rotation vector
 MAX_ITERATIONS = 12
 SETTLED = 1e-2  # of a standard deviation: a state that moves nothing by more has come to rest
 MAX_SEARCH = 24  # iterations from a start, halved steps among them
@@ -37,11 +38,12 @@ class Solution:
     residuals: Array
     weights: Array
     nis: float
+    has_settled: bool = False
 
     @property
-    def refuses(self) -> bool:
-        """Whether it refuses a measurement."""
-        return bool((self.weights <= REFUSED_WEIGHT).any())
+    def is_clear(self) -> bool:
+        """Whether it has come to rest and refuses nothing; else another one may be more probable."""
+        return self.has_settled and not (self.weights <= REFUSED_WEIGHT).any()
 
 
 def most_probable_from(
@@ -49,11 +51,12 @@ def most_probable_from(
 ) -> Solution | None:
     """The most probable state from a start; None where a measurement is unseen there.
 
-    Long steps pass over minima in which a shaft's own sharp edges look like outliers, and may lead into one. Where
-    something is refused, steps that never make the state less probable are tried, too: the more probable one counts.
+    Long steps pass over minima in which a shaft's own sharp edges look like outliers, and may lead into one, or swing
+    across a narrow valley. Where they refuse something, or do not come to rest, steps that never make the state less
+    probable are tried, too: the more probable one counts.
     """
     found = most_probable(state, measurements, x)
-    if found is not None and not found.refuses:
+    if found is not None and found.is_clear:
         return found
     ways = [one for one in (found, most_probable(state, measurements, x, descends=True)) if one is not None]
     return min(ways, key=lambda one: robust_cost(one, measurements), default=None)
@@ -89,8 +92,9 @@ def most_probable(
     for _ in range(MAX_ITERATIONS if unlikely is None else MAX_SEARCH):
         there = state.retracted(x)
         parts = there.linearise(measurements)
-        H = state.full_jacobian(parts)
-        residual = np.concatenate([part.residual for part in parts]) - H[:, size:] @ there.bias_mean
+        there_H = state.full_jacobian(parts)
+        residual = np.concatenate([part.residual for part in parts]) - there_H[:, size:] @ there.bias_mean
+        H = by_state(there_H, x)
         if not (np.isfinite(residual).all() and np.isfinite(H).all()):
             return None
         innovation = residual + H @ x
@@ -122,14 +126,22 @@ def most_probable(
         longer = float(max(np.max(np.abs(step) / deviations), np.max(np.abs(H @ step) / np.sqrt(np.diag(R)))))
         if longer > moved:  # it swings: half of the way
             step, longer = 0.5 * step, 0.5 * longer
-        judged = first if is_tracking else innovations
-        nis = float(innovation @ solved[:, -1])
-        found = Solution(x + step, H, R, judged, residuals, weights, nis)
+        nis, judged = float(innovation @ solved[:, -1]), first if is_tracking else innovations
+        found = Solution(x + step, there_H, R, judged, residuals, weights, nis)
         if longer < SETTLED:
-            return found
+            return replace(found, has_settled=True)
         best = x, found if unlikely is None else replace(found, x=x)
         x, moved = x + step, longer
     return best[1]
+
+
+def by_state(H: Array, x: Array) -> Array:
+    """Derivatives by a state x, (m, n), of those by what is added to it there: a rotation vector turns another way."""
+    if not x[TURN].any():
+        return H
+    by_x = H.copy()
+    by_x[:, TURN] = H[:, TURN] @ left_jacobian(x[TURN])
+    return by_x
 
 
 def _rests(measurements: Sequence[LinkMeasurement]) -> list[tuple[int, list[int]]]:
