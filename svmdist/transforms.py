@@ -108,16 +108,6 @@ def cross(a: Array, b: Array) -> Array:
 NEXT = np.array([1, 2, 0])  # x → y → z → x
 
 
-def left_jacobian(vector_rad: ArrayLike) -> Array:
-    """J, shape (3, 3), with exp([v + δ]) = exp([J δ]) exp([v]) to first order, for v (3,) in rad.
-
-    I + (1 - cos θ) / θ² [v] + (θ - sin θ) / θ³ [v]² (Solà 2018, "A micro Lie theory", eq. 145).
-    """
-    K, angle = skew(vector_rad), float(np.linalg.norm(vector_rad))
-    of_square = (angle - np.sin(angle)) / angle**3 if angle > 1e-3 else 1.0 / 6.0
-    return np.asarray(np.eye(3) + 0.5 * np.sinc(0.5 * angle / np.pi) ** 2 * K + of_square * (K @ K))
-
-
 def inverse_right_jacobian(vector_rad: ArrayLike) -> Array:
     """J⁻¹, shape (..., 3, 3), with exp([v]) exp([δ]) = exp([v + J⁻¹ δ]) to first order, for v (..., 3) in rad.
 

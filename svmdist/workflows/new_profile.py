@@ -44,9 +44,7 @@ CHAIN_PROFILES = ("dvrk-psm", "psm13")
 DA_VINCI_INSTRUMENT, UNKNOWN_INSTRUMENT = "da-vinci-8mm", "unknown"
 LOOKED_AT = 12  # images that colours and plane are taken from, spread over the log
 VIEWS_COMPARED = 4  # of them, against the cameras
-ENOUGH_IMAGES = (
-    1.0 / 3.0
-)  # share of the images that show so many instruments: one may be out of view for a while
+ENOUGH_IMAGES = 1.0 / 3.0  # share that shows so many instruments: one may be out of view for a while
 MIN_PLANES = 3
 LEAST_PLANE_STD_M, LEAST_TILT_STD_RAD, LEAST_SURFACE_STD_M = 1e-3, 0.05, 1e-3
 POINTS_PER_PAIR = 500
@@ -264,7 +262,7 @@ def _instruments_by_entries(images: Sequence[Image]) -> tuple[InstrumentDraft, .
         ]
         middles = np.array(sorted(np.median(around, 0), key=lambda at: -float(at[0])))
         off = {side: np.sum((middles - at) ** 2, 1) for side, at in SIDE_MIDDLES.items()}
-        ways = permutations(SIDE_MIDDLES, count)
+        ways = permutations(SIDE_MIDDLES, count)  # no two come in from one side
         nearest = min(ways, key=lambda sides: sum(off[side][n] for n, side in enumerate(sides)))
         entries = nearest
     return tuple(

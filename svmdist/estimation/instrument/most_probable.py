@@ -14,7 +14,7 @@ import numpy as np
 from svmdist.estimation.instrument.consistency import NU, REFUSED_WEIGHT, student_weight
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.state import ErrorState
-from svmdist.transforms import Array, left_jacobian
+from svmdist.transforms import Array, inverse_right_jacobian
 
 TURN = slice(3, 6)  # of a state: a rotation vector
 MAX_ITERATIONS = 12
@@ -38,7 +38,7 @@ class Solution:
     residuals: Array
     weights: Array
     nis: float
-    has_settled: bool = False
+    has_settled: bool
 
     @property
     def is_clear(self) -> bool:
@@ -126,21 +126,33 @@ def most_probable(
         longer = float(max(np.max(np.abs(step) / deviations), np.max(np.abs(H @ step) / np.sqrt(np.diag(R)))))
         if longer > moved:  # it swings: half of the way
             step, longer = 0.5 * step, 0.5 * longer
-        nis, judged = float(innovation @ solved[:, -1]), first if is_tracking else innovations
-        found = Solution(x + step, there_H, R, judged, residuals, weights, nis)
-        if longer < SETTLED:
-            return replace(found, has_settled=True)
+        nis = float(innovation @ solved[:, -1])
+        found = Solution(
+            x=x + step,
+            H=there_H,
+            R=R,
+            innovations=first if is_tracking else innovations,
+            residuals=residuals,
+            weights=weights,
+            nis=nis,
+            has_settled=longer < SETTLED,
+        )
+        if found.has_settled:
+            return found
         best = x, found if unlikely is None else replace(found, x=x)
         x, moved = x + step, longer
     return best[1]
 
 
 def by_state(H: Array, x: Array) -> Array:
-    """Derivatives by a state x, (m, n), of those by what is added to it there: a rotation vector turns another way."""
+    """Derivatives by a state x, (m, n), of those by what is added to it there.
+
+    A change of its rotation vector turns about another axis: by the left Jacobian, J_l(v) = J_r(-v).
+    """
     if not x[TURN].any():
         return H
     by_x = H.copy()
-    by_x[:, TURN] = H[:, TURN] @ left_jacobian(x[TURN])
+    by_x[:, TURN] = H[:, TURN] @ np.linalg.inv(inverse_right_jacobian(-x[TURN]))
     return by_x
 
 
