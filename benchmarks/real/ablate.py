@@ -75,7 +75,7 @@ CASES: dict[str, tuple[object, str, Any]] = {
     "evidence": (silhouette, "_agrees", lambda *_: True),
     "shadows": (silhouette, "edge_within", lambda *_: None),
     "projection": (verification, "_share_shown", lambda *_: 1.0),
-    "small steps": (Solution, "refuses", False),
+    "small steps": (Solution, "is_clear", True),
 }
 """What stands for a part that is left out. What lies beyond a side, whose colours most inside of it must not have; the
 likelier of a shaft's two ends, as its sizes have it, and the other one; what of a wrist is beside its mask, by its

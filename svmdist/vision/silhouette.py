@@ -317,8 +317,13 @@ def _edges(bgr: Image, seen: SeenInstrument, picture: Image | None, least_levels
             covariance = seen.side_covariance[side] + variance_px2 * np.eye(2)
             one = EdgeLine(start_px, end_px, np.zeros((0, 2)), False, 0.0, covariance, seen.pixel_px)
         edges.append(one)
-    pairs = (edges, edges[::-1])
-    within = [edge_within(bgr, outer, other, picture, least_levels) for outer, other in pairs]
+    # A side of evidence alone may be a shadow's where that is a mask's; what is likely an instrument is none.
+    within = [
+        edge_within(bgr, outer, other, picture, least_levels)
+        if outer.covariance is None or seen.ends_dark
+        else None
+        for outer, other in (edges, edges[::-1])
+    ]
     return [one or outer for one, outer in zip(within, edges, strict=True)]
 
 

@@ -221,6 +221,19 @@ def test_a_shaft_ends_at_its_shadow_by_colours_alone_with_blood_on_it(share):
     assert edge_within(lit, side(139.5, 3.0), other, None, 12.0) is None
 
 
+@pytest.mark.parametrize("is_mask", [False, True], ids=["evidence", "mask"])
+def test_a_shaft_reflects_tissue_where_evidence_has_no_edge(is_mask):
+    """Below row 128 of a shaft is the colour of tissue, which fades into that from row 140 on; a mask may end there."""
+    rows = np.clip((np.arange(240) - 140) / 40, 0.0, 1.0)[:, None, None]
+    bgr = np.array((24.0, 24.0, 60.0)) * (1.0 + 1.5 * rows) * np.ones((240, 320, 1))
+    bgr[:100] = 60, 60, 150
+    bgr[100:128] = 38, 35, 35
+    mask = bars((0, 320, 100, 140))[..., 0] == 30
+    seen = seen_as(mask, sides_of(end=319.0), end_std_px=np.inf, ends_dark=is_mask)
+    found = silhouette(cv2.GaussianBlur(bgr, (0, 0), 0.8).astype(np.uint8), seen)
+    assert found.width_px == pytest.approx(28.0 if is_mask else 40.0, abs=0.7)
+
+
 @pytest.mark.parametrize("is_cap", [False, True], ids=["shadow", "cap"])
 def test_a_side_that_goes_on_alone_is_doubtful_unless_the_instrument_does(is_cap):
     """A sharp shadow, as grey as the shaft, lies along one side and goes on beyond; a cap is as wide as the shaft."""
