@@ -48,8 +48,8 @@ def edge_within(
     a line from which on they are the shaft's. Where the image has an edge of brightness along that line, too, it is
     sharper.
     """
-    sharp_px = PENUMBRA_RATIO * max(PENUMBRA_BLUR_PX, other.blur_px if other.covariance is None else 0.0)
-    is_sharp, start_px, length_px = outer.covariance is None, outer.start_px, outer.length_px
+    sharp_px, start_px, length_px = most_blur_px(other), outer.start_px, outer.length_px
+    is_sharp = outer.covariance is None
     if (is_sharp and outer.blur_px <= sharp_px) or length_px < MIN_POINTS * SPACING_PX:
         return None
     along = outer.direction
@@ -68,7 +68,8 @@ def edge_within(
     logs = np.asarray(
         cv2.GaussianBlur(np.log(levels + DARK_LEVEL), (0, 0), SLOPE_SIGMA_PX / STEP_PX), np.float64
     )
-    share = _shares(logs[..., ::2] - logs[..., 1:2], offsets, width_px)
+    ratios = logs[..., ::2] - logs[..., 1:2]
+    share = _shares(ratios, offsets, width_px)
     # From outside on, where the shaft's own colour is nearer.
     is_shaft = (share < 0.5) & (offsets > 0.0) & (offsets < SHADOW_REACH * width_px)
     off_px = np.where(is_shaft.any(1), offsets[np.argmax(is_shaft, axis=1)] - 0.5 * STEP_PX, np.nan)
@@ -85,7 +86,10 @@ def edge_within(
         return None
     green, is_beside = logs[..., 1], offsets < -BESIDE_PX[0]
     darker = median(green[is_on][:, is_beside].ravel()) - median(green[in_shadow])
-    if median(shadow_px[is_on]) < LEAST_SHADOW_PX or darker < MIN_DARKER:
+    # The dark side of a shaft that reflects tissue is of another colour.
+    beside, shadow = ratios[is_on][:, is_beside].reshape(-1, 2), ratios[in_shadow]
+    changed = float(np.linalg.norm(np.median(shadow, axis=0) - np.median(beside, axis=0)))
+    if median(shadow_px[is_on]) < LEAST_SHADOW_PX or darker < MIN_DARKER or changed > MIN_COLOUR:
         return None
     ends_at = np.array([0.0, end_at])
     rough = points(ends_at, offset_px + slope * ends_at)
@@ -104,6 +108,11 @@ def edge_within(
     seen_px, covariance = points(at, off_px)[is_on], COLOUR_STD_PX**2 * np.eye(2)
     by_colours = EdgeLine(rough[0], rough[1], seen_px, False, within_px, covariance, COLOUR_STD_PX)
     return by_colours if is_sharp else None  # where nothing is sharp, there may be anything
+
+
+def most_blur_px(other: EdgeLine) -> float:
+    """The blur of an edge beyond which it is a shadow's border, by the shaft's other one."""
+    return PENUMBRA_RATIO * max(PENUMBRA_BLUR_PX, other.blur_px if other.covariance is None else 0.0)
 
 
 def _shares(ratios: Array, offsets: Array, width_px: float) -> Array:

@@ -13,7 +13,7 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.edge_lines import ROUGH_PX, EdgeLine, edge_line
 from svmdist.vision.instruments.find_instruments import WRIST_NARROWER, SeenInstrument
-from svmdist.vision.shadows import edge_within
+from svmdist.vision.shadows import edge_within, most_blur_px
 
 MIN_LENGTH_WIDTHS = 1.25  # of both sides, on average: where it comes in at a slant one is shorter
 MOST_OFF_STDS = 2.5  # of a sharp edge from the rough side it was sought at
@@ -317,14 +317,14 @@ def _edges(bgr: Image, seen: SeenInstrument, picture: Image | None, least_levels
             covariance = seen.side_covariance[side] + variance_px2 * np.eye(2)
             one = EdgeLine(start_px, end_px, np.zeros((0, 2)), False, 0.0, covariance, seen.pixel_px)
         edges.append(one)
-    # A side of evidence alone may be a shadow's where that is a mask's; what is likely an instrument is none.
-    within = [
-        edge_within(bgr, outer, other, picture, least_levels)
-        if outer.covariance is None or seen.ends_dark
-        else None
-        for outer, other in (edges, edges[::-1])
-    ]
-    return [one or outer for one, outer in zip(within, edges, strict=True)]
+    found: list[EdgeLine] = []
+    for outer, other in (edges, edges[::-1]):
+        one = edge_within(bgr, outer, other, picture, least_levels)
+        if one is None and outer.covariance is None and outer.blur_px > most_blur_px(other):
+            # A shadow's, whose shaft's edge is not found: it is anywhere within.
+            one = replace(outer, covariance=(SHADOW_STD_WIDTHS * seen.width_px) ** 2 * np.eye(2))
+        found.append(one or outer)
+    return found
 
 
 def _agrees(edge: EdgeLine, seen: SeenInstrument, side: int) -> bool:

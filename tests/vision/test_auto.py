@@ -221,17 +221,26 @@ def test_a_shaft_ends_at_its_shadow_by_colours_alone_with_blood_on_it(share):
     assert edge_within(lit, side(139.5, 3.0), other, None, 12.0) is None
 
 
-@pytest.mark.parametrize("is_mask", [False, True], ids=["evidence", "mask"])
-def test_a_shaft_reflects_tissue_where_evidence_has_no_edge(is_mask):
-    """Below row 128 of a shaft is the colour of tissue, which fades into that from row 140 on; a mask may end there."""
+def test_the_dark_side_of_a_shaft_that_reflects_tissue_is_no_shadow():
+    """Below row 128 it is bluer than tissue, and fades into that from row 140 on."""
     rows = np.clip((np.arange(240) - 140) / 40, 0.0, 1.0)[:, None, None]
-    bgr = np.array((24.0, 24.0, 60.0)) * (1.0 + 1.5 * rows) * np.ones((240, 320, 1))
-    bgr[:100] = 60, 60, 150
+    bgr = (1.0 - rows) * (44, 24, 36) + rows * (48, 60, 100) + np.zeros((1, 320, 1))
+    bgr[:100] = 48, 60, 100
     bgr[100:128] = 38, 35, 35
-    mask = bars((0, 320, 100, 140))[..., 0] == 30
-    seen = seen_as(mask, sides_of(end=319.0), end_std_px=np.inf, ends_dark=is_mask)
+    seen = seen_as(bars((0, 320, 100, 140))[..., 0] == 30, sides_of(end=319.0), end_std_px=np.inf)
     found = silhouette(cv2.GaussianBlur(bgr, (0, 0), 0.8).astype(np.uint8), seen)
-    assert found.width_px == pytest.approx(28.0 if is_mask else 40.0, abs=0.7)
+    assert found.width_px == pytest.approx(40.0, abs=0.7)
+
+
+def test_a_border_softer_than_the_other_side_is_that_of_a_shadow_as_grey_as_the_shaft():
+    lit = np.full((240, 320, 3), 110.0)
+    lit[140:160, :280] *= 0.45
+    bgr = cv2.GaussianBlur(lit, (0, 0), 3.0)
+    bgr[100:140, :280] = 48
+    seen = seen_as(bars((0, 280, 100, 160))[..., 0] == 30, sides_of(end=280.0, bottom=159.5))
+    upper, lower = silhouette(cv2.GaussianBlur(bgr, (0, 0), 0.8).astype(np.uint8), seen).edges
+    assert upper.covariance is None
+    assert np.sqrt(lower.covariance[0, 0]) > 5.0
 
 
 @pytest.mark.parametrize("is_cap", [False, True], ids=["shadow", "cap"])
