@@ -294,8 +294,13 @@ def _with_doubtful_side(
     strip = edge.end_px - np.linspace(0.0, beyond[at], 9)[:, None] * width_px * along + STRIP * inward
     if _inside(seen, strip) > 0.5:
         return edges
-    edge = replace(edge, covariance=(SHADOW_STD_WIDTHS * width_px) ** 2 * np.eye(2))
+    edge = _of_shadow(edge, width_px)
     return (edge, edges[1]) if at == 0 else (edges[0], edge)
+
+
+def _of_shadow(border: EdgeLine, width_px: float) -> EdgeLine:
+    """A shadow's border in place of the shaft's own edge, which is somewhere within."""
+    return replace(border, covariance=(SHADOW_STD_WIDTHS * width_px) ** 2 * np.eye(2))
 
 
 def _inside(seen: SeenInstrument, places_px: Array) -> float:
@@ -321,8 +326,7 @@ def _edges(bgr: Image, seen: SeenInstrument, picture: Image | None, least_levels
     for outer, other in (edges, edges[::-1]):
         one = edge_within(bgr, outer, other, picture, least_levels)
         if one is None and outer.covariance is None and outer.blur_px > most_blur_px(other):
-            # A shadow's, whose shaft's edge is not found: it is anywhere within.
-            one = replace(outer, covariance=(SHADOW_STD_WIDTHS * seen.width_px) ** 2 * np.eye(2))
+            one = _of_shadow(outer, seen.width_px)  # whose shaft's edge is not found
         found.append(one or outer)
     return found
 
