@@ -27,7 +27,8 @@ BEYOND, MORE_STRIP = np.arange(0.25, 2.5, 0.05), 0.25
 MORE, MORE_SHARE = 10, 0.35  # of half a width along that, dark is so much of more shaft; of wrists, less
 MAX_PRINTED_FRACTION = 0.1  # of a dark stub that is bright: of a tag's print half is white
 MIN_END_STD_PX = 3.0  # of the shaft's end: steel, jaws and shadow are as dark, 4 px and more off it
-WORKING_PX = 320  # of such a picture's width, a pixel is how far a mask's border may be off an edge
+WORKING_PX = 320  # of a picture's width, as coarse as that in which instruments are found without colours
+SIDE_STD_PX = 2.4  # of a mask's side off the shaft's edge, in its pixels: glare and shade shift it
 MAX_SAMPLES = 120  # points of a contour among which its two corners are searched
 
 
@@ -112,7 +113,7 @@ def _as_seen(mask: Image, edges: tuple[Side, Side], end_px: Array | None, *, is_
         sides,
         sides[:, 1].mean(0) if end_px is None else end_px,
         evidence=1.0,
-        side_covariance=np.tile(pixel_px**2 * np.eye(2), (2, 1, 1)),
+        side_covariance=np.tile((SIDE_STD_PX * pixel_px) ** 2 * np.eye(2), (2, 1, 1)),
         end_std_px=MIN_END_STD_PX if is_rim else np.inf,
         ends_dark=True,
         pixel_px=pixel_px,

@@ -16,7 +16,7 @@ from svmdist.vision.instruments.find_instruments import WRIST_NARROWER, SeenInst
 from svmdist.vision.shadows import edge_within, most_blur_px
 
 MIN_LENGTH_WIDTHS = 1.25  # of both sides, on average: where it comes in at a slant one is shorter
-MOST_OFF_STDS = 2.5  # of a sharp edge from the rough side it was sought at
+MOST_OFF_STDS = 1.6  # of a sharp edge from the rough side: what is farther is rather another edge
 SOFT_STD_WIDTHS = 0.05  # of a side without one, over the width: beside what people draw in photographs
 MAX_TAPER_RAD = 0.6  # between the sides; a cylinder that points at the camera shows no length
 ENDS_AGREE_WIDTHS = 0.3  # both edges' ends along the shaft: clevises are lopsided

@@ -180,6 +180,16 @@ def test_sides_without_an_edge_are_those_of_the_evidence():
     assert told >= 6
 
 
+@pytest.mark.parametrize(("top", "is_edge"), [(101.5, True), (103.0, False)])
+def test_an_edge_farther_from_the_evidence_than_that_is_rough_is_another_one_s(top, is_edge):
+    """Evidence of half a picture's width is right to 3 px; letters and highlights have edges, too."""
+    mask = bars(SHAFT)[..., 0] == 30
+    upper, lower = silhouette(bars(SHAFT), seen_as(mask, sides_of(top=top))).edges
+    assert lower.covariance is None
+    assert (upper.covariance is None) is is_edge
+    assert upper.start_px[1] == pytest.approx(99.5 if is_edge else top, abs=0.5)
+
+
 @pytest.mark.parametrize("behind", [(110, 116, 124), (70, 70, 210)], ids=["grey", "red"])
 @pytest.mark.parametrize("light", [1.0, 0.5, 0.25], ids=["sunlit", "shadow", "dark shadow"])
 def test_the_shaft_ends_before_its_own_shadow(behind, light):
