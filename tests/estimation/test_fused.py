@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from svmdist.estimation.instrument.consistency import Consistency, GatingResult, student_weight
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.estimation.instrument.image_pose import ImagePose
+from svmdist.estimation.instrument.image_pose import ImagePose, is_borne_out
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement_kinds import PointMeasurement
 from svmdist.kinematics import forward_kinematics
@@ -248,6 +248,25 @@ def test_a_depth_needs_more_than_one_that_tells_it(first_side, marker, in_doubt)
     ]
     judged += [GatingResult(name, 1.0, 1, weight, "distal marker") for name, weight in marker]
     assert ImagePose(pose, (), "", tuple(judged)).doubtful_depth == in_doubt
+
+
+@pytest.mark.parametrize(
+    ("refused", "expected"),
+    [
+        (("right edge +1",), True),
+        (("right edge +1", "disparity"), False),
+        (("right edge +1", "edge -1"), False),
+        (("right edge +1", "wrist"), False),
+        (("wrist",), False),
+        (("disparity",), True),
+        ((), True),
+    ],
+)
+def test_without_joints_a_disparity_and_three_sides_outvote_one(refused, expected):
+    """Alone, the rest may be that of another instrument; what tells the depth is weighed elsewhere."""
+    names = ("edge -1", "edge +1", "right edge -1", "right edge +1", "end", "wrist", "disparity")
+    judged = [GatingResult(name, 1.0, 1, float(name not in refused), "shaft") for name in names]
+    assert is_borne_out(judged) is expected
 
 
 def test_widening_is_the_ratio_of_birge():

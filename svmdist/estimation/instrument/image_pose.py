@@ -222,8 +222,7 @@ def _located(
         return Failure("the fit does not converge")
     doubt = kalman.consistency.doubt
     refused = [result for result in judged if not result.is_accepted]
-    # Without joints nothing but the rest says what is wrong: it may be those of another instrument, or a shadow's.
-    alone = isinstance(frame.robot, Failure) and any(one.name not in TELLING_DEPTH for one in refused)
+    alone = isinstance(frame.robot, Failure) and not is_borne_out(judged)
     most = MAX_REFUSED_SHARE * sum(result.degrees_of_freedom for result in judged)
     if alone or sum(result.degrees_of_freedom for result in refused) > most:
         names = ", ".join(result.name for result in refused)
@@ -238,3 +237,16 @@ def _located(
     if not doubt and (in_doubt := found.doubtful_depth):
         found = replace(found, doubt=f"the depth is in doubt: {', '.join(in_doubt)} refused")
     return found
+
+
+def is_borne_out(judged: Sequence[GatingResult]) -> bool:
+    """Whether what was measured is right, where no joints say so, and not what was refused.
+
+    It may be that of another instrument, or a shadow's; but a disparity and three sides outvote a side. Of what tells
+    the depth, `doubtful_depth` says so.
+    """
+    is_accepted = {one.name: one.is_accepted for one in judged if one.name not in TELLING_DEPTH}
+    sides = [is_accepted[name] for name in is_accepted if "edge" in name]
+    has_disparity = any(one.name == DISPARITY and one.is_accepted for one in judged)
+    outvoted = int(has_disparity and len(sides) - sum(sides) == 1 and sum(sides) >= 3)
+    return len(is_accepted) - sum(is_accepted.values()) <= outvoted
