@@ -26,7 +26,7 @@ from svmdist.workflows.replay import replay
 from svmdist.workflows.request import Request
 from svmdist.workflows.scoring.given import Given
 from svmdist.workflows.scoring.metric_table import FIRST_KEYS, Tolerance, stored_metrics
-from svmdist.workflows.scoring.references import BY_POSES, KINEMATICS_PRINTED_NOTE, Reference
+from svmdist.workflows.scoring.references import BY_POSES, KINEMATICS_PRINTED_NOTE, Reference, no_truth
 from svmdist.workflows.scoring.scores import Readings, Score, pool_scores, score_rows
 
 PAPER_R_SQUARED = 0.78  # the paper's own figure (sec. IV); its scene differs from every scene here
@@ -119,10 +119,13 @@ def score_recording(
 ) -> Scored:
     """Score every wanted instrument. Scores are named after the recording, and after any instrument but the first."""
     setup, rules, lag = request.setup, request.rules, request.lag
+    wanted = rules.of(recording)
+    without_truth = "`svmdist compare` sets methods against each other, without a truth"
+    if said := no_truth(recording, (Reference.GROUND_TRUTH,) if request.alarms else wanted, rules):
+        raise RecordingError(f"{said}; {without_truth}")  # before all images are measured
     notes = setup.degeneracies(recording.camera)
     planar = setup.is_planar  # it needs no joints, and its own rows show the lag
     read, found = (recording, given_lag(lag)) if planar else with_lag(recording, request, jobs)
-    wanted = rules.of(recording)
     every, by = _measured(read, request, [one for one in wanted if one in BY_POSES], jobs)
     asked_for = rules.references or (Reference.TF,) * bool(rules.tool_frames)
     scores, missing, lacking = [], [], []
@@ -147,8 +150,7 @@ def score_recording(
             else:
                 scores.append(replace(score, recording=label, instrument=name))
     if not scores or (request.alarms and scores[0].alarms is None):
-        methods = "`svmdist compare` sets methods against each other, without a truth"
-        raise RecordingError("; ".join([*missing, methods]))
+        raise RecordingError("; ".join([*missing, without_truth]))
     if keep is not None:
         keep(Measured(recording, read, tuple(every), scores[0].lag))
     notes += missing

@@ -139,6 +139,20 @@ def test_a_baseline_catches_worse_alarms_and_worse_clearance(recording):
             require_same_alarms(baseline, other)
 
 
+def test_a_log_without_any_truth_is_refused_before_it_is_measured(tmp_path, monkeypatch):
+    bare = write_log(
+        tmp_path / "bare.mcap", frame_count=3, change=lambda topic, one: one if "ECM" in topic else None
+    )
+    monkeypatch.setattr("svmdist.workflows.validate.replay", None)
+    with pytest.raises(RecordingError) as refused:
+        validate([open_recording(bare, SETUP.profile)], Request(SETUP))
+    assert str(refused.value) == (
+        "bare: there is no truth to compare with: no true distances (ground_truth), no joint states (kinematics), no"
+        " poses (pose); the topics are /ECM/left/camera_info, /ECM/left/image; `svmdist compare` sets methods against"
+        " each other, without a truth"
+    )
+
+
 def test_alarms_need_a_true_clearance(recording, tmp_path):
     """Without ground truth among the references, or in the log, alarms cannot be scored."""
     rules = AlarmRules(BELOW_M)
@@ -148,5 +162,5 @@ def test_alarms_need_a_true_clearance(recording, tmp_path):
         validate([recording], Request(prepare(method="overlay"), alarms=rules))
 
     blind = write_log(tmp_path / "blind.mcap", frame_count=3, change=without("/ground_truth/distance"))
-    with pytest.raises(RecordingError, match="no ground_truth to compare with"):
+    with pytest.raises(RecordingError, match=r"no true distances \(ground_truth\); the topics are /ECM"):
         validate([open_recording(blind, SETUP.profile)], Request(SETUP, alarms=rules))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import partial
@@ -15,6 +15,8 @@ from svmdist.estimation.plane_mapping import Equations
 from svmdist.kinematics import forward_kinematics, select_joints
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording
+from svmdist.recording.messages import Kind, kind_of
+from svmdist.recording.source import sanitize_list
 from svmdist.recording.topics import Role
 from svmdist.tracks import MAX_GAP_NS, LagEstimate, Sampled
 from svmdist.transforms import Array, Stamps
@@ -76,6 +78,24 @@ class TruthRules:
 
 
 ANY_TRUTH = TruthRules()
+
+
+def no_truth(log: Recording, references: Sequence[Reference], rules: TruthRules) -> str:
+    """Why a log has none of some references, by its topics alone; empty where it may have one."""
+    of_poses = Kind.TRANSFORMS if rules.tool_frames else Kind.POSE
+    made_of = {
+        Reference.GROUND_TRUTH: Kind.DISTANCE,
+        Reference.TF: Kind.TRANSFORMS,
+        Reference.POSE: Kind.POSE,
+        Reference.KINEMATICS: Kind.JOINTS,
+        **dict.fromkeys(BY_POSES, of_poses),
+    }
+    topics = log.topics()
+    if {made_of[one] for one in references} & {kind_of(one) for one in topics}:
+        return ""
+    lacking = ", ".join(f"no {made_of[one]} ({one})" for one in references)
+    listed = sanitize_list(one.topic for one in topics)
+    return f"{log.name}: there is no truth to compare with: {lacking}; the topics are {listed}"
 
 
 def truth_rules(
