@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -113,7 +114,13 @@ class Command(Helped, TyperCommand):
         """Read the words behind the command's name."""
         if any(one.name == "form" for one in self.params):
             args = [word for one in args for word in (("-f", "json") if one == "--json" else (one,))]
-        return super().parse_args(ctx, args)
+        _, _, order = self.make_parser(ctx).parse_args(list(args))
+        rest = super().parse_args(ctx, args)
+        for one, count in Counter(order).items():
+            counts_once = not (one.multiple or getattr(one, "is_flag", False))
+            if counts_once and count > 1 and not (ctx.params["quiet"] or ctx.resilient_parsing):
+                LOG.info("note: %s is given %d times, of which the last one counts", one.opts[0], count)
+        return rest
 
 
 class CommandGroup(Helped, TyperGroup):

@@ -269,6 +269,14 @@ def test_a_method_says_what_the_log_lacks(cli, tmp_path, method, said):
     assert [f"{row['status']} ({row['detail']})" for row in outcome.rows] == [said] * 3
 
 
+def test_an_option_that_counts_once_says_so_where_it_is_given_twice(cli, tmp_path):
+    path = write_log(tmp_path / "still.mcap", frame_count=2)
+    twice = cli("fk", path, "--every", 1, "--every", 100, "-v", "-v")
+    assert "svmdist: note: --every is given 2 times, of which the last one counts" in twice.err
+    assert len(twice.rows) == 1
+    assert "--verbose" not in twice.err
+
+
 def test_what_is_guessed_is_said(cli, tmp_path):
     """Intervals are as wide as a radius that nobody measured; of the simulator's profile nothing is a guess."""
     log = write_log(tmp_path / "still.mcap", frame_count=2)
