@@ -63,11 +63,7 @@ def nothing_unlike(_: Any, flanks: Any, __: Any) -> Any:
 
 CASES: dict[str, tuple[object, str, Any]] = {
     "nothing": (shadows, "edge_within", shadows.edge_within),
-    "material's change": (
-        outline_search,
-        "_material",
-        lambda _, middle, __: np.zeros(len(middle)),
-    ),
+    "material's change": (outline_search, "_material", lambda _, middle, *__: np.zeros(len(middle))),
     "colours beyond sides": (outline_search, "_of_beyond", lambda *_: 0.0),
     "likelier end": (ShaftSizes, "with_likelier_end", lambda _, seen, __: seen),
     "other end": (ShaftSizes, "rim_ahead", own_end),
@@ -117,8 +113,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--only", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument("--write", action="store_true")
     given = parser.parse_args(arguments)
+    rows: list[list[str]] = []
     with ProcessPoolExecutor(given.jobs, get_context("spawn")) as pool:
-        rows = list(pool.map(partial(cells, folder=given.folder, out=given.out / "ablate"), given.only))
+        for row in pool.map(partial(cells, folder=given.folder, out=given.out / "ablate"), given.only):
+            print(*row, sep="|", flush=True)  # of an hour's work nothing is lost
+            rows.append(row)
     text = table(("without", *COLUMNS), rows)
     print(text)
     if given.write:
