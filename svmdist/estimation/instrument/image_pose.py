@@ -245,8 +245,8 @@ def is_borne_out(judged: Sequence[GatingResult]) -> bool:
     It may be that of another instrument, or a shadow's; but a disparity and three sides outvote a side. Of what tells
     the depth, `doubtful_depth` says so.
     """
-    is_accepted = {one.name: one.is_accepted for one in judged if one.name not in TELLING_DEPTH}
-    sides = [is_accepted[name] for name in is_accepted if "edge" in name]
-    has_disparity = any(one.name == DISPARITY and one.is_accepted for one in judged)
-    outvoted = int(has_disparity and len(sides) - sum(sides) == 1 and sum(sides) >= 3)
-    return len(is_accepted) - sum(is_accepted.values()) <= outvoted
+    accepted = {one.name for one in judged if one.is_accepted}
+    refused = [one.name for one in judged if one.name not in accepted.union(TELLING_DEPTH)]
+    if len(refused) == 1 and "edge" in refused[0]:
+        return DISPARITY in accepted and sum("edge" in name for name in accepted) >= 3
+    return not refused
