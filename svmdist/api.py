@@ -153,7 +153,7 @@ def estimate(
     if hand_eye is not None:
         origin = recording.origin
         origin = origin._replace(profile=taking_hand_eye(origin.profile, hand_eye))
-        recording = replace(origin.open(), window=recording.window)
+        recording = replace(recording, origin=origin, bases=origin.open().bases)
     if (start_s, end_s, every) != (0.0, math.inf, 1):
         recording = replace(recording, window=Window(start_s, end_s, every))
     setup = _setup(recording, method, calibration)

@@ -153,7 +153,9 @@ def _worst(recording: Recording, request: Request, count: int, jobs: int | None)
 
     with output.watched(recording, f"measuring {recording.name}") as log:
         rows = list(estimate(log, request.setup, jobs))
-    worst = worst_frames(series_of([Measured(recording, recording, tuple(rows), None)], request), count)
+    worst = worst_frames(
+        series_of([Measured(recording, recording, tuple(rows), recording.lag)], request), count
+    )
     for one in worst:
         LOG.info("%s", one.in_words)
     return {one.number for one in worst}

@@ -12,7 +12,7 @@ from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.consistency import with_detections
 from svmdist.estimation.instrument.distal_marker import pair_markers
 from svmdist.estimation.instrument.error_model import ErrorModel, nominal_tool
-from svmdist.estimation.instrument.factors import DISPARITY
+from svmdist.estimation.instrument.factors import DISPARITY, marker_place_m
 from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.model import wrist_in_tool
 from svmdist.estimation.instrument.tag_pose import TagPose
@@ -184,7 +184,10 @@ ANY_ORIENTATION = ToolPose(np.eye(4), np.eye(6), np.array([1.0, 0.0, 0.0]))
 
 
 def triangulated_tool(frame: Frame, nominal: ToolPose) -> ToolPose | Failure:
-    """The triangulated marker's position with the orientation, and its covariance, of the nominal kinematics."""
+    """The tool by the triangulated marker, with the orientation, and its covariance, of the nominal kinematics.
+
+    Of any orientation it is where the marker is.
+    """
     pair, right = frame.scene.stereo_pair, frame.right
     if isinstance(pair, Failure):
         return pair
@@ -197,14 +200,13 @@ def triangulated_tool(frame: Frame, nominal: ToolPose) -> ToolPose | Failure:
     disparity_px = np.array(markers.disparity_px)
     biases = frame.arm.deviations.of_disparity(p_camera_m, right.camera, disparity_px, right.T_view_left)
     of_cameras_px2 = sum(float(np.sum(bias.jacobian**2)) for bias in biases)
-    pixel_std_px = float(
-        np.hypot(markers.left.std_px, markers.left.radius_px * markers.left.error.part_std_m)
-    )
-    disparity_std_px = float(np.hypot(markers.std_px, markers.lasting_std_px))
+    seen, of_disparity_px2 = markers.left, markers.std_px**2 + markers.lasting_std_px**2 + of_cameras_px2
     T_camera_tool, covariance = nominal.T_camera_tool.copy(), np.zeros((6, 6))
     T_camera_tool[:3, 3] = p_camera_m
-    variances = np.array([pixel_std_px**2, pixel_std_px**2, disparity_std_px**2 + of_cameras_px2])
-    covariance[:3, :3] = J @ np.diag(variances) @ J.T
+    if nominal is not ANY_ORIENTATION:
+        T_camera_tool[:3, 3] -= T_camera_tool[:3, :3] @ marker_place_m(frame.arm, seen)
+    covariance[:3, :3] = J @ np.diag([seen.std_px**2, seen.std_px**2, of_disparity_px2]) @ J.T
+    covariance[:3, :3] += (seen.error.place_std_m**2 + seen.error.part_std_m**2) * np.eye(3)
     covariance[3:, 3:] = nominal.covariance[3:, 3:]
     return ToolPose(T_camera_tool, covariance, nominal.axis)
 

@@ -99,7 +99,8 @@ class Scene:
         interlace = profile.settings.interlace
         self.lens, self.profile, self._rows = observation.camera, profile, rows
         first = with_first_fields(observation, interlace)
-        self.mixes_colours = first is not observation and mixes_colours(observation.image_bgr, interlace)
+        is_combed = first.image_bgr is not observation.image_bgr
+        self.mixes_colours = is_combed and mixes_colours(observation.image_bgr, interlace)
         self.observation = observation = as_pinholes(first, rows)
         right = observation.right
         self.left = FrameContext(observation.image_bgr, segmenter, profile)

@@ -10,7 +10,7 @@ from svmdist.estimation.frame_methods import ANY_ORIENTATION, tool_from_tag, tri
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, cross
-from svmdist.vision.lines import axis_of_cylinder
+from svmdist.vision.lines import apparent_radius_px, axis_of_cylinder
 
 MOST_WRONG = 3.0
 """By which factor a radius is mistaken: a diameter is twice. Farther off, a strip of the shaft was taken for all."""
@@ -75,7 +75,7 @@ def _by_marker_size(frame: Frame) -> ToolPose | None:
     marker = view.distal_marker
     if instrument is None or marker is None or marker.radius_px is None or marker.disc is None:
         return None
-    depth_m = float(view.camera.K[0, 0]) * instrument.knuckle_radius_m / marker.radius_px
-    std = float(np.hypot(marker.radius_std_px / marker.radius_px, instrument.knuckle_radius_std_fraction))
     ray = view.camera.rays(marker.disc.centre_px)[0]
+    depth_m = float(apparent_radius_px(ray, instrument.knuckle_radius_m, view.camera)) / marker.radius_px
+    std = float(np.hypot(marker.radius_std_px / marker.radius_px, instrument.knuckle_radius_std_fraction))
     return _at_depth(depth_m, std * depth_m, ray)

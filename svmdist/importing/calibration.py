@@ -361,7 +361,7 @@ def _numbers(document: Document, keys: Keys, shape: tuple[int, int] | None) -> A
         return None
     try:
         numbers = np.array(value, np.float64).ravel()
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{key}: expected numbers, found {str(value)[:60]!r}") from None
     if not (np.abs(numbers) < MAX_NUMBER).all():
         raise ValueError(f"{key}: a number that is not finite, or beyond {MAX_NUMBER:g}")

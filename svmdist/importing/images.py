@@ -34,7 +34,11 @@ def list_images(folder: Path, pattern: str | None = None) -> list[Path]:
         if folders:
             found = f"the folders {', '.join(folders[:8])}: give one, or one for each view"
         raise SourceError(f"{folder}: no images ({', '.join(sorted(SUFFIXES))}); found {found}")
-    if chosen := [path for path in images if pattern is None or path.match(pattern)]:
+    try:
+        chosen = [path for path in images if pattern is None or path.match(pattern)]
+    except ValueError:
+        raise SourceError(f"expected a pattern of names, as *_L.png, found {pattern!r}") from None
+    if chosen:
         return chosen
     raise SourceError(f"{folder}: none of {len(images)} images is a {pattern}; the first is {images[0].name}")
 

@@ -54,8 +54,8 @@ def parse_stamp_ns(text: str, unit: str | None = None) -> int:
     if unit is None:
         sizes = (("ns", 10**17), ("us", 10**14), ("ms", 10**11))
         unit = next((name for name, least in sizes if value >= least), "s")
-    stamp_ns = round(value * UNITS_NS[unit])
-    if not 0 <= stamp_ns <= MAX_STAMP_NS:
+    # In whatever unit, a number beyond those of ns is none; and its product might have millions of digits.
+    if not 0 <= value <= MAX_STAMP_NS or (stamp_ns := round(value * UNITS_NS[unit])) > MAX_STAMP_NS:
         raise ValueError(f"a time must not be negative or beyond 64 bits of ns, found {text[:40]}")
     return stamp_ns
 
@@ -65,11 +65,11 @@ def stamps_from_names(names: Sequence[str]) -> list[int] | None:
     stamps = []
     for name in names:
         stem = name.rpartition(".")[0] or name
-        if decimal := DECIMAL_STAMP.search(stem):
-            stamps.append(int(decimal[1]) * 10**9 + int(decimal[2].ljust(9, "0")))
-        elif whole := WHOLE_STAMP.search(stem):
-            stamps.append(parse_stamp_ns(whole[1]))
-        else:
+        decimal, whole = DECIMAL_STAMP.search(stem), WHOLE_STAMP.search(stem)
+        text = ".".join(decimal.groups()) if decimal else whole[1] if whole else ""
+        try:
+            stamps.append(parse_stamp_ns(text, "s" if decimal else None))
+        except ValueError:  # no number, or one of a date
             return None
     return stamps
 
@@ -267,7 +267,10 @@ def read_table(path: Path) -> Table:
     def split(line: str) -> list[str]:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=mark))] if mark else line.split()
 
-    rows = [split(line) for _, line in lines]
+    try:
+        rows = [split(line) for _, line in lines]
+    except csv.Error as problem:
+        raise SourceError(f"{path}: not a table: {problem}") from None
     names = None
     if _looks_named(rows):
         names, rows, lines = rows[0], rows[1:], lines[1:]

@@ -127,7 +127,7 @@ class _Pass:
                 try:
                     inner = breakup_chunk(_expanded(record, self._limits), validate_crc=True)
                 except Exception as problem:  # mcap raises a dozen kinds
-                    self._lose(LossKind.CHUNK, f"dropped: {problem or type(problem).__name__}", offset)
+                    self._lose(LossKind.CHUNK, f"dropped: {str(problem) or type(problem).__name__}", offset)
                     continue
             # A record that belongs into a chunk, as all others are in one: its opcode is broken.
             elif (
@@ -161,8 +161,7 @@ class _Pass:
             if end > size_bytes or opcode == 0:
                 break
             if length > self._limits.record_bytes:
-                detail = f"{length} bytes; the limit is {self._limits.record_bytes}"
-                self._lose(LossKind.RECORD, detail, offset)
+                self._lose_long(length, offset)
                 file.seek(end)
                 crc = None  # as bytes were left out, it says nothing any more
             else:
@@ -204,15 +203,17 @@ class _Pass:
             if not one.message_index_offsets or wanted & one.message_index_offsets.keys()
         ]
         for offset, length in sorted(places):
-            if length <= self._limits.record_bytes + HEAD.size:
-                file.seek(offset)
-                record = self._parsed(file.read(length), offset)
-                if record is not None:
-                    yield offset, record
+            if length > self._limits.record_bytes + HEAD.size:
+                self._lose_long(length - HEAD.size, offset)
+                continue
+            file.seek(offset)
+            record = self._parsed(file.read(length), offset)
+            if record is not None:
+                yield offset, record
 
     def _parsed(self, frame: bytes, offset: int) -> McapRecord | None:
         """Parse one record, head included; None for a message index, an unknown record, and one that is broken."""
-        if frame[0] not in PARSED:
+        if not frame or frame[0] not in PARSED:
             return None
         try:
             record = next(StreamReader(BytesIO(frame), skip_magic=True, emit_chunks=True).records)
@@ -272,6 +273,9 @@ class _Pass:
             self._lose(LossKind.STATISTICS, detail)
         elif declared and declared != found:
             self._lose(LossKind.STATISTICS, "the statistics declare other counts by channel than were read")
+
+    def _lose_long(self, length: int, offset: int) -> None:
+        self._lose(LossKind.RECORD, f"{length} bytes; the limit is {self._limits.record_bytes}", offset)
 
     def _lose(self, kind: LossKind, detail: str, offset: int | None = None) -> None:
         self.loss_count += 1

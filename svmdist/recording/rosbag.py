@@ -23,7 +23,7 @@ from svmdist.files import open_regular, read_regular, why
 from svmdist.profile import Limits
 from svmdist.recording import source
 from svmdist.recording.mcap import McapSource
-from svmdist.remote import LogPath
+from svmdist.remote import LogPath, RemoteFile
 
 METADATA_BYTES = 1 << 20
 SQLITE_HEADER_BYTES = 100
@@ -38,6 +38,8 @@ class BagSource:
         self.health = source.Health()
         self._encoding = encoding
         if encoding == "cdr":
+            if isinstance(path, RemoteFile):
+                raise RecordingError(f"{path}: a database is read from a disk only: download it first")
             _require_whole_database(Path(str(path)))
             for left in (Path(f"{path}{suffix}") for suffix in UNMERGED_SUFFIXES):
                 if left.exists() and left.stat().st_size:

@@ -51,6 +51,8 @@ STYLES: dict[Role, dict[str, Any]] = {
 REFERENCE_NAMES = {
     Reference.GROUND_TRUTH: "simulator",
     Reference.TF: "transforms of the log",
+    Reference.SURFACE: "poses and surface",
+    Reference.PLANE: "poses and plane",
     Reference.POSE: "pose topic",
     Reference.KINEMATICS: "DH kinematics",
 }
@@ -227,7 +229,7 @@ def _draw_score(upper: Axes, lower: Axes, score: Score, alarms: AlarmRules | Non
 def _title(score: Score, distance: str, in_3d: Pairs | None) -> str:
     name = f"{plain_name(score.recording)}: {plain_name(score.method)}"
     if (found := in_3d.statistics if in_3d else score.statistics) is None:
-        return f"{name}\nnothing measured"
+        return f"{name}\n{'no distance to compare with' if score.measured_count else 'nothing measured'}"
     if in_3d:
         held = in_3d.interval_coverage
         interval = "" if held is None else f", {held * 100:.0f} % in the 95 % interval"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,12 +28,16 @@ found on six seconds of such a log are off by as much, beside what noise does.""
 
 @dataclass(frozen=True)
 class Measured:
-    """The rows of one recording, the recording as it is and as methods read it, and the lag that was applied."""
+    """The rows of one recording, the recording as it is and as methods read it, and the lag that was applied.
+
+    `by` holds what was measured in the same pass as a truth, by reference and instrument.
+    """
 
     recording: Recording
     read: Recording
     rows: tuple[FrameResult, ...]
     lag: LagEstimate | None
+    by: Mapping[tuple[Reference, str], Readings] = field(default_factory=dict)
 
 
 Keep = Callable[[Measured], None]

@@ -150,8 +150,9 @@ def import_log(
                 writer.write(topic, sample)
                 if on_progress is not None and topic.endswith("/image"):
                     on_progress(sum(writer.counts[f"/ECM/{side}/image"] for side in SIDES) // halved, total)
-    except SvmdistError:
+    except SvmdistError as problem:
         writer.discard()
+        vars(problem).pop("__notes__", None)  # which say where the discarded file is
         raise
     has_baseline = None if options.count == 1 else T_left_right is not None
     losses = [loss for view in views for loss in view.losses.values()]

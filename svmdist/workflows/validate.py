@@ -152,7 +152,7 @@ def score_recording(
     if not scores or (request.alarms and scores[0].alarms is None):
         raise RecordingError("; ".join([*missing, without_truth]))
     if keep is not None:
-        keep(Measured(recording, read, tuple(every), scores[0].lag))
+        keep(Measured(recording, read, tuple(every), scores[0].lag, by))
     notes += missing
     if setup.equations == "printed" and Reference.KINEMATICS in {score.reference for score in scores}:
         notes.append(KINEMATICS_PRINTED_NOTE)

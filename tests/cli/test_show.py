@@ -1,5 +1,7 @@
 """`svmdist show`: the chosen images, each phase of the method as a panel."""
 
+import re
+
 import cv2
 import numpy as np
 
@@ -43,6 +45,10 @@ def test_at_takes_the_nearest_image_and_worst_the_worst(golden, cli, tmp_path):
     assert cli("show", log, "--at", 0.52, "-o", tmp_path).out.endswith("sweep-00005.png\n")
     worst = cli("show", log, "--method", "overlay", "--worst", 2, "-o", tmp_path)
     assert len(worst.out.splitlines()) == worst.err.count("planar error") == 2
+    late = ("--method", "overlay", "--lag", 0.08)
+    cli("estimate", log, *late, "-f", "csv", "--report", tmp_path / "page.html")
+    error = re.search(r"planar error \S+ mm", cli("show", log, *late, "--worst", 1, "-o", tmp_path).err)[0]
+    assert error in (tmp_path / "page.html").read_text("utf-8"), "another lag than that of a report"
 
 
 def test_one_picture_may_have_a_name(golden, cli, tmp_path):

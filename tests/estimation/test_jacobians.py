@@ -7,7 +7,7 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.error_model import CorrectedLink, CorrectedLinks, Correction, ErrorModel
-from svmdist.estimation.instrument.measurement import LinkMeasurement
+from svmdist.estimation.instrument.measurement import Deviations, LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import (
     JAWS,
     ContourMeasurement,
@@ -21,7 +21,7 @@ from svmdist.estimation.instrument.measurement_kinds import (
 from svmdist.estimation.instrument.state import linearise
 from svmdist.kinematics import DHChain, forward_kinematics, frame_transforms, row_index
 from svmdist.kinematics.robot_state import RobotState
-from svmdist.profile.robot import Joint, KinematicError
+from svmdist.profile.robot import CameraError, Joint, KinematicError
 from svmdist.tracks import JointTrack
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_vector, rotation_x
 from tests.jacobian import check_jacobian, nudged
@@ -162,6 +162,18 @@ def test_what_is_found_between_end_and_tips_is_off_with_both():
     assert by_end[0] == pytest.approx(
         end.linearise(T_LINK).residual - end.linearise(moved).residual, rel=0.05
     )
+
+
+def test_where_the_right_picture_is_cut_does_not_matter_for_disparity():
+    """Principal points that stand 60 px apart change what is measured by as much, and no deviation of it."""
+    K = IDEAL.K + np.array([[0.0, 0.0, 60.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    cut = replace(PAIR, right=replace(IDEAL, K=K), disparity_px=PAIR.disparity_px - 60.0)
+    unsure = Deviations(CameraError(focal_std_fraction=0.01))
+    found, other = (replace(one, deviations=unsure).linearise(T_LINK) for one in (PAIR, cut))
+    assert found.residual == pytest.approx(other.residual)
+    assert any(np.abs(bias.jacobian).max() > 0.1 for bias in found.biases)
+    for one, same in zip(found.biases, other.biases, strict=True):
+        assert one.jacobian == pytest.approx(same.jacobian), one.name
 
 
 def test_what_is_seen_later_is_compared_with_where_the_link_has_gone():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
+from svmdist.estimation.frame_methods import ANY_ORIENTATION, triangulated_tool
 from svmdist.estimation.instrument.distal_marker import Expected, pair_markers
 from svmdist.estimation.instrument.factors import marked, of_images
 from svmdist.estimation.methods import make_estimator
@@ -112,6 +113,8 @@ def test_what_is_coloured_and_of_another_size_is_somewhere_about_the_origin(size
         B = one.linearise(T).biases[0].jacobian
         std_px = float(np.sqrt((one.covariance + B @ B.T)[0, 0]))
         assert (std_px > px_per_m * radius_m * 2.0) is not is_marker, (name, std_px)
+    placed = triangulated_tool(frame, ANY_ORIENTATION)
+    assert (placed.position_std_m > 2.0 * radius_m) is not is_marker
     result = Measuring("stereo", profile).result(seen)
     if result.status is Status.OK:
         assert deviations(result, 2.4) < 2.8

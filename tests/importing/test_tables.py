@@ -90,6 +90,8 @@ def test_stamps():
     assert stamps_from_names(["left_1479250744.250.png"]) == [1479250744250000000]
     assert stamps_from_names(["1479250744123456789.png"]) == [1479250744123456789]
     assert stamps_from_names(["frame0001.png"]) is None
+    assert stamps_from_names(["20241129101500.png"]) is None  # a date
+    assert stamps_from_names(["99999999991_500.png"]) is None
 
 
 @pytest.mark.parametrize(
@@ -105,6 +107,8 @@ def test_stamps():
         ("stamp,x,y,z,qx,qy,qz,qw\n1,a,0,0,0,0,0,1\n", "line 2: expected a number, found 'a'"),
         ("stamp,x,y,z,qx,qy,qz,qw\n1,nan,0,0,0,0,0,1\n", "line 2: expected a number, found 'nan'"),
         ("stamp,x,y,z,qx,qy,qz,qw\n-1,0,0,0,0,0,0,1\n", "must not be negative"),
+        ("stamp,x,y,z,qx,qy,qz,qw\n1e999999999,0,0,0,0,0,0,1\n", "beyond 64 bits of ns, found 1e999999999"),
+        ("1," + "1" * 200_000 + "\n", "not a table: field larger than"),
         ("image,x,y,z,qx,qy,qz,qw\n9,0,0,0,0,0,0,1\n", "there is no image '9'"),
         ("x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,1\n", "1 rows for 2 images"),
         ("1,2,3\n1,2,3\n", "expected 7 numbers of a pose"),

@@ -134,6 +134,22 @@ def test_only_what_is_asked_for_is_fetched(tmp_path):
     assert 0 < fetched < size / 3, (fetched, size)
 
 
+def test_an_index_that_points_beyond_the_file_is_a_loss(log):
+    """Right by its CRC, as where a store has cut the file and kept its end."""
+    source = McapSource(RemoteFile(f"counted://{log}"), Limits())
+    for index in source.summary.chunk_indexes:
+        index.chunk_start_offset += 1 << 40
+    assert everything(source) == []
+    assert "the statistics declare" in str(source.health.losses)
+
+
+def test_a_database_is_not_read_from_afar(tmp_path):
+    path = tmp_path / "log.db3"
+    path.write_bytes(b"SQLite format 3\0" + bytes(84))
+    with pytest.raises(RecordingError, match="a database is read from a disk only: download it first"):
+        open_recording(f"counted://{path}", PROFILE)
+
+
 @pytest.mark.parametrize(("harm", "said"), [("gone", "the store is gone"), ("short", "bytes came of")])
 def test_a_store_that_fails_is_one_line(log, harm, said):
     HARM[str(log)] = harm

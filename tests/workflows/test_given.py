@@ -157,7 +157,9 @@ def test_without_truth_poses_and_methods_stand_against_each_other(cli, tmp_path)
     for row in scores:
         assert float(row["tool_rmse_m"]) < 1e-6
         assert row["spatial_rmse_m"] == ""
-    by_plane = cli("validate", log, "--method", "kinematic", "--truth", "plane", *options).rows[0]
+    drawn = ("--report", tmp_path / "page.html", "--save-plot", tmp_path / "plane.png")
+    by_plane = cli("validate", log, "--method", "kinematic", "--truth", "plane", *drawn, *options).rows[0]
+    assert "Errors of the clearance" in (tmp_path / "page.html").read_text("utf-8")
     assert float(by_plane["spatial_rmse_m"]) < 1e-6
     assert float(by_plane["clearance_rmse_m"]) < 1e-6
     off = true_poses()

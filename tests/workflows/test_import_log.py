@@ -278,6 +278,7 @@ WRONG: dict[str, tuple[object, ...]] = {
         "are of two views: choose those of one by --pattern",
         {"rate_hz": None},
     ),
+    "pattern": ("1.png", "expected a pattern of names, as *_L.png, found '.'", {"pattern": "."}),
     "odd": ("1.png 65", "65 px wide", {"side_by_side": True}),
     "no folder": ("1.png", "no such folder", {"source": "nowhere"}),
     "glob": ("1.png", "no such folder or video: give the folder, and --pattern", {"source": "*.png"}),

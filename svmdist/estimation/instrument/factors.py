@@ -138,7 +138,7 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
     yield kinds.PointMeasurement(
         name=seen.name,
         camera=view.camera,
-        p_link_m=_marker_place_m(arm, seen),
+        p_link_m=marker_place_m(arm, seen),
         pixel=seen.pixel,
         covariance=seen.std_px**2 * np.eye(2),
         error=seen.error,
@@ -202,7 +202,7 @@ def _disparity(frame: Frame, right: View, markers: MarkerPair) -> LinkMeasuremen
         error=left.error,
         deviations=arm.deviations,
         lasting_std_px=markers.lasting_std_px,
-        p_link_m=_marker_place_m(arm, left),
+        p_link_m=marker_place_m(arm, left),
         correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
     )
 
@@ -231,7 +231,7 @@ def tag(
         )
 
 
-def _marker_place_m(arm: Arm, seen: SeenMarker) -> Array:
+def marker_place_m(arm: Arm, seen: SeenMarker) -> Array:
     """Where the tool carries what is seen, shape (3,), by the profile."""
     instrument = arm.profile.instrument
     if instrument is None or seen.name != kinds.MARKER:

@@ -66,7 +66,8 @@ class Deviations:
     ) -> tuple[SharedBias, ...]:
         """Of the disparities, shape (...), of points in the left camera, (..., 3), as the right camera sees them.
 
-        They are x in the left view less x in the right one, which is off with focal length and the right camera's pose.
+        They are x in the left view less x in the right one, both from the principal point, which is off with focal
+        length and the right camera's pose.
         """
         p_right_m = (T_right_left[:3, :3] @ p_left_m[..., None])[..., 0] + T_right_left[:3, 3]
         p_right_m = np.where(p_right_m[..., 2:] >= MIN_DEPTH_M, p_right_m, AHEAD_M)

@@ -135,12 +135,12 @@ class DisparityMeasurement(_OfPoint):
         by_place = J_left[:1] - J_right[:1] @ R_right_left
         H = np.concatenate([by_place, -by_place @ skew(arm_m)], 1)
         residual = np.array([self.disparity_px - float(left_px[0] - right_px[0])])
-        bias = self.error.jacobian(np.array([self.disparity_px / self.left.K[0, 0]]), R, H)
+        # Principal points that stand apart are part of a disparity, and not of what a focal length does to it.
+        by_depth_px = np.array(self.disparity_px - (self.left.K[0, 2] - self.right.K[0, 2]))
+        bias = self.error.jacobian(by_depth_px[None] / self.left.K[0, 0], R, H)
         lasting = np.array([[self.lasting_std_px]])
         shared = (
-            *self.deviations.of_disparity(
-                p_left_m, self.right, np.array(self.disparity_px), self.T_right_left
-            ),
+            *self.deviations.of_disparity(p_left_m, self.right, by_depth_px, self.T_right_left),
             *self.error.of_outline(R, H, self.correlation_time_s),
             SharedBias("disparity of the marker", lasting, self.correlation_time_s),
         )

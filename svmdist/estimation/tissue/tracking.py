@@ -160,8 +160,8 @@ def measure_height(
     if len(above.over_m) < MIN_POINTS:
         return None
     at_m = np.median(surface.points_m[above.inner], 0)
-    # Disparity to depth to height along the plane's normal: a larger disparity is nearer to the camera.
-    along_normal = abs(float(dome.T_camera_tissue[2, 2]))
+    # Depth along the ray to height along the plane's normal: a larger disparity is nearer to the camera.
+    along_normal = abs(float(dome.T_camera_tissue[:3, 2] @ at_m) / float(at_m[2]))
     by_depth = depth_biases(at_m, frame.left.camera, right, frame.arm.deviations)
     of_cameras = [replace(bias, jacobian=along_normal * bias.jacobian) for bias in by_depth]
     by_shape = dome.derivative(above.flat_m).mean(0)

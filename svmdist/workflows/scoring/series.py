@@ -137,7 +137,8 @@ def series_of(
         at_ns = readings.stamps_ns - reference_lag_ns(recording, asked, one.lag)
         truths = {name: np.full(len(rows), np.nan) for name in PREFERRED}
         try:
-            truth = truth_at(recording, asked, at_ns, setup.equations, request.rules)
+            by = one.by.get((asked, name))
+            truth = by.truth if by else truth_at(recording, asked, at_ns, setup.equations, request.rules)
             truths = dict(zip(DISTANCES, truth.distances_m.T, strict=True))
         except (RecordingError, KinematicsError):
             if reference is not None:
