@@ -13,8 +13,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from svmdist import errors
+
 if TYPE_CHECKING:
-    from svmdist import errors
     from svmdist.api import Estimates, compare, estimate, open_recording, surface, validate
     from svmdist.estimation.alarms import AlarmRules
     from svmdist.profile import Profile
@@ -48,11 +49,7 @@ def __getattr__(name: str) -> Any:
     if name in __all__:
         from importlib import import_module
 
-        return (
-            import_module("svmdist.errors")
-            if name == "errors"
-            else getattr(import_module("svmdist.api"), name)
-        )
+        return getattr(import_module("svmdist.api"), name)
     raise AttributeError(f"module 'svmdist' has no attribute {name!r}; it has {', '.join(__all__)}")
 
 

@@ -145,15 +145,12 @@ class TransformTrack:
             return Sampled(np.repeat(self.T_parent_child[:1], len(at_ns), axis=0), always)
         where = bracket(self.stamps_ns, at_ns, max_gap_ns)
         values = np.full((len(at_ns), 4, 4), np.nan)
-        exact = where.valid & (where.left == where.right)  # a sample is returned to the last bit
-        values[exact] = self.T_parent_child[where.left[exact]]
-        between = where.valid & ~exact
-        left, right = (self.T_parent_child[side[between]] for side in (where.left, where.right))
-        fraction = where.fraction[between]
+        left, right = (self.T_parent_child[side[where.valid]] for side in (where.left, where.right))
+        fraction = where.fraction[where.valid]  # of 0: the left one is returned to the last bit
         t_m = left[:, :3, 3] + fraction[:, None] * (right[:, :3, 3] - left[:, :3, 3])
         turn_rad = transforms.rotation_vector(np.swapaxes(left[:, :3, :3], 1, 2) @ right[:, :3, :3])
         R = left[:, :3, :3] @ transforms.rotation_of(fraction[:, None] * turn_rad)
-        values[between] = transforms.make_transform(R, t_m)
+        values[where.valid] = transforms.make_transform(R, t_m)
         return Sampled(values, where.valid)
 
 

@@ -212,7 +212,7 @@ def pose_rows_of(
         for stamps_ns, poses, block_errors in made:
             errors.append(block_errors)
             for row in pose_rows(stamps_ns, poses):
-                yield row | {"recording": recording.name} if named else row
+                yield {**row, "recording": recording.name} if named else row
                 count += 1
     if recording.topic_of("pose") is not None:
         of = f"{recording.name}: " if named else ""

@@ -83,19 +83,13 @@ def function_of(command: type[Options]) -> Callable[..., None]:
     return run
 
 
-OUTPUTS = {
-    "output": "-o",
-    "report": "--report",
-    "save_plot": "--save-plot",
-    "summary": "--summary",
-    "write_baseline": "--write-baseline",
-}
-INPUTS = {
-    "profile": "--profile",
-    "calibration": "--calibration",
-    "hand_eye": "--hand-eye",
-    "estimates": "--estimates",
-}
+def _named(*keys: str) -> dict[str, str]:
+    """Options by their keys, as Typer names them."""
+    return {key: f"--{key.replace('_', '-')}" for key in keys}
+
+
+OUTPUTS = {"output": "-o", **_named("report", "save_plot", "summary", "write_baseline")}
+INPUTS = _named("profile", "calibration", "hand_eye", "estimates")
 """Options that name files to read; a baseline that was read may be written anew."""
 
 

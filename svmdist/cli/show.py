@@ -178,6 +178,8 @@ class Surface(options.ReadOptions, FrameOptions, options.OutputOptions):
     form: str | None = options.format_option(Holds.CLOUD)
 
     def _run(self) -> ExitCode:
+        import numpy as np
+
         from svmdist.report.rows import cloud_results
         from svmdist.workflows.request import Request, Setup
         from svmdist.workflows.surface import tissue_surface
@@ -188,10 +190,10 @@ class Surface(options.ReadOptions, FrameOptions, options.OutputOptions):
             recording = Request(setup, self.topics).open(self.log.path, self.log.name)
             found = tissue_surface(recording, self.image_number(recording) or 0)
         output.write_results(cloud_results(found), writer, self.output)
-        near_m, half_m, far_m = found.quantiles_m
+        near_m, far_m = np.percentile(found.points_m[:, 2], (1.0, 99.0))  # of all but the outermost points
         LOG.info(
             "frame %d: %d points, %.0f %% of the tissue in view, %.0f to %.0f mm away, deviation %.2f mm (median)",
             *(found.number, len(found.points_m), 100.0 * found.share),
-            *(1e3 * length_m for length_m in (near_m, far_m, half_m)),
+            *(1e3 * length_m for length_m in (near_m, far_m, np.median(found.std_m))),
         )
         return log_losses(recording.path, recording.health)

@@ -10,13 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from svmdist.estimation.instrument.shaft_detection import (
-    NO_SHAFT,
-    DistalMarker,
-    ShaftDetection,
-    detect_distal_marker,
-    detect_silhouette,
-)
+from svmdist.estimation.instrument import shaft_detection
 from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
 from svmdist.estimation.scene import OF_BOTH_VIEWS, Arm, Scene
 from svmdist.geometry import Surface
@@ -92,12 +86,12 @@ class View:
         return find_region(masks.tissue, rules.tissue, outline), instrument
 
     @cached_property
-    def distal_marker(self) -> DistalMarker | None:
+    def distal_marker(self) -> shaft_detection.DistalMarker | None:
         """The coloured marker about the tool's origin; None of a tip that has none."""
         if self.masks.seen is not None or (region := self.region) is None:  # found by shape, it has no colour
             return None
         settings = self._settings.distal_marker
-        return detect_distal_marker(self.context.hsv, self.masks.instrument, region, settings)
+        return shaft_detection.detect_distal_marker(self.context.hsv, self.masks.instrument, region, settings)
 
     @cached_property
     def silhouette(self) -> Silhouette | None:
@@ -106,14 +100,12 @@ class View:
         if straight is None:
             return None
         picture: Image | None
-        wrist: WristShape | None
-        if masks.seen is None:
-            if self.dark_bar is None:
-                return None
-            (seen, picture), wrist = self.dark_bar, None
-        elif masks.seen:
+        wrist: WristShape | None = None
+        if masks.seen:
             seen, picture = straight.with_likelier_end(masks.seen[0], settings.end_model_std_m), masks.picture
             wrist = straight.wrist_shape(ends_dark=seen.ends_dark)
+        elif masks.seen is None and self.dark_bar is not None:
+            seen, picture = self.dark_bar
         else:
             return None
         plates = self.context.plates
@@ -136,15 +128,15 @@ class View:
         return find_shaft(masks.shaft, rule, covered, masks.black, may_be_print=may_be_print)
 
     @cached_property
-    def shaft(self) -> ShaftDetection:
+    def shaft(self) -> shaft_detection.ShaftDetection:
         """The shaft's edges and end."""
         straight, silhouette = self._arm.straight, self.silhouette
         if straight is None or silhouette is None:
-            return NO_SHAFT
+            return shaft_detection.NO_SHAFT
         # A plate hides sides; one whose tag is not read, bloody or cut by the border, has sharp ones of its own.
         soft = self._arm.plate_beside if self.has_plate else 0.0
         sharp = soft if self.tag_corners_px is None else 0.0
-        return detect_silhouette(silhouette, self.camera, straight.radius_m, (sharp, soft))
+        return shaft_detection.detect_silhouette(silhouette, self.camera, straight.radius_m, (sharp, soft))
 
     @cached_property
     def rim_ahead(self) -> tuple[float, float] | None:

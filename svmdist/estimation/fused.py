@@ -14,11 +14,7 @@ from svmdist.estimation.instrument.consistency import GatingResult, chi_square_b
 from svmdist.estimation.instrument.distal_marker import Expected, MarkerPair, pair_markers
 from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.factors import jaw_scale, of_images, tag
-from svmdist.estimation.instrument.kinematic_error_filter import (
-    KinematicErrorFilter,
-    Start,
-    pose_distance,
-)
+from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter, Start, pose_distance
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue.detection import require_tissue

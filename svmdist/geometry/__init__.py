@@ -64,8 +64,7 @@ class Mesh:
     @cached_property
     def middles_m(self) -> Array:
         """Centroid of every face, shape (f, 3)."""
-        a, b, c = (self.vertices_m[corner] for corner in self.faces.T)
-        return np.asarray((a + b + c) / 3.0)
+        return np.asarray(self.triangles_m.mean(1))
 
     @cached_property
     def reach_m(self) -> Array:

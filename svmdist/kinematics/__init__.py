@@ -77,13 +77,11 @@ class DHChain:
     @cached_property
     def terms(self) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
         """Trans_x(a) Rot_x(α) of all rows, (n_rows, 4, 4); θ and d at joint value 0, and which rows turn, (n_rows,)."""
-        a, alpha, d, theta = np.array(
-            [(row.a_m, row.alpha_rad, row.d_m, row.theta_rad) for row in self.rows]
-        ).T
+        lengths = [(row.a_m, row.alpha_rad, row.d_m, row.theta_rad) for row in self.rows]
+        a, alpha, d, theta = np.array(lengths).T
         # Quarter turns are exact, where floating point gives 6e-17.
-        c, s = (
-            np.where(np.abs(v - np.round(v)) < 1e-15, np.round(v), v) for v in (np.cos(alpha), np.sin(alpha))
-        )
+        turns = np.array([np.cos(alpha), np.sin(alpha)])
+        c, s = np.where(np.abs(turns - np.round(turns)) < 1e-15, np.round(turns), turns)
         return _screws(0, c, s, a), theta, d, np.array([row.type == "revolute" for row in self.rows])
 
 
@@ -204,10 +202,7 @@ def rows_behind_insertion(chain: DHChain) -> list[int]:
 
 
 def solve_position(
-    chain: DHChain,
-    q_start: ArrayLike,
-    p_base_tool_m: ArrayLike,
-    free_joints: Sequence[str],
+    chain: DHChain, q_start: ArrayLike, p_base_tool_m: ArrayLike, free_joints: Sequence[str]
 ) -> Array:
     """Find joints, shape (n, n_joints), that bring the tool's origin to targets in the base frame, (n, 3).
 

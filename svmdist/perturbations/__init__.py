@@ -126,10 +126,7 @@ class Perturbations:
 
     def __str__(self) -> str:
         # The shortest text that reads as the same number.
-        texts = ((name, f"{strength:g}", strength) for name, strength in self.strengths)
-        return ",".join(
-            f"{name}={short if float(short) == full else repr(full)}" for name, short, full in texts
-        )
+        return ",".join(f"{name}={float(strength)!r}".removesuffix(".0") for name, strength in self.strengths)
 
     def __getitem__(self, name: str) -> float:
         """The strength of an entry of the table, in its unit; neutral where it is not chosen."""

@@ -19,7 +19,7 @@ from svmdist.errors import ProfileError
 from svmdist.kinematics import chain_of
 from svmdist.perturbations import Perturbations, Place, path_stream
 from svmdist.profile import Profile
-from svmdist.transforms import Array
+from svmdist.transforms import Array, Stamps
 
 
 def late_stamps_ns(stamps_ns: ArrayLike, perturbations: Perturbations, start_ns: int) -> NDArray[np.int64]:
@@ -29,7 +29,7 @@ def late_stamps_ns(stamps_ns: ArrayLike, perturbations: Perturbations, start_ns:
     return np.asarray(stamps + np.rint(late_ns).astype(np.int64))
 
 
-def reported_late(values: Array, stamps_ns: NDArray[np.int64], perturbations: Perturbations) -> Array:
+def reported_late(values: Array, stamps_ns: Stamps, perturbations: Perturbations) -> Array:
     """Values, (n, k), as reported at their stamps, (n,): interpolated, and extrapolated before the first."""
     if len(stamps_ns) < 2 or not perturbations.has("lag", "lag_drift"):
         return values
@@ -79,12 +79,7 @@ class JointUnits:
 
 
 def reported_joints(
-    q: Array,
-    stamps_ns: NDArray[np.int64],
-    units: JointUnits,
-    perturbations: Perturbations,
-    seed: int,
-    arm: int = 0,
+    q: Array, stamps_ns: Stamps, units: JointUnits, perturbations: Perturbations, seed: int, arm: int = 0
 ) -> Array:
     """What an arm reports of joints `q`, shape (n, n_joints) in the order of the robot's, at its stamps, shape (n,)."""
     band = perturbations["backlash"] * units.backlash_share * units.per_deg
@@ -116,8 +111,8 @@ class ReplayedWorld:
     seed: int = 0
 
     def reported(
-        self, instrument: str, names: Sequence[str], stamps_ns: NDArray[np.int64], positions: Array
-    ) -> tuple[NDArray[np.int64], Array]:
+        self, instrument: str, names: Sequence[str], stamps_ns: Stamps, positions: Array
+    ) -> tuple[Stamps, Array]:
         """The stamps, shape (n,), and joints, shape (n, n_logged), that would be reported for those of a log.
 
         Before the first one come as many, on the line through the first two, as the lag takes away: the robot moved.

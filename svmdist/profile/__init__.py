@@ -268,8 +268,6 @@ def profile_path(name_or_path: str | Path) -> Path:
         known = did_you_mean(text, shipped_profiles())
         raise ProfileError(f"no profile named {text}: {known}; or give a path to a .toml")
     if not os.path.lexists(path):
-        near = nearest_file(path)
-        raise ProfileError(
-            f"{path}: no such file{near or f'; `svmdist profile new LOG -o {path}` writes one'}"
-        )
+        hint = nearest_file(path) or f"; `svmdist profile new LOG -o {path}` writes one"
+        raise ProfileError(f"{path}: no such file{hint}")
     return path

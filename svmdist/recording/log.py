@@ -120,9 +120,7 @@ class Recording:
     @property
     def measured(self) -> tuple[str, ...]:
         """The instruments that are measured; the others are told apart from them. RecordingError for an unknown one."""
-        return (
-            self.instruments if self.wanted is None else tuple(self._arm(name).name for name in self.wanted)
-        )
+        return self.instruments if self.wanted is None else tuple(self._arm(one).name for one in self.wanted)
 
     @cached_property
     def profile(self) -> Profile:

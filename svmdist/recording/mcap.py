@@ -264,9 +264,7 @@ class _Pass:
         total = self._statistics.message_count
         if isinstance(self._path, RemoteFile) and topics is not None:
             wanted = {key for key, one in self.channels.items() if one.topic in topics}
-            declared, found = (
-                Counter({k: n for k, n in c.items() if k in wanted}) for c in (declared, found)
-            )
+            declared, found = (Counter({k: c[k] for k in wanted & c.keys()}) for c in (declared, found))
             total = declared.total()
         if total != found.total():
             detail = f"the statistics declare {total} messages, {found.total()} were read"

@@ -133,10 +133,8 @@ class Decoder:
                 found = EncodedImage(found.stamp_ns, found.frame_id, lambda: pixels)
             except ImageError as problem:
                 found = _broken_image(found.stamp_ns, str(problem))
-        logged_ns, size_bytes = raw.log_time_ns, len(raw.data)
-        return replace(
-            found, topic=raw.topic, log_time_ns=logged_ns, size_bytes=size_bytes, offset=raw.offset
-        )
+        found = replace(found, topic=raw.topic, log_time_ns=raw.log_time_ns)
+        return replace(found, size_bytes=len(raw.data), offset=raw.offset)
 
     def _converted(self, raw: RawMessage) -> Message:
         _checked_stamp(raw.log_time_ns)

@@ -259,10 +259,8 @@ class RecordingWriter:
     def _channel(self, topic: str, schema: str) -> int:
         if topic not in self._channels:
             if schema not in self._schemas:
-                file = descriptor_pool.Default().FindMessageTypeByName(schema).file
-                self._schemas[schema] = self._writer.register_schema(
-                    schema, "protobuf", _descriptor_set(file)
-                )
+                described = _descriptor_set(descriptor_pool.Default().FindMessageTypeByName(schema).file)
+                self._schemas[schema] = self._writer.register_schema(schema, "protobuf", described)
             number = self._writer.register_channel(topic, "protobuf", self._schemas[schema])
             self._channels[topic] = number, schema
         channel_id, known = self._channels[topic]

@@ -12,20 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.files import atomic_file
-from svmdist.metrics import (
-    COUNT,
-    LENGTH,
-    PIXELS,
-    RADIANS,
-    RATIO,
-    SECONDS,
-    SPEED,
-    TEXT,
-    Cell,
-    Column,
-    Unit,
-    row_of,
-)
+from svmdist.metrics import COUNT, LENGTH, PIXELS, RADIANS, RATIO, SECONDS, SPEED, TEXT, Column, Unit, row_of
 from svmdist.report.tables import Row, keys_of, text_width
 from svmdist.report.writers import Results
 from svmdist.results import FrameResult, ToolPose
@@ -163,7 +150,7 @@ POSE_COLUMNS: tuple[Column, ...] = (
 POSE_KEYS = keys_of(POSE_COLUMNS)
 
 
-def pose_rows(stamps_ns: NDArray[np.int64], poses: Array) -> Iterator[dict[str, Cell]]:
+def pose_rows(stamps_ns: NDArray[np.int64], poses: Array) -> Iterator[Row]:
     """The rows of some poses, shape (n, 4, 4), at their stamps, shape (n,)."""
     numbers = np.hstack([poses[:, :3, 3], quaternion_xyzw_from_rotation(poses[:, :3, :3])])
     for stamp_ns, values in zip(stamps_ns.tolist(), numbers.tolist(), strict=True):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from svmdist.geometry import Mesh
 from svmdist.kinematics import DHChain
-from svmdist.perturbations import UNPERTURBED, Perturbations
+from svmdist.perturbations import Perturbations
 from svmdist.profile.robot import Fiducial, Instrument
 from svmdist.samples import Image
 from svmdist.transforms import Array, make_transform, rotation_x, rotation_z, transform_points
@@ -192,9 +192,7 @@ class Part:
     T_link_part: Array = field(default_factory=lambda: np.eye(4))
 
 
-def make_parts(
-    instrument: Instrument, chain: DHChain, perturbations: Perturbations = UNPERTURBED
-) -> tuple[Part, ...]:
+def make_parts(instrument: Instrument, chain: DHChain, perturbations: Perturbations) -> tuple[Part, ...]:
     """Build the parts for the chain's last four links: roll, wrist pitch, wrist yaw, jaw (as in dVRK tools).
 
     In the roll's frame the shaft runs along +y, away from the tip; in the wrist's frames the tip lies along +x and the

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import TYPE_CHECKING
 
 import cv2
@@ -46,7 +45,7 @@ class KnownMasks:
 
 def masks_by_colours(rules: HsvSegmentation, image_hsv: Image) -> KnownMasks:
     """`method = "hsv"`: the masks of an image as HSV, shape (h, w, 3), by a box of colours for each part."""
-    channels = _channels_of(image_hsv)
+    channels = cv2.split(image_hsv)
     shaft = None if rules.shaft is None else _mask(channels, rules.shaft)
     return KnownMasks(_mask(channels, rules.tissue), _mask(channels, rules.instrument), shaft)
 
@@ -63,22 +62,14 @@ def to_grey(bgr: Image) -> Image:
 
 def colour_mask(image_hsv: Image, region: ColourRegion) -> Image:
     """Mask, shape (h, w) with 0 or 255, of the pixels inside an HSV box whose hue may wrap around 0."""
-    return _mask(_channels_of(image_hsv), region)
+    return _mask(cv2.split(image_hsv), region)
 
 
-_Channels = Callable[[int], Image]
-
-
-def _channels_of(image_hsv: Image) -> _Channels:
-    """The channels of an image, shape (h, w) each; only those that a box bounds are taken out, once."""
-    return cache(lambda channel: np.asarray(cv2.extractChannel(image_hsv, channel), np.uint8))
-
-
-def _mask(channel: _Channels, region: ColourRegion) -> Image:
+def _mask(channels: Sequence[cv2.typing.MatLike], region: ColourRegion) -> Image:
     """Channel by channel: a test of one channel takes an eighth of what one of three channels at once takes."""
 
     def inside(number: int, first: int, last: int) -> Image:
-        return np.asarray(cv2.inRange(channel(number), first, last), np.uint8)
+        return np.asarray(cv2.inRange(channels[number], first, last), np.uint8)
 
     first, last = region.hue
     mask = inside(2, *region.value)

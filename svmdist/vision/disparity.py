@@ -222,6 +222,8 @@ class _Fit:
             fitted, variance = fit_cells(information * is_near, total * is_near)
             std_px = _std_px(variance)
             is_near = self._is_matched & (np.abs(self._matches - fitted) < MAX_OFF_PX + 2.0 * std_px)
+            if not is_near.any():
+                return None
             is_seen = _without_patches(is_near & (std_px < MAX_STD_PX))
         if not is_seen.any():
             return None

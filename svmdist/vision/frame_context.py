@@ -104,19 +104,18 @@ def as_pinholes(observation: Observation, rows: RowAlignment = LEVEL) -> Observa
 
 def seen_through(camera: Camera, pinhole_px: Array) -> Array:
     """Where the lens shows what stands at pixels of the pinhole's image, shape (n, 2), in px."""
-    if not camera.has_distortion:
-        return pinhole_px
-    xy = (pinhole_px - camera.K[:2, 2]) / np.diag(camera.K)[:2]
-    return camera.project(np.column_stack([xy, np.ones(len(xy))]))
+    return camera.project(camera.pinhole.rays(pinhole_px)) if camera.has_distortion else pinhole_px
 
 
 def _is_rectified(left: Camera, right: RightView) -> bool:
-    """Whether both are ideal, parallel and, but for the columns of their principal points, alike."""
+    """Whether both are ideal, parallel and, but for the columns of their principal points, alike; and of one size."""
     off = left.K - right.camera.K
     off[0, 2] = 0.0
     is_ideal = not (left.has_distortion or right.camera.has_distortion)
     is_parallel = np.allclose(right.T_left_right[:3, :3], np.eye(3), atol=1e-6)
-    return is_ideal and is_parallel and bool(np.abs(off).max() <= 1e-3)
+    of_one_size = (left.width_px, left.height_px) == (right.camera.width_px, right.camera.height_px)
+    is_alike = np.abs(off).max() <= 1e-3 and of_one_size
+    return is_ideal and is_parallel and bool(is_alike)
 
 
 def _beside(left: Camera, right: RightView) -> RightView:
@@ -200,7 +199,7 @@ class FrameContext:
         image = self.hsv_as_recorded if self._segmenter.uses_colours else self.bgr_as_recorded
         masks = self._segmenter.masks(image)
         if isinstance(masks, AutoMasks) and self.plates is not None:
-            masks.hide(self.plates)
+            masks.evidence.hide(self.plates)
         return masks
 
     @cached_property

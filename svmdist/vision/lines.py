@@ -100,17 +100,10 @@ def _tangent_plane(
 
 def _consensus(points: Array, tolerance: float) -> NDArray[np.bool_]:
     """The largest set of points, shape (n,), that lie within a tolerance of a line through two of them."""
-    count = len(points)
-    if count < 2:
-        return np.zeros(count, np.bool_)
-    first, second = _trials(count)
+    first, second = _trials(len(points))
     along = points[second] - points[first]
-    length = np.hypot(along[:, 0], along[:, 1])
-    usable = length > 0
-    if not usable.any():
-        return np.zeros(count, np.bool_)
-    across = np.stack([-along[:, 1], along[:, 0]], -1)[usable] / length[usable, None]
-    distance = np.abs(across @ points.T - np.sum(across * points[first][usable], 1)[:, None])
+    across = np.stack([-along[:, 1], along[:, 0]], -1) / np.hypot(along[:, 0], along[:, 1])[:, None]
+    distance = np.abs(across @ points.T - np.sum(across * points[first], 1)[:, None])
     close = distance <= tolerance
     return np.asarray(close[np.argmax(np.count_nonzero(close, axis=1))])
 

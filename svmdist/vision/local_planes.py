@@ -26,26 +26,20 @@ def fit_cells(information: Floats, total: Floats) -> tuple[Floats, Floats]:
     fitted, variance = _quadric(information, total)
     for scale in SCALES:
         step = max(1, int(scale / 3.0))
-        weight, left = information, total - information * fitted
-        before, sigma = variance, scale / step
-        if step > 1:
-            few = (max(1, size[0] // step), max(1, size[1] // step))
-            weight, left, before = (
-                np.asarray(cv2.resize(one, few, interpolation=cv2.INTER_AREA), np.float32) * factor
-                for one, factor in ((weight, step**2), (left, step**2), (before, 1))
-            )
+        few, sigma = (max(1, size[0] // step), max(1, size[1] // step)), scale / step
+        of_cells = (information, step**2), (total - information * fitted, step**2), (variance, 1)
+        weight, left, before = (
+            np.asarray(cv2.resize(one, few, interpolation=cv2.INTER_AREA), np.float32) * factor
+            for one, factor in of_cells
+        )
         found, own, is_near = _planes(weight, left, sigma)
         certainty = 1.0 / own
         beyond = blurred((found**2 - own) * certainty, 2.0 * sigma)
         change = np.maximum(beyond / blurred(certainty, 2.0 * sigma), 0.0)
         taken = change / (change + own)
         told = taken * own + (1.0 - taken) * (np.minimum(before, change + own) + change)
-        variance = np.where(is_near, told, np.maximum(told, before))
-        found = taken * found
-        if step > 1:
-            found = cv2.resize(found, size, interpolation=cv2.INTER_CUBIC)
-            variance = cv2.resize(variance, size, interpolation=cv2.INTER_LINEAR)
-        fitted = fitted + found
+        variance = cv2.resize(np.where(is_near, told, np.maximum(told, before)), size)
+        fitted = fitted + cv2.resize(taken * found, size, interpolation=cv2.INTER_CUBIC)
     return fitted, np.asarray(variance, np.float32)
 
 
@@ -85,6 +79,8 @@ def _quadric(information: Floats, total: Floats) -> tuple[Floats, Floats]:
     height, width = information.shape
     x, y = (np.linspace(-1.0, 1.0, count) for count in (width, height))
     stride = max(1, min(height, width) // 16)
+    if not information[::stride, ::stride].any():  # a few cells, between these
+        stride = 1
     few = np.s_[::stride, ::stride]
     weight = information[few].ravel().astype(np.float64)
     value = total[few].ravel() / np.maximum(weight, 1e-12)

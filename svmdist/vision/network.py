@@ -185,12 +185,10 @@ def _has_scores(output: Tensor) -> bool:
 def network_input(image_bgr: Image, rules: OnnxSegmentation) -> NDArray[np.float32]:
     """The network's input, shape (1, 3, h, w): the image stretched to its size, (pixel - mean) * scale."""
     size = (rules.width_px, rules.height_px)
-    if (image_bgr.shape[1], image_bgr.shape[0]) != size:
-        # Averaging over a pixel's area keeps what is thinner than a pixel from flickering.
-        shrinks = image_bgr.shape[1] >= size[0] and image_bgr.shape[0] >= size[1]
-        how = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-        image_bgr = np.asarray(cv2.resize(image_bgr, size, interpolation=how), np.uint8)
-    channels = cv2.split(image_bgr)[:: -1 if rules.channels == "rgb" else 1]
+    # Averaging over a pixel's area keeps what is thinner than a pixel from flickering.
+    shrinks = image_bgr.shape[1] >= size[0] and image_bgr.shape[0] >= size[1]
+    resized = cv2.resize(image_bgr, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+    channels = cv2.split(resized)[:: -1 if rules.channels == "rgb" else 1]
     mean, scale = np.array(rules.mean, np.float32), np.array(rules.scale, np.float32)
     levels = (np.arange(256, dtype=np.float32)[:, None] - mean) * scale
     scaled = [cv2.LUT(channel, of_it) for channel, of_it in zip(channels, levels.T, strict=True)]
@@ -203,20 +201,14 @@ def _best_class(scores: NDArray[np.float32], size: tuple[int, int]) -> Labels:
     Interpolated scores put the border between classes where they are equal, not at steps of the network's pixels.
     One class is enlarged at a time: twenty at once would be 160 MB of an HD image.
     """
-    best = _enlarged(scores[0], size)
+    best = np.asarray(cv2.resize(scores[0], size), np.float32)
     labels = np.zeros(best.shape, np.int32)
     for number in range(1, len(scores)):
-        score = _enlarged(scores[number], size)
+        score = cv2.resize(scores[number], size)
         better = score > best
         labels[better] = number
         np.maximum(best, score, out=best)
     return labels
-
-
-def _enlarged(score: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
-    if (score.shape[1], score.shape[0]) == size:
-        return score.copy()
-    return np.asarray(cv2.resize(score, size, interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def _read(path: Path) -> cv2.dnn.Net:

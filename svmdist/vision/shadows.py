@@ -8,20 +8,7 @@ import numpy as np
 from svmdist.least_squares import median
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.edge_lines import (
-    MIN_POINTS,
-    MOST_PROFILES,
-    NEIGHBOURS,
-    SLOPE_SIGMA_PX,
-    SPACING_PX,
-    STEP_PX,
-    STRAIGHT_PX,
-    STRAIGHT_WIDTHS,
-    WINDOW,
-    EdgeLine,
-    edge_line,
-    ending_line,
-)
+from svmdist.vision import edge_lines as edges
 
 PENUMBRA_RATIO = 1.6  # of the edges' blurs; beyond, one is a shadow's border: both edges are equally far
 PENUMBRA_BLUR_PX = 1.0  # blur that any edge may have, px: below it the ratio of two blurs is noise
@@ -39,8 +26,8 @@ STARTS = 30  # points of which each two give a line to be tried
 
 
 def edge_within(
-    bgr: Image, outer: EdgeLine, other: EdgeLine, picture: Image | None, least_levels: float
-) -> EdgeLine | None:
+    bgr: Image, outer: edges.EdgeLine, other: edges.EdgeLine, picture: Image | None, least_levels: float
+) -> edges.EdgeLine | None:
     """The shaft's edge, where a side of a silhouette is that of its shadow; None where it is its own.
 
     Both edges of a shaft are equally far, and as sharp. Within the one that is less so there is a shadow, if what is
@@ -50,14 +37,14 @@ def edge_within(
     """
     sharp_px, start_px, length_px = most_blur_px(other), outer.start_px, outer.length_px
     is_sharp = outer.covariance is None
-    if (is_sharp and outer.blur_px <= sharp_px) or length_px < MIN_POINTS * SPACING_PX:
+    if (is_sharp and outer.blur_px <= sharp_px) or length_px < edges.MIN_POINTS * edges.SPACING_PX:
         return None
     along = outer.direction
     across = np.array([-along[1], along[0]])
     width_px = float(np.mean((np.stack([other.start_px, other.end_px]) - start_px) @ across))
     across, width_px = across * np.sign(width_px), abs(width_px)
-    at = np.arange(0.5, length_px, max(SPACING_PX, length_px / MOST_PROFILES))
-    offsets = np.arange(-BESIDE_PX[1], CORE[1] * width_px, STEP_PX)
+    at = np.arange(0.5, length_px, max(edges.SPACING_PX, length_px / edges.MOST_PROFILES))
+    offsets = np.arange(-BESIDE_PX[1], CORE[1] * width_px, edges.STEP_PX)
 
     def points(at: Array, off_px: Array) -> Array:
         return np.asarray(start_px + at[:, None] * along + off_px[:, None] * across)
@@ -66,23 +53,24 @@ def edge_within(
     maps = places[..., 0], places[..., 1]
     levels = cv2.remap(bgr, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
     logs = np.asarray(
-        cv2.GaussianBlur(np.log(levels + DARK_LEVEL), (0, 0), SLOPE_SIGMA_PX / STEP_PX), np.float64
+        cv2.GaussianBlur(np.log(levels + DARK_LEVEL), (0, 0), edges.SLOPE_SIGMA_PX / edges.STEP_PX),
+        np.float64,
     )
     ratios = logs[..., ::2] - logs[..., 1:2]
     share = _shares(ratios, offsets, width_px)
     # From outside on, where the shaft's own colour is nearer.
     is_shaft = (share < 0.5) & (offsets > 0.0) & (offsets < SHADOW_REACH * width_px)
-    off_px = np.where(is_shaft.any(1), offsets[np.argmax(is_shaft, axis=1)] - 0.5 * STEP_PX, np.nan)
-    within_px = max(STRAIGHT_PX, STRAIGHT_WIDTHS * width_px)
+    off_px = np.where(is_shaft.any(1), offsets[np.argmax(is_shaft, axis=1)] - 0.5 * edges.STEP_PX, np.nan)
+    within_px = max(edges.STRAIGHT_PX, edges.STRAIGHT_WIDTHS * width_px)
     off_px = _without_stains(at, off_px, within_px)
-    found = ending_line(at, off_px, length_px, (within_px, WINDOW * within_px))
+    found = edges.ending_line(at, off_px, length_px, (within_px, edges.WINDOW * within_px))
     if found is None:
         return None
     (offset_px, slope, end_at), within_px = found
     shadow_px = offset_px + slope * at
     is_on = (np.abs(off_px - shadow_px) < within_px) & (at <= end_at)
     in_shadow = (offsets > BORDER_PX) & (offsets < (shadow_px - 0.5 * BORDER_PX)[:, None]) & is_on[:, None]
-    if np.count_nonzero(is_on) < MIN_POINTS or not in_shadow.any():
+    if np.count_nonzero(is_on) < edges.MIN_POINTS or not in_shadow.any():
         return None
     green, is_beside = logs[..., 1], offsets < -BESIDE_PX[0]
     darker = median(green[is_on][:, is_beside].ravel()) - median(green[in_shadow])
@@ -93,7 +81,7 @@ def edge_within(
         return None
     ends_at = np.array([0.0, end_at])
     rough = points(ends_at, offset_px + slope * ends_at)
-    sharp = edge_line(bgr, rough, width_px, COLOUR_STD_PX, picture, least_levels)
+    sharp = edges.edge_line(bgr, rough, width_px, COLOUR_STD_PX, picture, least_levels)
     if sharp is not None and sharp.blur_px <= sharp_px:
         ends = np.stack([sharp.start_px, sharp.end_px]) - start_px
         apart_px = ends @ across - offset_px - slope * (ends @ along)
@@ -106,11 +94,11 @@ def edge_within(
         if is_theirs and abs(apart_px[1] - apart_px[0]) < COLOUR_STD_PX * np.sqrt(2.0):
             return sharp
     seen_px, covariance = points(at, off_px)[is_on], COLOUR_STD_PX**2 * np.eye(2)
-    by_colours = EdgeLine(rough[0], rough[1], seen_px, False, within_px, covariance, COLOUR_STD_PX)
+    by_colours = edges.EdgeLine(rough[0], rough[1], seen_px, False, within_px, covariance, COLOUR_STD_PX)
     return by_colours if is_sharp else None  # where nothing is sharp, there may be anything
 
 
-def most_blur_px(other: EdgeLine) -> float:
+def most_blur_px(other: edges.EdgeLine) -> float:
     """The blur of an edge beyond which it is a shadow's border, by the shaft's other one."""
     return PENUMBRA_RATIO * max(PENUMBRA_BLUR_PX, other.blur_px if other.covariance is None else 0.0)
 
@@ -122,7 +110,7 @@ def _shares(ratios: Array, offsets: Array, width_px: float) -> Array:
     """
     shaft = np.median(ratios[:, offsets >= min(CORE[0] * width_px, offsets[-1])], axis=(0, 1))
     border = np.median(ratios[:, np.abs(offsets) < BORDER_PX], axis=1)
-    away = cv2.blur(border, (1, NEIGHBOURS)) - shaft
+    away = cv2.blur(border, (1, edges.NEIGHBOURS)) - shaft
     square = (away**2).sum(1, keepdims=True)
     return np.asarray(
         ((ratios - shaft) @ away[..., None])[..., 0] / np.where(square > MIN_COLOUR**2, square, np.nan)

@@ -88,19 +88,13 @@ class RectifiedPair:
 
     def point(self, left_px: Array, disparity_px: float) -> tuple[Array, Array]:
         """The point of a left pixel (2,) and a disparity, (3,) in m, and its Jacobian by (u, v, d), (3, 3)."""
-        fx, fy = self.K[0, 0], self.K[1, 1]
-        z = fx * self.baseline_m / disparity_px
-        u, v = self.to_rows(left_px)
-        x, y = (u - self.K[0, 2]) / fx, (v - self.K[1, 2]) / fy
-        p_rows_m = np.array([x * z, y * z, z])
-        J = np.zeros((3, 3))
-        J[0, 0], J[1, 1] = z / fx, z / fy
-        J[:, 2] = -p_rows_m / disparity_px
-        if self.R_rows_left is None:
-            return p_rows_m, J
+        p_m = self.points(self.to_rows(left_px)[None], np.array([disparity_px]))[0]
         moved = [self.to_rows(left_px + step) - self.to_rows(left_px - step) for step in 0.5 * np.eye(2)]
-        J[:, :2] = J[:, :2] @ np.stack(moved, -1)
-        return self.R_rows_left.T @ p_rows_m, self.R_rows_left.T @ J
+        R_left_rows = np.eye(3) if self.R_rows_left is None else self.R_rows_left.T
+        m_per_px = self.K[0, 0] * self.baseline_m / disparity_px / np.diag(self.K)[:2]
+        return p_m, np.column_stack(
+            [R_left_rows[:, :2] * m_per_px @ np.stack(moved, -1), -p_m / disparity_px]
+        )
 
     def points(self, rows_px: Array, disparity_px: Array) -> Array:
         """Points of pixels of the left view where rows correspond, shape (n, 2), and disparities (n,): (n, 3) in m."""

@@ -35,16 +35,7 @@ from svmdist.results import FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection, Status
 from svmdist.vision.frame_context import seen_through
 from svmdist.vision.stereo import LEVEL, RowAlignment
-from svmdist.workflows.check import (
-    arms_of,
-    checked,
-    compare_views,
-    first_of,
-    needs_association,
-    offset_to_remove,
-    spread_observations,
-    warning,
-)
+from svmdist.workflows import check
 from svmdist.workflows.parallel import in_order, one_opencv_thread, usable_cores
 from svmdist.workflows.request import CLEAN, Condition, Setup
 
@@ -199,7 +190,7 @@ class _Replay:
         if not all(setup.is_planar or setup.is_given for setup in setups):
             self._compare(any(setup.needs_right_view for setup in setups))
         self._associations: list[Association | None] = [None] * len(conditions)
-        if needs_association(self._arms) and not all(setup.is_given for setup in setups):
+        if check.needs_association(self._arms) and not all(setup.is_given for setup in setups):
             self._associations = [Association(self._arms) for _ in conditions]
         self._lanes = [[self._lane(setup, known) for setup in setups] for known in self._checks]
         self._needs = reduce(Needs.__or__, (lane.needs for lane in self._lanes[0]))
@@ -207,18 +198,18 @@ class _Replay:
     def _compare(self, needs_rows: bool) -> None:
         """Look at some images of all of the log: find plates and the offset of rows, compare what must agree."""
         profile, health = self._setup.profile, self._recording.health
-        spread = spread_observations(self._recording)
-        self._arms = self._stereo_arms = arms_of(self._recording, profile, spread)
+        spread = check.spread_observations(self._recording)
+        self._arms = self._stereo_arms = check.arms_of(self._recording, profile, spread)
         if needs_rows:
-            self._rows = offset_to_remove(first_of(spread, profile), profile)
+            self._rows = check.offset_to_remove(check.first_of(spread, profile), profile)
         if profile.tissue is None:
             return
         self._checks = self._checked(spread, int(needs_rows))
         first = self._checks[0]
-        if self._conditions[0] == CLEAN and (said := warning(first)):
+        if self._conditions[0] == CLEAN and (said := check.warning(first)):
             health.lose(LossKind.CONTRADICTION, said)
         if needs_rows and any(one.bends_rows for one in first.values()):
-            views = compare_views(first_of(spread, profile), profile)
+            views = check.compare_views(check.first_of(spread, profile), profile)
             if views.rows is not None and not views.refusal:
                 self._align(views.rows)
                 self._checks = self._checked(spread, int(needs_rows))
@@ -229,7 +220,7 @@ class _Replay:
         every = []
         how = self._recording, spread, self._arms, self._segmenter, self._rows
         for at, condition in enumerate(self._conditions):
-            known, found = checked(*how, condition, pairs=pairs)
+            known, found = check.checked(*how, condition, pairs=pairs)
             every.append(known)
             self._looked |= {(at, number): frames for number, frames in found.items()}
         return every

@@ -42,12 +42,6 @@ class TissueSurface:
     stamp_ns: int
     frame_id: str
 
-    @property
-    def quantiles_m(self) -> tuple[float, float, float]:
-        """The nearest depth, half of the points' deviation, the farthest depth; of 1 and 99 % of the points."""
-        near_m, far_m = np.percentile(self.points_m[:, 2], (1.0, 99.0))
-        return float(near_m), float(np.median(self.std_m)), float(far_m)
-
 
 def tissue_surface(recording: Recording, number: int) -> TissueSurface:
     """The surface that both views of an image, by its number from 0, show: with instruments in view or without.

@@ -121,7 +121,7 @@ class ErrorModel:
 
     def _transform(self, robot: RobotState) -> tuple[Array, dict[str, Array]]:
         """Covariance (6, 6) of (δp, δφ), and what constants did to a transform by hand-eye, (6, k), by their names."""
-        anchor_m = anchor_of(robot)
+        anchor_m = robot.T_camera_tool[:3, 3]
         if isinstance(self.error, HandEyeError):
             hand_eye = self.error.hand_eye
             return hand_eye.covariance_at(anchor_m), hand_eye.effects_at(anchor_m)
@@ -141,16 +141,11 @@ class ErrorModel:
 
     def no_correction(self, robot: RobotState) -> Correction:
         """What is there before anything was measured."""
-        return Correction(np.zeros(self.size), np.eye(3), anchor_of(robot))
+        return Correction(np.zeros(self.size), np.eye(3), robot.T_camera_tool[:3, 3])
 
     def nominal_links(self, robot: RobotState) -> CorrectedLinks:
         """All links by nominal kinematics."""
         return CorrectedLinks(self, robot, self.no_correction(robot))
-
-
-def anchor_of(robot: RobotState) -> Array:
-    """The tool's nominal position, shape (3,) in the camera frame."""
-    return np.asarray(robot.T_camera_link(None)[:3, 3])
 
 
 def _lengths(chain: DHChain, first_row: int) -> Iterator[RowLength]:

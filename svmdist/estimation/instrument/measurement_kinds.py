@@ -11,12 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.measurement import (
-    MIN_DEPTH_M,
-    Linearised,
-    LinkMeasurement,
-    SharedBias,
-)
+from svmdist.estimation.instrument.measurement import MIN_DEPTH_M, Linearised, LinkMeasurement, SharedBias
 from svmdist.profile.hand_eye import FOCAL_LENGTH, PRINCIPAL_POINT, SHAFT_RADIUS
 from svmdist.transforms import Array, inverse_right_jacobian, rotation_vector, skew
 from svmdist.vision.lines import apparent_radius_px, tangent_normal

@@ -7,18 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from svmdist import kinematics as dh
 from svmdist.camera import Camera
 from svmdist.errors import KinematicsError
 from svmdist.geometry import Capsules, join
-from svmdist.kinematics import (
-    DHChain,
-    chain_of,
-    frame_transforms,
-    joint_axis,
-    row_index,
-    rows_behind_insertion,
-    select_joints,
-)
 from svmdist.profile import Profile
 from svmdist.profile.robot import Fiducial, Instrument
 from svmdist.results import ToolEstimate, ToolPose
@@ -54,19 +46,19 @@ class WristKinematics:
     `rows` turn the shaft about itself, bend the wrist about its hinge and about the tool, and may open the jaw.
     """
 
-    chain: DHChain
+    chain: dh.DHChain
     rows: Sequence[int]
     straight: Array
     length_m: float
 
     @staticmethod
-    def of(chain: DHChain) -> WristKinematics | None:
+    def of(chain: dh.DHChain) -> WristKinematics | None:
         """The chain's wrist; None for a chain without one."""
-        rows = rows_behind_insertion(chain)
+        rows = dh.rows_behind_insertion(chain)
         if len(rows) < 3:
             return None
-        frames = frame_transforms(chain, np.zeros(len(chain.joint_names)))
-        (shaft, _), (_, hinge_m) = (joint_axis(chain, frames, row) for row in rows[:2])
+        frames = dh.frame_transforms(chain, np.zeros(len(chain.joint_names)))
+        (shaft, _), (_, hinge_m) = (dh.joint_axis(chain, frames, row) for row in rows[:2])
         T_base_tool = frames[-1] @ chain.T_last_tool
         length_m = float(np.linalg.norm(T_base_tool[:3, 3] - hinge_m))
         return WristKinematics(chain, rows, np.asarray(T_base_tool[:3, :3].T @ shaft), length_m)
@@ -76,7 +68,7 @@ class WristKinematics:
         T_base_tool = frames[-1] @ self.chain.T_last_tool
         R, tool_m = T_base_tool[:3, :3], T_base_tool[:3, 3]
         (shaft, _), (_, hinge_m), (pivot, _), *jaw = (
-            joint_axis(self.chain, frames, row) for row in self.rows
+            dh.joint_axis(self.chain, frames, row) for row in self.rows
         )
         jaw_axis, opening_rad = pivot, 0.0
         if jaw:
@@ -86,22 +78,22 @@ class WristKinematics:
         return Wrist(hinge_m, np.zeros(3), shaft, pivot, jaws_of(self.straight, jaw_axis, opening_rad))
 
 
-def wrist_in_tool(chain: DHChain, q: Array) -> Wrist:
+def wrist_in_tool(chain: dh.DHChain, q: Array) -> Wrist:
     """The wrist in the tool frame at joints `q`, shape (n_joints,); raises KinematicsError for a chain without one."""
     kinematics = WristKinematics.of(chain)
     if kinematics is None:
         raise KinematicsError(
             "the chain has no wrist: nothing slides, or less than three joints turn behind it"
         )
-    return kinematics.wrist_in_tool(frame_transforms(chain, q), q)
+    return kinematics.wrist_in_tool(dh.frame_transforms(chain, q), q)
 
 
-def joints_of(chain: DHChain | None, joints: JointSample | None) -> Array | None:
+def joints_of(chain: dh.DHChain | None, joints: JointSample | None) -> Array | None:
     """The chain's joints, shape (n_joints,); None without one of both, or where the sample lacks a joint."""
     if chain is None or joints is None:
         return None
     try:
-        return select_joints(chain, joints.names, joints.positions)
+        return dh.select_joints(chain, joints.names, joints.positions)
     except KinematicsError:
         return None
 
@@ -149,7 +141,7 @@ class InstrumentModel:
         """The profile's instrument; None where it has none."""
         if profile.instrument is None:
             return None
-        kinematics = WristKinematics.of(chain_of(profile.robot)) if profile.robot else None
+        kinematics = WristKinematics.of(dh.chain_of(profile.robot)) if profile.robot else None
         return cls(profile.instrument, kinematics, profile.fiducial)
 
     def posed(self, tool: ToolEstimate) -> Capsules:
@@ -158,10 +150,10 @@ class InstrumentModel:
         q = joints_of(kinematics.chain, tool.joints) if kinematics is not None else None
         if kinematics is None or q is None:
             return capsules_about(self.instrument, self._wrist_without_joints(pose), pose.jaw_scale)
-        frames = frame_transforms(kinematics.chain, q)
+        frames = dh.frame_transforms(kinematics.chain, q)
         body = capsules_about(self.instrument, kinematics.wrist_in_tool(frames, q), pose.jaw_scale)
         if tool.has_plate and self.fiducial is not None:
-            T_base_link = frames[row_index(kinematics.chain, self.fiducial.link)]
+            T_base_link = frames[dh.row_index(kinematics.chain, self.fiducial.link)]
             T_tool_base = inverse(frames[-1] @ kinematics.chain.T_last_tool)
             T_tool_tag = T_tool_base @ T_base_link @ self.fiducial.T_link_tag
             body = join(body, plate_capsules(self.fiducial).transformed(T_tool_tag))

@@ -113,8 +113,8 @@ def most_probable(
                 continue
             least = cost
         first = first if len(first) else innovations
+        before = first if is_tracking else innovations
         if is_robust:
-            before = first if is_tracking else innovations
             weights = student_weight(np.maximum(before, residuals), degrees)
             for at, others in rests:
                 weights[at] = min(weights[at], weights[others].max())
@@ -127,16 +127,7 @@ def most_probable(
         if longer > moved:  # it swings: half of the way
             step, longer = 0.5 * step, 0.5 * longer
         nis = float(innovation @ solved[:, -1])
-        found = Solution(
-            x=x + step,
-            H=there_H,
-            R=R,
-            innovations=first if is_tracking else innovations,
-            residuals=residuals,
-            weights=weights,
-            nis=nis,
-            has_settled=longer < SETTLED,
-        )
+        found = Solution(x + step, there_H, R, before, residuals, weights, nis, longer < SETTLED)
         if found.has_settled:
             return found
         best = x, found if unlikely is None else replace(found, x=x)

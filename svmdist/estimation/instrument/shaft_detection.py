@@ -84,10 +84,7 @@ def _marker_disc(image_hsv: Image, mask: Image, region: Region) -> Disc | None:
 def _median_saturation(image_hsv: Image, mask: Image) -> float:
     x, y, width, height = cv2.boundingRect(mask)
     window = np.s_[y : y + height, x : x + width]
-    counts = cv2.calcHist([image_hsv[window]], [1], mask[window], [256], [0, 256]).ravel()
-    total = np.cumsum(counts)
-    middle = [np.searchsorted(total, 0.5 * total[-1], side) for side in ("left", "right")]
-    return float(np.mean(middle))
+    return float(np.median(image_hsv[window][..., 1][mask[window] > 0]))
 
 
 NEAREST_M, FARTHEST_M = 0.02, 0.5  # of a shaft's end: nearer it fills the view, farther it has no light

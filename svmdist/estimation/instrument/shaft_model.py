@@ -6,18 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from svmdist import kinematics as dh
 from svmdist.errors import ProfileError
 from svmdist.estimation.instrument.model import NECK_PER_RADIUS
 from svmdist.estimation.instrument.shaft_detection import ShaftDetection
-from svmdist.kinematics import (
-    DHChain,
-    ShaftAxis,
-    frame_transforms,
-    joint_axis,
-    row_index,
-    rows_behind_insertion,
-    shaft_of,
-)
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import Instrument
 from svmdist.results import Failure
@@ -145,21 +137,21 @@ class ShaftModel(ShaftSizes):
     T_base_shaft: Array
     T_shaft_tool: Array
     R_camera_shaft: Array | None
-    axis: ShaftAxis
+    axis: dh.ShaftAxis
     hinge_m: Array
 
     @classmethod
-    def of(cls, robot: RobotState | Failure, chain: DHChain, instrument: Instrument) -> ShaftModel:
+    def of(cls, robot: RobotState | Failure, chain: dh.DHChain, instrument: Instrument) -> ShaftModel:
         """By the joints and the base, as far as they are known; ProfileError for a chain without a shaft."""
-        turns, axis = rows_behind_insertion(chain), shaft_of(chain)
+        turns, axis = dh.rows_behind_insertion(chain), dh.shaft_of(chain)
         if len(turns) < 2 or axis is None:
             raise ProfileError(
                 "the method shaft needs a chain that slides along its shaft, turns it, and has a wrist"
             )
         q = robot.q if isinstance(robot, RobotState) else np.zeros(len(chain.joint_names))
-        roll, frames = turns[0], frame_transforms(chain, q)
-        z, on_axis_m = joint_axis(chain, frames, roll)
-        _, on_hinge_m = joint_axis(chain, frames, roll + 1)
+        roll, frames = turns[0], dh.frame_transforms(chain, q)
+        z, on_axis_m = dh.joint_axis(chain, frames, roll)
+        _, on_hinge_m = dh.joint_axis(chain, frames, roll + 1)
         x = frames[roll, :3, 0] - z * float(z @ frames[roll, :3, 0])
         x /= np.linalg.norm(x)
         origin_m = on_axis_m + z * float(z @ (on_hinge_m - on_axis_m))
@@ -169,7 +161,7 @@ class ShaftModel(ShaftSizes):
         if isinstance(robot, RobotState) and robot.T_camera_base is not None:
             R_camera_shaft = np.asarray((robot.T_camera_base @ T_base_shaft)[:3, :3])
         reach_m = float(np.linalg.norm(T_shaft_tool[:3, 3]))
-        hinge_m = np.asarray((inverse(frames[row_index(chain, axis.link)]) @ T_base_shaft)[:3, 3])
+        hinge_m = np.asarray((inverse(frames[dh.row_index(chain, axis.link)]) @ T_base_shaft)[:3, 3])
         return cls(instrument, reach_m, q, T_base_shaft, T_shaft_tool, R_camera_shaft, axis, hinge_m)
 
     def wrist_shape(self, *, ends_dark: bool) -> WristShape:

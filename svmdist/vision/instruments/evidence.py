@@ -154,14 +154,9 @@ def tissue_of(image: Evidence) -> Image:
     levels = np.clip((warmth - low) * (255.0 / (high - low)), 0, 255).astype(np.uint8)
     inside = levels[image.core > 0]
     threshold, _ = cv2.threshold(inside, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
-    level, count = np.arange(256), np.bincount(inside, minlength=256)
-    is_red, total, mean = level > threshold, len(inside), float(level @ count) / len(inside)
-    share = float(count[is_red].sum()) / total
-    if not 0.0 < share < 1.0:
-        return image.picture
-    apart = (float((level * count)[is_red].sum()) / total - share * mean) / (share * (1.0 - share))
-    variance = float((level - mean) ** 2 @ count) / total
-    between = share * (1.0 - share) * apart**2 / max(variance, 1e-9)
+    red, rest = inside[inside > threshold], inside[inside <= threshold]
+    share, apart = len(red) / len(inside), float(red.mean() - rest.mean())
+    between = share * (1.0 - share) * apart**2 / float(inside.var())
     if between < DISTINCT_SHARE or apart * (high - low) / 255.0 < DISTINCT_WARMTH:
         return image.picture
     return np.asarray(np.where(levels > threshold, image.picture, 0), np.uint8)

@@ -239,31 +239,27 @@ class AutoMasks:
     """`method = "auto"`: the masks of one image, shape (h, w) with 0 or 255, made when they are first asked for."""
 
     def __init__(self, bgr: Image, settings: AutoSettings = DEFAULT) -> None:
-        self._evidence = Evidence(bgr, settings)
-
-    def hide(self, mask: Image) -> None:
-        """Take what is marked, shape (h, w), for nothing, before anything is sought: a tag's plate on an instrument."""
-        self._evidence.hide(mask)
+        self.evidence = Evidence(bgr, settings)
 
     @cached_property
     def seen(self) -> tuple[SeenInstrument, ...]:
         """The instruments, the surest first."""
-        return tuple(seen_instrument(found, self._evidence) for found in find_instruments(self._evidence))
+        return tuple(seen_instrument(found, self.evidence) for found in find_instruments(self.evidence))
 
     @cached_property
     def _others(self) -> Image:
         """Instruments without a straight shaft, shape (h, w)."""
-        return _enlarged(255 * likely_parts(self._evidence).astype(np.uint8), self._evidence.size)
+        return _enlarged(255 * likely_parts(self.evidence).astype(np.uint8), self.evidence.size)
 
     @cached_property
     def picture(self) -> Image:
         """What of the image is picture: not the black border around it."""
-        return _enlarged(self._evidence.picture, self._evidence.size)
+        return _enlarged(self.evidence.picture, self.evidence.size)
 
     @cached_property
     def tissue(self) -> Image:
         """What of the picture is no instrument, or the red part of that where it is distinct."""
-        tissue = _enlarged(tissue_of(self._evidence), self._evidence.size)
+        tissue = _enlarged(tissue_of(self.evidence), self.evidence.size)
         return tissue & ~self._union([self._others, *(one.mask for one in self.seen)])
 
     @cached_property
@@ -285,4 +281,4 @@ class AutoMasks:
         return np.asarray(cv2.bitwise_not(self.picture), np.uint8)
 
     def _union(self, masks: Sequence[Image]) -> Image:
-        return np.asarray(np.bitwise_or.reduce([np.zeros(self._evidence.size, np.uint8), *masks]))
+        return np.asarray(np.bitwise_or.reduce([np.zeros(self.evidence.size, np.uint8), *masks]))

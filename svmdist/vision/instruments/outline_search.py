@@ -249,12 +249,8 @@ def judged(outline: Outline, evidence: Evidence, least: float = LEAST_EVIDENCE) 
     stepped = float(good[whole].mean()) if whole.any() else 0.0
     shown = sampled(evidence.hidden, outline.across(along, MIDDLE), nearest=True) == 0
     length_widths = outline.length_px / outline.width_px
-    sure = (
-        _likely(*within)
-        * min(free, default=0.0)
-        * float(np.sqrt(stepped))
-        * min(1.0, 0.5 + 0.25 * length_widths)
-    )
+    sure = _likely(*within) * min(free, default=0.0) * float(np.sqrt(stepped))
+    sure *= min(1.0, 0.5 + 0.25 * length_widths)
     is_long = length_widths > LEAST_WIDTHS and outline.length_px > LEAST_LENGTH_PX
     # With what comes in at the border hidden, a wrist may pass for a shaft.
     comes_in = float(shown[: STATIONS // 3].mean()) > 0.5

@@ -11,20 +11,13 @@ from functools import cached_property
 
 import numpy as np
 
-from svmdist import metrics
+from svmdist import metrics, transforms
 from svmdist.errors import RecordingError
 from svmdist.estimation.plane_mapping import Equations
 from svmdist.recording.log import Recording
 from svmdist.results import Z_95, AlarmEvent, FrameResult
 from svmdist.tracks import LagEstimate, Mask
-from svmdist.transforms import (
-    Array,
-    Stamps,
-    known_rotations,
-    make_transform,
-    quaternion_xyzw_from_rotation,
-    rotation_angle,
-)
+from svmdist.transforms import Array, Stamps
 from svmdist.workflows.ending import Ending
 from svmdist.workflows.request import Request
 from svmdist.workflows.scoring import references
@@ -98,7 +91,7 @@ class Readings:
             numbers += [np.nan if found is None else found.value_m, std_m]
         if row.tool is not None:
             pose = row.tool.pose
-            turned = quaternion_xyzw_from_rotation(pose.T_camera_tool[:3, :3])
+            turned = transforms.quaternion_xyzw_from_rotation(pose.T_camera_tool[:3, :3])
             numbers += [pose.position_std_m, *pose.position_m.tolist(), *turned.tolist()]
         if not row.measured:
             self.rejected[str(row.status)] += 1
@@ -130,7 +123,8 @@ class Readings:
     def truth(self) -> Truth:
         """The distances and poses of these rows, to hold others against."""
         table = self._table
-        return Truth(table[:, 2:8:2], make_transform(known_rotations(table[:, 12:]), table[:, 9:12]))
+        R = transforms.known_rotations(table[:, 12:])
+        return Truth(table[:, 2:8:2], transforms.make_transform(R, table[:, 9:12]))
 
     @property
     def _table(self) -> Array:
@@ -154,7 +148,7 @@ class Readings:
             if of is not None and T is not None and name == "tool":
                 estimate = np.linalg.norm(T[:, :3, 3] - of[:, :3, 3], axis=1)
             elif of is not None and T is not None:
-                estimate, std = rotation_angle(T[:, :3, :3], of[:, :3, :3]), estimate
+                estimate, std = transforms.rotation_angle(T[:, :3, :3], of[:, :3, :3]), estimate
         std = std if others is None else np.hypot(std, others)
         kept = np.isfinite(true) & np.isfinite(estimate)
         at_ns = self.stamps_ns if stamps_ns is None else stamps_ns
