@@ -28,10 +28,11 @@ REASON = re.compile(r"(?<!\d): .*$")  # what follows a colon says why, which is 
 
 def metrics_page(page: str) -> str:
     """The page with all columns and metrics; those with the same meaning stand in one line, new ones have none yet."""
-    metrics = {metric.key: metric for metric in (*score_metrics(), *figure_metrics())}.values()
+    written = Output.SCORES | Output.FIGURES
+    every = (one for one in (*score_metrics(), *figure_metrics()) if one.outputs & written)
+    shown = {metric.key: metric for metric in every}.values()
     of_columns, of_metrics = words_in(page, "columns"), words_in(page, "metrics")
     rows = [(key, *of_columns.get(key, ("", ""))) for key in ESTIMATE_KEYS]
-    shown = [metric for metric in metrics if metric.outputs & (Output.SCORES | Output.FIGURES)]
     figures = [
         (one.key, tolerance(one.tolerance, one.unit.name), of_metrics.get(one.key, ("", ""))[1])
         for one in shown

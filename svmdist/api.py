@@ -21,7 +21,7 @@ from svmdist.report.rows import ESTIMATE_COLUMNS, ESTIMATE_KEYS, estimate_row, s
 from svmdist.report.tables import Row, text_lines
 from svmdist.results import FrameResult
 from svmdist.samples import bgr_image  # noqa: F401  (part of the interface)
-from svmdist.workflows.capabilities import best_method
+from svmdist.workflows.capabilities import best_method, require_clearance
 from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.compare import compare as _compare
 from svmdist.workflows.ending import Ending, alarms_in_words
@@ -150,6 +150,13 @@ def estimate(
         jobs: Processes; results do not depend on them.
     """
     _opened([recording])
+    window = {"start_s": start_s, "end_s": end_s, "every": every}
+    for name, value in {**window, "lag": 0.0 if lag in (None, "auto") else lag}.items():
+        _require(name, value, int, float)
+    if alarms is not None:
+        _require("alarms", alarms, AlarmRules)
+    if isinstance(instruments, str) or (instruments is not None and not instruments):
+        raise UsageError(f"instruments: expected a sequence of names, found {instruments!r}")
     if hand_eye is not None:
         origin = recording.origin
         origin = origin._replace(profile=taking_hand_eye(origin.profile, hand_eye))
@@ -157,6 +164,8 @@ def estimate(
     if (start_s, end_s, every) != (0.0, math.inf, 1):
         recording = replace(recording, window=Window(start_s, end_s, every))
     setup = _setup(recording, method, calibration)
+    if alarms is not None:
+        require_clearance(setup)
     names = None if instruments is None else tuple(instruments)
     read, _ = with_lag(replace(recording, wanted=names), Request(setup, lag=lag), jobs)
     return Estimates(recording, setup, tuple(_estimate(read, setup, jobs, alarms=alarms)), alarms)
@@ -238,6 +247,11 @@ def _opened(recordings: Recording | Sequence[Recording]) -> list[Recording]:
         if not isinstance(one, Recording):
             raise UsageError(f"expected what svmdist.open_recording gives, found {type(one).__name__}")
     return several
+
+
+def _require(name: str, value: object, *kinds: type) -> None:
+    if not isinstance(value, kinds):
+        raise UsageError(f"{name}: expected {' or '.join(one.__name__ for one in kinds)}, found {value!r}")
 
 
 def _setup(recording: Recording, method: Method, calibration: Path | None = None) -> Setup:

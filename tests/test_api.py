@@ -1,5 +1,6 @@
 """The Python interface: what the documentation shows, and the columns of the command line."""
 
+import math
 import re
 import subprocess
 import sys
@@ -93,6 +94,18 @@ def test_an_own_method_is_measured_and_each_instrument_has_its_own(golden):
         np.testing.assert_allclose(values, 0.001 * np.arange(1, 11))
 
 
+@pytest.mark.parametrize("distances", [Distances(), Distances(planar=Distance(math.nan))])
+def test_an_own_method_is_not_taken_by_its_word(golden, distances):
+    """A row that says ok has a number."""
+
+    class Sure:
+        def estimate(self, frame: Frame) -> FrameResult:
+            return FrameResult(frame.stamp_ns, Status.OK, distances=distances)
+
+    recording = svmdist.open_recording(golden / "3d" / "contact.mcap")
+    assert {row.status for row in svmdist.estimate(recording, Sure(), every=40)} == {Status.NOT_FINITE}
+
+
 def test_what_is_no_result_is_told(golden):
     class Wrong:
         def estimate(self, frame: Frame) -> float:
@@ -122,6 +135,7 @@ def test_a_view_of_one_instrument_is_measured_as_that_instrument(golden):
 def test_what_is_no_recording_frame_or_method_is_told(golden):
     recording = svmdist.open_recording(golden / "3d" / "contact.mcap")
     assert repr(recording).startswith("contact: instruments PSM1; image /ECM/left/image, ")
+    below_5_mm = svmdist.AlarmRules(below_m=0.005)
     for call, expected in (
         (lambda: svmdist.open_recording(42), "expected the path or URL of a log, found int"),
         (lambda: svmdist.estimate("contact.mcap"), "what svmdist.open_recording gives, found str"),
@@ -131,6 +145,12 @@ def test_what_is_no_recording_frame_or_method_is_told(golden):
         (lambda: svmdist.compare(()), "expected a recording or several, found none"),
         (lambda: svmdist.estimate(recording, 3), r"an object with estimate\(frame\); found int"),
         (lambda: svmdist.estimate(recording, every=0), "--every 0: expected 1 or more"),
+        (lambda: svmdist.estimate(recording, every=2.5), r"--every 2.5: expected 1 or more, a whole number"),
+        (lambda: svmdist.estimate(recording, start_s="2"), "start_s: expected int or float, found '2'"),
+        (lambda: svmdist.estimate(recording, lag="late"), "lag: expected int or float, found 'late'"),
+        (lambda: svmdist.estimate(recording, alarms=0.005), "alarms: expected AlarmRules, found 0.005"),
+        (lambda: svmdist.estimate(recording, instruments="PSM1"), "a sequence of names, found 'PSM1'"),
+        (lambda: svmdist.estimate(recording, "overlay", alarms=below_5_mm), "alarms need a clearance"),
         (lambda: svmdist.surface(recording, -1), "the number of an image, 0 or more; found -1"),
         (lambda: svmdist.compare(recording, "fuse"), "no method fuse: did you mean fused"),
     ):

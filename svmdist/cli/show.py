@@ -68,7 +68,7 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
 
     masks: bool = option("--masks", "Only what is segmented: tissue, shaft, distal part, border.", False)
     worst: int | None = option(
-        "--worst N", "The N of largest error, or of widest interval without ground truth.", min=1
+        "--worst N", "The N of largest error, a second apart; of widest interval without truth.", min=1
     )
     output: Path = option("--output -o PATH", "Folder of the pictures, or FILE.png for one.", Path())
     jobs: int | None = JOBS

@@ -33,6 +33,9 @@ from svmdist.samples import Observation, Rejection
 from svmdist.tracks import DistanceTrack, JointTrack, LagEstimate, TransformTrack
 from svmdist.transforms import Array, inverse
 
+TRUE_SUFFIX = "_ground_truth"
+"""Goes to the names of true frames in a copy. A frame has one parent in a viewer, and `tool` has the robot's."""
+
 
 def open_recording(
     path: LogPath | str, profile: Profile, *, topics: Mapping[str, str] | None = None
@@ -331,7 +334,8 @@ class Recording:
                 return TransformTrack(parent, child, np.zeros(1, np.int64), T, is_static=True)
         if ground_truth:
             topics = {self.arms[0].require(Role.GROUND_TRUTH_TF): False}
-            return TransformTree(self.file.contents, topics).track(parent, child)
+            tree, in_copy = TransformTree(self.file.contents, topics), child + TRUE_SUFFIX
+            return tree.track(parent, in_copy if tree.links(parent, in_copy) else child)
         if not self.arms[0].static_transforms():
             self.arms[0].require(Role.TF)
         return self._nominal_tree.track(parent, child)

@@ -13,7 +13,7 @@ import numpy as np
 from svmdist.recording import messages
 from svmdist.recording.cameras import CameraTrack
 from svmdist.recording.images import ImageError
-from svmdist.recording.log import Recording
+from svmdist.recording.log import TRUE_SUFFIX, Recording
 from svmdist.recording.messages import DecodeError, Decoder, kind_of
 from svmdist.recording.source import LossKind, TopicInfo
 from svmdist.recording.topics import Role
@@ -133,10 +133,6 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
         tuple(sorted(frames)),
         joint_names,
     )
-
-
-TRUE_SUFFIX = "_ground_truth"
-"""Goes to the names of true frames in a copy. A frame has one parent in a viewer, and `tool` has the robot's."""
 
 
 def copied_messages(recording: Recording) -> Iterator[tuple[str, Sample | EncodedSample]]:

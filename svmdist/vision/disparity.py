@@ -153,6 +153,8 @@ def _range(
     small = [reduced(view, step) for view in (left, right)]
     small_inside = [reduced(mask, step, cv2.INTER_NEAREST) for mask in (inside, inside_right)]
     levelled = [_levelled(view, mask, view.shape[1]) for view, mask in zip(small, small_inside, strict=True)]
+    if len(np.unique(levelled[1][small_inside[1] > 0])) < 2:  # a covered lens fits anything
+        return None
     matched = semi_global(levelled[0], levelled[1], low / step, high / step, 5)
     seen = step * matched[np.isfinite(matched) & (small_inside[0] > 0)]
     if len(seen) < CELL_PX**2:

@@ -77,6 +77,8 @@ def mixes_colours(bgr: Image, settings: InterlaceSettings = DEFAULT) -> bool:
 def _stands_out(levels_of: Image, away: int, levels: float) -> Image:
     """Mask of ones, shape (h, w): pixels brighter, or darker, than both those so many rows above and below."""
     mask = np.zeros(levels_of.shape, np.uint8)
+    if len(mask) <= 2 * away:
+        return mask
     middle, above, below = levels_of[away:-away], levels_of[: -2 * away], levels_of[2 * away :]
     brighter = cv2.subtract(middle, cv2.max(above, below))
     darker = cv2.subtract(cv2.min(above, below), middle)

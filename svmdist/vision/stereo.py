@@ -181,7 +181,7 @@ def agreed_offset(differences_px: Array) -> float | None:
 
 def reduced(image: Image, step: int, how: int = cv2.INTER_AREA) -> Image:
     """An image, shape (h, w), at a `step`-th of its size, by OpenCV's interpolation `how`."""
-    size = (image.shape[1] // step, image.shape[0] // step)
+    size = (max(1, image.shape[1] // step), max(1, image.shape[0] // step))
     return image if step == 1 else np.asarray(cv2.resize(image, size, interpolation=how), np.uint8)
 
 

@@ -30,7 +30,7 @@ from svmdist.recording.observations import ALL_IMAGES, Window
 from svmdist.recording.topics import Role
 from svmdist.remote import LogPath
 from svmdist.results import FrameResult
-from svmdist.samples import Image, Observation
+from svmdist.samples import Image, Observation, Status
 from svmdist.tracks import LagEstimate
 from svmdist.vision import degradations
 from svmdist.vision.segmentation import Segmenter, make_segmenter
@@ -127,6 +127,13 @@ class OwnEstimator:
         if not isinstance(result, FrameResult):
             found = type(result).__name__
             raise TypeError(f"{self.name}.estimate(frame): expected a FrameResult, found {found}")
+        d = result.distances
+        numbers = [
+            one.value_m for one in (d.planar, d.spatial, d.clearance, d.to_instrument) if one is not None
+        ]
+        numbers += [] if result.tool is None else result.tool.pose.position_m.tolist()
+        if result.measured and not (numbers and np.isfinite(numbers).all()):
+            return result.rejected(Status.NOT_FINITE, f"{self.name} says ok, without a number")
         return result
 
 

@@ -13,6 +13,7 @@ from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.scene import Scene
 from svmdist.estimation.tissue.surface import ALL_PX
 from svmdist.recording.log import Recording
+from svmdist.recording.messages import Kind
 from svmdist.recording.source import LossKind
 from svmdist.recording.summary import inspect_recording
 from svmdist.recording.topics import Role
@@ -52,8 +53,9 @@ def tissue_surface(recording: Recording, number: int) -> TissueSurface:
         raise UsageError(f"expected the number of an image, 0 or more; found {number}")
     if recording.topic_of(Role.RIGHT_IMAGE) is None or recording.right_camera is None:
         summary = inspect_recording(recording, HEAD_S)
+        has_two = sum(one.kind is Kind.IMAGE for one in summary.topics) > 1  # which a profile would name
         needs = "a surface needs a calibrated right view, which it has not: `svmdist import` takes two"
-        raise RecordingError(f"{recording.name}: {misfit(summary) or needs}")
+        raise RecordingError(f"{recording.name}: {(has_two and misfit(summary)) or needs}")
     profile = recording.origin.profile
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
     pairs = first_of(spread_observations(recording), profile)

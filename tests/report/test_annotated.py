@@ -21,9 +21,8 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from svmdist.camera import Camera
 from svmdist.drawing import Part
-from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.log import TRUE_SUFFIX, Recording, open_recording
 from svmdist.recording.own_messages_pb2 import DistanceEstimate
-from svmdist.recording.summary import TRUE_SUFFIX
 from svmdist.report.annotated import write_annotated, write_video
 from svmdist.report.on_image import draw_on
 from svmdist.results import FrameResult
@@ -85,6 +84,18 @@ def test_every_message_of_the_log_is_copied_and_the_images_bit_for_bit(annotated
         assert len(after[topic]) == len(messages), topic
         if topic != "/ground_truth/tf":
             assert after[topic] == messages, topic
+
+
+def test_a_copy_has_the_truth_of_its_log(annotated):
+    """Under the names that the profile has, whatever the copy calls them."""
+    copy, _, setup = annotated
+    for frame in ("tool", "tissue"):
+        tracks = (
+            log.transform_track("camera", frame, ground_truth=True)
+            for log in (copy, open_recording(DUO, setup.profile))
+        )
+        ours, expected = (track.T_parent_child for track in tracks)
+        np.testing.assert_allclose(ours, expected, atol=1e-12)
 
 
 def test_the_surface_of_each_image_is_a_cloud(annotated):

@@ -78,11 +78,19 @@ def test_a_surface_that_continues_beyond_what_is_seen_says_how_sure_that_is():
     assert np.mean(covered) > 0.5
 
 
+def test_a_few_cells_between_those_that_are_looked_at_are_fitted():
+    information = np.zeros((90, 120), np.float32)
+    information[3:5, 7:9] = 1.0
+    fitted, variance = fit_cells(information, 27.0 * information)
+    assert np.abs(fitted[3:5, 7:9] - 27.0).max() < 0.5
+    assert np.isfinite(variance).all()
+
+
 def test_views_of_different_places_match_nowhere():
     """Neither noise nor another texture of the same kind is taken for a surface."""
     rng = np.random.default_rng(5)
     left, _ = views_of(_disparity, rng)
     other, _ = views_of(_disparity, rng)
-    for right in (other, noisy(np.full_like(left, 120), 2.0, rng)):
+    for right in (other, noisy(np.full_like(left, 120), 2.0, rng), np.full_like(left, 120)):
         found = matched(left, right)
         assert found is None or np.count_nonzero(found.is_seen) < 0.1 * np.pi * 100 * 90 / 16

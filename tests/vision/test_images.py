@@ -18,6 +18,7 @@ from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.colour import colour_mask
 from svmdist.vision.discs import fit_disc
 from svmdist.vision.frame_context import as_pinholes, first_field, mixes_colours
+from svmdist.vision.instruments.find_instruments import AutoMasks
 from svmdist.vision.regions import find_region
 from svmdist.vision.stereo import rectified_pair
 
@@ -34,6 +35,16 @@ def with_disc(x_px: float, seed: int = 1) -> Image:
 def centre_x_px(image: Image) -> float:
     inside = image[..., 0] > 180
     return float(np.mean(np.nonzero(inside)[1]))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (2, 2), (4, 640), (1, 640), (480, 1)])
+def test_an_image_may_have_any_size(size):
+    """There is nothing in it, and that is no error."""
+    image = np.full((*size, 3), 90, np.uint8)
+    assert first_field(image) is image
+    masks = AutoMasks(image)
+    assert masks.seen == ()
+    assert masks.picture.shape == size
 
 
 @pytest.mark.parametrize("moved_px", [3.0, 8.0, 20.0])

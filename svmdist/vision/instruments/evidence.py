@@ -43,7 +43,7 @@ class Evidence:
         height, width = bgr.shape[:2]
         self.settings, self.size, self._image = settings, (height, width), bgr
         self.scale = settings.working_px / max(width, height)
-        size = (round(self.scale * width), round(self.scale * height))
+        size = (max(1, round(self.scale * width)), max(1, round(self.scale * height)))
         how = cv2.INTER_AREA if self.scale < 1.0 else cv2.INTER_LINEAR
         self.bgr = np.asarray(cv2.resize(bgr, size, interpolation=how), np.uint8)
         self.picture = picture_of(self.bgr)

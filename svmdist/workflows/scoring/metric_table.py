@@ -130,6 +130,12 @@ ERRORS = (
 )
 """How far the estimates of a distance are from the truth."""
 
+SPREAD = (
+    Metric("r_squared", RATIO, "", "statistics.r_squared", outputs_in_3d=SCORES, is_late=True),
+    Metric("truth_std_m", LENGTH, "", "statistics.truth_std", outputs_in_3d=SCORES, is_late=True),
+)
+"""What the table of distances in 3D shows beside, as columns of `validate`."""
+
 INTERVALS = (
     Metric("interval_coverage", SHARE, "in 95 %", "interval_coverage", narrow_heading="∈95 %",
            outputs=SCORES | Output.DISTANCE_TABLE | REPLAY, outputs_in_3d=IN_3D),
@@ -215,6 +221,8 @@ def score_metrics() -> list[Metric]:
         *of_distance(distance_metrics(), "clearance"),
         *ALARMS,
         *tool_metrics(),
+        *of_distance(SPREAD, "spatial"),
+        *of_distance(SPREAD, "clearance"),
     ]
 
 
