@@ -223,6 +223,7 @@ class Recording:
     def remarks(self) -> list[str]:
         """What images lacked near them in the last replay, and where a camera changed, in words."""
         said, changes = self.file.missing.describe(), self.camera_changes
+        said += [line for arm in self.arms for line in arm.missing_topics()]
         if changes:
             count = f"; it is the first of {len(changes)} changes" if len(changes) > 1 else ""
             said.append(f"the camera changes: {changes[0]}{count}")

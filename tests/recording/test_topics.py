@@ -2,6 +2,7 @@
 
 import gzip
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -125,6 +126,21 @@ def test_roles_without_a_topic_or_with_a_wrong_one_are_errors():
         choice(("/j", JOINTS), **given).find(Role.IMAGE)
     with pytest.raises(UsageError, match="no role imag for a topic: did you mean image"):
         choice(overrides={"imag": "/a"})
+
+
+@pytest.mark.parametrize(
+    ("rows", "wanted", "said"),
+    [
+        ((("/l", IMAGE), ("/right", IMAGE)), {"image": "/l", "right_image": "/rihgt"}, "did you mean /right"),
+        ((("/js", JOINTS),), {"joints": "/jss"}, "joints: the log has no /jss, .*: /js stands in for it"),
+        ((("/l", IMAGE),), {"image": "/l", "right_image": "/r", "joints": "/js"}, None),
+    ],
+)
+def test_a_topic_that_the_log_has_by_another_name_is_said(rows, wanted, said):
+    """What it does not have at all is not."""
+    found = choice(*rows, wanted=wanted).missing_topics()
+    assert len(found) == (said is not None)
+    assert said is None or re.search(said, found[0])
 
 
 SECOND = OtherInstrument(
