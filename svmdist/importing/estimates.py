@@ -45,6 +45,9 @@ def read_estimates(path: Path) -> Rows:
         near = get_close_matches(split_unit(name, LENGTHS_M)[0].lower(), missing, n=1, cutoff=0.8)
         if near and names.index(name) not in {column for column, _ in found.values()}:
             LOG.warning("warning: %s: column %s is not read: did you mean %s?", path, name, near[0])
+    if "distance" in found and not found.keys() & (set(DISTANCES) - {"distance"}):
+        said = "warning: %s: %s is taken for the planar distance; a clearance is named clearance_m, one in 3D spatial_m"
+        LOG.warning(said, path, names[found["distance"][0]])
     for kind in ("distance", "distance_std"):  # the planar one, but where a table tells them apart
         if (one := found.pop(kind, None)) is not None:
             found.setdefault(kind.replace("distance", "planar"), one)

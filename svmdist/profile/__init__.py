@@ -268,6 +268,7 @@ def profile_path(name_or_path: str | Path) -> Path:
         known = did_you_mean(text, shipped_profiles())
         raise ProfileError(f"no profile named {text}: {known}; or give a path to a .toml")
     if not os.path.lexists(path):
-        hint = nearest_file(path) or f"; `svmdist profile new LOG -o {path}` writes one"
-        raise ProfileError(f"{path}: no such file{hint}")
+        is_toml = path.suffix.lower() == ".toml"
+        made = f"; `svmdist profile new LOG -o {path}` writes one" if is_toml else "; a profile is a .toml"
+        raise ProfileError(f"{path}: no such file{nearest_file(path) or made}")
     return path

@@ -53,6 +53,9 @@ class Joint(StrictModel):
         if self.type != "fixed" and self.lower >= self.upper:
             bounds = f"lower limit {self.lower} is not below upper limit {self.upper}"
             raise ValueError(f"joint {self.name}: {bounds}")
+        if abs(angle_rad := max(self.alpha_rad, self.theta_rad, key=abs)) > 2.0 * np.pi:
+            expected = "expected alpha_rad and theta_rad in rad, within 2 pi, as 'pi/2'"
+            raise ValueError(f"joint {self.name}: {expected}; found {angle_rad:g}")
 
 
 class Robot(StrictModel):

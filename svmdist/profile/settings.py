@@ -110,6 +110,10 @@ class StereoSettings(StrictModel):
     max_row_offset_px: float = Field(default=8.0, gt=0.0, le=100.0)  # the largest such offset
     max_depth_std_m: Positive = 0.008  # largest standard deviation up to 10 cm, in proportion beyond
 
+    def _require_sound(self) -> None:
+        if self.block_px % 2 == 0:  # a block has a pixel in its middle
+            raise ValueError(f"block_px: expected an odd number, found {self.block_px}")
+
 
 class TagSettings(StrictModel):
     """Detecting a fiducial tag."""

@@ -7,7 +7,7 @@ import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import islice, product
 from pathlib import Path
 from typing import Literal, Self
 
@@ -17,6 +17,7 @@ from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import read_regular, why, write_atomically
 from svmdist.metrics import row_of
+from svmdist.profile.toml import MAX_FAULTS, faults_of
 from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
 from svmdist.workflows.capabilities import require_clearance
@@ -280,8 +281,10 @@ def load_baseline(path: Path) -> Baseline:
         made = "; `validate --write-baseline` makes one" if isinstance(problem, FileNotFoundError) else ""
         raise RecordingError(f"{path}: cannot read the baseline: {why(problem)}{made}") from None
     except (ValidationError, UnicodeDecodeError, RecursionError) as problem:
-        first = str(problem).splitlines()[0]
-        raise RecordingError(f"{path}: not a baseline of schema {SCHEMA}: {first}") from None
+        faults = (
+            islice(faults_of(problem), MAX_FAULTS) if isinstance(problem, ValidationError) else [str(problem)]
+        )
+        raise RecordingError(f"{path}: not a baseline of schema {SCHEMA}: {'; '.join(faults)}") from None
 
 
 def save_baseline(baseline: Baseline, path: Path) -> None:

@@ -162,6 +162,7 @@ ERRORS = [
         1,
         "key.toml: unknown key segmentation.tissue.min_aera_px",
     ),
+    ("estimate log.mcap --profile none.json", 1, "none.json: no such file; a profile is a .toml"),
     (
         "estimate log.mcap --profile none.toml",
         1,

@@ -90,6 +90,28 @@ MISTAKES = [
     ("size_px = 96", "size_px = nan", r"marker\.size_px: .*finite"),
     ('convention = "standard"', 'convention = "craig"', r"convention: .*or 'modified' \(found 'craig'\)"),
     ("lower = 0.0, upper = 0.8", "lower = 0.8, upper = 0.8", r"joint setup_1: lower limit 0\.8 is not below"),
+    *(
+        (
+            'name = "roll", type = "revolute", alpha_rad = "-pi/2", theta_rad = "-pi/2"',
+            f'name = "roll", {row}',
+            said,
+        )
+        for row, said in (
+            (
+                'type = "revolute", alpha_rad = -90',
+                r"joint roll: expected alpha_rad .*, within 2 pi.*; found -90$",
+            ),
+            (
+                'type = "fixed", theta_rad = 7',
+                r"joint roll: .*theta_rad in rad, within 2 pi, as 'pi/2'; found 7$",
+            ),
+        )
+    ),
+    (
+        "[features]",
+        "[settings.stereo]\nblock_px = 8\n[features]",
+        r"block_px: expected an odd number, found 8$",
+    ),
     ('name = "setup_2"', 'name = "setup_1"', r"robot: joint names must differ; given twice: setup_1"),
     ('name = "psm13"', "", "missing key name"),
     ("outline_bgr = [0, 255, 0]", "", r"marker: outline_bgr is drawn and outline finds it .*both.*green$"),

@@ -113,6 +113,19 @@ def test_units_are_in_names_and_wrong_ones_are_doubted(cli, log, tmp_path):
     assert "where it is in mm, name it spatial_mm" in cli("validate", log, *TRUE, "--estimates", wrong).err
 
 
+@pytest.mark.parametrize("others", [(), ("clearance_m",)])
+def test_what_distance_is_meant_is_said(cli, log, tmp_path, others):
+    """One without a kind is scored as the planar one, as beside others, and only where it is alone it is said."""
+    rows = [
+        {"stamp_ns": row["stamp_ns"], **dict.fromkeys(("distance_m", *others), row["spatial_m"])}
+        for row in distances(log)
+    ]
+    outcome = cli("validate", log, *TRUE, "--estimates", table(tmp_path / "a.csv", rows))
+    said = "distance_m is taken for the planar distance; a clearance is named clearance_m"
+    assert (said in outcome.err) == (not others)
+    assert int(outcome.rows[0]["sample_count"]) == FRAMES
+
+
 def test_a_truth_is_not_said_to_be_missing_where_one_distance_is_scored(cli, log, tmp_path):
     spatial = table(tmp_path / "a.csv", distances(log))
     assert (
@@ -127,7 +140,10 @@ WRONG: dict[str, tuple[Callable[[dict[str, object]], dict[str, object]], str]] =
     "text": (lambda row: row | {"spatial_m": "near"}, "line 2: expected a number, found 'near'"),
     "deviation": (lambda row: row | {"spatial_std_m": -1}, "negative deviation"),
     "log": (lambda row: row | {"recording": "other"}, "no row of recording log; it has other"),
-    "frame": (lambda row: row | {"x": 0, "y": 0, "z": 0, "frame_id": "moon"}, "moon"),
+    "frame": (
+        lambda row: row | {"x": 0, "y": 0, "z": 0, "frame_id": "moon"},
+        "a: column frame_id: no frame moon in the transforms",
+    ),
 }
 
 

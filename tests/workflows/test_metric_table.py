@@ -62,12 +62,20 @@ def test_an_older_score_has_fewer_figures():
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["", "{}", '{"schema": "svmdist.baseline/2"}', '{"schema": "svmdist.baseline/1", "scores": [{}]}'],
+    ("text", "said"),
+    [
+        ("", "Invalid JSON"),
+        ("{}", "missing key schema; missing key tolerances; missing key scores$"),
+        ('{"schema": "svmdist.baseline/2"}', "schema: .* 'svmdist.baseline/1' .*'svmdist.baseline/2'"),
+        ('{"schema": "svmdist.baseline/1", "scores": [{}]}', "missing key tolerances; .*recording"),
+    ],
     ids=["empty", "no schema", "another schema", "no figures"],
 )
-def test_what_is_no_baseline_is_one_line(tmp_path, text):
+def test_what_is_no_baseline_is_one_line(tmp_path, text, said):
     path = tmp_path / "b.json"
     path.write_text(text)
-    with pytest.raises(RecordingError, match=r"b\.json: not a baseline of schema svmdist\.baseline/1"):
+    with pytest.raises(
+        RecordingError, match=r"b\.json: not a baseline of schema svmdist\.baseline/1: " + said
+    ) as caught:
         load_baseline(path)
+    assert "\n" not in str(caught.value)

@@ -115,7 +115,10 @@ class Given:
         if len(frames) > 1:
             raise RecordingError(f"{self.name}: poses in several frames: {', '.join(frames)}")
         poses = Sampled(rows["T"], np.ones(len(rows["T"]), np.bool_))
-        T = in_camera(view, frames[0], lambda _: poses)(rows["stamp_ns"]).values
+        try:
+            T = in_camera(view, frames[0], lambda _: poses)(rows["stamp_ns"]).values
+        except RecordingError as problem:
+            raise RecordingError(f"{self.name}: column frame_id: {problem}") from None
         require_common_time(Path(self.name), rows["stamp_ns"], images_ns.tolist())
         images, places = _nearest(images_ns, rows["stamp_ns"])
         return {**_taken({**rows, "T": T}, places), "stamp_ns": images_ns[images]}
