@@ -202,8 +202,16 @@ class Import(options.Options):
         require_mcap(path)
         if self.right_camera is not None and self.camera is None:
             raise UsageError("--right-camera goes with --camera")
-        if self.baseline_length is not None and not (self.right or self.right_pattern or self.side_by_side):
-            raise UsageError("--baseline is of two views: name the right one, or say --side-by-side")
+        if self.joint_names is not None and not self.joints:
+            raise UsageError("--joint-names goes with --joints")
+        of_two = {
+            "--baseline": self.baseline_length,
+            "--right-camera": self.right_camera,
+            "--right-calibration": self.right_calibration,
+        }
+        for name, given in of_two.items():
+            if given is not None and not (self.right or self.right_pattern or self.side_by_side):
+                raise UsageError(f"{name} is of two views: name the right one, or say --side-by-side")
         try:
             start_ns = parse_stamp_ns(self.start, "s")
         except ValueError as problem:

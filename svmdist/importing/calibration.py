@@ -6,6 +6,7 @@ parallel, and P, whose fourth column has the baseline.
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -19,8 +20,10 @@ import yaml
 from svmdist.camera import KNOWN_DISTORTION, Camera, DistortionModel, stereo_transform
 from svmdist.errors import SourceError, UsageError, did_you_mean
 from svmdist.files import read_regular, reading
+from svmdist.importing.tables import LENGTHS_M
 from svmdist.transforms import Array
 
+LOG = logging.getLogger("svmdist")
 MAX_BYTES = 1 << 20
 OPENCV_HEADER = re.compile(r"\A%YAML:1\.0.*\n")
 """How OpenCV's FileStorage begins a file, which is no YAML directive."""
@@ -106,6 +109,11 @@ def stated_cameras(options: CalibrationOptions, view_count: int) -> tuple[Stated
             f"{left_file}: has one camera, and there are two views: give --right-calibration, or --baseline for"
             " a rectified pair of equal cameras"
         )
+    P = found[-1].P
+    if P is not None and P[0, 3]:
+        instead, of_file = options.baseline_m * 1e3, abs(P[0, 3] / P[0, 0]) * 1e3
+        said = "warning: --baseline %.4g mm is taken for a rectified pair, in place of the %.4g mm and rotations of %s"
+        LOG.warning(said, instead, of_file, right_file or left_file)
     left, right = (replace(camera, R=None, P=None) for camera in (found[0], found[-1]))
     shift = np.array([[-right.K[0, 0] * options.baseline_m], [0.0], [0.0]])
     return left, replace(right, P=np.hstack([right.K, shift]))
@@ -117,12 +125,21 @@ def complete(
     frames: Sequence[str],
     calibrated_px: Size = None,
     crop: Crop = None,
+    unit_m: float = 1.0,
 ) -> list[Camera]:
     """Cameras of images of some sizes that were scaled since calibration, where its size is given, and are cropped.
 
-    Raises SourceError where the calibration is of another size, or of no camera or pair.
+    `unit_m` is the unit that its lengths were read in. Raises SourceError where the calibration is of another size, or
+    of no camera or pair.
     """
     cameras = []
+    is_one = np.array_equal(stated[0].K, stated[-1].K) and (stated[0].size_px or calibrated_px) is None
+    if is_one and len(set(sizes_px)) > 1:  # of one size a camera's pixels are known, of another one not
+        sizes = " and ".join("{}x{}".format(*size_px) for size_px in sizes_px)
+        raise SourceError(
+            f"views of {sizes} px, and one camera for both: give the right one's own, by --right-calibration or"
+            " --right-camera"
+        )
     for camera, size_px, frame_id in zip(stated, sizes_px, frames, strict=True):
         to_image = _scaling(camera, size_px, calibrated_px)
         K, of = to_image @ camera.K, "the images of {}x{} px".format(*size_px)
@@ -154,8 +171,10 @@ def complete(
     x_m, y_m, _ = T_left_right[:3, 3]
     baseline_m = float(np.linalg.norm(T_left_right[:3, 3]))
     if not PLAUSIBLE_BASELINE_M[0] <= baseline_m <= PLAUSIBLE_BASELINE_M[1]:
+        unit = next((name for name, length_m in LENGTHS_M.items() if length_m == unit_m), f"{unit_m:g} m")
         raise SourceError(
-            f"the cameras are {baseline_m:g} m apart: if the calibration is in mm, say --unit mm"
+            "the cameras are {:g} m apart, expected {:g} to {:g} m".format(baseline_m, *PLAUSIBLE_BASELINE_M)
+            + f": lengths of calibrations were read in {unit}; --unit says which: {', '.join(LENGTHS_M)}"
         )
     if abs(y_m) > abs(x_m):
         raise SourceError("one camera stands above the other one; a pair is expected to stand side by side")

@@ -7,6 +7,7 @@ comment, or none. Rows without a time belong to the images, one each or by name.
 from __future__ import annotations
 
 import csv
+import logging
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -23,6 +24,7 @@ from svmdist.importing.images import numbers_of
 from svmdist.tracks import MAX_GAP_NS, JointTrack, TransformTrack
 from svmdist.transforms import Array, Stamps, known_rotations, make_transform
 
+LOG = logging.getLogger("svmdist")
 MAX_BYTES = 1 << 28
 MAX_STAMP_NS = (1 << 63) - 1
 DECIMAL_STAMP = re.compile(r"(?<!\d)(\d{9,11})[._](\d{3,9})(?!\d)")  # seconds since 1970 and their fraction
@@ -32,6 +34,10 @@ UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
 LENGTHS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 JOINT_UNITS = {"deg": np.pi / 180.0, "rad": 1.0, "mm": 1e-3, "m": 1.0}
 STAMP_NAMES = frozenset({"stamp", "timestamp", "time", "t", "stamps", "secs", "header.stamp"})
+STAMP = tuple(re.compile(rf"((header\.)?stamp\.)?{part}") for part in ("secs?", "n(ano)?secs?"))
+"""Names of the two columns that a stamp of ROS may have."""
+NO_JOINT = re.compile(r"(header|velocity|effort)[._]", re.IGNORECASE)
+"""How the names begin of what joint states have beside positions."""
 IMAGE_NAMES = frozenset({"image", "frame", "file", "filename", "name", "image_name", "index"})
 # What names of columns have before the axis.
 POSITION = r"(p|t|pos_|position[_.]?|p_rs_r_|pose\.position\.|translation_)?"
@@ -95,6 +101,10 @@ def read_times(path: Path, names: Sequence[str]) -> list[int]:
         last = ", ".join(table.rows[-1])[:60]
         expected = "expected a time as a number of s, ms, us or ns"
         raise table.fail(len(table.rows) - 1, f"{expected}, found {last!r}")
+    if table.names is not None and stamp not in table.special:
+        known = ", ".join(sorted(STAMP_NAMES))
+        said = "warning: %s: column %s is taken for the times; their names are: %s"
+        LOG.warning(said, path, table.names[stamp], known)
     stamps = table.stamps_ns(stamp)
     if image is None:
         if len(stamps) != len(names):
@@ -144,18 +154,22 @@ def read_poses(path: Path, images_ns: Mapping[str, int], unit_m: float, frame_id
 def read_joints(path: Path, images_ns: Mapping[str, int], names: Sequence[str] | None = None) -> JointTrack:
     """Joint positions of a table with one column per joint; `names` are theirs where the file has none.
 
-    Columns are in rad and m; `_deg` or `_mm` behind a name says otherwise, and is no part of it.
+    Columns are in rad and m; `_deg` or `_mm` behind a name says otherwise, and is no part of it, nor is `position.`
+    before it. Velocities and efforts are left out.
     """
     table = read_table(path)
     stamps_ns, others = _row_stamps(table, images_ns, {len(names)} if names else set())
-    if names is None and table.names is None:
+    if table.names is not None:
+        others = [column for column in others if not NO_JOINT.match(table.names[column])]
+    elif names is None:
         raise SourceError(f"{path}: the columns have no names: give --joint-names")
     if table.columns(POSE).keys() == POSE.keys():
         raise SourceError(f"{path}: expected joints, found a pose in the columns: give it as --poses")
     columns = list(names) if names else [table.names[column] for column in others if table.names]
     if len(columns) != len(others) or not columns:
         raise SourceError(f"{path}: {len(others)} columns of numbers for {len(columns)} joint names")
-    joints, units = zip(*(split_unit(column, JOINT_UNITS) for column in columns), strict=True)
+    plain = (re.sub(r"^position[._]", "", column) for column in columns)
+    joints, units = zip(*(split_unit(column, JOINT_UNITS) for column in plain), strict=True)
     if len(set(joints)) < len(joints):
         raise SourceError(f"{path}: two columns are of the same joint: {', '.join(columns)}")
     numbers = table.numbers(others) * [JOINT_UNITS.get(unit, 1.0) for unit in units]
@@ -282,6 +296,15 @@ def read_table(path: Path) -> Table:
     for (number, _), row in zip(lines, rows, strict=True):
         if len(row) != width:
             raise SourceError(f"{path}: line {number}: expected {width} cells, found {len(row)}")
+    if names is not None:
+        # `rostopic echo -p` writes %time and field.header.stamp.
+        names = [name.removeprefix("%").strip().removeprefix("field.") for name in names]
+        s, ns = (next((at for at, name in enumerate(names) if form.fullmatch(name)), None) for form in STAMP)
+        if s is not None and ns is not None:
+            names[s], names[ns] = "header.stamp_s", "header.nsecs"
+            for row in rows:  # what is no number is named as it is, where stamps are read
+                is_part = row[ns].isdecimal() and len(row[ns]) <= 9
+                row[s] += f".{row[ns]:0>9}" if is_part else f" {row[ns]}"
     return Table(path, None if names is None else tuple(names), tuple(map(tuple, rows)), lines[0][0])
 
 

@@ -121,7 +121,8 @@ def import_log(
     views = _open_views(options)
     halved = 2 if options.side_by_side else 1
     sizes = [(view.size_px[0] // halved, view.size_px[1]) for view in views] * halved
-    cameras = complete(stated, sizes, FRAMES[: options.count], options.calibration.size_px, options.crop)
+    calibrated_px, unit_m = options.calibration.size_px, options.calibration.unit_m
+    cameras = complete(stated, sizes, FRAMES[: options.count], calibrated_px, options.crop, unit_m)
     tables, late = _table_messages(options, dict(zip(views[0].names, views[0].stamps_ns, strict=True)))
     images = [_image_messages(views, at, cameras, options) for at in range(len(views))]
     total = sum(len(range(0, len(view.names), options.every)) for view in views)
@@ -325,5 +326,7 @@ def _stamps(options: ImportOptions, names: list[str], times_ns: Sequence[int] | 
         raise UsageError(
             f"the name {names[0]} has no time (in s or ns since 1970): give --rate HZ or --times FILE"
         )
+    if options.start_ns:
+        raise UsageError(f"--start goes with --rate or a video; times are those of {times or 'the names'}")
     table_files.require_rising(stamps, names, str(options.times or options.source))
     return stamps

@@ -201,6 +201,16 @@ ERRORS = [
     (f"{CAMERA} --rate 1".replace("mcap", "csv"), 2, "is written as MCAP: give it the ending .mcap"),
     (CAMERA.replace("images", "log.mcap"), 2, "log.mcap: is a log already, which needs no import"),
     (CAMERA, 2, "img0.png has no time"),
+    (f"{CAMERA} --rate 1 --joint-names yaw", 2, "--joint-names goes with --joints"),
+    (
+        f"{CAMERA} --times times.csv --start 5",
+        2,
+        "--start goes with --rate or a video; times are those of times",
+    ),
+    *(
+        (f"{CAMERA} --rate 1 {name} {given}", 2, f"{name} is of two views: name the right one, or say --side")
+        for name, given in (("--right-camera", "60,61,31,23"), ("--right-calibration", "no.yaml"))
+    ),
     (f"{CAMERA} --rate 0", 2, "--rate 0: expected HZ, greater than or equal to 0.001"),
     (f"{CAMERA} --unit inch", 2, "'--unit': inch: the choices are: cm, m, mm"),
     (f"{CAMERA} --baseline 5mm", 2, "--baseline is of two views"),
@@ -226,6 +236,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (made / "red\x1b[31m.mcap").write_text("junk")
     (made / "key.toml").write_text('name = "a"\n[segmentation.tissue]\nhue = [170, 8]\nmin_aera_px = 50\n')
     (made / "sizeless.toml").write_text(re.sub(r"\[instrument\]\n(.+\n)+", "", PSM13))
+    (made / "times.csv").write_text("time_s\n0\n1\n")
     (made / "rows.csv").write_text("stamp,distance_m\n0,0.01\n")
     write_profile(made / "uncalibrated.toml")
     (made / "recordings").mkdir()

@@ -173,7 +173,7 @@ def test_hostile_yaml(tmp_path, text, said):
     ("document", "said"),
     [
         (PAIR | {"T": [0.0053, 0.0, 0.0]}, "to the left of the left one"),
-        (PAIR | {"T": [-5.3, 0.0, 0.0]}, "--unit mm"),
+        (PAIR | {"T": [-5.3, 0.0, 0.0]}, "are 5.3 m apart.* read in m; --unit says which: mm, cm, m"),
         (
             {"K": K, "width": 1280, "height": 720},
             "1280x720 px, the images have 640x480 px.*--calibrated-at 1280x720",
@@ -194,6 +194,38 @@ def test_implausible_cameras(tmp_path, document, said):
     )
     with pytest.raises(SourceError, match=said):
         calibration.complete(stated, SIZES[:count], FRAMES[:count])
+
+
+def test_a_length_in_another_unit_is_named_by_the_one_that_was_read(tmp_path):
+    path = _write(tmp_path / "a.yaml", PAIR | {"T": [-0.005, 0.0, 0.0]})
+    stated = calibration.stated_cameras(calibration.CalibrationOptions((path, None), unit_m=1e-3), 2)
+    with pytest.raises(SourceError, match=r"are 5e-06 m apart.* read in mm; --unit says which"):
+        calibration.complete(stated, SIZES, FRAMES, unit_m=1e-3)
+
+
+@pytest.mark.parametrize("length", [-0.005, None])
+def test_a_baseline_that_replaces_a_pair_s_names_both(tmp_path, caplog, length):
+    path = _write(tmp_path / "a.yaml", PAIR | {"T": [length, 0.0, 0.0]} if length else {"K": K})
+    stated = calibration.stated_cameras(calibration.CalibrationOptions((path, None), baseline_m=0.007), 2)
+    assert stereo_transform(*calibration.complete(stated, SIZES, FRAMES))[0, 3] == pytest.approx(0.007)
+    said = f"--baseline 7 mm is taken for a rectified pair, in place of the 5 mm and rotations of {path}"
+    assert (said in caplog.text) == (len(caplog.messages) > 0) == bool(length)
+
+
+def test_views_of_two_sizes_have_two_cameras():
+    """Where one is known for both, its pixels are of one size alone; calibrated at a size, it is scaled to each."""
+    left, right = (572.2, 571.0, 378.8, 239.3), (286.1, 285.5, 189.1, 119.4)
+    sizes = [(640, 480), (320, 240)]
+    for given, calibrated_px in (((left, right), None), ((left, None), (640, 480))):
+        options = calibration.CalibrationOptions(intrinsics=given, baseline_m=0.005)
+        cameras = calibration.complete(calibration.stated_cameras(options, 2), sizes, FRAMES, calibrated_px)
+        np.testing.assert_allclose([camera.K[0, 0] for camera in cameras], [572.2, 286.1])
+    for baseline_m in (0.005, None):
+        options = calibration.CalibrationOptions(intrinsics=(left, None), baseline_m=baseline_m)
+        with pytest.raises(
+            SourceError, match="views of 640x480 and 320x240 px, and one camera for both: give"
+        ):
+            calibration.complete(calibration.stated_cameras(options, 2), sizes, FRAMES)
 
 
 def test_scaled_and_cropped_images():

@@ -35,6 +35,14 @@ def _pose_files() -> dict[str, str]:
         f"1000000000,{x},{y},{z},{qw},{qx},{qy},{qz}\n",
         "millimetres by image": "image;x_mm;y_mm;z_mm;qx;qy;qz;qw\n"
         f"1;{x * 1e3};{y * 1e3};{z * 1e3};{qx};{qy};{qz};{qw}\n",
+        "rostopic": "%time,field.header.seq,field.header.stamp,field.header.frame_id,"
+        + ",".join(f"field.pose.position.{axis}" for axis in "xyz")
+        + "".join(f",field.pose.orientation.{axis}" for axis in "xyzw")
+        + f"\n1000000000000000000,7,1000000000000000000,base,{x},{y},{z},{qx},{qy},{qz},{qw}\n",
+        **{
+            f"parts {names}": f"{names},x,y,z,qx,qy,qz,qw\n1000000000,5000000,{x},{y},{z},{qx},{qy},{qz},{qw}\n"
+            for names in ("secs,nsecs", "sec,nanosec", "header.stamp.secs,header.stamp.nsecs")
+        },
         "file names": f"qw,qx,qy,qz,z,y,x,file\n{qw},{qx},{qy},{qz},{z},{y},{x},left/1_L.jpg\n",
     }
 
@@ -45,7 +53,11 @@ def test_poses(tmp_path, form):
     path = tmp_path / "poses.csv"
     path.write_text(_pose_files()[form])
     poses = read_poses(path, IMAGES_NS, 1.0, "base")
-    assert poses.stamps_ns[0] == 10**9
+    since_1970 = {
+        "rostopic": 10**18,
+        "parts": 10**18 + 5_000_000,
+    }  # two columns are one stamp, to the nanosecond
+    assert poses.stamps_ns[0] == since_1970.get(form.split()[0], 10**9)
     np.testing.assert_allclose(poses.T_parent_child[0], T, atol=1e-12)
 
 
@@ -57,23 +69,35 @@ def test_joints(tmp_path):
     assert joints.names == ("yaw", "insertion", "roll")
     assert joints.stamps_ns.tolist() == [500_000_000, 750_000_000]
     np.testing.assert_allclose(joints.positions, [[np.pi / 2, 0.1, 0.25], [np.pi / 4, 0.11, 0.5]])
+    path.write_text(
+        "secs,nsecs,position.yaw,position.roll_deg,velocity.yaw,effort_roll,header.seq\n7,5,0.1,90,fast,3,1\n"
+    )
+    joints = read_joints(path, IMAGES_NS)
+    assert (joints.names, joints.stamps_ns.tolist()) == (("yaw", "roll"), [7_000_000_005])
+    np.testing.assert_allclose(joints.positions, [[0.1, np.pi / 2]])
     path.write_text("0.1 0.2\n0.3 0.4\n")
     joints = read_joints(path, IMAGES_NS, ["yaw", "pitch"])
     assert joints.stamps_ns.tolist() == [*IMAGES_NS.values()]
     np.testing.assert_allclose(joints.positions, [[0.1, 0.2], [0.3, 0.4]])
 
 
-def test_times(tmp_path):
-    """Times by row, by name in any order, and with names of columns."""
+def test_times(tmp_path, caplog):
+    """Times by row, by name in any order, and with names of columns; one that is no time's by name is said."""
     path = tmp_path / "times.csv"
     for text in (
         "1.5\n2.5\n",
         "2_L.jpg,2.5\n1_L.jpg,1.5\n",
         "image,timestamp_ms\n1,1500\n2,2500\n",
         "stamp_ns\n1500000000\n2500000000\n",
+        "secs,nsecs,image\n2,500000000,2_L.jpg\n1,500000000,1_L.jpg\n",
+        "%time,field.sec,field.nanosec\n1.5,9,0\n2.5,9,0\n",
     ):
         path.write_text(text)
         assert read_times(path, [*IMAGES_NS]) == [1_500_000_000, 2_500_000_000], text
+    assert not caplog.messages
+    path.write_text("image,exposure\n1,1.5\n2,2.5\n")
+    assert read_times(path, [*IMAGES_NS]) == [1_500_000_000, 2_500_000_000]
+    assert "column exposure is taken for the times; their names are: header.stamp, secs" in caplog.text
     path.write_text("1_L.jpg,2024-05-01T10:00:00\n2_L.jpg,2024-05-01T10:00:01\n")
     said = r"line 2: expected a time as a number of s, ms, us or ns, found '2_L\.jpg, 2024-05-01T10:00:01'"
     with pytest.raises(SourceError, match=said):
@@ -108,6 +132,10 @@ def test_stamps():
         ("stamp,x,y,z,qx,qy,qz,qw\n1,nan,0,0,0,0,0,1\n", "line 2: expected a number, found 'nan'"),
         ("stamp,x,y,z,qx,qy,qz,qw\n-1,0,0,0,0,0,0,1\n", "must not be negative"),
         ("stamp,x,y,z,qx,qy,qz,qw\n1e999999999,0,0,0,0,0,0,1\n", "beyond 64 bits of ns, found 1e999999999"),
+        (
+            "secs,nsecs,x,y,z,qx,qy,qz,qw\n1,1e7,0,0,0,0,0,0,1\n",
+            "line 2: expected a time as a number, found '1 1e7'",
+        ),
         ("1," + "1" * 200_000 + "\n", "not a table: field larger than"),
         ("image,x,y,z,qx,qy,qz,qw\n9,0,0,0,0,0,0,1\n", "there is no image '9'"),
         ("x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,1\n", "1 rows for 2 images"),

@@ -257,6 +257,12 @@ WRONG: dict[str, tuple[object, ...]] = {
     "no camera": ("1.png", "a camera needs a calibration", {"calibration": CalibrationOptions()}),
     "lonely": ("1_L.png,2_L.png,1_R.png", "2_L.png: there is no right image", PAIRED),
     "size": ("1_L.png,2_L.png,1_R.png,2_R.png 60", "60x48 px; 1_R.png has 64x48 px", PAIRED),
+    "two sizes": (
+        "1_L.png,2_L.png,1_R.png 60,2_R.png 60",
+        "views of 64x48 and 60x48 px, and one camera for both",
+        PAIRED,
+    ),
+    "start": ("1700000000.500.png", "--start goes with --rate or a video", {"rate_hz": None, "start_ns": 1}),
     "all damaged": ("1.png 16,2.png cut", "images/1.png: a PNG of 16 bits"),
     "same": ("1_L.png,2_L.png", "the same images", {"right_pattern": "*_L.png"}),
     "both views": ("1_L.png,2_L.png,1_R.png", "1_L.png and 1_R.png are of two views", ALL),
