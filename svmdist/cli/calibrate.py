@@ -187,7 +187,12 @@ class Fk(LogOptions, options.ReadOptions, options.WindowOptions, options.OutputO
             raise UsageError(
                 f"--joints {self.joints} and --topic joints={topics['joints']}: give one of them"
             )
-        request = Request(Setup.reading(self.profile, self.hand_eye), topics, self.window)
+        setup, instruments = Setup.reading(self.profile, self.hand_eye), None
+        for other in setup.profile.other_instruments:
+            if other.logged_topics.get("joints", "") == topics.get("joints"):
+                instruments = (other.name,)
+                del topics["joints"]  # which would make them the first one's
+        request = Request(setup, topics, self.window, instruments)
         run = Run(self, pose_rows_of, request, int, "computing", options=(self.in_camera, several))
         columns = (*POSE_COLUMNS, Column("recording", TEXT)) if several else POSE_COLUMNS
         _, rows = run.begun(1, self.output)
@@ -196,14 +201,23 @@ class Fk(LogOptions, options.ReadOptions, options.WindowOptions, options.OutputO
 
 
 def pose_rows_of(
-    recording: Recording, _request: Request, _threads: int, in_camera: bool, named: bool
+    recording: Recording, request: Request, _threads: int, in_camera: bool, named: bool
 ) -> Generator[Row, None, int]:
-    """The rows of one recording, which name it where there are several; the errors against its poses are logged."""
+    """The rows of an instrument of one recording, which name it where there are several.
+
+    What they leave out, and errors against its poses, are logged.
+    """
     import numpy as np
 
     from svmdist.report.rows import pose_rows
     from svmdist.workflows.fk import fk_blocks
 
+    of, name = f"{recording.name}: " if named else "", recording.measured[0]
+    first, *others = [recording.for_instrument(one).topic_of("joints") for one in recording.instruments]
+    if request.instruments is None and "joints" not in request.topics and first and any(others):
+        choices = ", ".join(filter(None, others))
+        LOG.info("note: %sthese are the joints of %s; --joints TOPIC takes another's: %s", of, name, choices)
+    recording = recording.for_instrument(name)
     errors, count = [], 0
     with (
         output.progress_bar("reading joint states"),
@@ -214,8 +228,10 @@ def pose_rows_of(
             for row in pose_rows(stamps_ns, poses):
                 yield {**row, "recording": recording.name} if named else row
                 count += 1
+    if lost := sum(map(len, errors)) - count:
+        said = "note: %s%d of %d joint states are left out: no transform from camera to base is near them in time"
+        LOG.info(said, of, lost, lost + count)
     if recording.topic_of("pose") is not None:
-        of = f"{recording.name}: " if named else ""
         _log_errors(np.concatenate(errors), recording.pose_track().parent, of)
     return count
 

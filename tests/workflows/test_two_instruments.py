@@ -105,6 +105,31 @@ def test_the_command_line_names_instruments(cli, two):
     assert "profile psm13 has no such instrument: did you mean PSM" in wrong
 
 
+@pytest.mark.parametrize(
+    ("name", "of"), [("PSM1", ()), *((name, ("--joints", f"/{name}/measured_js")) for name in NAMES)]
+)
+def test_kinematics_are_of_the_instrument_whose_joints_are_named(cli, two, name, of):
+    """By its own base, transform and pose topic; without a name the first one's, which is said; what is lost, too."""
+    recording = open_recording(two, load_profile()).for_instrument(name)
+    base, seen = cli("fk", two, *of), cli("fk", two, "--in-camera", *of)
+    stamps_ns = np.array([int(row["stamp_ns"]) for row in seen.rows])
+    places = np.array([[float(row[f"{axis}_m"]) for axis in "xyz"] for row in seen.rows])
+    truth = recording.transform_track("camera", recording.profile.frames.tool, ground_truth=True)
+    known = np.isin(stamps_ns, truth.stamps_ns)
+    true = truth.at(stamps_ns[known]).values[:, :3, 3]
+    np.testing.assert_allclose(places[known], true, atol=1e-3)
+    assert len(true) >= 3
+    assert f"poses in frame {recording.profile.frames.base}: position RMSE 0 mm" in seen.err
+    lost = len(base.rows) - len(seen.rows)
+    assert lost > 0
+    assert (
+        f"{lost} of {len(base.rows)} joint states are left out: no transform from camera to base" in seen.err
+    )
+    assert "left out" not in base.err
+    said = "note: these are the joints of PSM1; --joints TOPIC takes another's: /PSM2/measured_js"
+    assert all((said in one.err) == (not of) for one in (base, seen))
+
+
 def test_one_instrument_is_as_ever(synthetic_log):
     """Without the other's topics nothing changes but the new column; asking for the other is told."""
     setup = prepare(method="kinematic")
