@@ -18,6 +18,7 @@ R_OPENGL_OPENCV: Array = np.diag([1.0, -1.0, -1.0])
 
 MAX_COEFFICIENTS = 14
 MAX_COEFFICIENT = 1e5  # of a lens: rational models of endoscopes have some hundreds
+MAX_ROTATION_ERROR = 0.01  # of R·Rᵀ: files round
 MAX_FOCAL_PX = 1e7  # beyond it an image of 4,000 px is less than a minute of arc wide
 
 DistortionModel = Literal["plumb_bob", "rational_polynomial", "fisheye"]
@@ -58,6 +59,9 @@ class Camera:
         for name, (matrix, shape) in shapes.items():
             if matrix is not None and matrix.shape != shape:
                 raise ValueError(f"{name} has shape {matrix.shape}, expected {shape}")
+        R = np.eye(3) if self.R_rectified_camera is None else self.R_rectified_camera
+        if not (np.abs(R @ R.T - np.eye(3)).max() <= MAX_ROTATION_ERROR and np.linalg.det(R) > 0.0):
+            raise ValueError(f"R is no rotation: {R.round(4).tolist()}")
         if self.D.ndim != 1 or len(self.D) > MAX_COEFFICIENTS:
             raise ValueError(f"D has shape {self.D.shape}; at most {MAX_COEFFICIENTS} coefficients are known")
         if self.distortion_model == "fisheye" and self.D[4:].any():

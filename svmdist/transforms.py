@@ -11,7 +11,7 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import PlainSerializer, PlainValidator
+from pydantic import AfterValidator, PlainSerializer, PlainValidator
 
 # OpenBLAS ends the process, with a line of its own, where it gets no memory to work in: it takes it here, after as much
 # was to be had. Without, this raises OSError, which commands say in a line.
@@ -30,6 +30,14 @@ Stamps = Annotated[
     PlainSerializer(lambda array: array.tolist()),
 ]
 """Stamps in ns, shape (n,)."""
+
+
+def frame_name(name: str) -> str:
+    """The name of a frame as tf2 has it: tf of old wrote /base for base."""
+    return name.removeprefix("/")
+
+
+FrameName = Annotated[str, AfterValidator(frame_name)]
 
 
 def make_transform(R: ArrayLike, t_m: ArrayLike) -> Array:

@@ -18,6 +18,7 @@ from svmdist.profile.hand_eye import HandEye, HandEyeFile, NamedHandEye, load_ha
 from svmdist.profile.segmentation import AnySegmentation, AutoSegmentation, ColourRegion
 from svmdist.profile.settings import Settings, StereoSettings, without_former_keys
 from svmdist.profile.toml import Byte, Positive, Share, Size, StrictModel, parse_toml
+from svmdist.transforms import FrameName
 
 DEFAULT_PROFILE = "psm13"
 SHIPPED = Path(__file__).parent.with_name("profiles")
@@ -45,10 +46,10 @@ class Topics(StrictModel):
 class Frames(StrictModel):
     """Frame names of a log's transforms."""
 
-    camera: str = "camera"
-    base: str = "base"
-    tool: str = "tool"
-    tissue: str = "tissue"
+    camera: FrameName = "camera"
+    base: FrameName = "base"
+    tool: FrameName = "tool"
+    tissue: FrameName = "tissue"
 
 
 class Limits(StrictModel):

@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, field_validator
 
 from svmdist.profile import toml
 from svmdist.profile.toml import Angle, Fraction, Length, NonNegative, Positive, SmallLength, StrictModel
-from svmdist.transforms import Array, make_transform, rotation_z
+from svmdist.transforms import Array, FrameName, make_transform, rotation_z
 
 Vector = tuple[float, float, float]
 EntrySide = Literal["left", "right", "above", "below"]
@@ -270,8 +270,8 @@ class ArmTopics(StrictModel):
 class ArmFrames(StrictModel):
     """Frames of one instrument."""
 
-    base: str
-    tool: str
+    base: FrameName
+    tool: FrameName
 
 
 class OtherInstrument(StrictModel):

@@ -200,8 +200,8 @@ class LogFile:
         rows = contents[raw.topic]
         try:
             match decoder.decode(raw):
-                case CameraSample(stamp_ns, camera):  # a recorder that sets no stamp writes 0
-                    self.cameras[raw.topic].add(stamp_ns or raw.log_time_ns, camera)
+                case CameraSample(stamp_ns, camera):
+                    self.cameras[raw.topic].add(stamp_ns, camera)
                 case JointSample(stamp_ns, names, positions):
                     if rows and names not in rows:
                         raise messages.DecodeError("its joints are others than those of the first message")
@@ -212,8 +212,6 @@ class LogFile:
                     rows[parent].add(stamp_ns, values)
                 case messages.RawTransforms(transforms=transforms):
                     for one in transforms:
-                        # As tf2 has the names: tf of old wrote /base.
-                        edge = one.parent.removeprefix("/"), one.child.removeprefix("/")
-                        rows[edge].add(one.stamp_ns, one.values)
+                        rows[one.parent, one.child].add(one.stamp_ns, one.values)
         except messages.DecodeError as problem:
             self.source.health.lose(LossKind.MESSAGE, str(problem), raw.offset, raw.topic)

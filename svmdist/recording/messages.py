@@ -23,7 +23,7 @@ from svmdist.profile import Limits
 from svmdist.recording.images import ImageError, VideoDecoder, decode_raw, decode_still
 from svmdist.recording.own_messages_pb2 import GroundTruthDistance
 from svmdist.recording.source import RawMessage, TopicInfo, cut
-from svmdist.transforms import Array, make_transform, rotation_from_quaternion_xyzw
+from svmdist.transforms import Array, frame_name, make_transform, rotation_from_quaternion_xyzw
 
 MAX_STAMP_NS = (1 << 63) - 1
 NS = 1_000_000_000
@@ -211,11 +211,12 @@ def _header(message: Any, log_time_ns: int) -> tuple[int, str]:
     """The stamp in ns, the log time where none was set, and the frame of a message or a transform."""
     if isinstance(message, Protobuf):
         stamp, frame_id = message.timestamp, getattr(message, "frame_id", "")
-        own_ns = stamp.seconds * NS + stamp.nanos if message.HasField("timestamp") else log_time_ns
+        own_ns = stamp.seconds * NS + stamp.nanos
     else:
         stamp, frame_id = message.header.stamp, message.header.frame_id
-        own_ns = stamp.sec * NS + stamp.nanosec or log_time_ns  # zero in ROS was never set
-    return _checked_stamp(own_ns), frame_id
+        own_ns = stamp.sec * NS + stamp.nanosec
+    # Zero in ROS was never set, and converters write it on.
+    return _checked_stamp(own_ns or log_time_ns), frame_name(frame_id)
 
 
 def _checked_stamp(stamp_ns: int) -> int:
@@ -257,17 +258,34 @@ def _camera(message: Any, stamp_ns: int, frame_id: str) -> samples.CameraSample:
         raise DecodeError(f"K, R, P, D have {len(K)}, {len(R)}, {len(P)}, {len(D)} elements")
     _check_numbers([*K, *D, *R, *P], "a calibration")
     name = cut(message.distortion_model)
-    model = KNOWN_DISTORTION.get(name.lower()) if D.any() else "plumb_bob"
+    # Zeros bend nothing whatever the model is, but for a fisheye's: r = f·θ. None at all are of a rectified image.
+    model = KNOWN_DISTORTION.get(name.lower(), None if D.any() else "plumb_bob") if len(D) else "plumb_bob"
     if model is None:
         choices = ", ".join(sorted(filter(None, KNOWN_DISTORTION)))
         raise DecodeError(f"distortion model {name!r} is not known; the choices are {choices}")
     R_rectified = R.reshape(3, 3) if R.any() else None
-    size_px, P_rectified = (message.width, message.height), P.reshape(3, 4) if P.any() else None
+    A, size_px = _part_of_sensor(message)
+    P_rectified = A @ P.reshape(3, 4) if P.any() else None
     try:
-        camera = Camera(*size_px, K.reshape(3, 3), D, R_rectified, P_rectified, frame_id, model)
+        camera = Camera(*size_px, A @ K.reshape(3, 3), D, R_rectified, P_rectified, frame_id, model)
     except ValueError as problem:
         raise DecodeError(str(problem)) from None
     return samples.CameraSample(stamp_ns, camera)
+
+
+def _part_of_sensor(message: Any) -> tuple[Array, tuple[int, int]]:
+    """Pixels of the image from those that K is for, shape (3, 3), and the image's size; ROS alone has parts of them.
+
+    The region of interest is in pixels of the whole sensor, of which `binning_x` by `binning_y` make one.
+    """
+    A = np.eye(3)
+    if isinstance(message, Protobuf):
+        return A, (message.width, message.height)
+    roi, binning = message.roi, np.maximum(1, [message.binning_x, message.binning_y])
+    width, height = [roi.width or message.width, roi.height or message.height] // binning
+    A[[0, 1], [0, 1]] = 1.0 / binning
+    A[:2, 2] = (0.5 - np.array([roi.x_offset, roi.y_offset])) / binning - 0.5  # from corner to centre
+    return A, (int(width), int(height))
 
 
 def _joints(message: Any, stamp_ns: int, _: str) -> samples.JointSample:
@@ -294,7 +312,8 @@ def _transform(message: Any, stamp_ns: int, frame_id: str) -> RawTransform:
     """A transform; as a topic of its own it is in ROS the pose of its child, as older CRTK publishes `*_cp`."""
     is_ros = not isinstance(message, Protobuf)
     rigid, parent = (message.transform, frame_id) if is_ros else (message, message.parent_frame_id)
-    return _rigid(stamp_ns, parent, message.child_frame_id, rigid, "translation", "rotation")
+    child = frame_name(message.child_frame_id)
+    return _rigid(stamp_ns, frame_name(parent), child, rigid, "translation", "rotation")
 
 
 def _transforms(message: Any, log_time_ns: int, _: str) -> RawTransforms:

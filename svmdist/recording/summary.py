@@ -113,7 +113,7 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
                 stamp_ns = sample.stamp_ns
                 match sample:
                     case CameraSample(camera=camera):
-                        cameras[raw.topic].add(stamp_ns or raw.log_time_ns, camera)
+                        cameras[raw.topic].add(stamp_ns, camera)
                     case JointSample(names=names):
                         joint_names.setdefault(raw.topic, names)
                     case messages.RawTransforms(transforms=transforms) if len(frames) < MAX_NAMES:

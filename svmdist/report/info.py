@@ -133,7 +133,8 @@ def _served(lacks: Mapping[str, tuple[str, ...]]) -> dict[str, dict[str, Any]]:
 
 def _camera_document(camera: Camera) -> dict[str, Any]:
     size = {"width_px": camera.width_px, "height_px": camera.height_px}
-    return size | {"K": camera.K.tolist(), "D": camera.D.tolist(), "frame_id": camera.frame_id}
+    lens = {"distortion_model": camera.distortion_model, "D": camera.D.tolist()}
+    return size | {"K": camera.K.tolist(), **lens, "frame_id": camera.frame_id}
 
 
 def _info_lines(log: dict[str, Any], width: int | None) -> Iterator[str]:
@@ -175,10 +176,12 @@ def _info_lines(log: dict[str, Any], width: int | None) -> Iterator[str]:
 
 def _camera_in_words(camera: dict[str, Any]) -> str:
     (fx, _, cx), (_, fy, cy), _ = camera["K"]
-    bends = " ".join(f"{value:.4g}" for value in camera["D"]) if any(camera["D"]) else ""
+    is_fisheye = camera["distortion_model"] == "fisheye"  # which bends by zeros, too
+    bends = " ".join(f"{value:.4g}" for value in camera["D"]) if any(camera["D"]) or is_fisheye else ""
+    lens = f"{'fisheye' if is_fisheye else 'distortion'} {bends}" if bends else "no distortion"
     return (
         f"{camera['width_px']}x{camera['height_px']}, fx {fx:.2f}, fy {fy:.2f}, cx {cx:.2f}, cy {cy:.2f} px,"
-        f" {f'distortion {bends}' if bends else 'no distortion'}, frame {camera['frame_id']}"
+        f" {lens}, frame {camera['frame_id']}"
     )
 
 

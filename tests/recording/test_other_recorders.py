@@ -1,23 +1,32 @@
 """Logs of other recorders hold the same scene; broken ones end in a result, a counted loss or a clear error."""
 
 import sqlite3
+from collections.abc import Iterable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from svmdist.camera import Camera
 from svmdist.errors import RecordingError
+from svmdist.profile import Frames, Profile
 from svmdist.recording.log import open_recording
+from svmdist.recording.summary import inspect_recording
+from svmdist.recording.writer import encode
+from svmdist.samples import CameraSample, Sample, TransformsSample
 from tests.reading import read_observations
 
-from .builders import Entry, pose, scene
+from .builders import CAMERA, Entry, pose, scene, write_messages
 from .other_recorders import (
     MCAP,
     SQLITE,
     WRITERS,
     header,
     rigid,
+    ros_message,
     ros_messages,
     write_ros2_mcap,
     write_rosbag1,
@@ -66,6 +75,98 @@ def test_a_stamped_transform_is_a_pose(tmp_path, profile):
     track = open_recording(write_ros2_mcap(tmp_path / "a.mcap", messages), profile).pose_track()
     assert (track.parent, track.stamps_ns.tolist()) == ("base", [7])
     np.testing.assert_allclose(track.T_parent_child[0], pose(3), atol=1e-15)
+
+
+def stamped(sample: Sample, stamp_ns: int) -> Sample:
+    """A sample, and the transforms in it, at another stamp."""
+    if isinstance(sample, TransformsSample):
+        parts = tuple(replace(one, stamp_ns=stamp_ns) for one in sample.transforms)
+        return replace(sample, stamp_ns=stamp_ns, transforms=parts)
+    return replace(sample, stamp_ns=stamp_ns)
+
+
+def write_logged(path: Path, entries: Iterable[tuple[Entry, int]]) -> Path:
+    """Entries in protobuf, each with the time that it is logged at."""
+    encoded = [(topic, encode(sample), logged_ns) for (topic, sample), logged_ns in entries]
+    return write_messages(
+        path, [(topic, one.schema, "protobuf", one.data, at_ns) for topic, one, at_ns in encoded]
+    )
+
+
+def test_stamps_of_zero_in_protobuf_were_never_set_either(tmp_path, native, entries, profile):
+    unset = [(Entry(topic, stamped(sample, 0)), sample.stamp_ns) for topic, sample in entries]
+    log = open_recording(write_logged(tmp_path / "a.mcap", unset), profile)
+    other = open_recording(native, profile)
+    for track in ("joint_track", "pose_track", "distance_track"):
+        np.testing.assert_array_equal(getattr(log, track)().stamps_ns, getattr(other, track)().stamps_ns)
+    tracks = [one.transform_track("camera", "tool").stamps_ns for one in (log, other)]
+    np.testing.assert_array_equal(*tracks)
+    assert [seen.stamp_ns for seen in read_observations(log)] == tracks[0].tolist()
+
+
+def camera_of(path: Path, profile: Profile, **changes: Any) -> Camera:
+    """What is read of a CameraInfo with some fields changed."""
+    message = ros_message(CameraSample(7, CAMERA))
+    assert message is not None
+    info = [("/ECM/left/camera_info", message[0], message[1] | changes, 7)]
+    return open_recording(write_ros2_mcap(path, info), profile).camera
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "model"),
+    [
+        *((name, 4, "fisheye") for name in ("equidistant", "fisheye", "Kannala_Brandt")),
+        ("equidistant", 0, "plumb_bob"),
+        ("someone's", 5, "plumb_bob"),
+        ("rational_polynomial", 8, "rational_polynomial"),
+    ],
+)
+def test_zeros_are_a_pinhole_but_for_a_fisheye(tmp_path, profile, name, count, model):
+    camera = camera_of(tmp_path / "a.mcap", profile, distortion_model=name, d=np.zeros(count))
+    assert (camera.distortion_model, camera.has_distortion) == (model, model == "fisheye")
+    if model == "fisheye":  # r = f·θ, at 45°
+        at_px = camera.project([[1.0, 0.0, 1.0]])[0] - camera.K[:2, 2]
+        np.testing.assert_allclose(at_px, [camera.K[0, 0] * np.pi / 4.0, 0.0], atol=1e-9)
+
+
+def test_a_part_of_a_sensor_has_its_own_pixels(tmp_path, profile):
+    roi = {"x_offset": 8, "y_offset": 4, "width": 16, "height": 12, "do_rectify": False}
+    P = np.column_stack([CAMERA.P[:, :3], [-0.5, 0.0, 0.0]])
+    camera = camera_of(
+        tmp_path / "a.mcap", profile, roi=roi, binning_x=2, binning_y=3, p=P.ravel(), distortion_model=""
+    )
+    assert (camera.width_px, camera.height_px) == (8, 4)
+    corners_px = CAMERA.project([[0.1, 0.2, 1.0]]) + 0.5 - [8, 4]  # from the corner of the part
+    np.testing.assert_allclose(camera.project([[0.1, 0.2, 1.0]]), corners_px / [2, 3] - 0.5)
+    np.testing.assert_allclose(camera.P[:, :3], camera.K)
+    assert camera.P[0, 3] / camera.P[0, 0] == pytest.approx(P[0, 3] / P[0, 0])
+
+
+@pytest.mark.parametrize("R", [2.0 * np.eye(3), np.diag([1.0, 1.0, -1.0]), np.ones((3, 3))])
+def test_a_matrix_that_is_no_rotation_is_named(tmp_path, profile, R):
+    with pytest.raises(RecordingError, match=r"no usable camera calibration.*R is no rotation"):
+        camera_of(tmp_path / "a.mcap", profile, r=R.ravel())
+    rounded = np.array([[0.9801, -0.1987, 0.0], [0.1987, 0.9801, 0.0], [0.0, 0.0, 1.0]])
+    camera_of(tmp_path / "b.mcap", profile, r=rounded.ravel())
+
+
+def test_frames_are_named_without_the_slash_of_old(tmp_path, profile, entries):
+    def old(value: Any) -> Any:
+        if isinstance(value, dict):
+            is_name = {"frame_id", "child_frame_id"}
+            return {key: f"/{one}" if key in is_name else old(one) for key, one in value.items()}
+        return [old(one) for one in value] if isinstance(value, list) else value
+
+    messages = [(topic, kind, old(fields), at_ns) for topic, kind, fields, at_ns in ros_messages(entries)]
+    log = open_recording(write_rosbag1(tmp_path / "a.bag", messages), profile)
+    assert log.camera.frame_id == "camera"
+    assert log.pose_track().parent == "base"
+    assert inspect_recording(log).frames == ("camera", "tool")
+    assert log.transform_track("camera", "tool").stamps_ns.size
+    assert Frames(camera="/camera", base="/a/base").model_dump().items() >= {
+        ("camera", "camera"),
+        ("base", "a/base"),
+    }
 
 
 def test_a_bare_file_with_compressed_messages_says_to_open_the_folder(tmp_path, entries, profile):

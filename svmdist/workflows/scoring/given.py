@@ -24,7 +24,7 @@ from svmdist.recording.observations import ALL_IMAGES
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose, as_vector
 from svmdist.samples import Status
 from svmdist.tracks import MAX_GAP_NS, Sampled, sort_stamps
-from svmdist.transforms import Stamps
+from svmdist.transforms import Stamps, frame_name
 from svmdist.workflows.request import LOG
 from svmdist.workflows.scoring.references import Reference, TruthRules, in_camera, tool_track
 
@@ -116,7 +116,7 @@ class Given:
             raise RecordingError(f"{self.name}: poses in several frames: {', '.join(frames)}")
         poses = Sampled(rows["T"], np.ones(len(rows["T"]), np.bool_))
         try:
-            T = in_camera(view, frames[0], lambda _: poses)(rows["stamp_ns"]).values
+            T = in_camera(view, frame_name(frames[0]), lambda _: poses)(rows["stamp_ns"]).values
         except RecordingError as problem:
             raise RecordingError(f"{self.name}: column frame_id: {problem}") from None
         require_common_time(Path(self.name), rows["stamp_ns"], images_ns.tolist())

@@ -19,7 +19,7 @@ from svmdist.recording.messages import Kind, kind_of
 from svmdist.recording.source import sanitize_list
 from svmdist.recording.topics import Role
 from svmdist.tracks import MAX_GAP_NS, LagEstimate, Sampled
-from svmdist.transforms import Array, Stamps
+from svmdist.transforms import Array, Stamps, frame_name
 
 KINEMATICS_PRINTED_NOTE = (
     "eq. (28) as printed is the zero matrix, which makes (31) zero everywhere: the identity stands in for it;"
@@ -112,7 +112,7 @@ def truth_rules(
         parent, _, child = text.partition(":")
         if not (parent and child) or ":" in child:
             raise UsageError(f"--truth-tf {text}: expected PARENT:CHILD, as in camera:tool")
-        frames.append((parent, child))
+        frames.append((frame_name(parent), frame_name(child)))
     tissue = next((pair for pair in frames if pair[1] == profile.frames.tissue), None)
     if tissue is None and len(frames) == 2:
         tissue = frames[1]
