@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache, partial
@@ -22,7 +22,7 @@ from svmdist.camera import KNOWN_DISTORTION, MAX_COEFFICIENTS, Camera
 from svmdist.profile import Limits
 from svmdist.recording.images import ImageError, VideoDecoder, decode_raw, decode_still
 from svmdist.recording.own_messages_pb2 import GroundTruthDistance
-from svmdist.recording.source import RawMessage, TopicInfo, cut
+from svmdist.recording.source import RawMessage, TopicInfo, cut, sanitize_list
 from svmdist.transforms import Array, frame_name, make_transform, rotation_from_quaternion_xyzw
 
 MAX_STAMP_NS = (1 << 63) - 1
@@ -165,6 +165,14 @@ def kind_of(one: TopicInfo | RawMessage) -> Kind | None:
     """Tell what a topic or a message carries; None for a schema or an encoding that svmdist does not read."""
     known = SCHEMAS.get(one.message_encoding, {}).get(_short(one.schema))
     return known[0] if known else None
+
+
+def unread(infos: Iterable[TopicInfo]) -> str:
+    """What encodings topics of known schemas have that are not read, in words that go on with a line, or ""."""
+    known = {schema for table in SCHEMAS.values() for schema in table}
+    found = {one.message_encoding for one in infos if _short(one.schema) in known} - {*SCHEMAS}
+    read = ", ".join(SCHEMAS)
+    return f"; messages in {sanitize_list(sorted(found))} are not read, those in {read} are" if found else ""
 
 
 def _short(schema: str) -> str:

@@ -15,7 +15,7 @@ from svmdist.profile import Frames, Limits, Profile, Topics
 from svmdist.profile.robot import ARM_TOPICS
 from svmdist.recording.mcap import MAGIC as MCAP_MAGIC
 from svmdist.recording.mcap import McapSource
-from svmdist.recording.messages import Kind, kind_of
+from svmdist.recording.messages import Kind, kind_of, unread
 from svmdist.recording.source import METADATA_FILE, Source, TopicInfo, sanitize, sanitize_list
 from svmdist.remote import LogPath, RemoteFile
 
@@ -92,7 +92,9 @@ class LoggedArm:
         kind = role.kind
         override, candidates = self.overrides.get(role), self._candidates(kind)
         listed = sanitize_list(f"{info.topic} ({info.schema or 'no schema'})" for info in self.infos)
-        there_are = f"the topics are {listed}" if listed else "the recording has no topics"
+        there_are = (
+            f"the topics are {listed}{unread(self.infos)}" if listed else "the recording has no topics"
+        )
         if override is not None and override not in candidates:
             if override not in {info.topic for info in self.infos} and candidates:
                 known = did_you_mean(sanitize(override), map(sanitize, candidates))

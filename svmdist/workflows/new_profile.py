@@ -21,6 +21,7 @@ from svmdist.profile import Profile, Topics, load_profile
 from svmdist.profile.robot import CameraError, EntrySide, Robot, Tissue
 from svmdist.profile.segmentation import AutoSegmentation, ColourRegion, HsvSegmentation
 from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.messages import unread
 from svmdist.recording.source import sanitize, sanitize_list
 from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role, is_right
@@ -156,7 +157,7 @@ def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
     if not (cameras or "camera_info" in given):
         raise RecordingError(
             f"{summary.recording.path.name}: no topic with camera calibrations: estimates need one"
-            " (svmdist import writes a log of images and a calibration)"
+            f" (svmdist import writes a log of images and a calibration){unread(summary.recording.topics())}"
         )
     fitting = [topic for topic in cameras if is_right(image) or not is_right(topic)]
     if not (fitting or "camera_info" in given):
@@ -196,7 +197,8 @@ def _left_image(images: Sequence[str], summary: RecordingSummary) -> str:
     name, lefts = summary.recording.path.name, list(images)
     if not lefts:
         there = sanitize_list(topic.topic for topic in summary.topics)
-        raise RecordingError(f"{name}: no topic with images; the topics are {there or 'none'}")
+        said = unread(summary.recording.topics())
+        raise RecordingError(f"{name}: no topic with images; the topics are {there or 'none'}{said}")
     lefts = [topic for topic in lefts if not is_right(topic)] or lefts
     lefts = [topic for topic in lefts if _right_of(topic, images)] or lefts
     for word in ("left", "rect"):

@@ -14,7 +14,9 @@ from svmdist.profile.robot import ArmFrames, ArmTopics, OtherInstrument
 from svmdist.recording.log import open_recording
 from svmdist.recording.mcap import McapSource
 from svmdist.recording.source import TopicInfo
+from svmdist.recording.summary import inspect_recording
 from svmdist.recording.topics import LoggedArm, Role, find_arms
+from svmdist.workflows.new_profile import find_roles
 
 from .builders import write_messages
 
@@ -54,6 +56,18 @@ def test_what_is_no_recording_is_one_clear_line(tmp_path, name):
 IMAGE, RAW = "foxglove.CompressedImage", "sensor_msgs/msg/Image"
 JOINTS, TRANSFORMS, CAMERA = "foxglove.JointStates", "foxglove.FrameTransforms", "foxglove.CameraCalibration"
 Rows = tuple[tuple[str, str], ...]
+
+
+@pytest.mark.parametrize("encoding", ["json", "cbor"])
+def test_schemas_in_an_encoding_that_is_not_read_are_said_to_be(tmp_path, encoding):
+    """The topic is there by its schema, and yet is none."""
+    rows = [("/camera_info", "foxglove.CameraCalibration", encoding, b"{}", 1)]
+    log = open_recording(write_messages(tmp_path / "a.mcap", rows), PROFILE)
+    said = f"messages in {encoding} are not read, those in protobuf, cdr, ros1 are$"
+    with pytest.raises(RecordingError, match=said):
+        _ = log.camera
+    with pytest.raises(RecordingError, match=said):
+        find_roles(inspect_recording(log), {"image": "/camera_info"})
 
 
 def choice(
