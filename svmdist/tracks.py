@@ -75,9 +75,9 @@ def bracket(stamps_ns: Stamps, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> B
 
 
 def sort_stamps(stamps_ns: Stamps) -> NDArray[np.intp]:
-    """Indices that sort stamps and keep of equal ones the last."""
+    """Indices that sort stamps and keep of equal ones the first."""
     order = np.argsort(stamps_ns, kind="stable")
-    return np.asarray(order[np.append(np.diff(stamps_ns[order]) != 0, True)[: len(order)]])
+    return np.asarray(order[np.append(True, np.diff(stamps_ns[order]) != 0)[: len(order)]])
 
 
 @dataclass(frozen=True)

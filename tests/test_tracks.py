@@ -61,8 +61,8 @@ def test_a_static_transform_holds_always_and_a_single_sample_only_at_its_stamp()
     assert single.valid.tolist() == [False, True, False]
 
 
-def test_sorting_keeps_the_last_of_equal_stamps():
-    assert sort_stamps(np.array([3, 1, 3, 2, 1])).tolist() == [4, 3, 2]
+def test_sorting_keeps_the_first_of_equal_stamps():
+    assert sort_stamps(np.array([3, 1, 3, 2, 1])).tolist() == [1, 3, 0]
 
 
 def test_joints_near_a_stamp_go_on_beyond_the_ends():

@@ -77,6 +77,12 @@ class Robot(StrictModel):
         """The constant transform behind the last row, shape (4, 4)."""
         return np.eye(4) if self.tool_rotation is None else make_transform(self.tool_rotation, np.zeros(3))
 
+    @property
+    def joint_names(self) -> frozenset[str]:
+        """The names and aliases of the moving joints."""
+        moving = (joint for joint in self.joints if joint.type != "fixed")
+        return frozenset(name for joint in moving for name in (joint.name, *joint.aliases))
+
     def missing_joints(self, names: Iterable[str]) -> list[str]:
         """The moving joints that are not among the names of a log, not by an alias either."""
         there, moving = set(names), (joint for joint in self.joints if joint.type != "fixed")

@@ -11,6 +11,7 @@ import numpy as np
 
 from svmdist.errors import RecordingError, did_you_mean
 from svmdist.profile import Limits
+from svmdist.profile.robot import Robot
 from svmdist.recording import messages
 from svmdist.recording.cameras import CameraTrack
 from svmdist.recording.observations import MissingPartners
@@ -20,6 +21,8 @@ from svmdist.tracks import Sampled, TransformTrack, sort_stamps
 from svmdist.transforms import Array, Stamps, inverse
 
 Edge = tuple[str, str]  # names of the parent and the child frame
+Joints = tuple[str, ...]  # names of the joints of a message
+MAX_JOINT_SETS = 100  # how many such a topic may have
 
 
 @dataclass(eq=False)
@@ -42,7 +45,7 @@ class Rows:
 
 
 def in_order(stamps_ns: Stamps, rows: Array, late_ns: int = 0) -> tuple[Stamps, Array]:
-    """Distinct rising stamps, later by so much, and their rows; of equal stamps the last row counts."""
+    """Distinct rising stamps, later by so much, and their rows; of equal stamps the first row counts, as of images."""
     stamps_ns = stamps_ns + np.minimum(late_ns, np.iinfo(np.int64).max - stamps_ns)
     order = sort_stamps(stamps_ns)
     return stamps_ns[order], rows[order]
@@ -144,6 +147,36 @@ class TransformTree:
         return reached
 
 
+def best_joints(found: Iterable[Joints], robot: Robot | None) -> Joints:
+    """Of the joints that a topic's messages have, those that lack fewest of a robot's, then the most."""
+    return min(found, key=lambda names: (len(robot.missing_joints(names)) if robot else 0, -len(names)))
+
+
+def joint_rows(
+    by_names: Mapping[Joints, Rows], robot: Robot | None
+) -> tuple[Joints, Stamps, Array, list[str]]:
+    """Names, stamps and positions of the joints of a topic, and what messages that do not count lack, in words.
+
+    Several nodes may publish on it, and in any order. Those messages count that have the joints of the robot which the
+    best ones have; without a robot, all joints.
+    """
+    best, chain = best_joints(by_names, robot), robot.joint_names if robot else frozenset()
+    needed = [name for name in best if name in chain] or best
+    usable = [names for names in by_names if set(needed) <= set(names)]
+    common = tuple(name for name in best if all(name in names for names in usable))
+    found = [by_names[names].arrays() for names in usable]
+    stamps_ns = np.concatenate([each for each, _ in found])
+    columns = [[*map(names.index, common)] for names in usable]
+    rows = np.concatenate([each[:, places] for (_, each), places in zip(found, columns, strict=True)])
+    lacks = [
+        f"{len(by_names[names].stamps_ns)} joint states have no usable position of"
+        f" {sanitize_list(name for name in needed if name not in names)}"
+        for names in by_names
+        if names not in usable
+    ]
+    return common, stamps_ns, rows, lacks
+
+
 def _no_contents() -> Contents:
     return defaultdict(lambda: defaultdict(Rows))
 
@@ -203,8 +236,8 @@ class LogFile:
                 case CameraSample(stamp_ns, camera):
                     self.cameras[raw.topic].add(stamp_ns, camera)
                 case JointSample(stamp_ns, names, positions):
-                    if rows and names not in rows:
-                        raise messages.DecodeError("its joints are others than those of the first message")
+                    if len(rows) >= MAX_JOINT_SETS and names not in rows:
+                        raise messages.DecodeError(f"its joints are new, as {MAX_JOINT_SETS} times before")
                     rows[names].add(stamp_ns, positions.tolist())
                 case DistanceSample(stamp_ns, planar_m, spatial_m, clearance_m):
                     rows[None].add(stamp_ns, (planar_m, spatial_m, clearance_m))

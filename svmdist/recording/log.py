@@ -23,7 +23,7 @@ from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Profile
 from svmdist.recording import observations as obs
 from svmdist.recording.cameras import CameraChange, CameraTrack, cameras_at
-from svmdist.recording.contents import LogFile, TransformTree, in_order
+from svmdist.recording.contents import LogFile, TransformTree, in_order, joint_rows
 from svmdist.recording.messages import Kind, kind_of, matrices
 from svmdist.recording.observations import MissingPartners, Pairs
 from svmdist.recording.source import Health, LossKind, TopicInfo, sanitize, sanitize_list
@@ -316,15 +316,19 @@ class Recording:
     def _joints(self, arm: LoggedArm) -> JointTrack | None:
         """The joint states of an arm, as a perturbed world has them, at the stamps of the images' clock."""
         topic = arm.find(Role.JOINTS)
-        for names, rows in self.file.contents.get(topic or "", {}).items():
-            assert isinstance(names, tuple)
-            reported = self.world.reported(arm.name, names, *rows.arrays())
-            stamps_ns, positions = in_order(*reported, self._lag_ns)
-            if repeated := len(reported[0]) - len(stamps_ns):
-                detail = f"{repeated} joint states repeat a stamp; the last one counts"
-                self.health.lose(LossKind.MESSAGE, detail, None, topic)
-            return JointTrack(stamps_ns, names, positions) if len(stamps_ns) else None
-        return None
+        found = self.file.contents.get(topic or "", {}).items()
+        by_names = {names: rows for names, rows in found if isinstance(names, tuple)}
+        if not by_names:
+            return None
+        robot = self.origin.profile.for_instrument(arm.name).robot
+        names, stamps_ns, positions, losses = joint_rows(by_names, robot)
+        reported = self.world.reported(arm.name, names, stamps_ns, positions)
+        stamps_ns, positions = in_order(*reported, self._lag_ns)
+        if repeated := len(reported[0]) - len(stamps_ns):
+            losses.append(f"{repeated} joint states repeat a stamp; the first one counts")
+        for detail in losses:
+            self.health.lose(LossKind.MESSAGE, detail, None, topic)
+        return JointTrack(stamps_ns, names, positions)
 
     def transform_track(self, parent: str, child: str, *, ground_truth: bool = False) -> TransformTrack:
         """`T_parent_child` over time, nominal or true; RecordingError where no transforms link the frames."""

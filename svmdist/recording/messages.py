@@ -297,7 +297,7 @@ def _part_of_sensor(message: Any) -> tuple[Array, tuple[int, int]]:
 
 
 def _joints(message: Any, stamp_ns: int, _: str) -> samples.JointSample:
-    """A sample; DecodeError for names that repeat and positions that are missing or not finite."""
+    """A sample, without joints whose positions are no usable numbers; DecodeError for none, and names that repeat."""
     if isinstance(message, Protobuf):  # which may leave a position out: such a joint is left out
         joints = [joint for joint in message.joints if joint.HasField("position")]
         names, positions = [joint.name for joint in joints], [joint.position for joint in joints]
@@ -307,7 +307,13 @@ def _joints(message: Any, stamp_ns: int, _: str) -> samples.JointSample:
         raise DecodeError(f"{len(names)} joint names and {len(positions)} positions")
     if len(set(names)) != len(names):
         raise DecodeError("joint names repeat")
-    _check_numbers(positions, "joint positions")
+    # Which joints matter is the chain's affair. The sum is as in `_check_numbers`.
+    if not sum(map(abs, positions)) <= MAX_MAGNITUDE:
+        pairs = zip(names, positions, strict=True)
+        usable = {name: position for name, position in pairs if abs(position) <= MAX_MAGNITUDE}
+        if not usable:
+            raise DecodeError(f"joint positions: {positions[0]} is no usable number")
+        names, positions = [*usable], [*usable.values()]
     # Every message brings the same names: one string each serves all the samples that are kept.
     return samples.JointSample(stamp_ns, tuple(map(sys.intern, names)), np.array(positions, np.float64))
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from svmdist.recording import messages
 from svmdist.recording.cameras import CameraTrack
+from svmdist.recording.contents import MAX_JOINT_SETS, Joints, best_joints
 from svmdist.recording.images import ImageError
 from svmdist.recording.log import TRUE_SUFFIX, Recording
 from svmdist.recording.messages import DecodeError, Decoder, kind_of
@@ -94,7 +95,7 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
     undecodable: Counter[str] = Counter()
     cameras: defaultdict[str, CameraTrack] = defaultdict(CameraTrack)
     frames: set[str] = set()
-    joint_names: dict[str, tuple[str, ...]] = {}
+    joints: defaultdict[str, dict[Joints, None]] = defaultdict(dict)
     awaited = {name for role in Role if (name := recording.topic_of(role)) is not None}
     end_ns: float | None = None
     for raw in recording.file.source.messages():
@@ -115,7 +116,8 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
                     case CameraSample(camera=camera):
                         cameras[raw.topic].add(stamp_ns, camera)
                     case JointSample(names=names):
-                        joint_names.setdefault(raw.topic, names)
+                        if len(joints[raw.topic]) < MAX_JOINT_SETS:
+                            joints[raw.topic][names] = None
                     case messages.RawTransforms(transforms=transforms) if len(frames) < MAX_NAMES:
                         frames.update(name for one in transforms for name in (one.parent, one.child))
         stamps_ns[raw.topic].append(min(stamp_ns, messages.MAX_STAMP_NS))
@@ -131,7 +133,7 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
         {str(role): name for role in Role if (name := recording.topic_of(role)) in usable},
         dict(cameras),
         tuple(sorted(frames)),
-        joint_names,
+        {topic: best_joints(found, recording.profile.robot) for topic, found in joints.items()},
     )
 
 

@@ -1,5 +1,6 @@
 """Logs of other recorders hold the same scene; broken ones end in a result, a counted loss or a clear error."""
 
+import re
 import sqlite3
 from collections.abc import Iterable
 from contextlib import closing
@@ -16,7 +17,7 @@ from svmdist.profile import Frames, Profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.summary import inspect_recording
 from svmdist.recording.writer import encode
-from svmdist.samples import CameraSample, Sample, TransformsSample
+from svmdist.samples import CameraSample, JointSample, Sample, TransformsSample
 from tests.reading import read_observations
 
 from .builders import CAMERA, Entry, pose, scene, write_messages
@@ -167,6 +168,51 @@ def test_frames_are_named_without_the_slash_of_old(tmp_path, profile, entries):
         ("camera", "camera"),
         ("base", "a/base"),
     }
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("reported", "rows", "loss"),
+    [
+        ([{"grip": 9}, {"yaw": 1, "pitch": 2}, {"grip": 9}], [[1, 2]], "2 .* yaw, pitch"),
+        ([{"yaw": 1, "pitch": 2}, {"pitch": 4, "yaw": 3}], [[1, 2], [3, 4]], ""),
+        ([{"grip": NAN, "yaw": 1, "pitch": 2}, {"grip": 1, "yaw": 3, "pitch": 4}], [[1, 2], [3, 4]], ""),
+        ([{"grip": 1e300, "yaw": 1, "pitch": 2}] * 2, [[1, 2], [1, 2]], ""),
+        ([{"yaw": 1, "pitch": NAN}, {"yaw": 3, "pitch": 4}], [[3, 4]], "1 .* no usable position of pitch"),
+        ([{"yaw": NAN, "pitch": NAN}, {"yaw": 3, "pitch": 4}], [[3, 4]], "joint positions: nan"),
+    ],
+)  # fmt: skip
+def test_the_joints_of_the_chain_are_those_that_count(tmp_path, profile, reported, rows, loss):
+    """Whoever else publishes on the topic, in whatever order, and whatever other joints are."""
+    samples = [
+        JointSample(at, tuple(one), np.array([*one.values()], float)) for at, one in enumerate(reported, 1)
+    ]
+    messages = ros_messages([Entry("/PSM1/measured_js", sample) for sample in samples])
+    log = open_recording(write_ros2_mcap(tmp_path / "a.mcap", messages), profile)
+    track = log.joint_track()
+    by_stamp = np.argsort(track.stamps_ns)
+    places = [track.names.index(name) for name in ("yaw", "pitch")]
+    np.testing.assert_array_equal(track.positions[by_stamp][:, places], rows)
+    said = "; ".join(log.health.describe())
+    assert re.search(loss, said) if loss else not said
+    assert set(inspect_recording(log).joint_names["/PSM1/measured_js"]) >= {"yaw", "pitch"}
+
+
+def test_of_repeated_stamps_the_first_counts_whatever_it_is_of(tmp_path, profile, entries):
+    """A clock that steps back: images of the first pass must not get joints and transforms of the second."""
+    again = [
+        one._replace(sample=replace(one.sample, positions=one.sample.positions + 1.0))
+        if isinstance(one.sample, JointSample)
+        else one
+        for one in entries
+    ]
+    twice = [(one, 1 + at) for at, one in enumerate([*entries, *again])]
+    log = open_recording(write_logged(tmp_path / "a.mcap", twice), profile)
+    once = [one.sample.positions for one in entries if isinstance(one.sample, JointSample)]
+    np.testing.assert_array_equal(log.joint_track().positions, once)
+    assert "repeat a stamp; the first one counts" in " ".join(log.health.describe())
 
 
 def test_a_bare_file_with_compressed_messages_says_to_open_the_folder(tmp_path, entries, profile):

@@ -98,7 +98,7 @@ def test_rows_find_their_frames(cli, log, tmp_path):
     score = outcome.rows[0]
     assert (score["frame_count"], score["rejected"]) == (str(FRAMES), "no_estimate=1 not_finite=1")
     assert float(score["spatial_rmse_m"]) == pytest.approx(OFF_M, rel=1e-6)
-    assert "1 rows have the stamp of a later row" in outcome.err
+    assert "1 rows have the stamp of an earlier row" in outcome.err
 
 
 def millimetres(rows: list[dict[str, object]], key: str) -> list[dict[str, object]]:

@@ -110,7 +110,9 @@ class Given:
         """The rows that are nearest to an image, at its stamp, with their poses in the camera frame."""
         order = sort_stamps(rows["stamp_ns"])
         if (twice := len(rows["stamp_ns"]) - len(order)) > 0:
-            LOG.warning("warning: %s: %d rows have the stamp of a later row, which counts", self.name, twice)
+            LOG.warning(
+                "warning: %s: %d rows have the stamp of an earlier row, which counts", self.name, twice
+            )
         rows, frames = _taken(rows, order), np.unique(rows.get("frame_id", np.array([""]))).tolist()
         if len(frames) > 1:
             raise RecordingError(f"{self.name}: poses in several frames: {', '.join(frames)}")
