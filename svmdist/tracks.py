@@ -74,10 +74,27 @@ def bracket(stamps_ns: Stamps, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> B
     return Bracket(left, right, fraction, valid)
 
 
+def nearest_in_words(apart_s: float) -> str:
+    """How far the nearest sample is where none is near enough."""
+    if apart_s == np.inf:
+        return "there is none"
+    return f"nearest {apart_s:.1f} s" if apart_s >= 1.0 else f"nearest {apart_s * 1e3:.3g} ms"
+
+
 def sort_stamps(stamps_ns: Stamps) -> NDArray[np.intp]:
     """Indices that sort stamps and keep of equal ones the first."""
     order = np.argsort(stamps_ns, kind="stable")
     return np.asarray(order[np.append(True, np.diff(stamps_ns[order]) != 0)[: len(order)]])
+
+
+def apart_ns(stamps_ns: Stamps, at_ns: Stamps) -> Stamps:
+    """How far the nearest of sorted, distinct stamps, shape (n,), is from those of `at_ns`, shape (m,).
+
+    0 where there is a value: the samples on both sides are near enough to each other.
+    """
+    where = bracket(stamps_ns, at_ns)
+    left_ns, right_ns = (np.abs(stamps_ns[side] - at_ns) for side in (where.left, where.right))
+    return np.where(where.valid, 0, np.minimum(left_ns, right_ns))
 
 
 @dataclass(frozen=True)

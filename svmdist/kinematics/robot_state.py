@@ -15,7 +15,7 @@ from svmdist.tracks import JointTrack
 from svmdist.transforms import Array
 
 NO_JOINTS = Failure("no joints near the image")
-NO_CAMERA = Failure("no transform from the camera to the base")
+NO_CAMERA = Failure("no transform from the camera to the base near the image")
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from svmdist.recording.cameras import CameraTrack
 from svmdist.recording.observations import MissingPartners
 from svmdist.recording.source import LossKind, RawMessage, Source, sanitize, sanitize_list
 from svmdist.samples import CameraSample, DistanceSample, JointSample
-from svmdist.tracks import Sampled, TransformTrack, sort_stamps
+from svmdist.tracks import Sampled, TransformTrack, apart_ns, sort_stamps
 from svmdist.transforms import Array, Stamps, inverse
 
 Edge = tuple[str, str]  # names of the parent and the child frame
@@ -83,6 +83,11 @@ class TransformTree:
             T = T @ sampled.values
             valid &= sampled.valid
         return Sampled(T, valid)
+
+    def apart_ns(self, parent: str, child: str, at_ns: Stamps) -> Stamps:
+        """How far the nearest transforms are from stamps, shape (n,), on the edge that has them farthest off; or 0."""
+        moving = [track.stamps_ns for track in self._along(parent, child) if not track.is_static]
+        return np.asarray(np.max([np.zeros_like(at_ns), *(apart_ns(one, at_ns) for one in moving)], 0))
 
     def track(self, parent: str, child: str) -> TransformTrack:
         """`T_parent_child` at all moving edges' stamps, where each has a value; RecordingError without a path."""
@@ -177,7 +182,8 @@ def joint_rows(
     return common, stamps_ns, rows, lacks
 
 
-def _no_contents() -> Contents:
+def no_contents() -> Contents:
+    """Nothing of a log yet."""
     return defaultdict(lambda: defaultdict(Rows))
 
 
@@ -205,7 +211,7 @@ class LogFile:
 
     def images(self, image_topics: Collection[str], *, rest: bool = True) -> Iterator[messages.EncodedImage]:
         """Yield the images of some topics in file order, not decoded; with `rest` reads all else that is not read."""
-        contents, others = _no_contents(), frozenset[str]()
+        contents, others = no_contents(), frozenset[str]()
         if self._contents is None:
             others = self.topics if rest else self.camera_topics
         decoder = messages.Decoder(self.limits)
@@ -221,7 +227,7 @@ class LogFile:
         """What is known of a topic's calibrations so far: the first usable one at least, where there is one."""
         track = self.cameras[topic]
         if not track.runs and self._contents is None:
-            contents, decoder = _no_contents(), messages.Decoder(self.limits)
+            contents, decoder = no_contents(), messages.Decoder(self.limits)
             for raw in self.source.messages({topic}):
                 self._collect(contents, decoder, raw)
                 if track.runs:

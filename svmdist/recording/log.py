@@ -23,14 +23,14 @@ from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Profile
 from svmdist.recording import observations as obs
 from svmdist.recording.cameras import CameraChange, CameraTrack, cameras_at
-from svmdist.recording.contents import LogFile, TransformTree, in_order, joint_rows
+from svmdist.recording.contents import Contents, LogFile, TransformTree, in_order, joint_rows
 from svmdist.recording.messages import Kind, kind_of, matrices
 from svmdist.recording.observations import MissingPartners, Pairs
 from svmdist.recording.source import Health, LossKind, TopicInfo, sanitize, sanitize_list
 from svmdist.recording.topics import LoggedArm, Role, find_arms, open_source
 from svmdist.remote import LogPath, RemoteFile, is_url
 from svmdist.samples import Observation, Rejection
-from svmdist.tracks import DistanceTrack, JointTrack, LagEstimate, TransformTrack
+from svmdist.tracks import DistanceTrack, JointTrack, LagEstimate, TransformTrack, apart_ns
 from svmdist.transforms import Array, inverse
 
 TRUE_SUFFIX = "_ground_truth"
@@ -256,13 +256,15 @@ class Recording:
         missing = self.file.missing = MissingPartners(self.file.limits.pair_tolerance_s)
         images = self.file.images({topic, right_topic or topic}, rest=rest)
         pairs = Pairs(right_topic, missing.pair_tolerance_s, self.health)
-        has_joints = [robot and arm.find(Role.JOINTS) is not None for arm in self.arms]
 
         def observation(number: int, at_ns: int, pair: obs.Pair) -> obs.EncodedObservation:
             stamp_ns = pair.left.stamp_ns
             reported = tuple(state(stamp_ns) for state in states)
-            lacks = (has and one.joints is None for has, one in zip(has_joints, reported, strict=True))
-            missing.add(pair.right_apart_s, lacks_joints=any(lacks))
+            joints_s, base_s = (
+                max(filter(None, far), default=None)
+                for far in zip(*(one[3:] for one in reported), strict=True)
+            )
+            missing.add(right=pair.right_apart_s, joints=joints_s, base=base_s)
             held, place = cameras(stamp_ns), self.health.next_place()
             return obs.EncodedObservation(pair.left, pair.right, reported, held, place, number, at_ns)
 
@@ -281,17 +283,22 @@ class Recording:
 
     def _arm_states(self, arm: LoggedArm, robot: bool = True) -> Callable[[int], obs.ArmState]:
         """What an arm reported, as a function of a stamp."""
+        has_joints = robot and arm.find(Role.JOINTS) is not None
         joints = self._joints(arm) if robot else None
         fixed, frames = self.bases.get(arm.name), (arm.frames.camera, arm.frames.base)
-        tree = self._nominal_tree if robot and arm.name not in self.bases else None
+        tree = self.nominal_tree if robot and arm.name not in self.bases else None
         tree = tree if tree and tree.links(*frames) else None
 
         def at(stamp_ns: int) -> obs.ArmState:
-            T_camera_base = fixed
+            T_camera_base, at_ns, base_apart_s = fixed, np.array([stamp_ns], np.int64), None
             if tree is not None:
-                found = tree.at(*frames, np.array([stamp_ns], np.int64))
+                found = tree.at(*frames, at_ns)
                 T_camera_base = found.values[0] if found.valid[0] else None
-            return obs.ArmState(*obs.joints_at(joints, stamp_ns), T_camera_base)
+                base_apart_s = None if found.valid[0] else 1e-9 * float(tree.apart_ns(*frames, at_ns)[0])
+            near, joints_apart_s = obs.joints_at(joints, stamp_ns), None
+            if has_joints and near[0] is None:
+                joints_apart_s = 1e-9 * float(apart_ns(joints.stamps_ns, at_ns)[0]) if joints else math.inf
+            return obs.ArmState(*near, T_camera_base, joints_apart_s, base_apart_s)
 
         return at
 
@@ -343,14 +350,19 @@ class Recording:
             return tree.track(parent, in_copy if tree.links(parent, in_copy) else child)
         if not self.arms[0].static_transforms():
             self.arms[0].require(Role.TF)
-        return self._nominal_tree.track(parent, child)
+        return self.nominal_tree.track(parent, child)
 
     @cached_property
-    def _nominal_tree(self) -> TransformTree:
+    def nominal_tree(self) -> TransformTree:
+        """The log's transforms, but for the true ones, at the stamps of the images' clock."""
+        return self.tree_of(self.file.contents)
+
+    def tree_of(self, contents: Contents) -> TransformTree:
+        """The same of so much of the log as was read."""
         moving = self.topic_of(Role.TF)
         topics = {moving: False} if moving else {}
         topics |= dict.fromkeys(self.arms[0].static_transforms(), True)
-        return TransformTree(self.file.contents, topics, self._lag_ns)
+        return TransformTree(contents, topics, self._lag_ns)
 
     def pose_track(self) -> TransformTrack:
         """All poses, at the stamps of the images' clock; RecordingError unless they are in one frame."""

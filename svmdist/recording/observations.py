@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from bisect import insort
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,7 +21,7 @@ from svmdist.recording.images import ImageError
 from svmdist.recording.messages import EncodedImage
 from svmdist.recording.source import Health, Loss, LossKind
 from svmdist.samples import Image, JointSample, Observation, Rejection, RightView, Status
-from svmdist.tracks import MAX_GAP_NS, JointTrack
+from svmdist.tracks import MAX_GAP_NS, JointTrack, nearest_in_words
 from svmdist.transforms import Array
 
 LOOK_AHEAD_NS = 3_000_000_000  # how long, in log time, an image waits for the right image at its stamp
@@ -100,34 +101,32 @@ def _size(images: list[EncodedImage]) -> int:
 
 @dataclass
 class MissingPartners:
-    """What the images of one replay lack near them; `right_apart_s` is `inf` for a log without right images."""
+    """What the images of one replay lack near them, and how far the nearest is: `inf` where the log has none."""
 
     pair_tolerance_s: float
     image_count: int = 0
-    without_joints: int = 0
-    right_apart_s: list[float] = field(default_factory=list)
+    apart_s: defaultdict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
 
-    def add(self, right_apart_s: float | None, *, lacks_joints: bool) -> None:
-        """Count an image, with how far the nearest right one is where one is wanted and missing."""
+    def add(self, **apart_s: float | None) -> None:
+        """Count an image, with how far the nearest right one, joints or transforms are, where these are missing."""
         self.image_count += 1
-        self.without_joints += lacks_joints
-        self.right_apart_s += [] if right_apart_s is None else [right_apart_s]
+        for what, far_s in apart_s.items():
+            self.apart_s[what] += [] if far_s is None else [far_s]
 
     def describe(self) -> list[str]:
-        """A line for right images, and one for joint states, where any are missing."""
-        apart_s = float(np.median(self.right_apart_s or [math.inf]))
-        nearest = f"nearest {apart_s * 1e3:.3g} ms" if apart_s < math.inf else "there is none"
-        of_left = f"{self.pair_tolerance_s * 1e3:g} ms of the left ({nearest}): measured with one camera"
-        of_image = f"{MAX_GAP_NS * 1e-6:g} ms of the image"
-        missing = (
-            ("right image", len(self.right_apart_s), of_left),
-            ("joint states", self.without_joints, of_image),
-        )
+        """A line for right images, joint states and transforms each, where any are missing."""
+        of_left = f"within {self.pair_tolerance_s * 1e3:g} ms of the left"
+        of_image = f"on both sides of the image, {MAX_GAP_NS * 1e-6:g} ms apart at most"
         often = f"in {{}} of {self.image_count} frames no {{}}"
         return [
-            f"{f'{what} never' if count == self.image_count else often.format(count, what)} within {near}"
-            for what, count, near in missing
-            if count
+            f"{f'{what} never' if len(far_s) == self.image_count else often.format(len(far_s), what)} {near}"
+            f" ({nearest_in_words(float(np.median(far_s)))}){hence}"
+            for key, what, near, hence in (
+                ("right", "right image", of_left, ": measured with one camera"),
+                ("joints", "joint states", of_image, ""),
+                ("base", "transform from the camera to the base", of_image, ""),
+            )
+            if (far_s := self.apart_s[key])
         ]
 
 
@@ -198,11 +197,16 @@ def decode_image(image: EncodedImage, losses: list[Loss], camera: Camera | None 
 
 
 class ArmState(NamedTuple):
-    """What one arm reported at an image's stamp: joints, those around it, and `T_camera_base`, shape (4, 4)."""
+    """What one arm reported at an image's stamp: joints, those around it, and `T_camera_base`, shape (4, 4).
+
+    Where the log has them and none is near the image, `joints_apart_s` and `base_apart_s` say how far the nearest is.
+    """
 
     joints: JointSample | None = None
     joint_track: JointTrack | None = None
     T_camera_base: Array | None = None
+    joints_apart_s: float | None = None
+    base_apart_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +259,10 @@ class EncodedObservation:
         if isinstance(image, Rejection):
             return Decoded(image, tuple(losses), self.place)
         seen = Observation(self.stamp_ns, image, camera, right=self._right_view(losses))
-        found = tuple(replace(seen, **arm._asdict()) for arm in self.arms)
+        found = tuple(
+            replace(seen, joints=arm.joints, joint_track=arm.joint_track, T_camera_base=arm.T_camera_base)
+            for arm in self.arms
+        )
         return Decoded(found, tuple(losses), self.place)
 
     def _right_view(self, losses: list[Loss]) -> RightView | None:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from array import array
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
 from svmdist.recording import messages
 from svmdist.recording.cameras import CameraTrack
-from svmdist.recording.contents import MAX_JOINT_SETS, Joints, best_joints
+from svmdist.recording.contents import MAX_JOINT_SETS, Edge, Joints, TransformTree, best_joints, no_contents
 from svmdist.recording.images import ImageError
 from svmdist.recording.log import TRUE_SUFFIX, Recording
 from svmdist.recording.messages import DecodeError, Decoder, kind_of
@@ -20,6 +21,7 @@ from svmdist.recording.source import LossKind, TopicInfo
 from svmdist.recording.topics import Role
 from svmdist.recording.writer import EncodedSample
 from svmdist.samples import CameraSample, JointSample, Sample, TransformsSample
+from svmdist.tracks import apart_ns
 
 GAP_FACTOR = 3.0
 """A gap is a distance of stamps above three mean periods: one or two lost messages are jitter."""
@@ -49,7 +51,11 @@ class TopicSummary:
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """What was read of a recording; `roles` names the topic of every role that has one with a readable message."""
+    """What was read of a recording; `roles` names the topic of every role that has one with a readable message.
+
+    `joints_apart_s` and `base_apart_s` are how far from every image the nearest joints and camera-to-base transforms
+    are: 0 where an image has them near it, and where the log has none.
+    """
 
     recording: Recording
     duration_s: float
@@ -58,6 +64,9 @@ class RecordingSummary:
     cameras: dict[str, CameraTrack]
     frames: tuple[str, ...]
     joint_names: dict[str, tuple[str, ...]]
+    transforms: TransformTree
+    joints_apart_s: float = 0.0
+    base_apart_s: float = 0.0
 
 
 def _summary(info: TopicInfo, logged_ns: array[int], undecodable_count: int) -> TopicSummary:
@@ -87,22 +96,25 @@ def _summary(info: TopicInfo, logged_ns: array[int], undecodable_count: int) -> 
 def inspect_recording(recording: Recording, head_s: float = math.inf) -> RecordingSummary:
     """Read a recording once and summarise it, without pixels; what cannot be decoded is counted, and a loss.
 
-    With `head_s`, reading ends after so many seconds of the log, once each topic of a role has had a message.
+    With `head_s`, reading ends after so many seconds of the log, once each topic of a role has had a message; it goes
+    on for as long again where joints or transforms are near no image so far, as of a topic that begins later.
     """
     decoder = Decoder(recording.file.limits)
     infos: dict[str, TopicInfo] = {}
     stamps_ns: defaultdict[str, array[int]] = defaultdict(lambda: array("q"))
     undecodable: Counter[str] = Counter()
     cameras: defaultdict[str, CameraTrack] = defaultdict(CameraTrack)
-    frames: set[str] = set()
     joints: defaultdict[str, dict[Joints, None]] = defaultdict(dict)
+    contents = no_contents()
     awaited = {name for role in Role if (name := recording.topic_of(role)) is not None}
-    end_ns: float | None = None
+    start_ns: int | None = None
     for raw in recording.file.source.messages():
         stamp_ns = raw.log_time_ns
-        end_ns = stamp_ns + 1e9 * head_s if end_ns is None else end_ns
-        if stamp_ns > end_ns and awaited <= infos.keys():
-            break
+        start_ns = stamp_ns if start_ns is None else start_ns
+        if stamp_ns > start_ns + 1e9 * head_s and awaited <= infos.keys():
+            if not any(_apart_s(recording, stamps_ns, recording.tree_of(contents))):
+                break
+            head_s *= 2.0
         infos.setdefault(raw.topic, TopicInfo(*raw[:3]))
         if kind_of(raw) is not None:
             try:
@@ -118,23 +130,43 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
                     case JointSample(names=names):
                         if len(joints[raw.topic]) < MAX_JOINT_SETS:
                             joints[raw.topic][names] = None
-                    case messages.RawTransforms(transforms=transforms) if len(frames) < MAX_NAMES:
-                        frames.update(name for one in transforms for name in (one.parent, one.child))
+                    case messages.RawTransforms(transforms=transforms):
+                        for one in transforms:
+                            contents[raw.topic][one.parent, one.child].add(one.stamp_ns, one.values)
         stamps_ns[raw.topic].append(min(stamp_ns, messages.MAX_STAMP_NS))
     for info in recording.topics():
         infos.setdefault(info.topic, info)
     listed = tuple(_summary(infos[name], stamps_ns[name], undecodable[name]) for name in sorted(infos))
     usable = {topic.topic for topic in listed if topic.message_count > topic.undecodable_count}
     ends_ns = [at for logged in stamps_ns.values() if logged for at in (min(logged), max(logged))]
+    frames = {name for edges in contents.values() for edge in edges for name in cast(Edge, edge)}
+    tree = recording.tree_of(contents)
     return RecordingSummary(
         recording,
         (max(ends_ns) - min(ends_ns)) / 1e9 if ends_ns else 0.0,
         listed,
         {str(role): name for role in Role if (name := recording.topic_of(role)) in usable},
         dict(cameras),
-        tuple(sorted(frames)),
+        tuple(sorted(frames)[:MAX_NAMES]),
         {topic: best_joints(found, recording.profile.robot) for topic, found in joints.items()},
+        tree,
+        *_apart_s(recording, stamps_ns, tree),
     )
+
+
+def _apart_s(
+    recording: Recording, stamps_ns: Mapping[str, array[int]], tree: TransformTree
+) -> tuple[float, float]:
+    """`joints_apart_s` and `base_apart_s` of a summary, by stamps of topics and the transforms that were read."""
+    topics = (recording.topic_of(role) or "" for role in (Role.IMAGE, Role.JOINTS))
+    images_ns, joints_ns = (np.unique(np.array(stamps_ns.get(topic, ()), np.int64)) for topic in topics)
+    frames = recording.profile.frames.camera, recording.profile.frames.base
+    is_logged = recording.profile.camera_to_base is None and tree.links(*frames)
+    if not len(images_ns):
+        return 0.0, 0.0
+    joints_apart_ns = apart_ns(joints_ns, images_ns).min() if len(joints_ns) else 0
+    base_apart_ns = tree.apart_ns(*frames, images_ns).min() if is_logged else 0
+    return 1e-9 * float(joints_apart_ns), 1e-9 * float(base_apart_ns)
 
 
 def copied_messages(recording: Recording) -> Iterator[tuple[str, Sample | EncodedSample]]:

@@ -17,6 +17,7 @@ from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role
 from svmdist.remote import LogPath
 from svmdist.samples import Observation, Rejection
+from svmdist.tracks import MAX_GAP_NS, nearest_in_words
 from svmdist.vision.colour import to_grey
 from svmdist.vision.tags import find_tags
 from svmdist.workflows.request import LOG, Setup
@@ -27,7 +28,7 @@ COMMANDS = {
     "validate": (*IMAGES, "reference"),
     "compare": IMAGES,
     "blur-bench": (*IMAGES, "ground_truth_distance"),
-    "fk": ("joints",),
+    "fk": ("joints_anywhen",),
 }
 """What each command but `estimate` needs: topics by role, and inputs as of a method."""
 PARTS = ("fiducial", "instrument", "robot", "tissue")
@@ -193,14 +194,20 @@ def _lacking(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str
     def unless(condition: object, words: str) -> tuple[str, ...]:
         return () if condition else (words,)
 
+    def near(apart_s: float, words: str) -> tuple[str, ...]:
+        around = f"on both sides of an image, {MAX_GAP_NS * 1e-6:g} ms apart at most"
+        return unless(not apart_s, f"{words} {around} ({nearest_in_words(apart_s)})")
+
     joints = topics("joints") + _missing_chain(summary)
     tracks = [summary.cameras.get(roles.get(role, "")) for role in ("camera_info", "right_camera_info")]
     left, right = (track.runs[0].camera if track and track.runs else None for track in tracks)
     # It is there where it cannot be told yet.
     has_baseline = left is None or right is None or stereo_transform(left, right) is not None
     is_in_order = left is None or right is None or not are_exchanged(left, right)
-    has_base = profile.camera_to_base or {frames.camera, frames.base} <= set(summary.frames)
-    has_tool = not joints or "pose" in roles or frames.tool in summary.frames
+    links = summary.transforms.links
+    has_base = profile.camera_to_base or links(frames.camera, frames.base)
+    has_tool = not joints or "pose" in roles or links(frames.camera, frames.tool)
+    to_base = f"transforms from {frames.camera} to {frames.base}"
     return {
         **{role: topics(role) for role in Role},
         **{part: unless(getattr(profile, part), f"[{part}] {of_profile}") for part in PARTS},
@@ -208,13 +215,14 @@ def _lacking(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str
         or unless(roles["right_image"] != roles.get("image"), "a left image: it has the right")
         or unless(is_in_order, "left and right in their order: by their camera infos they are exchanged")
         or unless(has_baseline, "the distance of the cameras (`svmdist import --baseline`)"),
-        "joints": joints,
+        "joints_anywhen": joints,
+        "joints": joints or near(summary.joints_apart_s, "joint states"),
         "reference": unless(
             "ground_truth_distance" in roles or has_tool,
             "the tool's pose (transforms, a pose topic or joint states)",
         ),
         "calibration": unless(profile.calibration, f"a calibration {of_profile} (--calibration)"),
-        "camera_to_base": unless(has_base, f"transforms from {frames.camera} to {frames.base}"),
+        "camera_to_base": unless(has_base, to_base) or near(summary.base_apart_s, to_base),
         "shaft": unless(profile.segmentation.shaft, f"[segmentation.shaft] {of_profile}"),
         "tag": unless(not no_tag, no_tag),
     }

@@ -113,7 +113,7 @@ def draft_profile(
         _instrument(name, own, summary, path, blank, len(roles.instruments))
         for name, own in roles.instruments.items()
     )
-    has_base = bool(instruments) and {camera.frame_id, instruments[0].base} <= set(summary.frames)
+    has_base = bool(instruments) and recording.nominal_tree.links(camera.frame_id, instruments[0].base)
     if not has_base and len(instruments) != 1:  # nothing else tells them apart
         seen = _instruments_by_entries(images)
         if len(seen) == len(instruments):

@@ -95,7 +95,10 @@ def test_what_images_lack_near_them_is_counted(tmp_path, profile):
         right
         == "in 1 of 5 frames no right image within 0.5 ms of the left (nearest 40 ms): measured with one camera"
     )
-    assert joints == "in 3 of 5 frames no joint states within 100 ms of the image"
+    assert (
+        joints
+        == "in 3 of 5 frames no joint states on both sides of the image, 100 ms apart at most (nearest 60 ms)"
+    )
     decoded(partly, robot=False, right=False)
     assert partly.remarks == []
 

@@ -5,6 +5,7 @@ import sqlite3
 from collections.abc import Iterable
 from contextlib import closing
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from svmdist.recording.writer import encode
 from svmdist.samples import CameraSample, JointSample, Sample, TransformsSample
 from tests.reading import read_observations
 
-from .builders import CAMERA, Entry, pose, scene, write_messages
+from .builders import CAMERA, Entry, pose, scene, write_messages, write_scene
 from .other_recorders import (
     MCAP,
     SQLITE,
@@ -213,6 +214,48 @@ def test_of_repeated_stamps_the_first_counts_whatever_it_is_of(tmp_path, profile
     once = [one.sample.positions for one in entries if isinstance(one.sample, JointSample)]
     np.testing.assert_array_equal(log.joint_track().positions, once)
     assert "repeat a stamp; the first one counts" in " ".join(log.health.describe())
+
+
+LATE_NS = 30 * 10**9
+
+
+@pytest.mark.parametrize(
+    ("late", "joints_s", "base_s"),
+    [("", 0.0, 0.0), ("_js", 29.84, 0.0), ("/tf", 0.0, 29.84), ("logged", 0.0, 0.0)],
+)
+def test_what_is_near_no_image_is_told_with_how_far_the_nearest_is(
+    tmp_path, profile, entries, late, joints_s, base_s
+):
+    """By stamps in what is looked at; what is logged late is waited for."""
+    frames = profile.frames.model_copy(update={"base": "tool"})
+    shifted = [
+        (
+            Entry(topic, stamped(sample, sample.stamp_ns + LATE_NS * (late in topic and bool(late)))),
+            sample.stamp_ns + LATE_NS * (late == "logged" and "_js" in topic),
+        )
+        for topic, sample in entries
+    ]
+    log = open_recording(
+        write_logged(tmp_path / "a.mcap", sorted(shifted, key=itemgetter(1))),
+        profile.model_copy(update={"frames": frames}),
+    )
+    found = inspect_recording(log, 0.1)
+    assert (found.joints_apart_s, found.base_apart_s) == pytest.approx((joints_s, base_s))
+    assert found.transforms.links("camera", "tool")
+    assert len(list(log.encoded_observations())) == 5
+    said = " ".join(log.remarks)
+    assert ("joint states never on both sides" in said) == bool(joints_s)
+    assert ("transform from the camera to the base never" in said) == bool(base_s)
+
+
+def test_transforms_of_several_topics_link_nothing_before_one_is_chosen(tmp_path, profile, entries):
+    several = [Entry("/tf_b" if topic == "/tf" else topic, sample) for topic, sample in entries]
+    several += [Entry("/tf_a", sample) for topic, sample in entries if topic == "/tf"]
+    path = write_scene(tmp_path / "a.mcap", several)
+    for topics, is_linked in (({}, False), ({"tf": "/tf_b"}, True)):
+        summary = inspect_recording(open_recording(path, profile, topics=topics))
+        assert summary.transforms.links("camera", "tool") is is_linked
+        assert {"camera", "tool"} <= set(summary.frames)
 
 
 def test_a_bare_file_with_compressed_messages_says_to_open_the_folder(tmp_path, entries, profile):

@@ -10,6 +10,7 @@ import pytest
 from svmdist.errors import RecordingError
 from svmdist.estimation.methods import METHODS
 from svmdist.profile import Profile, load_profile
+from svmdist.recording.contents import TransformTree, no_contents
 from svmdist.recording.log import Recording
 from svmdist.recording.summary import RecordingSummary, TopicSummary
 from svmdist.recording.topics import Role
@@ -30,6 +31,14 @@ def read_by(profile: Profile) -> Recording:
     return cast(Recording, SimpleNamespace(path=Path("a.mcap"), metadata={}, profile=profile))
 
 
+def linking(*frames: str) -> TransformTree:
+    """Transforms from the camera to each of the frames."""
+    contents = no_contents()
+    for frame in frames:
+        contents["/tf"][FRAMES.camera, frame].add(0, [0.0] * 6 + [1.0])
+    return TransformTree(contents, {"/tf": False})
+
+
 FULL = RecordingSummary(
     recording=read_by(PROFILE),
     duration_s=1.0,
@@ -38,14 +47,15 @@ FULL = RecordingSummary(
     cameras={},
     frames=(FRAMES.base, FRAMES.camera, FRAMES.tissue, FRAMES.tool),
     joint_names={f"/{Role.JOINTS}": JOINTS},
+    transforms=linking(FRAMES.base, FRAMES.tissue, FRAMES.tool),
 )
 """A recording that has everything."""
 
 
-def without(*roles: str, frames: tuple[str, ...] = FULL.frames) -> RecordingSummary:
+def without(*roles: str, transforms: TransformTree = FULL.transforms) -> RecordingSummary:
     """The recording without the topics of some roles."""
     kept = {role: name for role, name in FULL.roles.items() if role not in roles}
-    return replace(FULL, roles=kept, frames=frames)
+    return replace(FULL, roles=kept, transforms=transforms)
 
 
 def lacking(found: dict[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
@@ -77,11 +87,13 @@ ONE_JOINT_LESS = replace(FULL, joint_names={f"/{Role.JOINTS}": JOINTS[1:]})
         (without("right_image"), PROFILE, {"stereo"}, "a topic for right_image"),
         (without("ground_truth_tf", "ground_truth_distance"), PROFILE, set(), ""),
         (
-            without(frames=(FRAMES.camera,)),
+            without(transforms=linking(FRAMES.tool)),  # `frames` has the base all the same
             PROFILE,
             {"kinematic", "fused"},
             f"{FRAMES.camera} to {FRAMES.base}",
         ),
+        (replace(FULL, base_apart_s=0.43), PROFILE, {"kinematic", "fused"}, "(nearest 430 ms)"),
+        (replace(FULL, joints_apart_s=30.0), PROFILE, BY_KINEMATICS, "(nearest 30.0 s)"),
         (ONE_JOINT_LESS, PROFILE, BY_KINEMATICS, f"the joints {JOINTS[0]} of profile {PROFILE.name}"),
         (FULL, poorer("fiducial"), {"fiducial"}, f"[fiducial] in profile {PROFILE.name}"),
         (FULL, poorer("tissue"), IN_3D, f"[tissue] in profile {PROFILE.name}"),
@@ -139,12 +151,12 @@ def test_a_log_that_is_none_of_the_default_profile_s_names_what_makes_one(golden
 def test_the_reference_of_validation_is_truth_or_the_tool_s_poses():
     """Any of the tool's sources will do; where there is none, that is said."""
     truthless = ("ground_truth_distance", "ground_truth_tf", "pose", "joints")
-    (missing,) = lacking(capabilities(without(*truthless, frames=())))["validate"]
+    (missing,) = lacking(capabilities(without(*truthless, transforms=linking())))["validate"]
     assert missing.startswith("the tool's pose")
     for source in ("pose", "joints"):
         roles = set(truthless) - {source}
-        assert "validate" not in lacking(capabilities(without(*roles, frames=())))
-    served = without(*truthless, frames=(FRAMES.tool,))
+        assert "validate" not in lacking(capabilities(without(*roles, transforms=linking())))
+    served = without(*truthless, transforms=linking(FRAMES.tool))
     assert "validate" not in lacking(capabilities(served))
 
 
@@ -152,11 +164,13 @@ def test_a_log_of_another_arm_is_that_arms():
     """A profile of three arms serves a log of the second one: neither joints nor frames of the first are needed."""
     dvrk = load_profile("dvrk-psm")
     names = tuple(joint.name for joint in dvrk.robot.joints)
+    contents = no_contents()
+    contents["/tf"]["ECM", "PSM2_base"].add(0, [0.0] * 6 + [1.0])
     log = replace(
         FULL,
         topics=(topic("/PSM2/measured_js"), topic("/image")),
         roles={**FULL.roles, "joints": "/PSM2/measured_js"},
-        frames=("ECM", "PSM2_base", "tissue"),
+        transforms=TransformTree(contents, {"/tf": False}),
         joint_names={"/PSM2/measured_js": names},
         recording=read_by(dvrk.for_instrument("PSM2")),
     )
