@@ -165,14 +165,63 @@ def decode_raw(
 
 
 NAL_UNIT = re.compile(rb"\x00\x00\x01(.)", re.DOTALL)
-IDR_SLICE = 5
+SLICE, IDR_SLICE, SPS, PPS = 1, 5, 7, 8
+COLOUR_PROFILES = frozenset(
+    {44, 83, 86, 100, 110, 118, 122, 128, 134, 135, 138, 139, 244}
+)  # which state their colours
+
+
+class _Bits:
+    """Reads numbers from the beginning of a NAL unit of H.264."""
+
+    def __init__(self, unit: bytes) -> None:
+        plain = unit.replace(b"\0\0\3", b"\0\0")  # the 3 keeps start codes out of the data
+        self._bits, self._at = bin(int.from_bytes(b"\1" + plain))[3:], 0
+
+    def number(self, count: int) -> int:
+        """One of so many bits; ValueError behind the end."""
+        self._at += count
+        return int(self._bits[self._at - count : self._at], 2) if count else 0
+
+    def code(self) -> int:
+        """One in Exp-Golomb code, as if without sign; ValueError behind the end."""
+        zeros = self._bits.index("1", self._at) - self._at
+        self._at += zeros
+        return self.number(zeros + 1) - 1
+
+    def codes(self, count: int) -> list[int]:
+        """Some in Exp-Golomb code."""
+        return [self.code() for _ in range(count)]
+
+
+def _numbering(bits: _Bits) -> tuple[int, tuple[int, bool]]:
+    """Of a sequence parameter set its name, the bits of a frame's number, and whether numbers may be left out."""
+    profile, name, chroma = bits.number(24) >> 16, bits.code(), 1
+    if profile in COLOUR_PROFILES:
+        chroma = bits.code()
+        bits.number(chroma == 3), bits.codes(2), bits.number(1)
+        for at in range(12 if chroma == 3 else 8) if bits.number(1) else ():
+            left, scale = 16 if at < 6 else 64, 8
+            left *= bits.number(1)
+            while left and scale:  # a scaling list ends early at 0
+                code, left = bits.code(), left - 1
+                scale = (scale + (code + 1) // 2 * (1 if code % 2 else -1)) % 256
+    bit_count, order = min(bits.code(), 12) + 4, bits.code()
+    if order == 0:
+        bits.code()
+    elif order == 1:
+        bits.number(1), bits.codes(2), bits.codes(bits.code())
+    bits.code()
+    return name, (bit_count, bits.number(1) == 1)
 
 
 class VideoDecoder:
     """Decodes one stream; each message is one frame in Annex B, without frames that refer to later ones.
 
-    A frame refers to those before it, so that after a loss every picture would be wrong in places:
-    nothing is delivered from there to the next key frame.
+    A frame refers to those before it, so that after a loss every picture would be wrong in places: nothing is delivered
+    from there to the next key frame. That a log lacks a frame shows by the number of the next one; FFmpeg makes up for
+    it without a word. It does not show where frames are missing by as many as there are numbers, 16 or more, where the
+    number after a missing key frame fits all the same, and of a stream that says that it leaves out numbers.
     """
 
     def __init__(self, limits: Limits) -> None:
@@ -181,6 +230,9 @@ class VideoDecoder:
         self._needs_key_frame = True
         self._count = 0
         self._loss_count = 0
+        self._numbering: dict[int, tuple[int, bool]] = {}  # by sequence parameter set
+        self._sequence: dict[int, int] = {}  # by picture parameter set
+        self._number = 0  # of the last frame that others refer to
 
     def decode(self, video_format: str, data: bytes, loss_count: int) -> Image:
         """The next frame as BGR; ImageError for a broken one, and up to a key frame where `loss_count` grew."""
@@ -191,8 +243,14 @@ class VideoDecoder:
             raise ImageError(f"video format {cut(video_format)!r} is not known; h264 is expected")
         if len(data) > self._limits.image_bytes:
             raise ImageError(f"{len(data)} bytes, the limit is {self._limits.image_bytes}")
-        if needs_key_frame and not any(one[1][0] & 0x1F == IDR_SLICE for one in NAL_UNIT.finditer(data)):
+        try:
+            is_key_frame, follows = self._look(data)
+        except (KeyError, ValueError):  # which FFmpeg makes nothing of, either
+            is_key_frame, follows = False, True
+        if needs_key_frame and not is_key_frame:
             raise ImageError("no key frame yet, which this frame refers to")
+        if not follows:
+            raise ImageError("the log lacks a frame before this one, which it refers to")
         av = optional_package("av", "video", "an image in H.264", RecordingError)
         if needs_key_frame:
             self._codec = codec = av.CodecContext.create("h264", "r")
@@ -212,6 +270,27 @@ class VideoDecoder:
         check_dimensions(frames[0].width, frames[0].height, self._limits)
         self._needs_key_frame = False
         return np.asarray(frames[0].to_ndarray(format="bgr24"), np.uint8)
+
+    def _look(self, data: bytes) -> tuple[bool, bool]:
+        """Whether a frame is a key frame, and whether its number follows that of the last one."""
+        for unit in NAL_UNIT.finditer(data):
+            kind, is_reference = unit[1][0] & 0x1F, unit[1][0] & 0x60 != 0
+            bits = _Bits(data[unit.end() : unit.end() + 2048])
+            if kind == IDR_SLICE:
+                self._number = 0
+                return True, True
+            if kind == SPS:
+                name, self._numbering[name] = _numbering(bits)
+            elif kind == PPS:
+                name, self._sequence[name] = bits.codes(2)
+            elif kind == SLICE:
+                bit_count, may_skip = self._numbering[self._sequence[bits.codes(3)[2]]]
+                number = bits.number(bit_count)
+                step = (number - self._number) % (1 << bit_count)
+                self._number = number if is_reference else self._number
+                # One further; some encoders number frames that none refers to as the one before.
+                return False, may_skip or step in (1, is_reference)
+        return False, True
 
 
 def read_file(path: Path, limits: Limits, *, decode: bool) -> tuple[bytes | Image, tuple[int, int]]:

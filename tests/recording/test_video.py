@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 
+from svmdist.recording.images import ImageError, VideoDecoder
 from svmdist.recording.log import open_recording
 from svmdist.samples import ImageSample
 from tests.reading import read_images
@@ -23,27 +24,32 @@ def frame_image(number: int) -> np.ndarray:
     return image
 
 
-@pytest.fixture(scope="module")
-def packets() -> list[bytes]:
+def encoded(frame_count: int = FRAME_COUNT, pixels: str = "yuv420p", **options: str) -> list[bytes]:
     """The square in H.264, one packet a frame, a key frame every eight."""
     try:
         codec = av.CodecContext.create("libx264", "w")
     except ValueError:
         pytest.skip("this build of FFmpeg has no H.264 encoder")
-    codec.width, codec.height, codec.pix_fmt, codec.time_base = 128, 96, "yuv420p", Fraction(1, 25)
+    codec.width, codec.height, codec.pix_fmt, codec.time_base = 128, 96, pixels, Fraction(1, 25)
     codec.gop_size = KEY_INTERVAL
-    codec.options = {"preset": "veryfast", "tune": "zerolatency", "crf": "12", "bf": "0", "sc_threshold": "0"}
+    basic = {"preset": "veryfast", "tune": "zerolatency", "crf": "12", "bf": "0", "sc_threshold": "0"}
+    codec.options = basic | options
     found = []
-    for number in range(FRAME_COUNT):
-        frame = av.VideoFrame.from_ndarray(frame_image(number), format="bgr24")
+    for number in range(frame_count):
+        frame = av.VideoFrame.from_ndarray(frame_image(number), format="bgr24").reformat(format=pixels)
         frame.pts = number
         found += [bytes(packet) for packet in codec.encode(frame)]
     found += [bytes(packet) for packet in codec.encode(None)]
-    assert len(found) == FRAME_COUNT
+    assert len(found) == frame_count
     return found
 
 
-@pytest.mark.parametrize("damage", ["none", "cut", "no message", "garbage", "begins late"])
+@pytest.fixture(scope="module")
+def packets() -> list[bytes]:
+    return encoded()
+
+
+@pytest.mark.parametrize("damage", ["none", "cut", "no message", "garbage", "begins late", "missing"])
 def test_after_a_broken_frame_nothing_until_the_next_key_frame(tmp_path, profile, packets, damage):
     """Nor of a stream that begins between key frames; every other frame comes out in order."""
     messages = [CompressedVideo(data=data, format="h264").SerializeToString() for data in packets]
@@ -55,13 +61,44 @@ def test_after_a_broken_frame_nothing_until_the_next_key_frame(tmp_path, profile
     rows = [
         ("/video", "foxglove.CompressedVideo", "protobuf", data, number)
         for number, data in enumerate(messages[first:], first + 1)
+        if damage != "missing" or number != 12
     ]
     path = write_messages(tmp_path / "a.mcap", rows)
     images = list(read_images(open_recording(path, profile, topics={"image": "/video"})))
-    lost = range(3, 8) if first else range(11, 16) if damage in broken else range(0)
-    assert len(images) == FRAME_COUNT - first
-    for number, image in enumerate(images, first):
+    lost = range(3, 8) if first else range(0) if damage == "none" else range(11, 16)
+    assert len(images) == len(rows)
+    for (*_, log_time_ns), image in zip(rows, images, strict=True):
+        number = log_time_ns - 1
         assert isinstance(image, ImageSample) == (number not in lost)
         if isinstance(image, ImageSample):
             assert image.stamp_ns == number + 1
             assert np.abs(image.image_bgr.astype(int) - frame_image(number)).mean() < 4
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"profile": "baseline"},
+        {"profile": "main", "refs": "4", "x264-params": "slices=4:aud=1"},
+        {"profile": "high", "x264-params": "cqm=jvt:nal-hrd=vbr:vbv-maxrate=2000:vbv-bufsize=2000"},
+        {"x264-params": "cqm=jvt", "pixels": "yuv444p"},
+        {"x264-params": "interlaced=1"},
+    ],
+    ids=["baseline", "slices", "high", "4:4:4", "interlaced"],
+)
+def test_a_missing_frame_shows_in_streams_of_any_kind_and_none_is_missing_in_a_whole_one(
+    capfd, profile, options
+):
+    """FFmpeg makes up for it without a word, and its pictures are wrong up to the next key frame."""
+    whole = encoded(40, **options, g="25")
+    for lost in (range(0), range(3, 4), range(10, 14), range(4, 19)):
+        video, refused = VideoDecoder(profile.limits), []
+        for number, data in enumerate(whole):
+            if number in lost:
+                continue
+            try:
+                video.decode("h264", data, 0)
+            except ImageError:
+                refused.append(number)
+        assert refused == (list(range(lost.stop, 25)) if lost else [])
+    assert capfd.readouterr() == ("", "")
