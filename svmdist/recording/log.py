@@ -24,7 +24,7 @@ from svmdist.profile import Profile
 from svmdist.recording import observations as obs
 from svmdist.recording.cameras import CameraChange, CameraTrack, cameras_at
 from svmdist.recording.contents import Contents, LogFile, TransformTree, in_order, joint_rows
-from svmdist.recording.messages import Kind, kind_of, matrices
+from svmdist.recording.messages import EncodedImage, Kind, broken_image, kind_of, matrices
 from svmdist.recording.observations import MissingPartners, Pairs
 from svmdist.recording.source import Health, LossKind, TopicInfo, sanitize, sanitize_list
 from svmdist.recording.topics import LoggedArm, Role, find_arms, open_source
@@ -35,6 +35,8 @@ from svmdist.transforms import Array, inverse
 
 TRUE_SUFFIX = "_ground_truth"
 """Goes to the names of true frames in a copy. A frame has one parent in a viewer, and `tool` has the robot's."""
+MOVED = 1e-3
+"""A joint, in rad or m, that goes farther moves what an image shows of the instrument."""
 
 
 def open_recording(
@@ -266,7 +268,11 @@ class Recording:
             )
             missing.add(right=pair.right_apart_s, joints=joints_s, base=base_s)
             held, place = cameras(stamp_ns), self.health.next_place()
-            return obs.EncodedObservation(pair.left, pair.right, reported, held, place, number, at_ns)
+            repeats, right = self._repeats(pair.left), pair.right
+            if right is not None and not repeats and (said := self._repeats(right)):
+                broken = broken_image(right.stamp_ns, said)
+                right = replace(broken, topic=right.topic, offset=right.offset)
+            return obs.EncodedObservation(pair.left, right, reported, held, place, number, at_ns, repeats)
 
         return starmap(observation, self.window.of(pairs.of(images)))
 
@@ -301,6 +307,31 @@ class Recording:
             return obs.ArmState(*near, T_camera_base, joints_apart_s, base_apart_s)
 
         return at
+
+    def _repeats(self, image: EncodedImage) -> str:
+        """What is said of an image that repeats another since which the robot has moved; nothing of any other."""
+        if image.since_ns >= image.stamp_ns:
+            return ""
+        at_ns, since_s = np.array([image.since_ns, image.stamp_ns]), (image.stamp_ns - image.since_ns) * 1e-9
+        if any((np.ptp(track.at(at_ns).values, 0) > MOVED).any() for track in self._logged_tracks):
+            return (
+                f"the image repeats that of {since_s:.2g} s before to the last byte, and the robot has moved"
+            )
+        self.file.missing.repeat_count += not self._logged_tracks
+        return ""
+
+    @cached_property
+    def _logged_tracks(self) -> list[JointTrack]:
+        """What is logged of the joints of each chain, whatever a perturbed world reports."""
+        tracks, plain = [], self.perturbed(Perturbations())
+        for arm in self.arms:
+            track = plain._joints(arm) if arm.find(Role.JOINTS) else None
+            if track is not None:
+                robot = self.origin.profile.for_instrument(arm.name).robot
+                known = robot.joint_names if robot else ()
+                columns = [at for at, name in enumerate(track.names) if name in known]
+                tracks.append(replace(track, positions=track.positions[:, columns or slice(None)]))
+        return tracks
 
     def _right_topic(self) -> str | None:
         """The right images' topic; None without a stereo pair, RecordingError where left and right are exchanged."""

@@ -61,6 +61,8 @@ class EncodedImage:
     log_time_ns: int = 0
     size_bytes: int = 0
     offset: int | None = None
+    data: Any = b""  # bytes, or an array of them
+    since_ns: int = 0  # the stamp of the first one in a row, up to this one, with these data
 
 
 class RawTransform(NamedTuple):
@@ -108,6 +110,7 @@ class Decoder:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self._videos: dict[str, VideoDecoder] = {}
+        self._last: dict[str, EncodedImage] = {}
         self._failure_count = 0
 
     def decode(self, raw: RawMessage) -> Message:
@@ -123,18 +126,22 @@ class Decoder:
         try:
             found = self.decode(raw)
         except DecodeError as problem:
-            found = _broken_image(raw.log_time_ns, str(problem))
+            found = broken_image(raw.log_time_ns, str(problem))
         if not isinstance(found, EncodedImage):
-            found = _broken_image(raw.log_time_ns, "no image")
+            found = broken_image(raw.log_time_ns, "no image")
+        data, last, since_ns = found.data, self._last.get(raw.topic), found.stamp_ns
+        if last is not None and len(data) and memoryview(last.data) == memoryview(data):
+            since_ns = last.since_ns
         if found.video is not None:
             video = self._videos.setdefault(raw.topic, VideoDecoder(self._limits))
             try:
                 pixels = video.decode(*found.video, raw.losses_before + self._failure_count)
                 found = EncodedImage(found.stamp_ns, found.frame_id, lambda: pixels)
             except ImageError as problem:
-                found = _broken_image(found.stamp_ns, str(problem))
-        found = replace(found, topic=raw.topic, log_time_ns=raw.log_time_ns)
-        return replace(found, size_bytes=len(raw.data), offset=raw.offset)
+                found = broken_image(found.stamp_ns, str(problem))
+        found = replace(found, topic=raw.topic, log_time_ns=raw.log_time_ns, data=data, since_ns=since_ns)
+        self._last[raw.topic] = found = replace(found, size_bytes=len(raw.data), offset=raw.offset)
+        return found
 
     def _converted(self, raw: RawMessage) -> Message:
         _checked_stamp(raw.log_time_ns)
@@ -206,7 +213,7 @@ def _parser(encoding: str, schema: str) -> Callable[[bytes], Any]:
     return partial(store.deserialize_ros1, typename=f"{package}/msg/{name}")
 
 
-def _broken_image(log_time_ns: int, reason: str) -> EncodedImage:
+def broken_image(log_time_ns: int, reason: str) -> EncodedImage:
     """Make an image whose decoding fails, for a message that is broken before its pixels."""
 
     def fail() -> samples.Image:
@@ -245,17 +252,17 @@ def _check_numbers(values: Sequence[float], what: str) -> None:
 def _raw_image(message: Any, stamp_ns: int, frame_id: str, limits: Limits) -> EncodedImage:
     size_px = message.width, message.height
     decode = partial(decode_raw, message.encoding, size_px, message.step, message.data, limits)
-    return EncodedImage(stamp_ns, frame_id, decode)
+    return EncodedImage(stamp_ns, frame_id, decode, data=message.data)
 
 
 def _still_image(message: Any, stamp_ns: int, frame_id: str, limits: Limits) -> EncodedImage:
     """A compressed image; its `format` is ignored, for its data say what they are."""
-    return EncodedImage(stamp_ns, frame_id, partial(decode_still, message.data, limits))
+    return EncodedImage(stamp_ns, frame_id, partial(decode_still, message.data, limits), data=message.data)
 
 
 def _video(message: Any, stamp_ns: int, frame_id: str, _: Limits) -> EncodedImage:
-    image = _broken_image(stamp_ns, "a frame of a video that was not decoded")
-    return replace(image, frame_id=frame_id, video=(message.format, message.data))
+    image = broken_image(stamp_ns, "a frame of a video that was not decoded")
+    return replace(image, frame_id=frame_id, video=(message.format, message.data), data=message.data)
 
 
 def _camera(message: Any, stamp_ns: int, frame_id: str) -> samples.CameraSample:

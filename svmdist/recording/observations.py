@@ -106,6 +106,7 @@ class MissingPartners:
     pair_tolerance_s: float
     image_count: int = 0
     apart_s: defaultdict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    repeat_count: int = 0  # of a log that has no joints to tell a still scene from a video that froze
 
     def add(self, **apart_s: float | None) -> None:
         """Count an image, with how far the nearest right one, joints or transforms are, where these are missing."""
@@ -114,11 +115,13 @@ class MissingPartners:
             self.apart_s[what] += [] if far_s is None else [far_s]
 
     def describe(self) -> list[str]:
-        """A line for right images, joint states and transforms each, where any are missing."""
+        """A line for right images, joint states and transforms, where any are missing; and one for images that repeat."""
         of_left = f"within {self.pair_tolerance_s * 1e3:g} ms of the left"
         of_image = f"on both sides of the image, {MAX_GAP_NS * 1e-6:g} ms apart at most"
         often = f"in {{}} of {self.image_count} frames no {{}}"
-        return [
+        repeats = "images that repeat the one before them to the last byte"
+        still = [f"{repeats}: {self.repeat_count}; the video stands still there"] * (self.repeat_count > 0)
+        return still + [
             f"{f'{what} never' if len(far_s) == self.image_count else often.format(len(far_s), what)} {near}"
             f" ({nearest_in_words(float(np.median(far_s)))}){hence}"
             for key, what, near, hence in (
@@ -238,6 +241,7 @@ class EncodedObservation:
     place: int
     number: int  # among the log's images
     at_ns: int  # since the log's first image
+    repeats: str = ""  # what is said of an image that is the same to the last byte though the robot has moved
 
     @property
     def stamp_ns(self) -> int:

@@ -41,7 +41,7 @@ SOMEWHERE = Tissue(plane_distance_m=0.1)
 
 
 def spread_observations(recording: Recording, count: int = CHECKED) -> list[EncodedObservation]:
-    """Up to twice `count` of a log's observations, evenly from its beginning to its end.
+    """Up to twice `count` of a log's observations, evenly from its beginning to its end; none of a video that froze.
 
     The log is read once, its length unknown: of those kept every second one goes whenever there are too many, so that
     memory does not grow with the log.
@@ -49,7 +49,7 @@ def spread_observations(recording: Recording, count: int = CHECKED) -> list[Enco
     kept: list[EncodedObservation] = []
     stride = 1
     for place, one in enumerate(recording.encoded_observations(robot=False)):
-        if place % stride == 0:
+        if place % stride == 0 and not one.repeats:
             kept.append(one)
         if len(kept) > 2 * count:
             kept, stride = kept[::2], 2 * stride

@@ -187,10 +187,11 @@ class _Replay:
         self._rows = LEVEL
         self._looked: dict[tuple[int, int], list[Frame]] = {}
         self._checks: list[dict[str, Checks]] = [{} for _ in conditions]
+        self._is_given = all(setup.is_given for setup in setups)
         if not all(setup.is_planar or setup.is_given for setup in setups):
             self._compare(any(setup.needs_right_view for setup in setups))
         self._associations: list[Association | None] = [None] * len(conditions)
-        if check.needs_association(self._arms) and not all(setup.is_given for setup in setups):
+        if check.needs_association(self._arms) and not self._is_given:
             self._associations = [Association(self._arms) for _ in conditions]
         self._lanes = [[self._lane(setup, known) for setup in setups] for known in self._checks]
         self._needs = reduce(Needs.__or__, (lane.needs for lane in self._lanes[0]))
@@ -289,25 +290,33 @@ class _Replay:
 
     def _prepare(self, encoded: EncodedObservation) -> tuple[Decoded, list[Unfinished]]:
         """Whatever of a frame needs no other one."""
-        decoded, number, seconds = encoded.decode(), encoded.number, encoded.at_ns * 1e-9
+        decoded = encoded.decode()
         found = decoded.found
         if isinstance(found, Rejection):
-            unread = FrameResult(found.stamp_ns, found.status, detail=found.detail)
-            unread = replace(unread, number=number, seconds=seconds)
-            lost = tuple(replace(unread, instrument=name) for name in self._recording.measured)
-            every = [Replayed(lost, (0.0,) * len(lost))] * sum(map(len, self._lanes))
+            every = [self._refused(encoded, found)] * sum(map(len, self._lanes))
             return decoded, [lambda: every]
-        return decoded, [self._look(at, number, seconds, found) for at in range(len(self._conditions))]
+        return decoded, [self._look(at, encoded, found) for at in range(len(self._conditions))]
 
-    def _look(self, at: int, number: int, seconds: float, found: tuple[Observation, ...]) -> Unfinished:
+    def _refused(self, encoded: EncodedObservation, why: Rejection) -> Replayed:
+        row = FrameResult(why.stamp_ns, why.status, detail=why.detail)
+        row = replace(row, number=encoded.number, seconds=encoded.at_ns * 1e-9)
+        lost = tuple(replace(row, instrument=name) for name in self._recording.measured)
+        return Replayed(lost, (0.0,) * len(lost))
+
+    def _look(self, at: int, encoded: EncodedObservation, found: tuple[Observation, ...]) -> Unfinished:
         """One condition of a frame: its scene; of a single instrument its detections, and methods without state."""
+        number, seconds = encoded.number, encoded.at_ns * 1e-9
         if looked := self._looked.pop((at, number), []):
             scene = looked[0].scene
         else:
             seen = self._conditions[at].apply(found[0], number)
             scene = Scene(seen, self._setup.profile, self._segmenter, self._rows)
-        spent_s = prefetch(scene, self._needs.scene)
         lanes, association = self._lanes[at], self._associations[at]
+        # A simulated instrument may be hidden, and move.
+        if encoded.repeats and not self._is_given and scene.left.masks.instrument.any():
+            why = Rejection(encoded.stamp_ns, Status.INCONSISTENT, encoded.repeats)
+            return lambda: [self._refused(encoded, why)] * len(lanes)
+        spent_s = prefetch(scene, self._needs.scene)
         frames: list[Frame] = []
         measured: list[Replayed | None] = [None] * len(lanes)
         if association is None:

@@ -7,11 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 
 from svmdist import samples
 from svmdist.errors import RecordingError
 from svmdist.profile import Profile
 from svmdist.recording.log import Recording, open_recording
+from svmdist.recording.observations import ALL_IMAGES, Window
 from svmdist.recording.source import LossKind
 from svmdist.recording.summary import inspect_recording
 from svmdist.recording.writer import RecordingWriter, encode
@@ -224,6 +226,62 @@ def test_losses_are_in_file_order_whenever_they_are_found(tmp_path, profile):
     assert len(found) == 60
     assert all(item[0].joints is None for item in found if not isinstance(item, samples.Rejection))
     assert {loss.topic for loss in planar.health.losses} == {"/ECM/left/image", "/PSM1/measured_js"}
+
+
+def raw(entry: Entry) -> tuple[str, str, str, bytes, int]:
+    """A message; of an image a raw one."""
+    stamp_ns, image = entry.sample.stamp_ns, getattr(entry.sample, "image_bgr", None)
+    schema, data = encode(entry.sample).schema, encode(entry.sample).data
+    if image is not None:
+        whole = RawImage(width=32, height=24, encoding="bgr8", step=96, data=image.tobytes())
+        schema, data = "foxglove.RawImage", whole.SerializeToString()
+    return entry.topic, schema, "protobuf", data, stamp_ns
+
+
+@pytest.mark.parametrize("is_raw", [False, True])
+@pytest.mark.parametrize("frozen", ["/ECM/left/image", RIGHT_IMAGE])
+def test_a_video_that_froze_shows_nothing_where_the_robot_has_moved(tmp_path, profile, frozen, is_raw):
+    """Whichever images are wanted, with the robot or without; a still robot's, or that of none, is as good as any."""
+    again = with_right(scene(8))
+    images = [at for at, one in enumerate(again) if one.topic == frozen]
+    held = again[images[2]].sample.image_bgr
+    for at in (images[3], images[5]):  # of which the latter does not follow on what it repeats
+        again[at] = Entry(frozen, replace(again[at].sample, image_bgr=held))
+
+    def written(name: str, entries: list[Entry]) -> Recording:
+        path = tmp_path / f"{name}.mcap"
+        rows = [raw(one) for one in entries]
+        whole = write_messages(path, rows) if is_raw else write_scene(path, entries)
+        return open_recording(whole, profile)
+
+    said = "the image repeats that of 0.04 s before to the last byte, and the robot has moved"
+    recording = written("moves", again)
+    whole, part = (0, 1, 2, 3, 4, 5, 6, 7), Window(2.5 * PERIOD_NS * 1e-9, every=2)
+    for window, robot, numbers in (
+        (ALL_IMAGES, True, whole),
+        (ALL_IMAGES, False, whole),
+        (part, True, (3, 5, 7)),
+    ):
+        seen = list(replace(recording, window=window).encoded_observations(robot=robot))
+        assert [one.number for one in seen] == list(numbers)
+        refused = (
+            [one.decode().losses for one in seen] if frozen == RIGHT_IMAGE else [one.repeats for one in seen]
+        )
+        assert [at for at, one in zip(numbers, refused, strict=True) if one] == [3]
+    decoded(recording)
+    assert [one.detail for one in recording.health.losses] == [said] * (frozen == RIGHT_IMAGE)
+    assert recording.remarks == []
+    still = [
+        one._replace(sample=replace(one.sample, positions=np.zeros(2))) if "_js" in one.topic else one
+        for one in again
+    ]
+    none = [one for one in again if "_js" not in one.topic]
+    remark = "images that repeat the one before them to the last byte: 1; the video stands still there"
+    for name, others, remarks in (("still", still, []), ("none", none, [remark])):
+        other = written(name, others)
+        assert not any(one.repeats for one in other.encoded_observations())
+        decoded(other)
+        assert (other.remarks, other.health.is_clean) == (remarks, True)
 
 
 def observed(path: Path, profile: Profile) -> tuple[list[int], int, bool]:

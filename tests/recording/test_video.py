@@ -102,3 +102,25 @@ def test_a_missing_frame_shows_in_streams_of_any_kind_and_none_is_missing_in_a_w
                 refused.append(number)
         assert refused == (list(range(lost.stop, 25)) if lost else [])
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_key_frame_that_comes_again_is_known_for_one(tmp_path, profile):
+    """Each image says since when its data have been the same."""
+    whole = encoded(5, g="1")
+    rows = [
+        (
+            "/video",
+            "foxglove.CompressedVideo",
+            "protobuf",
+            CompressedVideo(data=whole[at], format="h264"),
+            number,
+        )
+        for number, at in enumerate([0, 1, 1, 1, 4], 1)
+    ]
+    path = write_messages(
+        tmp_path / "a.mcap", [(*row[:3], row[3].SerializeToString(), row[4]) for row in rows]
+    )
+    images = open_recording(path, profile, topics={"image": "/video"}).file.images({"/video"})
+    assert [(one.since_ns, one.decode().shape) for one in images] == [
+        (since, (96, 128, 3)) for since in (1, 2, 2, 2, 5)
+    ]

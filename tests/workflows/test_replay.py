@@ -118,6 +118,26 @@ def test_an_image_that_cannot_be_used_is_a_result_of_every_lane(tmp_path, setups
     assert outcomes(replayed(path, chosen, jobs=2)) == outcomes(lanes)
 
 
+def test_a_video_that_froze_is_measured_up_to_there(tmp_path, setups):
+    """By methods that know the robot and those that do not, with any number of threads; and from its end on again."""
+    held: list[ImageSample] = []
+
+    def freeze(_topic: str, sample: Sample) -> Sample | None:
+        if isinstance(sample, ImageSample) and 2 <= len(held) < 5:
+            sample = replace(sample, image_bgr=held[1].image_bgr)
+        held.extend([sample] if isinstance(sample, ImageSample) else [])
+        return sample
+
+    path = write_log(tmp_path / "frozen.mcap", frame_count=8, change=freeze)
+    for method in ("centroid", "fused"):
+        setup = [setups[METHODS.index(method)]]
+        lanes = replayed(path, setup, jobs=1)
+        frozen = [at for at, lane in enumerate(lanes) if lane[0].results[0].status is Status.INCONSISTENT]
+        assert frozen == [2, 3, 4]
+        assert all(lane[0].results[0].measured for lane in lanes[:2])
+        assert outcomes(replayed(path, setup, jobs=3)) == outcomes(lanes)
+
+
 def test_frames_without_images_are_no_frames(tmp_path, setups):
     """Dropping images drops their results, and changes no stateless other."""
     images = count()
