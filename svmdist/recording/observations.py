@@ -115,7 +115,7 @@ class MissingPartners:
             self.apart_s[what] += [] if far_s is None else [far_s]
 
     def describe(self) -> list[str]:
-        """A line for right images, joint states and transforms, where any are missing; and one for images that repeat."""
+        """A line each for right images, joint states and transforms that are missing, and one for repeated images."""
         of_left = f"within {self.pair_tolerance_s * 1e3:g} ms of the left"
         of_image = f"on both sides of the image, {MAX_GAP_NS * 1e-6:g} ms apart at most"
         often = f"in {{}} of {self.image_count} frames no {{}}"
