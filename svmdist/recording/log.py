@@ -226,6 +226,12 @@ class Recording:
         """What images lacked near them in the last replay, and where a camera changed, in words."""
         said, changes = self.file.missing.describe(), self.camera_changes
         said += [line for arm in self.arms for line in arm.missing_topics()]
+        topic, right = self.topic_of(Role.RIGHT_IMAGE), self.right_camera
+        if topic not in (None, self.topic_of(Role.IMAGE)):
+            if right is None:
+                said.append(f"{topic} is not used: the log has no calibration of its camera")
+            elif stereo_transform(self.camera, right) is None:
+                said.append(f"{topic} is not used: the log does not say how far the cameras are apart")
         if changes:
             count = f"; it is the first of {len(changes)} changes" if len(changes) > 1 else ""
             said.append(f"the camera changes: {changes[0]}{count}")

@@ -77,6 +77,8 @@ def test_right_images_find_their_left_ones(tmp_path, profile, shift_ns, late, ca
         np.testing.assert_allclose(item.right.T_left_right[:3, 3], [BASELINE_M, 0.0, 0.0], atol=1e-15)
         np.testing.assert_array_equal(item.right.T_left_right[:3, :3], np.eye(3))
         assert item.right.camera.frame_id == "camera_right"
+    unused = [line for line in open_recording(path, profile).remarks if "is not used: the log " in line]
+    assert len(unused) == (camera is not RIGHT_CAMERA)
 
 
 def test_what_images_lack_near_them_is_counted(tmp_path, profile):
