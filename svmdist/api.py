@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from html import escape
+from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -150,11 +151,11 @@ def estimate(
         jobs: Processes; results do not depend on them.
     """
     _opened([recording])
-    window = {"start_s": start_s, "end_s": end_s, "every": every}
-    for name, value in {**window, "lag": 0.0 if lag in (None, "auto") else lag}.items():
-        _require(name, value, int, float)
+    for name, value in (("start_s", start_s), ("end_s", end_s), ("lag", 0 if lag in (None, "auto") else lag)):
+        _require(name, value, Real, "a number")
+    _require("every", every, Integral, "a whole number")
     if alarms is not None:
-        _require("alarms", alarms, AlarmRules)
+        _require("alarms", alarms, AlarmRules, "AlarmRules")
     if isinstance(instruments, str) or (instruments is not None and not instruments):
         raise UsageError(f"instruments: expected a sequence of names, found {instruments!r}")
     if hand_eye is not None:
@@ -163,7 +164,7 @@ def estimate(
         recording = replace(recording, origin=origin, bases=origin.open().bases)
     if (start_s, end_s, every) != (0.0, math.inf, 1):
         recording = replace(recording, window=Window(start_s, end_s, every))
-    setup = _setup(recording, method, calibration)
+    setup = _setup(recording, method, calibration, lag)
     if alarms is not None:
         require_clearance(setup)
     names = None if instruments is None else tuple(instruments)
@@ -197,7 +198,7 @@ def validate(
     Raises RecordingError where a recording has no reference.
     """
     several = _opened(recordings)
-    setup = _setup(several[0], given_estimates(estimates) if estimates else method, calibration)
+    setup = _setup(several[0], given_estimates(estimates) if estimates else method, calibration, lag)
     request = Request(setup, lag=lag, alarms=alarms, rules=rules or TruthRules())
     return _validate(several, request, jobs)
 
@@ -249,14 +250,17 @@ def _opened(recordings: Recording | Sequence[Recording]) -> list[Recording]:
     return several
 
 
-def _require(name: str, value: object, *kinds: type) -> None:
-    if not isinstance(value, kinds):
-        raise UsageError(f"{name}: expected {' or '.join(one.__name__ for one in kinds)}, found {value!r}")
+def _require(name: str, value: object, kind: type, expected: str) -> None:
+    if not isinstance(value, kind):
+        raise UsageError(f"{name}: expected {expected}, found {value!r}")
 
 
-def _setup(recording: Recording, method: Method, calibration: Path | None = None) -> Setup:
-    profile = recording.origin.profile
-    if method == "auto":
-        planar = "overlay" if calibration is not None else None
-        method = planar or best_method([recording.path], profile, recording.origin.topics)[0]
+def _setup(
+    recording: Recording, method: Method, calibration: Path | None = None, lag: Lag | None = None
+) -> Setup:
+    profile, has_lag = recording.origin.profile, (lag or recording.lag) is not None
+    if method == "auto" and calibration is not None:
+        method = "overlay"
+    elif method == "auto":
+        method, _ = best_method([recording.path], profile, recording.origin.topics, at_any_lag=has_lag)
     return prepare(profile, method, "corrected", calibration)

@@ -111,7 +111,8 @@ class HandEye(
         output.require_toml(path, [log.path], force=self.force)
         writer = choose_writer(self.form, None, Holds.TABLES)
         lag, window, topics = self.given_lag, self.window, self.topics
-        methods = [self.method] if self.method else _served(log.path, load_profile(self.profile), topics)
+        profile, has_lag = load_profile(self.profile), lag is not None
+        methods = [self.method] if self.method else _served(log.path, profile, topics, has_lag)
         failures: list[str] = []
         for method in methods:
             setup = prepare(self.profile, method)
@@ -139,7 +140,7 @@ class HandEye(
         return log_losses(recording.path, recording.health)
 
 
-def _served(file: LogPath, profile: Profile, topics: dict[str, str]) -> list[str]:
+def _served(file: LogPath, profile: Profile, topics: dict[str, str], at_any_lag: bool) -> list[str]:
     """The methods that log and profile serve, the surest first; RecordingError where there is none."""
     from svmdist.recording.log import open_recording
     from svmdist.recording.summary import inspect_recording
@@ -149,7 +150,7 @@ def _served(file: LogPath, profile: Profile, topics: dict[str, str]) -> list[str
     summary = inspect_recording(open_recording(file, profile, topics=topics))
     if said := misfit(summary):
         raise RecordingError(f"{file}: {said}")
-    lacks = method_capabilities(summary)
+    lacks = method_capabilities(summary, at_any_lag=at_any_lag)
     if served := [name for name in SEEING_METHODS if not lacks[name]]:
         return served
     lacking = "; ".join(f"{name} lacks {', '.join(lacks[name])}" for name in SEEING_METHODS)

@@ -232,7 +232,8 @@ class MethodOptions(CalibrationOption):
         from svmdist.workflows.capabilities import best_method
 
         with progress_bar("choosing a method"):
-            method, why = best_method(paths, load_profile(self.profile, self.hand_eye), self.topics)
+            profile, has_lag = load_profile(self.profile, self.hand_eye), bool(getattr(self, "lag", None))
+            method, why = best_method(paths, profile, self.topics, at_any_lag=has_lag)
         self._choice = f"method {method}: {why}"
         return method
 

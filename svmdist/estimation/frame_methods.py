@@ -203,11 +203,14 @@ def triangulated_tool(frame: Frame, nominal: ToolPose) -> ToolPose | Failure:
     seen, of_disparity_px2 = markers.left, markers.std_px**2 + markers.lasting_std_px**2 + of_cameras_px2
     T_camera_tool, covariance = nominal.T_camera_tool.copy(), np.zeros((6, 6))
     T_camera_tool[:3, 3] = p_camera_m
-    if nominal is not ANY_ORIENTATION:
-        T_camera_tool[:3, 3] -= T_camera_tool[:3, :3] @ marker_place_m(frame.arm, seen)
-    covariance[:3, :3] = J @ np.diag([seen.std_px**2, seen.std_px**2, of_disparity_px2]) @ J.T
-    covariance[:3, :3] += (seen.error.place_std_m**2 + seen.error.part_std_m**2) * np.eye(3)
     covariance[3:, 3:] = nominal.covariance[3:, 3:]
+    if nominal is not ANY_ORIENTATION:
+        arm_m = T_camera_tool[:3, :3] @ marker_place_m(frame.arm, seen)
+        T_camera_tool[:3, 3] -= arm_m
+        lever = np.concatenate([skew(arm_m), np.eye(3)])  # what a turn does to place and direction
+        covariance = lever @ covariance[3:, 3:] @ lever.T
+    covariance[:3, :3] += J @ np.diag([seen.std_px**2, seen.std_px**2, of_disparity_px2]) @ J.T
+    covariance[:3, :3] += (seen.error.place_std_m**2 + seen.error.part_std_m**2) * np.eye(3)
     return ToolPose(T_camera_tool, covariance, nominal.axis)
 
 

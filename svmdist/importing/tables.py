@@ -36,7 +36,7 @@ JOINT_UNITS = {"deg": np.pi / 180.0, "rad": 1.0, "mm": 1e-3, "m": 1.0}
 STAMP_NAMES = frozenset({"stamp", "timestamp", "time", "t", "stamps", "secs", "header.stamp"})
 STAMP = tuple(re.compile(rf"((header\.)?stamp\.)?{part}") for part in ("secs?", "n(ano)?secs?"))
 """Names of the two columns that a stamp of ROS may have."""
-NO_JOINT = re.compile(r"(header|velocity|effort)[._]", re.IGNORECASE)
+NO_JOINT = re.compile(r"header[._]|(velocity|effort)([._]|\d+$)", re.IGNORECASE)
 """How the names begin of what joint states have beside positions."""
 IMAGE_NAMES = frozenset({"image", "frame", "file", "filename", "name", "image_name", "index"})
 # What names of columns have before the axis.
@@ -282,14 +282,14 @@ def read_table(path: Path) -> Table:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=mark))] if mark else line.split()
 
     try:
-        rows = [split(line) for _, line in lines]
+        rows, last = [split(line) for _, line in lines], split(comments[-1]) if comments else []
     except csv.Error as problem:
         raise SourceError(f"{path}: not a table: {problem}") from None
     names = None
     if _looks_named(rows):
         names, rows, lines = rows[0], rows[1:], lines[1:]
-    elif comments and len(split(comments[-1])) == len(rows[0]) and not is_number(split(comments[-1])[0]):
-        names = split(comments[-1])
+    elif len(last) == len(rows[0]) and not is_number(last[0]):
+        names = last
     if not rows:
         raise SourceError(f"{path}: a table without rows")
     width = len(names or rows[0])

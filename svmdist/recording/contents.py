@@ -165,12 +165,16 @@ def joint_rows(
     Several nodes may publish on it, and in any order. Those messages count that have the joints of the robot which the
     best ones have; without a robot, all joints.
     """
+    if len(by_names) == 1:
+        ((names, only),) = by_names.items()
+        return names, *only.arrays(), []
     best, chain = best_joints(by_names, robot), robot.joint_names if robot else frozenset()
     needed = [name for name in best if name in chain] or best
     usable = [names for names in by_names if set(needed) <= set(names)]
     common = tuple(name for name in best if all(name in names for names in usable))
     found = [by_names[names].arrays() for names in usable]
     stamps_ns = np.concatenate([each for each, _ in found])
+    order = np.argsort(stamps_ns, kind="stable")
     columns = [[*map(names.index, common)] for names in usable]
     rows = np.concatenate([each[:, places] for (_, each), places in zip(found, columns, strict=True)])
     lacks = [
@@ -179,7 +183,7 @@ def joint_rows(
         for names in by_names
         if names not in usable
     ]
-    return common, stamps_ns, rows, lacks
+    return common, stamps_ns[order], rows[order], lacks
 
 
 def no_contents() -> Contents:

@@ -35,8 +35,9 @@ from svmdist.transforms import Array, inverse
 
 TRUE_SUFFIX = "_ground_truth"
 """Goes to the names of true frames in a copy. A frame has one parent in a viewer, and `tool` has the robot's."""
-MOVED = 1e-3
-"""A joint, in rad or m, that goes farther moves what an image shows of the instrument."""
+MOVED, LATE_S = 1e-3, 0.05
+"""A joint, in rad or m, that goes farther moves what an image shows of the instrument; and how late any image may be:
+cameras and recorders give some of them twice."""
 
 
 def open_recording(
@@ -225,7 +226,7 @@ class Recording:
     def remarks(self) -> list[str]:
         """What images lacked near them in the last replay, and where a camera changed, in words."""
         said, changes = self.file.missing.describe(), self.camera_changes
-        said += [line for arm in self.arms for line in arm.missing_topics()]
+        said += dict.fromkeys(line for arm in self.arms for line in arm.missing_topics())
         topic, right = self.topic_of(Role.RIGHT_IMAGE), self.right_camera
         if topic not in (None, self.topic_of(Role.IMAGE)):
             if right is None:
@@ -244,7 +245,7 @@ class Recording:
         return tuple(one for topic in topics if topic for one in self.file.cameras[topic].changes(topic))
 
     def encoded_observations(
-        self, *, robot: bool = True, right: bool = True, rest: bool = True
+        self, *, robot: bool = True, right: bool = True, rest: bool = True, stale: bool = False
     ) -> Iterator[obs.EncodedObservation]:
         """Yield for every image, by stamp, what estimators may see of each instrument, not decoded yet.
 
@@ -252,7 +253,8 @@ class Recording:
         at most 0.1 s apart. The right image is the one within `[limits] pair_tolerance_s`, where the cameras form a
         stereo pair. Each is None where the log has none. Without `robot`, joints and transforms are neither read nor
         given, without `right` the right images; with `rest` the pass over the images reads everything else, too, for
-        those who ask for it later. RecordingError at once where the log has no images or camera.
+        those who ask for it later. With `stale` images that repeat although the robot has moved say so, for which
+        joints are read in any case. RecordingError at once where the log has no images or camera.
         One thread at a time goes through the iterator, any thread decodes, and `record_losses` takes the results. The
         caller bounds how many are held.
         """
@@ -274,8 +276,9 @@ class Recording:
             )
             missing.add(right=pair.right_apart_s, joints=joints_s, base=base_s)
             held, place = cameras(stamp_ns), self.health.next_place()
-            repeats, right = self._repeats(pair.left), pair.right
-            if right is not None and not repeats and (said := self._repeats(right)):
+            repeats, right = self._repeats(pair.left) if stale else "", pair.right
+            missing.repeat_count += stale and pair.left.since_ns < stamp_ns and not self._logged_tracks
+            if stale and right is not None and not repeats and (said := self._repeats(right)):
                 broken = broken_image(right.stamp_ns, said)
                 right = replace(broken, topic=right.topic, offset=right.offset)
             return obs.EncodedObservation(pair.left, right, reported, held, place, number, at_ns, repeats)
@@ -316,20 +319,19 @@ class Recording:
 
     def _repeats(self, image: EncodedImage) -> str:
         """What is said of an image that repeats another since which the robot has moved; nothing of any other."""
-        if image.since_ns >= image.stamp_ns:
-            return ""
         at_ns, since_s = np.array([image.since_ns, image.stamp_ns]), (image.stamp_ns - image.since_ns) * 1e-9
+        if since_s <= LATE_S:
+            return ""
         if any((np.ptp(track.at(at_ns).values, 0) > MOVED).any() for track in self._logged_tracks):
             return (
                 f"the image repeats that of {since_s:.2g} s before to the last byte, and the robot has moved"
             )
-        self.file.missing.repeat_count += not self._logged_tracks
         return ""
 
     @cached_property
     def _logged_tracks(self) -> list[JointTrack]:
         """What is logged of the joints of each chain, whatever a perturbed world reports."""
-        tracks, plain = [], self.perturbed(Perturbations())
+        tracks, plain = [], replace(self, world=ReplayedWorld(Perturbations(), self.origin.profile))
         for arm in self.arms:
             track = plain._joints(arm) if arm.find(Role.JOINTS) else None
             if track is not None:

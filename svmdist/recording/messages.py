@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cache, partial
 from importlib import import_module
@@ -61,7 +61,7 @@ class EncodedImage:
     log_time_ns: int = 0
     size_bytes: int = 0
     offset: int | None = None
-    data: Any = b""  # bytes, or an array of them
+    data: Any = field(default=b"", repr=False, compare=False)  # bytes, or an array of them
     since_ns: int = 0  # the stamp of the first one in a row, up to this one, with these data
 
 

@@ -155,8 +155,8 @@ class Window:
             raise UsageError(f"--start {self.start_s:g}: expected seconds after the first image, as in 2.5")
         if not self.end_s >= self.start_s:
             raise UsageError(f"--end {self.end_s:g}: is before --start {self.start_s:g}")
-        if self.every < 1 or self.every != int(self.every):
-            raise UsageError(f"--every {self.every}: expected 1 or more, a whole number")
+        if not (self.every >= 1 and self.every % 1 == 0):
+            raise UsageError(f"--every {self.every}: expected 1 or more")
 
     def holds(self, at_ns: Any) -> Any:
         """Whether times since the first image, one or an array, lie between start and end."""

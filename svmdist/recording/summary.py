@@ -7,13 +7,12 @@ from array import array
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
 from svmdist.recording import messages
 from svmdist.recording.cameras import CameraTrack
-from svmdist.recording.contents import MAX_JOINT_SETS, Edge, Joints, TransformTree, best_joints, no_contents
+from svmdist.recording.contents import MAX_JOINT_SETS, Joints, TransformTree, best_joints, no_contents
 from svmdist.recording.images import ImageError
 from svmdist.recording.log import TRUE_SUFFIX, Recording
 from svmdist.recording.messages import DecodeError, Decoder, kind_of
@@ -23,6 +22,7 @@ from svmdist.recording.writer import EncodedSample
 from svmdist.samples import CameraSample, JointSample, Sample, TransformsSample
 from svmdist.tracks import apart_ns
 
+LATE_TOPICS = 10.0  # how much more of a log is looked at where none of its joints is near an image
 GAP_FACTOR = 3.0
 """A gap is a distance of stamps above three mean periods: one or two lost messages are jitter."""
 MAX_NAMES = 1000
@@ -96,8 +96,8 @@ def _summary(info: TopicInfo, logged_ns: array[int], undecodable_count: int) -> 
 def inspect_recording(recording: Recording, head_s: float = math.inf) -> RecordingSummary:
     """Read a recording once and summarise it, without pixels; what cannot be decoded is counted, and a loss.
 
-    With `head_s`, reading ends after so many seconds of the log, once each topic of a role has had a message; it goes
-    on for as long again where joints or transforms are near no image so far, as of a topic that begins later.
+    With `head_s`, reading ends after so many seconds of the log, once each topic of a role has had a message; where
+    joints or transforms are near no image so far, as of a topic that begins later, after ten times as many.
     """
     decoder = Decoder(recording.file.limits)
     infos: dict[str, TopicInfo] = {}
@@ -107,14 +107,17 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
     joints: defaultdict[str, dict[Joints, None]] = defaultdict(dict)
     contents = no_contents()
     awaited = {name for role in Role if (name := recording.topic_of(role)) is not None}
+    nominal = {recording.topic_of(Role.TF), *recording.arms[0].static_transforms()}
+    frames: set[str] = set()
     start_ns: int | None = None
+    is_late = False
     for raw in recording.file.source.messages():
         stamp_ns = raw.log_time_ns
         start_ns = stamp_ns if start_ns is None else start_ns
         if stamp_ns > start_ns + 1e9 * head_s and awaited <= infos.keys():
-            if not any(_apart_s(recording, stamps_ns, recording.tree_of(contents))):
+            if is_late or not any(_apart_s(recording, stamps_ns, recording.tree_of(contents))):
                 break
-            head_s *= 2.0
+            head_s, is_late = LATE_TOPICS * head_s, True
         infos.setdefault(raw.topic, TopicInfo(*raw[:3]))
         if kind_of(raw) is not None:
             try:
@@ -131,7 +134,9 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
                         if len(joints[raw.topic]) < MAX_JOINT_SETS:
                             joints[raw.topic][names] = None
                     case messages.RawTransforms(transforms=transforms):
-                        for one in transforms:
+                        named = [name for one in transforms for name in (one.parent, one.child)]
+                        frames.update(named[: max(0, MAX_NAMES - len(frames))])
+                        for one in transforms if raw.topic in nominal else ():
                             contents[raw.topic][one.parent, one.child].add(one.stamp_ns, one.values)
         stamps_ns[raw.topic].append(min(stamp_ns, messages.MAX_STAMP_NS))
     for info in recording.topics():
@@ -139,7 +144,6 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
     listed = tuple(_summary(infos[name], stamps_ns[name], undecodable[name]) for name in sorted(infos))
     usable = {topic.topic for topic in listed if topic.message_count > topic.undecodable_count}
     ends_ns = [at for logged in stamps_ns.values() if logged for at in (min(logged), max(logged))]
-    frames = {name for edges in contents.values() for edge in edges for name in cast(Edge, edge)}
     tree = recording.tree_of(contents)
     return RecordingSummary(
         recording,
@@ -147,7 +151,7 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
         listed,
         {str(role): name for role in Role if (name := recording.topic_of(role)) in usable},
         dict(cameras),
-        tuple(sorted(frames)[:MAX_NAMES]),
+        tuple(sorted(frames)),
         {topic: best_joints(found, recording.profile.robot) for topic, found in joints.items()},
         tree,
         *_apart_s(recording, stamps_ns, tree),
@@ -189,6 +193,8 @@ def copied_messages(recording: Recording) -> Iterator[tuple[str, Sample | Encode
         except (DecodeError, ImageError):
             continue
         if raw.topic == truth and isinstance(sample, TransformsSample):
-            renamed = tuple(replace(one, child=one.child + TRUE_SUFFIX) for one in sample.transforms)
+            true = (one.child.removesuffix(TRUE_SUFFIX) + TRUE_SUFFIX for one in sample.transforms)
+            pairs = zip(sample.transforms, true, strict=True)
+            renamed = tuple(replace(one, child=child) for one, child in pairs)
             sample = replace(sample, transforms=renamed)
         yield raw.topic, sample

@@ -128,17 +128,14 @@ class LoggedArm:
     def missing_topics(self) -> list[str]:
         """The profile's topics that the log lacks though it has others of their kind that play no role, in words."""
         there, said = {info.topic for info in self.infos}, list[str]()
-        stated = {role: getattr(self.wanted, role) for role in Role if role not in self.overrides}
-        for role, topic in stated.items():
-            free = [
-                one for one in self._candidates(role.kind) if one not in self.claimed | {*stated.values()}
-            ]
-            if topic and topic not in there and free:
-                taken = (
-                    f"{found} stands in for it" if (found := self.find(role)) else did_you_mean(topic, free)
-                )
+        used = self.claimed | {*self.static_transforms()} | {self.find(role) for role in Role}
+        for role in set(Role) - self.overrides.keys():
+            topic, found = getattr(self.wanted, role), self.find(role)
+            free = [one for one in self._candidates(role.kind) if one not in used]
+            if topic and topic not in there and (found or free):
+                taken = f"{found} stands in for it" if found else did_you_mean(topic, free)
                 said.append(f"{role}: the log has no {topic}, which the profile names: {sanitize(taken)}")
-        return said
+        return sorted(said)
 
     def static_transforms(self) -> tuple[str, ...]:
         """Name the topics whose transforms hold for the whole log, as ROS publishes them."""

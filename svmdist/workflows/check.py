@@ -48,8 +48,9 @@ def spread_observations(recording: Recording, count: int = CHECKED) -> list[Enco
     """
     kept: list[EncodedObservation] = []
     stride = 1
-    for place, one in enumerate(recording.encoded_observations(robot=False)):
-        if place % stride == 0 and not one.repeats:
+    every = recording.encoded_observations(robot=False, stale=True)
+    for place, one in enumerate(image for image in every if not image.repeats):
+        if place % stride == 0:
             kept.append(one)
         if len(kept) > 2 * count:
             kept, stride = kept[::2], 2 * stride

@@ -98,6 +98,7 @@ class MultiInstrumentEstimator:
         self._estimators = [setup.estimator_for(arm) for arm in arms]
         self._arms = tuple(arms)
         self._is_given = setup.is_given
+        self.looks_for_tool = not setup.is_given and setup.method != "kinematic"
         known = {} if setup.own else checks
         self._doubts = {name: one.doubt(setup.method) for name, one in known.items()}
         needs: Needs = self._estimators[0].needs
@@ -127,6 +128,13 @@ class MultiInstrumentEstimator:
         if len(results) > 1 and not self._is_given:
             results = with_clearance_between(results, [arm.body for arm in self._arms])
         return Replayed(tuple(results), tuple(seconds), tuple(frames))
+
+
+def _shows_instrument(scene: Scene) -> bool:
+    """Whether either view shows any part of one: a simulated one may be hidden, and move while nothing else does."""
+    views = [view for view in (scene.left, scene.right) if view is not None]
+    parts = [part for view in views for part in (view.masks.instrument, view.masks.shaft) if part is not None]
+    return any(part.any() for part in parts) or any(view.tags for view in views)
 
 
 def _through_lens(result: FrameResult, frame: Frame) -> FrameResult:
@@ -187,11 +195,10 @@ class _Replay:
         self._rows = LEVEL
         self._looked: dict[tuple[int, int], list[Frame]] = {}
         self._checks: list[dict[str, Checks]] = [{} for _ in conditions]
-        self._is_given = all(setup.is_given for setup in setups)
         if not all(setup.is_planar or setup.is_given for setup in setups):
             self._compare(any(setup.needs_right_view for setup in setups))
         self._associations: list[Association | None] = [None] * len(conditions)
-        if check.needs_association(self._arms) and not self._is_given:
+        if check.needs_association(self._arms) and not all(setup.is_given for setup in setups):
             self._associations = [Association(self._arms) for _ in conditions]
         self._lanes = [[self._lane(setup, known) for setup in setups] for known in self._checks]
         self._needs = reduce(Needs.__or__, (lane.needs for lane in self._lanes[0]))
@@ -274,7 +281,7 @@ class _Replay:
     def run(self, jobs: int, rest: bool, alarms: AlarmRules | None) -> Iterator[tuple[Replayed, ...]]:
         several = len(self._arms) > 1  # what tells them apart starts from nominal kinematics
         robot, right = self._needs.robot or several, self._needs.right_view
-        encoded = self._recording.encoded_observations(robot=robot, right=right, rest=rest)
+        encoded = self._recording.encoded_observations(robot=robot, right=right, rest=rest, stale=True)
         lanes = [lane for of_condition in self._lanes for lane in of_condition]
         watches = [[AlarmWatch(alarms) for _ in self._places] for _ in lanes] if alarms else []
         with one_opencv_thread():
@@ -312,10 +319,8 @@ class _Replay:
             seen = self._conditions[at].apply(found[0], number)
             scene = Scene(seen, self._setup.profile, self._segmenter, self._rows)
         lanes, association = self._lanes[at], self._associations[at]
-        # A simulated instrument may be hidden, and move.
-        if encoded.repeats and not self._is_given and scene.left.masks.instrument.any():
-            why = Rejection(encoded.stamp_ns, Status.INCONSISTENT, encoded.repeats)
-            return lambda: [self._refused(encoded, why)] * len(lanes)
+        stale = self._refused(encoded, Rejection(encoded.stamp_ns, Status.INCONSISTENT, encoded.repeats))
+        is_stale = bool(encoded.repeats) and _shows_instrument(scene)
         spent_s = prefetch(scene, self._needs.scene)
         frames: list[Frame] = []
         measured: list[Replayed | None] = [None] * len(lanes)
@@ -332,7 +337,8 @@ class _Replay:
             chosen = [every[at] for at in self._places]
             done = []
             for lane, known in zip(lanes, measured, strict=True):
-                replayed = known or lane.estimate(chosen, spent_s)
+                by_image = is_stale and lane.looks_for_tool
+                replayed = stale if by_image else known or lane.estimate(chosen, spent_s)
                 results = tuple(replace(one, number=number, seconds=seconds) for one in replayed.results)
                 done.append(replace(replayed, results=results, image_bgr=found[0].image_bgr))
             return done

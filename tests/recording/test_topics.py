@@ -148,6 +148,12 @@ def test_roles_without_a_topic_or_with_a_wrong_one_are_errors():
         ((("/l", IMAGE), ("/right", IMAGE)), {"image": "/l", "right_image": "/rihgt"}, "did you mean /right"),
         ((("/js", JOINTS),), {"joints": "/jss"}, "joints: the log has no /jss, .*: /js stands in for it"),
         ((("/l", IMAGE),), {"image": "/l", "right_image": "/r", "joints": "/js"}, None),
+        (
+            (("/cam", IMAGE),),
+            {"image": "/l", "right_image": "/r"},
+            "image: the log has no /l, .*: /cam stands",
+        ),
+        ((("/tf_static", TRANSFORMS),), {"tf": "/tf", **TRUTH}, None),
     ],
 )
 def test_a_topic_that_the_log_has_by_another_name_is_said(rows, wanted, said):

@@ -135,7 +135,14 @@ def test_a_video_that_froze_is_measured_up_to_there(tmp_path, setups):
         frozen = [at for at, lane in enumerate(lanes) if lane[0].results[0].status is Status.INCONSISTENT]
         assert frozen == [2, 3, 4]
         assert all(lane[0].results[0].measured for lane in lanes[:2])
+        assert all(lane[0].results[0].measured for lane in lanes[5:]) or method == "fused"
+        assert all(lane[0].image_bgr is not None for lane in lanes)
         assert outcomes(replayed(path, setup, jobs=3)) == outcomes(lanes)
+    alone = [setups[METHODS.index("kinematic")]]  # takes nothing of the tool from images
+    assert all(lane[0].results[0].measured for lane in replayed(path, alone, jobs=1))
+    together = outcomes(replayed(path, [*alone, *setup], jobs=2))
+    assert [lane[0] for lane in together] == [lane[0] for lane in outcomes(replayed(path, alone, jobs=1))]
+    assert [lane[1] for lane in together] == [lane[0] for lane in outcomes(lanes)]
 
 
 def test_frames_without_images_are_no_frames(tmp_path, setups):

@@ -130,9 +130,8 @@ ERRORS = (
 )
 """How far the estimates of a distance are from the truth."""
 
-SPREAD = (
-    Metric("r_squared", RATIO, "", "statistics.r_squared", outputs_in_3d=SCORES, is_late=True),
-    Metric("truth_std_m", LENGTH, "", "statistics.truth_std", outputs_in_3d=SCORES, is_late=True),
+SPREAD = tuple(
+    replace(one, outputs_in_3d=SCORES, is_late=True) for one in ERRORS if one.key in ("r_squared", "truth_std_m")
 )
 """What the table of distances in 3D shows beside, as columns of `validate`."""
 
