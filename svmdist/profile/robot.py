@@ -80,13 +80,16 @@ class Robot(StrictModel):
     @property
     def joint_names(self) -> frozenset[str]:
         """The names and aliases of the moving joints."""
-        moving = (joint for joint in self.joints if joint.type != "fixed")
-        return frozenset(name for joint in moving for name in (joint.name, *joint.aliases))
+        return frozenset(name for joint in self._moving for name in (joint.name, *joint.aliases))
+
+    @property
+    def _moving(self) -> list[Joint]:
+        return [joint for joint in self.joints if joint.type != "fixed"]
 
     def missing_joints(self, names: Iterable[str]) -> list[str]:
         """The moving joints that are not among the names of a log, not by an alias either."""
-        there, moving = set(names), (joint for joint in self.joints if joint.type != "fixed")
-        return [joint.name for joint in moving if not there & {joint.name, *joint.aliases}]
+        there = set(names)
+        return [joint.name for joint in self._moving if not there & {joint.name, *joint.aliases}]
 
 
 class KinematicError(StrictModel):

@@ -179,7 +179,7 @@ class _Bits:
         self._bits, self._at = bin(int.from_bytes(b"\1" + plain))[3:], 0
 
     def number(self, count: int) -> int:
-        """One of so many bits; ValueError behind the end."""
+        """One of so many bits, of fewer at the end; ValueError behind it."""
         self._at += count
         return int(self._bits[self._at - count : self._at], 2) if count else 0
 

@@ -224,7 +224,7 @@ class Recording:
 
     @property
     def remarks(self) -> list[str]:
-        """What images lacked near them in the last replay, and where a camera changed, in words."""
+        """What images lacked near them in the last replay, which topics are not used, and where a camera changed."""
         said, changes = self.file.missing.describe(), self.camera_changes
         said += dict.fromkeys(line for arm in self.arms for line in arm.missing_topics())
         topic, right = self.topic_of(Role.RIGHT_IMAGE), self.right_camera
