@@ -262,5 +262,5 @@ def _setup(
     if method == "auto" and calibration is not None:
         method = "overlay"
     elif method == "auto":
-        method, _ = best_method([recording.path], profile, recording.origin.topics, at_any_lag=has_lag)
+        method, _ = best_method([recording.path], profile, recording.origin.topics, has_lag=has_lag)
     return prepare(profile, method, "corrected", calibration)

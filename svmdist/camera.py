@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from svmdist.transforms import Array, make_transform
+from svmdist.transforms import Array, make_transform, rotation_error
 
 R_OPENGL_OPENCV: Array = np.diag([1.0, -1.0, -1.0])
 """OpenCV axes (x right, y down, z forward) in OpenGL's (x right, y up, z backward); its own inverse."""
@@ -59,8 +59,8 @@ class Camera:
         for name, (matrix, shape) in shapes.items():
             if matrix is not None and matrix.shape != shape:
                 raise ValueError(f"{name} has shape {matrix.shape}, expected {shape}")
-        R = np.eye(3) if self.R_rectified_camera is None else self.R_rectified_camera
-        if not (np.abs(R @ R.T - np.eye(3)).max() <= MAX_ROTATION_ERROR and np.linalg.det(R) > 0.0):
+        R = self.R_rectified_camera
+        if R is not None and not rotation_error(R) <= MAX_ROTATION_ERROR:
             raise ValueError(f"R is no rotation: {R.round(4).tolist()}")
         if self.D.ndim != 1 or len(self.D) > MAX_COEFFICIENTS:
             raise ValueError(f"D has shape {self.D.shape}; at most {MAX_COEFFICIENTS} coefficients are known")

@@ -40,6 +40,12 @@ def frame_name(name: str) -> str:
 FrameName = Annotated[str, AfterValidator(frame_name)]
 
 
+def rotation_error(R: Array) -> Array:
+    """How far matrices, shape (..., 3, 3), are from rotations: the largest of R Rᵀ - I; infinite for mirrors."""
+    off = np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)).max((-1, -2))
+    return np.where(np.linalg.det(R) < 0.0, np.inf, off)
+
+
 def make_transform(R: ArrayLike, t_m: ArrayLike) -> Array:
     """Build homogeneous transforms from rotations, shape (..., 3, 3), and translations in m, shape (..., 3)."""
     R, t_m = np.asarray(R, np.float64), np.asarray(t_m, np.float64)

@@ -140,7 +140,7 @@ class HandEye(
         return log_losses(recording.path, recording.health)
 
 
-def _served(file: LogPath, profile: Profile, topics: dict[str, str], at_any_lag: bool) -> list[str]:
+def _served(file: LogPath, profile: Profile, topics: dict[str, str], has_lag: bool) -> list[str]:
     """The methods that log and profile serve, the surest first; RecordingError where there is none."""
     from svmdist.recording.log import open_recording
     from svmdist.recording.summary import inspect_recording
@@ -150,7 +150,7 @@ def _served(file: LogPath, profile: Profile, topics: dict[str, str], at_any_lag:
     summary = inspect_recording(open_recording(file, profile, topics=topics))
     if said := misfit(summary):
         raise RecordingError(f"{file}: {said}")
-    lacks = method_capabilities(summary, at_any_lag=at_any_lag)
+    lacks = method_capabilities(summary.at_any_lag() if has_lag else summary)
     if served := [name for name in SEEING_METHODS if not lacks[name]]:
         return served
     lacking = "; ".join(f"{name} lacks {', '.join(lacks[name])}" for name in SEEING_METHODS)

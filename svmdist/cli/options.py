@@ -233,7 +233,7 @@ class MethodOptions(CalibrationOption):
 
         with progress_bar("choosing a method"):
             profile, has_lag = load_profile(self.profile, self.hand_eye), bool(getattr(self, "lag", None))
-            method, why = best_method(paths, profile, self.topics, at_any_lag=has_lag)
+            method, why = best_method(paths, profile, self.topics, has_lag=has_lag)
         self._choice = f"method {method}: {why}"
         return method
 

@@ -89,9 +89,12 @@ def of_calibrations(changes: Iterable[tuple[Camera, Camera]], error: CameraError
 
 def _bounded(what: str, value: float, bounds: tuple[float, float]) -> Difference:
     """By how much a length in m is outside of bounds, as a logarithm."""
-    off = 0.0 if value == bounds[0] else -np.inf
-    if value > 0.0:
-        off = float(np.log(value / np.clip(value, *bounds)))
+    low, high = bounds
+    off = 0.0
+    if value > high:
+        off = float(np.log(value / high))
+    elif value < low:
+        off = -np.inf if value <= 0.0 else float(np.log(value / low))
     return Difference(what, (PROFILE, FIELD), off, FIELD_STD, "")
 
 

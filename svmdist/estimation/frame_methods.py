@@ -184,10 +184,7 @@ ANY_ORIENTATION = ToolPose(np.eye(4), np.eye(6), np.array([1.0, 0.0, 0.0]))
 
 
 def triangulated_tool(frame: Frame, nominal: ToolPose) -> ToolPose | Failure:
-    """The tool by the triangulated marker, with the orientation, and its covariance, of the nominal kinematics.
-
-    Of any orientation it is where the marker is.
-    """
+    """The tool by the triangulated marker, with the orientation, and its covariance, of the nominal kinematics."""
     pair, right = frame.scene.stereo_pair, frame.right
     if isinstance(pair, Failure):
         return pair
@@ -201,14 +198,11 @@ def triangulated_tool(frame: Frame, nominal: ToolPose) -> ToolPose | Failure:
     biases = frame.arm.deviations.of_disparity(p_camera_m, right.camera, disparity_px, right.T_view_left)
     of_cameras_px2 = sum(float(np.sum(bias.jacobian**2)) for bias in biases)
     seen, of_disparity_px2 = markers.left, markers.std_px**2 + markers.lasting_std_px**2 + of_cameras_px2
-    T_camera_tool, covariance = nominal.T_camera_tool.copy(), np.zeros((6, 6))
-    T_camera_tool[:3, 3] = p_camera_m
-    covariance[3:, 3:] = nominal.covariance[3:, 3:]
-    if nominal is not ANY_ORIENTATION:
-        arm_m = T_camera_tool[:3, :3] @ marker_place_m(frame.arm, seen)
-        T_camera_tool[:3, 3] -= arm_m
-        lever = np.concatenate([skew(arm_m), np.eye(3)])  # what a turn does to place and direction
-        covariance = lever @ covariance[3:, 3:] @ lever.T
+    T_camera_tool = nominal.T_camera_tool.copy()
+    arm_m = T_camera_tool[:3, :3] @ marker_place_m(frame.arm, seen)
+    T_camera_tool[:3, 3] = p_camera_m - arm_m
+    lever = np.concatenate([skew(arm_m), np.eye(3)])  # what a turn does to place and direction
+    covariance = lever @ nominal.covariance[3:, 3:] @ lever.T
     covariance[:3, :3] += J @ np.diag([seen.std_px**2, seen.std_px**2, of_disparity_px2]) @ J.T
     covariance[:3, :3] += (seen.error.place_std_m**2 + seen.error.part_std_m**2) * np.eye(3)
     return ToolPose(T_camera_tool, covariance, nominal.axis)

@@ -22,7 +22,7 @@ from svmdist.errors import SourceError
 from svmdist.files import read_regular, reading
 from svmdist.importing.images import numbers_of
 from svmdist.tracks import MAX_GAP_NS, JointTrack, TransformTrack
-from svmdist.transforms import Array, Stamps, known_rotations, make_transform
+from svmdist.transforms import Array, Stamps, known_rotations, make_transform, rotation_error
 
 LOG = logging.getLogger("svmdist")
 MAX_BYTES = 1 << 28
@@ -127,8 +127,7 @@ def read_poses(path: Path, images_ns: Mapping[str, int], unit_m: float, frame_id
     if table.names is None and len(others) in (12, 16):  # a matrix by rows
         matrices = table.numbers(others).reshape(len(stamps_ns), -1, 4)
         R = matrices[:, :3, :3]
-        off = np.abs(R @ R.swapaxes(1, 2) - np.eye(3)).max((1, 2)) + (np.linalg.det(R) < 0)
-        for row in np.flatnonzero(off > ROTATION_TOLERANCE):
+        for row in np.flatnonzero(rotation_error(R) > ROTATION_TOLERANCE):
             raise table.fail(int(row), "its matrix is no rotation")
         u, _, vt = np.linalg.svd(R)  # the nearest rotations of rounded ones
         T = make_transform(u @ vt, matrices[:, :3, 3] * unit_m)

@@ -127,14 +127,18 @@ def parse_toml(path: Path, model: type[Model], error: type[SvmdistError]) -> Mod
             keys = ", ".join([key for key in needed if needed[key]] or needed)
             found = ", ".join(_short(key) for key in data)
             raise error(f"{path}: not a {kind} file: expected the keys {keys}; found {found}") from None
-        faults = list(faults_of(problem))
-        if len(faults) > MAX_FAULTS:
-            faults[MAX_FAULTS:] = [f"and {len(faults) - MAX_FAULTS} more"]
-        raise error(f"{path}: {'; '.join(faults)}") from None
+        raise error(f"{path}: {in_words(problem)}") from None
 
 
-def faults_of(problem: pydantic.ValidationError) -> Iterator[str]:
-    """What is wrong with each key, in words."""
+def in_words(problem: pydantic.ValidationError) -> str:
+    """What is wrong with the first keys, and with how many more."""
+    faults = list(_describe(problem))
+    if len(faults) > MAX_FAULTS:
+        faults[MAX_FAULTS:] = [f"and {len(faults) - MAX_FAULTS} more"]
+    return "; ".join(faults)
+
+
+def _describe(problem: pydantic.ValidationError) -> Iterator[str]:
     for item in problem.errors(include_url=False):
         # A union's tag in parentheses is no key of the file.
         table = [str(part) for part in item["loc"] if not str(part).startswith("(")]

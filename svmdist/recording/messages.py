@@ -56,7 +56,7 @@ class EncodedImage:
     stamp_ns: int
     frame_id: str
     decode: Callable[[], samples.Image]
-    video: tuple[str, bytes] | None = None  # format and data of a frame that needs those before it
+    video_format: str | None = None  # of a frame that needs those before it
     topic: str = ""
     log_time_ns: int = 0
     size_bytes: int = 0
@@ -132,10 +132,10 @@ class Decoder:
         data, last, since_ns = found.data, self._last.get(raw.topic), found.stamp_ns
         if last is not None and len(data) and memoryview(last.data) == memoryview(data):
             since_ns = last.since_ns
-        if found.video is not None:
+        if found.video_format is not None:
             video = self._videos.setdefault(raw.topic, VideoDecoder(self._limits))
             try:
-                pixels = video.decode(*found.video, raw.losses_before + self._failure_count)
+                pixels = video.decode(found.video_format, data, raw.losses_before + self._failure_count)
                 found = EncodedImage(found.stamp_ns, found.frame_id, lambda: pixels)
             except ImageError as problem:
                 found = broken_image(found.stamp_ns, str(problem))
@@ -262,7 +262,7 @@ def _still_image(message: Any, stamp_ns: int, frame_id: str, limits: Limits) -> 
 
 def _video(message: Any, stamp_ns: int, frame_id: str, _: Limits) -> EncodedImage:
     image = broken_image(stamp_ns, "a frame of a video that was not decoded")
-    return replace(image, frame_id=frame_id, video=(message.format, message.data), data=message.data)
+    return replace(image, frame_id=frame_id, video_format=message.format, data=message.data)
 
 
 def _camera(message: Any, stamp_ns: int, frame_id: str) -> samples.CameraSample:

@@ -68,6 +68,10 @@ class RecordingSummary:
     joints_apart_s: float = 0.0
     base_apart_s: float = 0.0
 
+    def at_any_lag(self) -> RecordingSummary:
+        """The same of a log whose lag is known or to be found: it may bring near the images what is not."""
+        return replace(self, joints_apart_s=0.0, base_apart_s=0.0)
+
 
 def _summary(info: TopicInfo, logged_ns: array[int], undecodable_count: int) -> TopicSummary:
     stamps_ns, count = np.array(logged_ns, np.int64), len(logged_ns)

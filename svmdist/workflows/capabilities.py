@@ -58,19 +58,19 @@ def best_method(
     profile: Profile,
     topics: Mapping[str, str] | None = None,
     *,
-    at_any_lag: bool = False,
+    has_lag: bool = False,
 ) -> tuple[str, str]:
     """The best method that most of the logs can serve, of many those of some, and why it is that one, in words.
 
-    `at_any_lag`: a lag may bring joints and transforms near the images that are not. Raises RecordingError where none
-    can be served, or none of the logs is one of the profile.
+    `has_lag`: one is known or to be found. Raises RecordingError where none can be served, or none of the logs is one
+    of the profile.
     """
     few = list[RecordingSummary]()
     for path in paths[:: -(-len(paths) // LOOKED_AT)]:
         with suppress(RecordingError):  # whoever measures it says so
             few.append(inspect_recording(open_recording(path, profile, topics=topics), HEAD_S))
     few = [one for one in few if set(IMAGES) <= set(one.roles)]  # of the others, too
-    summaries = [one for one in few if not misfit(one)]
+    summaries = [one.at_any_lag() if has_lag else one for one in few if not misfit(one)]
     if not summaries:
         if few:
             raise RecordingError(f"{few[-1].recording.path}: {misfit(few[-1])}")
@@ -82,7 +82,7 @@ def best_method(
             with suppress(RecordingError):  # whoever measures it says so
                 if with_tags:
                     no_tag = look_for_tag(summary.recording)
-            for name, missing in method_capabilities(summary, no_tag, at_any_lag=at_any_lag).items():
+            for name, missing in method_capabilities(summary, no_tag).items():
                 served[name] += not missing
                 lacks.setdefault(name, missing)
         best = max(PREFERRED, key=served.__getitem__)  # the first of several
@@ -97,11 +97,9 @@ def best_method(
     return best, f"the best that the log can serve{', as ' if why else ''}{', and '.join(why)}"
 
 
-def method_capabilities(
-    summary: RecordingSummary, no_tag: str = "", *, at_any_lag: bool = False
-) -> dict[str, tuple[str, ...]]:
+def method_capabilities(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str, ...]]:
     """The same for each method of `estimate`."""
-    lacking = _lacking(summary, no_tag, at_any_lag=at_any_lag)
+    lacking = _lacking(summary, no_tag)
     return {name: _words(lacking, (*IMAGES, *method.inputs)) for name, method in REGISTRY.items()}
 
 
@@ -111,7 +109,7 @@ def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup,
     Raises RecordingError where there is none, and where the log is another one than the default profile's.
     """
     summary = inspect_recording(recording.origin.open(), HEAD_S)
-    lacks = method_capabilities(summary, at_any_lag=recording.lag is not None)
+    lacks = method_capabilities(summary.at_any_lag() if recording.lag is not None else summary)
     left: tuple[Setup, ...] = ()
     reasons = []
     for setup in setups:
@@ -190,9 +188,7 @@ def _words(lacking: Mapping[str, tuple[str, ...]], needs: Iterable[str]) -> tupl
     return tuple(words for need in needs for words in lacking[need])
 
 
-def _lacking(
-    summary: RecordingSummary, no_tag: str = "", *, at_any_lag: bool = False
-) -> dict[str, tuple[str, ...]]:
+def _lacking(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str, ...]]:
     """What of each need of a command or a method is missing for the log's first instrument, in words."""
     profile, roles = summary.recording.profile, summary.roles
     frames, of_profile = profile.frames, f"in profile {profile.name}"
@@ -205,7 +201,7 @@ def _lacking(
 
     def near(apart_s: float, words: str) -> tuple[str, ...]:
         around = f"on both sides of an image, {MAX_GAP_NS * 1e-6:g} ms apart at most"
-        return unless(at_any_lag or not apart_s, f"{words} {around} ({nearest_in_words(apart_s)})")
+        return unless(not apart_s, f"{words} {around} ({nearest_in_words(apart_s)})")
 
     joints = topics("joints") + _missing_chain(summary)
     tracks = [summary.cameras.get(roles.get(role, "")) for role in ("camera_info", "right_camera_info")]

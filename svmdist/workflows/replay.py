@@ -319,8 +319,9 @@ class _Replay:
             seen = self._conditions[at].apply(found[0], number)
             scene = Scene(seen, self._setup.profile, self._segmenter, self._rows)
         lanes, association = self._lanes[at], self._associations[at]
-        stale = self._refused(encoded, Rejection(encoded.stamp_ns, Status.INCONSISTENT, encoded.repeats))
-        is_stale = bool(encoded.repeats) and _shows_instrument(scene)
+        stale: Replayed | None = None
+        if encoded.repeats and _shows_instrument(scene):
+            stale = self._refused(encoded, Rejection(encoded.stamp_ns, Status.INCONSISTENT, encoded.repeats))
         spent_s = prefetch(scene, self._needs.scene)
         frames: list[Frame] = []
         measured: list[Replayed | None] = [None] * len(lanes)
@@ -337,8 +338,8 @@ class _Replay:
             chosen = [every[at] for at in self._places]
             done = []
             for lane, known in zip(lanes, measured, strict=True):
-                by_image = is_stale and lane.looks_for_tool
-                replayed = stale if by_image else known or lane.estimate(chosen, spent_s)
+                replayed = stale if lane.looks_for_tool else None
+                replayed = replayed or known or lane.estimate(chosen, spent_s)
                 results = tuple(replace(one, number=number, seconds=seconds) for one in replayed.results)
                 done.append(replace(replayed, results=results, image_bgr=found[0].image_bgr))
             return done

@@ -7,7 +7,7 @@ import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice, product
+from itertools import product
 from pathlib import Path
 from typing import Literal, Self
 
@@ -17,7 +17,7 @@ from svmdist.errors import KinematicsError, RecordingError, UsageError
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.files import read_regular, why, write_atomically
 from svmdist.metrics import row_of
-from svmdist.profile.toml import MAX_FAULTS, faults_of
+from svmdist.profile.toml import in_words
 from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
 from svmdist.workflows.capabilities import require_clearance
@@ -281,10 +281,8 @@ def load_baseline(path: Path) -> Baseline:
         made = "; `validate --write-baseline` makes one" if isinstance(problem, FileNotFoundError) else ""
         raise RecordingError(f"{path}: cannot read the baseline: {why(problem)}{made}") from None
     except (ValidationError, UnicodeDecodeError, RecursionError) as problem:
-        faults = (
-            islice(faults_of(problem), MAX_FAULTS) if isinstance(problem, ValidationError) else [str(problem)]
-        )
-        raise RecordingError(f"{path}: not a baseline of schema {SCHEMA}: {'; '.join(faults)}") from None
+        said = in_words(problem) if isinstance(problem, ValidationError) else str(problem)
+        raise RecordingError(f"{path}: not a baseline of schema {SCHEMA}: {said}") from None
 
 
 def save_baseline(baseline: Baseline, path: Path) -> None:

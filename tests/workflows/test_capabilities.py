@@ -69,7 +69,7 @@ def test_a_recording_that_has_everything_serves_everything():
     assert tuple(method_capabilities(FULL)) == tuple(METHODS)
     assert lacking(method_capabilities(FULL)) == {}
     late = replace(FULL, joints_apart_s=30.0, base_apart_s=30.0)
-    assert lacking(method_capabilities(late, at_any_lag=True)) == {}
+    assert lacking(method_capabilities(late.at_any_lag())) == {}
 
 
 def poorer(table: str) -> Profile:
