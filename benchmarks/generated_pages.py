@@ -34,8 +34,7 @@ def metrics_page(page: str) -> str:
     of_columns, of_metrics = words_in(page, "columns"), words_in(page, "metrics")
     rows = [(key, *of_columns.get(key, ("", ""))) for key in ESTIMATE_KEYS]
     figures = [
-        (one.key, tolerance(one.tolerance, one.unit.name), of_metrics.get(one.key, ("", ""))[1])
-        for one in shown
+        (one.key, tolerance(one.tolerance, one.unit.name), of_metrics.get(one.key, ("", ""))[1]) for one in shown
     ]
     page = with_table(page, "columns", by_meaning("given by", rows))
     return with_table(page, "metrics", by_meaning("tolerance", figures))

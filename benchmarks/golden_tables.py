@@ -196,9 +196,7 @@ def blur() -> None:
     write_table(RESULTS, "golden-blur", table(("blur", *BLUR), rows))
 
 
-PARTS: dict[str, Callable[[], None]] = {
-    make.__name__: make for make in (methods, fused, planar, blur, worlds)
-}
+PARTS: dict[str, Callable[[], None]] = {make.__name__: make for make in (methods, fused, planar, blur, worlds)}
 
 
 if __name__ == "__main__":

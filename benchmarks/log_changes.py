@@ -55,9 +55,7 @@ class Case:
         *way, last = path.split(".")
         place: Any = self.profile
         for key in way:
-            place = (
-                next(one for one in place if one["name"] == key) if isinstance(place, list) else place[key]
-            )
+            place = next(one for one in place if one["name"] == key) if isinstance(place, list) else place[key]
         self.is_changed = True
         return place, last
 
@@ -65,9 +63,7 @@ class Case:
         """The logged transforms from a frame of the profile to another."""
         wanted = self.frame(parent), self.frame(child)
         for message in self.of(role):
-            yield from (
-                one for one in message.transforms if (one.parent_frame_id, one.child_frame_id) == wanted
-            )
+            yield from (one for one in message.transforms if (one.parent_frame_id, one.child_frame_id) == wanted)
 
     def frame(self, key: str) -> str:
         """The name of a frame, by its key in the profile."""
@@ -129,9 +125,7 @@ def mesh(case: Case, *, y_up: bool = False, raised_m: float = 0.0, factor: float
     turn, radius = np.arange(64) * np.pi / 32, np.sin(np.linspace(0.0, np.pi / 2, 17)[1:])
     z_m = dome["height_m"] * (1.0 - radius ** dome["gauge_exponent"]) ** dome["height_exponent"]
     xy_m = radius[:, None, None] * np.stack([np.cos(turn), np.sin(turn)], -1) * SEMI_AXES_M
-    rings = np.concatenate([xy_m, np.broadcast_to(z_m[:, None, None], (*xy_m.shape[:2], 1))], -1).reshape(
-        -1, 3
-    )
+    rings = np.concatenate([xy_m, np.broadcast_to(z_m[:, None, None], (*xy_m.shape[:2], 1))], -1).reshape(-1, 3)
     vertices = factor * np.vstack([rings, [[0.0, 0.0, dome["height_m"]], [0.0, 0.0, 0.0]]])
     vertices = vertices @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]) if y_up else vertices
     here = 1 + np.arange(len(rings)).reshape(len(radius), -1)
@@ -293,9 +287,7 @@ def stuck(*names: str) -> Change:
 
 def in_degrees(values: Values) -> Values:
     """Angles in degrees."""
-    return {
-        name: math.degrees(value) for name, value in values.items() if name not in ("insertion", "setup_1")
-    }
+    return {name: math.degrees(value) for name, value in values.items() if name not in ("insertion", "setup_1")}
 
 
 def both(*changes: Change) -> Change:

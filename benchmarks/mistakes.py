@@ -235,9 +235,7 @@ def judged(ran: Ran, truth: DistanceTrack | None, is_control: bool) -> tuple[Any
     else:
         verdict = "covered" if is_covered else "FAIL"
     far = 0 if is_warned else int(np.count_nonzero(stds > FAR_STDS))
-    said = [*contradictions, *(line for line in lines if "warning" in line or "measured" in line), lines[-1]][
-        0
-    ]
+    said = [*contradictions, *(line for line in lines if "warning" in line or "measured" in line), lines[-1]][0]
     return verdict, len(ok), len(rows), float(stds.max(initial=0.0)), share, missed, len(unsafe), far, said
 
 
@@ -267,9 +265,7 @@ def main() -> None:
     """Run the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("logs", nargs="+", metavar="LOG.mcap")
-    parser.add_argument(
-        "--only", nargs="+", default=[""], metavar="NAME", help="with one of these in the name"
-    )
+    parser.add_argument("--only", nargs="+", default=[""], metavar="NAME", help="with one of these in the name")
     parser.add_argument("--methods", nargs="+", choices=VIEWS["two"], default=VIEWS["two"])
     parser.add_argument("--profile", default="psm13")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="take every N-th image only")

@@ -19,9 +19,7 @@ from benchmarks.generated_pages import DOCS, ROOT, named
 
 IMAGES = DOCS / "images"
 JPEG_QUALITY = 88
-PICTURE = re.compile(
-    r"^!\[[^\]]+\]\((?:docs/)?images/(\w[\w-]*\.(?:jpg|png))\)\n\n```console\n(.*?)^```$", re.M | re.S
-)
+PICTURE = re.compile(r"^!\[[^\]]+\]\((?:docs/)?images/(\w[\w-]*\.(?:jpg|png))\)\n\n```console\n(.*?)^```$", re.M | re.S)
 
 
 def printed_pictures() -> dict[str, list[str]]:

@@ -61,9 +61,7 @@ def on_page_content(html: str, **_: Any) -> str:
 
     def named(table: re.Match[str]) -> str:
         head, body = table[0].split("</thead>", 1)
-        headings = [
-            TAG.sub("", text).strip() for text in re.findall(r"<th\b[^>]*>(.*?)</th>", head, re.DOTALL)
-        ]
+        headings = [TAG.sub("", text).strip() for text in re.findall(r"<th\b[^>]*>(.*?)</th>", head, re.DOTALL)]
         names = cycle(headings)  # rows are as long as their table is wide
         return f"{head}</thead>" + re.sub("<td", lambda _: f'<td data-of="{next(names)}"', body)
 

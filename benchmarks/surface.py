@@ -163,9 +163,7 @@ def photograph_errors(folder: Path, count: int, has_step: bool) -> tuple[Errors,
         there = np.count_nonzero(np.isfinite(truth_px))
         if found is not None:
             u, v = np.meshgrid(found.columns_px.astype(np.float32), found.rows_px.astype(np.float32))
-            off_px = np.abs(
-                found.disparity_px - cv2.remap(truth_px.astype(np.float32), u, v, cv2.INTER_LINEAR)
-            )
+            off_px = np.abs(found.disparity_px - cv2.remap(truth_px.astype(np.float32), u, v, cv2.INTER_LINEAR))
             seen = found.is_seen & np.isfinite(off_px)
             cell_px2 = float(np.diff(found.columns_px[:2])[0]) ** 2
             share = np.count_nonzero(seen) * cell_px2 / there
@@ -176,9 +174,7 @@ def photograph_errors(folder: Path, count: int, has_step: bool) -> tuple[Errors,
     return _joined(ours), _joined(theirs)
 
 
-def _warped(
-    image: Image, rng: np.random.Generator, has_step: bool
-) -> tuple[Image, Image, NDArray[np.float64]]:
+def _warped(image: Image, rng: np.random.Generator, has_step: bool) -> tuple[Image, Image, NDArray[np.float64]]:
     """A pair, and the left view's disparities: smooth waves, and a step of 12 px where wanted."""
     size = WIDTH_PX, round(image.shape[0] * WIDTH_PX / image.shape[1])
     image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
@@ -186,9 +182,7 @@ def _warped(
     waves = cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), width / 10)
     disparity_px = np.interp(waves, (waves.min(), waves.max()), DISPARITIES_PX)
     if has_step:
-        disparity_px += 12.0 * (
-            cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), width / 6) > 0.0
-        )
+        disparity_px += 12.0 * (cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), width / 6) > 0.0)
     u, v = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     right = cv2.remap(image, u + disparity_px.astype(np.float32), v - np.float32(ROWS_PX), cv2.INTER_CUBIC)
     truth_px = np.full((height, width), np.nan)
@@ -205,9 +199,7 @@ def _warped(
         for _ in range(25):
             centre = int(rng.integers(width)), int(rng.integers(height))
             axes = int(rng.integers(2, 9)), int(rng.integers(1, 5))
-            cv2.ellipse(
-                noisy, centre, axes, float(rng.integers(180)), 0, 360, (255, 255, 255), -1, cv2.LINE_AA
-            )
+            cv2.ellipse(noisy, centre, axes, float(rng.integers(180)), 0, 360, (255, 255, 255), -1, cv2.LINE_AA)
         stored = cv2.imencode(".jpg", noisy, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
         views.append(np.asarray(cv2.imdecode(stored, cv2.IMREAD_COLOR), np.uint8))
     return views[0], views[1], truth_px
@@ -233,9 +225,7 @@ def main() -> None:
         scored.append(("thrust, paper", "mm", 1e3, plane_errors(given.thrust, given.frames, normal, 0.253)))
     if given.folder is not None:
         for name, has_step in (("photographs, warped", False), ("photographs with a step", True)):
-            scored.append(
-                (name, "px", 1.0, photograph_errors(given.folder / PHOTOGRAPHS, given.frames, has_step))
-            )
+            scored.append((name, "px", 1.0, photograph_errors(given.folder / PHOTOGRAPHS, given.frames, has_step)))
     rows = [
         (name, what, unit, *errors.cells(scale))
         for name, unit, scale, both in scored

@@ -93,9 +93,7 @@ class Estimates(Sequence[FrameResult]):
         try:
             import pandas as pd
         except ImportError:
-            raise SvmdistError(
-                "to_dataframe needs pandas, which is not installed: pip install pandas"
-            ) from None
+            raise SvmdistError("to_dataframe needs pandas, which is not installed: pip install pandas") from None
         table = pd.DataFrame.from_records(list(self.rows()), columns=ESTIMATE_KEYS)
         for column in ESTIMATE_COLUMNS:
             if column.stored and column.unit != TEXT and table[column.key].isna().any():
@@ -255,9 +253,7 @@ def _require(name: str, value: object, kind: type, expected: str) -> None:
         raise UsageError(f"{name}: expected {expected}, found {value!r}")
 
 
-def _setup(
-    recording: Recording, method: Method, calibration: Path | None = None, lag: Lag | None = None
-) -> Setup:
+def _setup(recording: Recording, method: Method, calibration: Path | None = None, lag: Lag | None = None) -> Setup:
     profile, has_lag = recording.origin.profile, (lag or recording.lag) is not None
     if method == "auto" and calibration is not None:
         method = "overlay"

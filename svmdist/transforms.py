@@ -91,9 +91,7 @@ def rotation_of(vector_rad: ArrayLike) -> Array:
 
 def rotation_vector(R: Array) -> Array:
     """The vectors v in rad, shape (..., 3), with exp([v]) = R, shape (..., 3, 3), for less than half a turn."""
-    twice_sine = np.stack(
-        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1
-    )
+    twice_sine = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
     sine = 0.5 * np.linalg.norm(twice_sine, axis=-1)
     angle_rad = np.arctan2(sine, 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0))
     small = sine < 1e-9
@@ -107,9 +105,7 @@ def skew(v: ArrayLike) -> Array:
     return (v @ SKEW).reshape(*v.shape, 3)
 
 
-SKEW = np.array(
-    [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], np.float64
-)
+SKEW = np.array([[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], np.float64)
 """The matrices [x], [y] and [z] of the axes, a row each."""
 
 

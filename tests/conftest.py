@@ -27,9 +27,7 @@ LIMIT_S = 300.0
 
 # The same examples in every run, whatever an earlier one found, without a limit on their time;
 # `--hypothesis-profile=default` draws new ones.
-settings.register_profile(
-    "repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow]
-)
+settings.register_profile("repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("repeatable")
 
 

@@ -19,14 +19,10 @@ with atheris.instrument_imports(include=["svmdist"]):
 def main() -> None:
     """Fuzz the target that is named, with the options of libFuzzer behind it."""
     if len(sys.argv) < 2 or sys.argv[1] not in TARGETS:
-        sys.exit(
-            f"usage: python -m tests.fuzz TARGET [-option=value …]; the targets are {', '.join(TARGETS)}"
-        )
+        sys.exit(f"usage: python -m tests.fuzz TARGET [-option=value …]; the targets are {', '.join(TARGETS)}")
     target, *options = sys.argv[1:]
     with tempfile.TemporaryDirectory() as folder:
-        atheris.Setup(
-            [sys.argv[0], str(CORPUS / target), *options], lambda data: TARGETS[target](data, Path(folder))
-        )
+        atheris.Setup([sys.argv[0], str(CORPUS / target), *options], lambda data: TARGETS[target](data, Path(folder)))
         atheris.Fuzz()
 
 

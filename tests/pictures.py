@@ -121,8 +121,7 @@ def _instrument(rng: np.random.Generator, scene: Canvas, entry: Array, tip: Arra
     neck = np.array([end + upper, wrist + lower, wrist - lower, end - upper])
     opening = rng.uniform(0.1, 0.5)
     jaws = [
-        np.array([wrist + 0.45 * side, tip + opening * side, wrist - 0.05 * side])
-        for side in (across_px, -across_px)
+        np.array([wrist + 0.45 * side, tip + opening * side, wrist - 0.05 * side]) for side in (across_px, -across_px)
     ]
     y, x = np.mgrid[:height, :width].astype(np.float32)
     across = ((x - entry[0]) * normal[0] + (y - entry[1]) * normal[1]) / half

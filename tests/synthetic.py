@@ -86,9 +86,7 @@ def samples(scene: SyntheticScene, frame_count: int, rate_hz: float = 10.0) -> I
         yield str(topics.joints), JointSample(stamp_ns, scene.chain.joint_names, scene.joints_at(seconds))
         yield (
             str(topics.tf),
-            TransformsSample(
-                stamp_ns, (TransformSample(stamp_ns, frames.camera, frames.base, scene.T_camera_base),)
-            ),
+            TransformsSample(stamp_ns, (TransformSample(stamp_ns, frames.camera, frames.base, scene.T_camera_base),)),
         )
         yield (
             str(topics.ground_truth_tf),
@@ -96,9 +94,7 @@ def samples(scene: SyntheticScene, frame_count: int, rate_hz: float = 10.0) -> I
                 stamp_ns,
                 (
                     TransformSample(stamp_ns, frames.camera, frames.tool, T_camera_tool),
-                    TransformSample(
-                        stamp_ns, frames.camera, frames.tissue, make_transform(np.eye(3), TISSUE_M)
-                    ),
+                    TransformSample(stamp_ns, frames.camera, frames.tissue, make_transform(np.eye(3), TISSUE_M)),
                 ),
             ),
         )

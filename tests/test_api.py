@@ -19,8 +19,7 @@ from tests.conftest import REPOSITORY
 
 PAGES = ["README.md", *sorted(f"docs/{path.name}" for path in (REPOSITORY / "docs").glob("*.md"))]
 EXAMPLES = {
-    page: re.findall(r"```python\n(.*?)```", (REPOSITORY / page).read_text("utf-8"), re.DOTALL)
-    for page in PAGES
+    page: re.findall(r"```python\n(.*?)```", (REPOSITORY / page).read_text("utf-8"), re.DOTALL) for page in PAGES
 }
 
 
@@ -125,9 +124,7 @@ def test_importing_is_light_and_an_unknown_name_has_choices():
 
 def test_a_view_of_one_instrument_is_measured_as_that_instrument(golden):
     recording = svmdist.open_recording(golden / "3d" / "duo.mcap")
-    both, one = (
-        svmdist.estimate(seen, "kinematic", every=8) for seen in (recording, recording.for_instrument("PSM2"))
-    )
+    both, one = (svmdist.estimate(seen, "kinematic", every=8) for seen in (recording, recording.for_instrument("PSM2")))
     expected = [row.distances.clearance for row in both if row.instrument == "PSM2"]
     assert [row.distances.clearance for row in one] == expected
 

@@ -58,9 +58,7 @@ def test_the_projections_derivative(skew_px):
     p_m = np.array([0.0, 0.0, 0.1]) + np.random.default_rng(2).uniform(-0.03, 0.03, (2, 5, 3))
     pixels, J = camera.project_with_derivative(p_m)
     np.testing.assert_allclose(pixels.reshape(-1, 2), camera.project(p_m.reshape(-1, 3)), atol=1e-10)
-    check_jacobian(
-        lambda step: camera.project((p_m + step).reshape(-1, 3)).ravel(), J.reshape(-1, 3), absolute=2e-4
-    )
+    check_jacobian(lambda step: camera.project((p_m + step).reshape(-1, 3)).ravel(), J.reshape(-1, 3), absolute=2e-4)
 
 
 @pytest.mark.parametrize("model", ["plumb_bob", "rational_polynomial", "fisheye"])

@@ -65,11 +65,7 @@ def test_planar_figures_are_those_of_the_baseline():
 def test_figures_in_3d_are_those_of_the_baseline(folder):
     """The rows of `fused`, within the tolerance of the baseline, and no more false alarms."""
     stored = {name: score for name, score in _baseline(folder).items() if not name.startswith("overall")}
-    rows = {
-        row[0].removeprefix(f"{folder}/"): row
-        for row in _rows("golden-fused")
-        if row[0].startswith(f"{folder}/")
-    }
+    rows = {row[0].removeprefix(f"{folder}/"): row for row in _rows("golden-fused") if row[0].startswith(f"{folder}/")}
     assert set(rows) - {"duo PSM1–PSM2"} == set(stored)
     for name, score in stored.items():
         _, frames, spatial_mm, _, clearance_mm, _, _, _, _, safe_alarmed, _ = rows[name]

@@ -16,9 +16,7 @@ def _cut_short(error: BaseException) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("before", [None, "what was there\n"])
-@pytest.mark.parametrize(
-    "error", [KeyboardInterrupt(), RuntimeError("in the middle")], ids=["interrupt", "error"]
-)
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), RuntimeError("in the middle")], ids=["interrupt", "error"])
 def test_a_write_that_ends_early_changes_nothing(tmp_path, before, error):
     """An interrupt or an error leaves the folder as it was."""
     path = tmp_path / "rows.csv"
@@ -26,9 +24,7 @@ def test_a_write_that_ends_early_changes_nothing(tmp_path, before, error):
         path.write_text(before)
     with pytest.raises(type(error)):
         write_atomically(path, _cut_short(error))
-    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == (
-        [("rows.csv", before)] if before else []
-    )
+    assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == ([("rows.csv", before)] if before else [])
 
 
 def test_links_and_permissions_stay(tmp_path):

@@ -29,9 +29,7 @@ SETTLED_S = 2.0
 @pytest.fixture(scope="module")
 def validation() -> Validation:
     """The planar logs, scored with the paper's method."""
-    return svmdist.validate(
-        [svmdist.open_recording(RECORDINGS / f"{name}.mcap") for name in PLANAR], "overlay"
-    )
+    return svmdist.validate([svmdist.open_recording(RECORDINGS / f"{name}.mcap") for name in PLANAR], "overlay")
 
 
 def _score(validation: Validation, name: str, reference: Reference = Reference.GROUND_TRUTH) -> Score:

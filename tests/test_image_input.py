@@ -77,7 +77,5 @@ def test_without_a_camera_any_size_will_do():
     with pytest.raises(UsageError, match=r"no encoding rgb: .*rgb8"):
         bgr_image(BGR, "rgb")
     assert bgr_image(BGR[:7, :9], "bgr8").shape == (7, 9, 3)
-    with pytest.raises(
-        WrongImageError, match=r"^image: expected .* shape \(height, width, 3\); found \(48, 64\)"
-    ):
+    with pytest.raises(WrongImageError, match=r"^image: expected .* shape \(height, width, 3\); found \(48, 64\)"):
         require_bgr(BGR[..., 0])

@@ -90,9 +90,7 @@ def test_outlines_become_labels_of_real_pictures(tmp_path, monkeypatch):
     (tmp_path / "set").mkdir()
     for name in own["set"]:
         shown = np.full((300, 400, 3), (60, 60, 180), np.uint8)
-        cv2.imwrite(
-            str(tmp_path / "set" / name), cv2.rectangle(shown, (40, 120), (360, 180), (40, 40, 40), -1)
-        )
+        cv2.imwrite(str(tmp_path / "set" / name), cv2.rectangle(shown, (40, 120), (360, 180), (40, 40, 40), -1))
     real = pictures.outlined([tmp_path / "set"])
     (first, second), (labels, others) = real
     assert first[labels == INSTRUMENT].max() < 60

@@ -14,9 +14,7 @@ quick = settings(max_examples=60)
 angles_rad = st.floats(-2 * np.pi, 2 * np.pi)
 lengths_m = st.floats(-10.0, 10.0)
 vectors_m = st.tuples(lengths_m, lengths_m, lengths_m)
-axes = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)).filter(
-    lambda axis: np.linalg.norm(axis) > 1e-3
-)
+axes = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)).filter(lambda axis: np.linalg.norm(axis) > 1e-3)
 
 
 def rotation_about(axis: tuple[float, float, float], angle_rad: float) -> np.ndarray:
@@ -40,9 +38,7 @@ def test_stacks_broadcast():
     T = transforms.make_transform(transforms.rotation_z(0.3), t_m)
     np.testing.assert_array_equal(T[:, :3, 3], t_m)
     np.testing.assert_array_equal(T[:, 3], np.tile([0.0, 0.0, 0.0, 1.0], (5, 1)))
-    np.testing.assert_array_equal(
-        transforms.inverse(T), np.stack([transforms.inverse(member) for member in T])
-    )
+    np.testing.assert_array_equal(transforms.inverse(T), np.stack([transforms.inverse(member) for member in T]))
     p_m = np.random.default_rng(3).normal(size=(20, 3))
     expected = (T[1] @ np.column_stack([p_m, np.ones(20)]).T).T[:, :3]
     np.testing.assert_allclose(transforms.transform_points(T[1], p_m), expected, atol=1e-14)

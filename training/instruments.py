@@ -152,9 +152,7 @@ def instrument(rng: np.random.Generator, size: Size, surroundings: Array) -> Par
         wrist, tips = wrist + jaw, [*tips, at]
         if has_windows:  # fenestrated jaws
             wide = float(halves[1] * rng.uniform(0.4, 0.75))
-            wrist.append(
-                Part(jaw[0].end, 0.3 * jaw[2].begin + 0.7 * jaw[3].end, wide, wide, DISTAL, None, 0.8)
-            )
+            wrist.append(Part(jaw[0].end, 0.3 * jaw[2].begin + 0.7 * jaw[3].end, wide, wide, DISTAL, None, 0.8))
     return parts + wrist, np.array([entry, end, hinge, tips[0], tips[-1]])
 
 
@@ -163,9 +161,7 @@ def _hook(rng: np.random.Generator, shaft: Part, heading: float, surroundings: A
     along, half = _towards(heading), shaft.end_half
     tip, thin = shaft.end + along * half * rng.uniform(1.5, 6.0), half * rng.uniform(0.1, 0.4)
     weights = (0.1, 0.1, 0.1, 0.65, 0.05)
-    sleeve = Part(
-        shaft.end, tip, half * rng.uniform(0.8, 1.0), thin, DISTAL, material(rng, weights, surroundings)
-    )
+    sleeve = Part(shaft.end, tip, half * rng.uniform(0.8, 1.0), thin, DISTAL, material(rng, weights, surroundings))
     turns = np.array([heading, *rng.choice([-1, 1]) * rng.uniform([0.0, 0.3], [0.4, 1.2])])
     halves = np.maximum(np.full(4, thin * rng.uniform(0.3, 0.9)), 0.8)
     lengths = half * rng.uniform([0.2, 0.2, 0.2], [1.5, 0.6, 0.8])

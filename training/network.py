@@ -60,9 +60,7 @@ class _Block(nn.Sequential):
     def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, expansion: int) -> None:
         wide = expansion * inputs
         expand = _convolved(inputs, wide, 1) if expansion > 1 else []
-        super().__init__(
-            *expand, *_convolved(wide, wide, kernel, stride, wide), *_convolved(wide, outputs, 1)[:2]
-        )
+        super().__init__(*expand, *_convolved(wide, wide, kernel, stride, wide), *_convolved(wide, outputs, 1)[:2])
         self.adds = stride == 1 and inputs == outputs
 
     def forward(self, image: Tensor) -> Tensor:
@@ -97,9 +95,7 @@ class Network(nn.Module):
         self.whole = nn.Conv2d(SKIPPED[-1], WIDTHS[-1], 1)
         self.into = nn.ModuleList(nn.Conv2d(skipped, wide, 1) for skipped, wide, _ in pairs)
         self.over = nn.ModuleList(
-            nn.Sequential(
-                nn.Conv2d(wide, wide, 5, 1, 2, groups=wide, bias=False), nn.Conv2d(wide, out, 1), nn.ReLU()
-            )
+            nn.Sequential(nn.Conv2d(wide, wide, 5, 1, 2, groups=wide, bias=False), nn.Conv2d(wide, out, 1), nn.ReLU())
             for _, wide, out in pairs
         )
         self.scores, self.keypoints = nn.Conv2d(WIDTHS[0], 4, 1), nn.Conv2d(WIDTHS[0], 4, 1)
@@ -196,9 +192,7 @@ def train(
         scores, odds = network(_to_input(images))
         if teacher and is_real.any():
             answers, names = [teacher.outputs(image) for image in images[~drawn]], ("scores", "keypoints")
-            said, keypoints = (
-                torch.from_numpy(np.concatenate([one[name] for one in answers])) for name in names
-            )
+            said, keypoints = (torch.from_numpy(np.concatenate([one[name] for one in answers])) for name in names)
             near[is_real] = keypoints.sigmoid()
             loss = TEACHING * _divergence(scores[is_real], said.log_softmax(1))
         loss = loss + _loss(scores, odds, torch.from_numpy(labels), near, ~is_real | (teacher is not None))

@@ -35,9 +35,7 @@ HELD_OUT = re.compile("images/000(02|27)-")  # two operations, to measure on
 def outlined(folders: Sequence[Path]) -> Outlined | None:
     """The pictures with outlines in checked-out repositories, cropped to what the endoscope shows; None of none."""
     known = json.loads(OUTLINES.read_text("utf-8"))
-    pictures = [
-        (folder / name, one) for folder in folders for name, one in known.get(folder.name, {}).items()
-    ]
+    pictures = [(folder / name, one) for folder in folders for name, one in known.get(folder.name, {}).items()]
     found = [_outlined(path, **one) for path, one in pictures if not HELD_OUT.search(str(path))]
     return _stacked(found)
 

@@ -22,9 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add = parser.add_argument
     add("model", type=Path, help="the ONNX file to write; beside it .pt, which --start takes")
     add("--pictures", type=Path, nargs="*", default=[], help="repositories that are checked out")
-    add(
-        "--teacher", type=Path, help="an ONNX network of before: what it says of real pictures is learnt, too"
-    )
+    add("--teacher", type=Path, help="an ONNX network of before: what it says of real pictures is learnt, too")
     add(
         "--start",
         type=Path,

@@ -168,9 +168,7 @@ def outline(pose: ToolPose, K: Array, size: tuple[int, int], radius_m: float) ->
         points = points[points[:, 2] > 0.01]
         across = np.cross(points, way)
         across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
-        sides = np.concatenate(
-            [points + thick * radius_m * across, (points - thick * radius_m * across)[::-1]]
-        )
+        sides = np.concatenate([points + thick * radius_m * across, (points - thick * radius_m * across)[::-1]])
         if len(points) > 1 and np.linalg.norm(way) > 1e-4:
             px = (sides @ K.T)[:, :2] / sides[:, 2:]
             cv2.fillPoly(mask, [np.rint(16 * np.clip(px, -1e4, 1e4)).astype(np.int32)], 1, shift=4)

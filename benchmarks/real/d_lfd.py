@@ -43,9 +43,7 @@ def matrices(path: Path) -> list[Array]:
         shape = struct.unpack_from(f"<{size[1] // 4}i", data, at + 32)
         values = at + 32 + (size[1] + 7) // 8 * 8 + 8  # behind the dimensions and the empty name
         if struct.unpack_from("<2I", data, values) == (9, 8 * int(np.prod(shape))):
-            found.append(
-                np.frombuffer(data, "<f8", int(np.prod(shape)), values + 8).reshape(shape, order="F")
-            )
+            found.append(np.frombuffer(data, "<f8", int(np.prod(shape)), values + 8).reshape(shape, order="F"))
     return found
 
 
@@ -164,10 +162,7 @@ def apart(places: Mapping[int, Places], robots: Places) -> tuple[list[float], li
     for one, other in pairs:
         shared = sorted(places[one].keys() & places[other].keys())
         off = off_m(shared, places[one], places[other])
-        depths += [
-            abs(float(x @ places[one][key])) / float(np.linalg.norm(places[one][key]))
-            for key, x in off.items()
-        ]
+        depths += [abs(float(x @ places[one][key])) / float(np.linalg.norm(places[one][key])) for key, x in off.items()]
     for own in places.values():
         for arm in ARMS:
             off = off_m(sorted(key for key in own if key[0] == arm), own, robots)
@@ -210,10 +205,7 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
         for pair in PAIRS:
             rows, total = common.rows_of(*logs[pair], method)
             places[pair] = {(row.instrument, row.number): common.pose_of(row).position_m for row in rows}
-            on += [
-                common.on_instrument(common.pose_of(row), K[pair], seen[pair][row.number], RADIUS_M)
-                for row in rows
-            ]
+            on += [common.on_instrument(common.pose_of(row), K[pair], seen[pair][row.number], RADIUS_M) for row in rows]
             both += sum(all((name, n) in places[pair] for name in ARMS) for n in range(len(trials)))
             count += total
         text = f"{sum(map(len, places.values()))}/{count}; both {both}/{count // 2}"

@@ -28,6 +28,4 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
     radius_m = instrument.shaft_radius_m
     on = common.on_instruments(rows, K, pictures, seen, radius_m)
     other = peer.figures(peer.found(pictures, K, radius_m), seen)
-    yield common.Line(
-        "EndoVis 2015", "`shaft`", "masks", common.Figures(f"{len(rows)}/{total}", on=on), other
-    )
+    yield common.Line("EndoVis 2015", "`shaft`", "masks", common.Figures(f"{len(rows)}/{total}", on=on), other)

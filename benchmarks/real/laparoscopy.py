@@ -31,9 +31,7 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
     assert profile.instrument is not None
     rows, total = common.rows_of(log, profile, "shaft")
     pictures = [common.read(one) for one in paths]
-    masks = {
-        kind: [labelled(folder, kind, one) for one in paths] for kind in ("toolmask", "MidLine", "Tooltip")
-    }
+    masks = {kind: [labelled(folder, kind, one) for one in paths] for kind in ("toolmask", "MidLine", "Tooltip")}
     labelled_end_px = [np.argwhere(mask).mean(0)[::-1] for mask in masks["Tooltip"]]
     end_m = profile.instrument.shaft_end_m or 0.0
     beside_px, turned_deg, end_px, on = [], [], [], []

@@ -25,9 +25,7 @@ def frames(folder: Path) -> list[Path]:
     given = common.FRAMES["operations"]
     found = []
     for operation in given["operations"]:
-        images = sorted(
-            (folder / SET).glob(f"{operation}-*.jpg"), key=lambda path: int(path.stem.rpartition("-")[2])
-        )
+        images = sorted((folder / SET).glob(f"{operation}-*.jpg"), key=lambda path: int(path.stem.rpartition("-")[2]))
         found += images[:: given["every"]]
     return found
 
@@ -40,9 +38,7 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
     instrument = load_profile(profile).instrument
     assert instrument is not None
     pictures = [common.read(path) for path in paths]
-    seen = [
-        filled(outlines.get(path.stem, []), bgr.shape[:2]) for path, bgr in zip(paths, pictures, strict=True)
-    ]
+    seen = [filled(outlines.get(path.stem, []), bgr.shape[:2]) for path, bgr in zip(paths, pictures, strict=True)]
     rows, _ = common.rows_of(log, profile, "shaft")
     on = common.on_instruments(rows, K, pictures, seen, instrument.shaft_radius_m)
     other = peer.figures(peer.found(pictures, K, RADIUS_M, 2), seen)

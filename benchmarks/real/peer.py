@@ -27,15 +27,8 @@ def rods(bgr: Image, K: Array, radius_m: float, most: int = 1) -> list[Rod]:
     for channel in cv2.split(cv2.cvtColor(bgr, cv2.COLOR_BGR2HSV))[1:]:
         _, low = cv2.threshold(channel, 0, 1, cv2.THRESH_BINARY_INV + cv2.THRESH_OTSU)
         low = cv2.morphologyEx(low, cv2.MORPH_OPEN, np.ones((5, 5), np.uint8))
-        parts = [
-            (cv2.contourArea(x), x)
-            for x in cv2.findContours(low, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-        ]
-        masks = [
-            (area, cv2.drawContours(np.zeros_like(low), [x], -1, 1, -1) > 0, x)
-            for area, x in parts
-            if area > 500
-        ]
+        parts = [(cv2.contourArea(x), x) for x in cv2.findContours(low, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]]
+        masks = [(area, cv2.drawContours(np.zeros_like(low), [x], -1, 1, -1) > 0, x) for area, x in parts if area > 500]
         seen.append([one for one in masks if one[1].sum() > one[1][1:-1, 1:-1].sum()])
     found: list[Rod] = []
     for _, mask, contour in sorted(
@@ -61,9 +54,7 @@ def figures(of: Sequence[tuple[int, Rod]], seen: Sequence[Mask], unit: str = "",
     return Figures(str(len(of)), unit, errors, [float(seen[number][rod.mask].mean()) for number, rod in of])
 
 
-def surface(
-    views: Sequence[Image], K: Sequence[Array], D: Sequence[Array], T: Array, most: int = 20000
-) -> Array:
+def surface(views: Sequence[Image], K: Sequence[Array], D: Sequence[Array], T: Array, most: int = 20000) -> Array:
     """Points (n, 3) in the left camera's frame, in the unit of T (4, 4) from left to right, by semi-global matching."""
     size = (views[0].shape[1], views[0].shape[0])
     R1, R2, P1, P2, Q, *_ = cv2.stereoRectify(K[0], D[0], K[1], D[1], size, T[:3, :3], T[:3, 3:])

@@ -42,9 +42,7 @@ def plot(frames: list[DrawnFrame], width_px: int) -> Image:
         axes = figure.add_subplot()
         axes.fill_between(seconds, low, high, color=colour, alpha=0.3, linewidth=0.0, label="95% interval")
         axes.plot(seconds, middle, color=colour, marker=".", label="clearance")
-        axes.plot(
-            seconds[SHOWN], middle[SHOWN], "o", color="0.0", markersize=9, fillstyle="none", label="the image"
-        )
+        axes.plot(seconds[SHOWN], middle[SHOWN], "o", color="0.0", markersize=9, fillstyle="none", label="the image")
         axes.set(xlabel="time [s]", ylabel="clearance [mm]")
         figure.legend(loc="outside upper center", ncols=3)
         canvas: Any = FigureCanvasAgg(figure)
@@ -63,9 +61,7 @@ if __name__ == "__main__":
     shown = frames[SHOWN]
     image = np.asarray(shown.replayed.image_bgr)
     times = HEIGHT_PX / image.shape[0]
-    drawn = draw_on(
-        image, shown.drawing, parts=PARTS, lines=False, least_px=2 * image.shape[1], letters=LETTERS
-    )
+    drawn = draw_on(image, shown.drawing, parts=PARTS, lines=False, least_px=2 * image.shape[1], letters=LETTERS)
     left = cv2.resize(drawn, (round(image.shape[1] * times), HEIGHT_PX), interpolation=cv2.INTER_AREA)
     both = np.hstack([left, plot(frames, WIDTH_PX - left.shape[1])])
     cv2.imwrite(str(DOCS / "images" / "real.jpg"), both, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])

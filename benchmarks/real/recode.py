@@ -106,6 +106,4 @@ def fit_hand_eye(base_m: Array, camera_m: Array, profile: Path) -> None:
     text = profile.read_text("utf-8")
     for key, value in KINEMATIC_STDS.items():
         text = re.sub(rf"^{key} = [^ ]*", f"{key} = {value}", text, flags=re.M)
-    profile.write_text(
-        'hand_eye = "hand-eye.toml"\n' + text.partition("[tissue]")[0] + "[tissue]\n" + plane, "utf-8"
-    )
+    profile.write_text('hand_eye = "hand-eye.toml"\n' + text.partition("[tissue]")[0] + "[tissue]\n" + plane, "utf-8")

@@ -46,11 +46,7 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
             errors.append(float(np.linalg.norm(off_px)))
             inside.append(common.within_px(row, off_px, K, LABEL_STD_PX))
     found = peer.found(pictures, K, RADIUS_M, 2)
-    near = [
-        min(float(np.linalg.norm(rod.end_px - px)) for px in wrists[n].values())
-        for n, rod in found
-        if n in wrists
-    ]
+    near = [min(float(np.linalg.norm(rod.end_px - px)) for px in wrists[n].values()) for n, rod in found if n in wrists]
     other = peer.figures(found, seen, "px", near)
     yield common.Line(
         "SuPer Deep",

@@ -55,9 +55,7 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
     other = peer.figures(rods, seen, "mm", off_mm)
     for method in ("shaft", "stereo", "fused"):
         rows, total = (
-            common.rows_of(jointed, robot, method)
-            if method == "fused"
-            else common.rows_of(log, profile, method)
+            common.rows_of(jointed, robot, method) if method == "fused" else common.rows_of(log, profile, method)
         )
         at = np.array([round(row.stamp_ns / 1e9) for row in rows], np.intp)
         places_m = np.array([common.pose_of(row).position_m for row in rows])
@@ -69,10 +67,7 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
         S = ACROSS_STD_M**2 * (np.eye(3) - along) + (ALONG_STD_M**2 + face_std_m**2) * along
         S += np.array([common.pose_of(row).position_covariance for row in rows])
         square = np.einsum("ni,ni->n", errors_m, np.linalg.solve(S, errors_m[..., None])[..., 0])
-        on = [
-            common.on_instrument(common.pose_of(row), K, seen[n], RADIUS_M)
-            for row, n in zip(rows, at, strict=True)
-        ]
+        on = [common.on_instrument(common.pose_of(row), K, seen[n], RADIUS_M) for row, n in zip(rows, at, strict=True)]
         off_mm = 1e3 * np.linalg.norm(errors_m, axis=1)
         count = f"{len(rows)}/{total}"
         shared = ("thrust", f"`{method}`")

@@ -31,9 +31,7 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
         K, D = zip(*(camera(root, side) for side in ("left", "right")), strict=True)
         T = np.loadtxt(root / "calib.l2r.txt")
         common.write_calibration(out / f"{scene}.yaml", K, D, T)
-        paths = {
-            side: [root / f"calib.{side}.images.{n}.png" for n in range(COUNT)] for side in ("left", "right")
-        }
+        paths = {side: [root / f"calib.{side}.images.{n}.png" for n in range(COUNT)] for side in ("left", "right")}
         folders = [common.copied(found, images / side) for side, found in paths.items()]
         calibrated = ("--calibration", out / f"{scene}.yaml", "--unit", "mm", "--rate", 1)
         log, profile = common.make_log(out / f"{scene}.mcap", *folders, *calibrated)
@@ -42,9 +40,7 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
             board = np.loadtxt(root / f"calib.left.extrinsics.{n}.txt")
             corners = np.loadtxt(root / f"calib.left.object_points.{n}.txt")
             hull_px = np.asarray(
-                cv2.convexHull(
-                    common.pixel(corners @ board[:3, :3].T + board[:3, 3], K[0]).astype(np.float32)
-                ),
+                cv2.convexHull(common.pixel(corners @ board[:3, :3].T + board[:3, 3], K[0]).astype(np.float32)),
                 np.float64,
             )
             seen = svmdist.surface(recording, n)
@@ -65,9 +61,7 @@ def measure(folder: Path, out: Path) -> Iterator[common.Line]:
 
 def camera(root: Path, side: str) -> tuple[Array, Array]:
     """Camera matrix (3, 3) and distortion (1, 5) of a side."""
-    return np.loadtxt(root / f"calib.{side}.intrinsics.txt"), np.loadtxt(
-        root / f"calib.{side}.distortion.txt"
-    )[None]
+    return np.loadtxt(root / f"calib.{side}.intrinsics.txt"), np.loadtxt(root / f"calib.{side}.distortion.txt")[None]
 
 
 def on_board(points: Array, hull_px: Array, K: Array) -> Array:

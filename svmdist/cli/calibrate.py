@@ -40,9 +40,7 @@ class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
     """
 
     output: Path = option("--output -o FILE.toml", "Calibration file to write.", ...)
-    method: Literal["overlay", "centroid"] = option(
-        "--method NAME", "overlay (the default) or centroid.", "overlay"
-    )
+    method: Literal["overlay", "centroid"] = option("--method NAME", "overlay (the default) or centroid.", "overlay")
     force: bool = FORCE
 
     def _run(self) -> ExitCode:
@@ -69,9 +67,7 @@ class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
         return run.exit_code()
 
 
-class HandEye(
-    OneLogOptions, options.TopicOption, options.InstrumentOption, options.LagOption, options.WindowOptions
-):
+class HandEye(OneLogOptions, options.TopicOption, options.InstrumentOption, options.LagOption, options.WindowOptions):
     """Fit the camera-to-base transform.
 
     The tool as the images show it is compared with the joints or poses that the robot reports. The result has a
@@ -185,9 +181,7 @@ class Fk(LogOptions, options.ReadOptions, options.WindowOptions, options.OutputO
             raise UsageError(f"--format tum writes one trajectory, and {len(self.logs)} logs are given")
         topics = self.topics
         if self.joints and topics.setdefault("joints", self.joints) != self.joints:
-            raise UsageError(
-                f"--joints {self.joints} and --topic joints={topics['joints']}: give one of them"
-            )
+            raise UsageError(f"--joints {self.joints} and --topic joints={topics['joints']}: give one of them")
         setup, instruments = Setup.reading(self.profile, self.hand_eye), None
         for other in setup.profile.other_instruments:
             if other.logged_topics.get("joints", "") == topics.get("joints"):

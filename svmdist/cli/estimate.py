@@ -106,16 +106,12 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         keys = self.group_keys
         self.require_pictures(self.paths)
         if keys and self.summary is None:
-            raise UsageError(
-                f"--group {self.group}: groups the figures of logs: give --summary FILE for them"
-            )
+            raise UsageError(f"--group {self.group}: groups the figures of logs: give --summary FILE for them")
         output.require_output(self.summary, self.paths)
         summary_writer = choose_writer(None, self.summary, Holds.FIGURES, "--summary")
         request = self.request(self.paths)
         if writer.name == "tum" and request.setup.is_planar:
-            raise UsageError(
-                f"--format tum writes the tool's pose: choose a method in 3D, not {request.setup.method}"
-            )
+            raise UsageError(f"--format tum writes the tool's pose: choose a method in 3D, not {request.setup.method}")
         draws = self.report is not None or self.save_plot is not None
         if writer.holds is Holds.FRAMES:
             run = Run(self, draw_log, request, Ending, "drawing", options=(writer, self.output, self.force))

@@ -52,9 +52,7 @@ class Info(LogOptions, options.ReadOptions, options.OutputOptions):
         return run.exit_code()
 
 
-def inspect_log(
-    recording: Recording, _request: Request, _threads: int, looks_for_tag: bool
-) -> dict[str, Any]:
+def inspect_log(recording: Recording, _request: Request, _threads: int, looks_for_tag: bool) -> dict[str, Any]:
     """A whole log as a document: what it holds, whether images show the profile's tag, and what contradicts."""
     from svmdist.recording.source import LossKind
     from svmdist.recording.summary import inspect_recording

@@ -74,9 +74,7 @@ class OneLogOptions(Options):
         """Where it is, and its name; raises UsageError where a folder or glob has several."""
         logs = named_logs([self.file])
         if len(logs) > 1:
-            raise UsageError(
-                f"{self.file}: expected one log, found {', '.join(str(one.path) for one in logs)}"
-            )
+            raise UsageError(f"{self.file}: expected one log, found {', '.join(str(one.path) for one in logs)}")
         return logs[0]
 
 

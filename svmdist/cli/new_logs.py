@@ -159,9 +159,7 @@ class Import(options.Options):
     pattern: str | None = option("--pattern GLOB", "Which images of the folder, as in '*_L.jpg'.")
     right_pattern: str | None = option("--right-pattern GLOB", "Those of the right view, as in '*_R.jpg'.")
     side_by_side: bool = option("--side-by-side", "Each picture has both views, the left one left.", False)
-    camera_file: Path | None = option(
-        "--calibration FILE", "Of ROS, OpenCV (YAML, XML) or Kalibr; may be of a pair."
-    )
+    camera_file: Path | None = option("--calibration FILE", "Of ROS, OpenCV (YAML, XML) or Kalibr; may be of a pair.")
     right_calibration: Path | None = option("--right-calibration FILE", "The right camera's own.")
     calibrated_at: str | None = option("--calibrated-at SIZE", "If images were scaled since, as in 1280x720.")
     crop: str | None = option("--crop X,Y,WIDTH,HEIGHT", "This part of each view, in px of the whole.")
@@ -171,26 +169,18 @@ class Import(options.Options):
     distortion_model: str = option(
         "--distortion-model NAME", "plumb_bob (the default), rational_polynomial or fisheye.", "plumb_bob"
     )
-    baseline_length: str | None = option(
-        "--baseline LENGTH", "Between the cameras of a rectified pair, as in 5.2mm."
-    )
+    baseline_length: str | None = option("--baseline LENGTH", "Between the cameras of a rectified pair, as in 5.2mm.")
     unit: Literal["m", "cm", "mm"] = option(
         "--unit UNIT", "Of lengths in calibration and poses: m (the default), cm, mm.", "m"
     )
-    rate: float | None = option(
-        "--rate HZ", "Images per second, if neither names nor video tell.", min=1e-3, max=1e4
-    )
+    rate: float | None = option("--rate HZ", "Images per second, if neither names nor video tell.", min=1e-3, max=1e4)
     start: str = option("--start SECONDS", "Time of the first image, with --rate or a video.", "0")
     times: Path | None = option("--times FILE.csv", "Times of the images, with or without their names.")
-    poses: list[str] | None = option(
-        "--poses [NAME=]FILE", "Tool poses in the base of NAME (PSM1); may be repeated."
-    )
+    poses: list[str] | None = option("--poses [NAME=]FILE", "Tool poses in the base of NAME (PSM1); may be repeated.")
     joints: list[str] | None = option("--joints [NAME=]FILE", "Joint positions; may be repeated.")
     joint_names: str | None = option("--joint-names NAME,…", "Of columns of --joints without names.")
     every: int = options.EVERY
-    jpeg: int | None = option(
-        "--jpeg QUALITY", "Store what has to be decoded as JPEG. Default: PNG.", min=1, max=100
-    )
+    jpeg: int | None = option("--jpeg QUALITY", "Store what has to be decoded as JPEG. Default: PNG.", min=1, max=100)
     force: bool = options.FORCE
 
     def _run(self) -> ExitCode:
@@ -249,9 +239,7 @@ class Import(options.Options):
             read = [file for one in (self.source, self.right) if one is not None for file in files_of(one)]
             read_bytes = sum(file.stat().st_size for file in read if isinstance(file, Path))
             if (times := result.size_bytes / max(read_bytes, 1)) > MANY_TIMES:
-                LOG.info(
-                    "stored as PNG, %.0f times as large as its source: --jpeg 92 makes it smaller", times
-                )
+                LOG.info("stored as PNG, %.0f times as large as its source: --jpeg 92 makes it smaller", times)
         LOG.info("next: %s", next_command("profile", "new", path, "-o", f"{path.stem}.toml"))
         return ExitCode.LOSS if result.losses else ExitCode.CLEAN
 

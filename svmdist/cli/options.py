@@ -212,13 +212,11 @@ class CalibrationOption(ReadOptions):
 class MethodOptions(CalibrationOption):
     """What measures."""
 
-    method: Literal["auto", "overlay", "centroid", "fiducial", "shaft", "stereo", "kinematic", "fused"] = (
-        option(
-            "--method NAME",
-            "auto: the best that the log can serve. In 3D: fiducial (tag), shaft, stereo (two cameras), kinematic,"
-            " fused (all of these). In the plane: overlay (the paper's), centroid. Default: auto.",
-            "auto",
-        )
+    method: Literal["auto", "overlay", "centroid", "fiducial", "shaft", "stereo", "kinematic", "fused"] = option(
+        "--method NAME",
+        "auto: the best that the log can serve. In 3D: fiducial (tag), shaft, stereo (two cameras), kinematic,"
+        " fused (all of these). In the plane: overlay (the paper's), centroid. Default: auto.",
+        "auto",
     )
     _choice = ""
 
@@ -254,9 +252,7 @@ class InstrumentOption(Options):
         for name in wanted:
             if name not in profile.instrument_names:
                 known = did_you_mean(name, profile.instrument_names)
-                raise UsageError(
-                    f"--instrument {name}: profile {profile.name} has no such instrument: {known}"
-                )
+                raise UsageError(f"--instrument {name}: profile {profile.name} has no such instrument: {known}")
         return tuple(name for name in profile.instrument_names if name in wanted) or None
 
 
@@ -282,9 +278,7 @@ class LagOption(Options):
 class AlarmOptions(Options):
     """When an alarm is raised."""
 
-    alarm_below: str | None = option(
-        "--alarm-below LENGTH", "Alarm where the clearance may be below, as in 5mm."
-    )
+    alarm_below: str | None = option("--alarm-below LENGTH", "Alarm where the clearance may be below, as in 5mm.")
     alarm_when: str | None = option(
         "--alarm-when LEVEL",
         "possible (probability 0.05 or more), likely (0.5), certain (0.95), or a probability. Default: possible.",
@@ -353,9 +347,7 @@ def parse_length_m(name: str, text: str) -> float:
     found = re.fullmatch(r"(.*?)(mm|cm|m)", text.strip())
     length_m = parse_number(found[1]) * LENGTH_UNITS_M[found[2]] if found else math.nan
     if not 0.0 < length_m < 10.0:
-        raise UsageError(
-            f"{name} {text}: expected a length above zero with its unit (mm, cm or m), as in 5mm"
-        )
+        raise UsageError(f"{name} {text}: expected a length above zero with its unit (mm, cm or m), as in 5mm")
     return length_m
 
 

@@ -76,9 +76,7 @@ class Validate(ScoreOptions, options.MeasureOptions, GroupOption, PictureOptions
         "--truth-tf PARENT:CHILD",
         "A transform that is the truth of tool or tissue, as in camera:tool; may be given twice.",
     )
-    max_gap: float = option(
-        "--max-gap SECONDS", "Longest gap to interpolate. Default: 0.1.", 0.1, min=0.0, max=60.0
-    )
+    max_gap: float = option("--max-gap SECONDS", "Longest gap to interpolate. Default: 0.1.", 0.1, min=0.0, max=60.0)
     baseline: Path | None = option("--baseline FILE", "Exit with 4 if a figure is worse than here.")
     write_baseline: Path | None = option("--write-baseline FILE", "Store the figures here.")
     plot: PlotKind | None = option(
@@ -200,9 +198,7 @@ class Compare(ScoreOptions, options.LagOption, GroupOption):
         setups = prepare_methods(self.profile, self.calibration, self.hand_eye, methods)
         setups += tuple(prepare(self.profile, one, hand_eye=self.hand_eye) for one in given)
         request = Request(setups[0], self.topics, self.window, lag=lag, conditions=tuple(conditions))
-        run = Run(
-            self, compare_log, request, list[MethodScore], "comparing", options=(setups, keys), keys=keys
-        )
+        run = Run(self, compare_log, request, list[MethodScore], "comparing", options=(setups, keys), keys=keys)
         scores = compared([one for runs in run.finish() for one in runs])
         output.write_results(compare_results(scores), writer, self.output)
         if self.save_plot:

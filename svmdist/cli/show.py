@@ -140,9 +140,7 @@ def _is_one_picture(path: Path, count: int) -> bool:
     if ending != ".png":
         raise UsageError(f"{path}: pictures are PNG files: give a name in .png, or a folder")
     if count > 1:
-        raise UsageError(
-            f"{path}: is one picture, and {count} are asked for: give --frame, --at, or a folder"
-        )
+        raise UsageError(f"{path}: is one picture, and {count} are asked for: give --frame, --at, or a folder")
     return True
 
 
@@ -153,9 +151,7 @@ def _worst(recording: Recording, request: Request, count: int, jobs: int | None)
 
     with output.watched(recording, f"measuring {recording.name}") as log:
         rows = list(estimate(log, request.setup, jobs))
-    worst = worst_frames(
-        series_of([Measured(recording, recording, tuple(rows), recording.lag)], request), count
-    )
+    worst = worst_frames(series_of([Measured(recording, recording, tuple(rows), recording.lag)], request), count)
     for one in worst:
         LOG.info("%s", one.in_words)
     return {one.number for one in worst}

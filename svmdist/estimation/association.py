@@ -160,9 +160,7 @@ class ColouredRegions:
         mine = np.zeros_like(self._mask)
         if index is not None:
             centre_px, reach_px = self.blobs[index].centre_px, FRAGMENT_REACH * self.blobs[index].radius_px
-            near = [
-                at for at, part in self._fragments if np.linalg.norm(part.centre_px - centre_px) < reach_px
-            ]
+            near = [at for at, part in self._fragments if np.linalg.norm(part.centre_px - centre_px) < reach_px]
             mine[np.isin(self._labels, [self._names[index], *near])] = 255
             mine &= self._mask
         rest = cv2.dilate(cv2.subtract(self._mask, mine), np.ones((GROWN_PX, GROWN_PX), np.uint8))

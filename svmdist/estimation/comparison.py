@@ -197,7 +197,5 @@ def readable(found: Difference) -> str:
     """The difference with its unit."""
     if not np.isfinite(found.value):
         return "all"
-    scale, unit = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°"), "px": (1.0, "px")}.get(
-        found.unit, (100.0, "%")
-    )
+    scale, unit = {"m": (1e3, "mm"), "rad": (180.0 / np.pi, "°"), "px": (1.0, "px")}.get(found.unit, (100.0, "%"))
     return f"{scale * found.value:.3g}{'' if unit in '°%' else ' '}{unit}"

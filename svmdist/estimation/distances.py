@@ -76,9 +76,7 @@ def with_tool(result: FrameResult, frame: Frame, tool: ToolEstimate) -> FrameRes
     return result.with_image(tool_px=as_pixel(frame.left.camera.project(position_m)[0]))
 
 
-def clearance_std_m(
-    gap: Separation, pose: ToolPose, tissue: TissuePose, coupling: Array = INDEPENDENT
-) -> float:
+def clearance_std_m(gap: Separation, pose: ToolPose, tissue: TissuePose, coupling: Array = INDEPENDENT) -> float:
     """Standard deviation of a separation from an instrument of known shape; `coupling` as in `measured`.
 
     The closest points are extremal, so to first order a small motion changes the distance only through

@@ -151,9 +151,7 @@ class EntryAssociation:
         pairs = zip(left, right, strict=True)
         return [(other_than(at, seen), other_than(at_right, beside)) for at, at_right in pairs], doubts
 
-    def _across_views(
-        self, scene: Scene, seen: Sequence[SeenInstrument]
-    ) -> tuple[Sequence[SeenInstrument], Array]:
+    def _across_views(self, scene: Scene, seen: Sequence[SeenInstrument]) -> tuple[Sequence[SeenInstrument], Array]:
         """What the right view shows, and -log likelihood, (n_arms, n_left, n_right), that the left one shows it."""
         right = scene.observation.right
         beside = (() if scene.right is None else scene.right.masks.seen or ())[:MAX_REGIONS]
@@ -226,8 +224,6 @@ def disagreement(
     normal = np.array([-along[1], along[0]])
     across = (off_px @ normal) / np.hypot(moved_px @ normal, LINE_STD_PX * (left.pixel_px + right.pixel_px))
     ends_px = [min(one.end_std_px, 1e6) for one in (left, right)]
-    of_end = (
-        off_px[1] @ along / np.linalg.norm([moved_px[1] @ along, ENDS_STD_WIDTHS * right.width_px, *ends_px])
-    )
+    of_end = off_px[1] @ along / np.linalg.norm([moved_px[1] @ along, ENDS_STD_WIDTHS * right.width_px, *ends_px])
     of_width = np.log(right.width_px / np.linalg.norm(near[0, 1] - near[1, 1])) / (np.sqrt(2.0) * WIDTH_STD)
     return float(across @ across + of_end**2 + of_width**2)

@@ -111,9 +111,7 @@ class View:
         plates = self.context.plates
         if picture is not None and plates is not None:  # their edges are not the shaft's
             picture = np.asarray(picture & ~plates, np.uint8)
-        return find_silhouette(
-            self.context.bgr_as_recorded, seen, picture, wrist, settings.min_contrast_levels
-        )
+        return find_silhouette(self.context.bgr_as_recorded, seen, picture, wrist, settings.min_contrast_levels)
 
     @cached_property
     def dark_bar(self) -> tuple[SeenInstrument, Image] | None:

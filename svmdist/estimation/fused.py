@@ -66,9 +66,7 @@ class FusedEstimator:
         by_tag = list(self._tag(frame, predicted))
         shown = self._of_images(frame)
         # A stub at the border, a wrist or a shadow has an outline, too: alone it counts where it holds a pose.
-        is_marked = any(
-            view is not None and view.distal_marker is not None for view in (frame.left, frame.right)
-        )
+        is_marked = any(view is not None and view.distal_marker is not None for view in (frame.left, frame.right))
         if shown and not (by_tag or is_marked) and self._image_pose(frame) is None:
             shown = []
         gating = kalman.update([*shown, *by_tag])
@@ -144,9 +142,7 @@ class FusedEstimator:
         expected = Expected.of(self._filter.tool_pose())
         if isinstance(markers, MarkerPair):
             expected = markers.expected
-        return of_images(
-            frame, expected, markers, both_views=True, lasting_share=self._lasting_share, is_tracked=True
-        )
+        return of_images(frame, expected, markers, both_views=True, lasting_share=self._lasting_share, is_tracked=True)
 
     def _tag(self, frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
         """The tag's factor, which a predicted pose tells from its mirrored one."""

@@ -151,8 +151,6 @@ def _require_inputs(method: Method, profile: Profile) -> None:
     }
     of_method = [tables[one] for one in method.inputs if one in tables]
     if lacks := [f"[{table}]" for table, found in of_method if found is None]:
-        raise ProfileError(
-            f"profile {profile.name} has no {', no '.join(lacks)}: {method.name} measures by it"
-        )
+        raise ProfileError(f"profile {profile.name} has no {', no '.join(lacks)}: {method.name} measures by it")
     if "tissue" in method.inputs:
         require_tissue(profile)

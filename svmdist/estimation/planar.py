@@ -103,9 +103,7 @@ def search_marker(frame: Frame, centre_px: Array) -> MarkerSearch:
     return found if corners_px is None else replace(found, inliers=inliers, corners_px=corners_px)
 
 
-def third_contour(
-    window_bgr: Image, corners_px: Array, marker: Marker, settings: OutlineSettings
-) -> Region | None:
+def third_contour(window_bgr: Image, corners_px: Array, marker: Marker, settings: OutlineSettings) -> Region | None:
     """Draw the outline on a copy of the window and find it again by its colour, gated at 100 px (eqs. 19, 20)."""
     height, width = window_bgr.shape[:2]
     reach_px = marker.outline_width_px + 1

@@ -205,6 +205,4 @@ def _require_closed(path: Path, faces: Indices, vertex_count: int) -> None:
     if (counts > 1).any():
         raise ProfileError(f"{path}: faces are not all turned the same way: turn them outwards")
     if lonely := int(np.count_nonzero(~np.isin(end * vertex_count + start, forward))):
-        raise ProfileError(
-            f"{path}: an open mesh: {lonely} edges have one face only; close it, its underside too"
-        )
+        raise ProfileError(f"{path}: an open mesh: {lonely} edges have one face only; close it, its underside too")

@@ -325,9 +325,7 @@ def _camera(document: Document, K_keys: Keys, D_keys: Keys, model: str, size_px:
     if D is None:
         others = [str(key) for key, value in document.items() if isinstance(value, list | dict)]
         if unread := [key for key in others if "dist" in key.lower() and key not in D_keys]:
-            raise ValueError(
-                f"expected distortion as {', '.join(D_keys)}; found {', '.join(unread)}: rename it"
-            )
+            raise ValueError(f"expected distortion as {', '.join(D_keys)}; found {', '.join(unread)}: rename it")
         D = np.zeros(0)
     if K is None or not (K[0, 0] > 0 and K[1, 1] > 0):
         found = "no camera matrix" if K is None else f"fx = {K[0, 0]:g}, fy = {K[1, 1]:g}"
@@ -337,9 +335,7 @@ def _camera(document: Document, K_keys: Keys, D_keys: Keys, model: str, size_px:
     return StatedCamera(K, D, _model_of("" if model == "pinhole" else model, D.size), size_px)
 
 
-def _rectified(
-    left: StatedCamera, right: StatedCamera, R_right_left: Array, t_m: Array
-) -> tuple[StatedCamera, ...]:
+def _rectified(left: StatedCamera, right: StatedCamera, R_right_left: Array, t_m: Array) -> tuple[StatedCamera, ...]:
     """A pair with the R and P that make its views parallel, where p_right = R_right_left p_left + t_m."""
     import cv2
 

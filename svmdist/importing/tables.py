@@ -207,9 +207,7 @@ class Table:
         far_m = np.linalg.norm(T_base_tool[:, :3, 3], axis=1)
         for row in np.flatnonzero(far_m > FARTHEST_M):
             expected = f"expected a tool within {FARTHEST_M:g} m of its base, found {far_m[row]:.4g} m"
-            raise self.fail(
-                int(row), f"{expected}: if lengths are in mm, say --unit mm, or name columns x_mm"
-            )
+            raise self.fail(int(row), f"{expected}: if lengths are in mm, say --unit mm, or name columns x_mm")
         return T_base_tool
 
     def columns(self, forms: Mapping[str, str]) -> dict[str, tuple[int, str]]:
@@ -357,9 +355,7 @@ def split_unit(name: str, units: Collection[str]) -> tuple[str, str]:
     return (stem, suffix.lower()) if stem and suffix.lower() in units else (name.strip(), "")
 
 
-def _row_stamps(
-    table: Table, images_ns: Mapping[str, int], plain_widths: set[int]
-) -> tuple[Stamps, list[int]]:
+def _row_stamps(table: Table, images_ns: Mapping[str, int], plain_widths: set[int]) -> tuple[Stamps, list[int]]:
     stamp, image = table.special
     columns, of_images = range(len(table.rows[0])), list(images_ns.values())
     if table.names is None and len(columns) - 1 in plain_widths:

@@ -201,9 +201,7 @@ def rows_behind_insertion(chain: DHChain) -> list[int]:
     return [index for index in behind if chain.rows[index].type == "revolute"]
 
 
-def solve_position(
-    chain: DHChain, q_start: ArrayLike, p_base_tool_m: ArrayLike, free_joints: Sequence[str]
-) -> Array:
+def solve_position(chain: DHChain, q_start: ArrayLike, p_base_tool_m: ArrayLike, free_joints: Sequence[str]) -> Array:
     """Find joints, shape (n, n_joints), that bring the tool's origin to targets in the base frame, (n, 3).
 
     By damped least squares, from `q_start`, shape (n, n_joints); joints that are not free stay. Raises KinematicsError
@@ -229,8 +227,7 @@ def solve_position(
     else:
         worst = int(np.argmax(np.linalg.norm(error_m, axis=1)))
         raise KinematicsError(
-            f"position {worst} is out of reach: {np.linalg.norm(error_m[worst]):.3g} m are left "
-            f"after {MAX_STEPS} steps"
+            f"position {worst} is out of reach: {np.linalg.norm(error_m[worst]):.3g} m are left after {MAX_STEPS} steps"
         )
     for row, joint in np.argwhere((q < chain.lower) | (q > chain.upper)):
         raise KinematicsError(

@@ -145,9 +145,7 @@ def _changed(profile: Profile, perturbations: Perturbations, seed: int, sign: in
     if tissue is not None and perturbations.has("plane", "plane_tilt"):
         distance_m = tissue.plane_distance_m + sign * 1e-3 * perturbations["plane"]
         if distance_m <= 0.0:
-            raise UsageError(
-                f"perturbation plane: the plane would be {-1e3 * distance_m:g} mm behind the camera"
-            )
+            raise UsageError(f"perturbation plane: the plane would be {-1e3 * distance_m:g} mm behind the camera")
         R_stated = plane_tilt(perturbations, seed)
         normal = (R_stated if sign > 0 else R_stated.T) @ tissue.plane_normal
         plane_normal = tuple((normal / np.linalg.norm(normal)).tolist())

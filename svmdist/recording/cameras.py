@@ -83,9 +83,7 @@ class CameraTrack:
         return [CameraChange(topic, before, after, self.runs[0].first_ns) for before, after in pairs]
 
 
-def cameras_at(
-    left: CameraTrack, right: CameraTrack | None, stated: Perturbations
-) -> Callable[[int], Cameras]:
+def cameras_at(left: CameraTrack, right: CameraTrack | None, stated: Perturbations) -> Callable[[int], Cameras]:
     """The cameras that hold at a stamp, so far as their tracks are known, as a perturbed world states them."""
 
     @cache
@@ -112,8 +110,7 @@ def changed(before: Camera, after: Camera) -> str:
         "focal length": (f"{one.K[0, 0]:.1f} px" for one in (before, after)),
         "principal point": (f"{one.K[0, 2]:.1f}, {one.K[1, 2]:.1f} px" for one in (before, after)),
         "baseline": (
-            f"{0.0 if one.P is None else abs(one.P[0, 3]) / one.K[0, 0] * 1e3:.2f} mm"
-            for one in (before, after)
+            f"{0.0 if one.P is None else abs(one.P[0, 3]) / one.K[0, 0] * 1e3:.2f} mm" for one in (before, after)
         ),
     }
     said = ((name, *values) for name, values in named.items())

@@ -97,9 +97,7 @@ class TransformTree:
         moving = [track.stamps_ns for track in tracks if not track.is_static]
         stamps_ns = np.unique(np.concatenate(moving)) if moving else np.zeros(1, np.int64)
         found = self.at(parent, child, stamps_ns)
-        return TransformTrack(
-            parent, child, stamps_ns[found.valid], found.values[found.valid], is_static=not moving
-        )
+        return TransformTrack(parent, child, stamps_ns[found.valid], found.values[found.valid], is_static=not moving)
 
     def _track(self, parent: str, child: str) -> TransformTrack:
         if (parent, child) not in self._tracks:
@@ -121,9 +119,7 @@ class TransformTree:
                 known = did_you_mean(frame, map(sanitize, frames))
                 raise RecordingError(f"no frame {frame} in the transforms: {known}")
         if parent == child:
-            raise RecordingError(
-                f"a transform from {parent} to itself was asked for; two frames are expected"
-            )
+            raise RecordingError(f"a transform from {parent} to itself was asked for; two frames are expected")
         reached = self._reach(parent)
         if child not in reached:
             here, there = (sanitize_list(sorted(self._reach(frame))) for frame in (parent, child))
@@ -157,9 +153,7 @@ def best_joints(found: Iterable[Joints], robot: Robot | None) -> Joints:
     return min(found, key=lambda names: (len(robot.missing_joints(names)) if robot else 0, -len(names)))
 
 
-def joint_rows(
-    by_names: Mapping[Joints, Rows], robot: Robot | None
-) -> tuple[Joints, Stamps, Array, list[str]]:
+def joint_rows(by_names: Mapping[Joints, Rows], robot: Robot | None) -> tuple[Joints, Stamps, Array, list[str]]:
     """Names, stamps and positions of the joints of a topic, and what messages that do not count lack, in words.
 
     Several nodes may publish on it, and in any order. Those messages count that have the joints of the robot which the

@@ -166,9 +166,7 @@ def decode_raw(
 
 NAL_UNIT = re.compile(rb"\x00\x00\x01(.)", re.DOTALL)
 SLICE, IDR_SLICE, SPS, PPS = 1, 5, 7, 8
-COLOUR_PROFILES = frozenset(
-    {44, 83, 86, 100, 110, 118, 122, 128, 134, 135, 138, 139, 244}
-)  # which state their colours
+COLOUR_PROFILES = frozenset({44, 83, 86, 100, 110, 118, 122, 128, 134, 135, 138, 139, 244})  # which state their colours
 
 
 class _Bits:
@@ -306,9 +304,7 @@ def read_file(path: Path, limits: Limits, *, decode: bool) -> tuple[bytes | Imag
             return decode_still(data, limits) if decode else data, size_px
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
         if image is None:
-            raise ImageError(
-                f"not an image that can be decoded ({repr(data[:16]) if data else 'an empty file'})"
-            )
+            raise ImageError(f"not an image that can be decoded ({repr(data[:16]) if data else 'an empty file'})")
         if image.dtype != np.uint8:
             raise ImageError(f"an image of {8 * image.dtype.itemsize} bits; 8 are expected")
         size_px = image.shape[1], image.shape[0]

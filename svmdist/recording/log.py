@@ -40,9 +40,7 @@ MOVED, LATE_S = 1e-3, 0.05
 cameras and recorders give some of them twice."""
 
 
-def open_recording(
-    path: LogPath | str, profile: Profile, *, topics: Mapping[str, str] | None = None
-) -> Recording:
+def open_recording(path: LogPath | str, profile: Profile, *, topics: Mapping[str, str] | None = None) -> Recording:
     """Open a recording; `topics` overrides the profile's, by role: `{"image": "/left/image_raw"}`.
 
     Raises RecordingError for a file that is missing, empty, or not a recording, and UsageError for an unknown role.
@@ -98,9 +96,7 @@ class Recording:
     def __repr__(self) -> str:
         """Its name, what is measured in it, and its topics by role."""
         topics = ", ".join(f"{role} {topic}" for role in Role if (topic := self.topic_of(role)))
-        return (
-            f"{self.name}: instruments {', '.join(self.instruments)}; {topics or 'no topic of the profile'}"
-        )
+        return f"{self.name}: instruments {', '.join(self.instruments)}; {topics or 'no topic of the profile'}"
 
     def __reduce__(self) -> tuple[Callable[..., Recording], tuple[object, ...]]:
         """Another process opens the same file anew; it shows no progress."""
@@ -271,8 +267,7 @@ class Recording:
             stamp_ns = pair.left.stamp_ns
             reported = tuple(state(stamp_ns) for state in states)
             joints_s, base_s = (
-                max(filter(None, far), default=None)
-                for far in zip(*(one[3:] for one in reported), strict=True)
+                max(filter(None, far), default=None) for far in zip(*(one[3:] for one in reported), strict=True)
             )
             missing.add(right=pair.right_apart_s, joints=joints_s, base=base_s)
             held, place = cameras(stamp_ns), self.health.next_place()
@@ -323,9 +318,7 @@ class Recording:
         if since_s <= LATE_S:
             return ""
         if any((np.ptp(track.at(at_ns).values, 0) > MOVED).any() for track in self._logged_tracks):
-            return (
-                f"the image repeats that of {since_s:.2g} s before to the last byte, and the robot has moved"
-            )
+            return f"the image repeats that of {since_s:.2g} s before to the last byte, and the robot has moved"
         return ""
 
     @cached_property

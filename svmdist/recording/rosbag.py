@@ -79,9 +79,7 @@ class BagSource:
             else:
                 reader = Sqlite3Reader(Path(quote(str(Path(str(self.path)).resolve()))))
             reader.open()
-            if not all(
-                isinstance(name, str) for one in reader.connections for name in (one.topic, one.msgtype)
-            ):
+            if not all(isinstance(name, str) for one in reader.connections for name in (one.topic, one.msgtype)):
                 raise TypeError("a topic without a name or a type")
         except OSError as problem:
             raise RecordingError(f"{self.path}: cannot read: {why(problem)}") from None
@@ -171,9 +169,7 @@ def _read_metadata(folder: Path) -> tuple[list[str], dict[str, int], bool]:
         )
     except Exception as problem:  # somebody else's file: anything can be missing, or of another type
         expected = "expected rosbag2_bagfile_information with relative_file_paths"
-        raise RecordingError(
-            f"{folder}: {source.METADATA_FILE} is not usable: {expected} ({_line(problem)})"
-        ) from None
+        raise RecordingError(f"{folder}: {source.METADATA_FILE} is not usable: {expected} ({_line(problem)})") from None
 
 
 def _expanded(data: bytes, limit_bytes: int) -> bytes:

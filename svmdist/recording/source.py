@@ -174,6 +174,5 @@ def merge_topics(infos: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
     for info in infos:
         counts[info[:3]].append(info.message_count)
     return tuple(
-        TopicInfo(*key, None if None in found else sum(filter(None, found)))
-        for key, found in sorted(counts.items())
+        TopicInfo(*key, None if None in found else sum(filter(None, found))) for key, found in sorted(counts.items())
     )

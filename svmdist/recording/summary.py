@@ -162,9 +162,7 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
     )
 
 
-def _apart_s(
-    recording: Recording, stamps_ns: Mapping[str, array[int]], tree: TransformTree
-) -> tuple[float, float]:
+def _apart_s(recording: Recording, stamps_ns: Mapping[str, array[int]], tree: TransformTree) -> tuple[float, float]:
     """`joints_apart_s` and `base_apart_s` of a summary, by stamps of topics and the transforms that were read."""
     topics = (recording.topic_of(role) or "" for role in (Role.IMAGE, Role.JOINTS))
     images_ns, joints_ns = (np.unique(np.array(stamps_ns.get(topic, ()), np.int64)) for topic in topics)

@@ -92,9 +92,7 @@ class LoggedArm:
         kind = role.kind
         override, candidates = self.overrides.get(role), self._candidates(kind)
         listed = sanitize_list(f"{info.topic} ({info.schema or 'no schema'})" for info in self.infos)
-        there_are = (
-            f"the topics are {listed}{unread(self.infos)}" if listed else "the recording has no topics"
-        )
+        there_are = f"the topics are {listed}{unread(self.infos)}" if listed else "the recording has no topics"
         if override is not None and override not in candidates:
             if override not in {info.topic for info in self.infos} and candidates:
                 known = did_you_mean(sanitize(override), map(sanitize, candidates))
@@ -234,9 +232,7 @@ def _open_file(path: LogPath, start: bytes, limits: Limits) -> Source:
         raise RecordingError(f"{path}: is no recording but an image or a video: {TO_IMPORT}")
     else:
         found = next((what for magic, what in LOOKS_LIKE.items() if start.startswith(magic)), None)
-        raise RecordingError(
-            f"{path}: is {found or 'not a recording'}; expected {WHAT_IS_EXPECTED}; {TO_IMPORT}"
-        )
+        raise RecordingError(f"{path}: is {found or 'not a recording'}; expected {WHAT_IS_EXPECTED}; {TO_IMPORT}")
     topics = {info.topic for info in source.topics if info.message_encoding == "cdr"}
     first = next(iter(source.messages(topics)), None) if topics else None
     if first is not None and first.data.startswith(ZSTD_MAGIC):  # CDR begins with a zero byte

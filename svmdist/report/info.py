@@ -88,9 +88,7 @@ def logs_results(documents: Sequence[tuple[str, dict[str, Any]]]) -> Results:
     return Results(columns, topics, None, tables, notes, [document for _, document in documents])
 
 
-def info_document(
-    summary: RecordingSummary, checks: Mapping[str, Checks], no_tag: str = ""
-) -> dict[str, Any]:
+def info_document(summary: RecordingSummary, checks: Mapping[str, Checks], no_tag: str = "") -> dict[str, Any]:
     """The JSON document `svmdist.info/1`; of comparisons it has how many there are, and what contradicts most."""
     methods = _served(capabilities.method_capabilities(summary, no_tag))
     commands = _served(capabilities.capabilities(summary, no_tag))
@@ -108,12 +106,8 @@ def info_document(
         "topics": [row_of(TOPIC_COLUMNS, topic) for topic in summary.topics],
         "roles": summary.roles,
         "instruments": list(recording.instruments),
-        "cameras": {
-            topic: _camera_document(track.runs[0].camera) for topic, track in summary.cameras.items()
-        },
-        "camera_changes": [
-            str(one) for topic, track in summary.cameras.items() for one in track.changes(topic)
-        ],
+        "cameras": {topic: _camera_document(track.runs[0].camera) for topic, track in summary.cameras.items()},
+        "camera_changes": [str(one) for topic, track in summary.cameras.items() for one in track.changes(topic)],
         "frames": list(summary.frames),
         "joint_names": {topic: list(names) for topic, names in summary.joint_names.items()},
         "is_clean": recording.health.is_clean,
@@ -252,9 +246,7 @@ COLUMNS = (
     Column("deviations", Unit(digits=1), "deviations", of="2.usual.deviations"),
     Column("frames", COUNT, of="2.frames"),
     Column("contradicting", COUNT, of="2.contradicting"),
-    Column(
-        "beyond", TEXT, "frames", of=lambda one: f"{one[2].contradicting} of {one[2].frames}", stored=False
-    ),
+    Column("beyond", TEXT, "frames", of=lambda one: f"{one[2].contradicting} of {one[2].frames}", stored=False),
     Column("verdict", TEXT, "verdict", of="2.verdict"),
     Column("could_be", TEXT, of=lambda one: "; ".join(one[2].could_be)),
 )

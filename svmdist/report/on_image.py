@@ -65,9 +65,7 @@ def draw_on(
         _draw(pixels, shape, unit_px)
     letter_px = max(LEAST_LETTER_PX, letters * pixels.shape[1])
     measured = [_whole(one.points_px) for one in shapes if one.part in MEASURED]
-    measured += [
-        _whole(tip[None].repeat(2, 0)) for one in shapes if one.part is Part.TIP for tip in one.points_px
-    ]
+    measured += [_whole(tip[None].repeat(2, 0)) for one in shapes if one.part is Part.TIP for tip in one.points_px]
     cost = (cv2.cvtColor(cv2.absdiff(pixels, ground), cv2.COLOR_BGR2GRAY) > 0).astype(np.float32)
     instruments = (one for one in scaled if one.form is Form.LOOP and one.part in FILLED)
     cv2.fillPoly(cost, [_whole(one.points_px) for one in instruments], 1.0)
@@ -107,9 +105,7 @@ def _draw(pixels: Image, shape: Shape, unit_px: int) -> None:
     is_dots, is_measured = shape.form is Form.POINTS, shape.part in MEASURED
     if not is_dots:
         for tone, width in ((DARK, 4), (colour, 2)) if is_measured else ((colour, 2),):
-            cv2.polylines(
-                pixels, [points], shape.form is Form.LOOP, tone, width * unit_px, cv2.LINE_AA, SUBPIXEL_BITS
-            )
+            cv2.polylines(pixels, [points], shape.form is Form.LOOP, tone, width * unit_px, cv2.LINE_AA, SUBPIXEL_BITS)
     radius = 2 if shape.part in SMALL else 3 if is_measured else 4
     for x, y in points.tolist() if is_dots or is_measured else ():
         for tone, reach in ((DARK, radius + 1), (colour, radius))[shape.part in SMALL :]:
@@ -132,9 +128,7 @@ def write_text(pixels: Image, text: str, place: tuple[float, float], letter_px: 
     cv2.putText(pixels, text, left_below, FONT, scale, bgr(colour), thickness, cv2.LINE_AA)
 
 
-def _write_beside(
-    pixels: Image, label: Label, place: Array, cost: NDArray[np.float32], letter_px: float
-) -> None:
+def _write_beside(pixels: Image, label: Label, place: Array, cost: NDArray[np.float32], letter_px: float) -> None:
     """Write a label on dark ground at the cheapest of the nearest places, with a line to what it names unless at it."""
     text, place = printable(label.text), within_reach(place)
     _, _, width = text_size(text, letter_px)
@@ -169,9 +163,7 @@ def _write_beside(
         cv2.polylines(cost, [line], False, HIDDEN)
     for canvas, value in ((pixels, DARK), (cost, HIDDEN)):
         canvas[top : bottom + 1, left : right + 1] = value
-    write_text(
-        pixels, text, (left + 0.4 * letter_px, bottom - 0.45 * letter_px), letter_px, COLOURS[label.part]
-    )
+    write_text(pixels, text, (left + 0.4 * letter_px, bottom - 0.45 * letter_px), letter_px, COLOURS[label.part])
 
 
 def _offsets(half: Array, letter_px: float) -> Array:

@@ -188,9 +188,7 @@ def _side_view(frame: DrawnFrame, pixels: Image) -> tuple[Image, float] | None:
     drawing = frame.drawing
     measured = {one.name: one for one in drawing.segments if one.part is Part.DISTANCE}
     pairs = [
-        (measured[key], body)
-        for name, body in drawing.bodies.items()
-        if (key := f"{name} {Part.DISTANCE}") in measured
+        (measured[key], body) for name, body in drawing.bodies.items() if (key := f"{name} {Part.DISTANCE}") in measured
     ]
     if not pairs:
         return None

@@ -30,9 +30,7 @@ LINE_PX, POINT_PX, CLOUD_M, LINE_M, AXIS_M = 1.0, 3.0, 3e-4, 2e-4, 0.01
 JPEG_QUALITY = 90
 
 
-def write_rrd(
-    frames: Iterable[DrawnFrame], path: Path, recording: Recording, setup: Setup, *_: object
-) -> None:
+def write_rrd(frames: Iterable[DrawnFrame], path: Path, recording: Recording, setup: Setup, *_: object) -> None:
     """Write images, drawings on them and in space, and distances over time; raises OutputError."""
     stream = rr.RecordingStream("svmdist", recording_id=f"{recording.name}-{setup.method}")
     camera = recording.logged_camera

@@ -184,9 +184,7 @@ def cloud_results(surface: TissueSurface) -> Results:
     """A row for each point."""
     numbers = np.column_stack([surface.points_m, surface.normals, surface.std_m]).tolist()
     keys = [column.key for column in CLOUD_COLUMNS]
-    rows = (
-        dict(zip(keys, [*a, *b], strict=True)) for a, b in zip(numbers, surface.rgb.tolist(), strict=True)
-    )
+    rows = (dict(zip(keys, [*a, *b], strict=True)) for a, b in zip(numbers, surface.rgb.tolist(), strict=True))
     return Results(CLOUD_COLUMNS, rows)
 
 

@@ -77,9 +77,7 @@ def validation_document(validation: Validation) -> dict[str, Any]:
         "schema": VALIDATION_SCHEMA,
         "recordings": [of(score) for score in validation.scores],
         "overall": of(primary) if primary else None,
-        "overall_by_reference": {
-            str(one.reference): of(one) for one in overall if one.instrument == of_first[0]
-        },
+        "overall_by_reference": {str(one.reference): of(one) for one in overall if one.instrument == of_first[0]},
         "overall_by_instrument": {one.instrument: of(one) for one in overall if one.reference == of_first[1]},
         **({"groups": [of(score) for score in validation.groups]} if validation.groups else {}),
         "paper": {"r_squared": PAPER_R_SQUARED, "note": PAPER_NOTE},

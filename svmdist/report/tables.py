@@ -49,9 +49,7 @@ class Table:
     @classmethod
     def of(cls, title: str, columns: Sequence[Column], *parts: Iterable[Row]) -> Table:
         """The table of some rows, and of those overall."""
-        texts = [
-            tuple(tuple(one.show(row.get(one.key)) for one in columns) for row in rows) for rows in parts
-        ]
+        texts = [tuple(tuple(one.show(row.get(one.key)) for one in columns) for row in rows) for rows in parts]
         headings = tuple(column.heading for column in columns)
         return cls(printable(title), headings, tuple(column.is_text for column in columns), *texts)
 
@@ -69,9 +67,7 @@ def render(table: Table, *, width: int | None = None, colour: bool = False) -> s
     """Render a table to text, as wide as it needs without a width; a wider one comes in parts with whole cells."""
     from rich.console import Console
 
-    console = Console(
-        width=width or 1000, force_terminal=colour, no_color=not colour, emoji=False, highlight=False
-    )
+    console = Console(width=width or 1000, force_terminal=colour, no_color=not colour, emoji=False, highlight=False)
     with console.capture() as captured:
         for at, indices in enumerate(_parts(table, width) if width else [range(len(table.headings))]):
             console.print(_rich(table, indices, table.title if at == 0 else ""))

@@ -144,9 +144,7 @@ def _smooth_noise(rng: np.random.Generator, cell_count: int, stretch: float = 1.
     return np.asarray(cv2.resize(cells, (TEXTURE_PX, TEXTURE_PX), interpolation=cv2.INTER_CUBIC), np.float64)
 
 
-def _grow_vessel(
-    canvas: Image, rng: np.random.Generator, start_px: Array, heading_rad: float, width_px: float
-) -> None:
+def _grow_vessel(canvas: Image, rng: np.random.Generator, start_px: Array, heading_rad: float, width_px: float) -> None:
     position = start_px
     for step in range(16):
         following = position + 24.0 * np.array([np.cos(heading_rad), np.sin(heading_rad)])

@@ -198,9 +198,7 @@ def _random(rng: np.random.Generator, s: Array, scene: Scene, duration_s: float)
 SCENARIOS: dict[str, Callable[[np.random.Generator, Array, Scene, float], Motion]] = {
     "calibration": partial(_waves, crosses_field=True),
     "sweep": partial(_waves, crosses_field=False),
-    "approach": partial(
-        _descent, path=partial(smooth_step, start=0.04, end=0.9), clearance_m=0.002, lowest_at=1.0
-    ),
+    "approach": partial(_descent, path=partial(smooth_step, start=0.04, end=0.9), clearance_m=0.002, lowest_at=1.0),
     "contact": partial(
         _descent,
         path=partial(smooth_pulse, rise=(0.04, 0.46), fall=(0.56, 0.96)),

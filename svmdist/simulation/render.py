@@ -160,9 +160,7 @@ class Renderer(BulletWorld):
             together = Picture(image_bgr, depth, np.where(in_front, picture.bodies, background.bodies))
         return self._shaded(together, background.depth, T_world_camera, turn)
 
-    def _picture(
-        self, T_world_camera: Array, turn: int, *, moving: bool = True, still: bool = True
-    ) -> Picture:
+    def _picture(self, T_world_camera: Array, turn: int, *, moving: bool = True, still: bool = True) -> Picture:
         """Take the picture that is number `turn` of a recording, of what moves and of what is still, or one of them.
 
         TinyRenderer draws the same scene in two ways, by turns, which differ by one level in single pixels. The

@@ -72,9 +72,7 @@ class Sensors:
             image = subsampled(image, self._chroma)
         return self._degraded(camera, image, frame, self._of_images)
 
-    def _degraded(
-        self, camera: int, image: Image, frame: int, by: Sequence[tuple[int, Degradation, int]]
-    ) -> Image:
+    def _degraded(self, camera: int, image: Image, frame: int, by: Sequence[tuple[int, Degradation, int]]) -> Image:
         for place, name, severity in by:
             seed = image_seed(name, camera, self._seed, _DEGRADATION_STREAM, place, frame)
             image = degrade(image, name, severity, seed)

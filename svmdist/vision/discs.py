@@ -99,9 +99,7 @@ def _circle(points_px: Array, centre_px: Array, blur_px: float, origin_px: Array
         distance_px = np.linalg.norm(offset, axis=1)
         residual_px = distance_px - radius_px
         outside = residual_px > 0.0
-        scale_px = (
-            max(scale_of(residual_px[outside]), LEAST_SCATTER_PX) if outside.any() else LEAST_SCATTER_PX
-        )
+        scale_px = max(scale_of(residual_px[outside]), LEAST_SCATTER_PX) if outside.any() else LEAST_SCATTER_PX
         inside = 1.0 / (1.0 + (residual_px / (INSIDE_STDS * scale_px)) ** 2)
         weight = np.where(outside, huber_weights(residual_px, HUBER * scale_px), inside) ** 2
         J = np.column_stack([offset / distance_px[:, None], np.ones(len(offset))])

@@ -112,9 +112,7 @@ def disparity_map(
     return DisparityMap(columns_px, rows_px, step * disparity_px, step * std_px, is_seen)
 
 
-def semi_global(
-    left: Image, right: Image, low_px: float, high_px: float, block_px: int, step: int = 1
-) -> Floats:
+def semi_global(left: Image, right: Image, low_px: float, high_px: float, block_px: int, step: int = 1) -> Floats:
     """Disparity of every left pixel by semi-global matching of views reduced by `step`, shape (h, w) in px.
 
     NaN where there is none: the best match must be unique, and be found from the right, too.
@@ -177,9 +175,7 @@ def _levelled(grey: Image, inside: Image, width_px: int) -> Image:
     spread = np.sqrt(np.maximum(mean(level * level * used) / share - middle**2, 0.0) + FLAT_LEVELS**2)
     # Without what is outside, whose border would match at the disparity of the instrument there.
     smooth = blurred(level * used, SMOOTHING_PX) / np.maximum(blurred(used, SMOOTHING_PX), 1e-6)
-    return np.asarray(
-        cv2.addWeighted((smooth - middle) / spread * used, 40.0, used, 0.0, 128.0, dtype=cv2.CV_8U)
-    )
+    return np.asarray(cv2.addWeighted((smooth - middle) / spread * used, 40.0, used, 0.0, 128.0, dtype=cv2.CV_8U))
 
 
 class _Fit:

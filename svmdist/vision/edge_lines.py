@@ -48,9 +48,7 @@ Profiles = tuple[NDArray[np.float32], Array, NDArray[np.bool_]]
 """Slopes of three channels across a segment (3, n, k), at offsets (k,) in px, and what is seen (n, k)."""
 
 
-def _profiles_across(
-    bgr: Image, feet_px: Array, across: Array, half_px: float, picture: Image | None
-) -> Profiles:
+def _profiles_across(bgr: Image, feet_px: Array, across: Array, half_px: float, picture: Image | None) -> Profiles:
     """The profiles of an image, shape (h, w, 3), through points, shape (n, 2), along a unit vector `across`, (2,)."""
     half_px = np.ceil((half_px + 3.0 * SLOPE_SIGMA_PX) / STEP_PX) * STEP_PX
     offsets = np.arange(-half_px, half_px + STEP_PX / 2, STEP_PX)
@@ -72,9 +70,7 @@ def _profiles_across(
     return np.ascontiguousarray(slopes), offsets, seen
 
 
-def _points_near(
-    profiles: Profiles, place: Array, reach_px: float, least_levels: float
-) -> tuple[Array, Array]:
+def _points_near(profiles: Profiles, place: Array, reach_px: float, least_levels: float) -> tuple[Array, Array]:
     """Sub-pixel offset of each profile's edge near a line at offsets `place`, shape (n,), NaN where there is none.
 
     And how wide that edge is, shape (n,): the variance in px² of a Gaussian with the slope's peak.

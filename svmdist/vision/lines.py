@@ -79,9 +79,7 @@ def line_between(ends: Array, covariance: Array, inside: Array) -> TangentPlane:
     return _tangent_plane(normal, float(normal @ ends[0]), ends.mean(axis=0), J @ covariance @ J.T, inside)
 
 
-def _tangent_plane(
-    normal: Array, offset: float, centre: Array, covariance: Array, inside: Array
-) -> TangentPlane:
+def _tangent_plane(normal: Array, offset: float, centre: Array, covariance: Array, inside: Array) -> TangentPlane:
     """The plane of the line on z = 1 with `normal` · p = `offset`.
 
     `covariance` (2, 2) is that of its turn in rad about `centre`, (2,), and of its shift along the normal.
@@ -142,9 +140,7 @@ def axis_of_cylinder(planes: Iterable[TangentPlane], radius_m: float) -> Cylinde
     return CylinderAxis(radius_m * (n1 + n2) / (1.0 + float(n1 @ n2)), across / sine)
 
 
-def tangent_normal(
-    point_m: Array, direction: Array, radius_m: float, side: int
-) -> tuple[Array, Array, Array]:
+def tangent_normal(point_m: Array, direction: Array, radius_m: float, side: int) -> tuple[Array, Array, Array]:
     """Unit normal (3,) of a plane that touches a cylinder, and its derivatives by point and direction, (3, 3) each.
 
     `point_m` (3,) is any point of the axis. `side` is +1 for the plane to the right of the axis as it runs through

@@ -41,9 +41,7 @@ def marker_pattern(size_px: int) -> Image:
     return pattern
 
 
-def paste_marker(
-    image_bgr: Image, centre_px: Array, size_px: int, margin_px: int
-) -> tuple[Image, tuple[int, int]]:
+def paste_marker(image_bgr: Image, centre_px: Array, size_px: int, margin_px: int) -> tuple[Image, tuple[int, int]]:
     """A window with the marker in its middle, about `centre_px` (x, y, rounded), and the window's top left pixel.
 
     Its margin, alike on every side, keeps a marker at the image's border uncut and far enough from the edge for ORB:

@@ -68,18 +68,14 @@ class OnnxSegmenter:
         if rules.from_border:
             kept = _from_border(instrument | shaft, field_of_view(black))
             instrument, shaft = instrument & kept, shaft & kept
-        return KnownMasks(
-            _of(labels, rules.tissue), instrument, None if rules.shaft is None else shaft, black
-        )
+        return KnownMasks(_of(labels, rules.tissue), instrument, None if rules.shaft is None else shaft, black)
 
     @staticmethod
     def view(bgr: Image) -> tuple[int, int, int, int]:
         """Left, top, width and height in px of the box around what the endoscope shows; all of a dark image."""
         height, width = bgr.shape[:2]
         step = max(1, max(height, width) // VIEW_PX)
-        left, top, wide, high = cv2.boundingRect(
-            field_of_view(_black(np.ascontiguousarray(bgr[::step, ::step])))
-        )
+        left, top, wide, high = cv2.boundingRect(field_of_view(_black(np.ascontiguousarray(bgr[::step, ::step]))))
         if not wide:
             return 0, 0, width, height
         left, top, right, bottom = (step * side for side in (left, top, left + wide, top + high))

@@ -76,9 +76,7 @@ def _sample(corners: Array) -> tuple[Array, float]:
     return np.stack([np.interp(at, along, values) for values in closed.T], -1), step_px
 
 
-def _is_outline(
-    points_px: Array, step_px: float, mask: NDArray[np.uint8], radius_px: float
-) -> NDArray[np.bool_]:
+def _is_outline(points_px: Array, step_px: float, mask: NDArray[np.uint8], radius_px: float) -> NDArray[np.bool_]:
     """Which points, shape (n,), of the hull lie at visible pixels, off straight edges and inside the image."""
     height, width = mask.shape
     column, row = np.rint(points_px.T).astype(np.intp)

@@ -112,9 +112,7 @@ def _shares(ratios: Array, offsets: Array, width_px: float) -> Array:
     border = np.median(ratios[:, np.abs(offsets) < BORDER_PX], axis=1)
     away = cv2.blur(border, (1, edges.NEIGHBOURS)) - shaft
     square = (away**2).sum(1, keepdims=True)
-    return np.asarray(
-        ((ratios - shaft) @ away[..., None])[..., 0] / np.where(square > MIN_COLOUR**2, square, np.nan)
-    )
+    return np.asarray(((ratios - shaft) @ away[..., None])[..., 0] / np.where(square > MIN_COLOUR**2, square, np.nan))
 
 
 def _without_stains(at: Array, off_px: Array, within_px: float) -> Array:

@@ -133,9 +133,7 @@ def _bright_fraction(mask: Image, dark: Image) -> float:
     return 1.0 - cv2.countNonZero(cv2.bitwise_and(inside, dark)) / max(cv2.countNonZero(inside), 1)
 
 
-def _sides_of(
-    contour: NDArray[np.int32], inside: NDArray[np.bool_]
-) -> tuple[Side, Side, Array | None] | None:
+def _sides_of(contour: NDArray[np.int32], inside: NDArray[np.bool_]) -> tuple[Side, Side, Array | None] | None:
     """The two sides of a closed contour, shape (n, 2), and the middle of its distal end."""
     arcs = sorted(_arcs_inside(contour, inside), key=len, reverse=True)
     if not arcs:

@@ -83,14 +83,10 @@ def _wrist_point(
     across = np.array([-along[1], along[0]])
     height, width = mask.shape
     places = [end_px[axis] + u[:, None] * along[axis] + v * across[axis] for axis in (0, 1)]
-    inside_x, inside_y = (
-        (at >= 0) & (at <= size - 1) for at, size in zip(places, (width, height), strict=True)
-    )
+    inside_x, inside_y = ((at >= 0) & (at <= size - 1) for at, size in zip(places, (width, height), strict=True))
     seen, (x, y) = inside_x & inside_y, (at.astype(np.float32) for at in places)
     left, top = (int(np.clip(v.min() - cell_px, 0, size - 1)) for v, size in ((x, width), (y, height)))
-    window = bgr[
-        top : max(int(y.max() + cell_px) + 2, top + 1), left : max(int(x.max() + cell_px) + 2, left + 1)
-    ]
+    window = bgr[top : max(int(y.max() + cell_px) + 2, top + 1), left : max(int(x.max() + cell_px) + 2, left + 1)]
     if cell_px >= 1.5:
         window = np.asarray(cv2.blur(window, (int(cell_px + 0.5),) * 2), np.uint8)
     patch = cv2.remap(window, x - left, y - top, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -338,9 +334,7 @@ def _agrees(edge: EdgeLine, seen: SeenInstrument, side: int) -> bool:
     across = np.array([-along[1], along[0]])
     direction = edge.direction
     off_px = [
-        float(
-            across @ (edge.start_px + (along @ (at - edge.start_px)) / (direction @ along) * direction - at)
-        )
+        float(across @ (edge.start_px + (along @ (at - edge.start_px)) / (direction @ along) * direction - at))
         for at in (start, end)
     ]
     std_px = np.sqrt(np.diag(seen.side_covariance[side]) + (ROUGH_PX * seen.pixel_px) ** 2)

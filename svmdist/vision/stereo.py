@@ -92,9 +92,7 @@ class RectifiedPair:
         moved = [self.to_rows(left_px + step) - self.to_rows(left_px - step) for step in 0.5 * np.eye(2)]
         R_left_rows = np.eye(3) if self.R_rows_left is None else self.R_rows_left.T
         m_per_px = self.K[0, 0] * self.baseline_m / disparity_px / np.diag(self.K)[:2]
-        return p_m, np.column_stack(
-            [R_left_rows[:, :2] * m_per_px @ np.stack(moved, -1), -p_m / disparity_px]
-        )
+        return p_m, np.column_stack([R_left_rows[:, :2] * m_per_px @ np.stack(moved, -1), -p_m / disparity_px])
 
     def points(self, rows_px: Array, disparity_px: Array) -> Array:
         """Points of pixels of the left view where rows correspond, shape (n, 2), and disparities (n,): (n, 3) in m."""
@@ -150,9 +148,7 @@ def corresponding_points(
     )
     if pair.R_rows_left is not None:
         turns = zip((left_px, right_px), (pair.homography(), pair.homography(right=True)), strict=True)
-        left_px, right_px = (
-            cv2.perspectiveTransform(px[:, None], H)[:, 0].astype(np.float64) for px, H in turns
-        )
+        left_px, right_px = (cv2.perspectiveTransform(px[:, None], H)[:, 0].astype(np.float64) for px, H in turns)
     allowed = np.abs(right_px[None, :, 1] - left_px[:, None, 1]) <= max_rows_px
     disparity_px = left_px[:, None, 0] - right_px[None, :, 0]
     allowed &= (disparity_px > disparities_px[0]) & (disparity_px < disparities_px[1])

@@ -177,9 +177,7 @@ class LaidPattern(NormalEquations):
         return np.asarray(cluster_inflation * (inverse @ spread @ inverse) + self.variance * inverse)
 
 
-def start_overlay(
-    pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern
-) -> tuple[Overlay, float] | None:
+def start_overlay(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) -> tuple[Overlay, float] | None:
     """Blur, brightness and contrast that fit best at a first pose, and the deviation; None beside the tag."""
     on_tag = _pixels_on_tag(pixels, T_camera_tag, pattern)
     if on_tag is None:

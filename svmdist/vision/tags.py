@@ -127,9 +127,7 @@ def find_tags(image_grey: Image, family: str, settings: TagSettings) -> dict[int
 
 
 @lru_cache(maxsize=32)
-def _detector(
-    family: str, error_correction_rate: float, min_perimeter: float, _thread: int
-) -> cv2.aruco.ArucoDetector:
+def _detector(family: str, error_correction_rate: float, min_perimeter: float, _thread: int) -> cv2.aruco.ArucoDetector:
     """The detector of a family; each thread has its own, since it keeps state while it works."""
     dictionary = tag_dictionary(family)
     if dictionary.markerSize < LONG_CODE_CELLS:
@@ -152,9 +150,7 @@ def square_corners_m(size_m: float) -> Array:
 def pose_candidates(corners_px: Array, size_m: float, K: Array, D: Array) -> list[Array]:
     """Both poses that four corners allow, shape (4, 4) each, the better one first (Collins and Bartoli 2014)."""
     seen = (np.ascontiguousarray(corners_px), K, D if len(D) else None)
-    _, rotations, translations, _ = cv2.solvePnPGeneric(
-        square_corners_m(size_m), *seen, flags=cv2.SOLVEPNP_IPPE_SQUARE
-    )
+    _, rotations, translations, _ = cv2.solvePnPGeneric(square_corners_m(size_m), *seen, flags=cv2.SOLVEPNP_IPPE_SQUARE)
     poses = []
     for rotation, translation in zip(rotations, translations, strict=True):
         T = make_transform(cv2.Rodrigues(rotation)[0], np.asarray(translation).ravel())

@@ -57,9 +57,7 @@ def collect_part(recording: Recording, request: Request, jobs: int | None = None
     truth = recording.transform_track(frames.camera, frames.tool, ground_truth=True)
     tool = truth.at(stamps_ns)
     source = plane_mapping.SourceFile(name=recording.path.name, sha256=recording.sha256())
-    return CalibrationPart(
-        recording.name, source, camera, tool_px[tool.valid], tool.values[tool.valid, :2, 3]
-    )
+    return CalibrationPart(recording.name, source, camera, tool_px[tool.valid], tool.values[tool.valid, :2, 3])
 
 
 def fit_parts(parts: Sequence[CalibrationPart], method: str) -> plane_mapping.Calibration:

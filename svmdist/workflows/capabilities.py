@@ -135,9 +135,7 @@ def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup,
 def misfit(summary: RecordingSummary) -> str:
     """Why a log is none of the profile that is taken where none is given: neither made by it, nor with its joints."""
     path, profile, metadata = summary.recording.path, summary.recording.profile, summary.recording.metadata
-    is_its_own = metadata.get("profile") == profile.name or (
-        "joints" in summary.roles and not _missing_chain(summary)
-    )
+    is_its_own = metadata.get("profile") == profile.name or ("joints" in summary.roles and not _missing_chain(summary))
     if is_its_own or profile.name != DEFAULT_PROFILE:
         return ""
     stem = Path(str(path)).stem
@@ -152,9 +150,7 @@ def require_clearance(setup: Setup) -> None:
     method, profile = setup.method, setup.profile
     if method in PLANAR_METHODS:
         choices = ", ".join(SPATIAL_METHODS)
-        raise UsageError(
-            f"alarms need a clearance; {method} measures in the plane: the choices are {choices}"
-        )
+        raise UsageError(f"alarms need a clearance; {method} measures in the plane: the choices are {choices}")
     if profile.instrument is None:
         raise ProfileError(
             f"profile {profile.name} has no [instrument]: alarms need a clearance, which needs the instrument's sizes"

@@ -102,8 +102,7 @@ def arms_of(recording: Recording, profile: Profile, spread: Sequence[EncodedObse
     images = (one.decoded.seen[0] for one in spread if wanted and one.decoded.seen is not None)
     first_fields = (with_first_fields(seen, settings.interlace).image_bgr for seen in images)
     has_plates = profile.fiducial is not None and any(
-        not wanted.isdisjoint(find_tags(to_grey(bgr), profile.fiducial.family, settings.tag))
-        for bgr in first_fields
+        not wanted.isdisjoint(find_tags(to_grey(bgr), profile.fiducial.family, settings.tag)) for bgr in first_fields
     )
     return [Arm(one, has_plates and one.fiducial is not None) for one in profiles]
 
@@ -113,9 +112,7 @@ def needs_association(arms: Sequence[Arm]) -> bool:
     return len(arms) > 1 or isinstance(arms[0].profile.segmentation, AutoSegmentation)
 
 
-def look(
-    seen: tuple[Observation, ...], arms: Sequence[Arm], segmenter: Segmenter, rows: RowAlignment
-) -> list[Frame]:
+def look(seen: tuple[Observation, ...], arms: Sequence[Arm], segmenter: Segmenter, rows: RowAlignment) -> list[Frame]:
     """A frame for each instrument in an image: several are told apart as in the first image of a log."""
     scene = Scene(seen[0], arms[0].profile, segmenter, rows)
     if not needs_association(arms):
@@ -239,7 +236,5 @@ def check_log(recording: Recording) -> dict[str, Checks]:
     if spread and not any(one.decoded.seen for one in spread):
         why = spread[0].decoded.found
         assert isinstance(why, Rejection)
-        raise RecordingError(
-            f"{recording.name}: no image of {len(spread)} can be used: {why.detail or why.status}"
-        )
+        raise RecordingError(f"{recording.name}: no image of {len(spread)} can be used: {why.detail or why.status}")
     return checked(recording, spread, arms, segmenter, rows, least=len(spread), pairs=len(spread))[0]

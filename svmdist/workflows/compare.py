@@ -207,9 +207,7 @@ def compared(runs: Sequence[MethodScore]) -> list[MethodScore]:
     kinds = {(run.group.scenario, run.group.degradation) for run in runs}
     scores = _pooled(runs, [run.group for run in runs])
     if all(len(set(several)) > 1 for several in zip(*kinds, strict=True)):
-        groups = [
-            replace(run.group, scenario=ALL, degradation=run.group.degradation or "clean") for run in runs
-        ]
+        groups = [replace(run.group, scenario=ALL, degradation=run.group.degradation or "clean") for run in runs]
         scores += _pooled(runs, groups)
     if len(kinds) > 1:
         groups = [replace(run.group, scenario=ALL, degradation=ALL) for run in runs]

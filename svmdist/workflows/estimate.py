@@ -61,9 +61,7 @@ def estimate(
     return (result for (replayed,) in lanes for result in replayed.results)
 
 
-def with_lag(
-    recording: Recording, request: Request, jobs: int | None = None
-) -> tuple[Recording, LagEstimate]:
+def with_lag(recording: Recording, request: Request, jobs: int | None = None) -> tuple[Recording, LagEstimate]:
     """Apply the time offset of a request; `auto` is one pass over the images.
 
     `auto` is found from the middle of each instrument in the image, whatever the method, as nothing of the joints is in
@@ -76,10 +74,7 @@ def with_lag(
         for (replayed,) in replay(recording, [seen], jobs=jobs):
             for of_instrument, result in zip(readings.values(), replayed.results, strict=True):
                 of_instrument.add(result)
-        each = [
-            recording_lag(rows, recording.for_instrument(name), request.rules)
-            for name, rows in readings.items()
-        ]
+        each = [recording_lag(rows, recording.for_instrument(name), request.rules) for name, rows in readings.items()]
         found = max(each, key=lambda one: (one.told, one.confidence))
     if request.lag is None or not found.told:
         return recording, found

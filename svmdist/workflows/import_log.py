@@ -135,9 +135,7 @@ def import_log(
     T_left_right = stereo_transform(*cameras) if options.count == 2 else None
     said = [exchanged_names(stated), *late]
     if options.rate_hz is not None and (missing := missing_numbers(views[0].names)):
-        said.append(
-            f"{missing}: by --rate these follow each other as all images do; --times FILE says otherwise"
-        )
+        said.append(f"{missing}: by --rate these follow each other as all images do; --times FILE says otherwise")
     if T_left_right is not None:
         few = islice(_pairs(views, cameras, T_left_right, options), LOOKED_AT)
         compared = compare_views(few, load_profile())
@@ -202,9 +200,7 @@ def _pairs(
                 yield Observation(views[0].stamps_ns[place], images[0], cameras[0], right=right)
 
 
-def _table_messages(
-    options: ImportOptions, images_ns: Mapping[str, int]
-) -> tuple[list[list[Message]], list[str]]:
+def _table_messages(options: ImportOptions, images_ns: Mapping[str, int]) -> tuple[list[list[Message]], list[str]]:
     """The messages of each table, and in words which have rows near few images."""
     found: list[list[Message]] = []
     said: list[str] = []
@@ -309,10 +305,7 @@ def _video_views(options: ImportOptions, sources: Sequence[Path]) -> list[View]:
             raise SourceError(f"{path}: {len(video.times_ns)} images; {sources[0]} has {count}")
     names = [f"image {place} of {sources[0].name}" for place in range(len(videos[0].times_ns))]
     stamps = _stamps(options, names, videos[0].times_ns)
-    return [
-        View(names, stamps, video.size_px, partial(video.images, options.every), video.losses)
-        for video in videos
-    ]
+    return [View(names, stamps, video.size_px, partial(video.images, options.every), video.losses) for video in videos]
 
 
 def _stamps(options: ImportOptions, names: list[str], times_ns: Sequence[int] | None = None) -> list[int]:
@@ -323,9 +316,7 @@ def _stamps(options: ImportOptions, names: list[str], times_ns: Sequence[int] | 
     times = options.times
     stamps = table_files.read_times(times, names) if times else table_files.stamps_from_names(names)
     if stamps is None:
-        raise UsageError(
-            f"the name {names[0]} has no time (in s or ns since 1970): give --rate HZ or --times FILE"
-        )
+        raise UsageError(f"the name {names[0]} has no time (in s or ns since 1970): give --rate HZ or --times FILE")
     if options.start_ns:
         raise UsageError(f"--start goes with --rate or a video; times are those of {times or 'the names'}")
     table_files.require_rising(stamps, names, str(options.times or options.source))

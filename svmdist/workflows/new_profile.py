@@ -91,9 +91,7 @@ class LogRoles(NamedTuple):
     other_images: tuple[str, ...]
 
 
-def draft_profile(
-    path: LogPath, name: str, topics: Mapping[str, str], instrument: str | None = None
-) -> ProfileDraft:
+def draft_profile(path: LogPath, name: str, topics: Mapping[str, str], instrument: str | None = None) -> ProfileDraft:
     """Look at a log and draft its profile; `topics` chooses some by role, where `find_roles` would raise.
 
     `instrument` is a name in the table of instruments; without it, joints of a da Vinci tell one of 8 mm.
@@ -110,8 +108,7 @@ def draft_profile(
         raise RecordingError(f"{path.name}: no profile of it would be right: {views.refusal}")
     images = [as_pinholes(seen).image_bgr for seen in observations]
     instruments = tuple(
-        _instrument(name, own, summary, path, blank, len(roles.instruments))
-        for name, own in roles.instruments.items()
+        _instrument(name, own, summary, path, blank, len(roles.instruments)) for name, own in roles.instruments.items()
     )
     has_base = bool(instruments) and recording.nominal_tree.links(camera.frame_id, instruments[0].base)
     if not has_base and len(instruments) != 1:  # nothing else tells them apart
@@ -247,10 +244,7 @@ def _instruments_by_entries(images: Sequence[Image]) -> tuple[InstrumentDraft, .
 
     One, of any side, where no two are seen.
     """
-    seen = [
-        [one.entry_px / one.size[::-1] for one in AutoMasks(image).seen[: len(SIDE_MIDDLES)]]
-        for image in images
-    ]
+    seen = [[one.entry_px / one.size[::-1] for one in AutoMasks(image).seen[: len(SIDE_MIDDLES)]] for image in images]
     least = max(ENOUGH_IMAGES * len(images), min(2, len(images)), 1)
     several = range(2, len(SIDE_MIDDLES) + 1)
     count = max([1, *(n for n in several if sum(len(one) >= n for one in seen) >= least)])
@@ -279,9 +273,7 @@ def _surface(
     """The plane through the tissue's surface as pairs of views show it, and how many; None where too few agree."""
     if recording.right_camera is None:
         return None, 0
-    rules = _blank({}).model_copy(
-        update={"segmentation": AutoSegmentation(method="auto"), "tissue": SOMEWHERE}
-    )
+    rules = _blank({}).model_copy(update={"segmentation": AutoSegmentation(method="auto"), "tissue": SOMEWHERE})
     segmenter, deviations = make_segmenter(rules.segmentation), Deviations(CameraError())
     rows = rows or offset_to_remove(observations, rules)
     clouds: list[Array] = []

@@ -210,9 +210,7 @@ def record_episodes(
     parts = [path.with_name(f"{path.name}.part") for path in paths]
     there = next((path for path in (*paths, *parts) if path.exists()), None)
     if there and not episodes.force and not episodes.skip_existing:
-        raise UsageError(
-            f"{there} exists; --skip-existing leaves episodes that are whole, --force replaces all"
-        )
+        raise UsageError(f"{there} exists; --skip-existing leaves episodes that are whole, --force replaces all")
     found: dict[int, Recorded] = {}
     jobs = parallel.usable_cores() if jobs is None else jobs
     workers = min(jobs, len(paths))

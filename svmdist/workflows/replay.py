@@ -165,10 +165,7 @@ def _no_image(recording: Recording) -> str:
     window, stamps_ns = recording.window, image_stamps_ns(replace(recording, window=ALL_IMAGES))
     end = "its end" if window.end_s == math.inf else f"--end {window.end_s:g}"
     length_s = round((max(stamps_ns) - stamps_ns[0]) * 1e-9, 3)
-    return (
-        f"{recording.name}: no image to measure from --start {window.start_s:g} to {end}:"
-        f" the log has {length_s:g} s"
-    )
+    return f"{recording.name}: no image to measure from --start {window.start_s:g} to {end}: the log has {length_s:g} s"
 
 
 Unfinished = Callable[[], list[Replayed]]
@@ -178,9 +175,7 @@ Unfinished = Callable[[], list[Replayed]]
 class _Replay:
     """One pass over a recording."""
 
-    def __init__(
-        self, recording: Recording, setups: Sequence[Setup], conditions: Sequence[Condition]
-    ) -> None:
+    def __init__(self, recording: Recording, setups: Sequence[Setup], conditions: Sequence[Condition]) -> None:
         self._recording = recording
         setups = [setup.for_log(recording).knowing(recording.lag) for setup in setups]
         self._setup = setups[0]

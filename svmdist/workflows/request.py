@@ -82,9 +82,7 @@ class Condition:
             return degradations.apply_blur(image_bgr, self.name, self.severity)
         kind = degradations.Degradation(str(self.name))
         path = (REPLAY_SEED, list(degradations.Degradation).index(kind), frame, content)
-        return degradations.degrade(
-            image_bgr, kind, self.severity, degradations.image_seed(kind, side, *path)
-        )
+        return degradations.degrade(image_bgr, kind, self.severity, degradations.image_seed(kind, side, *path))
 
 
 CLEAN = Condition()
@@ -128,9 +126,7 @@ class OwnEstimator:
             found = type(result).__name__
             raise TypeError(f"{self.name}.estimate(frame): expected a FrameResult, found {found}")
         d = result.distances
-        numbers = [
-            one.value_m for one in (d.planar, d.spatial, d.clearance, d.to_instrument) if one is not None
-        ]
+        numbers = [one.value_m for one in (d.planar, d.spatial, d.clearance, d.to_instrument) if one is not None]
         numbers += [] if result.tool is None else result.tool.pose.position_m.tolist()
         if result.measured and not (numbers and np.isfinite(numbers).all()):
             return result.rejected(Status.NOT_FINITE, f"{self.name} says ok, without a number")
@@ -279,9 +275,7 @@ def prepare(
         planar = " and ".join(PLANAR_METHODS)
         raise UsageError(f"{option} is for the planar methods {planar}; {method} measures in 3D")
     if is_printed and calibration is not None:
-        raise UsageError(
-            "--equations printed takes the paper's numbers: it cannot be used with a calibration"
-        )
+        raise UsageError("--equations printed takes the paper's numbers: it cannot be used with a calibration")
     setup = Setup(loaded, method, equations, mapping=plane_mapping.PUBLISHED_MAPPING if is_printed else None)
     if is_planar and not is_printed:
         if calibration is None and loaded.calibration is None:

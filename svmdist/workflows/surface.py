@@ -73,9 +73,7 @@ def tissue_surface(recording: Recording, number: int) -> TissueSurface:
     scene = Scene(found[0], profile, segmenter, views.rows or offset_to_remove(pairs, profile))
     pair, right, seen = scene.stereo_pair, scene.observation.right, scene.observation
     if isinstance(pair, Failure) or right is None:
-        raise RecordingError(
-            f"{where} shows no surface: {pair.reason if isinstance(pair, Failure) else 'no pair'}"
-        )
+        raise RecordingError(f"{where} shows no surface: {pair.reason if isinstance(pair, Failure) else 'no pair'}")
     surface = scene.surface(most_px=ALL_PX)
     if surface is None:
         few = "too little of the tissue is found in both views (svmdist show --masks)"

@@ -92,6 +92,4 @@ def test_no_file_shows_a_secret(cli, folder, tmp_path, monkeypatch):
     texts = [path.read_text("utf-8") for path in tmp_path.rglob("*.*") if path.is_file()]
     assert len(texts) == 3
     assert not any("SECRET" in text for text in texts)
-    assert any(
-        f"svmdist estimate http://127.0.0.1:{server.server_port}/log0.mcap --resume" in text for text in texts
-    )
+    assert any(f"svmdist estimate http://127.0.0.1:{server.server_port}/log0.mcap --resume" in text for text in texts)

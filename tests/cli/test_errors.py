@@ -334,9 +334,7 @@ def test_joints_where_no_joint_can_be(cli, tmp_path, place_m):
         line, _ = cli("estimate", path, "--method", method, "-f", "csv", code=1).err.splitlines()
         assert line.startswith("svmdist: 0 of 3 frames measured (0.0%); 3 no_joints (joint insertion is at ")
     for command in ("validate", "compare"):
-        assert cli(command, path, "--method", "kinematic", code=1).err.endswith(
-            "svmdist: no frame is measured\n"
-        )
+        assert cli(command, path, "--method", "kinematic", code=1).err.endswith("svmdist: no frame is measured\n")
 
 
 def test_of_a_file_that_is_cut_the_readable_frames_are_measured(cli, tmp_path, synthetic_log):

@@ -87,9 +87,7 @@ def test_the_choices_of_truth_agree(cli, tmp_path, synthetic_calibration):
     for score in (by_default["kinematics"], *by_pair.values(), *by_pose.values()):
         assert score["rmse_m"] == pytest.approx(expected["rmse_m"], abs=1e-9)
         assert score["sample_count"] == expected["sample_count"]
-    by_itself = cli(
-        "validate", path, "--method", "kinematic", "--truth", "pose", "--truth", "ground_truth"
-    ).out
+    by_itself = cli("validate", path, "--method", "kinematic", "--truth", "pose", "--truth", "ground_truth").out
     assert by_itself.count("the tool is that of pose: of the same kinematics, whose errors do not show") == 1
     assert "the tool is that of ground_truth" not in by_itself
 
@@ -155,9 +153,7 @@ def test_info_tells_what_a_log_can_serve(cli, tmp_path, synthetic_log):
     lacking = cli("info", blind, "-f", "json").json
     assert lacking["commands"]["estimate"] == {"served": False, "missing": ["a topic for image"]}
     assert lacking["commands"]["fk"]["served"]
-    right = (
-        (topic.replace("left/camera_info", "right/camera_info"), one) for topic, one in samples(SCENE, 3)
-    )
+    right = ((topic.replace("left/camera_info", "right/camera_info"), one) for topic, one in samples(SCENE, 3))
     twice = (
         (topic.replace("ECM/left/image", place), one)
         for topic, one in samples(SCENE, 3)
@@ -165,15 +161,10 @@ def test_info_tells_what_a_log_can_serve(cli, tmp_path, synthetic_log):
     )
     unclear = write_samples(tmp_path / "unclear.mcap", twice)
     several = cli("info", unclear, blind).out
-    assert (
-        "unclear: choose one with --topic image=TOPIC of /one/image (3 images), /two/image (3 images)"
-        in several
-    )
+    assert "unclear: choose one with --topic image=TOPIC of /one/image (3 images), /two/image (3 images)" in several
     assert re.search(r"unclear .* –  .*\n blind .* 0  ", several)
     other = write_samples(tmp_path / "other.mcap", right)
-    assert cli("info", other, "-f", "json").json["commands"]["estimate"]["missing"] == [
-        "a topic for camera_info"
-    ]
+    assert cli("info", other, "-f", "json").json["commands"]["estimate"]["missing"] == ["a topic for camera_info"]
     said = cli("estimate", other, code=1).line
     assert "profile expects /ECM/left/camera_info); /ECM/right/camera_info is the right view's" in said
 

@@ -57,9 +57,7 @@ def test_help_fits_a_screen_or_two_and_has_every_option(cli):
     assert max(map(len, text.splitlines())) <= 80
     assert text.index("Examples:") < text.index("Input:") < text.index("Method:") < text.index("Output:")
     parameters = typer.main.get_command(app).commands["estimate"].params
-    assert not [
-        one for one in parameters if not one.hidden and (one.opts[0] not in text and one.metavar not in text)
-    ]
+    assert not [one for one in parameters if not one.hidden and (one.opts[0] not in text and one.metavar not in text)]
 
 
 @pytest.mark.parametrize("command", [*typer.main.get_command(app).commands, "profile new"])

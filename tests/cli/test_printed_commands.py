@@ -71,9 +71,7 @@ class Command:
     def calls(self, folder: Path) -> list[list[str]]:
         """What follows `uv` in each of its calls, with quotes, globs and loops as bash resolves them in a folder."""
         script = f"{RECORDER}\n{self.text}"
-        done = subprocess.run(
-            ["bash", "-euc", script], cwd=folder, capture_output=True, text=True, check=True
-        )
+        done = subprocess.run(["bash", "-euc", script], cwd=folder, capture_output=True, text=True, check=True)
         return [call.strip("\0").split("\0") for call in done.stdout.split("\x1e\0")[:-1]]
 
 
@@ -148,11 +146,7 @@ def run(document: str, clone: Path, cli: Cli, done: set[str], *, short: bool) ->
                 arguments += SHORT.get(arguments[0], [])
             if (asked := shlex.join(arguments)) in done:
                 continue
-            if (
-                document not in WRITE_TO_RECORDINGS
-                and "-o" not in arguments
-                and not made_here(clone, arguments)
-            ):
+            if document not in WRITE_TO_RECORDINGS and "-o" not in arguments and not made_here(clone, arguments):
                 done.add(asked)
             cli(*arguments)
             if short and arguments[0] == "record" and document in WRITE_TO_RECORDINGS:

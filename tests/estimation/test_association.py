@@ -23,9 +23,7 @@ def crossing_paths(rng: np.random.Generator) -> Array:
     """Two instruments' positions in the camera frame, shape (n, 2, 3) in m; the second one crosses the first thrice."""
     s = np.linspace(0.0, 1.0, COUNT)[:, None]
     phase = rng.uniform(0.0, 2.0 * np.pi, 3)
-    first = np.hstack(
-        [0.02 * np.sin(2 * np.pi * 1.5 * s + phase[0]), 0.014 * np.sin(2 * np.pi * s + phase[1])]
-    )
+    first = np.hstack([0.02 * np.sin(2 * np.pi * 1.5 * s + phase[0]), 0.014 * np.sin(2 * np.pi * s + phase[1])])
     turn = rng.uniform(0.0, 2.0 * np.pi)
     swing = 0.02 * np.cos(2 * np.pi * 1.5 * s + 0.1 * phase[2]) * [np.cos(turn), np.sin(turn)]
     offset = rng.uniform(-0.001, 0.001, 2)

@@ -29,9 +29,7 @@ TRUE_X, TRUE_Y = (
 )
 
 
-def samples(
-    x: Quadratic = TRUE_X, y: Quadratic = TRUE_Y, count: int = 60, noise_m: float = 0.0
-) -> tuple[Array, Array]:
+def samples(x: Quadratic = TRUE_X, y: Quadratic = TRUE_Y, count: int = 60, noise_m: float = 0.0) -> tuple[Array, Array]:
     """Noise-free or noisy samples all over the image under known quadratics, in px and m."""
     rng = np.random.default_rng(1)
     tool_px = rng.uniform([20, 20], [620, 460], (count, 2))
@@ -112,8 +110,6 @@ def test_a_bad_file_names_file_key_and_nearest_key(tmp_path):
     path = tmp_path / "bad.toml"
     save_calibration(fitted(), path)
     path.write_text(path.read_text("utf-8").replace("linear =", "liner =", 1), "utf-8")
-    with pytest.raises(
-        CalibrationError, match=r"bad\.toml: unknown key x\.liner: did you mean linear\?"
-    ) as caught:
+    with pytest.raises(CalibrationError, match=r"bad\.toml: unknown key x\.liner: did you mean linear\?") as caught:
         load_calibration(path)
     assert "\n" not in str(caught.value)

@@ -41,9 +41,7 @@ def tilted(rng: np.random.Generator, tilt: tuple[float, float], depth_m: float) 
 
 def draw(T_camera_tag: Array, noise: float, seed: int) -> np.ndarray:
     """The tag on a grey ground, by a homography, each pixel the mean of nine samples, blurred and noisy."""
-    cells = cv2.aruco.generateImageMarker(
-        cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), 0, 8
-    )
+    cells = cv2.aruco.generateImageMarker(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), 0, 8)
     plate = np.kron(np.pad(cells, 1, constant_values=255), np.ones((24, 24), np.uint8)).astype(np.uint8)
     half = SIZE_M / 2 * 10 / 8
     corners_px = CAMERA.project(square_corners_m(2 * half) @ T_camera_tag[:3, :3].T + T_camera_tag[:3, 3])
@@ -100,9 +98,7 @@ def test_a_length_moves_the_tool_along_its_own_axis(name):
     """In both conventions: the covariance is that of the derivatives by differences of the chain's lengths."""
     profile, mounting = load_profile(name), PROFILE.fiducial
     chain = kinematics.chain_of(profile.robot)
-    fiducial = mounting.model_copy(
-        update={"link": chain.rows[kinematics.rows_behind_insertion(chain)[0]].name}
-    )
+    fiducial = mounting.model_copy(update={"link": chain.rows[kinematics.rows_behind_insertion(chain)[0]].name})
     q = 0.4 * chain.lower + 0.6 * chain.upper
     tag = TagPose(make_transform(rotation_x(2.0), [0.0, 0.0, 0.09]), np.zeros((6, 6)))
     error = KinematicError(joint_std_rad=0.0, joint_std_m=0.0, play_std_rad=0.0, length_std_m=4e-4)
@@ -133,8 +129,7 @@ def observation(joints: bool = True, tag: bool = True) -> tuple[Observation, Arr
     ys, xs = np.mgrid[:480, :640]
     image[((xs - 150.0) / 110) ** 2 + ((ys - 200.0) / 90) ** 2 <= 1] = (70, 60, 200)
     T_base_tag = (
-        kinematics.frame_transforms(CHAIN, POSTURE)[kinematics.row_index(CHAIN, fiducial.link)]
-        @ fiducial.T_link_tag
+        kinematics.frame_transforms(CHAIN, POSTURE)[kinematics.row_index(CHAIN, fiducial.link)] @ fiducial.T_link_tag
     )
     T_camera_tool = T @ inverse(T_base_tag) @ kinematics.forward_kinematics(CHAIN, POSTURE)
     sample = JointSample(5, CHAIN.joint_names, POSTURE) if joints else None

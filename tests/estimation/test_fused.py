@@ -136,11 +136,7 @@ def test_images_that_show_nothing_confirm_nothing():
         if number < 24:
             return one
         blank, shown = np.full_like(one.image_bgr, 120), shifted(one, 0.0, 0.01, 0.0)
-        return (
-            replace(shown, image_bgr=blank, right=replace(one.right, image_bgr=blank))
-            if number % 2
-            else shown
-        )
+        return replace(shown, image_bgr=blank, right=replace(one.right, image_bgr=blank)) if number % 2 else shown
 
     off_m = errors_m(range(36), blinking)
     assert np.isnan([off_m[number] for number in (24, 26, 28)]).all()
@@ -170,9 +166,7 @@ def test_what_began_by_a_poor_image_begins_anew_by_a_surer_one():
     for seen in golden_frames("3d/contact", range(24, 26), profile):
         frame = frame_of(seen, measuring.arm, measuring.segmenter)
         for view in (frame.left, frame.right) if not stds_m else ():
-            unsure = [
-                replace(one, covariance=one.covariance + 1e-4 * np.eye(3)) for one in view.shaft.contours
-            ]
+            unsure = [replace(one, covariance=one.covariance + 1e-4 * np.eye(3)) for one in view.shaft.contours]
             vars(view)["shaft"] = replace(view.shaft, contours=tuple(unsure))
         stds_m.append(measuring.estimator.estimate(frame).distances.spatial.std_m)
     assert stds_m[1] < 0.85 * stds_m[0]
@@ -243,8 +237,7 @@ def test_a_depth_needs_more_than_one_that_tells_it(first_side, marker, in_doubt)
     T = np.eye(4)
     pose = ToolPose(T, np.eye(6), T[:3, 2])
     judged = [
-        GatingResult(f"edge {side}", 1.0, 2, weight, "shaft")
-        for side, weight in (("-1", first_side), ("+1", 1.0))
+        GatingResult(f"edge {side}", 1.0, 2, weight, "shaft") for side, weight in (("-1", first_side), ("+1", 1.0))
     ]
     judged += [GatingResult(name, 1.0, 1, weight, "distal marker") for name, weight in marker]
     assert ImagePose(pose, (), "", tuple(judged)).doubtful_depth == in_doubt

@@ -118,9 +118,7 @@ def measurements() -> list[LinkMeasurement]:
         *(replace(one, name=f"right {one.name}", T_view_left=T_RIGHT_LEFT) for one in (sides[0], ends[0])),
         PAIR,
         replace(PAIR, name="lens", left=LENS, error=shaded(1e-4)),
-        SizeMeasurement(
-            name="size", link=None, bias_std_px=0.2, hidden_std_px=0.5, correlation_time_s=30.0, **size
-        ),
+        SizeMeasurement(name="size", link=None, bias_std_px=0.2, hidden_std_px=0.5, correlation_time_s=30.0, **size),
         *sides,
         pose,
         replace(pose, name="far", T_camera_frame=far, bias_covariance=np.eye(6)),
@@ -144,8 +142,7 @@ def test_what_is_found_between_end_and_tips_is_off_with_both():
         own = {bias.name for bias in one.linearise(T_LINK).biases[1:]}
         assert end.bias_name not in own
         off = {
-            bias.name: bias
-            for bias in replace(one, error=PointError(with_end_m=ahead_m)).linearise(T_LINK).biases[1:]
+            bias.name: bias for bias in replace(one, error=PointError(with_end_m=ahead_m)).linearise(T_LINK).biases[1:]
         }
         # As if the tool were nearer by as much: what is measured would be what is predicted there.
         expected = one.linearise(T_LINK).residual - one.linearise(moved).residual
@@ -159,9 +156,7 @@ def test_what_is_found_between_end_and_tips_is_off_with_both():
         by_jaws = next(bias.jacobian for bias in both if bias.name == JAWS)
         assert by_jaws == pytest.approx(np.column_stack([expected, np.zeros((len(expected), 6))]), rel=0.05)
     by_end = replace(end, model_std_m=1e-3).linearise(T_LINK).biases[0].jacobian
-    assert by_end[0] == pytest.approx(
-        end.linearise(T_LINK).residual - end.linearise(moved).residual, rel=0.05
-    )
+    assert by_end[0] == pytest.approx(end.linearise(T_LINK).residual - end.linearise(moved).residual, rel=0.05)
 
 
 def test_where_the_right_picture_is_cut_does_not_matter_for_disparity():

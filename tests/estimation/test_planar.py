@@ -53,8 +53,7 @@ def test_eqs_5_6_are_the_published_quadratics_and_25_to_27_the_euclidean_distanc
     )
     a_px, b_px = np.array([10.0, 20.0]), np.array([300.0, 400.0])
     one_m, other_m = (
-        planar_distance_m(mapping.to_plane_m(a_px), mapping.to_plane_m(b_px))
-        for mapping in (published, shifted)
+        planar_distance_m(mapping.to_plane_m(a_px), mapping.to_plane_m(b_px)) for mapping in (published, shifted)
     )
     assert one_m == pytest.approx(other_m, rel=1e-12)
 

@@ -140,8 +140,7 @@ def test_blood_across_a_shaft_is_not_its_end(side):
 def test_a_dark_end_is_no_shafts_where_nothing_of_the_chain_slides():
     """Another robot's: the image shows an end, and no link of the chain carries it."""
     rows = tuple(
-        row.model_copy(update={"type": "fixed"} if row.type == "prismatic" else {})
-        for row in PROFILE.robot.joints
+        row.model_copy(update={"type": "fixed"} if row.type == "prismatic" else {}) for row in PROFILE.robot.joints
     )
     robot = PROFILE.robot.model_copy(update={"joints": rows})
     image = picture(SMALL, "left").draw(2)
@@ -176,8 +175,7 @@ def test_jaws_are_as_long_as_their_tips_are_seen_and_never_shorter(side):
         assert "jaws' tip" in fit.used
         assert (fit.pose.jaw_scale > 1.1) == (share > 1.0)
         bodies = [
-            InstrumentModel.of(profile).posed(ToolEstimate(one))
-            for one in (fit.pose, replace(fit.pose, jaw_scale=1.0))
+            InstrumentModel.of(profile).posed(ToolEstimate(one)) for one in (fit.pose, replace(fit.pose, jaw_scale=1.0))
         ]
         tips_m = [body.end_m[np.argmax(body.end_m @ drawn.direction)] for body in bodies]
         seen_px = SMALL.project(drawn.tool_m + length_m * drawn.direction)
@@ -250,9 +248,7 @@ def test_beyond_10_cm_a_scene_of_twice_the_size_is_as_certain():
     for away_m in (0.15, 0.3):
         scale = away_m / np.linalg.norm(fit.pose.position_m)
         place, spread = scale * fit.pose.position_m, scale**2 * fit.pose.covariance
-        scaled = replace(
-            fit, pose=replace(fit.pose, T_camera_tool=make_transform(np.eye(3), place), covariance=spread)
-        )
+        scaled = replace(fit, pose=replace(fit.pose, T_camera_tool=make_transform(np.eye(3), place), covariance=spread))
         assert certain(frame, scaled, 0.101 * std) is scaled
         refused = certain(frame, scaled, 0.099 * std)
         assert isinstance(refused, Rejection)
@@ -264,9 +260,7 @@ def test_an_image_without_an_instrument_says_so(grey):
     assert isinstance(frame_in(np.full((480, 640, 3), grey, np.uint8)).shaft_pose, Failure)
 
 
-ENDS = ShaftSizes(
-    Instrument(**{**dict(PROFILE.instrument), "outline_end_m": 0.004, "shaft_end_m": 0.005}), 0.009
-)
+ENDS = ShaftSizes(Instrument(**{**dict(PROFILE.instrument), "outline_end_m": 0.004, "shaft_end_m": 0.005}), 0.009)
 
 
 @pytest.mark.parametrize(
@@ -279,9 +273,7 @@ def test_two_ends_are_those_of_shaft_and_wrist_or_one_is_nothing(other_px, kept,
     """
     sides = np.array([[[0.0, 0.0], [300.0, 0.0]], [[0.0, 80.0], [300.0, 80.0]]])
     end_px, small = np.array([300.0, 40.0]), np.zeros((2, 2), np.bool_)
-    seen = SeenInstrument(
-        small, (2, 2), sides, end_px, 1.0, ends_dark=True, other_px=other_px, other_share=0.5
-    )
+    seen = SeenInstrument(small, (2, 2), sides, end_px, 1.0, ends_dark=True, other_px=other_px, other_share=0.5)
     likelier = ENDS.with_likelier_end(seen, 2e-4)
     assert likelier.ends_dark is kept
     assert likelier.other_share < most_share
@@ -308,9 +300,7 @@ def test_an_outline_beyond_which_nothing_is_seen_ends_anywhere_up_to_the_tips():
 def test_every_point_of_an_image_errs_for_as_long_as_the_profile_says():
     """The bias of marker, size and shaft's end fades with one setting, that of edges with another."""
     times = {"point_correlation_time_s": 7.0, "edge_correlation_time_s": 9.0}
-    settings = PROFILE.settings.model_copy(
-        update={"filter": PROFILE.settings.filter.model_copy(update=times)}
-    )
+    settings = PROFILE.settings.model_copy(update={"filter": PROFILE.settings.filter.model_copy(update=times)})
     profile = PROFILE.model_copy(update={"settings": settings})
     frame = frame_in(picture(SMALL, "right", **PALE).draw(2), profile=profile)
     found = {one.name: one.correlation_time_s for one in of_images(frame, None, both_views=False)}

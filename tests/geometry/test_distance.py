@@ -129,9 +129,7 @@ def test_beside_a_concave_mesh_pruning_leaves_the_nearest_face():
     for _ in range(60):
         starts = rng.uniform(-1.0, 1.0, (6, 3)) * rng.choice([0.15, 1.5])
         capsules = Capsules(starts, starts + rng.normal(0.0, 0.15, (6, 3)), rng.uniform(0.01, 0.05, 6))
-        every = segment_to_triangle(
-            capsules.start_m[:, None], capsules.end_m[:, None], mesh.triangles_m[None]
-        ).distance
+        every = segment_to_triangle(capsules.start_m[:, None], capsules.end_m[:, None], mesh.triangles_m[None]).distance
         inside = signed_distances(np.vstack([capsules.start_m, capsules.end_m]), mesh)[1] < 0.0
         if inside.any() or every.min() < EXACT:
             assert separation(capsules, mesh).distance_m < 0.0
@@ -148,9 +146,7 @@ def test_many_capsules_against_many_agree_with_every_pair_in_turn():
     for spread in (0.3, 3.0):
         a, b = (random_capsules(rng, 12) for _ in range(2))
         b = Capsules(b.start_m * 0.1 + spread, b.end_m * 0.1 + spread, b.radius_m)
-        every = segment_to_segment(
-            a.start_m[:, None], a.end_m[:, None], b.start_m[None], b.end_m[None]
-        ).distance
+        every = segment_to_segment(a.start_m[:, None], a.end_m[:, None], b.start_m[None], b.end_m[None]).distance
         found = capsule_separation(a, b)
         expected = (every - a.radius_m[:, None] - b.radius_m[None]).min()
         assert found.distance_m == pytest.approx(expected, abs=EXACT)

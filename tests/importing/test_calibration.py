@@ -51,9 +51,7 @@ def test_ros_camera_info(tmp_path):
         np.testing.assert_allclose(camera.P.ravel(), P)
 
 
-@pytest.mark.parametrize(
-    "key", ["D", "d", "dist", "dist_coeff", "dist_coeffs", "distortion", "distortion_coeffs"]
-)
+@pytest.mark.parametrize("key", ["D", "d", "dist", "dist_coeff", "dist_coeffs", "distortion", "distortion_coeffs"])
 def test_distortion_has_many_names(tmp_path, key):
     """Of one camera, and with a number behind them of a pair."""
     T = {"T": [-0.0053, 0.0, 0.0]}
@@ -222,17 +220,13 @@ def test_views_of_two_sizes_have_two_cameras():
         np.testing.assert_allclose([camera.K[0, 0] for camera in cameras], [572.2, 286.1])
     for baseline_m in (0.005, None):
         options = calibration.CalibrationOptions(intrinsics=(left, None), baseline_m=baseline_m)
-        with pytest.raises(
-            SourceError, match="views of 640x480 and 320x240 px, and one camera for both: give"
-        ):
+        with pytest.raises(SourceError, match="views of 640x480 and 320x240 px, and one camera for both: give"):
             calibration.complete(calibration.stated_cameras(options, 2), sizes, FRAMES)
 
 
 def test_scaled_and_cropped_images():
     """A point is seen in the same place of the picture, and the right camera stands where it stood."""
-    of_pair = calibration.CalibrationOptions(
-        intrinsics=((572.2, 571.0, 378.8, 239.3), None), baseline_m=0.005
-    )
+    of_pair = calibration.CalibrationOptions(intrinsics=((572.2, 571.0, 378.8, 239.3), None), baseline_m=0.005)
     stated = calibration.stated_cameras(of_pair, 2)
     whole = calibration.complete(stated, SIZES, FRAMES)
     crop = (40, 20, 200, 160)

@@ -22,9 +22,7 @@ from svmdist.transforms import make_transform, rotation_x, rotation_z
 
 LENGTHS = ("a_m", "alpha_rad", "d_m", "theta_rad")
 angles_rad = st.floats(-np.pi, np.pi)
-row_angles_rad, row_lengths_m = (
-    st.floats(-limit, limit).map(lambda value: round(value, 15)) for limit in (3.14, 1.0)
-)
+row_angles_rad, row_lengths_m = (st.floats(-limit, limit).map(lambda value: round(value, 15)) for limit in (3.14, 1.0))
 rows = st.builds(
     Joint,
     name=st.just("joint"),
@@ -80,9 +78,7 @@ def test_many_joint_vectors_equal_one_at_a_time(convention):
         single = np.array([[function(chain, member) for member in row] for row in q])
         np.testing.assert_allclose(many, single, atol=1e-15)
     long = np.random.default_rng(2).uniform(-1, 1, (CHUNK + 5, 2))
-    np.testing.assert_allclose(
-        forward_kinematics(chain, long)[-1], forward_kinematics(chain, long[-1]), atol=1e-15
-    )
+    np.testing.assert_allclose(forward_kinematics(chain, long)[-1], forward_kinematics(chain, long[-1]), atol=1e-15)
 
 
 def test_joints_are_selected_by_name():

@@ -99,8 +99,6 @@ def test_a_target_beyond_the_limits_or_out_of_reach_is_an_error():
     target_m = kinematics.forward_kinematics(CHAIN, POSTURE)[:3, 3] + [0.0, 0.0, -0.4]
     with pytest.raises(KinematicsError, match="outside its limits"):
         kinematics.solve_position(CHAIN, POSTURE[None], target_m[None], FREE)
-    arm = kinematics.DHChain(
-        (Joint(name="a", type="revolute", a_m=0.5), Joint(name="b", type="revolute", a_m=0.5))
-    )
+    arm = kinematics.DHChain((Joint(name="a", type="revolute", a_m=0.5), Joint(name="b", type="revolute", a_m=0.5)))
     with pytest.raises(KinematicsError, match=r"out of reach: .* m are left"):
         kinematics.solve_position(arm, np.array([[0.1, 0.2]]), np.array([[2.0, 0.0, 0.0]]), ("a", "b"))

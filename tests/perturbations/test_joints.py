@@ -51,9 +51,7 @@ def test_a_lead_has_the_sign_of_the_last_long_travel(path, half_width):
 @given(PATHS, st.floats(0.0, 1.0), st.integers(2, 5))
 def test_a_lead_knows_no_speed(path, half_width, repeats):
     """Rest and intermediate samples change nothing: hysteresis is independent of rate."""
-    slow = np.array(
-        [path[0], *(a + (b - a) * k / repeats for a, b in pairwise(path) for k in range(1, repeats + 1))]
-    )
+    slow = np.array([path[0], *(a + (b - a) * k / repeats for a, b in pairwise(path) for k in range(1, repeats + 1))])
     np.testing.assert_allclose(leads(slow, half_width)[::repeats], leads(path, half_width), atol=1e-12)
 
 
@@ -89,9 +87,7 @@ def test_noise_and_steps_have_their_size():
 
 @pytest.mark.slow
 def test_drift_starts_at_zero_is_smooth_and_has_its_spread_after_8_s():
-    paths = np.array(
-        [(perturb("joint_drift=0.5", still(801), seed) - still(801))[:, WRIST] for seed in range(200)]
-    )
+    paths = np.array([(perturb("joint_drift=0.5", still(801), seed) - still(801))[:, WRIST] for seed in range(200)])
     assert not paths[:, 0].any()
     assert np.degrees(paths[:, 800].std()) == pytest.approx(0.5, rel=0.15)
     assert np.degrees(np.abs(np.diff(paths, axis=1)).max()) < 0.5 / 100
@@ -111,9 +107,7 @@ def test_a_log_of_other_order_names_and_joints_is_perturbed_alike():
     order = [WRIST, NAMES.index("yaw")]
     names = [*(NAMES[index] for index in order), "gripper"]
     world = ReplayedWorld(parse_perturbations("joint_noise=1,backlash=1"), PROFILE, 1)
-    _, found = world.reported(
-        "PSM1", names, STEP_NS * np.arange(3), np.column_stack([q[:, order], np.ones(3)])
-    )
+    _, found = world.reported("PSM1", names, STEP_NS * np.arange(3), np.column_stack([q[:, order], np.ones(3)]))
     whole = perturb("joint_noise=1,backlash=1", q)
     np.testing.assert_array_equal(found, np.column_stack([whole[:, order], np.ones(3)]))
 

@@ -43,15 +43,11 @@ def test_a_zoomed_image_is_that_of_a_zoomed_camera(zoom):
     point_m = np.array([[0.01, -0.015, 0.1]])
     image = blob_image(scene.camera.project(point_m)[0])
     found = middle_px(perturbed_image(image, parse_perturbations(f"zoom={zoom}")))
-    np.testing.assert_allclose(
-        found, calibration.zoomed_camera(scene.camera, zoom).project(point_m)[0], atol=0.1
-    )
+    np.testing.assert_allclose(found, calibration.zoomed_camera(scene.camera, zoom).project(point_m)[0], atol=0.1)
     assert perturbed_image(image, parse_perturbations("focal=1")) is image
 
 
-EVERYTHING = (
-    "plane={p},plane_tilt={t},shaft_radius={s},wrist_length={w},knuckle_radius={k},tag_size={g},tag_mount={m}"
-)
+EVERYTHING = "plane={p},plane_tilt={t},shaft_radius={s},wrist_length={w},knuckle_radius={k},tag_size={g},tag_mount={m}"
 
 
 @pytest.mark.parametrize("name", ["right_yaw", "right_pitch", "right_roll"])

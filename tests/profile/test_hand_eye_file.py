@@ -59,9 +59,7 @@ def test_a_deviation_that_is_stated_anew_scales_its_effect(hand_eye):
     wider = hand_eye.with_deviations(stated | {SHAFT_RADIUS: 3.0 * stated[SHAFT_RADIUS]})
     expected = NOISE + 9.0 * BY_RADIUS.T @ BY_RADIUS + BY_PITCH.T @ BY_PITCH
     np.testing.assert_allclose(wider.covariance, expected, atol=1e-15)
-    np.testing.assert_allclose(
-        wider.effects_at(np.array(hand_eye.translation_m))[SHAFT_RADIUS].T, 3.0 * BY_RADIUS
-    )
+    np.testing.assert_allclose(wider.effects_at(np.array(hand_eye.translation_m))[SHAFT_RADIUS].T, 3.0 * BY_RADIUS)
     exact = hand_eye.with_deviations(stated | {SHAFT_RADIUS: 0.0})
     assert [one.constant for one in exact.constants] == [hand_eye.constants[1].constant]
     np.testing.assert_allclose(exact.covariance, NOISE + BY_PITCH.T @ BY_PITCH, atol=1e-15)

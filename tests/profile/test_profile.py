@@ -211,9 +211,7 @@ def test_what_is_no_toml_file_says_why_and_where(tmp_path, name, data, message):
         (tmp_path / name).write_bytes(data)
     with pytest.raises(ProfileError, match=message):
         load_profile(tmp_path / name)
-    with pytest.raises(
-        ProfileError, match=r"no profile named psm31: did you mean psm13\? .*path to a \.toml"
-    ):
+    with pytest.raises(ProfileError, match=r"no profile named psm31: did you mean psm13\? .*path to a \.toml"):
         load_profile("psm31")
 
 

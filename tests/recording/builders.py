@@ -50,9 +50,7 @@ def scene(frame_count: int = 5, *, stamp_offset_ns: int = 1_000_000_000) -> list
         for step in range(4):
             joint_ns = stamp_ns + step * PERIOD_NS // 4
             positions = np.array([0.5 * frame + 0.125 * step, -1.0])
-            entries.append(
-                Entry("/PSM1/measured_js", samples.JointSample(joint_ns, ("yaw", "pitch"), positions))
-            )
+            entries.append(Entry("/PSM1/measured_js", samples.JointSample(joint_ns, ("yaw", "pitch"), positions)))
     return entries
 
 
@@ -61,9 +59,7 @@ def write_scene(path: Path, entries: list[Entry], metadata: dict[str, str] | Non
     return write_samples(path, entries, metadata or {"scenario": "test", "seed": "7"})
 
 
-def rewrite(
-    source: Path, target: Path, compression: str, *, chunk_size: int = 4096, data_crc: bool = True
-) -> Path:
+def rewrite(source: Path, target: Path, compression: str, *, chunk_size: int = 4096, data_crc: bool = True) -> Path:
     """Copy a recording into smaller chunks of another compression."""
     whole = McapSource(source, Limits())
     rows = [(m.topic, m.schema, m.message_encoding, bytes(m.data), m.log_time_ns) for m in whole.messages()]

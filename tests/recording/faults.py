@@ -105,10 +105,7 @@ def chunk_body(compression: str, data: bytes, size_bytes: int, crc: int = 0) -> 
 def chunks(data: bytes) -> list[tuple[Part, int]]:
     """The chunks of an intact file, and the number of messages in each."""
     found = [part for part in split(data[:-MAGIC_BYTES]) if part.opcode == CHUNK_OPCODE]
-    return [
-        (part, sum(inner.opcode == MESSAGE_OPCODE for inner in split(expand(part.body)[1], 0)))
-        for part in found
-    ]
+    return [(part, sum(inner.opcode == MESSAGE_OPCODE for inner in split(expand(part.body)[1], 0))) for part in found]
 
 
 def flip_bit(data: bytes, rng: random.Random) -> bytes:

@@ -156,9 +156,7 @@ def write_rosbag1(
 ) -> Path:
     """Write a ROS 1 bag with rosbags."""
     store = get_typestore(Stores.ROS1_NOETIC)
-    store.register(
-        get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
-    )
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
     writer = Bag1Writer(path)
     if compression is not None:
         writer.set_compression(compression)
@@ -179,9 +177,7 @@ def _write_all(
         for topic, type_name, fields, log_time_ns in messages:
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, type_name, typestore=store)
-            writer.write(
-                connections[topic], log_time_ns, serialize(build(store, type_name, fields), type_name)
-            )
+            writer.write(connections[topic], log_time_ns, serialize(build(store, type_name, fields), type_name))
 
 
 MCAP, SQLITE, BAG1 = StoragePlugin.MCAP, StoragePlugin.SQLITE3, Bag1Writer.CompressionFormat
@@ -192,9 +188,7 @@ WRITERS: dict[str, Callable[[Path, list[Message]], Path]] = {
     "rosbag2 sqlite compressed": lambda folder, it: write_rosbag2(folder / "a", it, SQLITE, compressed=True),
     "rosbag2 mcap": lambda folder, it: write_rosbag2(folder / "a", it, MCAP),
     "rosbag2 mcap compressed": lambda folder, it: write_rosbag2(folder / "a", it, MCAP, compressed=True),
-    "bare db3": lambda folder, it: (write_rosbag2(folder / "a", it, SQLITE) / "a.db3").rename(
-        folder / "b.dat"
-    ),
+    "bare db3": lambda folder, it: (write_rosbag2(folder / "a", it, SQLITE) / "a.db3").rename(folder / "b.dat"),
     "ros1 bag": lambda folder, it: write_rosbag1(folder / "a.dat", it),
     "ros1 bag lz4": lambda folder, it: write_rosbag1(folder / "a.bag", it, BAG1.LZ4),
     "ros1 bag bz2": lambda folder, it: write_rosbag1(folder / "a.bag", it, BAG1.BZ2),

@@ -36,8 +36,6 @@ def test_all_files_read_equal_to_their_json(tmp_path):
         source, found = McapSource(path, Limits()), []
         for _, record in _Pass(source).records(None):
             fields = sorted(vars(record).items())
-            found.append(
-                {"type": type(record).__name__, "fields": [[name, as_json(value)] for name, value in fields]}
-            )
+            found.append({"type": type(record).__name__, "fields": [[name, as_json(value)] for name, value in fields]})
         assert source.health.losses == ()
         assert found == json.loads(path.with_suffix(".json").read_text())["records"], path.name

@@ -121,9 +121,7 @@ def test_pixels_come_out_in_bgr(encoding, padding_bytes):
     """To the bit: channels are put in order, grey is repeated, alpha and the padding of rows are dropped."""
     image = decode(encoding, LAYOUTS[encoding], padding_bytes)
     assert image.dtype == np.uint8
-    np.testing.assert_array_equal(
-        image, np.repeat(GREY, 3, 2) if images.RAW_ENCODINGS[encoding][0] == 1 else BGR
-    )
+    np.testing.assert_array_equal(image, np.repeat(GREY, 3, 2) if images.RAW_ENCODINGS[encoding][0] == 1 else BGR)
 
 
 @pytest.mark.parametrize("encoding", BAYER)

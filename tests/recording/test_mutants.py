@@ -145,9 +145,7 @@ def corpus_of(target: str) -> list[bytes]:
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(
-    "is_long", [False, pytest.param(True, marks=pytest.mark.fault)], ids=["short", "long"]
-)
+@pytest.mark.parametrize("is_long", [False, pytest.param(True, marks=pytest.mark.fault)], ids=["short", "long"])
 @pytest.mark.parametrize("target", TARGETS)
 def test_mutants_give_a_value_or_an_error_of_ours(tmp_path, target, is_long):
     seeds = corpus_of(target)

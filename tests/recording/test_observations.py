@@ -96,13 +96,9 @@ def test_what_images_lack_near_them_is_counted(tmp_path, profile):
     decoded(partly)
     right, joints = partly.remarks
     assert (
-        right
-        == "in 1 of 5 frames no right image within 0.5 ms of the left (nearest 40 ms): measured with one camera"
+        right == "in 1 of 5 frames no right image within 0.5 ms of the left (nearest 40 ms): measured with one camera"
     )
-    assert (
-        joints
-        == "in 3 of 5 frames no joint states on both sides of the image, 100 ms apart at most (nearest 60 ms)"
-    )
+    assert joints == "in 3 of 5 frames no joint states on both sides of the image, 100 ms apart at most (nearest 60 ms)"
     decoded(partly, robot=False, right=False)
     assert partly.remarks == []
 
@@ -158,9 +154,7 @@ def test_the_believed_base_is_interpolated_along_the_tree(tmp_path, profile):
         return make_transform(np.eye(3), [x_m, 0.0, 0.0])
 
     def edge(topic: str, stamp_ns: int, parent: str, child: str, T: Array) -> Entry:
-        return Entry(
-            topic, samples.TransformsSample(stamp_ns, (samples.TransformSample(stamp_ns, parent, child, T),))
-        )
+        return Entry(topic, samples.TransformsSample(stamp_ns, (samples.TransformSample(stamp_ns, parent, child, T),)))
 
     entries = [entry for entry in scene() if entry.topic != "/tf"]
     start_ns = entries[0].sample.stamp_ns
@@ -269,16 +263,13 @@ def test_a_video_that_froze_shows_nothing_where_the_robot_has_moved(tmp_path, pr
     ):
         seen = list(replace(recording, window=window).encoded_observations(robot=robot, stale=True))
         assert [one.number for one in seen] == list(numbers)
-        refused = (
-            [one.decode().losses for one in seen] if frozen == RIGHT_IMAGE else [one.repeats for one in seen]
-        )
+        refused = [one.decode().losses for one in seen] if frozen == RIGHT_IMAGE else [one.repeats for one in seen]
         assert [at for at, one in zip(numbers, refused, strict=True) if one] == [4]
     decoded(recording, stale=True)
     assert [one.detail for one in recording.health.losses] == [said] * (frozen == RIGHT_IMAGE)
     assert recording.remarks == []
     still = [
-        one._replace(sample=replace(one.sample, positions=np.zeros(2))) if "_js" in one.topic else one
-        for one in again
+        one._replace(sample=replace(one.sample, positions=np.zeros(2))) if "_js" in one.topic else one for one in again
     ]
     none = [one for one in again if "_js" not in one.topic]
     remark = "images that repeat the one before them to the last byte: 2; the video stands still there"

@@ -59,9 +59,7 @@ def test_the_same_scene_comes_out(tmp_path, native, entries, profile, recorder):
         other_track = theirs.transform_track("camera", "tool", ground_truth=ground_truth)
         np.testing.assert_array_equal(mine_track.stamps_ns, other_track.stamps_ns)
         np.testing.assert_allclose(mine_track.T_parent_child, other_track.T_parent_child, atol=1e-15)
-    np.testing.assert_allclose(
-        ours.pose_track().T_parent_child, theirs.pose_track().T_parent_child, atol=1e-15
-    )
+    np.testing.assert_allclose(ours.pose_track().T_parent_child, theirs.pose_track().T_parent_child, atol=1e-15)
     np.testing.assert_array_equal(ours.joint_track().positions, theirs.joint_track().positions)
     assert theirs.health.losses == ()
     assert len(theirs.sha256()) == 64
@@ -90,9 +88,7 @@ def stamped(sample: Sample, stamp_ns: int) -> Sample:
 def write_logged(path: Path, entries: Iterable[tuple[Entry, int]]) -> Path:
     """Entries in protobuf, each with the time that it is logged at."""
     encoded = [(topic, encode(sample), logged_ns) for (topic, sample), logged_ns in entries]
-    return write_messages(
-        path, [(topic, one.schema, "protobuf", one.data, at_ns) for topic, one, at_ns in encoded]
-    )
+    return write_messages(path, [(topic, one.schema, "protobuf", one.data, at_ns) for topic, one, at_ns in encoded])
 
 
 def test_stamps_of_zero_in_protobuf_were_never_set_either(tmp_path, native, entries, profile):
@@ -187,9 +183,7 @@ NAN = float("nan")
 )  # fmt: skip
 def test_the_joints_of_the_chain_are_those_that_count(tmp_path, profile, reported, rows, loss):
     """Whoever else publishes on the topic, in whatever order, and whatever other joints are."""
-    samples = [
-        JointSample(at, tuple(one), np.array([*one.values()], float)) for at, one in enumerate(reported, 1)
-    ]
+    samples = [JointSample(at, tuple(one), np.array([*one.values()], float)) for at, one in enumerate(reported, 1)]
     messages = ros_messages([Entry("/PSM1/measured_js", sample) for sample in samples])
     log = open_recording(write_ros2_mcap(tmp_path / "a.mcap", messages), profile)
     track = log.joint_track()
@@ -223,9 +217,7 @@ LATE_NS = 30 * 10**9
     ("late", "joints_s", "base_s"),
     [("", 0.0, 0.0), ("_js", 29.84, 0.0), ("/tf", 0.0, 29.84), ("logged", 0.0, 0.0)],
 )
-def test_what_is_near_no_image_is_told_with_how_far_the_nearest_is(
-    tmp_path, profile, entries, late, joints_s, base_s
-):
+def test_what_is_near_no_image_is_told_with_how_far_the_nearest_is(tmp_path, profile, entries, late, joints_s, base_s):
     """By stamps in what is looked at; what is logged late is waited for."""
     frames = profile.frames.model_copy(update={"base": "tool"})
     shifted = [

@@ -87,10 +87,7 @@ def test_a_name_shows_no_secrets(user):
     assert repr(file) == str(file)
     assert file.folders == ("host", "day")
     said = f"{user}host is no bucket, https:/{user}host/day no folder"
-    assert (
-        str(RecordingError(without_secrets(said, file.url)))
-        == "***@host is no bucket, https:/host/day no folder"
-    )
+    assert str(RecordingError(without_secrets(said, file.url))) == "***@host is no bucket, https:/host/day no folder"
     plain = "http://host:80/me@home/a.mcap"
     assert concealed(plain) == plain
 

@@ -97,6 +97,4 @@ def test_the_proto_and_its_python_agree(message_class):
     types = {1: "double", 8: "bool", 9: "string", 11: "google.protobuf.Timestamp"}
     assert file.package == "svmdist"
     assert message.name == name
-    assert declared == [
-        ("optional " * f.proto3_optional, types[f.type], f.name, str(f.number)) for f in message.field
-    ]
+    assert declared == [("optional " * f.proto3_optional, types[f.type], f.name, str(f.number)) for f in message.field]

@@ -176,9 +176,7 @@ def two_arms(profile: Profile) -> Profile:
     return profile.model_copy(update={"other_instruments": (SECOND,), "fiducial": None})
 
 
-def arms_of(
-    folder: Path, profile: Profile, *topics: tuple[str, str], **overrides: str
-) -> tuple[LoggedArm, ...]:
+def arms_of(folder: Path, profile: Profile, *topics: tuple[str, str], **overrides: str) -> tuple[LoggedArm, ...]:
     """The arms in a log with one empty message on each topic, given with its schema."""
     rows = [(topic, schema, "protobuf", b"", 1) for topic, schema in topics]
     return find_arms(McapSource(write_messages(folder / "a.mcap", rows), Limits()), profile, overrides)

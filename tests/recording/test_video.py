@@ -86,9 +86,7 @@ def test_after_a_broken_frame_nothing_until_the_next_key_frame(tmp_path, profile
     ],
     ids=["baseline", "slices", "high", "4:4:4", "interlaced"],
 )
-def test_a_missing_frame_shows_in_streams_of_any_kind_and_none_is_missing_in_a_whole_one(
-    capfd, profile, options
-):
+def test_a_missing_frame_shows_in_streams_of_any_kind_and_none_is_missing_in_a_whole_one(capfd, profile, options):
     """FFmpeg makes up for it without a word, and its pictures are wrong up to the next key frame."""
     whole = encoded(40, **options, g="25")
     for lost in (range(0), range(3, 4), range(10, 14), range(4, 19)):
@@ -117,9 +115,7 @@ def test_a_key_frame_that_comes_again_is_known_for_one(tmp_path, profile):
         )
         for number, at in enumerate([0, 1, 1, 1, 4], 1)
     ]
-    path = write_messages(
-        tmp_path / "a.mcap", [(*row[:3], row[3].SerializeToString(), row[4]) for row in rows]
-    )
+    path = write_messages(tmp_path / "a.mcap", [(*row[:3], row[3].SerializeToString(), row[4]) for row in rows])
     images = open_recording(path, profile, topics={"image": "/video"}).file.images({"/video"})
     assert [(one.since_ns, one.decode().shape) for one in images] == [
         (since, (96, 128, 3)) for since in (1, 2, 2, 2, 5)

@@ -183,9 +183,7 @@ def test_the_layout_names_topics_that_are_written(annotated):
     named = set(re.findall(r'"(/[\w/]+)', json.dumps(layout)))
     assert {"/ECM/left/image/annotations", "/svmdist/scene", "/svmdist/log"} <= named <= topics
     fields = {
-        path["value"].partition(".")[2]
-        for panel in layout["configById"].values()
-        for path in panel.get("paths", [])
+        path["value"].partition(".")[2] for panel in layout["configById"].values() for path in panel.get("paths", [])
     }
     assert fields <= {field.name for field in DistanceEstimate.DESCRIPTOR.fields}
 

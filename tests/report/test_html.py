@@ -215,9 +215,7 @@ def test_ten_thousand_frames_are_shown_in_a_browser(browser, tmp_path, every, sc
     shown.locator("#distance-0").scroll_into_view_if_needed()
     shown.wait_for_timeout(500)  # plots are redrawn after the window has changed
     # The tool bar covers neither plot nor legend, and has no button that sends the data away.
-    boxes = [
-        shown.locator(f"#distance-0 {name}").bounding_box() for name in (".modebar", ".nsewdrag", ".legend")
-    ]
+    boxes = [shown.locator(f"#distance-0 {name}").bounding_box() for name in (".modebar", ".nsewdrag", ".legend")]
     ends = [(one["y"], one["y"] + one["height"]) for one in boxes]
     assert ends[0][1] <= ends[1][0] < ends[1][1] <= ends[2][0]
     assert shown.locator("[data-title^=Share]").count() == 0

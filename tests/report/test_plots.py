@@ -83,9 +83,7 @@ def test_curves_are_broken_where_frames_are_missing():
 def test_of_a_method_in_3d_the_clearance_is_drawn_with_its_interval():
     """Clearance before spatial distance before the planar one; the band is 1.96 deviations wide on either side."""
     planar = score()
-    spatial = replace(
-        planar.pairs, std_m=np.full(len(planar.pairs), 1e-3), truth_m=planar.pairs.truth_m - 0.02
-    )
+    spatial = replace(planar.pairs, std_m=np.full(len(planar.pairs), 1e-3), truth_m=planar.pairs.truth_m - 0.02)
     clearance = replace(spatial, estimate_m=spatial.estimate_m - 0.02)
     for made, name, thresholds in (
         (replace(planar, spatial=spatial, clearance=clearance), "clearance", [5.0]),

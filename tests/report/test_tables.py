@@ -33,9 +33,7 @@ def shown(name: str, title: str = "") -> str:
     return tables.render(tables.Table.of(title, COLUMNS, [row])) + "".join(tables.text_lines(COLUMNS, [row]))
 
 
-@pytest.mark.parametrize(
-    "name", ["[red]x", "[/nope]", "[link=http://x]y[/link]", ":warning:", "\\[x]", "a$b$_c"]
-)
+@pytest.mark.parametrize("name", ["[red]x", "[/nope]", "[link=http://x]y[/link]", ":warning:", "\\[x]", "a$b$_c"])
 def test_markup_in_a_name_is_text(name):
     """Names that look like rich's markup come out as they are in rows and titles, and crash nothing."""
     assert shown(name, f"log {name}").count(name) == 3
@@ -43,9 +41,7 @@ def test_markup_in_a_name_is_text(name):
     assert json.loads("".join(tables.json_lines(Results(COLUMNS, [{"name": name}]))))["name"] == name
 
 
-@pytest.mark.parametrize(
-    "code", ["\x1b[31m", "\x07", "\x9b", "\u202e", "\u2028", "\r", "\n", "\x00", "\ud800"]
-)
+@pytest.mark.parametrize("code", ["\x1b[31m", "\x07", "\x9b", "\u202e", "\u2028", "\r", "\n", "\x00", "\ud800"])
 def test_characters_that_drive_a_terminal_are_replaced(code):
     """ESC, bell, line breaks and bidirectional overrides never reach a terminal, the letters around them do."""
     name = f"a{code}b"
@@ -59,10 +55,7 @@ def test_characters_that_drive_a_terminal_are_replaced(code):
 
 
 @settings(max_examples=100)
-@given(
-    st.text(max_size=30)
-    | st.sampled_from(["=1+1", "+1", "-1", "@SUM(A1)", "=cmd|' /C calc'!A0", "\t=1", "\r=1"])
-)
+@given(st.text(max_size=30) | st.sampled_from(["=1+1", "+1", "-1", "@SUM(A1)", "=cmd|' /C calc'!A0", "\t=1", "\r=1"]))
 def test_any_name_keeps_its_place_in_a_csv(name):
     """Two rows of two cells, and no spreadsheet takes the name for a formula; a negative number stays one."""
     header, (cell, value) = in_csv({"name": name, "value": -0.5})

@@ -97,9 +97,7 @@ def test_soft_tissue_touches_what_presses(pressed):
     rigid_scene = replace(scene, perturbations=UNPERTURBED)
     tissue, rigid = TissueClearance([scene]), TissueClearance([rigid_scene])
     frames = [block.start for block in pressed.blocks]
-    truth_m, at_rest_m = (
-        np.array([each.clearances_m([q[at]])[0] for at in frames]) for each in (tissue, rigid)
-    )
+    truth_m, at_rest_m = (np.array([each.clearances_m([q[at]])[0] for at in frames]) for each in (tissue, rigid))
     assert at_rest_m.min() == pytest.approx(-0.0032, abs=3e-4)
     np.testing.assert_array_equal(truth_m, np.maximum(at_rest_m, 0.0))
     assert np.count_nonzero(np.diff((truth_m == 0.0).astype(int))) == 2

@@ -118,8 +118,6 @@ def test_breath_and_pulse_have_their_amplitudes_and_frequencies(profile):
 )
 def test_what_cannot_be_simulated_is_an_error(profile, update, options, said):
     with pytest.raises((SimulationError, UsageError), match=said):
-        make_plan(
-            Scenario("sweep", 1, 0.1, 10.0), profile.model_copy(update=update), options=Options(**options)
-        )
+        make_plan(Scenario("sweep", 1, 0.1, 10.0), profile.model_copy(update=update), options=Options(**options))
     with pytest.raises(UsageError, match="hold no frame"):
         Scenario("sweep", 0, 0.1, 1.0)

@@ -93,9 +93,7 @@ def test_every_topic_is_there_in_order_and_truth_with_every_image(profile):
     assert joints[0] <= at_ns[0] < at_ns[-1] <= joints[-1]
     for topic in (topics.ground_truth_tf, topics.ground_truth_distance, topics.tf):
         assert [sample.stamp_ns for sample in of(found, topic)] == at_ns
-    for truth, sample in zip(
-        of(found, topics.ground_truth_tf), of(found, topics.ground_truth_distance), strict=True
-    ):
+    for truth, sample in zip(of(found, topics.ground_truth_tf), of(found, topics.ground_truth_distance), strict=True):
         tool, tissue = (item.T_parent_child[:3, 3] for item in truth.transforms)
         assert sample.planar_m == pytest.approx(np.hypot(*(tool - tissue)[:2]), abs=1e-15)
         assert sample.spatial_m == pytest.approx(np.linalg.norm(tool - tissue), abs=1e-15)
@@ -172,9 +170,7 @@ def test_options_leave_truth_and_left_camera_alone(plain, full, profile):
 def test_kinematic_error_has_the_profiles_spread(scene, profile):
     """Over 400 seeds: moving joints and T_camera_base are off by 1°, 1 mm, 2° and 5 mm; twice at twice the scale."""
     world = scene.chain, scene.T_camera_base, profile
-    drawn = [
-        [draw_nominal_kinematics(*world, seed, scale) for seed in range(400)] for scale in (0.0, 1.0, 2.0)
-    ]
+    drawn = [[draw_nominal_kinematics(*world, seed, scale) for seed in range(400)] for scale in (0.0, 1.0, 2.0)]
     zero, one, two = (np.array([offsets for offsets, _ in its]) for its in drawn)
     names = scene.chain.joint_names
     moving = names.index("yaw")
@@ -247,9 +243,7 @@ def test_unstated_zoom_rotation_and_lens_are_drawn(plain, profile):
         if other == text:
             np.testing.assert_array_equal(images(found)[0], images(plain)[0])
             right = planned(profile, "").scene.right_camera
-            made = perturbed_right_view(
-                samples.RightView(images(plain)[1], right, np.eye(4)), chosen(text)
-            ).image_bgr
+            made = perturbed_right_view(samples.RightView(images(plain)[1], right, np.eye(4)), chosen(text)).image_bgr
             inside = (slice(20, -20), slice(20, -20))
             assert np.abs(images(found)[1][inside].astype(float) - made[inside]).mean() < 2.0
         if other == "lens_untold=0.8":

@@ -105,9 +105,7 @@ def test_the_end_is_between_that_of_edges_and_that_of_evidence():
     """A wrist as bright as what is behind it has no edges, sides of another go on: each counts as it is sure."""
     mask = bars((0, 230, 100, 140))[..., 0] == 30
     before, at_edges, beyond = (
-        silhouette(
-            bars(SHAFT), seen_as(mask, sides_of(230.0), end_px=np.array([end, 119.5]), end_std_px=std_px)
-        ).rim
+        silhouette(bars(SHAFT), seen_as(mask, sides_of(230.0), end_px=np.array([end, 119.5]), end_std_px=std_px)).rim
         for end, std_px in ((170.0, 3.2), (200.0, 3.2), (230.0, 6.4))
     )
     assert at_edges.pixel[0] == pytest.approx(200.0, abs=1.0)

@@ -167,9 +167,7 @@ def test_points_are_where_an_ideal_camera_sees_them(lens):
 
 def test_a_turned_and_distorted_right_camera_becomes_parallel():
     """A camera turned by degrees, with a lens and a K of its own: rows agree, and disparity is f b / z, in 0.2 px."""
-    own = replace(
-        LENSES["plumb_bob"], K=IDEAL.K * np.array([[1.02], [1.02], [1.0]]) + np.diag([1.0, -1.0, 0.0])
-    )
+    own = replace(LENSES["plumb_bob"], K=IDEAL.K * np.array([[1.02], [1.02], [1.0]]) + np.diag([1.0, -1.0, 0.0]))
     T_left_right = make_transform(rotation_of([0.02, -0.03, 0.015]), [0.005, 0.0, 0.0])
     in_right_m = (POINTS_M - T_left_right[:3, 3]) @ T_left_right[:3, :3]
     camera = LENSES["plumb_bob"]

@@ -25,9 +25,7 @@ from tests.synthetic import START_NS, make_scene, right_of, samples, without, wr
 PLAIN = Options()
 
 
-def log(
-    path: Path, scenario: str, frame_count: int = 4, extras: Options = PLAIN, lost: Container[int] = ()
-) -> Path:
+def log(path: Path, scenario: str, frame_count: int = 4, extras: Options = PLAIN, lost: Container[int] = ()) -> Path:
     """A drawn log with the metadata that `record` writes for these extras; lost frames are black."""
     frames = count()
 

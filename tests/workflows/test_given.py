@@ -42,9 +42,7 @@ def table(path: Path, rows: list[dict[str, object]]) -> Path:
 def distances(log: Path, off_m: float = OFF_M) -> list[dict[str, object]]:
     """Rows of spatial distances that are off by as much."""
     track = svmdist.open_recording(log).distance_track().at(np.array(STAMPS_NS))
-    return [
-        {"stamp_ns": ns, "spatial_m": row[1] + off_m} for ns, row in zip(STAMPS_NS, track.values, strict=True)
-    ]
+    return [{"stamp_ns": ns, "spatial_m": row[1] + off_m} for ns, row in zip(STAMPS_NS, track.values, strict=True)]
 
 
 def poses(T: Array, **more: object) -> list[dict[str, object]]:
@@ -128,9 +126,7 @@ def test_what_distance_is_meant_is_said(cli, log, tmp_path, others):
 
 def test_a_truth_is_not_said_to_be_missing_where_one_distance_is_scored(cli, log, tmp_path):
     spatial = table(tmp_path / "a.csv", distances(log))
-    assert (
-        "where there is no" not in cli("validate", log, "--truth", "ground_truth", "--estimates", spatial).out
-    )
+    assert "where there is no" not in cli("validate", log, "--truth", "ground_truth", "--estimates", spatial).out
 
 
 WRONG: dict[str, tuple[Callable[[dict[str, object]], dict[str, object]], str]] = {

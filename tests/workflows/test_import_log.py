@@ -233,9 +233,7 @@ def test_a_damaged_image_is_left_out(tmp_path, monkeypatch, damaged, kind, crop,
     _write(tmp_path / damaged, kind)
     pairs: list[Observation] = []
     seen = ViewsCompared(Checks(()), None)
-    monkeypatch.setattr(
-        "svmdist.workflows.import_log.compare_views", lambda few, _: pairs.extend(few) or seen
-    )
+    monkeypatch.setattr("svmdist.workflows.import_log.compare_views", lambda few, _: pairs.extend(few) or seen)
     result = import_log(ImportOptions(tmp_path, **PAIRED, crop=crop), tmp_path / "out.mcap")
     assert len(result.losses) == (said is not None)
     assert all(loss.startswith(f"{tmp_path / damaged}: ") and said in loss for loss in result.losses)

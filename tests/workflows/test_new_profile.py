@@ -82,9 +82,7 @@ def test_guesses_are_marked_and_as_uncertain_as_instruments_differ(tmp_path):
     for key, (size_m, std_m) in guesses(found["da-vinci-8mm"]).items():
         assert all(abs(getattr(other, key) - size_m) <= 2.0 * std_m for other in others), key
         assert f"{key} = " in texts["unknown"]
-    unmarked = re.findall(
-        r"^(?:\w+_m|\w+_fraction|\w+_std_\w+) = [^#]*(?:#(?!.*MEASURE$).*)?$", texts["unknown"], re.M
-    )
+    unmarked = re.findall(r"^(?:\w+_m|\w+_fraction|\w+_std_\w+) = [^#]*(?:#(?!.*MEASURE$).*)?$", texts["unknown"], re.M)
     assert unmarked == ["shaft_length_m = 0.28"]
     assert not [one for one in of_profile(Arm(load_profile("dvrk-psm"))) if one.deviations > 0.0]
     with pytest.raises(UsageError, match="no instrument named needle"):

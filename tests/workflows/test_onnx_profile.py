@@ -20,9 +20,7 @@ def onnx_profile(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("onnx")
     (folder / "models").mkdir()
     write_classifier(folder / "models" / "colours.onnx", WEIGHTS, BIAS, (640, 480))
-    head = (
-        '[segmentation]\nmethod = "onnx"\nmodel = "models/colours.onnx"\nwidth_px = 640\nheight_px = 480\n\n'
-    )
+    head = '[segmentation]\nmethod = "onnx"\nmodel = "models/colours.onnx"\nwidth_px = 640\nheight_px = 480\n\n'
     classes = [
         (
             rf"(?<=\[segmentation\.{part}\]\n)hue = .*\nsaturation = .*\nvalue = .*\n",

@@ -51,9 +51,7 @@ class Produced:
 def kill_recorder(script: str, target: Path, after_s: float, *arguments: object) -> Produced:
     """Start a recorder, kill it after a while of recording, and tell what it had produced."""
     command = [sys.executable, "-c", script, str(target), *map(str, arguments)]
-    process = subprocess.Popen(
-        command, cwd=REPOSITORY, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-    )
+    process = subprocess.Popen(command, cwd=REPOSITORY, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     progress = target.with_suffix(".progress")
     try:
         deadline = time.monotonic() + 60.0

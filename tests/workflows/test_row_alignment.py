@@ -91,9 +91,7 @@ def test_exchanged_topics_are_refused(tmp_path):
     left["camera_info"], right["camera_info"] = "/ECM/left/camera_info", "/ECM/right/camera_info"
     exchanged = right | {f"right_{role}": topic for role, topic in left.items()}
     recording = open_recording(log(tmp_path / "pair.mcap", 0.0), PROFILE, topics=exchanged)
-    with pytest.raises(
-        RecordingError, match="/ECM/right/image is the right view and /ECM/left/image the left"
-    ):
+    with pytest.raises(RecordingError, match="/ECM/right/image is the right view and /ECM/left/image the left"):
         list(recording.encoded_observations())
     lacking = method_capabilities(inspect_recording(recording))["stereo"]
     assert any("exchanged" in reason for reason in lacking)

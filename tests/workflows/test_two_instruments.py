@@ -122,9 +122,7 @@ def test_kinematics_are_of_the_instrument_whose_joints_are_named(cli, two, name,
     assert f"poses in frame {recording.profile.frames.base}: position RMSE 0 mm" in seen.err
     lost = len(base.rows) - len(seen.rows)
     assert lost > 0
-    assert (
-        f"{lost} of {len(base.rows)} joint states are left out: no transform from camera to base" in seen.err
-    )
+    assert f"{lost} of {len(base.rows)} joint states are left out: no transform from camera to base" in seen.err
     assert "left out" not in base.err
     said = "note: these are the joints of PSM1; --joints TOPIC takes another's: /PSM2/measured_js"
     assert all((said in one.err) == (not of) for one in (base, seen))

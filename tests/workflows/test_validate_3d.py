@@ -140,9 +140,7 @@ def test_a_baseline_catches_worse_alarms_and_worse_clearance(recording):
 
 
 def test_a_log_without_any_truth_is_refused_before_it_is_measured(tmp_path, monkeypatch):
-    bare = write_log(
-        tmp_path / "bare.mcap", frame_count=3, change=lambda topic, one: one if "ECM" in topic else None
-    )
+    bare = write_log(tmp_path / "bare.mcap", frame_count=3, change=lambda topic, one: one if "ECM" in topic else None)
     monkeypatch.setattr("svmdist.workflows.validate.replay", None)
     with pytest.raises(RecordingError) as refused:
         validate([open_recording(bare, SETUP.profile)], Request(SETUP))

@@ -176,9 +176,7 @@ def pair_markers(frame: Frame, pair: RectifiedPair, expected: Expected | None = 
     disparity_px = float(left_at[0] - right_at[0]) - pair.offset_px
     far_m = arm.profile.stereo_in_range.far_m
     if disparity_px <= pair.disparity_at(far_m):
-        return Failure(
-            f"the instrument's disparity, {disparity_px:.1f} px, is that of a point beyond {far_m} m"
-        )
+        return Failure(f"the instrument's disparity, {disparity_px:.1f} px, is that of a point beyond {far_m} m")
     depth_m = float(pair.point(one.pixel, disparity_px)[0][2])
     if expected is None:
         std_px = float(np.hypot(DISPARITY_NOISE_PX, LASTING_DISPARITY * one.radius_px))

@@ -70,9 +70,7 @@ def of_images(
     return [*found, *marks]
 
 
-def sides(
-    view: View, arm: Arm, lasting_share: float = 0.0, *, is_alone: bool = False
-) -> Iterator[LinkMeasurement]:
+def sides(view: View, arm: Arm, lasting_share: float = 0.0, *, is_alone: bool = False) -> Iterator[LinkMeasurement]:
     """Both sides of the shaft's outline in a view; of their variance a share lasts.
 
     Where it `is_alone`, no other view tells the depth of what may be a wrist.
@@ -177,9 +175,7 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
 def _in_right_view(one: LinkMeasurement, view: View) -> LinkMeasurement:
     """A measurement by the right camera: what an edge or a point alone gets wrong is each view's own."""
     name, *rests_on = (f"right {each}" for each in (one.name, *one.rests_on))
-    right = replace(
-        one, name=name, rests_on=tuple(rests_on), T_view_left=view.T_view_left, delay_s=view.delay_s
-    )
+    right = replace(one, name=name, rests_on=tuple(rests_on), T_view_left=view.T_view_left, delay_s=view.delay_s)
     if isinstance(right, kinds.PointMeasurement) and right.bias_name == one.name:
         right = replace(right, error=replace(right.error, name=right.name))
     return right
@@ -203,9 +199,7 @@ def _disparity(frame: Frame, right: View, markers: MarkerPair) -> LinkMeasuremen
     )
 
 
-def tag(
-    frame: Frame, robot: RobotState, predicted: ToolPose, lasting_share: float
-) -> Iterator[LinkMeasurement]:
+def tag(frame: Frame, robot: RobotState, predicted: ToolPose, lasting_share: float) -> Iterator[LinkMeasurement]:
     """The tag's pose; the predicted tool tells how the tag is turned, but for the wrist's joints between them."""
     fiducial = frame.arm.profile.fiducial
     if fiducial is None or frame.left.tag_corners_px is None:

@@ -83,9 +83,7 @@ def pose_by_images(frame: Frame, pair: RectifiedPair | None = None) -> ImagePose
     return _located(frame, firsts, of_images(frame, expected, markers, both_views=pair is not None), model)
 
 
-def _first_places(
-    views: Sequence[View], tool_m: Array | None, model: ShaftModel
-) -> Iterator[Array | Failure]:
+def _first_places(views: Sequence[View], tool_m: Array | None, model: ShaftModel) -> Iterator[Array | Failure]:
     """First `T_left_shaft`, (4, 4): by the sides in a view, by the triangulated marker; or what is missing."""
     R_nominal = model.R_camera_shaft
     for view in views:

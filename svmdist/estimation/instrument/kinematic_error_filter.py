@@ -127,8 +127,7 @@ class KinematicErrorFilter:
             if found is not None:
                 judged = zip(seen, found.innovations.tolist(), found.weights.tolist(), strict=True)
                 results = [
-                    GatingResult(one.name, nis, len(one.covariance), weight, one.source)
-                    for one, nis, weight in judged
+                    GatingResult(one.name, nis, len(one.covariance), weight, one.source) for one, nis, weight in judged
                 ]
                 self.has_jumped = start is None and self._prefers_jump(seen, found)
                 if not self.has_jumped:

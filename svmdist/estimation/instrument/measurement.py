@@ -103,9 +103,7 @@ class Deviations:
 
 
 EXACT = Deviations(
-    CameraError(
-        focal_std_fraction=0.0, centre_std_px=0.0, baseline_std_fraction=0.0, right_rotation_std_rad=0.0
-    )
+    CameraError(focal_std_fraction=0.0, centre_std_px=0.0, baseline_std_fraction=0.0, right_rotation_std_rad=0.0)
 )
 """Constants that are taken to be right."""
 

@@ -44,9 +44,7 @@ class PointError:
         """Derivative of a residual (m,) by both offsets and shading, (m, 7), where shading does it by `tilt`, (m,)."""
         # An offset in the link's frame moves the point as the link's own motion would.
         by_offset = H[:, :3] @ R_camera_link
-        return np.column_stack(
-            [self.place_std_m * by_offset, self.part_std_m * by_offset, self.shading_px * tilt]
-        )
+        return np.column_stack([self.place_std_m * by_offset, self.part_std_m * by_offset, self.shading_px * tilt])
 
     def of_outline(self, R_camera_link: Array, H: Array, time_s: float) -> tuple[SharedBias, ...]:
         """What the shaft's end and the jaws' length do to what was found between them; nothing to others.

@@ -67,9 +67,7 @@ class WristKinematics:
         """The wrist in the tool frame at joints `q`, shape (n_joints,), with the poses of all rows' frames there."""
         T_base_tool = frames[-1] @ self.chain.T_last_tool
         R, tool_m = T_base_tool[:3, :3], T_base_tool[:3, 3]
-        (shaft, _), (_, hinge_m), (pivot, _), *jaw = (
-            dh.joint_axis(self.chain, frames, row) for row in self.rows
-        )
+        (shaft, _), (_, hinge_m), (pivot, _), *jaw = (dh.joint_axis(self.chain, frames, row) for row in self.rows)
         jaw_axis, opening_rad = pivot, 0.0
         if jaw:
             jaw_axis = jaw[0][0]
@@ -82,9 +80,7 @@ def wrist_in_tool(chain: dh.DHChain, q: Array) -> Wrist:
     """The wrist in the tool frame at joints `q`, shape (n_joints,); raises KinematicsError for a chain without one."""
     kinematics = WristKinematics.of(chain)
     if kinematics is None:
-        raise KinematicsError(
-            "the chain has no wrist: nothing slides, or less than three joints turn behind it"
-        )
+        raise KinematicsError("the chain has no wrist: nothing slides, or less than three joints turn behind it")
     return kinematics.wrist_in_tool(dh.frame_transforms(chain, q), q)
 
 
@@ -205,9 +201,7 @@ def plate_capsules(fiducial: Fiducial) -> Capsules:
     return Capsules(starts, ends, np.full(PLATE_RODS, PLATE_RADIUS_M))
 
 
-def _blade(
-    instrument: Instrument, tool: Array, jaw: Jaw, scale: float
-) -> Iterator[tuple[Array, Array, float]]:
+def _blade(instrument: Instrument, tool: Array, jaw: Jaw, scale: float) -> Iterator[tuple[Array, Array, float]]:
     length_m, half_width_m = instrument.jaw_length_m, instrument.jaw_radius_m
     base, along = tool + BLADE_OFFSET * half_width_m * jaw.outward, scale * jaw.along
     for start, end, offset, radius in BLADE_RODS:

@@ -46,9 +46,7 @@ class Solution:
         return self.has_settled and not (self.weights <= REFUSED_WEIGHT).any()
 
 
-def most_probable_from(
-    state: ErrorState, measurements: Sequence[LinkMeasurement], x: Array
-) -> Solution | None:
+def most_probable_from(state: ErrorState, measurements: Sequence[LinkMeasurement], x: Array) -> Solution | None:
     """The most probable state from a start; None where a measurement is unseen there.
 
     Long steps pass over minima in which a shaft's own sharp edges look like outliers, and may lead into one, or swing

@@ -84,14 +84,10 @@ class ShaftSizes:
             return seen
         apart_m = abs(seen.other_px) / seen.width_px * 2.0 * self.radius_m
         near_m, far_m = self.neck_m + self.outline_end_m, self.neck_m + self.tip_m
-        near_std_m = np.hypot(
-            np.hypot(self.neck_std_m(stated_std_m), self.outline_end_std_m), FORESHORTENED * apart_m
-        )
+        near_std_m = np.hypot(np.hypot(self.neck_std_m(stated_std_m), self.outline_end_std_m), FORESHORTENED * apart_m)
         far_std_m = np.linalg.norm([near_std_m, self.jaw_tip_std_m])
         std_m = np.array([near_std_m, far_std_m])
-        p = np.exp(-0.5 * ((apart_m - np.array([near_m, far_m])) / std_m) ** 2) / (
-            np.sqrt(2.0 * np.pi) * std_m
-        )
+        p = np.exp(-0.5 * ((apart_m - np.array([near_m, far_m])) / std_m) ** 2) / (np.sqrt(2.0 * np.pi) * std_m)
         told = LONGEST_WRIST * 2.0 * self.radius_m * float(p.mean())
         own, other = 1.0 - seen.other_share, seen.other_share
         own, other = (own * told, other) if seen.ends_dark else (own, other * told)
@@ -145,9 +141,7 @@ class ShaftModel(ShaftSizes):
         """By the joints and the base, as far as they are known; ProfileError for a chain without a shaft."""
         turns, axis = dh.rows_behind_insertion(chain), dh.shaft_of(chain)
         if len(turns) < 2 or axis is None:
-            raise ProfileError(
-                "the method shaft needs a chain that slides along its shaft, turns it, and has a wrist"
-            )
+            raise ProfileError("the method shaft needs a chain that slides along its shaft, turns it, and has a wrist")
         q = robot.q if isinstance(robot, RobotState) else np.zeros(len(chain.joint_names))
         roll, frames = turns[0], dh.frame_transforms(chain, q)
         z, on_axis_m = dh.joint_axis(chain, frames, roll)

@@ -106,11 +106,7 @@ def _off_marker(
     """Whether the coloured distal marker is seen where the pose does not allow it, or of another size."""
     camera = view.camera
     marker_m = pose.position_m + pose.T_camera_tool[:3, :3] @ np.array(instrument.knuckle_position_m)
-    if (
-        view.masks.seen is not None
-        or not marker_m[2] > instrument.knuckle_radius_m
-        or (region := view.region) is None
-    ):
+    if view.masks.seen is not None or not marker_m[2] > instrument.knuckle_radius_m or (region := view.region) is None:
         return ""
     radius_px = float(apparent_radius_px(marker_m, instrument.knuckle_radius_m, camera))
 
@@ -185,9 +181,7 @@ class _ShaftEvidence:
         mask_px = (MASK_STD if masks.seen is None else SHAPE_STD) * camera.width_px
         own_px = np.hypot(mask_px, instrument.shaft_radius_std_fraction * seen.half_px)
         all_px = np.hypot(own_px, _calibration_std_px(seen.middles_px, camera, error))
-        allowed = (
-            MAX_DEVIATIONS * np.hypot(all_px, _across_std_px(seen, hinge_m, pose, camera)) / seen.half_px
-        )
+        allowed = MAX_DEVIATIONS * np.hypot(all_px, _across_std_px(seen, hinge_m, pose, camera)) / seen.half_px
         if masks.shaft is None or np.max(allowed) > MAX_REACH:
             return None
         # Across each section, in half widths: what is the instrument's, and what no other instrument's.
@@ -272,9 +266,7 @@ def _window_sums(values: NDArray[np.bool_], width: int) -> Array:
     return np.asarray(sums[:, width:] - sums[:, :-width], np.float64)
 
 
-def _sides(
-    own: NDArray[np.bool_], known: NDArray[np.bool_], offset: Array
-) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _sides(own: NDArray[np.bool_], known: NDArray[np.bool_], offset: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Where the instrument begins nearest to -1, and ends nearest to 1, shape (n,) each, NaN without.
 
     Third, shape (n,): whether anywhere it begins and ends as far apart as a shaft's sides.

@@ -82,9 +82,7 @@ def _stated_mesh(tissue: Tissue) -> Mesh | None:
     return None if tissue.mesh is None else read_closed_mesh(tissue.mesh, METRES_PER_UNIT[tissue.mesh_unit])
 
 
-def tissue_pose(
-    outline: CompletedOutline, camera: Camera, tissue: Tissue, error: CameraError
-) -> TissuePose | None:
+def tissue_pose(outline: CompletedOutline, camera: Camera, tissue: Tissue, error: CameraError) -> TissuePose | None:
     """Place tissue and surface by an outline; None where its centroid's ray does not meet the plane."""
     plane = tissue_plane(tissue)
     position_m = meet_plane(camera.rays(outline.centroid_px), plane)[0]

@@ -64,9 +64,7 @@ class StereoSurface:
         return np.asarray(bgr[rows.clip(0, height - 1), columns.clip(0, width - 1)])
 
 
-def depth_biases(
-    points_m: Array, camera: Camera, right: RightView, deviations: Deviations
-) -> tuple[SharedBias, ...]:
+def depth_biases(points_m: Array, camera: Camera, right: RightView, deviations: Deviations) -> tuple[SharedBias, ...]:
     """What errors of both cameras do to the depth in m that a surface by stereo has at points, shape (..., 3)."""
     T_right_left = inverse(right.T_left_right)
     disparity_px = np.asarray(camera.K[0, 0] * np.linalg.norm(T_right_left[:3, 3]) / points_m[..., 2])
@@ -103,9 +101,7 @@ def detect_stereo_surface(
         masks = [_turned(mask, H, size, cv2.INTER_NEAREST) for mask, H in zip(masks, turns, strict=True)]
         first_px, offset_px = shifts[0], offset_px - float(shifts[0][0] - shifts[1][0])
     bounds_px = [pair.disparity_at(at_m) + offset_px for at_m in (field.depth_m, field.least_depth_m)]
-    found = disparity_map(
-        (greys[0], greys[1]), (masks[0], masks[1]), (bounds_px[0], bounds_px[1]), settings, most_px
-    )
+    found = disparity_map((greys[0], greys[1]), (masks[0], masks[1]), (bounds_px[0], bounds_px[1]), settings, most_px)
     if found is None:
         return None
     rows_px = np.stack(np.meshgrid(found.columns_px, found.rows_px), -1) + first_px
@@ -128,9 +124,7 @@ def _tissue_mask(masks: Masks, grey: Image) -> Image:
     """The tissue with the highlights on it, shape (h, w)."""
     shining = masks.tissue | ((grey >= CLIPPED).astype(np.uint8) * np.uint8(255))
     closed = cv2.morphologyEx(masks.tissue, cv2.MORPH_CLOSE, np.ones((MARGIN_PX, MARGIN_PX), np.uint8))
-    around = cv2.morphologyEx(
-        masks.tissue, cv2.MORPH_CLOSE, np.ones((5 * MARGIN_PX, 5 * MARGIN_PX), np.uint8)
-    )
+    around = cv2.morphologyEx(masks.tissue, cv2.MORPH_CLOSE, np.ones((5 * MARGIN_PX, 5 * MARGIN_PX), np.uint8))
     return np.asarray(closed | (shining & around), np.uint8)
 
 

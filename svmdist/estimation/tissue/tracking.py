@@ -184,15 +184,11 @@ def at_height(
     """
     of_camera = frame.arm.deviations.camera
     plane, biases = tissue_plane(tissue), height_biases(tissue, known.position_m)
-    offset_m = plane.offset_m + sum(
-        float(bias.jacobian[0, 0]) * kalman.state.bias(bias.name) for bias in biases
-    )
+    offset_m = plane.offset_m + sum(float(bias.jacobian[0, 0]) * kalman.state.bias(bias.name) for bias in biases)
     scale = offset_m / plane.offset_m
     placed = known.at(scale * known.position_m, scale)
     by_height = placed.position_m[:, None] / offset_m
-    by_ray = ray_on_plane_biases(
-        placed.position_m, Plane(plane.normal, offset_m), frame.left.camera, of_camera
-    )
+    by_ray = ray_on_plane_biases(placed.position_m, Plane(plane.normal, offset_m), frame.left.camera, of_camera)
     along = (replace(bias, jacobian=by_height @ bias.jacobian) for bias in biases)
     covariance, coupling = kalman.coupled((*along, *by_ray))
     placed = replace(placed, covariance=placed.outline_covariance + covariance)

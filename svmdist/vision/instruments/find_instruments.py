@@ -265,9 +265,7 @@ class AutoMasks:
     @cached_property
     def instrument(self) -> Image:
         """Wrists and jaws of all instruments, beyond the end of each shaft, and instruments without a straight one."""
-        others = np.asarray(
-            cv2.subtract(self._others, self._union([one.mask for one in self.seen])), np.uint8
-        )
+        others = np.asarray(cv2.subtract(self._others, self._union([one.mask for one in self.seen])), np.uint8)
         return self._union([others, *(one.distal for one in self.seen)])
 
     @cached_property

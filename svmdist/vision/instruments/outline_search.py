@@ -24,9 +24,7 @@ from svmdist.vision.instruments.outline import (
 
 SCALES = ((0.45, 1.0), (0.25, 1.0), (0.12, 0.4), (0.07, 0.05))
 """Reach of the profiles over the width, and the region's weight: where the evidence is, then where the edge is."""
-MARGINS = np.array(
-    [0.08, 0.14, 0.20, 0.26, 0.74, 0.80, 0.86, 0.92]
-)  # over the width, where wrists are narrower
+MARGINS = np.array([0.08, 0.14, 0.20, 0.26, 0.74, 0.80, 0.86, 0.92])  # over the width, where wrists are narrower
 MIDDLE = np.linspace(0.2, 0.8, 5)
 ENTERING = np.linspace(0.05, 0.5, STATIONS // 2)  # along a shaft: what comes in, before anything else begins
 WITHIN = np.linspace(0.06, 0.94, 9)

@@ -98,9 +98,7 @@ class Given:
             if column in rows and not (kept := np.isin(rows[column], ["", *known])).all():
                 if not kept.any():
                     others = ", ".join(np.unique(rows[column]).tolist())
-                    raise RecordingError(
-                        f"{self.name}: no row of {column} {' or '.join(known)}; it has {others}"
-                    )
+                    raise RecordingError(f"{self.name}: no row of {column} {' or '.join(known)}; it has {others}")
                 rows = _taken(rows, kept)
         of = rows.get("instrument", np.full(len(rows["stamp_ns"]), ""))
         found = {name: _taken(rows, np.isin(of, [name, ""] if name == first else [name])) for name in views}
@@ -110,9 +108,7 @@ class Given:
         """The rows that are nearest to an image, at its stamp, with their poses in the camera frame."""
         order = sort_stamps(rows["stamp_ns"])
         if (twice := len(rows["stamp_ns"]) - len(order)) > 0:
-            LOG.warning(
-                "warning: %s: %d rows have the stamp of an earlier row, which counts", self.name, twice
-            )
+            LOG.warning("warning: %s: %d rows have the stamp of an earlier row, which counts", self.name, twice)
         rows, frames = _taken(rows, order), np.unique(rows.get("frame_id", np.array([""]))).tolist()
         if len(frames) > 1:
             raise RecordingError(f"{self.name}: poses in several frames: {', '.join(frames)}")

@@ -130,9 +130,7 @@ class Readings:
     def _table(self) -> Array:
         return np.array(self._numbers, np.float64).reshape(-1, NUMBERS)
 
-    def pairs(
-        self, name: str, truth: Truth, stamps_ns: Stamps | None = None, other: Readings | None = None
-    ) -> Pairs:
+    def pairs(self, name: str, truth: Truth, stamps_ns: Stamps | None = None, other: Readings | None = None) -> Pairs:
         """Pair a distance with its truth at the rows' stamps, or at others, shape (n,); pairs without a value go.
 
         `tool` and `rotation` are how far it is from its true pose, in m and rad, paired with zero. A truth by `other`

@@ -120,9 +120,7 @@ def _are_apart(one: WorstFrame, other: WorstFrame, apart_s: float) -> bool:
     return is_other or (one.number != other.number and bool(between_s >= apart_s))
 
 
-def series_of(
-    measured: Iterable[Measured], request: Request, reference: Reference | None = None
-) -> list[Series]:
+def series_of(measured: Iterable[Measured], request: Request, reference: Reference | None = None) -> list[Series]:
     """A series for each instrument of each recording.
 
     The distance is the clearance where there is any, else the spatial, else the planar one. The truth is by
@@ -147,8 +145,7 @@ def series_of(
         able = (
             name
             for name in PREFERRED
-            if (truth is None or np.isfinite(truths[name]).any())
-            and np.isfinite(readings.distance(name)[0]).any()
+            if (truth is None or np.isfinite(truths[name]).any()) and np.isfinite(readings.distance(name)[0]).any()
         )
         distance = next(able, "planar")
         series = Series(
