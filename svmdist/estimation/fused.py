@@ -22,7 +22,7 @@ from svmdist.estimation.tissue.tracking import TissueTracker, at_height, measure
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import JointSample, Rejection, Status
 
-MAX_IMAGE_STD_M = 0.008  # a pose by one view that is less certain tells nothing of where to begin
+MAX_IMAGE_STD_M = 0.008  # a pose by images that is less certain tells nothing of where to begin
 LOCATED_STD_M = 0.01  # a prediction as certain that agrees with the images needs no start by them
 MAX_CONTRADICTIONS = 3  # frames in a row: what hides an instrument misleads one or two
 YOUNG_S = 2.0  # how long a filter that has begun anew is held to be hardly surer than the images
@@ -96,7 +96,7 @@ class FusedEstimator:
         """The tool by the images alone: by both views, or by the shaft in the left one; None where neither tells."""
         if not self._has_sizes:
             return None
-        found = certain(frame, frame.pair_pose, self._arm.profile.settings.stereo.max_depth_std_m)
+        found = certain(frame, frame.pair_pose, MAX_IMAGE_STD_M)
         if isinstance(found, Rejection):
             found = certain(frame, frame.shaft_pose, MAX_IMAGE_STD_M)
         return None if isinstance(found, Rejection) else found.pose

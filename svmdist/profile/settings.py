@@ -108,7 +108,7 @@ class StereoSettings(StrictModel):
     row_pairs: int = Field(default=4, ge=0, le=100)
     """Pairs of a log's beginning that the offset between the rows of both views is found from; 0: no offset."""
     max_row_offset_px: float = Field(default=8.0, gt=0.0, le=100.0)  # the largest such offset
-    max_depth_std_m: Positive = 0.008  # largest standard deviation up to 10 cm, in proportion beyond
+    max_depth_std_m: Positive = 0.015  # as `shaft.max_position_std_m`
 
     def _require_sound(self) -> None:
         if self.block_px % 2 == 0:  # a block has a pixel in its middle
