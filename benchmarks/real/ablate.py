@@ -43,7 +43,7 @@ COLUMNS = {
     "in vivo": ("in vivo", "`shaft`", "tip"),
     "laparoscopy, end": ("laparoscopy", "`shaft`", "shaft's end"),
     "operations": ("operations", "`shaft`", "outlines"),
-    "EndoVis 2015": ("EndoVis 2015", "`shaft`", "masks"),
+    "EndoVis 2015": ("EndoVis 2015", "`shaft`", "masks; width"),
 }
 """Of the table, each a line of the page of real images: its set, method and reference."""
 
