@@ -32,9 +32,8 @@ ANNOTATIONS = "annotations"  # below the image's topic: viewers that go by names
 SCENE_TOPIC, TF_TOPIC, LOG_TOPIC = "/svmdist/scene", "/svmdist/tf", "/svmdist/log"
 SURFACE_TOPIC = "/svmdist/surface"
 TIME_BASE = Fraction(1, 1000)  # frames are shown at their stamps: a log has no constant rate
-CODECS = ("libx264", "mpeg4")
-"""The first that this build of FFmpeg has. H.264 plays everywhere; MPEG-4 is part of every build."""
-QUALITY = {"crf": "20", "preset": "veryfast"}
+CODECS = {"libx264": {"crf": "20", "preset": "veryfast"}, "mpeg4": {}}
+"""The first that this build of FFmpeg has, with its options. H.264 plays everywhere; MPEG-4 is in every build."""
 LARGEST_STEP_MS = 10_000  # a pause of a log is shown no longer than this
 
 
@@ -54,13 +53,12 @@ def _annotations(
     recording: Recording, frames: Iterable[DrawnFrame], setup: Setup
 ) -> Iterator[tuple[str, Sample | EncodedSample]]:
     frame_id = recording.logged_camera.frame_id
-    image_topic = f"{recording.topic_of(Role.IMAGE)}/{ANNOTATIONS}"
     for at, frame in enumerate(frames):
         drawing, stamp_ns, results = frame.drawing, frame.drawing.stamp_ns, frame.replayed.results
         if at == 0:
             text = f"svmdist {version('svmdist')}, method {setup.method}, profile {setup.profile.name}"
             yield LOG_TOPIC, viewer_messages.log_line(text, stamp_ns, is_warning=False)
-        yield image_topic, viewer_messages.image_annotations(drawing)
+        yield f"{recording.topic_of(Role.IMAGE)}/{ANNOTATIONS}", viewer_messages.image_annotations(drawing)
         for result in results:
             # Fields that are None are left out.
             fields = estimate_fields(result, setup.method)
@@ -68,8 +66,7 @@ def _annotations(
         if poses := tool_poses(results):
             tools = tuple(TransformSample(stamp_ns, frame_id, child, T) for child, T in poses)
             yield TF_TOPIC, TransformsSample(stamp_ns, tools)
-        names = [result.instrument for result in results]
-        yield SCENE_TOPIC, viewer_messages.scene_update(drawing, names, frame_id)
+        yield SCENE_TOPIC, viewer_messages.scene_update(drawing, [one.instrument for one in results], frame_id)
         yield from _surface(frame, frame_id)
         for text in warnings(drawing):
             yield LOG_TOPIC, viewer_messages.log_line(text, stamp_ns, is_warning=True)
@@ -77,8 +74,8 @@ def _annotations(
 
 def tool_poses(results: Iterable[FrameResult]) -> list[tuple[str, Array]]:
     """Frames of the measured tools by their names, and `T_camera_tool`, shape (4, 4)."""
-    measured = ((one.instrument, one.tool) for one in results if one.measured)
-    return [(f"{name}_tool_estimate", tool.pose.T_camera_tool) for name, tool in measured if tool is not None]
+    measured = (one for one in results if one.measured)
+    return [(f"{one.instrument}_tool_estimate", one.tool.pose.T_camera_tool) for one in measured if one.tool]
 
 
 def warnings(drawing: FrameDrawing) -> list[str]:
@@ -112,8 +109,7 @@ def write_video(frames: Iterable[DrawnFrame], path: Path, recording: Recording, 
         try:
             with av.open(file, "w", format="mp4") as container:
                 codec = next(name for name in CODECS if name in av.codecs_available)
-                quality = QUALITY if codec == "libx264" else {}
-                stream: Any = container.add_stream(codec, rate=30, options=quality)
+                stream: Any = container.add_stream(codec, rate=30, options=CODECS[codec])
                 stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
                 stream.codec_context.time_base = TIME_BASE
                 for frame in frames:

@@ -65,8 +65,7 @@ class Chart:
 def with_errors(series: Sequence[Series]) -> list[list[Series]]:
     """The series that have an error, by their distance."""
     known = [one for one in series if np.isfinite(one.error_m).any()]
-    distances = dict.fromkeys(one.distance for one in known)
-    return [[one for one in known if one.distance == of] for of in distances]
+    return [[one for one in known if one.distance == of] for of in dict.fromkeys(one.distance for one in known)]
 
 
 def distance_name(series: Series) -> str:
@@ -88,8 +87,7 @@ def distance_curves(
 def error_curves(seconds: Array, error_mm: Array, half_mm: Array) -> list[Curve]:
     """The stated interval about zero, and errors over time, shape (n,) each."""
     seconds, error_mm, half_mm = with_breaks(seconds, error_mm, half_mm)
-    interval = _interval(seconds, np.zeros(len(seconds)), half_mm)
-    return [*interval, Curve("line", "error", "error", seconds, error_mm)]
+    return [*_interval(seconds, np.zeros(len(seconds)), half_mm), Curve("line", "error", "error", seconds, error_mm)]
 
 
 def _interval(seconds: Array, middle_mm: Array, half_mm: Array) -> list[Curve]:
@@ -208,8 +206,7 @@ def agreement(group: Sequence[Series]) -> Chart:
         Curve("line", "limit", f"limit {high:+z.2f} mm", ends, np.full(2, high)),
     ]
     text = f"Bias {bias:+z.2f} mm; 95 % limits of agreement {low:+z.2f} to {high:+z.2f} mm."
-    titles = ("mean of estimate and truth [mm]", "estimate − truth [mm]")
-    return Chart("Bland–Altman", text, *titles, curves)
+    return Chart("Bland–Altman", text, "mean of estimate and truth [mm]", "estimate − truth [mm]", curves)
 
 
 def distribution(group: Sequence[Series]) -> Chart:

@@ -78,8 +78,7 @@ def make_report(
             tables.append(Table.of("Lag before and after: planar distance", LAG_COLUMNS, rows))
     if request.alarms:
         events = [row_of(EVENT_COLUMNS, (one, event)) for one in series for event in one.events]
-        title = f"{counted(len(events), 'alarm')}: {request.alarms.in_words}"
-        tables.append(Table.of(title, EVENT_COLUMNS, events))
+        tables.append(Table.of(f"{counted(len(events), 'alarm')}: {request.alarms.in_words}", EVENT_COLUMNS, events))
     return Report(
         f"svmdist {'validate' if validation else 'estimate'}: {request.setup.method}",
         series,
@@ -270,8 +269,7 @@ def _traces(curve: Curve, sharing: int) -> Iterator[tuple[Array, Array, dict[str
         yield curve.x, curve.y, {"type": "bar", "marker": {"color": colour}}
     else:  # dots, thinned out evenly where there are many
         count = len(curve.x)
-        kept = np.linspace(0, max(count - 1, 0), min(count, MAX_MARKERS // sharing))
-        chosen = np.unique(kept.round().astype(int))
+        chosen = np.unique(np.linspace(0, max(count - 1, 0), min(count, MAX_MARKERS // sharing)).round().astype(int))
         marker: dict[str, Any] = {"color": colour, "size": 5, "opacity": 0.6}
         if curve.colour_by is not None:
             bar = {"title": {"text": curve.name}, "thickness": 12}

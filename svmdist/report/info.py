@@ -114,10 +114,7 @@ def info_document(summary: RecordingSummary, checks: Mapping[str, Checks], no_ta
         "losses": [str(loss) for loss in recording.health.losses],
         "commands": commands,
         "methods": methods,
-        "checks": {
-            "count": sum(len(one.comparisons) for one in checks.values()),
-            "contradiction": warning(checks),
-        },
+        "checks": {"count": sum(len(one.comparisons) for one in checks.values()), "contradiction": warning(checks)},
     }
 
 
@@ -156,8 +153,7 @@ def _info_lines(log: dict[str, Any], width: int | None) -> Iterator[str]:
     yield line("roles", roles or "none of the topics is one that svmdist reads")
     yield line("instruments", ", ".join(log["instruments"]))
     for name, found in log["commands"].items():
-        served = ", ".join(filter(None, ("yes", found.get("note"))))
-        yield line(name, served if found["served"] else missing(found))
+        yield line(name, ", ".join(filter(None, ("yes", found.get("note")))) if found["served"] else missing(found))
     yield line("methods", _methods(log))
     for name, found in log["methods"].items():
         if not found["served"]:
@@ -230,8 +226,7 @@ def _hand_eye_lines(result: HandEyeResult, row: dict[str, Any]) -> Iterator[str]
 def hand_eye_file(results: Sequence[HandEyeResult], recording: Recording) -> HandEyeFile:
     """What a profile names."""
     source = Source(name=recording.path.name, sha256=recording.sha256())
-    found = tuple(result.hand_eye for result in results)
-    return HandEyeFile(format=FORMAT, sources=(source,), transforms=found)
+    return HandEyeFile(format=FORMAT, sources=(source,), transforms=tuple(result.hand_eye for result in results))
 
 
 COLUMNS = (

@@ -124,8 +124,7 @@ def text_size(text: str, letter_px: float) -> tuple[float, int, int]:
 def write_text(pixels: Image, text: str, place: tuple[float, float], letter_px: float, colour: Rgb) -> None:
     """Write a text whose line begins at a place (x, y)."""
     scale, thickness, _ = text_size(text, letter_px)
-    left_below = round(place[0]), round(place[1])
-    cv2.putText(pixels, text, left_below, FONT, scale, bgr(colour), thickness, cv2.LINE_AA)
+    cv2.putText(pixels, text, (round(place[0]), round(place[1])), FONT, scale, bgr(colour), thickness, cv2.LINE_AA)
 
 
 def _write_beside(pixels: Image, label: Label, place: Array, cost: NDArray[np.float32], letter_px: float) -> None:

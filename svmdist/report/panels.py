@@ -63,10 +63,8 @@ def masks_picture(frame: DrawnFrame, title: str) -> Image:
     else:
         owners = [_owner(frame, seen.mask) for seen in masks.seen]
         lines += [] if masks.seen else [("no instrument", WHITE)]
-        lines += [
-            ("lines: sides of each shaft", COLOURS[Part.SHAFT]),
-            ("dots: its end, and the tip", COLOURS[Part.TIP]),
-        ]
+        lines.append(("lines: sides of each shaft", COLOURS[Part.SHAFT]))
+        lines.append(("dots: its end, and the tip", COLOURS[Part.TIP]))
         lines += [("other instruments", COLOURS[Part.OTHER])] if any(owners) and not all(owners) else []
         for at, (seen, owner) in enumerate(zip(masks.seen, owners, strict=True)):
             part = Part.SHAFT if owner or not any(owners) else Part.OTHER
@@ -96,9 +94,8 @@ def phases_picture(frame: DrawnFrame, title: str, method: str = "") -> Image:
     for name in REGISTRY[method].draws:
         phase, scale = _PHASES[name], None
         if isinstance(phase, tuple):
-            drawing, letters = frame.drawing, PANEL_LETTERS
-            panel = draw_on(image, drawing, parts=phase, lines=False, least_px=PANEL_PX, letters=letters)
-            depths_m = [one.start_m[2] for one in drawing.segments]
+            panel = draw_on(image, frame.drawing, parts=phase, lines=False, least_px=PANEL_PX, letters=PANEL_LETTERS)
+            depths_m = [one.start_m[2] for one in frame.drawing.segments]
             if phase is _RESULT and depths_m:
                 fx = frame.replayed.frames[0].scene.lens.K[0, 0] * panel.shape[1] / image.shape[1]
                 scale = fx / float(np.mean(depths_m)), "at the tip's depth"
@@ -186,10 +183,8 @@ def _side_view(frame: DrawnFrame, pixels: Image) -> tuple[Image, float] | None:
     Gives the picture and its scale in px per m; None where nothing was measured.
     """
     drawing = frame.drawing
-    measured = {one.name: one for one in drawing.segments if one.part is Part.DISTANCE}
-    pairs = [
-        (measured[key], body) for name, body in drawing.bodies.items() if (key := f"{name} {Part.DISTANCE}") in measured
-    ]
+    bodies = {f"{name} {Part.DISTANCE}": body for name, body in drawing.bodies.items()}
+    pairs = [(one, bodies[one.name]) for one in drawing.segments if one.name in bodies]
     if not pairs:
         return None
     segment, body = min(pairs, key=lambda one: float(np.linalg.norm(one[0].end_m - one[0].start_m)))
@@ -231,8 +226,7 @@ def _side_view(frame: DrawnFrame, pixels: Image) -> tuple[Image, float] | None:
     ends_px = seen(np.stack([segment.start_m, segment.end_m]))
     shapes.append(Shape(Part.DISTANCE, Form.LINE, ends_px))
     label = Label(Part.DISTANCE, ends_px.mean(0), f"{segment.name.removesuffix(Part.DISTANCE)}{segment.text}")
-    drawn = FrameDrawing(drawing.stamp_ns, tuple(shapes), (label,))
-    return draw_on(canvas, drawn, letters=PANEL_LETTERS), px_per_m
+    return draw_on(canvas, FrameDrawing(drawing.stamp_ns, tuple(shapes), (label,)), letters=PANEL_LETTERS), px_per_m
 
 
 def _cut(drawing: FrameDrawing, through_m: Array, normal: Array) -> list[Array]:

@@ -100,13 +100,8 @@ def _draw_curves(axes: Axes, curves: Sequence[Curve]) -> None:
             for begin, end in zip(curve.x, curve.y, strict=True):
                 axes.axvspan(begin, end, label=label if begin == curve.x[0] else None, **style)
         else:
-            look: Any = {
-                "marker": "ox^sdv"[at % 6],
-                "color": colour,
-                "alpha": 1.0 - 0.25 * (at % 3),
-                "linewidths": 0.6,
-            }
-            axes.scatter(curve.x, curve.y, s=6.0, label=label, **look)
+            look: Any = {"marker": "ox^sdv"[at % 6], "color": colour, "alpha": 1.0 - 0.25 * (at % 3)}
+            axes.scatter(curve.x, curve.y, s=6.0, linewidths=0.6, label=label, **look)
 
 
 SeriesPlot = Literal["time", "residuals", "bland-altman", "calibration"]

@@ -106,8 +106,7 @@ def _entries(values: Mapping[str, str]) -> list[str]:
 def _chain(table: str, instrument: InstrumentDraft, sizes: dict[str, Any]) -> Iterator[str]:
     if instrument.chain is None:
         if instrument.joint_names:
-            there = _plain(", ".join(instrument.joint_names))
-            yield f"# No chain that ships has the log's joints ({there}):"
+            yield f"# No chain that ships has the log's joints ({_plain(', '.join(instrument.joint_names))}):"
             yield "# put your robot's DH rows here. These are the instrument's last joints, for shaft and stereo."
         else:
             yield "# The log has no joints: the instrument's last ones are enough for shaft and stereo."
@@ -119,8 +118,7 @@ def _chain(table: str, instrument: InstrumentDraft, sizes: dict[str, Any]) -> It
     yield "joints = ["
     insertion = max(place for place, joint in enumerate(robot.joints) if joint.type == "prismatic")
     for place, joint in enumerate(robot.joints):
-        is_wrist = place > insertion and joint.a_m != 0.0
-        own = {"a_m": sizes["wrist_length_m"]} if is_wrist else {}
+        own = {"a_m": sizes["wrist_length_m"]} if place > insertion and joint.a_m != 0.0 else {}
         yield f"    {_joint(joint.model_copy(update=own))},"
     yield "]"
     if robot.tool_rotation is not None:

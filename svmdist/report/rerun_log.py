@@ -98,8 +98,7 @@ def _on_image(drawing: FrameDrawing) -> dict[str, Any]:
         if lines:
             found[str(part)] = rr.LineStrips2D(lines, colors=COLOURS[part], radii=LINE_PX)
         if points:
-            dots = rr.Points2D(np.concatenate(points), colors=COLOURS[part], radii=POINT_PX)
-            found[f"{part} points"] = dots
+            found[f"{part} points"] = rr.Points2D(np.concatenate(points), colors=COLOURS[part], radii=POINT_PX)
     if drawing.labels:
         places, texts = zip(*((one.place_px, one.text) for one in drawing.labels), strict=True)
         colours = [COLOURS[one.part] for one in drawing.labels]
@@ -124,6 +123,5 @@ def _in_space(drawing: FrameDrawing) -> dict[str, Any]:
         found["surface"] = rr.Points3D(drawing.cloud_m, colors=COLOURS[Part.TISSUE], radii=CLOUD_M)
     for one in drawing.segments:
         ends_m = [np.stack([one.start_m, one.end_m])]
-        line = rr.LineStrips3D(ends_m, labels=one.text, colors=COLOURS[one.part], radii=LINE_M)
-        found[one.name] = line
+        found[one.name] = rr.LineStrips3D(ends_m, labels=one.text, colors=COLOURS[one.part], radii=LINE_M)
     return found

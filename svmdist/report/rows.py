@@ -35,11 +35,6 @@ class _Estimate:
     def pose(self) -> ToolPose | None:
         return self.result.tool.pose if self.result.tool and self.result.measured else None
 
-    @property
-    def alarm(self) -> int | None:
-        raised = self.result.alarm.is_raised
-        return None if raised is None else int(raised)
-
     @cached_property
     def quaternion_xyzw(self) -> Array | None:
         return quaternion_xyzw_from_rotation(self.pose.T_camera_tool[:3, :3]) if self.pose else None
@@ -75,7 +70,8 @@ ESTIMATE_COLUMNS: tuple[Column, ...] = (
     *_several("tool_{}_m", "pose.position_m.{}", "x y z", LENGTH),
     *_several("axis_{}", "pose.axis.{}", "x y z", RATIO),
     *_several("direction_{}", "result.distances.clearance.direction.{}", "x y z", RATIO),
-    Column("alarm", COUNT, "alarm", field="alarm"),
+    Column("alarm", COUNT, "alarm", lambda e: None if (raised := e.result.alarm.is_raised) is None else int(raised),
+           field="alarm"),
     Column("closing_speed_m_s", SPEED, "closing [mm/s]", "result.alarm.closing_speed_m_s", field="closing_speed_m_s"),
     Column("time_to_contact_s", SECONDS, "contact [s]", "result.alarm.time_to_contact_s", field="time_to_contact_s"),
     Column("instrument", TEXT, "instrument", "result.instrument", field="instrument", width=10),

@@ -162,8 +162,7 @@ def remarks(validation: Validation) -> list[str]:
             found.append(f"measured where there is no {score.reference}: {score.unpaired_count}")
         is_simulated = score.reference is Reference.GROUND_TRUTH
         if score.tool and not is_simulated and score.tool.estimate_m.max() < SAME_TOOL_M:
-            said = f"the tool is that of {score.reference}: of the same kinematics, whose errors do not show"
-            found.append(said)
+            found.append(f"the tool is that of {score.reference}: of the same kinematics, whose errors do not show")
         if score.lag and score.lag.lag_s != 0.0 and (before := score.uncorrected):
             found.append(f"lag {score.lag.lag_s * 1e3:+.1f} ms (confidence {score.lag.confidence:.2f})")
             r2 = "–" if before.r_squared is None else f"{before.r_squared:.4f}"
@@ -180,8 +179,7 @@ def compare_columns() -> list[Column]:
     labels = [Column("group", TEXT, of=lambda score: str(score.group)), Column("method", TEXT, "method")]
     after = [Column(key, TEXT, of=f"group.{key}") for key in ("scenario", "degradation")]
     after += [Column("instrument", TEXT), Column("against", TEXT, of=lambda score: score.against or None)]
-    metrics = of_part(within(metric_table.figure_metrics(), Output.FIGURES), "figures")
-    return _in_order(labels, metrics, after)
+    return _in_order(labels, of_part(within(metric_table.figure_metrics(), Output.FIGURES), "figures"), after)
 
 
 def compare_results(scores: Sequence[MethodScore]) -> Results:
@@ -329,5 +327,4 @@ def log_results(figures: Sequence[LogFigures]) -> Results:
     columns = [column for column in LOG_COLUMNS if column.heading and column.key != left_out]
     rows = [row_of(LOG_COLUMNS, one) | {"rank": rank} for rank, one in enumerate(ranked(figures), 1)]
     rows += [row_of(LOG_COLUMNS, one) for one in together]
-    tables = [Table.of("Logs, sorted by severity, worst first", columns, rows)]
-    return Results(LOG_COLUMNS, rows, tables=tables)
+    return Results(LOG_COLUMNS, rows, tables=[Table.of("Logs, sorted by severity, worst first", columns, rows)])

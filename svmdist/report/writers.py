@@ -108,8 +108,7 @@ def choose_writer(given: str | None, output: Path | None, holds: Holds, option: 
             raise UsageError(f"--format {given}: {did_you_mean(given, named)}")
         chosen = named[given]
         if by_ending not in (None, chosen) and not by_ending.holds & chosen.holds & ANY_ROWS:
-            written = f"{output} is written as {by_ending.name}"
-            raise UsageError(f"--format {given}: {written}; leave out one of them")
+            raise UsageError(f"--format {given}: {output} is written as {by_ending.name}; leave out one of them")
     elif by_ending is not None:
         chosen = by_ending
     elif ending in WRITERS[0].endings or (output is not None and output.parent == Path("/dev")):
