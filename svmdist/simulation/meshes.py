@@ -63,8 +63,7 @@ def loft(x_m: Array, half_y_m: Array, half_z_m: Array, roundness: float = 2.0) -
         vertices.append(np.vstack([ring, ring.mean(axis=0)]))
         normals.append(np.tile([direction, 0.0, 0.0], (SIDE_COUNT + 1, 1)))
     points_m = np.concatenate(vertices)
-    uv = np.full((len(points_m), 2), 0.5)
-    return DrawnMesh(points_m, np.concatenate(faces), np.concatenate(normals), uv)
+    return DrawnMesh(points_m, np.concatenate(faces), np.concatenate(normals), np.full((len(points_m), 2), 0.5))
 
 
 def revolve(x_m: Array, radius_m: Array) -> DrawnMesh:
@@ -154,8 +153,7 @@ def _grow_vessel(canvas: Image, rng: np.random.Generator, start_px: Array, headi
         heading_rad += rng.normal(0.0, 0.22)
         width_px *= 0.93
         if width_px > 5.0 and step in (4, 9):
-            turn = rng.choice([-0.8, 0.8])
-            _grow_vessel(canvas, rng, position, heading_rad + turn, width_px * 0.7)
+            _grow_vessel(canvas, rng, position, heading_rad + rng.choice([-0.8, 0.8]), width_px * 0.7)
 
 
 def _as_image(colour: Array) -> Image:
@@ -175,7 +173,7 @@ THICKNESS_M = 0.0006
 CELL_PX = 48  # texture pixels to a cell of the tag: some ten for each pixel of the image
 WHITE, BLACK = 225, 22  # printed paper; white stays below saturation under the scene's light
 
-Rgba = tuple[float, float, float, float]
+Rgba = tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -245,15 +243,13 @@ def _shift(y_m: float, z_m: float) -> Array:
 
 def _between(start: Rgba, end: Rgba, share: float) -> Rgba:
     """A colour on the way from one to another; exactly the first one at a share of 0."""
-    r, g, b, a = (x + share * (y - x) for x, y in zip(start, end, strict=True))
-    return r, g, b, a
+    return tuple(x + share * (y - x) for x, y in zip(start, end, strict=True))
 
 
 def make_plate(fiducial: Fiducial) -> Part:
     """A profile's plate in the tag's frame: face at z = 0, x right, y up."""
     dictionary = tag_dictionary(fiducial.family)
-    cell_count = dictionary.markerSize + 2  # with the black border of one cell
-    cells = cv2.aruco.generateImageMarker(dictionary, fiducial.id, cell_count)
+    cells = cv2.aruco.generateImageMarker(dictionary, fiducial.id, dictionary.markerSize + 2)  # with its black border
     with_margin = np.pad(np.where(cells > 0, WHITE, BLACK).astype(np.uint8), 1, constant_values=WHITE)
     texture = with_margin.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)
     # A box from z = -THICKNESS_M to the face at z = 0, which alone shows the texture.
@@ -268,7 +264,6 @@ def make_plate(fiducial: Fiducial) -> Part:
     normals = np.repeat([cross / np.linalg.norm(cross) for cross in crosses], 4, axis=0)
     # The other sheets show the margin's corner.
     uv = np.concatenate([0.5 + corners / 2.0, np.full((20, 2), 0.01)])
-    halves = np.array([[0, 1, 2], [0, 2, 3]])
-    faces = (4 * np.arange(6)[:, None, None] + halves).reshape(-1, 3)
+    faces = (4 * np.arange(6)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
     plate, texture_bgr = DrawnMesh(vertices_m, faces, normals, uv), np.repeat(texture[..., None], 3, axis=2)
     return Part("plate", fiducial.link, plate, texture_bgr=texture_bgr, T_link_part=fiducial.T_link_tag)

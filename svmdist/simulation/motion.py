@@ -200,10 +200,7 @@ SCENARIOS: dict[str, Callable[[np.random.Generator, Array, Scene, float], Motion
     "sweep": partial(_waves, crosses_field=False),
     "approach": partial(_descent, path=partial(smooth_step, start=0.04, end=0.9), clearance_m=0.002, lowest_at=1.0),
     "contact": partial(
-        _descent,
-        path=partial(smooth_pulse, rise=(0.04, 0.46), fall=(0.56, 0.96)),
-        clearance_m=-0.0002,
-        lowest_at=0.51,
+        _descent, path=partial(smooth_pulse, rise=(0.04, 0.46), fall=(0.56, 0.96)), clearance_m=-0.0002, lowest_at=0.51
     ),
     "occlusion": _occlusion,
     "random": _random,
@@ -276,8 +273,7 @@ def make_other_arms(
     camera_m = float(scene.T_world_camera[2, 3])
     arms = []
     for number, name in enumerate(placed[: options.arms - 1], start=1):
-        view = profile.for_instrument(name)
-        other = make_scene(view, scene.seed, options)
+        other = make_scene(profile.for_instrument(name), scene.seed, options)
         rng = np.random.default_rng([scene.seed, _PATH_STREAM, number])
         # The shaft comes in from there, as an angle in the world's xy plane.
         bearing = float(np.arctan2(other.T_world_base[1, 3], other.T_world_base[0, 3]))

@@ -218,9 +218,8 @@ def make_organ(rng: np.random.Generator, seed: int = 0, perturbations: Perturbat
     outwards = np.stack([here[:-1], here[1:], following[1:]], -1)
     inwards = np.stack([here[:-1], following[1:], following[:-1]], -1)
     faces = np.vstack([fan, np.stack([outwards, inwards], 1).reshape(-1, 3)])
-    uv = 0.5 + vertices_m[:, :2] / TEXTURE_SPAN_M
-    mesh = DrawnMesh(vertices_m, faces, smooth_normals(vertices_m, faces), uv)
-    return Organ(mesh, outline_m, float(height_m))
+    normals, uv = smooth_normals(vertices_m, faces), 0.5 + vertices_m[:, :2] / TEXTURE_SPAN_M
+    return Organ(DrawnMesh(vertices_m, faces, normals, uv), outline_m, float(height_m))
 
 
 def _outline(angle: Array, rng: np.random.Generator) -> Array:

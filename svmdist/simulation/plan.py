@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -67,8 +68,7 @@ def draw_nominal_kinematics(
     joint_offsets = scale * drawn(_JOINT_STREAM, error.joint_std_rad, error.joint_std_m)
     if error.first_moving_joint is not None:
         joint_offsets[: chain.joint_names.index(error.first_moving_joint)] = 0.0
-    T_nominal = make_transform(R, T_camera_base[:3, 3] + shift_m)
-    return offsets + joint_offsets, T_nominal
+    return offsets + joint_offsets, make_transform(R, T_camera_base[:3, 3] + shift_m)
 
 
 @dataclass(frozen=True)
@@ -106,13 +106,9 @@ class Arm:
         frames, chain = self.profile.frames, self.nominal_chain
         links = link_transforms(chain, self.reported[index])
         links[-1] = links[-1] @ chain.T_last_tool
-        between = [self.prefix + row.name for row in chain.rows[:-1]]
-        names = (frames.camera, frames.base, *between, frames.tool)
-        transforms = (self.nominal_T_camera_base, *links)
-        return tuple(
-            TransformSample(stamp_ns, parent, child, T)
-            for parent, child, T in zip(names[:-1], names[1:], transforms, strict=True)
-        )
+        names = (frames.camera, frames.base, *(self.prefix + row.name for row in chain.rows[:-1]), frames.tool)
+        transforms = zip(pairwise(names), (self.nominal_T_camera_base, *links), strict=True)
+        return tuple(TransformSample(stamp_ns, *frame_ids, T) for frame_ids, T in transforms)
 
 
 @dataclass(frozen=True)

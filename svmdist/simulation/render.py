@@ -106,10 +106,9 @@ class Renderer(BulletWorld):
         self._retractor = self._add_mesh(make_retractor(), (0.66, 0.67, 0.68, 1.0))
         self._parts += [self._add_part(part) for other in scenes[1:] for part in other.parts]
         self._dented: tuple[Organ, int] | None = None
-        # Where bodies stand; what moves stands at `T_world_part`.
+        # Where bodies stand.
         self._moving: dict[int, Array] = {}
         self._still: dict[int, Array] = {}
-        self._T_world_part: Array = np.zeros((0, 4, 4))
         self._shown: tuple[bool, bool] | None = None
         self._backgrounds: dict[tuple[int, int], Picture] = {}
         self._background_of: tuple[float, Organ | None] = (0.0, None)
@@ -120,8 +119,7 @@ class Renderer(BulletWorld):
             self._backgrounds.clear()
         self._background_of, self._shown = (state.offset_m, organ), None
         poses = [scene.part_poses(q) for scene, q in zip(self._scenes, state.q, strict=True)]
-        self._T_world_part = np.concatenate(poses)
-        self._moving = dict(zip(self._parts, self._T_world_part, strict=True))
+        self._moving = dict(zip(self._parts, np.concatenate(poses), strict=True))
         self._moving[self._retractor] = _AWAY if state.T_world_retractor is None else state.T_world_retractor
         # The body of a dented organ, always the last one, is drawn in place of the tissue's.
         if self._dented is not None and organ is not self._dented[0]:
@@ -193,7 +191,7 @@ class Renderer(BulletWorld):
         is_still = (part == NO_PART) & (picture.bodies != self._retractor)
         drawn_camera, T_camera_world = self._scene.drawn_camera, inverse(T_world_camera)
         depth_m, behind_m = metric_depth_m(picture.depth), metric_depth_m(behind)
-        T_camera_part = tuple(T_camera_world @ self._T_world_part)
+        T_camera_part = tuple(T_camera_world @ self._moving[body] for body in self._parts)
         surfaces = Surfaces(drawn_camera, depth_m, behind_m, is_still, part, T_camera_part)
         lamp_world_m = transform_points(self._scene.T_world_camera, LAMP_M[None])[0]
         T_world_lamp = make_transform(T_world_camera[:3, :3], lamp_world_m)

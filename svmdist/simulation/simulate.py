@@ -12,15 +12,7 @@ import numpy as np
 from svmdist.camera import Camera, stereo_transform
 from svmdist.perturbations import Place
 from svmdist.perturbations.calibration import stated_camera, zoomed_camera
-from svmdist.samples import (
-    CameraSample,
-    DistanceSample,
-    Image,
-    ImageSample,
-    Sample,
-    TransformSample,
-    TransformsSample,
-)
+from svmdist.samples import CameraSample, DistanceSample, Image, ImageSample, Sample, TransformSample, TransformsSample
 from svmdist.simulation.clearance import InstrumentClearance, TissueClearance
 from svmdist.simulation.plan import Plan, SceneState
 from svmdist.simulation.render import Renderer
