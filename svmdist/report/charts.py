@@ -130,8 +130,7 @@ def distance_over_time(series: Series) -> Chart:
         curves += alarm_spans(series.events, series.seconds)
         text += f" {counted(len(series.events), 'alarm')}."
         line = [threshold(series.seconds, series.alarm_below_m)]
-    curves += distance_curves(series.seconds, estimate_mm, series.half_m * 1e3, series.truth_m * 1e3)
-    curves += line
+    curves += [*distance_curves(series.seconds, estimate_mm, series.half_m * 1e3, series.truth_m * 1e3), *line]
     return _over_time(series, f"{name} over time", text, f"{name} [mm]", curves)
 
 
@@ -259,11 +258,9 @@ def runs(chosen: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 def pooled(series: Sequence[Series]) -> tuple[Array, Array, Array]:
     """Truth, error and deviation in mm of all frames that have an error."""
-    truth_m, error_m, std_m = (
-        np.concatenate([getattr(one, key) for one in series]) for key in ("truth_m", "error_m", "std_m")
-    )
-    kept = np.isfinite(error_m)
-    return truth_m[kept] * 1e3, error_m[kept] * 1e3, std_m[kept] * 1e3
+    found_mm = 1e3 * np.hstack([(one.truth_m, one.error_m, one.std_m) for one in series])
+    truth_mm, error_mm, std_mm = found_mm[:, np.isfinite(found_mm[1])]
+    return truth_mm, error_mm, std_mm
 
 
 def with_breaks(seconds: Array, *curves: Array) -> tuple[Array, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import platform
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import distributions
@@ -110,18 +110,15 @@ def _worst(
     measured: Sequence[Measured], series: Sequence[Series], request: Request, jobs: int | None
 ) -> list[tuple[str, bytes]]:
     """The worst frames of all logs with their captions, worst first; they are measured once more, to draw them."""
-    chosen = worst_frames(series, WORST_COUNT)
-    wanted = defaultdict[str, set[int]](set)
-    for frame in chosen:
-        wanted[frame.series.recording].add(frame.number)
+    chosen = {(one.series.recording, one.number): one.in_words for one in worst_frames(series, WORST_COUNT)}
     pictures = {}
     look: Any = {"lines": False, "least_px": MIN_WIDTH_PX, "letters": THUMBNAIL_LETTERS}
-    for name, log in ((one.recording.name, one) for one in measured if one.recording.name in wanted):
-        for drawn in drawn_frames(log.read, request.setup, jobs, wanted[name], request.alarms):
+    for name, log in ((one.recording.name, one) for one in measured):
+        numbers = {number for recording, number in chosen if recording == name}
+        for drawn in drawn_frames(log.read, request.setup, jobs, numbers, request.alarms) if numbers else ():
             if (image := drawn.replayed.image_bgr) is not None:
                 pictures[name, drawn.number] = _jpeg(draw_on(image, drawn.drawing, **look))
-    places = {(one.series.recording, one.number): one.in_words for one in chosen}
-    return [(f"{key[0]}, {said}", pictures[key]) for key, said in places.items() if key in pictures]
+    return [(f"{key[0]}, {said}", pictures[key]) for key, said in chosen.items() if key in pictures]
 
 
 def _jpeg(picture: Image) -> bytes:
