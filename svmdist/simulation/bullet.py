@@ -90,6 +90,5 @@ class BulletWorld(ExitStack):
 
     def place(self, body: int, T_world_body: Array, scale: float = 1.0) -> None:
         """Put a body at a pose, shape (4, 4), whose translation is scaled."""
-        position = (T_world_body[:3, 3] * scale).tolist()
         quaternion = quaternion_xyzw_from_rotation(T_world_body[:3, :3]).tolist()
-        self.call("resetBasePositionAndOrientation", body, position, quaternion)
+        self.call("resetBasePositionAndOrientation", body, (T_world_body[:3, 3] * scale).tolist(), quaternion)

@@ -67,8 +67,7 @@ def _sample(mesh: Mesh) -> Array:
         faces, start = faces[long], np.argmax(sides_m[long], axis=1)
         a, b, c = (faces[np.arange(len(faces)), (start + turn) % 3] for turn in range(3))
         # Triangles on both sides of an edge share its middle.
-        pairs = np.minimum(a, b) * len(points_m) + np.maximum(a, b)
-        edges, middle = np.unique(pairs, return_inverse=True)
+        edges, middle = np.unique(np.minimum(a, b) * len(points_m) + np.maximum(a, b), return_inverse=True)
         first, second = np.divmod(edges, len(points_m))
         middle += len(points_m)
         points_m = np.vstack([points_m, 0.5 * (points_m[first] + points_m[second])])

@@ -130,8 +130,7 @@ class Shader:
         rng = np.random.default_rng([seed, _BLOOD_STREAM])
         toward = rng.normal(0.0, 1.0, (BLOOD_WAVE_COUNT, 3))
         toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-        length_m = rng.uniform(*BLOOD_WAVELENGTHS_M, (BLOOD_WAVE_COUNT, 1))
-        self._blood_waves: Array = toward * (2.0 * np.pi / length_m)
+        self._blood_waves: Array = toward * (2.0 * np.pi / rng.uniform(*BLOOD_WAVELENGTHS_M, (BLOOD_WAVE_COUNT, 1)))
         self._blood_phases = rng.uniform(0.0, 2.0 * np.pi, BLOOD_WAVE_COUNT)
 
     def shaded(self, image_bgr: Image, surfaces: Surfaces, lamp: Lamp, T_camera_tissue: Array) -> Image:

@@ -125,8 +125,7 @@ def tissue_texture(rng: np.random.Generator) -> Image:
     colour = np.array([92.0, 84.0, 214.0]) + mottling[..., None] * np.array([38.0, 36.0, 18.0])
     lines = np.zeros((TEXTURE_PX, TEXTURE_PX), np.uint8)
     for _ in range(5):
-        start = rng.uniform(0.25, 0.75, 2) * TEXTURE_PX
-        _grow_vessel(lines, rng, start, rng.uniform(0.0, 2.0 * np.pi), width_px=9.0)
+        _grow_vessel(lines, rng, rng.uniform(0.25, 0.75, 2) * TEXTURE_PX, rng.uniform(0.0, 2.0 * np.pi), width_px=9.0)
     vessels = cv2.GaussianBlur(lines, (0, 0), 4.0).astype(np.float64)[..., None] / 255.0
     return _as_image(colour + vessels * np.array([-22.0, -34.0, -48.0]))
 
@@ -219,7 +218,6 @@ def make_parts(instrument: Instrument, chain: DHChain, perturbations: Perturbati
     blade, aside_m = loft(x, half_thickness, half_width, roundness=2.8), 0.55 * instrument.jaw_radius_m
     tip, ring_m, grey, blue = (perturbations[name] for name in ("tip", "ring", "shaft_grey", "shaft_blue"))
     shaft_rgba = _between(_between(SHAFT_RGBA, GREY_RGBA, grey), BLUE_RGBA, blue)
-    tip_rgba = _between(MARKER_RGBA, STEEL_RGBA, 1.0 if ring_m else tip)
     parts = (
         Part("shaft", roll, shaft.transformed(T_roll_shaft), shaft_rgba),
         Part("collar", roll, collar.transformed(T_roll_shaft), STEEL_RGBA),
@@ -227,7 +225,7 @@ def make_parts(instrument: Instrument, chain: DHChain, perturbations: Perturbati
         Part("bridge", wrist_pitch, bridge, STEEL_RGBA),
         Part("left_tine", wrist_pitch, tines[0], STEEL_RGBA),
         Part("right_tine", wrist_pitch, tines[1], STEEL_RGBA),
-        Part("knuckle", wrist_yaw, sphere(marker_m), tip_rgba),
+        Part("knuckle", wrist_yaw, sphere(marker_m), _between(MARKER_RGBA, STEEL_RGBA, 1.0 if ring_m else tip)),
         Part("fixed_jaw", wrist_yaw, blade.transformed(_shift(-aside_m, 0.0)), STEEL_RGBA),
         Part("moving_jaw", jaw, blade.transformed(T_jaw_wrist @ _shift(aside_m, 0.0)), STEEL_RGBA),
     )
@@ -253,9 +251,8 @@ def make_plate(fiducial: Fiducial) -> Part:
     with_margin = np.pad(np.where(cells > 0, WHITE, BLACK).astype(np.uint8), 1, constant_values=WHITE)
     texture = with_margin.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)
     # A box from z = -THICKNESS_M to the face at z = 0, which alone shows the texture.
-    half_m = fiducial.plate_side_m / 2.0
     corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    top = np.column_stack([corners * half_m, np.zeros(4)])
+    top = np.column_stack([corners * fiducial.plate_side_m / 2.0, np.zeros(4)])
     bottom = top - [0.0, 0.0, THICKNESS_M]
     sheets = [top, bottom[::-1]]
     sheets += [np.array([bottom[i], bottom[(i + 1) % 4], top[(i + 1) % 4], top[i]]) for i in range(4)]

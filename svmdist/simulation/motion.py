@@ -104,14 +104,14 @@ class Motion:
     """A motion sampled over progress.
 
     `p_world_tool_m` (n, 3); `wrist_rad` (n, 4) holds roll, wrist pitch, wrist yaw and jaw as differences
-    from the posture. Where `clearance_m` is given, the path is lowered by `lowering`, (n,), times the one
-    length at which the clearance at progress `lowest_at` is just that.
+    from the posture. Where `lowering` is given, (n,), the path is lowered by that times the one length at which the
+    clearance at progress `lowest_at` is `clearance_m`.
     """
 
     p_world_tool_m: Array
     wrist_rad: Array
     retractor_xy_m: Array | None = None
-    clearance_m: float | None = None
+    clearance_m: float = 0.0
     lowering: Array | None = None
     lowest_at: float = 1.0
 
@@ -148,8 +148,7 @@ def _descent(
 ) -> Motion:
     """Go from the image's border, where `path` is 0, to a place over the organ, where it is 1, at a clearance."""
     there = path(s)
-    bearing = rng.uniform(-0.9, 0.9)
-    start = np.array([0.045, 0.031 * np.sin(bearing) / np.sin(0.9), scene.working_height_m + 0.003])
+    start = np.array([0.045, 0.031 * np.sin(rng.uniform(-0.9, 0.9)) / np.sin(0.9), scene.working_height_m + 0.003])
     radius_m, angle = rng.uniform(0.002, 0.007), rng.uniform(0.0, 2.0 * np.pi)
     # Jaws point to -x: this far to the right of the place that their tips are to reach.
     offset_m = np.array([0.006 + radius_m * np.cos(angle), radius_m * np.sin(angle)])
@@ -226,8 +225,7 @@ def make_trajectory(scene: Scene, scenario: Scenario, progress: Array) -> tuple[
     if xy_m is None:
         return q, None
     # The blade's tip points to -y: it comes in from the top of the image.
-    xyz_m = np.column_stack([xy_m, np.full(len(xy_m), RETRACTOR_HEIGHT_M)])
-    return q, make_transform(rotation_z(np.pi / 2), xyz_m)
+    return q, make_transform(rotation_z(np.pi / 2), np.column_stack([xy_m, np.full(len(xy_m), RETRACTOR_HEIGHT_M)]))
 
 
 def _joints(scene: Scene, p_world_tool_m: Array, wrist_rad: Array) -> Array:
@@ -240,7 +238,6 @@ def _joints(scene: Scene, p_world_tool_m: Array, wrist_rad: Array) -> Array:
 
 def _lowering_m(scene: Scene, lowest: Motion) -> float:
     """Find by bisection how far to lower the path for the wanted clearance at its lowest point."""
-    assert lowest.clearance_m is not None
     assert lowest.lowering is not None
     tissue = TissueClearance([replace(scene, perturbations=UNPERTURBED)])  # which does not give way
     low, high = -0.01, 0.03

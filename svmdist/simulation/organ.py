@@ -87,8 +87,7 @@ class Organ:
         w_near = np.divide(alpha, near, out=np.zeros_like(alpha), where=near > 0.0)
         w_far_b_other = (beta - near * (1.0 - w_near)) / (far - near)
         on_a = (1.0 - w_far - w_far_b) * z_near + w_far * z_far + w_far_b * z_far_b
-        w_near_b = 1.0 - w_near - w_far_b_other
-        on_b = w_near * z_near + w_far_b_other * z_far_b + w_near_b * at(ring - 1, side + 1)
+        on_b = w_near * z_near + w_far_b_other * z_far_b + (1.0 - w_near - w_far_b_other) * at(ring - 1, side + 1)
         return np.where(alpha + beta <= 1.0, np.where(w_far >= 0.0, on_a, on_b), -np.inf)
 
     def inside_m(self, points_m: Array) -> Array:
@@ -123,8 +122,7 @@ class Organ:
 
     def is_too_deep(self, points_m: Array) -> bool:
         """Whether some of the points, shape (n, 3), lie so deep that the organ does not give way to them."""
-        lowest_m = self.heights_m(points_m[:, :2]) * (1.0 - LIMIT)
-        return bool((lowest_m - points_m[:, 2] > TOLERANCE_M).any())
+        return bool((self.heights_m(points_m[:, :2]) * (1.0 - LIMIT) - points_m[:, 2] > TOLERANCE_M).any())
 
     def dented(self, points_m: Array) -> Organ:
         """The organ under points, shape (n, 3), which are inside it at rest.

@@ -153,26 +153,22 @@ class Scene:
 
 def make_scene(profile: Profile, seed: int, options: Options = PLAIN) -> Scene:
     """Set up the world of a seed; raises SimulationError for a profile that describes no such simulation."""
-    perturbations = options.perturbations
+    perturbations, cannot = options.perturbations, f"profile {profile.name} cannot be simulated"
     if profile.robot is None or profile.instrument is None or profile.simulation is None:
-        raise SimulationError(
-            f"profile {profile.name} cannot be simulated: it needs [robot], [instrument] and [simulation]"
-        )
+        raise SimulationError(f"{cannot}: it needs [robot], [instrument] and [simulation]")
     chain, settings = chain_of(profile.robot), profile.simulation
     missing = ", ".join(name for name in chain.joint_names if name not in settings.posture)
     if missing or len(chain.rows) < 4:
         reason = f"simulation.posture lacks {missing}" if missing else "an instrument needs four joints"
-        raise SimulationError(f"profile {profile.name} cannot be simulated: {reason}")
+        raise SimulationError(f"{cannot}: {reason}")
     if options.tag and profile.fiducial is None:
         raise SimulationError(f"profile {profile.name} has no tag to mount: it needs [fiducial]")
     # One stream for each thing, so that one of them can change without moving the others.
     place, shape, red, dull = (np.random.default_rng([seed, stream]) for stream in range(4))
     R_world_tissue = rotation_z(place.uniform(-np.pi, np.pi))
     tissue_m = [*place.uniform(-TISSUE_SHIFT_M, TISSUE_SHIFT_M, 2), 0.0]
-    camera = Camera.from_horizontal_fov(
-        settings.width_px, settings.height_px, settings.horizontal_fov_rad, profile.frames.camera
-    )
-    camera = zoomed_camera(camera, perturbations["zoom"])
+    view = settings.width_px, settings.height_px, settings.horizontal_fov_rad
+    camera = zoomed_camera(Camera.from_horizontal_fov(*view, profile.frames.camera), perturbations["zoom"])
     stated = distortion_coefficients(perturbations["lens"])
     # In these axes the floor's normal is the stated one, turned back; the floor's origin is on the optical axis.
     R = R_WORLD_CAMERA @ plane_tilt(perturbations, seed)

@@ -138,8 +138,7 @@ class Simulator(ExitStack):
             if plan.options.perturbations.changes(Place.CALIBRATION):
                 T_camera_right = stereo_transform(*self._stated_cameras)
             assert T_camera_right is not None  # the baseline is not 0
-            frames = scene.camera.frame_id, scene.right_camera.frame_id
-            right = [TransformSample(stamp_ns, *frames, T_camera_right)]
+            right = [TransformSample(stamp_ns, scene.camera.frame_id, scene.right_camera.frame_id, T_camera_right)]
         return TransformsSample(stamp_ns, (*first, *right, *(sample for other in others for sample in other)))
 
     def _images(self, stamp_ns: int, index: int, noise: Noise) -> Iterator[tuple[str, Sample]]:
@@ -153,8 +152,7 @@ class Simulator(ExitStack):
         ]
         cameras = ((topics["image"], scene.camera), (topics["right_image"], scene.right_camera))
         for camera, of_camera in enumerate(zip(*fields, strict=True)):
-            image = self.sensors.focus(camera, of_camera, frame)
-            exposed = self.sensors.expose(camera, image, noise[camera], frame)
+            exposed = self.sensors.expose(camera, self.sensors.focus(camera, of_camera, frame), noise[camera], frame)
             yield cameras[camera][0], ImageSample(stamp_ns, cameras[camera][1].frame_id, exposed)
 
     def _pictures(self, state: SceneState, number: int) -> list[Image]:
