@@ -79,24 +79,17 @@ def make_report(
     if request.alarms:
         events = [row_of(EVENT_COLUMNS, (one, event)) for one in series for event in one.events]
         tables.append(Table.of(f"{counted(len(events), 'alarm')}: {request.alarms.in_words}", EVENT_COLUMNS, events))
-    return Report(
-        f"svmdist {'validate' if validation else 'estimate'}: {request.setup.method}",
-        series,
-        tables,
-        _worst(measured, series, request, jobs),
-        facts(request.setup, [one.recording for one in measured], command),
-        notes,
-    )
+    title = f"svmdist {'validate' if validation else 'estimate'}: {request.setup.method}"
+    worst = _worst(measured, series, request, jobs)
+    provenance = facts(request.setup, [one.recording for one in measured], command)
+    return Report(title, series, tables, worst, provenance, notes)
 
 
 def facts(setup: Setup, recordings: Sequence[Recording], command: str) -> list[tuple[str, str]]:
     """The provenance: command, versions, method, profile, calibration, and hashes of the recordings."""
     values = hashlib.sha256(setup.profile.model_dump_json(by_alias=True).encode()).hexdigest()
-    found = [
-        ("command", command),
-        ("method", f"{setup.method}, {setup.equations} equations"),
-        ("profile", f"{setup.profile.name}, SHA-256 of its values {values}"),
-    ]
+    found = [("command", command), ("method", f"{setup.method}, {setup.equations} equations")]
+    found.append(("profile", f"{setup.profile.name}, SHA-256 of its values {values}"))
     if setup.calibration is not None:
         sources = ", ".join(f"{source.name} ({source.sha256})" for source in setup.calibration.sources)
         found.append(("calibration", f"by {setup.calibration.created_by}, fitted on {sources}"))
@@ -174,10 +167,8 @@ LAG_COLUMNS = (
 def page(report: Report) -> str:
     """The page, made from its template."""
     # Texts of a log or a user come without control characters.
-    environment = Environment(
-        autoescape=True, finalize=lambda value: printable(value) if type(value) is str else value,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    environment.finalize = lambda value: printable(value) if type(value) is str else value
     environment.filters |= {"base64": lambda data: base64.b64encode(data).decode("ascii"), "zip": zip}
     template = environment.from_string(files("svmdist.report").joinpath("page.html.j2").read_text("utf-8"))
     sections = _sections(report)
@@ -219,18 +210,10 @@ def _sections(report: Report) -> list[tuple[str, list[tuple[str, Chart]]]]:
 def plotly_figure(chart: Chart) -> go.Figure:
     """A chart for plotly, in single precision: more than a screen shows, in half of the bytes."""
     dots = sum(curve.form == "dots" for curve in chart.curves)
-    traces = [
-        {
-            "type": "scatter",
-            "name": printable(curve.name),
-            "hovertemplate": curve.hover or None,
-            "x": x.astype(np.float32),
-            "y": y.astype(np.float32),
-            **look,
-        }
-        for curve in chart.curves
-        for x, y, look in _traces(curve, dots)
-    ]
+    traces: list[dict[str, Any]] = []
+    for curve in chart.curves:
+        named = {"type": "scatter", "name": printable(curve.name), "hovertemplate": curve.hover or None}
+        traces += [named | {"x": np.float32(x), "y": np.float32(y)} | look for x, y, look in _traces(curve, dots)]
     layout: dict[str, Any] = {
         "template": None,
         "margin": {"l": 60, "r": 15, "t": 30, "b": 45},  # the tool bar is above, the legend below
