@@ -6,7 +6,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib.resources import files
 from typing import Any
 
@@ -76,18 +76,12 @@ def profile_text(draft: ProfileDraft) -> str:
         areas = {"tissue_px": max(50, pixels // 450), "shaft_px": max(50, pixels // 600)}
         areas["marker_px"] = max(5, round(draft.mark.area_px / 8))
         colour = _block("colour", draft=draft, **areas)
-    text = _block(
-        "profile",
-        log=_plain(draft.log),
-        identity="\n".join(identity),
-        topics="\n".join(topics),
-        frames="\n".join(frames),
-        colour=colour,
-        sizes=_with_guesses(sizes),
-        robot="\n".join(_chain("[robot]", first, sizes)),
-        tissue=_block("surface" if draft.plane else "unknown_plane", draft=draft),
-        others="\n".join(["", *(line for other in others for line in _other(other, first, sizes)), ""]),
-    )
+    lines: dict[str, Iterable[str]] = {"identity": identity, "topics": topics, "frames": frames}
+    lines["robot"] = _chain("[robot]", first, sizes)
+    lines["others"] = ["", *(line for other in others for line in _other(other, first, sizes)), ""]
+    parts = {name: "\n".join(some) for name, some in lines.items()}
+    tissue = _block("surface" if draft.plane else "unknown_plane", draft=draft)
+    text = _block("profile", log=_plain(draft.log), colour=colour, sizes=_with_guesses(sizes), tissue=tissue, **parts)
     return re.sub(r'(?m)^(\w+ = (?:-?[\d.e-]+|"-?pi/\d+")) # ', lambda line: f"{line[1]:<28} # ", text)
 
 
