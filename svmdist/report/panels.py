@@ -72,9 +72,8 @@ def masks_picture(frame: DrawnFrame, title: str) -> Image:
             shapes.append(Shape(Part.TIP, Form.POINTS, np.stack([seen.end_px, seen.tip_px])))
             place_px = 0.5 * (seen.entry_px + seen.end_px)
             labels.append(Label(part, place_px, f"{owner or f'instrument {at + 1}'}  {seen.evidence:.2f}"))
-    tinted = _tinted(image, list(named.values()))
     drawing = FrameDrawing(frame.drawing.stamp_ns, tuple(shapes), tuple(labels))
-    return under(lines, draw_on(tinted, drawing, least_px=MASKS_PX))
+    return under(lines, draw_on(_tinted(image, list(named.values())), drawing, least_px=MASKS_PX))
 
 
 def _owner(frame: DrawnFrame, mask: Image) -> str:
@@ -129,11 +128,9 @@ def _segmentation(frame: DrawnFrame, _: Image) -> Image:
 
 def _marker(frame: DrawnFrame, pixels: Image) -> Image:
     for found in filter(None, map(virtual_marker, frame.replayed.frames)):
-        (x, y), window = found.origin_px, found.window_bgr
-        rows, columns = (np.arange(length) for length in window.shape[:2])
-        r = (rows + y >= 0) & (rows + y < pixels.shape[0])
-        c = (columns + x >= 0) & (columns + x < pixels.shape[1])
-        pixels[np.ix_(rows[r] + y, columns[c] + x)] = window[np.ix_(r, c)]
+        x, y = found.origin_px
+        shift, border = np.array([[1.0, 0.0, x], [0.0, 1.0, y]]), cv2.BORDER_TRANSPARENT  # what is beside it stays
+        cv2.warpAffine(found.window_bgr, shift, pixels.shape[1::-1], pixels, cv2.INTER_NEAREST, border)
         for x_px, y_px in np.add(found.features.points_px, (x, y)):
             cv2.circle(pixels, (round(x_px), round(y_px)), 2, bgr(COLOURS[Part.MATCH]), 1, cv2.LINE_AA)
     return pixels
