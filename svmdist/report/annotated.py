@@ -67,7 +67,12 @@ def _annotations(
             tools = tuple(TransformSample(stamp_ns, frame_id, child, T) for child, T in poses)
             yield TF_TOPIC, TransformsSample(stamp_ns, tools)
         yield SCENE_TOPIC, viewer_messages.scene_update(drawing, [one.instrument for one in results], frame_id)
-        yield from _surface(frame, frame_id)
+        scene = frame.replayed.frames[0].scene if frame.replayed.frames else None
+        # The tissue's surface where a method looked for it in both views, with an instrument there or not.
+        if scene is not None and (surface := vars(scene).get("stereo_surface")) is not None:
+            std_m, seen = surface.grid_std_m[surface.is_seen], scene.observation
+            colours = surface.colours(seen.image_bgr, seen.camera)
+            yield SURFACE_TOPIC, viewer_messages.point_cloud(surface.points_m, std_m, colours, frame_id, stamp_ns)
         for text in warnings(drawing):
             yield LOG_TOPIC, viewer_messages.log_line(text, stamp_ns, is_warning=True)
 
@@ -81,19 +86,6 @@ def tool_poses(results: Iterable[FrameResult]) -> list[tuple[str, Array]]:
 def warnings(drawing: FrameDrawing) -> list[str]:
     """The lines of rejections and alarms."""
     return [line.text for line in drawing.lines if line.warns]
-
-
-def _surface(frame: DrawnFrame, frame_id: str) -> Iterator[tuple[str, EncodedSample]]:
-    """The tissue's surface where a method looked for it in both views, with an instrument there or not."""
-    frames = frame.replayed.frames
-    surface = vars(frames[0].scene).get("stereo_surface") if frames else None
-    if surface is None:
-        return
-    seen = frames[0].scene.observation
-    colours = surface.colours(seen.image_bgr, seen.camera)
-    std_m = surface.grid_std_m[surface.is_seen]
-    message = viewer_messages.point_cloud(surface.points_m, std_m, colours, frame_id, frame.drawing.stamp_ns)
-    yield SURFACE_TOPIC, message
 
 
 def write_video(frames: Iterable[DrawnFrame], path: Path, recording: Recording, *_: object) -> None:
