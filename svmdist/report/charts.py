@@ -231,10 +231,8 @@ def calibration(group: Sequence[Series]) -> Chart:
         Curve("line", "limit", "ideal", ends, ends),
         Curve("line", "estimate", "truths inside", levels, np.array(held), hover=hover),
     ]
-    text = (
-        f"{held[LEVELS.index(0.95)]:.1f} % of {len(truth_mm)} truths are inside the stated 95 % interval."
-        " Below the diagonal, intervals are too narrow."
-    )
+    text = f"{held[LEVELS.index(0.95)]:.1f} % of {len(truth_mm)} truths are inside the stated 95 % interval."
+    text += " Below the diagonal, intervals are too narrow."
     return Chart("calibration of the interval", text, "stated level [%]", "truths inside [%]", curves)
 
 

@@ -169,10 +169,8 @@ def _camera_in_words(camera: dict[str, Any]) -> str:
     is_fisheye = camera["distortion_model"] == "fisheye"  # which bends by zeros, too
     bends = " ".join(f"{value:.4g}" for value in camera["D"]) if any(camera["D"]) or is_fisheye else ""
     lens = f"{'fisheye' if is_fisheye else 'distortion'} {bends}" if bends else "no distortion"
-    return (
-        f"{camera['width_px']}x{camera['height_px']}, fx {fx:.2f}, fy {fy:.2f}, cx {cx:.2f}, cy {cy:.2f} px,"
-        f" {lens}, frame {camera['frame_id']}"
-    )
+    pinhole = f"{camera['width_px']}x{camera['height_px']}, fx {fx:.2f}, fy {fy:.2f}, cx {cx:.2f}, cy {cy:.2f} px"
+    return f"{pinhole}, {lens}, frame {camera['frame_id']}"
 
 
 def _quaternion(at: int) -> Callable[[HandEyeResult], float]:
@@ -214,10 +212,8 @@ def _hand_eye_lines(result: HandEyeResult, row: dict[str, Any]) -> Iterator[str]
     yield f"  rotation (xyzw)      {', '.join(f'{row[key]:.5f}' for key in ('qx', 'qy', 'qz', 'qw'))}\n"
     yield f"  about the axes [°]   {', '.join(turn)}\n"
     yield f"  at the tool [mm]     ± {result.tool_std_m * 1e3:.2f} in the worst direction\n"
-    yield (
-        f"  frames               {found.inlier_count} of {found.frame_count} agree, within"
-        f" {found.residual_rms_m * 1e3:.2f} mm rms; squared residuals over expected {result.fit.ratio:.2f}\n"
-    )
+    residuals = f"{found.residual_rms_m * 1e3:.2f} mm rms; squared residuals over expected {result.fit.ratio:.2f}"
+    yield f"  frames               {found.inlier_count} of {found.frame_count} agree, within {residuals}\n"
     if result.from_log is not None:
         turn_rad, shift_m = result.from_log
         yield f"  the log's transform  {np.degrees(turn_rad):.2f}° and, at the tool, {shift_m * 1e3:.1f} mm off it\n"

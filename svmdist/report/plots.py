@@ -75,11 +75,10 @@ LOOKS: Any = {
 def save_figure(path: Path, draw: Callable[..., Figure], *given: Any) -> None:
     """Draw a figure with the looks of print and write it; raises OutputError where that cannot be done."""
     suffix = plot_format(path)
-    metadata = {"Date": None} if suffix == "svg" else None
     with mpl.rc_context(LOOKS), warnings.catch_warnings(), atomic_file(path) as file:
         # A name may hold letters that the font lacks: a box is drawn, which is no news to the user.
         warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from font", UserWarning)
-        draw(*given).savefig(file, dpi=DPI, format=suffix, metadata=metadata)
+        draw(*given).savefig(file, dpi=DPI, format=suffix, metadata={"Date": None} if suffix == "svg" else None)
 
 
 def plain_name(text: str) -> str:
@@ -181,8 +180,7 @@ def draw(validation: Validation) -> Figure:
     scores = [score for score in validation.scores if score.reference is validation.reference]
     columns = 1 if len(scores) == 1 else 2
     rows = -(-len(scores) // columns)
-    width_in = COLUMN_IN if columns == 1 else PAGE_IN
-    figure = Figure(figsize=(width_in, SCORE_IN * rows), layout="constrained")
+    figure = Figure(figsize=(COLUMN_IN if columns == 1 else PAGE_IN, SCORE_IN * rows), layout="constrained")
     grid = figure.add_gridspec(2 * rows, columns, height_ratios=(3, 1) * rows, hspace=0.04)
     first: dict[str, Axes] = {}  # panels of one log share their axis
     for index, score in enumerate(scores):
@@ -236,8 +234,7 @@ def _title(score: Score, distance: str, in_3d: Pairs | None) -> str:
 
 NAMES = {"": "planar distance", "spatial_": "spatial distance", "clearance_": "clearance"}
 """The distances, by what the keys of their metrics begin with."""
-LINE_IN, HEAD_IN = 0.19, 0.75
-"""Height of a method's line, and of what a row of panels needs besides, in inches."""
+LINE_IN, HEAD_IN = 0.19, 0.75  # height of a method's line, and of what a row of panels needs besides, in inches
 WIDE = 20.0  # errors that differ by more than this factor are drawn on a logarithmic axis
 
 

@@ -101,8 +101,7 @@ SHOWN = (
     " tissue_y_px tool_area_px tissue_area_px keypoint_count match_count inlier_count"
 )
 """The columns of the readable table, in their order."""
-OF_SEVERAL = " instrument instrument_clearance_m instrument_half_m"
-"""Shown too where a log has several instruments."""
+OF_SEVERAL = " instrument instrument_clearance_m instrument_half_m"  # shown too where a log has several instruments
 OF_ALARMS = " alarm closing_speed_m_s time_to_contact_s"  # shown too where alarms are asked for
 DISPENSABLE = (
     "keypoint_count match_count inlier_count tool_area_px tissue_area_px tissue_x_px tissue_y_px tool_x_px"

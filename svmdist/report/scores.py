@@ -89,7 +89,7 @@ _NAME = Column("recording", TEXT, "recording", "recording")
 _AGAINST = Column("against", TEXT, "against", lambda one: str(one.reference).replace("ground_truth", "truth"))
 
 
-def _interval_column(key: str, unit: Unit) -> Column:
+def _bounds(key: str, unit: Unit) -> Column:
     bound = Column(key, unit)
 
     def read(score: Score) -> str:
@@ -99,10 +99,7 @@ def _interval_column(key: str, unit: Unit) -> Column:
     return Column(f"{key}_interval", TEXT, "95 %", read)
 
 
-_INTERVALS = {
-    "r_squared": [_interval_column("r_squared", Unit("1", digits=3))],
-    "rmse_m": [_interval_column("rmse", LENGTH)],
-}
+_INTERVALS = {"r_squared": [_bounds("r_squared", Unit("1", digits=3))], "rmse_m": [_bounds("rmse", LENGTH)]}
 """The bootstrap interval that is shown beside a metric."""
 
 
@@ -160,8 +157,7 @@ def remarks(validation: Validation) -> list[str]:
             found.append(f"no clearance to alarm by: {score.alarms.unjudged_count} frames{missed}")
         if score.unpaired_count and (score.planar or not (score.spatial or score.clearance or score.tool)):
             found.append(f"measured where there is no {score.reference}: {score.unpaired_count}")
-        is_simulated = score.reference is Reference.GROUND_TRUTH
-        if score.tool and not is_simulated and score.tool.estimate_m.max() < SAME_TOOL_M:
+        if score.tool and score.reference is not Reference.GROUND_TRUTH and score.tool.estimate_m.max() < SAME_TOOL_M:
             found.append(f"the tool is that of {score.reference}: of the same kinematics, whose errors do not show")
         if score.lag and score.lag.lag_s != 0.0 and (before := score.uncorrected):
             found.append(f"lag {score.lag.lag_s * 1e3:+.1f} ms (confidence {score.lag.confidence:.2f})")

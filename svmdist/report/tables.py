@@ -23,10 +23,8 @@ if TYPE_CHECKING:
 Row = Mapping[str, Cell]
 
 SURROGATES = re.compile("[\ud800-\udfff]")
-FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")
-"""How a formula begins in a spreadsheet."""
-PARQUET_ROWS = 1 << 14
-"""Rows that are held at once."""
+FORMULA_STARTS = ("=", "+", "-", "@", "\t", "\r")  # in a spreadsheet
+PARQUET_ROWS = 1 << 14  # that are held at once
 
 
 def keys_of(columns: Iterable[Column]) -> tuple[str, ...]:
@@ -116,13 +114,10 @@ def _parts(table: Table, width: int) -> Iterator[list[int]]:
 def text_lines(columns: Sequence[Column], rows: Iterable[Row]) -> Iterator[str]:
     """Yield a plain table line by line as rows come; a value wider than its column pushes its line to the right."""
     widths = _text_widths(columns)
+    forms = [f"{'<' if column.is_text else '>'}{width}" for column, width in zip(columns, widths, strict=True)]
 
     def line(cells: Iterable[str]) -> str:
-        aligned = (
-            cell.ljust(width) if column.is_text else cell.rjust(width)
-            for column, cell, width in zip(columns, cells, widths, strict=True)
-        )
-        return "  ".join(aligned).rstrip() + "\n"
+        return "  ".join(map(format, cells, forms)).rstrip() + "\n"
 
     yield line(column.heading for column in columns)
     yield "  ".join("─" * width for width in widths) + "\n"
