@@ -6,7 +6,6 @@ PyBullet's C code prints to the process's standard output; data goes there, so i
 from __future__ import annotations
 
 import ctypes
-import importlib
 import importlib.util
 import os
 import platform

@@ -28,8 +28,7 @@ LAMP_M = np.array([0.0025, -0.005, 0.0])
 """The lamp in the left camera's frame: between both lenses of a stereo endoscope, at the upper rim of its tip."""
 FULL_LIGHT_M = 0.100  # the automatic exposure is right at this distance from the lamp
 GAMMA = 2.2  # cameras give light to the power of 1 / 2.2: a quarter of the light is half of the level
-UMBRA = 0.75
-"""Share of the lamp's light in the middle of a complete shadow; the rest comes by way of other tissue."""
+UMBRA = 0.75  # share of the lamp's light in the middle of a complete shadow; the rest comes by way of other tissue
 BIAS_M = 0.001
 PENUMBRA_PX = 2.5  # a lamp of 2 mm, 24 mm of air under the instrument: 0.5 mm of half-shade
 SHININESS = 350.0
@@ -45,8 +44,7 @@ _BUMP_STREAM, _BLOOD_STREAM = 105, 106
 
 NO_PART = -1
 Depths = NDArray[np.float32]
-Points = NDArray[np.float32]
-"""Images of positions, shape (h, w, 3): a float32 resolves 10 nm at 0.1 m."""
+Points = NDArray[np.float32]  # images of positions, shape (h, w, 3): a float32 resolves 10 nm at 0.1 m
 
 
 def distortion_coefficients(strength: float) -> Array:

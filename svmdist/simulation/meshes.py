@@ -163,8 +163,7 @@ SHAFT_RGBA = (0.13, 0.13, 0.145, 1.0)
 STEEL_RGBA = (0.62, 0.63, 0.65, 1.0)
 DARK_STEEL_RGBA = (0.45, 0.46, 0.48, 1.0)
 MARKER_RGBA = (0.0, 0.62, 0.70, 1.0)
-GREY_RGBA = (0.42, 0.42, 0.44, 1.0)
-"""Of a worn or a bright shaft: twice as bright as a threshold on darkness accepts."""
+GREY_RGBA = (0.42, 0.42, 0.44, 1.0)  # of a worn or a bright shaft: twice as bright as a threshold on darkness accepts
 BLUE_RGBA = (0.16, 0.27, 0.52, 1.0)
 RING_LENGTH_M, RING_RADIUS_M = 0.0018, 0.00235
 """A ring about the fork's tines that shows about as many pixels as the coloured sphere: 9 mm² from the side."""

@@ -36,6 +36,8 @@ CROSSING_FIELD_M = np.array([0.040, 0.029])
 CROSSING_PERIOD_S = 2.7  # between two crossings, on average: an 8 s recording has three of them
 _PATH_STREAM = 16
 
+Curve = Callable[[Array], Array]  # over progress
+
 
 def smooth_step(s: Array, start: float = 0.0, end: float = 1.0) -> Array:
     """Rise from 0 to 1 between `start` and `end` with zero velocity and acceleration at both (quintic)."""
@@ -137,14 +139,7 @@ def _waves(rng: np.random.Generator, s: Array, scene: Scene, _: float, *, crosse
 
 
 def _descent(
-    rng: np.random.Generator,
-    s: Array,
-    scene: Scene,
-    _: float,
-    *,
-    path: Callable[[Array], Array],
-    clearance_m: float,
-    lowest_at: float,
+    rng: np.random.Generator, s: Array, scene: Scene, _: float, *, path: Curve, clearance_m: float, lowest_at: float
 ) -> Motion:
     """Go from the image's border, where `path` is 0, to a place over the organ, where it is 1, at a clearance."""
     there = path(s)

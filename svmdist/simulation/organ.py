@@ -28,16 +28,14 @@ FINE_RING_COUNT, FINE_SIDE_COUNT = 72, 200  # of an organ with lobes or dents: e
 
 SHAPE_STREAM = 102
 OUTLINE_ORDERS = (3, 4, 5, 6)
-OUTLINE_SHARE = 0.2
-"""Of the strength of `tissue_shape`: waves of 6 % of the outline's radius at a strength of 0.3."""
+OUTLINE_SHARE = 0.2  # of the strength of `tissue_shape`: waves of 6 % of the outline's radius at a strength of 0.3
 WAVE_COUNT = 10
 WAVELENGTHS_M = (0.014, 0.032)  # half of the organ to the whole of it: lobes
 
 REACH_M = 0.012
 """A push is felt as far as this, half of it at 3.7 mm. Below a blunt punch on a deep half-space half of the depth is
 left at 1.4 times its radius (Johnson 1985, Contact mechanics, sec. 3.4); a capsule under tension spreads it."""
-LIMIT = 0.8
-"""Of the organ's height at a place; then it is pressed flat against its bed, and gives way no further."""
+LIMIT = 0.8  # of the organ's height at a place; then it is pressed flat against its bed, and gives way no further
 FINE_REACH_M = 0.002
 SWEEPS = 8
 """The pressed surface is flat between vertices, so that some µm are left inside and push again, with a small reach."""
@@ -221,13 +219,10 @@ def make_organ(rng: np.random.Generator, seed: int = 0, perturbations: Perturbat
 
 
 def _outline(angle: Array, rng: np.random.Generator) -> Array:
-    """A superellipse-like outline with two faint waves; their amplitudes keep it convex."""
+    """A superellipse-like outline with two faint waves; their shares of the radius keep it convex."""
     a_m, b_m = SEMI_AXES_M
     exponent = rng.uniform(2.05, 2.2)
     summed = np.abs(np.cos(angle) / a_m) ** exponent + np.abs(np.sin(angle) / b_m) ** exponent
-    waves = [
-        amplitude * np.cos(order * angle + rng.uniform(0.0, 2.0 * np.pi))
-        for order, amplitude in ((2, 0.02), (3, 0.025))
-    ]
+    waves = [share * np.cos(order * angle + rng.uniform(0.0, 2.0 * np.pi)) for order, share in ((2, 0.02), (3, 0.025))]
     radius_m = summed ** (-1.0 / exponent) * (1.0 + sum(waves))
     return np.asarray(radius_m[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1))

@@ -177,7 +177,7 @@ def make_plan(scenario: Scenario, profile: Profile, options: Options = PLAIN) ->
     # Joints up to the end of the recording, so that every image lies between two of them.
     joints = _stamps(int(np.ceil(scenario.duration_s * settings.joint_rate_hz)) + 1, settings.joint_rate_hz)
     stamps = np.union1d(images, joints)
-    with_joints = np.isin(stamps, joints)
+    with_image, with_joints = np.isin(stamps, images), np.isin(stamps, joints)
     with_camera_info = np.zeros(len(stamps), np.bool_)
     with_camera_info[np.searchsorted(stamps, np.arange(START_NS, stamps[-1] + 1, CAMERA_INFO_PERIOD_NS))] = True
     progress = np.clip((stamps - START_NS) / (scenario.duration_s * 1e9), 0.0, 1.0)
@@ -206,18 +206,9 @@ def make_plan(scenario: Scenario, profile: Profile, options: Options = PLAIN) ->
         defaults["ground_truth_distance"] = distance
         topics = {role: getattr(view.topics, role) or topic for role, topic in defaults.items()}
         arms.append(Arm(view, its, topics, q, chain, T_nominal, reported, prefix))
-    return Plan(
-        scene=scene,
-        arms=tuple(arms),
-        topics=arms[0].topics,
-        options=options,
-        stamps_ns=stamps,
-        with_image=np.isin(stamps, images),
-        with_joints=with_joints,
-        with_camera_info=with_camera_info,
-        T_world_retractor=T_world_retractor,
-        tissue_offset_m=scene.tissue_offset_m(np.asarray((stamps - START_NS) * 1e-9, np.float64)),
-    )
+    tissue_offset_m = scene.tissue_offset_m(np.asarray((stamps - START_NS) * 1e-9, np.float64))
+    due = stamps, with_image, with_joints, with_camera_info
+    return Plan(scene, tuple(arms), arms[0].topics, options, *due, T_world_retractor, tissue_offset_m)
 
 
 def _stamps(count: int, rate_hz: float) -> NDArray[np.int64]:

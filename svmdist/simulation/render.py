@@ -216,15 +216,9 @@ class Renderer(BulletWorld):
 
     def _add_mesh(self, mesh: DrawnMesh, colour_rgba: Rgba = (1.0, 1.0, 1.0, 1.0)) -> int:
         """Add a mesh at the origin; its body's number."""
-        shape = self.call(
-            "createVisualShape",
-            self.pb.GEOM_MESH,
-            vertices=mesh.vertices_m.tolist(),
-            indices=mesh.faces.ravel().tolist(),
-            uvs=mesh.uv.tolist(),
-            normals=mesh.normals.tolist(),
-            rgbaColor=colour_rgba,
-        )
+        surface = {"vertices": mesh.vertices_m.tolist(), "indices": mesh.faces.ravel().tolist()}
+        look = {"uvs": mesh.uv.tolist(), "normals": mesh.normals.tolist(), "rgbaColor": colour_rgba}
+        shape = self.call("createVisualShape", self.pb.GEOM_MESH, **surface, **look)
         return int(self.call("createMultiBody", 0, -1, shape))
 
     def _paint(self, body: int, texture_bgr: Image) -> int:
@@ -232,8 +226,7 @@ class Renderer(BulletWorld):
         # PyBullet reads files only: this one is in memory, and stays open, since textures are known by their path.
         file = os.memfd_create("svmdist")
         self.callback(os.close, file)
-        with open(file, "wb", closefd=False) as out:
-            out.write(cv2.imencode(".png", texture_bgr)[1].tobytes())
+        os.write(file, cv2.imencode(".png", texture_bgr)[1].tobytes())
         texture = int(self.call("loadTexture", f"/proc/self/fd/{file}"))
         self.call("changeVisualShape", body, -1, textureUniqueId=texture)
         return texture

@@ -23,8 +23,7 @@ from svmdist.simulation.organ import Organ, make_organ
 from svmdist.transforms import Array, inverse, make_transform, rotation_z
 from svmdist.vision.degradations import require_degradation
 
-TISSUE_SHIFT_M = 0.0015
-"""By seed, the organ stands this far from the camera's axis at most, along x and along y."""
+TISSUE_SHIFT_M = 0.0015  # by seed, the organ stands this far from the camera's axis at most, along x and along y
 BREATHING_HZ = 0.25  # 15 breaths a minute, as a ventilator is set
 PULSE_HZ = 1.2  # 72 beats a minute
 JAW_HZ = 0.3

@@ -146,10 +146,8 @@ class Simulator(ExitStack):
         frame = int(np.count_nonzero(self._plan.with_image[:index]))  # the image's number
         interlace = scene.perturbations["interlace"]
         delays_ns = (0.0, interlace * FIELD_NS) if interlace else (0.0,)  # even rows first, then odd ones
-        fields = [
-            self._pictures(self._plan.state(index, after_ns), frame * len(delays_ns) + number)
-            for number, after_ns in enumerate(delays_ns)
-        ]
+        numbered = enumerate(delays_ns, frame * len(delays_ns))
+        fields = [self._pictures(self._plan.state(index, after_ns), number) for number, after_ns in numbered]
         cameras = ((topics["image"], scene.camera), (topics["right_image"], scene.right_camera))
         for camera, of_camera in enumerate(zip(*fields, strict=True)):
             exposed = self.sensors.expose(camera, self.sensors.focus(camera, of_camera, frame), noise[camera], frame)
