@@ -86,14 +86,12 @@ def profile_text(draft: ProfileDraft) -> str:
 
 
 def _block(name: str, **values: object) -> str:
-    """A block of the template with its places filled."""
     text = files("svmdist.report").joinpath("profile_template.toml").read_text("utf-8")
     blocks = dict(block.split("\n", 1) for block in text.split("#: ")[1:])
     return blocks[name].removesuffix("\n").format(**values)
 
 
 def _entries(values: Mapping[str, str]) -> list[str]:
-    """Texts under their keys, a line each."""
     return [f"{key} = {_text(value)}" for key, value in values.items()]
 
 

@@ -103,7 +103,6 @@ class Simulator(ExitStack):
 
     @cached_property
     def _stated_cameras(self) -> tuple[Camera, Camera]:
-        """The left and the right camera as the log states them."""
         scene, perturbations = self._plan.scene, self._plan.options.perturbations
         as_stated = 1.0 / perturbations["zoom"]  # which the log does not state
         left, right = (zoomed_camera(each, as_stated) for each in (scene.camera, scene.right_camera))
