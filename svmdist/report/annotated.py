@@ -107,10 +107,10 @@ def write_video(frames: Iterable[DrawnFrame], path: Path, recording: Recording, 
                 for frame in frames:
                     stamp_ns = frame.drawing.stamp_ns
                     begin_ns = stamp_ns if begin_ns is None else begin_ns
-                    at_ms = round((stamp_ns - begin_ns) / 1e6)
+                    log_ms = round((stamp_ns - begin_ns) / 1e6)
                     # Clocks that are set back, or forth, make no gaps: a video's time only goes on.
-                    at_ms = min(max(at_ms, shown_ms + 1), shown_ms + LARGEST_STEP_MS)
-                    begin_ns, shown_ms = stamp_ns - at_ms * 1_000_000, at_ms
+                    at_ms = min(max(log_ms, shown_ms + 1), shown_ms + LARGEST_STEP_MS)
+                    begin_ns, shown_ms = begin_ns + (log_ms - at_ms) * 1_000_000, at_ms
                     picture = av.VideoFrame.from_ndarray(_picture(frame, width, height), format="bgr24")
                     picture.pts, picture.time_base = at_ms, TIME_BASE
                     container.mux(stream.encode(picture))
