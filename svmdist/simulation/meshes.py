@@ -25,6 +25,7 @@ from svmdist.vision.tags import tag_dictionary
 SIDE_COUNT = 64
 FLOOR_HALF_M = 0.16
 TEXTURE_PX = 1024
+_TISSUE_STREAM, _FLOOR_STREAM = 2, 3
 TEXTURE_SPAN_M = 0.07  # the tissue's texture covers a square of this side about the tissue frame's origin
 
 
@@ -119,8 +120,9 @@ def make_retractor() -> DrawnMesh:
     return loft(x_m, half_y_m, half_z_m, roundness=3.0)
 
 
-def tissue_texture(rng: np.random.Generator) -> Image:
+def tissue_texture(seed: int) -> Image:
     """Red-pink mottling with a few faint, branching vessels; BGR, shape (1024, 1024, 3)."""
+    rng = np.random.default_rng([seed, _TISSUE_STREAM])
     mottling = 0.9 * _smooth_noise(rng, 8) + 0.3 * _smooth_noise(rng, 17)
     colour = np.array([92.0, 84.0, 214.0]) + mottling[..., None] * np.array([38.0, 36.0, 18.0])
     lines = np.zeros((TEXTURE_PX, TEXTURE_PX), np.uint8)
@@ -130,9 +132,9 @@ def tissue_texture(rng: np.random.Generator) -> Image:
     return _as_image(colour + vessels * np.array([-22.0, -34.0, -48.0]))
 
 
-def floor_texture(rng: np.random.Generator) -> Image:
+def floor_texture(seed: int) -> Image:
     """Dull beige-brown folds, low in saturation; BGR, shape (1024, 1024, 3)."""
-    folds = _smooth_noise(rng, 7, stretch=2.2)[..., None]
+    folds = _smooth_noise(np.random.default_rng([seed, _FLOOR_STREAM]), 7, stretch=2.2)[..., None]
     return _as_image(np.array([104.0, 112.0, 122.0]) + folds * np.array([13.0, 14.0, 14.0]))
 
 

@@ -20,7 +20,7 @@ from svmdist.camera import R_OPENGL_OPENCV, Camera
 from svmdist.samples import Image
 from svmdist.simulation.bullet import BulletWorld, quiet
 from svmdist.simulation.effects import LAMP_M, NO_PART, Depths, Lamp, Shader, Surfaces
-from svmdist.simulation.meshes import DrawnMesh, Part, Rgba, make_floor, make_retractor
+from svmdist.simulation.meshes import DrawnMesh, Part, Rgba, floor_texture, make_floor, make_retractor, tissue_texture
 from svmdist.simulation.organ import Organ
 from svmdist.simulation.plan import SceneState
 from svmdist.simulation.scene import Scene, raised
@@ -100,9 +100,9 @@ class Renderer(BulletWorld):
         # Where two surfaces are equally far, the body that came last is drawn: the order is a part of the content.
         self._parts = [self._add_part(part) for part in scene.parts]
         self._tissue = self._add_mesh(scene.organ.mesh)
-        self._tissue_texture = self._paint(self._tissue, scene.tissue_texture)
+        self._tissue_texture = self._paint(self._tissue, tissue_texture(scene.seed))
         self._floor = self._add_mesh(make_floor())
-        self._paint(self._floor, scene.floor_texture)
+        self._paint(self._floor, floor_texture(scene.seed))
         self._retractor = self._add_mesh(make_retractor(), (0.66, 0.67, 0.68, 1.0))
         self._parts += [self._add_part(part) for other in scenes[1:] for part in other.parts]
         self._dented: tuple[Organ, int] | None = None

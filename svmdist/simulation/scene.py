@@ -16,9 +16,8 @@ from svmdist.kinematics import DHChain, chain_of, frame_transforms
 from svmdist.perturbations import UNPERTURBED, Perturbations, World
 from svmdist.perturbations.calibration import plane_tilt, right_turn, zoomed_camera
 from svmdist.profile import Profile
-from svmdist.samples import Image
 from svmdist.simulation.effects import Lens, distortion_coefficients
-from svmdist.simulation.meshes import Part, floor_texture, make_parts, make_plate, tissue_texture
+from svmdist.simulation.meshes import Part, make_parts, make_plate
 from svmdist.simulation.organ import Organ, make_organ
 from svmdist.transforms import Array, inverse, make_transform, rotation_z
 from svmdist.vision.degradations import require_degradation
@@ -87,8 +86,6 @@ class Scene:
     T_world_tissue: Array
     organ: Organ
     parts: tuple[Part, ...]
-    tissue_texture: Image
-    floor_texture: Image
     baseline_m: float
     working_height_m: float  # of the tool's origin above the floor
     perturbations: Perturbations
@@ -163,7 +160,7 @@ def make_scene(profile: Profile, seed: int, options: Options = PLAIN) -> Scene:
     if options.tag and profile.fiducial is None:
         raise SimulationError(f"profile {profile.name} has no tag to mount: it needs [fiducial]")
     # One stream for each thing, so that one of them can change without moving the others.
-    place, shape, red, dull = (np.random.default_rng([seed, stream]) for stream in range(4))
+    place, shape = (np.random.default_rng([seed, stream]) for stream in range(2))
     R_world_tissue = rotation_z(place.uniform(-np.pi, np.pi))
     tissue_m = [*place.uniform(-TISSUE_SHIFT_M, TISSUE_SHIFT_M, 2), 0.0]
     view = settings.width_px, settings.height_px, settings.horizontal_fov_rad
@@ -181,8 +178,6 @@ def make_scene(profile: Profile, seed: int, options: Options = PLAIN) -> Scene:
         T_world_tissue=make_transform(R_world_tissue, tissue_m),
         organ=make_organ(shape, seed, perturbations),
         parts=(*parts, make_plate(profile.fiducial)) if options.tag and profile.fiducial else parts,
-        tissue_texture=tissue_texture(red),
-        floor_texture=floor_texture(dull),
         baseline_m=settings.stereo_baseline_m,
         working_height_m=settings.working_height_m,
         perturbations=perturbations,
