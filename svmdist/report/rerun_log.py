@@ -50,16 +50,11 @@ def write_rrd(frames: Iterable[DrawnFrame], path: Path, recording: Recording, se
 
 
 def _layout() -> views.Blueprint:
-    pictures = views.Vertical(
-        views.Spatial2DView(origin=IMAGE, name="image"), views.Spatial3DView(origin="camera", name="scene")
-    )
-    numbers = views.Vertical(
-        views.TimeSeriesView(origin="distances", name="distances [mm]"),
-        views.TimeSeriesView(origin="alarms", name="alarm"),
-        views.TextLogView(origin="log", name="log"),
-        row_shares=[3, 1, 2],
-    )
-    return views.Blueprint(views.Horizontal(pictures, numbers), collapse_panels=True)
+    image, scene = views.Spatial2DView(origin=IMAGE, name="image"), views.Spatial3DView(origin="camera", name="scene")
+    distances = views.TimeSeriesView(origin="distances", name="distances [mm]")
+    alarms, log = views.TimeSeriesView(origin="alarms", name="alarm"), views.TextLogView(origin="log", name="log")
+    numbers = views.Vertical(distances, alarms, log, row_shares=[3, 1, 2])
+    return views.Blueprint(views.Horizontal(views.Vertical(image, scene), numbers), collapse_panels=True)
 
 
 def _log_frame(stream: rr.RecordingStream, frame: DrawnFrame, setup: Setup) -> None:
