@@ -131,7 +131,7 @@ def draw_series(series: Sequence[Series], kind: SeriesPlot) -> Figure:
     figure = Figure(figsize=(width_in, height_in * rows), layout="constrained")
     first: dict[str, Axes] = {}  # over time, panels of one log share their axis
     for at, (chart, title) in enumerate(panels):
-        log = series[at].recording if kind == "time" else title
+        log = series[at].recording if kind == "time" else str(at)
         axes = figure.add_subplot(rows, across, at + 1, sharex=first.get(log))
         first.setdefault(log, axes)
         _draw_curves(axes, chart.curves)
