@@ -113,19 +113,12 @@ class Decoder:
         self._last: dict[str, EncodedImage] = {}
         self._failure_count = 0
 
-    def decode(self, raw: RawMessage) -> Message:
-        """Turn a message into a sample, of images without pixels; DecodeError where it is malformed."""
-        try:
-            return self._converted(raw)
-        except DecodeError:
-            self._failure_count += 1
-            raise
-
     def image(self, raw: RawMessage) -> EncodedImage:
         """Turn a message into an image, of a video with its pixels; a broken one becomes an image that is broken."""
         try:
             found = self.decode(raw)
         except DecodeError as problem:
+            self._failure_count += 1
             found = broken_image(raw.log_time_ns, str(problem))
         if not isinstance(found, EncodedImage):
             found = broken_image(raw.log_time_ns, "no image")
@@ -143,7 +136,8 @@ class Decoder:
         self._last[raw.topic] = found = replace(found, size_bytes=len(raw.data), offset=raw.offset)
         return found
 
-    def _converted(self, raw: RawMessage) -> Message:
+    def decode(self, raw: RawMessage) -> Message:
+        """Turn a message into a sample, of images without pixels; DecodeError where it is malformed."""
         _checked_stamp(raw.log_time_ns)
         encoding, schema = raw.message_encoding, _short(raw.schema)
         known = SCHEMAS.get(encoding, {}).get(schema)
