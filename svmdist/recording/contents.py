@@ -217,7 +217,7 @@ class LogFile:
             if raw.topic in image_topics:
                 yield decoder.image(raw)
             else:
-                self._collect(contents, decoder, raw)
+                self.collect(contents, decoder, raw)
         if rest and self._contents is None:
             self._contents = contents
 
@@ -227,16 +227,16 @@ class LogFile:
         if not track.runs and self._contents is None:
             contents, decoder = no_contents(), messages.Decoder(self.limits)
             for raw in self.source.messages({topic}):
-                self._collect(contents, decoder, raw)
+                self.collect(contents, decoder, raw)
                 if track.runs:
                     break
         return track
 
-    def _collect(self, contents: Contents, decoder: messages.Decoder, raw: RawMessage) -> None:
-        """Take up what a message holds; one that cannot be used is a loss."""
+    def collect(self, contents: Contents, decoder: messages.Decoder, raw: RawMessage) -> messages.Message | None:
+        """Take up what a message holds, and give it; None for one that cannot be used, which is a loss."""
         rows = contents[raw.topic]
         try:
-            match decoder.decode(raw):
+            match message := decoder.decode(raw):
                 case CameraSample(stamp_ns, camera):
                     self.cameras[raw.topic].add(stamp_ns, camera)
                 case JointSample(stamp_ns, names, positions):
@@ -252,3 +252,5 @@ class LogFile:
                         rows[one.parent, one.child].add(one.stamp_ns, one.values)
         except messages.DecodeError as problem:
             self.source.health.lose(LossKind.MESSAGE, str(problem), raw.offset, raw.topic)
+            return None
+        return message

@@ -16,10 +16,10 @@ from svmdist.recording.contents import MAX_JOINT_SETS, Joints, TransformTree, be
 from svmdist.recording.images import ImageError
 from svmdist.recording.log import TRUE_SUFFIX, Recording
 from svmdist.recording.messages import DecodeError, Decoder, kind_of
-from svmdist.recording.source import LossKind, TopicInfo
+from svmdist.recording.source import TopicInfo
 from svmdist.recording.topics import Role
 from svmdist.recording.writer import EncodedSample
-from svmdist.samples import CameraSample, JointSample, Sample, TransformsSample
+from svmdist.samples import JointSample, Sample, TransformsSample
 from svmdist.tracks import apart_ns
 
 LATE_TOPICS = 10.0  # how much more of a log is looked at where none of its joints is near an image
@@ -107,7 +107,6 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
     infos: dict[str, TopicInfo] = {}
     stamps_ns: defaultdict[str, array[int]] = defaultdict(lambda: array("q"))
     undecodable: Counter[str] = Counter()
-    cameras: defaultdict[str, CameraTrack] = defaultdict(CameraTrack)
     joints: defaultdict[str, dict[Joints, None]] = defaultdict(dict)
     contents = no_contents()
     awaited = {name for role in Role if (name := recording.topic_of(role)) is not None}
@@ -124,24 +123,15 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
             head_s, is_late = LATE_TOPICS * head_s, True
         infos.setdefault(raw.topic, TopicInfo(*raw[:3]))
         if kind_of(raw) is not None:
-            try:
-                sample = decoder.decode(raw)
-            except DecodeError as problem:
-                undecodable[raw.topic] += 1
-                recording.health.lose(LossKind.MESSAGE, str(problem), raw.offset, raw.topic)
-            else:
-                stamp_ns = sample.stamp_ns
-                match sample:
-                    case CameraSample(camera=camera):
-                        cameras[raw.topic].add(stamp_ns, camera)
-                    case JointSample(names=names):
-                        if len(joints[raw.topic]) < MAX_JOINT_SETS:
-                            joints[raw.topic][names] = None
-                    case messages.RawTransforms(transforms=transforms):
-                        named = [name for one in transforms for name in (one.parent, one.child)]
-                        frames.update(named[: max(0, MAX_NAMES - len(frames))])
-                        for one in transforms if raw.topic in nominal else ():
-                            contents[raw.topic][one.parent, one.child].add(one.stamp_ns, one.values)
+            # Of all but the transforms the names are enough.
+            sample = recording.file.collect(contents if raw.topic in nominal else no_contents(), decoder, raw)
+            undecodable[raw.topic] += sample is None
+            stamp_ns = stamp_ns if sample is None else sample.stamp_ns
+            if isinstance(sample, JointSample) and len(joints[raw.topic]) < MAX_JOINT_SETS:
+                joints[raw.topic][sample.names] = None
+            elif isinstance(sample, messages.RawTransforms):
+                named = [name for one in sample.transforms for name in (one.parent, one.child)]
+                frames.update(named[: max(0, MAX_NAMES - len(frames))])
         stamps_ns[raw.topic].append(min(stamp_ns, messages.MAX_STAMP_NS))
     for info in recording.topics():
         infos.setdefault(info.topic, info)
@@ -154,7 +144,7 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
         (max(ends_ns) - min(ends_ns)) / 1e9 if ends_ns else 0.0,
         listed,
         {str(role): name for role in Role if (name := recording.topic_of(role)) in usable},
-        dict(cameras),
+        {topic: track for topic, track in recording.file.cameras.items() if track.runs},
         tuple(sorted(frames)),
         {topic: best_joints(found, recording.profile.robot) for topic, found in joints.items()},
         tree,
