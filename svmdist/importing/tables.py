@@ -21,7 +21,7 @@ import numpy as np
 from svmdist.errors import SourceError
 from svmdist.files import read_regular, reading
 from svmdist.importing.images import numbers_of
-from svmdist.tracks import MAX_GAP_NS, JointTrack, TransformTrack
+from svmdist.tracks import MAX_GAP_NS, JointTrack, TransformTrack, apart_ns
 from svmdist.transforms import Array, Stamps, known_rotations, make_transform, rotation_error
 
 LOG = logging.getLogger("svmdist")
@@ -99,8 +99,7 @@ def read_times(path: Path, names: Sequence[str]) -> list[int]:
         image = next((at for at in columns if at != stamp), None) if image is None else image
     if stamp is None:
         last = ", ".join(table.rows[-1])[:60]
-        expected = "expected a time as a number of s, ms, us or ns"
-        raise table.fail(len(table.rows) - 1, f"{expected}, found {last!r}")
+        raise table.fail(len(table.rows) - 1, f"expected a time as a number of s, ms, us or ns, found {last!r}")
     if table.names is not None and stamp not in table.special:
         known = ", ".join(sorted(STAMP_NAMES))
         said = "warning: %s: column %s is taken for the times; their names are: %s"
@@ -192,11 +191,11 @@ class Table:
     def special(self) -> tuple[int | None, int | None]:
         """The columns of times and of images, by their names."""
         plain = [split_unit(name, UNITS_NS)[0].lower() for name in self.names or ()]
-
-        def first_of(known: Collection[str]) -> int | None:
-            return next((column for column, name in enumerate(plain) if name in known), None)
-
-        return first_of(STAMP_NAMES), first_of(IMAGE_NAMES)
+        stamp, image = (
+            next((column for column, name in enumerate(plain) if name in known), None)
+            for known in (STAMP_NAMES, IMAGE_NAMES)
+        )
+        return stamp, image
 
     def fail(self, row: int, reason: str) -> SourceError:
         """The error for a row."""
@@ -310,10 +309,8 @@ def require_common_time(path: Path, stamps_ns: Stamps, images_ns: Sequence[int])
 
     Says so in words where less than half of the images have a row; else "".
     """
-    images, padded_ns = np.array(images_ns, np.int64), np.pad(stamps_ns, 1, mode="edge")
-    before = np.searchsorted(stamps_ns, images)
-    apart_ns = np.minimum(*(np.abs(padded_ns[before + side] - images) for side in (0, 1)))
-    near_count = int(np.count_nonzero(apart_ns <= MAX_GAP_NS))
+    images = np.array(images_ns, np.int64)
+    near_count = int(np.count_nonzero(apart_ns(stamps_ns, images) <= MAX_GAP_NS))
     table, pictures = (f"{one[0] / 1e9:.3f} s to {one[-1] / 1e9:.3f} s" for one in (stamps_ns, images))
     within = f"within {MAX_GAP_NS / 1e9:g} s of"
     times = (
