@@ -77,8 +77,7 @@ class DHChain:
     @cached_property
     def terms(self) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
         """Trans_x(a) Rot_x(α) of all rows, (n_rows, 4, 4); θ and d at joint value 0, and which rows turn, (n_rows,)."""
-        lengths = [(row.a_m, row.alpha_rad, row.d_m, row.theta_rad) for row in self.rows]
-        a, alpha, d, theta = np.array(lengths).T
+        a, alpha, d, theta = np.array([(row.a_m, row.alpha_rad, row.d_m, row.theta_rad) for row in self.rows]).T
         # Quarter turns are exact, where floating point gives 6e-17.
         turns = np.array([np.cos(alpha), np.sin(alpha)])
         c, s = np.where(np.abs(turns - np.round(turns)) < 1e-15, np.round(turns), turns)
@@ -122,8 +121,7 @@ def forward_kinematics(chain: DHChain, q: ArrayLike) -> Array:
     """`T_base_tool`, shape (..., 4, 4), for joints (..., n_joints): eq. (31). KinematicsError for another number."""
     q = np.asarray(q, np.float64)
     if q.ndim > 1 and len(q) > CHUNK:
-        parts = [forward_kinematics(chain, q[at : at + CHUNK]) for at in range(0, len(q), CHUNK)]
-        return np.concatenate(parts)
+        return np.concatenate([forward_kinematics(chain, q[at : at + CHUNK]) for at in range(0, len(q), CHUNK)])
     return np.asarray(frame_transforms(chain, q)[..., -1, :, :] @ chain.T_last_tool)
 
 
@@ -141,18 +139,12 @@ def running_product(links: Array) -> Array:
 
 def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) -> Array:
     """Positions, (..., len(names)), in the chain's order, by name or alias; KinematicsError names lacking ones."""
-    places, missing = [], []
-    for joint in chain.moving_joints:
-        logged = next((name for name in (joint.name, *joint.aliases) if name in names), None)
-        if logged is None:
-            missing.append(joint.name)
-        else:
-            places.append(names.index(logged))
-    if missing:
+    known = [[name for name in (joint.name, *joint.aliases) if name in names] for joint in chain.moving_joints]
+    if missing := [name for name, logged in zip(chain.joint_names, known, strict=True) if not logged]:
         raise KinematicsError(
             f"the chain needs the joints {', '.join(missing)}; the log has {', '.join(names) or 'none'}"
         )
-    return np.asarray(positions, np.float64)[..., places]
+    return np.asarray(positions, np.float64)[..., [names.index(logged[0]) for logged in known]]
 
 
 def joint_axis(chain: DHChain, frames: Array, index: int) -> tuple[Array, Array]:
