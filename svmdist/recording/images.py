@@ -44,8 +44,7 @@ def decode_still(data: bytes | memoryview, limits: Limits) -> Image:
             # Strictly, to OpenCV's pixels: OpenCV itself fills what is damaged with grey, without a word.
             image = simplejpeg.decode_jpeg(data, "CMYK" if is_cmyk else "BGR", strict=True)
         if is_cmyk or not is_jpeg:  # whose colours OpenCV knows
-            flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except (cv2.error, ValueError, MemoryError) as problem:
         raise ImageError(" ".join(str(problem).split()) or "not enough memory") from None
     if image is None or image.shape != (height_px, width_px, 3):
@@ -120,22 +119,17 @@ def _jpeg_header(data: bytes) -> tuple[int, int, str]:
 # Channels, and the conversion to BGR. ROS names a Bayer pattern by its first two rows, OpenCV by the second and third
 # pixel of the second row.
 RAW_ENCODINGS: dict[str, tuple[int, int | None]] = {
-    "bgr8": (3, None),
-    "8UC3": (3, None),
+    **dict.fromkeys(("bgr8", "8UC3"), (3, None)),
     "rgb8": (3, cv2.COLOR_RGB2BGR),
-    "bgra8": (4, cv2.COLOR_BGRA2BGR),
-    "8UC4": (4, cv2.COLOR_BGRA2BGR),
+    **dict.fromkeys(("bgra8", "8UC4"), (4, cv2.COLOR_BGRA2BGR)),
     "rgba8": (4, cv2.COLOR_RGBA2BGR),
-    "mono8": (1, cv2.COLOR_GRAY2BGR),
-    "8UC1": (1, cv2.COLOR_GRAY2BGR),
+    **dict.fromkeys(("mono8", "8UC1"), (1, cv2.COLOR_GRAY2BGR)),
     "bayer_rggb8": (1, cv2.COLOR_BayerBG2BGR),
     "bayer_bggr8": (1, cv2.COLOR_BayerRG2BGR),
     "bayer_gbrg8": (1, cv2.COLOR_BayerGR2BGR),
     "bayer_grbg8": (1, cv2.COLOR_BayerGB2BGR),
-    "yuv422": (2, cv2.COLOR_YUV2BGR_UYVY),
-    "uyvy": (2, cv2.COLOR_YUV2BGR_UYVY),
-    "yuv422_yuy2": (2, cv2.COLOR_YUV2BGR_YUY2),
-    "yuyv": (2, cv2.COLOR_YUV2BGR_YUY2),
+    **dict.fromkeys(("yuv422", "uyvy"), (2, cv2.COLOR_YUV2BGR_UYVY)),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), (2, cv2.COLOR_YUV2BGR_YUY2)),
 }
 
 
