@@ -65,8 +65,7 @@ class Estimates(Sequence[FrameResult]):
 
     def _repr_html_(self) -> str:
         """The same, and the first rows as a table, for notebooks."""
-        planar = self.setup.is_planar
-        columns = shown_columns(100, planar=planar, several=len(self.recording.instruments) > 1)
+        columns = shown_columns(100, planar=self.setup.is_planar, several=len(self.recording.instruments) > 1)
         rows = (
             estimate_row(self.recording.name, result, self.setup.method, self.setup.equations)
             for result in self.results[:10]
@@ -115,8 +114,7 @@ def open_recording(
     """
     if not isinstance(path, str | Path | RemoteFile):
         raise UsageError(f"expected the path or URL of a log, found {type(path).__name__}")
-    loaded = profile if isinstance(profile, Profile) else load_profile(profile)
-    return _open(path, loaded, topics=topics)
+    return _open(path, profile if isinstance(profile, Profile) else load_profile(profile), topics=topics)
 
 
 def estimate(
@@ -197,8 +195,7 @@ def validate(
     """
     several = _opened(recordings)
     setup = _setup(several[0], given_estimates(estimates) if estimates else method, calibration, lag)
-    request = Request(setup, lag=lag, alarms=alarms, rules=rules or TruthRules())
-    return _validate(several, request, jobs)
+    return _validate(several, Request(setup, lag=lag, alarms=alarms, rules=rules or TruthRules()), jobs)
 
 
 def compare(

@@ -96,8 +96,7 @@ class Camera:
         focal_px = width_px / 2.0 / np.tan(horizontal_fov_rad / 2.0)
         cx, cy = (width_px - 1) / 2.0, (height_px - 1) / 2.0  # pixel centres are integers
         K = np.array([[focal_px, 0.0, cx], [0.0, focal_px, cy], [0.0, 0.0, 1.0]])
-        P = np.hstack([K, np.zeros((3, 1))])
-        return cls(width_px, height_px, K, np.zeros(5), np.eye(3), P, frame_id)
+        return cls(width_px, height_px, K, np.zeros(5), np.eye(3), np.hstack([K, np.zeros((3, 1))]), frame_id)
 
     def project(self, p_camera_m: ArrayLike) -> Array:
         """Project points of the camera frame, shape (n, 3) in m and in front of it, to px, shape (n, 2)."""
@@ -157,8 +156,7 @@ def stereo_transform(left: Camera, right: Camera) -> Array | None:
     if right.P is None or not right.P[:2, 3].any():
         return None
     position_m = -right.P[:2, 3] / np.diag(right.P[:2, :2])
-    rotations = (left.R_rectified_camera, right.R_rectified_camera)
-    R_left, R_right = (np.eye(3) if R is None else R for R in rotations)
+    R_left, R_right = (np.eye(3) if R is None else R for R in (left.R_rectified_camera, right.R_rectified_camera))
     return make_transform(R_left.T @ R_right, R_left.T @ [*position_m, 0.0])
 
 

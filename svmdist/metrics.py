@@ -166,8 +166,7 @@ def bootstrap_intervals(
     if n < 8:
         return Intervals(None, None)
     block = block or int(np.ceil(n ** (1.0 / 3.0)))
-    rng = np.random.default_rng(seed)
-    starts = rng.integers(0, n - block + 1, size=(resamples, -(-n // block)))
+    starts = np.random.default_rng(seed).integers(0, n - block + 1, size=(resamples, -(-n // block)))
     index = (starts[:, :, None] + np.arange(block)).reshape(resamples, -1)[:, :n]
     errors, truths = (f - y)[index], y[index]
     squares = np.sum(errors**2, axis=1)
@@ -259,11 +258,7 @@ class AlarmStatistics:
 
 
 def alarm_statistics(
-    stamps_s: ArrayLike,
-    alarms: ArrayLike,
-    clearance_m: ArrayLike,
-    below_m: float,
-    judged: ArrayLike | None = None,
+    stamps_s: ArrayLike, alarms: ArrayLike, clearance_m: ArrayLike, below_m: float, judged: ArrayLike | None = None
 ) -> AlarmStatistics:
     """Score alarms, bool of shape (n,) at sorted stamps in s, against the true clearance in m, shape (n,).
 

@@ -113,8 +113,7 @@ def filesystem_of(url: str) -> tuple[Any, str]:
             return fsspec.filesystem(protocol, client_kwargs={"timeout": timeout, **given}), url
         if re.search(r"s3[an]?:/", url) and USER.search(url):
             raise OSError(errno.EACCES, KEYS_OF_S3)
-        options = {"timeout": ANSWER_S} if protocol == "ftp" else {}
-        filesystem, path = fsspec.core.url_to_fs(url, **options)
+        filesystem, path = fsspec.core.url_to_fs(url, **({"timeout": ANSWER_S} if protocol == "ftp" else {}))
     return filesystem, path
 
 

@@ -65,8 +65,7 @@ class ToolPose:
     @property
     def shaft_std_rad(self) -> float:
         """Standard deviation of the shaft's direction, the worse of two across it."""
-        rotation = self.covariance[3:, 3:]
-        return across_std_rad(rotation, self.axis) if self.axis_std_rad is None else self.axis_std_rad
+        return across_std_rad(self.covariance[3:, 3:], self.axis) if self.axis_std_rad is None else self.axis_std_rad
 
 
 def across_std_rad(covariance: Array, axis: Array) -> float:
@@ -106,9 +105,7 @@ class Distance:
     @property
     def interval_m(self) -> tuple[float, float] | None:
         """The bounds of the 95 % interval; None without a standard deviation."""
-        if self.half_m is None:
-            return None
-        return self.value_m - self.half_m, self.value_m + self.half_m
+        return None if self.half_m is None else (self.value_m - self.half_m, self.value_m + self.half_m)
 
 
 @dataclass(frozen=True, slots=True)

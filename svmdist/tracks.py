@@ -158,8 +158,7 @@ class TransformTrack:
         """Interpolate translations linearly and rotations by slerp; the values have shape (m, 4, 4)."""
         at_ns = np.asarray(at_ns, np.int64)
         if self.is_static:
-            always = np.ones(len(at_ns), np.bool_)
-            return Sampled(np.repeat(self.T_parent_child[:1], len(at_ns), axis=0), always)
+            return Sampled(np.repeat(self.T_parent_child[:1], len(at_ns), axis=0), np.ones(len(at_ns), np.bool_))
         where = bracket(self.stamps_ns, at_ns, max_gap_ns)
         values = np.full((len(at_ns), 4, 4), np.nan)
         left, right = (self.T_parent_child[side[where.valid]] for side in (where.left, where.right))

@@ -98,8 +98,7 @@ def stated_cameras(options: CalibrationOptions, view_count: int) -> tuple[Stated
             model = _model_of(options.distortion_model, D.size)
         except ValueError as problem:
             raise UsageError(f"--distortion: {problem}") from None
-        views = (left_K, right_K or left_K)[:view_count]
-        found = tuple(StatedCamera(_intrinsic_matrix(*K), D, model) for K in views)
+        found = tuple(StatedCamera(_intrinsic_matrix(*K), D, model) for K in (left_K, right_K or left_K)[:view_count])
     else:
         raise UsageError("a camera needs a calibration: --calibration FILE, or --camera FX,FY,CX,CY")
     if view_count == 1 or (options.baseline_m is None and len(found) > 1):

@@ -95,8 +95,7 @@ def numbers_of(names: Sequence[str]) -> dict[int, int]:
 
 def missing_numbers(names: Sequence[str]) -> str:
     """Between which names numbers are missing that stand nearer to each other elsewhere, in words; else ""."""
-    numbers = [*numbers_of(names)]
-    steps = [later - number for number, later in pairwise(numbers)]
+    steps = [later - number for number, later in pairwise(numbers_of(names))]
     if min(steps, default=0) <= 0 or len(set(steps)) == 1:
         return ""
     at = steps.index(max(steps))
@@ -114,8 +113,7 @@ def _numbers(names: Sequence[str]) -> list[int | str]:
 
 def _natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
     """Orders `frame2` before `frame10`."""
-    parts = DIGITS.split(path.name)
-    return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts)
+    return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in DIGITS.split(path.name))
 
 
 class Video:

@@ -76,8 +76,7 @@ class Perturbation:
 
 
 def _read_table() -> Iterator[Perturbation]:
-    text = files(__package__).joinpath("table.toml").read_text("utf-8")
-    rows: dict[str, dict[str, Any]] = tomllib.loads(text)
+    rows: dict[str, dict[str, Any]] = tomllib.loads(files(__package__).joinpath("table.toml").read_text("utf-8"))
     for name, row in rows.items():
         low, high = map(float, row.pop("range"))
         place, real = Place(row.pop("changes")), Size(**row.pop("real")) if "real" in row else None

@@ -72,8 +72,7 @@ def perturbed_image(image_bgr: Image, perturbations: Perturbations) -> Image:
     if zoom != 1.0:  # about the image's middle; of a smaller one the border is black
         height, width = image_bgr.shape[:2]
         T = np.column_stack([zoom * np.eye(2), (1.0 - zoom) * 0.5 * np.array([width - 1, height - 1])])
-        enlarged = cv2.warpAffine(image_bgr, T, (width, height), flags=cv2.INTER_CUBIC)
-        image_bgr = np.asarray(enlarged, np.uint8)
+        image_bgr = np.asarray(cv2.warpAffine(image_bgr, T, (width, height), flags=cv2.INTER_CUBIC), np.uint8)
     image_bgr = dimmed(image_bgr, perturbations["border"], perturbations["vignette"])
     return subsampled(image_bgr, chroma) if chroma else image_bgr
 
@@ -108,8 +107,7 @@ def built_profile(profile: Profile, perturbations: Perturbations, seed: int) -> 
 
 def plane_tilt(perturbations: Perturbations, seed: int) -> Array:
     """The rotation from the true to the stated normal of the plane, in the camera's axes, shape (3, 3)."""
-    along = direction(seed, "plane_tilt", 2)
-    return rotation_of(np.array([*along, 0.0]) * np.deg2rad(perturbations["plane_tilt"]))
+    return rotation_of(np.array([*direction(seed, "plane_tilt", 2), 0.0]) * np.deg2rad(perturbations["plane_tilt"]))
 
 
 def _changed(profile: Profile, perturbations: Perturbations, seed: int, sign: int) -> Profile:

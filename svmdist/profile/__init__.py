@@ -130,8 +130,7 @@ class Profile(StrictModel):
         settings = self.settings.stereo
         if self.tissue is None:
             return settings
-        far_m = max(settings.far_m, BEHIND_PLANE * self.tissue.plane_distance_m)
-        return settings.model_copy(update={"far_m": far_m})
+        return settings.model_copy(update={"far_m": max(settings.far_m, BEHIND_PLANE * self.tissue.plane_distance_m)})
 
     @property
     def guesses(self) -> str:

@@ -140,8 +140,7 @@ def stated_deviations(profile: Profile) -> dict[str, float]:
         found[SHAFT_RADIUS] = profile.instrument.shaft_radius_std_fraction
     if profile.fiducial is not None:
         found[TAG_SIZE] = profile.fiducial.size_std_fraction
-    joints = () if profile.robot is None else profile.robot.joints
-    for index, joint in enumerate(joints):
+    for index, joint in enumerate(profile.robot.joints if profile.robot else ()):
         slides = joint.type == "prismatic"
         found[OFFSET.format(joint.name)] = kinematic.joint_std_m if slides else kinematic.joint_std_rad
         # A row has two lengths at most.

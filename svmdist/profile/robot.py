@@ -51,8 +51,7 @@ class Joint(StrictModel):
 
     def _require_sound(self) -> None:
         if self.type != "fixed" and self.lower >= self.upper:
-            bounds = f"lower limit {self.lower} is not below upper limit {self.upper}"
-            raise ValueError(f"joint {self.name}: {bounds}")
+            raise ValueError(f"joint {self.name}: lower limit {self.lower} is not below upper limit {self.upper}")
         if abs(angle_rad := max(self.alpha_rad, self.theta_rad, key=abs)) > 2.0 * np.pi:
             expected = "expected alpha_rad and theta_rad in rad, within 2 pi, as 'pi/2'"
             raise ValueError(f"joint {self.name}: {expected}; found {angle_rad:g}")

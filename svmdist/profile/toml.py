@@ -70,8 +70,7 @@ def _parse_angle(value: Any) -> Any:
         sign, factor, divisor = found.groups("1") if found else ("", "", "")
         return float(f"{sign}1") * float(factor) * math.pi / float(divisor)
     except (ValueError, ZeroDivisionError):
-        expected = "expected rad as a number or a multiple of pi such as 'pi/2'"
-        raise ValueError(f"{expected}, found {value!r}") from None
+        raise ValueError(f"expected rad as a number or a multiple of pi such as 'pi/2', found {value!r}") from None
 
 
 def _parse_size(value: Any) -> Any:

@@ -59,13 +59,11 @@ class CameraTrack:
 
     def add(self, stamp_ns: int, camera: Camera) -> None:
         """Take up a message; the same one may come again, in another pass over the log."""
-        if not self.runs:
+        last = self.runs[-1] if self.runs else None
+        if last is not None and stamp_ns > last.last_ns and _is_same(last.camera, camera):
+            self.runs[-1] = last._replace(last_ns=stamp_ns)
+        elif last is None or (stamp_ns > last.last_ns and len(self.runs) < MAX_RUNS):
             self.runs.append(Run(camera, stamp_ns, stamp_ns))
-        elif stamp_ns > self.runs[-1].last_ns:
-            if _is_same(self.runs[-1].camera, camera):
-                self.runs[-1] = self.runs[-1]._replace(last_ns=stamp_ns)
-            elif len(self.runs) < MAX_RUNS:
-                self.runs.append(Run(camera, stamp_ns, stamp_ns))
 
     def at(self, stamp_ns: int) -> tuple[int, str]:
         """Which run holds at a stamp, the first before all and the last behind; and a doubt between two."""

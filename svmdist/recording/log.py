@@ -25,7 +25,6 @@ from svmdist.recording import observations as obs
 from svmdist.recording.cameras import CameraChange, CameraTrack, cameras_at
 from svmdist.recording.contents import Contents, LogFile, TransformTree, in_order, joint_rows
 from svmdist.recording.messages import EncodedImage, Kind, broken_image, kind_of, matrices
-from svmdist.recording.observations import MissingPartners, Pairs
 from svmdist.recording.source import Health, LossKind, TopicInfo, sanitize, sanitize_list
 from svmdist.recording.topics import LoggedArm, Role, find_arms, open_source
 from svmdist.remote import LogPath, RemoteFile, is_url
@@ -100,8 +99,7 @@ class Recording:
 
     def __reduce__(self) -> tuple[Callable[..., Recording], tuple[object, ...]]:
         """Another process opens the same file anew; it shows no progress."""
-        left = {"file", "on_progress"}
-        view = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in left}
+        view = {one.name: getattr(self, one.name) for one in fields(self) if one.name not in {"file", "on_progress"}}
         return _reopened, (self.origin, view)
 
     def for_instrument(self, name: str) -> Recording:
@@ -259,9 +257,9 @@ class Recording:
         right_topic = self._right_topic() if right else None
         of_right = self.file.cameras[first.require(Role.RIGHT_CAMERA_INFO)] if right_topic else None
         cameras = cameras_at(self._left_track, of_right, self.world.perturbations)
-        missing = self.file.missing = MissingPartners(self.file.limits.pair_tolerance_s)
+        missing = self.file.missing = obs.MissingPartners(self.file.limits.pair_tolerance_s)
         images = self.file.images({topic, right_topic or topic}, rest=rest)
-        pairs = Pairs(right_topic, missing.pair_tolerance_s, self.health)
+        pairs = obs.Pairs(right_topic, missing.pair_tolerance_s, self.health)
 
         def observation(number: int, at_ns: int, pair: obs.Pair) -> obs.EncodedObservation:
             stamp_ns = pair.left.stamp_ns
@@ -274,8 +272,7 @@ class Recording:
             repeats, right = self._repeats(pair.left) if stale else "", pair.right
             missing.repeat_count += stale and pair.left.since_ns < stamp_ns and not self._logged_tracks
             if stale and right is not None and not repeats and (said := self._repeats(right)):
-                broken = broken_image(right.stamp_ns, said)
-                right = replace(broken, topic=right.topic, offset=right.offset)
+                right = replace(broken_image(right.stamp_ns, said), topic=right.topic, offset=right.offset)
             return obs.EncodedObservation(pair.left, right, reported, held, place, number, at_ns, repeats)
 
         return starmap(observation, self.window.of(pairs.of(images)))

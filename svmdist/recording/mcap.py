@@ -179,8 +179,7 @@ class _Pass:
             offset = end
         self._is_cut = _tail(file, size_bytes) is None
         if not self._is_cut:
-            count = self.counts.total()
-            detail = f"a record of impossible length; the rest is unreadable, {count} messages recovered"
+            detail = f"a record of impossible length; the rest is unreadable, {self.counts.total()} messages recovered"
             self._lose(LossKind.STRUCTURE, detail, offset)
             return
         if head[:1] == bytes([Opcode.CHUNK]):
@@ -188,8 +187,7 @@ class _Pass:
             body = file.read(self._limits.record_bytes)
             with suppress(Exception):  # it ends early, wherever that is, and no CRC covers its records
                 chunk = _expanded(Chunk.read(ReadDataStream(BytesIO(body))), self._limits, is_whole=False)
-                records = StreamReader(BytesIO(chunk.data), skip_magic=True).records
-                yield from ((offset, one) for one in records)
+                yield from ((offset, one) for one in StreamReader(BytesIO(chunk.data), skip_magic=True).records)
         self._lose(LossKind.TRUNCATED, f"{self.counts.total()} messages recovered", size_bytes)
 
     def _indexed(
@@ -207,8 +205,7 @@ class _Pass:
                 self._lose_long(length - HEAD.size, offset)
                 continue
             file.seek(offset)
-            record = self._parsed(file.read(length), offset)
-            if record is not None:
+            if (record := self._parsed(file.read(length), offset)) is not None:
                 yield offset, record
 
     def _parsed(self, frame: bytes, offset: int) -> McapRecord | None:
@@ -267,8 +264,7 @@ class _Pass:
             declared, found = (Counter({k: c[k] for k in wanted & c.keys()}) for c in (declared, found))
             total = declared.total()
         if total != found.total():
-            detail = f"the statistics declare {total} messages, {found.total()} were read"
-            self._lose(LossKind.STATISTICS, detail)
+            self._lose(LossKind.STATISTICS, f"the statistics declare {total} messages, {found.total()} were read")
         elif declared and declared != found:
             self._lose(LossKind.STATISTICS, "the statistics declare other counts by channel than were read")
 

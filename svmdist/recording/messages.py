@@ -146,8 +146,7 @@ class Decoder:
         kind, convert = known
         limit = self._limits.message_bytes
         if kind is Kind.IMAGE:
-            is_raw = convert is _raw_image
-            limit += 4 * self._limits.image_pixels if is_raw else self._limits.image_bytes
+            limit += 4 * self._limits.image_pixels if convert is _raw_image else self._limits.image_bytes
         if len(raw.data) > limit:
             raise DecodeError(f"a message of {len(raw.data)} bytes, the limit is {limit}")
         if encoding == "cdr" and raw.data[:2] not in PLAIN_CDR:
@@ -202,8 +201,7 @@ def _parser(encoding: str, schema: str) -> Callable[[bytes], Any]:
     if encoding == "cdr":
         return partial(get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr, typename=f"{package}/msg/{name}")
     store = get_typestore(Stores.ROS1_NOETIC)
-    transforms = "geometry_msgs/TransformStamped[] transforms"
-    store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
     return partial(store.deserialize_ros1, typename=f"{package}/msg/{name}")
 
 
@@ -327,8 +325,8 @@ def _transform(message: Any, stamp_ns: int, frame_id: str) -> RawTransform:
     """A transform; as a topic of its own it is in ROS the pose of its child, as older CRTK publishes `*_cp`."""
     is_ros = not isinstance(message, Protobuf)
     rigid, parent = (message.transform, frame_id) if is_ros else (message, message.parent_frame_id)
-    child = frame_name(message.child_frame_id)
-    return _rigid(stamp_ns, frame_name(parent), child, rigid, "translation", "rotation")
+    parent, child = frame_name(parent), frame_name(message.child_frame_id)
+    return _rigid(stamp_ns, parent, child, rigid, "translation", "rotation")
 
 
 def _transforms(message: Any, log_time_ns: int, _: str) -> RawTransforms:

@@ -82,8 +82,7 @@ class Pairs:
         self._last_ns = left.stamp_ns
         if self._right_topic is None:
             return Pair(left)
-        first_ns = left.stamp_ns - self._tolerance_ns
-        while self._right and self._right[0].stamp_ns < first_ns:
+        while self._right and self._right[0].stamp_ns < left.stamp_ns - self._tolerance_ns:
             self._gone_right_ns = self._right.pop(0).stamp_ns
         nearest = min(self._right, key=lambda image: abs(image.stamp_ns - left.stamp_ns), default=None)
         if nearest is None or nearest.stamp_ns > left.stamp_ns + self._tolerance_ns:
@@ -191,8 +190,7 @@ def decode_image(image: EncodedImage, losses: list[Loss], camera: Camera | None 
         pixels = image.decode()
         height_px, width_px = pixels.shape[:2]
         if camera is not None and (width_px, height_px) != (camera.width_px, camera.height_px):
-            size = f"{camera.width_px}x{camera.height_px}"
-            raise ImageError(f"{width_px}x{height_px} px; the camera has {size}")
+            raise ImageError(f"{width_px}x{height_px} px; the camera has {camera.width_px}x{camera.height_px}")
     except ImageError as problem:
         losses.append(Loss(LossKind.IMAGE, str(problem), image.offset, image.topic))
         return Rejection(image.stamp_ns, Status.CORRUPT_IMAGE, str(problem))

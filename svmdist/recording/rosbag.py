@@ -111,8 +111,7 @@ class FolderSource:
                 detail = f"{file.name} named in {source.METADATA_FILE} but not there"
                 self.health.lose(source.LossKind.STRUCTURE, detail)
             elif file.suffix in {".mcap", ".db3"}:
-                mcap = file.suffix == ".mcap"
-                self._parts.append(McapSource(file, limits) if mcap else BagSource(file, "cdr"))
+                self._parts.append(McapSource(file, limits) if file.suffix == ".mcap" else BagSource(file, "cdr"))
         if not self._parts:
             there = source.sanitize_list(sorted(file.name for file in path.iterdir()))
             raise RecordingError(

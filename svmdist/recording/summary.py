@@ -185,8 +185,8 @@ def copied_messages(recording: Recording) -> Iterator[tuple[str, Sample | Encode
         except (DecodeError, ImageError):
             continue
         if raw.topic == truth and isinstance(sample, TransformsSample):
-            true = (one.child.removesuffix(TRUE_SUFFIX) + TRUE_SUFFIX for one in sample.transforms)
-            pairs = zip(sample.transforms, true, strict=True)
-            renamed = tuple(replace(one, child=child) for one, child in pairs)
-            sample = replace(sample, transforms=renamed)
+            transforms = (
+                replace(one, child=one.child.removesuffix(TRUE_SUFFIX) + TRUE_SUFFIX) for one in sample.transforms
+            )
+            sample = replace(sample, transforms=tuple(transforms))
         yield raw.topic, sample

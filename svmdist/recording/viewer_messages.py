@@ -90,8 +90,7 @@ def point_cloud(points_m: Array, std_m: Array, bgr: Image, frame_id: str, stamp_
 
 def log_line(text: str, stamp_ns: int, *, is_warning: bool) -> EncodedSample:
     """A line of `foxglove.Log`, as a warning or for information."""
-    level = Log.WARNING if is_warning else Log.INFO
-    return encoded(Log, stamp_ns, level=level, message=text, name="svmdist")
+    return encoded(Log, stamp_ns, level=Log.WARNING if is_warning else Log.INFO, message=text, name="svmdist")
 
 
 def _points(shape: draw.Shape) -> Fields:

@@ -55,8 +55,7 @@ def encoded(message_class: Any, stamp_ns: int, **fields: Any) -> EncodedSample:
     declared = message_class.DESCRIPTOR
     if "timestamp" in declared.fields_by_name:
         fields["timestamp"] = stamp_fields(stamp_ns)
-    data = message_class(**fields).SerializeToString(deterministic=True)
-    return EncodedSample(stamp_ns, declared.full_name, data)
+    return EncodedSample(stamp_ns, declared.full_name, message_class(**fields).SerializeToString(deterministic=True))
 
 
 def encode_still(stamp_ns: int, frame_id: str, data: bytes, limits: Limits) -> EncodedSample:
@@ -261,8 +260,7 @@ class RecordingWriter:
             if schema not in self._schemas:
                 described = _descriptor_set(descriptor_pool.Default().FindMessageTypeByName(schema).file)
                 self._schemas[schema] = self._writer.register_schema(schema, "protobuf", described)
-            number = self._writer.register_channel(topic, "protobuf", self._schemas[schema])
-            self._channels[topic] = number, schema
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", self._schemas[schema]), schema
         channel_id, known = self._channels[topic]
         if known != schema:
             raise ValueError(f"{topic} carries {known}, not {schema}")
