@@ -18,17 +18,9 @@ from pydantic import AfterValidator, PlainSerializer, PlainValidator
 mmap.mmap(-1, 1 << 26).close()
 _ = np.ones((128, 128)) @ np.ones((128, 128))
 
-# pydantic stores arrays as nested lists; NaN is null there.
-Array = Annotated[
-    NDArray[np.float64],
-    PlainValidator(lambda value: np.asarray(value, np.float64)),
-    PlainSerializer(lambda array: array.tolist()),
-]
-Stamps = Annotated[
-    NDArray[np.int64],
-    PlainValidator(lambda value: np.asarray(value, np.int64)),
-    PlainSerializer(lambda array: array.tolist()),
-]
+AS_LISTS = PlainSerializer(lambda array: array.tolist())  # nested ones; NaN is null there
+Array = Annotated[NDArray[np.float64], PlainValidator(lambda value: np.asarray(value, np.float64)), AS_LISTS]
+Stamps = Annotated[NDArray[np.int64], PlainValidator(lambda value: np.asarray(value, np.int64)), AS_LISTS]
 """Stamps in ns, shape (n,)."""
 
 

@@ -191,15 +191,14 @@ def _scaling(camera: StatedCamera, size_px: tuple[int, int], calibrated_px: Size
     of = f"the calibration is for {stated_px[0]}x{stated_px[1]} px"
     if calibrated_px is not None and calibrated_px != stated_px:
         raise SourceError(f"{of}, not for {calibrated_px[0]}x{calibrated_px[1]} px, as --calibrated-at says")
+    images = f"{width_px}x{height_px} px"
     if calibrated_px is None and stated_px != size_px:
         raise SourceError(
-            f"{of}, the images have {width_px}x{height_px} px: calibrate at the size of the images, or say"
+            f"{of}, the images have {images}: calibrate at the size of the images, or say"
             f" --calibrated-at {stated_px[0]}x{stated_px[1]} if they were scaled, and nothing else"
         )
     if abs(width_px * stated_px[1] - height_px * stated_px[0]) > max(stated_px):  # a pixel more or less
-        raise SourceError(
-            f"{of}, the images of {width_px}x{height_px} px have another aspect: they were not only scaled"
-        )
+        raise SourceError(f"{of}, the images of {images} have another aspect: they were not only scaled")
     x, y = width_px / stated_px[0], height_px / stated_px[1]
     return np.array([[x, 0.0, (x - 1.0) / 2.0], [0.0, y, (y - 1.0) / 2.0], [0.0, 0.0, 1.0]])
 

@@ -82,11 +82,9 @@ def stamps_from_names(names: Sequence[str]) -> list[int] | None:
 
 def require_rising(stamps_ns: Sequence[int], names: Sequence[str], what: str) -> None:
     """Raise SourceError where a stamp is not after the one before it."""
-    for (before_ns, before), (stamp_ns, name) in pairwise(zip(stamps_ns, names, strict=True)):
-        if stamp_ns <= before_ns:
-            raise SourceError(
-                f"{what}: the time of {name} ({stamp_ns} ns) is not after that of {before} ({before_ns} ns)"
-            )
+    for (last_ns, last), (stamp_ns, name) in pairwise(zip(stamps_ns, names, strict=True)):
+        if stamp_ns <= last_ns:
+            raise SourceError(f"{what}: the time of {name} ({stamp_ns} ns) is not after that of {last} ({last_ns} ns)")
 
 
 def read_times(path: Path, names: Sequence[str]) -> list[int]:

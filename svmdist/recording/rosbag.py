@@ -46,9 +46,8 @@ class BagSource:
                     detail = f"{left.name}, left by an interrupted recorder, is not read; sqlite3 merges it"
                     self.health.lose(source.LossKind.STRUCTURE, detail)
         reader = self._opened()
-        self.topics = source.merge_topics(
-            source.TopicInfo(one.topic, one.msgtype, encoding, one.msgcount) for one in reader.connections
-        )
+        found = [source.TopicInfo(one.topic, one.msgtype, encoding, one.msgcount) for one in reader.connections]
+        self.topics = source.merge_topics(found)
         reader.close()
 
     def metadata(self) -> dict[str, str]:

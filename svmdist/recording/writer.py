@@ -227,9 +227,7 @@ class RecordingWriter:
         if self._chunk_start_ns is None:
             self._chunk_start_ns = stamp_ns
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
         if self._file is None:
             return
         if self._channels and isinstance(error, KeyboardInterrupt | OutputError) and self.part_path.exists():
