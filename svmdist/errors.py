@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 UNSAFE = {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}  # control, format, surrogates, private, line breaks
@@ -68,6 +69,15 @@ class SimulationError(SvmdistError):
 
 class KinematicsError(SvmdistError):
     """Joint values or a chain do not fit together: a missing joint, a wrong shape."""
+
+
+@contextmanager
+def restated(kind: type[Exception], error: Callable[[str], Exception], before: str = "") -> Iterator[None]:
+    """Turn exceptions of a kind into `error` of the same text, behind some words."""
+    try:
+        yield
+    except kind as problem:
+        raise error(f"{before}{problem}") from None
 
 
 def did_you_mean(name: str, choices: Iterable[str]) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 import yaml
 
 from svmdist.camera import KNOWN_DISTORTION, Camera, DistortionModel, stereo_transform
-from svmdist.errors import SourceError, UsageError, did_you_mean
+from svmdist.errors import SourceError, UsageError, did_you_mean, restated
 from svmdist.files import read_regular, reading
 from svmdist.importing.tables import LENGTHS_M
 from svmdist.transforms import Array
@@ -94,10 +94,8 @@ def stated_cameras(options: CalibrationOptions, view_count: int) -> tuple[Stated
         if right_file is not None:
             raise UsageError("--right-calibration goes with --calibration; with --camera: --right-camera")
         D = np.array(options.distortion, np.float64)
-        try:
+        with restated(ValueError, UsageError, "--distortion: "):
             model = _model_of(options.distortion_model, D.size)
-        except ValueError as problem:
-            raise UsageError(f"--distortion: {problem}") from None
         found = tuple(StatedCamera(_intrinsic_matrix(*K), D, model) for K in (left_K, right_K or left_K)[:view_count])
     else:
         raise UsageError("a camera needs a calibration: --calibration FILE, or --camera FX,FY,CX,CY")
@@ -160,10 +158,8 @@ def complete(
         K = to_image @ camera.K
         P = K @ np.eye(3, 4) if camera.P is None else to_image @ camera.P
         R = np.eye(3) if camera.R is None else camera.R
-        try:
+        with restated(ValueError, SourceError):
             cameras.append(Camera(width_px, height_px, K, camera.D, R, P, frame_id, camera.model))
-        except ValueError as problem:
-            raise SourceError(str(problem)) from None
     T_left_right = stereo_transform(cameras[0], cameras[1]) if len(cameras) == 2 else None
     if T_left_right is None:
         return cameras  # of a pair, no baseline is known: the caller says so
@@ -232,12 +228,10 @@ def read_calibration(path: Path, unit_m: float = 1.0) -> tuple[StatedCamera, ...
         document = read(text)
     except (yaml.YAMLError, SyntaxError, ValueError, AssertionError, RecursionError) as problem:
         raise SourceError(f"{path}: not {form} file: {' '.join(str(problem).split())}; {TO_FORM}") from None
-    try:
-        if not isinstance(document, dict):
-            raise ValueError(f"no calibration that is known; {TO_FORM}; found {str(document)[:40]!r}")
+    if not isinstance(document, dict):
+        raise SourceError(f"{path}: no calibration that is known; {TO_FORM}; found {str(document)[:40]!r}")
+    with restated(ValueError, SourceError, f"{path}: "):
         return _cameras_in({str(key): value for key, value in document.items()}, unit_m)
-    except ValueError as problem:
-        raise SourceError(f"{path}: {problem}") from None
 
 
 def _yaml_document(text: str) -> Any:

@@ -13,12 +13,13 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from svmdist.errors import SourceError
+from svmdist.errors import SourceError, restated
 from svmdist.files import read_regular, reading
 from svmdist.importing.images import numbers_of
 from svmdist.tracks import MAX_GAP_NS, JointTrack, TransformTrack, apart_ns
@@ -238,10 +239,8 @@ class Table:
         unit = split_unit(self.names[column], UNITS_NS)[1] if self.names else ""
         stamps = []
         for row, cells in enumerate(self.rows):
-            try:
+            with restated(ValueError, partial(self.fail, row)):
                 stamps.append(parse_stamp_ns(cells[column], unit if unit in UNITS_NS else None))
-            except ValueError as problem:
-                raise self.fail(row, str(problem)) from None
         return stamps
 
     def places(self, column: int, names: Sequence[str]) -> list[int]:
@@ -275,10 +274,8 @@ def read_table(path: Path) -> Table:
     def split(line: str) -> list[str]:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=mark))] if mark else line.split()
 
-    try:
+    with restated(csv.Error, SourceError, f"{path}: not a table: "):
         rows, last = [split(line) for _, line in lines], split(comments[-1]) if comments else []
-    except csv.Error as problem:
-        raise SourceError(f"{path}: not a table: {problem}") from None
     names = None
     if _looks_named(rows):
         names, rows, lines = rows[0], rows[1:], lines[1:]

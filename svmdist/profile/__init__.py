@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import Field, model_validator
 
-from svmdist.errors import ProfileError, UsageError, did_you_mean
+from svmdist.errors import ProfileError, UsageError, did_you_mean, restated
 from svmdist.files import nearest_file
 from svmdist.profile import robot as parts
 from svmdist.profile.hand_eye import HandEye, HandEyeFile, NamedHandEye, load_hand_eye, with_hand_eye
@@ -251,10 +251,8 @@ def load_profile(name_or_path: str | Path = DEFAULT_PROFILE, hand_eye: Path | No
 def taking_hand_eye(profile: Profile, hand_eye: Path) -> Profile:
     """The profile with a hand-eye file in place of its own; ProfileError where it is not one of this profile."""
     file = load_hand_eye(hand_eye)
-    try:
+    with restated(ValueError, ProfileError, f"{hand_eye}: "):
         profile.check_hand_eye(file)
-    except ValueError as problem:
-        raise ProfileError(f"{hand_eye}: {problem}") from None
     return profile.model_copy(update={"hand_eye": file})
 
 

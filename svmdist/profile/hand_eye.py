@@ -10,7 +10,7 @@ import numpy as np
 import tomli_w
 from pydantic import BeforeValidator, Field, ValidationInfo
 
-from svmdist.errors import ProfileError
+from svmdist.errors import ProfileError, restated
 from svmdist.files import write_atomically
 from svmdist.profile.robot import KinematicError, Rotation, Vector
 from svmdist.profile.toml import NonNegative, Positive, StrictModel, parse_toml
@@ -174,10 +174,8 @@ def _read(value: Any, info: ValidationInfo) -> Any:
     """What a file that a profile names holds; a relative name starts from the profile's folder."""
     if not isinstance(value, str | Path):
         return value
-    try:
+    with restated(ProfileError, ValueError):
         return load_hand_eye(Path(info.context["folder"] if info.context else "") / value)
-    except ProfileError as problem:
-        raise ValueError(str(problem)) from None
 
 
 NamedHandEye = Annotated[HandEyeFile, BeforeValidator(_read)]

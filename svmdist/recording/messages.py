@@ -19,6 +19,7 @@ from google.protobuf import message as protobuf
 
 from svmdist import samples
 from svmdist.camera import KNOWN_DISTORTION, MAX_COEFFICIENTS, Camera
+from svmdist.errors import restated
 from svmdist.profile import Limits
 from svmdist.recording.images import ImageError, VideoDecoder, decode_raw, decode_still
 from svmdist.recording.own_messages_pb2 import GroundTruthDistance
@@ -273,10 +274,8 @@ def _camera(message: Any, stamp_ns: int, frame_id: str) -> samples.CameraSample:
     R_rectified = R.reshape(3, 3) if R.any() else None
     A, size_px = _part_of_sensor(message)
     P_rectified = A @ P.reshape(3, 4) if P.any() else None
-    try:
+    with restated(ValueError, DecodeError):
         camera = Camera(*size_px, A @ K.reshape(3, 3), D, R_rectified, P_rectified, frame_id, model)
-    except ValueError as problem:
-        raise DecodeError(str(problem)) from None
     return samples.CameraSample(stamp_ns, camera)
 
 
