@@ -137,8 +137,7 @@ class Recording:
     @property
     def is_part(self) -> bool:
         """Whether its images show instruments of the profile that it is not about."""
-        source, profile, topics = self.file.source, self.origin.profile, self.origin.topics
-        return len(find_arms(source, profile, topics)) > len(self.arms)
+        return len(find_arms(self.file.source, self.origin.profile, self.origin.topics)) > len(self.arms)
 
     @property
     def path(self) -> LogPath:
@@ -333,8 +332,7 @@ class Recording:
 
     def _right_topic(self) -> str | None:
         """The right images' topic; None without a stereo pair, RecordingError where left and right are exchanged."""
-        topic = self.topic_of(Role.RIGHT_IMAGE)
-        left = self.topic_of(Role.IMAGE)
+        left, topic = self.topic_of(Role.IMAGE), self.topic_of(Role.RIGHT_IMAGE)
         right = None if topic in (None, left) else self.right_camera
         if right is not None and are_exchanged(self.camera, right):
             said = f"by their camera infos, {left} is the right view and {topic} the left one"
@@ -421,12 +419,10 @@ class Recording:
 
     def _unusable(self, what: str, role: Role) -> RecordingError:
         topic, kind = self.arms[0].require(role), role.kind
-        named = f"{self.path.name}: no usable {what} on {sanitize(topic)}"
-        why = next((sanitize(loss.detail) for loss in self.health.losses if loss.topic == topic), "")
-        named = f"{named}: {why}" if why else named
+        why = next((f": {sanitize(loss.detail)}" for loss in self.health.losses if loss.topic == topic), "")
         others = [one.topic for one in self.topics() if kind_of(one) is kind and one.topic != topic]
         listed = f"; other topics with {kind}: {sanitize_list(others)}" if others else ""
-        return RecordingError(f"{named}{listed}")
+        return RecordingError(f"{self.path.name}: no usable {what} on {sanitize(topic)}{why}{listed}")
 
 
 def _reopened(origin: Origin, view: Mapping[str, Any]) -> Recording:

@@ -279,8 +279,7 @@ class EncodedObservation:
 
 def joints_at(track: JointTrack | None, stamp_ns: int) -> tuple[JointSample | None, JointTrack | None]:
     """Joints interpolated to a stamp, and those around it; None where there are none within 0.1 s."""
-    sampled = None if track is None else track.at(np.array([stamp_ns], np.int64))
-    if track is None or sampled is None or not sampled.valid[0]:
+    if track is None or not (sampled := track.at(np.array([stamp_ns], np.int64))).valid[0]:
         return None, None
     first, last = np.searchsorted(track.stamps_ns, [stamp_ns - JOINT_TRACK_NS, stamp_ns + JOINT_TRACK_NS + 1])
     around = JointTrack(track.stamps_ns[first:last], track.names, track.positions[first:last])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import errno
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -190,7 +190,7 @@ class RecordingWriter:
             raise OutputError(f"{self.path}: is a directory, expected the name of a file to write")
         self._refuse_to_replace(self.path)
         self._refuse_to_replace(self.part_path)
-        try:
+        with self._writing():
             if self._force:
                 self.part_path.unlink(missing_ok=True)
             self._file = open_new(self.part_path)
@@ -203,8 +203,6 @@ class RecordingWriter:
             self._writer.start(library=f"svmdist {version('svmdist')}")
             self._writer.add_metadata(METADATA_NAME, dict(sorted(self._metadata.items())))
             self._file.flush()
-        except OSError as problem:
-            raise self._failure(problem) from problem
         return self
 
     def write(self, topic: str, sample: samples.Sample | EncodedSample) -> None:
@@ -212,7 +210,7 @@ class RecordingWriter:
         if not isinstance(sample, EncodedSample):
             sample = encode(sample, self._jpeg_quality)
         stamp_ns, needed_bytes = sample.stamp_ns, MESSAGE_HEAD_BYTES + len(sample.data)
-        try:
+        with self._writing():
             if self._chunk_start_ns is not None:
                 span_ns = abs(stamp_ns - self._chunk_start_ns)
                 if span_ns >= CHUNK_SPAN_NS or self._chunk_bytes + needed_bytes > CHUNK_BYTES:
@@ -220,8 +218,6 @@ class RecordingWriter:
                     self._chunk_bytes, self._chunk_start_ns = 0, None
             channel_id = self._channel(topic, sample.schema)
             self._writer.add_message(channel_id, stamp_ns, sample.data, stamp_ns, self.counts[topic])
-        except OSError as problem:
-            raise self._failure(problem) from problem
         self.counts[topic] += 1
         self._chunk_bytes += needed_bytes
         if self._chunk_start_ns is None:
@@ -243,15 +239,13 @@ class RecordingWriter:
             if not self._channels:  # there is nothing in it worth keeping
                 self.discard()
             return
-        try:
+        with self._writing():
             self._writer.finish()
             self._file.flush()
             os.fsync(self._file.fileno())  # a full disk may show only here
             self._file.close()
             self._refuse_to_replace(self.path)
             self.part_path.replace(self.path)
-        except OSError as problem:
-            raise self._failure(problem) from problem
 
     def _channel(self, topic: str, schema: str) -> int:
         if topic not in self._channels:
@@ -269,11 +263,15 @@ class RecordingWriter:
             what = "is left from an interrupted recording" if path == self.part_path else "exists already"
             raise UsageError(f"{path}: {what}; give another name, or --force to replace it")
 
-    def _failure(self, problem: OSError) -> OutputError:
-        if self._file is not None:
-            # Closing tries to write the rest once more and fails in the same way.
-            with suppress(OSError):
-                self._file.close()
-            if problem.errno in NO_SPACE:  # what is left would keep the disk full
-                self.discard()
-        return OutputError(f"{self.path}: cannot write: {why(problem)}")
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as problem:
+            if self._file is not None:
+                # Closing tries to write the rest once more and fails in the same way.
+                with suppress(OSError):
+                    self._file.close()
+                if problem.errno in NO_SPACE:  # what is left would keep the disk full
+                    self.discard()
+            raise OutputError(f"{self.path}: cannot write: {why(problem)}") from problem
