@@ -114,10 +114,9 @@ class TransformTree:
     def _along(self, parent: str, child: str) -> list[TransformTrack]:
         """The shortest chain of edges, in either direction; RecordingError says what is missing."""
         frames = {name for edge in self._edges for name in edge}
-        for frame in (parent, child):
-            if frame not in frames:
-                known = did_you_mean(frame, map(sanitize, frames))
-                raise RecordingError(f"no frame {frame} in the transforms: {known}")
+        for name in (parent, child):
+            if name not in frames:
+                raise RecordingError(f"no frame {name} in the transforms: {did_you_mean(name, map(sanitize, frames))}")
         if parent == child:
             raise RecordingError(f"a transform from {parent} to itself was asked for; two frames are expected")
         reached = self._reach(parent)

@@ -105,10 +105,10 @@ class FolderSource:
                 f"{path}: its files are compressed as a whole; expand them first: zstd -d {source.sanitize(packed[0])}"
             )
         self._parts: list[source.Source] = []
-        for file in (path / name for name in names):
+        for name in names:
+            file = path / name
             if not file.is_file():
-                detail = f"{file.name} named in {source.METADATA_FILE} but not there"
-                self.health.lose(source.LossKind.STRUCTURE, detail)
+                self.health.lose(source.LossKind.STRUCTURE, f"{name} named in {source.METADATA_FILE} but not there")
             elif file.suffix in {".mcap", ".db3"}:
                 self._parts.append(McapSource(file, limits) if file.suffix == ".mcap" else BagSource(file, "cdr"))
         if not self._parts:
@@ -157,13 +157,12 @@ class FolderSource:
 def _read_metadata(folder: Path) -> tuple[list[str], dict[str, int], bool]:
     """Storage files in order, counts of messages by topic, and whether these are compressed."""
     try:
-        document = yaml.safe_load(read_regular(folder / source.METADATA_FILE, METADATA_BYTES))
-        known = document["rosbag2_bagfile_information"]
-        counts = known.get("topics_with_message_count") or []
+        bag = yaml.safe_load(read_regular(folder / source.METADATA_FILE, METADATA_BYTES))["rosbag2_bagfile_information"]
+        counts = bag.get("topics_with_message_count") or []
         return (
-            [Path(name).name for name in known["relative_file_paths"]],
+            [Path(name).name for name in bag["relative_file_paths"]],
             {str(one["topic_metadata"]["name"]): int(one["message_count"]) for one in counts},
-            str(known.get("compression_mode")).upper() == "MESSAGE",
+            str(bag.get("compression_mode")).upper() == "MESSAGE",
         )
     except Exception as problem:  # somebody else's file: anything can be missing, or of another type
         expected = "expected rosbag2_bagfile_information with relative_file_paths"

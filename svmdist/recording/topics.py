@@ -13,8 +13,7 @@ from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.files import nearest_file, open_regular, why
 from svmdist.profile import Frames, Limits, Profile, Topics
 from svmdist.profile.robot import ARM_TOPICS
-from svmdist.recording.mcap import MAGIC as MCAP_MAGIC
-from svmdist.recording.mcap import McapSource
+from svmdist.recording import mcap
 from svmdist.recording.messages import Kind, kind_of, unread
 from svmdist.recording.source import METADATA_FILE, Source, TopicInfo, sanitize, sanitize_list
 from svmdist.remote import LogPath, RemoteFile
@@ -155,8 +154,7 @@ class LoggedArm:
 
         Where a log has the right view alone, that is the image, with its own calibration and no other.
         """
-        roles = set(Role) - {role}
-        others = self.claimed | {self.overrides.get(other) or getattr(self.wanted, other) for other in roles}
+        others = self.claimed | {self.overrides.get(one) or getattr(self.wanted, one) for one in set(Role) - {role}}
         fitting = [topic for topic in candidates if topic not in others and not topic.endswith("tf_static")]
         right = {getattr(self.wanted, other) for other in RIGHT}
         fitting = fitting or [topic for topic in candidates if topic in right and len(candidates) == 1]
@@ -218,15 +216,15 @@ def open_source(path: LogPath, limits: Limits) -> Source:
 
 
 def _open_file(path: LogPath, start: bytes, limits: Limits) -> Source:
-    if start.startswith(MCAP_MAGIC):
-        source: Source = McapSource(path, limits)
+    if start.startswith(mcap.MAGIC):
+        source: Source = mcap.McapSource(path, limits)
     elif start.startswith((b"#ROSBAG V2.0\n", b"SQLite format 3\x00")):
         from svmdist.recording.rosbag import BagSource
 
         source = BagSource(path, "ros1" if start.startswith(b"#") else "cdr")
     elif not start:
         raise RecordingError(f"{path}: is empty; expected {WHAT_IS_EXPECTED}")
-    elif MCAP_MAGIC.startswith(start):
+    elif mcap.MAGIC.startswith(start):
         raise RecordingError(f"{path}: truncated at byte {len(start)}, inside the magic of an MCAP file")
     elif IMAGES_OR_VIDEO.match(start):
         raise RecordingError(f"{path}: is no recording but an image or a video: {TO_IMPORT}")
