@@ -104,9 +104,8 @@ def optional_package(name: str, extra: str, what: str, error: type[SvmdistError]
     try:
         package = import_module(name)
     except ImportError:
-        raise error(
-            f"{what} needs the package {name}, which is not installed: pip install 'svmdist[{extra}]'"
-        ) from None
+        missing = f"the package {name}, which is not installed"
+        raise error(f"{what} needs {missing}: pip install 'svmdist[{extra}]'") from None
     if name == "av":
         package.logging.set_level(None)  # else a decoding thread that logs and its end wait for each other
     return package

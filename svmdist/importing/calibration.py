@@ -102,10 +102,8 @@ def stated_cameras(options: CalibrationOptions, view_count: int) -> tuple[Stated
     if view_count == 1 or (options.baseline_m is None and len(found) > 1):
         return found[:view_count]
     if options.baseline_m is None:
-        raise SourceError(
-            f"{left_file}: has one camera, and there are two views: give --right-calibration, or --baseline for"
-            " a rectified pair of equal cameras"
-        )
+        remedy = "give --right-calibration, or --baseline for a rectified pair of equal cameras"
+        raise SourceError(f"{left_file}: has one camera, and there are two views: {remedy}")
     P = found[-1].P
     if P is not None and P[0, 3]:
         instead, of_file = options.baseline_m * 1e3, abs(P[0, 3] / P[0, 0]) * 1e3
@@ -133,18 +131,15 @@ def complete(
     is_one = np.array_equal(stated[0].K, stated[-1].K) and (stated[0].size_px or calibrated_px) is None
     if is_one and len(set(sizes_px)) > 1:  # of one size a camera's pixels are known, of another one not
         sizes = " and ".join("{}x{}".format(*size_px) for size_px in sizes_px)
-        raise SourceError(
-            f"views of {sizes} px, and one camera for both: give the right one's own, by --right-calibration or"
-            " --right-camera"
-        )
+        remedy = "give the right one's own, by --right-calibration or --right-camera"
+        raise SourceError(f"views of {sizes} px, and one camera for both: {remedy}")
     for camera, size_px, frame_id in zip(stated, sizes_px, frames, strict=True):
         to_image = _scaling(camera, size_px, calibrated_px)
         K, of = to_image @ camera.K, "the images of {}x{} px".format(*size_px)
         if min(K[0, 0], K[1, 1]) < LEAST_FOCAL_PX:
-            raise SourceError(
-                f"expected focal lengths of {LEAST_FOCAL_PX:g} px or more, found fx = {K[0, 0]:g}, fy = {K[1, 1]:g}: a"
-                " length in mm is multiplied by the image's width in px over the sensor's in mm"
-            )
+            found = f"{LEAST_FOCAL_PX:g} px or more, found fx = {K[0, 0]:g}, fy = {K[1, 1]:g}"
+            remedy = "a length in mm is multiplied by the image's width in px over the sensor's in mm"
+            raise SourceError(f"expected focal lengths of {found}: {remedy}")
         if not (0 < K[0, 2] < size_px[0] and 0 < K[1, 2] < size_px[1]):
             remedy = "were scaled since calibration, say --calibrated-at WIDTHxHEIGHT"
             if size_px[1] > 2 * size_px[0]:  # as halves of pictures that are higher than wide
@@ -167,17 +162,14 @@ def complete(
     baseline_m = float(np.linalg.norm(T_left_right[:3, 3]))
     if not PLAUSIBLE_BASELINE_M[0] <= baseline_m <= PLAUSIBLE_BASELINE_M[1]:
         unit = next((name for name, length_m in LENGTHS_M.items() if length_m == unit_m), f"{unit_m:g} m")
-        raise SourceError(
-            "the cameras are {:g} m apart, expected {:g} to {:g} m".format(baseline_m, *PLAUSIBLE_BASELINE_M)
-            + f": lengths of calibrations were read in {unit}; --unit says which: {', '.join(LENGTHS_M)}"
-        )
+        found = "the cameras are {:g} m apart, expected {:g} to {:g} m".format(baseline_m, *PLAUSIBLE_BASELINE_M)
+        units = f"lengths of calibrations were read in {unit}; --unit says which: {', '.join(LENGTHS_M)}"
+        raise SourceError(f"{found}: {units}")
     if abs(y_m) > abs(x_m):
         raise SourceError("one camera stands above the other one; a pair is expected to stand side by side")
     if x_m <= 0:
-        raise SourceError(
-            f"the right camera stands {-x_m * 1e3:.3g} mm to the left of the left one: exchange the views and their"
-            " calibrations"
-        )
+        found = f"the right camera stands {-x_m * 1e3:.3g} mm to the left of the left one"
+        raise SourceError(f"{found}: exchange the views and their calibrations")
     return cameras
 
 
@@ -189,10 +181,8 @@ def _scaling(camera: StatedCamera, size_px: tuple[int, int], calibrated_px: Size
         raise SourceError(f"{of}, not for {calibrated_px[0]}x{calibrated_px[1]} px, as --calibrated-at says")
     images = f"{width_px}x{height_px} px"
     if calibrated_px is None and stated_px != size_px:
-        raise SourceError(
-            f"{of}, the images have {images}: calibrate at the size of the images, or say"
-            f" --calibrated-at {stated_px[0]}x{stated_px[1]} if they were scaled, and nothing else"
-        )
+        option = f"--calibrated-at {stated_px[0]}x{stated_px[1]} if they were scaled, and nothing else"
+        raise SourceError(f"{of}, the images have {images}: calibrate at the size of the images, or say {option}")
     if abs(width_px * stated_px[1] - height_px * stated_px[0]) > max(stated_px):  # a pixel more or less
         raise SourceError(f"{of}, the images of {images} have another aspect: they were not only scaled")
     x, y = width_px / stated_px[0], height_px / stated_px[1]

@@ -52,10 +52,9 @@ def read_estimates(path: Path) -> Rows:
         if (one := found.pop(kind, None)) is not None:
             found.setdefault(kind.replace("distance", "planar"), one)
     if stamp is None or not (found.keys() & set(DISTANCES) or {"x", "y", "z"} <= found.keys()):
-        raise SourceError(
-            f"{path}: expected stamp_ns and a distance (as clearance_m) or a pose (x y z qx qy qz qw); the columns"
-            f" {'are ' + ', '.join(names) if names else 'have no names'}"
-        )
+        expected = "expected stamp_ns and a distance (as clearance_m) or a pose (x y z qx qy qz qw)"
+        columns = f"are {', '.join(names)}" if names else "have no names"
+        raise SourceError(f"{path}: {expected}; the columns {columns}")
     rows: dict[str, NDArray[Any]] = {"stamp_ns": np.array(table.stamps_ns(stamp), np.int64)}
     for kind, (column, unit) in found.items():
         if kind in TEXTS:

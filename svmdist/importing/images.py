@@ -57,10 +57,8 @@ def require_one_view(images: Sequence[Path]) -> None:
         sides = [side[0].lower() for side in SIDE.findall(path.stem)] + number * is_side
         before, other = found.setdefault(DIGITS.sub("#", SIDE.sub("*", path.stem)), (sides, path))
         if before != sides:
-            raise SourceError(
-                f"{path.parent}: {other.name} and {path.name} are of two views: choose those of one by --pattern,"
-                " and those of the right one by --right-pattern"
-            )
+            remedy = "choose those of one by --pattern, and those of the right one by --right-pattern"
+            raise SourceError(f"{path.parent}: {other.name} and {path.name} are of two views: {remedy}")
         start = re.match(r".*\d", path.stem)
         if start and (twin := by_start.setdefault(start[0], path)) is not path:
             same = f"{twin.name} and {path.name} have the same number"
@@ -81,9 +79,8 @@ def _by_number(view: Sequence[Path]) -> dict[int | str, Path]:
     found: dict[int | str, Path] = {}
     for number, path in zip(_numbers([path.name for path in view]), view, strict=True):
         if (other := found.setdefault(number, path)) is not path:
-            raise SourceError(
-                f"{path.parent}: {other.name} and {path.name} have one last number, by which views are paired"
-            )
+            both = f"{path.parent}: {other.name} and {path.name}"
+            raise SourceError(f"{both} have one last number, by which views are paired")
     return found
 
 

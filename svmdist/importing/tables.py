@@ -137,10 +137,8 @@ def read_poses(path: Path, images_ns: Mapping[str, int], unit_m: float, frame_id
     elif len(others) == len(POSE):
         found = {kind: (column, "") for kind, column in zip(POSE, others, strict=True)}
     else:
-        raise SourceError(
-            f"{path}: expected 7 numbers of a pose (x y z qx qy qz qw), or 12 or 16 of a matrix, and a time"
-            f" before them or none; found {len(others)}"
-        )
+        expected = "7 numbers of a pose (x y z qx qy qz qw), or 12 or 16 of a matrix, and a time before them or none"
+        raise SourceError(f"{path}: expected {expected}; found {len(others)}")
     columns = [found[kind][0] for kind in POSE]
     R = table.rotations(table.numbers(columns[3:]))
     scale = [LENGTHS_M.get(found[axis][1], unit_m) for axis in "xyz"]
@@ -365,8 +363,6 @@ def _row_stamps(table: Table, images_ns: Mapping[str, int], plain_widths: set[in
     elif len(table.rows) == len(of_images):
         stamps = of_images
     else:
-        raise SourceError(
-            f"{table.path}: no column of times (stamp_ns, timestamp) or images (image), and {len(table.rows)} rows"
-            f" for {len(of_images)} images"
-        )
+        missing = "no column of times (stamp_ns, timestamp) or images (image)"
+        raise SourceError(f"{table.path}: {missing}, and {len(table.rows)} rows for {len(of_images)} images")
     return np.array(stamps, np.int64), [column for column in columns if column not in (stamp, image)]

@@ -141,9 +141,8 @@ def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) 
     """Positions, (..., len(names)), in the chain's order, by name or alias; KinematicsError names lacking ones."""
     known = [[name for name in (joint.name, *joint.aliases) if name in names] for joint in chain.moving_joints]
     if missing := [name for name, logged in zip(chain.joint_names, known, strict=True) if not logged]:
-        raise KinematicsError(
-            f"the chain needs the joints {', '.join(missing)}; the log has {', '.join(names) or 'none'}"
-        )
+        there = ", ".join(names) or "none"
+        raise KinematicsError(f"the chain needs the joints {', '.join(missing)}; the log has {there}")
     return np.asarray(positions, np.float64)[..., [names.index(logged[0]) for logged in known]]
 
 
@@ -218,12 +217,9 @@ def solve_position(chain: DHChain, q_start: ArrayLike, p_base_tool_m: ArrayLike,
         q[:, free] += (np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, error_m[:, :, None]))[..., 0]
     else:
         worst = int(np.argmax(np.linalg.norm(error_m, axis=1)))
-        raise KinematicsError(
-            f"position {worst} is out of reach: {np.linalg.norm(error_m[worst]):.3g} m are left after {MAX_STEPS} steps"
-        )
+        left_m = np.linalg.norm(error_m[worst])
+        raise KinematicsError(f"position {worst} is out of reach: {left_m:.3g} m are left after {MAX_STEPS} steps")
     for row, joint in np.argwhere((q < chain.lower) | (q > chain.upper)):
-        raise KinematicsError(
-            f"joint {chain.joint_names[joint]} would have to go to {q[row, joint]:.4g}, outside its limits "
-            f"{chain.lower[joint]:.4g} to {chain.upper[joint]:.4g}"
-        )
+        name, limits = chain.joint_names[joint], f"{chain.lower[joint]:.4g} to {chain.upper[joint]:.4g}"
+        raise KinematicsError(f"joint {name} would have to go to {q[row, joint]:.4g}, outside its limits {limits}")
     return q

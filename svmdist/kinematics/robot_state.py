@@ -114,7 +114,5 @@ class RobotState:
 def _limit_failure(chain: DHChain, q: Array, joint: int) -> Failure:
     unit = "rad" if chain.is_revolute[joint] else "m"
     lower, upper = chain.lower[joint], chain.upper[joint]
-    return Failure(
-        f"joint {chain.joint_names[joint]} is at {q[joint]:.6g} {unit}, outside its limits {lower:.4g} to {upper:.4g}"
-        f" {unit} and the tolerance {chain.limit_tolerance[joint]:.4g} {unit}"
-    )
+    limits = f"its limits {lower:.4g} to {upper:.4g} {unit} and the tolerance {chain.limit_tolerance[joint]:.4g} {unit}"
+    return Failure(f"joint {chain.joint_names[joint]} is at {q[joint]:.6g} {unit}, outside {limits}")

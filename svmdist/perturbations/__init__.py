@@ -114,9 +114,8 @@ class Perturbations:
         for name, strength in self.strengths:
             entry = find_perturbation(name)
             if not entry.low <= strength <= entry.high:  # NaN is in no range
-                raise UsageError(
-                    f"perturbation {name}: from {entry.low:g} to {entry.high:g} {entry.unit}, found {strength:g}"
-                )
+                expected = f"from {entry.low:g} to {entry.high:g} {entry.unit}"
+                raise UsageError(f"perturbation {name}: {expected}, found {strength:g}")
             if [other for other, _ in self.strengths].count(name) > 1:
                 raise UsageError(f"perturbation {name} is given twice")
 

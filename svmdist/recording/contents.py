@@ -122,9 +122,8 @@ class TransformTree:
         reached = self._reach(parent)
         if child not in reached:
             here, there = (sanitize_list(sorted(self._reach(frame))) for frame in (parent, child))
-            raise RecordingError(
-                f"no transform links {parent} and {child}: on one side are {here}; on the other {there}"
-            )
+            sides = f"on one side are {here}; on the other {there}"
+            raise RecordingError(f"no transform links {parent} and {child}: {sides}")
         tracks = []
         while child != parent:
             tracks.append(self._track(reached[child], child))

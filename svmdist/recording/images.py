@@ -145,9 +145,8 @@ def decode_raw(
     channels, conversion = RAW_ENCODINGS[encoding]
     row_bytes = width_px * channels
     if step_bytes < row_bytes or len(data) != step_bytes * height_px:
-        raise ImageError(
-            f"{len(data)} bytes in rows of {step_bytes} do not hold {width_px}x{height_px} px of {encoding}"
-        )
+        found = f"{len(data)} bytes in rows of {step_bytes}"
+        raise ImageError(f"{found} do not hold {width_px}x{height_px} px of {encoding}")
     rows: NDArray[np.uint8] = np.frombuffer(data, np.uint8).reshape(height_px, step_bytes)[:, :row_bytes]
     pixels = rows.reshape(height_px, width_px, channels)
     if conversion is None:

@@ -85,10 +85,9 @@ class BagSource:
         except Exception as problem:
             if self._encoding == "cdr":
                 raise RecordingError(f"{self.path}: no usable rosbag2 database: {_line(problem)}") from None
-            raise RecordingError(
-                f"{self.path}: a ROS 1 bag that is truncated or damaged ({_line(problem)});"
-                f" what is left of it can be saved with: rosbag reindex {self.path.name}"
-            ) from None
+            found = f"{self.path}: a ROS 1 bag that is truncated or damaged ({_line(problem)})"
+            remedy = f"what is left of it can be saved with: rosbag reindex {self.path.name}"
+            raise RecordingError(f"{found}; {remedy}") from None
         return reader
 
 
@@ -101,9 +100,8 @@ class FolderSource:
         self._message_bytes = 4 * limits.image_pixels + limits.message_bytes
         names, self._declared, self._is_compressed = _read_metadata(path)
         if packed := [name for name in names if name.endswith(".zstd")]:
-            raise RecordingError(
-                f"{path}: its files are compressed as a whole; expand them first: zstd -d {source.sanitize(packed[0])}"
-            )
+            remedy = f"expand them first: zstd -d {source.sanitize(packed[0])}"
+            raise RecordingError(f"{path}: its files are compressed as a whole; {remedy}")
         self._parts: list[source.Source] = []
         for name in names:
             file = path / name
@@ -113,10 +111,8 @@ class FolderSource:
                 self._parts.append(McapSource(file, limits) if file.suffix == ".mcap" else BagSource(file, "cdr"))
         if not self._parts:
             there = source.sanitize_list(sorted(file.name for file in path.iterdir()))
-            raise RecordingError(
-                f"{path}: expected a .mcap or .db3 file that {source.METADATA_FILE} names, as"
-                f" {source.sanitize_list(names)}; found {there}"
-            )
+            expected = f"a .mcap or .db3 file that {source.METADATA_FILE} names, as {source.sanitize_list(names)}"
+            raise RecordingError(f"{path}: expected {expected}; found {there}")
         for part in self._parts:
             self.health.join(part.health)
             part.health = self.health
@@ -194,7 +190,6 @@ def _require_whole_database(path: Path) -> None:
     declared_bytes = (65536 if page_bytes == 1 else page_bytes) * page_count
     # The count of pages is valid only where it was written with the last change (SQLite file format, 1.3.7).
     if changes == counted_at and size_bytes < declared_bytes:
-        raise RecordingError(
-            f"{path}: truncated at byte {size_bytes} of {declared_bytes}: an SQLite database cannot be read in"
-            f" part; what is left of it can be saved with: sqlite3 {path.name} .recover"
-        )
+        remedy = f"what is left of it can be saved with: sqlite3 {path.name} .recover"
+        found = f"truncated at byte {size_bytes} of {declared_bytes}: an SQLite database cannot be read in part"
+        raise RecordingError(f"{path}: {found}; {remedy}")

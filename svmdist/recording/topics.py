@@ -105,10 +105,9 @@ class LoggedArm:
             return fitting[0]
         expected = f" (the profile expects {wanted})" if wanted else ""
         if fitting:
-            raise RecordingError(
-                f"{self.log}: several topics carry {kind}{expected}: let `svmdist profile new` write a profile of"
-                f" this log, or choose one with --topic {role}=TOPIC: {sanitize_list(fitting)}"
-            )
+            remedy = "let `svmdist profile new` write a profile of this log, or choose one with --topic"
+            found = f"several topics carry {kind}{expected}"
+            raise RecordingError(f"{self.log}: {found}: {remedy} {role}=TOPIC: {sanitize_list(fitting)}")
         others = [topic for topic in candidates if topic in {getattr(self.wanted, right) for right in RIGHT}]
         of_right = f"; {sanitize_list(others)} is the right view's" if others and role not in RIGHT else ""
         raise RecordingError(f"{self.log}: no topic with {kind} for {role}{expected}{of_right}; {there_are}")
@@ -198,10 +197,8 @@ def open_source(path: LogPath, limits: Limits) -> Source:
     try:
         if not isinstance(path, RemoteFile) and path.is_dir():
             if not (path / METADATA_FILE).is_file():
-                raise RecordingError(
-                    f"{path}: is a directory without {METADATA_FILE}, so no rosbag2 folder; expected"
-                    f" {WHAT_IS_EXPECTED}; {TO_IMPORT}"
-                )
+                found = f"is a directory without {METADATA_FILE}, so no rosbag2 folder"
+                raise RecordingError(f"{path}: {found}; expected {WHAT_IS_EXPECTED}; {TO_IMPORT}")
             from svmdist.recording.rosbag import FolderSource
 
             return FolderSource(path, limits)
@@ -234,8 +231,6 @@ def _open_file(path: LogPath, start: bytes, limits: Limits) -> Source:
     topics = {info.topic for info in source.topics if info.message_encoding == "cdr"}
     first = next(iter(source.messages(topics)), None) if topics else None
     if first is not None and first.data.startswith(ZSTD_MAGIC):  # CDR begins with a zero byte
-        raise RecordingError(
-            f"{path}: a rosbag2 file whose messages are compressed one by one;"
-            f" open the folder that holds it and its {METADATA_FILE}"
-        )
+        remedy = f"open the folder that holds it and its {METADATA_FILE}"
+        raise RecordingError(f"{path}: a rosbag2 file whose messages are compressed one by one; {remedy}")
     return source
