@@ -175,7 +175,6 @@ class RemoteFile:
         return cast(BinaryIO, file)
 
     def _fetched(self, fetch: Callable[[int, int], Any], start: int, end: int) -> bytes:
-        """A piece of the file, fetched by fsspec; OSError where less comes than the file has."""
         with plain_errors(self.url):
             data = bytes(_answered(fetch, start, end, size_bytes=end - start))
             if len(data) != end - start:

@@ -174,7 +174,6 @@ def require_bgr(image: object) -> None:
 
 
 def _checked(image: object, channels: int, camera: Camera | None, expected: str) -> NDArray[np.uint8]:
-    """An array of levels from 0 to 255, of the right layout and size; raises WrongImageError."""
     size = "height, width" if camera is None else f"{camera.height_px}, {camera.width_px}"
     expected = f"{expected}, shape ({size}{f', {channels}' if channels > 1 else ''})"
     if not isinstance(image, np.ndarray):

@@ -228,14 +228,12 @@ def _header(message: Any, log_time_ns: int) -> tuple[int, str]:
 
 
 def _checked_stamp(stamp_ns: int) -> int:
-    """Return a stamp that fits into 64 bits with sign and is not negative; DecodeError for any other."""
     if not 0 <= stamp_ns <= MAX_STAMP_NS:
         raise DecodeError(f"the stamp {stamp_ns} ns is out of range")
     return stamp_ns
 
 
 def _check_numbers(values: Sequence[float], what: str) -> None:
-    """Refuse numbers that are not finite or absurdly large."""
     # The sum is ten times as fast as an array, and False for NaN and infinity too.
     if not sum(map(abs, values)) <= MAX_MAGNITUDE:
         for bad in (value for value in values if not abs(value) <= MAX_MAGNITUDE):
@@ -259,7 +257,6 @@ def _video(message: Any, stamp_ns: int, frame_id: str, _: Limits) -> EncodedImag
 
 
 def _camera(message: Any, stamp_ns: int, frame_id: str) -> samples.CameraSample:
-    """A camera; DecodeError for a matrix of another size, an uncalibrated camera or an unknown distortion."""
     names = "KDRP" if hasattr(message, "K") else "kdrp"  # ROS 2 writes them small, others large
     K, D, R, P = (np.array(getattr(message, name), np.float64) for name in names)
     if len(K) != 9 or len(R) not in {0, 9} or len(P) not in {0, 12} or len(D) > MAX_COEFFICIENTS:
@@ -329,7 +326,6 @@ def _transform(message: Any, stamp_ns: int, frame_id: str) -> RawTransform:
 
 
 def _transforms(message: Any, log_time_ns: int, _: str) -> RawTransforms:
-    """Those of a message, or the only one, with the stamp of the first."""
     parts = message.transforms if hasattr(message, "transforms") else [message]
     found = tuple(_transform(part, *_header(part, log_time_ns)) for part in parts)
     return RawTransforms(found[0].stamp_ns if found else log_time_ns, found)
