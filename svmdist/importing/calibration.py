@@ -324,9 +324,8 @@ def _rectified(left: StatedCamera, right: StatedCamera, R_right_left: Array, t_m
     # The size has no effect on R and P[:, 3].
     size_px = left.size_px or (round(2 * left.K[0, 2]), round(2 * left.K[1, 2]))
     try:
-        R1, R2, P1, P2, *_ = cv2.stereoRectify(
-            left.K, np.zeros(5), right.K, np.zeros(5), size_px, R_right_left, np.reshape(t_m, (3, 1))
-        )
+        none, t = np.zeros(5), np.reshape(t_m, (3, 1))
+        R1, R2, P1, P2, *_ = cv2.stereoRectify(left.K, none, right.K, none, size_px, R_right_left, t)
     except cv2.error:
         raise ValueError("no pair of cameras stands as R and T say") from None
     left = replace(left, R=np.asarray(R1), P=np.asarray(P1))

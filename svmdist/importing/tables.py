@@ -306,10 +306,8 @@ def require_common_time(path: Path, stamps_ns: Stamps, images_ns: Sequence[int])
     near_count = int(np.count_nonzero(apart_ns(stamps_ns, images) <= MAX_GAP_NS))
     table, pictures = (f"{one[0] / 1e9:.3f} s to {one[-1] / 1e9:.3f} s" for one in (stamps_ns, images))
     within = f"within {MAX_GAP_NS / 1e9:g} s of"
-    times = (
-        f"its times are {table}, those of the images {pictures}; give both by one clock, and behind a column's name its"
-        " unit, if not s: time_ms, time_ns"
-    )
+    remedy = "give both by one clock, and behind a column's name its unit, if not s: time_ms, time_ns"
+    times = f"its times are {table}, those of the images {pictures}; {remedy}"
     if not near_count:
         raise SourceError(f"{path}: no row is {within} an image: {times}")
     few = f"{path}: rows are {within} only {near_count} of {len(images)} images: {times}"

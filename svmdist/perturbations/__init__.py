@@ -150,11 +150,8 @@ def draw_world(world: World, seed: int, given: Perturbations = UNPERTURBED) -> P
     """
     if world is World.IDEAL:
         return given
-    drawn = {
-        name: float(f"{entry.real.draw(_stream(seed, _STRENGTH_STREAM, name)):.6g}")
-        for name, entry in TABLE.items()
-        if entry.real is not None
-    }
+    sizes = {name: entry.real for name, entry in TABLE.items() if entry.real is not None}
+    drawn = {name: float(f"{size.draw(_stream(seed, _STRENGTH_STREAM, name)):.6g}") for name, size in sizes.items()}
     return Perturbations(tuple((drawn | dict(given.strengths)).items()))
 
 

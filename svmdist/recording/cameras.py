@@ -103,13 +103,13 @@ def cameras_at(left: CameraTrack, right: CameraTrack | None, stated: Perturbatio
 
 def changed(before: Camera, after: Camera) -> str:
     """What differs between two calibrations, in words."""
+    both = before, after
+    baselines_m = (0.0 if one.P is None else abs(one.P[0, 3]) / one.K[0, 0] for one in both)
     named = {
-        "size": (f"{one.width_px}x{one.height_px} px" for one in (before, after)),
-        "focal length": (f"{one.K[0, 0]:.1f} px" for one in (before, after)),
-        "principal point": (f"{one.K[0, 2]:.1f}, {one.K[1, 2]:.1f} px" for one in (before, after)),
-        "baseline": (
-            f"{0.0 if one.P is None else abs(one.P[0, 3]) / one.K[0, 0] * 1e3:.2f} mm" for one in (before, after)
-        ),
+        "size": (f"{one.width_px}x{one.height_px} px" for one in both),
+        "focal length": (f"{one.K[0, 0]:.1f} px" for one in both),
+        "principal point": (f"{one.K[0, 2]:.1f}, {one.K[1, 2]:.1f} px" for one in both),
+        "baseline": (f"{baseline_m * 1e3:.2f} mm" for baseline_m in baselines_m),
     }
     said = ((name, *values) for name, values in named.items())
     found = [f"{name} {one} -> {other}" for name, one, other in said if one != other]

@@ -263,9 +263,8 @@ class Recording:
         def observation(number: int, at_ns: int, pair: obs.Pair) -> obs.EncodedObservation:
             stamp_ns = pair.left.stamp_ns
             reported = tuple(state(stamp_ns) for state in states)
-            joints_s, base_s = (
-                max(filter(None, far), default=None) for far in zip(*(one[3:] for one in reported), strict=True)
-            )
+            apart_s = zip(*(one[3:] for one in reported), strict=True)
+            joints_s, base_s = (max(filter(None, far), default=None) for far in apart_s)
             missing.add(right=pair.right_apart_s, joints=joints_s, base=base_s)
             held, place = cameras(stamp_ns), self.health.next_place()
             repeats, right = self._repeats(pair.left) if stale else "", pair.right

@@ -36,6 +36,7 @@ MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 TAIL = struct.Struct("<BQQQI8s")  # the footer record and the magic, with which every complete file ends
 PARSED = frozenset(Opcode) - {Opcode.MESSAGE_INDEX}
+CHUNKED = Message | Schema | Channel
 
 
 class McapSource:
@@ -122,6 +123,7 @@ class _Pass:
         is_chunked = False
         for offset, record in self.frames(topics):
             inner: list[McapRecord] = [record]
+            belonging = Message if self._has_data_ended else CHUNKED
             if isinstance(record, Chunk):
                 is_chunked = True
                 try:
@@ -130,11 +132,7 @@ class _Pass:
                     self._lose(LossKind.CHUNK, f"dropped: {str(problem) or type(problem).__name__}", offset)
                     continue
             # A record that belongs into a chunk, as all others are in one: its opcode is broken.
-            elif (
-                is_chunked
-                and not self._is_cut
-                and isinstance(record, Message if self._has_data_ended else Message | Schema | Channel)
-            ):
+            elif is_chunked and not self._is_cut and isinstance(record, belonging):
                 self._lose(LossKind.RECORD, f"{type(record).__name__} outside of chunks dropped", offset)
                 continue
             yield from ((offset, one) for one in inner if self._is_usable(one, offset))
@@ -254,7 +252,6 @@ class _Pass:
             self._lose(LossKind.SUMMARY, "its CRC is wrong, or it cannot be read", offset)
 
     def _check_counts(self, topics: Collection[str] | None) -> None:
-        """Compare what was read with what the statistics declare."""
         if self._statistics is None:
             return
         declared, found = Counter(self._statistics.channel_message_counts), self.counts

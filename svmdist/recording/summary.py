@@ -185,8 +185,6 @@ def copied_messages(recording: Recording) -> Iterator[tuple[str, Sample | Encode
         except (DecodeError, ImageError):
             continue
         if raw.topic == truth and isinstance(sample, TransformsSample):
-            transforms = (
-                replace(one, child=one.child.removesuffix(TRUE_SUFFIX) + TRUE_SUFFIX) for one in sample.transforms
-            )
-            sample = replace(sample, transforms=tuple(transforms))
+            named = [(one, one.child.removesuffix(TRUE_SUFFIX) + TRUE_SUFFIX) for one in sample.transforms]
+            sample = replace(sample, transforms=tuple(replace(one, child=child) for one, child in named))
         yield raw.topic, sample

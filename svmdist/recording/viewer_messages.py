@@ -53,13 +53,9 @@ def scene_update(drawing: draw.FrameDrawing, instruments: Iterable[str], frame_i
     """Instruments, tissue and distances in space as `foxglove.SceneUpdate`; what is not there now is deleted."""
     shown = {f"{name} instrument": _capsules(body) for name, body in drawing.bodies.items()}
     if isinstance(drawing.tissue, Mesh):
-        triangles = {
-            "pose": {"orientation": UNTURNED},
-            "color": _colour(draw.COLOURS[draw.Part.TISSUE], SHEER),
-            "points": list(map(vector_fields, drawing.tissue.vertices_m)),
-            "indices": drawing.tissue.faces.ravel().tolist(),
-        }
-        shown["tissue"] = {"triangles": [triangles]}
+        look = {"pose": {"orientation": UNTURNED}, "color": _colour(draw.COLOURS[draw.Part.TISSUE], SHEER)}
+        points, indices = list(map(vector_fields, drawing.tissue.vertices_m)), drawing.tissue.faces.ravel().tolist()
+        shown["tissue"] = {"triangles": [{"points": points, "indices": indices, **look}]}
     shown |= {segment.name: _segment(segment) for segment in drawing.segments}
     parts = ("instrument", draw.Part.DISTANCE, draw.Part.BETWEEN)
     possible = {"tissue", *(f"{name} {part}" for name in instruments for part in parts)}
@@ -77,15 +73,9 @@ def point_cloud(points_m: Array, std_m: Array, bgr: Image, frame_id: str, stamp_
         packed[name] = values
     numbers = {"<f4": PackedElementField.FLOAT32, "u1": PackedElementField.UINT8}
     offsets: Any = packed.dtype.fields
-    return encoded(
-        PointCloud,
-        stamp_ns,
-        frame_id=frame_id,
-        pose={"orientation": UNTURNED},
-        point_stride=packed.itemsize,
-        fields=[{"name": name, "offset": offsets[name][1], "type": numbers[kind]} for name, kind in kinds],
-        data=packed.tobytes(),
-    )
+    fields = [{"name": name, "offset": offsets[name][1], "type": numbers[kind]} for name, kind in kinds]
+    packing = {"point_stride": packed.itemsize, "fields": fields, "data": packed.tobytes()}
+    return encoded(PointCloud, stamp_ns, frame_id=frame_id, pose={"orientation": UNTURNED}, **packing)
 
 
 def log_line(text: str, stamp_ns: int, *, is_warning: bool) -> EncodedSample:
@@ -122,16 +112,11 @@ def _capsules(body: Capsules) -> Fields:
 
 def _segment(segment: draw.Segment) -> Fields:
     look = {"color": _colour(draw.COLOURS[segment.part]), "scale_invariant": True}
-    ends_m = segment.start_m, segment.end_m
-    line = {
-        "type": LinePrimitive.LINE_STRIP,
-        "pose": {"orientation": UNTURNED},
-        "points": list(map(vector_fields, ends_m)),
-        "thickness": LINE_PIXELS,
-    }
+    ends = list(map(vector_fields, (segment.start_m, segment.end_m)))
+    line = {"type": LinePrimitive.LINE_STRIP, "pose": {"orientation": UNTURNED}, "thickness": LINE_PIXELS}
     pose = {"position": vector_fields(0.5 * (segment.start_m + segment.end_m)), "orientation": UNTURNED}
     text = {"pose": pose, "billboard": True, "font_size": TEXT_PIXELS, "text": segment.text}
-    return {"lines": [line | look], "texts": [text | look]}
+    return {"lines": [line | look | {"points": ends}], "texts": [text | look]}
 
 
 def _along_z(direction: Array) -> Array:

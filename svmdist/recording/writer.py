@@ -77,19 +77,11 @@ def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSa
         case samples.CameraSample(camera=camera):
             # Foxglove's names of the lenses.
             pinhole = "plumb_bob" if len(camera.D) <= 5 else "rational_polynomial"
+            lens = "kannala_brandt" if camera.distortion_model == "fisheye" else pinhole
             R, P = (None if one is None else one.ravel() for one in (camera.R_rectified_camera, camera.P))
-            return encoded(
-                CameraCalibration,
-                stamp_ns,
-                frame_id=camera.frame_id,
-                width=camera.width_px,
-                height=camera.height_px,
-                distortion_model="kannala_brandt" if camera.distortion_model == "fisheye" else pinhole,
-                D=camera.D,
-                K=camera.K.ravel(),
-                R=R,
-                P=P,
-            )
+            fields: Fields = {"frame_id": camera.frame_id, "width": camera.width_px, "height": camera.height_px}
+            fields |= {"distortion_model": lens, "D": camera.D, "K": camera.K.ravel(), "R": R, "P": P}
+            return encoded(CameraCalibration, stamp_ns, **fields)
         case samples.JointSample(names=names, positions=positions):
             pairs = zip(names, np.asarray(positions).tolist(), strict=True)
             joints = [{"name": name, "position": position} for name, position in pairs]
@@ -98,16 +90,10 @@ def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSa
             (pose,) = _rigid_fields([T], "position", "orientation")
             return encoded(PoseInFrame, stamp_ns, frame_id=frame_id, pose=pose)
         case samples.TransformsSample(transforms=transforms):
-            rigid = _rigid_fields([one.T_parent_child for one in transforms], "translation", "rotation")
-            parts = [
-                {
-                    "timestamp": stamp_fields(one.stamp_ns),
-                    "parent_frame_id": one.parent,
-                    "child_frame_id": one.child,
-                    **fields,
-                }
-                for one, fields in zip(transforms, rigid, strict=True)
-            ]
+            parts = _rigid_fields([one.T_parent_child for one in transforms], "translation", "rotation")
+            for part, one in zip(parts, transforms, strict=True):
+                part |= {"timestamp": stamp_fields(one.stamp_ns)}
+                part |= {"parent_frame_id": one.parent, "child_frame_id": one.child}
             return encoded(FrameTransforms, stamp_ns, transforms=parts)
         case samples.DistanceSample(_, planar_m, spatial_m, clearance_m):
             values = {"planar_m": planar_m, "spatial_m": spatial_m, "clearance_m": clearance_m}
@@ -194,11 +180,9 @@ class RecordingWriter:
             if self._force:
                 self.part_path.unlink(missing_ok=True)
             self._file = open_new(self.part_path)
+            # This class ends the chunks, before they grow too large.
             self._writer = Writer(
-                self._file,
-                chunk_size=1 << 40,  # this class ends the chunks, before they grow too large
-                compression=CompressionType.ZSTD,
-                enable_data_crcs=True,
+                self._file, chunk_size=1 << 40, compression=CompressionType.ZSTD, enable_data_crcs=True
             )
             self._writer.start(library=f"svmdist {version('svmdist')}")
             self._writer.add_metadata(METADATA_NAME, dict(sorted(self._metadata.items())))
