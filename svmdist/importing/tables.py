@@ -12,7 +12,7 @@ import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Context, Decimal
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -52,10 +52,7 @@ FARTHEST_M = 10.0  # from a robot's base: no instrument is farther, and one of m
 
 def parse_stamp_ns(text: str, unit: str | None = None) -> int:
     """A stamp in ns, or ValueError; without a unit (s, ms, us, ns) it follows from the size, for times since 1970."""
-    try:
-        value = Decimal(text)
-    except InvalidOperation:
-        value = Decimal("nan")
+    value = Decimal(text, Context(traps=[]))  # NaN of what is no number
     if not value.is_finite():
         raise ValueError(f"expected a time as a number, found {text[:40]!r}")
     if unit is None:
@@ -188,10 +185,8 @@ class Table:
     def special(self) -> tuple[int | None, int | None]:
         """The columns of times and of images, by their names."""
         plain = [split_unit(name, UNITS_NS)[0].lower() for name in self.names or ()]
-        stamp, image = (
-            next((column for column, name in enumerate(plain) if name in known), None)
-            for known in (STAMP_NAMES, IMAGE_NAMES)
-        )
+        known = STAMP_NAMES, IMAGE_NAMES
+        stamp, image = (next((at for at, name in enumerate(plain) if name in names), None) for names in known)
         return stamp, image
 
     def fail(self, row: int, reason: str) -> SourceError:
