@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path, PurePosixPath
 from threading import Thread
 from typing import Any, BinaryIO, TypeVar, cast
@@ -163,11 +163,7 @@ class RemoteFile:
             is_web = self.url.lower().startswith(("http:", "https:"))
             if is_web and not _answered(filesystem.info, path).get("partial"):
                 return open(_copy_of(self.url, os.getpid())[1], "rb")
-
-            def opened() -> Any:
-                return filesystem.open(path, mode, block_size=BLOCK_BYTES, cache_type="blockcache")
-
-            file = _answered(opened)
+            file = _answered(partial(filesystem.open, path, mode, block_size=BLOCK_BYTES, cache_type="blockcache"))
             if isinstance(file, io.BytesIO):  # of a store in memory, which has one position for all readers
                 return io.BytesIO(file.getvalue())
             if fetch := getattr(getattr(file, "cache", None), "fetcher", None):
