@@ -66,12 +66,11 @@ class Estimates(Sequence[FrameResult]):
     def _repr_html_(self) -> str:
         """The same, and the first rows as a table, for notebooks."""
         columns = shown_columns(100, planar=self.setup.is_planar, several=len(self.recording.instruments) > 1)
-        rows = (
-            estimate_row(self.recording.name, result, self.setup.method, self.setup.equations)
-            for result in self.results[:10]
-        )
-        text = "".join(text_lines(columns, rows))
+        text = "".join(text_lines(columns, map(self._row, self.results[:10])))
         return f"<pre>{escape(repr(self))}\n\n{escape(text)}</pre>"
+
+    def _row(self, result: FrameResult) -> Row:
+        return estimate_row(self.recording.name, result, self.setup.method, self.setup.equations)
 
     def __getitem__(self, index: Any) -> Any:
         """One result, or some of them."""
@@ -83,8 +82,7 @@ class Estimates(Sequence[FrameResult]):
 
     def rows(self) -> Iterator[Row]:
         """The rows of `svmdist estimate -f csv`, in SI; None for what does not exist."""
-        for result in self.results:
-            row = estimate_row(self.recording.name, result, self.setup.method, self.setup.equations)
+        for row in map(self._row, self.results):
             yield {key: row.get(key) for key in ESTIMATE_KEYS}
 
     def to_dataframe(self) -> DataFrame:

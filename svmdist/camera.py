@@ -140,12 +140,9 @@ class Camera:
     def same_optics(self, other: Camera, tolerance_px: float = 1e-6) -> bool:
         """Whether size, intrinsics and distortion agree within a tolerance in px."""
         D, other_D = (np.pad(one.D, (0, MAX_COEFFICIENTS - len(one.D))) for one in (self, other))
-        return (
-            (self.width_px, self.height_px) == (other.width_px, other.height_px)
-            and bool(np.allclose(self.K, other.K, rtol=0.0, atol=tolerance_px))
-            and bool(np.allclose(D, other_D, rtol=0.0, atol=1e-9))
-            and (self.distortion_model == "fisheye") == (other.distortion_model == "fisheye")
-        )
+        own, others = ((one.width_px, one.height_px, one.distortion_model == "fisheye") for one in (self, other))
+        is_near = np.allclose(self.K, other.K, 0.0, tolerance_px) and np.allclose(D, other_D, 0.0, 1e-9)
+        return own == others and bool(is_near)
 
 
 def stereo_transform(left: Camera, right: Camera) -> Array | None:

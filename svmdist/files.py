@@ -150,8 +150,5 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
 
 def write_atomically(path: Path, lines: Iterable[str]) -> None:
     """Write text atomically, in UTF-8 and with its own line ends; raises OutputError where that fails."""
-    with (
-        atomic_file(path) as part,
-        io.TextIOWrapper(cast(IO[bytes], part), encoding="utf-8", errors=FALLBACK, newline="") as file,
-    ):
+    with atomic_file(path) as part, io.TextIOWrapper(cast(IO[bytes], part), "utf-8", FALLBACK, newline="") as file:
         file.writelines(lines)
