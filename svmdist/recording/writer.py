@@ -162,8 +162,7 @@ class RecordingWriter:
         self._schemas: dict[str, int] = {}
         self.counts = Counter[str]()
         """The messages that were written, by topic."""
-        self._chunk_bytes = 0
-        self._chunk_start_ns: int | None = None
+        self._chunk_bytes = self._chunk_start_ns = 0
 
     def discard(self) -> None:
         """Remove the `.part` file where it is this writer's own."""
@@ -195,17 +194,16 @@ class RecordingWriter:
             sample = encode(sample, self._jpeg_quality)
         stamp_ns, needed_bytes = sample.stamp_ns, MESSAGE_HEAD_BYTES + len(sample.data)
         with self._writing():
-            if self._chunk_start_ns is not None:
-                span_ns = abs(stamp_ns - self._chunk_start_ns)
-                if span_ns >= CHUNK_SPAN_NS or self._chunk_bytes + needed_bytes > CHUNK_BYTES:
-                    self._writer.flush()
-                    self._chunk_bytes, self._chunk_start_ns = 0, None
+            is_over = abs(stamp_ns - self._chunk_start_ns) >= CHUNK_SPAN_NS
+            if self._chunk_bytes and (is_over or self._chunk_bytes + needed_bytes > CHUNK_BYTES):
+                self._writer.flush()
+                self._chunk_bytes = 0
             channel_id = self._channel(topic, sample.schema)
             self._writer.add_message(channel_id, stamp_ns, sample.data, stamp_ns, self.counts[topic])
         self.counts[topic] += 1
-        self._chunk_bytes += needed_bytes
-        if self._chunk_start_ns is None:
+        if not self._chunk_bytes:
             self._chunk_start_ns = stamp_ns
+        self._chunk_bytes += needed_bytes
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
         if self._file is None:
