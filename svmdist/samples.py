@@ -187,8 +187,7 @@ def _checked(image: object, channels: int, camera: Camera | None, expected: str)
     got = f"{expected}; found {image.shape}"
     if image.ndim == 3 and image.shape[0] in (3, 4) and image.shape[2] not in (3, 4):
         raise WrongImageError(f"{got}: its channels stand first; numpy.moveaxis(image, 0, -1) puts them last")
-    dimensions = 2 if channels == 1 else 3
-    if image.ndim != dimensions or (channels > 1 and image.shape[2] != channels) or image.size == 0:
+    if image.ndim != (2 if channels == 1 else 3) or (channels > 1 and image.shape[2] != channels) or image.size == 0:
         raise WrongImageError(got)
     if camera is not None and image.shape[:2] != (camera.height_px, camera.width_px):
         is_turned = image.shape[1::-1] == (camera.height_px, camera.width_px)

@@ -73,8 +73,7 @@ class JointUnits:
         # Behind the insertion comes the roll, then the wrist.
         wrist = max(at[~chain.is_revolute], default=-1) + 2
         per_deg = np.where(chain.is_revolute, np.pi / 180.0, METRES_PER_DEG)
-        places = {name: place for place, name in enumerate(chain.joint_names)}
-        places |= {name: place for place, one in enumerate(chain.moving_joints) for name in one.aliases}
+        places = {name: at for at, joint in enumerate(chain.moving_joints) for name in (joint.name, *joint.aliases)}
         return cls(places, np.where(at < begin, 0.0, per_deg), np.where(at < wrist, PROXIMAL_SHARE, 1.0))
 
 

@@ -219,8 +219,7 @@ class VideoDecoder:
         self._limits = limits
         self._codec: Any = None
         self._needs_key_frame = True
-        self._count = 0
-        self._loss_count = 0
+        self._count = self._loss_count = 0
         self._numbering: dict[int, tuple[int, bool]] = {}  # by sequence parameter set
         self._sequence: dict[int, int] = {}  # by picture parameter set
         self._number = 0  # of the last frame that others refer to

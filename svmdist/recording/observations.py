@@ -47,9 +47,8 @@ class Pairs:
         self._tolerance_ns = round(tolerance_s * 1e9)
         self._left: list[EncodedImage] = []
         self._right: list[EncodedImage] = []
-        self._newest_right_ns = -1
+        self._newest_right_ns = self._last_ns = -1
         self._gone_right_ns = -math.inf
-        self._last_ns = -1
 
     def of(self, images: Iterable[EncodedImage]) -> Iterator[Pair]:
         """Yield the left images by their stamps; images come in file order."""
