@@ -214,10 +214,7 @@ def pose_rows_of(
         LOG.info("note: %sthese are the joints of %s; --joints TOPIC takes another's: %s", of, name, choices)
     recording = recording.for_instrument(name)
     errors, count = [], 0
-    with (
-        output.progress_bar("reading joint states"),
-        closing(fk_blocks(recording, in_camera=in_camera)) as made,
-    ):
+    with output.progress_bar("reading joint states"), closing(fk_blocks(recording, in_camera=in_camera)) as made:
         for stamps_ns, poses, block_errors in made:
             errors.append(block_errors)
             for row in pose_rows(stamps_ns, poses):

@@ -35,9 +35,7 @@ class Record(options.Options):
     """
 
     scenario: Literal["calibration", "sweep", "approach", "contact", "occlusion", "random"] = option(
-        "--scenario NAME",
-        "calibration, sweep (the default), approach, contact, occlusion or random.",
-        "sweep",
+        "--scenario NAME", "calibration, sweep (the default), approach, contact, occlusion or random.", "sweep"
     )
     seed: int = option("--seed N", "Of all that is random. Default: 1.", 1, min=0)
     duration: float = option("--duration SECONDS", "Default: 8.", 8.0, min=0.2, max=3600.0)

@@ -290,10 +290,7 @@ class AlarmOptions(Options):
     @property
     def alarms(self) -> AlarmRules | None:
         """The rules that are asked for, None without a threshold; raises UsageError."""
-        levels: dict[str, Any] = {
-            "--alarm-when": self.alarm_when,
-            "--alarm-confidence": self.alarm_confidence,
-        }
+        levels: dict[str, Any] = {"--alarm-when": self.alarm_when, "--alarm-confidence": self.alarm_confidence}
         given = {name: level for name, level in levels.items() if level is not None}
         if len(given) > 1:
             raise UsageError("--alarm-confidence is the former name of --alarm-when: give one of them")

@@ -80,8 +80,7 @@ class Validate(ScoreOptions, options.MeasureOptions, GroupOption, PictureOptions
     baseline: Path | None = option("--baseline FILE", "Exit with 4 if a figure is worse than here.")
     write_baseline: Path | None = option("--write-baseline FILE", "Store the figures here.")
     plot: PlotKind | None = option(
-        "--plot NAME",
-        f"What --save-plot draws: {', '.join(get_args(PlotKind))}. Default: fig6, as in the paper.",
+        "--plot NAME", f"What --save-plot draws: {', '.join(get_args(PlotKind))}. Default: fig6, as in the paper."
     )
 
     def _run(self) -> ExitCode:

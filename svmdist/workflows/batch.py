@@ -91,11 +91,7 @@ class Outcome(Generic[Result]):
 
 
 def measured(
-    job: Job[Result],
-    log: LogFile,
-    threads: int,
-    on_progress: Progress = lambda _done, _total: None,
-    **more: Any,
+    job: Job[Result], log: LogFile, threads: int, on_progress: Progress = lambda _done, _total: None, **more: Any
 ) -> Generator[Row, None, Outcome[Result]]:
     """Measure a log in this process: yield its rows, return its outcome. Raises what measuring it raises."""
     recording = replace(job.request.open(log.path, log.name), on_progress=on_progress)

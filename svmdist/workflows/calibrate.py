@@ -77,11 +77,7 @@ def fit_parts(parts: Sequence[CalibrationPart], method: str) -> plane_mapping.Ca
 
 
 Against = Literal["kinematics", "pose"]
-SEEN_SIZES = {
-    "fiducial": hand_eye_file.TAG_SIZE,
-    "stereo": hand_eye_file.BASELINE,
-    "shaft": hand_eye_file.SHAFT_RADIUS,
-}
+SEEN_SIZES = {"fiducial": hand_eye_file.TAG_SIZE, "stereo": hand_eye_file.BASELINE, "shaft": hand_eye_file.SHAFT_RADIUS}
 """Methods that find the tool by images alone, the most accurate first, and the size that determines their depth."""
 SEEING_METHODS = tuple(SEEN_SIZES)
 NEAR_NS = 200_000_000  # joint rates come from the joint states within this of an image
@@ -102,11 +98,7 @@ class HandEyeResult:
 
 
 def hand_eye(
-    recording: Recording,
-    setup: Setup,
-    instrument: str,
-    against: Against | None = None,
-    jobs: int | None = None,
+    recording: Recording, setup: Setup, instrument: str, against: Against | None = None, jobs: int | None = None
 ) -> HandEyeResult | Failure:
     """Fit the camera-to-base transform of an instrument; a Failure says why that is impossible.
 

@@ -54,11 +54,7 @@ def capabilities(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple
 
 
 def best_method(
-    paths: Sequence[LogPath],
-    profile: Profile,
-    topics: Mapping[str, str] | None = None,
-    *,
-    has_lag: bool = False,
+    paths: Sequence[LogPath], profile: Profile, topics: Mapping[str, str] | None = None, *, has_lag: bool = False
 ) -> tuple[str, str]:
     """The best method that most of the logs can serve, of many those of some, and why it is that one, in words.
 
@@ -219,8 +215,7 @@ def _lacking(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str
         "joints_anywhen": joints,
         "joints": joints or near(summary.joints_apart_s, "joint states"),
         "reference": unless(
-            "ground_truth_distance" in roles or has_tool,
-            "the tool's pose (transforms, a pose topic or joint states)",
+            "ground_truth_distance" in roles or has_tool, "the tool's pose (transforms, a pose topic or joint states)"
         ),
         "calibration": unless(profile.calibration, f"a calibration {of_profile} (--calibration)"),
         "camera_to_base": unless(has_base, to_base) or near(summary.base_apart_s, to_base),

@@ -45,12 +45,7 @@ Keep = Callable[[Measured], None]
 
 
 def estimate(
-    recording: Recording,
-    setup: Setup,
-    jobs: int | None = None,
-    *,
-    rest: bool = True,
-    alarms: AlarmRules | None = None,
+    recording: Recording, setup: Setup, jobs: int | None = None, *, rest: bool = True, alarms: AlarmRules | None = None
 ) -> Iterator[FrameResult]:
     """Give one result per image and wanted instrument, in order, holding a few frames at a time.
 

@@ -27,16 +27,7 @@ from svmdist.profile import Limits, load_profile
 from svmdist.recording.images import ImageError, decode_still, read_file
 from svmdist.recording.topics import open_source
 from svmdist.recording.writer import EncodedSample, RecordingWriter, encode_still
-from svmdist.samples import (
-    CameraSample,
-    Image,
-    ImageSample,
-    JointSample,
-    Observation,
-    PoseSample,
-    RightView,
-    Sample,
-)
+from svmdist.samples import CameraSample, Image, ImageSample, JointSample, Observation, PoseSample, RightView, Sample
 from svmdist.transforms import Array
 from svmdist.workflows.check import LOOKED_AT, compare_views
 from svmdist.workflows.parallel import Progress

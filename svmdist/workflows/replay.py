@@ -85,13 +85,7 @@ class MultiInstrumentEstimator:
     """
 
     def __init__(
-        self,
-        setup: Setup,
-        arms: Sequence[Arm],
-        checks: Mapping[str, Checks],
-        camera: Camera,
-        *,
-        left_alone: bool,
+        self, setup: Setup, arms: Sequence[Arm], checks: Mapping[str, Checks], camera: Camera, *, left_alone: bool
     ) -> None:
         self._left_alone = left_alone
         self._calibrated = camera if setup.calibration else None

@@ -99,10 +99,7 @@ def no_truth(log: Recording, references: Sequence[Reference], rules: TruthRules)
 
 
 def truth_rules(
-    pairs: tuple[str, ...],
-    profile: Profile,
-    references: tuple[Reference, ...] | None,
-    max_gap_ns: int = MAX_GAP_NS,
+    pairs: tuple[str, ...], profile: Profile, references: tuple[Reference, ...] | None, max_gap_ns: int = MAX_GAP_NS
 ) -> TruthRules:
     """Make rules from `parent:child` texts: the tissue is the child of that name in the profile, or the second one."""
     if len(pairs) > 2:
