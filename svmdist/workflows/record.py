@@ -88,8 +88,7 @@ def record(
         with writer:
             plan = make_plan(recipe.scenario, recipe.profile, recipe.options)
             image = plan.topics["image"]
-            made = encoded_samples(plan, jobs or parallel.usable_cores(), recipe.jpeg_quality)
-            with closing(made) as samples:
+            with closing(encoded_samples(plan, jobs or parallel.usable_cores(), recipe.jpeg_quality)) as samples:
                 for topic, sample in samples:
                     writer.write(topic, sample)
                     if topic == image:
@@ -141,25 +140,19 @@ def _tasks(plan: Plan) -> Iterator[Task]:
             sensors.draw_noise()
 
 
-_recorded: tuple[Plan, int | None] | None = None  # in a worker: what it records, and the quality of JPEG
+_recorded: tuple[Callable[[], Simulator], int | None]  # in a worker: physics worlds for all its tasks, quality of JPEG
 
 
 def _begin(plan: Plan, jpeg_quality: int | None) -> None:
     global _recorded  # noqa: PLW0603  (a worker has nothing else that outlives a task)
-    _recorded = plan, jpeg_quality
-
-
-@cache
-def _worlds() -> Simulator:
-    """The physics worlds of this worker, for all its tasks."""
-    assert _recorded is not None  # the worker has begun
-    return Simulator(_recorded[0])
+    _recorded = cache(partial(Simulator, plan)), jpeg_quality
 
 
 def _work(task: Task) -> list[tuple[str, EncodedSample]]:
-    simulator = _worlds()
+    worlds, jpeg_quality = _recorded
+    simulator = worlds()  # made by the first task: what it raises is raised by that
     blocks, simulator.sensors.generators = task
-    return list(_encoded(simulator, blocks, _recorded[1] if _recorded else None))
+    return list(_encoded(simulator, blocks, jpeg_quality))
 
 
 SEED, NUMBER = "{seed}", "{episode}"
@@ -216,9 +209,8 @@ def record_episodes(
     workers = min(jobs, len(paths))
     work = partial(record_episode, episodes, jobs if workers == 1 else 1)
     died = Recorded(Path(), failure=str(parallel.WorkerDiedError()))
-    each = parallel.each_in_processes(work, list(enumerate(paths)), workers, died=died)
     try:
-        with closing(each) as recorded:
+        with closing(parallel.each_in_processes(work, list(enumerate(paths)), workers, died=died)) as recorded:
             for number, episode in recorded:
                 found[number] = replace(episode, path=paths[number])
                 on_progress(len(found), len(paths))
@@ -257,7 +249,6 @@ def _there(recipe: Recipe, path: Path) -> Recorded:
     expected, found = recipe.metadata(), recording.metadata
     other = sorted(key for key in expected.keys() | found.keys() if expected.get(key) != found.get(key))
     if other:
-        reason = f"{path}: is another recording: {', '.join(other)} differ; --force replaces it"
-        return Recorded(path, failure=reason)
+        return Recorded(path, failure=f"{path}: is another recording: {', '.join(other)} differ; --force replaces it")
     message_count = sum(info.message_count or 0 for info in recording.topics())
     return Recorded(path, recording.image_count() or 0, message_count, recording.size_bytes(), was_there=True)
