@@ -36,8 +36,6 @@ class Info(LogOptions, options.ReadOptions, options.OutputOptions):
         svmdist info log.mcap -f json
     """
 
-    form: str | None = options.format_option(Holds.TABLES)
-
     def _run(self) -> ExitCode:
         from svmdist.report.info import info_results, logs_results
         from svmdist.workflows.request import Request, Setup
@@ -47,8 +45,7 @@ class Info(LogOptions, options.ReadOptions, options.OutputOptions):
         run = Run(self, inspect_log, request, dict[str, Any], "inspecting", options=(writer.name != "csv",))
         run.finish()
         found = [(log.name, document) for log, _, document in run.measured]
-        results = info_results(found[0][1]) if self.is_one else logs_results(found)
-        output.write_results(results, writer, self.output)
+        output.write_results(info_results(found[0][1]) if self.is_one else logs_results(found), writer, self.output)
         return run.exit_code()
 
 
@@ -94,8 +91,6 @@ class Check(LogOptions, options.ReadOptions, options.OutputOptions):
       In a script:
         svmdist check log.mcap -f json -o check.json
     """
-
-    form: str | None = options.format_option(Holds.TABLES)
 
     def _run(self) -> ExitCode:
         from svmdist.report.info import check_results
@@ -157,9 +152,8 @@ class New(OneLogOptions, options.TopicOption):
         output.require_toml(self.output, [self.log.path], force=self.force)
         if self.instrument is not None:
             instrument_sizes(self.instrument)
-        name = self.name or self.log.name
         with output.progress_bar(f"looking at {self.log.name}"):
-            draft = draft_profile(self.log.path, name, self.topics, self.instrument)
+            draft = draft_profile(self.log.path, self.name or self.log.name, self.topics, self.instrument)
             text = profile_text(draft)
             profile = Profile.model_validate(tomllib.loads(text))
             found = check_log(open_recording(self.log.path, profile))

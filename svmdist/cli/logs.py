@@ -78,14 +78,6 @@ class OneLogOptions(Options):
         return logs[0]
 
 
-class GoldenLogOptions(LogOptions):
-    """The same, with logs that are measured where none is named."""
-
-    files: list[str] | None = argument(  # type: ignore[assignment]
-        None, "FILE", "Logs, folders, globs or URLs. Default: every .mcap in recordings/."
-    )
-
-
 class GroupOption(Options):
     """How logs are grouped."""
 
@@ -146,14 +138,7 @@ class Run(Generic[Result]):
             self.outcomes = [(given.logs[0], outcome)]
             return
         with progress_bar(self.title, "logs") as advance:
-            found = measure_logs(
-                self._job,
-                given.logs,
-                jobs=given.jobs,
-                scheduler=given.scheduler,
-                folder=given.resume,
-                on_progress=advance,
-            )
+            found = measure_logs(self._job, given.logs, given.jobs, given.scheduler, given.resume, advance)
         self.outcomes = list(zip(given.logs, found, strict=True))
         log_notes(found)
         if not self.measured:
@@ -237,8 +222,7 @@ class Run(Generic[Result]):
         usable = [one for one in ranked(self._figures) if one.failure is None and one.frame_count]
         names = {one.recording for one in usable[:MAX_REPORTED]}
         if len(usable) > MAX_REPORTED:
-            shown = f"{MAX_REPORTED} of {len(usable)} logs"
-            LOG.info("note: the report and the plot show %s frame by frame", shown)
+            LOG.info("note: the report and the plot show %d of %d logs frame by frame", MAX_REPORTED, len(usable))
         with collected_notes():
             for log in self.given.logs:
                 if log.name in names:
@@ -318,11 +302,11 @@ def _paths_of(text: str) -> Sequence[LogPath]:
 
 def _urls_of(url: str) -> list[RemoteFile]:
     """The logs of a URL: of a folder or a glob all those in it, by name; a file stands for itself."""
-    is_glob = GLOB.search(RemoteFile(url).parts[2]) is not None
-    with reading(RemoteFile(url), RecordingError):
-        found = listed_urls(url, LOG_ENDINGS, is_glob=is_glob)
+    asked = RemoteFile(url)
+    with reading(asked, RecordingError):
+        found = listed_urls(url, LOG_ENDINGS, is_glob=GLOB.search(asked.parts[2]) is not None)
     if not found:
-        raise UsageError(f"{RemoteFile(url)}: no log matches")
+        raise UsageError(f"{asked}: no log matches")
     return found
 
 

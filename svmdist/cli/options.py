@@ -146,7 +146,7 @@ def format_option(holds: Holds, default: str = ". Default: by the ending of the 
 
 
 class OutputOptions(Options):
-    """Where data goes, and in which format; a command declares the formats of its own."""
+    """Where data goes, and in which format; a command of anything but tables declares the formats of its own."""
 
     form: str | None = format_option(Holds.TABLES)
     output: Path | None = option(

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from svmdist.cli import options, output
 from svmdist.cli.estimate import PictureOptions, corrected, log_ending
-from svmdist.cli.logs import GoldenLogOptions, GroupOption, Run, group_name
-from svmdist.cli.options import PLOT, format_option, option
+from svmdist.cli.logs import GroupOption, LogOptions, Run, group_name
+from svmdist.cli.options import PLOT, argument, format_option, option
 from svmdist.cli.output import LOG, ExitCode
 from svmdist.errors import UsageError, did_you_mean
 from svmdist.report.writers import Holds
@@ -30,9 +30,12 @@ PlotKind = Literal["fig6", "time", "residuals", "bland-altman", "calibration"]
 MethodChoice = StrEnum("MethodChoice", "overlay centroid fiducial shaft stereo kinematic fused")
 
 
-class ScoreOptions(GoldenLogOptions, options.CalibrationOption, options.WindowOptions, options.OutputOptions):
-    """What scores are made of, and where they go."""
+class ScoreOptions(LogOptions, options.CalibrationOption, options.WindowOptions, options.OutputOptions):
+    """What scores are made of, and where they go; without FILE, logs of recordings/ are scored."""
 
+    files: list[str] | None = argument(  # type: ignore[assignment]
+        None, "FILE", "Logs, folders, globs or URLs. Default: every .mcap in recordings/."
+    )
     form: str | None = format_option(Holds.FIGURES)
 
 

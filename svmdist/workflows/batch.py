@@ -160,7 +160,6 @@ def log_notes(outcomes: Sequence[Outcome[Any]]) -> None:
 def measure_logs(
     job: Job[Result],
     logs: Sequence[LogFile],
-    *,
     jobs: int | None = None,
     scheduler: str | None = None,
     folder: Path | None = None,
