@@ -50,8 +50,7 @@ class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
         from svmdist.workflows.request import Request, Setup
 
         output.require_toml(self.output, self.paths, force=self.force)
-        setup = Setup(load_profile(self.profile, self.hand_eye), self.method)
-        request = Request(setup, self.topics, self.window)
+        request = Request(Setup(load_profile(self.profile, self.hand_eye), self.method), self.topics, self.window)
         run = Run(self, collect_part, request, CalibrationPart, "measuring", "images")
         calibration = fit_parts(run.finish(), self.method)
         save_calibration(calibration, self.output)

@@ -96,15 +96,9 @@ class Record(options.Options):
         (perturbations,) = options.parse_perturbations(together) or (UNPERTURBED,)
         scenario = Scenario(self.scenario, self.seed, self.duration, self.images_per_second)
         profile, world = load_profile(self.profile), World(self.world)
+        spoilt, drawn = options.parse_degradations(self.degrade), draw_world(world, self.seed, perturbations)
         effects = scene.Options(
-            self.stereo,
-            self.tag,
-            self.kinematic_error,
-            options.parse_degradations(self.degrade),
-            self.arms,
-            draw_world(world, self.seed, perturbations),
-            world,
-            self.noise,
+            self.stereo, self.tag, self.kinematic_error, spoilt, self.arms, drawn, world, self.noise
         )
         recipe = Recipe(scenario, profile, effects, self.jpeg)
         if self.episodes is not None:

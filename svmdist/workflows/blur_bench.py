@@ -85,8 +85,7 @@ def pooled_tallies(parts: Sequence[Sequence[BlurTally]]) -> list[BlurTally]:
     pooled = []
     for of_blur in zip(*parts, strict=True):
         figures = pooled_figures([one.figures for one in of_blur])
-        counts = [frame for one in of_blur for frame in one.counts]
-        pooled.append(replace(of_blur[0], figures=figures, counts=counts))
+        pooled.append(replace(of_blur[0], figures=figures, counts=[frame for one in of_blur for frame in one.counts]))
     return pooled
 
 

@@ -54,8 +54,7 @@ def collect_part(recording: Recording, request: Request, jobs: int | None = None
     if camera.has_distortion and len(tool_px):
         # Planar methods measure as if the lens were ideal; results have pixels of the recorded image.
         tool_px = camera.pinhole.project(camera.rays(tool_px))
-    truth = recording.transform_track(frames.camera, frames.tool, ground_truth=True)
-    tool = truth.at(stamps_ns)
+    tool = recording.transform_track(frames.camera, frames.tool, ground_truth=True).at(stamps_ns)
     source = plane_mapping.SourceFile(name=recording.path.name, sha256=recording.sha256())
     return CalibrationPart(recording.name, source, camera, tool_px[tool.valid], tool.values[tool.valid, :2, 3])
 

@@ -159,8 +159,7 @@ def look_for_tag(recording: Recording) -> str:
     if fiducial is None:
         return ""
     looked = found = 0
-    stride = (recording.image_count() or 0) // TAG_IMAGES
-    for observation in observations_of(recording, stride, left_alone=True):
+    for observation in observations_of(recording, (recording.image_count() or 0) // TAG_IMAGES, left_alone=True):
         tags = find_tags(to_grey(observation.image_bgr), fiducial.family, settings)
         looked += 1
         found += fiducial.id in tags

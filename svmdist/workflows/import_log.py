@@ -128,8 +128,7 @@ def import_log(
     if options.rate_hz is not None and (missing := missing_numbers(views[0].names)):
         said.append(f"{missing}: by --rate these follow each other as all images do; --times FILE says otherwise")
     if T_left_right is not None:
-        few = islice(_pairs(views, cameras, T_left_right, options), LOOKED_AT)
-        compared = compare_views(few, load_profile())
+        compared = compare_views(islice(_pairs(views, cameras, T_left_right, options), LOOKED_AT), load_profile())
         if compared.refusal:
             raise SourceError(f"no log is written: {compared.refusal}")
         said.append(compared.warning)

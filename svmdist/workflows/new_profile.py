@@ -114,8 +114,7 @@ def draft_profile(path: LogPath, name: str, topics: Mapping[str, str], instrumen
     if not has_base and len(instruments) != 1:  # nothing else tells them apart
         seen = _instruments_by_entries(images)
         if len(seen) == len(instruments):
-            pairs = zip(instruments, seen, strict=True)
-            instruments = tuple(replace(one, entry=other.entry) for one, other in pairs)
+            instruments = tuple(replace(one, entry=other.entry) for one, other in zip(instruments, seen, strict=True))
         instruments = instruments or seen
     return ProfileDraft(
         name,
@@ -167,8 +166,7 @@ def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
     right = given.get("right_image") or _right_of(image, images)
     others = [topic for topic in cameras if topic != camera]
     if right and (others or "right_camera_info" in given):
-        right_camera = given.get("right_camera_info") or _nearest(right, others)
-        topics |= {"right_image": right, "right_camera_info": right_camera}
+        topics |= {"right_image": right, "right_camera_info": given.get("right_camera_info") or _nearest(right, others)}
     moving = [topic for topic in carrying("transforms", "ground_truth") if not topic.endswith("tf_static")]
     truths = [topic for topic in carrying("transforms") if "ground_truth" in topic.lower()]
     for role, found in {"tf": moving, "ground_truth_tf": truths}.items():

@@ -72,8 +72,7 @@ def replay(
     Without `rest`, what no method uses is not read. Rows are judged by the rules of `alarms`. The recording's
     `on_progress` is called for each image.
     """
-    replaying = _Replay(recording, setups, conditions)
-    return replaying.run(usable_cores() if jobs is None else jobs, rest, alarms)
+    return _Replay(recording, setups, conditions).run(usable_cores() if jobs is None else jobs, rest, alarms)
 
 
 class MultiInstrumentEstimator:
@@ -253,8 +252,7 @@ class _Replay:
         self._looked.clear()
 
     def _arms_with(self, setup: Setup) -> list[Arm]:
-        profile = setup.profile
-        return [Arm(profile.for_instrument(arm.profile.instrument_name), arm.has_plate) for arm in self._arms]
+        return [Arm(setup.profile.for_instrument(arm.profile.instrument_name), arm.has_plate) for arm in self._arms]
 
     def _lane(self, setup: Setup, known: Mapping[str, Checks]) -> MultiInstrumentEstimator:
         """A method on the wanted instruments; one that measures the tissue itself takes the profile as it is.

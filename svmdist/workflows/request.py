@@ -123,8 +123,7 @@ class OwnEstimator:
         """Measure one frame; raises TypeError for what is no result."""
         result = self._method.estimate(frame)
         if not isinstance(result, FrameResult):
-            found = type(result).__name__
-            raise TypeError(f"{self.name}.estimate(frame): expected a FrameResult, found {found}")
+            raise TypeError(f"{self.name}.estimate(frame): expected a FrameResult, found {type(result).__name__}")
         d = result.distances
         numbers = [one.value_m for one in (d.planar, d.spatial, d.clearance, d.to_instrument) if one is not None]
         numbers += [] if result.tool is None else result.tool.pose.position_m.tolist()
@@ -285,8 +284,7 @@ def prepare(
             )
         # A profile in hand names no folder: its calibration is a shipped one, or is given.
         named = loaded.name if isinstance(profile, Profile) else profile
-        path = calibration or profile_path(named).parent / str(loaded.calibration)
-        found = plane_mapping.load_calibration(path)
+        found = plane_mapping.load_calibration(calibration or profile_path(named).parent / str(loaded.calibration))
         setup = replace(setup, calibration=found, mapping=found.mapping)
     # A network or a mesh that cannot be used is told before a recording is opened.
     _ = setup.segmenter

@@ -79,11 +79,10 @@ def tissue_surface(recording: Recording, number: int) -> TissueSurface:
         few = "too little of the tissue is found in both views (svmdist show --masks)"
         raise RecordingError(f"{where}: {misfit(inspect_recording(recording, HEAD_S)) or few}")
     is_seen = surface.is_seen
-    std_m = surface.deviations_m(seen.camera, right, Deviations.of(profile))[is_seen]
     return TissueSurface(
         surface.points_m,
         surface.normals[is_seen],
-        std_m,
+        surface.deviations_m(seen.camera, right, Deviations.of(profile))[is_seen],
         np.ascontiguousarray(surface.colours(seen.image_bgr, seen.camera)[:, ::-1]),
         surface.share,
         number,

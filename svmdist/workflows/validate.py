@@ -130,8 +130,7 @@ def score_recording(
     every, by = _measured(read, request, [one for one in wanted if one in BY_POSES], jobs)
     asked_for = rules.references or (Reference.TF,) * bool(rules.tool_frames)
     scores, missing, lacking = [], [], []
-    names = dict.fromkeys(row.instrument for row in every)
-    for name in names:
+    for name in dict.fromkeys(row.instrument for row in every):
         view = recording.for_instrument(name)
         rows = [row for row in every if row.instrument == name]
         label = recording.name if name == setup.profile.instrument_name else f"{recording.name} {name}"
@@ -141,9 +140,8 @@ def score_recording(
         if not offset.told:
             notes.append(f"{label}: the lag cannot be told and 0 is used: {offset.reason}")
         for reference in wanted:
-            given = by.get((reference, name))
             try:
-                score = score_rows(rows, view, request, reference, offset, given)
+                score = score_rows(rows, view, request, reference, offset, by.get((reference, name)))
             except (RecordingError, KinematicsError) as problem:
                 missing.append(f"{label}: no {reference} to compare with: {problem}")
                 if reference in asked_for:

@@ -55,8 +55,7 @@ class Given:
         """What it takes of a log: the tissue where it has no distances."""
         if not self.sees_tissue:
             return Needs(robot=False)
-        found = ("tissue", "stereo_surface") if self.on_surface else ("tissue",)
-        return Needs(found, right_view=self.on_surface)
+        return Needs(("tissue", "stereo_surface") if self.on_surface else ("tissue",), right_view=self.on_surface)
 
     def for_log(self, log: Recording) -> Given:
         """The estimates at the images of a log, each at the nearest one; RecordingError where none is near any."""
@@ -71,8 +70,7 @@ class Given:
         images_ns = np.unique(np.array([image.stamp_ns for image in images], np.int64))
         views = {name: log.for_instrument(name) for name in log.instruments if len(images_ns)}
         if self.table is not None and views:
-            selected = self._selected(views).items()
-            return {name: self._near(of, views[name], images_ns) for name, of in selected}
+            return {name: self._near(of, views[name], images_ns) for name, of in self._selected(views).items()}
         if self.topic and views:  # of the instrument whose poses these are, else of the first one
             owners = [name for name, view in views.items() if view.topic_of("pose") == self.topic]
             views = {name: views[name] for name in (owners or log.instruments)[:1]}
@@ -83,8 +81,7 @@ class Given:
         if self.rules is not None:
             at = tool_track(view, Reference.PLANE, self.rules)
         else:
-            origin = view.origin._replace(topics=view.origin.topics | {"pose": self.topic})
-            track = origin.open().pose_track()
+            track = view.origin._replace(topics=view.origin.topics | {"pose": self.topic}).open().pose_track()
             require_common_time(Path(self.name), track.stamps_ns, images_ns.tolist())
             images_ns = images_ns[_nearest(images_ns, track.stamps_ns)[0]]
             at = in_camera(view, track.parent, track.at)
@@ -177,8 +174,7 @@ def given_estimates(text: str) -> Given:
         topic = source.removeprefix(TOPIC)
         return Given(name or topic, topic=topic)
     path = Path(source)
-    table = read_estimates(path)
-    return Given(name or path.stem, table, digest=hashlib.sha256(path.read_bytes()).hexdigest())
+    return Given(name or path.stem, read_estimates(path), digest=hashlib.sha256(path.read_bytes()).hexdigest())
 
 
 def require_distinct(names: Sequence[str]) -> None:

@@ -82,13 +82,12 @@ ANY_TRUTH = TruthRules()
 
 def no_truth(log: Recording, references: Sequence[Reference], rules: TruthRules) -> str:
     """Why a log has none of some references, by its topics alone; empty where it may have one."""
-    of_poses = Kind.TRANSFORMS if rules.tool_frames else Kind.POSE
     made_of = {
         Reference.GROUND_TRUTH: Kind.DISTANCE,
         Reference.TF: Kind.TRANSFORMS,
         Reference.POSE: Kind.POSE,
         Reference.KINEMATICS: Kind.JOINTS,
-        **dict.fromkeys(BY_POSES, of_poses),
+        **dict.fromkeys(BY_POSES, Kind.TRANSFORMS if rules.tool_frames else Kind.POSE),
     }
     topics = log.topics()
     if {made_of[one] for one in references} & {kind_of(one) for one in topics}:
