@@ -67,7 +67,7 @@ def of_part(metrics: Iterable[Metric], name: str) -> list[Metric]:
             return f"{name}.{of}"
         return lambda whole: None if (part := getattr(whole, name)) is None else of(part)
 
-    return [replace(metric, of=of_whole(metric.of)) for metric in metrics]
+    return [replace(metric, of=of_whole(metric.of or metric.key)) for metric in metrics]
 
 
 def of_distance(metrics: Iterable[Metric], distance: str) -> list[Metric]:
@@ -101,15 +101,11 @@ P95_TOLERANCE = Tolerance(absolute=5e-5, relative=0.05)
 ALARM_TOLERANCE = Tolerance(absolute=0.005)
 
 # fmt: off
-FRAME_COUNT = Metric("frame_count", COUNT, "", "frame_count", outputs=SCORES | FIGURES)
-COVERAGE = Metric("coverage", SHARE, "cov. %", "coverage", outputs=SCORE_TABLE | REPLAY | PAIRS,
-                  tolerance=Tolerance(absolute=0.0), higher_is_better=True)
+FRAME_COUNT = Metric("frame_count", outputs=SCORES | FIGURES)
+COVERAGE = Metric("coverage", SHARE, "cov. %", outputs=SCORE_TABLE | REPLAY | PAIRS, tolerance=Tolerance(),
+                  higher_is_better=True)
 
-COUNTS = (
-    Metric("sample_count", COUNT, "n", "sample_count", outputs=SCORE_TABLE),
-    Metric("rejected_count", COUNT, "", "rejected_count"),
-    COVERAGE,
-)
+COUNTS = (Metric("sample_count", COUNT, "n", outputs=SCORE_TABLE), Metric("rejected_count"), COVERAGE)
 """How many frames `validate` scored."""
 
 ERRORS = (
@@ -158,12 +154,12 @@ TOOL = (
 
 FRAMES_AND_BOUNDS = (
     FRAME_COUNT,
-    Metric("unpaired_count", COUNT, "", "unpaired_count"),
+    Metric("unpaired_count"),
     Metric("rmse_low_m", LENGTH, "", "intervals.rmse.low"),
     Metric("rmse_high_m", LENGTH, "", "intervals.rmse.high"),
     Metric("r_squared_low", RATIO, "", "intervals.r_squared.low"),
     Metric("r_squared_high", RATIO, "", "intervals.r_squared.high"),
-    Metric("fitted_on", COUNT, "", "fitted_on"),
+    Metric("fitted_on"),
     Metric("rejected", TEXT, "", lambda s: " ".join(f"{reason}={count}" for reason, count in s.rejected.items())),
     Metric("lag_s", SECONDS, "", "lag.lag_s"),
     Metric("lag_confidence", RATIO, "", "lag.confidence"),
@@ -198,9 +194,9 @@ recall of 1."""
 
 REPLAYS = (
     FRAME_COUNT,
-    Metric("measured_count", COUNT, "", "measured_count", outputs=FIGURES),
+    Metric("measured_count", outputs=FIGURES),
     COVERAGE,
-    Metric("ms_per_frame", Unit("ms", digits=0), "ms", "ms_per_frame", outputs=REPLAY),
+    Metric("ms_per_frame", Unit("ms", digits=0), "ms", outputs=REPLAY),
 )
 """What `compare` and the degradation grid tell beside the distances."""
 # fmt: on
