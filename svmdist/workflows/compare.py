@@ -100,18 +100,13 @@ def measure_runs(
     if jobs == 1 or parallel.is_worker():
         parts = [(range(len(conditions)), range(len(setups)))]
     work = _Work(replace(recording, wanted=names), conditions, setups, max(1, jobs // len(parts)))
-    if len(parts) == 1:
-        ended = [work.measure(parts[0])]
-    else:
-        steps, images = count(1), recording.image_count()
-        total = images and images * sum(len(work.passes(part)) for part in parts)
-        each = parallel.each_in_processes(
-            work.measure, parts, jobs, on_step=lambda: recording.on_progress(next(steps), total)
-        )
-        ended = [made for _, made in each]
-        # Methods that need both views lose what others lose, and right images: their list has all in file order.
-        for _, health in sorted(ended, key=lambda one: -len(one[1].losses)):
-            recording.health.join(health)
+    steps, images = count(1), recording.image_count()
+    total = images and images * sum(len(work.passes(part)) for part in parts)
+    workers, on_step = min(jobs, len(parts)), lambda: recording.on_progress(next(steps), total)
+    ended = [made for _, made in parallel.each_in_processes(work.measure, parts, workers, on_step=on_step)]
+    # Methods that need both views lose what others lose, and right images: their list has all in file order.
+    for _, health in sorted(ended, key=lambda one: -len(one[1].losses)):
+        recording.health.join(health)
     found = {place: rows for of_part, _ in ended for place, rows in of_part.items()}
     methods, scores = [setup.method for setup in setups], []
     for (at, of, name), (rows, truth, seconds) in sorted(found.items(), key=lambda one: one[0][:2]):
