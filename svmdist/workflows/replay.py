@@ -25,6 +25,7 @@ from svmdist.estimation.association import Association
 from svmdist.estimation.comparison import Checks
 from svmdist.estimation.distances import with_clearance_between
 from svmdist.estimation.frame import Frame, Needs, prefetch
+from svmdist.estimation.methods import make_estimator
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile.robot import Tissue
 from svmdist.recording.log import Recording
@@ -37,7 +38,7 @@ from svmdist.vision.frame_context import seen_through
 from svmdist.vision.stereo import LEVEL, RowAlignment
 from svmdist.workflows import check
 from svmdist.workflows.parallel import in_order, one_opencv_thread, usable_cores
-from svmdist.workflows.request import CLEAN, Condition, Setup
+from svmdist.workflows.request import CLEAN, Condition, OwnEstimator, Setup
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,8 @@ class MultiInstrumentEstimator:
     ) -> None:
         self._left_alone = left_alone
         self._calibrated = camera if setup.calibration else None
-        self._estimators = [setup.estimator_for(arm) for arm in arms]
+        own, mapping = setup.own, setup.mapping
+        self._estimators = [OwnEstimator(own) if own else make_estimator(setup.method, arm, mapping) for arm in arms]
         self._arms = tuple(arms)
         self._is_given = setup.is_given
         self.looks_for_tool = not setup.is_given and setup.method != "kinematic"
@@ -185,9 +187,8 @@ class _Replay:
         self._checks: list[dict[str, Checks]] = [{} for _ in conditions]
         if not all(setup.is_planar or setup.is_given for setup in setups):
             self._compare(any(setup.needs_right_view for setup in setups))
-        self._associations: list[Association | None] = [None] * len(conditions)
-        if check.needs_association(self._arms) and not all(setup.is_given for setup in setups):
-            self._associations = [Association(self._arms) for _ in conditions]
+        several = check.needs_association(self._arms) and not all(setup.is_given for setup in setups)
+        self._associations = [Association(self._arms) if several else None for _ in conditions]
         self._lanes = [[self._lane(setup, known) for setup in setups] for known in self._checks]
         self._needs = reduce(Needs.__or__, (lane.needs for lane in self._lanes[0]))
 
@@ -269,14 +270,12 @@ class _Replay:
         several = len(self._arms) > 1  # what tells them apart starts from nominal kinematics
         robot, right = self._needs.robot or several, self._needs.right_view
         encoded = self._recording.encoded_observations(robot=robot, right=right, rest=rest, stale=True)
-        lanes = [lane for of_condition in self._lanes for lane in of_condition]
-        watches = [[AlarmWatch(alarms) for _ in self._places] for _ in lanes] if alarms else []
+        watches = [[AlarmWatch(alarms) for _ in self._places] for lanes in self._lanes for _ in lanes if alarms]
         with one_opencv_thread():
             count, total = 0, self._recording.image_count()
-            for decoded, conditions in in_order(self._prepare, encoded, jobs):
+            for count, (decoded, conditions) in enumerate(in_order(self._prepare, encoded, jobs), 1):
                 self._recording.record_losses(decoded)
                 done = [replayed for unfinished in conditions for replayed in unfinished()]
-                count += 1
                 self._recording.on_progress(count, total)
                 yield tuple(map(_judged, done, watches) if alarms else done)
         if not count:
@@ -292,8 +291,8 @@ class _Replay:
         return decoded, [self._look(at, encoded, found) for at in range(len(self._conditions))]
 
     def _refused(self, encoded: EncodedObservation, why: Rejection) -> Replayed:
-        row = FrameResult(why.stamp_ns, why.status, detail=why.detail)
-        row = replace(row, number=encoded.number, seconds=encoded.at_ns * 1e-9)
+        number, seconds = encoded.number, encoded.at_ns * 1e-9
+        row = FrameResult(why.stamp_ns, why.status, detail=why.detail, number=number, seconds=seconds)
         lost = tuple(replace(row, instrument=name) for name in self._recording.measured)
         return Replayed(lost, (0.0,) * len(lost))
 
@@ -325,8 +324,7 @@ class _Replay:
             chosen = [every[at] for at in self._places]
             done = []
             for lane, known in zip(lanes, measured, strict=True):
-                replayed = stale if lane.looks_for_tool else None
-                replayed = replayed or known or lane.estimate(chosen, spent_s)
+                replayed = (stale if lane.looks_for_tool else None) or known or lane.estimate(chosen, spent_s)
                 results = tuple(replace(one, number=number, seconds=seconds) for one in replayed.results)
                 done.append(replace(replayed, results=results, image_bgr=found[0].image_bgr))
             return done

@@ -19,8 +19,7 @@ from svmdist.errors import CalibrationError, UsageError, did_you_mean
 from svmdist.estimation import plane_mapping
 from svmdist.estimation.alarms import AlarmRules
 from svmdist.estimation.frame import Frame, Needs
-from svmdist.estimation.methods import METHODS, PLANAR_METHODS, Estimator, make_estimator
-from svmdist.estimation.scene import Arm
+from svmdist.estimation.methods import METHODS, PLANAR_METHODS
 from svmdist.estimation.tissue.detection import require_tissue
 from svmdist.perturbations import UNPERTURBED, Perturbations, require_at_replay
 from svmdist.perturbations.calibration import perturbed_image, perturbed_right_view, stated_profile
@@ -176,10 +175,6 @@ class Setup:
         """Raise CalibrationError for a recording of another camera than the calibration's."""
         if self.calibration is not None:
             self.calibration.require_camera(recording.logged_camera, recording.name)
-
-    def estimator_for(self, arm: Arm) -> Estimator | OwnEstimator:
-        """Make the estimator of one instrument."""
-        return OwnEstimator(self.own) if self.own else make_estimator(self.method, arm, self.mapping)
 
     def for_log(self, recording: Recording) -> Setup:
         """The same with an own method as it is for a log; raises what that raises."""
