@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from svmdist.cli import options
 from svmdist.cli.options import argument, option
-from svmdist.cli.output import LOG, ExitCode, next_command, progress_bar, require_mcap, with_name
+from svmdist.cli.output import LOG, ExitCode, next_command, progress_bar, require_ending, require_output, with_name
 from svmdist.errors import UsageError
 from svmdist.files import files_of
 
@@ -91,7 +91,8 @@ class Record(options.Options):
             raise UsageError("--skip-existing goes with --episodes, and without --force")
         path = self.output or Path("" if self.episodes else f"{self.scenario}-{self.seed}.mcap")
         if self.episodes is None:
-            require_mcap(path)
+            require_ending(path, ".mcap")
+            require_output(path)
         together = [",".join(self.perturb)] if self.perturb else None
         (perturbations,) = options.parse_perturbations(together) or (UNPERTURBED,)
         scenario = Scenario(self.scenario, self.seed, self.duration, self.images_per_second)
@@ -115,9 +116,8 @@ def _record_episodes(episodes: Episodes, output: Path, count: int, jobs: int | N
     from svmdist.workflows.record import episode_paths, record_episodes
 
     scenario = episodes.recipe.scenario
-    paths = episode_paths(output, scenario.name, scenario.seed, count)
     with progress_bar(f"{scenario.name}, {count} seeds", "recordings") as advance:
-        found = record_episodes(episodes, paths, jobs, advance)
+        found = record_episodes(episodes, episode_paths(output, scenario.name, scenario.seed, count), jobs, advance)
     made = [one for one in found if not one.failure]
     were_there = sum(one.was_there for one in made)
     LOG.info(
@@ -181,7 +181,8 @@ class Import(options.Options):
         from svmdist.workflows.import_log import ImportOptions, import_log
 
         path = self.output or Path(f"{self.source.resolve().stem}.mcap")
-        require_mcap(path)
+        require_ending(path, ".mcap")
+        require_output(path)
         if self.right_camera is not None and self.camera is None:
             raise UsageError("--right-camera goes with --camera")
         if self.joint_names is not None and not self.joints:

@@ -220,18 +220,12 @@ def require_toml(output: Path | None, inputs: Iterable[LogPath], *, force: bool)
     require_output(output, inputs)
     if output is None:
         return
-    _require_ending(output, ".toml")
+    require_ending(output, ".toml")
     if output.exists() and not force:
         raise UsageError(f"{output}: exists already; give another name, or --force to replace it")
 
 
-def require_mcap(output: Path) -> None:
-    """The same of a log; raises UsageError also for another format's ending."""
-    _require_ending(output, ".mcap")
-    require_output(output)
-
-
-def _require_ending(output: Path, ending: str) -> None:
+def require_ending(output: Path, ending: str) -> None:
     """Raise UsageError for the ending of another format than the one that is written."""
     others = [writer for writer in WRITERS[1:] if ending not in writer.endings]
     if any(output.suffix.lower() in writer.endings for writer in others):
