@@ -314,8 +314,7 @@ class MeasureOptions(MethodOptions, InstrumentOption, LagOption, AlarmOptions, W
         """What measures these logs; raises ProfileError, CalibrationError or UsageError."""
         from svmdist.workflows.request import prepare
 
-        method = self.chosen_method(paths)
-        return prepare(self.profile, method, self.equations, self.calibration, self.hand_eye)
+        return prepare(self.profile, self.chosen_method(paths), self.equations, self.calibration, self.hand_eye)
 
     def request(self, paths: Sequence[LogPath]) -> Request:
         """What is asked of each log, checked before the work; raises UsageError, ProfileError or CalibrationError."""

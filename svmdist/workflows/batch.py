@@ -217,7 +217,6 @@ class _Store:
         return self._folder / f"{stem}-{key[:24]}.json"
 
     def save(self, log: LogFile, outcome: Outcome[Any]) -> None:
-        """Keep an outcome; raises OutputError."""
         stored = self._outcomes.dump_python(outcome, mode="json")
         document = {"request": self._request, "log": _identity(log.path), "outcome": stored}
         write_atomically(self._place(log), [json.dumps(document) + "\n"])
@@ -272,8 +271,7 @@ def measured_on_cluster(
     try:
         # Packed, so that the scheduler need not know what is measured.
         packed = [pickle.dumps((measure, log)) for log in logs]
-        options = {"expected": version("svmdist"), "pure": False, "retries": RETRIES}
-        futures = client.map(measure_on_worker, packed, **options)
+        futures = client.map(measure_on_worker, packed, expected=version("svmdist"), pure=False, retries=RETRIES)
         places = {future.key: place for place, future in enumerate(futures)}
         for future in distributed.as_completed(futures, loop=client.loop):
             try:

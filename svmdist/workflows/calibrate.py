@@ -109,7 +109,6 @@ def hand_eye(
     profile = setup.profile.for_instrument(instrument)
     own = recording.for_instrument(instrument)
     against = against or _default_reference(own, profile)
-    twice = against == "kinematics" and setup.method != "fiducial"
 
     def fit_to(log: Recording) -> HandEyeResult | Failure:
         rows = [replayed.results[0] for (replayed,) in replay(log, [setup], jobs=jobs)]
@@ -122,7 +121,7 @@ def hand_eye(
 
     without = replace(recording, bases=dict.fromkeys(recording.instruments), wanted=(instrument,))
     found = fit_to(without)
-    if isinstance(found, HandEyeResult) and twice:
+    if isinstance(found, HandEyeResult) and against == "kinematics" and setup.method != "fiducial":
         second = fit_to(replace(without, bases={**without.bases, instrument: found.fit.T_camera_base}))
         found = second if isinstance(second, HandEyeResult) else found
     return found

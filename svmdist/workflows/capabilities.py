@@ -160,9 +160,8 @@ def look_for_tag(recording: Recording) -> str:
         return ""
     looked = found = 0
     for observation in observations_of(recording, (recording.image_count() or 0) // TAG_IMAGES, left_alone=True):
-        tags = find_tags(to_grey(observation.image_bgr), fiducial.family, settings)
         looked += 1
-        found += fiducial.id in tags
+        found += fiducial.id in find_tags(to_grey(observation.image_bgr), fiducial.family, settings)
     tag = f"the tag {fiducial.family} {fiducial.id}"
     return f"{tag}: it is in none of {looked} images looked at" if looked and not found else ""
 

@@ -198,8 +198,7 @@ def process_pools() -> Iterator[Callable[..., ProcessPoolExecutor]]:
     others = set(multiprocessing.active_children())
 
     def make(workers: int, begin: Callable[[], object] = object) -> Any:
-        prepared = dict(os.environ), begin
-        pools.append(ProcessPoolExecutor(workers, context, _begin, prepared))
+        pools.append(ProcessPoolExecutor(workers, context, _begin, (dict(os.environ), begin)))
         return pools[-1]
 
     try:

@@ -112,8 +112,7 @@ def truth_rules(
     tissue = next((pair for pair in frames if pair[1] == profile.frames.tissue), None)
     if tissue is None and len(frames) == 2:
         tissue = frames[1]
-    tool = next((pair for pair in frames if pair is not tissue), None)
-    return TruthRules(references, tool, tissue, max_gap_ns)
+    return TruthRules(references, next((pair for pair in frames if pair is not tissue), None), tissue, max_gap_ns)
 
 
 @dataclass(frozen=True)

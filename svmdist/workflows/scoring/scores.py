@@ -20,8 +20,7 @@ from svmdist.tracks import LagEstimate, Mask
 from svmdist.transforms import Array, Stamps
 from svmdist.workflows.ending import Ending
 from svmdist.workflows.request import Request
-from svmdist.workflows.scoring import references
-from svmdist.workflows.scoring.references import Truth
+from svmdist.workflows.scoring.references import Reference, Truth, reference_lag_ns, truth_at
 
 BOOTSTRAP_SEED = 36
 SPHERE_95 = 2.7955
@@ -242,7 +241,7 @@ class Score(Figures):
     recording: str
     method: str
     equations: Equations
-    reference: references.Reference
+    reference: Reference
     rejected: Mapping[str, int]
     fitted_on: bool = False
     lag: LagEstimate | None = None
@@ -287,7 +286,7 @@ def score_rows(
     rows: Sequence[FrameResult],
     recording: Recording,
     request: Request,
-    reference: references.Reference,
+    reference: Reference,
     lag: LagEstimate | None = None,
     by: Readings | None = None,
 ) -> Score:
@@ -300,19 +299,17 @@ def score_rows(
     def truth_of(at_ns: Stamps) -> Truth:
         if by is not None:
             return by.truth
-        return references.truth_at(recording, reference, at_ns, setup.equations, request.rules)
+        return truth_at(recording, reference, at_ns, setup.equations, request.rules)
 
     setup, alarms, readings = request.setup, request.alarms, Readings(rows)
-    lag_ns = references.reference_lag_ns(recording, reference, lag)
+    lag_ns = reference_lag_ns(recording, reference, lag)
     stamps_ns = readings.stamps_ns - lag_ns
     truth = truth_of(stamps_ns)
     figures = figures_of(readings, truth, stamps_ns=stamps_ns)
     if figures.tool is None and not np.isfinite(truth.distances_m).any() and figures.measured_count:
         raise RecordingError("it has no tissue to measure to; --truth plane takes the profile's")
-    is_truth = reference is references.Reference.GROUND_TRUTH
-    unshifted = figures.planar
-    if lag_ns:
-        unshifted = readings.pairs("planar", truth_of(readings.stamps_ns))
+    is_truth = reference is Reference.GROUND_TRUTH
+    unshifted = readings.pairs("planar", truth_of(readings.stamps_ns)) if lag_ns else figures.planar
     return Score(
         **vars(figures),
         recording=recording.name,
