@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from svmdist.workflows.estimate import Keep
     from svmdist.workflows.frame_drawing import DrawnFrame
     from svmdist.workflows.request import Request
-    from svmdist.workflows.scoring.series import Series
     from svmdist.workflows.validate import Validation
 
 
@@ -54,9 +53,7 @@ class PictureOptions(OutputOptions):
         from svmdist.workflows.scoring.series import series_of
 
         measured, scored = run.kept(), result if kind == "fig6" else None
-        series: list[Series] = []
-        if self.report or not scored:
-            series = series_of(measured, request, result.reference if result else None)
+        series = series_of(measured, request, result.reference if result else None)
         if self.save_plot:
             from svmdist.report import plots
 
