@@ -114,8 +114,7 @@ def progress_bar(title: str, unit: str = "") -> Iterator[Advance]:
             yield advance
     finally:
         _Progress.is_wanted = True
-        # An interrupt while the bar is being set up would leave the terminal without a cursor.
-        console.show_cursor(True)
+        console.show_cursor(True)  # a bar that was interrupted while it was set up has hidden it
 
 
 @contextmanager
@@ -146,8 +145,7 @@ def write_lines(lines: Iterable[str], output: Path | None, *, is_json: bool = Fa
                 sys.stdout.write("".join(one if one.isascii() else json.dumps(one)[1:-1] for one in line))
             else:
                 sys.stdout.write(line)
-        except BrokenPipeError:
-            # The reader of the pipe has enough, as `head` does.
+        except BrokenPipeError:  # the reader of the pipe has enough, as `head` does
             abandon(sys.stdout)
             raise SystemExit(ExitCode.CLEAN) from None
         except OSError as problem:

@@ -37,8 +37,7 @@ from svmdist.workflows.request import LOG, Request
 Result = TypeVar("Result")
 Row = Mapping[str, Any]
 
-ATTEMPTS = 2
-"""A log whose process is killed is measured once more: it may have been another that took the memory."""
+ATTEMPTS = 2  # a log whose process is killed is measured once more: it may have been another that took the memory
 MAX_STEM = 80
 MAX_REPEATED = 3
 
@@ -269,8 +268,7 @@ def measured_on_cluster(
     distributed = optional_package("distributed", "cluster", "--scheduler", UsageError)
     client = _connected(address)
     try:
-        # Packed, so that the scheduler need not know what is measured.
-        packed = [pickle.dumps((measure, log)) for log in logs]
+        packed = [pickle.dumps((measure, log)) for log in logs]  # the scheduler need not know what is measured
         futures = client.map(measure_on_worker, packed, expected=version("svmdist"), pure=False, retries=RETRIES)
         places = {future.key: place for place, future in enumerate(futures)}
         for future in distributed.as_completed(futures, loop=client.loop):
@@ -300,8 +298,7 @@ def _connected(address: str) -> Any:
     from distributed import Client
     from distributed.comm.addressing import get_address_host_port
 
-    # They print what is handled here
-    for name in ("distributed", "distributed.client", "tornado.application", "asyncio"):
+    for name in ("distributed", "distributed.client", "tornado.application", "asyncio"):  # they print what is handled
         logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
         get_address_host_port(address)  # a client of a wrong one could not be closed

@@ -31,8 +31,7 @@ COMMANDS = {
     "fk": ("joints_anywhen",),
 }
 """What each command but `estimate` needs: topics by role, and inputs as of a method."""
-PARTS = ("fiducial", "instrument", "robot", "tissue")
-"""Tables of a profile that methods need."""
+PARTS = ("fiducial", "instrument", "robot", "tissue")  # tables of a profile that methods need
 PREFERRED = ("fused", "stereo", "fiducial", "shaft", "overlay", "centroid", "kinematic")
 """What `auto` is: the first of these that a log can serve. The more that a method takes, the better it is."""
 LOOKED_AT = 8  # logs, of many
@@ -196,8 +195,7 @@ def _lacking(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str
     joints = topics("joints") + _missing_chain(summary)
     tracks = [summary.cameras.get(roles.get(role, "")) for role in ("camera_info", "right_camera_info")]
     left, right = (track.runs[0].camera if track and track.runs else None for track in tracks)
-    # It is there where it cannot be told yet.
-    has_baseline = left is None or right is None or stereo_transform(left, right) is not None
+    has_baseline = left is None or right is None or stereo_transform(left, right) is not None  # or not told yet
     is_in_order = left is None or right is None or not are_exchanged(left, right)
     links = summary.transforms.links
     has_base = profile.camera_to_base or links(frames.camera, frames.base)

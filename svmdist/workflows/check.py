@@ -33,8 +33,7 @@ from svmdist.workflows.request import CLEAN, Condition
 CHECKED = 6  # images, and up to twice as many, evenly over the log
 LOOKED_AT = 3  # of them before the first row; the others are where one of these differs by more than
 SUSPECT_DEVIATIONS = 2.5
-# A smaller offset is left: it does less harm than shifting an image between its pixels
-MIN_ROW_OFFSET_PX = 0.5
+MIN_ROW_OFFSET_PX = 0.5  # a smaller one is left: it does less harm than shifting an image between its pixels
 
 SOMEWHERE = Tissue(plane_distance_m=0.1)
 """Where an endoscope works, of a profile without a tissue: instruments and both views can be compared all the same."""

@@ -119,8 +119,7 @@ def measure_runs(
     return sorted(scores, key=lambda score: bool(score.against))
 
 
-Part = tuple[Sequence[int], Sequence[int]]
-"""What one process measures: the places of its conditions and of its setups."""
+Part = tuple[Sequence[int], Sequence[int]]  # what one process measures: the places of its conditions and of its setups
 Found = dict[tuple[int, int, str], tuple[Readings, Truth | None, float]]
 """Rows, what is true of them where that is known, and seconds, by the places of condition and setup, and instrument."""
 

@@ -40,8 +40,7 @@ class Measured:
     by: Mapping[tuple[Reference, str], Readings] = field(default_factory=dict)
 
 
-Keep = Callable[[Measured], None]
-"""Is called with all rows of a recording, where something is made of them together."""
+Keep = Callable[[Measured], None]  # is called with all rows of a recording, where something is made of them together
 
 
 def estimate(

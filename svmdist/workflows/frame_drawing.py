@@ -27,8 +27,7 @@ from svmdist.workflows.request import Setup
 
 CIRCLE_POINTS = 36
 MIN_CONTOUR_PX = 6  # shorter contours are specks
-BEND_STEP_PX = 10.0
-"""A straight line of an ideal camera is drawn in pieces of this length where the lens bends it."""
+BEND_STEP_PX = 10.0  # a straight line of an ideal camera is drawn in pieces of this length where the lens bends it
 
 
 @dataclass(frozen=True)
@@ -94,8 +93,7 @@ def frame_drawing(replayed: Replayed, setup: Setup) -> FrameDrawing:
         capsules = body.posed(tool)
         if result.measured:
             bodies[result.instrument] = capsules
-        # Also of a pose that the image refutes: then it shows why.
-        if (seen := shaft_sections(frame.left.camera, capsules)) is not None:
+        if (seen := shaft_sections(frame.left.camera, capsules)) is not None:  # of a refuted pose, too: it shows why
             outline = Shape(Part.POSE, Form.LOOP, seen.outline_px, result.instrument)
             shapes.append(_through_lens(outline, scene.lens))
     tissue, cloud = (vars(scene).get(name) for name in ("tissue", "stereo_surface"))

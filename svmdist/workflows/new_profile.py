@@ -40,8 +40,7 @@ OTHER_ARMS = re.compile(r"/(ECM|MTM\w*|SUJ\w*)(/|$)")  # of a da Vinci, without 
 SIDES = (("left", "right"), ("Left", "Right"), ("LEFT", "RIGHT"), ("_l/", "_r/"), ("/l/", "/r/"))
 """How topics tell the left camera from the right one."""
 TOOL_TOPICS = (("joints", "joint states", "measured_js"), ("pose", "poses", "measured_cp"))
-CHAIN_PROFILES = ("dvrk-psm", "psm13")
-"""Shipped profiles whose chains a log's joints may belong to."""
+CHAIN_PROFILES = ("dvrk-psm", "psm13")  # shipped profiles whose chains a log's joints may belong to
 DA_VINCI_INSTRUMENT, UNKNOWN_INSTRUMENT = "da-vinci-8mm", "unknown"
 LOOKED_AT = 12  # images that colours and plane are taken from, spread over the log
 VIEWS_COMPARED = 4  # of them, against the cameras
@@ -134,15 +133,13 @@ def draft_profile(path: LogPath, name: str, topics: Mapping[str, str], instrumen
 
 def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
     """Topics by schemas and usual names, or as `given` by role; RecordingError, UsageError."""
-    there = [topic.topic for topic in summary.topics]
+    log, there = summary.recording.path.name, [topic.topic for topic in summary.topics]
     for role, chosen in given.items():
         if role not in list(Role):
             raise UsageError(f"no role {role} for a topic: {did_you_mean(role, list(Role))}")
         if chosen not in there:
             known = did_you_mean(sanitize(chosen), map(sanitize, there))
-            raise RecordingError(
-                f"{summary.recording.path.name}: no topic {sanitize(chosen)} for {sanitize(role)}: {known}"
-            )
+            raise RecordingError(f"{log}: no topic {sanitize(chosen)} for {sanitize(role)}: {known}")
 
     def carrying(kind: str, *unwanted: str) -> list[str]:
         topics = [topic.topic for topic in summary.topics if topic.kind == kind and topic.message_count]
@@ -152,14 +149,14 @@ def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
     image = given.get("image") or _left_image(images, summary)
     if not (cameras or "camera_info" in given):
         raise RecordingError(
-            f"{summary.recording.path.name}: no topic with camera calibrations: estimates need one"
-            f" (svmdist import writes a log of images and a calibration){unread(summary.recording.topics())}"
+            f"{log}: no topic with camera calibrations: estimates need one (svmdist import writes a log of images and"
+            f" a calibration){unread(summary.recording.topics())}"
         )
     fitting = [topic for topic in cameras if is_right(image) or not is_right(topic)]
     if not (fitting or "camera_info" in given):
         raise RecordingError(
-            f"{summary.recording.path.name}: no topic with camera calibrations for {sanitize(image)}:"
-            f" {sanitize_list(cameras)} is the right view's (--topic camera_info=TOPIC chooses another)"
+            f"{log}: no topic with camera calibrations for {sanitize(image)}: {sanitize_list(cameras)} is the right"
+            " view's (--topic camera_info=TOPIC chooses another)"
         )
     camera = given.get("camera_info") or _nearest(image, fitting)
     topics = {"image": image, "camera_info": camera}

@@ -25,31 +25,23 @@ KINEMATICS_PRINTED_NOTE = (
     "eq. (28) as printed is the zero matrix, which makes (31) zero everywhere: the identity stands in for it;"
     " eq. (30) as printed is a reflection; eqs. (33), (34) as printed divide metres by 100 and are 10^4 too small"
 )
-MAX_CLOCK_STAMPS = 500
-"""So many moments show on which of two clocks the truth is."""
+MAX_CLOCK_STAMPS = 500  # so many moments show on which of two clocks the truth is
 
 
 class Reference(StrEnum):
     """What counts as the truth, the strongest first."""
 
-    GROUND_TRUTH = "ground_truth"
-    """svmdist's own truth, from the simulator."""
-    TF = "tf"
-    """A pair of transforms of the log, as a tracking system publishes them."""
-    SURFACE = "surface"
-    """The tool by transforms or poses, the tissue by the surface that both views show."""
-    PLANE = "plane"
-    """The same, with the tissue where each image shows it on the profile's plane."""
-    POSE = "pose"
-    """A pose topic for the tool, as CRTK's measured_cp."""
-    KINEMATICS = "kinematics"
-    """DH kinematics of the log's joint states: eqs. (31)–(35), as in the paper."""
+    GROUND_TRUTH = "ground_truth"  # svmdist's own truth, from the simulator
+    TF = "tf"  # a pair of transforms of the log, as a tracking system publishes them
+    SURFACE = "surface"  # the tool by transforms or poses, the tissue by the surface that both views show
+    PLANE = "plane"  # the same, with the tissue where each image shows it on the profile's plane
+    POSE = "pose"  # a pose topic for the tool, as CRTK's measured_cp
+    KINEMATICS = "kinematics"  # DH kinematics of the log's joint states: eqs. (31)–(35), as in the paper
 
 
 BY_POSES = (Reference.SURFACE, Reference.PLANE)
 """References whose tissue is seen in the images: their distances are those of given poses."""
-PoseAt = Callable[[Stamps], Sampled]
-"""Stamps, shape (n,), to poses, shape (n, 4, 4), and which of them are known."""
+PoseAt = Callable[[Stamps], Sampled]  # stamps, shape (n,), to poses, shape (n, 4, 4), and which of them are known
 
 
 @dataclass(frozen=True, slots=True)
