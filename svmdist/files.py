@@ -116,6 +116,14 @@ def files_of(path: LogPath) -> list[LogPath]:
     return [*sorted(file for file in path.iterdir() if file.is_file())]
 
 
+def make_folder(folder: Path, what: str) -> None:
+    """Make a folder unless it is there; raises OutputError, which says `what` cannot be done without it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        raise OutputError(f"{folder}: cannot {what}: {why(problem)}") from None
+
+
 @contextmanager
 def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """Give a temporary file beside `path`, renamed to `path` when the block ends, and removed when it fails.

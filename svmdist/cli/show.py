@@ -11,7 +11,8 @@ from svmdist.cli.estimate import corrected
 from svmdist.cli.logs import OneLogOptions, log_losses
 from svmdist.cli.options import JOBS, option
 from svmdist.cli.output import LOG, ExitCode
-from svmdist.errors import OutputError, UsageError
+from svmdist.errors import UsageError
+from svmdist.files import make_folder
 from svmdist.report.writers import Holds
 
 if TYPE_CHECKING:
@@ -90,10 +91,7 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
         seen = corrected(recording, request, self.jobs)
         numbers = self._numbers(seen, request)
         is_one = _is_one_picture(folder, len(numbers))
-        try:
-            (folder.parent if is_one else folder).mkdir(parents=True, exist_ok=True)
-        except OSError as problem:
-            raise OutputError(f"{folder}: cannot make the folder: {problem.strerror or problem}") from None
+        make_folder(folder.parent if is_one else folder, "make the folder")
         left = len(numbers)
         for number, picture in self._pictures(seen, request, numbers):
             path = folder if is_one else folder / f"{recording.name}-{number:05d}.png"
@@ -106,7 +104,6 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
         return log_losses(recording.path, recording.health)
 
     def _numbers(self, recording: Recording, request: Request) -> set[int]:
-        """The numbers of the images to draw; raises UsageError."""
         from svmdist.workflows.replay import image_stamps_ns
 
         if self.worst is not None:

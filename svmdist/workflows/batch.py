@@ -27,11 +27,11 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
-from svmdist.errors import OutputError, ProfileError, SvmdistError, UsageError, optional_package
-from svmdist.files import files_of, why, write_atomically
+from svmdist.errors import ProfileError, SvmdistError, UsageError, optional_package
+from svmdist.files import files_of, make_folder, write_atomically
 from svmdist.recording.source import Health, Loss
 from svmdist.remote import LogPath, RemoteFile, without_secrets
-from svmdist.workflows.parallel import Progress, each_in_processes, one_opencv_thread, usable_cores
+from svmdist.workflows.parallel import Progress, each_in_processes, one_opencv_thread, unwatched, usable_cores
 from svmdist.workflows.request import LOG, Request
 
 Result = TypeVar("Result")
@@ -90,7 +90,7 @@ class Outcome(Generic[Result]):
 
 
 def measured(
-    job: Job[Result], log: LogFile, threads: int, on_progress: Progress = lambda _done, _total: None, **more: Any
+    job: Job[Result], log: LogFile, threads: int, on_progress: Progress = unwatched, **more: Any
 ) -> Generator[Row, None, Outcome[Result]]:
     """Measure a log in this process: yield its rows, return its outcome. Raises what measuring it raises."""
     recording = replace(job.request.open(log.path, log.name), on_progress=on_progress)
@@ -162,7 +162,7 @@ def measure_logs(
     jobs: int | None = None,
     scheduler: str | None = None,
     folder: Path | None = None,
-    on_progress: Progress = lambda _done, _total: None,
+    on_progress: Progress = unwatched,
 ) -> list[Outcome[Result]]:
     """Measure logs by `jobs` processes, or by the cluster of a scheduler; their outcomes are the same.
 
@@ -204,10 +204,7 @@ class _Store:
         self._folder = folder
         self._request = _fingerprint(job)
         self._outcomes = TypeAdapter(Outcome[job.result_type])  # type: ignore[name-defined]
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as problem:
-            raise OutputError(f"{folder}: cannot keep results there: {why(problem)}") from None
+        make_folder(folder, "keep results there")
 
     def _place(self, log: LogFile) -> Path:
         path = log.path.url if isinstance(log.path, RemoteFile) else str(log.path.absolute())

@@ -30,7 +30,7 @@ from svmdist.recording.writer import EncodedSample, RecordingWriter, encode_stil
 from svmdist.samples import CameraSample, Image, ImageSample, JointSample, Observation, PoseSample, RightView, Sample
 from svmdist.transforms import Array
 from svmdist.workflows.check import LOOKED_AT, compare_views
-from svmdist.workflows.parallel import Progress
+from svmdist.workflows.parallel import Progress, unwatched
 
 LIMITS = Limits()
 SIDES = ("left", "right")
@@ -102,7 +102,7 @@ class View:
 
 
 def import_log(
-    options: ImportOptions, output: Path, *, force: bool = False, on_progress: Progress | None = None
+    options: ImportOptions, output: Path, *, force: bool = False, on_progress: Progress = unwatched
 ) -> ImportResult:
     """Write a log of files. Raises UsageError, SourceError or OutputError, and leaves no file then."""
     with suppress(RecordingError):
@@ -137,7 +137,7 @@ def import_log(
         with writer:
             for _, topic, sample in heapq.merge(*images, *tables, key=lambda message: message[0]):
                 writer.write(topic, sample)
-                if on_progress is not None and topic.endswith("/image"):
+                if topic.endswith("/image"):
                     on_progress(sum(writer.counts[f"/ECM/{side}/image"] for side in SIDES) // halved, total)
     except SvmdistError as problem:
         writer.discard()

@@ -28,8 +28,7 @@ from svmdist.errors import SvmdistError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-Progress = Callable[[int, int | None], None]
-"""Is called with how much is done, and how much there is where that is known."""
+Progress = Callable[[int, int | None], None]  # is called with how much is done, and how much there is where it is known
 
 LOOK_AHEAD = 2  # results per worker that may wait: enough for a slow frame, and few images in memory
 LARGEST_KEPT_BYTES = 24 << 20
@@ -40,6 +39,10 @@ SOCKETS = "SVMDIST_SOCKETS"
 """Names, for the server that forks workers, its folder of sockets: a process that is killed cannot remove it."""
 if SOCKETS in os.environ:  # this is the server, which ends after the last process that knows it
     atexit.register(shutil.rmtree, os.environ.pop(SOCKETS), ignore_errors=True)
+
+
+def unwatched(_done: int, _total: int | None) -> None:
+    """The progress of work that nobody watches."""
 
 
 class WorkerDiedError(SvmdistError):

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from svmdist.errors import OutputError, RecordingError, SvmdistError, UsageError
+from svmdist.errors import RecordingError, SvmdistError, UsageError
+from svmdist.files import make_folder
 from svmdist.perturbations import Perturbations, draw_world
 from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
@@ -23,6 +24,7 @@ from svmdist.simulation.plan import Plan, make_plan
 from svmdist.simulation.scene import PLAIN, Options
 from svmdist.simulation.simulate import Sensors, Simulator
 from svmdist.workflows import parallel
+from svmdist.workflows.parallel import Progress, unwatched
 
 VERSIONED_PACKAGES = ("svmdist", "pybullet", "numpy", "opencv-python-headless")
 FRAMES_PER_WORKER = 12
@@ -70,12 +72,7 @@ class Recipe:
 
 
 def record(
-    recipe: Recipe,
-    output: Path,
-    *,
-    force: bool = False,
-    jobs: int | None = None,
-    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+    recipe: Recipe, output: Path, *, force: bool = False, jobs: int | None = None, on_progress: Progress = unwatched
 ) -> Recorded:
     """Simulate a scenario and write it to `output`; `on_progress` is called with (images done, images in all).
 
@@ -183,18 +180,12 @@ def episode_paths(output: Path, scenario: str, first_seed: int, count: int) -> l
     else:
         paths = [output / f"{scenario}-{seed}.mcap" for seed in seeds]
     for folder in dict.fromkeys(path.parent for path in paths):
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as problem:
-            raise OutputError(f"{folder}: cannot write: {problem.strerror or problem}") from None
+        make_folder(folder, "write")
     return paths
 
 
 def record_episodes(
-    episodes: Episodes,
-    paths: Sequence[Path],
-    jobs: int | None = None,
-    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+    episodes: Episodes, paths: Sequence[Path], jobs: int | None = None, on_progress: Progress = unwatched
 ) -> list[Recorded]:
     """Record an episode to each path, with the scenario's seed and those after it; what came of them, in order.
 
