@@ -163,7 +163,6 @@ class Run(Generic[Result]):
         return head, chain(head, rows)
 
     def _measured(self, log: LogFile) -> Generator[Row, None, Outcome[Result]]:
-        """Measure a log in this process, with progress."""
         from svmdist.workflows.batch import measured
         from svmdist.workflows.parallel import usable_cores
 

@@ -101,7 +101,6 @@ class Helped:
 
 
 def _names(parameter: Any) -> str:
-    """What a parameter is called, and what stands for its value."""
     if parameter.param_type_name == "argument":
         return f"{parameter.metavar}{'...' * (parameter.nargs != 1)}"
     return " ".join(filter(None, (", ".join(sorted(parameter.opts, key=len)), parameter.metavar)))

@@ -260,7 +260,6 @@ def _intrinsics(name: str, text: str | None) -> tuple[float, ...] | None:
 
 
 def _tables(name: str, given: list[str] | None) -> dict[str, Path]:
-    """Files by the instrument's name."""
     found: dict[str, Path] = {}
     for text in given or []:
         instrument, equals, file = text.partition("=")

@@ -103,8 +103,7 @@ class Validate(ScoreOptions, options.MeasureOptions, GroupOption, PictureOptions
         validate.require_truth_for_alarms(request)
         kind = self.plot or "fig6"
         keeps = self.report is not None or (self.save_plot is not None and kind != "fig6")
-        measure, kind_of = validate.score_recording, validate.Scored
-        run = Run(self, measure, request, kind_of, "validating", "images", (), keeps, keys)
+        run = Run(self, validate.score_recording, request, validate.Scored, "validating", "images", (), keeps, keys)
         result = validate.combine(run.finish(), request, run.groups)
         lacking = {line for scored in run.results for line in scored.lacking}
         for note in result.notes:

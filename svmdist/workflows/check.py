@@ -232,8 +232,6 @@ def check_log(recording: Recording) -> dict[str, Checks]:
     rows = offset_to_remove(first_of(spread, profile), profile)
     for one in spread:
         recording.record_losses(one.decoded)
-    if spread and not any(one.decoded.seen for one in spread):
-        why = spread[0].decoded.found
-        assert isinstance(why, Rejection)
+    if spread and isinstance(why := spread[0].decoded.found, Rejection) and not any(one.decoded.seen for one in spread):
         raise RecordingError(f"{recording.name}: no image of {len(spread)} can be used: {why.detail or why.status}")
     return checked(recording, spread, arms, segmenter, rows, least=len(spread), pairs=len(spread))[0]

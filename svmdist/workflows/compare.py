@@ -151,7 +151,6 @@ class _Work:
         return [at for at in (images, *([at] for at in part[0] if at not in images)) if at]
 
     def measure(self, part: Part) -> tuple[Found, Health]:
-        """What all passes of a part find, and what was lost on them."""
         found = (self._one_pass(at, part[1]) for at in self.passes(part))
         return {key: rows for of_pass in found for key, rows in of_pass.items()}, self.recording.health
 

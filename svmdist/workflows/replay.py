@@ -141,7 +141,6 @@ def _through_lens(result: FrameResult, frame: Frame) -> FrameResult:
 
 
 def _judged(replayed: Replayed, watches: Sequence[AlarmWatch]) -> Replayed:
-    """The same with the alarm of each row."""
     each = zip(replayed.results, watches, strict=True)
     return replace(replayed, results=tuple(replace(row, alarm=watch.watch(row)) for row, watch in each))
 
@@ -213,7 +212,6 @@ class _Replay:
         self._doubt_tissue(profile.tissue, list(self._checks[0].values()))
 
     def _checked(self, spread: Sequence[EncodedObservation], pairs: int) -> list[dict[str, Checks]]:
-        """What is compared of each instrument, under each condition."""
         every = []
         how = self._recording, spread, self._arms, self._segmenter, self._rows
         for at, condition in enumerate(self._conditions):
