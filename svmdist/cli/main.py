@@ -53,8 +53,7 @@ def _one_line() -> Iterator[None]:
         LOG.warning(with_notes("interrupted", problem))
         sys.exit(ExitCode.INTERRUPTED)
     except typer.BadParameter as problem:
-        choice = re.fullmatch(r"(?:Value error, )?'(.*)' is not one of (.*)\.", problem.message)
-        if choice:
+        if choice := re.fullmatch(r"(?:Value error, )?'(.*)' is not one of (.*)\.", problem.message):
             name, choices = choice[1], re.findall(r"'([^']*)'", choice[2])
             problem.message = f"{name}: {did_you_mean(name, choices)}"
         said = problem.format_message()
@@ -205,12 +204,9 @@ def run() -> None:
     with print_log():
         try:
             app(prog_name="svmdist")
-        except UsageError as problem:
-            LOG.error("%s", problem)
-            sys.exit(ExitCode.USAGE)
         except SvmdistError as problem:
             LOG.error("%s", with_notes(str(problem), problem))
-            sys.exit(ExitCode.UNUSABLE)
+            sys.exit(ExitCode.USAGE if isinstance(problem, UsageError) else ExitCode.UNUSABLE)
         except Exception as problem:
             lack = missing_resource(problem)
             if lack is None:

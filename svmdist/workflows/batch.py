@@ -119,10 +119,9 @@ def outcome_of(job: Job[Result], threads: int, log: LogFile) -> Outcome[Result]:
         except MemoryError:
             return Outcome(None, "there is not enough memory")
         except Exception as problem:  # a fault of svmdist's own, or of the machine
-            frames = traceback.extract_tb(problem.__traceback__)
-            place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-            what = f"{type(problem).__name__}: {' '.join(str(problem).split())}"
-            return Outcome(None, f"svmdist failed on it, please report this: {what}{place}")
+            last, said = traceback.extract_tb(problem.__traceback__)[-1], " ".join(str(problem).split())
+            what = f"{type(problem).__name__}: {said} ({Path(last.filename).name}:{last.lineno})"
+            return Outcome(None, f"svmdist failed on it, please report this: {what}")
 
 
 @contextmanager

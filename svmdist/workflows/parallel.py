@@ -16,7 +16,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from multiprocessing.util import get_temp_dir
 from typing import Any, TypeVar
@@ -86,19 +86,18 @@ def in_order(
         yield from map(function, items)
         return
     waiting: deque[Future[Result]] = deque()
-    with ExitStack() as stack:
-        if pool is None:
-            pool = stack.enter_context(ThreadPoolExecutor(workers, thread_name_prefix="svmdist"))
+    threads = ThreadPoolExecutor(workers, thread_name_prefix="svmdist") if pool is None else nullcontext(pool)
+    with threads as chosen:
         try:
             for item in items:
-                waiting.append(pool.submit(function, item))
+                waiting.append(chosen.submit(function, item))
                 if len(waiting) > LOOK_AHEAD * workers:
                     yield waiting.popleft().result()
             while waiting:
                 yield waiting.popleft().result()
         finally:
             # A pool of processes cancels its own: one that ends fails at what others have cancelled.
-            for future in waiting if isinstance(pool, ThreadPoolExecutor) else ():
+            for future in waiting if pool is None else ():
                 future.cancel()
 
 

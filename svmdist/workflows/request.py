@@ -207,8 +207,7 @@ class Setup:
 
     def degeneracies(self, camera: Camera) -> list[str]:
         """Sentences about where the equations cannot be right for this camera's image."""
-        size_px = camera.width_px, camera.height_px
-        return plane_mapping.degeneracies(self.mapping, *size_px) if self.mapping else []
+        return plane_mapping.degeneracies(self.mapping, camera.width_px, camera.height_px) if self.mapping else []
 
     def __getstate__(self) -> dict[str, Any]:
         """Another process makes its own segmenter: a network cannot be sent there."""
