@@ -103,8 +103,7 @@ def _require_files_apart(values: Mapping[str, Any]) -> None:
             raise UsageError(f"{given} -: expected the name of a file; this is not written to stdout")
         if path is not None and path.parent != Path("/dev"):
             place = os.path.realpath(path)
-            other = named.setdefault(place, given)
-            if other != given:
+            if (other := named.setdefault(place, given)) != given:
                 raise UsageError(f"{other} and {given} are both {path}: give each a file of its own")
             if place in read:
                 raise UsageError(f"{given} {path}: is what {read[place]} reads; give the output another name")

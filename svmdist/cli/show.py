@@ -108,8 +108,7 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
 
         if self.worst is not None:
             return _worst(recording, request, self.worst, self.jobs)
-        chosen = self.image_number(recording)
-        if chosen is not None:
+        if (chosen := self.image_number(recording)) is not None:
             return {chosen}
         last = len(image_stamps_ns(recording)) - 1
         gaps = min(last, DEFAULT_COUNT - 1)  # between the pictures

@@ -223,8 +223,7 @@ def _lacking(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str
 def _topic_for(role: str, summary: RecordingSummary) -> str:
     """A topic for a role that has none, and what the log has for it."""
     found = [one for one in summary.topics if one.kind == Role[role.upper()].kind]
-    unread = [one.topic for one in found if 0 < one.message_count == one.undecodable_count]
-    if unread:
+    if unread := [one.topic for one in found if 0 < one.message_count == one.undecodable_count]:
         return f"a topic for {role}: nothing on {sanitize_list(unread)} can be decoded"
     return f"a topic for {role}" + (" (of several: choose it with --topic)" if len(found) > 1 else "")
 

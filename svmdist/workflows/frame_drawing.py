@@ -112,8 +112,7 @@ def frame_drawing(replayed: Replayed, setup: Setup) -> FrameDrawing:
 
 def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup: Setup) -> Iterator[Shape]:
     """The tissue, and of each instrument contours, distal marker, shaft, tag and virtual marker."""
-    tissue = vars(frames[0].scene).get("tissue")
-    if tissue is not None:
+    if (tissue := vars(frames[0].scene).get("tissue")) is not None:
         yield from _contours(frames[0].scene.left.masks.tissue, tissue.region, Part.TISSUE)
         yield Shape(Part.TISSUE, Form.LOOP, np.asarray(tissue.outline.curve_px, np.float64))
     for frame, name in ((frame, result.instrument) for frame, result in zip(frames, results, strict=True)):
@@ -130,8 +129,7 @@ def _detected(frames: tuple[Frame, ...], results: tuple[FrameResult, ...], setup
             yield _distal_marker(distal, name)
         if (silhouette := found.get("silhouette")) is not None:
             yield from _shaft(silhouette, name)
-        corners_px = left.tag_corners_px if "tags" in vars(frame.scene.left) else None
-        if corners_px is not None:
+        if "tags" in vars(frame.scene.left) and (corners_px := left.tag_corners_px) is not None:
             yield Shape(Part.TAG, Form.LOOP, np.asarray(corners_px, np.float64), name)
         pasted = virtual_marker(frame) if setup.method == "overlay" else None
         if pasted is None:

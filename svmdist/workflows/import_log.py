@@ -248,8 +248,7 @@ def _file_views(options: ImportOptions) -> list[View]:
     require_one_view(right)
     right_names = [path.name for path in right]
     stamps = right_stamps = _stamps(options, names)
-    own = table_files.stamps_from_names(right_names)
-    if options.rate_hz is None and options.times is None and own:
+    if options.rate_hz is None and options.times is None and (own := table_files.stamps_from_names(right_names)):
         table_files.require_rising(own, right_names, str(folder))  # the names of both views have times
         right_stamps = own
     else:

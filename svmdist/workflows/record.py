@@ -238,8 +238,7 @@ def _there(recipe: Recipe, path: Path) -> Recorded:
     except RecordingError as problem:
         return Recorded(path, failure=f"{problem}; --force replaces it")
     expected, found = recipe.metadata(), recording.metadata
-    other = sorted(key for key in expected.keys() | found.keys() if expected.get(key) != found.get(key))
-    if other:
+    if other := sorted({key for key, _ in expected.items() ^ found.items()}):
         return Recorded(path, failure=f"{path}: is another recording: {', '.join(other)} differ; --force replaces it")
     message_count = sum(info.message_count or 0 for info in recording.topics())
     return Recorded(path, recording.image_count() or 0, message_count, recording.size_bytes(), was_there=True)

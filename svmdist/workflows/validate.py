@@ -134,9 +134,7 @@ def score_recording(
         view = recording.for_instrument(name)
         rows = [row for row in every if row.instrument == name]
         label = recording.name if name == setup.profile.instrument_name else f"{recording.name} {name}"
-        offset = found
-        if planar and lag == "auto":
-            offset = recording_lag(Readings(rows), view, rules)
+        offset = recording_lag(Readings(rows), view, rules) if planar and lag == "auto" else found
         if not offset.told:
             notes.append(f"{label}: the lag cannot be told and 0 is used: {offset.reason}")
         for reference in wanted:
@@ -234,8 +232,7 @@ def make_baseline(validation: Validation) -> Baseline:
 
 def require_same_alarms(baseline: Baseline, asked: AlarmRules | None) -> None:
     """Raise UsageError for stored alarms that were raised by other rules."""
-    stored = baseline.alarms
-    if stored is not None and stored != _stored_rules(asked):
+    if (stored := baseline.alarms) is not None and stored != _stored_rules(asked):
         raise UsageError(
             f"the baseline's alarms are those of --alarm-below {stored.below_m * 1e3:g}mm --alarm-when"
             f" {stored.confidence:g}: ask for the same"

@@ -66,9 +66,7 @@ class Series:
     @property
     def badness_m(self) -> Array:
         """How bad each frame is: its error where there is truth, else the interval's width; -1 where it has neither."""
-        badness_m = np.abs(self.error_m)
-        if not np.isfinite(badness_m).any():
-            badness_m = self.half_m
+        badness_m = np.abs(self.error_m) if np.isfinite(self.error_m).any() else self.half_m
         return np.asarray(np.where(np.isfinite(badness_m), badness_m, -1.0))
 
 
