@@ -122,7 +122,7 @@ def each_in_processes(
     waiting = deque((place, 1) for place in range(len(items)))
     running: dict[Future[Result], tuple[ProcessPoolExecutor, int, int]] = {}
     with process_pools() as make:
-        steps = _context().Value("q", 0) if on_step else None
+        steps: Any = _context().Value("q", 0) if on_step else None
         seen = 0
         idle: list[ProcessPoolExecutor] = []  # of one process each: a killed one takes only its own item
         while waiting or running:
@@ -131,10 +131,9 @@ def each_in_processes(
                 pool = idle.pop() if idle else make(1, partial(_count_in, steps))
                 running[pool.submit(function, items[place])] = (pool, place, attempt)
             done, _ = wait(running, LOOK_S if on_step else None, return_when="FIRST_COMPLETED")
-            if on_step and steps is not None:
-                for _ in range(steps.value - seen):
-                    seen += 1
-                    on_step()
+            while on_step and seen < steps.value:
+                seen += 1
+                on_step()
             for future in done:
                 pool, place, attempt = running.pop(future)
                 try:

@@ -182,7 +182,7 @@ class _Replay:
         self._conditions = tuple(conditions)
         self._segmenter = self._setup.segmenter  # one network, whatever becomes of the setup
         self._rows = LEVEL
-        self._looked: dict[tuple[int, int], list[Frame]] = {}
+        self._looked: list[dict[int, list[Frame]]] = [{} for _ in conditions]
         self._checks: list[dict[str, Checks]] = [{} for _ in conditions]
         if not all(setup.is_planar or setup.is_given for setup in setups):
             self._compare(any(setup.needs_right_view for setup in setups))
@@ -200,7 +200,7 @@ class _Replay:
             self._rows = check.offset_to_remove(check.first_of(spread, profile), profile)
         if profile.tissue is None:
             return
-        self._checks = self._checked(spread, int(needs_rows))
+        self._check(spread, int(needs_rows))
         first = self._checks[0]
         if self._conditions[0] == CLEAN and (said := check.warning(first)):
             health.lose(LossKind.CONTRADICTION, said)
@@ -208,17 +208,14 @@ class _Replay:
             views = check.compare_views(check.first_of(spread, profile), profile)
             if views.rows is not None and not views.refusal:
                 self._align(views.rows)
-                self._checks = self._checked(spread, int(needs_rows))
+                self._check(spread, int(needs_rows))
         self._doubt_tissue(profile.tissue, list(self._checks[0].values()))
 
-    def _checked(self, spread: Sequence[EncodedObservation], pairs: int) -> list[dict[str, Checks]]:
-        every = []
+    def _check(self, spread: Sequence[EncodedObservation], pairs: int) -> None:
+        self._looked.clear()  # so that no image is held twice
         how = self._recording, spread, self._arms, self._segmenter, self._rows
-        for at, condition in enumerate(self._conditions):
-            known, found = check.checked(*how, condition, pairs=pairs)
-            every.append(known)
-            self._looked |= {(at, number): frames for number, frames in found.items()}
-        return every
+        found = [check.checked(*how, condition, pairs=pairs) for condition in self._conditions]
+        self._checks, self._looked = [known for known, _ in found], [looked for _, looked in found]
 
     def _align(self, rows: RowAlignment) -> None:
         """Align rows that bend: what bends them, a lens or a turn, moves columns as much, over the view."""
@@ -228,7 +225,6 @@ class _Replay:
         std_rad = view_rad * float(np.hypot(*rows.slope))
         self._setup = self._setup.with_stds("camera_error", right_rotation_std_rad=std_rad)
         self._arms = self._stereo_arms = self._arms_with(self._setup)
-        self._looked.clear()
 
     def _doubt_tissue(self, stated: Tissue, found: Sequence[Checks]) -> None:
         """Let the tissue be as uncertain as it is seen elsewhere, or as a guess where no second view shows it.
@@ -248,7 +244,7 @@ class _Replay:
         self._setup = shaped.with_stds("tissue", plane_distance_std_m=std_m)
         self._arms = self._arms_with(self._setup)
         self._stereo_arms = self._arms if off_m is None else self._arms_with(shaped)
-        self._looked.clear()
+        self._looked = [{} for _ in self._conditions]
 
     def _arms_with(self, setup: Setup) -> list[Arm]:
         return [Arm(setup.profile.for_instrument(arm.profile.instrument_name), arm.has_plate) for arm in self._arms]
@@ -297,7 +293,7 @@ class _Replay:
     def _look(self, at: int, encoded: EncodedObservation, found: tuple[Observation, ...]) -> Unfinished:
         """One condition of a frame: its scene; of a single instrument its detections, and methods without state."""
         number, seconds = encoded.number, encoded.at_ns * 1e-9
-        if looked := self._looked.pop((at, number), []):
+        if looked := self._looked[at].pop(number, []):
             scene = looked[0].scene
         else:
             seen = self._conditions[at].apply(found[0], number)
