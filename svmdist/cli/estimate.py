@@ -250,10 +250,9 @@ def log_ending(endings: Mapping[str, Ending], request: Request) -> None:
     """Log which detections were refused, what is remarked on logs, and the alarms, of logs by their names."""
     from svmdist.workflows.ending import alarms_in_words, refusals_in_words, remarks_in_words
 
-    for line in (*refusals_in_words(endings.values()), *remarks_in_words(endings)):
+    alarms = [] if request.alarms is None else [alarms_in_words(endings, request.alarms)]
+    for line in (*refusals_in_words(endings.values()), *remarks_in_words(endings), *alarms):
         LOG.info("%s", line)
-    if request.alarms is not None:
-        LOG.info("%s", alarms_in_words(endings, request.alarms))
 
 
 def _log_tally(tallies: Sequence[Mapping[str, Mapping[str, int]]]) -> bool:
