@@ -54,14 +54,14 @@ def inspect_log(recording: Recording, _request: Request, _threads: int, looks_fo
     from svmdist.recording.source import LossKind
     from svmdist.recording.summary import inspect_recording
     from svmdist.report.info import info_document
-    from svmdist.workflows.capabilities import look_for_tag
+    from svmdist.workflows.capabilities import IMAGES, look_for_tag
     from svmdist.workflows.check import check_log
 
     no_tag = ""
     checks: Mapping[str, Checks] = {}
     with output.progress_bar(f"looking at {recording.name}"):
         summary = inspect_recording(recording.origin.open())
-        if looks_for_tag and {"image", "camera_info"} <= set(summary.roles):
+        if looks_for_tag and set(IMAGES) <= set(summary.roles):
             with suppress(RecordingError):  # a calibration that is not usable: the summary says so
                 no_tag = look_for_tag(recording)
         again = recording.origin.open()

@@ -229,9 +229,8 @@ def compare_log(
     """Measure a log with several methods under several conditions, with progress."""
     from svmdist.workflows.compare import measure_runs
 
-    seen = corrected(recording, request, threads)
     by = partial(group_name, keys=keys) if keys else None
-    with output.watched(seen, "comparing") as log:
+    with output.watched(corrected(recording, request, threads), "comparing") as log:
         return measure_runs(log, setups, request.conditions, jobs=threads, by=by)
 
 
@@ -267,9 +266,9 @@ class BlurBench(ScoreOptions):
     def _kernels_px(self) -> dict[Blur, int]:
         """The kernels by blur, those of the paper where none is given; raises UsageError."""
         from svmdist.vision.degradations import Blur
-        from svmdist.workflows.blur_bench import DEFAULT_KERNELS_PX
+        from svmdist.workflows.blur_bench import TABLE_I
 
-        kernels_px = dict(DEFAULT_KERNELS_PX)
+        kernels_px = {blur: kernel_px for blur, (kernel_px, _) in TABLE_I.items()}
         blurs = [str(blur) for blur in Blur if blur is not Blur.NONE]
         for text in self.kernel or []:
             name, _, size = text.partition("=")

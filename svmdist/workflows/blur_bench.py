@@ -16,25 +16,18 @@ from svmdist.workflows.request import Condition, Request
 from svmdist.workflows.scoring.references import Truth
 from svmdist.workflows.scoring.scores import Figures, Readings, figures_of, pooled_figures
 
-DEFAULT_KERNELS_PX: Mapping[Blur, int] = {
-    Blur.NONE: 1,
-    Blur.EROSION: 3,
-    Blur.DILATION: 3,
-    Blur.GAUSSIAN: 5,
-    Blur.MEDIAN: 5,
-    Blur.BILATERAL: 9,
+TABLE_I: Mapping[Blur, tuple[int, tuple[int, int] | None]] = {
+    Blur.NONE: (1, None),
+    Blur.EROSION: (3, (7, 221)),
+    Blur.DILATION: (3, (2, 219)),
+    Blur.GAUSSIAN: (5, (7, 215)),
+    Blur.MEDIAN: (5, (3, 215)),
+    Blur.BILATERAL: (9, (3, 218)),
 }
-"""The paper states no kernels. These are the smallest usual ones: an instrument region is some 15 px across."""
+"""Each blur's kernel in px, and its row in the paper as published: features, and the contour's area in px.
 
-TABLE_I: Mapping[Blur, tuple[int, int]] = {
-    Blur.EROSION: (7, 221),
-    Blur.DILATION: (2, 219),
-    Blur.GAUSSIAN: (7, 215),
-    Blur.MEDIAN: (3, 215),
-    Blur.BILATERAL: (3, 218),
-}
-"""The paper's Table I as published: features, and the contour's area in px."""
-
+The paper states no kernels. These are the smallest usual ones: an instrument region is some 15 px across.
+"""
 
 Counts = tuple[int | None, int | None, int | None, int | None, int | None]
 """Keypoints and area in px of the instrument alone; keypoints in the marker's window, matches and inliers."""
@@ -58,7 +51,7 @@ class BlurTally:
     @property
     def published(self) -> tuple[int, int] | None:
         """The row of the paper's Table I; None where it has none."""
-        return TABLE_I.get(self.blur)
+        return TABLE_I[self.blur][1]
 
 
 def blur_tallies(
