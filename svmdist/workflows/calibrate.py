@@ -229,14 +229,13 @@ def _fit(
         }
     )
     middle_m = seen_m[fit.agrees].mean(0)
-    covariance_m2 = hand_eye_of_fit.covariance_at(middle_m)[:3, :3]
     from_log = None
     with suppress(RecordingError, IndexError):  # the log has no such transform
         T_log = recording.transform_track(profile.frames.camera, profile.frames.base).T_parent_child[0]
         nominal = inverse(fit.T_camera_base) @ np.append(middle_m, 1.0)
         rotation_rad = float(rotation_angle(T_log[:3, :3], fit.T_camera_base[:3, :3]))
         from_log = rotation_rad, float(np.linalg.norm((T_log @ nominal)[:3] - middle_m))
-    tool_std_m = float(np.sqrt(np.linalg.eigvalsh(covariance_m2)[-1]))
+    tool_std_m = float(np.sqrt(np.linalg.eigvalsh(hand_eye_of_fit.covariance_at(middle_m)[:3, :3])[-1]))
     return HandEyeResult(hand_eye_of_fit, fit, tool_std_m, from_log)
 
 

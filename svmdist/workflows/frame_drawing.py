@@ -94,8 +94,7 @@ def frame_drawing(replayed: Replayed, setup: Setup) -> FrameDrawing:
         if result.measured:
             bodies[result.instrument] = capsules
         if (seen := shaft_sections(frame.left.camera, capsules)) is not None:  # of a refuted pose, too: it shows why
-            outline = Shape(Part.POSE, Form.LOOP, seen.outline_px, result.instrument)
-            shapes.append(_through_lens(outline, scene.lens))
+            shapes.append(_through_lens(Shape(Part.POSE, Form.LOOP, seen.outline_px, result.instrument), scene.lens))
     tissue, cloud = (vars(scene).get(name) for name in ("tissue", "stereo_surface"))
     surfaces = (of for one in frames if (of := one.left.measured_surface) is not None)
     return FrameDrawing(

@@ -279,8 +279,7 @@ def _surface(
         if surface is None or right is None:
             continue
         clouds.append(surface.points_m[:: max(1, len(surface.points_m) // POINTS_PER_PAIR)])
-        at_m = np.median(surface.points_m, 0)
-        biases = depth_biases(at_m, scene.observation.camera, right, deviations)
+        biases = depth_biases(np.median(surface.points_m, 0), scene.observation.camera, right, deviations)
         stds_m.append(float(np.sqrt(sum(float(np.sum(bias.jacobian**2)) for bias in biases))))
     if len(clouds) < MIN_PLANES:
         return None, 0

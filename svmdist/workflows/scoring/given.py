@@ -160,8 +160,7 @@ class Given:
         planar, spatial = (Distance(float(np.linalg.norm(offset_m[:count]))) for count in (2, 3))
         if frame.arm.body is not None and tool.joints is not None and np.isfinite(pose.T_camera_tool).all():
             gap = separation(frame.arm.body.posed(tool), tissue.surface)
-            ends = as_vector(gap.direction), as_vector(gap.on_instrument_m)
-            clearance = Distance(gap.distance_m, None, *ends)
+            clearance = Distance(gap.distance_m, None, as_vector(gap.direction), as_vector(gap.on_instrument_m))
         return Distances(planar, spatial, clearance)
 
 

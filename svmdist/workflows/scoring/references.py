@@ -147,8 +147,7 @@ def truth_at(
     tissue = recording.transform_track(*pair, ground_truth=rules.tissue_frames is None)
     tool_m, tissue_m = tool[:, :3, 3], tissue.at(stamps_ns, rules.max_gap_ns).values[:, :3, 3]
     planar_m = paper.planar_distance_cm(paper.displacement_cm_corrected(tool_m, tissue_m)) / 100.0
-    spatial_m = np.linalg.norm(tissue_m - tool_m, axis=-1)
-    return Truth(np.stack([planar_m, spatial_m, unknown_m], -1), tool)
+    return Truth(np.stack([planar_m, np.linalg.norm(tissue_m - tool_m, axis=-1), unknown_m], -1), tool)
 
 
 def tool_track(log: Recording, reference: Reference, rules: TruthRules) -> PoseAt:
