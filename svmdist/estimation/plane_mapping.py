@@ -185,12 +185,7 @@ class Calibration(StrictModel):
 
 
 def fit_calibration(
-    tool_px: Array,
-    tool_m: Array,
-    camera: Camera,
-    method: str,
-    created_by: str,
-    sources: tuple[SourceFile, ...],
+    tool_px: Array, tool_m: Array, camera: Camera, method: str, created_by: str, sources: tuple[SourceFile, ...]
 ) -> Calibration:
     """Fit eqs. (5) and (6) by least squares; CalibrationError for few samples, a small span, no focal length.
 

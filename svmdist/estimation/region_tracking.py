@@ -225,11 +225,7 @@ class RegionTracker:
         self._stamp_ns: int | None = None
 
     def update(
-        self,
-        stamp_ns: int,
-        places: Sequence[NominalPlace | None],
-        blobs: Sequence[Blob],
-        evidence: Array | None = None,
+        self, stamp_ns: int, places: Sequence[NominalPlace | None], blobs: Sequence[Blob], evidence: Array | None = None
     ) -> tuple[Identity, ...]:
         """Name the regions of the next image.
 
@@ -257,11 +253,7 @@ class RegionTracker:
         return tuple(identities)
 
     def _go_on(
-        self,
-        namings: Sequence[_Naming],
-        places: Sequence[NominalPlace | None],
-        seen: Sequence[Blob],
-        tells: float,
+        self, namings: Sequence[_Naming], places: Sequence[NominalPlace | None], seen: Sequence[Blob], tells: float
     ) -> None:
         """Keep the likely namings as pasts; of those that end with the same regions, all seen, the best alone."""
         kept = list[_Naming]()

@@ -53,8 +53,7 @@ def edge_within(
     maps = places[..., 0], places[..., 1]
     levels = cv2.remap(bgr, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
     logs = np.asarray(
-        cv2.GaussianBlur(np.log(levels + DARK_LEVEL), (0, 0), edges.SLOPE_SIGMA_PX / edges.STEP_PX),
-        np.float64,
+        cv2.GaussianBlur(np.log(levels + DARK_LEVEL), (0, 0), edges.SLOPE_SIGMA_PX / edges.STEP_PX), np.float64
     )
     ratios = logs[..., ::2] - logs[..., 1:2]
     share = _shares(ratios, offsets, width_px)
