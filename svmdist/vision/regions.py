@@ -206,47 +206,36 @@ class Region:
     part_count: int
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """A connected part: its outer contour, shape (n, 1, 2), and its own pixels in the contour's bounding box."""
-
-    contour: NDArray[np.int32]
-    pixels: Image
-    corner_px: tuple[int, int]
-    area_px: int
-
-
 def find_region(mask: Image, rule: AreaGate, settings: OutlineSettings = DEFAULT) -> Region | None:
     """Find the region of a mask, shape (h, w), that passes the rule's area gate; None where there is none."""
     parts = _parts(mask, rule)
-    largest = max(parts, key=lambda part: part.area_px, default=None)
+    largest = max(parts, key=lambda part: part[1], default=None)
     if largest is None:
         return None
     if rule.components == "largest":
         parts = [largest]
-    least_px = SPECK_FRACTION * largest.area_px
-    parts = [part for part in parts if part.area_px > rule.min_area_px and part.area_px >= least_px]
+    least_px = SPECK_FRACTION * largest[1]
+    parts = [part for part in parts if part[1] > rule.min_area_px and part[1] >= least_px]
     if not parts:
         return None
-    hull = np.asarray(cv2.convexHull(np.concatenate([part.contour for part in parts])), np.int32)
+    contours = [contour for contour, _ in parts]
+    hull = np.asarray(cv2.convexHull(np.concatenate(contours)), np.int32)
     if rule.occlusion == "outline":
         centroid_px = complete_outline(mask, hull, settings).centroid_px
     elif rule.occlusion == "hull":
         centroid_px = polygon_centroid(hull)
     else:
         # Mean of the coordinates of the parts' pixels: eqs. (1), (2).
-        total, weighted = 0.0, np.zeros(2)
-        for part in parts:
-            moments = cv2.moments(part.pixels, binaryImage=True)
-            x, y, count = *part.corner_px, moments["m00"]
-            total += count
-            weighted += np.array([moments["m10"] + x * count, moments["m01"] + y * count])
-        centroid_px = weighted / total
-    return Region(sum(part.area_px for part in parts), centroid_px, hull, len(parts))
+        x, y, width, height = cv2.boundingRect(hull)
+        inside = np.zeros((height, width), np.uint8)
+        cv2.drawContours(inside, contours, -1, 255, cv2.FILLED, offset=(-x, -y))
+        moments = cv2.moments(inside & mask[y : y + height, x : x + width], binaryImage=True)
+        centroid_px = np.array([moments["m10"], moments["m01"]]) / moments["m00"] + [x, y]
+    return Region(sum(area_px for _, area_px in parts), centroid_px, hull, len(parts))
 
 
-def _parts(mask: Image, rule: AreaGate) -> list[_Part]:
-    """The connected parts, without those whose bounding box already has too few pixels: specks may be thousands."""
+def _parts(mask: Image, rule: AreaGate) -> list[tuple[NDArray[np.int32], int]]:
+    """Outer contour (n, 1, 2) and area of connected parts but those whose box is too small: specks may be thousands."""
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     parts = []
     for contour in contours:
@@ -258,5 +247,5 @@ def _parts(mask: Image, rule: AreaGate) -> list[_Part]:
             inside = np.zeros((height, width), np.uint8)
             cv2.drawContours(inside, [contour], -1, 255, cv2.FILLED, offset=(-x, -y))
             pixels = np.asarray(cv2.bitwise_and(inside, pixels), np.uint8)
-        parts.append(_Part(np.asarray(contour, np.int32), pixels, (x, y), int(cv2.countNonZero(pixels))))
+        parts.append((np.asarray(contour, np.int32), int(cv2.countNonZero(pixels))))
     return parts
