@@ -75,9 +75,8 @@ def find_shaft(
     box = _window_about(dark & view, max(2 * gap_px, rim_px + 2) + 2)
     core = _eroded(view[box], rim_px)
     at_border = cv2.subtract(core, _eroded(core, 2))
-    mask = np.asarray(cv2.bitwise_and(dark[box], core), np.uint8)
-    mask = _closed(np.asarray(cv2.morphologyEx(mask, cv2.MORPH_OPEN, _disc(speck_px)), np.uint8), gap_px)
-    mask = np.asarray(cv2.bitwise_and(mask, core), np.uint8)
+    mask = cv2.morphologyEx(cv2.bitwise_and(dark[box], core), cv2.MORPH_OPEN, _disc(speck_px))
+    mask = np.asarray(cv2.bitwise_and(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _disc(gap_px)), core), np.uint8)
     if covered is not None:
         mask = np.asarray(cv2.subtract(mask, covered[box]), np.uint8)
     corner = box[1].start, box[0].start
@@ -242,14 +241,6 @@ def _disc(radius_px: int) -> NDArray[np.uint8]:
 
 def _eroded(mask: Image, radius_px: int) -> Image:
     return np.asarray(cv2.erode(mask, _disc(radius_px), borderValue=0), np.uint8)
-
-
-def _closed(mask: Image, radius_px: int) -> Image:
-    """A mask whose gaps of twice a radius are closed; the work is done in a box about it."""
-    box = _window_about(mask, 2 * radius_px + 2)
-    closed = np.zeros_like(mask)
-    closed[box] = cv2.morphologyEx(mask[box], cv2.MORPH_CLOSE, _disc(radius_px))
-    return closed
 
 
 def _window_about(mask: Image, margin_px: int) -> tuple[slice, slice]:
