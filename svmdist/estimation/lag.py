@@ -9,7 +9,7 @@ in step decides. For each lag the best map is a linear least-squares fit (a prof
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,9 +37,9 @@ def estimate_lag(stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict)
     motion_px = float(np.sqrt(np.mean(np.var(seen_px, axis=0))))
     if motion_px < MIN_MOTION_PX:
         return _unknown(f"the tool moves by {motion_px:.1f} px in the image; {MIN_MOTION_PX:g} px are needed")
-    fit = _ProfiledFit(stamps_ns, seen_px, predict)
+    error_at = partial(_error_at, stamps_ns, seen_px, predict)
     lags_s = np.arange(-MAX_LAG_S, MAX_LAG_S + COARSE_STEP_S / 2, COARSE_STEP_S)
-    costs = np.array([fit.at(lag_s)[0] for lag_s in lags_s])
+    costs = np.array([error_at(lag_s)[0] for lag_s in lags_s])
     if not np.isfinite(costs).any():
         return _unknown("images and kinematics do not overlap in time")
     # Golden-section search between the neighbours of the coarse minimum, down to 0.05 ms.
@@ -47,52 +47,46 @@ def estimate_lag(stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict)
     low, high = coarse_s - COARSE_STEP_S, coarse_s + COARSE_STEP_S
     while high - low > 5e-5:
         left, right = high - ratio * (high - low), low + ratio * (high - low)
-        low, high = (low, right) if fit.at(left)[0] <= fit.at(right)[0] else (left, high)
+        low, high = (low, right) if error_at(left)[0] <= error_at(right)[0] else (left, high)
     lag_s = float((low + high) / 2.0)
     rival = float(np.min(costs[np.abs(lags_s - lag_s) > RIVAL_DISTANCE_S], initial=np.inf))
-    confidence = 1.0 - fit.at(lag_s)[0] / rival if np.isfinite(rival) and rival > 0 else 0.0
-    std_s = fit.std_s(lag_s)
-    if std_s is None or std_s > MAX_STD_S:
+    confidence = 1.0 - error_at(lag_s)[0] / rival if np.isfinite(rival) and rival > 0 else 0.0
+    std_s = _std_s(error_at, lag_s)
+    if std_s > MAX_STD_S:
         return _unknown("the motion is too slow to tell the lag")
     if confidence < MIN_CONFIDENCE:
         return _unknown(f"another lag explains the images nearly as well (confidence {confidence:.2f})")
     return LagEstimate(lag_s, std_s, confidence)
 
 
-@dataclass(frozen=True)
-class _ProfiledFit:
-    """The best map at a lag: its mean squared error in px² per measured coordinate, prior included."""
+def _std_s(error_at: Callable[[float], tuple[float, int]], lag_s: float) -> float:
+    """Standard deviation of the lag: noise over speed, as in any least-squares fit of a shift; infinite at rest."""
+    step_s = 0.01
+    (here, count), ahead, behind = error_at(lag_s), error_at(lag_s + step_s)[0], error_at(lag_s - step_s)[0]
+    # J(τ + h) ≈ J + v² h² with v the mean speed that the map cannot take up.
+    curvature = (ahead + behind - 2.0 * here) / step_s**2 / 2.0
+    return float(np.sqrt(here / (curvature * 2 * count))) if 0.0 < curvature < np.inf else np.inf
 
-    stamps_ns: NDArray[np.int64]
-    seen_px: Array
-    predict: Predict
 
-    def std_s(self, lag_s: float) -> float | None:
-        """Standard deviation of the lag: noise over speed, as in any least-squares fit of a shift."""
-        step_s = 0.01
-        (here, count), ahead, behind = self.at(lag_s), self.at(lag_s + step_s)[0], self.at(lag_s - step_s)[0]
-        # J(τ + h) ≈ J + v² h² with v the mean speed that the map cannot take up.
-        curvature = (ahead + behind - 2.0 * here) / step_s**2 / 2.0
-        if not (0.0 < curvature < np.inf):
-            return None
-        return float(np.sqrt(here / (curvature * 2 * count)))
+def _error_at(stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict, lag_s: float) -> tuple[float, int]:
+    """The best map's mean squared error in px² per measured coordinate, prior included, and the number of frames.
 
-    def at(self, lag_s: float) -> tuple[float, int]:
-        """The error and the number of frames, of which each has two coordinates; infinite where too few are known."""
-        predicted, known = self.predict(self.stamps_ns - round(lag_s * 1e9))
-        count = int(np.count_nonzero(known))
-        if count < max(MIN_PAIRS, len(self.stamps_ns) // 4):
-            return np.inf, count
-        p, s = predicted[known], self.seen_px[known]
-        p, s = p - p.mean(0), s - s.mean(0)
-        if np.sqrt(np.mean(p**2)) < MIN_MOTION_PX:
-            return np.inf, count
-        weight = (PIXEL_STD / MAP_STD) ** 2
-        change = np.linalg.solve(p.T @ p + weight * np.eye(2), p.T @ (s - p))
-        residual = s - p - p @ change
-        cost = float(np.sum(residual**2) + weight * np.sum(change**2)) / (2 * count)
-        # Frames drop out at the ends of the search; less motion left must not pass for a better fit.
-        return cost * float(np.mean(self.seen_px.var(0))) / float(np.mean(s**2)), count
+    Each frame has two coordinates; infinite where too few are known.
+    """
+    predicted, known = predict(stamps_ns - round(lag_s * 1e9))
+    count = int(np.count_nonzero(known))
+    if count < max(MIN_PAIRS, len(stamps_ns) // 4):
+        return np.inf, count
+    p, s = predicted[known], seen_px[known]
+    p, s = p - p.mean(0), s - s.mean(0)
+    if np.sqrt(np.mean(p**2)) < MIN_MOTION_PX:
+        return np.inf, count
+    weight = (PIXEL_STD / MAP_STD) ** 2
+    change = np.linalg.solve(p.T @ p + weight * np.eye(2), p.T @ (s - p))
+    residual = s - p - p @ change
+    cost = float(np.sum(residual**2) + weight * np.sum(change**2)) / (2 * count)
+    # Frames drop out at the ends of the search; less motion left must not pass for a better fit.
+    return cost * float(np.mean(seen_px.var(0))) / float(np.mean(s**2)), count
 
 
 def _unknown(reason: str) -> LagEstimate:
