@@ -9,6 +9,7 @@ shape, is smooth where nothing shows its detail, and continues below what hides 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -69,11 +70,7 @@ class DisparityMap:
 
 
 def disparity_map(
-    views: tuple[Image, Image],
-    masks: tuple[Image, Image],
-    bounds_px: tuple[float, float],
-    settings: StereoSettings,
-    most_px: int,
+    views: Sequence[Image], masks: Sequence[Image], bounds_px: Sequence[float], settings: StereoSettings, most_px: int
 ) -> DisparityMap | None:
     """Match the left and the right grey view, shape (h, w), inside of masks; None where too little agrees.
 
@@ -82,49 +79,47 @@ def disparity_map(
     x, y, width, height = cv2.boundingRect(_eroded(masks[0], 2 * MARGIN_PX + 1))  # without specks
     step = max(1, int(np.ceil(np.sqrt(width * height / most_px))))
     rows = slice(max(0, y - MARGIN_PX * step), y + height + MARGIN_PX * step)
-    left, right = (reduced(view[rows], step) for view in views)
-    inside, inside_right = (reduced(mask[rows], step, cv2.INTER_NEAREST) for mask in masks)
-    low, high = bounds_px[0] / step, min(bounds_px[1] / step, MAX_SHARE * left.shape[1])
+    greys = [reduced(view[rows], step) for view in views]
+    inside = [reduced(mask[rows], step, cv2.INTER_NEAREST) for mask in masks]
+    whole_px = greys[0].shape[1]
+    low, high = bounds_px[0] / step, min(bounds_px[1] / step, MAX_SHARE * whole_px)
     # A view that is too small, or a baseline in millimetres for metres: nothing could be seen so near.
-    if min(left.shape) <= 8 * CELL_PX or low >= high:
+    if min(greys[0].shape) <= 8 * CELL_PX or low >= high:
         return None
-    found = _range(left, right, inside, inside_right, low, high)
+    found = _range(greys, inside, low, high)
     if found is None:
         return None
     low, high = found
-    whole_px = left.shape[1]
     # Columns that matches can lie in
     first = max(0, int(x / step - max(high, 0.0)) - MARGIN_PX)
     last = int((x + width) / step - min(low, 0.0)) + MARGIN_PX
-    left, right, inside, inside_right = (
-        np.ascontiguousarray(one[:, first:last]) for one in (left, right, inside, inside_right)
-    )
-    levelled = _levelled(left, inside, whole_px), _levelled(right, inside_right, whole_px)
-    matched = semi_global(*levelled, low, high, settings.block_px, 2 if whole_px > MATCHED_PX else 1)
-    fitted = _Fit((left, right), (inside, inside_right), matched, BRIGHTNESS_SHARE * whole_px).run()
+    greys, inside = ([np.ascontiguousarray(one[:, first:last]) for one in both] for both in (greys, inside))
+    levelled = [_levelled(grey, mask, whole_px) for grey, mask in zip(greys, inside, strict=True)]
+    matched = semi_global(levelled, low, high, settings.block_px, 2 if whole_px > MATCHED_PX else 1)
+    fitted = _Fit(greys, inside, matched, BRIGHTNESS_SHARE * whole_px).run()
     if fitted is None:
         return None
-    disparity_px, std_px, is_seen, cells = fitted
-    if cells * CELL_PX**2 * step**2 < settings.min_matches:
+    disparity_px, std_px, is_seen = fitted
+    if np.count_nonzero(is_seen) * CELL_PX**2 * step**2 < settings.min_matches:
         return None
     at = step * (CELL_PX * np.arange(max(is_seen.shape)) + 0.5 * (CELL_PX - 1)) + 0.5 * (step - 1)
     columns_px, rows_px = step * first + at[: is_seen.shape[1]], rows.start + at[: is_seen.shape[0]]
     return DisparityMap(columns_px, rows_px, step * disparity_px, step * std_px, is_seen)
 
 
-def semi_global(left: Image, right: Image, low_px: float, high_px: float, block_px: int, step: int = 1) -> Floats:
+def semi_global(views: Sequence[Image], low_px: float, high_px: float, block_px: int, step: int = 1) -> Floats:
     """Disparity of every left pixel by semi-global matching of views reduced by `step`, shape (h, w) in px.
 
     NaN where there is none: the best match must be unique, and be found from the right, too.
     """
-    height, width = left.shape
-    left, right, low_px, high_px = reduced(left, step), reduced(right, step), low_px / step, high_px / step
+    height, width = views[0].shape
+    low_px, high_px = low_px / step, high_px / step
     low, count = int(np.floor(low_px)), 16 * int(np.ceil((high_px - low_px + 2.0) / 16))
     # Every column must have all disparities in the image, else OpenCV leaves it out.
     before, after = max(low + count, 0) + block_px, max(-low, 0) + block_px
     left, right = (
-        np.asarray(cv2.copyMakeBorder(view, 0, 0, before, after, cv2.BORDER_REPLICATE), np.uint8)
-        for view in (left, right)
+        np.asarray(cv2.copyMakeBorder(reduced(view, step), 0, 0, before, after, cv2.BORDER_REPLICATE), np.uint8)
+        for view in views
     )
     matcher = cv2.StereoSGBM.create(
         minDisparity=low,
@@ -143,18 +138,16 @@ def semi_global(left: Image, right: Image, low_px: float, high_px: float, block_
     return _enlarged(np.asarray(matched, np.float32), (width, height), cv2.INTER_NEAREST, step)
 
 
-def _range(
-    left: Image, right: Image, inside: Image, inside_right: Image, low: float, high: float
-) -> tuple[float, float] | None:
+def _range(greys: Sequence[Image], inside: Sequence[Image], low: float, high: float) -> tuple[float, float] | None:
     """The disparities that the scene has, in px, by matching small views over all that may be; None without any."""
-    step = max(1, round(left.shape[1] / COARSE_PX))
-    small = [reduced(view, step) for view in (left, right)]
-    small_inside = [reduced(mask, step, cv2.INTER_NEAREST) for mask in (inside, inside_right)]
-    levelled = [_levelled(view, mask, view.shape[1]) for view, mask in zip(small, small_inside, strict=True)]
-    if len(np.unique(levelled[1][small_inside[1] > 0])) < 2:  # a covered lens fits anything
+    step = max(1, round(greys[0].shape[1] / COARSE_PX))
+    greys = [reduced(grey, step) for grey in greys]
+    inside = [reduced(mask, step, cv2.INTER_NEAREST) for mask in inside]
+    levelled = [_levelled(grey, mask, grey.shape[1]) for grey, mask in zip(greys, inside, strict=True)]
+    if len(np.unique(levelled[1][inside[1] > 0])) < 2:  # a covered lens fits anything
         return None
-    matched = semi_global(levelled[0], levelled[1], low / step, high / step, 5)
-    seen = step * matched[np.isfinite(matched) & (small_inside[0] > 0)]
+    matched = semi_global(levelled, low / step, high / step, 5)
+    seen = step * matched[np.isfinite(matched) & (inside[0] > 0)]
     if len(seen) < CELL_PX**2:
         return None
     least, most = np.percentile(seen, RANGE_PERCENT)
@@ -181,13 +174,11 @@ def _levelled(grey: Image, inside: Image, width_px: int) -> Image:
 class _Fit:
     """The disparities of cells by matches, and by the brightness of both views along them."""
 
-    def __init__(
-        self, views: tuple[Image, Image], inside: tuple[Image, Image], matched: Floats, brightness_px: float
-    ) -> None:
-        self._left, self._right = (blurred(view.astype(np.float32), SMOOTHING_PX) for view in views)
+    def __init__(self, greys: Sequence[Image], inside: Sequence[Image], matched: Floats, brightness_px: float) -> None:
+        self._left, self._right = (blurred(grey.astype(np.float32), SMOOTHING_PX) for grey in greys)
         self._brightness_px = brightness_px
         core = _eroded(inside[0], 2 * MARGIN_PX + 1)
-        self._used_right = _without_highlights(views[1], _eroded(inside[1], MARGIN_PX))
+        self._used_right = _without_highlights(greys[1], _eroded(inside[1], MARGIN_PX))
         height, width = matched.shape
         self._size = (width // CELL_PX, height // CELL_PX)
         self._columns, self._rows = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in (width, height)))
@@ -200,17 +191,16 @@ class _Fit:
         self._is_matched = share > MIN_MATCHED
         self._share = np.asarray(np.where(self._is_matched, share, 0.0), np.float32)
         self._matches = np.where(self._is_matched, value / np.maximum(share, 1e-6), 0.0).astype(np.float32)
-        self._used = _without_highlights(views[0], core) * _enlarged(
-            self._is_matched.astype(np.float32), (width, height), cv2.INTER_NEAREST
-        )
+        near = _enlarged(self._is_matched.astype(np.float32), (width, height), cv2.INTER_NEAREST)
+        self._used = _without_highlights(greys[0], core) * near
         self._turn: Array = np.zeros(3)  # what rows are off by: an offset, and its change along both axes
 
-    def run(self) -> tuple[Array, Array, Bools, int] | None:
-        """Disparities and deviations of the cells in px, which are seen, and their number."""
+    def run(self) -> tuple[Array, Array, Bools] | None:
+        """Disparities and deviations of the cells in px, and which are seen."""
         if np.count_nonzero(self._is_matched) < CELL_PX**2:
             return None
         fitted, variance = fit_cells(self._share, self._share * self._matches)
-        is_near, is_seen, std_px = self._is_matched, self._is_matched, variance
+        is_near = self._is_matched
         for _ in range(STEPS):
             measured = self._by_brightness(fitted)
             if measured is None:
@@ -229,7 +219,7 @@ class _Fit:
         filled, variance = fit_cells(information * is_seen, total * is_seen)
         fitted = np.where(is_seen, fitted, filled)
         std_px = np.where(is_seen, std_px, FILLED_FACTOR * _std_px(variance))
-        return fitted.astype(np.float64), std_px.astype(np.float64), is_seen, int(np.count_nonzero(is_seen))
+        return fitted.astype(np.float64), std_px.astype(np.float64), is_seen
 
     def _by_brightness(self, fitted: Floats) -> tuple[Floats, Floats] | None:
         """Information of cells about disparity, and that times its value, linear about `fitted`; mends the rows."""
@@ -298,11 +288,11 @@ def _smooth_share(error: Floats, weight: Floats, sigma_px: float) -> Floats:
 def _without_patches(is_seen: Bools) -> Bools:
     """Without what is a cell wide, or stands alone and is small."""
     opened = cv2.morphologyEx(is_seen.astype(np.uint8), cv2.MORPH_OPEN, _square(2))
-    count, labels, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
+    _, labels, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
     areas = statistics[:, cv2.CC_STAT_AREA]
     kept = areas >= LEAST_PATCH * max(int(areas[1:].sum()), 1)
     kept[0] = False
-    return np.asarray(kept[labels]) if count > 1 else np.zeros_like(is_seen)
+    return np.asarray(kept[labels])
 
 
 def _without_highlights(grey: Image, inside: Image) -> Floats:

@@ -101,7 +101,7 @@ def detect_stereo_surface(
         masks = [_turned(mask, H, size, cv2.INTER_NEAREST) for mask, H in zip(masks, turns, strict=True)]
         first_px, offset_px = shifts[0], offset_px - float(shifts[0][0] - shifts[1][0])
     bounds_px = [pair.disparity_at(at_m) + offset_px for at_m in (field.depth_m, field.least_depth_m)]
-    found = disparity_map((greys[0], greys[1]), (masks[0], masks[1]), (bounds_px[0], bounds_px[1]), settings, most_px)
+    found = disparity_map(greys, masks, bounds_px, settings, most_px)
     if found is None:
         return None
     rows_px = np.stack(np.meshgrid(found.columns_px, found.rows_px), -1) + first_px
