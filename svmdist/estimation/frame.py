@@ -159,10 +159,8 @@ class Needs:
 
     def left_alone(self) -> Needs:
         """What the left view has of it."""
-        scene, frame = (
-            tuple(name for name in names if name not in OF_BOTH_VIEWS and not name.startswith("right."))
-            for names in (self.scene, self.frame)
-        )
+        scene = tuple(name for name in self.scene if name not in OF_BOTH_VIEWS and not name.startswith("right."))
+        frame = tuple(name for name in self.frame if not name.startswith("right."))
         return Needs(scene, frame, self.robot)
 
     def __or__(self, other: Needs) -> Needs:

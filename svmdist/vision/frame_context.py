@@ -20,12 +20,10 @@ from svmdist.vision.stereo import LEVEL, RowAlignment
 from svmdist.vision.tags import find_tags, tag_plate
 
 COMB_RATIO = 3.0  # combed pixels over those that differ from the same field's rows: fine texture does both
-# Side of the blocks in which these are counted, at 640 columns: smaller than an instrument's tip
-BLOCK_PX = 9
+BLOCK_PX = 9  # side of the blocks in which these are counted, at 640 columns: smaller than an instrument's tip
 MIN_FRACTION = 0.12  # of a block's pixels that are combed, where its odd rows are mended
 MIN_PIXELS = 60  # combed pixels in a whole image, at 640 columns, below which nothing is looked at further
-# Of combed pixels: 0.1 or more where colours are their field's own, 0.05 at most where mixed
-COMBED_COLOURS = 0.07
+COMBED_COLOURS = 0.07  # of combed pixels: 0.1 or more where colours are their field's own, 0.05 at most where mixed
 
 DEFAULT = InterlaceSettings()
 COLUMNS = 640  # sizes in px are for images of so many columns
@@ -33,16 +31,11 @@ REACH = 3  # blocks about a combed one that are mended with it: part of what mov
 
 
 def with_first_fields(observation: Observation, settings: InterlaceSettings = DEFAULT) -> Observation:
-    """The observation with both views at the instant of their first field; the same object where nothing is combed."""
-    left, right = first_field(observation.image_bgr, settings), observation.right
-    if left is not observation.image_bgr:
-        observation = replace(observation, image_bgr=left)
-    if right is None:
-        return observation
-    image = first_field(right.image_bgr, settings)
-    if image is right.image_bgr:
-        return observation
-    return replace(observation, right=replace(right, image_bgr=image))
+    """The observation with both views at the instant of their first field; the same images where nothing is combed."""
+    right = observation.right
+    if right is not None:
+        right = replace(right, image_bgr=first_field(right.image_bgr, settings))
+    return replace(observation, image_bgr=first_field(observation.image_bgr, settings), right=right)
 
 
 def first_field(bgr: Image, settings: InterlaceSettings = DEFAULT) -> Image:
@@ -87,7 +80,7 @@ def _stands_out(levels_of: Image, away: int, levels: float) -> Image:
 
 
 def as_pinholes(observation: Observation, rows: RowAlignment = LEVEL) -> Observation:
-    """Both views as ideal cameras give them, the right one's rows aligned; the same object where they are."""
+    """Both views as ideal cameras give them, the right one's rows aligned; the same images where they are."""
     left, right = observation.camera, observation.right
     if left.has_distortion:
         image = _mapped(observation.image_bgr, left, np.eye(3), left)
@@ -96,12 +89,11 @@ def as_pinholes(observation: Observation, rows: RowAlignment = LEVEL) -> Observa
         return observation
     if not _is_rectified(left, right):
         right = _beside(left, right)
-        observation = replace(observation, right=right)
-    if rows == LEVEL:
-        return observation
-    size, how = right.image_bgr.shape[1::-1], cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    aligned = cv2.warpAffine(right.image_bgr, rows.of_image(right.camera.K), size, flags=how)
-    return replace(observation, right=replace(right, image_bgr=np.asarray(aligned, np.uint8)))
+    if rows != LEVEL:
+        size, how = right.image_bgr.shape[1::-1], cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+        aligned = cv2.warpAffine(right.image_bgr, rows.of_image(right.camera.K), size, flags=how)
+        right = replace(right, image_bgr=np.asarray(aligned, np.uint8))
+    return replace(observation, right=right)
 
 
 def seen_through(camera: Camera, pinhole_px: Array) -> Array:
@@ -116,8 +108,7 @@ def _is_rectified(left: Camera, right: RightView) -> bool:
     is_ideal = not (left.has_distortion or right.camera.has_distortion)
     is_parallel = np.allclose(right.T_left_right[:3, :3], np.eye(3), atol=1e-6)
     of_one_size = (left.width_px, left.height_px) == (right.camera.width_px, right.camera.height_px)
-    is_alike = np.abs(off).max() <= 1e-3 and of_one_size
-    return is_ideal and is_parallel and bool(is_alike)
+    return is_ideal and is_parallel and of_one_size and bool(np.abs(off).max() <= 1e-3)
 
 
 def _beside(left: Camera, right: RightView) -> RightView:
