@@ -36,16 +36,13 @@ from svmdist.vision.regions import Region, find_region
 def locate(frame: Frame) -> tuple[FrameResult, Region | None, Region | None]:
     """Tissue and instrument by their colours as recorded, and the result so far; rejected if one is missing."""
     tissue, instrument = frame.left.regions_as_recorded
-    status = Status.OK
-    if tissue is None or instrument is None:
-        status = Status.NO_TISSUE if tissue is None else Status.NO_INSTRUMENT
-    result = FrameResult(frame.stamp_ns, status)
-    if tissue is not None:
-        result = result.with_image(tissue_px=as_pixel(tissue.centroid_px), tissue_area_px=tissue.area_px)
+    result = FrameResult(frame.stamp_ns, Status.OK if instrument else Status.NO_INSTRUMENT)
     if instrument is not None:
-        tool_px, area_px = as_pixel(instrument.centroid_px), instrument.area_px
-        result = result.with_image(tool_px=tool_px, tool_area_px=area_px)
-    return result, tissue, instrument
+        result = result.with_image(tool_px=as_pixel(instrument.centroid_px), tool_area_px=instrument.area_px)
+    if tissue is None:
+        return result.rejected(Status.NO_TISSUE), None, instrument
+    tissue_px = as_pixel(tissue.centroid_px)
+    return result.with_image(tissue_px=tissue_px, tissue_area_px=tissue.area_px), tissue, instrument
 
 
 def in_plane(result: FrameResult, tool_px: Array, tissue_px: Array, mapping: PlaneMapping) -> FrameResult:
@@ -93,10 +90,7 @@ def search_marker(frame: Frame, centre_px: Array) -> MarkerSearch:
     features = detect_orb(to_grey(window_bgr), rules.feature_count)
     matches = match_features(_template(profile.marker, rules), features, rules.ratio)
     found = MarkerSearch(window_bgr, origin_px, features, matches, np.zeros(len(matches), np.bool_))
-    if len(matches) < rules.min_match_count:
-        return found
-    homography = fit_homography(matches, rules.reprojection_px)
-    if homography is None:
+    if len(matches) < rules.min_match_count or (homography := fit_homography(matches, rules.reprojection_px)) is None:
         return found
     H, inliers = homography
     corners_px = marker_corners(H, size_px, profile.settings.marker)
@@ -141,12 +135,10 @@ def by_overlay(frame: Frame, mapping: PlaneMapping) -> FrameResult:
     result = result.with_image(inlier_count=int(np.count_nonzero(found.inliers)))
 
     # Final phase: third contour, both places to the plane, and the distance between them.
-    marker, settings = profile.marker, profile.settings
-    outline = third_contour(found.window_bgr, found.corners_px, marker, settings.outline)
+    outline = third_contour(found.window_bgr, found.corners_px, profile.marker, profile.settings.outline)
     if outline is None:
         return result.rejected(Status.NO_OUTLINE)
-    tool_px = outline.centroid_px + found.origin_px
-    return in_plane(result, tool_px, tissue.centroid_px, mapping)
+    return in_plane(result, outline.centroid_px + found.origin_px, tissue.centroid_px, mapping)
 
 
 def by_centroid(frame: Frame, mapping: PlaneMapping) -> FrameResult:

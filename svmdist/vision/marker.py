@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 
 import cv2
 import numpy as np
@@ -29,16 +29,13 @@ EDGE_SOFTNESS_PX = 1.0
 score, and its non-maximum suppression then drops them all at full resolution."""
 
 
-@lru_cache(maxsize=8)
 def marker_pattern(size_px: int) -> Image:
-    """The marker as a grey image, shape (size_px, size_px), read-only."""
+    """The marker as a grey image, shape (size_px, size_px)."""
     cells = np.full((CELL_COUNT, CELL_COUNT), 255, np.uint8)
     cells[1:-1, 1:-1] = 0
     cells[2:-2, 2:-2] = 255 * np.unpackbits(np.array(DATA_ROWS, np.uint8)[:, None], axis=1)
     index = np.arange(size_px) * CELL_COUNT // size_px
-    pattern = np.asarray(cv2.GaussianBlur(cells[np.ix_(index, index)], (0, 0), EDGE_SOFTNESS_PX), np.uint8)
-    pattern.setflags(write=False)
-    return pattern
+    return np.asarray(cv2.GaussianBlur(cells[np.ix_(index, index)], (0, 0), EDGE_SOFTNESS_PX), np.uint8)
 
 
 def paste_marker(image_bgr: Image, centre_px: Array, size_px: int, margin_px: int) -> tuple[Image, tuple[int, int]]:
@@ -145,8 +142,6 @@ def fit_homography(matches: Matches, reprojection_px: float) -> tuple[Array, NDA
 
     It is H, shape (3, 3) with H[2, 2] = 1, and which matches agree with it, shape (n,).
     """
-    if len(matches) < 4:
-        return None
     parameters = cv2.UsacParams()
     parameters.threshold = reprojection_px
     parameters.confidence = 0.999
@@ -159,7 +154,7 @@ def fit_homography(matches: Matches, reprojection_px: float) -> tuple[Array, NDA
     parameters.randomGeneratorState = SEED
     try:
         fitted, _ = cv2.findHomography(matches.template_px, matches.frame_px, parameters)
-    except cv2.error:  # degenerate points: all alike, or on one line
+    except cv2.error:  # too few, or degenerate points: all alike, or on one line
         return None
     if fitted is None or not np.all(np.isfinite(fitted)) or abs(fitted[2, 2]) < 1e-12:
         return None
@@ -233,9 +228,7 @@ def marker_corners(H: Array, size_px: int, settings: MarkerSettings) -> Array | 
     corners = transfer(H, np.array([[0.0, 0.0], [last, 0.0], [last, last], [0.0, last]]))
     if not np.all(np.isfinite(corners)):
         return None
-    edges = np.roll(corners, -1, 0) - corners
-    following = np.roll(edges, -1, 0)
-    cross = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
-    area_ratio = cv2.contourArea(corners.astype(np.float32)) / (size_px - 1) ** 2
+    outline = corners.astype(np.float32)
+    area_ratio = cv2.contourArea(outline, oriented=True) / (size_px - 1) ** 2  # negative where it is mirrored
     is_alike = 1.0 / settings.max_area_ratio < area_ratio < settings.max_area_ratio
-    return corners if np.all(cross > 0) and is_alike else None
+    return corners if is_alike and cv2.isContourConvex(outline) else None
