@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,10 +59,8 @@ def fit_line(
     # Points err alike over the correlation length: as if there were fewer of them.
     spacing = np.ptp(position) / unit / max(len(points) - 1, 1)
     alike = max(1.0, POINT_CORRELATION_PX / max(spacing, 1e-6))
-    variance = scale**2 * alike
-    shared = (systematic_px * unit) ** 2
-    turn = (variance / weight.sum() + shared) / max(float(weight @ position**2 / weight.sum()), 1e-30)
-    shift = variance / weight.sum() + shared
+    shift = scale**2 * alike / weight.sum() + (systematic_px * unit) ** 2
+    turn = shift / max(float(weight @ position**2 / weight.sum()), 1e-30)
     return _tangent_plane(normal, float(normal @ centre), centre, np.diag([turn, shift]), inside)
 
 
@@ -98,20 +95,14 @@ def _tangent_plane(normal: Array, offset: float, centre: Array, covariance: Arra
 
 def _consensus(points: Array, tolerance: float) -> NDArray[np.bool_]:
     """The largest set of points, shape (n,), that lie within a tolerance of a line through two of them."""
-    first, second = _trials(len(points))
+    count, rng = len(points), np.random.default_rng(SEED)  # pairs of different points, the same whenever they are drawn
+    first = rng.integers(0, count, TRIALS)
+    second = (first + rng.integers(1, count, TRIALS)) % count
     along = points[second] - points[first]
     across = np.stack([-along[:, 1], along[:, 0]], -1) / np.hypot(along[:, 0], along[:, 1])[:, None]
     distance = np.abs(across @ points.T - np.sum(across * points[first], 1)[:, None])
     close = distance <= tolerance
     return np.asarray(close[np.argmax(np.count_nonzero(close, axis=1))])
-
-
-@lru_cache(maxsize=1024)
-def _trials(count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Pairs of different points among so many, the same whenever they are drawn."""
-    rng = np.random.default_rng(SEED)
-    first = rng.integers(0, count, TRIALS)
-    return first, (first + rng.integers(1, count, TRIALS)) % count
 
 
 MIN_SINE = 5e-3  # of two planes' angle: a radius below 0.25 % of the distance has no measurable width
