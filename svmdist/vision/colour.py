@@ -82,8 +82,7 @@ def _mask(channels: Sequence[cv2.typing.MatLike], region: ColourRegion) -> Image
     return mask
 
 
-# Bright parts below this fraction of the image are letters on a black border, not scene
-BRIGHT_PART_FRACTION = 0.005
+BRIGHT_PART_FRACTION = 0.005  # bright parts below this fraction of the image are letters on a black border, not scene
 
 
 def field_of_view(dark: Image) -> Image:
@@ -142,9 +141,8 @@ def find_distinct_colour(images: Sequence[Image], mark_count: int = 1) -> Distin
     if len(images) < 3:
         return None
     hsv = [to_hsv(image) for image in images]
-    candidates = [_marks(hsv, hue, mark_count) for hue in HUES]
-    found = [candidate for candidate in candidates if candidate is not None]
-    return max(found, key=lambda candidate: candidate.area_px, default=None)
+    found = [marks for hue in HUES if (marks := _marks(hsv, hue, mark_count)) is not None]
+    return max(found, key=lambda marks: marks.area_px, default=None)
 
 
 def _marks(images: Sequence[Image], hue: int, mark_count: int) -> DistinctColour | None:

@@ -19,10 +19,8 @@ SAMPLE_STEP_PX = 2.0  # distance of the hull's samples; whole pixels tell no fin
 MAX_SAMPLE_COUNT = 480  # upper bound of the samples of one hull: longer hulls are sampled at a larger step
 GAP_DISC = cv2.circle(np.zeros((5, 5), np.uint8), (2, 2), 2, 1, cv2.FILLED)
 """A sample of the hull further than 2 px from any visible pixel bridges a gap."""
-# Tested stretch c √R: a chord of a circle is c² / 8 = 2.5 px off its middle
-STRAIGHT_LENGTH_PER_ROOT_PX = 4.5
-# Of the chord: flatter than a circle of three times the radius, so an instrument's edge
-STRAIGHT_WITHIN_PX = 0.8
+STRAIGHT_LENGTH_PER_ROOT_PX = 4.5  # tested stretch c √R: a chord of a circle is c² / 8 = 2.5 px off its middle
+STRAIGHT_WITHIN_PX = 0.8  # of the chord: flatter than a circle of three times the radius, so an instrument's edge
 SHOULDER_SAMPLES = 4  # dropped on both sides of a hidden one: the corners of the cut lie there
 HARMONICS = 6  # number of harmonics of the Fourier series r(θ)
 HIDDEN_STD = 0.3  # of the hull's centroid over the radius, where the hull is used as it is
@@ -230,7 +228,8 @@ def find_region(mask: Image, rule: AreaGate, settings: OutlineSettings = DEFAULT
         inside = np.zeros((height, width), np.uint8)
         cv2.drawContours(inside, contours, -1, 255, cv2.FILLED, offset=(-x, -y))
         moments = cv2.moments(inside & mask[y : y + height, x : x + width], binaryImage=True)
-        centroid_px = np.array([moments["m10"], moments["m01"]]) / moments["m00"] + [x, y]
+        count = moments["m00"]
+        centroid_px = np.array([moments["m10"] + x * count, moments["m01"] + y * count]) / count
     return Region(sum(area_px for _, area_px in parts), centroid_px, hull, len(parts))
 
 
