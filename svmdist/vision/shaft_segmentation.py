@@ -63,11 +63,10 @@ def find_shaft(
     `black` may be border. Where it `may_be_print`, a stub that is as bright as that is none. Sides do not tell base
     from tip of a shaft that runs through the whole image, and where something is mounted, its end is not to be seen.
     """
-    width = shaft.shape[1]
+    width, covered = shaft.shape[1], np.zeros_like(shaft) if covered is None else covered
     dark = np.asarray(cv2.medianBlur(shaft, 3), np.uint8)
     view = field_of_view(dark if black is None else np.asarray(dark | black))
-    if covered is not None:
-        dark = np.asarray(cv2.subtract(dark, covered), np.uint8)
+    dark = np.asarray(cv2.subtract(dark, covered), np.uint8)
     rim_px = max(2, round(VIEW_BORDER_FRACTION * width))
     speck_px = max(1, round(SPECK_WIDTH_FRACTION * width / 2))
     gap_px = round(GLARE_WIDTH_FRACTION * width / 2)
@@ -76,9 +75,8 @@ def find_shaft(
     core = _eroded(view[box], rim_px)
     at_border = cv2.subtract(core, _eroded(core, 2))
     mask = cv2.morphologyEx(cv2.bitwise_and(dark[box], core), cv2.MORPH_OPEN, _disc(speck_px))
-    mask = np.asarray(cv2.bitwise_and(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _disc(gap_px)), core), np.uint8)
-    if covered is not None:
-        mask = np.asarray(cv2.subtract(mask, covered[box]), np.uint8)
+    mask = cv2.bitwise_and(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _disc(gap_px)), core)
+    mask = np.asarray(cv2.subtract(mask, covered[box]), np.uint8)
     corner = box[1].start, box[0].start
     contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     for contour in sorted(contours, key=cv2.contourArea, reverse=True):
@@ -157,9 +155,7 @@ def _apex(arc: Array, first: Side, second: Side) -> Array:
     return np.asarray(middle_px + (ahead[near].max() if near.any() else 0.0) * along)
 
 
-def _is_covered(first: Side, second: Side, end_px: Array, covered: Image | None) -> bool:
-    if covered is None:
-        return False
+def _is_covered(first: Side, second: Side, end_px: Array, covered: Image) -> bool:
     radius_px = 0.7 * float(np.linalg.norm(first.end_px - second.end_px))
     left, top = (max(0, int(value - radius_px)) for value in end_px)
     right, bottom = (max(0, int(value + radius_px) + 2) for value in end_px)
