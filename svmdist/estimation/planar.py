@@ -41,8 +41,8 @@ def locate(frame: Frame) -> tuple[FrameResult, Region | None, Region | None]:
         result = result.with_image(tool_px=as_pixel(instrument.centroid_px), tool_area_px=instrument.area_px)
     if tissue is None:
         return result.rejected(Status.NO_TISSUE), None, instrument
-    tissue_px = as_pixel(tissue.centroid_px)
-    return result.with_image(tissue_px=tissue_px, tissue_area_px=tissue.area_px), tissue, instrument
+    result = result.with_image(tissue_px=as_pixel(tissue.centroid_px), tissue_area_px=tissue.area_px)
+    return result, tissue, instrument
 
 
 def in_plane(result: FrameResult, tool_px: Array, tissue_px: Array, mapping: PlaneMapping) -> FrameResult:
@@ -50,8 +50,7 @@ def in_plane(result: FrameResult, tool_px: Array, tissue_px: Array, mapping: Pla
     distance_m = planar_distance_m(mapping.to_plane_m(tool_px), mapping.to_plane_m(tissue_px))
     if not math.isfinite(distance_m):
         return result.rejected(Status.NOT_FINITE)
-    distances = Distances(planar=Distance(distance_m))
-    return replace(result.with_image(tool_px=as_pixel(tool_px)), distances=distances)
+    return replace(result.with_image(tool_px=as_pixel(tool_px)), distances=Distances(planar=Distance(distance_m)))
 
 
 SUBPIXEL_BITS = 4  # OpenCV draws at 1/16 px with this shift
@@ -85,8 +84,7 @@ def search_marker(frame: Frame, centre_px: Array) -> MarkerSearch:
     """Paste the marker about `centre_px`, (2,), and find it again: features, matches, homography."""
     profile = frame.arm.profile
     size_px, rules = profile.marker.size_px, profile.features
-    image_bgr = frame.left.context.bgr_as_recorded
-    window_bgr, origin_px = paste_marker(image_bgr, centre_px, size_px, EDGE_MARGIN_PX)
+    window_bgr, origin_px = paste_marker(frame.left.context.bgr_as_recorded, centre_px, size_px, EDGE_MARGIN_PX)
     features = detect_orb(to_grey(window_bgr), rules.feature_count)
     matches = match_features(_template(profile.marker, rules), features, rules.ratio)
     found = MarkerSearch(window_bgr, origin_px, features, matches, np.zeros(len(matches), np.bool_))
