@@ -45,8 +45,7 @@ class _Track:
     """Where an instrument came in and ended when it was last seen for sure, over the image's size; None before."""
 
     side: Array | None
-    entry: Array | None = None
-    end: Array | None = None
+    place: tuple[Array, Array] | None = None
     stamp_ns: int = 0
 
 
@@ -73,7 +72,7 @@ class EntryTracker:
         doubts = ["" if at is None else self._doubt(place, hypotheses) for place, at in enumerate(named)]
         for track, at, doubt in zip(self._tracks, named, doubts, strict=True):
             if at is not None and not doubt:
-                (track.entry, track.end), track.stamp_ns = places[at], stamp_ns
+                track.place, track.stamp_ns = places[at], stamp_ns
         return named, doubts
 
     def _cost(self, track: _Track, stamp_ns: int, entry: Array, end: Array) -> float:
@@ -82,12 +81,12 @@ class EntryTracker:
         def cost(off: Array, std: float) -> float:
             return 0.5 * float(off @ off) / std**2 + 2.0 * math.log(std)
 
-        if track.entry is None or track.end is None:
+        if track.place is None:
             return cost(np.zeros(2) if track.side is None else entry - track.side, SIDE_STD)
         passed_s = max(0.0, (stamp_ns - track.stamp_ns) / 1e9)
-        of_entry = cost(entry - track.entry, min(ENTRY_STD + ENTRY_SPEED * passed_s, SIDE_STD))
+        of_entry = cost(entry - track.place[0], min(ENTRY_STD + ENTRY_SPEED * passed_s, SIDE_STD))
         # Ends say nothing more once they may be anywhere.
-        of_end = cost(end - track.end, min(END_STD + END_SPEED * passed_s, SIDE_STD))
+        of_end = cost(end - track.place[1], min(END_STD + END_SPEED * passed_s, SIDE_STD))
         return of_entry + of_end - 2.0 * math.log(SIDE_STD)
 
     def _doubt(self, place: int, hypotheses: Sequence[tuple[float, tuple[int | None, ...]]]) -> str:
@@ -136,7 +135,9 @@ class EntryAssociation:
         left, doubts = self._left.update(stamp_ns, seen, unlike)
         if scene.right is None:
             return [(other_than(at, seen), None) for at in left], doubts
-        right = _assigned([None if at is None else cost[i, at] for i, at in enumerate(left)], len(beside))
+        none = np.full(len(beside), np.inf)
+        rows = np.array([none if at is None else cost[i, at] for i, at in enumerate(left)])
+        right = list(ranked_assignments(rows, UNNAMED_COST, UNSEEN_COST)[0][1])
 
         # What the right view alone shows is named by where it comes in there.
         unlike = np.full(cost.shape[::2], np.inf)
@@ -173,13 +174,6 @@ def other_than(own: int | None, seen: Sequence[SeenInstrument]) -> Image | None:
         return None
     others = np.bitwise_or.reduce(rest)
     return np.asarray(others if own is None else others & ~seen[own].mask, np.uint8)
-
-
-def _assigned(cost: Sequence[Array | None], count: int) -> list[int | None]:
-    """For each instrument the likeliest of `count` that another view shows, by -log likelihoods; None for none."""
-    none = np.full(count, np.inf)
-    rows = np.array([none if row is None else row for row in cost])
-    return list(ranked_assignments(rows, UNNAMED_COST, UNSEEN_COST)[0][1])
 
 
 def sides_beside(
