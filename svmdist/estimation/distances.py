@@ -23,8 +23,7 @@ def with_tissue(frame: Frame) -> FrameResult:
     result, tissue = FrameResult(frame.stamp_ns, Status.OK), frame.scene.tissue
     if tissue is None:
         return result.rejected(Status.NO_TISSUE)
-    tissue_px, area_px = as_pixel(tissue.outline.centroid_px), tissue.region.area_px
-    result = result.with_image(tissue_px=tissue_px, tissue_area_px=area_px)
+    result = result.with_image(tissue_px=as_pixel(tissue.outline.centroid_px), tissue_area_px=tissue.region.area_px)
     if tissue.pose is None:
         return result.rejected(Status.NO_TISSUE, "the tissue's ray does not meet the profile's plane")
     return result
@@ -43,11 +42,9 @@ def measured(
     Without sizes of the instrument in the profile there is no clearance. A value that is not finite rejects the frame.
     """
     pose = tool.pose
-    if not (np.all(np.isfinite(pose.T_camera_tool)) and np.all(np.isfinite(pose.covariance))):
-        return result.rejected(Status.NOT_FINITE)
     offset_m = pose.position_m - tissue.position_m
     covariance = pose.position_covariance + tissue.covariance - coupling[:3] - coupling[:3].T
-    if not (np.all(np.isfinite(offset_m)) and np.all(np.isfinite(covariance))):
+    if not all(np.isfinite(part).all() for part in (pose.T_camera_tool, pose.covariance, offset_m, covariance)):
         return result.rejected(Status.NOT_FINITE)
     planar, spatial = _length(offset_m[:2], covariance[:2, :2]), _length(offset_m, covariance)
     clearance = capsules = None
@@ -145,7 +142,6 @@ def with_clearance_between(
         if result.tool is not None and body is not None and result.measured
     ]
     filled = list(results)
-    nearest: dict[int, Distance] = {}
     for first, (i, capsules, pose, body) in enumerate(posed):
         for j, other_capsules, other_pose, other_body in posed[:first]:
             gap = capsule_separation(capsules, other_capsules)
@@ -153,11 +149,10 @@ def with_clearance_between(
             std_m = float(np.hypot(between_std_m(gap, pose, other_pose), of_surfaces_m))
             ends = ((i, gap.direction, gap.on_instrument_m), (j, -gap.direction, gap.on_tissue_m))
             for at, direction, start_m in ends:
-                distance = Distance(gap.distance_m, std_m, as_vector(direction), as_vector(start_m))
-                nearest[at] = min(nearest.get(at, distance), distance, key=lambda found: found.value_m)
-    for at, distance in nearest.items():
-        distances = replace(results[at].distances, to_instrument=distance)
-        filled[at] = replace(results[at], distances=distances)
+                found, distances = filled[at], filled[at].distances
+                if distances.to_instrument is None or gap.distance_m < distances.to_instrument.value_m:
+                    distance = Distance(gap.distance_m, std_m, as_vector(direction), as_vector(start_m))
+                    filled[at] = replace(found, distances=replace(distances, to_instrument=distance))
     return filled
 
 
