@@ -61,8 +61,7 @@ class FusedEstimator:
         # Predict by the joints, begin anew where the images say so, correct by what they show.
         kalman = self._filter
         kalman.predict(robot)
-        start = self._start(frame)
-        predicted = start or kalman.tool_pose()
+        predicted = self._start(frame) or kalman.tool_pose()
         by_tag = list(self._tag(frame, predicted))
         shown = self._of_images(frame)
         # A stub at the border, a wrist or a shadow has an outline, too: alone it counts where it holds a pose.
@@ -75,11 +74,12 @@ class FusedEstimator:
 
         # The tool with the error found, and the distances from there.
         region, consistency = frame.left.region, kalman.consistency
-        result = with_detections(result, gating if height is None else (*gating, height))
-        result = replace(result, detail=_detail(gating, height), consistency=consistency.ratio).with_image(
+        judged = gating if height is None else (*gating, height)
+        result = with_detections(result, judged)
+        result = replace(result, detail=_detail(gating, judged), consistency=consistency.ratio).with_image(
             tool_area_px=region.area_px if region else None,
             match_count=len(gating),
-            inlier_count=sum(judged.is_accepted for judged in gating),
+            inlier_count=sum(one.is_accepted for one in gating),
         )
         joints = JointSample(frame.stamp_ns, self._chain.joint_names, kalman.corrected_joints())
         pose = replace(kalman.tool_pose(), jaw_scale=jaw_scale(kalman, self._arm))
@@ -105,8 +105,7 @@ class FusedEstimator:
         """Begin anew where it is due, and give the pose to linearise at; None where the filter goes on."""
         kalman = self._filter
         # What only the first frame speaks for is as likely wrong as the second, which contradicts it.
-        enough = min(MAX_CONTRADICTIONS, max(self._agreed, 1))
-        is_due = not self._is_located or self._contradictions >= enough
+        is_due = not self._is_located or self._contradictions >= min(MAX_CONTRADICTIONS, max(self._agreed, 1))
         image = self._image_pose(frame) if is_due or self._age_s(frame) < YOUNG_S else None
         if image is None:
             return None
@@ -139,9 +138,7 @@ class FusedEstimator:
         # Sizes are compared where disparity puts the marker: a false start would agree with what it makes of them.
         pair = frame.scene.stereo_pair
         markers = None if isinstance(pair, Failure) else pair_markers(frame, pair)
-        expected = Expected.of(self._filter.tool_pose())
-        if isinstance(markers, MarkerPair):
-            expected = markers.expected
+        expected = markers.expected if isinstance(markers, MarkerPair) else Expected.of(self._filter.tool_pose())
         return of_images(frame, expected, markers, both_views=True, lasting_share=self._lasting_share, is_tracked=True)
 
     def _tag(self, frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
@@ -175,13 +172,9 @@ class FusedEstimator:
         return "the images contradict the prediction, as if the camera had moved" if is_off else ""
 
 
-def _detail(gating: Sequence[GatingResult], height: GatingResult | None) -> str:
-    refused = [judged.name for judged in gating if not judged.is_accepted]
-    alone = len(refused) == len(gating)
-    if height is not None and not height.is_accepted:
-        refused.append(height.name)
-    said = f"refused: {', '.join(refused)}" if refused else ""
-    if alone:
-        how = "joints alone" if gating else "nothing of the tool detected: joints alone"
-        return f"{said}; {how}" if said else how
-    return said
+def _detail(of_tool: Sequence[GatingResult], judged: Sequence[GatingResult]) -> str:
+    refused = [one.name for one in judged if not one.is_accepted]
+    said = [f"refused: {', '.join(refused)}"] if refused else []
+    if not any(one.is_accepted for one in of_tool):
+        said.append("joints alone" if of_tool else "nothing of the tool detected: joints alone")
+    return "; ".join(said)
