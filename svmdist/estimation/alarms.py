@@ -79,8 +79,7 @@ class AlarmWatch:
                 self._event, self._overlap_std_m = None, math.inf
             return AlarmState()
         self._gap = 0
-        std_m = self._deviation_m(clearance)
-        probability = probability_below(self._rules.below_m, clearance.value_m, std_m)
+        probability = probability_below(self._rules.below_m, clearance.value_m, self._deviation_m(clearance))
         is_raised = probability >= self._rules.probability
         self._event = _extended(self._event, row, clearance) if is_raised else None
         speed_m_s = self._closing_speed_m_s(row.stamp_ns, clearance.value_m)
@@ -118,12 +117,10 @@ class AlarmWatch:
 
 def _extended(begun: AlarmEvent | None, row: FrameResult, clearance: Distance) -> AlarmEvent:
     """An event with one more row, or the one that begins with it."""
-    if begun is None:
-        return AlarmEvent(row.instrument, row.number, row.seconds, row.seconds, clearance, row.number)
-    longer = replace(begun, end_s=row.seconds)
-    if clearance.value_m < begun.least.value_m:
-        return replace(longer, least=clearance, least_number=row.number)
-    return longer
+    event = begun or AlarmEvent(row.instrument, row.number, row.seconds, row.seconds, clearance, row.number)
+    if clearance.value_m < event.least.value_m:
+        event = replace(event, least=clearance, least_number=row.number)
+    return replace(event, end_s=row.seconds)
 
 
 def probability_below(below_m: float, clearance_m: float, std_m: float) -> float:

@@ -27,8 +27,7 @@ from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.instruments.find_instruments import SeenInstrument
 
 PLACED_FRACTION = 0.05  # of the width: a hidden region less certain than this assigns no shaft
-# A tool's nominal depth is taken to be at least this, since its pixel diverges towards the camera
-MIN_DEPTH_M = 0.02
+MIN_DEPTH_M = 0.02  # a tool's nominal depth is taken to be at least this, since its pixel diverges towards the camera
 RAY_COUNT = 12  # points along a shaft's expected axis at which the image is asked whether it is dark
 RAY_SPAN = (1.25, 2.2)  # where along the axis they lie, over the distance from the region to the shaft's end
 LIKELY_DARK = 0.85  # how much of the line where its shaft should be is dark, for the right instrument
@@ -68,8 +67,7 @@ class Association:
                 beside = self._nominal(robots, pair.camera, inverse(pair.T_left_right))
                 right, _ = self._other_masks("right", scene, scene.right, beside, offsets)
             others = list(zip(left, right, strict=True))
-        each = zip(self._arms, observations, robots, others, doubts, strict=True)
-        return [Frame.of(scene, *one) for one in each]
+        return [Frame.of(scene, *one) for one in zip(self._arms, observations, robots, others, doubts, strict=True)]
 
     def _nominal(
         self, robots: Sequence[RobotState | Failure], camera: Camera, T_camera_left: Array
@@ -172,7 +170,6 @@ class DarkPixels:
 
     def __init__(self, shafts: Image, black: Image | None) -> None:
         self._mask = np.asarray(cv2.medianBlur(shafts, 3), np.uint8)
-        # What the endoscope shows.
         self._view = field_of_view(self._mask if black is None else np.asarray(self._mask | black))
 
     def evidence(self, axis: ShaftAxis) -> float:
@@ -229,8 +226,7 @@ class NominalInstrument:
         """Where the tool is in the image by nominal kinematics, or what is behind it, to first order."""
         at_m = self.pose.position_m - behind_m * self.pose.axis
         mean, J = self.camera.project_with_derivative(np.array([*at_m[:2], max(at_m[2], MIN_DEPTH_M)]))
-        place = Gaussian(mean, J @ self.pose.position_covariance @ J.T)
-        return NominalPlace(place, at_m, float(J[0, 0]))
+        return NominalPlace(Gaussian(mean, J @ self.pose.position_covariance @ J.T), at_m, float(J[0, 0]))
 
     def likeness(self, seen: SeenInstrument) -> float:
         """Log-likelihood, up to a constant, of a seen instrument's direction in the image, were it this one."""

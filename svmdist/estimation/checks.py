@@ -15,13 +15,11 @@ from svmdist.estimation.comparison import (
     DISPARITY,
     FIELD,
     HEIGHT,
-    IMAGE,
     JAWS,
     KINEMATICS,
     LATER,
     MAX_DEVIATIONS,
     MOTION,
-    OUTLINE,
     PROFILE,
     ROWS,
     SHAFT,
@@ -49,8 +47,7 @@ from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
 from svmdist.vision.stereo import RectifiedPair, RowAlignment, corresponding_points
 
-# Points of both views that tell a median, and how rows change over the picture
-MIN_MATCHES, MIN_FITTED = 8, 60
+MIN_MATCHES, MIN_FITTED = 8, 60  # points of both views that tell a median, and how rows change over the picture
 MOST_POINTS = 0.75  # of those that show how rows bend: a few are at the border, or false
 MAX_ROWS_PX = 30.0  # by which rows of both views may differ to be compared at all
 ROWS_STD_PX = 0.4  # at the picture's border: pairs that are called rectified are so within half a pixel
@@ -89,12 +86,8 @@ def of_calibrations(changes: Iterable[tuple[Camera, Camera]], error: CameraError
 
 def _bounded(what: str, value: float, bounds: tuple[float, float]) -> Difference:
     """By how much a length in m is outside of bounds, as a logarithm."""
-    low, high = bounds
-    off = 0.0
-    if value > high:
-        off = float(np.log(value / high))
-    elif value < low:
-        off = -np.inf if value <= 0.0 else float(np.log(value / low))
+    nearest = min(max(value, bounds[0]), bounds[1])
+    off = 0.0 if value == nearest else float(np.log(value / nearest)) if value > 0.0 else -np.inf
     return Difference(what, (PROFILE, FIELD), off, FIELD_STD, "")
 
 
@@ -169,7 +162,7 @@ def _jaws(frame: Frame, pose: ToolPose) -> Iterator[Difference]:
         off_m = max(found) - instrument.jaw_radius_m - instrument.jaw_length_m
         depth_std = float(np.sqrt(pose.covariance[2, 2])) / float(pose.position_m[2])
         std_m = float(np.hypot(JAW_STD_M, depth_std * max(found)))
-        yield Difference("length of the jaws", (JAWS, IMAGE), off_m, std_m, "m")
+        yield Difference("length of the jaws", (JAWS, "the image"), off_m, std_m, "m")
 
 
 def _against_image(frame: Frame, source: str, pose: ToolPose) -> Iterator[Difference]:
@@ -229,16 +222,13 @@ def of_scene(scene: Scene) -> Iterator[Difference]:
         return
     if isinstance(tissue.pose.surface, Mesh) and tissue.pose.dome is None:
         corners_m = tissue.pose.surface.vertices_m
-        seen = tissue.outline.curve_px
         if np.all(corners_m[:, 2] > 0.0):
-            areas = [
-                cv2.contourArea(cv2.convexHull(px.astype(np.float32)))
-                for px in (scene.observation.camera.project(corners_m), seen)
-            ]
+            curves_px = scene.observation.camera.project(corners_m), tissue.outline.curve_px
+            areas = [cv2.contourArea(cv2.convexHull(px.astype(np.float32))) for px in curves_px]
             depth_std = profile.tissue.plane_distance_std_m / profile.tissue.plane_distance_m
             off = 0.5 * float(np.log(max(areas[0], 1.0) / max(areas[1], 1.0)))
             std = float(np.hypot(OUTLINE_STD, depth_std))
-            yield Difference("size of the tissue", (TISSUE, OUTLINE), off, std, "")
+            yield Difference("size of the tissue", (TISSUE, "its outline"), off, std, "")
     yield from _of_surface(scene)
 
 
@@ -275,8 +265,7 @@ def _of_surface(scene: Scene) -> Iterator[Difference]:
     reach_m = float(np.sqrt(np.linalg.eigvalsh(np.cov(across_m.T))[0]))  # of its shorter side
     turned_rad = profile.camera_error.right_rotation_std_rad
     std_rad = float(np.linalg.norm([stated.plane_tilt_std_rad, own_m / reach_m, turned_rad, *of_fit[:2]]))
-    tilt_rad = float(np.arctan(np.linalg.norm(fit[:2])))
-    yield Difference(TILT, (TISSUE, DISPARITY), tilt_rad, std_rad, "rad")
+    yield Difference(TILT, (TISSUE, DISPARITY), float(np.arctan(np.linalg.norm(fit[:2]))), std_rad, "rad")
     rest = by_shape - B @ moved
     shape_m = float(np.sqrt(own_m**2 + np.mean(np.einsum("ni,ij,nj->n", rest, of_shape, rest))))
     yield Difference(SHAPE, (TISSUE, DISPARITY), float(np.std(over_m - B @ fit)), shape_m, "m")

@@ -75,8 +75,7 @@ class View:
     @cached_property
     def region(self) -> Region | None:
         """The coloured region of the instrument's distal part."""
-        rule = self._arm.profile.segmentation.instrument
-        return find_region(self.masks.instrument, rule, self._settings.outline)
+        return find_region(self.masks.instrument, self._arm.profile.segmentation.instrument, self._settings.outline)
 
     @cached_property
     def regions_as_recorded(self) -> tuple[Region | None, Region | None]:

@@ -42,8 +42,7 @@ class KinematicEstimator:
             return result.rejected(Status.NO_JOINTS, robot.reason)
         if tissue is None:
             return result
-        tool = ToolEstimate(_nominal(frame, robot), frame.joints)
-        return measured(result.rejected(Status.OK), frame, tool, tissue)
+        return measured(result.rejected(Status.OK), frame, ToolEstimate(_nominal(frame, robot), frame.joints), tissue)
 
 
 def _nominal(frame: Frame, robot: RobotState) -> ToolPose:
@@ -160,18 +159,15 @@ def by_both_views(frame: Frame) -> FrameResult:
     if seen is not None:
         return _to_tissue(result, frame, tool, seen, tissue.pose)
     if not found.is_by_right_view:
-        said = "the right view shows neither the instrument nor the tissue's surface"
-        return result.rejected(Status.NO_STEREO, said)
+        return result.rejected(Status.NO_STEREO, "the right view shows neither the instrument nor the tissue's surface")
     said = "the views do not agree on the tissue's surface: the profile's is used"
     return measured(replace(result, detail=said), frame, tool, tissue.pose)
 
 
 def _triangulated(frame: Frame) -> ImagePose | Rejection | Failure:
     """Without sizes of a shaft: the triangulated marker, with the nominal orientation."""
-    robot, nominal = frame.robot_in_camera, ANY_ORIENTATION
-    if not isinstance(robot, Failure):
-        nominal = _nominal(frame, robot)
-    pose = triangulated_tool(frame, nominal)
+    robot = frame.robot_in_camera
+    pose = triangulated_tool(frame, ANY_ORIENTATION if isinstance(robot, Failure) else _nominal(frame, robot))
     if isinstance(pose, Failure):
         return pose
     if isinstance(robot, Failure):  # a place, and no direction

@@ -20,16 +20,14 @@ from svmdist.profile.settings import HandEyeSettings
 from svmdist.results import Failure
 from svmdist.transforms import Array, make_transform, rotation_of, skew
 
-# Part of the frames that must agree: else what is seen is another thing than what the robot moves
-MIN_FRACTION = 0.5
+MIN_FRACTION = 0.5  # part of the frames that must agree: else what is seen is another thing than what the robot moves
 GATE = 16.3  # largest squared normalised residual of a place that agrees: chi square of 3 degrees of freedom, 99.9 %
 HUBER = 2.0  # normalised residual from which on a frame counts less
 TRIALS = 400  # samples of three frames that the fit starts from
 AXIS_FLOOR_RAD = 0.01  # of a shaft's direction in the image: what its outline does not show, 0.6°
 AXIS_TILT_FLOOR_RAD = 0.17  # towards the camera: edges in shadows tilted it by 10° in simulated rooms
 POSITION_FLOOR_M = 2e-4  # standard deviation added to that of a place, along each axis
-# How long errors of a detection and play of joints last: between two reversals of a joint
-CORRELATION_TIME_S = 0.5
+CORRELATION_TIME_S = 0.5  # how long errors of a detection and play of joints last: between two reversals of a joint
 
 MAX_STEPS = 50
 CLOUD_STD_M = 1e-3  # places within this of a line or a point do not tell a rotation
@@ -104,8 +102,7 @@ def fit_hand_eye(places: ToolPlaces, settings: HandEyeSettings) -> HandEyeFit | 
     if not turn_std_rad <= settings.max_turn_std_rad:
         said = f"the rotation is uncertain by {np.degrees(turn_std_rad):.0f}°"
         return Failure(f"{said}: move the tool further, in all directions")
-    residuals_m = np.linalg.norm(_residuals(places, T), axis=1)
-    return HandEyeFit(T, covariance, agrees, residuals_m, effects, ratio)
+    return HandEyeFit(T, covariance, agrees, np.linalg.norm(_residuals(places, T), axis=1), effects, ratio)
 
 
 def rigid_fit(seen_m: Array, nominal_m: Array, weights: Array | None = None) -> Array:
@@ -142,8 +139,7 @@ def _residuals(places: ToolPlaces, T: Array) -> Array:
 def _place_covariance(places: ToolPlaces, T: Array) -> Array:
     """Of each residual: what was seen, and what of the robot differs from frame to frame, (n, 3, 3)."""
     R = T[:3, :3]
-    floor = POSITION_FLOOR_M**2 * np.eye(3)
-    return np.asarray(places.covariance + R @ places.nominal_covariance @ R.T + floor)
+    return np.asarray(places.covariance + R @ places.nominal_covariance @ R.T + POSITION_FLOOR_M**2 * np.eye(3))
 
 
 def _shared(places: ToolPlaces, T: Array) -> Array:
@@ -174,15 +170,13 @@ def _rows(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], *, robust: bo
         aside = np.cross(predicted, places.seen_m[agrees][known])
         aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
         across = np.stack([aside, np.cross(predicted, aside)], 1)
-        floors = [AXIS_FLOOR_RAD, AXIS_TILT_FLOOR_RAD]
-        std = np.hypot(places.axis_std_rad[agrees][known][:, None], floors)[..., None]
+        std = np.hypot(places.axis_std_rad[agrees][known][:, None], [AXIS_FLOOR_RAD, AXIS_TILT_FLOOR_RAD])[..., None]
         off = (places.axes[agrees][known] - predicted)[..., None]
         by_shift, by_turn = np.zeros((len(off), 3, 3)), -skew(predicted)
         blocks.append(across @ np.concatenate([off, by_shift, by_turn, shared[known][:, 3:]], 2) / std)
     if robust:
-        lengths = [np.linalg.norm(block[..., 0], axis=1) for block in blocks]
-        weights = [np.sqrt(huber_weights(length, HUBER))[:, None, None] for length in lengths]
-        blocks = [weight * block for weight, block in zip(weights, blocks, strict=True)]
+        weights = [np.sqrt(huber_weights(np.linalg.norm(block[..., 0], axis=1), HUBER)) for block in blocks]
+        blocks = [weight[:, None, None] * block for weight, block in zip(weights, blocks, strict=True)]
     return np.concatenate([block.reshape(-1, block.shape[2]) for block in blocks])
 
 
@@ -211,8 +205,7 @@ def _covariance(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_]) -> tupl
     gain = np.linalg.pinv(J.T @ J, hermitian=True)
     plain = _rows(places, T, agrees, robust=False)[:, 0]
     ratio = float(plain @ plain) / max(1, len(plain) - 6)
-    number = int(agrees.sum())
-    series = plain[: 3 * number].reshape(number, 3)
+    series = plain[: 3 * np.count_nonzero(agrees)].reshape(-1, 3)
     power = float((series**2).sum())
     repeated = float((series[1:] * series[:-1]).sum()) / power if power > 0 else 0.0
     step_s = float(np.median(np.diff(places.stamps_ns[agrees]))) / 1e9

@@ -101,9 +101,7 @@ def degeneracies(mapping: PlaneMapping, width_px: int, height_px: int) -> list[s
     for name, axis, size_px in (("(5), (23)", mapping.x, width_px), ("(6), (24)", mapping.y, height_px)):
         q = axis.quadratic_per_cm
         turning_cm = -axis.linear / (2.0 * q) if q else float("inf")
-        row = turning_cm / CM_PER_PIXEL
-        if mapping.equations == "printed":
-            row = (1.0 - turning_cm * 100.0) / 2.54
+        row = (1.0 - turning_cm * 100.0) / 2.54 if mapping.equations == "printed" else turning_cm / CM_PER_PIXEL
         if 0 <= row < size_px:
             warnings.append(
                 f"eqs. {name} turn around at pixel {row:.0f} of {size_px}: positions on both sides of it"

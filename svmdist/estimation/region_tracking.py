@@ -30,8 +30,7 @@ FIRST_SPEED_WIDTHS = 0.6  # standard deviation of the speed of what was detected
 LINEAR_STD = 0.4  # of seen over nominal motion: the nominal depth is off by as much
 DRIFT_WIDTHS = 0.01  # how the offset between seen and nominal place drifts, in widths per square root of s
 LATE_S = 0.03  # by which joints' stamps are off those of images
-# How the relation of seen and nominal motion drifts, as the depth changes, per square root of s
-LINEAR_DRIFT = 0.05
+LINEAR_DRIFT = 0.05  # how the relation of seen and nominal motion drifts, as the depth changes, per square root of s
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,9 +102,7 @@ class LinearMotion:
         """Take up a place, in Joseph's form, which keeps P positive; the first one sets the state."""
         size, R = len(self._P), seen.covariance
         if self._x is None:
-            of_place = np.zeros((size, size))
-            of_place[:2, :2] = R
-            self._x, self._P = np.concatenate([seen.mean, np.zeros(size - 2)]), self._P + of_place
+            self._x, self._P = np.pad(seen.mean, (0, size - 2)), self._P + np.pad(R, (0, size - 2))
             return
         H = np.eye(2, size)
         K = self._P @ H.T @ np.linalg.inv(H @ self._P @ H.T + R)
@@ -237,9 +234,8 @@ class RegionTracker:
         namings: list[_Naming] = []
         for before, tracks in self._pasts:
             expected = tuple(t.predict(stamp_ns, p) for t, p in zip(tracks, places, strict=True))
-            ranked = ranked_assignments(
-                self._costs(expected, seen) - told, self._extra_region_cost, self._settings.miss_cost
-            )
+            costs = self._costs(expected, seen) - told
+            ranked = ranked_assignments(costs, self._extra_region_cost, self._settings.miss_cost)
             namings += [_Naming(*one, before, tracks, expected) for one in ranked if np.isfinite(one[0])]
         namings.sort(key=lambda one: one.total)
         identities = []

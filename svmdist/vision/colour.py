@@ -168,5 +168,4 @@ def _marks(images: Sequence[Image], hue: int, mark_count: int) -> DistinctColour
     hues, *others = np.concatenate(pixels).astype(np.float64).T
     low, high = np.percentile((hues - hue + 90.0) % 180.0, [2, 98]) - 90.0 + hue
     saturation, value = ((max(0, round(float(np.percentile(one, 2)) - 20)), 255) for one in others)
-    hue_range = (round(low - 3) % 180, round(high + 3) % 180)
-    return DistinctColour(hue_range, saturation, value, float(np.median(areas)))
+    return DistinctColour((round(low - 3) % 180, round(high + 3) % 180), saturation, value, float(np.median(areas)))

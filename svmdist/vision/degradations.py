@@ -101,8 +101,7 @@ def require_degradation(name: str, severity: int) -> Degradation:
 
 def image_seed(kind: Degradation, camera: int, *path: int) -> int:
     """The seed of one image: `path` determines log and frame, `camera` is 0 for the left one and 1 for the right."""
-    sequence = np.random.SeedSequence([*path, camera if kind in PER_SENSOR else 0])
-    return int(sequence.generate_state(1)[0])
+    return int(np.random.SeedSequence([*path, camera if kind in PER_SENSOR else 0]).generate_state(1)[0])
 
 
 def degrade(image_bgr: Image, name: Degradation | str, severity: int, seed: int) -> Image:

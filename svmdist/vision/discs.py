@@ -78,14 +78,11 @@ def fit_disc(image_hsv: Image, mask: Image, centre_px: Array, radius_px: float) 
 
 def _crossing(values: Array, reach_px: Array, level: Array) -> Array:
     """Where each profile, shape (n, k), first falls below its level, shape (n,); NaN where it does not."""
-    below = values < level[:, None]
-    index = np.argmax(below, axis=1)
-    found = below.any(axis=1) & (index > 0)
-    index = np.maximum(index, 1)
+    index = np.argmax(values < level[:, None], axis=1)
     rows = np.arange(len(values))
     before, after = values[rows, index - 1], values[rows, index]
     part = (before - level) / np.where(before > after, before - after, 1.0)
-    return np.where(found, reach_px[index - 1] + part * STEP_PX, np.nan)
+    return np.where(index > 0, reach_px[index - 1] + part * STEP_PX, np.nan)
 
 
 def _circle(points_px: Array, centre_px: Array, blur_px: float, origin_px: Array) -> Disc | None:

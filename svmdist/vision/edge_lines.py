@@ -41,8 +41,7 @@ WINDOW = 3.0
 MIN_POINTS = 8
 START_PART = 0.8  # of a rough side, what is surely shaft: the rest may be wrist already
 END_STEPS, ROBUST_STEPS = 2, 5
-UNSEEN_SHARE = 0.15
-"""Against a line by a profile without an edge, where one beside the line counts `END_SHARE`."""
+UNSEEN_SHARE = 0.15  # against a line by a profile without an edge, where one beside the line counts `END_SHARE`
 
 Profiles = tuple[NDArray[np.float32], Array, NDArray[np.bool_]]
 """Slopes of three channels across a segment (3, n, k), at offsets (k,) in px, and what is seen (n, k)."""
@@ -81,12 +80,10 @@ def _points_near(profiles: Profiles, place: Array, reach_px: float, least_levels
     reach = int(reach_px / STEP_PX)
     columns = np.clip(column[:, None] + np.arange(-reach, reach + 1), 1, len(offsets) - 2)
     change = slopes[:, rows[:, None], columns].sum(2)  # (3, n)
-    kernel = np.ones((1, NEIGHBOURS))
-    change = cv2.filter2D(change, -1, kernel, borderType=cv2.BORDER_REPLICATE)
+    change = cv2.filter2D(change, -1, np.ones((1, NEIGHBOURS)), borderType=cv2.BORDER_REPLICATE)
     change = change / np.maximum(np.linalg.norm(change, axis=0), 1e-9)
     slope = (change[:, :, None] * slopes).sum(0)
-    window = slope[rows[:, None], columns]
-    best = np.argmax(window, 1)
+    best = np.argmax(slope[rows[:, None], columns], 1)
     peak = columns[rows, best]
     before, top, after = slope[rows, peak - 1], slope[rows, peak], slope[rows, peak + 1]
     inside = (best > 0) & (best < 2 * reach) & seen[rows, peak]
@@ -97,16 +94,12 @@ def _points_near(profiles: Profiles, place: Array, reach_px: float, least_levels
     good &= top > FAINT * (median(top[good]) if good.any() else 0.0)
     ratio = np.where(good, before * after, 0.25) / np.where(good, top * top, 1.0)
     width_px2 = -(STEP_PX**2) / np.log(np.clip(ratio, 1e-9, 1.0 - 1e-3))
-    return np.asarray(offsets[peak] + _peak_shift_px(before, top, after, good)), width_px2
-
-
-def _peak_shift_px(before: Array, top: Array, after: Array, good: NDArray[np.bool_]) -> Array:
-    """How far the peak of a Gaussian through three samples is off the middle one, (n,); NaN where it is none."""
+    # The peak of a Gaussian through these samples.
     log_before, log_top, log_after = (np.log(np.maximum(value, 1e-9)) for value in (before, top, after))
     bend = log_before - 2.0 * log_top + log_after
-    good = good & (bend < -1e-9)
+    good &= bend < -1e-9
     shift = 0.5 * (log_before - log_after) / np.where(good, bend, -1.0)
-    return np.where(good, np.clip(shift, -1.0, 1.0) * STEP_PX, np.nan)
+    return np.where(good, offsets[peak] + np.clip(shift, -1.0, 1.0) * STEP_PX, np.nan), width_px2
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,8 +138,7 @@ def edge_line(
     bounds_px = straight_px, max(straight_px, ROUGH_PX * rough_px)
     fine_px = max(PEAK_REACH_PX, WINDOW * straight_px)
     wide_px = max(WINDOW * ROUGH_PX * rough_px, fine_px)
-    feet_px = start + at[:, None] * along
-    profiles = _profiles_across(bgr, feet_px, across, wide_px + fine_px, picture)
+    profiles = _profiles_across(bgr, start + at[:, None] * along, across, wide_px + fine_px, picture)
     off_px, width_px2, line = np.full(len(at), np.nan), np.zeros(len(at)), (0.0, 0.0, length_px)
     for reach_px in (wide_px, *[fine_px] * (REFINEMENTS - 1)):
         off_px, width_px2 = _points_near(profiles, line[0] + line[1] * at, reach_px, least_levels)
@@ -225,8 +217,7 @@ def ending_line(
             return None
         line = _robust_line(at[part], off_px[part])
         residual = np.where(found, np.abs(off_px - line[0] - line[1] * at), np.inf)
-        scatter_px = SCATTER_STDS * scale_of(residual[part])
-        within_px = float(np.clip(scatter_px, *straight_px))
+        within_px = float(np.clip(SCATTER_STDS * scale_of(residual[part]), *straight_px))
         on_line = residual < within_px
         # The sum is largest where the part with more points on the line than off it ends. Where nothing is seen, as
         # of a dark shaft before dark tissue, little is said.

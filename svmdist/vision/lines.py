@@ -100,8 +100,7 @@ def _consensus(points: Array, tolerance: float) -> NDArray[np.bool_]:
     second = (first + rng.integers(1, count, TRIALS)) % count
     along = points[second] - points[first]
     across = np.stack([-along[:, 1], along[:, 0]], -1) / np.hypot(along[:, 0], along[:, 1])[:, None]
-    distance = np.abs(across @ points.T - np.sum(across * points[first], 1)[:, None])
-    close = distance <= tolerance
+    close = np.abs(across @ points.T - np.sum(across * points[first], 1)[:, None]) <= tolerance
     return np.asarray(close[np.argmax(np.count_nonzero(close, axis=1))])
 
 
@@ -164,5 +163,4 @@ def without_perspective(middle_px: Array, camera: Camera, depth_m: float, radius
     """
     if depth_m <= radius_m:
         return middle_px
-    aside = (radius_m / depth_m) ** 2
-    return middle_px - aside * (middle_px - camera.K[:2, 2])
+    return middle_px - (radius_m / depth_m) ** 2 * (middle_px - camera.K[:2, 2])

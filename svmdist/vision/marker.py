@@ -113,8 +113,7 @@ def detect_orb(image_grey: Image, feature_count: int, mask: Image | None = None)
     keypoints, descriptors = orb.detectAndCompute(image_grey, mask)
     if descriptors is None or not keypoints:
         return NO_FEATURES
-    points_px = np.asarray(cv2.KeyPoint.convert(keypoints), np.float64)
-    return Features(points_px, np.asarray(descriptors, np.uint8))
+    return Features(np.asarray(cv2.KeyPoint.convert(keypoints), np.float64), np.asarray(descriptors, np.uint8))
 
 
 def match_features(template: Features, frame: Features, ratio: float) -> Matches:
@@ -178,8 +177,7 @@ def _refit(H: Array, matches: Matches) -> tuple[Array, Array]:
             continue  # the same matches give the same homography
         p, q = matches.template_px[close] / UNIT_PX, matches.frame_px[close] / UNIT_PX
         h = (H * PX_PER_ELEMENT).ravel()[:8]
-        linearise = partial(_normal_equations, p=p, q=q)
-        found = minimise(h, linearise, np.add, REFIT_STEPS, REFIT_SETTLED, REFIT_DAMPING)
+        found = minimise(h, partial(_normal_equations, p=p, q=q), np.add, REFIT_STEPS, REFIT_SETTLED, REFIT_DAMPING)
         if found is None:
             break
         H, fitted_on = np.append(found[0], 1.0).reshape(3, 3) / PX_PER_ELEMENT, close

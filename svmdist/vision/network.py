@@ -58,9 +58,8 @@ class OnnxSegmenter:
         if _has_scores(output):
             inside = _best_class(np.asarray(output[0], np.float32), (width, height))
         else:
-            inside = np.asarray(output.reshape(output.shape[-2:]), np.int32)
-            enlarged = cv2.resize(inside, (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
-            inside = np.asarray(enlarged, np.int32)
+            small = np.asarray(output.reshape(output.shape[-2:]), np.int32)
+            inside = np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_NEAREST_EXACT), np.int32)
         labels = np.full(bgr.shape[:2], -1, np.int32)  # outside of the view: no class
         labels[top : top + height, left : left + width] = inside
         rules, black = self._rules, _black(bgr)
@@ -201,8 +200,7 @@ def _best_class(scores: NDArray[np.float32], size: tuple[int, int]) -> Labels:
     labels = np.zeros(best.shape, np.int32)
     for number in range(1, len(scores)):
         score = cv2.resize(scores[number], size)
-        better = score > best
-        labels[better] = number
+        labels[score > best] = number
         np.maximum(best, score, out=best)
     return labels
 
@@ -214,8 +212,7 @@ def _read(path: Path) -> cv2.dnn.Net:
     except OSError as problem:
         raise ProfileError(f"{path}: cannot read the network: {why(problem)}") from None
     if size > MAX_FILE_BYTES:
-        found = f"{size >> 20} MiB; an ONNX file holds at most 2 GiB"
-        raise ProfileError(f"{path}: cannot read the network: {found}")
+        raise ProfileError(f"{path}: cannot read the network: {size >> 20} MiB; an ONNX file holds at most 2 GiB")
     try:
         with _quiet():
             net = cv2.dnn.readNetFromONNX(str(path))
@@ -235,8 +232,7 @@ def _output_name(net: cv2.dnn.Net, rules: OnnxSegmentation) -> str:
     names = [str(name) for name in net.getUnconnectedOutLayersNames()]
     if rules.output is not None:
         if rules.output not in names:
-            hint = did_you_mean(rules.output, names)
-            raise ProfileError(f"{rules.model}: no output {rules.output}: {hint}")
+            raise ProfileError(f"{rules.model}: no output {rules.output}: {did_you_mean(rules.output, names)}")
         return rules.output
     if len(names) != 1:
         found = f"the network has {len(names)} outputs"
@@ -249,8 +245,7 @@ def _why_not_run(problem: Exception, rules: OnnxSegmentation) -> str:
     no_memory = isinstance(problem, MemoryError) or getattr(problem, "code", 0) == cv2.Error.StsNoMem
     if no_memory or "bad_alloc" in str(problem):
         return f"not enough memory to run the network on {size}"
-    image = f"one {rules.channels.upper()} image of {size}"
-    return f"the network does not run on {image}: {_first_words(problem)}"
+    return f"the network does not run on one {rules.channels.upper()} image of {size}: {_first_words(problem)}"
 
 
 def _first_words(problem: Exception) -> str:

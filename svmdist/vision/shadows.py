@@ -52,13 +52,10 @@ def edge_within(
     places = (start_px + at[:, None, None] * along + offsets[:, None] * across).astype(np.float32)
     maps = places[..., 0], places[..., 1]
     levels = cv2.remap(bgr, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float32)
-    logs = np.asarray(
-        cv2.GaussianBlur(np.log(levels + DARK_LEVEL), (0, 0), edges.SLOPE_SIGMA_PX / edges.STEP_PX), np.float64
-    )
+    logs = cv2.GaussianBlur(np.log(levels + DARK_LEVEL), (0, 0), edges.SLOPE_SIGMA_PX / edges.STEP_PX).astype(float)
     ratios = logs[..., ::2] - logs[..., 1:2]
-    share = _shares(ratios, offsets, width_px)
     # From outside on, where the shaft's own colour is nearer.
-    is_shaft = (share < 0.5) & (offsets > 0.0) & (offsets < SHADOW_REACH * width_px)
+    is_shaft = (_shares(ratios, offsets, width_px) < 0.5) & (offsets > 0.0) & (offsets < SHADOW_REACH * width_px)
     off_px = np.where(is_shaft.any(1), offsets[np.argmax(is_shaft, axis=1)] - 0.5 * edges.STEP_PX, np.nan)
     within_px = max(edges.STRAIGHT_PX, edges.STRAIGHT_WIDTHS * width_px)
     off_px = _without_stains(at, off_px, within_px)

@@ -83,8 +83,7 @@ def find_shaft(
         if cv2.contourArea(contour) < rule.min_area_px:
             return None
         points = np.asarray(contour.reshape(-1, 2), np.int32)
-        inside = at_border[points[:, 1], points[:, 0]] == 0
-        found = _sides_of(points + np.array(corner, np.int32), inside)
+        found = _sides_of(points + np.array(corner, np.int32), at_border[points[:, 1], points[:, 0]] == 0)
         if found is None:
             continue
         first, second, end_px = found

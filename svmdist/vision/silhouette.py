@@ -127,8 +127,7 @@ def _wrist_point(
 
 def _unlike_flanks(patch: Image, flanks: NDArray[np.bool_], v: Array) -> NDArray[np.bool_]:
     """What of a patch, shape (m, n, 3), looks like neither flank; nothing without a flank of one colour."""
-    lab = cv2.split(cv2.cvtColor(patch, cv2.COLOR_BGR2LAB))
-    channels = [np.asarray(channel, np.float64) for channel in lab]
+    channels = [np.asarray(channel, np.float64) for channel in cv2.split(cv2.cvtColor(patch, cv2.COLOR_BGR2LAB))]
     floors = FLANK_LIGHT_LEVELS, FLANK_COLOUR_LEVELS, FLANK_COLOUR_LEVELS
     unlike: list[NDArray[np.bool_]] = []
     for side in (flanks & (v < 0.0), flanks & (v > 0.0)):
@@ -231,8 +230,7 @@ def find_silhouette(
         return None
     endless = Silhouette((first, second), knows_tip=seen.knows_tip)
     along, width_px = endless.towards_tip, endless.width_px
-    least_px = MIN_LENGTH_WIDTHS * width_px
-    if not 0.5 * (first.length_px + second.length_px) >= least_px > 0.0:
+    if not 0.5 * (first.length_px + second.length_px) >= MIN_LENGTH_WIDTHS * width_px > 0.0:
         return None
     # A dark bar's sides, which no evidence bears out, are known by their edges alone.
     if wrist is None and not all(len(edge.points_px) for edge in (first, second)):
@@ -272,8 +270,7 @@ def find_silhouette(
     ]
     beyond = float(np.clip(1.5 - np.clip(on_shaft, 0.0, 1.0).sum(), 0.0, 1.0))
     wrist_std = max(wrist_std, WRIST_NARROWER * beyond)
-    other_radii = 2.0 * seen.other_px / width_px
-    rim = Rim(end_px, along, std_px, not seen.ends_dark, other_radii, seen.other_share, narrows)
+    rim = Rim(end_px, along, std_px, not seen.ends_dark, 2.0 * seen.other_px / width_px, seen.other_share, narrows)
     return Silhouette((first, second), rim, point, wrist_std=wrist_std)
 
 
@@ -329,13 +326,10 @@ def _edges(bgr: Image, seen: SeenInstrument, picture: Image | None, least_levels
 
 def _agrees(edge: EdgeLine, seen: SeenInstrument, side: int) -> bool:
     """Whether a sharp edge is that which the evidence has: another one is a highlight's, or of something beside it."""
-    start, end = seen.sides[side]
-    along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
+    ends_px = seen.sides[side]
+    along = (ends_px[1] - ends_px[0]) / max(float(np.linalg.norm(ends_px[1] - ends_px[0])), 1e-9)
     across = np.array([-along[1], along[0]])
-    direction = edge.direction
-    off_px = [
-        float(across @ (edge.start_px + (along @ (at - edge.start_px)) / (direction @ along) * direction - at))
-        for at in (start, end)
-    ]
+    ahead_px = (ends_px - edge.start_px) @ along / (edge.direction @ along)
+    off_px = (edge.start_px + ahead_px[:, None] * edge.direction - ends_px) @ across
     std_px = np.sqrt(np.diag(seen.side_covariance[side]) + (ROUGH_PX * seen.pixel_px) ** 2)
     return bool((np.abs(off_px) < MOST_OFF_STDS * std_px).all())

@@ -52,8 +52,7 @@ class TagPattern:
         sheet[0, :count] = middle + CELL_SAMPLES * xy_cells[0]
         sheet[1, :count] = middle - CELL_SAMPLES * xy_cells[1]
         columns, rows = sheet.reshape(2, -1, SHEET_COLUMNS)
-        texture = self._texture(level)
-        values = cv2.remap(texture, columns, rows, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+        values = cv2.remap(self._texture(level), columns, rows, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
         sampled = np.array(values.reshape(-1, 4)[:count].T, np.float64, order="C")
         sampled[0] += (blur_cells - BLUR_RATIO**level) * sampled[3]
         return sampled
@@ -61,8 +60,7 @@ class TagPattern:
     def _make_texture(self, level: int) -> NDArray[np.float32]:
         """Brightness and its three derivatives, shape (h, w, 4), under one of the blurs that textures are made for."""
         blur_cells = BLUR_RATIO**level
-        samples = (self.cell_count + 2 * PAD_CELLS) * CELL_SAMPLES
-        place = (np.arange(samples) + 0.5) / CELL_SAMPLES - PAD_CELLS
+        place = (np.arange((self.cell_count + 2 * PAD_CELLS) * CELL_SAMPLES) + 0.5) / CELL_SAMPLES - PAD_CELLS
         u = (place[:, None] - np.arange(self.cell_count + 1)) / blur_cells
         density = np.exp(-0.5 * u * u) / (math.sqrt(2.0 * math.pi) * blur_cells)
         steps = (np.interp(u, NORMAL_AT, NORMAL_INTEGRAL), density, -u * density)
@@ -127,10 +125,9 @@ class Loss:
             inlier = np.maximum(0.0, 1.0 - (residual / self.limit) ** 2)
             weight = share * inlier * inlier
             return weight, self.limit**2 / 6.0 * (1.0 - float(weight @ inlier) / float(share.sum()))
-        size = np.abs(residual)
         within = huber_weights(residual, self.limit)
         weight = share * within
-        return weight, float(weight @ (size * size * (1.0 - 0.5 * within))) / float(share.sum())
+        return weight, float(weight @ (residual * residual * (1.0 - 0.5 * within))) / float(share.sum())
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,8 +220,7 @@ def lay_pattern(pixels: TagPixels, overlay: Overlay, pattern: TagPattern, loss: 
     weighted = weight * J
     # The ridge keeps the blur's row regular where an image is sharper than any blur is seen.
     information = weighted @ J.T + RIDGE
-    clusters_across = pattern.cell_count + 3 + 2 * int(MARGIN_CELLS)
-    laid = (overlay, residual, J, weight, xy_cells, (by_x, by_y), clusters_across)
+    laid = (overlay, residual, J, weight, xy_cells, (by_x, by_y), pattern.cell_count + 3 + 2 * int(MARGIN_CELLS))
     return LaidPattern(cost, weighted @ residual, information, *laid)
 
 

@@ -120,8 +120,7 @@ def find_tags(image_grey: Image, family: str, settings: TagSettings) -> dict[int
     detector = _detector(family, settings.error_correction_rate, min_perimeter, get_ident())
     corners, ids, _ = detector.detectMarkers(image_grey)
     cell_count = detector.getDictionary().markerSize + 2
-    rough = (np.asarray(seen, np.float64).reshape(4, 2) for seen in corners)
-    refined = [refine_corners(image_grey, corners_px, cell_count) for corners_px in rough]
+    refined = [refine_corners(image_grey, np.asarray(seen, np.float64).reshape(4, 2), cell_count) for seen in corners]
     numbered = zip(() if ids is None else map(int, ids.ravel()), refined, strict=True)
     return dict(sorted(numbered, key=lambda tag: cv2.contourArea(tag[1].astype(np.float32))))
 

@@ -20,8 +20,7 @@ from svmdist.transforms import Array, cross, make_transform
 from svmdist.vision.regions import CompletedOutline, Region, complete_outline, find_region
 from svmdist.vision.segmentation import Masks
 
-# Parts below this fraction of the tissue may be blood on an instrument, as red as tissue
-BLOOD_FRACTION = 0.1
+BLOOD_FRACTION = 0.1  # parts below this fraction of the tissue may be blood on an instrument, as red as tissue
 RING_PX = 3  # what lies this close to a part surrounds it
 BLOOD_RING_FRACTION = 0.5  # share of dark shaft around such a part above which it is blood
 
@@ -193,7 +192,6 @@ def _without_blood(mask: Image, shaft: Image, area_px: int) -> Image:
         box = np.s_[max(0, y - RING_PX) : y + height + RING_PX, max(0, x - RING_PX) : x + width + RING_PX]
         part = (labels[box] == label).astype(np.uint8)
         ring = cv2.dilate(part, np.ones((2 * RING_PX + 1, 2 * RING_PX + 1), np.uint8)) - part
-        on_shaft = np.count_nonzero(ring & (shaft[box] > 0))
-        if on_shaft > BLOOD_RING_FRACTION * np.count_nonzero(ring):
+        if np.count_nonzero(ring & (shaft[box] > 0)) > BLOOD_RING_FRACTION * np.count_nonzero(ring):
             kept[box][part > 0] = 0
     return kept

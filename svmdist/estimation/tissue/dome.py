@@ -47,8 +47,7 @@ class DomeModel:
     def over(outline_m: Array, T_camera_tissue: Array, rule: Dome) -> DomeModel:
         """The profile's dome over an outline in the camera frame, shape (n, 3) in m: the apex over the origin."""
         flat_m = transform_points(inverse(T_camera_tissue), outline_m)[:, :2]
-        apex_std_m, exponent_stds = rule.apex_std_m, (rule.gauge_exponent_std, rule.height_exponent_std)
-        stds = (apex_std_m, apex_std_m, rule.height_std_m, *exponent_stds)
+        stds = [rule.apex_std_m, rule.apex_std_m, rule.height_std_m, rule.gauge_exponent_std, rule.height_exponent_std]
         shape = np.array([0.0, 0.0, rule.height_m, rule.gauge_exponent, rule.height_exponent])
         return DomeModel(T_camera_tissue, flat_m, shape, np.diag(np.square(stds)))
 

@@ -52,8 +52,7 @@ class StereoSurface:
 
     def deviations_m(self, camera: Camera, right: RightView, deviations: Deviations) -> Array:
         """Of every point of the grid, by matching and by the cameras' calibration, shape (h, w)."""
-        points_m = self.grid_m.reshape(-1, 3)
-        biases = depth_biases(points_m, camera, right, deviations)
+        biases = depth_biases(self.grid_m.reshape(-1, 3), camera, right, deviations)
         square = sum(np.sum(bias.jacobian**2, axis=(1, 2)) for bias in biases)
         return np.asarray(np.sqrt(self.grid_std_m**2 + np.reshape(square, self.grid_std_m.shape)))
 
@@ -131,8 +130,7 @@ def _tissue_mask(masks: Masks, grey: Image) -> Image:
 def _hull(is_seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The convex hull of cells, and two cells about it: matches near a border are left out."""
     inside = np.zeros(is_seen.shape, np.uint8)
-    places = np.argwhere(is_seen)[:, ::-1].astype(np.int32)
-    cv2.fillConvexPoly(inside, cv2.convexHull(places), 1)
+    cv2.fillConvexPoly(inside, cv2.convexHull(np.argwhere(is_seen)[:, ::-1].astype(np.int32)), 1)
     return np.asarray(cv2.dilate(inside, np.ones((5, 5), np.uint8)) > 0)
 
 

@@ -27,10 +27,8 @@ from svmdist.transforms import Array
 
 PLANE_DEGREES = 2  # of freedom that a place on a plane has
 MIN_SCATTER_COUNT = 4.0  # fewer poses do not tell how much they scatter beyond their stated covariance
-# Normal quantile of the gate for a pose against the remembered one: 1 in 1,000 true ones is refused
-GATE_Z = 3.09
-# Wet, breathing tissue scatters by 0.10 to 0.20 from frame to frame; 0.98 leaves 0.20
-LASTING_HEIGHT_SHARE = 0.98
+GATE_Z = 3.09  # normal quantile of the gate for a pose against the remembered one: 1 in 1,000 true ones is refused
+LASTING_HEIGHT_SHARE = 0.98  # wet, breathing tissue scatters by 0.10 to 0.20 from frame to frame; 0.98 leaves 0.20
 HEIGHT_CORRELATION_TIME_S = 30.0  # how long that lasts: longer than the logs of 8 s that it was seen in
 
 TINY_M2 = 1e-14  # added to covariances of poses that lie on one plane, so that they have an inverse
