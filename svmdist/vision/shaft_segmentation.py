@@ -89,7 +89,7 @@ def find_shaft(
         first, second, end_px = found
         whole = np.zeros_like(shaft)
         cv2.drawContours(whole, [contour], -1, 255, cv2.FILLED, offset=corner)
-        if may_be_print and _is_stub(first, second) and _bright_fraction(whole, shaft) > MAX_PRINTED_FRACTION:
+        if may_be_print and _is_print(first, second, whole, shaft):
             return None
         is_rim = end_px is not None and not (
             _is_covered(first, second, end_px, covered) or _is_cut(first, second, end_px, dark)
@@ -117,16 +117,12 @@ def _as_seen(mask: Image, edges: tuple[Side, Side], end_px: Array | None, *, is_
     )
 
 
-def _is_stub(first: Side, second: Side) -> bool:
-    """Whether less of the shaft's length is to be seen than twice its width."""
-    width_px = float(np.linalg.norm(first.start_px - second.start_px))
-    return min(first.length_px, second.length_px) < 2.0 * width_px
-
-
-def _bright_fraction(mask: Image, dark: Image) -> float:
-    """How much of a shaft's inside is not dark: streaks of glare on it, and the white cells of a print."""
+def _is_print(first: Side, second: Side, mask: Image, dark: Image) -> bool:
+    """Whether what is seen is a stub, shorter than twice its width, and as bright inside as a print: glare is less."""
+    is_stub = min(first.length_px, second.length_px) < 2.0 * np.linalg.norm(first.start_px - second.start_px)
     inside = _eroded(mask, 2)
-    return 1.0 - cv2.countNonZero(cv2.bitwise_and(inside, dark)) / max(cv2.countNonZero(inside), 1)
+    bright = 1.0 - cv2.countNonZero(cv2.bitwise_and(inside, dark)) / max(cv2.countNonZero(inside), 1)
+    return bool(is_stub) and bright > MAX_PRINTED_FRACTION
 
 
 def _sides_of(contour: NDArray[np.int32], inside: NDArray[np.bool_]) -> tuple[Side, Side, Array | None] | None:
