@@ -104,8 +104,7 @@ def third_contour(window_bgr: Image, corners_px: Array, marker: Marker, settings
     (x0, y0), (x1, y1) = low.astype(int), high.astype(int)
     box_bgr = window_bgr[y0:y1, x0:x1].copy()
     fixed = np.round((corners_px - low) * (1 << SUBPIXEL_BITS)).astype(np.int32)
-    colour, width_px = marker.outline_bgr, marker.outline_width_px
-    cv2.polylines(box_bgr, [fixed], True, colour, width_px, cv2.LINE_8, SUBPIXEL_BITS)
+    cv2.polylines(box_bgr, [fixed], True, marker.outline_bgr, marker.outline_width_px, cv2.LINE_8, SUBPIXEL_BITS)
     region = find_region(colour_mask(to_hsv(box_bgr), marker.outline), marker.outline, settings)
     if region is None:
         return None

@@ -287,7 +287,7 @@ def _smooth_share(error: Floats, weight: Floats, sigma_px: float) -> Floats:
 
 def _without_patches(is_seen: Bools) -> Bools:
     """Without what is a cell wide, or stands alone and is small."""
-    opened = cv2.morphologyEx(is_seen.astype(np.uint8), cv2.MORPH_OPEN, _square(2))
+    opened = cv2.morphologyEx(is_seen.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
     _, labels, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
     areas = statistics[:, cv2.CC_STAT_AREA]
     kept = areas >= LEAST_PATCH * max(int(areas[1:].sum()), 1)
@@ -297,21 +297,19 @@ def _without_patches(is_seen: Bools) -> Bools:
 
 def _without_highlights(grey: Image, inside: Image) -> Floats:
     """Ones inside, but for highlights."""
-    clipped = cv2.dilate((grey >= CLIPPED).astype(np.uint8), _square(CLIPPED_PX))
+    clipped = cv2.dilate((grey >= CLIPPED).astype(np.uint8), np.ones((CLIPPED_PX, CLIPPED_PX), np.uint8))
     return np.asarray((inside > 0) & (clipped == 0), np.float32)
 
 
 def _eroded(mask: Image, side: int) -> Image:
     """The mask without its border; also where that is the view's."""
-    return np.asarray(cv2.erode(mask, _square(side), borderType=cv2.BORDER_CONSTANT, borderValue=0), np.uint8)
+    return np.asarray(
+        cv2.erode(mask, np.ones((side, side), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0), np.uint8
+    )
 
 
 def _slope(values: Floats, x: int = 1, y: int = 0) -> Floats:
     return np.asarray(cv2.Sobel(values, cv2.CV_32F, x, y, ksize=3), np.float32) / 8.0
-
-
-def _square(side: int) -> Image:
-    return np.ones((side, side), np.uint8)
 
 
 def _enlarged(cells: Floats, size: tuple[int, int], how: int = cv2.INTER_LINEAR, by: int = CELL_PX) -> Floats:

@@ -95,7 +95,7 @@ def detect_stereo_surface(
         shifts = [np.floor([corners.min(0)[0], top_px]) for corners in corners_px]
         reach_px = np.max([corners.max(0) - at for corners, at in zip(corners_px, shifts, strict=True)], 0)
         size = np.minimum(np.ceil(reach_px), 2 * np.array(greys[0].shape[::-1])).astype(int)
-        turns = [_moved(-at) @ H for at, H in zip(shifts, turns, strict=True)]
+        turns = [np.array([[1, 0, -x], [0, 1, -y], [0, 0, 1]]) @ H for (x, y), H in zip(shifts, turns, strict=True)]
         greys = [_turned(grey, H, size) for grey, H in zip(greys, turns, strict=True)]
         masks = [_turned(mask, H, size, cv2.INTER_NEAREST) for mask, H in zip(masks, turns, strict=True)]
         first_px, offset_px = shifts[0], offset_px - float(shifts[0][0] - shifts[1][0])
@@ -139,10 +139,6 @@ def _corners(image: Image, H: Array) -> Array:
     height, width = image.shape
     corners = np.array([[0, 0, 1], [width, 0, 1], [0, height, 1], [width, height, 1]]) @ H.T
     return np.asarray(corners[:, :2] / np.maximum(corners[:, 2:], 0.1))
-
-
-def _moved(by_px: Array) -> Array:
-    return np.array([[1.0, 0.0, by_px[0]], [0.0, 1.0, by_px[1]], [0.0, 0.0, 1.0]])
 
 
 def _turned(image: Image, H: Array, size: NDArray[np.int_], how: int = cv2.INTER_LINEAR) -> Image:
