@@ -167,7 +167,7 @@ class Import(options.Options):
     )
     rate: float | None = option("--rate HZ", "Images per second, if neither names nor video tell.", min=1e-3, max=1e4)
     start: str = option("--start SECONDS", "Time of the first image, with --rate or a video.", "0")
-    times: Path | None = option("--times FILE.csv", "Times of the images, with or without their names.")
+    times: Path | None = option("--times FILE", "Times of the images: CSV, or JSON beside a video of dVRK.")
     poses: list[str] | None = option("--poses [NAME=]FILE", "Tool poses in the base of NAME (PSM1); may be repeated.")
     joints: list[str] | None = option("--joints [NAME=]FILE", "Joint positions; may be repeated.")
     joint_names: str | None = option("--joint-names NAME,…", "Of columns of --joints without names.")

@@ -7,6 +7,7 @@ comment, or none. Rows without a time belong to the images, one each or by name.
 from __future__ import annotations
 
 import csv
+import json
 import logging
 import math
 import re
@@ -37,7 +38,7 @@ JOINT_UNITS = {"deg": np.pi / 180.0, "rad": 1.0, "mm": 1e-3, "m": 1.0}
 STAMP_NAMES = frozenset({"stamp", "timestamp", "time", "t", "stamps", "secs", "header.stamp"})
 STAMP = tuple(re.compile(rf"((header\.)?stamp\.)?{part}") for part in ("secs?", "n(ano)?secs?"))
 """Names of the two columns that a stamp of ROS may have."""
-NO_JOINT = re.compile(r"header[._]|(velocity|effort)([._]|\d+$)", re.IGNORECASE)
+NO_JOINT = re.compile(r"header[._]|(velocity|effort)([._]|\d+$)|name[._]?\d+$", re.IGNORECASE)
 """How the names begin of what joint states have beside positions."""
 IMAGE_NAMES = frozenset({"image", "frame", "file", "filename", "name", "image_name", "index"})
 # What names of columns have before the axis.
@@ -86,7 +87,12 @@ def require_rising(stamps_ns: Sequence[int], names: Sequence[str], what: str) ->
 
 
 def read_times(path: Path, names: Sequence[str]) -> list[int]:
-    """The stamps of images, in ns, from a table of names and times, or of one time per image."""
+    """The stamps of images, in ns, from a table of names and times, or of one time per image.
+
+    Or from the file beside a video of dVRK's data_collection, which says how late frames came, too.
+    """
+    if path.suffix.lower() == ".json":
+        return _sidecar_times(path, len(names))
     table = read_table(path)
     columns = range(len(table.rows[0]))
     stamp, image = table.special
@@ -109,6 +115,19 @@ def read_times(path: Path, names: Sequence[str]) -> list[int]:
     if missing := [name for place, name in enumerate(names) if place not in found]:
         raise SourceError(f"{path}: no time for the image {missing[0]}")
     return [found[place] for place in range(len(names))]
+
+
+def _sidecar_times(path: Path, count: int) -> list[int]:
+    try:
+        with reading(path, SourceError):
+            sidecar = json.loads(read_regular(path, MAX_BYTES))
+        late_ns = round(1e9 * float(sidecar.get("estimated_latency", 0.0)))
+        stamps = [int(frame["cpu_ts"]) - late_ns for frame in sidecar["frames"]]
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError):
+        raise SourceError(f"{path}: expected frames with cpu_ts in ns, as data_collection of the dVRK writes") from None
+    if len(stamps) != count:
+        raise SourceError(f"{path}: {len(stamps)} times for {count} images")
+    return stamps
 
 
 def read_poses(path: Path, images_ns: Mapping[str, int], unit_m: float, frame_id: str) -> TransformTrack:
@@ -147,7 +166,8 @@ def read_joints(path: Path, images_ns: Mapping[str, int], names: Sequence[str] |
     """Joint positions of a table with one column per joint; `names` are theirs where the file has none.
 
     Columns are in rad and m; `_deg` or `_mm` behind a name says otherwise, and is no part of it, nor is `position.`
-    before it. Velocities and efforts are left out.
+    before it. Velocities and efforts are left out. Where the arrays of a message are written flat, `name.0` says whose
+    `position.0` is.
     """
     table = read_table(path)
     stamps_ns, others = _row_stamps(table, images_ns, {len(names)} if names else set())
@@ -157,7 +177,7 @@ def read_joints(path: Path, images_ns: Mapping[str, int], names: Sequence[str] |
         raise SourceError(f"{path}: the columns have no names: give --joint-names")
     if table.columns(POSE).keys() == POSE.keys():
         raise SourceError(f"{path}: expected joints, found a pose in the columns: give it as --poses")
-    columns = list(names) if names else [table.names[column] for column in others if table.names]
+    columns = list(names) if names else [table.joint(table.names[column]) for column in others if table.names]
     if len(columns) != len(others) or not columns:
         raise SourceError(f"{path}: {len(others)} columns of numbers for {len(columns)} joint names")
     plain = (re.sub(r"^position[._]", "", column) for column in columns)
@@ -185,9 +205,26 @@ class Table:
     def special(self) -> tuple[int | None, int | None]:
         """The columns of times and of images, by their names."""
         plain = [split_unit(name, UNITS_NS)[0].lower() for name in self.names or ()]
-        known = STAMP_NAMES, IMAGE_NAMES
-        stamp, image = (next((at for at, name in enumerate(plain) if name in names), None) for names in known)
-        return stamp, image
+        image = next((at for at, name in enumerate(plain) if name in IMAGE_NAMES), None)
+        own = [at for at in self.times if plain[at] == "header.stamp" and len({row[at] for row in self.rows}) > 1]
+        return next(iter(own or self.times), None), image
+
+    @property
+    def times(self) -> list[int]:
+        """All columns of times: recorders write when a message came beside its own stamp, which nobody may have set."""
+        plain = (split_unit(name, UNITS_NS)[0].lower() for name in self.names or ())
+        return [column for column, name in enumerate(plain) if name in STAMP_NAMES]
+
+    def joint(self, name: str) -> str:
+        """The joint that a column of positions is of, the same in every row."""
+        other = re.sub(r"^position(?=[._]?\d+$)", "name", name)
+        if self.names is None or other == name or other not in self.names:
+            return name
+        called = [cells[self.names.index(other)] for cells in self.rows]
+        for row, one in enumerate(called):
+            if one != called[0]:
+                raise self.fail(row, f"expected the joint {called[0]} in {other}, as before, found {one[:40]!r}")
+        return called[0]
 
     def fail(self, row: int, reason: str) -> SourceError:
         """The error for a row."""
@@ -358,4 +395,5 @@ def _row_stamps(table: Table, images_ns: Mapping[str, int], plain_widths: set[in
     else:
         missing = "no column of times (stamp_ns, timestamp) or images (image)"
         raise SourceError(f"{table.path}: {missing}, and {len(table.rows)} rows for {len(of_images)} images")
-    return np.array(stamps, np.int64), [column for column in columns if column not in (stamp, image)]
+    others = [column for column in columns if column not in (stamp, image, *table.times)]
+    return np.array(stamps, np.int64), others

@@ -1,5 +1,6 @@
 """Tables of times, poses and joints in the forms that other programs write."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +76,20 @@ def test_joints(tmp_path):
     joints = read_joints(path, IMAGES_NS)
     assert (joints.names, joints.stamps_ns.tolist()) == (("yaw", "roll"), [7_000_000_005])
     np.testing.assert_allclose(joints.positions, [[0.1, np.pi / 2]])
+    for flat in (
+        "# Topic: /PSM1/measured_js\ntimestamp,effort.0,header.frame_id,header.stamp.nanosec,header.stamp.sec,"
+        "name.0,name.1,position.0,position.1\n9000000000000000000,,,500000000,1,pitch,yaw,0.5,0.25\n"
+        "9000000000000000001,,,500000000,2,pitch,yaw,0.75,0.125\n",
+        "%time,field.header.stamp,field.name0,field.name1,field.position0,field.position1,field.velocity0\n"
+        "9,1.5,pitch,yaw,0.5,0.25,\n9,2.5,pitch,yaw,0.75,0.125,\n",
+    ):  # as the dVRK's data_collection and `rostopic echo -p` write the arrays of a message
+        path.write_text(flat)
+        joints = read_joints(path, IMAGES_NS)
+        assert (joints.names, joints.stamps_ns.tolist()) == (("pitch", "yaw"), [1_500_000_000, 2_500_000_000]), flat
+        np.testing.assert_allclose(joints.positions, [[0.5, 0.25], [0.75, 0.125]])
+    path.write_text("stamp,name.0,position.0\n1,yaw,0.5\n2,roll,0.5\n")
+    with pytest.raises(SourceError, match=r"line 3: expected the joint yaw in name\.0, as before, found 'roll'"):
+        read_joints(path, IMAGES_NS)
     path.write_text("0.1 0.2\n0.3 0.4\n")
     joints = read_joints(path, IMAGES_NS, ["yaw", "pitch"])
     assert joints.stamps_ns.tolist() == [*IMAGES_NS.values()]
@@ -95,6 +110,13 @@ def test_times(tmp_path, caplog):
         path.write_text(text)
         assert read_times(path, [*IMAGES_NS]) == [1_500_000_000, 2_500_000_000], text
     assert not caplog.messages
+    sidecar = path.with_suffix(".json")
+    frames = [{"cpu_ts": 1_600_000_000, "gst_ts": 0}, {"cpu_ts": 2_600_000_000, "gst_ts": 1}]
+    sidecar.write_text(json.dumps({"type": "dc::sidecar@1.0.0", "estimated_latency": 0.1, "frames": frames}))
+    assert read_times(sidecar, [*IMAGES_NS]) == [1_500_000_000, 2_500_000_000]
+    sidecar.write_text("[1, 2]")
+    with pytest.raises(SourceError, match=r"times\.json: expected frames with cpu_ts in ns"):
+        read_times(sidecar, [*IMAGES_NS])
     path.write_text("image,exposure\n1,1.5\n2,2.5\n")
     assert read_times(path, [*IMAGES_NS]) == [1_500_000_000, 2_500_000_000]
     assert "column exposure is taken for the times; their names are: header.stamp, secs" in caplog.text
