@@ -37,6 +37,7 @@ SHAFT_REACH = 2.5  # a dark pixel farther from an axis than so many radii is not
 GROWN_PX = 5  # side of the dilation of other masks: borders differ between detectors
 TURN_STD_RAD, LEAST_LIKENESS = 0.3, -8.0  # of a shaft in the image against nominal kinematics
 BESIDE_STD = 0.03  # over the width, by which nominal places are off by more in one view than in the other
+UNPLACED = "no joints with transforms from camera to base say where one is"
 FRAGMENT_REACH = 2.5  # radii within which coloured fragments belong to an instrument's region
 
 
@@ -67,6 +68,9 @@ class Association:
                 beside = self._nominal(robots, pair.camera, inverse(pair.T_left_right))
                 right, _ = self._other_masks("right", scene, scene.right, beside, offsets)
             others = list(zip(left, right, strict=True))
+            if seen is None and not any(nominal):
+                names = [arm.profile.instrument_name for arm in self._arms]
+                doubts = [f"cannot tell which instrument is {name}: {UNPLACED}" for name in names]
         return [Frame.of(scene, *one) for one in zip(self._arms, observations, robots, others, doubts, strict=True)]
 
     def _nominal(
@@ -123,11 +127,14 @@ class Association:
 
         # What is not one's own: the other regions, and the pixels of the other shafts.
         masks = [regions.without(identity.blob) for identity in identities]
-        if dark is not None:
+        if dark is not None and shafts is not None:
             pairs = zip(nominal, identities, strict=True)
             owner = dark.by_axis([_axis(tool, identity, regions) for tool, identity in pairs])
+            nowhere = [i for i, tool in enumerate(nominal) if tool is None and identities[i].blob is None]
             for i, mask in enumerate(masks):
                 mask[(owner >= 0) & (owner != i)] = 255
+                if i in nowhere and len(nowhere) > 1:  # whose the other shafts are, nothing tells
+                    mask[shafts > 0] = 255
         return list(masks), _offsets(identities, places, regions.blobs)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -106,19 +106,20 @@ def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup,
     summary = inspect_recording(recording.origin.open(), HEAD_S)
     lacks = method_capabilities(summary.at_any_lag() if recording.lag is not None else summary)
     left: tuple[Setup, ...] = ()
-    reasons = []
+    without = defaultdict[str, list[str]](list)  # methods by the reason
     for setup in setups:
         if setup.own is None and lacks.get(setup.method):
-            reasons.append(f"{setup.method} lacks {'; '.join(lacks[setup.method])}")
+            without[f"the log lacks {'; '.join(lacks[setup.method])}"].append(setup.method)
             continue
         try:
             setup.require_camera(recording)
         except CalibrationError as problem:
-            reasons.append(f"{setup.method}: {str(problem).removeprefix(f'{recording.name}: ')}")
+            without[str(problem).removeprefix(f"{recording.name}: ")].append(setup.method)
         else:
             left += (setup,)
-    if reasons and (said := misfit(summary)):
+    if without and (said := misfit(summary)):
         raise RecordingError(f"{summary.recording.path}: {said}")
+    reasons = [f"{', '.join(methods)}: {reason}" for reason, methods in without.items()]
     if not left:
         name = recording.profile.name
         raise RecordingError(f"no method can measure this log with profile {name}: {'. '.join(reasons)}")

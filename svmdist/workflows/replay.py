@@ -93,6 +93,7 @@ class MultiInstrumentEstimator:
         self._estimators = [OwnEstimator(own) if own else make_estimator(setup.method, arm, mapping) for arm in arms]
         self._arms = tuple(arms)
         self._is_given = setup.is_given
+        self._is_by_tag = setup.method == "fiducial"  # whose number names the instrument
         self.looks_for_tool = not setup.is_given and setup.method != "kinematic"
         known = {} if setup.own else checks
         self._doubts = {name: one.doubt(setup.method) for name, one in known.items()}
@@ -119,7 +120,8 @@ class MultiInstrumentEstimator:
                 said = "the calibration is for the camera as it was first"
             if named.measured and said:
                 named = named.rejected(Status.INCONSISTENT, said)
-            results.append(named.doubted(frame.doubt) if frame.doubt else named)
+            is_doubted = frame.doubt and not (named.measured and self._is_by_tag)
+            results.append(named.doubted(frame.doubt) if is_doubted else named)
         if len(results) > 1 and not self._is_given:
             results = with_clearance_between(results, [arm.body for arm in self._arms])
         return Replayed(tuple(results), tuple(seconds), tuple(frames))

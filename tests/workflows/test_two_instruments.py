@@ -59,6 +59,16 @@ def test_a_row_for_every_instrument_and_its_own_truth(two, rows):
         np.testing.assert_allclose(seen, recording.camera.project(place), atol=6.0)
 
 
+def test_what_cannot_be_named_says_so(two):
+    """Colours alone do not tell which instrument is which: without kinematics each row says what is missing."""
+    setup = prepare(method="shaft")
+    recording = open_recording(two, setup.profile)
+    unplaced = replace(recording, bases=dict.fromkeys(recording.instruments))
+    for row in estimate(unplaced, setup):
+        assert not row.measured
+        assert f"cannot tell which instrument is {row.instrument}: no joints with transforms" in row.detail
+
+
 def test_clearance_between_is_the_true_one(two, rows):
     """Within the capsules' and the poses' error of the meshes' distance; both rows say the same, opposite ways."""
     truth = open_recording(two, load_profile(), topics={"ground_truth_distance": BETWEEN}).distance_track()
