@@ -129,11 +129,11 @@ class Association:
         masks = [regions.without(identity.blob) for identity in identities]
         if dark is not None and shafts is not None:
             pairs = zip(nominal, identities, strict=True)
-            owner = dark.by_axis([_axis(tool, identity, regions) for tool, identity in pairs])
-            nowhere = [i for i, tool in enumerate(nominal) if tool is None and identities[i].blob is None]
-            for i, mask in enumerate(masks):
+            axes = [_axis(tool, identity, regions) for tool, identity in pairs]
+            owner, is_open = dark.by_axis(axes), None in nominal and axes.count(None) > 1
+            for mask, own, (i, axis) in zip(masks, identities, enumerate(axes), strict=True):
                 mask[(owner >= 0) & (owner != i)] = 255
-                if i in nowhere and len(nowhere) > 1:  # whose the other shafts are, nothing tells
+                if is_open and axis is None and own.blob is None:  # whose the other shafts are, nothing tells
                     mask[shafts > 0] = 255
         return list(masks), _offsets(identities, places, regions.blobs)
 

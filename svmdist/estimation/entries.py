@@ -55,6 +55,8 @@ class EntryTracker:
     def __init__(self, names: Sequence[str], sides: Sequence[EntrySide | None]) -> None:
         self._names = tuple(names)
         self._tracks = [_Track(_side(side, at, len(sides))) for at, side in enumerate(sides)]
+        is_guess = len(sides) > 1 and None in sides
+        self._guess = "instruments are named from left to right: the profile has no entry" if is_guess else ""
 
     def update(
         self, stamp_ns: int, seen: Sequence[SeenInstrument], unlike: Array | float = 0.0
@@ -73,7 +75,7 @@ class EntryTracker:
         for track, at, doubt in zip(self._tracks, named, doubts, strict=True):
             if at is not None and not doubt:
                 track.place, track.stamp_ns = places[at], stamp_ns
-        return named, doubts
+        return named, [doubt if at is None else doubt or self._guess for at, doubt in zip(named, doubts, strict=True)]
 
     def _cost(self, track: _Track, stamp_ns: int, entry: Array, end: Array) -> float:
         """-log likelihood of a seen instrument under a track, up to a constant that all tracks share."""

@@ -217,6 +217,8 @@ class RegionTracker:
         self._width_px = width_px
         self._settings = settings
         self._extra_region_cost = float(np.log(width_px * height_px / CLUTTER_COUNT))
+        # An instrument of which nothing is known is anywhere in the image, or as likely in none of it.
+        self._anywhere_cost = float(np.log(width_px * height_px)) + settings.miss_cost
         # Ways to name all regions until now: their -log likelihoods, and the tracks that they lead to.
         self._pasts = [(0.0, tuple(_Track(width_px, settings) for _ in range(count)))]
         self._stamp_ns: int | None = None
@@ -234,7 +236,7 @@ class RegionTracker:
         namings: list[_Naming] = []
         for before, tracks in self._pasts:
             expected = tuple(t.predict(stamp_ns, p) for t, p in zip(tracks, places, strict=True))
-            costs = self._costs(expected, seen) - told
+            costs = self._costs(expected, places, seen) - told
             ranked = ranked_assignments(costs, self._extra_region_cost, self._settings.miss_cost)
             namings += [_Naming(*one, before, tracks, expected) for one in ranked if np.isfinite(one[0])]
         namings.sort(key=lambda one: one.total)
@@ -277,9 +279,17 @@ class RegionTracker:
                 return None, None
         return at, where
 
-    def _costs(self, expected: Sequence[Gaussian | None], blobs: Sequence[Blob]) -> Array:
-        """-log likelihood of each region under each track, shape (n_tracks, n_blobs); inf outside of the gate."""
-        cost = np.full((len(expected), len(blobs)), np.inf)
+    def _costs(
+        self, expected: Sequence[Gaussian | None], places: Sequence[NominalPlace | None], blobs: Sequence[Blob]
+    ) -> Array:
+        """-log likelihood of each region under each track, shape (n_tracks, n_blobs); inf outside of the gate.
+
+        An instrument without kinematics may turn at any time: what is none of the others' is its own, wherever that is.
+        Of two such ones nothing tells which is which.
+        """
+        is_only_one = sum(place is None for place in places) == 1
+        outside = [self._anywhere_cost if place is None and is_only_one else np.inf for place in places]
+        cost = np.repeat(np.reshape(outside, (-1, 1)), len(blobs), axis=1)
         for i, where in enumerate(expected):
             if where is None:
                 continue
@@ -292,7 +302,7 @@ class RegionTracker:
                 if where.std_px > UNCERTAIN_FRACTION * self._width_px:
                     d2 = min((TAIL + 2.0) * float(np.log1p(d2 / TAIL)), GATE_D2)
                 if d2 <= GATE_D2:
-                    cost[i, a] = 0.5 * d2 + 0.5 * float(np.log(np.linalg.det(2.0 * np.pi * S)))
+                    cost[i, a] = min(cost[i, a], 0.5 * d2 + 0.5 * float(np.log(np.linalg.det(2.0 * np.pi * S))))
         return cost
 
 

@@ -67,6 +67,14 @@ def test_what_cannot_be_named_says_so(two):
     for row in estimate(unplaced, setup):
         assert not row.measured
         assert f"cannot tell which instrument is {row.instrument}: no joints with transforms" in row.detail
+    # Where one of both has kinematics, the other one is what is left.
+    truth = recording.transform_track("camera", "PSM2_tool", ground_truth=True)
+    one = replace(recording, bases=recording.bases | {"PSM2": None})
+    rows = [row for row in estimate(one, setup) if row.measured and row.instrument == "PSM2"]
+    assert rows
+    for row in rows:
+        place = truth.at(np.array([row.stamp_ns])).values[0, :3, 3]
+        np.testing.assert_allclose(row.tool.pose.position_m, place, atol=5e-3)
 
 
 def test_clearance_between_is_the_true_one(two, rows):
