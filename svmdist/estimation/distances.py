@@ -33,17 +33,17 @@ INDEPENDENT = np.zeros((6, 3))
 
 
 def measured(
-    result: FrameResult, frame: Frame, tool: ToolEstimate, tissue: TissuePose, coupling: Array = INDEPENDENT
+    result: FrameResult, frame: Frame, tool: ToolEstimate, tissue: TissuePose, cross_covariance: Array = INDEPENDENT
 ) -> FrameResult:
     """The result with the tool, its place in the image, and the distances from it to the tissue.
 
-    `coupling`, shape (6, 3), is the covariance of the tool's pose with the tissue's place.
+    `cross_covariance`, shape (6, 3), is the covariance of the tool's pose with the tissue's place.
 
     Without sizes of the instrument in the profile there is no clearance. A value that is not finite rejects the frame.
     """
     pose = tool.pose
     offset_m = pose.position_m - tissue.position_m
-    covariance = pose.position_covariance + tissue.covariance - coupling[:3] - coupling[:3].T
+    covariance = pose.position_covariance + tissue.covariance - cross_covariance[:3] - cross_covariance[:3].T
     if not all(np.isfinite(part).all() for part in (pose.T_camera_tool, pose.covariance, offset_m, covariance)):
         return result.rejected(Status.NOT_FINITE)
     planar, spatial = _length(offset_m[:2], covariance[:2, :2]), _length(offset_m, covariance)
@@ -52,7 +52,7 @@ def measured(
         capsules = frame.arm.body.posed(tool)
         gap = separation(capsules, tissue.surface)
         frame.left.measured_surface = tissue.surface
-        parts_m = clearance_std_m(gap, pose, tissue, coupling), _bent_std_m(gap, capsules, pose, tissue)
+        parts_m = clearance_std_m(gap, pose, tissue, cross_covariance), _bent_std_m(gap, capsules, pose, tissue)
         std_m = float(np.linalg.norm([*parts_m, frame.arm.body.instrument.body_std_m]))
         # With all of an overlap in it: soft tissue has given way, or tool or tissue is elsewhere.
         overlap_std_m = float(np.hypot(std_m, max(-gap.distance_m, 0.0)))
@@ -73,8 +73,10 @@ def with_tool(result: FrameResult, frame: Frame, tool: ToolEstimate) -> FrameRes
     return result.with_image(tool_px=as_pixel(frame.left.camera.project(position_m)[0]))
 
 
-def clearance_std_m(gap: Separation, pose: ToolPose, tissue: TissuePose, coupling: Array = INDEPENDENT) -> float:
-    """Standard deviation of a separation from an instrument of known shape; `coupling` as in `measured`.
+def clearance_std_m(
+    gap: Separation, pose: ToolPose, tissue: TissuePose, cross_covariance: Array = INDEPENDENT
+) -> float:
+    """Standard deviation of a separation from an instrument of known shape; `cross_covariance` as in `measured`.
 
     The closest points are extremal, so to first order a small motion changes the distance only through
     their own motion along the direction d (envelope theorem): by -d · (δp + δθ x r) for the instrument, with r
@@ -84,7 +86,7 @@ def clearance_std_m(gap: Separation, pose: ToolPose, tissue: TissuePose, couplin
     variance = variance_along(gap.direction, gap.on_instrument_m, pose)
     if not tissue.is_measured:
         variance += float(gap.direction @ tissue.covariance @ gap.direction)
-        variance -= 2.0 * float(_moves(gap.direction, gap.on_instrument_m, pose) @ coupling @ gap.direction)
+        variance -= 2.0 * float(_moves(gap.direction, gap.on_instrument_m, pose) @ cross_covariance @ gap.direction)
     variance += tissue.surface_variance_m2(gap.on_tissue_m, gap.direction)
     return float(np.sqrt(max(variance, 0.0)))
 

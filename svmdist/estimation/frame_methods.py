@@ -86,8 +86,8 @@ def tool_from_tag(arm: Arm, camera: Camera, tag: TagPose, robot: RobotState) -> 
 
     J = carried(tag.T_camera_tag[:3, 3])
     biases = arm.deviations.of_tag(tag.T_camera_tag, np.diag(camera.K)[:2])
-    constants = sum((bias.jacobian @ bias.jacobian.T for bias in biases), np.zeros((6, 6)))
-    covariance = J @ (tag.covariance + constants) @ J.T
+    of_parameters = sum((bias.jacobian @ bias.jacobian.T for bias in biases), np.zeros((6, 6)))
+    covariance = J @ (tag.covariance + of_parameters) @ J.T
     # What the errors of kinematics do to the tool, less what they do to it through the tag's link.
     model = ErrorModel(robot.chain, arm.profile.kinematic_error)
     links = model.nominal_links(robot)

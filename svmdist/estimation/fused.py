@@ -87,8 +87,8 @@ class FusedEstimator:
         if tissue is None:
             result = with_tool(result, frame, tool)
             return result.rejected(Status.NO_TISSUE, "no tissue, in this frame or before")
-        placed, coupling = at_height(self._stated_tissue, tissue, frame, kalman)
-        found = measured(result, frame, tool, placed, coupling)
+        placed, cross_covariance = at_height(self._stated_tissue, tissue, frame, kalman)
+        found = measured(result, frame, tool, placed, cross_covariance)
         doubt = said or consistency.doubt if found.status in (Status.OK, Status.INCONSISTENT) else ""
         return found.rejected(Status.INCONSISTENT, doubt) if doubt else found
 

@@ -53,7 +53,7 @@ class Arm:
 
     @cached_property
     def deviations(self) -> Deviations:
-        """How wrong the constants of cameras, instrument and tag may be."""
+        """Standard deviations of the calibration parameters of cameras, instrument and tag."""
         return Deviations.of(self.profile)
 
     @cached_property

@@ -73,15 +73,15 @@ class HandEye(StrictModel):
         return np.asarray(J @ np.array(self.covariance) @ J.T)
 
     def effects_at(self, p_camera_m: Array) -> dict[str, Array]:
-        """The same of each constant's effects, shape (6, k), by its name."""
+        """The same of each calibration parameter's effects, shape (6, k), by its name."""
         J = self._carried_to(p_camera_m)
         return {one.constant: J @ np.array(one.effects).T for one in self.constants}
 
-    def with_deviations(self, stated: Mapping[str, float]) -> HandEye:
-        """With the constants' deviations of now; one without a deviation counts as independent of all else."""
+    def with_deviations(self, prior: Mapping[str, float]) -> HandEye:
+        """With the calibration parameters' deviations of now; one without counts as independent of all else."""
         covariance, constants = np.array(self.covariance), []
         for one in self.constants:
-            if (deviation := stated.get(one.constant)) is None:
+            if (deviation := prior.get(one.constant)) is None:
                 continue
             scale, effects = deviation / one.deviation, np.array(one.effects)
             covariance += (scale**2 - 1.0) * effects.T @ effects

@@ -1,8 +1,8 @@
-"""The plan of a recording: all that is settled before the first image, for each arm and for the stamps of the log.
+"""The plan of a recording: all that is fixed before the first image, for each arm and for the stamps of the log.
 
 Cables stretch and set-up joints are read by potentiometers: a da Vinci research kit places its tool centimetres off in
 the camera's frame, while its motion is repeatable to fractions of a millimetre. The errors of the nominal kinematics
-are therefore constants of a recording, drawn by seed.
+are therefore constant in a recording, sampled by seed.
 
 A plan holds no physics world and can be sent to another process. A block is one image with all samples up to the
 next; each can be made by itself, so that the content does not depend on who makes it, or in which order.

@@ -155,7 +155,7 @@ def _reported_tool(
     chain = log.chain
     model = ErrorModel(chain, profile.kinematic_error)
     shaft, joints = shaft_of(chain), log.joint_track()
-    columns = list(model.constant_columns.values())
+    columns = list(model.parameter_columns.values())
     noise, shared = np.zeros((count, 3, 3)), np.zeros((count, 6, len(columns)))
     sampled = joints.at(stamps_ns)
     for at in np.flatnonzero(sampled.valid):
@@ -176,7 +176,7 @@ def _reported_tool(
             axes[at] = link.T_camera_link[:3, :3] @ shaft.axis
             shared[at, 3:] = -skew(axes[at]) @ link.derivative[3:][:, columns]
         shared[at] *= np.sqrt(np.diag(model.prior(state)))[columns]
-    return sampled.valid, tuple(model.constant_columns), [nominal_m, noise, axes, shared]
+    return sampled.valid, tuple(model.parameter_columns), [nominal_m, noise, axes, shared]
 
 
 def _fit(

@@ -21,7 +21,7 @@ MAX_REFUSED_SHARE = 0.3  # of them: more contradicts the prediction
 NU = 4.0  # degrees of freedom of Student's t: one measurement in a hundred is wild
 REFUSED_WEIGHT = 0.2  # below, a measurement counts as refused; it keeps its weight
 MAX_SCENE_REFUSED = 4  # frames in a row in which the tissue contradicts its plane, where it agreed before
-USUAL_SHARE = 0.75  # of worlds: there constants are no further off; beyond, deviations grow
+USUAL_SHARE = 0.75  # of worlds: there calibration parameters are no further off; beyond, deviations grow
 MAX_TIME_OFFSET_DEVIATIONS = 5.0  # beyond, the offset leaves the joints that travel with an image
 
 GATE_Z = FilterSettings().gate_z
@@ -75,7 +75,7 @@ def usual_furthest(count: int) -> float:
 
 
 class Consistency:
-    """Innovations of the last seconds against what is expected of them, and what constants were found to be."""
+    """Innovations of the last seconds against what is expected of them, and the calibration parameters' estimates."""
 
     def __init__(self, settings: FilterSettings) -> None:
         self._settings = settings
@@ -102,9 +102,9 @@ class Consistency:
             self._scene_refused = self._scene_refused + 1 if is_refused else 0
             self._scene_agreed |= not is_refused
 
-    def watch(self, constant: tuple[str, float, float, int], late_s: float, late_std_s: float) -> None:
-        """Take up what was found of constants (`ErrorState.furthest_constant`), and how late joints were found."""
-        self._furthest_name, self._furthest, jointly, count = constant
+    def watch(self, parameter: tuple[str, float, float, int], late_s: float, late_std_s: float) -> None:
+        """Take up the estimates of calibration parameters (`ErrorState.furthest_parameter`) and of the time offset."""
+        self._furthest_name, self._furthest, jointly, count = parameter
         self._surprise = jointly / usual_furthest(max(count, 1))
         self._late_s, self._late_deviations = late_s, abs(late_s) / late_std_s if late_std_s > 0.0 else 0.0
 

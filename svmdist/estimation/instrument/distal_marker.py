@@ -1,6 +1,6 @@
 """The tool's origin as views show it: by a coloured distal marker, or in the outline of its wrist; in one view or two.
 
-All noise constants of the distal marker stand here, but for those of its size.
+All noise parameters of the distal marker stand here, but for those of its size.
 """
 
 from __future__ import annotations

@@ -66,8 +66,8 @@ class ErrorModel:
         self._drift[self.time_offset] = error.time_offset_drift_s_per_sqrt_s
 
     @property
-    def constant_columns(self) -> dict[str, int]:
-        """Where in the error state each constant stands, by its name."""
+    def parameter_columns(self) -> dict[str, int]:
+        """Where in the error state each calibration parameter stands, by its name."""
         names = self.chain.joint_names[self.first_joint :]
         found = {OFFSET.format(name): at for at, name in enumerate(names, self.offsets.start)}
         lengths = enumerate(range(self.size)[self.lengths], 1)
@@ -107,20 +107,20 @@ class ErrorModel:
         P[self.time_offset, self.time_offset] = self.error.time_offset_std_s**2
         P[self.lengths, self.lengths] = self.error.length_std_m**2 * np.eye(len(self.row_lengths))
         # What a transform by hand-eye owes to the offset of a joint is not to be counted beside that offset.
-        columns = self.constant_columns
+        columns = self.parameter_columns
         for name, effect in effects.items():
             if (column := columns.get(name)) is not None:
                 P[:6, column] = P[column, :6] = effect[:, 0] * np.sqrt(P[column, column])
         return P + self.play_covariance
 
-    def prior_with_constants(self, robot: RobotState) -> dict[str, Array]:
-        """Covariance, shape (n, k), of the error state with constants of variance one that are no part of it."""
+    def prior_cross_covariances(self, robot: RobotState) -> dict[str, Array]:
+        """Prior cross-covariances, (n, k), of the error state with parameters, of variance one, that are not in it."""
         _, effects = self._transform(robot)
-        own, below = self.constant_columns, ((0, self.size - 6), (0, 0))
+        own, below = self.parameter_columns, ((0, self.size - 6), (0, 0))
         return {name: np.pad(effect, below) for name, effect in effects.items() if name not in own}
 
     def _transform(self, robot: RobotState) -> tuple[Array, dict[str, Array]]:
-        """Covariance (6, 6) of (δp, δφ), and what constants did to a transform by hand-eye, (6, k), by their names."""
+        """Covariance (6, 6) of (δp, δφ), and parameters' effects on a transform by hand-eye, (6, k), by their names."""
         anchor_m = robot.T_camera_tool[:3, 3]
         if isinstance(self.error, HandEyeError):
             hand_eye = self.error.hand_eye

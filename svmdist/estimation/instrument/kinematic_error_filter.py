@@ -18,7 +18,7 @@ from svmdist.estimation.instrument.consistency import (
     student_weight,
 )
 from svmdist.estimation.instrument.error_model import ErrorModel
-from svmdist.estimation.instrument.measurement import Linearised, LinkMeasurement, SharedBias
+from svmdist.estimation.instrument.measurement import BiasTerm, Linearised, LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import PoseMeasurement
 from svmdist.estimation.instrument.most_probable import (
     Solution,
@@ -139,11 +139,11 @@ class KinematicErrorFilter:
         if start is None:
             self.consistency.add(state.robot.stamp_ns, results)
         late_std_s = self._model.time_offset_std_s(self._age_s)
-        self.consistency.watch(state.furthest_constant(), state.time_offset_s, late_std_s)
+        self.consistency.watch(state.furthest_parameter(), state.time_offset_s, late_std_s)
         return tuple(results)
 
     def update_scene(self, name: str, part: Linearised) -> GatingResult:
-        """Take up a measurement of constants alone, of which no link is a part: the tissue's height by stereo."""
+        """Take up a measurement of biases alone, of which no link is a part: the tissue's height by stereo."""
         state, size = self.state, len(part.residual)
         part = replace(part, H=np.zeros((size, self._model.size)))
         state.augment_state([part])
@@ -159,8 +159,8 @@ class KinematicErrorFilter:
         self.consistency.add(state.robot.stamp_ns, [result], of_tool=False)
         return result
 
-    def coupled(self, biases: Sequence[SharedBias]) -> tuple[Array, Array]:
-        """Of what biases move by their derivatives, shape (3, k): covariance (3, 3), and that with the tool, (6, 3)."""
+    def bias_covariances(self, biases: Sequence[BiasTerm]) -> tuple[Array, Array]:
+        """Of a point that biases move by their Jacobians, (3, k): covariance (3, 3), and that with the tool, (6, 3)."""
         part = Linearised(np.zeros(3), np.zeros((3, self._model.size)), tuple(biases), np.zeros((3, 3)))
         self.state.augment_state([part])
         G, P = self.state.full_jacobian([part]), self.state.P

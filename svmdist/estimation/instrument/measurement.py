@@ -23,8 +23,8 @@ AHEAD_M = np.array([0.0, 0.0, 1.0])  # in place of a point that cannot be seen, 
 
 
 @dataclass(frozen=True, slots=True)
-class SharedBias:
-    """What an error that several measurements share does to a residual: the derivative, (..., m, k), by its name."""
+class BiasTerm:
+    """A bias' Jacobian of a residual, (..., m, k); measurements share the bias, or calibration parameter, of a name."""
 
     name: str
     jacobian: Array
@@ -33,7 +33,7 @@ class SharedBias:
 
 @dataclass(frozen=True)
 class Deviations:
-    """Standard deviations of the constants, as a profile states them; fractions are of the constant itself."""
+    """The profile's standard deviations of the calibration parameters; fractions are of the parameter itself."""
 
     camera: CameraError
     shaft_radius_fraction: float = 0.0
@@ -55,15 +55,15 @@ class Deviations:
             0.0 if tag is None else tag.rotation_std_rad,
         )
 
-    def of_pixels(self, pixel: Array, camera: Camera) -> tuple[SharedBias, ...]:
+    def of_pixels(self, pixel: Array, camera: Camera) -> tuple[BiasTerm, ...]:
         """Of a projected point, shape (2,): focal length and principal point."""
         focal = self.camera.focal_std_fraction * (pixel - camera.K[:2, 2])
         centre = self.camera.centre_std_px * np.eye(2)
-        return SharedBias(FOCAL_LENGTH, focal[:, None]), SharedBias(PRINCIPAL_POINT, centre)
+        return BiasTerm(FOCAL_LENGTH, focal[:, None]), BiasTerm(PRINCIPAL_POINT, centre)
 
     def of_disparity(
         self, p_left_m: Array, right: Camera, disparity_px: Array, T_right_left: Array
-    ) -> tuple[SharedBias, ...]:
+    ) -> tuple[BiasTerm, ...]:
         """Of the disparities, shape (...), of points in the left camera, (..., 3), as the right camera sees them.
 
         They are x in the left view less x in the right one, both from the principal point, which is off with focal
@@ -76,16 +76,16 @@ class Deviations:
         by_baseline = -(slope * T_right_left[:3, 3]).sum(-1) * self.camera.baseline_std_fraction
         by_turn = slope @ skew(p_right_m)
         return (
-            SharedBias(FOCAL_LENGTH, focal),
-            SharedBias(BASELINE, by_baseline[..., None]),
+            BiasTerm(FOCAL_LENGTH, focal),
+            BiasTerm(BASELINE, by_baseline[..., None]),
             self.of_right_turn(by_turn),
         )
 
-    def of_right_turn(self, by_turn: Array) -> SharedBias:
+    def of_right_turn(self, by_turn: Array) -> BiasTerm:
         """Of what changes by a turn of the right camera about its own centre, with that derivative, (..., m, 3)."""
-        return SharedBias(RIGHT_ROTATION, by_turn * self.camera.right_rotation_std_rad, ONE_PLACE_S)
+        return BiasTerm(RIGHT_ROTATION, by_turn * self.camera.right_rotation_std_rad, ONE_PLACE_S)
 
-    def of_tag(self, T_camera_tag: Array, focal_px: Array) -> tuple[SharedBias, ...]:
+    def of_tag(self, T_camera_tag: Array, focal_px: Array) -> tuple[BiasTerm, ...]:
         """Of a tag's pose, shape (4, 4): focal length, principal point, the tag's size, and how it is mounted."""
         p_m, R = T_camera_tag[:3, 3], T_camera_tag[:3, :3]
         focal, centre, size, mounting = (np.zeros((6, count)) for count in (1, 2, 1, 6))
@@ -95,17 +95,17 @@ class Deviations:
         size[:3, 0] = -self.tag_size_fraction * p_m
         mounting[:3, :3], mounting[3:, 3:] = self.tag_position_m * R, self.tag_rotation_rad * R
         return (
-            SharedBias(FOCAL_LENGTH, focal),
-            SharedBias(PRINCIPAL_POINT, centre),
-            SharedBias(TAG_SIZE, size),
-            SharedBias("tag mounting", mounting),
+            BiasTerm(FOCAL_LENGTH, focal),
+            BiasTerm(PRINCIPAL_POINT, centre),
+            BiasTerm(TAG_SIZE, size),
+            BiasTerm("tag mounting", mounting),
         )
 
 
 EXACT = Deviations(
     CameraError(focal_std_fraction=0.0, centre_std_px=0.0, baseline_std_fraction=0.0, right_rotation_std_rad=0.0)
 )
-"""Constants that are taken to be right."""
+"""Calibration parameters without errors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,12 +113,12 @@ class Linearised:
     """A measurement about a state: measured minus predicted, the residual (..., m), = H δ + Σ B ξ + noise.
 
     δ is the error state, or (δp, δθ) of a link in the camera frame, and H has shape (..., m, n); of the biases, the
-    first is the measurement's own and the others are errors of constants. Not finite where the link cannot be seen.
+    first is the measurement's own, the others are calibration parameters. Not finite where the link cannot be seen.
     """
 
     residual: Array
     H: Array
-    biases: tuple[SharedBias, ...]
+    biases: tuple[BiasTerm, ...]
     noise: Array
 
     @property
@@ -157,9 +157,9 @@ class LinkMeasurement(ABC):
     def in_view(self, T_view_link: Array, /) -> Linearised:
         """All that it says about a pose of the link, shape (4, 4), in the frame of the camera that sees it."""
 
-    def about(self, residual: Array, H: Array, own: Array, shared: Iterable[SharedBias]) -> Linearised:
-        """It about a pose, by its derivative (m, 6) and by those by its own bias, (m, k), and of what is shared."""
-        bias = SharedBias(self.bias_name, own, self.correlation_time_s)
+    def about(self, residual: Array, H: Array, own: Array, shared: Iterable[BiasTerm]) -> Linearised:
+        """It about a pose, by its derivative (m, 6), that by its own bias, (m, k), and the shared biases."""
+        bias = BiasTerm(self.bias_name, own, self.correlation_time_s)
         return Linearised(residual, H, (bias, *shared), self.covariance)
 
     def unseen(self) -> Linearised:
@@ -177,5 +177,5 @@ class LinkMeasurement(ABC):
         # The right camera is off by its place along the baseline, and turned about its own centre.
         baseline = camera.baseline_std_fraction * by_place @ self.T_view_left[:3, 3, None]
         turned = self.deviations.of_right_turn(by_turn - by_place @ skew(T[:3, 3]))
-        biases = *found.biases, SharedBias(BASELINE, baseline), turned
+        biases = *found.biases, BiasTerm(BASELINE, baseline), turned
         return replace(found, H=found.H @ np.kron(np.eye(2), R), biases=biases)

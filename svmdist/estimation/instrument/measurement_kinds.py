@@ -1,6 +1,6 @@
 """The kinds of measurements: points, a sphere's size, disparity, sides and end of the shaft's outline, and a pose.
 
-Each is the residual of one link's pose, with what lasts of its error and what errors of constants do to it.
+Each is the residual of one link's pose, with the bias of its own and its derivatives by calibration parameters.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.measurement import MIN_DEPTH_M, Linearised, LinkMeasurement, SharedBias
+from svmdist.estimation.instrument.measurement import MIN_DEPTH_M, BiasTerm, Linearised, LinkMeasurement
 from svmdist.profile.hand_eye import FOCAL_LENGTH, PRINCIPAL_POINT, SHAFT_RADIUS
 from svmdist.transforms import Array, inverse_right_jacobian, rotation_vector, skew
 from svmdist.vision.lines import apparent_radius_px, tangent_normal
@@ -46,7 +46,7 @@ class PointError:
         by_offset = H[:, :3] @ R_camera_link
         return np.column_stack([self.place_std_m * by_offset, self.part_std_m * by_offset, self.shading_px * tilt])
 
-    def of_outline(self, R_camera_link: Array, H: Array, time_s: float) -> tuple[SharedBias, ...]:
+    def of_outline(self, R_camera_link: Array, H: Array, time_s: float) -> tuple[BiasTerm, ...]:
         """What the shaft's end and the jaws' length do to what was found between them; nothing to others.
 
         Both fade with `time_s`.
@@ -57,7 +57,7 @@ class PointError:
         by_length = np.zeros((len(by_place), 7))  # as the offset of the jaws' tip
         by_length[:, 0] = by_place @ R_camera_link[:, 0] * self.with_jaws_m
         by_end = by_place @ self.with_end_m[:, None]
-        return SharedBias(END_BIAS, by_end, time_s), SharedBias(JAWS, by_length, time_s)
+        return BiasTerm(END_BIAS, by_end, time_s), BiasTerm(JAWS, by_length, time_s)
 
 
 POINT = PointError()
@@ -135,7 +135,7 @@ class DisparityMeasurement(_OfPoint):
         shared = (
             *self.deviations.of_disparity(p_left_m, self.right, by_depth_px, self.T_right_left),
             *self.error.of_outline(R, H, self.correlation_time_s),
-            SharedBias("disparity of the marker", lasting, self.correlation_time_s),
+            BiasTerm("disparity of the marker", lasting, self.correlation_time_s),
         )
         return self.about(residual, H, bias, shared)
 
@@ -166,10 +166,10 @@ class SizeMeasurement(LinkMeasurement):
         H = np.concatenate([predicted_px * slope, np.zeros(3)])[None]
         fractions = self.deviations.camera.focal_std_fraction, self.deviations.marker_radius_fraction
         focal, radius = (np.array([[fraction * self.radius_px]]) for fraction in fractions)
-        shared: tuple[SharedBias, ...] = SharedBias(FOCAL_LENGTH, focal), SharedBias("marker radius", radius)
+        shared: tuple[BiasTerm, ...] = BiasTerm(FOCAL_LENGTH, focal), BiasTerm("marker radius", radius)
         if self.hidden_std_px:
             hidden = np.array([[self.hidden_std_px]])
-            shared = *shared, SharedBias("hidden marker", hidden, self.correlation_time_s)
+            shared = *shared, BiasTerm("hidden marker", hidden, self.correlation_time_s)
         residual, bias = np.array([self.radius_px - predicted_px]), np.array([[self.bias_std_px]])
         return self.about(residual, H, bias, shared)
 
@@ -209,12 +209,12 @@ class ContourMeasurement(_WithBias):
     side: int
 
     @cached_property
-    def of_camera(self) -> tuple[SharedBias, ...]:
+    def of_camera(self) -> tuple[BiasTerm, ...]:
         """What focal length and principal point do to it, whatever the pose."""
         error, flat = self.deviations.camera, self.normal * np.array([1.0, 1.0, 0.0])
         focal = -error.focal_std_fraction * (self.across @ flat[:, None])
         centre = -error.centre_std_px * self.across[:, 2:] * (self.normal[:2] / self.focal_px)
-        return SharedBias(FOCAL_LENGTH, focal), SharedBias(PRINCIPAL_POINT, centre)
+        return BiasTerm(FOCAL_LENGTH, focal), BiasTerm(PRINCIPAL_POINT, centre)
 
     def in_view(self, T_view_link: Array, /) -> Linearised:
         """By what the normal is off the predicted one, shape (2,) in rad."""
@@ -230,7 +230,7 @@ class ContourMeasurement(_WithBias):
         beside_m = self.side * np.sqrt(max(square_m2 - self.radius_m**2, NEAR_M**2))
         by_radius = (beside_m * foot_m - self.radius_m * (skew(d) @ foot_m)) / (square_m2 * beside_m)
         radius = self.across @ (by_radius * self.radius_m)[:, None] * self.deviations.shaft_radius_fraction
-        shared = *self.of_camera, SharedBias(SHAFT_RADIUS, radius)
+        shared = *self.of_camera, BiasTerm(SHAFT_RADIUS, radius)
         return self.about(self.across @ (self.normal - normal), H, self.lasting, shared)
 
 
@@ -260,10 +260,10 @@ class EndMeasurement(LinkMeasurement):
         return END_BIAS
 
     @cached_property
-    def of_camera(self) -> tuple[SharedBias, ...]:
+    def of_camera(self) -> tuple[BiasTerm, ...]:
         """What focal length and principal point do to it, whatever the pose."""
         each = self.deviations.of_pixels(self.pixel, self.camera)
-        return tuple(SharedBias(one.name, (self.towards_tip @ one.jacobian)[None]) for one in each)
+        return tuple(BiasTerm(one.name, (self.towards_tip @ one.jacobian)[None]) for one in each)
 
     def in_view(self, T_view_link: Array, /) -> Linearised:
         """Measured minus predicted in px, shape (1,); the bias is along the shaft in units of its deviation."""

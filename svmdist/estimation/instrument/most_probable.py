@@ -20,7 +20,7 @@ TURN = slice(3, 6)  # of a state: a rotation vector
 MAX_ITERATIONS = 12
 SETTLED = 1e-2  # of a standard deviation: a state that moves nothing by more has come to rest
 MAX_SEARCH = 24  # iterations from a start, halved steps among them
-SINGULAR = 1e-9  # the least eigenvalue of the prior as correlations: constants may move together
+SINGULAR = 1e-9  # the least eigenvalue of the prior as correlations: parameters may be fully correlated
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +71,8 @@ def most_probable(
 ) -> Solution | None:
     """The state that prior and heavy-tailed measurements make the most probable, from x; None where one is unseen.
 
-    A tracked measurement is weighed by the worse of its first innovation and its last residual: what constants and
-    biases would have to give way for is no less wild for their giving way. Where it `descends`, a step that makes the
+    A tracked measurement is weighed by the worse of its first innovation and its last residual: an outlier
+    remains one where biases and calibration parameters would fit it. Where it `descends`, a step that makes the
     state less probable is halved.
     """
     P, size = state.P, state.model.size

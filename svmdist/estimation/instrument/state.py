@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from svmdist.estimation.instrument.error_model import CorrectedLink, CorrectedLinks, Correction, ErrorModel
-from svmdist.estimation.instrument.measurement import ONE_FRAME_S, Linearised, LinkMeasurement, SharedBias
+from svmdist.estimation.instrument.measurement import ONE_FRAME_S, BiasTerm, Linearised, LinkMeasurement
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.transforms import Array
 
@@ -24,12 +24,12 @@ def linearise(measurement: LinkMeasurement, link: CorrectedLink) -> Linearised:
     if delay_s != 0.0:
         residual = residual - found.H @ link.velocity * delay_s
         std_m = (MOTION_STD * float(np.linalg.norm(link.velocity[:3])) or TOOL_SPEED_M_S) * abs(delay_s)
-        biases = *biases, SharedBias("motion since the stamp", std_m * found.H[:, :3], ONE_FRAME_S)
+        biases = *biases, BiasTerm("motion since the stamp", std_m * found.H[:, :3], ONE_FRAME_S)
     return replace(found, residual=residual, H=found.H @ link.derivative, biases=biases)
 
 
 TINY_M = 1e-9  # stands in for a deviation of zero
-MIN_TOLD = 0.2  # of the variance of constants along a direction: of less the measurements tell too little
+MIN_OBSERVABLE = 0.2  # share of parameters' variance along a direction that measurements remove
 
 
 class ErrorState:
@@ -71,8 +71,8 @@ class ErrorState:
         self.correction = self.model.no_correction(self.robot)
         self.P, self.bias_mean = self.model.prior(self.robot), np.zeros(0)
         self._bias_slices, self._correlation_times_s = {}, np.zeros(0)
-        for name, covariance in self.model.prior_with_constants(self.robot).items():
-            self._append(SharedBias(name, covariance))
+        for name, covariance in self.model.prior_cross_covariances(self.robot).items():
+            self._append(BiasTerm(name, covariance))
             at = self._bias_slices[name]
             self.P[: self.model.size, at] = covariance
             self.P[at, : self.model.size] = covariance.T
@@ -97,12 +97,12 @@ class ErrorState:
         self.P = 0.5 * (P + P.T)
 
     def augment_state(self, parts: Sequence[Linearised]) -> None:
-        """The first measurement of a kind, or that a constant matters to, adds its bias, of variance one."""
+        """The first measurement of a kind, or by a calibration parameter, adds its bias, of variance one."""
         for bias in (bias for part in parts for bias in part.biases):
             if bias.name not in self._bias_slices:
                 self._append(bias)
 
-    def _append(self, bias: SharedBias) -> None:
+    def _append(self, bias: BiasTerm) -> None:
         at, count = len(self.P), bias.jacobian.shape[-1]
         grown = np.eye(at + count)
         grown[:at, :at] = self.P
@@ -117,11 +117,11 @@ class ErrorState:
         at = self._bias_slices.get(name)
         return 0.0 if at is None else float(self.bias_mean[at.start - self.model.size])
 
-    def furthest_constant(self) -> tuple[str, float, float, int]:
-        """What was found of constants: which is furthest from what is stated, how far, how far all are, of how many.
+    def furthest_parameter(self) -> tuple[str, float, float, int]:
+        """The calibration parameter furthest from its prior, how far, how far all are, along how many directions.
 
-        Several that each give way a little may together be what no calibration allows: along the directions that
-        measurements tell, their means are compared with what these means would vary by if all stated were right.
+        Several that are each off a little may together be what no calibration allows: along the observable directions
+        their means are compared with what these means would vary by under the prior.
         """
         size, at = self.model.size, self.model.lengths
         names = ["a length of the chain"] * (at.stop - at.start)
@@ -132,14 +132,12 @@ class ErrorState:
                 places += range(one.start, one.stop)
         if not places:
             return "", 0.0, 0.0, 0
-        stated = np.ones(len(places))
-        stated[: at.stop - at.start] = max(self.model.error.length_std_m, TINY_M)
-        mean = np.concatenate([self.correction.vector(), self.bias_mean])[places] / stated
-        told, directions = np.linalg.eigh(
-            np.eye(len(places)) - self.P[np.ix_(places, places)] / np.outer(stated, stated)
-        )
-        is_told = told > MIN_TOLD
-        off = np.abs(directions.T @ mean)[is_told] / np.sqrt(told[is_told])
+        std = np.ones(len(places))
+        std[: at.stop - at.start] = max(self.model.error.length_std_m, TINY_M)
+        mean = np.concatenate([self.correction.vector(), self.bias_mean])[places] / std
+        gained, directions = np.linalg.eigh(np.eye(len(places)) - self.P[np.ix_(places, places)] / np.outer(std, std))
+        is_observable = gained > MIN_OBSERVABLE
+        off = np.abs(directions.T @ mean)[is_observable] / np.sqrt(gained[is_observable])
         most = int(np.argmax(np.abs(mean)))
         return names[most], float(abs(mean[most])), float(off.max(initial=0.0)), len(off)
 

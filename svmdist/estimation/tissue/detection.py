@@ -9,7 +9,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import ProfileError
-from svmdist.estimation.instrument.measurement import SharedBias
+from svmdist.estimation.instrument.measurement import BiasTerm
 from svmdist.estimation.tissue.dome import DomeModel
 from svmdist.geometry import Cloud, Mesh, Plane, Surface, meet_plane, read_closed_mesh
 from svmdist.profile import Profile
@@ -124,7 +124,7 @@ def tissue_frame(origin_m: Array, normal: Array) -> Array:
     return make_transform(np.stack([x, cross(normal, x), normal], -1), origin_m)
 
 
-def height_biases(tissue: Tissue, position_m: Array) -> tuple[SharedBias, SharedBias]:
+def height_biases(tissue: Tissue, position_m: Array) -> tuple[BiasTerm, BiasTerm]:
     """What is uncertain of the plane's height in m at a place on it, (3,), as derivatives (1, 1): constant, and motion.
 
     A tilt lifts what lies beside the foot of the camera's perpendicular.
@@ -133,21 +133,21 @@ def height_biases(tissue: Tissue, position_m: Array) -> tuple[SharedBias, Shared
     tilt_m = tissue.plane_tilt_std_rad * float(np.linalg.norm(beside_m))
     constant_std_m = float(np.hypot(tissue.plane_distance_std_m, tilt_m))
     return (
-        SharedBias("tissue plane", np.array([[constant_std_m]])),
-        SharedBias("tissue motion", np.array([[tissue.motion_std_m]]), tissue.motion_time_s),
+        BiasTerm("tissue plane", np.array([[constant_std_m]])),
+        BiasTerm("tissue motion", np.array([[tissue.motion_std_m]]), tissue.motion_time_s),
     )
 
 
 def ray_on_plane_biases(
     position_m: Array, plane: Plane, camera: Camera, error: CameraError
-) -> tuple[SharedBias, SharedBias]:
+) -> tuple[BiasTerm, BiasTerm]:
     """What focal length and principal point do to where a ray meets a plane, at `position_m`: Jacobians (3, k)."""
     ray = position_m / position_m[2]
     slope = float(plane.normal @ ray)
     by_ray = plane.offset_m * (np.eye(3) / slope - np.outer(ray, plane.normal) / slope**2)
     focal = -error.focal_std_fraction * by_ray @ (ray * np.array([1.0, 1.0, 0.0]))
     centre = -error.centre_std_px * by_ray[:, :2] / np.diag(camera.K)[:2]
-    return SharedBias(FOCAL_LENGTH, focal[:, None]), SharedBias(PRINCIPAL_POINT, centre)
+    return BiasTerm(FOCAL_LENGTH, focal[:, None]), BiasTerm(PRINCIPAL_POINT, centre)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.camera import Camera
-from svmdist.estimation.instrument.measurement import Deviations, SharedBias
+from svmdist.estimation.instrument.measurement import BiasTerm, Deviations
 from svmdist.profile.robot import FieldOfView
 from svmdist.profile.settings import StereoSettings
 from svmdist.samples import Image, RightView
@@ -63,13 +63,13 @@ class StereoSurface:
         return np.asarray(bgr[rows.clip(0, height - 1), columns.clip(0, width - 1)])
 
 
-def depth_biases(points_m: Array, camera: Camera, right: RightView, deviations: Deviations) -> tuple[SharedBias, ...]:
+def depth_biases(points_m: Array, camera: Camera, right: RightView, deviations: Deviations) -> tuple[BiasTerm, ...]:
     """What errors of both cameras do to the depth in m that a surface by stereo has at points, shape (..., 3)."""
     T_right_left = inverse(right.T_left_right)
     disparity_px = np.asarray(camera.K[0, 0] * np.linalg.norm(T_right_left[:3, 3]) / points_m[..., 2])
     by_px = (points_m[..., 2] / disparity_px)[..., None, None]
     biases = deviations.of_disparity(points_m, right.camera, disparity_px, T_right_left)
-    return tuple(SharedBias(bias.name, by_px * bias.jacobian, bias.correlation_time_s) for bias in biases)
+    return tuple(BiasTerm(bias.name, by_px * bias.jacobian, bias.correlation_time_s) for bias in biases)
 
 
 def detect_stereo_surface(

@@ -9,7 +9,7 @@ import numpy as np
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
-from svmdist.estimation.instrument.measurement import Linearised, SharedBias
+from svmdist.estimation.instrument.measurement import BiasTerm, Linearised
 from svmdist.estimation.tissue.detection import (
     TissueDetection,
     TissuePose,
@@ -165,7 +165,7 @@ def measure_height(
     by_shape = dome.derivative(above.flat_m).mean(0)
     dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
     lasting_m = np.hypot(LASTING_HEIGHT_SHARE * surface.std_m, dome_std_m)
-    own = SharedBias(OUTLINE, np.array([[lasting_m]]), HEIGHT_CORRELATION_TIME_S)
+    own = BiasTerm(OUTLINE, np.array([[lasting_m]]), HEIGHT_CORRELATION_TIME_S)
     noise_m2 = (1.0 - LASTING_HEIGHT_SHARE**2) * surface.std_m**2
     biases = (own, *height_biases(tissue, known.position_m), *of_cameras)
     over_m = np.array([median(above.over_m)])
@@ -188,10 +188,10 @@ def at_height(
     by_height = placed.position_m[:, None] / offset_m
     by_ray = ray_on_plane_biases(placed.position_m, Plane(plane.normal, offset_m), frame.left.camera, of_camera)
     along = (replace(bias, jacobian=by_height @ bias.jacobian) for bias in biases)
-    covariance, coupling = kalman.coupled((*along, *by_ray))
+    covariance, cross_covariance = kalman.bias_covariances((*along, *by_ray))
     placed = replace(placed, covariance=placed.outline_covariance + covariance)
     seen = surface_by_stereo(frame, placed)
-    return (placed if seen is None or _has_surer_shape(tissue, placed, seen, frame) else seen), coupling
+    return (placed if seen is None or _has_surer_shape(tissue, placed, seen, frame) else seen), cross_covariance
 
 
 def _has_surer_shape(tissue: Tissue, placed: TissuePose, seen: TissuePose, frame: Frame) -> bool:
