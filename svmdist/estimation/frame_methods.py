@@ -193,7 +193,7 @@ def triangulated_tool(frame: Frame, nominal: ToolPose) -> ToolPose | Failure:
     disparity_px = np.array(markers.disparity_px)
     biases = frame.arm.deviations.of_disparity(p_camera_m, right.camera, disparity_px, right.T_view_left)
     of_cameras_px2 = sum(float(np.sum(bias.jacobian**2)) for bias in biases)
-    seen, of_disparity_px2 = markers.left, markers.std_px**2 + markers.lasting_std_px**2 + of_cameras_px2
+    seen, of_disparity_px2 = markers.left, markers.std_px**2 + markers.bias_std_px**2 + of_cameras_px2
     T_camera_tool = nominal.T_camera_tool.copy()
     arm_m = T_camera_tool[:3, :3] @ marker_place_m(frame.arm, seen)
     T_camera_tool[:3, 3] = p_camera_m - arm_m

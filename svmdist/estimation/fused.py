@@ -45,7 +45,7 @@ class FusedEstimator:
         self._tissue_tracker = TissueTracker(profile.settings.tissue)
         self._filter = KinematicErrorFilter(self._chain, profile.kinematic_error, profile.settings.filter)
         self._has_sizes = profile.segmentation.shaft is not None and profile.instrument is not None
-        self._lasting_share = profile.settings.fused.lasting_share
+        self._correlated = profile.settings.fused.lasting_share
         self._is_located = False
         self._contradictions, self._agreed, self._has_agreed = 0, 0, False
         self._begun_ns: int | None = None
@@ -139,11 +139,11 @@ class FusedEstimator:
         pair = frame.scene.stereo_pair
         markers = None if isinstance(pair, Failure) else pair_markers(frame, pair)
         expected = markers.expected if isinstance(markers, MarkerPair) else Expected.of(self._filter.tool_pose())
-        return of_images(frame, expected, markers, both_views=True, lasting_share=self._lasting_share, is_tracked=True)
+        return of_images(frame, expected, markers, both_views=True, correlated_share=self._correlated, is_tracked=True)
 
     def _tag(self, frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
         """The tag's factor, which a predicted pose tells from its mirrored one."""
-        return tag(frame, self._filter.state.robot, predicted, self._lasting_share)
+        return tag(frame, self._filter.state.robot, predicted, self._correlated)
 
     def _age_s(self, frame: Frame) -> float:
         """Since the filter began by an image; infinite where it did not."""

@@ -129,7 +129,7 @@ def test_what_looks_like_the_shafts_end_does_so_in_the_next_frame():
     """Its deviation in the image is no noise that many frames take away: it lasts as that of the model does."""
     _, _, _, end, *_ = measurements()
     by_model = replace(end, model_std_m=1e-3).linearise(T_LINK).biases[0].jacobian
-    both = replace(end, model_std_m=1e-3, lasting_std_px=20.0).linearise(T_LINK).biases[0].jacobian
+    both = replace(end, model_std_m=1e-3, bias_std_px=20.0).linearise(T_LINK).biases[0].jacobian
     assert both == pytest.approx(np.copysign(np.hypot(by_model, 20.0), by_model))
 
 

@@ -19,10 +19,10 @@ from svmdist.vision.lines import axis_of_cylinder, without_perspective
 from svmdist.vision.stereo import RectifiedPair, matched_place
 
 WRIST = "wrist"
-# Deviations over the marker's radius. What lasts is a state of the filter, and reaches the interval as such.
-VISIBLE_MIDDLE = 0.05  # lasts: geometry, 6 % of the disc hidden on one side moves the middle of the rest so
-LASTING_DISPARITY = 0.016  # lasts: blood and shading differ in each view, by 0.1 to 0.2 px at 12 px
-SHADING_BIAS = 0.12  # and the light's angle in rad; lasts: half of √(1 - 0.97²), Lambert's dark limb
+# Deviations over the marker's radius. Biases are states of the filter, and reach the interval as such.
+VISIBLE_MIDDLE = 0.05  # a bias: geometry, 6 % of the disc hidden on one side moves the middle of the rest so
+DISPARITY_BIAS = 0.016  # blood and shading differ in each view, by 0.1 to 0.2 px at 12 px
+SHADING_BIAS = 0.12  # and the light's angle in rad: half of √(1 - 0.97²), Lambert's dark limb
 CENTRE_NOISE = 0.02  # pixels, light and angle of view, when simulated: a quarter of a pixel at 12 px
 UNKNOWN_SHAPE = 0.33  # of what is seen, where no size is known: of half a disc the middle is 0.42 radii off
 DISPARITY_NOISE = 0.008  # when simulated, from 3° aside: jaws hide other parts in the other view
@@ -30,14 +30,14 @@ INTERLACED_DISPARITY_NOISE = 0.03  # colours of both fields are mixed, 0.4 px at
 PART_DISPARITY = 0.15  # and over the hidden part: from 3° aside its middle moves by a quarter more or less
 DISPARITY_NOISE_PX = 0.05  # that of two centroids of some hundred pixels
 EVEN_AREA_FRACTION = 0.02  # by which areas in both views differ when nothing is wrong, over their sum
-ASIDE_RAD = 0.056  # the angle between the views that these are stated for: 5 mm at 90 mm
+ASIDE_RAD = 0.056  # the angle between the views that these are given for: 5 mm at 90 mm
 ROW_TOLERANCE_PX = 3.0  # rectified points lie on one row; the marker is cut differently in each view
 WHOLE_AREA_SPREAD = 0.1  # of a whole marker over its disc's: jaws hide some, a fork adds
 MIN_VISIBLE_FRACTION = 0.4  # of a whole marker's area: with less of it, it may be any coloured part
 MAX_AREA_FRACTION = 1.44  # a sphere shows no more than its disc, and light a fifth of its radius
 MOST_UNKNOWN = 10.0  # of the depth, over itself: of more, a size tells nothing either
 OTHER_PART_PLACE = 3.0  # over the marker's radius: a ring or a clip, anywhere on the distal part
-WRIST_LASTING = 0.5  # of the variance of a point on the outline of a wrist: its shape is as it is
+WRIST_CORRELATED = 0.5  # of the variance of a point on the outline of a wrist: its shape is as it is
 MATCH_STD_PX, MATCH_STEP_PX = 1.0, 0.5  # of a wrist in both views: they show other sides of it, by a pixel
 MATCH_REACH = 3.0  # how far from the outlines' disparity it is sought, in deviations of that
 MATCH_WIDTHS = 0.35  # how far the compared wrist reaches to either side, over the shaft's width
@@ -75,7 +75,7 @@ class SeenMarker:
 
 @dataclass(frozen=True, slots=True)
 class MarkerPair:
-    """The tool's origin in both views: disparity where rows correspond, its noise and what lasts of its error, in px.
+    """The tool's origin in both views: disparity where rows correspond, its noise and its bias, in px.
 
     `expected` is the depth that sizes were compared at.
     """
@@ -84,7 +84,7 @@ class MarkerPair:
     right: SeenMarker
     disparity_px: float
     std_px: float
-    lasting_std_px: float
+    bias_std_px: float
     expected: Expected
 
 
@@ -103,9 +103,9 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
         if end is None or arm.straight is None:
             return None
         end_m, px_per_m = end
-        noise_px, lasting_px = np.sqrt([1.0 - WRIST_LASTING, WRIST_LASTING]) * wrist.std_px
+        noise_px, bias_px = np.sqrt([1.0 - WRIST_CORRELATED, WRIST_CORRELATED]) * wrist.std_px
         by_jaws_m = (1.0 - wrist.end_share) * arm.straight.jaw_tip_std_m
-        place_std_m = float(lasting_px / px_per_m)
+        place_std_m = float(bias_px / px_per_m)
         error = PointError(WRIST, place_std_m, with_end_m=wrist.end_share * end_m, with_jaws_m=by_jaws_m)
         return SeenMarker(WRIST, wrist.pixel, float(noise_px), error, wrist.std_px)
     seen_px = float(np.sqrt(marker.area_px / np.pi))
@@ -179,7 +179,7 @@ def pair_markers(frame: Frame, pair: RectifiedPair, expected: Expected | None = 
         return Failure(f"the instrument's disparity, {disparity_px:.1f} px, is that of a point beyond {far_m} m")
     depth_m = float(pair.point(one.pixel, disparity_px)[0][2])
     if expected is None:
-        std_px = float(np.hypot(DISPARITY_NOISE_PX, LASTING_DISPARITY * one.radius_px))
+        std_px = float(np.hypot(DISPARITY_NOISE_PX, DISPARITY_BIAS * one.radius_px))
         return pair_markers(frame, pair, Expected(depth_m, std_px / disparity_px))
     if one.area_px == 0.0:  # on an outline
         std_px = float(np.hypot(one.radius_px, other.radius_px))
@@ -194,9 +194,9 @@ def pair_markers(frame: Frame, pair: RectifiedPair, expected: Expected | None = 
     uneven = abs(one.area_px - other.area_px) / (one.area_px + other.area_px)
     noise = aside * (INTERLACED_DISPARITY_NOISE if frame.scene.mixes_colours else DISPARITY_NOISE)
     noise = float(np.hypot(noise, max(0.0, uneven - EVEN_AREA_FRACTION)))
-    lasting = aside * float(np.hypot(LASTING_DISPARITY, PART_DISPARITY * max(one.hidden, other.hidden)))
+    bias = aside * float(np.hypot(DISPARITY_BIAS, PART_DISPARITY * max(one.hidden, other.hidden)))
     std_px = float(np.hypot(DISPARITY_NOISE_PX, one.radius_px * noise))
-    return MarkerPair(one, other, disparity_px, std_px, one.radius_px * lasting, expected)
+    return MarkerPair(one, other, disparity_px, std_px, one.radius_px * bias, expected)
 
 
 def _matched(

@@ -21,7 +21,7 @@ from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
 
 DISPARITY, EDGE = "disparity", "edge {:+d}"
-LASTING_SIZE = 0.75  # of the variance of the marker's radius: light and blood stay
+CORRELATED_SIZE = 0.75  # of the variance of the marker's radius: light and blood stay
 COLOUR_DELAY_S = 0.0092  # where both fields' colours are mixed: half of a 50th or of a 60th of a second
 
 
@@ -31,10 +31,10 @@ def of_images(
     markers: MarkerPair | Failure | None = None,
     *,
     both_views: bool,
-    lasting_share: float = 0.0,
+    correlated_share: float = 0.0,
     is_tracked: bool = False,
 ) -> list[LinkMeasurement]:
-    """All factors of the left view or of both; of the variance of edges a share lasts.
+    """All factors of the left view or of both; of the variance of edges a share is correlated.
 
     What hides a part of end and marker hides it in both views alike: the second view adds its disparity only. Of a tool
     that is tracked by its marker or tag, the right view's sides, the shaft's end and a size beside a disparity tell
@@ -55,11 +55,11 @@ def of_images(
     is_by_outline = any(one.name.endswith(WRIST) for one in marks)
     has_tag = arm.profile.fiducial is not None and left.tag_corners_px is not None
     if is_tracked and not is_by_outline and (marks or has_tag):
-        found += sides(left, arm, lasting_share)
+        found += sides(left, arm, correlated_share)
     else:
         is_alone = sum(bool(view.shaft.contours) for view in views) < 2
         for view in views:
-            found += of_view(view, sides(view, arm, lasting_share, is_alone=is_alone))
+            found += of_view(view, sides(view, arm, correlated_share, is_alone=is_alone))
         found += first(of_view(view, end(view, arm)) for view in views)
     if len(views) > 1 and isinstance(markers, MarkerPair):
         if is_tracked:
@@ -70,8 +70,8 @@ def of_images(
     return [*found, *marks]
 
 
-def sides(view: View, arm: Arm, lasting_share: float = 0.0, *, is_alone: bool = False) -> Iterator[LinkMeasurement]:
-    """Both sides of the shaft's outline in a view; of their variance a share lasts.
+def sides(view: View, arm: Arm, correlated_share: float = 0.0, *, is_alone: bool = False) -> Iterator[LinkMeasurement]:
+    """Both sides of the shaft's outline in a view; of their variance a share is correlated.
 
     Where it `is_alone`, no other view tells the depth of what may be a wrist.
     """
@@ -92,12 +92,12 @@ def sides(view: View, arm: Arm, lasting_share: float = 0.0, *, is_alone: bool = 
             link=axis.link,
             normal=contour.normal,
             across=across,
-            covariance=(1.0 - lasting_share) * covariance,
+            covariance=(1.0 - correlated_share) * covariance,
             p_axis_m=axis.p_axis_m,
             axis=axis.axis,
             radius_m=arm.straight.radius_m,
             side=contour.side,
-            bias_covariance=lasting_share * covariance,
+            bias_covariance=correlated_share * covariance,
             focal_px=np.diag(view.camera.K)[:2],
             deviations=deviations,
             correlation_time_s=arm.profile.settings.filter.edge_correlation_time_s,
@@ -115,13 +115,13 @@ def end(view: View, arm: Arm) -> Iterator[LinkMeasurement]:
         camera=view.camera,
         pixel=rim.pixel,
         towards_tip=rim.towards_tip,
-        covariance=np.array([[(1.0 - kinds.LASTING_OUTLINE) * rim.std_px**2]]),
+        covariance=np.array([[(1.0 - kinds.CORRELATED_OUTLINE) * rim.std_px**2]]),
         p_hinge_m=straight.hinge_m,
         axis=straight.axis.axis,
         ahead_m=ahead[0],
         radius_m=0.0 if rim.is_outline else straight.radius_m,
         model_std_m=ahead[1],
-        lasting_std_px=float(np.sqrt(kinds.LASTING_OUTLINE)) * rim.std_px,
+        bias_std_px=float(np.sqrt(kinds.CORRELATED_OUTLINE)) * rim.std_px,
         deviations=arm.deviations,
         correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
         rests_on=tuple(EDGE.format(contour.side) for contour in view.shaft.contours),
@@ -147,14 +147,14 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
         return
     is_other_part = seen.error.part_std_m > 0.0  # it is not of the marker's size
     if marker is not None and marker.radius_px is not None and not is_other_part:
-        lasting, variance_px2 = LASTING_SIZE, marker.radius_std_px**2 - marker.hidden_px**2
+        correlated, variance_px2 = CORRELATED_SIZE, marker.radius_std_px**2 - marker.hidden_px**2
         yield kinds.SizeMeasurement(
             name="size",
             camera=view.camera,
             radius_m=instrument.knuckle_radius_m,
             radius_px=marker.radius_px,
-            covariance=np.array([[(1.0 - lasting) * variance_px2]]),
-            bias_std_px=float(np.sqrt(lasting * variance_px2)),
+            covariance=np.array([[(1.0 - correlated) * variance_px2]]),
+            bias_std_px=float(np.sqrt(correlated * variance_px2)),
             hidden_std_px=marker.hidden_px,
             deviations=arm.deviations,
             correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
@@ -193,13 +193,13 @@ def _disparity(frame: Frame, right: View, markers: MarkerPair) -> LinkMeasuremen
         covariance=np.array([[markers.std_px**2]]),
         error=left.error,
         deviations=arm.deviations,
-        lasting_std_px=markers.lasting_std_px,
+        bias_std_px=markers.bias_std_px,
         p_link_m=marker_place_m(arm, left),
         correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
     )
 
 
-def tag(frame: Frame, robot: RobotState, predicted: ToolPose, lasting_share: float) -> Iterator[LinkMeasurement]:
+def tag(frame: Frame, robot: RobotState, predicted: ToolPose, correlated_share: float) -> Iterator[LinkMeasurement]:
     """The tag's pose; the predicted tool tells how the tag is turned, but for the wrist's joints between them."""
     fiducial = frame.arm.profile.fiducial
     if fiducial is None or frame.left.tag_corners_px is None:
@@ -214,8 +214,8 @@ def tag(frame: Frame, robot: RobotState, predicted: ToolPose, lasting_share: flo
             link=fiducial.link,
             T_link_frame=fiducial.T_link_tag,
             T_camera_frame=found.T_camera_tag,
-            covariance=(1.0 - lasting_share) * found.covariance,
-            bias_covariance=lasting_share * found.covariance,
+            covariance=(1.0 - correlated_share) * found.covariance,
+            bias_covariance=correlated_share * found.covariance,
             focal_px=np.diag(frame.left.camera.K)[:2],
             deviations=frame.arm.deviations,
         )

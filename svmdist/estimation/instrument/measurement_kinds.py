@@ -18,13 +18,13 @@ from svmdist.vision.lines import apparent_radius_px, tangent_normal
 
 MARKER, SHAFT = "distal marker", "shaft"
 END_BIAS, JAWS = "shaft's end", "jaws"
-LASTING_OUTLINE = 0.75  # of the variance of what ends an outline in the image: what looks like it stays
+CORRELATED_OUTLINE = 0.75  # of the variance of what ends an outline in the image: the cause stays
 NEAR_M = 1e-3  # A camera is no nearer to an edge than this: it bounds a derivative
 
 
 @dataclass(frozen=True, slots=True)
 class PointError:
-    """What of a point's error on an instrument lasts from frame to frame, under one name for all that show it.
+    """The bias of a point on an instrument, under one name for all measurements that share it.
 
     The point may be off by an offset fixed in the link's frame, of deviation `place_std_m` along each axis, and what is
     visible of it by another one, of `part_std_m`: where a side is hidden, or another part is coloured. Shading may
@@ -113,7 +113,7 @@ class DisparityMeasurement(_OfPoint):
     right: Camera
     T_right_left: Array
     disparity_px: float
-    lasting_std_px: float = 0.0
+    bias_std_px: float = 0.0
 
     def in_view(self, T_view_link: Array, /) -> Linearised:
         """Measured minus predicted, shape (1,); the bias is offset and shading in units of their deviations, (1, 7)."""
@@ -131,18 +131,18 @@ class DisparityMeasurement(_OfPoint):
         # Principal points that stand apart are part of a disparity, and not of what a focal length does to it.
         by_depth_px = np.array(self.disparity_px - (self.left.K[0, 2] - self.right.K[0, 2]))
         bias = self.error.jacobian(by_depth_px[None] / self.left.K[0, 0], R, H)
-        lasting = np.array([[self.lasting_std_px]])
+        by_image = np.array([[self.bias_std_px]])
         shared = (
             *self.deviations.of_disparity(p_left_m, self.right, by_depth_px, self.T_right_left),
             *self.error.of_outline(R, H, self.correlation_time_s),
-            BiasTerm("disparity of the marker", lasting, self.correlation_time_s),
+            BiasTerm("disparity of the marker", by_image, self.correlation_time_s),
         )
         return self.about(residual, H, bias, shared)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SizeMeasurement(LinkMeasurement):
-    """The radius in px of the disc that a sphere about a link's origin shows; `bias_std_px` lasts.
+    """The radius in px of the disc that a sphere about a link's origin shows, with its bias.
 
     As long as something hides a part of it, that adds `hidden_std_px`.
     """
@@ -176,13 +176,13 @@ class SizeMeasurement(LinkMeasurement):
 
 @dataclass(frozen=True, kw_only=True)
 class _WithBias(LinkMeasurement):
-    """A measurement by a camera of `focal_px`, (2,), whose bias has a covariance, (m, m), zero where nothing lasts."""
+    """A measurement by a camera of `focal_px`, (2,), whose bias has a covariance, (m, m), zero without one."""
 
     bias_covariance: Array
     focal_px: Array = field(default_factory=lambda: np.ones(2))
 
     @cached_property
-    def lasting(self) -> Array:
+    def bias_jacobian(self) -> Array:
         """A root of the bias' covariance, shape (m, m): the derivative by the bias."""
         C = self.bias_covariance
         return np.asarray(np.linalg.cholesky(C) if C.any() else np.zeros_like(C))
@@ -231,7 +231,7 @@ class ContourMeasurement(_WithBias):
         by_radius = (beside_m * foot_m - self.radius_m * (skew(d) @ foot_m)) / (square_m2 * beside_m)
         radius = self.across @ (by_radius * self.radius_m)[:, None] * self.deviations.shaft_radius_fraction
         shared = *self.of_camera, BiasTerm(SHAFT_RADIUS, radius)
-        return self.about(self.across @ (self.normal - normal), H, self.lasting, shared)
+        return self.about(self.across @ (self.normal - normal), H, self.bias_jacobian, shared)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,7 +240,7 @@ class EndMeasurement(LinkMeasurement):
 
     The end is `ahead_m` before the hinge `p_hinge_m` (3,) on the axis (3,) of the link; of the dark part it is the end
     of the generatrix that faces the camera, `radius_m` off the axis. `model_std_m` is how wrong `ahead_m` may be, and
-    `lasting_std_px` what lasts of the error in the image: a band or a plate that is taken for the end stays one.
+    `bias_std_px` the bias in the image: a band or a plate that is taken for the end stays one.
     """
 
     source: str = SHAFT
@@ -252,7 +252,7 @@ class EndMeasurement(LinkMeasurement):
     ahead_m: float
     radius_m: float
     model_std_m: float
-    lasting_std_px: float = 0.0
+    bias_std_px: float = 0.0
 
     @property
     def bias_name(self) -> str:
@@ -283,7 +283,7 @@ class EndMeasurement(LinkMeasurement):
         by_pose = np.concatenate([by_hinge, -by_hinge @ skew(arm_m) - by_axis @ skew(d)], 1)
         H = (self.towards_tip @ J @ by_pose)[None]
         by_place = H[:, :3] @ T_view_link[:3, :3] @ self.axis[:, None]
-        bias = np.copysign(np.hypot(self.model_std_m * by_place, self.lasting_std_px), by_place)
+        bias = np.copysign(np.hypot(self.model_std_m * by_place, self.bias_std_px), by_place)
         residual = np.array([(self.pixel - pixel) @ self.towards_tip])
         return self.about(residual, H, bias, self.of_camera)
 
@@ -308,4 +308,4 @@ class PoseMeasurement(_WithBias):
         # exp([φ]) exp([-δθ]) = exp([φ - J⁻¹ δθ]), J the right Jacobian (Solà 2018, "A micro Lie theory", sec. 4.3).
         H[3:, 3:] = inverse_right_jacobian(turn)
         shared = self.deviations.of_tag(self.T_camera_frame, self.focal_px)
-        return self.about(residual, H, self.lasting, shared)
+        return self.about(residual, H, self.bias_jacobian, shared)

@@ -28,7 +28,7 @@ from svmdist.transforms import Array
 PLANE_DEGREES = 2  # of freedom that a place on a plane has
 MIN_SCATTER_COUNT = 4.0  # fewer poses do not tell how much they scatter beyond their stated covariance
 GATE_Z = 3.09  # normal quantile of the gate for a pose against the remembered one: 1 in 1,000 true ones is refused
-LASTING_HEIGHT_SHARE = 0.98  # wet, breathing tissue scatters by 0.10 to 0.20 from frame to frame; 0.98 leaves 0.20
+CORRELATED_HEIGHT_SHARE = 0.98  # wet, breathing tissue scatters by 0.10 to 0.20 from frame to frame; 0.98 leaves 0.20
 HEIGHT_CORRELATION_TIME_S = 30.0  # how long that lasts: longer than the logs of 8 s that it was seen in
 
 TINY_M2 = 1e-14  # added to covariances of poses that lie on one plane, so that they have an inverse
@@ -164,9 +164,9 @@ def measure_height(
     of_cameras = [replace(bias, jacobian=along_normal * bias.jacobian) for bias in by_depth]
     by_shape = dome.derivative(above.flat_m).mean(0)
     dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
-    lasting_m = np.hypot(LASTING_HEIGHT_SHARE * surface.std_m, dome_std_m)
-    own = BiasTerm(OUTLINE, np.array([[lasting_m]]), HEIGHT_CORRELATION_TIME_S)
-    noise_m2 = (1.0 - LASTING_HEIGHT_SHARE**2) * surface.std_m**2
+    bias_m = np.hypot(CORRELATED_HEIGHT_SHARE * surface.std_m, dome_std_m)
+    own = BiasTerm(OUTLINE, np.array([[bias_m]]), HEIGHT_CORRELATION_TIME_S)
+    noise_m2 = (1.0 - CORRELATED_HEIGHT_SHARE**2) * surface.std_m**2
     biases = (own, *height_biases(tissue, known.position_m), *of_cameras)
     over_m = np.array([median(above.over_m)])
     return kalman.update_scene(OUTLINE, Linearised(over_m, np.zeros((1, 0)), biases, np.array([[noise_m2]])))
