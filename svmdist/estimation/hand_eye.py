@@ -27,7 +27,7 @@ TRIALS = 400  # samples of three frames that the fit starts from
 AXIS_FLOOR_RAD = 0.01  # of a shaft's direction in the image: what its outline does not show, 0.6°
 AXIS_TILT_FLOOR_RAD = 0.17  # towards the camera: edges in shadows tilted it by 10° in simulated rooms
 POSITION_FLOOR_M = 2e-4  # standard deviation added to that of a place, along each axis
-CORRELATION_TIME_S = 0.5  # how long errors of a detection and play of joints last: between two reversals of a joint
+CORRELATION_TIME_S = 0.5  # how long errors of a detection and backlash of joints last: between two reversals of a joint
 
 MAX_STEPS = 50
 CLOUD_STD_M = 1e-3  # places within this of a line or a point do not tell a rotation
@@ -197,7 +197,7 @@ def _covariance(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_]) -> tupl
     """Covariance, effects and ratio as in `HandEyeFit`.
 
     Noise counts as much more as residuals are larger than expected (Birge 1932), and as neighbours repeat each other,
-    by what the residuals show or the settings say: errors of detections and play of joints last for some frames, where
+    by what the residuals show or the settings say: errors of detections and backlash last for some frames, where
     the covariances of single frames hide them. What is shared is added whole.
     """
     rows = _rows(places, T, agrees)

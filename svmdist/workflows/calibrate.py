@@ -169,7 +169,7 @@ def _reported_tool(
         links = model.nominal_links(state)
         tool = links.link(None)
         nominal_m[at] = tool.T_camera_link[:3, 3]
-        noise[at] = tool.derivative[:3] @ model.play_covariance @ tool.derivative[:3].T
+        noise[at] = tool.derivative[:3] @ model.backlash_covariance @ tool.derivative[:3].T
         shared[at, :3] = tool.derivative[:3][:, columns]
         if shaft is not None:
             link = links.link(shaft.link)

@@ -29,13 +29,13 @@ class RowLength:
 
 
 class ErrorModel:
-    """The error state (δp, δφ, δq, play, τ, δl) of a chain: its layout, its prior, and how it changes.
+    """The error state (δp, δφ, δq, backlash, τ, δl) of a chain: its layout, its prior, and how it changes.
 
     δp in m and δφ in rad are displacement and rotation vector of everything behind the set-up joints, in the camera
-    frame about the anchor; δq are the offsets of the joints from `first_joint` on, `play` what of their errors changes
-    with the motion (backlash, cables, noise), τ how late the joints' stamps are, δl the errors of `row_lengths`.
+    frame about the anchor; δq are the offsets of the joints from `first_joint` on, `backlash` what of their errors
+    changes with the motion (and cables, noise), τ how late the joints' stamps are, δl the errors of `row_lengths`.
 
-    `offsets`, `play`, `time_offset` and `lengths` are where these stand among its `size` numbers. `turns` and `slides`,
+    `offsets`, `backlash`, `time_offset` and `lengths` are their indices among its `size` numbers. `turns` and `slides`,
     shape (n_joints - first_joint,), are 1 for joints of that type and 0 for others; `axes` are the places of the frames
     with their axes among those from the row before `first_row` on.
     """
@@ -54,12 +54,12 @@ class ErrorModel:
         self.turns: Array = chain.is_revolute[self.first_joint :].astype(np.float64)
         self.slides: Array = 1.0 - self.turns
         self.row_lengths = tuple(_lengths(chain, self.first_row))
-        self.offsets, self.play = slice(6, 6 + count), slice(6 + count, 6 + 2 * count)
+        self.offsets, self.backlash = slice(6, 6 + count), slice(6 + count, 6 + 2 * count)
         self.time_offset = 6 + 2 * count
         self.size = self.time_offset + 1 + len(self.row_lengths)
         self.lengths = slice(self.time_offset + 1, self.size)
         self._joint_std = error.joint_std_rad * self.turns + error.joint_std_m * self.slides
-        self._play_std = error.play_std_rad * self.turns + error.play_std_m * self.slides
+        self._backlash_std = error.play_std_rad * self.turns + error.play_std_m * self.slides
         self._drift = np.zeros(self.size)
         self._drift[:3], self._drift[3:6] = error.drift_m_per_sqrt_s, error.drift_rad_per_sqrt_s
         self._drift[self.offsets] = self._drift[3] * self.turns + self._drift[0] * self.slides
@@ -80,18 +80,18 @@ class ErrorModel:
         return float(np.hypot(self.error.time_offset_std_s, drift_s))
 
     @property
-    def play_covariance(self) -> Array:
+    def backlash_covariance(self) -> Array:
         """Of joint errors that change with the motion, at any instant, shape (n, n)."""
         P = np.zeros((self.size, self.size))
-        P[self.play, self.play] = np.diag(self._play_std**2)
+        P[self.backlash, self.backlash] = np.diag(self._backlash_std**2)
         return P
 
     def propagation(self, elapsed_s: float) -> tuple[Array, Array]:
-        """Factors and added variance (n,) over a time: play is a Gauss–Markov process, all else a random walk."""
+        """Factors and added variance (n,) over a time: backlash is a Gauss–Markov process, all else a random walk."""
         keep = np.ones(self.size)
-        keep[self.play] = np.exp(-elapsed_s / self.error.play_time_s)
+        keep[self.backlash] = np.exp(-elapsed_s / self.error.play_time_s)
         added = self._drift**2 * elapsed_s
-        added[self.play] = self._play_std**2 * (1.0 - keep[self.play] ** 2)
+        added[self.backlash] = self._backlash_std**2 * (1.0 - keep[self.backlash] ** 2)
         return keep, added
 
     def prior(self, robot: RobotState) -> Array:
@@ -111,7 +111,7 @@ class ErrorModel:
         for name, effect in effects.items():
             if (column := columns.get(name)) is not None:
                 P[:6, column] = P[column, :6] = effect[:, 0] * np.sqrt(P[column, column])
-        return P + self.play_covariance
+        return P + self.backlash_covariance
 
     def prior_cross_covariances(self, robot: RobotState) -> dict[str, Array]:
         """Prior cross-covariances, (n, k), of the error state with parameters, of variance one, that are not in it."""
@@ -133,10 +133,10 @@ class ErrorModel:
         return P, {}
 
     def corrected_joints(self, robot: RobotState, correction: Correction) -> Array:
-        """Reported joints at the corrected time, with offsets and play, shape (n_joints,)."""
+        """Reported joints at the corrected time, with offsets and backlash, shape (n_joints,)."""
         q, moving, x = robot.q.copy(), slice(self.first_joint, None), correction.x
         late_s = x[self.time_offset] - robot.time_offset_s
-        q[moving] += robot.rates[moving] * late_s + x[self.offsets] + x[self.play]
+        q[moving] += robot.rates[moving] * late_s + x[self.offsets] + x[self.backlash]
         return q
 
     def no_correction(self, robot: RobotState) -> Correction:
@@ -241,7 +241,7 @@ class CorrectedLinks:
         # Joints behind a link do not move it, nor do lengths.
         moved_by = int(np.searchsorted(model.chain.moving_rows, row, side="right"))
         derivative[:, 6 + max(0, moved_by - model.first_joint) : model.offsets.stop] = 0.0
-        derivative[:, model.play] = derivative[:, model.offsets]
+        derivative[:, model.backlash] = derivative[:, model.offsets]
         # Later stamps: every joint goes on at its rate.
         rates = self._robot.rates[model.first_joint :]
         derivative[:, model.time_offset] = derivative[:, model.offsets] @ rates

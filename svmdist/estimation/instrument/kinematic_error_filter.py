@@ -187,7 +187,7 @@ class KinematicErrorFilter:
         return Hinge(link.T_camera_link[:3, 3] + arm_m, covariance)
 
     def corrected_joints(self) -> Array:
-        """Reported joints at the corrected time, with offsets and play, shape (n_joints,)."""
+        """Reported joints at the corrected time, with offsets and backlash, shape (n_joints,)."""
         return self._model.corrected_joints(self.state.robot, self.state.correction)
 
     def _padded(self, x: Array) -> Array:
