@@ -60,14 +60,14 @@ def minimise(
     linearise: Callable[[State], Equations | None],
     retract: Callable[[State, Array], State],
     max_steps: int,
-    settled: float,
+    tolerance: float,
     damping: float,
 ) -> tuple[State, Equations] | None:
     """The state that is reached from a start, and the equations there; None where they are undefined at the start.
 
     `linearise` gives None, or what is not finite, for a state where the problem is undefined. Steps are damped in
     proportion to the information's diagonal, more where one would raise the cost or lead to such a state, which is
-    not taken, and less after each that is. It ends with a step whose largest element is below `settled`.
+    not taken, and less after each that is. It ends with a step whose largest element is below `tolerance`.
     """
     equations = linearise(start)
     if equations is None or not equations.is_finite:
@@ -85,6 +85,6 @@ def minimise(
             state, equations, damping = trial_state, trial, max(0.1 * damping, 1e-9)
         else:
             damping *= 10.0
-        if float(np.abs(step).max()) < settled:
+        if float(np.abs(step).max()) < tolerance:
             break
     return state, equations

@@ -19,7 +19,7 @@ def _rosenbrock(x):
 @pytest.mark.parametrize("damping", [1e-9, 1e-3], ids=["Gauss-Newton", "Levenberg-Marquardt"])
 def test_rosenbrock(damping):
     start = np.array([-1.2, 1.0])
-    x, there = minimise(start, _rosenbrock, np.add, max_steps=100, settled=1e-10, damping=damping)
+    x, there = minimise(start, _rosenbrock, np.add, max_steps=100, tolerance=1e-10, damping=damping)
     np.testing.assert_allclose(x, [1.0, 1.0], atol=1e-8)
     assert there.cost == _rosenbrock(x).cost
 
@@ -31,7 +31,7 @@ def test_a_step_to_where_a_problem_is_undefined_is_tried_again_shorter():
     start = np.array([-1.2, 1.0])
     first = _rosenbrock(start)
     assert linearise(start + np.linalg.solve(first.information, first.gradient)) is None
-    x, _ = minimise(start, linearise, np.add, max_steps=100, settled=1e-10, damping=1e-9)
+    x, _ = minimise(start, linearise, np.add, max_steps=100, tolerance=1e-10, damping=1e-9)
     np.testing.assert_allclose(x, [1.0, 1.0], atol=1e-8)
 
 
@@ -46,13 +46,13 @@ def test_a_rotation_is_a_state():
     def turn(R, step):
         return rotation_of(step) @ R
 
-    R, _ = minimise(np.eye(3), linearise, turn, max_steps=20, settled=1e-12, damping=1e-9)
+    R, _ = minimise(np.eye(3), linearise, turn, max_steps=20, tolerance=1e-12, damping=1e-9)
     np.testing.assert_allclose(R, R_true, atol=1e-12)
 
 
 def test_undefined_problems_have_no_minimum():
     for nowhere in (None, NormalEquations(np.inf, np.zeros(1), np.eye(1))):
-        stop = {"max_steps": 5, "settled": 0.0, "damping": 1e-9}
+        stop = {"max_steps": 5, "tolerance": 0.0, "damping": 1e-9}
         assert minimise(0.0, lambda _, found=nowhere: found, lambda x, s: x + s[0], **stop) is None
 
 

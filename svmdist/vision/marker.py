@@ -131,7 +131,7 @@ def match_features(template: Features, frame: Features, ratio: float) -> Matches
 
 SEED = 20  # fixed seed of the sampler: with it, and without threads, USAC gives the same bits everywhere
 # Gauss–Newton from a fit that is good to a fraction of a pixel: two or three steps reach rounding
-REFIT_STEPS, REFIT_SETTLED, REFIT_DAMPING = 10, 1e-9, 1e-9
+REFIT_STEPS, REFIT_TOLERANCE, REFIT_DAMPING = 10, 1e-9, 1e-9
 UNIT_PX = 100.0  # about a marker's side: in this unit the elements of H are of a similar size
 PX_PER_ELEMENT: Array = np.outer([1.0 / UNIT_PX, 1.0 / UNIT_PX, 1.0], [UNIT_PX, UNIT_PX, 1.0])
 
@@ -177,7 +177,7 @@ def _refit(H: Array, matches: Matches) -> tuple[Array, Array]:
             continue  # the same matches give the same homography
         p, q = matches.template_px[close] / UNIT_PX, matches.frame_px[close] / UNIT_PX
         h = (H * PX_PER_ELEMENT).ravel()[:8]
-        found = minimise(h, partial(_normal_equations, p=p, q=q), np.add, REFIT_STEPS, REFIT_SETTLED, REFIT_DAMPING)
+        found = minimise(h, partial(_normal_equations, p=p, q=q), np.add, REFIT_STEPS, REFIT_TOLERANCE, REFIT_DAMPING)
         if found is None:
             break
         H, fitted_on = np.append(found[0], 1.0).reshape(3, 3) / PX_PER_ELEMENT, close

@@ -33,7 +33,7 @@ INSIDE_DEVIATIONS = 2.0  # less than outside: what covers an object can only cut
 DEFAULT = OutlineSettings()
 CURVE_POINTS = 360
 BORDER_PX = 3  # samples closer than this to the image's border may be cut by it
-CENTRE_SETTLED_PX = 0.01
+CENTRE_TOLERANCE_PX = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +140,7 @@ def _fit(points_px: Array, centre_px: Array, step_px: float, settings: OutlineSe
         fitted_about_px = centre_px
         moved_px, J = _centroid(coefficients)
         centre_px = centre_px + moved_px
-        if np.hypot(moved_px[0], moved_px[1]) < CENTRE_SETTLED_PX:
+        if np.hypot(moved_px[0], moved_px[1]) < CENTRE_TOLERANCE_PX:
             break
     posterior = np.linalg.inv(information + prior_information)
     shift_px = np.zeros(len(coefficients))

@@ -8,7 +8,7 @@ import pytest
 
 from svmdist.estimation.instrument.consistency import NU, REFUSED_WEIGHT
 from svmdist.estimation.instrument.most_probable import (
-    SETTLED,
+    TOLERANCE,
     by_state,
     most_probable,
     most_probable_from,
@@ -80,7 +80,7 @@ def test_steps_that_descend_end_no_less_probable_than_they_began(start):
         return x**2 / 4.0 + sum((NU + 1.0) * np.log1p(square / NU) for square in squares)
 
     found = most_probable(OnALine(), WAVES, np.array([start]), descends=True)
-    assert cost(float(found.x[0])) <= cost(start) + SETTLED
+    assert cost(float(found.x[0])) <= cost(start) + TOLERANCE
 
 
 def test_what_rests_on_wild_measurements_is_as_wild():

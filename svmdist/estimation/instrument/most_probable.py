@@ -1,7 +1,7 @@
 """The most probable state, given a prior and heavy-tailed measurements, from a start.
 
 Maximum a posteriori by iterated, reweighted Gauss–Newton (Bell and Cathey 1993; Lange, Little and Taylor 1989 for
-Student's t), so that nothing is refused by a gate that was set before the fit.
+Student's t), so that no gate set before the fit rejects anything.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from svmdist.transforms import Array, inverse_right_jacobian
 
 TURN = slice(3, 6)  # of a state: a rotation vector
 MAX_ITERATIONS = 12
-SETTLED = 1e-2  # of a standard deviation: a state that moves nothing by more has come to rest
+TOLERANCE = 1e-2  # of a standard deviation: a step of less has converged
 MAX_SEARCH = 24  # iterations from a start, halved steps among them
 SINGULAR = 1e-9  # the least eigenvalue of the prior as correlations: parameters may be fully correlated
 
@@ -38,19 +38,19 @@ class Solution:
     residuals: Array
     weights: Array
     nis: float
-    has_settled: bool
+    has_converged: bool
 
     @property
     def is_clear(self) -> bool:
-        """Whether it has come to rest and refuses nothing; else another one may be more probable."""
-        return self.has_settled and not (self.weights <= REFUSED_WEIGHT).any()
+        """Whether it has converged without outliers; else another one may be more probable."""
+        return self.has_converged and not (self.weights <= REFUSED_WEIGHT).any()
 
 
 def most_probable_from(state: ErrorState, measurements: Sequence[LinkMeasurement], x: Array) -> Solution | None:
     """The most probable state from a start; None where a measurement is unseen there.
 
     Long steps pass over minima in which a shaft's own sharp edges look like outliers, and may lead into one, or swing
-    across a narrow valley. Where they refuse something, or do not come to rest, steps that never make the state less
+    across a narrow valley. Where they leave outliers, or do not converge, steps that never make the state less
     probable are tried, too: the more probable one counts.
     """
     found = most_probable(state, measurements, x)
@@ -104,9 +104,9 @@ def most_probable(
         residuals = np.add.reduceat(residual * (certainty @ residual), begins)
         if unlikely is not None:
             cost = unlikely(x) + float((NU + degrees) @ np.log1p(residuals / NU))
-            if cost > least + SETTLED:
+            if cost > least + TOLERANCE:
                 x, moved = 0.5 * (x + best[0]), 0.5 * moved
-                if moved < SETTLED:
+                if moved < TOLERANCE:
                     break
                 continue
             least = cost
@@ -125,8 +125,8 @@ def most_probable(
         if longer > moved:  # it swings: half of the way
             step, longer = 0.5 * step, 0.5 * longer
         nis = float(innovation @ solved[:, -1])
-        found = Solution(x + step, there_H, R, before, residuals, weights, nis, longer < SETTLED)
-        if found.has_settled:
+        found = Solution(x + step, there_H, R, before, residuals, weights, nis, longer < TOLERANCE)
+        if found.has_converged:
             return found
         best = x, found if unlikely is None else replace(found, x=x)
         x, moved = x + step, longer

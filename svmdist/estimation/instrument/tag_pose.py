@@ -28,10 +28,10 @@ BLUR_MIN_PX = 0.3  # the sharpest image that is considered: a pixel's own area b
 BLUR_MAX_PX = 6.0  # the most blurred one: of a tag 40 px wide no cell would be seen any more
 COARSE_PIXELS = 1500  # that the search from a first pose looks at; a tag 40 px wide has twice as many
 COARSE_STEPS = 16  # steps of the search from each first pose, at most. It takes 4 on a clear image
-COARSELY_SETTLED = 3e-3  # largest part of a last step, in tag sides, rad and px of blur
+COARSE_TOLERANCE = 3e-3  # largest part of a last step, in tag sides, rad and px of blur
 COARSE_BOUND = 3.0  # pixels that differ by more standard deviations count singly (Huber)
 FINE_STEPS = 16  # steps of the refinement, at most. It takes 4 on a clear image
-SETTLED = 1e-4  # a last step: what is left is 0.3 µm of a tag of 7 mm, a hundredth of its deviation
+TOLERANCE = 1e-4  # a last step: what is left is 0.3 µm of a tag of 7 mm, a hundredth of its deviation
 OUTLIER_BOUND = 6.0  # tukey's biweight, 95 % efficient on normal errors: glare and blood are outliers
 CLUSTER_INFLATION = 2.2
 """Over deviations by cells that err independently: measured on 450 drawn tags of 40 px, whose pixels sample a point,
@@ -64,13 +64,13 @@ def _lay_coarsely(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) -
     if start is None:
         return None
     loss = Loss(COARSE_BOUND * start[1], is_biweight=False)
-    return _minimise(some, start[0], pattern, loss, COARSE_STEPS, COARSELY_SETTLED)
+    return _minimise(some, start[0], pattern, loss, COARSE_STEPS, COARSE_TOLERANCE)
 
 
 def _refine_fit(pixels: TagPixels, coarse: LaidPattern, pattern: TagPattern) -> TagPose | None:
     """From near the minimum to it, on all pixels but the outliers; None where the pattern does not hold."""
     loss = Loss(OUTLIER_BOUND * coarse.std, is_biweight=True)
-    fit = _minimise(pixels, coarse.overlay, pattern, loss, FINE_STEPS, SETTLED)
+    fit = _minimise(pixels, coarse.overlay, pattern, loss, FINE_STEPS, TOLERANCE)
     if fit is None:
         return None
     T = fit.overlay.T_camera_tag
@@ -82,7 +82,7 @@ def _refine_fit(pixels: TagPixels, coarse: LaidPattern, pattern: TagPattern) -> 
 
 
 def _minimise(
-    pixels: TagPixels, start: Overlay, pattern: TagPattern, loss: Loss, max_steps: int, settled: float
+    pixels: TagPixels, start: Overlay, pattern: TagPattern, loss: Loss, max_steps: int, tolerance: float
 ) -> LaidPattern | None:
     def retract(overlay: Overlay, step: Array) -> Overlay:
         # Shortened as a whole: blur and contrast, depth and tilt go together.
@@ -96,7 +96,7 @@ def _minimise(
     def lay(overlay: Overlay) -> LaidPattern | None:
         return lay_pattern(pixels, overlay, pattern, loss)
 
-    found = minimise(start, lay, retract, max_steps, settled, DAMPING)
+    found = minimise(start, lay, retract, max_steps, tolerance, DAMPING)
     return None if found is None else found[1]
 
 
