@@ -107,7 +107,7 @@ class AlarmWatch:
             self._recent.popleft()
         if len(self._recent) < MIN_SLOPE_ROWS:
             return None
-        # The median of all pairs' slopes: one wild row in three changes little (Theil 1950; Sen 1968).
+        # The median of all pairs' slopes: one outlier in three changes little (Theil 1950; Sen 1968).
         stamps_s = np.array([(stamp - stamp_ns) / 1e9 for stamp, _ in self._recent])
         values_m = np.array([value for _, value in self._recent])
         first, second = np.triu_indices(len(values_m), 1)

@@ -144,8 +144,8 @@ class Checks:
         blamed: set[str] = set()
         for wrong in self.contradictions:
             bound = abs(wrong.usual.value) / MAX_DEVIATIONS
-            agreeing = [one.usual for one in self.comparisons if not one.contradicts]
-            sharp = [one.sources for one in agreeing if one.what == wrong.usual.what and one.std < bound]
+            consistent = [one.usual for one in self.comparisons if not one.contradicts]
+            sharp = [one.sources for one in consistent if one.what == wrong.usual.what and one.std < bound]
             votes = {source: sum(source in sources for sources in sharp) for source in wrong.usual.sources}
             blamed |= {source for source, count in votes.items() if count == min(votes.values())}
         return blamed

@@ -105,8 +105,8 @@ def certain(frame: Frame, found: ImagePose | Failure, max_std_m: float) -> Image
     """
     if isinstance(found, Failure):
         return Rejection(frame.stamp_ns, Status.NO_INSTRUMENT, found.reason)
-    if found.doubt:
-        return Rejection(frame.stamp_ns, Status.INCONSISTENT, found.doubt)
+    if found.contradiction:
+        return Rejection(frame.stamp_ns, Status.INCONSISTENT, found.contradiction)
     max_std_m *= max(1.0, float(np.linalg.norm(found.pose.position_m)) / BOUND_AT_M)
     if not found.pose.position_std_m <= max_std_m:  # NaN is not
         said = f"the position is uncertain by {found.pose.position_std_m * 1e3:.1f} mm"

@@ -74,9 +74,9 @@ class FusedEstimator:
 
         # The tool with the error found, and the distances from there.
         region, consistency = frame.left.region, kalman.consistency
-        judged = gating if height is None else (*gating, height)
-        result = with_detections(result, judged)
-        result = replace(result, detail=_detail(gating, judged), consistency=consistency.ratio).with_image(
+        every = gating if height is None else (*gating, height)
+        result = with_detections(result, every)
+        result = replace(result, detail=_detail(gating, every), consistency=consistency.ratio).with_image(
             tool_area_px=region.area_px if region else None,
             match_count=len(gating),
             inlier_count=sum(one.is_accepted for one in gating),
@@ -89,8 +89,8 @@ class FusedEstimator:
             return result.rejected(Status.NO_TISSUE, "no tissue, in this frame or before")
         placed, cross_covariance = at_height(self._stated_tissue, tissue, frame, kalman)
         found = measured(result, frame, tool, placed, cross_covariance)
-        doubt = said or consistency.doubt if found.status in (Status.OK, Status.INCONSISTENT) else ""
-        return found.rejected(Status.INCONSISTENT, doubt) if doubt else found
+        said = said or consistency.contradiction if found.status in (Status.OK, Status.INCONSISTENT) else ""
+        return found.rejected(Status.INCONSISTENT, said) if said else found
 
     def _image_pose(self, frame: Frame) -> ToolPose | None:
         """The tool by the images alone: by both views, or by the shaft in the left one; None where neither tells."""
@@ -152,7 +152,7 @@ class FusedEstimator:
     def _watch(self, frame: Frame, gating: Sequence[GatingResult]) -> str:
         """Why the images contradict the prediction; empty where they do not.
 
-        Until what agrees has been seen for a while, a filter that has begun anew is hardly surer than the images.
+        Until inliers have been seen for a while, a filter that has begun anew is hardly surer than the images.
         """
         consistency, age = self._filter.consistency, self._age_s(frame)
         consistency.excess = 1.0
@@ -161,9 +161,9 @@ class FusedEstimator:
             more = max(self._image_variance_m2 / own_m2 - 1.0, 0.0)
             consistency.excess = 1.0 + (1.0 - age / YOUNG_S) * more
         is_off = self._filter.has_jumped
-        if not is_off and not consistency.doubt:
+        if not is_off and not consistency.contradiction:
             # An image that shows nothing agrees with anything.
-            if any(judged.is_accepted for judged in gating):
+            if any(one.is_accepted for one in gating):
                 self._contradictions, self._has_agreed = 0, self._has_agreed or age >= YOUNG_S
                 self._agreed += 1
             return ""
@@ -172,9 +172,9 @@ class FusedEstimator:
         return "the images contradict the prediction, as if the camera had moved" if is_off else ""
 
 
-def _detail(of_tool: Sequence[GatingResult], judged: Sequence[GatingResult]) -> str:
-    refused = [one.name for one in judged if not one.is_accepted]
-    said = [f"refused: {', '.join(refused)}"] if refused else []
+def _detail(of_tool: Sequence[GatingResult], every: Sequence[GatingResult]) -> str:
+    outliers = [one.name for one in every if not one.is_accepted]
+    said = [f"refused: {', '.join(outliers)}"] if outliers else []
     if not any(one.is_accepted for one in of_tool):
         said.append("joints alone" if of_tool else "nothing of the tool detected: joints alone")
     return "; ".join(said)

@@ -20,8 +20,8 @@ from svmdist.profile.settings import HandEyeSettings
 from svmdist.results import Failure
 from svmdist.transforms import Array, make_transform, rotation_of, skew
 
-MIN_FRACTION = 0.5  # part of the frames that must agree: else what is seen is another thing than what the robot moves
-GATE = 16.3  # largest squared normalised residual of a place that agrees: chi square of 3 degrees of freedom, 99.9 %
+MIN_FRACTION = 0.5  # inliers among the frames; with less, what is seen is not what the robot moves
+GATE = 16.3  # largest squared normalised residual of an inlier: chi square of 3 degrees of freedom, 99.9 %
 HUBER = 2.0  # normalised residual from which on a frame counts less
 TRIALS = 400  # samples of three frames that the fit starts from
 AXIS_FLOOR_RAD = 0.01  # of a shaft's direction in the image: what its outline does not show, 0.6°
@@ -61,7 +61,7 @@ class ToolPlaces:
 
 @dataclass(frozen=True)
 class HandEyeFit:
-    """`T_camera_base`, covariance of (δt, δφ), (6, 6), which frames agree, (n,), and the residuals of all, (n,) in m.
+    """`T_camera_base`, covariance of (δt, δφ), (6, 6), inliers (n,), and the residuals of all frames, (n,) in m.
 
     `effects`, shape (6, m), is what shared errors, those of the robot first, do to (δt, δφ) for one deviation each;
     `ratio` is the mean squared residual over what is expected: above 1 the covariance has been enlarged by it.
@@ -69,7 +69,7 @@ class HandEyeFit:
 
     T_camera_base: Array
     covariance: Array
-    agrees: NDArray[np.bool_]
+    inliers: NDArray[np.bool_]
     residuals_m: Array
     effects: Array
     ratio: float
@@ -86,23 +86,23 @@ def fit_hand_eye(places: ToolPlaces, settings: HandEyeSettings) -> HandEyeFit | 
     T = _start(places)
     if T is None:
         return Failure("the tool moved along a line only: move it in all directions")
-    agrees = _normalised(places, T) <= GATE
+    inliers = _normalised(places, T) <= GATE
     for _ in range(10):
-        T = _refined(places, T, agrees)
+        T = _refined(places, T, inliers)
         now = _normalised(places, T) <= GATE
-        if (now == agrees).all():
+        if (now == inliers).all():
             break
-        agrees = now
-    number = int(agrees.sum())
+        inliers = now
+    number = int(inliers.sum())
     if number < max(settings.min_count, MIN_FRACTION * count):
         said = f"{number} of {count} places of the tool agree with the robot's motion"
         return Failure(f"{said}: is it the same instrument, at the same time (--lag)?")
-    covariance, effects, ratio = _covariance(places, T, agrees)
+    covariance, effects, ratio = _covariance(places, T, inliers)
     turn_std_rad = float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1]))
     if not turn_std_rad <= settings.max_turn_std_rad:
         said = f"the rotation is uncertain by {np.degrees(turn_std_rad):.0f}°"
         return Failure(f"{said}: move the tool further, in all directions")
-    return HandEyeFit(T, covariance, agrees, np.linalg.norm(_residuals(places, T), axis=1), effects, ratio)
+    return HandEyeFit(T, covariance, inliers, np.linalg.norm(_residuals(places, T), axis=1), effects, ratio)
 
 
 def rigid_fit(seen_m: Array, nominal_m: Array, weights: Array | None = None) -> Array:
@@ -156,22 +156,22 @@ def _normalised(places: ToolPlaces, T: Array) -> Array:
     return np.asarray(np.einsum("ni,ni->n", r, np.linalg.solve(S, r[..., None])[..., 0]))
 
 
-def _rows(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], *, robust: bool = True) -> Array:
-    """Whitened (k, 1 + 6 + m) of agreeing frames: residual, derivative and shared errors, of places, then of axes."""
+def _rows(places: ToolPlaces, T: Array, inliers: NDArray[np.bool_], *, robust: bool = True) -> Array:
+    """Whitened (k, 1 + 6 + m) of inlier frames: residual, derivative and shared errors, of places, then of axes."""
     R = T[:3, :3]
-    r, shared = _residuals(places, T)[agrees], _shared(places, T)[agrees]
-    whiten = np.linalg.inv(np.linalg.cholesky(_place_covariance(places, T)[agrees]))
-    by_shift, by_turn = np.broadcast_to(np.eye(3), (len(r), 3, 3)), -skew(places.nominal_m[agrees] @ R.T)
+    r, shared = _residuals(places, T)[inliers], _shared(places, T)[inliers]
+    whiten = np.linalg.inv(np.linalg.cholesky(_place_covariance(places, T)[inliers]))
+    by_shift, by_turn = np.broadcast_to(np.eye(3), (len(r), 3, 3)), -skew(places.nominal_m[inliers] @ R.T)
     blocks = [whiten @ np.concatenate([r[..., None], by_shift, by_turn, shared[:, :3]], 2)]
-    known = np.isfinite(places.axis_std_rad[agrees])
+    known = np.isfinite(places.axis_std_rad[inliers])
     if known.any():
-        predicted = places.nominal_axes[agrees][known] @ R.T
+        predicted = places.nominal_axes[inliers][known] @ R.T
         # Unit vectors across each axis, as rows, (n, 2, 3): across the line of sight, and towards it.
-        aside = np.cross(predicted, places.seen_m[agrees][known])
+        aside = np.cross(predicted, places.seen_m[inliers][known])
         aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-12)
         across = np.stack([aside, np.cross(predicted, aside)], 1)
-        std = np.hypot(places.axis_std_rad[agrees][known][:, None], [AXIS_FLOOR_RAD, AXIS_TILT_FLOOR_RAD])[..., None]
-        off = (places.axes[agrees][known] - predicted)[..., None]
+        std = np.hypot(places.axis_std_rad[inliers][known][:, None], [AXIS_FLOOR_RAD, AXIS_TILT_FLOOR_RAD])[..., None]
+        off = (places.axes[inliers][known] - predicted)[..., None]
         by_shift, by_turn = np.zeros((len(off), 3, 3)), -skew(predicted)
         blocks.append(across @ np.concatenate([off, by_shift, by_turn, shared[known][:, 3:]], 2) / std)
     if robust:
@@ -180,11 +180,11 @@ def _rows(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_], *, robust: bo
     return np.concatenate([block.reshape(-1, block.shape[2]) for block in blocks])
 
 
-def _refined(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_]) -> Array:
-    if agrees.sum() < 3:
+def _refined(places: ToolPlaces, T: Array, inliers: NDArray[np.bool_]) -> Array:
+    if inliers.sum() < 3:
         return T
     for _ in range(MAX_STEPS):
-        rows = _rows(places, T, agrees)
+        rows = _rows(places, T, inliers)
         # Least norm where a direction is not observable.
         step = np.linalg.lstsq(rows[:, 1:7], rows[:, 0], rcond=1e-9)[0]
         T = make_transform(rotation_of(step[3:]) @ T[:3, :3], T[:3, 3] + step[:3])
@@ -193,22 +193,22 @@ def _refined(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_]) -> Array:
     return T
 
 
-def _covariance(places: ToolPlaces, T: Array, agrees: NDArray[np.bool_]) -> tuple[Array, Array, float]:
+def _covariance(places: ToolPlaces, T: Array, inliers: NDArray[np.bool_]) -> tuple[Array, Array, float]:
     """Covariance, effects and ratio as in `HandEyeFit`.
 
     Noise counts as much more as residuals are larger than expected (Birge 1932), and as neighbours repeat each other,
     by what the residuals show or the settings say: errors of detections and backlash last for some frames, where
     the covariances of single frames hide them. What is shared is added whole.
     """
-    rows = _rows(places, T, agrees)
+    rows = _rows(places, T, inliers)
     J, H = rows[:, 1:7], rows[:, 7:]
     gain = np.linalg.pinv(J.T @ J, hermitian=True)
-    plain = _rows(places, T, agrees, robust=False)[:, 0]
+    plain = _rows(places, T, inliers, robust=False)[:, 0]
     ratio = float(plain @ plain) / max(1, len(plain) - 6)
-    series = plain[: 3 * np.count_nonzero(agrees)].reshape(-1, 3)
+    series = plain[: 3 * np.count_nonzero(inliers)].reshape(-1, 3)
     power = float((series**2).sum())
     repeated = float((series[1:] * series[:-1]).sum()) / power if power > 0 else 0.0
-    step_s = float(np.median(np.diff(places.stamps_ns[agrees]))) / 1e9
+    step_s = float(np.median(np.diff(places.stamps_ns[inliers]))) / 1e9
     repeated = min(max(repeated, float(np.exp(-step_s / CORRELATION_TIME_S))), 0.95)
     noise = max(1.0, ratio) * (1.0 + repeated) / (1.0 - repeated)
     # What was seen is off by H c, so the fit is off by as much, and its correction is the opposite.

@@ -12,8 +12,8 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 
 MIN_CHROMA = 25.0  # levels between inside and outside below which there is no border to find
-MIN_AGREEING_FRACTION = 0.5  # of rays on the border's circle: with less the circle is a guess
-AGREES = 0.06  # of the radius: what is farther off the circle is another thing's border
+MIN_INLIER_FRACTION = 0.5  # of rays on the border's circle: with less the circle is a guess
+INLIER_RADIUS = 0.06  # of the radius: what is farther off the circle is another thing's border
 RAYS = 64
 STEP_PX = 0.25
 # Where the strength within and without is read, over the radius: clear of the border's blur
@@ -67,7 +67,7 @@ def fit_disc(image_hsv: Image, mask: Image, centre_px: Array, radius_px: float) 
     values, reach_px = values[:, outer], reach_px[outer]
     half_px = _crossing(values, reach_px, 0.5 * (high + low))
     usable = np.isfinite(half_px) & (high - low > MIN_CHROMA)
-    if np.count_nonzero(usable) < MIN_AGREEING_FRACTION * RAYS:
+    if np.count_nonzero(usable) < MIN_INLIER_FRACTION * RAYS:
         return None
     outer_px = _crossing(values, reach_px, 0.16 * high + 0.84 * low)
     spread_px = outer_px - _crossing(values, reach_px, 0.84 * high + 0.16 * low)
@@ -102,8 +102,8 @@ def _circle(points_px: Array, centre_px: Array, blur_px: float, origin_px: Array
         J = np.column_stack([offset / distance_px[:, None], np.ones(len(offset))])
         step = np.linalg.solve(J.T @ (weight[:, None] * J) + 1e-9 * np.eye(3), J.T @ (weight * residual_px))
         centre_px, radius_px = centre_px + step[:2], radius_px + float(step[2])
-    agreeing = np.count_nonzero(np.abs(residual_px) < max(2.0 * LEAST_SCATTER_PX, AGREES * radius_px))
-    if not radius_px > 1.0 or agreeing < MIN_AGREEING_FRACTION * RAYS:
+    inlier_count = np.count_nonzero(np.abs(residual_px) < max(2.0 * LEAST_SCATTER_PX, INLIER_RADIUS * radius_px))
+    if not radius_px > 1.0 or inlier_count < MIN_INLIER_FRACTION * RAYS:
         return None
     # Blur of deviation σ draws the level of one half inwards by σ² / 2R on a border of radius R.
     whole_px = radius_px + blur_px**2 / (2.0 * radius_px)

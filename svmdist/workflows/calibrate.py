@@ -222,13 +222,13 @@ def _fit(
             "covariance": (0.5 * (fit.covariance + fit.covariance.T)).tolist(),
             "method": method,
             "reference": against,
-            "frame_count": len(fit.agrees),
-            "inlier_count": int(fit.agrees.sum()),
+            "frame_count": len(fit.inliers),
+            "inlier_count": int(fit.inliers.sum()),
             "constants": effects,
-            "residual_rms_m": float(np.sqrt(np.mean(fit.residuals_m[fit.agrees] ** 2))),
+            "residual_rms_m": float(np.sqrt(np.mean(fit.residuals_m[fit.inliers] ** 2))),
         }
     )
-    middle_m = seen_m[fit.agrees].mean(0)
+    middle_m = seen_m[fit.inliers].mean(0)
     from_log = None
     with suppress(RecordingError, IndexError):  # the log has no such transform
         T_log = recording.transform_track(profile.frames.camera, profile.frames.base).T_parent_child[0]

@@ -81,9 +81,9 @@ def refusals_in_words(endings: Iterable[Ending]) -> Iterator[str]:
     for one in endings:
         seen.update(one.seen)
         refused.update(one.refused)
-    agreeing = [name for name in seen if 2 * refused[name] < seen[name]]
+    inliers = [name for name in seen if 2 * refused[name] < seen[name]]
     for name, count in refused.most_common():
-        others = [one for one in agreeing if one != name] or ["the joints"]
+        others = [one for one in inliers if one != name] or ["the joints"]
         listed = " and ".join(filter(None, (", ".join(others[:-1]), others[-1])))
         yield f"{name} refused in {count} of {seen[name]} frames: it contradicts {listed}"
 

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from svmdist.estimation.instrument.consistency import Consistency, GatingResult, student_weight
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.estimation.instrument.image_pose import ImagePose, is_borne_out
+from svmdist.estimation.instrument.image_pose import ImagePose, is_confirmed
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement_kinds import PointMeasurement
 from svmdist.kinematics import forward_kinematics
@@ -152,7 +152,7 @@ def test_an_outline_counts_where_the_images_hold_a_pose():
     def found(doubt: str) -> FrameResult:
         measuring = Measuring("fused", profile)
         frame = frame_of(replace(seen, right=None), measuring.arm, measuring.segmenter)
-        vars(frame)["shaft_pose"] = replace(frame.shaft_pose, doubt=doubt)
+        vars(frame)["shaft_pose"] = replace(frame.shaft_pose, contradiction=doubt)
         return measuring.estimator.estimate(frame)
 
     assert "distal marker" in found("").accepted
@@ -240,7 +240,7 @@ def test_a_depth_needs_more_than_one_that_tells_it(first_side, marker, in_doubt)
         GatingResult(f"edge {side}", 1.0, 2, weight, "shaft") for side, weight in (("-1", first_side), ("+1", 1.0))
     ]
     judged += [GatingResult(name, 1.0, 1, weight, "distal marker") for name, weight in marker]
-    assert ImagePose(pose, (), "", tuple(judged)).doubtful_depth == in_doubt
+    assert ImagePose(pose, (), "", tuple(judged)).depth_outliers == in_doubt
 
 
 @pytest.mark.parametrize(
@@ -259,7 +259,7 @@ def test_without_joints_a_disparity_and_three_sides_outvote_one(refused, expecte
     """Alone, the rest may be that of another instrument; what tells the depth is weighed elsewhere."""
     names = ("edge -1", "edge +1", "right edge -1", "right edge +1", "end", "wrist", "disparity")
     judged = [GatingResult(name, 1.0, 1, float(name not in refused), "shaft") for name in names]
-    assert is_borne_out(judged) is expected
+    assert is_confirmed(judged) is expected
 
 
 def test_widening_is_the_ratio_of_birge():

@@ -52,7 +52,7 @@ def test_exact_without_noise():
     """What agrees exactly gives the transform to 1e-9."""
     fit = _fitted(_places(np.random.default_rng(1)))
     np.testing.assert_allclose(fit.T_camera_base, T_CAMERA_BASE, atol=1e-9)
-    assert fit.agrees.all()
+    assert fit.inliers.all()
 
 
 def test_outliers_are_left_out():
@@ -63,8 +63,8 @@ def test_outliers_are_left_out():
     seen_m = places.seen_m.copy()
     seen_m[wild] += rng.normal(size=(30, 3)) * 0.02 + 0.01
     fit = _fitted(replace(places, seen_m=seen_m))
-    assert not fit.agrees[wild].any()
-    assert fit.agrees[~wild].mean() > 0.95
+    assert not fit.inliers[wild].any()
+    assert fit.inliers[~wild].mean() > 0.95
     off_m = transform_points(fit.T_camera_base, places.nominal_m) - places.seen_m
     assert np.linalg.norm(off_m, axis=1).max() < 5e-3
 

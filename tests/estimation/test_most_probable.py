@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from svmdist.estimation.instrument.consistency import NU, REFUSED_WEIGHT
+from svmdist.estimation.instrument.consistency import NU, OUTLIER_WEIGHT
 from svmdist.estimation.instrument.most_probable import (
     TOLERANCE,
     by_state,
@@ -63,9 +63,9 @@ def test_where_long_steps_refuse_something_steps_that_descend_are_tried():
     leaps = most_probable(OnALine(), WAVES, start)
     descends = most_probable(OnALine(), WAVES, start, descends=True)
     chosen = most_probable_from(OnALine(), WAVES, start)
-    assert (leaps.weights <= REFUSED_WEIGHT).any()
+    assert (leaps.weights <= OUTLIER_WEIGHT).any()
     assert not leaps.is_clear
-    assert not (descends.weights <= REFUSED_WEIGHT).any()
+    assert not (descends.weights <= OUTLIER_WEIGHT).any()
     assert robust_cost(descends, WAVES) < robust_cost(leaps, WAVES) - 5.0
     np.testing.assert_array_equal(chosen.x, descends.x)
 

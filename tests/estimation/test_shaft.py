@@ -194,7 +194,7 @@ def test_jaws_that_end_elsewhere_are_in_doubt_without_joints(side):
         x, y = shaft.towards_tip
         tip_px = shaft.wrist.tip_px + aside_px * np.array([-y, x])
         vars(frame.left)["shaft"] = replace(shaft, wrist=replace(shaft.wrist, tip_px=tip_px))
-        doubts.append(frame.shaft_pose.doubt)
+        doubts.append(frame.shaft_pose.contradiction)
     assert doubts[0] == ""
     assert "jaws' tip" in doubts[1]
 

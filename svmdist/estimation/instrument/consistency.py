@@ -16,11 +16,11 @@ from svmdist.results import FrameResult
 from svmdist.transforms import Array
 
 WINDOW_S = 1.5  # of averaged innovations: a hundred degrees of freedom at 10 Hz
-MIN_DEGREES = 8  # fewer degrees of freedom in that window tell nothing
-MAX_REFUSED_SHARE = 0.3  # of them: more contradicts the prediction
-NU = 4.0  # degrees of freedom of Student's t: one measurement in a hundred is wild
-REFUSED_WEIGHT = 0.2  # below, a measurement counts as refused; it keeps its weight
-MAX_SCENE_REFUSED = 4  # frames in a row in which the tissue contradicts its plane, where it agreed before
+MIN_DEGREES = 8  # with fewer degrees of freedom in that window it is not tested
+MAX_OUTLIER_SHARE = 0.3  # of them: more contradicts the prediction
+NU = 4.0  # degrees of freedom of Student's t: one measurement in a hundred is an outlier
+OUTLIER_WEIGHT = 0.2  # below, a measurement is an outlier; it keeps its weight
+MAX_SCENE_OUTLIERS = 4  # frames in a row in which the tissue contradicts its plane, after some inlier
 USUAL_SHARE = 0.75  # of worlds: there calibration parameters are no further off; beyond, deviations grow
 MAX_TIME_OFFSET_DEVIATIONS = 5.0  # beyond, the offset leaves the joints that travel with an image
 
@@ -42,15 +42,15 @@ class GatingResult:
 
     @property
     def is_accepted(self) -> bool:
-        """Whether it counts as an inlier; a refused one keeps its weight."""
-        return self.weight > REFUSED_WEIGHT
+        """Whether it counts as an inlier; an outlier keeps its weight."""
+        return self.weight > OUTLIER_WEIGHT
 
 
 def with_detections(result: FrameResult, gating: Sequence[GatingResult]) -> FrameResult:
-    """The result with the detections that agree with the rest, and those of which more is refused than accepted."""
+    """The result with its detections: those of inliers mostly are accepted, those of outliers mostly are refused."""
     balance = Counter[str]()
-    for judged in gating:
-        balance[judged.source] += 1 if judged.is_accepted else -1
+    for one in gating:
+        balance[one.source] += 1 if one.is_accepted else -1
     accepted = tuple(name for name, more in balance.items() if more >= 0)
     refused = tuple(name for name, more in balance.items() if more < 0)
     return replace(result, accepted=accepted, refused=refused)
@@ -86,21 +86,21 @@ class Consistency:
         self._frames: deque[tuple[int, tuple[GatingResult, ...]]] = deque()
         self._furthest, self._furthest_name, self._surprise = 0.0, "", 0.0
         self._late_s = self._late_deviations = 0.0
-        self._scene_refused, self._scene_agreed = 0, False
+        self._scene_outliers, self._scene_has_inliers = 0, False
         self.excess = 1.0
         """Factor on the covariance for what else is known of this frame."""
 
     def add(self, stamp_ns: int, results: Sequence[GatingResult], *, of_tool: bool = True) -> None:
-        """Take up a frame's results, of the tool or of the tissue; a frame without any tells nothing."""
+        """Take up a frame's results, of the tool or of the tissue; a frame without any changes nothing."""
         while self._frames and self._frames[0][0] < stamp_ns - round(1e9 * WINDOW_S):
             self._frames.popleft()
         if not results:
             return
         self._frames.append((stamp_ns, tuple(results)))
         if not of_tool:
-            is_refused = not any(result.is_accepted for result in results)
-            self._scene_refused = self._scene_refused + 1 if is_refused else 0
-            self._scene_agreed |= not is_refused
+            is_outlier = not any(result.is_accepted for result in results)
+            self._scene_outliers = self._scene_outliers + 1 if is_outlier else 0
+            self._scene_has_inliers |= not is_outlier
 
     def watch(self, parameter: tuple[str, float, float, int], late_s: float, late_std_s: float) -> None:
         """Take up the estimates of calibration parameters (`ErrorState.furthest_parameter`) and of the time offset."""
@@ -125,8 +125,8 @@ class Consistency:
         return max(1.0, self.ratio or 1.0, self._surprise**2, self.excess)
 
     @property
-    def doubt(self) -> str:
-        """Why no distance can be trusted, for a person; empty where one can."""
+    def contradiction(self) -> str:
+        """Why no distance can be trusted, human-readable; empty where one can."""
         settings = self._settings
         if self._furthest > settings.max_constant_deviations:
             return f"{self._furthest_name} is {self._furthest:.1f} stated deviations from its stated value"
@@ -135,25 +135,25 @@ class Consistency:
                 f"joints seem {self._late_s:+.2f} s late, {self._late_deviations:.0f} stated deviations: is there a lag"
                 " of the images to be given?"
             )
-        # What never agreed has nothing that speaks for it: one frame is enough.
-        if self._scene_refused >= (MAX_SCENE_REFUSED if self._scene_agreed else 1):
-            count = self._scene_refused
-            return f"the tissue contradicts its plane in {count} frames: {self._refused_names()}"
-        return self._contradiction()
+        # Without an inlier before, one frame is enough.
+        if self._scene_outliers >= (MAX_SCENE_OUTLIERS if self._scene_has_inliers else 1):
+            count = self._scene_outliers
+            return f"the tissue contradicts its plane in {count} frames: {self._outlier_names()}"
+        return self._of_innovations()
 
-    def _contradiction(self) -> str:
+    def _of_innovations(self) -> str:
         """Why what was measured in the window contradicts the prediction; empty where it does not."""
         results = self._results()
         if _degrees(results) < MIN_DEGREES:
             return ""
         share = _degrees([one for one in results if not one.is_accepted]) / _degrees(results)
-        if share > MAX_REFUSED_SHARE:
-            return f"{share:.0%} of what was measured contradicts the prediction: {self._refused_names()}"
+        if share > MAX_OUTLIER_SHARE:
+            return f"{share:.0%} of what was measured contradicts the prediction: {self._outlier_names()}"
         if (self.ratio or 0.0) > self._settings.max_consistency:
             return f"innovations are {self.ratio:.1f} times what is expected of them"
         return ""
 
-    def _refused_names(self) -> str:
+    def _outlier_names(self) -> str:
         accepted: dict[str, list[bool]] = {}
         for result in self._results():
             accepted.setdefault(result.name, []).append(result.is_accepted)

@@ -30,27 +30,27 @@ OPEN_M = 0.3  # standard deviation of the base's place: a scene is no larger
 OPEN_RAD = 3.0  # of its rotation, where nothing tells it
 START_STD_M, START_STD_RAD = 5e-3, 0.1  # of a start, which is where to linearise and no more
 ROLL_COUNT = 4  # starts about a shaft whose rotation is not known
-TELLING_DEPTH = DISPARITY, "size"  # which are weighed against each other and the sides (`doubtful_depth`)
-MAX_REFUSED_SHARE = 1.0 / 3.0  # of what was measured: with more refused nothing tells which is right
+DEPTH_CUES = DISPARITY, "size"  # which are weighed against each other and the sides (`depth_outliers`)
+MAX_OUTLIER_SHARE = 1.0 / 3.0  # of what was measured: with more outliers nothing shows which are right
 
 
 @dataclass(frozen=True, slots=True)
 class ImagePose:
-    """The tool's pose with its wrist's hinge, the measurements that carry it, any doubt, and what was judged."""
+    """The tool's pose with its wrist's hinge, the measurements that it rests on, and any contradiction."""
 
     pose: ToolPose
     used: tuple[str, ...]
-    doubt: str
+    contradiction: str
     gating: tuple[GatingResult, ...] = ()
 
     @property
-    def doubtful_depth(self) -> tuple[str, ...]:
-        """What was refused of all that tells the depth, where nothing else bears the rest out.
+    def depth_outliers(self) -> tuple[str, ...]:
+        """The outliers among depth cues, where nothing else confirms the inliers.
 
-        Disparity does, and a marker's size bears out one side of the shaft. A size that fits neither side is itself as
+        Disparity does, and a marker's size confirms one side of the shaft. A size that fits neither side is itself as
         likely right: a shadow's border passes for a side.
         """
-        is_accepted = {judged.name: judged.is_accepted for judged in self.gating}
+        is_accepted = {one.name: one.is_accepted for one in self.gating}
         if is_accepted.get(DISPARITY):
             return ()
         if "size" in is_accepted:
@@ -59,7 +59,7 @@ class ImagePose:
 
     @property
     def is_by_right_view(self) -> bool:
-        """Whether anything in the right view carries it."""
+        """Whether it rests on anything in the right view."""
         return any(name == DISPARITY or name.startswith("right ") for name in self.used)
 
 
@@ -215,36 +215,36 @@ def _located(
     rolls = [make_transform(rotation_of([0.0, 0.0, angle]), np.zeros(3)) for angle in rolls_rad]
     poses = [T @ roll @ model.T_shaft_tool for T in firsts for roll in rolls]
     kalman.begin([(ToolPose(T, covariance, T[:3, 0]), measured) for T in poses])
-    judged = kalman.update(measured)
-    if not judged:
+    gating = kalman.update(measured)
+    if not gating:
         return Failure("the fit does not converge")
-    doubt = kalman.consistency.doubt
-    refused = [result for result in judged if not result.is_accepted]
-    alone = isinstance(frame.robot, Failure) and not is_borne_out(judged)
-    most = MAX_REFUSED_SHARE * sum(result.degrees_of_freedom for result in judged)
-    if alone or sum(result.degrees_of_freedom for result in refused) > most:
-        names = ", ".join(result.name for result in refused)
-        doubt = f"{names} {'does' if len(refused) == 1 else 'do'} not fit the rest"
+    contradiction = kalman.consistency.contradiction
+    outliers = [result for result in gating if not result.is_accepted]
+    alone = isinstance(frame.robot, Failure) and not is_confirmed(gating)
+    most = MAX_OUTLIER_SHARE * sum(result.degrees_of_freedom for result in gating)
+    if alone or sum(result.degrees_of_freedom for result in outliers) > most:
+        names = ", ".join(result.name for result in outliers)
+        contradiction = f"{names} {'does' if len(outliers) == 1 else 'do'} not fit the rest"
     hinge = kalman.hinge(model.axis.link, model.hinge_m)
     pose = replace(kalman.tool_pose(), hinge=hinge, jaw_scale=jaw_scale(kalman, frame.arm))
     # A marker is at the tool's origin itself, however the wrist is bent.
     if isinstance(frame.robot, Failure) and frame.left.distal_marker is None:
         pose = _with_other_bend(pose, frame, model)
-    used = tuple(one.name for one in judged if one.is_accepted)
-    found = ImagePose(pose, used, doubt, judged)
-    if not doubt and (in_doubt := found.doubtful_depth):
-        found = replace(found, doubt=f"the depth is in doubt: {', '.join(in_doubt)} refused")
+    used = tuple(one.name for one in gating if one.is_accepted)
+    found = ImagePose(pose, used, contradiction, gating)
+    if not contradiction and (of_depth := found.depth_outliers):
+        found = replace(found, contradiction=f"the depth is in doubt: {', '.join(of_depth)} refused")
     return found
 
 
-def is_borne_out(judged: Sequence[GatingResult]) -> bool:
-    """Whether what was measured is right, where no joints say so, and not what was refused.
+def is_confirmed(gating: Sequence[GatingResult]) -> bool:
+    """Whether the inliers are right, without joints to confirm them, and not the outliers.
 
-    It may be that of another instrument, or a shadow's; but a disparity and three sides outvote a side. Of what tells
-    the depth, `doubtful_depth` says so.
+    An inlier may be another instrument's, or a shadow's; but a disparity and three sides outvote a side. For depth cues
+    see `depth_outliers`.
     """
-    accepted = {one.name for one in judged if one.is_accepted}
-    refused = [one.name for one in judged if one.name not in accepted.union(TELLING_DEPTH)]
-    if len(refused) == 1 and "edge" in refused[0]:
+    accepted = {one.name for one in gating if one.is_accepted}
+    outliers = [one.name for one in gating if one.name not in accepted.union(DEPTH_CUES)]
+    if len(outliers) == 1 and "edge" in outliers[0]:
         return DISPARITY in accepted and sum("edge" in name for name in accepted) >= 3
-    return not refused
+    return not outliers

@@ -110,7 +110,7 @@ class KinematicErrorFilter:
         return best
 
     def update(self, measurements: Sequence[LinkMeasurement]) -> tuple[GatingResult, ...]:
-        """Take up what the image shows; gives how each measurement agrees with the prediction."""
+        """Take up what the image shows; gives the gating result of each measurement."""
         state, start = self.state, self._start_x
         self._start_x, self.has_jumped = None, False
         there = state if start is None else state.retracted(self._padded(start))
@@ -125,14 +125,14 @@ class KinematicErrorFilter:
             else:
                 found = most_probable_from(state, seen, self._padded(start))
             if found is not None:
-                judged = zip(seen, found.innovations.tolist(), found.weights.tolist(), strict=True)
+                each = zip(seen, found.innovations.tolist(), found.weights.tolist(), strict=True)
                 results = [
-                    GatingResult(one.name, nis, len(one.covariance), weight, one.source) for one, nis, weight in judged
+                    GatingResult(one.name, nis, len(one.covariance), weight, one.source) for one, nis, weight in each
                 ]
                 self.has_jumped = start is None and self._prefers_jump(seen, found)
                 if not self.has_jumped:
                     state.retract(found.x)
-                    # What is refused may pull, but nothing is surer by it.
+                    # Outliers may pull, but reduce no covariance.
                     sizes = [one.degrees_of_freedom for one in results]
                     accepted = np.repeat([one.is_accepted for one in results], sizes)
                     state.update_covariance(found.H[accepted], found.R[np.ix_(accepted, accepted)])
@@ -194,7 +194,7 @@ class KinematicErrorFilter:
         return np.concatenate([x, np.zeros(len(self.state.P) - len(x))])
 
     def _prefers_jump(self, measurements: Sequence[LinkMeasurement], found: Solution) -> bool:
-        """Whether measurements are more probable after a jump of the base than as wild ones, by Bayes' factor."""
+        """Whether measurements are more probable after a jump of the base than as outliers, by Bayes' factor."""
         degrees = sum(len(measurement.covariance) for measurement in measurements)
         if found.innovations.sum() < chi_square_bound(degrees):
             return False
@@ -204,8 +204,8 @@ class KinematicErrorFilter:
         moved = most_probable(there, measurements, np.zeros(len(there.P)))
         if moved is None:
             return False
-        as_wild = evidence(found, self.state.P, measurements)
-        return evidence(moved, there.P, measurements) + JUMP_PRICE < as_wild
+        as_outliers = evidence(found, self.state.P, measurements)
+        return evidence(moved, there.P, measurements) + JUMP_PRICE < as_outliers
 
     def _begin_at(self, pose: ToolPose | None) -> None:
         """The prior, linearised where a pose puts the tool, and widened where that would surprise it."""

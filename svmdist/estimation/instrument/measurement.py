@@ -135,7 +135,7 @@ class LinkMeasurement(ABC):
     vector of numbers of variance one that fade with the time constant `correlation_time_s`. `source` is the detection
     that it is made of. For a right view, `T_view_left` maps the left camera's coordinates to the right one's. The image
     shows what was `delay_s` after the frame's stamp. Where all measurements that it `rests_on`, by their names, are
-    wild, it is as wild: the end of what is no shaft is no shaft's end.
+    outliers, it is one: the end of what is no shaft is no shaft's end.
     """
 
     name: str

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.estimation.instrument.consistency import NU, REFUSED_WEIGHT, student_weight
+from svmdist.estimation.instrument.consistency import NU, OUTLIER_WEIGHT, student_weight
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.state import ErrorState
 from svmdist.transforms import Array, inverse_right_jacobian
@@ -25,7 +25,7 @@ SINGULAR = 1e-9  # the least eigenvalue of the prior as correlations: parameters
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """The most probable change x of the state, derivatives and noise there; judged per measurement.
+    """The most probable change x of the state, derivatives and noise there, and statistics per measurement.
 
     `innovations` are normalised squares against prior and noise, `residuals` those that are left against noise alone,
     `weights` those of Student's t; `nis` is the square of all of them together.
@@ -43,7 +43,7 @@ class Solution:
     @property
     def is_clear(self) -> bool:
         """Whether it has converged without outliers; else another one may be more probable."""
-        return self.has_converged and not (self.weights <= REFUSED_WEIGHT).any()
+        return self.has_converged and not (self.weights <= OUTLIER_WEIGHT).any()
 
 
 def most_probable_from(state: ErrorState, measurements: Sequence[LinkMeasurement], x: Array) -> Solution | None:
