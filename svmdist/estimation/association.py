@@ -56,10 +56,10 @@ class Association:
         robots = [arm.state_at(seen) for arm, seen in zip(self._arms, observations, strict=True)]
         nominal = self._nominal(robots, scene.observation.camera, np.eye(4))
         others: list[OtherMasks] = [(None, None)] * len(self._arms)
-        doubts = [""] * len(self._arms)
+        unclear = [""] * len(self._arms)
         seen = scene.left.masks.seen
         if seen is not None and not any(nominal):
-            others, doubts = self._entries.others(scene)
+            others, unclear = self._entries.others(scene)
         elif len(self._arms) > 1 or (seen is not None and len(seen) > 1):
             left, offsets = self._other_masks("left", scene, scene.left, nominal, [None] * len(nominal))
             right: list[Image | None] = [None] * len(left)
@@ -70,8 +70,8 @@ class Association:
             others = list(zip(left, right, strict=True))
             if seen is None and not any(nominal):
                 names = [arm.profile.instrument_name for arm in self._arms]
-                doubts = [f"cannot tell which instrument is {name}: {UNPLACED}" for name in names]
-        return [Frame.of(scene, *one) for one in zip(self._arms, observations, robots, others, doubts, strict=True)]
+                unclear = [f"cannot tell which instrument is {name}: {UNPLACED}" for name in names]
+        return [Frame.of(scene, *one) for one in zip(self._arms, observations, robots, others, unclear, strict=True)]
 
     def _nominal(
         self, robots: Sequence[RobotState | Failure], camera: Camera, T_camera_left: Array

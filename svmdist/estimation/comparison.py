@@ -155,7 +155,7 @@ class Checks:
         """Whether rows of both views bend more than the stated cameras can."""
         return any(one.usual.what == ROWS for one in self.contradictions)
 
-    def doubt(self, method: str) -> str:
+    def contradiction(self, method: str) -> str:
         """Why no row of a method can be trusted; empty where none of what it relies on is contradicted."""
         wrong = RELIES.get(method, set()) & self.blamed
         return next((str(one) for one in self.contradictions if wrong & set(one.usual.sources)), "")

@@ -25,7 +25,7 @@ END_STD = 0.06  # the same for the shaft's end
 END_SPEED = 0.3  # the same for the shaft's end, per s, as instruments move
 UNSEEN_COST = 6.0  # -log of the chance that an instrument is not seen although it is there, or is not there
 UNNAMED_COST = 6.0  # -log of the chance that what is seen as an instrument is none of those in the profile
-CONTEST = 4.6  # a name is in doubt where another naming is more than a hundredth (e^-4.6) as likely
+CONTEST = 4.6  # a name is ambiguous where another naming is more than a hundredth (e^-4.6) as likely
 
 ENDS_STD_WIDTHS = 0.5  # of the shaft's end along it, over its width: one view may show the dark part's
 WIDTH_STD = 0.08  # logarithm of the width in one view: shade and blur take a pixel of it
@@ -61,7 +61,7 @@ class EntryTracker:
     def update(
         self, stamp_ns: int, seen: Sequence[SeenInstrument], unlike: Array | float = 0.0
     ) -> tuple[list[int | None], list[str]]:
-        """Say for each name which of the next image's seen instruments it is, None for none, and why that is in doubt.
+        """Say for each name which of the next image's seen instruments it is, None for none, and why that is ambiguous.
 
         `unlike`, shape (n_names, n_seen), is the -log likelihood of each by another view, where there is one.
         """
@@ -71,11 +71,12 @@ class EntryTracker:
         cost = cost - np.log(np.array([max(one.evidence, 1e-3) for one in seen])) + unlike
         hypotheses = ranked_assignments(cost, UNNAMED_COST, UNSEEN_COST)
         named = list(hypotheses[0][1])
-        doubts = ["" if at is None else self._doubt(place, hypotheses) for place, at in enumerate(named)]
-        for track, at, doubt in zip(self._tracks, named, doubts, strict=True):
-            if at is not None and not doubt:
+        ambiguities = ["" if at is None else self._ambiguity(place, hypotheses) for place, at in enumerate(named)]
+        for track, at, ambiguity in zip(self._tracks, named, ambiguities, strict=True):
+            if at is not None and not ambiguity:
                 track.place, track.stamp_ns = places[at], stamp_ns
-        return named, [doubt if at is None else doubt or self._guess for at, doubt in zip(named, doubts, strict=True)]
+        guesses = ["" if at is None else self._guess for at in named]
+        return named, [ambiguity or guess for ambiguity, guess in zip(ambiguities, guesses, strict=True)]
 
     def _cost(self, track: _Track, stamp_ns: int, entry: Array, end: Array) -> float:
         """-log likelihood of a seen instrument under a track, up to a constant that all tracks share."""
@@ -91,8 +92,8 @@ class EntryTracker:
         of_end = cost(end - track.place[1], min(END_STD + END_SPEED * passed_s, SIDE_STD))
         return of_entry + of_end - 2.0 * math.log(SIDE_STD)
 
-    def _doubt(self, place: int, hypotheses: Sequence[tuple[float, tuple[int | None, ...]]]) -> str:
-        """Why a name is in doubt: another naming of this instrument, or of this name, is nearly as likely."""
+    def _ambiguity(self, place: int, hypotheses: Sequence[tuple[float, tuple[int | None, ...]]]) -> str:
+        """Why a name is ambiguous: another naming of this instrument, or of this name, is nearly as likely."""
         best_cost, best = hypotheses[0]
         at = best[place]
         for cost, other in hypotheses[1:]:
@@ -134,9 +135,9 @@ class EntryAssociation:
         beside, cost = self._across_views(scene, seen)
         # What the right view does not show, or elsewhere than at its depth, is as likely none of them.
         unlike = np.min(np.minimum(cost, UNNAMED_COST), 2) if len(beside) else np.zeros(cost.shape[:2])
-        left, doubts = self._left.update(stamp_ns, seen, unlike)
+        left, ambiguities = self._left.update(stamp_ns, seen, unlike)
         if scene.right is None:
-            return [(other_than(at, seen), None) for at in left], doubts
+            return [(other_than(at, seen), None) for at in left], ambiguities
         none = np.full(len(beside), np.inf)
         rows = np.array([none if at is None else cost[i, at] for i, at in enumerate(left)])
         right = list(ranked_assignments(rows, UNNAMED_COST, UNSEEN_COST)[0][1])
@@ -148,11 +149,11 @@ class EntryAssociation:
                 unlike[i, at] = 0.0
             elif left[i] is None:
                 unlike[i, [place not in right for place in range(len(beside))]] = 0.0
-        there, doubts_there = self._right.update(stamp_ns, beside, unlike)
+        there, ambiguities_there = self._right.update(stamp_ns, beside, unlike)
         right = [there[i] if at is None else right[i] for i, at in enumerate(left)]
-        doubts = [doubts_there[i] if at is None else doubts[i] for i, at in enumerate(left)]
+        ambiguities = [ambiguities_there[i] if at is None else ambiguities[i] for i, at in enumerate(left)]
         pairs = zip(left, right, strict=True)
-        return [(other_than(at, seen), other_than(at_right, beside)) for at, at_right in pairs], doubts
+        return [(other_than(at, seen), other_than(at_right, beside)) for at, at_right in pairs], ambiguities
 
     def _across_views(self, scene: Scene, seen: Sequence[SeenInstrument]) -> tuple[Sequence[SeenInstrument], Array]:
         """What the right view shows, and -log likelihood, (n_arms, n_left, n_right), that the left one shows it."""

@@ -181,7 +181,7 @@ class Frame:
     right: View | None
     joints: JointSample | None
     robot: RobotState | Failure
-    doubt: str = ""  # why it is not sure which instrument this is; empty where it is
+    ambiguity: str = ""  # why it is not sure which instrument this is; empty where it is
 
     @classmethod
     def of(
@@ -191,14 +191,14 @@ class Frame:
         observation: Observation,
         robot: RobotState | Failure,
         others: OtherMasks = (None, None),
-        doubt: str = "",
+        ambiguity: str = "",
     ) -> Frame:
         """The frame of one instrument: what it reported, without the pixels that belong to others."""
         seen, right = scene.observation, None
         left = View(arm, seen, scene.left, others[0])
         if scene.right is not None and seen.right is not None:
             right = View(arm, seen.right, scene.right, others[1])
-        return cls(scene, arm, left, right, observation.joints, robot, doubt)
+        return cls(scene, arm, left, right, observation.joints, robot, ambiguity)
 
     def left_alone(self) -> Frame:
         """The same without the right view."""

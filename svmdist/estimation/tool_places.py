@@ -24,7 +24,7 @@ def places(frame: Frame) -> dict[str, ToolPose]:
         found[KINEMATICS] = nominal_tool(arm.required_chain, arm.profile.kinematic_error, robot)
     if arm.profile.segmentation.shaft is not None and arm.body is not None and arm.chain is not None:
         fit = frame.shaft_pose
-        # In doubt, too: what is wrong with a size makes it doubtful. Without the sides it is by the marker's size.
+        # Even if inconsistent: a wrong size makes it so. Without the sides it is by the marker's size.
         if not isinstance(fit, Failure) and len([name for name in fit.used if name.startswith("edge")]) == 2:
             found[SHAFT] = fit.pose
         elif (pose := _by_width(frame)) is not None:

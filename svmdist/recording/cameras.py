@@ -29,11 +29,11 @@ class Run(NamedTuple):
 
 
 class Cameras(NamedTuple):
-    """The cameras of an image and of the right one, if any; `doubt` says why it is not known which hold."""
+    """The cameras of an image and of the right one, if any; `ambiguity` says why it is not known which hold."""
 
     left: Camera
     right: tuple[Camera, Array] | None = None  # with `T_left_right`, shape (4, 4)
-    doubt: str = ""
+    ambiguity: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class CameraTrack:
             self.runs.append(Run(camera, stamp_ns, stamp_ns))
 
     def at(self, stamp_ns: int) -> tuple[int, str]:
-        """Which run holds at a stamp, the first before all and the last behind; and a doubt between two."""
+        """Which run holds at a stamp, the first before all and the last behind; and the ambiguity between two."""
         place = max(0, bisect_right(self.runs, stamp_ns, key=lambda run: run.first_ns) - 1)
         run = self.runs[place]
         if stamp_ns <= run.last_ns or place + 1 == len(self.runs):
@@ -94,9 +94,9 @@ def cameras_at(left: CameraTrack, right: CameraTrack | None, stated: Perturbatio
         return Cameras(camera, None if T_left_right is None else (other, T_left_right))
 
     def at(stamp_ns: int) -> Cameras:
-        left_run, doubt = left.at(stamp_ns)
+        left_run, ambiguity = left.at(stamp_ns)
         right_run, of_right = (0, "") if right is None else right.at(stamp_ns)
-        return held(left_run, right_run)._replace(doubt=doubt or of_right)
+        return held(left_run, right_run)._replace(ambiguity=ambiguity or of_right)
 
     return at
 

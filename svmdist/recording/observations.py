@@ -253,9 +253,9 @@ class EncodedObservation:
     def decode(self) -> Decoded:
         """Decode the images; a Rejection stands for a left image that cannot be, or whose camera is not known."""
         losses: list[Loss] = []
-        camera, _, doubt = self.cameras
-        if doubt:
-            return Decoded(Rejection(self.stamp_ns, Status.INCONSISTENT, doubt), (), self.place)
+        camera, _, ambiguity = self.cameras
+        if ambiguity:
+            return Decoded(Rejection(self.stamp_ns, Status.INCONSISTENT, ambiguity), (), self.place)
         image = decode_image(self.left, losses, camera)
         if isinstance(image, Rejection):
             return Decoded(image, tuple(losses), self.place)

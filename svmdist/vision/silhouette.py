@@ -240,7 +240,7 @@ def find_silhouette(
         return endless
     if seen.ends_dark:
         end_px, narrows = seen.end_px, 0.0
-        first, second = _with_doubtful_side((first, second), seen, end_px, along, width_px)
+        first, second = _with_inflated_side((first, second), seen, end_px, along, width_px)
         std_px = float(np.hypot(seen.end_std_px, MIN_END_STD_WIDTHS * width_px))
     else:
         place, least_std_px = float(seen.end_px @ along), MIN_END_STD_WIDTHS * width_px
@@ -274,7 +274,7 @@ def find_silhouette(
     return Silhouette((first, second), rim, point, wrist_std=wrist_std)
 
 
-def _with_doubtful_side(
+def _with_inflated_side(
     edges: tuple[EdgeLine, EdgeLine], seen: SeenInstrument, end_px: Array, along: Array, width_px: float
 ) -> tuple[EdgeLine, EdgeLine]:
     """Both edges; of one that goes on alone beyond the dark part, along no instrument, little is known: shadows do."""

@@ -168,7 +168,7 @@ def checked(
             matches.append(found_here)
         for name, frame in zip(names, frames, strict=True):
             unknown = len(arms) > 1 and isinstance(frame.robot_in_camera, Failure)
-            if is_part or unknown or frame.doubt:  # what the image shows may be another instrument
+            if is_part or unknown or frame.ambiguity:  # what the image shows may be another instrument
                 by_name[name] += shared
                 continue
             here = places_of(frame)

@@ -96,7 +96,7 @@ class MultiInstrumentEstimator:
         self._is_by_tag = setup.method == "fiducial"  # whose number names the instrument
         self.looks_for_tool = not setup.is_given and setup.method != "kinematic"
         known = {} if setup.own else checks
-        self._doubts = {name: one.doubt(setup.method) for name, one in known.items()}
+        self._contradictions = {name: one.contradiction(setup.method) for name, one in known.items()}
         needs: Needs = self._estimators[0].needs
         self.needs = needs.left_alone() if left_alone else needs
         self.keeps_state: bool = self._estimators[0].keeps_state
@@ -115,13 +115,13 @@ class MultiInstrumentEstimator:
             seconds.append(shared_s + time.thread_time() - start_s)
             name = arm.profile.instrument_name
             named = replace(_through_lens(result, frame), instrument=name)
-            said = self._doubts.get(name, "")
+            said = self._contradictions.get(name, "")
             if self._calibrated is not None and not self._calibrated.same_optics(frame.scene.lens):
                 said = "the calibration is for the camera as it was first"
             if named.measured and said:
                 named = named.rejected(Status.INCONSISTENT, said)
-            is_doubted = frame.doubt and not (named.measured and self._is_by_tag)
-            results.append(named.doubted(frame.doubt) if is_doubted else named)
+            is_doubted = frame.ambiguity and not (named.measured and self._is_by_tag)
+            results.append(named.doubted(frame.ambiguity) if is_doubted else named)
         if len(results) > 1 and not self._is_given:
             results = with_clearance_between(results, [arm.body for arm in self._arms])
         return Replayed(tuple(results), tuple(seconds), tuple(frames))
@@ -211,7 +211,7 @@ class _Replay:
             if views.rows is not None and not views.refusal:
                 self._align(views.rows)
                 self._check(spread, int(needs_rows))
-        self._doubt_tissue(profile.tissue, list(self._checks[0].values()))
+        self._inflate_tissue(profile.tissue, list(self._checks[0].values()))
 
     def _check(self, spread: Sequence[EncodedObservation], pairs: int) -> None:
         self._looked.clear()  # so that no image is held twice
@@ -228,7 +228,7 @@ class _Replay:
         self._setup = self._setup.with_stds("camera_error", right_rotation_std_rad=std_rad)
         self._arms = self._stereo_arms = self._arms_with(self._setup)
 
-    def _doubt_tissue(self, stated: Tissue, found: Sequence[Checks]) -> None:
+    def _inflate_tissue(self, stated: Tissue, found: Sequence[Checks]) -> None:
         """Let the tissue be as uncertain as it is seen elsewhere, or as a guess where no second view shows it.
 
         A method that measures its height and surface itself is only told where its shape is another one.
