@@ -37,11 +37,11 @@ def cells(logs: Sequence[Measured], below_m: float) -> Iterator[str]:
         for rows, _ in logs:
             watch = AlarmWatch(AlarmRules(below_m, when))
             states += [watch.watch(row).is_raised for row in rows]
-        judged, alarms = np.array([state is not None for state in states]), np.array(states) == True  # noqa: E712
+        measured, alarms = np.array([state is not None for state in states]), np.array(states) == True  # noqa: E712
         unsafe, safe = true_m < below_m, true_m >= below_m
         if at == 0:
-            yield f"{(unsafe & ~judged).sum()}/{unsafe.sum()}"
-        yield "/".join(f"{100 * alarms[judged & of].mean():.1f}" for of in (unsafe, safe))
+            yield f"{(unsafe & ~measured).sum()}/{unsafe.sum()}"
+        yield "/".join(f"{100 * alarms[measured & of].mean():.1f}" for of in (unsafe, safe))
 
 
 if __name__ == "__main__":

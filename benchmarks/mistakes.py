@@ -211,7 +211,7 @@ def estimate(case: Case, log: Path, method: str, every: int) -> Ran:
     )
 
 
-def judged(ran: Ran, truth: DistanceTrack | None, is_control: bool) -> tuple[Any, ...]:
+def outcome(ran: Ran, truth: DistanceTrack | None, is_control: bool) -> tuple[Any, ...]:
     """The fields of a Verdict from its verdict on."""
     code, err, rows = ran
     ok = [row for row in rows if row["status"] == "ok" and row["clearance_m"] is not None]
@@ -256,7 +256,7 @@ def verdicts(path: str, mistake: str, profile: str, methods: tuple[str, ...], ev
             case.write(changed := case.folder / Path(path).name)
             for method in possible:
                 if method in methods and (has_tag or method != "fiducial"):
-                    figures = judged(estimate(case, changed, method, every), truth, mistake in CONTROLS)
+                    figures = outcome(estimate(case, changed, method, every), truth, mistake in CONTROLS)
                     found.append(Verdict(mistake, method, views, *figures))
     return found
 

@@ -66,7 +66,7 @@ class AlarmWatch:
         self._gap, self._overlap_std_m = 0, math.inf
 
     def watch(self, row: FrameResult) -> AlarmState:
-        """Judge one row."""
+        """Take up one row."""
         if self._last_ns is not None and row.stamp_ns <= self._last_ns:
             self._restart()  # another log, or a clock that was set back
         self._last_ns = row.stamp_ns

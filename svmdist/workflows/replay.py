@@ -70,7 +70,7 @@ def replay(
     reaches another. `jobs` threads work ahead, by default one for each core. Raises RecordingError at once for a
     wanted instrument that the recording has no topics of, and at the end where there was no image, and CalibrationError
     for another camera. Where the lag of a recording is known, methods take the offset of its joints for as well known.
-    Without `rest`, what no method uses is not read. Rows are judged by the rules of `alarms`. The recording's
+    Without `rest`, what no method uses is not read. Alarms are by the rules `alarms`. The recording's
     `on_progress` is called for each image.
     """
     return _Replay(recording, setups, conditions).run(usable_cores() if jobs is None else jobs, rest, alarms)
@@ -142,7 +142,7 @@ def _through_lens(result: FrameResult, frame: Frame) -> FrameResult:
     return result.with_image(**moved)
 
 
-def _judged(replayed: Replayed, watches: Sequence[AlarmWatch]) -> Replayed:
+def _with_alarms(replayed: Replayed, watches: Sequence[AlarmWatch]) -> Replayed:
     each = zip(replayed.results, watches, strict=True)
     return replace(replayed, results=tuple(replace(row, alarm=watch.watch(row)) for row, watch in each))
 
@@ -273,7 +273,7 @@ class _Replay:
                 self._recording.record_losses(decoded)
                 done = [replayed for unfinished in conditions for replayed in unfinished()]
                 self._recording.on_progress(count, total)
-                yield tuple(map(_judged, done, watches) if alarms else done)
+                yield tuple(map(_with_alarms, done, watches) if alarms else done)
         if not count:
             raise RecordingError(_no_image(self._recording))
 

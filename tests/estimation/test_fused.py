@@ -196,8 +196,8 @@ def test_what_is_refused_makes_nothing_surer(scene, profile):
     wild = PointMeasurement(
         name="wild", camera=scene.camera, pixel=off_px, covariance=np.eye(2), correlation_time_s=30.0
     )
-    (judged,) = kalman.update([wild])
-    assert not judged.is_accepted
+    (gating,) = kalman.update([wild])
+    assert not gating.is_accepted
     np.testing.assert_allclose(kalman.covariance, before, rtol=1e-9, atol=1e-15)
 
 
@@ -236,11 +236,11 @@ def test_a_depth_needs_more_than_one_that_tells_it(first_side, marker, in_doubt)
     """Of a shaft with one side only, and of sides that a marker's size contradicts, nothing tells which is wrong."""
     T = np.eye(4)
     pose = ToolPose(T, np.eye(6), T[:3, 2])
-    judged = [
+    gating = [
         GatingResult(f"edge {side}", 1.0, 2, weight, "shaft") for side, weight in (("-1", first_side), ("+1", 1.0))
     ]
-    judged += [GatingResult(name, 1.0, 1, weight, "distal marker") for name, weight in marker]
-    assert ImagePose(pose, (), "", tuple(judged)).depth_outliers == in_doubt
+    gating += [GatingResult(name, 1.0, 1, weight, "distal marker") for name, weight in marker]
+    assert ImagePose(pose, (), "", tuple(gating)).depth_outliers == in_doubt
 
 
 @pytest.mark.parametrize(
@@ -258,8 +258,8 @@ def test_a_depth_needs_more_than_one_that_tells_it(first_side, marker, in_doubt)
 def test_without_joints_a_disparity_and_three_sides_outvote_one(refused, expected):
     """Alone, the rest may be that of another instrument; what tells the depth is weighed elsewhere."""
     names = ("edge -1", "edge +1", "right edge -1", "right edge +1", "end", "wrist", "disparity")
-    judged = [GatingResult(name, 1.0, 1, float(name not in refused), "shaft") for name in names]
-    assert is_confirmed(judged) is expected
+    gating = [GatingResult(name, 1.0, 1, float(name not in refused), "shaft") for name in names]
+    assert is_confirmed(gating) is expected
 
 
 def test_widening_is_the_ratio_of_birge():

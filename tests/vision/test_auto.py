@@ -14,7 +14,7 @@ from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.instruments.evidence import Evidence, picture_of
 from svmdist.vision.instruments.find_instruments import AutoMasks, SeenInstrument, find_instruments
 from svmdist.vision.instruments.outline import Outline
-from svmdist.vision.instruments.outline_search import judged
+from svmdist.vision.instruments.outline_search import outline_score
 from svmdist.vision.segmentation import make_segmenter
 from svmdist.vision.shadows import edge_within
 from svmdist.vision.silhouette import Silhouette, WristShape, find_silhouette
@@ -334,7 +334,7 @@ def is_accepted(bgr: Image, top: int) -> bool:
     image, odds = Evidence(bgr, AutoSettings()), np.full((2, 240, 320), -2.0, np.float32)
     odds[:, top:140, :200] = 3.0
     image.scores, image.odds = odds, odds[0]
-    return judged(Outline(sides_of(199.5, top - 0.5)), image).is_accepted
+    return outline_score(Outline(sides_of(199.5, top - 0.5)), image).is_accepted
 
 
 @pytest.mark.parametrize(("first_side", "is_shaft"), [(80, False), (100, True)])

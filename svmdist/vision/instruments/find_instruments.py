@@ -17,8 +17,8 @@ from svmdist.vision.instruments.evidence import SQUARE_3, Evidence, tissue_of
 from svmdist.vision.instruments.outline import LEAST_RIM_PX, Outline
 from svmdist.vision.instruments.outline_search import (
     LONGEST_WRIST,
-    Judged,
-    judged,
+    OutlineScore,
+    outline_score,
     part_entering,
     rough_outlines,
     sharpened,
@@ -34,13 +34,13 @@ LIKELY = 0.7  # mean odds of what shows no straight shaft
 ENTRY_WIDTHS = 2.0  # about its axis, over its width, where an instrument itself comes in
 
 Mask = NDArray[np.bool_]
-Found = tuple[Outline, Mask, Judged]
+Found = tuple[Outline, Mask, OutlineScore]
 """An instrument in a working image: its shaft's outline, its mask, (h, w), and what evidence and image say of it."""
 
 
 def find_instruments(evidence: Evidence) -> list[Found]:
     """The instruments of an image, the surest first."""
-    shafts: list[tuple[Outline, Judged, Image]] = []
+    shafts: list[tuple[Outline, OutlineScore, Image]] = []
     for rough in rough_outlines(evidence):
         strips = [strip for _, _, strip in shafts]
         if _is_taken(rough, strips):
@@ -48,7 +48,7 @@ def find_instruments(evidence: Evidence) -> list[Found]:
         outline = sharpened(rough, evidence)
         if outline is None or _is_taken(outline, strips):
             continue
-        if (score := judged(outline, evidence)).is_accepted:
+        if (score := outline_score(outline, evidence)).is_accepted:
             shafts.append((outline, score, _filled(outline, evidence.core)))
         if len(shafts) == evidence.settings.most_instruments:
             break
@@ -59,7 +59,7 @@ def find_instruments(evidence: Evidence) -> list[Found]:
     for at, (outline, score, _) in enumerate(shafts):
         # Where instruments touch, what belongs to one reaches into the other's: each has what its strip is nearest to.
         nearest = np.all([away[at] <= other for other in away], axis=0)
-        mask = _belonging(outline, evidence, nearest & (taken == 0))
+        mask = _instance_mask(outline, evidence, nearest & (taken == 0))
         if np.count_nonzero(mask) >= least_px:
             taken[mask] = 255
             found.append((outline, mask, score))
@@ -80,8 +80,8 @@ def _is_taken(outline: Outline, strips: Sequence[Image]) -> bool:
     return any(count(own & strip) > MOST_OVERLAP * min(count(own), count(strip)) for strip in strips)
 
 
-def _belonging(outline: Outline, evidence: Evidence, free: Mask) -> Mask:
-    """What belongs to the instrument with a shaft: all between its sides, and evidence that hangs together with it.
+def _instance_mask(outline: Outline, evidence: Evidence, free: Mask) -> Mask:
+    """The instance mask of a shaft's instrument: all between its sides, and evidence that is connected with it.
 
     No more than is `free`, (h, w).
     """

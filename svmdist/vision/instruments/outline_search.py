@@ -31,7 +31,7 @@ WITHIN = np.linspace(0.06, 0.94, 9)
 INSIDE_OF_SIDES = (np.linspace(0.04, 0.25, 4), np.linspace(0.75, 0.96, 4))
 BESIDE = np.array([0.1, 0.2, 0.3])  # off a side, over the width, or over that of a narrow shaft
 NARROW_PX = 20.0  # of which the network's own blur reaches as far beyond the sides
-ALONG = np.linspace(0.03, 0.97, STATIONS)  # over the length: where an outline is judged
+ALONG = np.linspace(0.03, 0.97, STATIONS)  # over the length: where an outline is scored
 LEAST_LENGTH = 0.8  # over the width, that a fit keeps of a shaft
 MOST_MARGIN = 3.0  # odds of a margin
 LONGEST_WRIST = 6.0  # of wrist and jaws as wide as the shaft, over its width: closed ones of 20 mm on 5 mm
@@ -142,7 +142,7 @@ def rough_outlines(evidence: Evidence) -> list[Outline]:
             if outline is None:
                 continue
             outline = ended(outline, evidence)
-            score = judged(outline, evidence, least=np.inf).evidence
+            score = outline_score(outline, evidence, least=np.inf).evidence
             area_px2 = outline.whole.length_px * outline.width_px  # of sides that cross it is no area
             if score > LEAST_ROUGH_EVIDENCE and area_px2 > 0.0:
                 found.append((score * np.sqrt(area_px2), outline))
@@ -172,7 +172,7 @@ LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by ch
 
 
 @dataclass(frozen=True)
-class Judged:
+class OutlineScore:
     """How sure it is that this is an instrument, from 0 to 1, and whether it is taken for one."""
 
     evidence: float
@@ -218,7 +218,7 @@ def _of_beyond(colours: list[Floats], seen: NDArray[np.bool_]) -> float:
     return max(shares)
 
 
-def judged(outline: Outline, evidence: Evidence, least: float = LEAST_EVIDENCE) -> Judged:
+def outline_score(outline: Outline, evidence: Evidence, least: float = LEAST_EVIDENCE) -> OutlineScore:
     """What evidence and image say of an outline, as far as it goes: a part of anything may be straight.
 
     With no more than the `least` evidence it is not accepted, and its colours are not looked at.
@@ -253,6 +253,6 @@ def judged(outline: Outline, evidence: Evidence, least: float = LEAST_EVIDENCE) 
     # With what comes in at the border hidden, a wrist may pass for a shaft.
     comes_in = float(shown[: STATIONS // 3].mean()) > 0.5
     if not (is_long and comes_in and sure > least):
-        return Judged(sure, is_accepted=False)
+        return OutlineScore(sure, is_accepted=False)
     colours = np.split(sampled(evidence.colours, places), parts, 1)
-    return Judged(sure, _of_beyond(colours, seen.all(1) & shown.all(1)) < MOST_OF_BEYOND)
+    return OutlineScore(sure, _of_beyond(colours, seen.all(1) & shown.all(1)) < MOST_OF_BEYOND)
