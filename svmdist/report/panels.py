@@ -210,10 +210,10 @@ def _side_view(frame: DrawnFrame, pixels: Image) -> tuple[Image, float] | None:
     circle = np.array(cv2.ellipse2Poly((0, 0), (1000, 1000), 0, 0, 360, 12)) * 1e-3
     around = px_per_m * body.radius_m[:, None, None] * circle
     outlines_px = np.concatenate([seen(one)[:, None] + around for one in (body.start_m, body.end_m)], 1)
-    rods = np.column_stack([body.end_m - body.start_m, body.radius_m])
+    capsules = np.column_stack([body.end_m - body.start_m, body.radius_m])
     for at in range(len(body)):
-        # Equal rods side by side stand for a plate, or a blade: what is between two of them is filled, too.
-        first = at - 1 if at and np.allclose(rods[at], rods[at - 1]) else at
+        # Equal capsules side by side model a plate or a blade: the gap between two of them is filled, too.
+        first = at - 1 if at and np.allclose(capsules[at], capsules[at - 1]) else at
         points_px = within_reach(np.concatenate(outlines_px[first : at + 1]))
         hull = cv2.convexHull(np.rint(points_px).astype(np.int32))
         cv2.fillConvexPoly(filled[Part.WRIST if at else Part.SHAFT], hull, 255)

@@ -102,12 +102,12 @@ def _on_image(drawing: FrameDrawing) -> dict[str, Any]:
 
 
 def _in_space(drawing: FrameDrawing) -> dict[str, Any]:
-    """Instruments, tissue and distances in the camera frame; a line as thick as a rod stands for it."""
+    """Instruments, tissue and distances in the camera frame; capsules are thick lines."""
     found: dict[str, Any] = {}
     for name, body in drawing.bodies.items():
-        rods: Any = np.stack([body.start_m, body.end_m], 1)
+        capsules: Any = np.stack([body.start_m, body.end_m], 1)
         colours = [COLOURS[Part.WRIST if at else Part.SHAFT] for at in range(len(body))]
-        found[f"{name} instrument"] = rr.LineStrips3D(rods, radii=body.radius_m, colors=colours)
+        found[f"{name} instrument"] = rr.LineStrips3D(capsules, radii=body.radius_m, colors=colours)
     if isinstance(drawing.tissue, Mesh):
         found["tissue"] = rr.Mesh3D(
             vertex_positions=drawing.tissue.vertices_m,

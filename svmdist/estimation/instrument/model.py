@@ -103,24 +103,24 @@ def jaws_of(along: Array, axis: Array, opening_rad: float) -> tuple[Jaw, Jaw]:
     return moving, still
 
 
-# Shape facts of this model, as lengths over the radii that a profile gives: they say which rods stand in for which
+# Shape facts of this model, as lengths over the radii that a profile gives: they say which capsules model which
 # part, and have no meaning apart from one another. What differs between instruments is in the profile.
-WRIST_LENGTH_PER_RADIUS = 3.4  # from the wrist's hinge to the tool, where no chain tells: 9.1 / 2.7
+WRIST_LENGTH_PER_RADIUS = 3.4  # from the wrist's hinge to the tool, without a chain: 9.1 / 2.7
 NECK_PER_RADIUS = 2.2  # the shaft begins this many radii of the wrist behind the hinge
 SHAFT_CAP = 0.5  # from a flat end of the shaft to its capsule's, in radii: half of the cap is beyond it
-TINE_RADIUS_M = 0.0005  # of the fork's rods beside the distal marker, however large that is
+TINE_RADIUS_M = 0.0005  # of the fork's capsules beside the distal marker, however large that is
 FORK_BEGIN = 0.3  # where the fork's tines leave its bridges, over the way from the hinge to the tool
-BLADE_RODS = (
+BLADE_CAPSULES = (
     (0.0, 0.62, 0.43, 0.50),
     (0.0, 0.62, -0.43, 0.50),
     (0.62, 0.85, 0.30, 0.38),
     (0.62, 0.85, -0.30, 0.38),
     (0.0, 1.0, 0.0, 0.25),
 )
-"""A tapering blade, wider than thick: where a rod begins and ends over the jaw's length, how far beside the middle
+"""A tapering blade, wider than thick: where a capsule begins and ends over the jaw's length, how far beside the middle
 it lies and how thick it is, both over the jaw's radius. The last one ends with its cap."""
-PLATE_RADIUS_M, PLATE_RODS = 0.0003, 7
-"""Half of the thickness of a printed plate; rods 1.4 mm apart stand in for one of 9 mm."""
+PLATE_RADIUS_M, PLATE_CAPSULES = 0.0003, 7
+"""Half of the thickness of a printed plate; capsules 1.4 mm apart model one of 9 mm."""
 BLADE_OFFSET = 0.55  # of a blade's middle plane from the one where the jaws meet, in radii of the jaw
 
 
@@ -175,7 +175,7 @@ def capsules_about(instrument: Instrument, wrist: Wrist, jaw_scale: float = 1.0)
     hinge, tool, back = wrist.hinge_m, wrist.tool_m, -wrist.shaft
     neck_m = NECK_PER_RADIUS * wrist_m
     far_m = max(instrument.shaft_length_m - SHAFT_CAP * shaft_m, neck_m + SHAFT_CAP * shaft_m)
-    rods: list[tuple[Array, Array, float]] = [
+    capsules: list[tuple[Array, Array, float]] = [
         (hinge + (neck_m + SHAFT_CAP * shaft_m) * back, hinge + far_m * back, shaft_m),
         (hinge, hinge + neck_m * back, wrist_m),
         (tool, tool, marker_m),
@@ -183,28 +183,28 @@ def capsules_about(instrument: Instrument, wrist: Wrist, jaw_scale: float = 1.0)
     tine_m, fork = marker_m + TINE_RADIUS_M, hinge + FORK_BEGIN * (tool - hinge)
     for side in (-1.0, 1.0):
         offset = side * tine_m * wrist.pivot
-        rods.append((fork + offset, tool + offset, TINE_RADIUS_M))
+        capsules.append((fork + offset, tool + offset, TINE_RADIUS_M))
         bridge = side * max(tine_m - 0.42 * wrist_m, 0.0) * wrist.pivot
-        rods.append((hinge + bridge, fork + bridge, 0.5 * wrist_m))
+        capsules.append((hinge + bridge, fork + bridge, 0.5 * wrist_m))
     for jaw in wrist.jaws:
-        rods += _blade(instrument, tool, jaw, jaw_scale)
-    starts, ends, radii = zip(*rods, strict=True)
+        capsules += _blade(instrument, tool, jaw, jaw_scale)
+    starts, ends, radii = zip(*capsules, strict=True)
     return Capsules(np.array(starts), np.array(ends), np.array(radii))
 
 
 def plate_capsules(fiducial: Fiducial) -> Capsules:
-    """A tag's plate in the tag's frame, as rods side by side under its face at z = 0."""
+    """A tag's plate in the tag's frame, as capsules side by side under its face at z = 0."""
     half_m = 0.5 * fiducial.plate_side_m - PLATE_RADIUS_M
-    across_m = np.linspace(-half_m, half_m, PLATE_RODS)
-    low = np.full(PLATE_RODS, -PLATE_RADIUS_M)
-    starts, ends = (np.stack([np.full(PLATE_RODS, end_m), across_m, low], -1) for end_m in (-half_m, half_m))
-    return Capsules(starts, ends, np.full(PLATE_RODS, PLATE_RADIUS_M))
+    across_m = np.linspace(-half_m, half_m, PLATE_CAPSULES)
+    low = np.full(PLATE_CAPSULES, -PLATE_RADIUS_M)
+    starts, ends = (np.stack([np.full(PLATE_CAPSULES, end_m), across_m, low], -1) for end_m in (-half_m, half_m))
+    return Capsules(starts, ends, np.full(PLATE_CAPSULES, PLATE_RADIUS_M))
 
 
 def _blade(instrument: Instrument, tool: Array, jaw: Jaw, scale: float) -> Iterator[tuple[Array, Array, float]]:
     length_m, half_width_m = instrument.jaw_length_m, instrument.jaw_radius_m
     base, along = tool + BLADE_OFFSET * half_width_m * jaw.outward, scale * jaw.along
-    for start, end, offset, radius in BLADE_RODS:
+    for start, end, offset, radius in BLADE_CAPSULES:
         radius_m = radius * half_width_m
         end_m = end * length_m - (radius_m if end == 1.0 else 0.0)
         axis = base + offset * half_width_m * jaw.beside
@@ -242,7 +242,7 @@ def shaft_sections(camera: Camera, body: Capsules) -> ShaftSections | None:
     """The sections of an instrument's shaft, its first capsule, in the camera frame; None where it is not in view."""
     radius_m, far_m = float(body.radius_m[0]), body.end_m[0]
     along = (far_m - body.start_m[0]) / np.linalg.norm(far_m - body.start_m[0])
-    # The capsule's round end stands for a flat one: see `capsules_about`.
+    # The capsule's round end models a flat one: see `capsules_about`.
     points_m = np.linspace(body.start_m[0] - SHAFT_CAP * radius_m * along, far_m, FINE)
     sides = [tangent_normal(points_m[0], along, radius_m, side)[0] for side in (-1, 1)]
     points_m = points_m[points_m[:, 2] > radius_m + NEAR_M]
