@@ -64,7 +64,7 @@ class FusedEstimator:
         predicted = self._start(frame) or kalman.tool_pose()
         by_tag = list(self._tag(frame, predicted))
         shown = self._of_images(frame)
-        # A stub at the border, a wrist or a shadow has an outline, too: alone it counts where it holds a pose.
+        # A short segment at the border, a wrist or a shadow has an outline, too: alone it counts where it holds a pose.
         is_marked = any(view is not None and view.distal_marker is not None for view in (frame.left, frame.right))
         if shown and not (by_tag or is_marked) and self._image_pose(frame) is None:
             shown = []
@@ -104,13 +104,13 @@ class FusedEstimator:
     def _start(self, frame: Frame) -> ToolPose | None:
         """Begin anew where it is due, and give the pose to linearise at; None where the filter goes on."""
         kalman = self._filter
-        # What only the first frame speaks for is as likely wrong as the second, which contradicts it.
+        # What only the first frame supports is as likely wrong as the second, which contradicts it.
         is_due = not self._is_located or self._contradictions >= min(MAX_CONTRADICTIONS, max(self._agreed, 1))
         image = self._image_pose(frame) if is_due or self._age_s(frame) < YOUNG_S else None
         if image is None:
             return None
         variance_m2 = float(np.trace(image.position_covariance))
-        # What it began with may be a stub at the border, whose errors it would keep.
+        # What it began with may be a short segment at the border, whose errors it would keep.
         if not (is_due or variance_m2 < SURER * self._image_variance_m2):
             return None
         is_first, predicted = not self._is_located, kalman.tool_pose()

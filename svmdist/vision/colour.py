@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 SAMPLING_PX = 4  # levels are counted on every n-th row and column, enough for a percentile
 BORDER_FRACTION = 0.2  # of the bright level; what is darker may be the endoscope's black border
-BLACK_PERCENTILE = 0.5  # the darkest things in view. The stub of a shaft is half a percent of the view
+BLACK_PERCENTILE = 0.5  # the darkest things in view. A shaft's short segment is half a percent of the view
 MIDDLE_PERCENTILE = 50.0  # the middle of the scene, by which automatic exposure goes
 DISTINCT_FRACTION = 0.7  # of the median; with a brighter darkest part nothing dark is in view
 NOISY_GAIN = 1.5  # dim light comes with shot noise: from this gain on, neighbouring pixels are averaged

@@ -25,7 +25,7 @@ MAX_TAPER_RAD = 0.6  # between the sides; a cylinder that points at the camera h
 BEYOND, MORE_STRIP = np.arange(0.25, 2.5, 0.05), 0.25
 """Where more of a shaft is sought beyond its end, and to either side of the middle, over its width."""
 MORE, MORE_SHARE = 10, 0.35  # of half a width along that, dark is so much of more shaft; of wrists, less
-MAX_PRINTED_FRACTION = 0.1  # of a dark stub that is bright: of a tag's print half is white
+MAX_PRINTED_FRACTION = 0.1  # of a short dark segment that is bright: of a tag's print half is white
 MIN_END_STD_PX = 3.0  # of the shaft's end: steel, jaws and shadow are as dark, 4 px and more off it
 WORKING_PX = 320  # of a picture's width, as coarse as that in which instruments are found without colours
 SIDE_STD_PX = 2.4  # of a mask's side off the shaft's edge, in its pixels: glare and shade shift it
@@ -60,8 +60,8 @@ def find_shaft(
 ) -> tuple[SeenInstrument, Image] | None:
     """Find the shaft in its mask (h, w), less `covered`, and what the endoscope shows; None where none comes in.
 
-    `black` may be border. Where it `may_be_print`, a stub that is as bright as that is none. Sides do not tell base
-    from tip of a shaft that runs through the whole image, and where something is mounted, its end is not to be seen.
+    `black` may be border. Where it `may_be_print`, a short segment as bright as that is none. Sides do not tell base
+    from tip of a shaft that runs through the whole image, and where something is mounted, its end is not visible.
     """
     width, covered = shaft.shape[1], np.zeros_like(shaft) if covered is None else covered
     dark = np.asarray(cv2.medianBlur(shaft, 3), np.uint8)
@@ -118,11 +118,11 @@ def _as_seen(mask: Image, edges: tuple[Side, Side], end_px: Array | None, *, is_
 
 
 def _is_print(first: Side, second: Side, mask: Image, dark: Image) -> bool:
-    """Whether what is seen is a stub, shorter than twice its width, and as bright inside as a print: glare is less."""
-    is_stub = min(first.length_px, second.length_px) < 2.0 * np.linalg.norm(first.start_px - second.start_px)
+    """Whether what is seen is shorter than twice its width, and as bright inside as a print: glare is less."""
+    is_short = min(first.length_px, second.length_px) < 2.0 * np.linalg.norm(first.start_px - second.start_px)
     inside = _eroded(mask, 2)
     bright = 1.0 - cv2.countNonZero(cv2.bitwise_and(inside, dark)) / max(cv2.countNonZero(inside), 1)
-    return bool(is_stub) and bright > MAX_PRINTED_FRACTION
+    return bool(is_short) and bright > MAX_PRINTED_FRACTION
 
 
 def _sides_of(contour: NDArray[np.int32], inside: NDArray[np.bool_]) -> tuple[Side, Side, Array | None] | None:

@@ -158,7 +158,7 @@ steepest half a deviation on its dark side, a linear one in the middle. This is 
 GOES_ON_WIDTHS, ENDS_WIDTHS = 1.0, 0.5  # beyond a dark part's end: one side alone goes on, the other one ends
 STRIP = 0.15  # inside of that side, over the way to the other one, where the instrument would be
 SHADOW_STD_WIDTHS = 0.12  # of a shadow's border off the side that casts it, over the width
-BEYOND_WIDTHS = (0.15, 0.65)  # beyond an outline's end, over its width, where a narrower wrist is to be seen
+BEYOND_WIDTHS = (0.15, 0.65)  # beyond an outline's end, over its width, where a narrower wrist is visible
 ENDS_APART = 0.3  # of an end over the distance of both: deviation of a uniform distribution between them
 
 
@@ -232,7 +232,7 @@ def find_silhouette(
     along, width_px = endless.towards_tip, endless.width_px
     if not 0.5 * (first.length_px + second.length_px) >= MIN_LENGTH_WIDTHS * width_px > 0.0:
         return None
-    # A dark bar's sides, which no evidence bears out, are known by their edges alone.
+    # A dark bar's sides, which no evidence supports, are known by their edges alone.
     if wrist is None and not all(len(edge.points_px) for edge in (first, second)):
         return None
     ends = [] if seen.ends_dark else [edge.end_px for edge in (first, second) if edge.ends]
@@ -263,7 +263,7 @@ def find_silhouette(
         std_px = float(np.hypot(std_px, FROM_ONE_END * point.excess_px))
     # Beyond a wrist that was taken for a shaft there are jaws at most.
     wrist_std = seen.wrist_std * (1.0 if point is None else min(1.0, 2.0 * point.missing))
-    # Of a stub most of either side may be the wrist's, in line with it.
+    # Of a short segment most of either side may be the wrist's, in line with it.
     on_shaft = [
         float((end_px - one.start_px) @ along) / max(float((one.end_px - one.start_px) @ along), 1e-9)
         for one in (first, second)

@@ -61,7 +61,7 @@ class Expected:
 class SeenMarker:
     """Where a view shows the tool's origin: pixel (2,), its noise in px, and what stays of its error.
 
-    `radius_px` is the radius of the whole, of which a fraction `hidden` is not to be seen.
+    `radius_px` is the radius of the whole, of which a fraction `hidden` is not visible.
     """
 
     name: str

@@ -94,7 +94,7 @@ def _first_places(views: Sequence[View], tool_m: Array | None, model: ShaftModel
                 yield first
                 continue
             T = T_left_view @ first
-            if tool_m is not None:  # disparity is nearer to the truth than the width of a stub
+            if tool_m is not None:  # disparity is more accurate than the width of a short segment
                 yield make_transform(T[:3, :3], tool_m - T[:3, :3] @ model.T_shaft_tool[:3, 3])
             yield np.asarray(T)
     if tool_m is not None and R_nominal is not None:
@@ -107,7 +107,7 @@ def _first_shafts(view: View, model: ShaftModel, R_nominal: Array | None) -> Ite
         yield _start_from_sides(view, model, R_nominal)
     marker = view.distal_marker
     if R_nominal is None:
-        yield Failure("no long enough part of a shaft is to be seen with both sides")
+        yield Failure("no long enough part of a shaft is visible with both sides")
     elif marker is None or marker.radius_px is None:
         yield Failure("neither both sides of the shaft nor a whole distal marker")
     else:
@@ -122,10 +122,10 @@ def _start_from_sides(view: View, model: ShaftModel, R_nominal: Array | None) ->
         return Failure("the shaft's sides are too close together")
     d = _turned_to_tip(axis.direction, view, R_nominal)
     if d is None:
-        return Failure("nothing tells the shaft's tip from its base")
+        return Failure("the shaft's tip cannot be told from its base")
     hinge_m = _along_axis(axis.point_m, d, view, model)
     if hinge_m is None:
-        return Failure("the shaft's end is not to be seen")
+        return Failure("the shaft's end is not visible")
     # Unknown, the wrist bends as one sees it: about the line of sight.
     y = cross(d, cross(hinge_m, d)) if R_nominal is None else cross(d, R_nominal[:, 0])
     y /= np.linalg.norm(y)

@@ -159,7 +159,7 @@ class ShaftModel(ShaftSizes):
         return cls(instrument, reach_m, q, T_base_shaft, T_shaft_tool, R_camera_shaft, axis, hinge_m)
 
     def wrist_shape(self, *, ends_dark: bool) -> WristShape:
-        """What is to be seen beyond the end of the outline, or of the dark part, with the wrist straight."""
+        """What is visible beyond the end of the outline, or of the dark part, with the wrist straight."""
         ahead_m = max(self.reach_m - (-self.neck_m if ends_dark else self.outline_end_m), 0.0)
         length_m = ahead_m + self.instrument.jaw_length_m
         return WristShape(ahead_m / length_m, length_m / (2.0 * self.radius_m))

@@ -1,4 +1,4 @@
-"""Evidence: how much each pixel speaks for an instrument, by the network that ships."""
+"""Evidence: each pixel's log-odds of being instrument, by the network that ships."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class Evidence:
 
     @cached_property
     def parts(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-        """Labels, shape (h, w), of what is likely instrument and hangs together, 0 for the rest, and their areas."""
+        """Labels, shape (h, w), of connected regions that are likely instrument, 0 for the rest, and their areas."""
         likely = np.asarray(((self.odds > 0.0) | (self.hidden > 0)) & (self.core > 0), np.uint8)
         likely = np.asarray(cv2.morphologyEx(likely, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
         _, labels, statistics, _ = cv2.connectedComponentsWithStats(likely)
@@ -137,26 +137,26 @@ def picture_of(bgr: Image, border_levels: float = BORDER_LEVELS) -> Image:
 
 
 DISTINCT_SHARE = 0.7
-"""Of the variance of warmth that is between the redder part and the rest, not within: less is one kind of tissue."""
-DISTINCT_WARMTH = 0.4
+"""Of the variance of redness that is between the redder part and the rest, not within: less is one kind of tissue."""
+DISTINCT_REDNESS = 0.4
 """How much redder the one must be than the other, as a logarithm: organ on a drape, not fat beside muscle."""
 
 
 def tissue_of(image: Evidence) -> Image:
     """Mask, shape (h, w), of what may be tissue; instruments are not yet taken out of it."""
-    warmth = image.colours[..., 0] + 0.5 * image.colours[..., 1]  # log(R/√(GB)): high in tissue, low in steel
-    values = warmth[image.core > 0]
+    redness = image.colours[..., 0] + 0.5 * image.colours[..., 1]  # log(R/√(GB)): high in tissue, low in steel
+    values = redness[image.core > 0]
     if not len(values):
         return image.picture
     low, high = np.percentile(values, (1, 99))
-    if high - low < DISTINCT_WARMTH:
+    if high - low < DISTINCT_REDNESS:
         return image.picture
-    levels = np.clip((warmth - low) * (255.0 / (high - low)), 0, 255).astype(np.uint8)
+    levels = np.clip((redness - low) * (255.0 / (high - low)), 0, 255).astype(np.uint8)
     inside = levels[image.core > 0]
     threshold, _ = cv2.threshold(inside, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
     red, rest = inside[inside > threshold], inside[inside <= threshold]
     share, apart = len(red) / len(inside), float(red.mean() - rest.mean())
     between = share * (1.0 - share) * apart**2 / float(inside.var())
-    if between < DISTINCT_SHARE or apart * (high - low) / 255.0 < DISTINCT_WARMTH:
+    if between < DISTINCT_SHARE or apart * (high - low) / 255.0 < DISTINCT_REDNESS:
         return image.picture
     return np.asarray(np.where(levels > threshold, image.picture, 0), np.uint8)

@@ -1,4 +1,4 @@
-"""Segmentation without colours from the user: shafts whose outlines evidence bears out, and what belongs to each."""
+"""Segmentation without colours from the user: shafts whose outlines the evidence supports, and their instance masks."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ class SeenInstrument:
     along the axis, infinite where the shaft goes on to the border, and `ends_dark` says that it is the end of a part
     and not of the outline: the other one of both, `other_px` further along, has a probability of `other_share`. It
     `shows_shaft` where what comes in is not a wrist already, and where it may be one, the shaft's width is off by
-    `wrist_std` over it. It `touches_another` where what hangs together with it comes in elsewhere, too. `knows_tip` is
+    `wrist_std` over it. It `touches_another` where what is connected with it comes in elsewhere, too. `knows_tip` is
     False where the tip may be at either end.
     """
 
@@ -217,7 +217,7 @@ def _may_be_wrist(outline: Outline, entering: float) -> float:
 
 
 def _comes_in_elsewhere(outline: Outline, mask: Mask, evidence: Evidence) -> bool:
-    """Whether what hangs together with an instrument comes in at another place, too: another one touches it."""
+    """Whether what is connected with an instrument comes in at another place, too: another one touches it."""
     parts, _ = evidence.parts
     own = np.bincount(parts[mask & (parts > 0)], minlength=1)
     beside = np.zeros_like(evidence.core)
