@@ -48,12 +48,12 @@ COLUMNS = {
 """Of the table, each a line of the page of real images: its set, method and reference."""
 
 
-def own_end(sizes: ShaftSizes, shaft: ShaftDetection, stated_std_m: float) -> tuple[float, float]:
+def own_end(sizes: ShaftSizes, shaft: ShaftDetection, default_std_m: float) -> tuple[float, float]:
     """A shaft's end as if it were surely what it seems, of the dark part or of the outline."""
     assert shaft.rim is not None
     if shaft.rim.is_outline:
         return sizes.outline_end_m, sizes.outline_end_std_m
-    return -sizes.neck_m, sizes.neck_std_m(stated_std_m)
+    return -sizes.neck_m, sizes.neck_std_m(default_std_m)
 
 
 def nothing_unlike(_: Any, flanks: Any, __: Any) -> Any:

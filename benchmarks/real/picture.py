@@ -1,7 +1,7 @@
 """The README's picture of a real instrument: `uv run python -m benchmarks.real.picture FOLDER [--out DIR]`.
 
 FOLDER holds the set ReCoDE, as for `python -m benchmarks.real`. One image with its clearance stands beside the
-clearances of all. Their interval is wide: the plane is stated, not measured.
+clearances of all. Their interval is wide: the plane is the profile's, not measured.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ def _camera_and_hinges(root: Path) -> tuple[Array, Array, str]:
 
 
 def log_with_joints(folder: Path, out: Path) -> tuple[Path, Path]:
-    """The log of images and joints, and its profile with the fitted hand-eye and the stated plane."""
+    """The log of images and joints, and its profile with the fitted hand-eye and the profile's plane."""
     root = folder / SET
     _, hinges_m, numbers = _camera_and_hinges(root)
     out.mkdir(parents=True, exist_ok=True)
@@ -89,7 +89,7 @@ def log_with_joints(folder: Path, out: Path) -> tuple[Path, Path]:
 
 
 def fit_hand_eye(base_m: Array, camera_m: Array, profile: Path) -> None:
-    """Puts the transform of even places, with its covariance, and the stated plane, into a profile."""
+    """Puts the transform of even places, with its covariance, and the profile's plane, into a profile."""
     T = common.robust_fit(camera_m[::2], base_m[::2])
     J = np.concatenate([np.hstack([np.eye(3), -skew(T[:3, :3] @ b)]) for b in base_m[::2]])
     covariance = REFERENCE_STD_M**2 * np.linalg.inv(J.T @ J)

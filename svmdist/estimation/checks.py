@@ -56,7 +56,7 @@ MARKER_STD = 0.42  # of a disc's visible middle, over its radius: one half may b
 SIDES_STD_RAD = 0.01  # of the plane between the shaft's sides: one of them may be a shadow's
 OUTLINE_STD = 0.06  # logarithm of the size of a tissue's outline: what hides it is completed
 JAW_STD_M = 1e-3  # of a jaw's length in the image: its tip is round, the mask's edge a pixel or two off
-JAW_STEP_M, JAW_REACH = 2.5e-4, 3.0  # along a jaw, and over its stated length
+JAW_STEP_M, JAW_REACH = 2.5e-4, 3.0  # along a jaw, and over its length in the profile
 MAX_TURN_STD_RAD = 0.3  # beyond, a pose does not tell where jaws point to
 MOTION_STD_M = 2e-3  # of a nominal motion between two frames: backlash, and stamps of joints
 MOTION_SHARE = 0.05  # of the motion itself: offsets of joints
@@ -238,8 +238,8 @@ def _of_surface(scene: Scene) -> Iterator[Difference]:
     tissue, profile = scene.tissue, scene.profile
     if surface is None or tissue is None or tissue.pose is None or right is None or profile.tissue is None:
         return
-    pose, stated, points_m = tissue.pose, profile.tissue, surface.points_m
-    normal, by_shape, of_shape = np.array(stated.plane_normal), np.zeros((len(points_m), 0)), np.zeros((0, 0))
+    pose, prior, points_m = tissue.pose, profile.tissue, surface.points_m
+    normal, by_shape, of_shape = np.array(prior.plane_normal), np.zeros((len(points_m), 0)), np.zeros((0, 0))
     if pose.dome is not None:
         above = pose.dome.above(points_m)
         points_m, over_m = points_m[above.inner], above.over_m
@@ -248,7 +248,7 @@ def _of_surface(scene: Scene) -> Iterator[Difference]:
         points_m = points_m[:: max(1, len(points_m) // POINTS)]
         over_m, by_shape = signed_distances(points_m, pose.surface)[1], np.zeros((len(points_m), 0))
     else:
-        over_m = points_m @ normal + stated.plane_distance_m
+        over_m = points_m @ normal + prior.plane_distance_m
     if len(points_m) < POINTS:
         return
     middle_m = np.mean(points_m, 0)
@@ -259,12 +259,12 @@ def _of_surface(scene: Scene) -> Iterator[Difference]:
     moved = P @ by_shape
     of_fit = np.sqrt(np.diag(moved @ of_shape @ moved.T))  # what is uncertain of a dome's shape
     of_cameras = depth_biases(middle_m, scene.observation.camera, right, Deviations.of(profile))
-    biases_m = [np.linalg.norm(one.jacobian) for one in (*height_biases(stated, middle_m), *of_cameras)]
+    biases_m = [np.linalg.norm(one.jacobian) for one in (*height_biases(prior, middle_m), *of_cameras)]
     std_m = float(np.linalg.norm([*biases_m, of_fit[2], own_m]))
     yield Difference(HEIGHT, (TISSUE, DISPARITY), float(fit[2]), std_m, "m")
     reach_m = float(np.sqrt(np.linalg.eigvalsh(np.cov(across_m.T))[0]))  # of its shorter side
     turned_rad = profile.camera_error.right_rotation_std_rad
-    std_rad = float(np.linalg.norm([stated.plane_tilt_std_rad, own_m / reach_m, turned_rad, *of_fit[:2]]))
+    std_rad = float(np.linalg.norm([prior.plane_tilt_std_rad, own_m / reach_m, turned_rad, *of_fit[:2]]))
     yield Difference(TILT, (TISSUE, DISPARITY), float(np.arctan(np.linalg.norm(fit[:2]))), std_rad, "rad")
     rest = by_shape - B @ moved
     shape_m = float(np.sqrt(own_m**2 + np.mean(np.einsum("ni,ij,nj->n", rest, of_shape, rest))))

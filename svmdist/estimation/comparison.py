@@ -25,7 +25,7 @@ CAMERAS, PROFILE, LATER = "the stated cameras", "the profile", "later camera_inf
 HEIGHT, TILT, SHAPE = "height of the tissue", "tilt of the tissue", "shape of the tissue"
 MOTION = "motion of the tool"
 ROWS = "rows of both views"
-OTHER_SHAPE_DEVIATIONS = 1.0  # of tilt or shape, beyond which a seen surface is better than a stated one
+OTHER_SHAPE_DEVIATIONS = 1.0  # of tilt or shape, beyond which a seen surface is better than the profile's
 BORDER_M = 0.02  # of an organ, from its middle
 MISTAKES = {
     KINEMATICS: (
@@ -152,7 +152,7 @@ class Checks:
 
     @property
     def bends_rows(self) -> bool:
-        """Whether rows of both views bend more than the stated cameras can."""
+        """Whether rows of both views bend more than the calibration allows."""
         return any(one.usual.what == ROWS for one in self.contradictions)
 
     def contradiction(self, method: str) -> str:
@@ -168,7 +168,7 @@ class Checks:
 
     @property
     def tissue_shape_off_m(self) -> float:
-        """By how much its shape is another one at its border, tilt and all; 0 where it is as stated."""
+        """By how much its shape is another one at its border, tilt and all; 0 where it is the profile's."""
         tilt, shape = self._usual(TILT), self._usual(SHAPE)
         if tilt is None or shape is None or max(tilt.deviations, shape.deviations) < OTHER_SHAPE_DEVIATIONS:
             return 0.0

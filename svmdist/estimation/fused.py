@@ -41,7 +41,7 @@ class FusedEstimator:
         profile = arm.profile
         self._arm, self._chain = arm, arm.required_chain
         # That of a frame's arm may be widened by what checks say.
-        self._stated_tissue = require_tissue(profile)
+        self._profile_tissue = require_tissue(profile)
         self._tissue_tracker = TissueTracker(profile.settings.tissue)
         self._filter = KinematicErrorFilter(self._chain, profile.kinematic_error, profile.settings.filter)
         self._has_sizes = profile.segmentation.shaft is not None and profile.instrument is not None
@@ -70,7 +70,7 @@ class FusedEstimator:
             shown = []
         gating = kalman.update([*shown, *by_tag])
         said = self._watch(frame, gating)
-        height = None if tissue is None else measure_height(self._stated_tissue, tissue, frame, kalman)
+        height = None if tissue is None else measure_height(self._profile_tissue, tissue, frame, kalman)
 
         # The tool with the error found, and the distances from there.
         region, consistency = frame.left.region, kalman.consistency
@@ -87,7 +87,7 @@ class FusedEstimator:
         if tissue is None:
             result = with_tool(result, frame, tool)
             return result.rejected(Status.NO_TISSUE, "no tissue, in this frame or before")
-        placed, cross_covariance = at_height(self._stated_tissue, tissue, frame, kalman)
+        placed, cross_covariance = at_height(self._profile_tissue, tissue, frame, kalman)
         found = measured(result, frame, tool, placed, cross_covariance)
         said = said or consistency.contradiction if found.status in (Status.OK, Status.INCONSISTENT) else ""
         return found.rejected(Status.INCONSISTENT, said) if said else found

@@ -36,7 +36,7 @@ class Quadratic(StrictModel):
 
 
 PUBLISHED_X = Quadratic(quadratic_per_cm=-0.0036, linear=0.7938, constant_cm=-0.0403)
-"""eq. (5), and (23). Its slope near S = 0 fits the authors' camera; units are unstated, cm is assumed."""
+"""eq. (5), and (23). Its slope near S = 0 fits the authors' camera; units are not given, cm is assumed."""
 PUBLISHED_Y = Quadratic(quadratic_per_cm=-0.0068, linear=0.0395, constant_cm=-0.4439)
 """eq. (6), and (24). Not monotone over the screen: with corrected S it turns around at row 114."""
 

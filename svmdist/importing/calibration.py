@@ -54,7 +54,7 @@ Crop = tuple[int, int, int, int] | None
 
 
 @dataclass(frozen=True)
-class StatedCamera:
+class GivenCamera:
     """One camera as a file or a command line gives it: K (3, 3), D, R (3, 3) and P (3, 4) as ROS has them."""
 
     K: Array
@@ -79,7 +79,7 @@ class CalibrationOptions:
     size_px: Size = None
 
 
-def stated_cameras(options: CalibrationOptions, view_count: int) -> tuple[StatedCamera, ...]:
+def given_cameras(options: CalibrationOptions, view_count: int) -> tuple[GivenCamera, ...]:
     """The cameras of one view or two, as given; raises UsageError and SourceError."""
     (left_file, right_file), (left_K, right_K) = options.files, options.intrinsics
     if left_file is not None and left_K is not None:
@@ -96,7 +96,7 @@ def stated_cameras(options: CalibrationOptions, view_count: int) -> tuple[Stated
         D = np.array(options.distortion, np.float64)
         with restated(ValueError, UsageError, "--distortion: "):
             model = _model_of(options.distortion_model, D.size)
-        found = tuple(StatedCamera(_intrinsic_matrix(*K), D, model) for K in (left_K, right_K or left_K)[:view_count])
+        found = tuple(GivenCamera(_intrinsic_matrix(*K), D, model) for K in (left_K, right_K or left_K)[:view_count])
     else:
         raise UsageError("a camera needs a calibration: --calibration FILE, or --camera FX,FY,CX,CY")
     if view_count == 1 or (options.baseline_m is None and len(found) > 1):
@@ -115,7 +115,7 @@ def stated_cameras(options: CalibrationOptions, view_count: int) -> tuple[Stated
 
 
 def complete(
-    stated: Sequence[StatedCamera],
+    given: Sequence[GivenCamera],
     sizes_px: Sequence[tuple[int, int]],
     frames: Sequence[str],
     calibrated_px: Size = None,
@@ -128,12 +128,12 @@ def complete(
     of no camera or pair.
     """
     cameras = []
-    is_one = np.array_equal(stated[0].K, stated[-1].K) and (stated[0].size_px or calibrated_px) is None
+    is_one = np.array_equal(given[0].K, given[-1].K) and (given[0].size_px or calibrated_px) is None
     if is_one and len(set(sizes_px)) > 1:  # of one size a camera's pixels are known, of another one not
         sizes = " and ".join("{}x{}".format(*size_px) for size_px in sizes_px)
         remedy = "give the right one's own, by --right-calibration or --right-camera"
         raise SourceError(f"views of {sizes} px, and one camera for both: {remedy}")
-    for camera, size_px, frame_id in zip(stated, sizes_px, frames, strict=True):
+    for camera, size_px, frame_id in zip(given, sizes_px, frames, strict=True):
         to_image = _scaling(camera, size_px, calibrated_px)
         K, of = to_image @ camera.K, "the images of {}x{} px".format(*size_px)
         if min(K[0, 0], K[1, 1]) < LEAST_FOCAL_PX:
@@ -173,19 +173,19 @@ def complete(
     return cameras
 
 
-def _scaling(camera: StatedCamera, size_px: tuple[int, int], calibrated_px: Size) -> Array:
+def _scaling(camera: GivenCamera, size_px: tuple[int, int], calibrated_px: Size) -> Array:
     """What takes pixels of the images that were calibrated to pixels of images of a size, shape (3, 3)."""
-    (width_px, height_px), stated_px = size_px, camera.size_px or calibrated_px or size_px
-    of = f"the calibration is for {stated_px[0]}x{stated_px[1]} px"
-    if calibrated_px is not None and calibrated_px != stated_px:
+    (width_px, height_px), file_px = size_px, camera.size_px or calibrated_px or size_px
+    of = f"the calibration is for {file_px[0]}x{file_px[1]} px"
+    if calibrated_px is not None and calibrated_px != file_px:
         raise SourceError(f"{of}, not for {calibrated_px[0]}x{calibrated_px[1]} px, as --calibrated-at says")
     images = f"{width_px}x{height_px} px"
-    if calibrated_px is None and stated_px != size_px:
-        option = f"--calibrated-at {stated_px[0]}x{stated_px[1]} if they were scaled, and nothing else"
+    if calibrated_px is None and file_px != size_px:
+        option = f"--calibrated-at {file_px[0]}x{file_px[1]} if they were scaled, and nothing else"
         raise SourceError(f"{of}, the images have {images}: calibrate at the size of the images, or say {option}")
-    if abs(width_px * stated_px[1] - height_px * stated_px[0]) > max(stated_px):  # a pixel more or less
+    if abs(width_px * file_px[1] - height_px * file_px[0]) > max(file_px):  # a pixel more or less
         raise SourceError(f"{of}, the images of {images} have another aspect: they were not only scaled")
-    x, y = width_px / stated_px[0], height_px / stated_px[1]
+    x, y = width_px / file_px[0], height_px / file_px[1]
     return np.array([[x, 0.0, (x - 1.0) / 2.0], [0.0, y, (y - 1.0) / 2.0], [0.0, 0.0, 1.0]])
 
 
@@ -204,7 +204,7 @@ _Loader.add_multi_constructor(
 )
 
 
-def read_calibration(path: Path, unit_m: float = 1.0) -> tuple[StatedCamera, ...]:
+def read_calibration(path: Path, unit_m: float = 1.0) -> tuple[GivenCamera, ...]:
     """The cameras in OpenCV's XML or the first document of a YAML file: one, or the left and the right one of a pair.
 
     `unit_m` is the unit of its lengths. Raises SourceError in one line for a file of another form.
@@ -244,7 +244,7 @@ def _xml_document(text: str) -> Any:
     return {element.tag: value_of(element) for element in ElementTree.fromstring(text.strip())}
 
 
-def _cameras_in(document: Document, unit_m: float) -> tuple[StatedCamera, ...]:
+def _cameras_in(document: Document, unit_m: float) -> tuple[GivenCamera, ...]:
     if "cam0" in document:
         return _kalibr(document, unit_m)
     size = [_numbers(document, keys, None) for keys in (WIDTH_KEYS, HEIGHT_KEYS)]
@@ -269,17 +269,17 @@ def _cameras_in(document: Document, unit_m: float) -> tuple[StatedCamera, ...]:
     return (replace(camera, R=R, P=P, name=str(document.get("camera_name", ""))),)
 
 
-def exchanged_names(stated: Sequence[StatedCamera]) -> str:
+def exchanged_names(given: Sequence[GivenCamera]) -> str:
     """That the cameras of two views are named as those of the other view, in words; else ""."""
     wrong = [
         f"the camera of the {side} view is named {camera.name}"
-        for side, other, camera in zip(("left", "right"), ("right", "left"), stated, strict=False)
+        for side, other, camera in zip(("left", "right"), ("right", "left"), given, strict=False)
         if other in camera.name.lower() and side not in camera.name.lower()
     ]
-    return f"{' and '.join(wrong)}: exchange the calibrations" if len(stated) == 2 and wrong else ""
+    return f"{' and '.join(wrong)}: exchange the given" if len(given) == 2 and wrong else ""
 
 
-def _kalibr(document: Document, unit_m: float) -> tuple[StatedCamera, ...]:
+def _kalibr(document: Document, unit_m: float) -> tuple[GivenCamera, ...]:
     cameras = []
     for name in ("cam0", "cam1") if document.get("cam1") is not None else ("cam0",):
         entry = document[name]
@@ -302,7 +302,7 @@ def _kalibr(document: Document, unit_m: float) -> tuple[StatedCamera, ...]:
     return _rectified(cameras[0], cameras[1], T_cam1_cam0[:3, :3], T_cam1_cam0[:3, 3] * unit_m)
 
 
-def _camera(document: Document, K_keys: Keys, D_keys: Keys, model: str, size_px: Size) -> StatedCamera:
+def _camera(document: Document, K_keys: Keys, D_keys: Keys, model: str, size_px: Size) -> GivenCamera:
     K, D = _numbers(document, K_keys, (3, 3)), _numbers(document, D_keys, None)
     if D is None:
         others = [str(key) for key, value in document.items() if isinstance(value, list | dict)]
@@ -314,10 +314,10 @@ def _camera(document: Document, K_keys: Keys, D_keys: Keys, model: str, size_px:
         raise ValueError(f"the camera is not calibrated: {found}")
     if not np.allclose(K[2], [0.0, 0.0, 1.0]):
         raise ValueError(f"expected 0 0 1 in the last row of K, found {K[2]}: transpose a matrix of MATLAB")
-    return StatedCamera(K, D, _model_of("" if model == "pinhole" else model, D.size), size_px)
+    return GivenCamera(K, D, _model_of("" if model == "pinhole" else model, D.size), size_px)
 
 
-def _rectified(left: StatedCamera, right: StatedCamera, R_right_left: Array, t_m: Array) -> tuple[StatedCamera, ...]:
+def _rectified(left: GivenCamera, right: GivenCamera, R_right_left: Array, t_m: Array) -> tuple[GivenCamera, ...]:
     """A pair with the R and P that make its views parallel, where p_right = R_right_left p_left + t_m."""
     import cv2
 

@@ -1,7 +1,7 @@
-"""What a log states of its cameras, and a profile of instrument, tag and plane, against what is there and is seen.
+"""Nominal parameters, the cameras' in a log and the instrument's, tag's and plane's in a profile, against true ones.
 
-Stated is true, times or plus the strength. Profiles are changed in both directions: what is stated of a world, and the
-world that is built for a stated profile.
+Nominal is true, times or plus the strength. Profiles are changed in both directions: the nominal one of a world, and
+the world that is built for a nominal profile.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ TURN_DEG_PER_MM = 4.0
 Model = TypeVar("Model", bound=StrictModel)
 
 
-def stated_camera(camera: Camera, perturbations: Perturbations, *, right: bool = False) -> Camera:
-    """A camera as a log states it: the right one of a pair with its baseline in P, which of others stays."""
+def nominal_camera(camera: Camera, perturbations: Perturbations, *, right: bool = False) -> Camera:
+    """A camera as a log has it: the right one of a pair with its baseline in P, which of others stays."""
     P = camera.P
     if perturbations.has("focal", "principal_point"):
         scale, shift_px = 1.0 + 1e-2 * perturbations["focal"], perturbations["principal_point"]
@@ -44,7 +44,7 @@ def stated_camera(camera: Camera, perturbations: Perturbations, *, right: bool =
 
 
 def right_turn(perturbations: Perturbations) -> Array:
-    """The unstated rotation of the right camera in its own axes, shape (3, 3).
+    """The unmodelled rotation of the right camera in its own axes, shape (3, 3).
 
     A log states that its pair is rectified: the pair is not, and no method would accept one that says so.
     """
@@ -91,13 +91,13 @@ def perturbed_right_view(right: RightView, perturbations: Perturbations) -> Righ
     return replace(right, image_bgr=perturbed_image(image_bgr, perturbations))
 
 
-def stated_profile(profile: Profile, perturbations: Perturbations, seed: int) -> Profile:
-    """What is stated of a world that is as the profile has it."""
+def nominal_profile(profile: Profile, perturbations: Perturbations, seed: int) -> Profile:
+    """The nominal profile of a world that is as this one has it."""
     return _changed(profile, perturbations, seed, 1)
 
 
 def built_profile(profile: Profile, perturbations: Perturbations, seed: int) -> Profile:
-    """The world of which the profile is stated: `stated_profile` of it is the profile again."""
+    """The world of which the profile is nominal: `nominal_profile` of it is the profile again."""
     built = _changed(profile, perturbations, seed, -1)
     if built.simulation is None or not perturbations.has("plane"):
         return built
@@ -106,12 +106,12 @@ def built_profile(profile: Profile, perturbations: Perturbations, seed: int) -> 
 
 
 def plane_tilt(perturbations: Perturbations, seed: int) -> Array:
-    """The rotation from the true to the stated normal of the plane, in the camera's axes, shape (3, 3)."""
+    """The rotation from the true to the nominal normal of the plane, in the camera's axes, shape (3, 3)."""
     return rotation_of(np.array([*direction(seed, "plane_tilt", 2), 0.0]) * np.deg2rad(perturbations["plane_tilt"]))
 
 
 def _changed(profile: Profile, perturbations: Perturbations, seed: int, sign: int) -> Profile:
-    """Change what is stated (`sign` 1) or what is built (-1)."""
+    """Change the nominal profile (`sign` 1) or the world (-1)."""
 
     def scaled(length_m: float, name: str) -> float:
         return float(length_m * (1.0 + 1e-2 * perturbations[name]) ** sign)
@@ -144,8 +144,8 @@ def _changed(profile: Profile, perturbations: Perturbations, seed: int, sign: in
         distance_m = tissue.plane_distance_m + sign * 1e-3 * perturbations["plane"]
         if distance_m <= 0.0:
             raise UsageError(f"perturbation plane: the plane would be {-1e3 * distance_m:g} mm behind the camera")
-        R_stated = plane_tilt(perturbations, seed)
-        normal = (R_stated if sign > 0 else R_stated.T) @ tissue.plane_normal
+        R_nominal = plane_tilt(perturbations, seed)
+        normal = (R_nominal if sign > 0 else R_nominal.T) @ tissue.plane_normal
         plane_normal = tuple((normal / np.linalg.norm(normal)).tolist())
         tissue = _with(tissue, plane_distance_m=distance_m, plane_normal=plane_normal)
     others = tuple(_with(other, **tool(other)) for other in profile.other_instruments)

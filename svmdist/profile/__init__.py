@@ -194,9 +194,9 @@ class Profile(StrictModel):
         for name in dict.fromkeys(self.instrument_names):
             frames, found = self.for_instrument(name).frames, file.of(name)
             for what in ("camera", "base") if found is not None else ():
-                fitted, stated = getattr(found, what), getattr(frames, what)
-                if fitted != stated:
-                    needed = f"[frames] {what} is {stated}: fit it anew"
+                fitted, own = getattr(found, what), getattr(frames, what)
+                if fitted != own:
+                    needed = f"[frames] {what} is {own}: fit it anew"
                     raise ValueError(f"hand_eye: it is for {what} {fitted} of {name}; {needed}")
 
     def _require_instruments_that_differ(self) -> None:

@@ -127,7 +127,7 @@ class HandEyeError(KinematicError):
     hand_eye: HandEye
 
 
-def stated_deviations(profile: Profile) -> dict[str, float]:
+def prior_deviations(profile: Profile) -> dict[str, float]:
     """Standard deviations of all calibration parameters by name: in m, rad, s, px, or fractions of themselves."""
     camera, kinematic = profile.camera_error, profile.kinematic_error
     found = {
@@ -152,7 +152,7 @@ def with_hand_eye(profile: Profile) -> Profile:
     """The profile with its instrument's hand-eye covariance in place of the transform's; the same without one."""
     if (found := profile.camera_to_base) is None:
         return profile
-    found = found.with_deviations(stated_deviations(profile))
+    found = found.with_deviations(prior_deviations(profile))
     rotation_var = float(np.linalg.eigvalsh(np.array(found.covariance)[3:, 3:])[-1])
     std_rad = float(np.sqrt(max(rotation_var, 0.0)))
     values = profile.kinematic_error.model_dump() | {"camera_base_std_rad": std_rad, "hand_eye": found}

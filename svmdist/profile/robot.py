@@ -130,10 +130,10 @@ class Instrument(StrictModel):
     shaft_radius_std_fraction: Fraction = 0.02  # of the radius itself
     shaft_length_m: Length
     shaft_end_m: SmallLength | None = None  # from the wrist's hinge back; None: 2.2 radii of the wrist
-    shaft_end_std_m: NonNegative | None = None  # None: half of a length that is not stated, else 0.2 mm
+    shaft_end_std_m: NonNegative | None = None  # None: half of a length that is not given, else 0.2 mm
     outline_end_m: float | None = Field(default=None, gt=-0.1, lt=0.1)
     """From the wrist's hinge on to where the outline is narrower than the shaft; None: anywhere that a clevis ends."""
-    outline_end_std_m: NonNegative | None = None  # None: a quarter of the radius; if not stated, its range
+    outline_end_std_m: NonNegative | None = None  # None: a quarter of the radius; if not given, its range
     wrist_radius_m: SmallLength
     knuckle_radius_m: SmallLength
     knuckle_radius_std_fraction: Fraction = 0.03  # of the distal marker's radius itself

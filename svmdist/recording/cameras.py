@@ -12,7 +12,7 @@ import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.perturbations import Perturbations
-from svmdist.perturbations.calibration import stated_camera
+from svmdist.perturbations.calibration import nominal_camera
 from svmdist.transforms import Array
 
 ROUNDING = 1e-6  # relative, and in px: calibrations that differ by no more are one
@@ -81,15 +81,15 @@ class CameraTrack:
         return [CameraChange(topic, before, after, self.runs[0].first_ns) for before, after in pairs]
 
 
-def cameras_at(left: CameraTrack, right: CameraTrack | None, stated: Perturbations) -> Callable[[int], Cameras]:
-    """The cameras that hold at a stamp, so far as their tracks are known, as a perturbed world states them."""
+def cameras_at(left: CameraTrack, right: CameraTrack | None, perturbations: Perturbations) -> Callable[[int], Cameras]:
+    """The cameras that hold at a stamp, so far as their tracks are known, perturbed."""
 
     @cache
     def held(left_run: int, right_run: int) -> Cameras:
-        camera = stated_camera(left.runs[left_run].camera, stated)
+        camera = nominal_camera(left.runs[left_run].camera, perturbations)
         if right is None:
             return Cameras(camera)
-        other = stated_camera(right.runs[right_run].camera, stated, right=True)
+        other = nominal_camera(right.runs[right_run].camera, perturbations, right=True)
         T_left_right = stereo_transform(camera, other)
         return Cameras(camera, None if T_left_right is None else (other, T_left_right))
 

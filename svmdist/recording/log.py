@@ -18,7 +18,7 @@ from svmdist.errors import RecordingError, did_you_mean
 from svmdist.files import files_of, open_regular, reading
 from svmdist.kinematics import DHChain, chain_of
 from svmdist.perturbations import Perturbations
-from svmdist.perturbations.calibration import stated_camera
+from svmdist.perturbations.calibration import nominal_camera
 from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Profile
 from svmdist.recording import observations as obs
@@ -191,7 +191,7 @@ class Recording:
     @cached_property
     def camera(self) -> Camera:
         """The first calibration, as a perturbed world states it; images have each their own. RecordingError."""
-        return stated_camera(self.logged_camera, self.world.perturbations)
+        return nominal_camera(self.logged_camera, self.world.perturbations)
 
     @cached_property
     def logged_camera(self) -> Camera:
@@ -213,7 +213,7 @@ class Recording:
         if topic is None or topic == self.topic_of(Role.CAMERA_INFO):
             return None
         runs = self.file.camera_track(topic).runs
-        return stated_camera(runs[0].camera, self.world.perturbations, right=True) if runs else None
+        return nominal_camera(runs[0].camera, self.world.perturbations, right=True) if runs else None
 
     @property
     def remarks(self) -> list[str]:

@@ -85,7 +85,7 @@ def distance_curves(
 
 
 def error_curves(seconds: Array, error_mm: Array, half_mm: Array) -> list[Curve]:
-    """The stated interval about zero, and errors over time, shape (n,) each."""
+    """The reported interval about zero, and errors over time, shape (n,) each."""
     seconds, error_mm, half_mm = with_breaks(seconds, error_mm, half_mm)
     return [*_interval(seconds, np.zeros(len(seconds)), half_mm), Curve("line", "error", "error", seconds, error_mm)]
 
@@ -135,7 +135,7 @@ def distance_over_time(series: Series) -> Chart:
 
 
 def error_over_time(series: Series) -> Chart:
-    """Estimate less truth, with the stated interval about zero."""
+    """Estimate less truth, with the reported interval about zero."""
     error_mm = series.error_m * 1e3
     known = error_mm[np.isfinite(error_mm)]
     text = f"RMSE {np.sqrt(np.mean(known**2)):.2f} mm, largest error {np.abs(known).max():.2f} mm."

@@ -165,14 +165,14 @@ def make_scene(profile: Profile, seed: int, options: Options = PLAIN) -> Scene:
     tissue_m = [*place.uniform(-TISSUE_SHIFT_M, TISSUE_SHIFT_M, 2), 0.0]
     view = settings.width_px, settings.height_px, settings.horizontal_fov_rad
     camera = zoomed_camera(Camera.from_horizontal_fov(*view, profile.frames.camera), perturbations["zoom"])
-    stated = distortion_coefficients(perturbations["lens"])
-    # In these axes the floor's normal is the stated one, turned back; the floor's origin is on the optical axis.
+    D = distortion_coefficients(perturbations["lens"])
+    # In these axes the floor's normal is the nominal one, rotated back; the floor's origin is on the optical axis.
     R = R_WORLD_CAMERA @ plane_tilt(perturbations, seed)
     parts = make_parts(profile.instrument, chain, perturbations)
     return Scene(
         chain=chain,
         posture=np.array([settings.posture[name] for name in chain.joint_names]),
-        camera=replace(camera, D=stated) if stated.any() else camera,
+        camera=replace(camera, D=D) if D.any() else camera,
         T_world_base=make_transform(rotation_z(settings.base_yaw_rad), settings.base_position_m),
         T_world_camera=make_transform(R, settings.camera_height_m / R[2, 2] * R[:, 2]),
         T_world_tissue=make_transform(R_world_tissue, tissue_m),

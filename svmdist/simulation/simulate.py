@@ -11,7 +11,7 @@ import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
 from svmdist.perturbations import Place
-from svmdist.perturbations.calibration import stated_camera, zoomed_camera
+from svmdist.perturbations.calibration import nominal_camera, zoomed_camera
 from svmdist.samples import CameraSample, DistanceSample, Image, ImageSample, Sample, TransformSample, TransformsSample
 from svmdist.simulation.clearance import InstrumentClearance, TissueClearance
 from svmdist.simulation.plan import Plan, SceneState
@@ -89,7 +89,7 @@ class Simulator(ExitStack):
         for index in block:
             stamp_ns = int(plan.stamps_ns[index])
             if plan.with_camera_info[index]:
-                left, right = self._stated_cameras
+                left, right = self._nominal_cameras
                 yield plan.topics["camera_info"], CameraSample(stamp_ns, left)
                 if plan.options.stereo:
                     yield plan.topics["right_camera_info"], CameraSample(stamp_ns, right)
@@ -102,11 +102,11 @@ class Simulator(ExitStack):
                 yield from self._images(stamp_ns, index, noise)
 
     @cached_property
-    def _stated_cameras(self) -> tuple[Camera, Camera]:
+    def _nominal_cameras(self) -> tuple[Camera, Camera]:
         scene, perturbations = self._plan.scene, self._plan.options.perturbations
-        as_stated = 1.0 / perturbations["zoom"]  # which the log does not state
-        left, right = (zoomed_camera(each, as_stated) for each in (scene.camera, scene.right_camera))
-        return stated_camera(left, perturbations), stated_camera(right, perturbations, right=True)
+        unzoomed = 1.0 / perturbations["zoom"]  # which the log does not report
+        left, right = (zoomed_camera(each, unzoomed) for each in (scene.camera, scene.right_camera))
+        return nominal_camera(left, perturbations), nominal_camera(right, perturbations, right=True)
 
     def _truth(self, stamp_ns: int, index: int) -> Iterator[tuple[str, Sample]]:
         """Yield the poses of tools and tissue, and their distances."""
@@ -135,7 +135,7 @@ class Simulator(ExitStack):
         if plan.options.stereo:
             T_camera_right: Array | None = scene.T_camera_right
             if plan.options.perturbations.changes(Place.CALIBRATION):
-                T_camera_right = stereo_transform(*self._stated_cameras)
+                T_camera_right = stereo_transform(*self._nominal_cameras)
             assert T_camera_right is not None  # the baseline is not 0
             right = [TransformSample(stamp_ns, scene.camera.frame_id, scene.right_camera.frame_id, T_camera_right)]
         return TransformsSample(stamp_ns, (*first, *right, *(sample for other in others for sample in other)))

@@ -41,12 +41,12 @@ LEVELLING_SHARE = 0.025  # half of the window for contrast over the width
 FLAT_LEVELS = 3.0  # contrast of mere noise
 BRIGHTNESS_SHARE = 0.01
 """How smoothly the views' brightness may differ, over the width: with the camera, light and gloss of wet tissue move.
-What changes no faster than that says nothing about disparity; else it is off by twice the stated deviation."""
+What changes no faster than that says nothing about disparity; else it is off by twice the standard deviation."""
 STEPS = 3
 LEAST_LEVELS = 0.25  # noise of 8 bits, and its square
 ROW_STRIDE = 4
 MATCH_INFORMATION, MATCH_SHARE = (0.02, 1.0), 0.3
-"""Of a cell's matches, in 1/px²: bounds, and as a share of what its pixels tell. Both see the same texture."""
+"""Of a cell's matches, in 1/px²: bounds, and as a share of its pixels' information. Both see the same texture."""
 STD_FACTOR, LEAST_STD_PX = 1.5, 0.06  # between deviations so found and errors on warped views; what all share
 FILLED_FACTOR = 2.0  # the same where nothing matched, at rims and below instruments, beside that
 MAX_OFF_PX = 1.5  # of matches from the fit, beside two of its deviations

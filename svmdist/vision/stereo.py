@@ -25,7 +25,7 @@ MAX_TURN = 0.7  # the same beyond which it is no such pair: turned by 45 degrees
 class RowAlignment:
     """By how many px the right view's rows lie below the left one's at the principal point, and the change per px.
 
-    `slope` is that along x and along y. What bends rows so is a lens, or a turn, that is not as stated.
+    `slope` is that along x and along y. What bends rows so is a lens, or a rotation, other than the calibration's.
     """
 
     offset_px: float = 0.0

@@ -207,7 +207,7 @@ def _fit(
     # The effect of each calibration parameter on the fit, for estimators that use it; without exact ones.
     counts = dict.fromkeys(shared_names, 1) | {name: errors.shape[2] for name, errors in camera.items()}
     names = [name for name, count in counts.items() for _ in range(count)]
-    std = hand_eye_file.stated_deviations(profile)
+    std = hand_eye_file.prior_deviations(profile)
     effects = []
     for name in (name for name in counts if std.get(name, 0.0) > 0.0):
         columns = fit.effects[:, [n == name for n in names]].T.tolist()
@@ -245,7 +245,7 @@ def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float
     A size or baseline that is too small scales positions towards the camera, a focal length their depth. A principal
     point rotates positions about the camera; its effect on directions is negligible.
     """
-    std = hand_eye_file.stated_deviations(profile)
+    std = hand_eye_file.prior_deviations(profile)
     rotation_rad = std[hand_eye_file.PRINCIPAL_POINT] / focal_px
     rotations = np.array([[0.0, rotation_rad, 0.0], [-rotation_rad, 0.0, 0.0]])
     offsets = {

@@ -224,8 +224,8 @@ def check_log(recording: Recording) -> dict[str, Checks]:
 
     Images that cannot be used join the log's losses.
     """
-    stated = recording.origin.profile
-    profile = stated.model_copy(update={"tissue": stated.tissue or SOMEWHERE})
+    own = recording.origin.profile
+    profile = own.model_copy(update={"tissue": own.tissue or SOMEWHERE})
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
     spread = spread_observations(recording)
     arms = arms_of(recording, profile, spread)

@@ -21,7 +21,7 @@ from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import RecordingError, SourceError, SvmdistError, UsageError
 from svmdist.files import nearest_file, open_regular, reading
 from svmdist.importing import tables as table_files
-from svmdist.importing.calibration import CalibrationOptions, Crop, complete, exchanged_names, stated_cameras
+from svmdist.importing.calibration import CalibrationOptions, Crop, complete, exchanged_names, given_cameras
 from svmdist.importing.images import Video, list_images, matching, missing_numbers, require_one_view
 from svmdist.profile import Limits, load_profile
 from svmdist.recording.images import ImageError, decode_still, read_file
@@ -84,7 +84,7 @@ class ImportResult:
     size_bytes: int
     has_baseline: bool | None
     losses: list[str]
-    warnings: list[str]  # what of names and both views contradicts the stated cameras
+    warnings: list[str]  # what of names and both views contradicts the calibrations
 
 
 @dataclass(frozen=True)
@@ -108,12 +108,12 @@ def import_log(
     with suppress(RecordingError):
         open_source(options.source, Limits())
         raise UsageError(f"{options.source}: is a log already, which needs no import: svmdist info")
-    stated = stated_cameras(options.calibration, options.count)
+    given = given_cameras(options.calibration, options.count)
     views = _open_views(options)
     halved = 2 if options.side_by_side else 1
     sizes = [(view.size_px[0] // halved, view.size_px[1]) for view in views] * halved
     calibrated_px, unit_m = options.calibration.size_px, options.calibration.unit_m
-    cameras = complete(stated, sizes, FRAMES[: options.count], calibrated_px, options.crop, unit_m)
+    cameras = complete(given, sizes, FRAMES[: options.count], calibrated_px, options.crop, unit_m)
     tables, late = _table_messages(options, dict(zip(views[0].names, views[0].stamps_ns, strict=True)))
     images = [_image_messages(views, at, cameras, options) for at in range(len(views))]
     total = sum(len(range(0, len(view.names), options.every)) for view in views)
@@ -124,7 +124,7 @@ def import_log(
         "version_svmdist": version("svmdist"),
     }
     T_left_right = stereo_transform(*cameras) if options.count == 2 else None
-    said = [exchanged_names(stated), *late]
+    said = [exchanged_names(given), *late]
     if options.rate_hz is not None and (missing := missing_numbers(views[0].names)):
         said.append(f"{missing}: by --rate these follow each other as all images do; --times FILE says otherwise")
     if T_left_right is not None:

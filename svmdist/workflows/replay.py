@@ -228,19 +228,19 @@ class _Replay:
         self._setup = self._setup.with_stds("camera_error", right_rotation_std_rad=std_rad)
         self._arms = self._stereo_arms = self._arms_with(self._setup)
 
-    def _inflate_tissue(self, stated: Tissue, found: Sequence[Checks]) -> None:
+    def _inflate_tissue(self, tissue: Tissue, found: Sequence[Checks]) -> None:
         """Let the tissue be as uncertain as it is seen elsewhere, or as a guess where no second view shows it.
 
-        A method that measures its height and surface itself is only told where its shape is another one.
+        A method that measures its height and surface itself is only affected where its shape is another one.
         """
         off_m = next((one.tissue_off_m for one in found if one.tissue_off_m is not None), None)
         shape_m = max(one.tissue_shape_off_m for one in found)
-        std_m = stated.unverified_std_m if off_m is None else off_m
+        std_m = tissue.unverified_std_m if off_m is None else off_m
         if self._rows.bends:
-            std_m = max(std_m, stated.unverified_std_m)
-        if stated.mesh is not None:
+            std_m = max(std_m, tissue.unverified_std_m)
+        if tissue.mesh is not None:
             shape_m = max(shape_m, off_m or 0.0)
-        if std_m <= stated.plane_distance_std_m and shape_m == 0.0:
+        if std_m <= tissue.plane_distance_std_m and shape_m == 0.0:
             return
         shaped = self._setup.with_stds("tissue", surface_std_m=shape_m)
         self._setup = shaped.with_stds("tissue", plane_distance_std_m=std_m)

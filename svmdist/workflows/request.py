@@ -22,7 +22,7 @@ from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS
 from svmdist.estimation.tissue.detection import require_tissue
 from svmdist.perturbations import UNPERTURBED, Perturbations, require_at_replay
-from svmdist.perturbations.calibration import perturbed_image, perturbed_right_view, stated_profile
+from svmdist.perturbations.calibration import nominal_profile, perturbed_image, perturbed_right_view
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.observations import ALL_IMAGES, Window
@@ -163,7 +163,7 @@ class Setup:
 
     @property
     def is_given(self) -> bool:
-        """Whether its rows are what others stated, and no image refutes them."""
+        """Whether its rows are estimates of others, which no image refutes."""
         return bool(getattr(self.own, "is_given", False))
 
     @property
@@ -183,7 +183,7 @@ class Setup:
 
     def perturbed(self, perturbations: Perturbations, seed: int) -> Setup:
         """The same with a profile that is wrong about instrument, tag and plane."""
-        return replace(self, profile=stated_profile(self.profile, perturbations, seed))
+        return replace(self, profile=nominal_profile(self.profile, perturbations, seed))
 
     def knowing(self, lag: LagEstimate | None) -> Setup:
         """The same where the offset between joints and images is known: it may be wrong by what is left of it."""
@@ -194,10 +194,10 @@ class Setup:
         return replace(self, profile=self.profile.model_copy(update={"kinematic_error": error}))
 
     def with_stds(self, part: Literal["tissue", "camera_error"], **stds: float) -> Setup:
-        """The same where numbers of a part of the profile have other standard deviations beside the stated ones."""
-        stated = getattr(self.profile, part)
-        both = {name: math.hypot(getattr(stated, name), std) for name, std in stds.items()}
-        changed: dict[str, Any] = {part: stated.model_copy(update=both)}
+        """The same where numbers of a part of the profile have additional standard deviations."""
+        prior = getattr(self.profile, part)
+        both = {name: math.hypot(getattr(prior, name), std) for name, std in stds.items()}
+        changed: dict[str, Any] = {part: prior.model_copy(update=both)}
         return replace(self, profile=self.profile.model_copy(update=changed))
 
     def was_fitted_on(self, recording: Recording) -> bool:

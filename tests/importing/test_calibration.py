@@ -104,7 +104,7 @@ def test_pair_stands_where_it_says(tmp_path, form, unit_m):
         T[:3, :3], T[:3, 3] = R_right_left, t
         document = {"cam0": KALIBR, "cam1": KALIBR | {"T_cn_cnm1": T.tolist()}}
     path = _write(tmp_path / "pair.yaml", document)
-    stated = calibration.stated_cameras(calibration.CalibrationOptions((path, None), unit_m=unit_m), 2)
+    stated = calibration.given_cameras(calibration.CalibrationOptions((path, None), unit_m=unit_m), 2)
     left, right = calibration.complete(stated, SIZES, FRAMES)
     T_left_right = stereo_transform(left, right)
     expected = np.linalg.inv(make_transform(R_right_left, t_m))
@@ -187,7 +187,7 @@ def test_hostile_yaml(tmp_path, text, said):
 def test_implausible_cameras(tmp_path, document, said):
     """Exchanged views, lengths in mm and a calibration of another size or unit are told."""
     count = 2 if "M1" in document else 1
-    stated = calibration.stated_cameras(
+    stated = calibration.given_cameras(
         calibration.CalibrationOptions((_write(tmp_path / "a.yaml", document), None)), count
     )
     with pytest.raises(SourceError, match=said):
@@ -196,7 +196,7 @@ def test_implausible_cameras(tmp_path, document, said):
 
 def test_a_length_in_another_unit_is_named_by_the_one_that_was_read(tmp_path):
     path = _write(tmp_path / "a.yaml", PAIR | {"T": [-0.005, 0.0, 0.0]})
-    stated = calibration.stated_cameras(calibration.CalibrationOptions((path, None), unit_m=1e-3), 2)
+    stated = calibration.given_cameras(calibration.CalibrationOptions((path, None), unit_m=1e-3), 2)
     with pytest.raises(SourceError, match=r"are 5e-06 m apart.* read in mm; --unit says which"):
         calibration.complete(stated, SIZES, FRAMES, unit_m=1e-3)
 
@@ -204,7 +204,7 @@ def test_a_length_in_another_unit_is_named_by_the_one_that_was_read(tmp_path):
 @pytest.mark.parametrize("length", [-0.005, None])
 def test_a_baseline_that_replaces_a_pair_s_names_both(tmp_path, caplog, length):
     path = _write(tmp_path / "a.yaml", PAIR | {"T": [length, 0.0, 0.0]} if length else {"K": K})
-    stated = calibration.stated_cameras(calibration.CalibrationOptions((path, None), baseline_m=0.007), 2)
+    stated = calibration.given_cameras(calibration.CalibrationOptions((path, None), baseline_m=0.007), 2)
     assert stereo_transform(*calibration.complete(stated, SIZES, FRAMES))[0, 3] == pytest.approx(0.007)
     said = f"--baseline 7 mm is taken for a rectified pair, in place of the 5 mm and rotations of {path}"
     assert (said in caplog.text) == (len(caplog.messages) > 0) == bool(length)
@@ -216,18 +216,18 @@ def test_views_of_two_sizes_have_two_cameras():
     sizes = [(640, 480), (320, 240)]
     for given, calibrated_px in (((left, right), None), ((left, None), (640, 480))):
         options = calibration.CalibrationOptions(intrinsics=given, baseline_m=0.005)
-        cameras = calibration.complete(calibration.stated_cameras(options, 2), sizes, FRAMES, calibrated_px)
+        cameras = calibration.complete(calibration.given_cameras(options, 2), sizes, FRAMES, calibrated_px)
         np.testing.assert_allclose([camera.K[0, 0] for camera in cameras], [572.2, 286.1])
     for baseline_m in (0.005, None):
         options = calibration.CalibrationOptions(intrinsics=(left, None), baseline_m=baseline_m)
         with pytest.raises(SourceError, match="views of 640x480 and 320x240 px, and one camera for both: give"):
-            calibration.complete(calibration.stated_cameras(options, 2), sizes, FRAMES)
+            calibration.complete(calibration.given_cameras(options, 2), sizes, FRAMES)
 
 
 def test_scaled_and_cropped_images():
     """A point is seen in the same place of the picture, and the right camera stands where it stood."""
     of_pair = calibration.CalibrationOptions(intrinsics=((572.2, 571.0, 378.8, 239.3), None), baseline_m=0.005)
-    stated = calibration.stated_cameras(of_pair, 2)
+    stated = calibration.given_cameras(of_pair, 2)
     whole = calibration.complete(stated, SIZES, FRAMES)
     crop = (40, 20, 200, 160)
     small = calibration.complete(stated, [(320, 240)] * 2, FRAMES, (640, 480), crop)

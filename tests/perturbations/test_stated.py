@@ -25,15 +25,15 @@ RIGHT = replace(LEFT, P=LEFT.K @ np.column_stack([np.eye(3), [-0.005, 0.0, 0.0]]
 
 def test_focal_length_and_principal_point_are_off_in_K_and_P_and_leave_the_pair():
     chosen = parse_perturbations("focal=1,principal_point=5")
-    left = calibration.stated_camera(LEFT, chosen)
-    right = calibration.stated_camera(RIGHT, chosen, right=True)
+    left = calibration.nominal_camera(LEFT, chosen)
+    right = calibration.nominal_camera(RIGHT, chosen, right=True)
     expected = LEFT.K * [[1.01, 1.0, 1.0], [1.0, 1.01, 1.0], [1.0] * 3] + 5.0 * np.eye(3, k=2)
     expected[1, 2] += 5.0
     np.testing.assert_allclose(left.K, expected)
     np.testing.assert_allclose(left.P, np.hstack([expected, np.zeros((3, 1))]))
     np.testing.assert_allclose(right.P[:, :3], expected)
     np.testing.assert_allclose(stereo_transform(left, right), stereo_transform(LEFT, RIGHT), atol=1e-12)
-    assert calibration.stated_camera(LEFT, parse_perturbations("baseline=1")) is LEFT
+    assert calibration.nominal_camera(LEFT, parse_perturbations("baseline=1")) is LEFT
 
 
 @pytest.mark.parametrize("zoom", [0.8, 1.1])
@@ -81,7 +81,7 @@ def middle_px(image: np.ndarray) -> np.ndarray:
 def test_what_is_said_of_what_is_built_is_the_profile(strengths, seed):
     """Build from the profile and say what is not so: the profile again. That makes both directions one thing."""
     chosen = parse_perturbations(EVERYTHING.format(**dict(zip("ptswkgm", strengths, strict=True))))
-    said = calibration.stated_profile(calibration.built_profile(PROFILE, chosen, seed), chosen, seed)
+    said = calibration.nominal_profile(calibration.built_profile(PROFILE, chosen, seed), chosen, seed)
     np.testing.assert_allclose(numbers(said), numbers(PROFILE), atol=1e-12)
 
 
@@ -95,7 +95,7 @@ def numbers(profile: Profile) -> np.ndarray:
 
 def test_each_name_changes_its_own_length():
     chosen = parse_perturbations(EVERYTHING.format(p=1, t=2, s=5, w=1, k=5, g=2, m=0.5))
-    said = calibration.stated_profile(PROFILE, chosen, 7)
+    said = calibration.nominal_profile(PROFILE, chosen, 7)
     assert said.instrument.shaft_radius_m == pytest.approx(0.0042)
     assert said.instrument.knuckle_radius_m == pytest.approx(0.0018375)
     assert said.fiducial.size_m == pytest.approx(0.00714)
@@ -110,7 +110,7 @@ def test_each_name_changes_its_own_length():
     assert np.degrees(turned) == pytest.approx(0.5 * calibration.TURN_DEG_PER_MM)
     near = PROFILE.model_copy(update={"tissue": PROFILE.tissue.model_copy(update={"plane_distance_m": 0.01})})
     with pytest.raises(UsageError, match="10 mm behind the camera"):
-        calibration.stated_profile(near, parse_perturbations("plane=-20"), 1)
-    other = calibration.stated_profile(PROFILE, chosen, 8)
+        calibration.nominal_profile(near, parse_perturbations("plane=-20"), 1)
+    other = calibration.nominal_profile(PROFILE, chosen, 8)
     assert other.fiducial.position_m != said.fiducial.position_m
     assert other.tissue.plane_normal != said.tissue.plane_normal

@@ -11,8 +11,8 @@ from svmdist.profile.hand_eye import (
     HandEye,
     HandEyeFile,
     load_hand_eye,
+    prior_deviations,
     save_hand_eye,
-    stated_deviations,
 )
 from svmdist.transforms import skew
 
@@ -25,7 +25,7 @@ BY_PITCH = np.array([[0.0, 1e-3, 0.0, 0.02, 0.0, -0.01]])
 @pytest.fixture
 def hand_eye() -> HandEye:
     """A transform that a radius and a joint had a part in."""
-    stated, assumed = stated_deviations(PROFILE), PROFILE.robot
+    stated, assumed = prior_deviations(PROFILE), PROFILE.robot
     joint = OFFSET.format(next(one.name for one in assumed.joints if one.type == "revolute"))
     effects = [
         ConstantEffect(constant=name, deviation=stated[name], effects=effect.tolist())

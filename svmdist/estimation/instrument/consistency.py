@@ -129,11 +129,11 @@ class Consistency:
         """Why no distance can be trusted, human-readable; empty where one can."""
         settings = self._settings
         if self._furthest > settings.max_constant_deviations:
-            return f"{self._furthest_name} is {self._furthest:.1f} stated deviations from its stated value"
+            return f"{self._furthest_name} is {self._furthest:.1f} standard deviations from the profile's value"
         if self._late_deviations > MAX_TIME_OFFSET_DEVIATIONS:
             return (
-                f"joints seem {self._late_s:+.2f} s late, {self._late_deviations:.0f} stated deviations: is there a lag"
-                " of the images to be given?"
+                f"joints seem {self._late_s:+.2f} s late, {self._late_deviations:.0f} standard deviations: is there a"
+                " lag of the images to be given?"
             )
         # Without an inlier before, one frame is enough.
         if self._scene_outliers >= (MAX_SCENE_OUTLIERS if self._scene_has_inliers else 1):

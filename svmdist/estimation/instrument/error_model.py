@@ -75,7 +75,7 @@ class ErrorModel:
         return found | {TIME_OFFSET: self.time_offset}
 
     def time_offset_std_s(self, age_s: float) -> float:
-        """Standard deviation of the joints' time offset after a time, by what the profile states."""
+        """Standard deviation of the joints' time offset after a time, by the profile."""
         drift_s = self._drift[self.time_offset] * np.sqrt(age_s)
         return float(np.hypot(self.error.time_offset_std_s, drift_s))
 
@@ -95,7 +95,7 @@ class ErrorModel:
         return keep, added
 
     def prior(self, robot: RobotState) -> Array:
-        """Covariance of the error state that the profile states, shape (n, n).
+        """Covariance of the error state by the profile, shape (n, n).
 
         A wrong transform may turn about either of its ends, the base or the camera: the shift at the anchor
         has the variance of the worse one, and no correlation with the turn, which would choose between them. A
@@ -253,9 +253,9 @@ class CorrectedLinks:
 
 
 def nominal_tool(chain: DHChain, error: KinematicError, state: RobotState) -> ToolPose:
-    """The tool's nominal pose in the camera frame and its covariance, as the profile states the errors.
+    """The tool's nominal pose in the camera frame and its covariance, by the profile's prior of the errors.
 
-    It is what the filter starts from, so that a method that filters and one that does not state the same. The
+    It is what the filter starts from, so that a method that filters and one that does not report the same. The
     covariance is of first order in the errors, and leaves out that turns shorten a lever: 2 degrees about two axes
     pull the tool 1.7 mm towards a base 1.4 m away, beside 68 mm of error.
     """

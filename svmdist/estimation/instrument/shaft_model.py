@@ -20,7 +20,7 @@ from svmdist.vision.silhouette import WristShape
 
 FORESHORTENED = 0.15  # of a length along the shaft over its width: shafts are tilted by 30° or so
 OUTLINE_END_STD_RADII = 0.25  # of the cylinder's end in an outline: clevises differ, a bent wrist hides them
-UNKNOWN_END = 0.5  # deviation of the distance from hinge to the shaft's end where none is stated, over itself
+UNKNOWN_END = 0.5  # deviation of the distance from hinge to the shaft's end where the profile has none, over itself
 JAWS_TURN = 0.15  # of an outline's tip over the length of closed, straight jaws: they open and turn
 CLEVIS_PER_RADIUS = 0.9
 """The clevis of a da Vinci instrument of 8 mm reaches so far beyond the wrist's pitch axis, over the shaft's radius."""
@@ -53,17 +53,17 @@ class ShaftSizes:
         """How far the tip of an outline may be from that of straight jaws of the profile's length."""
         return float(np.hypot(self.instrument.body_std_m, JAWS_TURN * self.instrument.jaw_length_m))
 
-    def neck_std_m(self, stated_std_m: float) -> float:
-        """How wrong that may be; `stated_std_m` is of a length that the profile gives without a deviation."""
+    def neck_std_m(self, default_std_m: float) -> float:
+        """How wrong that may be; `default_std_m` is of a length that the profile gives without a deviation."""
         if (std_m := self.instrument.shaft_end_std_m) is not None:
             return std_m
-        return UNKNOWN_END * self.neck_m if self.instrument.shaft_end_m is None else stated_std_m
+        return UNKNOWN_END * self.neck_m if self.instrument.shaft_end_m is None else default_std_m
 
     @property
     def outline_end_m(self) -> float:
         """From the hinge on to where the outline stops being the shaft's; unknown, midway between the extremes."""
-        stated = self.instrument.outline_end_m
-        return 0.5 * (CLEVIS_PER_RADIUS * self.radius_m - self.neck_m) if stated is None else stated
+        given = self.instrument.outline_end_m
+        return 0.5 * (CLEVIS_PER_RADIUS * self.radius_m - self.neck_m) if given is None else given
 
     @property
     def outline_end_std_m(self) -> float:
@@ -74,7 +74,7 @@ class ShaftSizes:
             return OUTLINE_END_STD_RADII * self.radius_m
         return 0.5 * (CLEVIS_PER_RADIUS * self.radius_m + self.neck_m)
 
-    def with_likelier_end(self, seen: SeenInstrument, stated_std_m: float) -> SeenInstrument:
+    def with_likelier_end(self, seen: SeenInstrument, default_std_m: float) -> SeenInstrument:
         """The instrument with the other one of its two ends, where these are not as far apart as shaft and wrist are.
 
         What ends on a shaft without being its end is anywhere in the stretch that was searched. The outline is as
@@ -84,13 +84,13 @@ class ShaftSizes:
             return seen
         apart_m = abs(seen.other_px) / seen.width_px * 2.0 * self.radius_m
         near_m, far_m = self.neck_m + self.outline_end_m, self.neck_m + self.tip_m
-        near_std_m = np.hypot(np.hypot(self.neck_std_m(stated_std_m), self.outline_end_std_m), FORESHORTENED * apart_m)
+        near_std_m = np.hypot(np.hypot(self.neck_std_m(default_std_m), self.outline_end_std_m), FORESHORTENED * apart_m)
         far_std_m = np.linalg.norm([near_std_m, self.jaw_tip_std_m])
         std_m = np.array([near_std_m, far_std_m])
         p = np.exp(-0.5 * ((apart_m - np.array([near_m, far_m])) / std_m) ** 2) / (np.sqrt(2.0 * np.pi) * std_m)
-        told = LONGEST_WRIST * 2.0 * self.radius_m * float(p.mean())
+        density = LONGEST_WRIST * 2.0 * self.radius_m * float(p.mean())
         own, other = 1.0 - seen.other_share, seen.other_share
-        own, other = (own * told, other) if seen.ends_dark else (own, other * told)
+        own, other = (own * density, other) if seen.ends_dark else (own, other * density)
         share = other / (own + other)
         if share <= 0.5:
             return replace(seen, other_share=share)
@@ -98,7 +98,7 @@ class ShaftSizes:
         moved = replace(seen, end_px=end_px, ends_dark=not seen.ends_dark)
         return replace(moved, other_px=-seen.other_px, other_share=1.0 - share)
 
-    def rim_ahead(self, shaft: ShaftDetection, stated_std_m: float) -> tuple[float, float]:
+    def rim_ahead(self, shaft: ShaftDetection, default_std_m: float) -> tuple[float, float]:
         """How far beyond the hinge a shaft's rim is, and the deviation of that by all that it may be.
 
         Wrist and jaws in line with a shaft look like more of it, so that an outline beyond which nothing is seen may be
@@ -107,7 +107,7 @@ class ShaftSizes:
         """
         rim = shaft.rim
         assert rim is not None  # who asks has one
-        dark = -self.neck_m, self.neck_std_m(stated_std_m)
+        dark = -self.neck_m, self.neck_std_m(default_std_m)
         outline = self.outline_end_m, self.outline_end_std_m
         own, other = (outline, dark) if rim.is_outline else (dark, outline)
         beyond_m = self.tip_m - own[0]

@@ -67,7 +67,7 @@ class ErrorState:
         return None if before is None else max(0.0, (robot.stamp_ns - before.stamp_ns) / 1e9)
 
     def start(self) -> None:
-        """Start from nominal kinematics with the covariance that the profile states, without biases of measurements."""
+        """Start from nominal kinematics with the covariance of the profile, without biases of measurements."""
         self.correction = self.model.no_correction(self.robot)
         self.P, self.bias_mean = self.model.prior(self.robot), np.zeros(0)
         self._bias_slices, self._correlation_times_s = {}, np.zeros(0)

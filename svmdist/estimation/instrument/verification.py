@@ -72,17 +72,17 @@ def contradiction(
     return ""
 
 
-def _out_of_place(pose: ToolPose, seen: TissuePose, stated: Tissue) -> str:
+def _out_of_place(pose: ToolPose, seen: TissuePose, tissue: Tissue) -> str:
     """Whether the tool is behind the camera, or behind the plane that the tissue lies on, where no instrument is.
 
     A part of a marker seems far away as a whole one, and points of a measured surface have no inside.
     """
     if not pose.position_m[2] > 0.0:
         return "the tool is behind the camera"
-    plane = tissue_plane(stated)
+    plane = tissue_plane(tissue)
     below_m = plane.offset_m - float(plane.normal @ pose.position_m)
     aside_m = float(np.linalg.norm(cross(plane.normal, pose.position_m - seen.position_m)))
-    parts_m = (stated.plane_tilt_std_rad * aside_m, seen.surface_std_m, stated.surface_std_m)
+    parts_m = (tissue.plane_tilt_std_rad * aside_m, seen.surface_std_m, tissue.surface_std_m)
     variance_m2 = float(plane.normal @ (seen.covariance + pose.position_covariance) @ plane.normal)
     # Nothing is there, so that an interval that lies behind it as a whole is wrong.
     if below_m <= Z_95 * np.sqrt(variance_m2 + np.sum(np.square(np.array(parts_m)))):

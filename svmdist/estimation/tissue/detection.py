@@ -73,11 +73,11 @@ def require_tissue(profile: Profile) -> Tissue:
             f"profile {profile.name} has no [tissue]: a distance in 3D from one camera needs the plane that the"
             " tissue lies on (plane_normal, plane_distance_m)"
         )
-    _stated_mesh(profile.tissue)  # read once, before the first frame
+    _profile_mesh(profile.tissue)  # read once, before the first frame
     return profile.tissue
 
 
-def _stated_mesh(tissue: Tissue) -> Mesh | None:
+def _profile_mesh(tissue: Tissue) -> Mesh | None:
     return None if tissue.mesh is None else read_closed_mesh(tissue.mesh, METRES_PER_UNIT[tissue.mesh_unit])
 
 
@@ -106,7 +106,7 @@ def tissue_pose(outline: CompletedOutline, camera: Camera, tissue: Tissue, error
     if tissue.dome is not None and np.all(np.isfinite(outline_m)) and len(outline_m) >= 3:
         dome = DomeModel.over(outline_m, T_camera_tissue, tissue.dome)
         surface = dome.mesh
-    elif (mesh := _stated_mesh(tissue)) is not None:
+    elif (mesh := _profile_mesh(tissue)) is not None:
         surface = mesh.transformed(T_camera_tissue @ tissue.T_tissue_mesh)
     return TissuePose(position_m, covariance, surface, tissue.surface_std_m, dome, of_outline)
 

@@ -26,7 +26,7 @@ from svmdist.profile.settings import TissueTrackingSettings
 from svmdist.transforms import Array
 
 PLANE_DEGREES = 2  # of freedom that a place on a plane has
-MIN_SCATTER_COUNT = 4.0  # fewer poses do not tell how much they scatter beyond their stated covariance
+MIN_SCATTER_COUNT = 4.0  # with fewer poses their scatter beyond their covariance is unknown
 GATE_Z = 3.09  # normal quantile of the gate for a pose against the remembered one: 1 in 1,000 true ones is rejected
 CORRELATED_HEIGHT_SHARE = 0.98  # wet, breathing tissue scatters by 0.10 to 0.20 from frame to frame; 0.98 leaves 0.20
 HEIGHT_CORRELATION_TIME_S = 30.0  # how long that lasts: longer than the logs of 8 s that it was seen in

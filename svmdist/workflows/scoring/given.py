@@ -137,14 +137,14 @@ class Given:
             for key, value in row.items()
             if np.ndim(value) == 0 and key not in TEXTS and math.isfinite(value)
         }
-        stated = {key: Distance(number[key], number.get(f"{key}_std")) for key in DISTANCES if key in number}
-        distances, T = Distances(**stated), row["T"]
+        given = {key: Distance(number[key], number.get(f"{key}_std")) for key in DISTANCES if key in number}
+        distances, T = Distances(**given), row["T"]
         if np.isfinite(T[:3, 3]).all():
             covariance = np.diag([number.get("tool_std", np.nan) ** 2] * 3 + [np.nan] * 3)
             tool = ToolEstimate(ToolPose(T, covariance, UNKNOWN, np.nan), frame.joints)
             result = with_tool(result, frame, tool)
             distances = self._measured(frame, tool) if self.sees_tissue else distances
-        elif not stated:
+        elif not given:
             return result.rejected(Status.NOT_FINITE, f"a row of {self.name} without a number")
         return replace(result, distances=distances)
 

@@ -137,7 +137,7 @@ INTERVALS = (
     Metric("normalized_rmse", Unit("1", digits=2), "/ σ", "normalized_rmse", outputs=SCORES | FIGURES | PAIRS,
            outputs_in_3d=SCORES | FIGURES | PAIRS, is_late=True),
 )
-"""Whether the stated standard deviations of a distance are honest."""
+"""Whether the reported standard deviations of a distance are consistent with its errors."""
 
 TOOL = (
     Metric("tool_sample_count", COUNT, "n", "tool.statistics.count", outputs=TOOL_TABLE),

@@ -60,7 +60,7 @@ class Series:
 
     @property
     def half_m(self) -> Array:
-        """Half of the stated 95 % interval."""
+        """Half of the reported 95 % interval."""
         return np.asarray(Z_95 * self.std_m)
 
     @property
