@@ -44,7 +44,7 @@ class Column:
     `of` reads the value from the object that a row is made of: a function, or a path of attributes and indices; by
     default the key. A column without a heading is for machines only, one that is not `stored` for readable tables only.
     `field` is its name in `svmdist.DistanceEstimate`. `width` is the least one of a plain table, in characters. What
-    columns mean is told in docs/metrics.md.
+    columns mean is described in docs/metrics.md.
     """
 
     key: str

@@ -24,7 +24,7 @@ class LagEstimate:
     """A lag in s, positive when the image stamps are late, with its standard deviation.
 
     `confidence` in [0, 1] is how much better the best lag explains the images than the best lag elsewhere:
-    1 - J_best / J_rival. Where the lag cannot be told, it is 0 and `reason` says why.
+    1 - J_best / J_rival. Where the lag is not observable, it is 0 and `reason` says why.
     """
 
     lag_s: float
@@ -33,8 +33,8 @@ class LagEstimate:
     reason: str = ""
 
     @property
-    def told(self) -> bool:
-        """Whether the motion was enough to tell."""
+    def is_observable(self) -> bool:
+        """Whether the motion was enough to estimate it."""
         return not self.reason
 
     @property

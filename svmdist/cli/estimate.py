@@ -240,7 +240,7 @@ def corrected(recording: Recording, request: Request, jobs: int | None) -> Recor
     with output.watched(recording, f"lag of {recording.name}") as log:
         seen, found = with_lag(log, request, jobs)
     said = f"the lag cannot be estimated and none is applied: {found.reason}"
-    if found.told:
+    if found.is_observable:
         said = f"lag {found.lag_s * 1e3:+.1f} ms (confidence {found.confidence:.2f})"
     LOG.info("note: %s: %s", recording.name, said)
     return seen

@@ -69,7 +69,7 @@ def inspect_log(recording: Recording, _request: Request, _threads: int, looks_fo
             checks = check_log(again)
         health = summary.recording.health
         for loss in again.health.losses:
-            if loss.kind is LossKind.IMAGE:  # what else is lost on the way is told by the summary already
+            if loss.kind is LossKind.IMAGE:  # what else is lost on the way is in the summary already
                 health.add(loss)
         recording.health.join(health)
         return info_document(summary, checks, no_tag)

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from svmdist.workflows.parallel import Progress as Advance
 
 LOG = logging.getLogger("svmdist")
-"""What users are told beside the data: errors, then remarks (INFO), then choices and times (DEBUG)."""
+"""Messages beside the data: errors, then remarks (INFO), then choices and times (DEBUG)."""
 
 
 class ExitCode(IntEnum):
@@ -47,7 +47,7 @@ class _Stderr(logging.Handler):
     """Prints one line for each record, without markup, control characters, or secrets of URLs."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        with suppress(OSError):  # where stderr is full, there is nobody left to tell
+        with suppress(OSError):  # where stderr is full, nobody can be informed
             print(printable(concealed(f"svmdist: {record.getMessage()}")), file=sys.stderr)
 
 
@@ -91,7 +91,7 @@ class _Progress:
 def progress_bar(title: str, unit: str = "") -> Iterator[Advance]:
     """Give a function of (done, total or None), which shows a bar where stderr is a terminal.
 
-    Until it is called, the bar tells that something is done, and for how long.
+    Until it is called, the bar shows that something is done, and for how long.
     """
     if not _Progress.is_wanted or not LOG.isEnabledFor(logging.INFO) or not sys.stderr.isatty():
         yield lambda _done, _total: None

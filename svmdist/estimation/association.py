@@ -32,7 +32,7 @@ RAY_COUNT = 12  # points along a shaft's expected axis at which the image is ask
 RAY_SPAN = (1.25, 2.2)  # where along the axis they lie, over the distance from the region to the shaft's end
 LIKELY_DARK = 0.85  # how much of the line where its shaft should be is dark, for the right instrument
 UNLIKELY_DARK = 0.3  # the same for another instrument
-MIN_RAY_FRACTION = 0.4  # a line of which less is inside the picture tells nothing
+MIN_RAY_FRACTION = 0.4  # a line of which less is inside the picture is not used
 SHAFT_REACH = 2.5  # a dark pixel farther from an axis than so many radii is not that shaft's
 GROWN_PX = 5  # side of the dilation of other masks: borders differ between detectors
 TURN_STD_RAD, LEAST_LIKENESS = 0.3, -8.0  # of a shaft in the image against nominal kinematics
@@ -76,7 +76,7 @@ class Association:
     def _nominal(
         self, robots: Sequence[RobotState | Failure], camera: Camera, T_camera_left: Array
     ) -> list[NominalInstrument | None]:
-        """Each instrument in a camera's image; None where the log tells none near the image."""
+        """Each instrument in a camera's image; None where the log has none near the image."""
         found: list[NominalInstrument | None] = []
         for arm, robot in zip(self._arms, robots, strict=True):
             if isinstance(robot, Failure) or robot.T_camera_base is None or arm.chain is None:
@@ -107,8 +107,8 @@ class Association:
             ends = [Blob(one.end_px, 0.25 * np.pi * one.width_px**2) for one in seen]
             expected = [tool.place(tool.end_behind_m) if tool else None for tool in nominal]
             alike = [[tool.likeness(one) if tool else 0.0 for one in seen] for tool in nominal]
-            told = np.array(alike).reshape(len(nominal), -1) + _as_beside(expected, ends, offsets, width)
-            found = tracker.update(stamp_ns, expected, ends, told)
+            likelihood = np.array(alike).reshape(len(nominal), -1) + _as_beside(expected, ends, offsets, width)
+            found = tracker.update(stamp_ns, expected, ends, likelihood)
             return [other_than(identity.blob, seen) for identity in found], _offsets(found, expected, ends)
         regions = ColouredRegions(context.masks.instrument, self._gate)
         shafts = context.masks.shaft
@@ -272,14 +272,14 @@ def _as_beside(
     places: Sequence[NominalPlace | None], blobs: Sequence[Blob], offsets: Sequence[Array | None], width: int
 ) -> Array:
     """Log-likelihood of each region under each instrument, (n, m), by how far off another view has it."""
-    told = np.zeros((len(places), len(blobs)))
-    for row, place, offset in zip(told, places, offsets, strict=True):
+    likelihood = np.zeros((len(places), len(blobs)))
+    for row, place, offset in zip(likelihood, places, offsets, strict=True):
         if place is None or offset is None or not blobs:
             continue
         off_px = np.array([blob.centre_px for blob in blobs]) - place.place.mean - offset
         square = (off_px**2).sum(1) / (BESIDE_STD * width) ** 2
         row[:] = np.maximum(-0.5 * square, LEAST_LIKENESS)
-    return told
+    return likelihood
 
 
 def _axis(tool: NominalInstrument | None, identity: Identity, regions: ColouredRegions) -> ShaftAxis | None:

@@ -47,7 +47,7 @@ from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
 from svmdist.vision.stereo import RectifiedPair, RowAlignment, corresponding_points
 
-MIN_MATCHES, MIN_FITTED = 8, 60  # points of both views that tell a median, and how rows change over the picture
+MIN_MATCHES, MIN_FITTED = 8, 60  # points of both views that determine a median, and how rows change over the picture
 MOST_POINTS = 0.75  # of those that show how rows bend: a few are at the border, or false
 MAX_ROWS_PX = 30.0  # by which rows of both views may differ to be compared at all
 ROWS_STD_PX = 0.4  # at the picture's border: pairs that are called rectified are so within half a pixel
@@ -57,7 +57,7 @@ SIDES_STD_RAD = 0.01  # of the plane between the shaft's sides: one of them may 
 OUTLINE_STD = 0.06  # logarithm of the size of a tissue's outline: what hides it is completed
 JAW_STD_M = 1e-3  # of a jaw's length in the image: its tip is round, the mask's edge a pixel or two off
 JAW_STEP_M, JAW_REACH = 2.5e-4, 3.0  # along a jaw, and over its length in the profile
-MAX_TURN_STD_RAD = 0.3  # beyond, a pose does not tell where jaws point to
+MAX_TURN_STD_RAD = 0.3  # beyond, a pose does not say where jaws point to
 MOTION_STD_M = 2e-3  # of a nominal motion between two frames: backlash, and stamps of joints
 MOTION_SHARE = 0.05  # of the motion itself: offsets of joints
 STEADY = 0.5  # of the deviation of a place in the image, what changes between frames

@@ -94,7 +94,7 @@ def clearance_std_m(
 def _bent_std_m(gap: Separation, capsules: Capsules, pose: ToolPose, tissue: TissuePose) -> float:
     """What `clearance_std_m` leaves out: another point becomes the closest along where the tool is least sure.
 
-    Separations of the tool moved by ±√3 deviations tell it, as sigma points (Julier and Uhlmann 2004).
+    Separations of the tool moved by ±√3 deviations give it, as sigma points (Julier and Uhlmann 2004).
     """
     variances, axes = np.linalg.eigh(pose.position_covariance)
     step_m = float(np.sqrt(3.0 * max(variances[-1], 0.0))) * axes[:, -1]

@@ -22,7 +22,7 @@ from svmdist.estimation.tissue.tracking import TissueTracker, at_height, measure
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import JointSample, Rejection, Status
 
-MAX_IMAGE_STD_M = 0.008  # a pose by images that is less certain tells nothing of where to begin
+MAX_IMAGE_STD_M = 0.008  # a pose by images that is less certain is no place to begin
 LOCATED_STD_M = 0.01  # a prediction as certain that agrees with the images needs no start by them
 MAX_CONTRADICTIONS = 3  # frames in a row: what hides an instrument misleads one or two
 YOUNG_S = 2.0  # how long a filter that has begun anew is held to be hardly surer than the images
@@ -93,7 +93,7 @@ class FusedEstimator:
         return found.rejected(Status.INCONSISTENT, said) if said else found
 
     def _image_pose(self, frame: Frame) -> ToolPose | None:
-        """The tool by the images alone: by both views, or by the shaft in the left one; None where neither tells."""
+        """The tool by the images alone: by both views, or by the shaft in the left one; None without either."""
         if not self._has_sizes:
             return None
         found = certain(frame, frame.pair_pose, MAX_IMAGE_STD_M)
@@ -142,7 +142,7 @@ class FusedEstimator:
         return of_images(frame, expected, markers, both_views=True, correlated_share=self._correlated, is_tracked=True)
 
     def _tag(self, frame: Frame, predicted: ToolPose) -> Iterator[LinkMeasurement]:
-        """The tag's factor, which a predicted pose tells from its mirrored one."""
+        """The tag's factor, disambiguated by a predicted pose."""
         return tag(frame, self._filter.state.robot, predicted, self._correlated)
 
     def _age_s(self, frame: Frame) -> float:

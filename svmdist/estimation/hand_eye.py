@@ -30,7 +30,7 @@ POSITION_FLOOR_M = 2e-4  # standard deviation added to that of a place, along ea
 CORRELATION_TIME_S = 0.5  # how long errors of a detection and backlash of joints last: between two reversals of a joint
 
 MAX_STEPS = 50
-CLOUD_STD_M = 1e-3  # places within this of a line or a point do not tell a rotation
+CLOUD_STD_M = 1e-3  # places within this of a line or a point determine no rotation
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ def estimate_lag(stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict)
     confidence = 1.0 - error_at(lag_s)[0] / rival if np.isfinite(rival) and rival > 0 else 0.0
     std_s = _std_s(error_at, lag_s)
     if std_s > MAX_STD_S:
-        return _unknown("the motion is too slow to tell the lag")
+        return _unknown("the motion is too slow to estimate the lag")
     if confidence < MIN_CONFIDENCE:
         return _unknown(f"another lag explains the images nearly as well (confidence {confidence:.2f})")
     return LagEstimate(lag_s, std_s, confidence)

@@ -1,6 +1,6 @@
 """Which coloured region of an image belongs to which instrument, stable through crossings.
 
-Several ways to name all regions until now are kept (multiple hypotheses, Reid 1979): what a first image does not tell,
+Several ways to name all regions until now are kept (multiple hypotheses, Reid 1979): what a first image leaves open,
 the instruments' motion does.
 """
 
@@ -20,7 +20,7 @@ GATE_D2 = 18.4  # squared Mahalanobis distance in two dimensions that a right re
 CLUTTER_COUNT = 0.05  # regions of nothing that an image of any size has, on average
 CONTEST = 3.5  # a region is named where all other namings are less than a thirtieth (e^-3.5) as likely
 UNLIKELY, MOST_PASTS = 10.0, 8  # namings less likely than the best by e^-10 are dropped, and beyond so many
-ALIKE_S = 0.1  # what images within so long tell is no more than one of them does
+ALIKE_S = 0.1  # images within so long give no more information than one
 UNCERTAIN_FRACTION = 0.08  # of the width: a prediction less certain than this identifies nothing any more
 TAIL = 4.0  # degrees of freedom of Student's t, of a robot whose base may be anywhere
 MAX_REGIONS = 6  # the largest; assignments grow with their number to the power of the tracks
@@ -130,7 +130,7 @@ class _Track:
         self._stamp_ns = 0
 
     def predict(self, stamp_ns: int, nominal: NominalPlace | None) -> Gaussian | None:
-        """Where the region should be; None where nothing tells."""
+        """Where the region should be; None if unknown."""
         dt = max(0.0, (stamp_ns - self._stamp_ns) / 1e9)
         self._stamp_ns = stamp_ns
         G = self._acceleration * np.vstack([0.5 * dt * dt * np.eye(2), dt * np.eye(2)])
@@ -232,11 +232,11 @@ class RegionTracker:
         log-likelihood of what else is seen around each region, were it that instrument's.
         """
         order = sorted(range(len(blobs)), key=lambda at: -blobs[at].area_px)[:MAX_REGIONS]
-        seen, told = [blobs[at] for at in order], 0.0 if evidence is None else evidence[:, order]
+        seen, likelihood = [blobs[at] for at in order], 0.0 if evidence is None else evidence[:, order]
         namings: list[_Naming] = []
         for before, tracks in self._pasts:
             expected = tuple(t.predict(stamp_ns, p) for t, p in zip(tracks, places, strict=True))
-            costs = self._costs(expected, places, seen) - told
+            costs = self._costs(expected, places, seen) - likelihood
             ranked = ranked_assignments(costs, self._extra_region_cost, self._settings.miss_cost)
             namings += [_Naming(*one, before, tracks, expected) for one in ranked if np.isfinite(one[0])]
         namings.sort(key=lambda one: one.total)
@@ -251,7 +251,7 @@ class RegionTracker:
         return tuple(identities)
 
     def _go_on(
-        self, namings: Sequence[_Naming], places: Sequence[NominalPlace | None], seen: Sequence[Blob], tells: float
+        self, namings: Sequence[_Naming], places: Sequence[NominalPlace | None], seen: Sequence[Blob], weight: float
     ) -> None:
         """Keep the likely namings as pasts; of those that end with the same regions, all seen, the best alone."""
         kept = list[_Naming]()
@@ -260,7 +260,7 @@ class RegionTracker:
                 break
             if None in one.regions or one.regions not in [other.regions for other in kept]:
                 kept.append(one)
-        costs = [one.before + tells * one.cost for one in kept]
+        costs = [one.before + weight * one.cost for one in kept]
         self._pasts = []
         for one, cost in zip(kept, costs, strict=True):
             tracks = tuple(track.copied() for track in one.tracks)

@@ -48,7 +48,7 @@ def read_estimates(path: Path) -> Rows:
     if "distance" in found and not found.keys() & (set(DISTANCES) - {"distance"}):
         said = "warning: %s: %s is taken for the planar distance; a clearance is named clearance_m, one in 3D spatial_m"
         LOG.warning(said, path, names[found["distance"][0]])
-    for kind in ("distance", "distance_std"):  # the planar one, but where a table tells them apart
+    for kind in ("distance", "distance_std"):  # the planar one, but where a table has both
         if (one := found.pop(kind, None)) is not None:
             found.setdefault(kind.replace("distance", "planar"), one)
     if stamp is None or not (found.keys() & set(DISTANCES) or {"x", "y", "z"} <= found.keys()):

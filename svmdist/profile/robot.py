@@ -196,7 +196,7 @@ class Tissue(StrictModel):
     plane_distance_std_m: NonNegative = 1e-3
     plane_tilt_std_rad: Angle = float(np.deg2rad(1.0))  # of the normal's direction about each of two axes
     unverified_std_m: NonNegative = 7.5e-3
-    """Of all of the above where no second view shows the tissue: nothing then tells a plane that is a centimetre off,
+    """Of all of the above where no second view shows the tissue: nothing then shows a plane that is a centimetre off,
     or an organ that is left out. 0 for what was measured and cannot have moved."""
     motion_std_m: NonNegative = 1e-3  # of the tissue's motion along the plane's normal: breath and pulse
     motion_time_s: Positive = 0.5  # correlation time of that motion: a breath of 4 s turns within as long

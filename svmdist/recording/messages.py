@@ -163,7 +163,7 @@ class Decoder:
 
 
 def kind_of(one: TopicInfo | RawMessage) -> Kind | None:
-    """Tell what a topic or a message carries; None for a schema or an encoding that svmdist does not read."""
+    """What a topic or a message carries; None for a schema or an encoding that svmdist does not read."""
     known = SCHEMAS.get(one.message_encoding, {}).get(_short(one.schema))
     return known[0] if known else None
 

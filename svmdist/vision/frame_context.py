@@ -199,7 +199,7 @@ class FrameContext:
     def plates(self) -> Image | None:
         """Where plates of tags are, shape (h, w); None where no tag is seen, of the profile's family or the usual one.
 
-        Whoever glued a tag to an instrument need not have told: it is as wide as the shaft, and none of its parts.
+        A tag on an instrument may be missing in the profile: it is as wide as the shaft, and none of its parts.
         """
         tags = self.tags if self._tag_family else find_tags(self.grey, USUAL_FAMILY, self._settings.tag)
         plates = [tag_plate(one, self.grey.shape, self._settings.tag) for one in tags.values()]

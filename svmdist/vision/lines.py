@@ -22,7 +22,7 @@ FIT_STEPS, TRIALS, SEED = 6, 120, 7
 class TangentPlane:
     """A plane through the camera's centre that touches the cylinder: unit normal (3,), covariance (3, 3).
 
-    `side` is +1 to the right of the axis as it runs through the image, y being down, -1 to the left, 0 where not told.
+    `side` is +1 to the right of the axis as it runs through the image, y being down, -1 to the left, 0 if unknown.
     """
 
     normal: Array

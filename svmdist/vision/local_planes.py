@@ -37,8 +37,8 @@ def fit_cells(information: Floats, total: Floats) -> tuple[Floats, Floats]:
         beyond = blurred((found**2 - own) * certainty, 2.0 * sigma)
         change = np.maximum(beyond / blurred(certainty, 2.0 * sigma), 0.0)
         taken = change / (change + own)
-        told = taken * own + (1.0 - taken) * (np.minimum(before, change + own) + change)
-        variance = cv2.resize(np.where(is_near, told, np.maximum(told, before)), size)
+        filled = taken * own + (1.0 - taken) * (np.minimum(before, change + own) + change)
+        variance = cv2.resize(np.where(is_near, filled, np.maximum(filled, before)), size)
         fitted = fitted + cv2.resize(taken * found, size, interpolation=cv2.INTER_CUBIC)
     return fitted, np.asarray(variance, np.float32)
 

@@ -15,7 +15,7 @@ from svmdist.samples import Image
 from svmdist.transforms import Array, polygon_centroid
 
 SPECK_FRACTION = 0.02  # of the largest part; specks of colour elsewhere would pull the convex hull
-SAMPLE_STEP_PX = 2.0  # distance of the hull's samples; whole pixels tell no finer ones apart
+SAMPLE_STEP_PX = 2.0  # distance of the hull's samples; whole pixels resolve no finer ones
 MAX_SAMPLE_COUNT = 480  # upper bound of the samples of one hull: longer hulls are sampled at a larger step
 GAP_DISC = cv2.circle(np.zeros((5, 5), np.uint8), (2, 2), 2, 1, cv2.FILLED)
 """A sample of the hull further than 2 px from any visible pixel bridges a gap."""

@@ -74,7 +74,7 @@ def _wrist_point(
 
     `instrument` is what is roughly known of it; `along` (2,) is the shaft's direction to the tip.
     The origin is the shape's part of the way from the end to the outline's tip, as the crow flies, in the middle of
-    the outline. Of an outline shorter than a straight wrist it may be farther on; one much shorter tells nothing.
+    the outline. Of an outline shorter than a straight wrist it may be farther on; one much shorter is not informative.
     """
     cell_px, mask = width_px / WIDTH_CELLS, instrument.mask
     farthest = WRIST_REACH * shape.length_widths

@@ -16,7 +16,7 @@ from svmdist.vision.tags import tag_dictionary
 
 MARGIN_CELLS = 0.6  # of the white margin that is compared; what lies behind shines into the rest
 BLUR_STARTS_PX = (0.8, 1.6, 3.2)  # of the image's blur, the best one starts the search: sharp, soft, moving
-EDGE_SLOPE = 0.2  # of the pattern's largest: residuals on edges tell the standard deviation
+EDGE_SLOPE = 0.2  # of the pattern's largest: residuals on edges give the standard deviation
 MIN_PIXELS = 50  # pixels on the tag below which there is no pose
 MIN_CONTRAST = 4.0  # grey levels between black and white below which there is no pattern to compare
 

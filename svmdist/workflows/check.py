@@ -57,9 +57,9 @@ def spread_observations(recording: Recording, count: int = CHECKED) -> list[Enco
 
 
 def offset_to_remove(pairs: Sequence[Observation], profile: Profile) -> RowAlignment:
-    """The offset between the rows of both views where pairs tell it and it is worth removing; else none.
+    """The offset between the rows of both views where pairs show it and it is worth removing; else none.
 
-    Halved views tell it where they show enough; of paper and of cameras far from each other it takes whole ones.
+    Halved views show it where they show enough; of paper and of cameras far from each other it takes whole ones.
     """
     pairs = [one for one in pairs if one.right is not None]
     for step in (2, 1) if pairs else ():
@@ -173,7 +173,7 @@ def checked(
                 continue
             here = places_of(frame)
             differences = checks.of_frame(frame, here)
-            if is_associated:  # kinematics told which instrument is which: they are no evidence of their own
+            if is_associated:  # kinematics associated the instruments: they are no independent evidence
                 differences = (one for one in differences if KINEMATICS not in one.sources)
                 here = {source: pose for source, pose in here.items() if source != KINEMATICS}
             places[name].append(here)

@@ -69,8 +69,8 @@ def with_lag(recording: Recording, request: Request, jobs: int | None = None) ->
             for of_instrument, result in zip(readings.values(), replayed.results, strict=True):
                 of_instrument.add(result)
         each = [recording_lag(rows, recording.for_instrument(name), request.rules) for name, rows in readings.items()]
-        found = max(each, key=lambda one: (one.told, one.confidence))
-    if request.lag is None or not found.told:
+        found = max(each, key=lambda one: (one.is_observable, one.confidence))
+    if request.lag is None or not found.is_observable:
         return recording, found
     std_s = 0.0 if found.std_s is None else float(np.hypot(found.std_s, FOUND_LAG_STD_S))
     return replace(recording, lag=replace(found, std_s=std_s)), found

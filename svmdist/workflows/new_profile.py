@@ -93,7 +93,7 @@ class LogRoles(NamedTuple):
 def draft_profile(path: LogPath, name: str, topics: Mapping[str, str], instrument: str | None = None) -> ProfileDraft:
     """Look at a log and draft its profile; `topics` chooses some by role, where `find_roles` would raise.
 
-    `instrument` is a name in the table of instruments; without it, joints of a da Vinci tell one of 8 mm.
+    `instrument` is a name in the table of instruments; without it, joints of a da Vinci mean one of 8 mm.
     """
     blank = _blank({})
     summary = inspect_recording(open_recording(path, blank))
@@ -110,7 +110,7 @@ def draft_profile(path: LogPath, name: str, topics: Mapping[str, str], instrumen
         _instrument(name, own, summary, path, blank, len(roles.instruments)) for name, own in roles.instruments.items()
     )
     has_base = bool(instruments) and recording.nominal_tree.links(camera.frame_id, instruments[0].base)
-    if not has_base and len(instruments) != 1:  # nothing else tells them apart
+    if not has_base and len(instruments) != 1:  # nothing else separates them
         seen = _instruments_by_entries(images)
         if len(seen) == len(instruments):
             instruments = tuple(replace(one, entry=other.entry) for one, other in zip(instruments, seen, strict=True))

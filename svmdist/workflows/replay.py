@@ -263,7 +263,7 @@ class _Replay:
         return MultiInstrumentEstimator(setup, chosen, known, camera, left_alone=left_alone)
 
     def run(self, jobs: int, rest: bool, alarms: AlarmRules | None) -> Iterator[tuple[Replayed, ...]]:
-        several = len(self._arms) > 1  # what tells them apart starts from nominal kinematics
+        several = len(self._arms) > 1  # their association starts from nominal kinematics
         robot, right = self._needs.robot or several, self._needs.right_view
         encoded = self._recording.encoded_observations(robot=robot, right=right, rest=rest, stale=True)
         watches = [[AlarmWatch(alarms) for _ in self._places] for lanes in self._lanes for _ in lanes if alarms]

@@ -88,7 +88,7 @@ CLEAN = Condition()
 Lag = float | Literal["auto"]  # a lag in s, positive when the image stamps are late, or `auto` to estimate it
 
 LOG = logging.getLogger("svmdist")
-"""What users are told beside the data: errors, then remarks (INFO), then choices and times (DEBUG)."""
+"""Messages beside the data: errors, then remarks (INFO), then choices and times (DEBUG)."""
 
 
 @runtime_checkable
@@ -280,7 +280,7 @@ def prepare(
         named = loaded.name if isinstance(profile, Profile) else profile
         found = plane_mapping.load_calibration(calibration or profile_path(named).parent / str(loaded.calibration))
         setup = replace(setup, calibration=found, mapping=found.mapping)
-    # A network or a mesh that cannot be used is told before a recording is opened.
+    # A network or a mesh that cannot be used is reported before a recording is opened.
     _ = setup.segmenter
     if not is_planar:
         require_tissue(loaded)

@@ -135,8 +135,8 @@ def score_recording(
         rows = [row for row in every if row.instrument == name]
         label = recording.name if name == setup.profile.instrument_name else f"{recording.name} {name}"
         offset = recording_lag(Readings(rows), view, rules) if planar and lag == "auto" else found
-        if not offset.told:
-            notes.append(f"{label}: the lag cannot be told and 0 is used: {offset.reason}")
+        if not offset.is_observable:
+            notes.append(f"{label}: the lag cannot be estimated and 0 is used: {offset.reason}")
         for reference in wanted:
             try:
                 score = score_rows(rows, view, request, reference, offset, by.get((reference, name)))

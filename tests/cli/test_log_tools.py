@@ -51,7 +51,7 @@ def test_a_still_tool_cannot_tell_a_lag(cli, tmp_path, synthetic_calibration):
 
     path = write_log(tmp_path / "still.mcap", SCENE, change=hold)
     outcome = cli("validate", path, "--lag", "auto", "--calibration", synthetic_calibration, "-f", "json")
-    assert "the lag cannot be told and 0 is used" in outcome.err
+    assert "the lag cannot be estimated and 0 is used" in outcome.err
     for score in outcome.json["recordings"]:
         assert (score["lag_s"], score["lag_confidence"]) == (0.0, 0.0)
 

@@ -43,5 +43,5 @@ def test_an_ambiguous_motion_says_so():
 
     noise = np.random.default_rng(1).normal(0.0, 0.5, (80, 2))
     estimate = estimate_lag(STAMPS_NS, circle(STAMPS_NS / 1e9) + noise, predict)
-    assert not estimate.told
+    assert not estimate.is_observable
     assert "another lag" in estimate.reason

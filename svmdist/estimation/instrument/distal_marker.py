@@ -35,7 +35,7 @@ ROW_TOLERANCE_PX = 3.0  # rectified points lie on one row; the marker is cut dif
 WHOLE_AREA_SPREAD = 0.1  # of a whole marker over its disc's: jaws hide some, a fork adds
 MIN_VISIBLE_FRACTION = 0.4  # of a whole marker's area: with less of it, it may be any coloured part
 MAX_AREA_FRACTION = 1.44  # a sphere shows no more than its disc, and light a fifth of its radius
-MOST_UNKNOWN = 10.0  # of the depth, over itself: of more, a size tells nothing either
+MOST_UNKNOWN = 10.0  # of the depth, over itself: of more, a size is not informative either
 OTHER_PART_PLACE = 3.0  # over the marker's radius: a ring or a clip, anywhere on the distal part
 WRIST_CORRELATED = 0.5  # of the variance of a point on the outline of a wrist: its shape is as it is
 MATCH_STD_PX, MATCH_STEP_PX = 1.0, 0.5  # of a wrist in both views: they show other sides of it, by a pixel
@@ -89,7 +89,7 @@ class MarkerPair:
 
 
 def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | None:
-    """The distal marker, or the tool's origin in the outline of its wrist; what is expected tells what of it is hidden.
+    """The distal marker, or the tool's origin in the outline of its wrist, and what of it is hidden as expected.
 
     What hides a side of a disc moves the middle of the rest by half of what is missing. Of another size than the
     marker, what is coloured is somewhere about the tool's origin.

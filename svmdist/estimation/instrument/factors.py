@@ -37,8 +37,8 @@ def of_images(
     """All factors of the left view or of both; of the variance of edges a share is correlated.
 
     What hides a part of end and marker hides it in both views alike: the second view adds its disparity only. Of a tool
-    that is tracked by its marker or tag, the right view's sides, the shaft's end and a size beside a disparity tell
-    less than is known before.
+    that is tracked by its marker or tag, the right view's sides, the shaft's end and a size beside a disparity
+    add no information.
     """
     arm, left, right = frame.arm, frame.left, frame.right
     views = [left, right] if both_views and right is not None else [left]
@@ -51,7 +51,7 @@ def of_images(
 
     found: list[LinkMeasurement] = []
     marks = first(of_view(view, marked(view, arm, expected)) for view in views)
-    # An outline's wrist tells too little without the rest of the outline.
+    # An outline's wrist is too ambiguous without the rest of the outline.
     is_by_outline = any(one.name.endswith(WRIST) for one in marks)
     has_tag = arm.profile.fiducial is not None and left.tag_corners_px is not None
     if is_tracked and not is_by_outline and (marks or has_tag):
@@ -73,7 +73,7 @@ def of_images(
 def sides(view: View, arm: Arm, correlated_share: float = 0.0, *, is_alone: bool = False) -> Iterator[LinkMeasurement]:
     """Both sides of the shaft's outline in a view; of their variance a share is correlated.
 
-    Where it `is_alone`, no other view tells the depth of what may be a wrist.
+    Where it `is_alone`, no other view shows the depth of what may be a wrist.
     """
     if not view.shaft.contours or arm.straight is None:
         return
@@ -200,7 +200,7 @@ def _disparity(frame: Frame, right: View, markers: MarkerPair) -> LinkMeasuremen
 
 
 def tag(frame: Frame, robot: RobotState, predicted: ToolPose, correlated_share: float) -> Iterator[LinkMeasurement]:
-    """The tag's pose; the predicted tool tells how the tag is turned, but for the wrist's joints between them."""
+    """The tag's pose; the predicted tool gives the tag's rotation, but for the wrist's joints between them."""
     fiducial = frame.arm.profile.fiducial
     if fiducial is None or frame.left.tag_corners_px is None:
         return

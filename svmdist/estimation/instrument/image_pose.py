@@ -27,7 +27,7 @@ from svmdist.vision.lines import apparent_radius_px, axis_of_cylinder
 from svmdist.vision.stereo import RectifiedPair
 
 OPEN_M = 0.3  # standard deviation of the base's place: a scene is no larger
-OPEN_RAD = 3.0  # of its rotation, where nothing tells it
+OPEN_RAD = 3.0  # of its rotation, if unknown
 START_STD_M, START_STD_RAD = 5e-3, 0.1  # of a start, which is where to linearise and no more
 ROLL_COUNT = 4  # starts about a shaft whose rotation is not known
 DEPTH_CUES = DISPARITY, "size"  # which are weighed against each other and the sides (`depth_outliers`)
@@ -142,7 +142,7 @@ def _bends_aside(view: View) -> bool:
 
 
 def _with_other_bend(pose: ToolPose, frame: Frame, model: ShaftModel) -> ToolPose:
-    """The pose of a wrist that is bent about the other axis, too: the chain of a straight one cannot tell that.
+    """The pose of a wrist that is bent about the other axis, too: the chain of a straight one lacks that.
 
     Across the line of sight the outline of the wrist says how far it may be.
     """

@@ -195,7 +195,7 @@ class ContourMeasurement(_WithBias):
     `normal`, shape (3,), is that plane's unit normal in the camera frame, turned to the shaft's side; `across`, shape
     (2, 3), holds two unit vectors square to it, along which it errs by the covariance, shape (2, 2) in rad². The
     shaft is a cylinder of `radius_m` about an axis of the link: `p_axis_m` and `axis`, shape (3,), in the link's
-    frame, towards the tip. `side` tells the edges apart: +1 for the one to the right of the axis as it runs through
+    frame, towards the tip. `side` is +1 for the edge to the right of the axis as it runs through
     the image, y being down, -1 for the left. `bias_covariance`, shape (2, 2) in rad², is that of the bias: shading
     stays as long as the light falls on the edge so.
     """

@@ -168,8 +168,8 @@ def robust_cost(found: Solution, measurements: Sequence[LinkMeasurement]) -> flo
 
 def evidence(found: Solution, P: Array, measurements: Sequence[LinkMeasurement]) -> float:
     """Minus twice the logarithm of the measurements' probability under a prior (Laplace's approximation)."""
-    told = np.linalg.slogdet(found.H @ P @ found.H.T + found.R)[1] - np.linalg.slogdet(found.R)[1]
-    return robust_cost(found, measurements) + float(told)
+    logdet = np.linalg.slogdet(found.H @ P @ found.H.T + found.R)[1] - np.linalg.slogdet(found.R)[1]
+    return robust_cost(found, measurements) + float(logdet)
 
 
 def heavy_tailed(square: float, covariance: Array) -> float:

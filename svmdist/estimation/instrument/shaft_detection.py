@@ -94,9 +94,9 @@ NEAREST_M, FARTHEST_M = 0.02, 0.5  # of a shaft's end: nearer it fills the view,
 class ShaftDetection:
     """Contours (none, one or two), the planes that touch the shaft there, and the rim, each as far as it is visible.
 
-    `towards_tip` (2,) is the direction of the shaft's middle line in the image, None where nothing tells it. `wrist` is
+    `towards_tip` (2,) is the direction of the shaft's middle line in the image, None if unknown. `wrist` is
     where the tool's origin is in the outline of a whole instrument. `width_std` is the deviation over the width of what
-    both contours get wrong alike, `wrist_std` the same of what may be no shaft, where nothing else tells its depth.
+    both contours get wrong alike, `wrist_std` the same of what may be no shaft, where nothing else shows its depth.
     """
 
     contours: tuple[TangentPlane, ...] = ()

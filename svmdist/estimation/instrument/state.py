@@ -13,7 +13,7 @@ from svmdist.estimation.instrument.measurement import ONE_FRAME_S, BiasTerm, Lin
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.transforms import Array
 
-TOOL_SPEED_M_S = 0.05  # standard deviation along each axis, where no joints tell
+TOOL_SPEED_M_S = 0.05  # standard deviation along each axis, without joints
 MOTION_STD = 0.1  # over the motion by the joints: how late something is, is known to a tenth
 
 

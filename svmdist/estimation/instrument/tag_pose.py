@@ -38,7 +38,7 @@ CLUSTER_INFLATION = 2.2
 which shifts edges along rows. A camera's pixels integrate over their area and shift them less: it is safe there."""
 DECIDED_RATIO = 1.15  # of residuals of both poses: above 1.3 in nine of ten of 347 simulated frames
 NEAR_RAD = 0.05  # poses closer than this are one: a tag seen head-on has one minimum, with a wide covariance
-SURE_RAD = 0.03  # a predicted rotation so certain tells poses apart even at 10° of tilt
+SURE_RAD = 0.03  # a predicted rotation so certain separates poses even at 10° of tilt
 PREDICTED_WITHIN_RAD = 0.35  # twice 2° about each axis and 1° in each of seven joints
 
 STEP_LIMIT = np.array([0.2] * 6 + [0.5] + [2.0] * 2)
@@ -134,7 +134,7 @@ def _sure_pose(candidates: list[Array], R_predicted: Array | None, predicted_std
 
 
 def _choose(fits: list[LaidPattern], R_predicted: Array | None) -> LaidPattern | None:
-    """The fit whose residual is clearly smaller, or which the prediction is near to; None where neither tells."""
+    """The fit whose residual is clearly smaller, or which the prediction is near to; None if ambiguous."""
     fits = sorted(fits, key=lambda fit: fit.misfit)
     if len(fits) < 2 or fits[1].misfit > DECIDED_RATIO * fits[0].misfit:
         return fits[0] if fits else None

@@ -150,7 +150,7 @@ def _off_plane_m(points_m: Array, std_m: float, tissue: Tissue) -> float:
 def measure_height(
     tissue: Tissue, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter
 ) -> GatingResult | None:
-    """Tell the filter how high stereo shows the tissue over the profile's plane; None where it does not show it."""
+    """Update the filter with the tissue's height by stereo over the profile's plane; None where it is not seen."""
     surface, right = frame.scene.stereo_surface, frame.scene.observation.right
     if surface is None or right is None or known.dome is None:
         return None

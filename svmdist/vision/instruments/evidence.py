@@ -50,7 +50,7 @@ class Evidence:
         self.hidden = np.zeros_like(self.picture)
 
     def hide(self, mask: Image) -> None:
-        """Take what is marked in the image, shape (h, w), for nothing: neither its colours nor its borders tell."""
+        """Take what is marked in the image, shape (h, w), for nothing: neither its colours nor its borders count."""
         size = self.picture.shape[::-1]
         smaller = cv2.resize(mask, size, interpolation=cv2.INTER_AREA)
         self.hidden |= np.where(smaller > 0, 255, 0).astype(np.uint8)

@@ -271,7 +271,7 @@ def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_wei
             A[of_side, of_side] += J.T @ (J * weight[side, :, None])
             b[of_side] += J.T @ (weight[side] * mean[side])
         moved = np.asarray(np.linalg.solve(A, b).reshape(2, 2), np.float64)
-    # The posterior of one station is as wide as the edge's blur; how well they agree tells more of the line.
+    # The posterior of one station is as wide as the edge's blur; their scatter about the line says more.
     agreement = (weight * (at - mean) ** 2).sum() / max(weight_cap.sum(), 1e-9)
     known = np.linalg.inv((A - prior) / float(np.clip(agreement, LEAST_AGREEMENT, MOST_DISAGREEMENT)) + prior)
     covariance = np.stack([known[:2, :2], known[2:, 2:]]) + EDGE_STD_PX**2 * np.eye(2)

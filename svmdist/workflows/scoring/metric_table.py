@@ -1,7 +1,7 @@
 """Every metric, declared once: tables, CSV, JSON and baselines are made from these declarations.
 
 A new metric is one entry in one of the tuples below. Give it `is_late=True`: columns may be added at the end only. What
-it means is told in docs/metrics.md, whose keys and tolerances are these.
+it means is described in docs/metrics.md, whose keys and tolerances are these.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ REPLAYS = (
     COVERAGE,
     Metric("ms_per_frame", Unit("ms", digits=0), "ms", outputs=REPLAY),
 )
-"""What `compare` and the degradation grid tell beside the distances."""
+"""What `compare` and the degradation grid report beside the distances."""
 # fmt: on
 
 FIRST_KEYS = ("r_squared", "rmse_m", "p95_abs_error_m", "coverage")

@@ -203,7 +203,7 @@ def reference_lag_ns(recording: Recording, reference: Reference, lag: LagEstimat
     """Time offset from a reference's stamps to the images': the lag, or 0 where the reference has the images' clock.
 
     Of ground truth, the true tool is compared with the nominal one under either clock; what the robot believes wrongly
-    is mostly a constant. Where nothing tells them apart it is the robot's: images are what is late.
+    is mostly a constant. Where they cannot be separated it is the robot's: images are what is late.
     """
     lag_ns = lag.lag_ns if lag else 0
     if lag_ns == 0 or reference is not Reference.GROUND_TRUTH:
