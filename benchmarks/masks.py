@@ -1,7 +1,7 @@
 """IoU of instruments on public images with masks: `auto`, and the network that ships.
 
 `uv run python -m benchmarks.masks FOLDER [--renders N]` runs on whatever of the sets is in FOLDER (`git clone` of the
-repositories in SETS), and on N pictures that are drawn as those of the training are, with other seeds. It prints
+repositories in SETS), and on N pictures that are rendered as those of the training are, with other seeds. It prints
 a table, with means and the worst set, and of the pixels to which the network gives a probability from 0.85 to 0.95
 the share that is instrument. Where a set has no masks, `outlines.json` has outlines drawn by hand, in px of the image.
 Nothing of the network is trained on these sets or chosen by them.
@@ -233,7 +233,7 @@ def print_means(rows: Sequence[tuple[Scores, float]]) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--renders", type=int, default=0, help="how many drawn pictures to measure on")
+    parser.add_argument("--renders", type=int, default=0, help="how many rendered pictures to measure on")
     given = parser.parse_args()
     cv2.setNumThreads(1)
     rows = []

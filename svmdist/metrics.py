@@ -158,7 +158,7 @@ def bootstrap_intervals(
     """Percentile intervals of RMSE and of R² by a moving-block bootstrap (Künsch 1989).
 
     Errors of neighbouring frames are correlated, so that drawing single frames gives too narrow an interval: whole
-    blocks are drawn, of length n^(1/3) rounded up unless given. None for fewer than eight pairs; the R² interval is
+    blocks are resampled, of length n^(1/3) rounded up unless given. None for fewer than eight pairs; the R² interval is
     None where R² is undefined, for the pairs or for every resample.
     """
     f, y = np.asarray(estimate, np.float64), np.asarray(truth, np.float64)

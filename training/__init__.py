@@ -1,1 +1,1 @@
-"""A small network for segmentation, trained on randomised pictures that are drawn here: scenes, network, training."""
+"""A small network for segmentation, trained on randomised pictures rendered here: scenes, network, training."""

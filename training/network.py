@@ -183,15 +183,15 @@ def train(
     optimiser = torch.optim.AdamW(groups, weight_decay=1e-2)
     for step in range(1, steps + 1):
         made = [shown.sample(rng, SIZE) for _ in range(BATCH)]
-        images, labels, points, drawn = (np.stack(kind) for kind in zip(*made, strict=True))
+        images, labels, points, is_rendered = (np.stack(kind) for kind in zip(*made, strict=True))
         near = torch.from_numpy(np.stack([near_keypoints(each, SIZE) for each in points])).float()
         rate = of_rates * min(50.0 * step / steps, 0.5 * (1.0 + float(np.cos(np.pi * step / steps))))
         for group, highest in zip(optimiser.param_groups, (ENCODER_RATE, DECODER_RATE), strict=True):
             group["lr"] = rate * highest
-        is_real, loss = torch.from_numpy(~drawn), torch.zeros(())
+        is_real, loss = torch.from_numpy(~is_rendered), torch.zeros(())
         scores, odds = network(_to_input(images))
         if teacher and is_real.any():
-            answers, names = [teacher.outputs(image) for image in images[~drawn]], ("scores", "keypoints")
+            answers, names = [teacher.outputs(image) for image in images[~is_rendered]], ("scores", "keypoints")
             said, keypoints = (torch.from_numpy(np.concatenate([one[name] for one in answers])) for name in names)
             near[is_real] = keypoints.sigmoid()
             loss = TEACHING * _divergence(scores[is_real], said.log_softmax(1))

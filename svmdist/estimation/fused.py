@@ -87,8 +87,8 @@ class FusedEstimator:
         if tissue is None:
             result = with_tool(result, frame, tool)
             return result.rejected(Status.NO_TISSUE, "no tissue, in this frame or before")
-        placed, cross_covariance = at_height(self._profile_tissue, tissue, frame, kalman)
-        found = measured(result, frame, tool, placed, cross_covariance)
+        corrected, cross_covariance = at_height(self._profile_tissue, tissue, frame, kalman)
+        found = measured(result, frame, tool, corrected, cross_covariance)
         said = said or consistency.contradiction if found.status in (Status.OK, Status.INCONSISTENT) else ""
         return found.rejected(Status.INCONSISTENT, said) if said else found
 

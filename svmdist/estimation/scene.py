@@ -87,7 +87,7 @@ class Arm:
 
 
 class Scene:
-    """One moment of a log before the instruments are told apart; all methods and instruments share its detections.
+    """One moment of a log before the instruments are associated; all methods and instruments share its detections.
 
     Its `observation` is what ideal cameras would have seen; `lens` is the left camera as it is. The right
     view's `rows` are aligned with the left one's. Detections are computed as those of a view are.

@@ -34,8 +34,8 @@ class Size:
     """A strength in real worlds, in the perturbation's unit: `uniform` between two bounds, or a normal of mean 0.
 
     The bounds are often the same. `std` is the normal's deviation, which a profile may state. With several `axes`, the
-    strength is the length of a vector that has `std` along each of them; its direction is drawn apart from it. Beyond
-    `limit` it is drawn again.
+    strength is the length of a vector that has `std` along each of them; its direction is sampled apart from it. Beyond
+    `limit` it is sampled again.
     """
 
     uniform: Sequence[float] | None = None
@@ -44,13 +44,13 @@ class Size:
     limit: float = np.inf
 
     def draw(self, rng: np.random.Generator) -> float:
-        """Draw the strength of one world."""
+        """Sample the strength of one world."""
         if self.uniform is not None:
             low, high = self.uniform
             return float(rng.uniform(low, high))
         while True:
-            drawn = rng.normal(0.0, self.std, self.axes)
-            strength = float(drawn[0]) if self.axes == 1 else float(np.linalg.norm(drawn))
+            sample = rng.normal(0.0, self.std, self.axes)
+            strength = float(sample[0]) if self.axes == 1 else float(np.linalg.norm(sample))
             if abs(strength) <= self.limit:
                 return strength
 
@@ -143,16 +143,16 @@ UNPERTURBED = Perturbations()
 
 
 def draw_world(world: World, seed: int, given: Perturbations = UNPERTURBED) -> Perturbations:
-    """Draw the perturbations of a recording: in a real world all that have a size there, then the given ones.
+    """Sample the perturbations of a recording: in a real world all that have a size there, then the given ones.
 
-    A given strength replaces a drawn one. Each name has a random stream of its own, so that a new entry of the table
-    changes no other one. Drawn strengths have six digits, so that metadata stay readable.
+    A given strength replaces a sampled one. Each name has a random stream of its own, so that a new entry of the table
+    changes no other one. Sampled strengths have six digits, so that metadata stay readable.
     """
     if world is World.IDEAL:
         return given
     sizes = {name: entry.real for name, entry in TABLE.items() if entry.real is not None}
-    drawn = {name: float(f"{size.draw(_stream(seed, _STRENGTH_STREAM, name)):.6g}") for name, size in sizes.items()}
-    return Perturbations(tuple((drawn | dict(given.strengths)).items()))
+    sampled = {name: float(f"{size.draw(_stream(seed, _STRENGTH_STREAM, name)):.6g}") for name, size in sizes.items()}
+    return Perturbations(tuple((sampled | dict(given.strengths)).items()))
 
 
 def parse_perturbations(text: str) -> Perturbations:
@@ -169,8 +169,8 @@ def parse_perturbations(text: str) -> Perturbations:
 
 def direction(seed: int, name: str, axes: int) -> Array:
     """The direction of a perturbation in the world of a seed: a unit vector, shape (axes,)."""
-    drawn = _stream(seed, _DIRECTION_STREAM, name).normal(0.0, 1.0, axes)
-    return np.asarray(drawn / np.linalg.norm(drawn))
+    sample = _stream(seed, _DIRECTION_STREAM, name).normal(0.0, 1.0, axes)
+    return np.asarray(sample / np.linalg.norm(sample))
 
 
 def path_stream(seed: int, name: str, arm: int = 0) -> np.random.Generator:

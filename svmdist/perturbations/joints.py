@@ -103,7 +103,7 @@ def reported_joints(
 
 @dataclass(frozen=True)
 class ReplayedWorld:
-    """A log in a perturbed world; `profile` is the profile as it was read, `seed` that of what is drawn."""
+    """A log in a perturbed world; `profile` is the profile as it was read, `seed` that of what is sampled."""
 
     perturbations: Perturbations
     profile: Profile

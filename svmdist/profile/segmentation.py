@@ -26,7 +26,7 @@ INSTRUMENTS: dict[str, Any] = {
     "instrument": {"class_ids": (2,), "min_area_px": 50},
     "shaft": {"class_ids": (3,), "min_area_px": 200},
 }
-"""What a profile must say to run the network that `training/train.py` makes, of pictures that are drawn there."""
+"""What a profile must say to run the network that `training/train.py` makes, of pictures that are rendered there."""
 
 
 class AreaGate(StrictModel):

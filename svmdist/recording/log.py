@@ -107,7 +107,7 @@ class Recording:
         return replace(self, arms=(self._arm(name),), wanted=None)
 
     def perturbed(self, perturbations: Perturbations) -> Recording:
-        """The same log in a perturbed world, of other joints, stamps and cameras, drawn by the log's seed or 0."""
+        """The same log in a perturbed world, of other joints, stamps and cameras, sampled by the log's seed or 0."""
         seed = self.metadata.get("seed", "")
         seed_or_0 = int(seed) if seed.isdecimal() else 0
         return replace(self, world=ReplayedWorld(perturbations, self.origin.profile, seed_or_0))
@@ -119,7 +119,7 @@ class Recording:
 
     @property
     def measured(self) -> tuple[str, ...]:
-        """The instruments that are measured; the others are told apart from them. RecordingError for an unknown one."""
+        """The instruments that are measured; others are only associated. RecordingError for an unknown one."""
         return self.instruments if self.wanted is None else tuple(self._arm(one).name for one in self.wanted)
 
     @cached_property

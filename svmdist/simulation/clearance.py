@@ -39,7 +39,7 @@ class _Samples:
         cells = np.column_stack([self._part, np.floor(self._points_m / CELL_M)])
         _, self._first, self._cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
 
-    def placed(self, q: Array, offset_m: float) -> Array:
+    def posed(self, q: Array, offset_m: float) -> Array:
         """The samples in the tissue frame, shape (n, 3), at joints (n_joints,) with the tissue raised by an offset."""
         T_world_part = self._scene.part_poses(q)
         T_world_part[:, 2, 3] -= offset_m
@@ -47,7 +47,7 @@ class _Samples:
         return np.asarray(np.einsum("nij,nj->ni", T[:, :3, :3], self._points_m) + T[:, :3, 3])
 
     def distance_m(self, points_m: Array, organ: Organ) -> float:
-        """The distance of the nearest of the placed samples, where none is inside."""
+        """The distance of the nearest of the posed samples, where none is inside."""
         least_m, most_m = organ.bounds_m(points_m[self._first])
         is_near = least_m - np.sqrt(3.0) * CELL_M <= most_m.min() + SLACK_M
         points_m = points_m[is_near[self._cell]]
@@ -87,7 +87,7 @@ class TissueClearance:
         """The organ as arms at joints, shape (n_joints,) each, press it in; None where none does, or it is hard."""
         if not self._is_soft:
             return None
-        inside_m = np.vstack([self._organ.inside(its) for its in self._placed(q, offset_m)])
+        inside_m = np.vstack([self._organ.inside(its) for its in self._posed(q, offset_m)])
         return self._organ.dented(inside_m) if len(inside_m) else None
 
     def clearances_m(self, q: Sequence[Array], offset_m: float = 0.0) -> list[float]:
@@ -96,20 +96,20 @@ class TissueClearance:
         An arm that presses soft tissue touches it: 0, where the tissue gives way as far as that. An arm that does not
         press is measured to what the others leave.
         """
-        placed, organ = self._placed(q, offset_m), self._organ
-        inside, touches = [organ.inside(its) for its in placed], [False] * len(placed)
+        posed, organ = self._posed(q, offset_m), self._organ
+        inside, touches = [organ.inside(its) for its in posed], [False] * len(posed)
         if self._is_soft and any(len(its) for its in inside):
             touches = [len(its) > 0 and not organ.is_too_deep(its) for its in inside]
             if not all(touches):
                 organ = organ.dented(np.vstack(inside))
-                inside = [organ.inside(its) for its in placed]
+                inside = [organ.inside(its) for its in posed]
         return [
             0.0 if touch else -organ.depth_m(its) if len(its) else arm.distance_m(points_m, organ)
-            for arm, points_m, its, touch in zip(self._arms, placed, inside, touches, strict=True)
+            for arm, points_m, its, touch in zip(self._arms, posed, inside, touches, strict=True)
         ]
 
-    def _placed(self, q: Sequence[Array], offset_m: float) -> list[Array]:
-        return [arm.placed(its, offset_m) for arm, its in zip(self._arms, q, strict=True)]
+    def _posed(self, q: Sequence[Array], offset_m: float) -> list[Array]:
+        return [arm.posed(its, offset_m) for arm, its in zip(self._arms, q, strict=True)]
 
 
 class InstrumentClearance(BulletWorld):

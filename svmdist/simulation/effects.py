@@ -1,4 +1,4 @@
-"""Effects on drawn images: the lens, light from the endoscope's tip with shadows and highlights, blood, two fields.
+"""Effects on rendered images: the lens, light from the endoscope's tip with shadows and highlights, blood, two fields.
 
 The renderer knows one far lamp, no shadows and no lens. The position of each pixel is known from the depth buffer, so
 that light can fall off with distance, be blocked by the instrument, and be mirrored by wet tissue towards the camera.

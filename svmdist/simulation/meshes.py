@@ -1,4 +1,4 @@
-"""What is drawn: triangle meshes with smooth normals, textures of tissue and floor, the instrument's parts and plate.
+"""What is rendered: meshes with smooth normals, textures of tissue and floor, the instrument's parts and plate.
 
 PyBullet draws its own cylinders and spheres as coarse prisms, up to 13 % too thin, which ruins metric vision. Every
 round part is therefore a mesh of at least 64 sides. Textures are smooth on the scale of pixels, so that frames stay

@@ -49,23 +49,23 @@ def draw_nominal_kinematics(
     """Draw the nominal kinematics of a seed for one of the arms; `scale` multiplies the profile's kinematic error.
 
     Gives what is added to true joints, rad or m, (n_joints,), and the nominal `T_camera_base`, (4, 4). The same seed
-    draws the same directions at every scale. The error of `T_camera_base` is a rotation about the base's origin and a
+    samples the same directions at every scale. The error of `T_camera_base` is a rotation about the base's origin and a
     shift, both in the camera's axes. Joints that hold still while the robot works have no error: theirs is a part of
     the error of `T_camera_base`.
     """
     further = [arm] if arm else []
 
-    def drawn(stream: int, std_rad: float, std_m: float) -> Array:
+    def sampled(stream: int, std_rad: float, std_m: float) -> Array:
         unit = np.random.default_rng([seed, stream, *further]).normal(0.0, 1.0, len(chain.joint_names))
         return np.asarray(unit * np.where(chain.is_revolute, std_rad, std_m))
 
     settings, error = profile.simulation, profile.kinematic_error
     assert settings is not None  # the scene has checked it
-    offsets = drawn(_ENCODER_STREAM, settings.encoder_std_rad, settings.encoder_std_m)
+    offsets = sampled(_ENCODER_STREAM, settings.encoder_std_rad, settings.encoder_std_m)
     rng = np.random.default_rng([seed, _CAMERA_BASE_STREAM, *further])
     R = cv2.Rodrigues(scale * rng.normal(0.0, error.camera_base_std_rad, 3))[0] @ T_camera_base[:3, :3]
     shift_m = scale * rng.normal(0.0, error.camera_base_std_m, 3)
-    joint_offsets = scale * drawn(_JOINT_STREAM, error.joint_std_rad, error.joint_std_m)
+    joint_offsets = scale * sampled(_JOINT_STREAM, error.joint_std_rad, error.joint_std_m)
     if error.first_moving_joint is not None:
         joint_offsets[: chain.joint_names.index(error.first_moving_joint)] = 0.0
     return offsets + joint_offsets, make_transform(R, T_camera_base[:3, 3] + shift_m)

@@ -1,8 +1,8 @@
-"""Draws the scene as the endoscope sees it: PyBullet's TinyRenderer, behind the project's pinhole camera.
+"""Renders the scene as the endoscope sees it: PyBullet's TinyRenderer, behind the project's pinhole camera.
 
-TinyRenderer draws in software and spends five sixths of its time on the tissue and the floor, which rarely move. They
-are drawn once for each camera. Each frame draws what moves, alone, and the depth buffers tell which of the two is in
-front. The result is that of one picture of everything, bit for bit.
+TinyRenderer works in software and spends five sixths of its time on the tissue and the floor, which rarely move. They
+are rendered once for each camera. Each frame renders what moves, alone, and the depth buffers show which of the two
+is in front. The result is that of one picture of everything, bit for bit.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ PIXEL_SHIFT = (-0.5, 0.5)
 OPTICS_SIGMA_PX = 0.8  # blur of the optics, which also hides the renderer's stairs
 DEPTH_TIE = 2.5e-7
 """Four steps of a float32 below 1, 0.25 µm here: TinyRenderer compares depths before it scales and rounds them.
-Surfaces that are nearer to each other than that are drawn in one picture again."""
+Surfaces that are nearer to each other than that are rendered in one picture again."""
 LIGHT_DIRECTION = (0.35, 0.45, 1.0)
 """Towards the light, in the world: beside the optical axis, as in an endoscope, so that shapes shade."""
 AMBIENT, DIFFUSE, SPECULAR = 0.52, 0.5, 0.12
@@ -97,7 +97,7 @@ class Renderer(BulletWorld):
         }
         has_surfaces = scene.perturbations.has("light", "shadow", "wet", "blood")
         self._shader = Shader(scene.perturbations, scene.seed) if has_surfaces else None
-        # Where two surfaces are equally far, the body that came last is drawn: the order is a part of the content.
+        # Where two surfaces are equally far, the body that came last is rendered: the order is a part of the content.
         self._parts = [self._add_part(part) for part in scene.parts]
         self._tissue = self._add_mesh(scene.organ.mesh)
         self._tissue_texture = self._paint(self._tissue, tissue_texture(scene.seed))
@@ -114,14 +114,14 @@ class Renderer(BulletWorld):
         self._background_of: tuple[float, Organ | None] = (0.0, None)
 
     def pose(self, state: SceneState, organ: Organ | None = None) -> None:
-        """Place everything; an organ that is not at rest is drawn instead of the scene's."""
+        """Place everything; an organ that is not at rest is rendered instead of the scene's."""
         if self._background_of != (state.offset_m, organ):
             self._backgrounds.clear()
         self._background_of, self._shown = (state.offset_m, organ), None
         poses = [scene.part_poses(q) for scene, q in zip(self._scenes, state.q, strict=True)]
         self._moving = dict(zip(self._parts, np.concatenate(poses), strict=True))
         self._moving[self._retractor] = _AWAY if state.T_world_retractor is None else state.T_world_retractor
-        # The body of a dented organ, always the last one, is drawn in place of the tissue's.
+        # The body of a dented organ, always the last one, is rendered in place of the tissue's.
         if self._dented is not None and organ is not self._dented[0]:
             self.call("removeBody", self._dented[1])
             self._dented = None
@@ -146,12 +146,12 @@ class Renderer(BulletWorld):
         if key not in self._backgrounds:
             self._backgrounds[key] = self._picture(T_world_camera, turn, moving=False)
         background, picture = self._backgrounds[key], self._picture(T_world_camera, turn, still=False)
-        drawn = picture.bodies >= 0
-        if (drawn & (np.abs(picture.depth - background.depth) <= DEPTH_TIE)).any():
+        rendered = picture.bodies >= 0
+        if (rendered & (np.abs(picture.depth - background.depth) <= DEPTH_TIE)).any():
             # Few frames need it: those in which surfaces meet within a pixel's centre.
             together = self._picture(T_world_camera, turn)
         else:
-            in_front = drawn & (picture.depth < background.depth)
+            in_front = rendered & (picture.depth < background.depth)
             image_bgr = background.image_bgr.copy()
             cv2.copyTo(picture.image_bgr, in_front.view(np.uint8), image_bgr)
             depth = np.where(in_front, picture.depth, background.depth)
@@ -161,8 +161,8 @@ class Renderer(BulletWorld):
     def _picture(self, T_world_camera: Array, turn: int, *, moving: bool = True, still: bool = True) -> Picture:
         """Take the picture that is number `turn` of a recording, of what moves and of what is still, or one of them.
 
-        TinyRenderer draws the same scene in two ways, by turns, which differ by one level in single pixels. The
-        picture of an even turn is therefore always an even one here, whatever was drawn before.
+        TinyRenderer renders the same scene in two ways, by turns, which differ by one level in single pixels. The
+        picture of an even turn is therefore always an even one here, whatever was rendered before.
         """
         if self._shown != (moving, still):
             for bodies, is_shown in ((self._moving, moving), (self._still, still)):

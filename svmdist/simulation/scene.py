@@ -37,7 +37,7 @@ class Options:
 
     `stereo` adds the right camera, `tag` mounts the profile's fiducial plate, `kinematic_error` scales the error of
     the nominal kinematics (0 none, 1 as the profile states). `degradations` are applied to the images in order, behind
-    the sensor's noise: (name, severity). `arms` is the number of instruments. `perturbations` were drawn for `world`.
+    the sensor's noise: (name, severity). `arms` is the number of instruments. `perturbations` were sampled for `world`.
     `noise` is the sensor's, a standard deviation in 8-bit levels.
     """
 
@@ -99,7 +99,7 @@ class Scene:
 
     @property
     def drawn_camera(self) -> Camera:
-        """The pinhole camera whose images are drawn: wider than the real one where the lens needs it."""
+        """The pinhole camera whose images are rendered: wider than the real one where the lens needs it."""
         return self.camera if self.lens is None else self.lens.wide
 
     @property

@@ -35,10 +35,10 @@ class Sensors:
 
     def __init__(self, camera: Camera, seed: int, options: Options) -> None:
         self._shape, self._seed, self._noise = (camera.height_px, camera.width_px, 3), seed, options.noise
-        placed = [(at, Degradation(name), much) for at, (name, much) in enumerate(options.degradations)]
+        numbered = [(at, Degradation(name), much) for at, (name, much) in enumerate(options.degradations)]
         by_field = OPTICS if options.perturbations["interlace"] else frozenset()
-        self._of_fields = [one for one in placed if one[1] in by_field]
-        self._of_images = [one for one in placed if one[1] not in by_field]
+        self._of_fields = [one for one in numbered if one[1] in by_field]
+        self._of_images = [one for one in numbered if one[1] not in by_field]
         self._chroma = options.perturbations["chroma"]
         streams = _NOISE_STREAMS if options.stereo else _NOISE_STREAMS[:1]
         self.generators = [np.random.default_rng([seed, stream]) for stream in streams]
@@ -57,7 +57,7 @@ class Sensors:
         return image
 
     def expose(self, camera: int, image: Image, noise: Array | None, frame: int) -> Image:
-        """What a camera reports of the image number `frame`, with the noise that was drawn for it."""
+        """What a camera reports of the image number `frame`, with the noise that was sampled for it."""
         if noise is not None:  # OpenCV rounds to the nearest level and saturates, in one pass
             image = np.asarray(cv2.add(noise, image, dtype=cv2.CV_8U), np.uint8)
         if self._chroma:

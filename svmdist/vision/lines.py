@@ -95,7 +95,7 @@ def _tangent_plane(normal: Array, offset: float, centre: Array, covariance: Arra
 
 def _consensus(points: Array, tolerance: float) -> NDArray[np.bool_]:
     """The largest set of points, shape (n,), that lie within a tolerance of a line through two of them."""
-    count, rng = len(points), np.random.default_rng(SEED)  # pairs of different points, the same whenever they are drawn
+    count, rng = len(points), np.random.default_rng(SEED)  # pairs of different points, the same in every call
     first = rng.integers(0, count, TRIALS)
     second = (first + rng.integers(1, count, TRIALS)) % count
     along = points[second] - points[first]

@@ -48,7 +48,7 @@ class OnnxSegmenter:
             if beyond:
                 raise ProfileError(
                     f"{rules.model}: segmentation.{name}.class_ids asks for class {beyond[0]}, and the network"
-                    f" tells {count} classes, 0 to {count - 1}"
+                    f" has {count} classes, 0 to {count - 1}"
                 )
 
     def masks(self, bgr: Image) -> KnownMasks:

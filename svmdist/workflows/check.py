@@ -107,12 +107,12 @@ def arms_of(recording: Recording, profile: Profile, spread: Sequence[EncodedObse
 
 
 def needs_association(arms: Sequence[Arm]) -> bool:
-    """Whether instruments have to be told apart: there are several, or images show others as such."""
+    """Whether instruments have to be associated: there are several, or images show others as such."""
     return len(arms) > 1 or isinstance(arms[0].profile.segmentation, AutoSegmentation)
 
 
 def look(seen: tuple[Observation, ...], arms: Sequence[Arm], segmenter: Segmenter, rows: RowAlignment) -> list[Frame]:
-    """A frame for each instrument in an image: several are told apart as in the first image of a log."""
+    """A frame for each instrument in an image: several are associated as in the first image of a log."""
     scene = Scene(seen[0], arms[0].profile, segmenter, rows)
     if not needs_association(arms):
         return [Frame.of(scene, arms[0], seen[0], arms[0].state_at(seen[0]))]

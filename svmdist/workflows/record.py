@@ -157,7 +157,7 @@ SEED, NUMBER = "{seed}", "{episode}"
 
 @dataclass(frozen=True)
 class Episodes:
-    """What is recorded: a recipe, of which each episode has the next seed, and the world that is drawn by it."""
+    """What is recorded: a recipe, of which each episode has the next seed, and the world that is sampled by it."""
 
     recipe: Recipe
     perturbations: Perturbations

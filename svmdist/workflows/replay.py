@@ -2,7 +2,7 @@
 
     reading thread:  encoded images, joints, transforms
     worker threads:  decode, degrade, detect                        (nothing depends on the frame before)
-    this thread:     tell instruments apart, estimate, clearance between instruments     (in order)
+    this thread:     associate instruments, estimate, clearance between instruments     (in order)
 
 Each image is decoded once and looked at once, however many methods measure it. The results are the same for any
 number of workers.

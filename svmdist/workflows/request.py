@@ -153,7 +153,7 @@ class Setup:
 
     @cached_property
     def segmenter(self) -> Segmenter:
-        """What tells tissue and instrument apart; raises ProfileError where its network cannot be used."""
+        """What segments tissue and instrument; raises ProfileError where its network cannot be used."""
         return make_segmenter(self.profile.segmentation, self.profile.settings.auto)
 
     @property

@@ -99,7 +99,7 @@ def faulty(folder: Path, fault: str) -> OnnxSegmentation:
         ("nan", "output scores is not finite"),
         ("two outputs", "has 2 outputs; name one in segmentation.output: .*aux"),
         ("wrong output", "no output mian: did you mean main"),
-        ("class", r"shaft\.class_ids asks for class 7, and the network tells 4 classes, 0 to 3"),
+        ("class", r"shaft\.class_ids asks for class 7, and the network has 4 classes, 0 to 3"),
         ("size", "does not run on one RGB image of 64x48"),
         ("memory", "not enough memory to run the network on 64x48"),
     ],

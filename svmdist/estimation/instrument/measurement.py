@@ -17,7 +17,7 @@ from svmdist.transforms import Array, skew
 RIGHT_ROTATION = "right camera's rotation"
 FOR_EVER_S = np.inf
 ONE_PLACE_S = 100.0  # of what is left of a calibration, which is another error in another part of the view
-ONE_FRAME_S = 1e-3  # of what is drawn anew in every frame
+ONE_FRAME_S = 1e-3  # of what is independent in every frame
 MIN_DEPTH_M = 1e-3  # what is nearer to the camera, or behind it, has no image
 AHEAD_M = np.array([0.0, 0.0, 1.0])  # in place of a point that cannot be seen, so that it has a projection
 

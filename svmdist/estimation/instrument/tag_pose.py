@@ -34,7 +34,7 @@ FINE_STEPS = 16  # steps of the refinement, at most. It takes 4 on a clear image
 TOLERANCE = 1e-4  # a last step: what is left is 0.3 µm of a tag of 7 mm, a hundredth of its deviation
 OUTLIER_BOUND = 6.0  # tukey's biweight, 95 % efficient on normal errors: glare and blood are outliers
 CLUSTER_INFLATION = 2.2
-"""Over deviations by cells that err independently: measured on 450 drawn tags of 40 px, whose pixels sample a point,
+"""Over deviations by cells that err independently: measured on 450 rendered tags of 40 px, whose pixels sample a point,
 which shifts edges along rows. A camera's pixels integrate over their area and shift them less: it is safe there."""
 DECIDED_RATIO = 1.15  # of residuals of both poses: above 1.3 in nine of ten of 347 simulated frames
 NEAR_RAD = 0.05  # poses closer than this are one: a tag seen head-on has one minimum, with a wide covariance

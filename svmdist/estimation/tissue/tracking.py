@@ -184,17 +184,17 @@ def at_height(
     plane, biases = tissue_plane(tissue), height_biases(tissue, known.position_m)
     offset_m = plane.offset_m + sum(float(bias.jacobian[0, 0]) * kalman.state.bias(bias.name) for bias in biases)
     scale = offset_m / plane.offset_m
-    placed = known.at(scale * known.position_m, scale)
-    by_height = placed.position_m[:, None] / offset_m
-    by_ray = ray_on_plane_biases(placed.position_m, Plane(plane.normal, offset_m), frame.left.camera, of_camera)
+    corrected = known.at(scale * known.position_m, scale)
+    by_height = corrected.position_m[:, None] / offset_m
+    by_ray = ray_on_plane_biases(corrected.position_m, Plane(plane.normal, offset_m), frame.left.camera, of_camera)
     along = (replace(bias, jacobian=by_height @ bias.jacobian) for bias in biases)
     covariance, cross_covariance = kalman.bias_covariances((*along, *by_ray))
-    placed = replace(placed, covariance=placed.outline_covariance + covariance)
-    seen = surface_by_stereo(frame, placed)
-    return (placed if seen is None or _has_surer_shape(tissue, placed, seen, frame) else seen), cross_covariance
+    corrected = replace(corrected, covariance=corrected.outline_covariance + covariance)
+    seen = surface_by_stereo(frame, corrected)
+    return (corrected if seen is None or _has_surer_shape(tissue, corrected, seen, frame) else seen), cross_covariance
 
 
-def _has_surer_shape(tissue: Tissue, placed: TissuePose, seen: TissuePose, frame: Frame) -> bool:
+def _has_surer_shape(tissue: Tissue, corrected: TissuePose, seen: TissuePose, frame: Frame) -> bool:
     """Whether the profile's shape is surer than a surface that is seen, and that one has it, at whatever height."""
     cloud, surface = seen.surface, frame.scene.stereo_surface
     assert isinstance(cloud, Cloud)
@@ -205,9 +205,9 @@ def _has_surer_shape(tissue: Tissue, placed: TissuePose, seen: TissuePose, frame
     std_m = float(np.linalg.norm([tissue.surface_std_m, dome_std_m, tissue.plane_tilt_std_rad * away_m]))
     if std_m >= np.hypot(median(cloud.std_m), seen.surface_std_m):
         return False
-    if placed.dome is None or surface is None:
+    if corrected.dome is None or surface is None:
         return True
-    over_m = placed.dome.above(surface.points_m).over_m
+    over_m = corrected.dome.above(surface.points_m).over_m
     if len(over_m) < MIN_POINTS:
         return True
     return scale_of(over_m - median(over_m)) < MAX_SHAPE_STDS * float(np.hypot(std_m, surface.std_m))

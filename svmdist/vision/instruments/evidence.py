@@ -76,9 +76,9 @@ class Evidence:
         odds = np.log(likely[[DISTAL, SHAFT]].sum(0) / np.delete(likely, (DISTAL, SHAFT), 0).sum(0))
         both = np.stack([odds, scores[SHAFT] - scores[DISTAL]], -1)
         both = np.clip(both, -MOST_AGAINST, MOST_ODDS).astype(np.float32)
-        placed = np.zeros((*self.picture.shape, 2), np.float32)
-        placed[y : y + height, x : x + width] = cv2.resize(both, (width, height))
-        return np.ascontiguousarray(np.moveaxis(placed, 2, 0))
+        padded = np.zeros((*self.picture.shape, 2), np.float32)
+        padded[y : y + height, x : x + width] = cv2.resize(both, (width, height))
+        return np.ascontiguousarray(np.moveaxis(padded, 2, 0))
 
     @cached_property
     def colours(self) -> Floats:
