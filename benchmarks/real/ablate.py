@@ -53,7 +53,7 @@ def own_end(sizes: ShaftSizes, shaft: ShaftDetection, default_std_m: float) -> t
     assert shaft.rim is not None
     if shaft.rim.is_outline:
         return sizes.outline_end_m, sizes.outline_end_std_m
-    return -sizes.neck_m, sizes.neck_std_m(default_std_m)
+    return -sizes.end_m, sizes.end_std_m(default_std_m)
 
 
 def nothing_unlike(_: Any, flanks: Any, __: Any) -> Any:

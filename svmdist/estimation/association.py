@@ -13,7 +13,7 @@ from svmdist.camera import Camera
 from svmdist.estimation.entries import EntryAssociation, other_than
 from svmdist.estimation.frame import Frame, OtherMasks
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.estimation.instrument.model import NECK_PER_RADIUS, WRIST_LENGTH_PER_RADIUS
+from svmdist.estimation.instrument.model import SHAFT_END_PER_RADIUS, WRIST_LENGTH_PER_RADIUS
 from svmdist.estimation.region_tracking import Blob, Gaussian, Identity, NominalPlace, RegionTracker
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.kinematics.robot_state import RobotState
@@ -226,7 +226,7 @@ class NominalInstrument:
         sizes = self.instrument
         if sizes is None:
             return 0.0
-        end_m = sizes.shaft_end_m or NECK_PER_RADIUS * sizes.wrist_radius_m
+        end_m = sizes.shaft_end_m or SHAFT_END_PER_RADIUS * sizes.wrist_radius_m
         return WRIST_LENGTH_PER_RADIUS * sizes.wrist_radius_m + end_m
 
     def place(self, behind_m: float = 0.0) -> NominalPlace:

@@ -201,11 +201,11 @@ def make_parts(instrument: Instrument, chain: DHChain, perturbations: Perturbati
     # The jaw's frame is turned by its α of π/2 against the wrist's.
     T_jaw_wrist = make_transform(rotation_x(-np.pi / 2), np.zeros(3))
     shaft_m, length_m = instrument.shaft_radius_m, instrument.shaft_length_m
-    neck_m = 2.2 * wrist_m
+    shaft_end_m = 2.2 * wrist_m
     # Many short rings: TinyRenderer walks the bounding box of every triangle, and long ones are slow.
-    rings_m = np.linspace(neck_m + 0.0006, length_m, 60)
-    shaft = revolve(np.append(neck_m, rings_m), np.append(shaft_m - 0.0006, np.full(60, shaft_m)))
-    collar = revolve(np.array([0.8 * wrist_m, neck_m + 0.0002]), np.array([wrist_m, shaft_m - 0.0004]))
+    rings_m = np.linspace(shaft_end_m + 0.0006, length_m, 60)
+    shaft = revolve(np.append(shaft_end_m, rings_m), np.append(shaft_m - 0.0006, np.full(60, shaft_m)))
+    collar = revolve(np.array([0.8 * wrist_m, shaft_end_m + 0.0002]), np.array([wrist_m, shaft_m - 0.0004]))
     fork_m = marker_m + 0.0004  # the fork's tines stand beside the distal marker
     bridge_x_m = -wrist_length_m + np.array([0.0, 0.3, 0.45]) * wrist_length_m
     bridge_z_m = np.array([0.9 * wrist_m, fork_m + 0.0003, fork_m])

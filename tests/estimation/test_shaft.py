@@ -292,7 +292,7 @@ def test_an_outline_beyond_which_nothing_is_seen_ends_anywhere_up_to_the_tips():
     near_m, tip_m = 0.004, 0.017
     assert mean_m - 2.0 * std_m < near_m < tip_m < mean_m + 2.0 * std_m
     likelier_m, std_m = ahead(narrows=1.0, other_radii=-3.0, other_share=0.3)
-    other_m = 3.0 * ENDS.radius_m - ENDS.neck_m
+    other_m = 3.0 * ENDS.radius_m - ENDS.end_m
     assert likelier_m == pytest.approx(near_m)
     assert std_m > np.sqrt(0.3) * abs(other_m - near_m)
 

@@ -166,7 +166,7 @@ def test_where_an_outline_ends_is_as_uncertain_as_clevises_differ():
     """Without the profile's word the end may be the dark shaft's or a clevis's; a stated deviation is taken."""
     instrument = PROFILE.instrument.model_copy(update={"outline_end_m": None})
     unknown = ShaftSizes(instrument, 0.0)
-    for end_m in (-unknown.neck_m, 0.9 * unknown.radius_m):
+    for end_m in (-unknown.end_m, 0.9 * unknown.radius_m):
         assert abs(end_m - unknown.outline_end_m) <= 1.001 * unknown.outline_end_std_m
     stated = ShaftSizes(instrument.model_copy(update={"outline_end_m": 0.0, "outline_end_std_m": 3e-3}), 0.0)
     assert (stated.outline_end_m, stated.outline_end_std_m) == (0.0, 3e-3)

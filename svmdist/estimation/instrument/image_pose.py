@@ -175,7 +175,7 @@ def _along_axis(p_m: Array, d: Array, view: View, model: ShaftModel) -> Array | 
     """The hinge: where the axis passes the landmark's ray, less the landmark's place on the straight tool."""
     rim, marker = view.shaft.rim, view.distal_marker
     if rim is not None:
-        pixel, ahead_m = rim.pixel, model.outline_end_m if rim.is_outline else -model.neck_m
+        pixel, ahead_m = rim.pixel, model.outline_end_m if rim.is_outline else -model.end_m
     elif marker is not None:
         pixel, ahead_m = marker.centre_px, float(model.T_shaft_tool[2, 3])
     else:

@@ -106,7 +106,7 @@ def jaws_of(along: Array, axis: Array, opening_rad: float) -> tuple[Jaw, Jaw]:
 # Shape facts of this model, as lengths over the radii that a profile gives: they say which capsules model which
 # part, and have no meaning apart from one another. What differs between instruments is in the profile.
 WRIST_LENGTH_PER_RADIUS = 3.4  # from the wrist's hinge to the tool, without a chain: 9.1 / 2.7
-NECK_PER_RADIUS = 2.2  # the shaft begins this many radii of the wrist behind the hinge
+SHAFT_END_PER_RADIUS = 2.2  # the shaft begins this many radii of the wrist behind the hinge
 SHAFT_CAP = 0.5  # from a flat end of the shaft to its capsule's, in radii: half of the cap is beyond it
 TINE_RADIUS_M = 0.0005  # of the fork's capsules beside the distal marker, however large that is
 FORK_BEGIN = 0.3  # where the fork's tines leave its bridges, over the way from the hinge to the tool
@@ -173,11 +173,11 @@ def capsules_about(instrument: Instrument, wrist: Wrist, jaw_scale: float = 1.0)
     shaft_m, wrist_m = instrument.shaft_radius_m, instrument.wrist_radius_m
     marker_m = instrument.knuckle_radius_m
     hinge, tool, back = wrist.hinge_m, wrist.tool_m, -wrist.shaft
-    neck_m = NECK_PER_RADIUS * wrist_m
-    far_m = max(instrument.shaft_length_m - SHAFT_CAP * shaft_m, neck_m + SHAFT_CAP * shaft_m)
+    end_m = SHAFT_END_PER_RADIUS * wrist_m
+    far_m = max(instrument.shaft_length_m - SHAFT_CAP * shaft_m, end_m + SHAFT_CAP * shaft_m)
     capsules: list[tuple[Array, Array, float]] = [
-        (hinge + (neck_m + SHAFT_CAP * shaft_m) * back, hinge + far_m * back, shaft_m),
-        (hinge, hinge + neck_m * back, wrist_m),
+        (hinge + (end_m + SHAFT_CAP * shaft_m) * back, hinge + far_m * back, shaft_m),
+        (hinge, hinge + end_m * back, wrist_m),
         (tool, tool, marker_m),
     ]
     tine_m, fork = marker_m + TINE_RADIUS_M, hinge + FORK_BEGIN * (tool - hinge)

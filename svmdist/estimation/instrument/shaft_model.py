@@ -8,7 +8,7 @@ import numpy as np
 
 from svmdist import kinematics as dh
 from svmdist.errors import ProfileError
-from svmdist.estimation.instrument.model import NECK_PER_RADIUS
+from svmdist.estimation.instrument.model import SHAFT_END_PER_RADIUS
 from svmdist.estimation.instrument.shaft_detection import ShaftDetection
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import Instrument
@@ -39,9 +39,9 @@ class ShaftSizes:
         return self.instrument.shaft_radius_m
 
     @property
-    def neck_m(self) -> float:
+    def end_m(self) -> float:
         """From the hinge back to where the dark shaft ends."""
-        return self.instrument.shaft_end_m or NECK_PER_RADIUS * self.instrument.wrist_radius_m
+        return self.instrument.shaft_end_m or SHAFT_END_PER_RADIUS * self.instrument.wrist_radius_m
 
     @property
     def tip_m(self) -> float:
@@ -53,17 +53,17 @@ class ShaftSizes:
         """How far the tip of an outline may be from that of straight jaws of the profile's length."""
         return float(np.hypot(self.instrument.body_std_m, JAWS_TURN * self.instrument.jaw_length_m))
 
-    def neck_std_m(self, default_std_m: float) -> float:
+    def end_std_m(self, default_std_m: float) -> float:
         """How wrong that may be; `default_std_m` is of a length that the profile gives without a deviation."""
         if (std_m := self.instrument.shaft_end_std_m) is not None:
             return std_m
-        return UNKNOWN_END * self.neck_m if self.instrument.shaft_end_m is None else default_std_m
+        return UNKNOWN_END * self.end_m if self.instrument.shaft_end_m is None else default_std_m
 
     @property
     def outline_end_m(self) -> float:
         """From the hinge on to where the outline stops being the shaft's; unknown, midway between the extremes."""
         given = self.instrument.outline_end_m
-        return 0.5 * (CLEVIS_PER_RADIUS * self.radius_m - self.neck_m) if given is None else given
+        return 0.5 * (CLEVIS_PER_RADIUS * self.radius_m - self.end_m) if given is None else given
 
     @property
     def outline_end_std_m(self) -> float:
@@ -72,7 +72,7 @@ class ShaftSizes:
             return std_m
         if self.instrument.outline_end_m is not None:
             return OUTLINE_END_STD_RADII * self.radius_m
-        return 0.5 * (CLEVIS_PER_RADIUS * self.radius_m + self.neck_m)
+        return 0.5 * (CLEVIS_PER_RADIUS * self.radius_m + self.end_m)
 
     def with_likelier_end(self, seen: SeenInstrument, default_std_m: float) -> SeenInstrument:
         """The instrument with the other one of its two ends, where these are not as far apart as shaft and wrist are.
@@ -83,8 +83,8 @@ class ShaftSizes:
         if not 0.0 < seen.other_share < 1.0:
             return seen
         apart_m = abs(seen.other_px) / seen.width_px * 2.0 * self.radius_m
-        near_m, far_m = self.neck_m + self.outline_end_m, self.neck_m + self.tip_m
-        near_std_m = np.hypot(np.hypot(self.neck_std_m(default_std_m), self.outline_end_std_m), FORESHORTENED * apart_m)
+        near_m, far_m = self.end_m + self.outline_end_m, self.end_m + self.tip_m
+        near_std_m = np.hypot(np.hypot(self.end_std_m(default_std_m), self.outline_end_std_m), FORESHORTENED * apart_m)
         far_std_m = np.linalg.norm([near_std_m, self.jaw_tip_std_m])
         std_m = np.array([near_std_m, far_std_m])
         p = np.exp(-0.5 * ((apart_m - np.array([near_m, far_m])) / std_m) ** 2) / (np.sqrt(2.0 * np.pi) * std_m)
@@ -107,7 +107,7 @@ class ShaftSizes:
         """
         rim = shaft.rim
         assert rim is not None  # who asks has one
-        dark = -self.neck_m, self.neck_std_m(default_std_m)
+        dark = -self.end_m, self.end_std_m(default_std_m)
         outline = self.outline_end_m, self.outline_end_std_m
         own, other = (outline, dark) if rim.is_outline else (dark, outline)
         beyond_m = self.tip_m - own[0]
@@ -160,6 +160,6 @@ class ShaftModel(ShaftSizes):
 
     def wrist_shape(self, *, ends_dark: bool) -> WristShape:
         """What is visible beyond the end of the outline, or of the dark part, with the wrist straight."""
-        ahead_m = max(self.reach_m - (-self.neck_m if ends_dark else self.outline_end_m), 0.0)
+        ahead_m = max(self.reach_m - (-self.end_m if ends_dark else self.outline_end_m), 0.0)
         length_m = ahead_m + self.instrument.jaw_length_m
         return WristShape(ahead_m / length_m, length_m / (2.0 * self.radius_m))
