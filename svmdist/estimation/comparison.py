@@ -103,7 +103,7 @@ class Comparison:
         return f"{self}; look at {', or '.join(self.could_be)}"
 
     def __str__(self) -> str:
-        """A sentence for a person."""
+        """A human-readable sentence."""
         found = self.usual
         return (
             f"{found.what}, {self.against}: contradiction of {readable(found)}, {found.deviations:.0f} standard"

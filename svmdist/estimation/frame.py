@@ -1,4 +1,4 @@
-"""One moment of a log as the methods of one instrument see it: images, joints, and what both show."""
+"""One instant of a log as the methods of one instrument see it: images, joints, and what both show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The images of one moment, each looked at once, and the arms that carry the instruments in them."""
+"""The images of one instant, each looked at once, and the arms that carry the instruments in them."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Arm:
 
 
 class Scene:
-    """One moment of a log before the instruments are associated; all methods and instruments share its detections.
+    """One instant of a log before the instruments are associated; all methods and instruments share its detections.
 
     Its `observation` is what ideal cameras would have seen; `lens` is the left camera as it is. The right
     view's `rows` are aligned with the left one's. Detections are computed as those of a view are.

@@ -63,9 +63,9 @@ def blur_tallies(
     conditions = [Condition(blur, kernel_px) for blur, kernel_px in kernels_px.items()]
     recording = replace(recording, wanted=recording.instruments[:1])
     for replayed in replay(recording, [request.setup], conditions, jobs=jobs):
-        for blur, lane in zip(kernels_px, replayed, strict=True):
-            readings[blur].add(lane.results[0])
-            counts[blur].append(_counts(lane))
+        for blur, one in zip(kernels_px, replayed, strict=True):
+            readings[blur].add(one.results[0])
+            counts[blur].append(_counts(one))
     track, tallies = recording.distance_track(), []
     for blur, rows in readings.items():
         figures = figures_of(rows, Truth(track.at(rows.stamps_ns).values))
@@ -82,12 +82,12 @@ def pooled_tallies(parts: Sequence[Sequence[BlurTally]]) -> list[BlurTally]:
     return pooled
 
 
-def _counts(lane: Replayed) -> Counts:
+def _counts(one: Replayed) -> Counts:
     """The counts of one image; None of one that could not be read, or without an instrument."""
-    instrument = lane.frames[0].left.regions_as_recorded[1] if lane.frames else None
+    instrument = one.frames[0].left.regions_as_recorded[1] if one.frames else None
     if instrument is None:
         return (None,) * 5
-    (frame,), (result,) = lane.frames, lane.results
+    (frame,), (result,) = one.frames, one.results
     profile, context = frame.arm.profile, frame.left.context
     size_px, feature_count = profile.marker.size_px, profile.features.feature_count
     marked_bgr, _ = paste_marker(context.bgr_as_recorded, instrument.centroid_px, size_px, EDGE_MARGIN_PX)

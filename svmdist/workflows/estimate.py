@@ -51,8 +51,8 @@ def estimate(
     An image that cannot be decoded is a result with the status of its rejection. `jobs`, `rest` and `alarms` are as in
     `replay`.
     """
-    lanes = replay(recording, [setup], jobs=jobs, rest=rest, alarms=alarms)
-    return (result for (replayed,) in lanes for result in replayed.results)
+    results = replay(recording, [setup], jobs=jobs, rest=rest, alarms=alarms)
+    return (result for (replayed,) in results for result in replayed.results)
 
 
 def with_lag(recording: Recording, request: Request, jobs: int | None = None) -> tuple[Recording, LagEstimate]:

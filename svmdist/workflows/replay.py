@@ -190,8 +190,8 @@ class _Replay:
             self._compare(any(setup.needs_right_view for setup in setups))
         several = check.needs_association(self._arms) and not all(setup.is_given for setup in setups)
         self._associations = [Association(self._arms) if several else None for _ in conditions]
-        self._lanes = [[self._lane(setup, known) for setup in setups] for known in self._checks]
-        self._needs = reduce(Needs.__or__, (lane.needs for lane in self._lanes[0]))
+        self._estimators = [[self._estimator(setup, known) for setup in setups] for known in self._checks]
+        self._needs = reduce(Needs.__or__, (one.needs for one in self._estimators[0]))
 
     def _compare(self, needs_rows: bool) -> None:
         """Look at some images of all of the log: find plates and the offset of rows, compare what must agree."""
@@ -251,7 +251,7 @@ class _Replay:
     def _arms_with(self, setup: Setup) -> list[Arm]:
         return [Arm(setup.profile.for_instrument(arm.profile.instrument_name), arm.has_plate) for arm in self._arms]
 
-    def _lane(self, setup: Setup, known: Mapping[str, Checks]) -> MultiInstrumentEstimator:
+    def _estimator(self, setup: Setup, known: Mapping[str, Checks]) -> MultiInstrumentEstimator:
         """A method on the wanted instruments; one that measures the tissue itself takes the profile as it is.
 
         Where rows were aligned, one that keeps a state sees the left view alone: of what bends them it would learn in
@@ -266,7 +266,7 @@ class _Replay:
         several = len(self._arms) > 1  # their association starts from nominal kinematics
         robot, right = self._needs.robot or several, self._needs.right_view
         encoded = self._recording.encoded_observations(robot=robot, right=right, rest=rest, stale=True)
-        watches = [[AlarmWatch(alarms) for _ in self._places] for lanes in self._lanes for _ in lanes if alarms]
+        watches = [[AlarmWatch(alarms) for _ in self._places] for each in self._estimators for _ in each if alarms]
         with one_opencv_thread():
             count, total = 0, self._recording.image_count()
             for count, (decoded, conditions) in enumerate(in_order(self._prepare, encoded, jobs), 1):
@@ -282,7 +282,7 @@ class _Replay:
         decoded = encoded.decode()
         found = decoded.found
         if isinstance(found, Rejection):
-            every = [self._refused(encoded, found)] * sum(map(len, self._lanes))
+            every = [self._refused(encoded, found)] * sum(map(len, self._estimators))
             return decoded, [lambda: every]
         return decoded, [self._look(at, encoded, found) for at in range(len(self._conditions))]
 
@@ -300,18 +300,18 @@ class _Replay:
         else:
             seen = self._conditions[at].apply(found[0], number)
             scene = Scene(seen, self._setup.profile, self._segmenter, self._rows)
-        lanes, association = self._lanes[at], self._associations[at]
+        estimators, association = self._estimators[at], self._associations[at]
         stale: Replayed | None = None
         if encoded.repeats and _shows_instrument(scene):
             stale = self._refused(encoded, Rejection(encoded.stamp_ns, Status.INCONSISTENT, encoded.repeats))
         spent_s = prefetch(scene, self._needs.scene)
         frames: list[Frame] = []
-        measured: list[Replayed | None] = [None] * len(lanes)
+        measured: list[Replayed | None] = [None] * len(estimators)
         if association is None:
             each = zip(self._arms, found, strict=True)
             frames = looked or [Frame.of(scene, arm, one, arm.state_at(one)) for arm, one in each]
             spent_s |= prefetch(frames[0], self._needs.frame)
-            measured = [None if lane.keeps_state else lane.estimate(frames, spent_s) for lane in lanes]
+            measured = [None if one.keeps_state else one.estimate(frames, spent_s) for one in estimators]
         else:
             prefetch(scene, ("left.masks.seen", "right.masks.seen"))
 
@@ -319,8 +319,8 @@ class _Replay:
             every = frames if association is None else association.frames(scene, found)
             chosen = [every[at] for at in self._places]
             done = []
-            for lane, known in zip(lanes, measured, strict=True):
-                replayed = (stale if lane.looks_for_tool else None) or known or lane.estimate(chosen, spent_s)
+            for estimator, known in zip(estimators, measured, strict=True):
+                replayed = (stale if estimator.looks_for_tool else None) or known or estimator.estimate(chosen, spent_s)
                 results = tuple(replace(one, number=number, seconds=seconds) for one in replayed.results)
                 done.append(replace(replayed, results=results, image_bgr=found[0].image_bgr))
             return done

@@ -129,7 +129,7 @@ class Linearised:
 
 @dataclass(frozen=True, kw_only=True)
 class LinkMeasurement(ABC):
-    """A measurement of the frame of the DH row `link`, or of the tool where that is None; `name` is for a person.
+    """A measurement of the frame of the DH row `link`, or of the tool where that is None; `name` is human-readable.
 
     `covariance` is that of what changes from frame to frame, the noise, shape (m, m). What stays alike, the bias, is a
     vector of numbers of variance one that fade with the time constant `correlation_time_s`. `source` is the detection

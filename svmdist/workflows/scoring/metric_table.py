@@ -17,7 +17,7 @@ from svmdist.metrics import COUNT, DEGREES, LENGTH, RATIO, SECONDS, SHARE, TEXT,
 
 
 class Output(Flag):
-    """Where a metric stands: in CSV and JSON (SCORES, FIGURES) or in a table for a person."""
+    """Where a metric stands: in CSV and JSON (SCORES, FIGURES) or in a human-readable table."""
 
     SCORES = auto()  # of `validate`
     SCORE_TABLE = auto()

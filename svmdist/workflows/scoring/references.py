@@ -202,7 +202,7 @@ def _kinematic_poses(recording: Recording, max_gap_ns: int) -> PoseAt:
 def reference_lag_ns(recording: Recording, reference: Reference, lag: LagEstimate | None) -> int:
     """Time offset from a reference's stamps to the images': the lag, or 0 where the reference has the images' clock.
 
-    Of ground truth, the true tool is compared with the nominal one under either clock; what the robot believes wrongly
+    Of ground truth, the true tool is compared with the nominal one under either clock; the error of kinematics
     is mostly a constant. Where they cannot be separated it is the robot's: images are what is late.
     """
     lag_ns = lag.lag_ns if lag else 0
