@@ -22,7 +22,7 @@ from svmdist.transforms import FrameName
 
 DEFAULT_PROFILE = "psm13"
 SHIPPED = Path(__file__).parent.with_name("profiles")
-GUESSED_RADIUS, GUESSED_PLANE_M = 0.1, 0.02  # deviations from which on nobody has measured them
+GUESSED_RADIUS, GUESSED_PLANE_M = 0.1, 0.02  # deviations from which on they are guesses
 BEHIND_PLANE = 1.5  # the range of stereo over the distance of the plane that the tissue lies on
 
 
@@ -134,7 +134,7 @@ class Profile(StrictModel):
 
     @property
     def guesses(self) -> str:
-        """What nobody has measured, so that distances are as unsure, with its deviation; empty without any."""
+        """What was guessed, so that distances are as uncertain, with its deviation; empty without any."""
         found: list[str] = []
         if self.instrument and self.instrument.shaft_radius_std_fraction > GUESSED_RADIUS:
             found.append(f"shaft_radius_m to {self.instrument.shaft_radius_std_fraction:.0%}")

@@ -247,11 +247,11 @@ class EncodedObservation:
 
     @cached_property
     def decoded(self) -> Decoded:
-        """The same, kept for who looks at it more than once."""
+        """The same, kept for repeated use."""
         return self.decode()
 
     def decode(self) -> Decoded:
-        """Decode the images; a Rejection stands for a left image that cannot be, or whose camera is not known."""
+        """Decode the images; a Rejection for a left image that cannot be, or whose camera is not known."""
         losses: list[Loss] = []
         camera, _, ambiguity = self.cameras
         if ambiguity:

@@ -79,7 +79,7 @@ def _summary(info: TopicInfo, logged_ns: array[int], undecodable_count: int) -> 
     # To the newest stamp so far: one out of order makes no gap behind it.
     newest_ns, oldest_ns = np.maximum.accumulate(stamps_ns)[:-1], np.minimum.accumulate(stamps_ns)[:-1]
     gaps_ns = stamps_ns[1:] - newest_ns
-    # The mean period so far stands for the true one; the first few messages say nothing yet.
+    # The mean period so far approximates the true one; the first few messages say nothing yet.
     before = np.arange(count - 1)
     is_gap = (before >= 4) & (gaps_ns * before.astype(float) > GAP_FACTOR * (newest_ns - oldest_ns))
     span_s = 0.0 if start_ns is None or end_ns is None else (end_ns - start_ns) / 1e9

@@ -244,7 +244,7 @@ def rejected_spans(series: Series) -> list[tuple[float, float]]:
 
 
 def frame_reach_s(seconds: Array, share: float) -> float:
-    """How far what stands for one frame reaches to either side: a share of the way to the next one."""
+    """How far one frame's mark reaches to either side: a share of the way to the next one."""
     return share * float(np.nanmedian(np.diff(seconds))) if len(seconds) > 1 else 0.05
 
 

@@ -42,7 +42,7 @@ MAX_MARKERS = 2000  # more points than these are drawn as a line, or thinned out
 DASHES: dict[Role, str] = {"truth": "dash", "limit": "dash", "threshold": "dot"}
 THUMBNAIL_LETTERS = 1 / 26  # over the width: pictures of frames are shown small
 AREA_ALPHA = 0.3
-DASH_REACH = 0.3  # of what stands for one frame, to either side, over the way to the next one
+DASH_REACH = 0.3  # of one frame's mark, to either side, over the way to the next one
 
 
 @dataclass(frozen=True)

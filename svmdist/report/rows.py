@@ -41,7 +41,7 @@ class _Estimate:
 
 
 def _several(keys: str, paths: str, names: str, unit: Unit, heading: str = "") -> Iterator[Column]:
-    """Columns that differ by a name: `{}` stands for it in keys and headings, and for its number in paths."""
+    """Columns that differ by a name: `{}` is the name in keys and headings, its number in paths."""
     for at, name in enumerate(names.split()):
         yield Column(keys.format(name), unit, heading.format(name), paths.format(at))
 

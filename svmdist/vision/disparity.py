@@ -1,4 +1,4 @@
-"""A disparity map of a rectified pair: semi-global matching, then a fit to sub-pixels that says how sure it is.
+"""A disparity map of a rectified pair: semi-global matching, then a sub-pixel fit with its standard deviation.
 
 Matching (Hirschmüller 2008) finds what belongs together within a pixel. Around it, right(u - d, v) - left(u, v) is
 linear in d: every pixel is a measurement of the disparity, as good as the image is steep there (Lucas and Kanade 1981).

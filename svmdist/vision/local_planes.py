@@ -1,4 +1,4 @@
-"""A smooth field over cells of an image by planes in smaller and smaller windows, and how sure it is at each cell."""
+"""A smooth field over cells of an image by planes in smaller and smaller windows, and its variance at each cell."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def fit_cells(information: Floats, total: Floats) -> tuple[Floats, Floats]:
 def _planes(weight: Floats, total: Floats, sigma: float) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """The value and its variance at each cell of the plane that fits best in a Gaussian window about it.
 
-    Where all of what the window holds is to one side, it is no surer than what was known before: those are not near.
+    Where all of what the window holds is to one side, its variance is no less than before: those are not near.
     """
     reach = int(np.ceil(3.0 * sigma))
     t = np.arange(-reach, reach + 1, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""How the rows of a log ended: statuses, what was refused of each detection, and alarms, as commands say them last."""
+"""How the rows of a log ended: statuses, outliers by detection, and alarms, as commands say them last."""
 
 from __future__ import annotations
 

@@ -218,7 +218,7 @@ class Setup:
 class Request:
     """What a command does with each log: it travels to workers, and results depend on nothing else but the log.
 
-    `instruments` None stands for all. `lag` is taken off the image stamps. `rules` say what estimates are scored by.
+    `instruments` None: all. `lag` is taken off the image stamps. `rules` say what estimates are scored by.
     """
 
     setup: Setup

@@ -28,7 +28,7 @@ CLEVIS_PER_RADIUS = 0.9
 
 @dataclass(frozen=True, slots=True)
 class ShaftSizes:
-    """The sizes of a shaft as the profile states them, or as others suggest; `reach_m` is from hinge to tool."""
+    """The sizes of a shaft by the profile, or as suggested; `reach_m` is from hinge to tool."""
 
     instrument: Instrument
     reach_m: float

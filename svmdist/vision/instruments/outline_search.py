@@ -173,7 +173,7 @@ LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by ch
 
 @dataclass(frozen=True)
 class OutlineScore:
-    """How sure it is that this is an instrument, from 0 to 1, and whether it is taken for one."""
+    """The score of an instrument's outline, from 0 to 1, and whether it is accepted."""
 
     evidence: float
     is_accepted: bool

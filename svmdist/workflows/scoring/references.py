@@ -111,7 +111,7 @@ def truth_rules(
 class Truth:
     """What holds at n stamps: planar, spatial distance and clearance in m, (n, 3), and `T_camera_tool`, (n, 4, 4).
 
-    NaN stands for what is not known; None for poses that are not known at all.
+    NaN is an unknown value; None: no poses are known.
     """
 
     distances_m: Array
