@@ -73,10 +73,10 @@ CASES: dict[str, tuple[object, str, Any]] = {
     "projection": (verification, "_share_shown", lambda *_: 1.0),
     "small steps": (Solution, "is_clear", True),
 }
-"""What stands for a part that is left out. What lies beyond a side, whose colours most inside of it must not have; the
+"""What replaces a part that is left out. What lies beyond a side, whose colours most inside of it must not have; the
 likelier of a shaft's two ends, as its sizes have it, and the other one; what of a wrist is beside its mask, by its
 colours; the evidence that a sharp edge must be near to; a shadow's colour; that each view shows the instrument where it
-is projected; small steps to the most probable pose, where long ones refuse something.
+is projected; small steps to the most probable pose, where long ones leave outliers.
 """
 
 

@@ -1,6 +1,6 @@
 """UCL/scikit-surgerycalibration: a tracked stereo laparoscope before a board of ChArUco squares, with the board's pose.
 
-The board stands for tissue: its plane, by the authors' pose in the left camera, is the truth of the measured surface.
+The board is taken for tissue: its plane, by the authors' pose in the left camera, is the truth of the measured surface.
 Their hand-eye is of the board in a tracker's frame, not of a tool, and is not comparable with `svmdist hand-eye`.
 """
 

@@ -282,11 +282,11 @@ class _Replay:
         decoded = encoded.decode()
         found = decoded.found
         if isinstance(found, Rejection):
-            every = [self._refused(encoded, found)] * sum(map(len, self._estimators))
+            every = [self._rejected(encoded, found)] * sum(map(len, self._estimators))
             return decoded, [lambda: every]
         return decoded, [self._look(at, encoded, found) for at in range(len(self._conditions))]
 
-    def _refused(self, encoded: EncodedObservation, why: Rejection) -> Replayed:
+    def _rejected(self, encoded: EncodedObservation, why: Rejection) -> Replayed:
         number, seconds = encoded.number, encoded.at_ns * 1e-9
         row = FrameResult(why.stamp_ns, why.status, detail=why.detail, number=number, seconds=seconds)
         lost = tuple(replace(row, instrument=name) for name in self._recording.measured)
@@ -303,7 +303,7 @@ class _Replay:
         estimators, association = self._estimators[at], self._associations[at]
         stale: Replayed | None = None
         if encoded.repeats and _shows_instrument(scene):
-            stale = self._refused(encoded, Rejection(encoded.stamp_ns, Status.INCONSISTENT, encoded.repeats))
+            stale = self._rejected(encoded, Rejection(encoded.stamp_ns, Status.INCONSISTENT, encoded.repeats))
         spent_s = prefetch(scene, self._needs.scene)
         frames: list[Frame] = []
         measured: list[Replayed | None] = [None] * len(estimators)
