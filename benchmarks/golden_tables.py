@@ -40,6 +40,7 @@ REAL = (
     ("d-lfd", "stereo", "robot, fitted"),
     ("SuPer Deep", "shaft", "wrist"),
     ("in vivo", "shaft", "tip"),
+    ("EndoVis 2015", "shaft", "masks; width"),
     ("liver", "surface", "CT"),
 )
 """Which rows of real images README.md shows."""
