@@ -91,18 +91,16 @@ def read_times(path: Path, names: Sequence[str]) -> list[int]:
 
     Or from the file beside a video of dVRK's data_collection, which says how late frames came, too.
     """
-    if path.suffix.lower() == ".json":
-        return _sidecar_times(path, len(names))
-    table = read_table(path)
+    table = _read_sidecar(path) if path.suffix.lower() == ".json" else read_table(path)
     columns = range(len(table.rows[0]))
-    stamp, image = table.special
+    stamp, image = special = table.special
     if stamp is None:
         stamp = next((at for at in columns if at != image and is_number(table.rows[0][at])), None)
         image = next((at for at in columns if at != stamp), None) if image is None else image
     if stamp is None:
         last = ", ".join(table.rows[-1])[:60]
         raise table.fail(len(table.rows) - 1, f"expected a time as a number of s, ms, us or ns, found {last!r}")
-    if table.names is not None and stamp not in table.special:
+    if table.names is not None and stamp not in special:
         known = ", ".join(sorted(STAMP_NAMES))
         said = "warning: %s: column %s is taken for the times; their names are: %s"
         LOG.warning(said, path, table.names[stamp], known)
@@ -117,17 +115,18 @@ def read_times(path: Path, names: Sequence[str]) -> list[int]:
     return [found[place] for place in range(len(names))]
 
 
-def _sidecar_times(path: Path, count: int) -> list[int]:
+def _read_sidecar(path: Path) -> Table:
+    """The times of its frames, as a table of one column."""
     try:
         with reading(path, SourceError):
             sidecar = json.loads(read_regular(path, MAX_BYTES))
         late_ns = round(1e9 * float(sidecar.get("estimated_latency", 0.0)))
-        stamps = [int(frame["cpu_ts"]) - late_ns for frame in sidecar["frames"]]
-    except (ValueError, TypeError, KeyError, AttributeError, OverflowError):
-        raise SourceError(f"{path}: expected frames with cpu_ts in ns, as data_collection of the dVRK writes") from None
-    if len(stamps) != count:
-        raise SourceError(f"{path}: {len(stamps)} times for {count} images")
-    return stamps
+        rows = tuple((str(int(frame["cpu_ts"]) - late_ns),) for frame in sidecar["frames"])
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError):
+        rows = ()
+    if not rows:
+        raise SourceError(f"{path}: expected frames with cpu_ts in ns, as data_collection of the dVRK writes")
+    return Table(path, ("stamp_ns",), rows, 1)
 
 
 def read_poses(path: Path, images_ns: Mapping[str, int], unit_m: float, frame_id: str) -> TransformTrack:

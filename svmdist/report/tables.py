@@ -17,7 +17,9 @@ from svmdist.errors import printable
 from svmdist.files import atomic_file
 from svmdist.metrics import Cell, Column, finite
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # rows that are written as they come need no layout, and start sooner without it
+    from rich.table import Table as RichTable
+
     from svmdist.report.writers import Results
 
 Row = Mapping[str, Cell]
@@ -61,25 +63,12 @@ def table_lines(results: Results, width: int | None, colour: bool) -> Iterator[s
 
 def render(table: Table, *, width: int | None = None, colour: bool = False) -> str:
     """Render a table to text, as wide as it needs without a width; a wider one comes in parts with whole cells."""
-    # Rows that are written as they come need no layout, and start sooner without it.
-    from rich.box import SIMPLE_HEAD
     from rich.console import Console
-    from rich.table import Table as Layout
-    from rich.text import Text  # rich takes a plain "[mm]" for markup
 
     console = Console(width=width or 1000, force_terminal=colour, no_color=not colour, emoji=False, highlight=False)
     with console.capture() as captured:
         for at, indices in enumerate(_parts(table, width) if width else [range(len(table.headings))]):
-            part = Layout(box=SIMPLE_HEAD, pad_edge=False, collapse_padding=True, title_justify="left")
-            part.title, part.title_style = Text(table.title) if table.title and at == 0 else None, "bold"
-            for index in indices:
-                justify: Any = "left" if table.is_text[index] else "right"
-                part.add_column(Text(table.headings[index]), justify=justify, overflow="fold")
-            for rows, style in ((table.rows, None), (table.overall, "bold")):
-                for row in rows:
-                    part.add_row(*(Text(row[index]) for index in indices), style=style)
-                part.add_section()
-            console.print(part)
+            console.print(_rich(table, indices, table.title if at == 0 else ""))
     return "\n".join(line.rstrip() for line in captured.get().splitlines()) + "\n"
 
 
@@ -109,6 +98,24 @@ def _parts(table: Table, width: int) -> Iterator[list[int]]:
             taken = lead
         taken = taken + group
     yield taken
+
+
+def _rich(table: Table, indices: Sequence[int], title: str) -> RichTable:
+    """Some columns of a table; as `Text`, since rich takes a plain "[mm]" for markup."""
+    from rich import box
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    made = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, title_justify="left")
+    made.title, made.title_style = Text(title) if title else None, "bold"
+    for index in indices:
+        justify: Any = "left" if table.is_text[index] else "right"
+        made.add_column(Text(table.headings[index]), justify=justify, overflow="fold")
+    for rows, style in ((table.rows, None), (table.overall, "bold")):
+        for row in rows:
+            made.add_row(*(Text(row[index]) for index in indices), style=style)
+        made.add_section()
+    return made
 
 
 def text_lines(columns: Sequence[Column], rows: Iterable[Row]) -> Iterator[str]:

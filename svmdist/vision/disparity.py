@@ -94,8 +94,8 @@ def disparity_map(
     first = max(0, int(x / step - max(high, 0.0)) - MARGIN_PX)
     last = int((x + width) / step - min(low, 0.0)) + MARGIN_PX
     greys, inside = ([np.ascontiguousarray(one[:, first:last]) for one in both] for both in (greys, inside))
-    levelled = [_levelled(grey, mask, whole_px) for grey, mask in zip(greys, inside, strict=True)]
-    matched = semi_global(levelled, low, high, settings.block_px, 2 if whole_px > MATCHED_PX else 1)
+    normalised = [_normalised(grey, mask, whole_px) for grey, mask in zip(greys, inside, strict=True)]
+    matched = semi_global(normalised, low, high, settings.block_px, 2 if whole_px > MATCHED_PX else 1)
     fitted = _Fit(greys, inside, matched, BRIGHTNESS_SHARE * whole_px).run()
     if fitted is None:
         return None
@@ -143,10 +143,10 @@ def _range(greys: Sequence[Image], inside: Sequence[Image], low: float, high: fl
     step = max(1, round(greys[0].shape[1] / COARSE_PX))
     greys = [reduced(grey, step) for grey in greys]
     inside = [reduced(mask, step, cv2.INTER_NEAREST) for mask in inside]
-    levelled = [_levelled(grey, mask, grey.shape[1]) for grey, mask in zip(greys, inside, strict=True)]
-    if len(np.unique(levelled[1][inside[1] > 0])) < 2:  # a covered lens fits anything
+    normalised = [_normalised(grey, mask, grey.shape[1]) for grey, mask in zip(greys, inside, strict=True)]
+    if len(np.unique(normalised[1][inside[1] > 0])) < 2:  # a covered lens fits anything
         return None
-    matched = semi_global(levelled, low / step, high / step, 5)
+    matched = semi_global(normalised, low / step, high / step, 5)
     seen = step * matched[np.isfinite(matched) & (inside[0] > 0)]
     if len(seen) < CELL_PX**2:
         return None
@@ -155,7 +155,7 @@ def _range(greys: Sequence[Image], inside: Sequence[Image], low: float, high: fl
     return max(low, float(least - more)), min(high, float(most + more))
 
 
-def _levelled(grey: Image, inside: Image, width_px: int) -> Image:
+def _normalised(grey: Image, inside: Image, width_px: int) -> Image:
     """The view at the same brightness and contrast everywhere inside of a mask: vignetting differs between views."""
     side = 2 * max(2, round(LEVELLING_SHARE * width_px)) + 1
     level, used = grey.astype(np.float32), (inside > 0).astype(np.float32)

@@ -165,7 +165,7 @@ class _Work:
         keys = [(place, of, name) for place in at for of in setups_at for name in read.measured]
         readings, seconds = {key: Readings() for key in keys}, dict.fromkeys(keys, 0.0)
         for replayed in replay(read, setups, conditions, jobs=self.threads):
-            results = [pair for lane in replayed for pair in zip(lane.results, lane.seconds, strict=True)]
+            results = [pair for one in replayed for pair in zip(one.results, one.seconds, strict=True)]
             for key, (result, spent_s) in zip(keys, results, strict=True):
                 readings[key].add(result)
                 seconds[key] += spent_s

@@ -114,9 +114,15 @@ def test_times(tmp_path, caplog):
     frames = [{"cpu_ts": 1_600_000_000, "gst_ts": 0}, {"cpu_ts": 2_600_000_000, "gst_ts": 1}]
     sidecar.write_text(json.dumps({"type": "dc::sidecar@1.0.0", "estimated_latency": 0.1, "frames": frames}))
     assert read_times(sidecar, [*IMAGES_NS]) == [1_500_000_000, 2_500_000_000]
-    sidecar.write_text("[1, 2]")
-    with pytest.raises(SourceError, match=r"times\.json: expected frames with cpu_ts in ns"):
-        read_times(sidecar, [*IMAGES_NS])
+    for text, said in (
+        ("[1, 2]", r"times\.json: expected frames with cpu_ts in ns"),
+        ("[" * 100_000, r"times\.json: expected frames with cpu_ts in ns"),
+        ('{"frames": [{"cpu_ts": 1e30}]}', r"times\.json: line 1: a time must not be negative or beyond 64 bits"),
+        ('{"frames": [{"cpu_ts": 1}]}', r"times\.json: 1 times for 2 images"),
+    ):
+        sidecar.write_text(text)
+        with pytest.raises(SourceError, match=said):
+            read_times(sidecar, [*IMAGES_NS])
     path.write_text("image,exposure\n1,1.5\n2,2.5\n")
     assert read_times(path, [*IMAGES_NS]) == [1_500_000_000, 2_500_000_000]
     assert "column exposure is taken for the times; their names are: header.stamp, secs" in caplog.text
