@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 
 import cv2
 import numpy as np
@@ -29,13 +29,16 @@ EDGE_SOFTNESS_PX = 1.0
 score, and its non-maximum suppression then drops them all at full resolution."""
 
 
+@lru_cache(maxsize=8)
 def marker_pattern(size_px: int) -> Image:
-    """The marker as a grey image, shape (size_px, size_px)."""
+    """The marker as a grey image, shape (size_px, size_px), read-only: every frame has the same."""
     cells = np.full((CELL_COUNT, CELL_COUNT), 255, np.uint8)
     cells[1:-1, 1:-1] = 0
     cells[2:-2, 2:-2] = 255 * np.unpackbits(np.array(DATA_ROWS, np.uint8)[:, None], axis=1)
     index = np.arange(size_px) * CELL_COUNT // size_px
-    return np.asarray(cv2.GaussianBlur(cells[np.ix_(index, index)], (0, 0), EDGE_SOFTNESS_PX), np.uint8)
+    pattern = np.asarray(cv2.GaussianBlur(cells[np.ix_(index, index)], (0, 0), EDGE_SOFTNESS_PX), np.uint8)
+    pattern.setflags(write=False)
+    return pattern
 
 
 def paste_marker(image_bgr: Image, centre_px: Array, size_px: int, margin_px: int) -> tuple[Image, tuple[int, int]]:

@@ -119,10 +119,11 @@ def _as_seen(mask: Image, edges: tuple[Side, Side], end_px: Array | None, *, is_
 
 def _is_print(first: Side, second: Side, mask: Image, dark: Image) -> bool:
     """Whether what is seen is shorter than twice its width, and as bright inside as a print: glare is less."""
-    is_short = min(first.length_px, second.length_px) < 2.0 * np.linalg.norm(first.start_px - second.start_px)
+    if min(first.length_px, second.length_px) >= 2.0 * np.linalg.norm(first.start_px - second.start_px):
+        return False
     inside = _eroded(mask, 2)
     bright = 1.0 - cv2.countNonZero(cv2.bitwise_and(inside, dark)) / max(cv2.countNonZero(inside), 1)
-    return bool(is_short) and bright > MAX_PRINTED_FRACTION
+    return bright > MAX_PRINTED_FRACTION
 
 
 def _sides_of(contour: NDArray[np.int32], inside: NDArray[np.bool_]) -> tuple[Side, Side, Array | None] | None:
