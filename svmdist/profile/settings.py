@@ -157,7 +157,7 @@ class AssociationSettings(StrictModel):
     """Assigning coloured regions and dark shafts to instruments."""
 
     miss_cost: NonNegative = 3.0  # -log of the probability that an instrument shows no region: 1 in 20
-    acceleration_widths: Positive = 0.8  # standard deviation of the acceleration, in image widths per s²
+    acceleration_widths: Positive = 3.0  # standard deviation of the acceleration, in image widths per s²
 
 
 class TissueTrackingSettings(StrictModel):
