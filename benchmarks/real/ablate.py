@@ -22,7 +22,6 @@ from benchmarks.generated_pages import DOCS, table, write_table
 from benchmarks.real import common
 from benchmarks.real.__main__ import SETS
 from svmdist.estimation.instrument import verification
-from svmdist.estimation.instrument.most_probable import Solution
 from svmdist.estimation.instrument.shaft_detection import ShaftDetection
 from svmdist.estimation.instrument.shaft_model import ShaftSizes
 from svmdist.vision import shadows, silhouette
@@ -71,12 +70,11 @@ CASES: dict[str, tuple[object, str, Any]] = {
     "evidence": (silhouette, "_agrees", lambda *_: True),
     "shadows": (silhouette, "edge_within", lambda *_: None),
     "projection": (verification, "_share_shown", lambda *_: 1.0),
-    "small steps": (Solution, "is_clear", True),
 }
 """What replaces a part that is left out. What lies beyond a side, whose colours most inside of it must not have; the
 likelier of a shaft's two ends, as its sizes have it, and the other one; what of a wrist is beside its mask, by its
 colours; the evidence that a sharp edge must be near to; a shadow's colour; that each view shows the instrument where it
-is projected; small steps to the most probable pose, where long ones leave outliers.
+is projected.
 """
 
 

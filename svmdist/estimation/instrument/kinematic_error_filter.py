@@ -25,7 +25,6 @@ from svmdist.estimation.instrument.most_probable import (
     evidence,
     heavy_tailed,
     most_probable,
-    most_probable_from,
     robust_cost,
 )
 from svmdist.estimation.instrument.state import ErrorState
@@ -78,26 +77,23 @@ class KinematicErrorFilter:
         """Forget what was measured and begin where prior and measurements are the most probable; gives which start.
 
         A start is where to linearise first, never a measurement of its own. One that an earlier one led to the
-        neighbourhood of would lead to the same. Where the best is not clear, small steps are tried, too.
+        neighbourhood of would lead to the same.
         """
-        index, found, cost = self._best_of(starts, descends=False)
-        if found is None or not found.is_clear:
-            by_small_steps = self._best_of(starts, descends=True)
-            if by_small_steps[2] < cost:
-                index, found, _ = by_small_steps
+        index, found = self._best_of(starts)
         self._begin_at(starts[index][0])
         self._start_x = self._start_x if found is None else found.x[: self._model.size]
         return index
 
-    def _best_of(self, starts: Sequence[Start], *, descends: bool) -> tuple[int, Solution | None, float]:
-        """The start that leads to the least cost, by its number, where it leads, and that cost."""
+    def _best_of(self, starts: Sequence[Start]) -> tuple[int, Solution | None]:
+        """The start that leads to the least cost, by its number, and where it leads."""
         every = {measurement.name: measurement for _, seen in starts for measurement in seen}
-        best: tuple[int, Solution | None, float] = 0, None, np.inf
+        best: tuple[int, Solution | None] = 0, None
+        least = np.inf
         places = list[ToolPose]()
         for index, (pose, seen) in enumerate(starts):
             if pose is not None and any(pose_distance(pose, tool) < chi_square_bound(6) for tool in places):
                 continue
-            solved = self._solved(pose, seen, descends)
+            solved = self._solved(pose, seen)
             if solved is None:
                 continue
             T_camera_tool = self.state.retracted(solved.x).link(None).T_camera_link
@@ -105,8 +101,8 @@ class KinematicErrorFilter:
             cost = robust_cost(solved, seen)
             for name in every.keys() - {measurement.name for measurement in seen}:
                 cost += heavy_tailed(UNSEEN_SQUARE, every[name].covariance)
-            if cost < best[2]:
-                best = index, solved, cost
+            if cost < least:
+                best, least = (index, solved), cost
         return best
 
     def update(self, measurements: Sequence[LinkMeasurement]) -> tuple[GatingResult, ...]:
@@ -120,10 +116,8 @@ class KinematicErrorFilter:
         results: list[GatingResult] = []
         if seen:
             state.augment_state([parts[index] for index in visible])
-            if start is None:
-                found = most_probable(state, seen, np.zeros(len(state.P)), is_tracking=True)
-            else:
-                found = most_probable_from(state, seen, self._padded(start))
+            x = np.zeros(len(state.P)) if start is None else self._padded(start)
+            found = most_probable(state, seen, x, is_tracking=start is None)
             if found is not None:
                 each = zip(seen, found.innovations.tolist(), found.weights.tolist(), strict=True)
                 results = [
@@ -228,9 +222,7 @@ class KinematicErrorFilter:
             found = most_probable(state, at, found.x, is_robust=False) or found
         self._start_x = found.x
 
-    def _solved(
-        self, pose: ToolPose | None, measurements: Sequence[LinkMeasurement], descends: bool
-    ) -> Solution | None:
+    def _solved(self, pose: ToolPose | None, measurements: Sequence[LinkMeasurement]) -> Solution | None:
         """Where a start leads to; None where it sees nothing, or a measurement is unseen there."""
         if not measurements:
             return None
@@ -240,7 +232,7 @@ class KinematicErrorFilter:
         if not all(part.is_finite for part in parts):
             return None
         self.state.augment_state(parts)
-        return most_probable(self.state, measurements, self._padded(x), descends=descends)
+        return most_probable(self.state, measurements, self._padded(x))
 
 
 def as_measurement(pose: ToolPose) -> PoseMeasurement:

@@ -6,12 +6,12 @@ Student's t), so that no gate set before the fit rejects anything.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from svmdist.estimation.instrument.consistency import NU, OUTLIER_WEIGHT, student_weight
+from svmdist.estimation.instrument.consistency import NU, student_weight
 from svmdist.estimation.instrument.measurement import LinkMeasurement
 from svmdist.estimation.instrument.state import ErrorState
 from svmdist.transforms import Array, inverse_right_jacobian
@@ -19,8 +19,6 @@ from svmdist.transforms import Array, inverse_right_jacobian
 TURN = slice(3, 6)  # of a state: a rotation vector
 MAX_ITERATIONS = 12
 TOLERANCE = 1e-2  # of a standard deviation: a step of less has converged
-MAX_SEARCH = 24  # iterations from a start, halved steps among them
-SINGULAR = 1e-9  # the least eigenvalue of the prior as correlations: parameters may be fully correlated
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,25 +38,6 @@ class Solution:
     nis: float
     has_converged: bool
 
-    @property
-    def is_clear(self) -> bool:
-        """Whether it has converged without outliers; else another one may be more probable."""
-        return self.has_converged and not (self.weights <= OUTLIER_WEIGHT).any()
-
-
-def most_probable_from(state: ErrorState, measurements: Sequence[LinkMeasurement], x: Array) -> Solution | None:
-    """The most probable state from a start; None where a measurement is unseen there.
-
-    Long steps pass over minima in which a shaft's own sharp edges look like outliers, and may lead into one, or swing
-    across a narrow valley. Where they leave outliers, or do not converge, steps that never make the state less
-    probable are tried, too: the more probable one counts.
-    """
-    found = most_probable(state, measurements, x)
-    if found is not None and found.is_clear:
-        return found
-    ways = [one for one in (found, most_probable(state, measurements, x, descends=True)) if one is not None]
-    return min(ways, key=lambda one: robust_cost(one, measurements), default=None)
-
 
 def most_probable(
     state: ErrorState,
@@ -67,13 +46,11 @@ def most_probable(
     *,
     is_robust: bool = True,
     is_tracking: bool = False,
-    descends: bool = False,
 ) -> Solution | None:
     """The state that prior and heavy-tailed measurements make the most probable, from x; None where one is unseen.
 
     A tracked measurement is weighed by the worse of its first innovation and its last residual: an outlier
-    remains one where biases and calibration parameters would fit it. Where it `descends`, a step that makes the
-    state less probable is halved.
+    remains one where biases and calibration parameters would fit it.
     """
     P, size = state.P, state.model.size
     degrees = np.array([len(measurement.covariance) for measurement in measurements])
@@ -84,10 +61,8 @@ def most_probable(
     certainty, rests = np.linalg.inv(noise), _rests(measurements)
     deviations, moved = np.sqrt(np.diag(P) + 1e-18), np.inf
     weights, first = np.ones(len(degrees)), np.zeros(0)
-    unlikely = _unlikely(P, deviations) if descends else None
-    best: tuple[Array, Solution | None] = x, None
-    least = np.inf
-    for _ in range(MAX_ITERATIONS if unlikely is None else MAX_SEARCH):
+    found: Solution | None = None
+    for _ in range(MAX_ITERATIONS):
         there = state.retracted(x)
         parts = there.linearise(measurements)
         there_H = state.full_jacobian(parts)
@@ -102,14 +77,6 @@ def most_probable(
         of_rows = innovation * np.linalg.solve(np.where(own, S, 0.0) + noise, innovation)
         innovations = np.add.reduceat(of_rows, begins)
         residuals = np.add.reduceat(residual * (certainty @ residual), begins)
-        if unlikely is not None:
-            cost = unlikely(x) + float((NU + degrees) @ np.log1p(residuals / NU))
-            if cost > least + TOLERANCE:
-                x, moved = 0.5 * (x + best[0]), 0.5 * moved
-                if moved < TOLERANCE:
-                    break
-                continue
-            least = cost
         first = first if len(first) else innovations
         before = first if is_tracking else innovations
         if is_robust:
@@ -127,10 +94,9 @@ def most_probable(
         nis = float(innovation @ solved[:, -1])
         found = Solution(x + step, there_H, R, before, residuals, weights, nis, longer < TOLERANCE)
         if found.has_converged:
-            return found
-        best = x, found if unlikely is None else replace(found, x=x)
+            break
         x, moved = x + step, longer
-    return best[1]
+    return found
 
 
 def by_state(H: Array, x: Array) -> Array:
@@ -150,13 +116,6 @@ def _rests(measurements: Sequence[LinkMeasurement]) -> list[tuple[int, list[int]
     places = {measurement.name: at for at, measurement in enumerate(measurements)}
     on = [[places[name] for name in measurement.rests_on if name in places] for measurement in measurements]
     return [(at, others) for at, others in enumerate(on) if others]
-
-
-def _unlikely(P: Array, deviations: Array) -> Callable[[Array], float]:
-    """Minus twice the logarithm of a state's probability under the prior, but for a constant."""
-    variances, axes = np.linalg.eigh(P / np.outer(deviations, deviations))
-    variances = np.maximum(variances, SINGULAR)
-    return lambda x: float(np.sum((axes.T @ (x / deviations)) ** 2 / variances))
 
 
 def robust_cost(found: Solution, measurements: Sequence[LinkMeasurement]) -> float:
