@@ -69,27 +69,26 @@ def _profiles_across(bgr: Image, feet_px: Array, across: Array, half_px: float, 
     return np.ascontiguousarray(slopes), offsets, seen
 
 
-def _points_near(profiles: Profiles, place: Array, reach_px: float, least_levels: float) -> tuple[Array, Array]:
-    """Sub-pixel offset of each profile's edge near a line at offsets `place`, shape (n,), NaN where there is none.
+def _points_near(profiles: Profiles, column: NDArray[np.intp], reach_px: float, least: float) -> tuple[Array, Array]:
+    """Sub-pixel offset of each profile's edge near a line in these columns, shape (n,), NaN where there is none.
 
     And how wide that edge is, shape (n,): the variance in px² of a Gaussian with the slope's peak.
     """
     slopes, offsets, seen = profiles
-    rows = np.arange(len(place))
-    column = np.rint((place - offsets[0]) / STEP_PX).astype(int)
+    rows = np.arange(len(column))
     reach = int(reach_px / STEP_PX)
     columns = np.clip(column[:, None] + np.arange(-reach, reach + 1), 1, len(offsets) - 2)
-    change = slopes[:, rows[:, None], columns].sum(2)  # (3, n)
+    around = slopes[:, rows[:, None], columns]
+    change = around.sum(2)  # (3, n)
     change = cv2.filter2D(change, -1, np.ones((1, NEIGHBOURS)), borderType=cv2.BORDER_REPLICATE)
     change = change / np.maximum(np.linalg.norm(change, axis=0), 1e-9)
-    slope = (change[:, :, None] * slopes).sum(0)
-    best = np.argmax(slope[rows[:, None], columns], 1)
+    best = np.argmax((change[:, :, None] * around).sum(0), 1)
     peak = columns[rows, best]
-    before, top, after = slope[rows, peak - 1], slope[rows, peak], slope[rows, peak + 1]
+    before, top, after = ((change * slopes[:, rows, peak + off]).sum(0) for off in (-1, 0, 1))
     inside = (best > 0) & (best < 2 * reach) & seen[rows, peak]
     good = inside & (before > 0.0) & (after > 0.0) & (top >= before) & (top >= after)
     # A step of height c has slope c / (σ √(2π)) at its steepest; the image's blur doubles σ.
-    good &= top > least_levels / (2.0 * SLOPE_SIGMA_PX * np.sqrt(2.0 * np.pi))
+    good &= top > least / (2.0 * SLOPE_SIGMA_PX * np.sqrt(2.0 * np.pi))
     # What is much fainter than most of the edge is texture beside it.
     good &= top > FAINT * (median(top[good]) if good.any() else 0.0)
     ratio = np.where(good, before * after, 0.25) / np.where(good, top * top, 1.0)
@@ -139,19 +138,24 @@ def edge_line(
     fine_px = max(PEAK_REACH_PX, WINDOW * straight_px)
     wide_px = max(WINDOW * ROUGH_PX * rough_px, fine_px)
     profiles = _profiles_across(bgr, start + at[:, None] * along, across, wide_px + fine_px, picture)
-    off_px, width_px2, line = np.full(len(at), np.nan), np.zeros(len(at)), (0.0, 0.0, length_px)
+    slopes, offsets, seen = profiles
+    line, looked_at = (0.0, 0.0, length_px), (0.0, 0.0, b"")
     for reach_px in (wide_px, *[fine_px] * (REFINEMENTS - 1)):
-        off_px, width_px2 = _points_near(profiles, line[0] + line[1] * at, reach_px, least_levels)
+        column = np.rint((line[0] + line[1] * at - offsets[0]) / STEP_PX).astype(int)
+        before, looked_at = looked_at, (reach_px, line[2], column.tobytes())
+        if looked_at == before:  # it would find the same
+            break
+        off_px, width_px2 = _points_near(profiles, column, reach_px, least_levels)
         found = ending_line(at, off_px, line[2], bounds_px)
         if found is None:
             return None
         line, straight_px = found
     offset_px, slope, end_at = line
-    before = at <= end_at
-    used = np.isfinite(off_px) & before
+    is_before = at <= end_at
+    used = np.isfinite(off_px) & is_before
     on_line = used & (np.abs(np.where(used, off_px, np.inf) - (offset_px + slope * at)) < straight_px)
     # A line through texture has its points here and there: most of what is seen beside it is not on it.
-    count, least = np.count_nonzero(on_line), MIN_SEEN * np.count_nonzero(before)
+    count, least = np.count_nonzero(on_line), MIN_SEEN * np.count_nonzero(is_before)
     if count < max(MIN_POINTS, least, MIN_FOUND * np.count_nonzero(used)):
         return None
 
@@ -161,7 +165,6 @@ def edge_line(
     ends_at = np.array([0.0, end_at])
     first, last = points(ends_at, offset_px + slope * ends_at)
     beyond = (at > end_at) & (at < end_at + END_PROFILES * spacing_px)
-    slopes, offsets, seen = profiles
     column = np.clip(np.rint((offset_px + slope * at - offsets[0]) / STEP_PX).astype(int), 0, None)
     shown = seen[np.arange(len(at)), np.minimum(column, len(offsets) - 1)]
     ends = bool(end_at < at[-1] - 2.0 * spacing_px and shown[beyond].mean() > 0.5)
