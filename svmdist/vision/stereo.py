@@ -181,7 +181,7 @@ def reduced(image: Image, step: int, how: int = cv2.INTER_AREA) -> Image:
     return image if step == 1 else np.asarray(cv2.resize(image, size, interpolation=how), np.uint8)
 
 
-ROWS_PX = (-2.0, -1.0, 0.0, 1.0, 2.0)  # by which rows may differ
+MOST_ROWS_PX = 2  # by which rows may differ
 LEAST_LIKENESS, LEAST_LEAD = 0.6, 0.05  # correlation of a match, and how much better than any elsewhere
 SAME_PX = 3.0  # what is so near to the best match is the same
 
@@ -194,13 +194,14 @@ def matched_place(views: tuple[Image, Image], at_px: Array, half_px: float, plac
     half = max(3, round(half_px))
     patch = cv2.getRectSubPix(views[0], (2 * half + 1,) * 2, (float(at_px[0]), float(at_px[1])))
     ours = patch.astype(np.float32) - float(patch.mean())
-    offset = np.arange(-half, half + 1)
+    across, down = np.arange(-half, half + 1), np.arange(-half - MOST_ROWS_PX, half + MOST_ROWS_PX + 1)
+    x = (places_px[:, :1] + across).astype(np.float32)
+    maps = (np.repeat(y[:, None], len(across), 1).astype(np.float32) for y in (places_px[:, 1:] + down).T)
+    rows = [cv2.remap(views[1], x, y, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE) for y in maps]
+    around = np.stack(rows, 1).astype(np.float32)  # (n, rows, columns)
     likeness = np.full(len(places_px), -1.0)
-    for row_px in ROWS_PX:
-        grid = places_px[:, None, None] + np.stack(np.meshgrid(offset, offset + row_px), -1)
-        at = grid.reshape(len(places_px), -1, 2).astype(np.float32)
-        pixels = cv2.remap(views[1], at[..., 0], at[..., 1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
-        seen = np.asarray(pixels, np.float32)
+    for first in range(2 * MOST_ROWS_PX + 1):
+        seen = around[:, first : first + len(across)].reshape(len(places_px), -1)
         theirs = seen - seen.mean(1, keepdims=True)
         scale = np.sqrt(float((ours**2).sum()) * (theirs**2).sum(1)) + 1.0
         likeness = np.maximum(likeness, (theirs @ ours.ravel()) / scale)
