@@ -11,7 +11,7 @@ import numpy as np
 from svmdist.least_squares import huber_weights
 from svmdist.profile.settings import TagSettings
 from svmdist.samples import Image
-from svmdist.transforms import Array, make_transform
+from svmdist.transforms import Array, cross, make_transform
 
 CELL_SAMPLES = 6  # along a cell: of 47 small tags in photographs 44 are found, 41 with OpenCV's 4
 CELL_MARGIN = 0.2  # share of a cell at each of its edges that is left out there
@@ -37,7 +37,7 @@ def refine_corners(image_grey: Image, corners_px: Array, cell_count: int) -> Arr
         if lines is None:
             return found_px
         # Side i runs from corner i to the next one: corner i lies on the sides i - 1 and i.
-        meeting = np.cross(np.roll(lines, 1, 0), lines)
+        meeting = cross(np.roll(lines, 1, 0), lines)
         if np.any(np.abs(meeting[:, 2]) < 1e-3):
             return found_px
         refined_px = meeting[:, :2] / meeting[:, 2:]
@@ -61,15 +61,14 @@ def _edge_lines(image_grey: Image, corners_px: Array, reach_px: Array) -> Array 
     samples = 2 * int(np.ceil(float(reach_px.max()) / SAMPLE_PX)) + 3
     offset_px = np.linspace(-1.0, 1.0, samples) * reach_px[:, None]
     feet_px = corners_px[:, None] + at[:, None] * along_px[:, None]
-    places = feet_px[:, :, None] + offset_px[:, None, :, None] * outward[:, None, None]
     # Whole levels would round what lies between pixels; only what the edges reach is converted.
-    x, y = places[..., 0], places[..., 1]
+    x, y = (feet_px[..., axis, None] + offset_px[:, None] * outward[:, axis, None, None] for axis in (0, 1))
     x0, y0 = max(int(np.floor(x.min())), 0), max(int(np.floor(y.min())), 0)
     window = image_grey[y0 : max(int(y.max()) + 3, y0), x0 : max(int(x.max()) + 3, x0)].astype(np.float32)
     if window.size == 0:
         return None
-    flat = (places.reshape(4 * count, samples, 2) - [x0, y0]).astype(np.float32)
-    brightness = cv2.remap(window, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
+    x, y = ((at_px - first).reshape(4 * count, samples).astype(np.float32) for at_px, first in ((x, x0), (y, y0)))
+    brightness = cv2.remap(window, x, y, cv2.INTER_LINEAR, None, cv2.BORDER_REPLICATE)
     # Black inside, white outside: what falls outward is an edge of something else.
     slope = np.maximum(brightness[:, 2:] - brightness[:, :-2], 0.0).astype(np.float64).reshape(4, count, -1)
     # The fourth power leaves out what changes slowly beside the edge, and is still smooth between samples.

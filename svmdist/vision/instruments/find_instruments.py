@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, reduce
 
 import cv2
 import numpy as np
@@ -178,7 +178,7 @@ class SeenInstrument:
         x, y = (np.arange(count, dtype=np.float32) for count in self.size[::-1])
         across, down = (x - float(self.end_px[0])) * float(self.axis[0]), y - float(self.end_px[1])
         is_before = across[None, :] < -(down * float(self.axis[1]))[:, None]
-        return np.where(is_before, self.mask, 0).astype(np.uint8)
+        return self.mask * is_before
 
     @cached_property
     def distal(self) -> Image:
@@ -279,4 +279,4 @@ class AutoMasks:
         return np.asarray(cv2.bitwise_not(self.picture), np.uint8)
 
     def _union(self, masks: Sequence[Image]) -> Image:
-        return np.asarray(np.bitwise_or.reduce([np.zeros(self.evidence.size, np.uint8), *masks]))
+        return reduce(np.bitwise_or, masks, np.zeros(self.evidence.size, np.uint8))
