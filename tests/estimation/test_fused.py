@@ -10,18 +10,20 @@ from scipy.stats import chi2
 
 from svmdist.estimation.instrument.consistency import Consistency, GatingResult, student_weight
 from svmdist.estimation.instrument.error_model import nominal_tool
-from svmdist.estimation.instrument.image_pose import ImagePose, is_confirmed
-from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
+from svmdist.estimation.instrument.image_pose import is_confirmed
+from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter, as_measurement
 from svmdist.estimation.instrument.measurement_kinds import PointMeasurement
 from svmdist.kinematics import forward_kinematics
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
+from svmdist.profile.robot import KinematicError
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.profile.settings import FilterSettings
 from svmdist.results import FrameResult, ToolPose
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.simulation.plan import draw_nominal_kinematics
 from svmdist.simulation.scene import make_scene as simulated_scene
+from svmdist.transforms import make_transform
 from tests.golden import golden_frames, true_distances_m
 from tests.measuring import Measuring, frame_of, shifted
 from tests.shipped import CHAIN, POSTURE, PROFILE
@@ -156,7 +158,7 @@ def test_an_outline_counts_where_the_images_hold_a_pose():
         return measuring.estimator.estimate(frame)
 
     assert "distal marker" in found("").accepted
-    assert found("the depth is in doubt").detail.endswith("joints alone")
+    assert found("another place is as likely").detail.endswith("joints alone")
 
 
 def test_what_began_by_a_poor_image_begins_anew_by_a_surer_one():
@@ -221,26 +223,19 @@ def test_the_stated_ellipsoid_holds_the_tool():
     assert np.all((coverage > 0.90) & (coverage < 0.99)), coverage
 
 
-@pytest.mark.parametrize(
-    ("first_side", "marker", "in_doubt"),
-    [
-        (0.0, (), ("edge -1",)),
-        (0.0, (("size", 1.0),), ()),
-        (1.0, (("size", 0.0),), ("size",)),
-        (1.0, (("size", 1.0),), ()),
-        (1.0, (), ()),
-        (0.0, (("disparity", 1.0),), ()),
-    ],
-)
-def test_a_depth_needs_more_than_one_that_tells_it(first_side, marker, in_doubt):
-    """Of a shaft with one side only, and of sides that a marker's size contradicts, nothing tells which is wrong."""
-    T = np.eye(4)
-    pose = ToolPose(T, np.eye(6), T[:3, 2])
-    gating = [
-        GatingResult(f"edge {side}", 1.0, 2, weight, "shaft") for side, weight in (("-1", first_side), ("+1", 1.0))
-    ]
-    gating += [GatingResult(name, 1.0, 1, weight, "distal marker") for name, weight in marker]
-    assert ImagePose(pose, (), "", tuple(gating)).depth_outliers == in_doubt
+@pytest.mark.parametrize(("seen_mm", "rival_mm"), [((0, 20), 20), ((0, 20, 0), 0), ((0, 20, 20), 0), ((0, 1), 0)])
+def test_of_two_that_exclude_each_other_a_third_tells_which(scene, seen_mm, rival_mm):
+    """Tools seen at so many mm along a line, each sure by 1 mm: one outlier of two is as likely the other one."""
+    error = KinematicError(camera_base_std_m=0.3)
+    kalman = KinematicErrorFilter(scene.chain, error)
+    kalman.predict(RobotState(scene.chain, 0, scene.joints_at(0.0), scene.T_camera_base))
+    there, covariance = kalman.tool_pose().T_camera_tool, np.diag([1e-6] * 3 + [1e-2] * 3)
+    moved = [make_transform(there[:3, :3], there[:3, 3] + [1e-3 * mm, 0.0, 0.0]) for mm in seen_mm]
+    poses = [ToolPose(T, covariance, T[:3, 0]) for T in moved]
+    measured = [replace(as_measurement(pose), name=f"tool {at}") for at, pose in enumerate(poses)]
+    kalman.begin([(pose, measured) for pose in poses])
+    kalman.update(measured)
+    assert 1e3 * kalman.rival_m == pytest.approx(rival_mm, abs=2.0)
 
 
 @pytest.mark.parametrize(

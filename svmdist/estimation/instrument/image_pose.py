@@ -17,7 +17,6 @@ from svmdist.estimation.instrument.distal_marker import MarkerPair, pair_markers
 from svmdist.estimation.instrument.factors import DISPARITY, jaw_scale, of_images
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import LinkMeasurement
-from svmdist.estimation.instrument.measurement_kinds import SHAFT
 from svmdist.estimation.instrument.shaft_model import ShaftModel
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import KinematicError
@@ -30,7 +29,7 @@ OPEN_M = 0.3  # standard deviation of the base's place: a scene is no larger
 OPEN_RAD = 3.0  # of its rotation, if unknown
 START_STD_M, START_STD_RAD = 5e-3, 0.1  # of a start, which is where to linearise and no more
 ROLL_COUNT = 4  # starts about a shaft whose rotation is not known
-DEPTH_CUES = DISPARITY, "size"  # which are weighed against each other and the sides (`depth_outliers`)
+DEPTH_CUES = DISPARITY, "size"  # of which one may be an outlier
 MAX_OUTLIER_SHARE = 1.0 / 3.0  # of what was measured: with more outliers nothing shows which are right
 
 
@@ -42,20 +41,6 @@ class ImagePose:
     used: tuple[str, ...]
     contradiction: str
     gating: tuple[GatingResult, ...] = ()
-
-    @property
-    def depth_outliers(self) -> tuple[str, ...]:
-        """The outliers among depth cues, where nothing else confirms the inliers.
-
-        Disparity does, and a marker's size confirms one side of the shaft. A size that fits neither side is itself as
-        likely right: a shadow's border passes for a side.
-        """
-        is_accepted = {one.name: one.is_accepted for one in self.gating}
-        if is_accepted.get(DISPARITY):
-            return ()
-        if "size" in is_accepted:
-            return () if is_accepted["size"] else ("size",)
-        return tuple(one.name for one in self.gating if one.source == SHAFT and not one.is_accepted)
 
     @property
     def is_by_right_view(self) -> bool:
@@ -104,7 +89,7 @@ def _first_places(views: Sequence[View], tool_m: Array | None, model: ShaftModel
 def _first_shafts(view: View, model: ShaftModel, R_nominal: Array | None) -> Iterator[Array | Failure]:
     """First `T_view_shaft`, (4, 4): by the closed form, by the nominal rotation and a marker; or why none."""
     if len(view.shaft.contours) == 2:
-        yield _start_from_sides(view, model, R_nominal)
+        yield from _starts_from_sides(view, model, R_nominal)
     marker = view.distal_marker
     if R_nominal is None:
         yield Failure("no long enough part of a shaft is visible with both sides")
@@ -116,20 +101,24 @@ def _first_shafts(view: View, model: ShaftModel, R_nominal: Array | None) -> Ite
         yield make_transform(R_nominal, tool_m - R_nominal @ model.T_shaft_tool[:3, 3])
 
 
-def _start_from_sides(view: View, model: ShaftModel, R_nominal: Array | None) -> Array | Failure:
+def _starts_from_sides(view: View, model: ShaftModel, R_nominal: Array | None) -> Iterator[Array | Failure]:
+    """By the closed form, with the shaft's end where it is seen, and where the marker has it; or why none."""
     axis = axis_of_cylinder(view.shaft.contours, model.radius_m)
     if axis is None:
-        return Failure("the shaft's sides are too close together")
+        yield Failure("the shaft's sides are too close together")
+        return
     d = _turned_to_tip(axis.direction, view, R_nominal)
     if d is None:
-        return Failure("the shaft's tip cannot be told from its base")
-    hinge_m = _along_axis(axis.point_m, d, view, model)
-    if hinge_m is None:
-        return Failure("the shaft's end is not visible")
-    # Unknown, the wrist bends as one sees it: about the line of sight.
-    y = cross(d, cross(hinge_m, d)) if R_nominal is None else cross(d, R_nominal[:, 0])
-    y /= np.linalg.norm(y)
-    return make_transform(np.stack([cross(y, d), y, d], -1), hinge_m)
+        yield Failure("the shaft's tip cannot be told from its base")
+        return
+    hinges_m = list(_hinges(axis.point_m, d, view, model))
+    if not hinges_m:
+        yield Failure("the shaft's end is not visible")
+    for hinge_m in hinges_m:
+        # Unknown, the wrist bends as one sees it: about the line of sight.
+        y = cross(d, cross(hinge_m, d)) if R_nominal is None else cross(d, R_nominal[:, 0])
+        y /= np.linalg.norm(y)
+        yield make_transform(np.stack([cross(y, d), y, d], -1), hinge_m)
 
 
 def _bends_aside(view: View) -> bool:
@@ -171,22 +160,21 @@ def _turned_to_tip(d: Array, view: View, R_nominal: Array | None) -> Array | Non
     return d if d @ R_nominal[:, 2] > 0 else -d
 
 
-def _along_axis(p_m: Array, d: Array, view: View, model: ShaftModel) -> Array | None:
-    """The hinge: where the axis passes the landmark's ray, less the landmark's place on the straight tool."""
+def _hinges(p_m: Array, d: Array, view: View, model: ShaftModel) -> Iterator[Array]:
+    """The hinge: where the axis passes a landmark's ray, less the landmark's place on the straight tool."""
     rim, marker = view.shaft.rim, view.distal_marker
+    landmarks: list[tuple[Array, float]] = []
     if rim is not None:
-        pixel, ahead_m = rim.pixel, model.outline_end_m if rim.is_outline else -model.end_m
-    elif marker is not None:
-        pixel, ahead_m = marker.centre_px, float(model.T_shaft_tool[2, 3])
-    else:
-        return None
-    ray = view.camera.rays(pixel)[0]
-    ray = ray / np.linalg.norm(ray)
-    cosine = float(ray @ d)
-    if 1.0 - cosine**2 < 1e-4:
-        return None
-    along_m = (cosine * float(ray @ p_m) - float(d @ p_m)) / (1.0 - cosine**2)
-    return np.asarray(p_m + (along_m - ahead_m) * d)
+        landmarks.append((rim.pixel, model.outline_end_m if rim.is_outline else -model.end_m))
+    if marker is not None:
+        landmarks.append((marker.centre_px, float(model.T_shaft_tool[2, 3])))
+    for pixel, ahead_m in landmarks:
+        ray = view.camera.rays(pixel)[0]
+        ray = ray / np.linalg.norm(ray)
+        cosine = float(ray @ d)
+        if 1.0 - cosine**2 >= 1e-4:
+            along_m = (cosine * float(ray @ p_m) - float(d @ p_m)) / (1.0 - cosine**2)
+            yield np.asarray(p_m + (along_m - ahead_m) * d)
 
 
 def _located(
@@ -225,23 +213,22 @@ def _located(
     if alone or sum(result.degrees_of_freedom for result in outliers) > most:
         names = ", ".join(result.name for result in outliers)
         contradiction = f"{names} {'does' if len(outliers) == 1 else 'do'} not fit the rest"
+    if not contradiction and kalman.rival_m:
+        contradiction = f"another place, {1e3 * kalman.rival_m:.0f} mm away, is as likely"
     hinge = kalman.hinge(model.axis.link, model.hinge_m)
     pose = replace(kalman.tool_pose(), hinge=hinge, jaw_scale=jaw_scale(kalman, frame.arm))
     # A marker is at the tool's origin itself, however the wrist is bent.
     if isinstance(frame.robot, Failure) and frame.left.distal_marker is None:
         pose = _with_other_bend(pose, frame, model)
     used = tuple(one.name for one in gating if one.is_accepted)
-    found = ImagePose(pose, used, contradiction, gating)
-    if not contradiction and (of_depth := found.depth_outliers):
-        found = replace(found, contradiction=f"the depth is in doubt: {', '.join(of_depth)} refused")
-    return found
+    return ImagePose(pose, used, contradiction, gating)
 
 
 def is_confirmed(gating: Sequence[GatingResult]) -> bool:
     """Whether the inliers are right, without joints to confirm them, and not the outliers.
 
-    An inlier may be another instrument's, or a shadow's; but a disparity and three sides outvote a side. For depth cues
-    see `depth_outliers`.
+    An inlier may be another instrument's, or a shadow's; but a disparity and three sides outvote a side. Depth cues
+    contest each other by where each of them leads.
     """
     accepted = {one.name for one in gating if one.is_accepted}
     outliers = [one.name for one in gating if one.name not in accepted.union(DEPTH_CUES)]

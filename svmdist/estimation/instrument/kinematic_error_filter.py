@@ -5,9 +5,9 @@ Every update is a maximum a posteriori estimate (`most_probable`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,8 +40,21 @@ JUMP = np.diag([0.02**2] * 3 + [0.05**2] * 3)  # m², rad²: an endoscope that i
 JUMP_PRICE = 13.8  # twice the logarithm of how rarely that happens: in one frame of a thousand
 TINY_POSE = np.diag([1e-10] * 3 + [1e-8] * 3)  # m², rad²: an image's pose is never surer
 
+SAME_SQUARE = 6.0  # of a start from where an earlier one led, in its deviations: on average, of six numbers
+CONTEST = 3.0  # twice the logarithm: the most probable pose is contested by one a fifth as probable
+
 Start = tuple[ToolPose | None, Sequence[LinkMeasurement]]
 """A pose of the tool by the images, or None for nominal kinematics, and the measurements made about it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """Where a start leads, by its number: a state, the tool in the camera frame, (3,) in m, and what that costs."""
+
+    index: int
+    x: Array
+    tool_m: Array
+    cost: float
 
 
 class KinematicErrorFilter:
@@ -54,6 +67,7 @@ class KinematicErrorFilter:
         self.state = ErrorState(self._model)
         """The correction now and the robot that was predicted from, its joints at the time that the correction says."""
         self._start_x: Array | None = None
+        self._rivals_m: list[Array] = []
         self._age_s = 0.0
         self.has_jumped = False
         """Whether the last measurements are rather those of a camera or a base that was moved: they changed nothing."""
@@ -79,19 +93,32 @@ class KinematicErrorFilter:
         A start is where to linearise first, never a measurement of its own. One that an earlier one led to the
         neighbourhood of would lead to the same.
         """
-        index, found = self._best_of(starts)
+        ways = list(self._ways(starts))
+        best = min(ways, key=lambda way: way.cost, default=None)
+        self._rivals_m = [way.tool_m for way in ways if way is not best and best and way.cost < best.cost + CONTEST]
+        index = 0 if best is None else best.index
         self._begin_at(starts[index][0])
-        self._start_x = self._start_x if found is None else found.x[: self._model.size]
+        self._start_x = self._start_x if best is None else best.x[: self._model.size]
         return index
 
-    def _best_of(self, starts: Sequence[Start]) -> tuple[int, Solution | None]:
-        """The start that leads to the least cost, by its number, and where it leads."""
+    @property
+    def rival_m(self) -> float:
+        """How far away the tool is by another start that is nearly as probable; 0 where its own deviations allow that.
+
+        As where one outlier or the other leaves the rest in agreement: nothing shows which of them is the outlier.
+        """
+        pose = self.tool_pose()
+        off_m = [tool_m - pose.position_m for tool_m in self._rivals_m]
+        information = np.linalg.inv(pose.position_covariance)
+        far_m = (off for off in off_m if off @ information @ off > chi_square_bound(3))
+        return max((float(np.linalg.norm(off)) for off in far_m), default=0.0)
+
+    def _ways(self, starts: Sequence[Start]) -> Iterator[_Way]:
+        """Where each start leads."""
         every = {measurement.name: measurement for _, seen in starts for measurement in seen}
-        best: tuple[int, Solution | None] = 0, None
-        least = np.inf
         places = list[ToolPose]()
         for index, (pose, seen) in enumerate(starts):
-            if pose is not None and any(pose_distance(pose, tool) < chi_square_bound(6) for tool in places):
+            if pose is not None and any(pose_distance(pose, tool) < SAME_SQUARE for tool in places):
                 continue
             solved = self._solved(pose, seen)
             if solved is None:
@@ -101,9 +128,7 @@ class KinematicErrorFilter:
             cost = robust_cost(solved, seen)
             for name in every.keys() - {measurement.name for measurement in seen}:
                 cost += heavy_tailed(UNSEEN_SQUARE, every[name].covariance)
-            if cost < least:
-                best, least = (index, solved), cost
-        return best
+            yield _Way(index, solved.x, T_camera_tool[:3, 3], cost)
 
     def update(self, measurements: Sequence[LinkMeasurement]) -> tuple[GatingResult, ...]:
         """Take up what the image shows; gives the gating result of each measurement."""
