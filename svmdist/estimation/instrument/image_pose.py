@@ -213,8 +213,8 @@ def _located(
     if alone or sum(result.degrees_of_freedom for result in outliers) > most:
         names = ", ".join(result.name for result in outliers)
         contradiction = f"{names} {'does' if len(outliers) == 1 else 'do'} not fit the rest"
-    if not contradiction and kalman.rival_m:
-        contradiction = f"another place, {1e3 * kalman.rival_m:.0f} mm away, is as likely"
+    if not contradiction and (away_m := kalman.rival_m):
+        contradiction = f"another place, {1e3 * away_m:.0f} mm away, is as likely"
     hinge = kalman.hinge(model.axis.link, model.hinge_m)
     pose = replace(kalman.tool_pose(), hinge=hinge, jaw_scale=jaw_scale(kalman, frame.arm))
     # A marker is at the tool's origin itself, however the wrist is bent.
