@@ -69,7 +69,9 @@ def _profiles_across(bgr: Image, feet_px: Array, across: Array, half_px: float, 
     return np.ascontiguousarray(slopes), offsets, seen
 
 
-def _points_near(profiles: Profiles, column: NDArray[np.intp], reach_px: float, least: float) -> tuple[Array, Array]:
+def _points_near(
+    profiles: Profiles, column: NDArray[np.intp], reach_px: float, least_levels: float
+) -> tuple[Array, Array]:
     """Sub-pixel offset of each profile's edge near a line in these columns, shape (n,), NaN where there is none.
 
     And how wide that edge is, shape (n,): the variance in px² of a Gaussian with the slope's peak.
@@ -88,7 +90,7 @@ def _points_near(profiles: Profiles, column: NDArray[np.intp], reach_px: float, 
     inside = (best > 0) & (best < 2 * reach) & seen[rows, peak]
     good = inside & (before > 0.0) & (after > 0.0) & (top >= before) & (top >= after)
     # A step of height c has slope c / (σ √(2π)) at its steepest; the image's blur doubles σ.
-    good &= top > least / (2.0 * SLOPE_SIGMA_PX * np.sqrt(2.0 * np.pi))
+    good &= top > least_levels / (2.0 * SLOPE_SIGMA_PX * np.sqrt(2.0 * np.pi))
     # What is much fainter than most of the edge is texture beside it.
     good &= top > FAINT * (median(top[good]) if good.any() else 0.0)
     ratio = np.where(good, before * after, 0.25) / np.where(good, top * top, 1.0)

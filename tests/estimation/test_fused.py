@@ -226,8 +226,7 @@ def test_the_stated_ellipsoid_holds_the_tool():
 @pytest.mark.parametrize(("seen_mm", "rival_mm"), [((0, 20), 20), ((0, 20, 0), 0), ((0, 20, 20), 0), ((0, 1), 0)])
 def test_of_two_that_exclude_each_other_a_third_tells_which(scene, seen_mm, rival_mm):
     """Tools seen at so many mm along a line, each sure by 1 mm: one outlier of two is as likely the other one."""
-    error = KinematicError(camera_base_std_m=0.3)
-    kalman = KinematicErrorFilter(scene.chain, error)
+    kalman = KinematicErrorFilter(scene.chain, KinematicError(camera_base_std_m=0.3))
     kalman.predict(RobotState(scene.chain, 0, scene.joints_at(0.0), scene.T_camera_base))
     there, covariance = kalman.tool_pose().T_camera_tool, np.diag([1e-6] * 3 + [1e-2] * 3)
     moved = [make_transform(there[:3, :3], there[:3, 3] + [1e-3 * mm, 0.0, 0.0]) for mm in seen_mm]
@@ -235,7 +234,7 @@ def test_of_two_that_exclude_each_other_a_third_tells_which(scene, seen_mm, riva
     measured = [replace(as_measurement(pose), name=f"tool {at}") for at, pose in enumerate(poses)]
     kalman.begin([(pose, measured) for pose in poses])
     kalman.update(measured)
-    assert 1e3 * kalman.rival_m == pytest.approx(rival_mm, abs=2.0)
+    assert 1e3 * kalman.rival_m(kalman.tool_pose()) == pytest.approx(rival_mm, abs=2.0)
 
 
 @pytest.mark.parametrize(

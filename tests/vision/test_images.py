@@ -20,7 +20,7 @@ from svmdist.vision.discs import fit_disc
 from svmdist.vision.frame_context import as_pinholes, first_field, mixes_colours
 from svmdist.vision.instruments.find_instruments import AutoMasks
 from svmdist.vision.regions import find_region
-from svmdist.vision.stereo import rectified_pair
+from svmdist.vision.stereo import matched_place, rectified_pair
 
 
 def with_disc(x_px: float, seed: int = 1) -> Image:
@@ -197,3 +197,12 @@ def test_a_mask_equals_the_definition(first, last, saturation, value, seed):
     for values, (low, high) in ((s, saturation), (v, value)):
         inside &= (values >= low) & (values <= high)
     np.testing.assert_array_equal(colour_mask(image_hsv, region), np.where(inside, 255, 0))
+
+
+@pytest.mark.parametrize("half_px", [4.0, 200.0])
+def test_a_patch_of_any_width_is_found_in_the_other_view(half_px):
+    """12 px to the left and 2 rows below; a patch of 401 px is wider than what OpenCV samples at once."""
+    image = cv2.GaussianBlur(np.random.default_rng(3).integers(0, 256, (480, 640), np.uint8), (0, 0), 1.5)
+    beside = np.roll(image, (2, -12), (0, 1))
+    places_px = np.array([[320.0 - off, 240.0] for off in range(0, 25, 4)])
+    assert matched_place((image, beside), np.array([320.0, 240.0]), half_px, places_px) == 3

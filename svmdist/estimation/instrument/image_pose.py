@@ -29,7 +29,7 @@ OPEN_M = 0.3  # standard deviation of the base's place: a scene is no larger
 OPEN_RAD = 3.0  # of its rotation, if unknown
 START_STD_M, START_STD_RAD = 5e-3, 0.1  # of a start, which is where to linearise and no more
 ROLL_COUNT = 4  # starts about a shaft whose rotation is not known
-DEPTH_CUES = DISPARITY, "size"  # of which one may be an outlier
+DEPTH_CUES = DISPARITY, "size"  # whose outliers contest a pose by where they lead (`rival_m`)
 MAX_OUTLIER_SHARE = 1.0 / 3.0  # of what was measured: with more outliers nothing shows which are right
 
 
@@ -213,10 +213,11 @@ def _located(
     if alone or sum(result.degrees_of_freedom for result in outliers) > most:
         names = ", ".join(result.name for result in outliers)
         contradiction = f"{names} {'does' if len(outliers) == 1 else 'do'} not fit the rest"
-    if not contradiction and (away_m := kalman.rival_m):
+    pose = kalman.tool_pose()
+    if not contradiction and (away_m := kalman.rival_m(pose)):
         contradiction = f"another place, {1e3 * away_m:.0f} mm away, is as likely"
     hinge = kalman.hinge(model.axis.link, model.hinge_m)
-    pose = replace(kalman.tool_pose(), hinge=hinge, jaw_scale=jaw_scale(kalman, frame.arm))
+    pose = replace(pose, hinge=hinge, jaw_scale=jaw_scale(kalman, frame.arm))
     # A marker is at the tool's origin itself, however the wrist is bent.
     if isinstance(frame.robot, Failure) and frame.left.distal_marker is None:
         pose = _with_other_bend(pose, frame, model)

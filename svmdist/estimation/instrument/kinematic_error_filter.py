@@ -93,21 +93,19 @@ class KinematicErrorFilter:
         A start is where to linearise first, never a measurement of its own. One that an earlier one led to the
         neighbourhood of would lead to the same.
         """
-        ways = list(self._ways(starts))
-        best = min(ways, key=lambda way: way.cost, default=None)
-        self._rivals_m = [way.tool_m for way in ways if way is not best and best and way.cost < best.cost + CONTEST]
-        index = 0 if best is None else best.index
+        ways = sorted(self._ways(starts), key=lambda way: way.cost)
+        self._rivals_m = [way.tool_m for way in ways[1:] if way.cost < ways[0].cost + CONTEST]
+        index = ways[0].index if ways else 0
         self._begin_at(starts[index][0])
-        self._start_x = self._start_x if best is None else best.x[: self._model.size]
+        if ways:
+            self._start_x = ways[0].x[: self._model.size]
         return index
 
-    @property
-    def rival_m(self) -> float:
-        """How far away the tool is by another start that is nearly as probable; 0 where its own deviations allow that.
+    def rival_m(self, pose: ToolPose) -> float:
+        """How far off the tool is by a start that is nearly as probable; 0 where the deviations of its pose allow that.
 
         As where one outlier or the other leaves the rest in agreement: nothing shows which of them is the outlier.
         """
-        pose = self.tool_pose()
         off_m = [tool_m - pose.position_m for tool_m in self._rivals_m]
         information = np.linalg.inv(pose.position_covariance)
         far_m = (off for off in off_m if off @ information @ off > chi_square_bound(3))

@@ -145,6 +145,11 @@ def sampled(field: Image | Floats, places: Array, nearest: bool = False) -> NDAr
     return np.asarray(values.reshape(*places.shape[:-1], *field.shape[2:]), np.float32)
 
 
+def strongest(change: Floats) -> Floats:
+    """The largest of three channels, shape (..., 3): NumPy's own maximum along a short axis takes ten times longer."""
+    return reduce(np.maximum, np.moveaxis(change, -1, 0))
+
+
 def seen_at(evidence: Evidence, places: Array) -> NDArray[np.bool_]:
     """Whether light reaches places (x, y), shape (..., 2), of the picture."""
     return sampled(evidence.core, places, nearest=True) > 0
@@ -313,9 +318,7 @@ def _log_posterior(
     levels = sampled(evidence.bgr_float, places)
     apart = max(1, round(1.0 / step_px))
     step = np.zeros(seen.shape)
-    # NumPy's own maximum along an axis of three takes ten times as long.
-    channels = np.moveaxis(np.abs(levels[:, :, 2 * apart :] - levels[:, :, : -2 * apart]), -1, 0)
-    step[..., apart:-apart] = reduce(np.maximum, channels)
+    step[..., apart:-apart] = strongest(np.abs(levels[:, :, 2 * apart :] - levels[:, :, : -2 * apart]))
     step[..., apart:-apart] *= seen[..., 2 * apart :] & seen[..., : -2 * apart]
     log_p = region_weight * region + np.log1p((step / EDGE_LEVELS) ** 2)
     return np.where(seen, log_p, -30.0), seen

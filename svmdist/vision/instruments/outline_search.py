@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from svmdist.vision.instruments.outline import (
     sampled,
     seen_at,
     starts,
+    strongest,
 )
 
 SCALES = ((0.45, 1.0), (0.25, 1.0), (0.12, 0.4), (0.07, 0.05))
@@ -238,7 +238,7 @@ def outline_score(outline: Outline, evidence: Evidence, least: float = LEAST_EVI
     around = np.arange(-STEP_REACH_PX - 1.0, STEP_REACH_PX + 1.5)
     across_sides = points[:, :, None] + around[:, None] * outward[:, None, None]
     levels, is_seen = sampled(evidence.bgr_float, across_sides), seen_at(evidence, across_sides)
-    step = reduce(np.maximum, np.moveaxis(np.abs(levels[:, :, 2:] - levels[:, :, :-2]), -1, 0))
+    step = strongest(np.abs(levels[:, :, 2:] - levels[:, :, :-2]))
     whole, steepest = is_seen.all(2), np.argmax(step, axis=2) - STEP_REACH_PX
     # The steepest step may be that of the limb's shade, but then it is that all along the side.
     straight = np.abs(steepest - np.median(steepest, axis=1, keepdims=True)) <= max(
