@@ -236,7 +236,7 @@ def find_silhouette(
     if wrist is None and not all(len(edge.points_px) for edge in (first, second)):
         return None
     ends = [] if seen.ends_dark else [edge.end_px for edge in (first, second) if edge.ends]
-    if not ends and not np.isfinite(seen.end_std_px):
+    if len(ends) < 2 and not np.isfinite(seen.end_std_px):
         return endless
     if seen.ends_dark:
         end_px, narrows = seen.end_px, 0.0

@@ -368,3 +368,33 @@ def test_highlights_at_the_border_are_no_instruments():
             cv2.ellipse(bgr, centre, axes, float(rng.uniform(0, 180)), 0, 360, (250, 248, 252), cv2.FILLED)
         counts.append(len(AutoMasks(np.asarray(cv2.GaussianBlur(bgr, (0, 0), 1.0), np.uint8)).seen))
     assert counts.count(0) >= 5
+
+
+@pytest.mark.parametrize("leaves", [True, False], ids=["leaves", "ends"])
+def test_the_end_of_a_shaft_that_leaves_a_round_view_at_a_slant_is_not_visible(leaves):
+    """One side leaves the view before the other: that says nothing of where the shaft ends."""
+    bgr = np.zeros((240, 320, 3), np.uint8)
+    cv2.circle(bgr, (160, 120), 115, (120, 120, 120), cv2.FILLED)
+    along = np.linspace(0.0, 240.0 if leaves else 150.0, 300)
+    x, y = np.round([40.0 + 0.985 * along, 60.0 + 0.174 * along]).astype(int)
+    shaft = np.zeros((240, 320), np.uint8)
+    cv2.line(shaft, (int(x[0]), int(y[0])), (int(x[-1]), int(y[-1])), 255, 40)
+    if not leaves:
+        shaft[:, 190:] = 0
+    bgr[(shaft > 0) & (bgr[..., 0] > 0)] = 30
+    image = Evidence(bgr, AutoSettings())
+    odds = np.tile(np.where(shaft > 0, 3.0, -2.0).astype(np.float32), (2, 1, 1))
+    image.scores, image.odds = odds, np.where(image.core > 0, odds[0], -4.0).astype(np.float32)
+    outline = find_instruments(image)[0][0]
+    assert np.isfinite(outline.end_std_px) != leaves
+    if not leaves:
+        assert outline.end[0] == pytest.approx(190.0, abs=4.0)
+
+
+@pytest.mark.parametrize("both", [True, False], ids=["both edges end", "one edge ends"])
+def test_a_shaft_that_goes_on_to_the_border_ends_only_where_both_edges_do(both):
+    bgr = bars(SHAFT, *() if both else [(200, 320, 100, 120)])
+    found = silhouette(bgr, seen_as(bars((0, 320, 100, 140))[..., 0] == 30, sides_of(319.0), end_std_px=np.inf))
+    assert (found.rim is not None) == both
+    if both:
+        assert found.rim.pixel[0] == pytest.approx(200.0, abs=2.0)

@@ -56,17 +56,18 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
     """
     along = np.arange(0.5, 1.2 * float(np.hypot(*evidence.core.shape)))
     places = outline.across(along, MARGINS)
-    seen = seen_at(evidence, places).mean(1) >= 0.5
-    first = int(np.argmax(seen))  # where it comes in at a slant, less of it is in view
-    last = first + int(np.argmin(np.append(seen[first:], False)))
+    seen = sampled(evidence.core, places) == 255
+    in_view = seen.mean(1) >= 0.5
+    first = int(np.argmax(in_view))  # where it comes in at a slant, less of it is in view
+    last = first + int(np.argmin(np.append(in_view[first:], False)))
     if last < 4:
         return outline
-    along, places = along[:last], places[:last]
+    along, places, seen = along[:last], places[:last], seen[:last]
     odds = np.clip(sampled(evidence.odds, places), -MOST_MARGIN, MOST_MARGIN)
     # What comes in is surely the instrument: half of its own log-odds are its border, however the network blurs it.
-    odds -= 0.5 * max(median(_weaker_side(odds)[: int(outline.width_px) + 1]), 0.0)
+    odds -= 0.5 * max(median(_weaker_side(odds, seen)[: int(outline.width_px) + 1]), 0.0)
     odds[sampled(evidence.hidden, places, nearest=True) > 0] = 0.0
-    margins = np.cumsum(_weaker_side(odds)) / CORRELATION_PX
+    margins = np.cumsum(_weaker_side(odds, seen)) / CORRELATION_PX
     outline_ends = np.exp(np.maximum(margins - margins.max(), -50.0))
     outline_ends /= outline_ends.sum()
     wrist_px = max(1, round(LONGEST_WRIST * outline.width_px))
@@ -91,7 +92,8 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
     own, other = (p * of_part, p * ~of_part) if is_part else (p * ~of_part, p * of_part)
     other_share = float(other.sum())
     mean = float(own @ along) / float(own.sum())
-    std_px = np.inf if mean > along[-1] - 2.5 else float(np.sqrt(own @ (along - mean) ** 2 / own.sum())) + 1.0
+    goes_out = not is_part and whole > along[-1] - 2.5
+    std_px = np.inf if goes_out else float(np.sqrt(own @ (along - mean) ** 2 / own.sum())) + 1.0
     # A collar or clevis is as wide as the shaft; what is longer are jaws, which narrow as it seems to.
     sides_px = max(mean, whole) if whole - mean < LONGEST_CLEVIS * outline.width_px else mean
     return replace(
@@ -105,9 +107,14 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
     )
 
 
-def _weaker_side(odds: Floats) -> Array:
-    """The mean of margins' log-odds, shape (n, 8), at the weaker of both sides, (n,)."""
-    return np.asarray(np.minimum(odds[:, :4].mean(1), odds[:, 4:].mean(1)), np.float64)
+def _weaker_side(odds: Floats, seen: NDArray[np.bool_]) -> Array:
+    """The mean of margins' log-odds, shape (n, 8), at the weaker of both sides, (n,), of those that are `seen`, (n, 8).
+
+    A shaft leaves the picture at a slant: where one side is out of view, the other one says whether it goes on.
+    """
+    shown = seen.reshape(-1, 2, 4).sum(2)
+    mean = (odds * seen).reshape(-1, 2, 4).sum(2) / np.maximum(shown, 1)
+    return np.where(shown.any(1), np.where(shown > 0, mean, np.inf).min(1), 0.0)
 
 
 def _material(outline: Outline, middle: Array, hidden: NDArray[np.bool_], evidence: Evidence) -> Array:
