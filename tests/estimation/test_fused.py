@@ -238,22 +238,23 @@ def test_of_two_that_exclude_each_other_a_third_tells_which(scene, seen_mm, riva
 
 
 @pytest.mark.parametrize(
-    ("refused", "expected"),
+    ("refused", "alone", "with_joints"),
     [
-        (("right edge +1",), True),
-        (("right edge +1", "disparity"), False),
-        (("right edge +1", "edge -1"), False),
-        (("right edge +1", "wrist"), False),
-        (("wrist",), False),
-        (("disparity",), True),
-        ((), True),
+        (("right edge +1",), True, True),
+        (("right edge +1", "disparity"), False, False),
+        (("right edge +1", "edge -1"), False, True),
+        (("right edge +1", "wrist"), False, True),
+        (("wrist",), False, True),
+        (("disparity",), True, True),
+        ((), True, True),
     ],
 )
-def test_without_joints_a_disparity_and_three_sides_outvote_one(refused, expected):
+def test_a_disparity_and_three_sides_outvote_one(refused, alone, with_joints):
     """Alone, the rest may be that of another instrument; what tells the depth is weighed elsewhere."""
     names = ("edge -1", "edge +1", "right edge -1", "right edge +1", "end", "wrist", "disparity")
     gating = [GatingResult(name, 1.0, 1, float(name not in refused), "shaft") for name in names]
-    assert is_confirmed(gating) is expected
+    assert is_confirmed(gating, has_joints=False) is alone
+    assert is_confirmed(gating, has_joints=True) is with_joints
 
 
 def test_widening_is_the_ratio_of_birge():

@@ -208,9 +208,9 @@ def _located(
         return Failure("the fit does not converge")
     contradiction = kalman.consistency.contradiction
     outliers = [result for result in gating if not result.is_accepted]
-    alone = isinstance(frame.robot, Failure) and not is_confirmed(gating)
+    is_doubtful = not is_confirmed(gating, has_joints=not isinstance(frame.robot, Failure))
     most = MAX_OUTLIER_SHARE * sum(result.degrees_of_freedom for result in gating)
-    if alone or sum(result.degrees_of_freedom for result in outliers) > most:
+    if is_doubtful or sum(result.degrees_of_freedom for result in outliers) > most:
         names = ", ".join(result.name for result in outliers)
         contradiction = f"{names} {'does' if len(outliers) == 1 else 'do'} not fit the rest"
     pose = kalman.tool_pose()
@@ -225,14 +225,19 @@ def _located(
     return ImagePose(pose, used, contradiction, gating)
 
 
-def is_confirmed(gating: Sequence[GatingResult]) -> bool:
-    """Whether the inliers are right, without joints to confirm them, and not the outliers.
+def is_confirmed(gating: Sequence[GatingResult], has_joints: bool) -> bool:
+    """Whether the inliers are right and not the outliers, by what agrees with them.
 
-    An inlier may be another instrument's, or a shadow's; but a disparity and three sides outvote a side. Depth cues
-    contest each other by where each of them leads.
+    Without joints an inlier may be another instrument's, or a shadow's; but a disparity and three sides outvote a side.
+    With joints, too, sides that a disparity and one of them contradict may be those of a wrist, which is narrower.
+    Depth cues contest each other by where each of them leads.
     """
     accepted = {one.name for one in gating if one.is_accepted}
-    outliers = [one.name for one in gating if one.name not in accepted.union(DEPTH_CUES)]
-    if len(outliers) == 1 and "edge" in outliers[0]:
+    outliers = {one.name for one in gating} - accepted
+    sides = [name for name in outliers if "edge" in name]
+    if has_joints:
+        return not (sides and DISPARITY in outliers)
+    outliers -= set(DEPTH_CUES)
+    if len(outliers) == len(sides) == 1:
         return DISPARITY in accepted and sum("edge" in name for name in accepted) >= 3
     return not outliers
