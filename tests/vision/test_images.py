@@ -120,6 +120,36 @@ def test_a_marker_under_blood_is_as_large_as_its_deviation_says(angle, hidden):
         assert (marker.radius_std_px < 0.6) == (hidden < 0.4)
 
 
+def lit_ball(limb: float, block_px: int = 1) -> tuple[Image, Image]:
+    """HSV and mask of a ball of 10 px under a lamp at the camera, with so much of its light at the limb.
+
+    Colours are those of blocks, as a codec leaves them.
+    """
+    big = 8
+    y, x = np.mgrid[: 60 * big, : 60 * big]
+    off_px = np.stack([x, y], -1) / big + (0.5 / big - 0.5) - MIDDLE_PX
+    inside = np.sqrt(np.maximum(1.0 - (off_px**2).sum(-1) / 100.0, 0.0))[..., None]
+    bgr = np.where(inside > 0.0, (limb + (1.0 - limb) * inside) * [170.0, 165.0, 8.0], [85.0, 90.0, 95.0])
+    image = cv2.GaussianBlur(cv2.resize(bgr.astype(np.uint8), (60, 60), interpolation=cv2.INTER_AREA), (0, 0), 1.0)
+    luma = cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb)
+    blocks = cv2.resize(luma, (60 // block_px,) * 2, interpolation=cv2.INTER_AREA)
+    luma[..., 1:] = cv2.resize(blocks, (60, 60), interpolation=cv2.INTER_NEAREST)[..., 1:]
+    hsv = cv2.cvtColor(cv2.cvtColor(luma, cv2.COLOR_YCrCb2BGR), cv2.COLOR_BGR2HSV)
+    return hsv, np.asarray(cv2.inRange(hsv, (75, 90, 40), (105, 255, 255)), np.uint8)
+
+
+@pytest.mark.parametrize(("limb", "block_px"), [(1.0, 1), (0.5, 1), (0.1, 1), (1.0, 3), (0.5, 3)])
+def test_a_ball_is_as_large_as_its_deviation_says_in_any_light(limb, block_px):
+    """Its colour fades towards a dark limb; where it is coarse, half of it is left elsewhere than it falls off most."""
+    hsv, mask = lit_ball(limb, block_px)
+    region = find_region(mask, load_profile().segmentation.instrument, OutlineSettings())
+    marker = detect_distal_marker(hsv, mask, region, DistalMarkerSettings())
+    off_px = abs(marker.radius_px - 10.0)
+    assert off_px < 1.5 * marker.radius_std_px
+    assert off_px < 0.45 or block_px > 1
+    assert (marker.radius_std_px > 0.55) == (block_px > 1)
+
+
 IDEAL = Camera.from_horizontal_fov(640, 480, np.pi / 3)
 LENSES = {
     "plumb_bob": replace(IDEAL, D=np.array([-0.2, 0.05, 1e-3, -5e-4, 0.01])),

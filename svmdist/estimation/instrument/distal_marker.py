@@ -11,7 +11,7 @@ import numpy as np
 
 from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.measurement_kinds import MARKER, PointError
-from svmdist.estimation.instrument.shaft_detection import BORDER_STD_PER_BLUR, FARTHEST_M
+from svmdist.estimation.instrument.shaft_detection import FARTHEST_M, STD_PER_DOUBT
 from svmdist.estimation.scene import Arm
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, transform_points
@@ -123,10 +123,10 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
     tolerance = np.exp(4.0 * np.hypot(unknown, instrument.knuckle_radius_std_fraction))
     is_other = not MIN_VISIBLE_FRACTION / tolerance <= whole <= MAX_AREA_FRACTION * tolerance
     wrong = max(0.0, abs(1.0 - whole) - WHOLE_AREA_SPREAD)
-    pixel, blur_px = marker.centre_px, 0.0
+    pixel, doubt_px = marker.centre_px, 0.0
     if (disc := marker.disc) is not None:
         pixel = without_perspective(disc.centre_px, view.camera, expected.depth_m, radius_m)
-        blur_px = disc.blur_px
+        doubt_px = disc.doubt_px
     hidden = 0.0 if is_other else float(np.hypot(0.5 * wrong, unknown))  # jaws that move hide other parts
     error = PointError(
         "other part" if is_other else MARKER,
@@ -137,7 +137,7 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
     return SeenMarker(
         MARKER,
         pixel,
-        float(np.hypot(whole_px * np.hypot(CENTRE_NOISE, hidden), BORDER_STD_PER_BLUR * blur_px)),
+        float(np.hypot(whole_px * np.hypot(CENTRE_NOISE, hidden), STD_PER_DOUBT * doubt_px)),
         error,
         whole_px,
         marker.area_px,

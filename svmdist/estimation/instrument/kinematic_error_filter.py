@@ -41,7 +41,7 @@ JUMP_PRICE = 13.8  # twice the logarithm of how rarely that happens: in one fram
 TINY_POSE = np.diag([1e-10] * 3 + [1e-8] * 3)  # m², rad²: an image's pose is never surer
 
 SAME_SQUARE = 6.0  # of a start from where an earlier one led, in its deviations: on average, of six numbers
-CONTEST = 3.0  # twice the logarithm: the most probable pose is contested by one a fifth as probable
+CONTEST = 5.0  # twice the logarithm: the most probable pose is contested by one a twelfth as probable
 
 Start = tuple[ToolPose | None, Sequence[LinkMeasurement]]
 """A pose of the tool by the images, or None for nominal kinematics, and the measurements made about it."""
