@@ -19,10 +19,8 @@ OF_LIGHT = 0.75
 to 15% too small where the light is at the endoscope; saturation (0) is noise in the dark."""
 RAYS = 64
 STEP_PX = 0.25
-SLOPE_STEPS, STEEP_PX = (
-    3,
-    2.5,
-)  # over which slopes are taken, to either side, and how far from the border the steepest is
+SLOPE_STEPS = 3  # to either side, over which a slope is taken
+STEEP_PX = 2.5  # from the border, where the steepest place is sought
 # Where the strength within and without is read, over the radius: clear of the border's blur
 INSIDE, OUTSIDE = (0.4, 0.7), (1.25, 1.7)
 BORDER_FROM = 0.6  # of the radius: the border is sought from here outward
@@ -99,8 +97,8 @@ def _crossing(values: Array, reach_px: Array, level: Array) -> Array:
 
 def _steepest(values: Array, reach_px: Array, near_px: Array) -> Array:
     """Where each profile, shape (n, k), falls off most near a place, shape (n,)."""
-    slope = values[:, : -2 * SLOPE_STEPS] - values[:, 2 * SLOPE_STEPS :]
-    reach_px = reach_px[SLOPE_STEPS:-SLOPE_STEPS]
+    at = np.arange(len(reach_px))
+    slope = values[:, np.maximum(at - SLOPE_STEPS, 0)] - values[:, np.minimum(at + SLOPE_STEPS, at[-1])]
     is_near = np.abs(reach_px - near_px[:, None]) <= STEEP_PX
     return np.asarray(reach_px[np.argmax(np.where(is_near, slope, -np.inf), axis=1)])
 

@@ -120,17 +120,17 @@ def test_a_marker_under_blood_is_as_large_as_its_deviation_says(angle, hidden):
         assert (marker.radius_std_px < 0.6) == (hidden < 0.4)
 
 
-def lit_ball(limb: float, block_px: int = 1) -> tuple[Image, Image]:
-    """HSV and mask of a ball of 10 px under a lamp at the camera, with so much of its light at the limb.
+def lit_ball(limb: float, block_px: int = 1, size: float = 1.0) -> tuple[Image, Image]:
+    """HSV and mask of a ball of 10 px, or a `size` of that, under a lamp at the camera, with so much light at the limb.
 
     Colours are those of blocks, as a codec leaves them.
     """
     big = 8
     y, x = np.mgrid[: 60 * big, : 60 * big]
     off_px = np.stack([x, y], -1) / big + (0.5 / big - 0.5) - MIDDLE_PX
-    inside = np.sqrt(np.maximum(1.0 - (off_px**2).sum(-1) / 100.0, 0.0))[..., None]
+    inside = np.sqrt(np.maximum(1.0 - (off_px**2).sum(-1) / (10.0 * size) ** 2, 0.0))[..., None]
     bgr = np.where(inside > 0.0, (limb + (1.0 - limb) * inside) * [170.0, 165.0, 8.0], [85.0, 90.0, 95.0])
-    image = cv2.GaussianBlur(cv2.resize(bgr.astype(np.uint8), (60, 60), interpolation=cv2.INTER_AREA), (0, 0), 1.0)
+    image = cv2.GaussianBlur(cv2.resize(bgr.astype(np.uint8), (60, 60), interpolation=cv2.INTER_AREA), (0, 0), size)
     luma = cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb)
     blocks = cv2.resize(luma, (60 // block_px,) * 2, interpolation=cv2.INTER_AREA)
     luma[..., 1:] = cv2.resize(blocks, (60, 60), interpolation=cv2.INTER_NEAREST)[..., 1:]
@@ -148,6 +148,12 @@ def test_a_ball_is_as_large_as_its_deviation_says_in_any_light(limb, block_px):
     assert off_px < 1.5 * marker.radius_std_px
     assert off_px < 0.45 or block_px > 1
     assert (marker.radius_std_px > 0.55) == (block_px > 1)
+
+
+def test_a_disc_of_three_pixels_is_measured_or_refused_from_any_rough_radius():
+    hsv, mask = lit_ball(1.0, size=0.16)
+    found = [fit_disc(hsv, mask, MIDDLE_PX, radius_px) for radius_px in (0.6, 0.8, 1.0, 1.3, 1.6)]
+    assert found[-1].radius_px == pytest.approx(1.6, abs=0.1)
 
 
 IDEAL = Camera.from_horizontal_fov(640, 480, np.pi / 3)
