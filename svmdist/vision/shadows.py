@@ -33,11 +33,12 @@ def edge_within(
     Both edges of a shaft are equally far, and as sharp. Within the one that is less so there is a shadow, if what is
     there is darker than what is beside it, and has its ratios of red, green and blue (Gevers and Smeulders 1999), up to
     a line from which on they are the shaft's. Where the image has an edge of brightness along that line, too, it is
-    sharper.
+    sharper than the shadow's border; it must be there where that is hardly less sharp than the other side.
     """
     sharp_px, start_px, length_px = most_blur_px(other), outer.start_px, outer.length_px
-    is_sharp = outer.covariance is None
-    if (is_sharp and outer.blur_px <= sharp_px) or length_px < edges.MIN_POINTS * edges.SPACING_PX:
+    is_sharp, is_blurred = outer.covariance is None, outer.blur_px > sharp_px
+    is_sharpest = is_sharp and PENUMBRA_RATIO * outer.blur_px <= sharp_px
+    if is_sharpest or length_px < edges.MIN_POINTS * edges.SPACING_PX:
         return None
     along = outer.direction
     across = np.array([-along[1], along[0]])
@@ -78,7 +79,7 @@ def edge_within(
     ends_at = np.array([0.0, end_at])
     rough = points(ends_at, offset_px + slope * ends_at)
     sharp = edges.edge_line(bgr, rough, width_px, COLOUR_STD_PX, picture, least_levels)
-    if sharp is not None and sharp.blur_px <= sharp_px:
+    if sharp is not None and sharp.blur_px <= (min(sharp_px, outer.blur_px) if is_sharp else sharp_px):
         ends = np.stack([sharp.start_px, sharp.end_px]) - start_px
         apart_px = ends @ across - offset_px - slope * (ends @ along)
         column = np.searchsorted(offsets, np.interp(at, ends @ along, ends @ across))
@@ -91,7 +92,7 @@ def edge_within(
             return sharp
     seen_px, covariance = points(at, off_px)[is_on], COLOUR_STD_PX**2 * np.eye(2)
     by_colours = edges.EdgeLine(rough[0], rough[1], seen_px, False, within_px, covariance, COLOUR_STD_PX)
-    return by_colours if is_sharp else None  # where nothing is sharp, there may be anything
+    return by_colours if is_sharp and is_blurred else None  # where nothing is sharp, there may be anything
 
 
 def most_blur_px(other: edges.EdgeLine) -> float:

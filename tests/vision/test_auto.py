@@ -251,6 +251,24 @@ def test_a_border_softer_than_the_other_side_is_that_of_a_shadow_as_grey_as_the_
     assert np.sqrt(lower.covariance[0, 0]) > 5.0
 
 
+@pytest.mark.parametrize("penumbra_px", [1.5, 0.0], ids=["shadow", "part of the shaft"])
+def test_in_an_image_out_of_focus_a_shadow_is_hardly_softer_than_the_shaft(penumbra_px):
+    """Blur hides what tells both apart; the shaft's own edge is within, as sharp as its other one, and the sharper one.
+
+    A strip whose border is the sharper one is the shaft's limb, which reflects the ground.
+    """
+    bgr = np.full((240, 320, 3), (95.0, 105.0, 120.0))
+    bgr[140:158, :280] *= 0.6
+    if penumbra_px:
+        bgr = cv2.GaussianBlur(bgr, (0, 0), penumbra_px)
+    bgr[100:140, :280] = 62, 54, 50
+    if not penumbra_px:
+        bgr[136:144, :280] = cv2.blur(bgr[136:144, :280], (1, 8))
+    seen = seen_as(bars((0, 280, 100, 158))[..., 0] == 30, sides_of(end=280.0, bottom=157.5))
+    _, lower = silhouette(cv2.GaussianBlur(bgr, (0, 0), 2.2).astype(np.uint8), seen).edges
+    assert lower.end_px[1] == pytest.approx(139.5 if penumbra_px else 157.5, abs=1.0)
+
+
 @pytest.mark.parametrize("is_cap", [False, True], ids=["shadow", "cap"])
 def test_a_side_that_goes_on_alone_is_doubtful_unless_the_instrument_does(is_cap):
     """A sharp shadow, as grey as the shaft, lies along one side and goes on beyond; a cap is as wide as the shaft."""
