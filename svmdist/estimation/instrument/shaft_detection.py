@@ -22,7 +22,7 @@ MIN_LINE_POINTS = 5  # of an edge: fewer lie on a line by chance
 SHADING_STD_PX = 0.15  # where nothing is known of the light: a limb fades or shines
 MAX_LOG_RATIO = 0.25  # between radii by circle and area: further apart they are different things
 BORDER_POINTS = 8.0  # of the border that err independently: it is cut by fork and jaws, each over an eighth
-STD_PER_DOUBT = 1.5  # of the radius: of 650 simulated ones 0.6% are off by more than two deviations
+STD_PER_DOUBT = 1.5  # of the radius: of 808 simulated ones 2% are off by more than two deviations
 WHOLE_ASPECT = 0.9  # of a whole marker's width over its length: fork and jaws cut a tenth
 CENTROID_STD = 0.045  # by how much hidden parts move the region's centroid, over the radius
 
