@@ -92,7 +92,8 @@ def edge_within(
             return sharp
     seen_px, covariance = points(at, off_px)[is_on], COLOUR_STD_PX**2 * np.eye(2)
     by_colours = edges.EdgeLine(rough[0], rough[1], seen_px, False, within_px, covariance, COLOUR_STD_PX)
-    return by_colours if is_sharp and is_blurred else None  # where nothing is sharp, there may be anything
+    # Where nothing is sharp there may be anything, and of a border as sharp as the other side colours alone say little.
+    return by_colours if is_sharp and is_blurred else None
 
 
 def most_blur_px(other: edges.EdgeLine) -> float:

@@ -56,7 +56,7 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
     """
     along = np.arange(0.5, 1.2 * float(np.hypot(*evidence.core.shape)))
     places = outline.across(along, MARGINS)
-    seen = sampled(evidence.core, places) == 255
+    seen = sampled(evidence.core, places) == 255  # whole: between light and none, log-odds are half those of the dark
     in_view = seen.mean(1) >= 0.5
     first = int(np.argmax(in_view))  # where it comes in at a slant, less of it is in view
     last = first + int(np.argmin(np.append(in_view[first:], False)))
