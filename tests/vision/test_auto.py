@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from benchmarks.masks import iou
+from svmdist.estimation.instrument.shaft_model import ShaftSizes
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.recording.log import open_recording
@@ -12,7 +13,7 @@ from svmdist.samples import Image
 from svmdist.vision.edge_lines import EdgeLine
 from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.instruments.evidence import Evidence, picture_of
-from svmdist.vision.instruments.find_instruments import AutoMasks, SeenInstrument, find_instruments
+from svmdist.vision.instruments.find_instruments import AutoMasks, SeenInstrument, find_instruments, seen_instrument
 from svmdist.vision.instruments.outline import Outline
 from svmdist.vision.instruments.outline_search import outline_score
 from svmdist.vision.segmentation import make_segmenter
@@ -416,3 +417,25 @@ def test_a_shaft_that_goes_on_to_the_border_ends_only_where_both_edges_do(both):
     assert (found.rim is not None) == both
     if both:
         assert found.rim.pixel[0] == pytest.approx(200.0, abs=2.0)
+
+
+@pytest.mark.parametrize(("dark_px", "collar_m", "shows"), [(24, 0.0, False), (80, 0.0, True), (24, 0.007, True)])
+def test_behind_a_short_stub_of_a_shaft_the_sides_are_those_of_the_wrist(dark_px, collar_m, shows):
+    """Unless a wrist's body is as wide as the shaft: what is in view behind the dark stub is measured all the same."""
+    bgr, shaft, wrist = np.full((240, 320, 3), 120, np.uint8), *np.zeros((2, 240, 320), np.uint8)
+    shaft[100:140, :dark_px] = 1
+    cone = np.array(
+        [[dark_px, 100], [dark_px + 50, 108], [dark_px + 90, 110], [dark_px + 90, 130], [dark_px + 50, 132]]
+    )
+    cv2.fillConvexPoly(wrist, np.vstack([cone, [[dark_px, 139]]]).astype(np.int32), 1)
+    bgr[wrist > 0], bgr[shaft > 0] = 200, 30
+    image = Evidence(bgr, AutoSettings())
+    instrument, part = (np.where(mask > 0, 3.0, -2.0).astype(np.float32) for mask in (shaft | wrist, shaft))
+    image.scores, image.odds = (
+        np.stack([instrument, part]),
+        np.where(image.core > 0, instrument, -4.0).astype(np.float32),
+    )
+    sizes = {"shaft_end_m": 0.004, "outline_end_m": collar_m - 0.004}
+    model = ShaftSizes(PROFILE.instrument.model_copy(update=sizes), 0.009)
+    (found,) = find_instruments(image)
+    assert model.with_likelier_end(seen_instrument(found, image), 2e-4).shows_shaft == shows

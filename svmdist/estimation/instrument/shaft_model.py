@@ -15,12 +15,13 @@ from svmdist.profile.robot import Instrument
 from svmdist.results import Failure
 from svmdist.transforms import Array, cross, inverse, make_transform
 from svmdist.vision.instruments.find_instruments import SeenInstrument
-from svmdist.vision.instruments.outline_search import LONGEST_WRIST
+from svmdist.vision.instruments.outline_search import LEAST_LENGTH, LONGEST_WRIST
 from svmdist.vision.silhouette import WristShape
 
 FORESHORTENED = 0.15  # of a length along the shaft over its width: shafts are tilted by 30° or so
 OUTLINE_END_STD_RADII = 0.25  # of the cylinder's end in an outline: clevises differ, a bent wrist hides them
 UNKNOWN_END = 0.5  # deviation of the distance from hinge to the shaft's end where the profile has none, over itself
+MOST_NEAR = 0.1  # probability of an end so near to the border that the sides would be a wrist's
 JAWS_TURN = 0.15  # of an outline's tip over the length of closed, straight jaws: they open and turn
 CLEVIS_PER_RADIUS = 0.9
 """The clevis of a da Vinci instrument of 8 mm reaches so far beyond the wrist's pitch axis, over the shaft's radius."""
@@ -78,8 +79,12 @@ class ShaftSizes:
         """The instrument with the other one of its two ends, where these are not as far apart as shaft and wrist are.
 
         What ends on a shaft without being its end is anywhere in the stretch that was searched. The outline is as
-        likely that of the wrist, where it narrows, as that of straight jaws, at their tips.
+        likely that of the wrist, where it narrows, as that of straight jaws, at their tips. Where the shaft and what is
+        as wide beyond it may end next to the border already, the sides are a wrist's: no shaft is shown.
         """
+        collar_widths = (self.end_m + self.outline_end_m) / (2.0 * self.radius_m)
+        if seen.near_share > MOST_NEAR and seen.near_widths + collar_widths < LEAST_LENGTH:
+            return replace(seen, shows_shaft=False)
         if not 0.0 < seen.other_share < 1.0:
             return seen
         apart_m = abs(seen.other_px) / seen.width_px * 2.0 * self.radius_m

@@ -129,7 +129,8 @@ class SeenInstrument:
     middle of the shaft's end. `evidence`, from 0 to 1, says how sure it is that this is an instrument.
     `side_covariance` (2, 2, 2) is that of each side's offsets at both ends in px², `end_std_px` the end's deviation
     along the axis, infinite where the shaft goes on to the border, and `ends_dark` says that it is the end of a part
-    and not of the outline: the other one of both, `other_px` further along, has a probability of `other_share`. It
+    and not of the outline: the other one of both, `other_px` further along, has a probability of `other_share`, and one
+    only `near_widths` of its width from the border, too near for the sides to be the shaft's, of `near_share`. It
     `shows_shaft` where what comes in is not a wrist already, and where it may be one, the shaft's width is off by
     `wrist_std` over it. It `touches_another` where what is connected with it comes in elsewhere, too. `knows_tip` is
     False where the tip may be at either end.
@@ -146,6 +147,8 @@ class SeenInstrument:
     pixel_px: float = 2.0
     other_px: float = 0.0
     other_share: float = 0.0
+    near_widths: float = 0.0
+    near_share: float = 0.0
     shows_shaft: bool = True
     wrist_std: float = 0.0
     touches_another: bool = False
@@ -204,9 +207,10 @@ def seen_instrument(found: Found, evidence: Evidence) -> SeenInstrument:
     pixel_px = 1.0 / evidence.scale
     known = pixel_px**2 * outline.covariance, pixel_px * outline.end_std_px, outline.ends_dark
     other = pixel_px * outline.other_px, outline.other_share
+    near = outline.near_px / outline.width_px, outline.near_share
     entering, touches = part_entering(outline, evidence), _comes_in_elsewhere(outline, mask, evidence)
     known_of_part = entering > LEAST_ENTERING, WRIST_NARROWER * _may_be_wrist(outline, entering), touches
-    of_image = sides, end_px, score.evidence, *known, pixel_px, *other
+    of_image = sides, end_px, score.evidence, *known, pixel_px, *other, *near
     return SeenInstrument(mask, evidence.size, *of_image, *known_of_part)
 
 

@@ -51,7 +51,8 @@ class Outline:
     `covariance` (2, 2, 2) is that of each side's offsets at both its ends. The shaft ends `end_px` along the axis from
     the border, at the sides' ends where that is None, and the outline `whole_px`; `end_std_px` is how well the end is
     known, infinite where the shaft leaves the picture. `ends_dark` says that a part ends there and the outline goes on;
-    with a probability of `other_share` it is the other one of both that ends the shaft, `other_px` further on.
+    with a probability of `other_share` it is the other one of both that ends the shaft, `other_px` further on, and of
+    `near_share` something `near_px` from the border, too near for it to have sides.
     """
 
     sides: Array
@@ -62,6 +63,8 @@ class Outline:
     ends_dark: bool = False
     other_px: float = 0.0
     other_share: float = 0.0
+    near_px: float = 0.0
+    near_share: float = 0.0
 
     @property
     def end(self) -> Array:

@@ -39,6 +39,7 @@ LONGEST_WRIST = 6.0  # of wrist and jaws as wide as the shaft, over its width: c
 WRIST_SHARE = 0.6  # of instruments whose outline goes on beyond the shaft's end
 MOST_PART, PART_WIDTHS = 2.0, 0.5  # odds of a pixel's part, and over how many widths they err alike
 STEP_WIDTHS = 0.4  # over which colour is averaged before and after a change
+LEAST_STEP_PX = 3  # the same next to the border, where less is in view
 MATERIAL_STEP, MATERIAL_WEIGHT = 0.15, 2.5
 """Changes of log(R/G), log(G/B) and of light along a shaft itself; they are so sure as two that are independent."""
 MOST_MATERIAL = 5.0  # odds of the clearest change: bands, plates, blood and parts of the wrist are as clear
@@ -83,7 +84,12 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
     part[hidden] = 0.0
     parts = np.cumsum(is_instrument * np.clip(part, -MOST_PART, MOST_PART)) / (PART_WIDTHS * outline.width_px)
     log_p = np.log(possible + 1e-30) + parts + _material(outline, middle, hidden, evidence)
-    log_p[along < min(LEAST_LENGTH * outline.width_px, along[-1] - 2.0)] = -np.inf
+    is_near = along < min(LEAST_LENGTH * outline.width_px, along[-1] - 2.0)
+    every = np.exp(np.maximum(log_p - log_p.max(), -50.0))
+    near = every * is_near
+    near_share = float(near.sum() / every.sum())
+    near_px = float(near @ along) / max(float(near.sum()), 1e-9)
+    log_p[is_near] = -np.inf
     p = np.exp(np.maximum(log_p - log_p.max(), -50.0))
     p /= p.sum()
     whole = float(outline_ends @ along)
@@ -100,6 +106,8 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
         outline.cut(0.0, sides_px),
         end_px=mean,
         whole_px=whole,
+        near_px=near_px,
+        near_share=near_share,
         end_std_px=std_px,
         ends_dark=is_part,
         other_px=float(other @ along) / max(other_share, 1e-9) - mean if other_share > LEAST_SHARE else 0.0,
@@ -131,7 +139,7 @@ def _material(outline: Outline, middle: Array, hidden: NDArray[np.bool_], eviden
     step = (total[after] - total[at]) / np.maximum(after - at, 1)[:, None]
     step -= (total[at] - total[before]) / np.maximum(at - before, 1)[:, None]
     change = np.sqrt((step**2).sum(1))
-    change[(at < half) | (at > count - half)] = 0.0
+    change[(at < LEAST_STEP_PX) | (at > count - half)] = 0.0
     up_to = np.append(0, np.cumsum(hidden))
     is_hidden = up_to[after] > up_to[before]
     change[is_hidden] = 0.0
