@@ -116,9 +116,9 @@ def test_the_end_is_between_that_of_edges_and_that_of_evidence():
     assert all(abs(rim.pixel[0] - 200.0) < 2.0 * rim.std_px for rim in (before, beyond))
 
 
-@pytest.mark.parametrize("end", [180.0, 60.0], ids=["a shaft", "a stub"])
+@pytest.mark.parametrize("end", [180.0, 60.0], ids=["a shaft", "a short segment"])
 def test_sides_that_are_mostly_the_wrist_s_leave_the_width_open(end):
-    """A wrist in line with a stub of the shaft may be narrower."""
+    """A wrist in line with a short segment of the shaft may be narrower."""
     found = silhouette(bars(SHAFT), seen_as(bars(SHAFT)[..., 0] == 30, sides_of(end), ends_dark=True))
     assert found.wrist_std == (pytest.approx(0.19, abs=0.02) if end == 60.0 else 0.0)
 
@@ -402,8 +402,7 @@ def test_the_end_of_a_shaft_that_leaves_a_round_view_at_a_slant_is_not_visible(l
         shaft[:, 190:] = 0
     bgr[(shaft > 0) & (bgr[..., 0] > 0)] = 30
     image = Evidence(bgr, AutoSettings())
-    odds = np.tile(np.where(shaft > 0, 3.0, -2.0).astype(np.float32), (2, 1, 1))
-    image.scores, image.odds = odds, np.where(image.core > 0, odds[0], -4.0).astype(np.float32)
+    image.scores = np.tile(np.where(shaft > 0, 3.0, -2.0).astype(np.float32), (2, 1, 1))
     outline = find_instruments(image)[0][0]
     assert np.isfinite(outline.end_std_px) != leaves
     if not leaves:
@@ -420,8 +419,8 @@ def test_a_shaft_that_goes_on_to_the_border_ends_only_where_both_edges_do(both):
 
 
 @pytest.mark.parametrize(("dark_px", "collar_m", "shows"), [(24, 0.0, False), (80, 0.0, True), (24, 0.007, True)])
-def test_behind_a_short_stub_of_a_shaft_the_sides_are_those_of_the_wrist(dark_px, collar_m, shows):
-    """Unless a wrist's body is as wide as the shaft: what is in view behind the dark stub is measured all the same."""
+def test_behind_a_short_segment_of_a_shaft_the_sides_are_those_of_the_wrist(dark_px, collar_m, shows):
+    """Unless a wrist's body is as wide as the shaft: what is in view beyond the segment is measured all the same."""
     bgr, shaft, wrist = np.full((240, 320, 3), 120, np.uint8), *np.zeros((2, 240, 320), np.uint8)
     shaft[100:140, :dark_px] = 1
     cone = np.array(
@@ -430,11 +429,7 @@ def test_behind_a_short_stub_of_a_shaft_the_sides_are_those_of_the_wrist(dark_px
     cv2.fillConvexPoly(wrist, np.vstack([cone, [[dark_px, 139]]]).astype(np.int32), 1)
     bgr[wrist > 0], bgr[shaft > 0] = 200, 30
     image = Evidence(bgr, AutoSettings())
-    instrument, part = (np.where(mask > 0, 3.0, -2.0).astype(np.float32) for mask in (shaft | wrist, shaft))
-    image.scores, image.odds = (
-        np.stack([instrument, part]),
-        np.where(image.core > 0, instrument, -4.0).astype(np.float32),
-    )
+    image.scores = np.where(np.stack([shaft | wrist, shaft]) > 0, 3.0, -2.0).astype(np.float32)
     sizes = {"shaft_end_m": 0.004, "outline_end_m": collar_m - 0.004}
     model = ShaftSizes(PROFILE.instrument.model_copy(update=sizes), 0.009)
     (found,) = find_instruments(image)

@@ -69,8 +69,7 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
     odds -= 0.5 * max(median(_weaker_side(odds, seen)[: int(outline.width_px) + 1]), 0.0)
     odds[sampled(evidence.hidden, places, nearest=True) > 0] = 0.0
     margins = np.cumsum(_weaker_side(odds, seen)) / CORRELATION_PX
-    outline_ends = np.exp(np.maximum(margins - margins.max(), -50.0))
-    outline_ends /= outline_ends.sum()
+    outline_ends = _probabilities(margins)
     wrist_px = max(1, round(LONGEST_WRIST * outline.width_px))
     total = np.concatenate([np.cumsum(outline_ends[::-1])[::-1], np.zeros(wrist_px)])
     possible = (1.0 - WRIST_SHARE) * outline_ends + WRIST_SHARE / wrist_px * (total[:last] - total[wrist_px:])
@@ -85,13 +84,10 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
     parts = np.cumsum(is_instrument * np.clip(part, -MOST_PART, MOST_PART)) / (PART_WIDTHS * outline.width_px)
     log_p = np.log(possible + 1e-30) + parts + _material(outline, middle, hidden, evidence)
     is_near = along < min(LEAST_LENGTH * outline.width_px, along[-1] - 2.0)
-    every = np.exp(np.maximum(log_p - log_p.max(), -50.0))
-    near = every * is_near
-    near_share = float(near.sum() / every.sum())
-    near_px = float(near @ along) / max(float(near.sum()), 1e-9)
+    near = _probabilities(log_p) * is_near
+    near_share = float(near.sum())
     log_p[is_near] = -np.inf
-    p = np.exp(np.maximum(log_p - log_p.max(), -50.0))
-    p /= p.sum()
+    p = _probabilities(log_p)
     whole = float(outline_ends @ along)
     of_part = along < whole - STILL_OUTLINE * outline.width_px
     is_part = float(p[of_part].sum()) > 0.5
@@ -106,13 +102,19 @@ def ended(outline: Outline, evidence: Evidence) -> Outline:
         outline.cut(0.0, sides_px),
         end_px=mean,
         whole_px=whole,
-        near_px=near_px,
+        near_px=float(near @ along) / max(near_share, 1e-9),
         near_share=near_share,
         end_std_px=std_px,
         ends_dark=is_part,
         other_px=float(other @ along) / max(other_share, 1e-9) - mean if other_share > LEAST_SHARE else 0.0,
         other_share=other_share,
     )
+
+
+def _probabilities(log_p: Array) -> Array:
+    """Of places by their log-odds, shape (n,): they add to 1."""
+    p = np.exp(np.maximum(log_p - log_p.max(), -50.0))
+    return np.asarray(p / p.sum())
 
 
 def _weaker_side(odds: Floats, seen: NDArray[np.bool_]) -> Array:
