@@ -81,7 +81,13 @@ class AlarmWatch:
         self._gap = 0
         probability = probability_below(self._rules.below_m, clearance.value_m, self._deviation_m(clearance))
         is_raised = probability >= self._rules.probability
-        self._event = _extended(self._event, row, clearance) if is_raised else None
+        if is_raised:
+            event = self._event or AlarmEvent(row.instrument, row.number, row.seconds, 0.0, clearance, row.number)
+            if clearance.value_m < event.least.value_m:
+                event = replace(event, least=clearance, least_number=row.number)
+            self._event = replace(event, end_s=row.seconds)
+        else:
+            self._event = None
         speed_m_s = self._closing_speed_m_s(row.stamp_ns, clearance.value_m)
         contact_s = None
         if clearance.value_m <= 0.0:
@@ -113,14 +119,6 @@ class AlarmWatch:
         first, second = np.triu_indices(len(values_m), 1)
         slopes = (values_m[second] - values_m[first]) / (stamps_s[second] - stamps_s[first])
         return -float(np.median(slopes))
-
-
-def _extended(begun: AlarmEvent | None, row: FrameResult, clearance: Distance) -> AlarmEvent:
-    """An event with one more row, or the one that begins with it."""
-    event = begun or AlarmEvent(row.instrument, row.number, row.seconds, row.seconds, clearance, row.number)
-    if clearance.value_m < event.least.value_m:
-        event = replace(event, least=clearance, least_number=row.number)
-    return replace(event, end_s=row.seconds)
 
 
 def probability_below(below_m: float, clearance_m: float, std_m: float) -> float:

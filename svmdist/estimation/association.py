@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from svmdist.camera import Camera
 from svmdist.estimation.entries import EntryAssociation, other_than
 from svmdist.estimation.frame import Frame, OtherMasks
-from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.model import SHAFT_END_PER_RADIUS, WRIST_LENGTH_PER_RADIUS
 from svmdist.estimation.region_tracking import Blob, Gaussian, Identity, NominalPlace, RegionTracker
 from svmdist.estimation.scene import Arm, Scene
@@ -57,13 +56,12 @@ class Association:
         nominal = self._nominal(robots, scene.observation.camera, np.eye(4))
         others: list[OtherMasks] = [(None, None)] * len(self._arms)
         unclear = [""] * len(self._arms)
-        seen = scene.left.masks.seen
+        seen, pair = scene.left.masks.seen, scene.observation.right
         if seen is not None and not any(nominal):
             others, unclear = self._entries.others(scene)
         elif len(self._arms) > 1 or (seen is not None and len(seen) > 1):
+            right: list[Image | None] = [None] * len(self._arms)
             left, offsets = self._other_masks("left", scene, scene.left, nominal, [None] * len(nominal))
-            right: list[Image | None] = [None] * len(left)
-            pair = scene.observation.right
             if pair is not None and scene.right is not None:
                 beside = self._nominal(robots, pair.camera, inverse(pair.T_left_right))
                 right, _ = self._other_masks("right", scene, scene.right, beside, offsets)
@@ -77,14 +75,11 @@ class Association:
         self, robots: Sequence[RobotState | Failure], camera: Camera, T_camera_left: Array
     ) -> list[NominalInstrument | None]:
         """Each instrument in a camera's image; None where the log has none near the image."""
-        found: list[NominalInstrument | None] = []
-        for arm, robot in zip(self._arms, robots, strict=True):
-            if isinstance(robot, Failure) or robot.T_camera_base is None or arm.chain is None:
-                found.append(None)
-                continue
-            beside = replace(robot, T_camera_base=T_camera_left @ robot.T_camera_base)
-            tool = nominal_tool(arm.chain, arm.profile.kinematic_error, beside)
-            found.append(NominalInstrument(tool, arm.profile.instrument, camera))
+        found: list[NominalInstrument | None] = [None] * len(self._arms)
+        for at, (arm, robot) in enumerate(zip(self._arms, robots, strict=True)):
+            if isinstance(robot, RobotState) and robot.T_camera_base is not None:
+                beside = replace(robot, T_camera_base=T_camera_left @ robot.T_camera_base)
+                found[at] = NominalInstrument(arm.nominal_tool(beside), arm.profile.instrument, camera)
         return found
 
     def _other_masks(
@@ -102,40 +97,48 @@ class Association:
         """
         height, width = context.bgr_as_recorded.shape[:2]
         tracker = self._trackers.setdefault(name, RegionTracker(len(nominal), width, height, self._settings))
-        stamp_ns, seen = scene.observation.stamp_ns, context.masks.seen
+        seen, shafts, dark = context.masks.seen, context.masks.shaft, None
         if seen is not None:
-            ends = [Blob(one.end_px, 0.25 * np.pi * one.width_px**2) for one in seen]
-            expected = [tool.place(tool.end_behind_m) if tool else None for tool in nominal]
-            alike = [[tool.likeness(one) if tool else 0.0 for one in seen] for tool in nominal]
-            likelihood = np.array(alike).reshape(len(nominal), -1) + _as_beside(expected, ends, offsets, width)
-            found = tracker.update(stamp_ns, expected, ends, likelihood)
-            return [other_than(identity.blob, seen) for identity in found], _offsets(found, expected, ends)
-        regions = ColouredRegions(context.masks.instrument, self._gate)
-        shafts = context.masks.shaft
-        dark = None if shafts is None else DarkPixels(shafts, context.masks.black)
+            blobs = [Blob(one.end_px, 0.25 * np.pi * one.width_px**2) for one in seen]
+        else:
+            regions = ColouredRegions(context.masks.instrument, self._gate)
+            blobs = regions.blobs
+            dark = None if shafts is None else DarkPixels(shafts, context.masks.black)
 
-        # Whose the regions are, by where they are expected and by whose shaft is behind them.
-        evidence = np.zeros((len(nominal), len(regions.blobs)))
+        # Whose the regions are: by where they are expected, by whose shaft is behind them, and by another view.
+        places: list[NominalPlace | None] = [None] * len(nominal)
+        evidence = np.zeros((len(nominal), len(blobs)))
         for i, tool in enumerate(nominal):
-            for a, blob in enumerate(regions.blobs):
-                axis = tool.shaft_from(blob.centre_px, blob.radius_px) if tool else None
-                if axis is not None and dark is not None:
+            if tool is None:
+                continue
+            place = places[i] = tool.place(0.0 if seen is None else tool.end_behind_m)
+            for a, blob in enumerate(blobs):
+                if seen is not None:
+                    evidence[i, a] = tool.likeness(seen[a])
+                elif dark is not None and (axis := tool.shaft_from(blob.centre_px, blob.radius_px)) is not None:
                     evidence[i, a] = dark.evidence(axis)
-        places = [tool.place() if tool else None for tool in nominal]
-        evidence += _as_beside(places, regions.blobs, offsets, width)
-        identities = tracker.update(stamp_ns, places, regions.blobs, evidence)
+                if (offset := offsets[i]) is not None:
+                    off_px = blob.centre_px - place.place.mean - offset
+                    square = (off_px**2).sum() / (BESIDE_STD * width) ** 2
+                    evidence[i, a] += max(-0.5 * square, LEAST_LIKENESS)
+        identities = tracker.update(scene.observation.stamp_ns, places, blobs, evidence)
+        off_nominal = [
+            None if place is None or own.blob is None else blobs[own.blob].centre_px - place.place.mean
+            for own, place in zip(identities, places, strict=True)
+        ]
+        if seen is not None:
+            return [other_than(own.blob, seen) for own in identities], off_nominal
 
         # What is not one's own: the other regions, and the pixels of the other shafts.
-        masks = [regions.without(identity.blob) for identity in identities]
+        masks = [regions.without(own.blob) for own in identities]
         if dark is not None and shafts is not None:
-            pairs = zip(nominal, identities, strict=True)
-            axes = [_axis(tool, identity, regions) for tool, identity in pairs]
+            axes = [_axis(tool, own, blobs) for tool, own in zip(nominal, identities, strict=True)]
             owner, is_open = dark.by_axis(axes), None in nominal and axes.count(None) > 1
-            for mask, own, (i, axis) in zip(masks, identities, enumerate(axes), strict=True):
+            for i, (mask, own) in enumerate(zip(masks, identities, strict=True)):
                 mask[(owner >= 0) & (owner != i)] = 255
-                if is_open and axis is None and own.blob is None:  # whose the other shafts are, nothing tells
+                if is_open and axes[i] is None and own.blob is None:  # whose the other shafts are, nothing tells
                     mask[shafts > 0] = 255
-        return list(masks), _offsets(identities, places, regions.blobs)
+        return list(masks), off_nominal
 
 
 @dataclass(frozen=True)
@@ -258,37 +261,13 @@ class NominalInstrument:
         return ShaftAxis(tool_px, slope / length, begin_px, sizes.shaft_radius_m * px_per_m)
 
 
-def _offsets(
-    identities: Sequence[Identity], places: Sequence[NominalPlace | None], blobs: Sequence[Blob]
-) -> list[Array | None]:
-    """By how much each named region is off the instrument's nominal place, (2,) in px."""
-    return [
-        None if place is None or one.blob is None else blobs[one.blob].centre_px - place.place.mean
-        for one, place in zip(identities, places, strict=True)
-    ]
-
-
-def _as_beside(
-    places: Sequence[NominalPlace | None], blobs: Sequence[Blob], offsets: Sequence[Array | None], width: int
-) -> Array:
-    """Log-likelihood of each region under each instrument, (n, m), by how far off another view has it."""
-    likelihood = np.zeros((len(places), len(blobs)))
-    for row, place, offset in zip(likelihood, places, offsets, strict=True):
-        if place is None or offset is None or not blobs:
-            continue
-        off_px = np.array([blob.centre_px for blob in blobs]) - place.place.mean - offset
-        square = (off_px**2).sum(1) / (BESIDE_STD * width) ** 2
-        row[:] = np.maximum(-0.5 * square, LEAST_LIKENESS)
-    return likelihood
-
-
-def _axis(tool: NominalInstrument | None, identity: Identity, regions: ColouredRegions) -> ShaftAxis | None:
+def _axis(tool: NominalInstrument | None, identity: Identity, blobs: Sequence[Blob]) -> ShaftAxis | None:
     """The shaft behind an instrument's region, or behind where a hidden one surely is."""
     if tool is None:
         return None
     expected, radius_px = identity.expected, identity.radius_px
     if identity.blob is not None:
-        blob = regions.blobs[identity.blob]
+        blob = blobs[identity.blob]
         return tool.shaft_from(blob.centre_px, blob.radius_px)
     if expected is None or radius_px is None or expected.std_px > PLACED_FRACTION * tool.camera.width_px:
         return None

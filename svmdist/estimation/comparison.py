@@ -98,10 +98,6 @@ class Comparison:
         known = [MISTAKES[source] for source in self.usual.sources if source in MISTAKES]
         return tuple(one for mistakes in known for one in mistakes[: 4 // len(known)])
 
-    def with_mistakes(self) -> str:
-        """The sentence, and what to look at."""
-        return f"{self}; look at {', or '.join(self.could_be)}"
-
     def __str__(self) -> str:
         """A human-readable sentence."""
         found = self.usual

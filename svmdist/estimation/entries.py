@@ -13,6 +13,7 @@ from svmdist.estimation.frame import OtherMasks
 from svmdist.estimation.region_tracking import MAX_REGIONS, ranked_assignments
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile.robot import EntrySide, Instrument
+from svmdist.results import Pixel
 from svmdist.samples import Image
 from svmdist.transforms import Array, inverse, transform_points
 from svmdist.vision.instruments.find_instruments import SeenInstrument
@@ -31,12 +32,7 @@ ENDS_STD_WIDTHS = 0.5  # of the shaft's end along it, over its width: one view m
 WIDTH_STD = 0.08  # logarithm of the width in one view: shade and blur take a pixel of it
 LINE_STD_PX = 1.5  # of a middle line, in pixels of the working image
 
-SIDE_MIDDLES: dict[EntrySide, tuple[float, float]] = {
-    "left": (0.0, 0.5),
-    "right": (1.0, 0.5),
-    "above": (0.5, 0.0),
-    "below": (0.5, 1.0),
-}
+SIDE_MIDDLES: dict[EntrySide, Pixel] = {"left": (0, 0.5), "right": (1, 0.5), "above": (0.5, 0), "below": (0.5, 1)}
 """The middle of each side of a picture, over its size."""
 
 
@@ -44,7 +40,7 @@ SIDE_MIDDLES: dict[EntrySide, tuple[float, float]] = {
 class _Track:
     """Where an instrument came in and ended when it was last seen for sure, over the image's size; None before."""
 
-    side: Array | None
+    side: Array | None  # where it is expected to come in
     place: tuple[Array, Array] | None = None
     stamp_ns: int = 0
 
@@ -53,10 +49,14 @@ class EntryTracker:
     """Names the seen instruments of one camera's images, in the order of their stamps."""
 
     def __init__(self, names: Sequence[str], sides: Sequence[EntrySide | None]) -> None:
-        self._names = tuple(names)
-        self._tracks = [_Track(_side(side, at, len(sides))) for at, side in enumerate(sides)]
-        is_guess = len(sides) > 1 and None in sides
-        self._guess = "instruments are named from left to right: the profile has no entry" if is_guess else ""
+        self._names, self._tracks, self._guess = tuple(names), list[_Track](), ""
+        for at, side in enumerate(sides):
+            place = None if side is None else np.array(SIDE_MIDDLES[side])
+            if side is None and len(sides) > 1:
+                self._guess = "instruments are named from left to right: the profile has no entry"
+                angle = np.pi * (1.0 - at / (len(sides) - 1))
+                place = np.array([0.5 + 0.5 * np.cos(angle), 0.5 - 0.5 * np.sin(angle)])
+            self._tracks.append(_Track(place))
 
     def update(
         self, stamp_ns: int, seen: Sequence[SeenInstrument], unlike: Array | float = 0.0
@@ -70,13 +70,14 @@ class EntryTracker:
         # What is surer an instrument is the likelier one where one name has a choice.
         cost = cost - np.log(np.array([max(one.evidence, 1e-3) for one in seen])) + unlike
         hypotheses = ranked_assignments(cost, UNNAMED_COST, UNSEEN_COST)
-        named = list(hypotheses[0][1])
-        ambiguities = ["" if at is None else self._ambiguity(place, hypotheses) for place, at in enumerate(named)]
-        for track, at, ambiguity in zip(self._tracks, named, ambiguities, strict=True):
-            if at is not None and not ambiguity:
-                track.place, track.stamp_ns = places[at], stamp_ns
-        guesses = ["" if at is None else self._guess for at in named]
-        return named, [ambiguity or guess for ambiguity, guess in zip(ambiguities, guesses, strict=True)]
+        named, ambiguities = list(hypotheses[0][1]), [""] * len(self._tracks)
+        for i, (track, at) in enumerate(zip(self._tracks, named, strict=True)):
+            if at is not None:
+                ambiguity = self._ambiguity(i, hypotheses)
+                ambiguities[i] = ambiguity or self._guess
+                if not ambiguity:
+                    track.place, track.stamp_ns = places[at], stamp_ns
+        return named, ambiguities
 
     def _cost(self, track: _Track, stamp_ns: int, entry: Array, end: Array) -> float:
         """-log likelihood of a seen instrument under a track, up to a constant that all tracks share."""
@@ -109,16 +110,6 @@ class EntryTracker:
         return ""
 
 
-def _side(side: EntrySide | None, at: int, count: int) -> Array | None:
-    """Where an instrument is expected to come in, shape (2,) over the picture's size: in order, from left to right."""
-    if side is not None:
-        return np.array(SIDE_MIDDLES[side])
-    if count == 1:
-        return None
-    angle = np.pi * (1.0 - at / (count - 1))
-    return np.array([0.5 + 0.5 * np.cos(angle), 0.5 - 0.5 * np.sin(angle)])
-
-
 class EntryAssociation:
     """The seen instruments of a recording in one view or two, by name; keeps where they were between images."""
 
@@ -138,8 +129,7 @@ class EntryAssociation:
         left, ambiguities = self._left.update(stamp_ns, seen, unlike)
         if scene.right is None:
             return [(other_than(at, seen), None) for at in left], ambiguities
-        none = np.full(len(beside), np.inf)
-        rows = np.array([none if at is None else cost[i, at] for i, at in enumerate(left)])
+        rows = np.array([np.full(len(beside), np.inf) if at is None else cost[i, at] for i, at in enumerate(left)])
         right = list(ranked_assignments(rows, UNNAMED_COST, UNSEEN_COST)[0][1])
 
         # What the right view alone shows is named by where it comes in there.
@@ -150,8 +140,9 @@ class EntryAssociation:
             elif left[i] is None:
                 unlike[i, [place not in right for place in range(len(beside))]] = 0.0
         there, ambiguities_there = self._right.update(stamp_ns, beside, unlike)
-        right = [there[i] if at is None else right[i] for i, at in enumerate(left)]
-        ambiguities = [ambiguities_there[i] if at is None else ambiguities[i] for i, at in enumerate(left)]
+        for i, at in enumerate(left):
+            if at is None:
+                right[i], ambiguities[i] = there[i], ambiguities_there[i]
         pairs = zip(left, right, strict=True)
         return [(other_than(at, seen), other_than(at_right, beside)) for at, at_right in pairs], ambiguities
 
@@ -163,10 +154,9 @@ class EntryAssociation:
         if right is None:
             return beside, cost
         cameras, T_right_left = (scene.observation.camera, right.camera), inverse(right.T_left_right)
-        for i, instrument in enumerate(self._instruments):
-            if instrument is not None:
-                rows = ([disagreement(a, b, cameras, T_right_left, instrument) for b in beside] for a in seen)
-                cost[i] = 0.5 * np.array(list(rows)).reshape(cost[i].shape)
+        for i, a, b in np.ndindex(cost.shape):
+            if (instrument := self._instruments[i]) is not None:
+                cost[i, a, b] = 0.5 * disagreement(seen[a], beside[b], cameras, T_right_left, instrument)
         return beside, cost
 
 
@@ -184,8 +174,7 @@ def sides_beside(
 ) -> Array | None:
     """Where one camera has the sides of a shaft of a radius that another one shows, (2, 2, 2) in px, or None."""
     ends = cameras[0].rays(seen.sides)[:, :2].reshape(2, 2, 2)
-    inside = ends.mean((0, 1))
-    planes = [line_between(side, np.zeros((2, 2)), inside) for side in ends]
+    planes = [line_between(side, np.zeros((2, 2)), ends.mean((0, 1))) for side in ends]
     axis = axis_of_cylinder(planes, radius_m)
     if axis is None:
         return None

@@ -11,7 +11,7 @@ from svmdist.estimation.distances import measured, with_tissue
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.consistency import with_detections
 from svmdist.estimation.instrument.distal_marker import pair_markers
-from svmdist.estimation.instrument.error_model import ErrorModel, nominal_tool
+from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.instrument.factors import DISPARITY, marker_place_m
 from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.model import wrist_in_tool
@@ -42,11 +42,8 @@ class KinematicEstimator:
             return result.rejected(Status.NO_JOINTS, robot.reason)
         if tissue is None:
             return result
-        return measured(result.rejected(Status.OK), frame, ToolEstimate(_nominal(frame, robot), frame.joints), tissue)
-
-
-def _nominal(frame: Frame, robot: RobotState) -> ToolPose:
-    return nominal_tool(frame.arm.required_chain, frame.arm.profile.kinematic_error, robot)
+        tool = ToolEstimate(frame.arm.nominal_tool(robot), frame.joints)
+        return measured(result.rejected(Status.OK), frame, tool, tissue)
 
 
 def by_tag(frame: Frame) -> FrameResult:
@@ -167,7 +164,7 @@ def by_both_views(frame: Frame) -> FrameResult:
 def _triangulated(frame: Frame) -> ImagePose | Rejection | Failure:
     """Without sizes of a shaft: the triangulated marker, with the nominal orientation."""
     robot = frame.robot_in_camera
-    pose = triangulated_tool(frame, ANY_ORIENTATION if isinstance(robot, Failure) else _nominal(frame, robot))
+    pose = triangulated_tool(frame, ANY_ORIENTATION if isinstance(robot, Failure) else frame.arm.nominal_tool(robot))
     if isinstance(pose, Failure):
         return pose
     if isinstance(robot, Failure):  # a place, and no direction

@@ -12,7 +12,6 @@ from svmdist.estimation.frame import Frame
 from svmdist.estimation.frame_methods import certain, tool_from_tag
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound, with_detections
 from svmdist.estimation.instrument.distal_marker import Expected, MarkerPair, pair_markers
-from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.factors import jaw_scale, of_images, tag
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter, Start, pose_distance
 from svmdist.estimation.instrument.measurement import LinkMeasurement
@@ -75,8 +74,12 @@ class FusedEstimator:
         # The tool with the error found, and the distances from there.
         region, consistency = frame.left.region, kalman.consistency
         every = gating if height is None else (*gating, height)
+        outliers = [one.name for one in every if not one.is_accepted]
+        details = [f"refused: {', '.join(outliers)}"] if outliers else []
+        if not any(one.is_accepted for one in gating):
+            details.append("joints alone" if gating else "nothing of the tool detected: joints alone")
         result = with_detections(result, every)
-        result = replace(result, detail=_detail(gating, every), consistency=consistency.ratio).with_image(
+        result = replace(result, detail="; ".join(details), consistency=consistency.ratio).with_image(
             tool_area_px=region.area_px if region else None,
             match_count=len(gating),
             inlier_count=sum(one.is_accepted for one in gating),
@@ -127,7 +130,7 @@ class FusedEstimator:
             poses.append(fit.pose)
         if frame.tag is not None:
             poses.append(tool_from_tag(self._arm, frame.left.camera, frame.tag, kalman.state.robot))
-        nominal = nominal_tool(self._chain, self._arm.profile.kinematic_error, kalman.state.robot)
+        nominal = self._arm.nominal_tool(kalman.state.robot)
         seen = self._of_images(frame)
         starts: list[Start] = [(pose, [*seen, *self._tag(frame, pose)]) for pose in poses]
         starts.append((None, [*seen, *self._tag(frame, nominal)]))
@@ -170,11 +173,3 @@ class FusedEstimator:
         # What never agreed would begin anew for ever.
         self._contradictions += is_off or self._has_agreed
         return "the images contradict the prediction, as if the camera had moved" if is_off else ""
-
-
-def _detail(of_tool: Sequence[GatingResult], every: Sequence[GatingResult]) -> str:
-    outliers = [one.name for one in every if not one.is_accepted]
-    said = [f"refused: {', '.join(outliers)}"] if outliers else []
-    if not any(one.is_accepted for one in of_tool):
-        said.append("joints alone" if of_tool else "nothing of the tool detected: joints alone")
-    return "; ".join(said)

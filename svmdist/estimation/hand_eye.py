@@ -13,12 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from svmdist.least_squares import huber_weights
 from svmdist.profile.settings import HandEyeSettings
 from svmdist.results import Failure
-from svmdist.transforms import Array, make_transform, rotation_of, skew
+from svmdist.tracks import Mask
+from svmdist.transforms import Array, Stamps, make_transform, rotation_of, skew
 
 MIN_FRACTION = 0.5  # inliers among the frames; with less, what is seen is not what the robot moves
 GATE = 16.3  # largest squared normalised residual of an inlier: chi square of 3 degrees of freedom, 99.9 %
@@ -28,8 +28,6 @@ AXIS_FLOOR_RAD = 0.01  # of a shaft's direction in the image: what its outline d
 AXIS_TILT_FLOOR_RAD = 0.17  # towards the camera: edges in shadows tilted it by 10° in simulated rooms
 POSITION_FLOOR_M = 2e-4  # standard deviation added to that of a place, along each axis
 CORRELATION_TIME_S = 0.5  # how long errors of a detection and backlash of joints last: between two reversals of a joint
-
-MAX_STEPS = 50
 CLOUD_STD_M = 1e-3  # places within this of a line or a point determine no rotation
 
 
@@ -44,7 +42,7 @@ class ToolPlaces:
     direction: those of the robot in the base's frame, those of the camera in its own.
     """
 
-    stamps_ns: NDArray[np.int64]
+    stamps_ns: Stamps
     seen_m: Array
     covariance: Array
     nominal_m: Array
@@ -54,9 +52,6 @@ class ToolPlaces:
     nominal_axes: Array
     robot_shared: Array
     camera_shared: Array
-
-    def __len__(self) -> int:
-        return len(self.seen_m)
 
 
 @dataclass(frozen=True)
@@ -69,7 +64,7 @@ class HandEyeFit:
 
     T_camera_base: Array
     covariance: Array
-    inliers: NDArray[np.bool_]
+    inliers: Mask
     residuals_m: Array
     effects: Array
     ratio: float
@@ -77,7 +72,7 @@ class HandEyeFit:
 
 def fit_hand_eye(places: ToolPlaces, settings: HandEyeSettings) -> HandEyeFit | Failure:
     """Fit the transform robustly; a Failure says why it cannot be found."""
-    count = len(places)
+    count = len(places.seen_m)
     if count < settings.min_count:
         return Failure(f"the tool was seen and known in {count} frames; {settings.min_count} are needed")
     spread_m = np.linalg.svd(places.nominal_m - places.nominal_m.mean(0), compute_uv=False) / np.sqrt(count)
@@ -102,7 +97,7 @@ def fit_hand_eye(places: ToolPlaces, settings: HandEyeSettings) -> HandEyeFit | 
     if not turn_std_rad <= settings.max_turn_std_rad:
         said = f"the rotation is uncertain by {np.degrees(turn_std_rad):.0f}°"
         return Failure(f"{said}: move the tool further, in all directions")
-    return HandEyeFit(T, covariance, inliers, np.linalg.norm(_residuals(places, T), axis=1), effects, ratio)
+    return HandEyeFit(T, covariance, inliers, np.linalg.norm(_residuals(places, T)[0], axis=1), effects, ratio)
 
 
 def rigid_fit(seen_m: Array, nominal_m: Array, weights: Array | None = None) -> Array:
@@ -120,7 +115,7 @@ def _start(places: ToolPlaces) -> Array | None:
     rng = np.random.default_rng(0)
     best, least = None, np.inf
     for _ in range(TRIALS):
-        three = rng.choice(len(places), 3, replace=False)
+        three = rng.choice(len(places.seen_m), 3, replace=False)
         corner = places.nominal_m[three]
         area_m2 = np.linalg.norm(np.cross(corner[1] - corner[0], corner[2] - corner[0]))
         if area_m2 < CLOUD_STD_M**2:
@@ -132,35 +127,30 @@ def _start(places: ToolPlaces) -> Array | None:
     return best
 
 
-def _residuals(places: ToolPlaces, T: Array) -> Array:
-    return np.asarray(places.seen_m - (places.nominal_m @ T[:3, :3].T + T[:3, 3]))
+def _residuals(places: ToolPlaces, T: Array) -> tuple[Array, Array, Array]:
+    """Residuals of places, (n, 3); their covariance by what differs from frame to frame, (n, 3, 3); shared errors.
 
-
-def _place_covariance(places: ToolPlaces, T: Array) -> Array:
-    """Of each residual: what was seen, and what of the robot differs from frame to frame, (n, 3, 3)."""
+    The last, (n, 6, m), is what these do to place and direction in the camera's frame.
+    """
     R = T[:3, :3]
-    return np.asarray(places.covariance + R @ places.nominal_covariance @ R.T + POSITION_FLOOR_M**2 * np.eye(3))
-
-
-def _shared(places: ToolPlaces, T: Array) -> Array:
-    """What shared errors do to place and direction in the camera's frame, (n, 6, m)."""
-    turned = np.concatenate([T[:3, :3] @ places.robot_shared[:, k : k + 3] for k in (0, 3)], axis=1)
-    return np.concatenate([turned, places.camera_shared], axis=2)
+    r = places.seen_m - (places.nominal_m @ R.T + T[:3, 3])
+    covariance = places.covariance + R @ places.nominal_covariance @ R.T + POSITION_FLOOR_M**2 * np.eye(3)
+    turned = np.concatenate([R @ places.robot_shared[:, :3], R @ places.robot_shared[:, 3:]], axis=1)
+    return r, covariance, np.concatenate([turned, places.camera_shared], axis=2)
 
 
 def _normalised(places: ToolPlaces, T: Array) -> Array:
     """Squared residuals of places over their covariance, shared errors included, (n,)."""
-    G = _shared(places, T)[:, :3]
-    S = _place_covariance(places, T) + G @ G.swapaxes(1, 2)
-    r = _residuals(places, T)
+    r, S, shared = _residuals(places, T)
+    S = S + shared[:, :3] @ shared[:, :3].swapaxes(1, 2)
     return np.asarray(np.einsum("ni,ni->n", r, np.linalg.solve(S, r[..., None])[..., 0]))
 
 
-def _rows(places: ToolPlaces, T: Array, inliers: NDArray[np.bool_], *, robust: bool = True) -> Array:
+def _rows(places: ToolPlaces, T: Array, inliers: Mask, *, robust: bool = True) -> Array:
     """Whitened (k, 1 + 6 + m) of inlier frames: residual, derivative and shared errors, of places, then of axes."""
     R = T[:3, :3]
-    r, shared = _residuals(places, T)[inliers], _shared(places, T)[inliers]
-    whiten = np.linalg.inv(np.linalg.cholesky(_place_covariance(places, T)[inliers]))
+    r, S, shared = (of_all[inliers] for of_all in _residuals(places, T))
+    whiten = np.linalg.inv(np.linalg.cholesky(S))
     by_shift, by_turn = np.broadcast_to(np.eye(3), (len(r), 3, 3)), -skew(places.nominal_m[inliers] @ R.T)
     blocks = [whiten @ np.concatenate([r[..., None], by_shift, by_turn, shared[:, :3]], 2)]
     known = np.isfinite(places.axis_std_rad[inliers])
@@ -180,10 +170,10 @@ def _rows(places: ToolPlaces, T: Array, inliers: NDArray[np.bool_], *, robust: b
     return np.concatenate([block.reshape(-1, block.shape[2]) for block in blocks])
 
 
-def _refined(places: ToolPlaces, T: Array, inliers: NDArray[np.bool_]) -> Array:
+def _refined(places: ToolPlaces, T: Array, inliers: Mask) -> Array:
     if inliers.sum() < 3:
         return T
-    for _ in range(MAX_STEPS):
+    for _ in range(50):
         rows = _rows(places, T, inliers)
         # Least norm where a direction is not observable.
         step = np.linalg.lstsq(rows[:, 1:7], rows[:, 0], rcond=1e-9)[0]
@@ -193,7 +183,7 @@ def _refined(places: ToolPlaces, T: Array, inliers: NDArray[np.bool_]) -> Array:
     return T
 
 
-def _covariance(places: ToolPlaces, T: Array, inliers: NDArray[np.bool_]) -> tuple[Array, Array, float]:
+def _covariance(places: ToolPlaces, T: Array, inliers: Mask) -> tuple[Array, Array, float]:
     """Covariance, effects and ratio as in `HandEyeFit`.
 
     Noise counts as much more as residuals are larger than expected (Birge 1932), and as neighbours repeat each other,

@@ -12,15 +12,14 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from svmdist.tracks import LagEstimate
-from svmdist.transforms import Array
+from svmdist.tracks import LagEstimate, Mask
+from svmdist.transforms import Array, Stamps
 
-Predict = Callable[[NDArray[np.int64]], tuple[Array, NDArray[np.bool_]]]
+Predict = Callable[[Stamps], tuple[Array, Mask]]
 """Stamps, shape (n,), to the tool's predicted pixels, shape (n, 2), and which of them are known, (n,)."""
 
-MAX_LAG_S, COARSE_STEP_S = 3.0, 0.01  # a hand-held tool hardly turns within 10 ms: no minimum is stepped over
+MAX_LAG_S, STEP_S = 3.0, 0.01  # a hand-held tool hardly turns within 10 ms: no minimum is stepped over
 MIN_PAIRS = 12
 MIN_MOTION_PX = 4.0  # deviation of the predicted track below which noise could pass for motion
 MAP_STD = 0.2  # prior of the affine map's factors about the identity: a turn or scale of some 10°, or 20 %
@@ -30,7 +29,7 @@ RIVAL_DISTANCE_S = 0.15  # minima further away than this are other answers, not 
 MIN_CONFIDENCE = 0.5
 
 
-def estimate_lag(stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict) -> LagEstimate:
+def estimate_lag(stamps_ns: Stamps, seen_px: Array, predict: Predict) -> LagEstimate:
     """Estimate the lag from where the tool was seen, shape (n, 2) in px, at image stamps, shape (n,)."""
     if len(stamps_ns) < MIN_PAIRS:
         return _unknown(f"{len(stamps_ns)} measured frames; {MIN_PAIRS} are needed")
@@ -38,20 +37,24 @@ def estimate_lag(stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict)
     if motion_px < MIN_MOTION_PX:
         return _unknown(f"the tool moves by {motion_px:.1f} px in the image; {MIN_MOTION_PX:g} px are needed")
     error_at = partial(_error_at, stamps_ns, seen_px, predict)
-    lags_s = np.arange(-MAX_LAG_S, MAX_LAG_S + COARSE_STEP_S / 2, COARSE_STEP_S)
+    lags_s = np.arange(-MAX_LAG_S, MAX_LAG_S + STEP_S / 2, STEP_S)
     costs = np.array([error_at(lag_s)[0] for lag_s in lags_s])
     if not np.isfinite(costs).any():
         return _unknown("images and kinematics do not overlap in time")
     # Golden-section search between the neighbours of the coarse minimum, down to 0.05 ms.
     ratio, coarse_s = (np.sqrt(5.0) - 1.0) / 2.0, float(lags_s[np.argmin(costs)])
-    low, high = coarse_s - COARSE_STEP_S, coarse_s + COARSE_STEP_S
+    low, high = coarse_s - STEP_S, coarse_s + STEP_S
     while high - low > 5e-5:
         left, right = high - ratio * (high - low), low + ratio * (high - low)
         low, high = (low, right) if error_at(left)[0] <= error_at(right)[0] else (left, high)
     lag_s = float((low + high) / 2.0)
     rival = float(np.min(costs[np.abs(lags_s - lag_s) > RIVAL_DISTANCE_S], initial=np.inf))
-    confidence = 1.0 - error_at(lag_s)[0] / rival if np.isfinite(rival) and rival > 0 else 0.0
-    std_s = _std_s(error_at, lag_s)
+    # As in any least-squares fit of a shift, noise over speed: J(τ + h) ≈ J + v² h² with v the mean speed that the map
+    # cannot take up. Infinite at rest.
+    (here, count), ahead, behind = error_at(lag_s), error_at(lag_s + STEP_S)[0], error_at(lag_s - STEP_S)[0]
+    curvature = (ahead + behind - 2.0 * here) / STEP_S**2 / 2.0
+    std_s = float(np.sqrt(here / (curvature * 2 * count))) if 0.0 < curvature < np.inf else np.inf
+    confidence = 1.0 - here / rival if np.isfinite(rival) and rival > 0 else 0.0
     if std_s > MAX_STD_S:
         return _unknown("the motion is too slow to estimate the lag")
     if confidence < MIN_CONFIDENCE:
@@ -59,16 +62,7 @@ def estimate_lag(stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict)
     return LagEstimate(lag_s, std_s, confidence)
 
 
-def _std_s(error_at: Callable[[float], tuple[float, int]], lag_s: float) -> float:
-    """Standard deviation of the lag: noise over speed, as in any least-squares fit of a shift; infinite at rest."""
-    step_s = 0.01
-    (here, count), ahead, behind = error_at(lag_s), error_at(lag_s + step_s)[0], error_at(lag_s - step_s)[0]
-    # J(τ + h) ≈ J + v² h² with v the mean speed that the map cannot take up.
-    curvature = (ahead + behind - 2.0 * here) / step_s**2 / 2.0
-    return float(np.sqrt(here / (curvature * 2 * count))) if 0.0 < curvature < np.inf else np.inf
-
-
-def _error_at(stamps_ns: NDArray[np.int64], seen_px: Array, predict: Predict, lag_s: float) -> tuple[float, int]:
+def _error_at(stamps_ns: Stamps, seen_px: Array, predict: Predict, lag_s: float) -> tuple[float, int]:
     """The best map's mean squared error in px² per measured coordinate, prior included, and the number of frames.
 
     Each frame has two coordinates; infinite where too few are known.

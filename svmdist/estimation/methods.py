@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
+from operator import attrgetter
 from typing import Any, Literal
 
 from svmdist.errors import ProfileError, UsageError, did_you_mean
@@ -13,24 +14,7 @@ from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.plane_mapping import PlaneMapping
 from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue.detection import require_tissue
-from svmdist.profile import Profile
 from svmdist.results import FrameResult
-
-
-@dataclass
-class Estimator:
-    """What measures frames by one method.
-
-    Its name; the detections that it always asks for, so that they may be computed ahead; whether a result depends on
-    earlier frames: without state, frames may be measured in any order. A frame that cannot be measured is an outcome,
-    not an exception.
-    """
-
-    name: str
-    needs: Needs
-    keeps_state: bool
-    estimate: Callable[[Frame], FrameResult]
-
 
 Topic = Literal["camera_to_base", "joints", "right_image", "robot"]
 Input = Topic | Literal["calibration", "fiducial", "instrument", "shaft", "tag", "tissue"]
@@ -38,14 +22,18 @@ Input = Topic | Literal["calibration", "fiducial", "instrument", "shaft", "tag",
 PaperPhase = Literal["segmentation", "contours", "marker", "matches", "outline and distance"]
 Phase = PaperPhase | Literal["edges and tip", "tip", "tag", "surface", "distance", "side view"]
 """A picture of one step of a method."""
+TABLES = {"joints": "robot", "shaft": "segmentation.shaft"}
+TABLES |= {name: name for name in ("robot", "instrument", "fiducial")}
+"""The profile's table behind an input; what a log lacks is an outcome of its frames."""
 
 
 @dataclass(frozen=True)
 class Method:
     """One method, by the path of what measures in this package, which is imported when an estimator is made.
 
-    That is a function of a frame, with the mapping from pixels to the paper's plane for one that measures in it only;
-    for one that `keeps_state` a class, made for an arm.
+    That is a function of a frame, with the mapping from pixels to the paper's plane for one that measures in it only.
+    For one that `keeps_state`, whose results depend on earlier frames, it is a class, made for an arm. `needs` are the
+    detections that it always asks for, so that they may be computed ahead.
     """
 
     name: str
@@ -114,6 +102,16 @@ _TABLE = (
     ),
 )
 
+
+@dataclass
+class Estimator:
+    """What measures frames by one method; a frame that cannot be measured is an outcome, not an exception."""
+
+    needs: Needs
+    keeps_state: bool
+    estimate: Callable[[Frame], FrameResult]
+
+
 REGISTRY = {method.name: method for method in _TABLE}
 METHODS = tuple(REGISTRY)
 PLANAR_METHODS = tuple(method.name for method in _TABLE if method.is_planar)
@@ -130,27 +128,15 @@ def make_estimator(name: str, arm: Arm, mapping: PlaneMapping | None = None) -> 
     method = REGISTRY[name]
     if method.is_planar and mapping is None:
         raise UsageError(f"method {name} is planar: it needs a calibration")
-    _require_inputs(method, arm.profile)
+    profile, tables = arm.profile, [TABLES[one] for one in method.inputs if one in TABLES]
+    if lacks := [f"[{table}]" for table in tables if attrgetter(table)(profile) is None]:
+        raise ProfileError(f"profile {profile.name} has no {', no '.join(lacks)}: {name} measures by it")
+    if "tissue" in method.inputs:
+        require_tissue(profile)
     module, _, kind = method.measures.rpartition(".")
     measures: Any = getattr(import_module(f"svmdist.estimation.{module}"), kind)
     if method.keeps_state:
         measures = measures(arm).estimate
     elif method.is_planar:
         measures = partial(measures, mapping=mapping)
-    return Estimator(name, method.needs, method.keeps_state, measures)
-
-
-def _require_inputs(method: Method, profile: Profile) -> None:
-    """Raise ProfileError where a table is missing in the profile; what a log lacks is an outcome of its frames."""
-    tables: dict[Input, tuple[str, object]] = {
-        "joints": ("robot", profile.robot),
-        "robot": ("robot", profile.robot),
-        "instrument": ("instrument", profile.instrument),
-        "fiducial": ("fiducial", profile.fiducial),
-        "shaft": ("segmentation.shaft", profile.segmentation.shaft),
-    }
-    of_method = [tables[one] for one in method.inputs if one in tables]
-    if lacks := [f"[{table}]" for table, found in of_method if found is None]:
-        raise ProfileError(f"profile {profile.name} has no {', no '.join(lacks)}: {method.name} measures by it")
-    if "tissue" in method.inputs:
-        require_tissue(profile)
+    return Estimator(method.needs, method.keeps_state, measures)

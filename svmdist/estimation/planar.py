@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.estimation.frame import Frame
-from svmdist.estimation.plane_mapping import PlaneMapping, planar_distance_m
+from svmdist.estimation.plane_mapping import PlaneMapping, planar_distance
 from svmdist.profile import Features as FeatureRules
 from svmdist.profile import Marker
 from svmdist.profile.settings import OutlineSettings
@@ -47,7 +47,7 @@ def locate(frame: Frame) -> tuple[FrameResult, Region | None, Region | None]:
 
 def in_plane(result: FrameResult, tool_px: Array, tissue_px: Array, mapping: PlaneMapping) -> FrameResult:
     """Both places to the plane, and the distance between them; one that is not finite rejects the frame."""
-    distance_m = planar_distance_m(mapping.to_plane_m(tool_px), mapping.to_plane_m(tissue_px))
+    distance_m = float(planar_distance(mapping.to_plane_m(tool_px) - mapping.to_plane_m(tissue_px)))
     if not math.isfinite(distance_m):
         return result.rejected(Status.NOT_FINITE)
     return replace(result.with_image(tool_px=as_pixel(tool_px)), distances=Distances(planar=Distance(distance_m)))

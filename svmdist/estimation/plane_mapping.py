@@ -61,9 +61,9 @@ def displacement_cm_corrected(p_m: Array, tissue_m: Array) -> Array:
     return np.asarray((tissue_m[..., :2] - p_m[..., :2]) * 100.0)
 
 
-def planar_distance_cm(displacement_cm: Array) -> Array:
-    """eq. (35), shape (...), in cm: distance in the camera's xy plane; z is not in it."""
-    return np.hypot(displacement_cm[..., 0], displacement_cm[..., 1])
+def planar_distance(displacement: Array) -> Array:
+    """eqs. (25)–(27), where "GC" is "GP", and (35): length, shape (...), of (..., 2) in the plane; without depth."""
+    return np.hypot(displacement[..., 0], displacement[..., 1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,12 +81,6 @@ class PlaneMapping:
 
 
 PUBLISHED_MAPPING = PlaneMapping("printed", PUBLISHED_X, PUBLISHED_Y)
-
-
-def planar_distance_m(tool_m: Array, tissue_m: Array) -> float:
-    """eqs. (25)–(27): Euclidean distance in the plane, m, between points of shape (2,); depth is not in it."""
-    x_e, y_e = tool_m - tissue_m  # eqs. (25), (26); "GC" there is "GP"
-    return float(np.hypot(x_e, y_e))
 
 
 def degeneracies(mapping: PlaneMapping, width_px: int, height_px: int) -> list[str]:
@@ -121,19 +115,6 @@ class CameraModel(StrictModel):
     cy_px: float
     distortion: tuple[float, ...] = ()
 
-    @classmethod
-    def of(cls, camera: Camera) -> CameraModel:
-        """Describe a camera."""
-        return cls(
-            width_px=camera.width_px,
-            height_px=camera.height_px,
-            fx_px=camera.K[0, 0],
-            fy_px=camera.K[1, 1],
-            cx_px=camera.K[0, 2],
-            cy_px=camera.K[1, 2],
-            distortion=tuple(camera.D.tolist()),
-        )
-
 
 class Fit(StrictModel):
     """How well the quadratics fit their samples, in m, and the pixels that the samples span."""
@@ -164,11 +145,6 @@ class Calibration(StrictModel):
     y: Quadratic
     fit: Fit
     sources: tuple[SourceFile, ...] = Field(min_length=1)
-
-    @property
-    def mapping(self) -> PlaneMapping:
-        """The corrected mapping with this calibration's quadratics."""
-        return PlaneMapping("corrected", self.x, self.y)
 
     def require_camera(self, camera: Camera, recording_name: str) -> None:
         """Raise CalibrationError unless a recording's camera is the calibrated one, to 0.01 px."""
@@ -202,13 +178,20 @@ def fit_calibration(
                 f"the tool must cover at least a quarter of the image: along {'xy'[axis]} it covers"
                 f" {high_px[axis] - low_px[axis]:.0f} of {size_px} px"
             )
-    x, residual_x = _fit_axis(tool_px, tool_m, 0)
-    y, residual_y = _fit_axis(tool_px, tool_m, 1)
+    (x, residual_x), (y, residual_y) = (_fit_axis(tool_px, tool_m, axis) for axis in (0, 1))
     return Calibration(
         schema="svmdist.calibration/1",
         method=method,
         created_by=created_by,
-        camera=CameraModel.of(camera),
+        camera=CameraModel(
+            width_px=camera.width_px,
+            height_px=camera.height_px,
+            fx_px=camera.K[0, 0],
+            fy_px=camera.K[1, 1],
+            cx_px=camera.K[0, 2],
+            cy_px=camera.K[1, 2],
+            distortion=tuple(camera.D.tolist()),
+        ),
         x=x,
         y=y,
         fit=Fit(

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,8 +47,7 @@ class Gaussian:
         return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance)[-1], 0.0)))
 
 
-@dataclass(frozen=True, slots=True)
-class NominalPlace:
+class NominalPlace(NamedTuple):
     """Where the tool is by nominal kinematics: in the image, in the camera frame, (3,) in m, and its scale."""
 
     place: Gaussian
@@ -175,8 +175,7 @@ class _Track:
         return track
 
 
-@dataclass(frozen=True, slots=True)
-class Identity:
+class Identity(NamedTuple):
     """One instrument in one image: its region's index, None where it coasts, its expected place, last radius.
 
     `expected` is None, too, where what is seen may be this instrument or another one.
@@ -184,43 +183,37 @@ class Identity:
 
     blob: int | None
     expected: Gaussian | None
-    radius_px: float | None = None
+    radius_px: float | None
 
 
 Assignment = tuple[int | None, ...]
 """The region of each instrument, or None."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Naming:
-    """One way to name all regions until now: -log likelihoods of this image's, `cost`, and of those `before`.
+class _Naming(NamedTuple):
+    """One way to name all regions until now: -log likelihoods of the `total`, of this image, and of those `before`.
 
     The latter lead to the `tracks`, which are `expected` there in this image.
     """
 
+    total: float
     cost: float
-    regions: Assignment
     before: float
-    tracks: tuple[_Track, ...]
-    expected: tuple[Gaussian | None, ...]
-
-    @property
-    def total(self) -> float:
-        """-log likelihood of the whole."""
-        return self.before + self.cost
+    regions: Assignment
+    tracks: Sequence[_Track]
+    expected: Sequence[Gaussian | None]
 
 
 class RegionTracker:
     """Assigns the regions of one camera's images to instruments, frame by frame, in the order of their stamps."""
 
     def __init__(self, count: int, width_px: int, height_px: int, settings: AssociationSettings) -> None:
-        self._width_px = width_px
-        self._settings = settings
+        self._width_px, self._settings = width_px, settings
         self._extra_region_cost = float(np.log(width_px * height_px / CLUTTER_COUNT))
         # An instrument of which nothing is known is anywhere in the image, or as likely in none of it.
         self._anywhere_cost = float(np.log(width_px * height_px)) + settings.miss_cost
         # Ways to name all regions until now: their -log likelihoods, and the tracks that they lead to.
-        self._pasts = [(0.0, tuple(_Track(width_px, settings) for _ in range(count)))]
+        self._pasts = [(0.0, [_Track(width_px, settings) for _ in range(count)])]
         self._stamp_ns: int | None = None
 
     def update(
@@ -235,38 +228,35 @@ class RegionTracker:
         seen, likelihood = [blobs[at] for at in order], 0.0 if evidence is None else evidence[:, order]
         namings: list[_Naming] = []
         for before, tracks in self._pasts:
-            expected = tuple(t.predict(stamp_ns, p) for t, p in zip(tracks, places, strict=True))
+            expected = [t.predict(stamp_ns, p) for t, p in zip(tracks, places, strict=True)]
             costs = self._costs(expected, places, seen) - likelihood
-            ranked = ranked_assignments(costs, self._extra_region_cost, self._settings.miss_cost)
-            namings += [_Naming(*one, before, tracks, expected) for one in ranked if np.isfinite(one[0])]
+            for cost, regions in ranked_assignments(costs, self._extra_region_cost, self._settings.miss_cost):
+                if np.isfinite(cost):
+                    namings.append(_Naming(before + cost, cost, before, regions, tracks, expected))
         namings.sort(key=lambda one: one.total)
         identities = []
         for i, track in enumerate(namings[0].tracks):
             at, where = self._named(i, namings)
             radius_px = track.alone.radius_px if track.alone else None
             identities.append(Identity(None if at is None else order[at], where, radius_px))
-        passed_s = np.inf if self._stamp_ns is None else (stamp_ns - self._stamp_ns) / 1e9
-        self._stamp_ns = stamp_ns
-        self._go_on(namings, places, seen, float(np.clip(passed_s / ALIKE_S, 0.0, 1.0)))
-        return tuple(identities)
 
-    def _go_on(
-        self, namings: Sequence[_Naming], places: Sequence[NominalPlace | None], seen: Sequence[Blob], weight: float
-    ) -> None:
-        """Keep the likely namings as pasts; of those that end with the same regions, all seen, the best alone."""
+        # The likely namings go on as pasts; of those that end with the same regions, all seen, the best alone.
         kept = list[_Naming]()
         for one in namings:
             if one.total - namings[0].total > UNLIKELY or len(kept) == MOST_PASTS:
                 break
             if None in one.regions or one.regions not in [other.regions for other in kept]:
                 kept.append(one)
-        costs = [one.before + weight * one.cost for one in kept]
+        passed_s = np.inf if self._stamp_ns is None else (stamp_ns - self._stamp_ns) / 1e9
+        weight, self._stamp_ns = float(np.clip(passed_s / ALIKE_S, 0.0, 1.0)), stamp_ns
+        after = [one.before + weight * one.cost for one in kept]
         self._pasts = []
-        for one, cost in zip(kept, costs, strict=True):
-            tracks = tuple(track.copied() for track in one.tracks)
+        for one, cost in zip(kept, after, strict=True):
+            tracks = [track.copied() for track in one.tracks]
             for track, at, where, place in zip(tracks, one.regions, one.expected, places, strict=True):
                 track.update(None if at is None else seen[at], where, place)
-            self._pasts.append((cost - min(costs), tracks))
+            self._pasts.append((cost - min(after), tracks))
+        return tuple(identities)
 
     def _named(self, i: int, namings: Sequence[_Naming]) -> tuple[int | None, Gaussian | None]:
         """An instrument's region and expected place; no region where another naming is nearly as likely."""

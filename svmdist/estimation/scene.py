@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cached_property
 
 from svmdist.errors import ProfileError
+from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.instrument.shaft_model import ShaftModel
@@ -15,7 +16,7 @@ from svmdist.estimation.tissue.surface import StereoSurface, detect_stereo_surfa
 from svmdist.kinematics import DHChain, chain_of, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
-from svmdist.results import Failure
+from svmdist.results import Failure, ToolPose
 from svmdist.samples import Observation
 from svmdist.vision.frame_context import FrameContext, as_pinholes, mixes_colours, with_first_fields
 from svmdist.vision.segmentation import Segmenter
@@ -45,6 +46,10 @@ class Arm:
         if self.chain is None:
             raise ProfileError(f"profile {self.profile.name} has no [robot]: kinematics need its chain")
         return self.chain
+
+    def nominal_tool(self, robot: RobotState) -> ToolPose:
+        """The tool by nominal kinematics, with their covariance; raises ProfileError where the profile has no chain."""
+        return nominal_tool(self.required_chain, self.profile.kinematic_error, robot)
 
     @cached_property
     def body(self) -> InstrumentModel | None:

@@ -7,7 +7,6 @@ import numpy as np
 from svmdist.estimation.comparison import DISPARITY, KINEMATICS, MARKER, SHAFT, TAG
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.frame_methods import ANY_ORIENTATION, tool_from_tag, triangulated_tool
-from svmdist.estimation.instrument.error_model import nominal_tool
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array, cross
 from svmdist.vision.lines import apparent_radius_px, axis_of_cylinder
@@ -21,7 +20,7 @@ def places(frame: Frame) -> dict[str, ToolPose]:
     """The tool by each way that the log has."""
     arm, robot, found = frame.arm, frame.robot_in_camera, dict[str, ToolPose]()
     if not isinstance(robot, Failure):
-        found[KINEMATICS] = nominal_tool(arm.required_chain, arm.profile.kinematic_error, robot)
+        found[KINEMATICS] = arm.nominal_tool(robot)
     if arm.profile.segmentation.shaft is not None and arm.body is not None and arm.chain is not None:
         fit = frame.shaft_pose
         # Even if inconsistent: a wrong size makes it so. Without the sides it is by the marker's size.

@@ -216,7 +216,7 @@ def warning(found: Mapping[str, Checks]) -> str:
     if not worst:
         return ""
     more = f" ({len(worst) - 1} more: svmdist check shows them)" if len(worst) > 1 else ""
-    return f"{worst[0].with_mistakes()}{more}"
+    return f"{worst[0]}; look at {', or '.join(worst[0].could_be)}{more}"
 
 
 def check_log(recording: Recording) -> dict[str, Checks]:

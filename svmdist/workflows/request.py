@@ -279,7 +279,7 @@ def prepare(
         # A profile in hand names no folder: its calibration is a shipped one, or is given.
         named = loaded.name if isinstance(profile, Profile) else profile
         found = plane_mapping.load_calibration(calibration or profile_path(named).parent / str(loaded.calibration))
-        setup = replace(setup, calibration=found, mapping=found.mapping)
+        setup = replace(setup, calibration=found, mapping=plane_mapping.PlaneMapping("corrected", found.x, found.y))
     # A network or a mesh that cannot be used is reported before a recording is opened.
     _ = setup.segmenter
     if not is_planar:

@@ -16,8 +16,7 @@ from svmdist.estimation.plane_mapping import (
     Quadratic,
     displacement_cm_as_published,
     displacement_cm_corrected,
-    planar_distance_cm,
-    planar_distance_m,
+    planar_distance,
     screen_cm_as_published,
     screen_cm_corrected,
 )
@@ -44,7 +43,7 @@ def test_eqs_5_6_are_the_published_quadratics_and_25_to_27_the_euclidean_distanc
         y = -0.0068 * screen_cm**2 + 0.0395 * screen_cm - 0.4439
         assert PUBLISHED_X(screen_cm) == pytest.approx(x, abs=1e-14)
         assert PUBLISHED_Y(screen_cm) == pytest.approx(y, abs=1e-14)
-    assert planar_distance_m(np.array([0.003, 0.0]), np.array([0.0, -0.004])) == pytest.approx(0.005)
+    assert planar_distance(np.array([0.003, 0.0]) - np.array([0.0, -0.004])) == pytest.approx(0.005)
     published = PlaneMapping("corrected", PUBLISHED_X, PUBLISHED_Y)
     shifted = PlaneMapping(
         "corrected",
@@ -53,7 +52,7 @@ def test_eqs_5_6_are_the_published_quadratics_and_25_to_27_the_euclidean_distanc
     )
     a_px, b_px = np.array([10.0, 20.0]), np.array([300.0, 400.0])
     one_m, other_m = (
-        planar_distance_m(mapping.to_plane_m(a_px), mapping.to_plane_m(b_px)) for mapping in (published, shifted)
+        planar_distance(mapping.to_plane_m(a_px) - mapping.to_plane_m(b_px)) for mapping in (published, shifted)
     )
     assert one_m == pytest.approx(other_m, rel=1e-12)
 
@@ -84,7 +83,7 @@ def test_eqs_33_to_35_corrected_give_centimetres():
     """A tool 3 cm and 4 cm beside the tissue is 5 cm away, whatever their depths."""
     p_m = np.array([[0.01, 0.02, 0.1], [0.01, 0.02, 9.0]])
     tissue_m = np.array([[0.04, 0.06, 0.0], [-0.02, -0.02, 1.0]])
-    np.testing.assert_allclose(planar_distance_cm(displacement_cm_corrected(p_m, tissue_m)), 5.0, rtol=1e-12)
+    np.testing.assert_allclose(planar_distance(displacement_cm_corrected(p_m, tissue_m)), 5.0, rtol=1e-12)
 
 
 CAMERA = Camera.from_horizontal_fov(640, 480, np.pi / 3)

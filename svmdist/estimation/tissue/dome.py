@@ -122,15 +122,11 @@ class DomeModel:
 
 @lru_cache(maxsize=1)
 def _faces() -> NDArray[np.int64]:
-    side = np.arange(SIDES)
-    after = (side + 1) % SIDES
-    last = 1 + (RINGS - 1) * SIDES
-    faces = [
-        np.stack([np.zeros_like(side), 1 + side, 1 + after], -1),
-        np.stack([np.full_like(side, 1 + RINGS * SIDES), last + after, last + side], -1),
-    ]
-    for ring in range(RINGS - 1):
-        inner, outer = 1 + ring * SIDES, 1 + (ring + 1) * SIDES
-        faces.append(np.stack([inner + side, outer + side, outer + after], -1))
-        faces.append(np.stack([inner + side, outer + after, inner + after], -1))
+    at = 1 + np.arange(RINGS * SIDES).reshape(RINGS, SIDES)
+    after = np.roll(at, -1, axis=1)
+    apex, floor = np.zeros(SIDES), np.full(SIDES, 1 + RINGS * SIDES)
+    faces = [np.stack([apex, at[0], after[0]], -1), np.stack([floor, after[-1], at[-1]], -1)]
+    for inner, inner_after, outer, outer_after in zip(at, after, at[1:], after[1:], strict=False):
+        faces.append(np.stack([inner, outer, outer_after], -1))
+        faces.append(np.stack([inner, outer_after, inner_after], -1))
     return np.concatenate(faces).astype(np.int64)

@@ -114,9 +114,12 @@ def detect_stereo_surface(
     slope_m = np.linalg.norm(grid_m, axis=-1) / disparity_px
     cell_px2 = float(np.diff(found.columns_px[:2])[0] * np.diff(found.rows_px[:2])[0])
     share = np.count_nonzero(found.is_seen) * cell_px2 / max(cv2.countNonZero(masks[0]), 1)
-    std_px = np.hypot(found.std_px, rows.std_px(rows_px, disparity_px, pair.K))
-    std_m, hull = slope_m * std_px, _hull(found.is_seen)
-    return StereoSurface(grid_m, normals, std_m, found.is_seen, hull, min(share, 1.0))
+    std_m = slope_m * np.hypot(found.std_px, rows.std_px(rows_px, disparity_px, pair.K))
+    # The convex hull of cells, and two cells about it: matches near a border are left out.
+    hull = np.zeros(found.is_seen.shape, np.uint8)
+    cv2.fillConvexPoly(hull, cv2.convexHull(np.argwhere(found.is_seen)[:, ::-1].astype(np.int32)), 1)
+    is_within = np.asarray(cv2.dilate(hull, np.ones((5, 5), np.uint8)) > 0)
+    return StereoSurface(grid_m, normals, std_m, found.is_seen, is_within, min(share, 1.0))
 
 
 def _tissue_mask(masks: Masks, grey: Image) -> Image:
@@ -125,13 +128,6 @@ def _tissue_mask(masks: Masks, grey: Image) -> Image:
     closed = cv2.morphologyEx(masks.tissue, cv2.MORPH_CLOSE, np.ones((MARGIN_PX, MARGIN_PX), np.uint8))
     around = cv2.morphologyEx(masks.tissue, cv2.MORPH_CLOSE, np.ones((5 * MARGIN_PX, 5 * MARGIN_PX), np.uint8))
     return np.asarray(closed | (shining & around), np.uint8)
-
-
-def _hull(is_seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The convex hull of cells, and two cells about it: matches near a border are left out."""
-    inside = np.zeros(is_seen.shape, np.uint8)
-    cv2.fillConvexPoly(inside, cv2.convexHull(np.argwhere(is_seen)[:, ::-1].astype(np.int32)), 1)
-    return np.asarray(cv2.dilate(inside, np.ones((5, 5), np.uint8)) > 0)
 
 
 def _corners(image: Image, H: Array) -> Array:

@@ -67,35 +67,25 @@ class CorrelatedMean:
 
 
 class TissueTracker:
-    """The tissue's pose, which outliers do not enter, and its dome's shape, where frames show it."""
+    """The tissue's pose, which outliers do not enter until some in a row say that it has moved."""
 
     def __init__(self, settings: TissueTrackingSettings) -> None:
-        self._settings = settings
-        self._forget()
-
-    def _forget(self) -> None:
-        self._outlier_count = 0
+        self._settings, self._outlier_count = settings, 0
         self._best: TissuePose | None = None
-        self._place = CorrelatedMean(self._settings.memory_count)
+        self._place = CorrelatedMean(settings.memory_count)
 
     def add(self, seen: TissueDetection | None) -> TissuePose | None:
-        """Take up a frame's pose, if it has one; gives the tissue as known then."""
+        """Take up a frame's pose, if it has one; gives the tissue as known then, None before the first pose."""
         pose = None if seen is None else seen.pose
-        if pose is None:
-            return self.now()
-        if not self._agrees(pose):
-            self._outlier_count += 1
-            if self._outlier_count < self._settings.moved_count:
-                return self.now()
-            self._forget()
-        self._outlier_count = 0
-        self._place.add(pose.position_m, pose.outline_covariance)
-        if self._best is None or np.trace(pose.outline_covariance) <= np.trace(self._best.outline_covariance):
-            self._best = pose
-        return self.now()
-
-    def now(self) -> TissuePose | None:
-        """The tissue as it is known; None before the first pose."""
+        if pose is not None:
+            self._outlier_count = 0 if self._agrees(pose) else self._outlier_count + 1
+            if self._outlier_count >= self._settings.moved_count:
+                self._outlier_count, self._best = 0, None
+                self._place = CorrelatedMean(self._settings.memory_count)
+            if self._outlier_count == 0:
+                self._place.add(pose.position_m, pose.outline_covariance)
+                if self._best is None or np.trace(pose.outline_covariance) <= np.trace(self._best.outline_covariance):
+                    self._best = pose
         if self._best is None:
             return None
         # Outlines differ from frame to frame and are averaged; the plane is as uncertain in all of them.

@@ -132,7 +132,7 @@ def truth_at(
         # translation of the last row is zero, so that (30)'s reflection leaves the position as it is.
         in_base = _kinematic_poses(recording, rules.max_gap_ns)(stamps_ns)
         displacement_cm = paper.displacement_cm_as_published(in_base.values[:, :3, 3])
-        planar_m = np.where(in_base.valid, paper.planar_distance_cm(displacement_cm) / 100.0, np.nan)
+        planar_m = np.where(in_base.valid, paper.planar_distance(displacement_cm) / 100.0, np.nan)
         return Truth(np.stack([planar_m, unknown_m, unknown_m], -1))
     has_truth = recording.topic_of(Role.GROUND_TRUTH_TF) is not None
     if has_truth or not is_truth:
@@ -146,7 +146,7 @@ def truth_at(
     pair = rules.tissue_frames or (frames.camera, frames.tissue)
     tissue = recording.transform_track(*pair, ground_truth=rules.tissue_frames is None)
     tool_m, tissue_m = tool[:, :3, 3], tissue.at(stamps_ns, rules.max_gap_ns).values[:, :3, 3]
-    planar_m = paper.planar_distance_cm(paper.displacement_cm_corrected(tool_m, tissue_m)) / 100.0
+    planar_m = paper.planar_distance(paper.displacement_cm_corrected(tool_m, tissue_m)) / 100.0
     return Truth(np.stack([planar_m, np.linalg.norm(tissue_m - tool_m, axis=-1), unknown_m], -1), tool)
 
 
