@@ -17,7 +17,7 @@ from svmdist.vision.segmentation import Segmenter, make_segmenter
 def frame_of(observation: Observation, arm: Arm, segmenter: Segmenter) -> Frame:
     """The frame of the only instrument of an observation."""
     scene = Scene(observation, arm.profile, segmenter)
-    return Frame.of(scene, arm, observation, arm.state_at(observation))
+    return Frame.of(scene, arm, observation)
 
 
 def shifted(observation: Observation, *shift_m: float) -> Observation:

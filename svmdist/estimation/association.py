@@ -11,18 +11,16 @@ from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.estimation.entries import EntryAssociation, other_than
-from svmdist.estimation.frame import Frame, OtherMasks
+from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.model import SHAFT_END_PER_RADIUS, WRIST_LENGTH_PER_RADIUS
 from svmdist.estimation.region_tracking import Blob, Gaussian, Identity, NominalPlace, RegionTracker
 from svmdist.estimation.scene import Arm, Scene
-from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import Instrument
 from svmdist.profile.segmentation import AreaGate
 from svmdist.results import Failure, ToolPose
 from svmdist.samples import Image, Observation
-from svmdist.transforms import Array, inverse
+from svmdist.transforms import Array
 from svmdist.vision.colour import field_of_view
-from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.instruments.find_instruments import SeenInstrument
 
 PLACED_FRACTION = 0.05  # of the width: a hidden region less certain than this assigns no shaft
@@ -52,49 +50,29 @@ class Association:
 
     def frames(self, scene: Scene, observations: Sequence[Observation]) -> list[Frame]:
         """The frame of each instrument, with the others' pixels marked; `observations` are one per instrument."""
-        robots = [arm.state_at(seen) for arm, seen in zip(self._arms, observations, strict=True)]
-        nominal = self._nominal(robots, scene.observation.camera, np.eye(4))
-        others: list[OtherMasks] = [(None, None)] * len(self._arms)
-        unclear = [""] * len(self._arms)
-        seen, pair = scene.left.masks.seen, scene.observation.right
-        if seen is not None and not any(nominal):
-            others, unclear = self._entries.others(scene)
-        elif len(self._arms) > 1 or (seen is not None and len(seen) > 1):
-            right: list[Image | None] = [None] * len(self._arms)
-            left, offsets = self._other_masks("left", scene, scene.left, nominal, [None] * len(nominal))
-            if pair is not None and scene.right is not None:
-                beside = self._nominal(robots, pair.camera, inverse(pair.T_left_right))
-                right, _ = self._other_masks("right", scene, scene.right, beside, offsets)
-            others = list(zip(left, right, strict=True))
-            if seen is None and not any(nominal):
+        frames = [Frame.of(scene, *one) for one in zip(self._arms, observations, strict=True)]
+        seen, unclear = scene.left.masks.seen, [""] * len(frames)
+        is_placed = not all(isinstance(frame.robot_in_camera, Failure) for frame in frames)
+        if seen is not None and not is_placed:
+            unclear = self._entries.mark_others(scene, frames)
+        elif len(frames) > 1 or (seen is not None and len(seen) > 1):
+            offsets = self._mark_others("left", frames, [frame.left for frame in frames], [None] * len(frames))
+            if scene.right is not None:
+                self._mark_others("right", frames, [frame.right for frame in frames if frame.right], offsets)
+            if seen is None and not is_placed:
                 names = [arm.profile.instrument_name for arm in self._arms]
                 unclear = [f"cannot tell which instrument is {name}: {UNPLACED}" for name in names]
-        return [Frame.of(scene, *one) for one in zip(self._arms, observations, robots, others, unclear, strict=True)]
+        return [replace(frame, ambiguity=why) for frame, why in zip(frames, unclear, strict=True)]
 
-    def _nominal(
-        self, robots: Sequence[RobotState | Failure], camera: Camera, T_camera_left: Array
-    ) -> list[NominalInstrument | None]:
-        """Each instrument in a camera's image; None where the log has none near the image."""
-        found: list[NominalInstrument | None] = [None] * len(self._arms)
-        for at, (arm, robot) in enumerate(zip(self._arms, robots, strict=True)):
-            if isinstance(robot, RobotState) and robot.T_camera_base is not None:
-                beside = replace(robot, T_camera_base=T_camera_left @ robot.T_camera_base)
-                found[at] = NominalInstrument(arm.nominal_tool(beside), arm.profile.instrument, camera)
-        return found
+    def _mark_others(
+        self, name: str, frames: Sequence[Frame], views: Sequence[View], offsets: Sequence[Array | None]
+    ) -> list[Array | None]:
+        """Mark in each instrument's view the coloured and dark pixels that are not its own.
 
-    def _other_masks(
-        self,
-        name: str,
-        scene: Scene,
-        context: FrameContext,
-        nominal: Sequence[NominalInstrument | None],
-        offsets: Sequence[Array | None],
-    ) -> tuple[list[Image | None], list[Array | None]]:
-        """For each instrument the mask, shape (h, w), of coloured and dark pixels that are not its own.
-
-        And by how much it is seen off its nominal place, (2,) in px, None where it is not named; `offsets` are those
+        Gives by how much it is seen off its nominal place, (2,) in px, None where it is not named; `offsets` are those
         of another view, which sees the same robot's error.
         """
+        context, nominal = views[0].context, [nominal_in(*one) for one in zip(frames, views, strict=True)]
         height, width = context.bgr_as_recorded.shape[:2]
         tracker = self._trackers.setdefault(name, RegionTracker(len(nominal), width, height, self._settings))
         seen, shafts, dark = context.masks.seen, context.masks.shaft, None
@@ -121,24 +99,25 @@ class Association:
                     off_px = blob.centre_px - place.place.mean - offset
                     square = (off_px**2).sum() / (BESIDE_STD * width) ** 2
                     evidence[i, a] += max(-0.5 * square, LEAST_LIKENESS)
-        identities = tracker.update(scene.observation.stamp_ns, places, blobs, evidence)
-        off_nominal = [
+        identities = tracker.update(frames[0].stamp_ns, places, blobs, evidence)
+
+        # What is not one's own: the other regions or shapes, and the pixels of the other shafts.
+        axes = [_axis(tool, own, blobs) for tool, own in zip(nominal, identities, strict=True)]
+        owner = None if dark is None else dark.by_axis(axes)
+        for i, (view, own) in enumerate(zip(views, identities, strict=True)):
+            if seen is not None:
+                view.others = other_than(own.blob, seen)
+                continue
+            view.others = mask = regions.without(own.blob)
+            if owner is not None and shafts is not None:
+                mask[(owner >= 0) & (owner != i)] = 255
+                is_open = None in nominal and axes.count(None) > 1  # whose the other shafts are, nothing tells
+                if is_open and axes[i] is None and own.blob is None:
+                    mask[shafts > 0] = 255
+        return [
             None if place is None or own.blob is None else blobs[own.blob].centre_px - place.place.mean
             for own, place in zip(identities, places, strict=True)
         ]
-        if seen is not None:
-            return [other_than(own.blob, seen) for own in identities], off_nominal
-
-        # What is not one's own: the other regions, and the pixels of the other shafts.
-        masks = [regions.without(own.blob) for own in identities]
-        if dark is not None and shafts is not None:
-            axes = [_axis(tool, own, blobs) for tool, own in zip(nominal, identities, strict=True)]
-            owner, is_open = dark.by_axis(axes), None in nominal and axes.count(None) > 1
-            for i, (mask, own) in enumerate(zip(masks, identities, strict=True)):
-                mask[(owner >= 0) & (owner != i)] = 255
-                if is_open and axes[i] is None and own.blob is None:  # whose the other shafts are, nothing tells
-                    mask[shafts > 0] = 255
-        return list(masks), off_nominal
 
 
 @dataclass(frozen=True)
@@ -157,19 +136,19 @@ class ColouredRegions:
     def __init__(self, mask: Image, rule: AreaGate) -> None:
         count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
         areas = stats[:, cv2.CC_STAT_AREA]
-        parts = [(at, Blob(np.asarray(centres[at]), float(areas[at]))) for at in range(1, count)]
-        whole = [part for part in parts if part[1].area_px > rule.min_area_px]
+        parts = {at: Blob(np.asarray(centres[at]), float(areas[at])) for at in range(1, count)}
         self._mask, self._labels = mask, np.asarray(labels)
-        self._fragments = [part for part in parts if part[1].area_px <= rule.min_area_px]
-        self._names, self.blobs = [label for label, _ in whole], [blob for _, blob in whole]
+        self._whole = [at for at, part in parts.items() if part.area_px > rule.min_area_px]
+        self.blobs = [parts.pop(at) for at in self._whole]
+        self._fragments = parts
 
     def without(self, index: int | None) -> Image:
         """Mask of everything coloured but one region and the fragments about it; of everything for None."""
         mine = np.zeros_like(self._mask)
         if index is not None:
-            centre_px, reach_px = self.blobs[index].centre_px, FRAGMENT_REACH * self.blobs[index].radius_px
-            near = [at for at, part in self._fragments if np.linalg.norm(part.centre_px - centre_px) < reach_px]
-            mine[np.isin(self._labels, [self._names[index], *near])] = 255
+            own_px, reach_px = self.blobs[index].centre_px, FRAGMENT_REACH * self.blobs[index].radius_px
+            near = [at for at, part in self._fragments.items() if np.linalg.norm(part.centre_px - own_px) < reach_px]
+            mine[np.isin(self._labels, [self._whole[index], *near])] = 255
             mine &= self._mask
         rest = cv2.dilate(cv2.subtract(self._mask, mine), np.ones((GROWN_PX, GROWN_PX), np.uint8))
         return np.asarray(cv2.subtract(rest, mine), np.uint8)
@@ -200,19 +179,24 @@ class DarkPixels:
         """For every pixel the index of the axis that it is nearest to, shape (h, w); -1 where it is no shaft's."""
         owner = np.full(self._mask.shape, -1, np.int8)
         y, x = np.nonzero(self._mask)
-        best = np.full(len(x), SHAFT_REACH)
-        found = np.full(len(x), -1, np.int8)
-        for index, axis in enumerate(axes):
-            if axis is None:
-                continue
-            dx, dy = x - axis.tool_px[0], y - axis.tool_px[1]
-            along = dx * axis.direction[0] + dy * axis.direction[1]
-            across = np.abs(dx * axis.direction[1] - dy * axis.direction[0])
-            distance = np.where(along > 0.0, across, np.hypot(dx, dy)) / axis.radius_px
-            nearer = distance < best
-            best[nearer], found[nearer] = distance[nearer], index
-        owner[y, x] = found
+        radii = np.full((len(axes), len(x)), np.inf)  # how far from each axis
+        for at, axis in enumerate(axes):
+            if axis is not None:
+                dx, dy = x - axis.tool_px[0], y - axis.tool_px[1]
+                along = dx * axis.direction[0] + dy * axis.direction[1]
+                across = np.abs(dx * axis.direction[1] - dy * axis.direction[0])
+                radii[at] = np.where(along > 0.0, across, np.hypot(dx, dy)) / axis.radius_px
+        owner[y, x] = np.where(radii.min(0) < SHAFT_REACH, radii.argmin(0), -1)
         return owner
+
+
+def nominal_in(frame: Frame, view: View) -> NominalInstrument | None:
+    """The instrument in a view; None where the log has no nominal pose near the image."""
+    robot = frame.robot
+    if isinstance(robot, Failure) or robot.T_camera_base is None:
+        return None
+    tool = frame.arm.nominal_tool(replace(robot, T_camera_base=view.T_view_left @ robot.T_camera_base))
+    return NominalInstrument(tool, frame.arm.profile.instrument, view.camera)
 
 
 @dataclass(frozen=True)
@@ -226,22 +210,20 @@ class NominalInstrument:
     @property
     def end_behind_m(self) -> float:
         """How far behind the tool the shaft of a straight wrist ends."""
-        sizes = self.instrument
-        if sizes is None:
+        if (sizes := self.instrument) is None:
             return 0.0
         end_m = sizes.shaft_end_m or SHAFT_END_PER_RADIUS * sizes.wrist_radius_m
         return WRIST_LENGTH_PER_RADIUS * sizes.wrist_radius_m + end_m
 
-    def place(self, behind_m: float = 0.0) -> NominalPlace:
-        """Where the tool is in the image by nominal kinematics, or what is behind it, to first order."""
+    def place(self, behind_m: float) -> NominalPlace:
+        """Where what is so far behind the tool is in the image by nominal kinematics, to first order."""
         at_m = self.pose.position_m - behind_m * self.pose.axis
         mean, J = self.camera.project_with_derivative(np.array([*at_m[:2], max(at_m[2], MIN_DEPTH_M)]))
         return NominalPlace(Gaussian(mean, J @ self.pose.position_covariance @ J.T), at_m, float(J[0, 0]))
 
     def likeness(self, seen: SeenInstrument) -> float:
         """Log-likelihood, up to a constant, of a seen instrument's direction in the image, were it this one."""
-        shaft = self.shaft_from(seen.end_px, 0.5 * seen.width_px)
-        back = seen.entry_px - seen.end_px
+        shaft, back = self.shaft_from(seen.end_px, 0.5 * seen.width_px), seen.entry_px - seen.end_px
         if shaft is None or not back.any():
             return 0.0
         turn = float(shaft.direction @ back) / float(np.linalg.norm(back))

@@ -35,14 +35,14 @@ from svmdist.estimation.instrument.distal_marker import marker_in
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import joints_of, wrist_in_tool
 from svmdist.estimation.scene import Arm, Scene
-from svmdist.estimation.tissue.detection import height_biases
+from svmdist.estimation.tissue.detection import TissuePose, height_biases
 from svmdist.estimation.tissue.surface import depth_biases
 from svmdist.geometry import Mesh
 from svmdist.geometry.distance import signed_distances
 from svmdist.kinematics import rows_behind_insertion
 from svmdist.least_squares import scale_of
 from svmdist.profile import Profile
-from svmdist.profile.robot import CameraError
+from svmdist.profile.robot import CameraError, Tissue
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
 from svmdist.vision.stereo import RectifiedPair, RowAlignment, corresponding_points
@@ -84,20 +84,19 @@ def of_calibrations(changes: Iterable[tuple[Camera, Camera]], error: CameraError
         yield Difference("focal length", (CAMERAS, LATER), off, error.focal_std_fraction, "")
 
 
-def _bounded(what: str, value: float, bounds: tuple[float, float]) -> Difference:
+def _bounded(what: str, value: float, bounds: tuple[float, float], source: str = PROFILE) -> Difference:
     """By how much a length in m is outside of bounds, as a logarithm."""
     nearest = min(max(value, bounds[0]), bounds[1])
     off = 0.0 if value == nearest else float(np.log(value / nearest)) if value > 0.0 else -np.inf
-    return Difference(what, (PROFILE, FIELD), off, FIELD_STD, "")
+    return Difference(what, (source, FIELD), off, FIELD_STD, "")
 
 
 def of_frame(frame: Frame, sources: Mapping[str, ToolPose]) -> Iterator[Difference]:
-    """What one frame shows of one instrument more than once; `sources` as by `places`."""
+    """What one frame shows of one instrument more than once; `sources` as by `places_of`."""
     field = frame.arm.profile.field
     for source in (KINEMATICS, TAG):
         if (pose := sources.get(source)) is not None:
-            depth = _bounded("distance of the tool", float(pose.position_m[2]), (0.0, field.depth_m))
-            yield depth._replace(sources=(source, FIELD))
+            yield _bounded("distance of the tool", float(pose.position_m[2]), (0.0, field.depth_m), source)
             if pose.position_m[2] > 0.0:
                 yield from _against_image(frame, source, pose)
     yield from _directions(frame, sources)
@@ -217,28 +216,26 @@ def of_scene(scene: Scene) -> Iterator[Difference]:
     right = scene.observation.right
     if right is not None and right.T_left_right[0, 3] <= 0.0:
         yield Difference("baseline", (VIEWS, CAMERAS), -np.inf, 1.0, "m")
-    tissue, profile = scene.tissue, scene.profile
-    if tissue is None or tissue.pose is None or profile.tissue is None:
+    tissue, prior = scene.tissue, scene.profile.tissue
+    if tissue is None or tissue.pose is None or prior is None:
         return
     if isinstance(tissue.pose.surface, Mesh) and tissue.pose.dome is None:
         corners_m = tissue.pose.surface.vertices_m
         if np.all(corners_m[:, 2] > 0.0):
             curves_px = scene.observation.camera.project(corners_m), tissue.outline.curve_px
             areas = [cv2.contourArea(cv2.convexHull(px.astype(np.float32))) for px in curves_px]
-            depth_std = profile.tissue.plane_distance_std_m / profile.tissue.plane_distance_m
             off = 0.5 * float(np.log(max(areas[0], 1.0) / max(areas[1], 1.0)))
-            std = float(np.hypot(OUTLINE_STD, depth_std))
+            std = float(np.hypot(OUTLINE_STD, prior.plane_distance_std_m / prior.plane_distance_m))
             yield Difference("size of the tissue", (TISSUE, "its outline"), off, std, "")
-    yield from _of_surface(scene)
+    yield from _of_surface(scene, tissue.pose, prior)
 
 
-def _of_surface(scene: Scene) -> Iterator[Difference]:
+def _of_surface(scene: Scene, pose: TissuePose, prior: Tissue) -> Iterator[Difference]:
     """The surface's height and tilt over the profile's, and what else differs."""
-    surface, right = scene.stereo_surface, scene.observation.right
-    tissue, profile = scene.tissue, scene.profile
-    if surface is None or tissue is None or tissue.pose is None or right is None or profile.tissue is None:
+    surface, right, profile = scene.stereo_surface, scene.observation.right, scene.profile
+    if surface is None or right is None:
         return
-    pose, prior, points_m = tissue.pose, profile.tissue, surface.points_m
+    points_m = surface.points_m
     normal, by_shape, of_shape = np.array(prior.plane_normal), np.zeros((len(points_m), 0)), np.zeros((0, 0))
     if pose.dome is not None:
         above = pose.dome.above(points_m)
@@ -255,8 +252,7 @@ def _of_surface(scene: Scene) -> Iterator[Difference]:
     across_m = (points_m - middle_m) @ np.linalg.svd(normal[None])[2][1:].T
     B = np.column_stack([across_m, np.ones(len(over_m))])
     P = np.linalg.pinv(B)
-    fit, own_m = P @ over_m, float(np.hypot(surface.std_m, pose.surface_std_m))
-    moved = P @ by_shape
+    fit, moved, own_m = P @ over_m, P @ by_shape, float(np.hypot(surface.std_m, pose.surface_std_m))
     of_fit = np.sqrt(np.diag(moved @ of_shape @ moved.T))  # what is uncertain of a dome's shape
     of_cameras = depth_biases(middle_m, scene.observation.camera, right, Deviations.of(profile))
     biases_m = [np.linalg.norm(one.jacobian) for one in (*height_biases(prior, middle_m), *of_cameras)]

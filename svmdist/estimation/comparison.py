@@ -1,9 +1,7 @@
 """Comparisons of two independent sources over a log: what contradicts, who is to blame, and what it could be.
 
-A difference is one value by two ways, with its standard deviation, in one frame or between two. A comparison is all
-differences of one kind, from frames of all of a log. What differs by more than `MAX_DEVIATIONS` in two frames of five,
-and in two, contradicts: one frame alone may be mistaken. Each kind is a test of its own (Baarda 1968), so that its line
-says what to look at.
+What differs by more than `MAX_DEVIATIONS` in two frames of five, and in two, contradicts: one frame alone may be
+mistaken. Each kind is a test of its own (Baarda 1968), so that its line says what to look at.
 """
 
 from __future__ import annotations
@@ -57,7 +55,7 @@ RELIES = {
 
 
 class Difference(NamedTuple):
-    """One value by one source less that by another, in one frame, and its standard deviation."""
+    """One value by one source less that by another, in one frame or between two, and its standard deviation."""
 
     what: str
     sources: tuple[str, ...]

@@ -17,6 +17,8 @@ from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, Tool
 from svmdist.samples import Status
 from svmdist.transforms import Array, cross, make_transform
 
+INDEPENDENT = np.zeros((6, 3))
+
 
 def with_tissue(frame: Frame) -> FrameResult:
     """A result of status `ok` with the tissue that this frame shows, or of `no_tissue`."""
@@ -29,17 +31,13 @@ def with_tissue(frame: Frame) -> FrameResult:
     return result
 
 
-INDEPENDENT = np.zeros((6, 3))
-
-
 def measured(
     result: FrameResult, frame: Frame, tool: ToolEstimate, tissue: TissuePose, cross_covariance: Array = INDEPENDENT
 ) -> FrameResult:
     """The result with the tool, its place in the image, and the distances from it to the tissue.
 
-    `cross_covariance`, shape (6, 3), is the covariance of the tool's pose with the tissue's place.
-
-    Without sizes of the instrument in the profile there is no clearance. A value that is not finite rejects the frame.
+    `cross_covariance`, shape (6, 3), is the covariance of the tool's pose with the tissue's place. Without sizes of the
+    instrument in the profile there is no clearance. A value that is not finite rejects the frame.
     """
     pose = tool.pose
     offset_m = pose.position_m - tissue.position_m
@@ -66,16 +64,13 @@ def measured(
 
 def with_tool(result: FrameResult, frame: Frame, tool: ToolEstimate) -> FrameResult:
     """The result with the tool, and its place in the image where it is before the camera."""
-    result = replace(result, tool=tool)
-    position_m = tool.pose.position_m
+    result, position_m = replace(result, tool=tool), tool.pose.position_m
     if not position_m[2] > 0.0:
         return result
     return result.with_image(tool_px=as_pixel(frame.left.camera.project(position_m)[0]))
 
 
-def clearance_std_m(
-    gap: Separation, pose: ToolPose, tissue: TissuePose, cross_covariance: Array = INDEPENDENT
-) -> float:
+def clearance_std_m(gap: Separation, pose: ToolPose, tissue: TissuePose, cross_covariance: Array) -> float:
     """Standard deviation of a separation from an instrument of known shape; `cross_covariance` as in `measured`.
 
     The closest points are extremal, so to first order a small motion changes the distance only through
@@ -83,10 +78,10 @@ def clearance_std_m(
     from the tool to its closest point, and by d · δt for the tissue. Errors of the surface model at the closest
     point carry over.
     """
-    variance = variance_along(gap.direction, gap.on_instrument_m, pose)
+    variance, moves = _along(gap.direction, gap.on_instrument_m, pose)
     if not tissue.is_measured:
         variance += float(gap.direction @ tissue.covariance @ gap.direction)
-        variance -= 2.0 * float(_moves(gap.direction, gap.on_instrument_m, pose) @ cross_covariance @ gap.direction)
+        variance -= 2.0 * float(moves @ cross_covariance @ gap.direction)
     variance += tissue.surface_variance_m2(gap.on_tissue_m, gap.direction)
     return float(np.sqrt(max(variance, 0.0)))
 
@@ -105,15 +100,10 @@ def _bent_std_m(gap: Separation, capsules: Capsules, pose: ToolPose, tissue: Tis
     return float(np.sqrt(max(squared / 6.0, 0.0)))
 
 
-def variance_along(direction: Array, point_m: Array, pose: ToolPose) -> float:
-    """Variance in m² along a unit vector, shape (3,), of a point, shape (3,), fixed on a tool of uncertain pose."""
-    derivative = _moves(direction, point_m, pose)
-    return float(derivative @ pose.covariance @ derivative)
-
-
-def _moves(direction: Array, point_m: Array, pose: ToolPose) -> Array:
-    """How far a pose's (δp, δθ) moves a point of the tool along a direction: derivative, shape (6,)."""
-    return np.concatenate([direction, cross(point_m - pose.position_m, direction)])
+def _along(direction: Array, point_m: Array, pose: ToolPose) -> tuple[float, Array]:
+    """Variance in m² of a tool's point, (3,), along a unit vector, (3,); how far its (δp, δθ) moves it there, (6,)."""
+    moves = np.concatenate([direction, cross(point_m - pose.position_m, direction)])
+    return float(moves @ pose.covariance @ moves), moves
 
 
 def _length(offset_m: Array, covariance: Array) -> Distance:
@@ -160,6 +150,5 @@ def with_clearance_between(
 
 def between_std_m(gap: Separation, pose: ToolPose, other: ToolPose) -> float:
     """Standard deviation of a separation of two instruments of known shape that err independently."""
-    variance = variance_along(gap.direction, gap.on_instrument_m, pose)
-    variance += variance_along(gap.direction, gap.on_tissue_m, other)
+    variance = _along(gap.direction, gap.on_instrument_m, pose)[0] + _along(gap.direction, gap.on_tissue_m, other)[0]
     return float(np.sqrt(max(variance, 0.0)))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.frame import OtherMasks
+from svmdist.estimation.frame import Frame
 from svmdist.estimation.region_tracking import MAX_REGIONS, ranked_assignments
 from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile.robot import EntrySide, Instrument
@@ -119,16 +119,18 @@ class EntryAssociation:
         names, sides = [one.instrument_name for one in profiles], [one.entry for one in profiles]
         self._left, self._right = EntryTracker(names, sides), EntryTracker(names, sides)
 
-    def others(self, scene: Scene) -> tuple[list[OtherMasks], list[str]]:
-        """For each instrument the pixels of others in both views, and why it is not sure which one it is."""
+    def mark_others(self, scene: Scene, frames: Sequence[Frame]) -> list[str]:
+        """Mark in each instrument's views the pixels of others; gives why it is not sure which one it is."""
         stamp_ns = scene.observation.stamp_ns
         seen = (scene.left.masks.seen or ())[:MAX_REGIONS]
         beside, cost = self._across_views(scene, seen)
         # What the right view does not show, or elsewhere than at its depth, is as likely none of them.
         unlike = np.min(np.minimum(cost, UNNAMED_COST), 2) if len(beside) else np.zeros(cost.shape[:2])
         left, ambiguities = self._left.update(stamp_ns, seen, unlike)
+        for frame, at in zip(frames, left, strict=True):
+            frame.left.others = other_than(at, seen)
         if scene.right is None:
-            return [(other_than(at, seen), None) for at in left], ambiguities
+            return ambiguities
         rows = np.array([np.full(len(beside), np.inf) if at is None else cost[i, at] for i, at in enumerate(left)])
         right = list(ranked_assignments(rows, UNNAMED_COST, UNSEEN_COST)[0][1])
 
@@ -143,8 +145,10 @@ class EntryAssociation:
         for i, at in enumerate(left):
             if at is None:
                 right[i], ambiguities[i] = there[i], ambiguities_there[i]
-        pairs = zip(left, right, strict=True)
-        return [(other_than(at, seen), other_than(at_right, beside)) for at, at_right in pairs], ambiguities
+        for view, at in zip([frame.right for frame in frames], right, strict=True):
+            if view is not None:
+                view.others = other_than(at, beside)
+        return ambiguities
 
     def _across_views(self, scene: Scene, seen: Sequence[SeenInstrument]) -> tuple[Sequence[SeenInstrument], Array]:
         """What the right view shows, and -log likelihood, (n_arms, n_left, n_right), that the left one shows it."""

@@ -34,15 +34,14 @@ class View:
     """One camera's image as the methods of one instrument see it, and what it shows of that instrument.
 
     Every detection is computed when it is first asked for; `vars` has those that were. `others`, shape (h, w), marks
-    the pixels that have an instrument's colours and belong to another one, or to none that is known; None where there
-    is one instrument only. `T_view_left`, shape (4, 4), maps the left camera's coordinates to its own; its stamp is
-    `delay_s` later.
+    the pixels that have an instrument's colours and belong to another one, or to none that is known, where there are
+    several: it is set before anything is detected. `T_view_left`, shape (4, 4), maps the left camera's coordinates to
+    its own; its stamp is `delay_s` later.
     """
 
-    def __init__(
-        self, arm: Arm, seen: Observation | RightView, context: FrameContext, others: Image | None = None
-    ) -> None:
-        self.camera, self.context, self.others = seen.camera, context, others
+    def __init__(self, arm: Arm, seen: Observation | RightView, context: FrameContext) -> None:
+        self.camera, self.context = seen.camera, context
+        self.others: Image | None = None
         self.T_view_left, self.delay_s = np.eye(4), 0.0
         if isinstance(seen, RightView):
             self.T_view_left, self.delay_s = inverse(seen.T_left_right), seen.delay_s
@@ -143,10 +142,6 @@ class View:
         return self._arm.straight.rim_ahead(self.shaft, self._settings.shaft.end_model_std_m)
 
 
-OtherMasks = tuple[Image | None, Image | None]
-"""Pixels of other instruments in the left and the right image, shape (h, w) each; None where there are none."""
-
-
 @dataclass(frozen=True)
 class Needs:
     """What a method takes of the log, and the detections of scene and frame, by name, that may be computed ahead."""
@@ -184,21 +179,12 @@ class Frame:
     ambiguity: str = ""  # why it is not sure which instrument this is; empty where it is
 
     @classmethod
-    def of(
-        cls,
-        scene: Scene,
-        arm: Arm,
-        observation: Observation,
-        robot: RobotState | Failure,
-        others: OtherMasks = (None, None),
-        ambiguity: str = "",
-    ) -> Frame:
-        """The frame of one instrument: what it reported, without the pixels that belong to others."""
+    def of(cls, scene: Scene, arm: Arm, observation: Observation) -> Frame:
+        """The frame of one instrument, with what its robot reported."""
         seen, right = scene.observation, None
-        left = View(arm, seen, scene.left, others[0])
         if scene.right is not None and seen.right is not None:
-            right = View(arm, seen.right, scene.right, others[1])
-        return cls(scene, arm, left, right, observation.joints, robot, ambiguity)
+            right = View(arm, seen.right, scene.right)
+        return cls(scene, arm, View(arm, seen, scene.left), right, observation.joints, arm.state_at(observation))
 
     def left_alone(self) -> Frame:
         """The same without the right view."""

@@ -1,4 +1,7 @@
-"""The methods without a filter: nominal kinematics, the instrument's tag, the shaft's silhouette, and both views."""
+"""The methods without a filter: nominal kinematics, the instrument's tag, the shaft's silhouette, and both views.
+
+And the tool by each independent way that one frame has, for checks.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,13 @@ from dataclasses import replace
 import numpy as np
 
 from svmdist.camera import Camera
+from svmdist.estimation.comparison import DISPARITY, KINEMATICS, MARKER, SHAFT, TAG
 from svmdist.estimation.distances import measured, with_tissue
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.consistency import with_detections
 from svmdist.estimation.instrument.distal_marker import pair_markers
 from svmdist.estimation.instrument.error_model import ErrorModel
-from svmdist.estimation.instrument.factors import DISPARITY, marker_place_m
+from svmdist.estimation.instrument.factors import marker_place_m
 from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.model import wrist_in_tool
 from svmdist.estimation.instrument.tag_pose import TagPose
@@ -22,10 +26,16 @@ from svmdist.estimation.tissue.tracking import TissueTracker, surface_by_stereo
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import Rejection, Status
-from svmdist.transforms import Array, inverse, skew
+from svmdist.transforms import Array, cross, inverse, skew
+from svmdist.vision.lines import apparent_radius_px, axis_of_cylinder
 
 MUCH_SURER = 2.0  # than what is seen, the profile's surface is: breath and dents are seen only
 BOUND_AT_M = 0.1  # from an endoscope to a tool at work
+ANY_ORIENTATION = ToolPose(np.eye(4), np.eye(6), np.array([1.0, 0.0, 0.0]))
+"""Stands in for one that is not known."""
+MOST_WRONG = 3.0
+"""By which factor a radius is mistaken: a diameter is twice. Farther off, a strip of the shaft was taken for all."""
+WRIST_STD_M = 5e-3  # by which the shaft's axis passes before or behind the marker, where the wrist is bent
 
 
 class KinematicEstimator:
@@ -172,10 +182,6 @@ def _triangulated(frame: Frame) -> ImagePose | Rejection | Failure:
     return ImagePose(pose, (DISPARITY,), "")
 
 
-ANY_ORIENTATION = ToolPose(np.eye(4), np.eye(6), np.array([1.0, 0.0, 0.0]))
-"""Stands in for one that is not known."""
-
-
 def triangulated_tool(frame: Frame, nominal: ToolPose) -> ToolPose | Failure:
     """The tool by the triangulated marker, with the orientation, and its covariance, of the nominal kinematics."""
     pair, right = frame.scene.stereo_pair, frame.right
@@ -226,3 +232,67 @@ def _to_tissue(
 def _std_m(result: FrameResult) -> float | None:
     clearance = result.distances.clearance
     return None if clearance is None else clearance.without_overlap_std_m
+
+
+def places_of(frame: Frame) -> dict[str, ToolPose]:
+    """The tool by each way that the log has."""
+    arm, robot, found = frame.arm, frame.robot_in_camera, dict[str, ToolPose]()
+    if not isinstance(robot, Failure):
+        found[KINEMATICS] = arm.nominal_tool(robot)
+    if arm.profile.segmentation.shaft is not None and arm.body is not None and arm.chain is not None:
+        fit = frame.shaft_pose
+        # Even if inconsistent: a wrong size makes it so. Without the sides it is by the marker's size.
+        if not isinstance(fit, Failure) and len([name for name in fit.used if name.startswith("edge")]) == 2:
+            found[SHAFT] = fit.pose
+        elif (pose := _by_width(frame)) is not None:
+            found[SHAFT] = pose
+    if (size := _by_marker_size(frame)) is not None:
+        found[MARKER] = size
+    by_pair = triangulated_tool(frame, ANY_ORIENTATION)
+    if not isinstance(by_pair, Failure):
+        found[DISPARITY] = by_pair
+    others_m = [found[name].position_m[2] for name in (MARKER, DISPARITY) if name in found]
+    if SHAFT in found and others_m:
+        ratio = found[SHAFT].position_m[2] / float(np.median(others_m))
+        if not 1.0 / MOST_WRONG < ratio < MOST_WRONG:
+            del found[SHAFT]
+    if frame.tag is not None and not isinstance(frame.robot, Failure):
+        found[TAG] = tool_from_tag(arm, frame.left.camera, frame.tag, frame.robot)
+    return found
+
+
+def _at_depth(depth_m: float, std_m: float, ray: Array) -> ToolPose:
+    """A tool of which only the depth along a ray, (3,) with z = 1, is known."""
+    T, covariance = np.eye(4), np.eye(6)
+    T[:3, 3] = depth_m * ray
+    covariance[:3, :3] = std_m**2 * np.outer(ray, ray) + 1e-8 * np.eye(3)
+    return ToolPose(T, covariance, np.array([1.0, 0.0, 0.0]))
+
+
+def _by_width(frame: Frame) -> ToolPose | None:
+    """The tool where the shaft's axis passes before or behind the marker, by both sides; None without them."""
+    view, instrument, marker = frame.left, frame.arm.profile.instrument, frame.left.distal_marker
+    if instrument is None or marker is None or len(view.shaft.contours) < 2:
+        return None
+    planes = view.shaft.contours
+    axis = axis_of_cylinder(planes, instrument.shaft_radius_m)
+    if axis is None:
+        return None
+    ray = view.camera.rays(marker.centre_px)[0]
+    depth_m = axis.depth_m(ray)
+    width = float(np.linalg.norm(cross(planes[0].normal, planes[1].normal)))
+    width_std = float(np.sqrt(sum(np.trace(plane.covariance) for plane in planes))) / max(width, 1e-6)
+    std = float(np.hypot(width_std, instrument.shaft_radius_std_fraction))
+    return _at_depth(depth_m, float(np.hypot(std * depth_m, WRIST_STD_M)), ray) if depth_m > 0.0 else None
+
+
+def _by_marker_size(frame: Frame) -> ToolPose | None:
+    """The tool where the distal marker has its size; None where it is not whole."""
+    view, instrument = frame.left, frame.arm.profile.instrument
+    marker = view.distal_marker
+    if instrument is None or marker is None or marker.radius_px is None or marker.disc is None:
+        return None
+    ray = view.camera.rays(marker.disc.centre_px)[0]
+    depth_m = float(apparent_radius_px(ray, instrument.knuckle_radius_m, view.camera)) / marker.radius_px
+    std = float(np.hypot(marker.radius_std_px / marker.radius_px, instrument.knuckle_radius_std_fraction))
+    return _at_depth(depth_m, std * depth_m, ray)

@@ -32,6 +32,8 @@ from svmdist.vision.marker import (
 )
 from svmdist.vision.regions import Region, find_region
 
+SUBPIXEL_BITS = 4  # OpenCV draws at 1/16 px with this shift
+
 
 def locate(frame: Frame) -> tuple[FrameResult, Region | None, Region | None]:
     """Tissue and instrument by their colours as recorded, and the result so far; rejected if one is missing."""
@@ -51,9 +53,6 @@ def in_plane(result: FrameResult, tool_px: Array, tissue_px: Array, mapping: Pla
     if not math.isfinite(distance_m):
         return result.rejected(Status.NOT_FINITE)
     return replace(result.with_image(tool_px=as_pixel(tool_px)), distances=Distances(planar=Distance(distance_m)))
-
-
-SUBPIXEL_BITS = 4  # OpenCV draws at 1/16 px with this shift
 
 
 @lru_cache(8)

@@ -12,7 +12,7 @@ from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import InstrumentModel
 from svmdist.estimation.instrument.shaft_model import ShaftModel
 from svmdist.estimation.tissue.detection import TissueDetection, detect_tissue
-from svmdist.estimation.tissue.surface import StereoSurface, detect_stereo_surface
+from svmdist.estimation.tissue.surface import QUICK_PX, StereoSurface, detect_stereo_surface
 from svmdist.kinematics import DHChain, chain_of, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
@@ -135,10 +135,9 @@ class Scene:
         """The tissue's surface by both views, as a distance needs it; None where they do not show it."""
         return self.surface()
 
-    def surface(self, **resolution: int) -> StereoSurface | None:
-        """The same at a resolution, as `detect_stereo_surface` takes it."""
+    def surface(self, most_px: int = QUICK_PX) -> StereoSurface | None:
+        """The same by up to so many pixels."""
         pair = self.stereo_pair
         if self.right is None or isinstance(pair, Failure):
             return None
-        settings, field = self.profile.settings.stereo, self.profile.field
-        return detect_stereo_surface((self.left, self.right), pair, settings, field, self._rows, **resolution)
+        return detect_stereo_surface((self.left, self.right), pair, self.profile, self._rows, most_px)

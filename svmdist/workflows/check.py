@@ -13,8 +13,8 @@ from svmdist.estimation.association import Association
 from svmdist.estimation.checks import Matches
 from svmdist.estimation.comparison import KINEMATICS, ROWS, Checks, Difference
 from svmdist.estimation.frame import Frame
+from svmdist.estimation.frame_methods import places_of
 from svmdist.estimation.scene import Arm, Scene
-from svmdist.estimation.tool_places import places as places_of
 from svmdist.profile import Profile
 from svmdist.profile.robot import Tissue
 from svmdist.profile.segmentation import AutoSegmentation
@@ -115,7 +115,7 @@ def look(seen: tuple[Observation, ...], arms: Sequence[Arm], segmenter: Segmente
     """A frame for each instrument in an image: several are associated as in the first image of a log."""
     scene = Scene(seen[0], arms[0].profile, segmenter, rows)
     if not needs_association(arms):
-        return [Frame.of(scene, arms[0], seen[0], arms[0].state_at(seen[0]))]
+        return [Frame.of(scene, arms[0], seen[0])]
     return Association(arms).frames(scene, seen)
 
 

@@ -309,7 +309,7 @@ class _Replay:
         measured: list[Replayed | None] = [None] * len(estimators)
         if association is None:
             each = zip(self._arms, found, strict=True)
-            frames = looked or [Frame.of(scene, arm, one, arm.state_at(one)) for arm, one in each]
+            frames = looked or [Frame.of(scene, arm, one) for arm, one in each]
             spent_s |= prefetch(frames[0], self._needs.frame)
             measured = [None if one.keeps_state else one.estimate(frames, spent_s) for one in estimators]
         else:

@@ -12,8 +12,7 @@ import trimesh
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.shaft_model import ShaftSizes
 from svmdist.estimation.instrument.verification import contradiction
-from svmdist.estimation.tissue.detection import TissuePose, detect_tissue, tissue_frame
-from svmdist.estimation.tissue.dome import DomeModel
+from svmdist.estimation.tissue.detection import DomeModel, TissuePose, detect_tissue, tissue_frame
 from svmdist.geometry import Capsules, Cloud
 from svmdist.geometry.distance import separation
 from svmdist.profile import Profile, load_profile

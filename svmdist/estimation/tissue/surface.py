@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.estimation.instrument.measurement import BiasTerm, Deviations
-from svmdist.profile.robot import FieldOfView
-from svmdist.profile.settings import StereoSettings
+from svmdist.profile import Profile
 from svmdist.samples import Image, RightView
 from svmdist.transforms import Array, inverse
 from svmdist.vision.disparity import CLIPPED, MARGIN_PX, disparity_map
 from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.segmentation import Masks
-from svmdist.vision.stereo import LEVEL, RectifiedPair, RowAlignment
+from svmdist.vision.stereo import RectifiedPair, RowAlignment
 
 QUICK_PX, ALL_PX = 30_000, 2_100_000
 """Pixels of the tissue that are matched: for a distance in every frame, and for the surface itself (1920x1080)."""
@@ -73,17 +72,14 @@ def depth_biases(points_m: Array, camera: Camera, right: RightView, deviations: 
 
 
 def detect_stereo_surface(
-    views: tuple[FrameContext, FrameContext],
-    pair: RectifiedPair,
-    settings: StereoSettings,
-    field: FieldOfView,
-    rows: RowAlignment = LEVEL,
-    most_px: int = QUICK_PX,
+    views: tuple[FrameContext, FrameContext], pair: RectifiedPair, profile: Profile, rows: RowAlignment, most_px: int
 ) -> StereoSurface | None:
     """The surface of the tissue that both views show; None where they show too little of it, or do not agree.
 
-    The views' rows were aligned by `rows`, and what that says of their columns is part of the deviations.
+    The views' rows were aligned by `rows`, and what that says of their columns is part of the deviations. Up to
+    `most_px` pixels are matched.
     """
+    field = profile.field
     greys = [view.grey for view in views]
     masks = [_tissue_mask(view.masks, view.grey) for view in views]
     first_px, offset_px = np.zeros(2), pair.offset_px
@@ -100,7 +96,7 @@ def detect_stereo_surface(
         masks = [_turned(mask, H, size, cv2.INTER_NEAREST) for mask, H in zip(masks, turns, strict=True)]
         first_px, offset_px = shifts[0], offset_px - float(shifts[0][0] - shifts[1][0])
     bounds_px = [pair.disparity_at(at_m) + offset_px for at_m in (field.depth_m, field.least_depth_m)]
-    found = disparity_map(greys, masks, bounds_px, settings, most_px)
+    found = disparity_map(greys, masks, bounds_px, profile.settings.stereo, most_px)
     if found is None:
         return None
     rows_px = np.stack(np.meshgrid(found.columns_px, found.rows_px), -1) + first_px

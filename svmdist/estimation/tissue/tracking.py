@@ -30,7 +30,9 @@ MIN_SCATTER_COUNT = 4.0  # with fewer poses their scatter beyond their covarianc
 GATE_Z = 3.09  # normal quantile of the gate for a pose against the remembered one: 1 in 1,000 true ones is rejected
 CORRELATED_HEIGHT_SHARE = 0.98  # wet, breathing tissue scatters by 0.10 to 0.20 from frame to frame; 0.98 leaves 0.20
 HEIGHT_CORRELATION_TIME_S = 30.0  # how long that lasts: longer than the logs of 8 s that it was seen in
-
+MIN_POINTS = 50  # of a surface inside of the dome's rim: fewer are no view of it
+MAX_SHAPE_STDS = 2.0  # beyond, a surface that is seen is better than a shape: it only widens the interval
+OFF_PLANE_STDS = 3.5  # of the surface by stereo from the profile's, above which they contradict each other
 TINY_M2 = 1e-14  # added to covariances of poses that lie on one plane, so that they have an inverse
 
 
@@ -103,14 +105,6 @@ class TissueTracker:
         return bool(nis <= chi_square_bound(PLANE_DEGREES, GATE_Z))
 
 
-MIN_POINTS = 50  # of a surface inside of the dome's rim: fewer are no view of it
-OUTLINE = "tissue height"
-
-
-MAX_SHAPE_STDS = 2.0  # beyond, a surface that is seen is better than a shape: it only widens the interval
-OFF_PLANE_STDS = 3.5  # of the surface by stereo from the profile's, above which they contradict each other
-
-
 def surface_by_stereo(frame: Frame, known: TissuePose) -> TissuePose | None:
     """The tissue with the surface that both views show, with its own errors; None where they do not agree on one."""
     surface, right = frame.scene.stereo_surface, frame.scene.observation.right
@@ -155,11 +149,11 @@ def measure_height(
     by_shape = dome.derivative(above.flat_m).mean(0)
     dome_std_m = float(np.sqrt(by_shape[2:] @ dome.covariance[2:, 2:] @ by_shape[2:]))
     bias_m = np.hypot(CORRELATED_HEIGHT_SHARE * surface.std_m, dome_std_m)
-    own = BiasTerm(OUTLINE, np.array([[bias_m]]), HEIGHT_CORRELATION_TIME_S)
+    own = BiasTerm("tissue height", np.array([[bias_m]]), HEIGHT_CORRELATION_TIME_S)
     noise_m2 = (1.0 - CORRELATED_HEIGHT_SHARE**2) * surface.std_m**2
     biases = (own, *height_biases(tissue, known.position_m), *of_cameras)
     over_m = np.array([median(above.over_m)])
-    return kalman.update_scene(OUTLINE, Linearised(over_m, np.zeros((1, 0)), biases, np.array([[noise_m2]])))
+    return kalman.update_scene(own.name, Linearised(over_m, np.zeros((1, 0)), biases, np.array([[noise_m2]])))
 
 
 def at_height(
