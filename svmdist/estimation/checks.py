@@ -10,26 +10,8 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.comparison import (
-    CAMERAS,
-    DISPARITY,
-    FIELD,
-    HEIGHT,
-    JAWS,
-    KINEMATICS,
-    LATER,
-    MAX_DEVIATIONS,
-    MOTION,
-    PROFILE,
-    ROWS,
-    SHAFT,
-    SHAPE,
-    TAG,
-    TILT,
-    TISSUE,
-    VIEWS,
-    Difference,
-)
+from svmdist.estimation import comparison
+from svmdist.estimation.comparison import MAX_DEVIATIONS, Difference
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.distal_marker import marker_in
 from svmdist.estimation.instrument.measurement import Deviations
@@ -81,20 +63,20 @@ def of_calibrations(changes: Iterable[tuple[Camera, Camera]], error: CameraError
     for before, after in changes:
         is_same_size = (before.width_px, before.height_px) == (after.width_px, after.height_px)
         off = float(np.log(after.K[0, 0] / before.K[0, 0])) if is_same_size else np.inf
-        yield Difference("focal length", (CAMERAS, LATER), off, error.focal_std_fraction, "")
+        yield Difference("focal length", (comparison.CAMERAS, comparison.LATER), off, error.focal_std_fraction, "")
 
 
-def _bounded(what: str, value: float, bounds: tuple[float, float], source: str = PROFILE) -> Difference:
+def _bounded(what: str, value: float, bounds: tuple[float, float], source: str = comparison.PROFILE) -> Difference:
     """By how much a length in m is outside of bounds, as a logarithm."""
     nearest = min(max(value, bounds[0]), bounds[1])
     off = 0.0 if value == nearest else float(np.log(value / nearest)) if value > 0.0 else -np.inf
-    return Difference(what, (source, FIELD), off, FIELD_STD, "")
+    return Difference(what, (source, comparison.FIELD), off, FIELD_STD, "")
 
 
 def of_frame(frame: Frame, sources: Mapping[str, ToolPose]) -> Iterator[Difference]:
     """What one frame shows of one instrument more than once; `sources` as by `places_of`."""
     field = frame.arm.profile.field
-    for source in (KINEMATICS, TAG):
+    for source in (comparison.KINEMATICS, comparison.TAG):
         if (pose := sources.get(source)) is not None:
             yield _bounded("distance of the tool", float(pose.position_m[2]), (0.0, field.depth_m), source)
             if pose.position_m[2] > 0.0:
@@ -105,31 +87,29 @@ def of_frame(frame: Frame, sources: Mapping[str, ToolPose]) -> Iterator[Differen
         variance = ray @ (pose.position_covariance + reference.position_covariance) @ ray
         off_m = float(ray @ (pose.position_m - reference.position_m))
         yield Difference("depth of the tool", (one, other), off_m, float(np.sqrt(variance)), "m")
-    if (pose := sources.get(TAG) or sources.get(SHAFT)) is not None:
+    if (pose := sources.get(comparison.TAG) or sources.get(comparison.SHAFT)) is not None:
         yield from _jaws(frame, pose)
 
 
 def of_motion(places_m: Sequence[Mapping[str, ToolPose]]) -> Iterator[Difference]:
-    """How the tool moved between two frames, nominally and by the images: no shift of the base changes that.
-
-    Of each frame it is the usual one of its motions to all others: a mistaken frame spoils each motion that it is in.
-    """
-    for source in (SHAFT, DISPARITY, TAG):
-        both = [one for one in places_m if source in one and KINEMATICS in one]
+    """How the tool moved between two frames, nominally and by the images: no shift of the base changes that."""
+    # Of each frame the usual one of its motions to all others: a mistaken frame spoils each motion that it is in.
+    for source in (comparison.SHAFT, comparison.DISPARITY, comparison.TAG):
+        both = [one for one in places_m if source in one and comparison.KINEMATICS in one]
         for one in both if len(both) > 1 else ():
             motions = [_moved(source, one, other) for other in both if other is not one]
             yield sorted(motions, key=lambda motion: motion.deviations)[(len(motions) - 1) // 2]
 
 
 def _moved(source: str, one: Mapping[str, ToolPose], other: Mapping[str, ToolPose]) -> Difference:
-    seen, nominal = (one[name].position_m - other[name].position_m for name in (source, KINEMATICS))
+    seen, nominal = (one[name].position_m - other[name].position_m for name in (source, comparison.KINEMATICS))
     off_m = float(np.linalg.norm(nominal - seen))
     along = (nominal - seen) / max(off_m, 1e-9)
     covariance = one[source].position_covariance + other[source].position_covariance
-    turned_m = (MOTION_SHARE + one[KINEMATICS].shaft_std_rad) * float(np.linalg.norm(nominal))
+    turned_m = (MOTION_SHARE + one[comparison.KINEMATICS].shaft_std_rad) * float(np.linalg.norm(nominal))
     variance = float(along @ covariance @ along)
     std_m = float(np.linalg.norm([STEADY * np.sqrt(variance), MOTION_STD_M, turned_m]))
-    return Difference(MOTION, (KINEMATICS, source), off_m, std_m, "m")
+    return Difference(comparison.MOTION, (comparison.KINEMATICS, source), off_m, std_m, "m")
 
 
 def _jaws(frame: Frame, pose: ToolPose) -> Iterator[Difference]:
@@ -161,7 +141,7 @@ def _jaws(frame: Frame, pose: ToolPose) -> Iterator[Difference]:
         off_m = max(found) - instrument.jaw_radius_m - instrument.jaw_length_m
         depth_std = float(np.sqrt(pose.covariance[2, 2])) / float(pose.position_m[2])
         std_m = float(np.hypot(JAW_STD_M, depth_std * max(found)))
-        yield Difference("length of the jaws", (JAWS, "the image"), off_m, std_m, "m")
+        yield Difference("length of the jaws", (comparison.JAWS, "the image"), off_m, std_m, "m")
 
 
 def _against_image(frame: Frame, source: str, pose: ToolPose) -> Iterator[Difference]:
@@ -188,22 +168,19 @@ def _against_image(frame: Frame, source: str, pose: ToolPose) -> Iterator[Differ
 
 
 def _directions(frame: Frame, sources: Mapping[str, ToolPose]) -> Iterator[Difference]:
-    """Directions of the shaft against the plane between its sides in the image.
-
-    Where kinematics and tag agree, the sides are not those of the shaft: a mask has a strip of it.
-    """
+    """Directions of the shaft against the plane between its sides in the image."""
     sides = {contour.side: contour for contour in frame.left.shaft.contours}
     if len(sides) < 2:
         return
     middle = sides[1].normal - sides[-1].normal
     middle /= np.linalg.norm(middle)
     found = []
-    for source in (KINEMATICS, TAG):
+    for source in (comparison.KINEMATICS, comparison.TAG):
         if (pose := sources.get(source)) is not None and pose.position_m[2] > 0.0:
             off_rad = float(np.arcsin(np.clip(middle @ pose.axis, -1.0, 1.0)))
             std_rad = float(np.hypot(pose.shaft_std_rad, SIDES_STD_RAD))
             found.append(Difference("direction of the shaft", (source, "its sides"), off_rad, std_rad, "rad"))
-    if len(found) == 2:
+    if len(found) == 2:  # where both agree, the sides are not those of the shaft: a mask has a strip of it
         one, other = found
         apart = abs(one.value - other.value) / float(np.hypot(one.std, other.std))
         if apart < MAX_DEVIATIONS < min(one.deviations, other.deviations):
@@ -215,7 +192,7 @@ def of_scene(scene: Scene) -> Iterator[Difference]:
     """The baseline's sign; a mesh against the tissue's outline; the surface by both views against the profile's."""
     right = scene.observation.right
     if right is not None and right.T_left_right[0, 3] <= 0.0:
-        yield Difference("baseline", (VIEWS, CAMERAS), -np.inf, 1.0, "m")
+        yield Difference("baseline", (comparison.VIEWS, comparison.CAMERAS), -np.inf, 1.0, "m")
     tissue, prior = scene.tissue, scene.profile.tissue
     if tissue is None or tissue.pose is None or prior is None:
         return
@@ -226,7 +203,7 @@ def of_scene(scene: Scene) -> Iterator[Difference]:
             areas = [cv2.contourArea(cv2.convexHull(px.astype(np.float32))) for px in curves_px]
             off = 0.5 * float(np.log(max(areas[0], 1.0) / max(areas[1], 1.0)))
             std = float(np.hypot(OUTLINE_STD, prior.plane_distance_std_m / prior.plane_distance_m))
-            yield Difference("size of the tissue", (TISSUE, "its outline"), off, std, "")
+            yield Difference("size of the tissue", (comparison.TISSUE, "its outline"), off, std, "")
     yield from _of_surface(scene, tissue.pose, prior)
 
 
@@ -235,19 +212,20 @@ def _of_surface(scene: Scene, pose: TissuePose, prior: Tissue) -> Iterator[Diffe
     surface, right, profile = scene.stereo_surface, scene.observation.right, scene.profile
     if surface is None or right is None:
         return
-    points_m = surface.points_m
-    normal, by_shape, of_shape = np.array(prior.plane_normal), np.zeros((len(points_m), 0)), np.zeros((0, 0))
+    points_m, normal, of_shape = surface.points_m, np.array(prior.plane_normal), np.zeros((0, 0))
     if pose.dome is not None:
         above = pose.dome.above(points_m)
         points_m, over_m = points_m[above.inner], above.over_m
         by_shape, of_shape = pose.dome.derivative(above.flat_m), pose.dome.covariance
     elif isinstance(pose.surface, Mesh):
         points_m = points_m[:: max(1, len(points_m) // POINTS)]
-        over_m, by_shape = signed_distances(points_m, pose.surface)[1], np.zeros((len(points_m), 0))
+        over_m = signed_distances(points_m, pose.surface)[1]
     else:
         over_m = points_m @ normal + prior.plane_distance_m
     if len(points_m) < POINTS:
         return
+    if pose.dome is None:
+        by_shape = np.zeros((len(points_m), 0))
     middle_m = np.mean(points_m, 0)
     across_m = (points_m - middle_m) @ np.linalg.svd(normal[None])[2][1:].T
     B = np.column_stack([across_m, np.ones(len(over_m))])
@@ -257,22 +235,23 @@ def _of_surface(scene: Scene, pose: TissuePose, prior: Tissue) -> Iterator[Diffe
     of_cameras = depth_biases(middle_m, scene.observation.camera, right, Deviations.of(profile))
     biases_m = [np.linalg.norm(one.jacobian) for one in (*height_biases(prior, middle_m), *of_cameras)]
     std_m = float(np.linalg.norm([*biases_m, of_fit[2], own_m]))
-    yield Difference(HEIGHT, (TISSUE, DISPARITY), float(fit[2]), std_m, "m")
+    by_both = comparison.TISSUE, comparison.DISPARITY
+    yield Difference(comparison.HEIGHT, by_both, float(fit[2]), std_m, "m")
     reach_m = float(np.sqrt(np.linalg.eigvalsh(np.cov(across_m.T))[0]))  # of its shorter side
     turned_rad = profile.camera_error.right_rotation_std_rad
     std_rad = float(np.linalg.norm([prior.plane_tilt_std_rad, own_m / reach_m, turned_rad, *of_fit[:2]]))
-    yield Difference(TILT, (TISSUE, DISPARITY), float(np.arctan(np.linalg.norm(fit[:2]))), std_rad, "rad")
+    yield Difference(comparison.TILT, by_both, float(np.arctan(np.linalg.norm(fit[:2]))), std_rad, "rad")
     rest = by_shape - B @ moved
     shape_m = float(np.sqrt(own_m**2 + np.mean(np.einsum("ni,ij,nj->n", rest, of_shape, rest))))
-    yield Difference(SHAPE, (TISSUE, DISPARITY), float(np.std(over_m - B @ fit)), shape_m, "m")
+    yield Difference(comparison.SHAPE, by_both, float(np.std(over_m - B @ fit)), shape_m, "m")
 
 
 class Matches(NamedTuple):
-    """Pixels of points that both views of a pair show, (n, 2) each, where rows correspond."""
+    """Points that both views of a pair show, where rows correspond: by how much their columns and rows differ."""
 
     pair: RectifiedPair
-    left_px: Array
-    right_px: Array
+    disparity_px: Array  # shape (n,)
+    rows: Array  # shape (n, 5): 1, x, y, xy on z = 1, and by how much their rows differ in px
 
 
 def matched(scene: Scene) -> Matches | None:
@@ -280,48 +259,37 @@ def matched(scene: Scene) -> Matches | None:
     pair = scene.stereo_pair
     if isinstance(pair, Failure) or scene.right is None:
         return None
-    return Matches(pair, *corresponding_points((scene.left.grey, scene.right.grey), pair, MAX_ROWS_PX))
+    left_px, right_px = corresponding_points((scene.left.grey, scene.right.grey), pair, MAX_ROWS_PX)
+    disparity_px, off_px = left_px[:, 0] - right_px[:, 0] - pair.offset_px, right_px[:, 1] - left_px[:, 1]
+    x, y = ((left_px - pair.K[:2, 2]) / pair.K[0, 0]).T
+    return Matches(pair, disparity_px, np.column_stack([np.ones(len(x)), x, y, x * y, off_px]))
 
 
 def of_views(profile: Profile, found: Sequence[Matches]) -> Iterator[Difference]:
     """Both views against each other: sign and size of their disparities, in each pair, and how rows of all differ."""
-    field = profile.field
-    rows: list[Array] = []
-    for pair, left_px, right_px in found:
-        disparity_px = left_px[:, 0] - right_px[:, 0] - pair.offset_px
-        if len(disparity_px) < MIN_MATCHES:
-            continue
+    field, enough = profile.field, [one for one in found if len(one.rows) >= MIN_MATCHES]
+    for pair, disparity_px, _ in enough:
         middle_px = float(np.median(disparity_px))
         # Of a median; points of one texture err alike.
         std_px = 1.25 * scale_of(disparity_px - middle_px) / np.sqrt(0.5 * len(disparity_px)) + 0.5
         far_px, near_px = pair.disparity_at(field.depth_m), pair.disparity_at(field.least_depth_m)
         off_px = min(middle_px - far_px, 0.0) + max(middle_px - near_px, 0.0)
-        yield Difference("disparities", (VIEWS, CAMERAS), off_px, float(std_px), "px")
-        rows.append(_rows_of(pair, left_px, right_px))
-    if sum(map(len, rows)) >= MIN_FITTED:
-        yield _bent_rows(profile, rows, found[0].pair)
+        yield Difference("disparities", (comparison.VIEWS, comparison.CAMERAS), off_px, float(std_px), "px")
+    if sum(len(one.rows) for one in enough) >= MIN_FITTED:
+        yield _bent_rows(profile, [one.rows for one in enough], found[0].pair)
 
 
 def row_alignment(found: Sequence[Matches]) -> RowAlignment:
     """How the rows of both views differ, as points of pairs have it."""
-    fit, _ = _robust_fit(np.concatenate([_rows_of(*one) for one in found]))
+    fit, _ = _robust_fit(np.concatenate([one.rows for one in found]))
     along_x, along_y = (fit[1:3] / found[0].pair.K[0, 0]).tolist()
     return RowAlignment(float(fit[0]), (along_x, along_y))
 
 
-def _rows_of(pair: RectifiedPair, left_px: Array, right_px: Array) -> Array:
-    """Of points, (n, 5): 1, x, y, xy on z = 1, and by how much their rows differ in px."""
-    x, y = ((left_px - pair.K[:2, 2]) / pair.K[0, 0]).T
-    return np.column_stack([np.ones(len(x)), x, y, x * y, right_px[:, 1] - left_px[:, 1]])
-
-
 def _bent_rows(profile: Profile, rows: Sequence[Array], pair: RectifiedPair) -> Difference:
-    """How much rows bend at most points by x, y and xy: of a turn about the view, another focal length, a lens.
-
-    `rows` are points of each pair, (n, 5). Cameras bend the rows of all pairs alike: what one pair says that others do
-    not is its own false matches (jackknife, Tukey 1958).
-    """
+    """How much rows bend at most points by x, y and xy: of a turn about the view, another focal length, a lens."""
     fit, covariance = _robust_fit(np.concatenate(rows))
+    # Cameras bend rows of all pairs alike: what one says that others do not is false matches (jackknife, Tukey 1958).
     if len(rows) > 1:
         without = [_robust_fit(np.concatenate([*rows[:at], *rows[at + 1 :]]))[0] for at in range(len(rows))]
         covariance += (len(rows) - 1) * np.cov(np.transpose(without), bias=True)
@@ -332,7 +300,7 @@ def _bent_rows(profile: Profile, rows: Sequence[Array], pair: RectifiedPair) -> 
     bends_px = B @ fit[1:]
     at = int(np.argsort(np.abs(bends_px))[int(MOST_POINTS * len(B))])
     std_px = float(np.hypot(np.sqrt(B[at] @ covariance @ B[at]), ROWS_STD_PX))
-    return Difference(ROWS, (VIEWS, CAMERAS), float(bends_px[at]), std_px, "px")
+    return Difference(comparison.ROWS, (comparison.VIEWS, comparison.CAMERAS), float(bends_px[at]), std_px, "px")
 
 
 def _robust_fit(rows: Array) -> tuple[Array, Array]:

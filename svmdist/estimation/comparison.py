@@ -113,13 +113,10 @@ class Checks:
 
     @classmethod
     def of(cls, differences: Iterable[Difference], frames: int) -> Checks:
-        """Put the differences of some frames together by their kind, in the order in which they first came.
-
-        One of an infinite deviation compares nothing.
-        """
+        """Put the differences of some frames together by their kind, in the order in which they first came."""
         kinds: dict[tuple[str, tuple[str, ...]], list[Difference]] = {}
         for one in differences:
-            if one.std < np.inf:
+            if one.std < np.inf:  # one of an infinite deviation compares nothing
                 kinds.setdefault((one.what, one.sources), []).append(one)
         return cls(tuple(_compared(ones, frames) for ones in kinds.values()))
 
@@ -131,13 +128,10 @@ class Checks:
 
     @property
     def blamed(self) -> set[str]:
-        """The sources that may be wrong: of those that contradict the one that fewest others agree with, or all.
-
-        An agreement counts where it is sharp enough to have shown the contradiction.
-        """
+        """The sources that may be wrong: of those that contradict the one that fewest others agree with, or all."""
         blamed: set[str] = set()
         for wrong in self.contradictions:
-            bound = abs(wrong.usual.value) / MAX_DEVIATIONS
+            bound = abs(wrong.usual.value) / MAX_DEVIATIONS  # an agreement counts that would have shown this
             consistent = [one.usual for one in self.comparisons if not one.contradicts]
             sharp = [one.sources for one in consistent if one.what == wrong.usual.what and one.std < bound]
             votes = {source: sum(source in sources for sources in sharp) for source in wrong.usual.sources}

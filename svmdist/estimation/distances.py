@@ -73,10 +73,9 @@ def with_tool(result: FrameResult, frame: Frame, tool: ToolEstimate) -> FrameRes
 def clearance_std_m(gap: Separation, pose: ToolPose, tissue: TissuePose, cross_covariance: Array) -> float:
     """Standard deviation of a separation from an instrument of known shape; `cross_covariance` as in `measured`.
 
-    The closest points are extremal, so to first order a small motion changes the distance only through
-    their own motion along the direction d (envelope theorem): by -d · (δp + δθ x r) for the instrument, with r
-    from the tool to its closest point, and by d · δt for the tissue. Errors of the surface model at the closest
-    point carry over.
+    The closest points are extremal, so to first order a small motion changes the distance only through their own motion
+    along the direction d (envelope theorem): by -d · (δp + δθ x r) for the instrument, with r from the tool to its
+    closest point, and by d · δt for the tissue. Errors of the surface model at the closest point carry over.
     """
     variance, moves = _along(gap.direction, gap.on_instrument_m, pose)
     if not tissue.is_measured:
@@ -87,10 +86,8 @@ def clearance_std_m(gap: Separation, pose: ToolPose, tissue: TissuePose, cross_c
 
 
 def _bent_std_m(gap: Separation, capsules: Capsules, pose: ToolPose, tissue: TissuePose) -> float:
-    """What `clearance_std_m` leaves out: another point becomes the closest along where the tool is least sure.
-
-    Separations of the tool moved by ±√3 deviations give it, as sigma points (Julier and Uhlmann 2004).
-    """
+    """What `clearance_std_m` leaves out: another point becomes the closest along where the tool is least sure."""
+    # By separations of the tool moved by ±√3 deviations, as sigma points (Julier and Uhlmann 2004).
     variances, axes = np.linalg.eigh(pose.position_covariance)
     step_m = float(np.sqrt(3.0 * max(variances[-1], 0.0))) * axes[:, -1]
     squared = -2.0 * float(gap.direction @ step_m) ** 2

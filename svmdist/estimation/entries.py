@@ -199,10 +199,8 @@ def disagreement(
     T_right_left: Array,
     instrument: Instrument,
 ) -> float:
-    """Squared deviations of the right view's shaft from where the left one's width puts it; infinite behind a camera.
-
-    The depth by the radius says where along their epipolar lines both ends of the left middle line are visible.
-    """
+    """Squared deviations of the right view's shaft from where the left one's width puts it; infinite behind cameras."""
+    # The depth by the radius says where along their epipolar lines both ends of the left middle line are visible.
     radius_m, fraction = instrument.shaft_radius_m, np.hypot(instrument.shaft_radius_std_fraction, WIDTH_STD)
     depths = (radius_m, radius_m * (1.0 + fraction))
     near, far = (sides_beside(left, cameras, T_right_left, one) for one in depths)

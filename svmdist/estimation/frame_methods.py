@@ -10,18 +10,18 @@ from dataclasses import replace
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.comparison import DISPARITY, KINEMATICS, MARKER, SHAFT, TAG
+from svmdist.estimation import comparison
 from svmdist.estimation.distances import measured, with_tissue
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.consistency import with_detections
 from svmdist.estimation.instrument.distal_marker import pair_markers
 from svmdist.estimation.instrument.error_model import ErrorModel
-from svmdist.estimation.instrument.factors import marker_place_m
+from svmdist.estimation.instrument.factors import DISPARITY, marker_place_m
 from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.model import wrist_in_tool
 from svmdist.estimation.instrument.tag_pose import TagPose
 from svmdist.estimation.scene import Arm
-from svmdist.estimation.tissue.detection import TissuePose, require_tissue, tissue_plane
+from svmdist.estimation.tissue.detection import TissuePose, require_tissue
 from svmdist.estimation.tissue.tracking import TissueTracker, surface_by_stereo
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose
@@ -106,14 +106,12 @@ def tool_from_tag(arm: Arm, camera: Camera, tag: TagPose, robot: RobotState) -> 
 
 
 def certain(frame: Frame, found: ImagePose | Failure, max_std_m: float) -> ImagePose | Rejection:
-    """A pose by images that nothing contradicts and that is as certain as a method wants it, or why there is none.
-
-    Beyond `BOUND_AT_M` the bound grows in proportion: errors of size, focal length and disparity are shares of a depth.
-    """
+    """A pose by images that nothing contradicts and that is as certain as a method wants it, or why there is none."""
     if isinstance(found, Failure):
         return Rejection(frame.stamp_ns, Status.NO_INSTRUMENT, found.reason)
     if found.contradiction:
         return Rejection(frame.stamp_ns, Status.INCONSISTENT, found.contradiction)
+    # Beyond, the bound grows in proportion: errors of size, focal length and disparity are shares of a depth.
     max_std_m *= max(1.0, float(np.linalg.norm(found.pose.position_m)) / BOUND_AT_M)
     if not found.pose.position_std_m <= max_std_m:  # NaN is not
         said = f"the position is uncertain by {found.pose.position_std_m * 1e3:.1f} mm"
@@ -210,15 +208,11 @@ def triangulated_tool(frame: Frame, nominal: ToolPose) -> ToolPose | Failure:
 def _to_tissue(
     result: FrameResult, frame: Frame, tool: ToolEstimate, seen: TissuePose, by_profile: TissuePose
 ) -> FrameResult:
-    """Distances to the tissue as both views show it, or to the profile's where that is much surer: far from that.
-
-    A profile that what is seen contradicts is no surer.
-    """
+    """Distances to the tissue as both views show it, or to the profile's where that is much surer: far from that."""
     found = measured(result, frame, tool, seen)
-    normal = tissue_plane(require_tissue(frame.arm.profile)).normal
-    # By the profile, without the tool's
-    least_std_m = float(np.sqrt(normal @ by_profile.covariance @ normal))
-    std_m = None if seen.surface_std_m > 0.0 else _std_m(found)
+    normal = np.array(require_tissue(frame.arm.profile).plane_normal)
+    least_std_m = float(np.sqrt(normal @ by_profile.covariance @ normal))  # by the profile, without the tool's
+    std_m = None if seen.surface_std_m > 0.0 else _std_m(found)  # a profile that what is seen contradicts is no surer
     if std_m is None or std_m <= MUCH_SURER * least_std_m:
         return found
     said = "the tissue next to the tool is hidden: the profile's is used"
@@ -238,26 +232,26 @@ def places_of(frame: Frame) -> dict[str, ToolPose]:
     """The tool by each way that the log has."""
     arm, robot, found = frame.arm, frame.robot_in_camera, dict[str, ToolPose]()
     if not isinstance(robot, Failure):
-        found[KINEMATICS] = arm.nominal_tool(robot)
+        found[comparison.KINEMATICS] = arm.nominal_tool(robot)
     if arm.profile.segmentation.shaft is not None and arm.body is not None and arm.chain is not None:
         fit = frame.shaft_pose
         # Even if inconsistent: a wrong size makes it so. Without the sides it is by the marker's size.
         if not isinstance(fit, Failure) and len([name for name in fit.used if name.startswith("edge")]) == 2:
-            found[SHAFT] = fit.pose
+            found[comparison.SHAFT] = fit.pose
         elif (pose := _by_width(frame)) is not None:
-            found[SHAFT] = pose
+            found[comparison.SHAFT] = pose
     if (size := _by_marker_size(frame)) is not None:
-        found[MARKER] = size
+        found[comparison.MARKER] = size
     by_pair = triangulated_tool(frame, ANY_ORIENTATION)
     if not isinstance(by_pair, Failure):
-        found[DISPARITY] = by_pair
-    others_m = [found[name].position_m[2] for name in (MARKER, DISPARITY) if name in found]
-    if SHAFT in found and others_m:
-        ratio = found[SHAFT].position_m[2] / float(np.median(others_m))
+        found[comparison.DISPARITY] = by_pair
+    others_m = [found[name].position_m[2] for name in (comparison.MARKER, comparison.DISPARITY) if name in found]
+    if comparison.SHAFT in found and others_m:
+        ratio = found[comparison.SHAFT].position_m[2] / float(np.median(others_m))
         if not 1.0 / MOST_WRONG < ratio < MOST_WRONG:
-            del found[SHAFT]
+            del found[comparison.SHAFT]
     if frame.tag is not None and not isinstance(frame.robot, Failure):
-        found[TAG] = tool_from_tag(arm, frame.left.camera, frame.tag, frame.robot)
+        found[comparison.TAG] = tool_from_tag(arm, frame.left.camera, frame.tag, frame.robot)
     return found
 
 

@@ -31,9 +31,8 @@ SURER = 0.5  # of the variance it began with: an image of less begins anew what 
 class FusedEstimator:
     """`--method fused`: keeps the filter, and the tissue's pose, between frames.
 
-    Images alone say where to linearise at first, and where to begin anew when they contradict the prediction for
-    several frames, or as many as agreed before: the filter then takes the start that prior and measurements make the
-    most probable.
+    Images alone say where to linearise at first, and where to begin anew when they contradict the prediction for some
+    frames, or as many as agreed before: the filter then takes the start that prior and measurements make most probable.
     """
 
     def __init__(self, arm: Arm) -> None:
@@ -153,12 +152,10 @@ class FusedEstimator:
         return np.inf if self._begun_ns is None else (frame.stamp_ns - self._begun_ns) / 1e9
 
     def _watch(self, frame: Frame, gating: Sequence[GatingResult]) -> str:
-        """Why the images contradict the prediction; empty where they do not.
-
-        Until inliers have been seen for a while, a filter that has begun anew is hardly surer than the images.
-        """
+        """Why the images contradict the prediction; empty where they do not."""
         consistency, age = self._filter.consistency, self._age_s(frame)
         consistency.excess = 1.0
+        # Until inliers have been seen for a while, a filter that has begun anew is hardly surer than the images.
         if age < YOUNG_S:
             own_m2 = float(np.trace(self._filter.tool_pose().position_covariance)) / consistency.widening
             more = max(self._image_variance_m2 / own_m2 - 1.0, 0.0)

@@ -184,16 +184,14 @@ def _refined(places: ToolPlaces, T: Array, inliers: Mask) -> Array:
 
 
 def _covariance(places: ToolPlaces, T: Array, inliers: Mask) -> tuple[Array, Array, float]:
-    """Covariance, effects and ratio as in `HandEyeFit`.
-
-    Noise counts as much more as residuals are larger than expected (Birge 1932), and as neighbours repeat each other,
-    by what the residuals show or the settings say: errors of detections and backlash last for some frames, where
-    the covariances of single frames hide them. What is shared is added whole.
-    """
+    """Covariance, effects and ratio as in `HandEyeFit`."""
     rows = _rows(places, T, inliers)
     J, H = rows[:, 1:7], rows[:, 7:]
     gain = np.linalg.pinv(J.T @ J, hermitian=True)
     plain = _rows(places, T, inliers, robust=False)[:, 0]
+    # Noise counts as much more as residuals are larger than expected (Birge 1932), and as neighbours repeat each other,
+    # by what the residuals show or the settings say: errors of detections and backlash last for some frames, where the
+    # covariances of single frames hide them. What is shared is added whole.
     ratio = float(plain @ plain) / max(1, len(plain) - 6)
     series = plain[: 3 * np.count_nonzero(inliers)].reshape(-1, 3)
     power = float((series**2).sum())

@@ -1,9 +1,9 @@
 """The lag between image and kinematic stamps: found by moving one against the other until they agree.
 
-The tool's track in the image is compared with the track that kinematics predict for it, shifted by a
-candidate lag. The two differ by more than time: a wrong camera-to-base transform turns, scales and shifts
-the prediction. A 2x3 affine map, held near the identity by a prior, takes that up, so that only what moves
-in step decides. For each lag the best map is a linear least-squares fit (a profile likelihood).
+The tool's track in the image is compared with the one that kinematics predict for it, shifted by a candidate lag. They
+differ by more than time: a wrong camera-to-base transform turns, scales and shifts the prediction. A 2x3 affine map,
+held near the identity by a prior, takes that up, so that only what moves in step decides. For each lag the best map is
+a linear least-squares fit (a profile likelihood).
 """
 
 from __future__ import annotations
@@ -63,10 +63,7 @@ def estimate_lag(stamps_ns: Stamps, seen_px: Array, predict: Predict) -> LagEsti
 
 
 def _error_at(stamps_ns: Stamps, seen_px: Array, predict: Predict, lag_s: float) -> tuple[float, int]:
-    """The best map's mean squared error in px² per measured coordinate, prior included, and the number of frames.
-
-    Each frame has two coordinates; infinite where too few are known.
-    """
+    """The best map's mean squared error in px² per coordinate, with its prior, inf of too few frames; their number."""
     predicted, known = predict(stamps_ns - round(lag_s * 1e9))
     count = int(np.count_nonzero(known))
     if count < max(MIN_PAIRS, len(stamps_ns) // 4):

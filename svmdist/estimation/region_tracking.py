@@ -69,12 +69,10 @@ class Blob:
 
 
 class LinearMotion:
-    """A Kalman filter of a place (2,) in px, and of M (2, k), by which causes (k,) move it: time, or a nominal motion.
-
-    `first_std` is the standard deviation of each number of M before it was seen to move.
-    """
+    """A Kalman filter of a place (2,) in px, and of M (2, k), by which causes (k,) move it: time, or nominal motion."""
 
     def __init__(self, causes: int, first_std: float) -> None:
+        """`first_std` is the standard deviation of each number of M before it was seen to move."""
         self._x: Array | None = None
         self._P = np.diag([0.0] * 2 + [first_std**2] * (2 * causes))
 
@@ -176,13 +174,10 @@ class _Track:
 
 
 class Identity(NamedTuple):
-    """One instrument in one image: its region's index, None where it coasts, its expected place, last radius.
-
-    `expected` is None, too, where what is seen may be this instrument or another one.
-    """
+    """One instrument in one image: its region's index, None where it coasts, its expected place, last radius."""
 
     blob: int | None
-    expected: Gaussian | None
+    expected: Gaussian | None  # None, too, where what is seen may be this instrument or another one
     radius_px: float | None
 
 
@@ -191,17 +186,14 @@ Assignment = tuple[int | None, ...]
 
 
 class _Naming(NamedTuple):
-    """One way to name all regions until now: -log likelihoods of the `total`, of this image, and of those `before`.
-
-    The latter lead to the `tracks`, which are `expected` there in this image.
-    """
+    """One way to name all regions until now: -log likelihoods of the `total`, of this image, and of those `before`."""
 
     total: float
     cost: float
     before: float
     regions: Assignment
-    tracks: Sequence[_Track]
-    expected: Sequence[Gaussian | None]
+    tracks: Sequence[_Track]  # that those before lead to
+    expected: Sequence[Gaussian | None]  # where these are in this image
 
 
 class RegionTracker:
@@ -272,11 +264,9 @@ class RegionTracker:
     def _costs(
         self, expected: Sequence[Gaussian | None], places: Sequence[NominalPlace | None], blobs: Sequence[Blob]
     ) -> Array:
-        """-log likelihood of each region under each track, shape (n_tracks, n_blobs); inf outside of the gate.
-
-        An instrument without kinematics may turn at any time: what is none of the others' is its own, wherever that is.
-        Of two such ones nothing tells which is which.
-        """
+        """-log likelihood of each region under each track, shape (n_tracks, n_blobs); inf outside of the gate."""
+        # An instrument without kinematics may turn at any time: what is none of the others' is its own, wherever that
+        # is. Of two such ones nothing tells which is which.
         is_only_one = sum(place is None for place in places) == 1
         outside = [self._anywhere_cost if place is None and is_only_one else np.inf for place in places]
         cost = np.repeat(np.reshape(outside, (-1, 1)), len(blobs), axis=1)

@@ -27,13 +27,11 @@ OF_BOTH_VIEWS = "stereo_pair", "stereo_surface"  # what a scene finds by both of
 
 
 class Arm:
-    """An instrument's profile, with its chain, its body and its fiducial made ready; shared by all methods.
-
-    It `has_plate` where its tag, or that of another instrument, is seen anywhere in the log.
-    """
+    """An instrument's profile, with its chain, its body and its fiducial made ready; shared by all methods."""
 
     def __init__(self, profile: Profile, has_plate: bool = False) -> None:
-        self.profile, self.has_plate = profile, has_plate
+        self.profile = profile
+        self.has_plate = has_plate  # its tag, or that of another instrument, is seen anywhere in the log
 
     @cached_property
     def chain(self) -> DHChain | None:

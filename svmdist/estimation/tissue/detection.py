@@ -41,10 +41,9 @@ STEEP_RADIUS = 0.98
 class TissuePose:
     """The tissue's origin in the camera frame, shape (3,) in m, with covariance (3, 3), and its surface there.
 
-    `outline_covariance` is the part of that covariance that is the outline's own, without the plane's.
-    `surface_std_m` is how far the surface may stand off the real one, beside the origin's error and what a `dome` or a
-    cloud states of its own shape. A surface that `is_measured` stands where it was seen: errors of
-    the origin do not move it.
+    `outline_covariance` is the part of that covariance that is the outline's own, without the plane's. `surface_std_m`
+    is how far the surface may stand off the real one, beside the origin's error and what a `dome` or a cloud states of
+    its own shape. A surface that `is_measured` stands where it was seen: errors of the origin do not move it.
     """
 
     position_m: Array
@@ -134,10 +133,8 @@ def tissue_frame(origin_m: Array, normal: Array) -> Array:
 
 
 def height_biases(tissue: Tissue, position_m: Array) -> tuple[BiasTerm, BiasTerm]:
-    """What is uncertain of the plane's height in m at a place on it, (3,), as derivatives (1, 1): constant, and motion.
-
-    A tilt lifts what lies beside the foot of the camera's perpendicular.
-    """
+    """What is uncertain of the plane's height in m at its point, (3,), as Jacobians (1, 1): constant, and motion."""
+    # A tilt lifts what lies beside the foot of the camera's perpendicular.
     beside_m = position_m + tissue.plane_distance_m * np.array(tissue.plane_normal)
     tilt_m = tissue.plane_tilt_std_rad * float(np.linalg.norm(beside_m))
     constant_std_m = float(np.hypot(tissue.plane_distance_std_m, tilt_m))
@@ -216,17 +213,12 @@ class AboveDome(NamedTuple):
 
 @dataclass(frozen=True)
 class DomeModel:
-    """A dome where it stands.
+    """A dome where it stands: its surface, and how unsure apex, height and curvature are."""
 
-    `T_camera_tissue`, shape (4, 4), has its z axis along the plane's normal. `outline_m`, shape (n, 2), is the
-    outline in that frame; `shape`, shape (5,), the apex's x and y there and its height, in m, then the exponents of
-    gauge and height; `covariance`, shape (5, 5), of these.
-    """
-
-    T_camera_tissue: Array
-    outline_m: Array
-    shape: Array
-    covariance: Array
+    T_camera_tissue: Array  # shape (4, 4), its z axis along the plane's normal
+    outline_m: Array  # shape (n, 2), in that frame
+    shape: Array  # shape (5,): the apex's x and y there and its height, in m, then the exponents of gauge and height
+    covariance: Array  # shape (5, 5), of these
 
     @staticmethod
     def over(outline_m: Array, T_camera_tissue: Array, rule: Dome) -> DomeModel:

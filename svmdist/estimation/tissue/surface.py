@@ -76,8 +76,8 @@ def detect_stereo_surface(
 ) -> StereoSurface | None:
     """The surface of the tissue that both views show; None where they show too little of it, or do not agree.
 
-    The views' rows were aligned by `rows`, and what that says of their columns is part of the deviations. Up to
-    `most_px` pixels are matched.
+    Up to `most_px` pixels are matched. What `rows`, by which the views' were aligned, says of columns is part of the
+    deviations.
     """
     field = profile.field
     greys = [view.grey for view in views]

@@ -159,11 +159,7 @@ def measure_height(
 def at_height(
     tissue: Tissue, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter
 ) -> tuple[TissuePose, Array]:
-    """The tissue at the height found, with all its errors, and their covariance with the tool's pose, (6, 3).
-
-    Where both views show a surface and the profile knows its shape no better, that surface is taken: as if its
-    errors were not the tool's, too, which makes their difference only wider.
-    """
+    """The tissue at the height found, with all its errors, and their covariance with the tool's pose, (6, 3)."""
     of_camera = frame.arm.deviations.camera
     plane, biases = tissue_plane(tissue), height_biases(tissue, known.position_m)
     offset_m = plane.offset_m + sum(float(bias.jacobian[0, 0]) * kalman.state.bias(bias.name) for bias in biases)
@@ -174,6 +170,8 @@ def at_height(
     along = (replace(bias, jacobian=by_height @ bias.jacobian) for bias in biases)
     covariance, cross_covariance = kalman.bias_covariances((*along, *by_ray))
     corrected = replace(corrected, covariance=corrected.outline_covariance + covariance)
+    # What both views show, where the profile knows its shape no better, is taken as if its errors were not the tool's,
+    # too, which makes their difference only wider.
     seen = surface_by_stereo(frame, corrected)
     return (corrected if seen is None or _has_surer_shape(tissue, corrected, seen, frame) else seen), cross_covariance
 
