@@ -215,8 +215,7 @@ def _of_surface(scene: Scene, pose: TissuePose, prior: Tissue) -> Iterator[Diffe
     points_m, normal, of_shape = surface.points_m, np.array(prior.plane_normal), np.zeros((0, 0))
     if pose.dome is not None:
         above = pose.dome.above(points_m)
-        points_m, over_m = points_m[above.inner], above.over_m
-        by_shape, of_shape = pose.dome.derivative(above.flat_m), pose.dome.covariance
+        points_m, over_m, of_shape = points_m[above.inner], above.over_m, pose.dome.covariance
     elif isinstance(pose.surface, Mesh):
         points_m = points_m[:: max(1, len(points_m) // POINTS)]
         over_m = signed_distances(points_m, pose.surface)[1]
@@ -224,8 +223,7 @@ def _of_surface(scene: Scene, pose: TissuePose, prior: Tissue) -> Iterator[Diffe
         over_m = points_m @ normal + prior.plane_distance_m
     if len(points_m) < POINTS:
         return
-    if pose.dome is None:
-        by_shape = np.zeros((len(points_m), 0))
+    by_shape = np.zeros((len(points_m), 0)) if pose.dome is None else pose.dome.derivative(above.flat_m)
     middle_m = np.mean(points_m, 0)
     across_m = (points_m - middle_m) @ np.linalg.svd(normal[None])[2][1:].T
     B = np.column_stack([across_m, np.ones(len(over_m))])

@@ -34,6 +34,7 @@ LINE_STD_PX = 1.5  # of a middle line, in pixels of the working image
 
 SIDE_MIDDLES: dict[EntrySide, Pixel] = {"left": (0, 0.5), "right": (1, 0.5), "above": (0.5, 0), "below": (0.5, 1)}
 """The middle of each side of a picture, over its size."""
+Cameras = tuple[Camera, Camera]
 
 
 @dataclass
@@ -121,9 +122,16 @@ class EntryAssociation:
 
     def mark_others(self, scene: Scene, frames: Sequence[Frame]) -> list[str]:
         """Mark in each instrument's views the pixels of others; gives why it is not sure which one it is."""
-        stamp_ns = scene.observation.stamp_ns
+        stamp_ns, pair = scene.observation.stamp_ns, scene.observation.right
         seen = (scene.left.masks.seen or ())[:MAX_REGIONS]
-        beside, cost = self._across_views(scene, seen)
+        beside = (() if scene.right is None else scene.right.masks.seen or ())[:MAX_REGIONS]
+        # -log likelihood that the left view shows what the right one does, of each instrument.
+        cost = np.zeros((len(self._instruments), len(seen), len(beside)))
+        if pair is not None:
+            cameras, T_right_left = (scene.observation.camera, pair.camera), inverse(pair.T_left_right)
+            for i, a, b in np.ndindex(cost.shape):
+                if (instrument := self._instruments[i]) is not None:
+                    cost[i, a, b] = 0.5 * disagreement(seen[a], beside[b], cameras, T_right_left, instrument)
         # What the right view does not show, or elsewhere than at its depth, is as likely none of them.
         unlike = np.min(np.minimum(cost, UNNAMED_COST), 2) if len(beside) else np.zeros(cost.shape[:2])
         left, ambiguities = self._left.update(stamp_ns, seen, unlike)
@@ -150,19 +158,6 @@ class EntryAssociation:
                 view.others = other_than(at, beside)
         return ambiguities
 
-    def _across_views(self, scene: Scene, seen: Sequence[SeenInstrument]) -> tuple[Sequence[SeenInstrument], Array]:
-        """What the right view shows, and -log likelihood, (n_arms, n_left, n_right), that the left one shows it."""
-        right = scene.observation.right
-        beside = (() if scene.right is None else scene.right.masks.seen or ())[:MAX_REGIONS]
-        cost = np.zeros((len(self._instruments), len(seen), len(beside)))
-        if right is None:
-            return beside, cost
-        cameras, T_right_left = (scene.observation.camera, right.camera), inverse(right.T_left_right)
-        for i, a, b in np.ndindex(cost.shape):
-            if (instrument := self._instruments[i]) is not None:
-                cost[i, a, b] = 0.5 * disagreement(seen[a], beside[b], cameras, T_right_left, instrument)
-        return beside, cost
-
 
 def other_than(own: int | None, seen: Sequence[SeenInstrument]) -> Image | None:
     """The mask, shape (h, w), of all seen instruments but one; None where there is no other."""
@@ -173,9 +168,7 @@ def other_than(own: int | None, seen: Sequence[SeenInstrument]) -> Image | None:
     return np.asarray(others if own is None else others & ~seen[own].mask, np.uint8)
 
 
-def sides_beside(
-    seen: SeenInstrument, cameras: tuple[Camera, Camera], T_other_own: Array, radius_m: float
-) -> Array | None:
+def sides_beside(seen: SeenInstrument, cameras: Cameras, T_other_own: Array, radius_m: float) -> Array | None:
     """Where one camera has the sides of a shaft of a radius that another one shows, (2, 2, 2) in px, or None."""
     ends = cameras[0].rays(seen.sides)[:, :2].reshape(2, 2, 2)
     planes = [line_between(side, np.zeros((2, 2)), ends.mean((0, 1))) for side in ends]
@@ -193,11 +186,7 @@ def sides_beside(
 
 
 def disagreement(
-    left: SeenInstrument,
-    right: SeenInstrument,
-    cameras: tuple[Camera, Camera],
-    T_right_left: Array,
-    instrument: Instrument,
+    left: SeenInstrument, right: SeenInstrument, cameras: Cameras, T_right_left: Array, instrument: Instrument
 ) -> float:
     """Squared deviations of the right view's shaft from where the left one's width puts it; infinite behind cameras."""
     # The depth by the radius says where along their epipolar lines both ends of the left middle line are visible.

@@ -181,10 +181,14 @@ class Frame:
     @classmethod
     def of(cls, scene: Scene, arm: Arm, observation: Observation) -> Frame:
         """The frame of one instrument, with what its robot reported."""
-        seen, right = scene.observation, None
+        seen, joints, right = scene.observation, observation.joints, None
+        robot: RobotState | Failure = Failure(f"profile {arm.profile.name} has no [robot]")
+        if arm.chain is not None:
+            T, stamp_ns = observation.T_camera_base, observation.stamp_ns
+            robot = RobotState.of(arm.chain, joints, T, stamp_ns, observation.joint_track)
         if scene.right is not None and seen.right is not None:
             right = View(arm, seen.right, scene.right)
-        return cls(scene, arm, View(arm, seen, scene.left), right, observation.joints, arm.state_at(observation))
+        return cls(scene, arm, View(arm, seen, scene.left), right, joints, robot)
 
     def left_alone(self) -> Frame:
         """The same without the right view."""

@@ -44,10 +44,8 @@ class FusedEstimator:
         self._filter = KinematicErrorFilter(self._chain, profile.kinematic_error, profile.settings.filter)
         self._has_sizes = profile.segmentation.shaft is not None and profile.instrument is not None
         self._correlated = profile.settings.fused.lasting_share
-        self._is_located = False
         self._contradictions, self._agreed, self._has_agreed = 0, 0, False
-        self._begun_ns: int | None = None
-        self._image_variance_m2 = 0.0
+        self._begun_ns, self._image_variance_m2 = -np.inf, 0.0  # when an image located it, and how surely
 
     def estimate(self, frame: Frame) -> FrameResult:
         """Measure one frame; a result needs joints and a tissue seen before, and nothing of this image."""
@@ -59,8 +57,7 @@ class FusedEstimator:
         # Predict by the joints, begin anew where the images say so, correct by what they show.
         kalman = self._filter
         kalman.predict(robot)
-        predicted = self._start(frame) or kalman.tool_pose()
-        by_tag = list(self._tag(frame, predicted))
+        by_tag = list(self._tag(frame, self._start(frame) or kalman.tool_pose()))
         shown = self._of_images(frame)
         # A short segment at the border, a wrist or a shadow has an outline, too: alone it counts where it holds a pose.
         is_marked = any(view is not None and view.distal_marker is not None for view in (frame.left, frame.right))
@@ -72,23 +69,20 @@ class FusedEstimator:
 
         # The tool with the error found, and the distances from there.
         region, consistency = frame.left.region, kalman.consistency
-        every = gating if height is None else (*gating, height)
+        every, accepted = gating if height is None else (*gating, height), sum(one.is_accepted for one in gating)
         outliers = [one.name for one in every if not one.is_accepted]
         details = [f"refused: {', '.join(outliers)}"] if outliers else []
-        if not any(one.is_accepted for one in gating):
+        if not accepted:
             details.append("joints alone" if gating else "nothing of the tool detected: joints alone")
-        result = with_detections(result, every)
-        result = replace(result, detail="; ".join(details), consistency=consistency.ratio).with_image(
-            tool_area_px=region.area_px if region else None,
-            match_count=len(gating),
-            inlier_count=sum(one.is_accepted for one in gating),
+        result = replace(with_detections(result, every), detail="; ".join(details), consistency=consistency.ratio)
+        result = result.with_image(
+            tool_area_px=region.area_px if region else None, match_count=len(gating), inlier_count=accepted
         )
         joints = JointSample(frame.stamp_ns, self._chain.joint_names, kalman.corrected_joints())
         pose = replace(kalman.tool_pose(), jaw_scale=jaw_scale(kalman, self._arm))
         tool = ToolEstimate(pose, joints, frame.left.has_plate)
         if tissue is None:
-            result = with_tool(result, frame, tool)
-            return result.rejected(Status.NO_TISSUE, "no tissue, in this frame or before")
+            return with_tool(result, frame, tool).rejected(Status.NO_TISSUE, "no tissue, in this frame or before")
         corrected, cross_covariance = at_height(self._profile_tissue, tissue, frame, kalman)
         found = measured(result, frame, tool, corrected, cross_covariance)
         said = said or consistency.contradiction if found.status in (Status.OK, Status.INCONSISTENT) else ""
@@ -105,9 +99,9 @@ class FusedEstimator:
 
     def _start(self, frame: Frame) -> ToolPose | None:
         """Begin anew where it is due, and give the pose to linearise at; None where the filter goes on."""
-        kalman = self._filter
+        kalman, is_first = self._filter, self._begun_ns == -np.inf
         # What only the first frame supports is as likely wrong as the second, which contradicts it.
-        is_due = not self._is_located or self._contradictions >= min(MAX_CONTRADICTIONS, max(self._agreed, 1))
+        is_due = is_first or self._contradictions >= min(MAX_CONTRADICTIONS, max(self._agreed, 1))
         image = self._image_pose(frame) if is_due or self._age_s(frame) < YOUNG_S else None
         if image is None:
             return None
@@ -115,16 +109,14 @@ class FusedEstimator:
         # What it began with may be a short segment at the border, whose errors it would keep.
         if not (is_due or variance_m2 < SURER * self._image_variance_m2):
             return None
-        is_first, predicted = not self._is_located, kalman.tool_pose()
-        self._is_located, self._has_agreed = True, False
-        self._contradictions = self._agreed = 0
+        self._contradictions, self._agreed, self._has_agreed = 0, 0, False
         self._begun_ns, self._image_variance_m2 = frame.stamp_ns, variance_m2
         # What was measured before may have led there already.
+        predicted = kalman.tool_pose()
         is_sure = is_first and predicted.position_std_m < LOCATED_STD_M
         if is_sure and pose_distance(image, predicted) <= chi_square_bound(6):
             return None
-        poses = [image]
-        fit = frame.shaft_pose
+        poses, fit = [image], frame.shaft_pose
         if not isinstance(fit, Failure) and fit.pose is not image:
             poses.append(fit.pose)
         if frame.tag is not None:
@@ -149,7 +141,7 @@ class FusedEstimator:
 
     def _age_s(self, frame: Frame) -> float:
         """Since the filter began by an image; infinite where it did not."""
-        return np.inf if self._begun_ns is None else (frame.stamp_ns - self._begun_ns) / 1e9
+        return (frame.stamp_ns - self._begun_ns) / 1e9
 
     def _watch(self, frame: Frame, gating: Sequence[GatingResult]) -> str:
         """Why the images contradict the prediction; empty where they do not."""

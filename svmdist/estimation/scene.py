@@ -32,11 +32,9 @@ class Arm:
     def __init__(self, profile: Profile, has_plate: bool = False) -> None:
         self.profile = profile
         self.has_plate = has_plate  # its tag, or that of another instrument, is seen anywhere in the log
-
-    @cached_property
-    def chain(self) -> DHChain | None:
-        """The robot's chain; None where the profile has none."""
-        return chain_of(self.profile.robot) if self.profile.robot else None
+        self.chain = chain_of(profile.robot) if profile.robot else None
+        self.body = InstrumentModel.of(profile)  # as capsules; None where the profile has no sizes of it
+        self.deviations = Deviations.of(profile)
 
     @property
     def required_chain(self) -> DHChain:
@@ -46,18 +44,8 @@ class Arm:
         return self.chain
 
     def nominal_tool(self, robot: RobotState) -> ToolPose:
-        """The tool by nominal kinematics, with their covariance; raises ProfileError where the profile has no chain."""
-        return nominal_tool(self.required_chain, self.profile.kinematic_error, robot)
-
-    @cached_property
-    def body(self) -> InstrumentModel | None:
-        """The instrument as capsules; None where the profile has no sizes of it."""
-        return InstrumentModel.of(self.profile)
-
-    @cached_property
-    def deviations(self) -> Deviations:
-        """Standard deviations of the calibration parameters of cameras, instrument and tag."""
-        return Deviations.of(self.profile)
+        """The tool by nominal kinematics, with their covariance."""
+        return nominal_tool(robot.chain, self.profile.kinematic_error, robot)
 
     @cached_property
     def straight(self) -> ShaftModel | None:
@@ -82,12 +70,6 @@ class Arm:
         tag = self.profile.fiducial
         return TagPattern(tag.family, tag.id, tag.size_m) if tag else None
 
-    def state_at(self, seen: Observation) -> RobotState | Failure:
-        """Joints and nominal poses at an image's stamp; or what of them the log lacks."""
-        if self.chain is None:
-            return Failure(f"profile {self.profile.name} has no [robot]")
-        return RobotState.of(self.chain, seen.joints, seen.T_camera_base, seen.stamp_ns, seen.joint_track)
-
 
 class Scene:
     """One instant of a log before the instruments are associated; all methods and instruments share its detections.
@@ -96,17 +78,14 @@ class Scene:
     view's `rows` are aligned with the left one's. Detections are computed as those of a view are.
     """
 
-    def __init__(
-        self, observation: Observation, profile: Profile, segmenter: Segmenter, rows: RowAlignment = LEVEL
-    ) -> None:
+    def __init__(self, seen: Observation, profile: Profile, segmenter: Segmenter, rows: RowAlignment = LEVEL) -> None:
+        self.lens, self.profile, self._rows = seen.camera, profile, rows
         interlace = profile.settings.interlace
-        self.lens, self.profile, self._rows = observation.camera, profile, rows
-        first = with_first_fields(observation, interlace)
-        is_combed = first.image_bgr is not observation.image_bgr
-        self.mixes_colours = is_combed and mixes_colours(observation.image_bgr, interlace)
-        self.observation = observation = as_pinholes(first, rows)
-        right = observation.right
-        self.left = FrameContext(observation.image_bgr, segmenter, profile)
+        first = with_first_fields(seen, interlace)
+        self.mixes_colours = first.image_bgr is not seen.image_bgr and mixes_colours(seen.image_bgr, interlace)
+        self.observation = as_pinholes(first, rows)
+        right = self.observation.right
+        self.left = FrameContext(self.observation.image_bgr, segmenter, profile)
         self.right = None if right is None else FrameContext(right.image_bgr, segmenter, profile)
 
     def left_alone(self) -> Scene:

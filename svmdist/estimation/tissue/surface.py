@@ -76,8 +76,7 @@ def detect_stereo_surface(
 ) -> StereoSurface | None:
     """The surface of the tissue that both views show; None where they show too little of it, or do not agree.
 
-    Up to `most_px` pixels are matched. What `rows`, by which the views' were aligned, says of columns is part of the
-    deviations.
+    Up to `most_px` pixels are matched. What `rows`, by which views were aligned, says of columns is in the deviations.
     """
     field = profile.field
     greys = [view.grey for view in views]
@@ -86,10 +85,10 @@ def detect_stereo_surface(
     if pair.R_rows_left is not None:
         # As cameras turned to the baseline would have them, with what a turn moves out of the picture.
         turns = [pair.homography(), pair.homography(right=True)]
-        corners_px = [_corners(grey, H) for grey, H in zip(greys, turns, strict=True)]
-        top_px = min(corners.min(0)[1] for corners in corners_px)
-        shifts = [np.floor([corners.min(0)[0], top_px]) for corners in corners_px]
-        reach_px = np.max([corners.max(0) - at for corners, at in zip(corners_px, shifts, strict=True)], 0)
+        corners_px = np.array([_corners(grey, H) for grey, H in zip(greys, turns, strict=True)])
+        shifts = np.floor(corners_px.min(1))
+        shifts[:, 1] = shifts[:, 1].min()  # rows correspond
+        reach_px = (corners_px.max(1) - shifts).max(0)
         size = np.minimum(np.ceil(reach_px), 2 * np.array(greys[0].shape[::-1])).astype(int)
         turns = [np.array([[1, 0, -x], [0, 1, -y], [0, 0, 1]]) @ H for (x, y), H in zip(shifts, turns, strict=True)]
         greys = [_turned(grey, H, size) for grey, H in zip(greys, turns, strict=True)]

@@ -10,14 +10,8 @@ from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import BiasTerm, Linearised
-from svmdist.estimation.tissue.detection import (
-    TissueDetection,
-    TissuePose,
-    height_biases,
-    ray_on_plane_biases,
-    require_tissue,
-    tissue_plane,
-)
+from svmdist.estimation.tissue import detection
+from svmdist.estimation.tissue.detection import TissueDetection, TissuePose, require_tissue
 from svmdist.estimation.tissue.surface import depth_biases
 from svmdist.geometry import Cloud, Plane
 from svmdist.least_squares import median, scale_of
@@ -151,7 +145,7 @@ def measure_height(
     bias_m = np.hypot(CORRELATED_HEIGHT_SHARE * surface.std_m, dome_std_m)
     own = BiasTerm("tissue height", np.array([[bias_m]]), HEIGHT_CORRELATION_TIME_S)
     noise_m2 = (1.0 - CORRELATED_HEIGHT_SHARE**2) * surface.std_m**2
-    biases = (own, *height_biases(tissue, known.position_m), *of_cameras)
+    biases = (own, *detection.height_biases(tissue, known.position_m), *of_cameras)
     over_m = np.array([median(above.over_m)])
     return kalman.update_scene(own.name, Linearised(over_m, np.zeros((1, 0)), biases, np.array([[noise_m2]])))
 
@@ -160,13 +154,13 @@ def at_height(
     tissue: Tissue, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter
 ) -> tuple[TissuePose, Array]:
     """The tissue at the height found, with all its errors, and their covariance with the tool's pose, (6, 3)."""
-    of_camera = frame.arm.deviations.camera
-    plane, biases = tissue_plane(tissue), height_biases(tissue, known.position_m)
+    camera, of_camera = frame.left.camera, frame.arm.deviations.camera
+    plane, biases = detection.tissue_plane(tissue), detection.height_biases(tissue, known.position_m)
     offset_m = plane.offset_m + sum(float(bias.jacobian[0, 0]) * kalman.state.bias(bias.name) for bias in biases)
     scale = offset_m / plane.offset_m
     corrected = known.at(scale * known.position_m, scale)
     by_height = corrected.position_m[:, None] / offset_m
-    by_ray = ray_on_plane_biases(corrected.position_m, Plane(plane.normal, offset_m), frame.left.camera, of_camera)
+    by_ray = detection.ray_on_plane_biases(corrected.position_m, Plane(plane.normal, offset_m), camera, of_camera)
     along = (replace(bias, jacobian=by_height @ bias.jacobian) for bias in biases)
     covariance, cross_covariance = kalman.bias_covariances((*along, *by_ray))
     corrected = replace(corrected, covariance=corrected.outline_covariance + covariance)
