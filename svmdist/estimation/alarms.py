@@ -20,15 +20,11 @@ WHEN = {"possible": 0.05, "likely": 0.5, "certain": 0.95}
 
 @dataclass(frozen=True, slots=True)
 class AlarmRules:
-    """Alarm where P(clearance < below_m) is at least that of `when`: a word of `WHEN`, or a probability.
-
-    A smaller probability raises alarms earlier and more often. The closing speed is fitted to the last `window_s`.
-    Raises UsageError for what is neither.
-    """
+    """Alarm where P(clearance < below_m) is at least that of `when`; raises UsageError where that names none."""
 
     below_m: float
-    when: str | float = "possible"
-    window_s: float = 0.5
+    when: str | float = "possible"  # a word of `WHEN`, or a probability: a smaller one alarms earlier and more often
+    window_s: float = 0.5  # of the log, that a closing speed is fitted to
 
     def __post_init__(self) -> None:
         _ = self.probability
@@ -57,7 +53,7 @@ class AlarmWatch:
 
     def __init__(self, rules: AlarmRules) -> None:
         self._rules = rules
-        self._last_ns: int | None = None
+        self._last_ns = -math.inf
         self._restart()
 
     def _restart(self) -> None:
@@ -67,7 +63,7 @@ class AlarmWatch:
 
     def watch(self, row: FrameResult) -> AlarmState:
         """Take up one row."""
-        if self._last_ns is not None and row.stamp_ns <= self._last_ns:
+        if row.stamp_ns <= self._last_ns:
             self._restart()  # another log, or a clock that was set back
         self._last_ns = row.stamp_ns
         if row.doubt:
@@ -97,11 +93,9 @@ class AlarmWatch:
         return AlarmState(is_raised, speed_m_s, contact_s, self._event)
 
     def _deviation_m(self, clearance: Distance) -> float:
-        """The deviation that the probability is of: deeper inside the tissue, the probability is never smaller.
-
-        It lacks the overlap that the interval has, and does not grow while the surfaces overlap: the nearest way out
-        of the tissue may be one along which less is known, and that makes contact no less likely.
-        """
+        """The deviation that the probability is of: deeper inside the tissue, the probability is never smaller."""
+        # It lacks the overlap that the interval has, and does not grow while the surfaces overlap: the nearest way out
+        # of the tissue may be one along which less is known, and that makes contact no less likely.
         std_m = clearance.without_overlap_std_m
         std_m = (clearance.std_m if std_m is None else std_m) or 0.0
         self._overlap_std_m = min(std_m, self._overlap_std_m) if clearance.value_m < 0.0 else std_m

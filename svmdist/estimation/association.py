@@ -69,7 +69,7 @@ class Association:
     ) -> list[Array | None]:
         """Mark in each instrument's view the coloured and dark pixels that are not its own.
 
-        Gives by how much it is seen off its nominal place, (2,) in px, None where it is not named; `offsets` are those
+        Gives by how much it is seen off its nominal place, (2,) in px, None where it is not named. `offsets` are those
         of another view, which sees the same robot's error.
         """
         context, nominal = views[0].context, [nominal_in(*one) for one in zip(frames, views, strict=True)]

@@ -121,16 +121,14 @@ def _length(offset_m: Array, covariance: Array) -> Distance:
     return Distance(length_m, float(np.sqrt(max(min(variance, most), 0.0))))
 
 
-def with_clearance_between(
-    results: Sequence[FrameResult], bodies: Sequence[InstrumentModel | None]
-) -> list[FrameResult]:
+def with_clearance_between(rows: Sequence[FrameResult], bodies: Sequence[InstrumentModel | None]) -> list[FrameResult]:
     """The results of one image, one per instrument, each with the smallest distance to another instrument's surface."""
     posed = [
-        (at, body.posed(result.tool), result.tool.pose, body)
-        for at, (result, body) in enumerate(zip(results, bodies, strict=True))
-        if result.tool is not None and body is not None and result.measured
+        (at, body.posed(row.tool), row.tool.pose, body)
+        for at, (row, body) in enumerate(zip(rows, bodies, strict=True))
+        if row.tool is not None and body is not None and row.measured
     ]
-    filled = list(results)
+    filled = list(rows)
     for first, (i, capsules, pose, body) in enumerate(posed):
         for j, other_capsules, other_pose, other_body in posed[:first]:
             gap = capsule_separation(capsules, other_capsules)

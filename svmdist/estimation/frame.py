@@ -31,17 +31,14 @@ if TYPE_CHECKING:
 
 
 class View:
-    """One camera's image as the methods of one instrument see it, and what it shows of that instrument.
-
-    Every detection is computed when it is first asked for; `vars` has those that were. `others`, shape (h, w), marks
-    the pixels that have an instrument's colours and belong to another one, or to none that is known, where there are
-    several: it is set before anything is detected. `T_view_left`, shape (4, 4), maps the left camera's coordinates to
-    its own; its stamp is `delay_s` later.
-    """
+    """One camera's image as the methods of one instrument see it: `vars` has the detections that were asked for."""
 
     def __init__(self, arm: Arm, seen: Observation | RightView, context: FrameContext) -> None:
         self.camera, self.context = seen.camera, context
+        # Mask, (h, w), of what has an instrument's colours and belongs to another one, or to none that is known, where
+        # there are several: it is set before anything is detected.
         self.others: Image | None = None
+        # From the left camera's coordinates to its own, and by how much its stamp is later.
         self.T_view_left, self.delay_s = np.eye(4), 0.0
         if isinstance(seen, RightView):
             self.T_view_left, self.delay_s = inverse(seen.T_left_right), seen.delay_s

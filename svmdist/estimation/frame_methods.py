@@ -1,7 +1,4 @@
-"""The methods without a filter: nominal kinematics, the instrument's tag, the shaft's silhouette, and both views.
-
-And the tool by each independent way that one frame has, for checks.
-"""
+"""The methods without a filter: nominal kinematics, tag, silhouette, both views; the tool by each way of a frame."""
 
 from __future__ import annotations
 

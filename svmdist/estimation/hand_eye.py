@@ -33,41 +33,33 @@ CLOUD_STD_M = 1e-3  # places within this of a line or a point determine no rotat
 
 @dataclass(frozen=True)
 class ToolPlaces:
-    """The tool at n instants, in time order: what was seen, and what the robot reports.
+    """The tool at n instants, in time order: what was seen in the camera's frame, what the robot reports in the base's.
 
-    At `stamps_ns` (n,), `seen_m` (n, 3) in the camera's frame has covariances (n, 3, 3); `nominal_m` (n, 3) in the
-    base's frame has `nominal_covariance` (n, 3, 3), of what differs from frame to frame. `axes` and `nominal_axes`,
-    (n, 3), are the shaft's directions with `axis_std_rad` (n,), NaN where one is not known. `robot_shared` and
-    `camera_shared` (n, 6, m) are what errors that all frames share, of standard deviation 1 each, do to place and
-    direction: those of the robot in the base's frame, those of the camera in its own.
+    Shared errors are those of all frames, of standard deviation 1 each: what they do to place and direction.
     """
 
     stamps_ns: Stamps
-    seen_m: Array
-    covariance: Array
-    nominal_m: Array
-    nominal_covariance: Array
-    axes: Array
-    axis_std_rad: Array
-    nominal_axes: Array
-    robot_shared: Array
-    camera_shared: Array
+    seen_m: Array  # (n, 3)
+    covariance: Array  # (n, 3, 3)
+    nominal_m: Array  # (n, 3)
+    nominal_covariance: Array  # (n, 3, 3), of what differs from frame to frame
+    axes: Array  # the shaft's directions, (n, 3)
+    axis_std_rad: Array  # (n,), NaN where one of both directions is not known
+    nominal_axes: Array  # (n, 3)
+    robot_shared: Array  # (n, 6, m)
+    camera_shared: Array  # (n, 6, k)
 
 
 @dataclass(frozen=True)
 class HandEyeFit:
-    """`T_camera_base`, covariance of (δt, δφ), (6, 6), inliers (n,), and the residuals of all frames, (n,) in m.
-
-    `effects`, shape (6, m), is what shared errors, those of the robot first, do to (δt, δφ) for one deviation each;
-    `ratio` is the mean squared residual over what is expected: above 1 the covariance has been enlarged by it.
-    """
+    """The transform, and how well it fits."""
 
     T_camera_base: Array
-    covariance: Array
-    inliers: Mask
-    residuals_m: Array
-    effects: Array
-    ratio: float
+    covariance: Array  # of (δt, δφ), (6, 6)
+    inliers: Mask  # (n,)
+    residuals_m: Array  # of all frames, (n,)
+    effects: Array  # (6, m + k): what shared errors, those of the robot first, do to (δt, δφ) for one deviation each
+    ratio: float  # the mean squared residual over what is expected: above 1 the covariance has been enlarged by it
 
 
 def fit_hand_eye(places: ToolPlaces, settings: HandEyeSettings) -> HandEyeFit | Failure:
@@ -128,13 +120,11 @@ def _start(places: ToolPlaces) -> Array | None:
 
 
 def _residuals(places: ToolPlaces, T: Array) -> tuple[Array, Array, Array]:
-    """Residuals of places, (n, 3); their covariance by what differs from frame to frame, (n, 3, 3); shared errors.
-
-    The last, (n, 6, m), is what these do to place and direction in the camera's frame.
-    """
+    """Residuals of places, (n, 3); their covariance by what differs from frame to frame; shared errors, (n, 6, m)."""
     R = T[:3, :3]
     r = places.seen_m - (places.nominal_m @ R.T + T[:3, 3])
     covariance = places.covariance + R @ places.nominal_covariance @ R.T + POSITION_FLOOR_M**2 * np.eye(3)
+    # What shared errors do to place and direction in the camera's frame.
     turned = np.concatenate([R @ places.robot_shared[:, :3], R @ places.robot_shared[:, 3:]], axis=1)
     return r, covariance, np.concatenate([turned, places.camera_shared], axis=2)
 

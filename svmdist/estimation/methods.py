@@ -29,20 +29,15 @@ TABLES |= {name: name for name in ("robot", "instrument", "fiducial")}
 
 @dataclass(frozen=True)
 class Method:
-    """One method, by the path of what measures in this package, which is imported when an estimator is made.
-
-    That is a function of a frame, with the mapping from pixels to the paper's plane for one that measures in it only.
-    For one that `keeps_state`, whose results depend on earlier frames, it is a class, made for an arm. `needs` are the
-    detections that it always asks for, so that they may be computed ahead.
-    """
+    """One method, by the path of what measures in this package, which is imported when an estimator is made."""
 
     name: str
-    measures: str
+    measures: str  # a function of a frame
     inputs: tuple[Input, ...]
     draws: tuple[Phase, ...]
-    needs: Needs
-    is_planar: bool = False
-    keeps_state: bool = False
+    needs: Needs  # the detections that it always asks for, so that they may be computed ahead
+    is_planar: bool = False  # it takes the mapping from pixels to the paper's plane, too
+    keeps_state: bool = False  # results depend on earlier frames: it is a class, made for an arm
 
 
 OF_BOTH = ("left.distal_marker", "right.distal_marker", "left.shaft", "right.shaft")
@@ -119,10 +114,7 @@ SPATIAL_METHODS = tuple(method.name for method in _TABLE if not method.is_planar
 
 
 def make_estimator(name: str, arm: Arm, mapping: PlaneMapping | None = None) -> Estimator:
-    """Make the estimator of that name; raises UsageError for an unknown name, or a planar one without mapping.
-
-    Raises ProfileError where the profile has not what the method needs.
-    """
+    """Make an estimator; UsageError for an unknown name, a planar one without mapping; ProfileError for what lacks."""
     if name not in REGISTRY:
         raise UsageError(f"no method {name}: {did_you_mean(name, METHODS)}")
     method = REGISTRY[name]

@@ -64,19 +64,14 @@ def _template(marker: Marker, rules: FeatureRules) -> Features:
 
 @dataclass(frozen=True, slots=True)
 class MarkerSearch:
-    """What the search for the pasted marker saw, in px of the window that has the marker in it.
-
-    `origin_px` is the window's top left pixel (x, y) in the image, and may lie outside of it.
-    `inliers`, shape (n,), are the matches that agree with the homography; `corners_px`, shape (4, 2), is the marker's
-    outline by it, None where there is no plausible one.
-    """
+    """What the search for the pasted marker saw, in px of the window that has the marker in it."""
 
     window_bgr: Image
-    origin_px: tuple[int, int]
+    origin_px: tuple[int, int]  # the window's top left pixel (x, y) in the image, and maybe outside of it
     features: Features
     matches: Matches
-    inliers: NDArray[np.bool_]
-    corners_px: Array | None = None
+    inliers: NDArray[np.bool_]  # the matches that agree with the homography, shape (n,)
+    corners_px: Array | None = None  # the marker's outline by it, shape (4, 2); None where there is no plausible one
 
 
 def search_marker(frame: Frame, centre_px: Array) -> MarkerSearch:

@@ -72,8 +72,8 @@ class LinearMotion:
     """A Kalman filter of a place (2,) in px, and of M (2, k), by which causes (k,) move it: time, or nominal motion."""
 
     def __init__(self, causes: int, first_std: float) -> None:
-        """`first_std` is the standard deviation of each number of M before it was seen to move."""
         self._x: Array | None = None
+        # With the standard deviation of each number of M before it was seen to move.
         self._P = np.diag([0.0] * 2 + [first_std**2] * (2 * causes))
 
     @property
@@ -211,10 +211,9 @@ class RegionTracker:
     def update(
         self, stamp_ns: int, places: Sequence[NominalPlace | None], blobs: Sequence[Blob], evidence: Array | None = None
     ) -> tuple[Identity, ...]:
-        """Name the regions of the next image.
+        """Name the regions of the next image; `places` are those of the tools by nominal kinematics.
 
-        `places` are those of the tools by nominal kinematics. `evidence`, shape (n_instruments, n_blobs), is the
-        log-likelihood of what else is seen around each region, were it that instrument's.
+        `evidence`, (n_instruments, n_blobs), is the log-likelihood of what else is seen around it, were it that one's.
         """
         order = sorted(range(len(blobs)), key=lambda at: -blobs[at].area_px)[:MAX_REGIONS]
         seen, likelihood = [blobs[at] for at in order], 0.0 if evidence is None else evidence[:, order]

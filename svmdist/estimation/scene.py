@@ -72,18 +72,15 @@ class Arm:
 
 
 class Scene:
-    """One instant of a log before the instruments are associated; all methods and instruments share its detections.
-
-    Its `observation` is what ideal cameras would have seen; `lens` is the left camera as it is. The right
-    view's `rows` are aligned with the left one's. Detections are computed as those of a view are.
-    """
+    """One instant of a log before the instruments are associated; all methods and instruments share its detections."""
 
     def __init__(self, seen: Observation, profile: Profile, segmenter: Segmenter, rows: RowAlignment = LEVEL) -> None:
-        self.lens, self.profile, self._rows = seen.camera, profile, rows
+        self.lens = seen.camera  # the left one as it is
+        self.profile, self._rows = profile, rows
         interlace = profile.settings.interlace
         first = with_first_fields(seen, interlace)
         self.mixes_colours = first.image_bgr is not seen.image_bgr and mixes_colours(seen.image_bgr, interlace)
-        self.observation = as_pinholes(first, rows)
+        self.observation = as_pinholes(first, rows)  # what ideal cameras would have seen, their rows aligned
         right = self.observation.right
         self.left = FrameContext(self.observation.image_bgr, segmenter, profile)
         self.right = None if right is None else FrameContext(right.image_bgr, segmenter, profile)

@@ -25,10 +25,8 @@ from svmdist.vision.segmentation import Masks
 BLOOD_FRACTION = 0.1  # parts below this fraction of the tissue may be blood on an instrument, as red as tissue
 RING_PX = 3  # what lies this close to a part surrounds it
 BLOOD_RING_FRACTION = 0.5  # share of dark shaft around such a part above which it is blood
-
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 ACROSS = 0.99  # cosine between normal and axis from which on the axis has no direction on the plane
-
 INNER_RADIUS = 0.9  # of the dome, normalised: beyond it the rim is too steep for a surface of low order
 STEP = 1e-7  # of the shape's numbers, by which the derivative is taken
 RINGS = 14
@@ -39,20 +37,15 @@ STEEP_RADIUS = 0.98
 
 @dataclass(frozen=True, slots=True)
 class TissuePose:
-    """The tissue's origin in the camera frame, shape (3,) in m, with covariance (3, 3), and its surface there.
-
-    `outline_covariance` is the part of that covariance that is the outline's own, without the plane's. `surface_std_m`
-    is how far the surface may stand off the real one, beside the origin's error and what a `dome` or a cloud states of
-    its own shape. A surface that `is_measured` stands where it was seen: errors of the origin do not move it.
-    """
+    """The tissue's origin in the camera frame, shape (3,), with covariance (3, 3), and its surface there."""
 
     position_m: Array
     covariance: Array
     surface: Surface
-    surface_std_m: float = 0.0
+    surface_std_m: float = 0.0  # off the real one, beside the origin's error and what dome or cloud state of themselves
     dome: DomeModel | None = None
-    outline_covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    is_measured: bool = False
+    outline_covariance: Array = field(default_factory=lambda: np.zeros((3, 3)))  # without the plane's
+    is_measured: bool = False  # whether the surface stands where it was seen: errors of the origin do not move it
 
     def at(self, position_m: Array, scale: float = 1.0) -> TissuePose:
         """The same at another place, shape (3,), of its plane, or of a parallel one that is farther by a scale."""
@@ -103,11 +96,9 @@ def tissue_pose(outline: CompletedOutline, camera: Camera, tissue: Tissue, error
     ray = position_m / position_m[2]
     along = ray / float(plane.normal @ ray)  # dX by the offset
     variance_m2 = sum(float(np.sum(bias.jacobian**2)) for bias in height_biases(tissue, position_m))
-    covariance = of_outline + variance_m2 * np.outer(along, along)
     # What focal length and principal point do to where the outline's ray meets the plane.
-    biases = ray_on_plane_biases(position_m, plane, camera, error)
-    J = np.concatenate([bias.jacobian for bias in biases], -1)
-    covariance = covariance + J @ J.T
+    J = np.concatenate([bias.jacobian for bias in ray_on_plane_biases(position_m, plane, camera, error)], -1)
+    covariance = of_outline + variance_m2 * np.outer(along, along) + J @ J.T
     T_camera_tissue, dome = tissue_frame(position_m, plane.normal), None
     surface: Surface = plane
     outline_m = meet_plane(camera.rays(outline.curve_px), plane)
@@ -144,9 +135,7 @@ def height_biases(tissue: Tissue, position_m: Array) -> tuple[BiasTerm, BiasTerm
     )
 
 
-def ray_on_plane_biases(
-    position_m: Array, plane: Plane, camera: Camera, error: CameraError
-) -> tuple[BiasTerm, BiasTerm]:
+def ray_on_plane_biases(position_m: Array, plane: Plane, camera: Camera, error: CameraError) -> tuple[BiasTerm, ...]:
     """What focal length and principal point do to where a ray meets a plane, at `position_m`: Jacobians (3, k)."""
     ray = position_m / position_m[2]
     slope = float(plane.normal @ ray)

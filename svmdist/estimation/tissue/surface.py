@@ -12,6 +12,7 @@ from svmdist.camera import Camera
 from svmdist.estimation.instrument.measurement import BiasTerm, Deviations
 from svmdist.profile import Profile
 from svmdist.samples import Image, RightView
+from svmdist.tracks import Mask
 from svmdist.transforms import Array, inverse
 from svmdist.vision.disparity import CLIPPED, MARGIN_PX, disparity_map
 from svmdist.vision.frame_context import FrameContext
@@ -24,20 +25,14 @@ QUICK_PX, ALL_PX = 30_000, 2_100_000
 
 @dataclass(frozen=True, slots=True)
 class StereoSurface:
-    """Points on a grid of the left view, all in the camera frame: `grid_m` and `normals`, shape (h, w, 3).
+    """Points on a grid of the left view, all in the camera frame."""
 
-    Normals have length 1 and point to the camera. `grid_std_m`, shape (h, w), is the standard deviation of matching
-    along the line of sight; `is_seen`, (h, w), where both views show the surface. Elsewhere it continues smoothly,
-    below instruments and over gaps, and only where `is_within`, (h, w), the hull of what is seen. `share` of the
-    tissue in the left view is seen.
-    """
-
-    grid_m: Array
-    normals: Array
-    grid_std_m: Array
-    is_seen: NDArray[np.bool_]
-    is_within: NDArray[np.bool_]
-    share: float
+    grid_m: Array  # shape (h, w, 3)
+    normals: Array  # shape (h, w, 3), of length 1, towards the camera
+    grid_std_m: Array  # standard deviation of matching along the line of sight, shape (h, w)
+    is_seen: Mask  # where both views show it, (h, w); below instruments and over gaps it continues smoothly
+    is_within: Mask  # the hull of what is seen, (h, w), beyond which it means nothing
+    share: float  # of the tissue in the left view that is seen
 
     @property
     def points_m(self) -> Array:

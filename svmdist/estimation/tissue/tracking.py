@@ -125,9 +125,7 @@ def _off_plane_m(points_m: Array, std_m: float, tissue: Tissue) -> float:
     return off_m if off_m > OFF_PLANE_STDS * float(np.linalg.norm(parts)) else 0.0
 
 
-def measure_height(
-    tissue: Tissue, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter
-) -> GatingResult | None:
+def measure_height(prior: Tissue, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter) -> GatingResult | None:
     """Update the filter with the tissue's height by stereo over the profile's plane; None where it is not seen."""
     surface, right = frame.scene.stereo_surface, frame.scene.observation.right
     if surface is None or right is None or known.dome is None:
@@ -145,17 +143,15 @@ def measure_height(
     bias_m = np.hypot(CORRELATED_HEIGHT_SHARE * surface.std_m, dome_std_m)
     own = BiasTerm("tissue height", np.array([[bias_m]]), HEIGHT_CORRELATION_TIME_S)
     noise_m2 = (1.0 - CORRELATED_HEIGHT_SHARE**2) * surface.std_m**2
-    biases = (own, *detection.height_biases(tissue, known.position_m), *of_cameras)
+    biases = (own, *detection.height_biases(prior, known.position_m), *of_cameras)
     over_m = np.array([median(above.over_m)])
     return kalman.update_scene(own.name, Linearised(over_m, np.zeros((1, 0)), biases, np.array([[noise_m2]])))
 
 
-def at_height(
-    tissue: Tissue, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter
-) -> tuple[TissuePose, Array]:
+def at_height(prior: Tissue, known: TissuePose, frame: Frame, kalman: KinematicErrorFilter) -> tuple[TissuePose, Array]:
     """The tissue at the height found, with all its errors, and their covariance with the tool's pose, (6, 3)."""
     camera, of_camera = frame.left.camera, frame.arm.deviations.camera
-    plane, biases = detection.tissue_plane(tissue), detection.height_biases(tissue, known.position_m)
+    plane, biases = detection.tissue_plane(prior), detection.height_biases(prior, known.position_m)
     offset_m = plane.offset_m + sum(float(bias.jacobian[0, 0]) * kalman.state.bias(bias.name) for bias in biases)
     scale = offset_m / plane.offset_m
     corrected = known.at(scale * known.position_m, scale)
@@ -167,7 +163,7 @@ def at_height(
     # What both views show, where the profile knows its shape no better, is taken as if its errors were not the tool's,
     # too, which makes their difference only wider.
     seen = surface_by_stereo(frame, corrected)
-    return (corrected if seen is None or _has_surer_shape(tissue, corrected, seen, frame) else seen), cross_covariance
+    return (corrected if seen is None or _has_surer_shape(prior, corrected, seen, frame) else seen), cross_covariance
 
 
 def _has_surer_shape(tissue: Tissue, corrected: TissuePose, seen: TissuePose, frame: Frame) -> bool:
