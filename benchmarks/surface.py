@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.generated_pages import table
+from svmdist.estimation.frame import Scene
 from svmdist.estimation.instrument.measurement import Deviations
-from svmdist.estimation.scene import Scene
 from svmdist.estimation.tissue.surface import ALL_PX
 from svmdist.perturbations import Perturbations
 from svmdist.profile import load_profile

@@ -4,10 +4,9 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
-from svmdist.estimation.frame import Frame
+from svmdist.estimation.frame import Arm, Frame, Scene
 from svmdist.estimation.methods import make_estimator
 from svmdist.estimation.plane_mapping import PlaneMapping
-from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile import Profile
 from svmdist.results import FrameResult, as_vector
 from svmdist.samples import Observation

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.estimation.entries import EntryAssociation, other_than
-from svmdist.estimation.frame import Frame, View
+from svmdist.estimation.frame import Arm, Frame, Scene, View
 from svmdist.estimation.instrument.model import SHAFT_END_PER_RADIUS, WRIST_LENGTH_PER_RADIUS
 from svmdist.estimation.region_tracking import Blob, Gaussian, Identity, NominalPlace, RegionTracker
-from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile.robot import Instrument
 from svmdist.profile.segmentation import AreaGate
 from svmdist.results import Failure, ToolPose

@@ -12,11 +12,10 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.estimation import comparison
 from svmdist.estimation.comparison import MAX_DEVIATIONS, Difference
-from svmdist.estimation.frame import Frame
+from svmdist.estimation.frame import Arm, Frame, Scene
 from svmdist.estimation.instrument.distal_marker import marker_in
 from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.instrument.model import joints_of, wrist_in_tool
-from svmdist.estimation.scene import Arm, Scene
 from svmdist.estimation.tissue.detection import TissuePose, height_biases
 from svmdist.estimation.tissue.surface import depth_biases
 from svmdist.geometry import Mesh

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from svmdist.camera import Camera
-from svmdist.estimation.frame import Frame
+from svmdist.estimation.frame import Arm, Frame, Scene
 from svmdist.estimation.region_tracking import MAX_REGIONS, ranked_assignments
-from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile.robot import EntrySide, Instrument
 from svmdist.results import Pixel
 from svmdist.samples import Image

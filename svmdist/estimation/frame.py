@@ -1,33 +1,137 @@
-"""One instant of a log as the methods of one instrument see it: images, joints, and what both show."""
+"""One instant of a log: its images, each looked at once, the arms, and both as the methods of an instrument see them."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterable
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from svmdist.errors import ProfileError
 from svmdist.estimation.instrument import shaft_detection
+from svmdist.estimation.instrument.error_model import nominal_tool
+from svmdist.estimation.instrument.measurement import Deviations
+from svmdist.estimation.instrument.model import InstrumentModel
+from svmdist.estimation.instrument.shaft_model import ShaftModel
 from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
-from svmdist.estimation.scene import OF_BOTH_VIEWS, Arm, Scene
+from svmdist.estimation.tissue.detection import TissueDetection, detect_tissue
+from svmdist.estimation.tissue.surface import QUICK_PX, StereoSurface, detect_stereo_surface
 from svmdist.geometry import Surface
+from svmdist.kinematics import DHChain, chain_of, shaft_of
 from svmdist.kinematics.robot_state import NO_CAMERA, RobotState
-from svmdist.results import Failure
+from svmdist.profile import Profile
+from svmdist.results import Failure, ToolPose
 from svmdist.samples import Image, JointSample, Observation, RightView
 from svmdist.transforms import Array, inverse
-from svmdist.vision.frame_context import FrameContext
+from svmdist.vision.frame_context import FrameContext, as_pinholes, mixes_colours, with_first_fields
 from svmdist.vision.instruments.find_instruments import SeenInstrument
 from svmdist.vision.regions import Region, find_region
-from svmdist.vision.segmentation import Masks, without
+from svmdist.vision.segmentation import Masks, Segmenter, without
 from svmdist.vision.shaft_segmentation import find_shaft
 from svmdist.vision.silhouette import Silhouette, WristShape, find_silhouette
+from svmdist.vision.stereo import LEVEL, RectifiedPair, RowAlignment, rectified_pair
+from svmdist.vision.tag_overlay import TagPattern
 from svmdist.vision.tags import tag_plate
 
 if TYPE_CHECKING:
     from svmdist.estimation.instrument.image_pose import ImagePose  # which is made of a frame
+
+OF_BOTH_VIEWS = "stereo_pair", "stereo_surface"  # what a scene finds by both of its views
+
+
+class Arm:
+    """An instrument's profile, with its chain, its body and its fiducial made ready; shared by all methods."""
+
+    def __init__(self, profile: Profile, has_plate: bool = False) -> None:
+        self.profile = profile
+        self.has_plate = has_plate  # its tag, or that of another instrument, is seen anywhere in the log
+        self.chain = chain_of(profile.robot) if profile.robot else None
+        self.body = InstrumentModel.of(profile)  # as capsules; None where the profile has no sizes of it
+        self.deviations = Deviations.of(profile)
+
+    @property
+    def required_chain(self) -> DHChain:
+        """The robot's chain; raises ProfileError where the profile has none."""
+        if self.chain is None:
+            raise ProfileError(f"profile {self.profile.name} has no [robot]: kinematics need its chain")
+        return self.chain
+
+    def nominal_tool(self, robot: RobotState) -> ToolPose:
+        """The tool by nominal kinematics, with their covariance."""
+        return nominal_tool(robot.chain, self.profile.kinematic_error, robot)
+
+    @cached_property
+    def straight(self) -> ShaftModel | None:
+        """The instrument with straight joints, in no place; None without its sizes, or a chain with a shaft."""
+        instrument = self.profile.instrument
+        if instrument is None or self.chain is None or shaft_of(self.chain) is None:
+            return None
+        return ShaftModel.of(Failure(""), self.chain, instrument)
+
+    @property
+    def plate_beside(self) -> float:
+        """By how much its tag's plate is wider than the shaft, over its width."""
+        tag, instrument = self.profile.fiducial, self.profile.instrument
+        if tag is None or instrument is None:
+            return 0.0
+        plate_m = self.profile.settings.tag.plate_ratio * tag.size_m
+        return max(0.5 * plate_m / instrument.shaft_radius_m - 1.0, 0.0)
+
+    @cached_property
+    def tag_pattern(self) -> TagPattern | None:
+        """The fiducial's printed pattern; None where the profile has no fiducial."""
+        tag = self.profile.fiducial
+        return TagPattern(tag.family, tag.id, tag.size_m) if tag else None
+
+
+class Scene:
+    """One instant of a log before the instruments are associated; all methods and instruments share its detections."""
+
+    def __init__(self, seen: Observation, profile: Profile, segmenter: Segmenter, rows: RowAlignment = LEVEL) -> None:
+        self.lens = seen.camera  # the left one as it is
+        self.profile, self._rows = profile, rows
+        interlace = profile.settings.interlace
+        first = with_first_fields(seen, interlace)
+        self.mixes_colours = first.image_bgr is not seen.image_bgr and mixes_colours(seen.image_bgr, interlace)
+        self.observation = as_pinholes(first, rows)  # what ideal cameras would have seen, their rows aligned
+        right = self.observation.right
+        self.left = FrameContext(self.observation.image_bgr, segmenter, profile)
+        self.right = None if right is None else FrameContext(right.image_bgr, segmenter, profile)
+
+    def left_alone(self) -> Scene:
+        """The same without the right view, with what was found in the left one."""
+        alone = copy(self)
+        alone.observation, alone.right = replace(self.observation, right=None), None
+        for name in OF_BOTH_VIEWS:
+            vars(alone).pop(name, None)
+        return alone
+
+    @cached_property
+    def tissue(self) -> TissueDetection | None:
+        """The tissue's outline and pose, by the left view."""
+        return detect_tissue(self.left.masks, self.profile, self.observation.camera)
+
+    @cached_property
+    def stereo_pair(self) -> RectifiedPair | Failure:
+        """The geometry of both views, where they are a rectified pair."""
+        right = self.observation.right
+        return Failure("no right view") if right is None else rectified_pair(self.observation.camera, right)
+
+    @cached_property
+    def stereo_surface(self) -> StereoSurface | None:
+        """The tissue's surface by both views, as a distance needs it; None where they do not show it."""
+        return self.surface()
+
+    def surface(self, most_px: int = QUICK_PX) -> StereoSurface | None:
+        """The same by up to so many pixels."""
+        pair = self.stereo_pair
+        if self.right is None or isinstance(pair, Failure):
+            return None
+        return detect_stereo_surface((self.left, self.right), pair, self.profile, self._rows, most_px)
 
 
 class View:

@@ -9,7 +9,7 @@ import numpy as np
 from svmdist.camera import Camera
 from svmdist.estimation import comparison
 from svmdist.estimation.distances import measured, with_tissue
-from svmdist.estimation.frame import Frame
+from svmdist.estimation.frame import Arm, Frame
 from svmdist.estimation.instrument.consistency import with_detections
 from svmdist.estimation.instrument.distal_marker import pair_markers
 from svmdist.estimation.instrument.error_model import ErrorModel
@@ -17,7 +17,6 @@ from svmdist.estimation.instrument.factors import DISPARITY, marker_place_m
 from svmdist.estimation.instrument.image_pose import ImagePose
 from svmdist.estimation.instrument.model import wrist_in_tool
 from svmdist.estimation.instrument.tag_pose import TagPose
-from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue.detection import TissuePose, require_tissue
 from svmdist.estimation.tissue.tracking import TissueTracker, surface_by_stereo
 from svmdist.kinematics.robot_state import RobotState

@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from svmdist.estimation.distances import measured, with_tissue, with_tool
-from svmdist.estimation.frame import Frame
+from svmdist.estimation.frame import Arm, Frame
 from svmdist.estimation.frame_methods import certain, tool_from_tag
 from svmdist.estimation.instrument.consistency import GatingResult, chi_square_bound, with_detections
 from svmdist.estimation.instrument.distal_marker import Expected, MarkerPair, pair_markers
 from svmdist.estimation.instrument.factors import jaw_scale, of_images, tag
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter, Start, pose_distance
 from svmdist.estimation.instrument.measurement import LinkMeasurement
-from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue.detection import require_tissue
 from svmdist.estimation.tissue.tracking import TissueTracker, at_height, measure_height
 from svmdist.results import Failure, FrameResult, ToolEstimate, ToolPose

@@ -10,9 +10,8 @@ from operator import attrgetter
 from typing import Any, Literal
 
 from svmdist.errors import ProfileError, UsageError, did_you_mean
-from svmdist.estimation.frame import Frame, Needs
+from svmdist.estimation.frame import Arm, Frame, Needs
 from svmdist.estimation.plane_mapping import PlaneMapping
-from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue.detection import require_tissue
 from svmdist.results import FrameResult
 

@@ -12,9 +12,8 @@ from svmdist.estimation import checks
 from svmdist.estimation.association import Association
 from svmdist.estimation.checks import Matches
 from svmdist.estimation.comparison import KINEMATICS, ROWS, Checks, Difference
-from svmdist.estimation.frame import Frame
+from svmdist.estimation.frame import Arm, Frame, Scene
 from svmdist.estimation.frame_methods import places_of
-from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile import Profile
 from svmdist.profile.robot import Tissue
 from svmdist.profile.segmentation import AutoSegmentation

@@ -13,8 +13,8 @@ import numpy as np
 
 from svmdist.errors import RecordingError, UsageError, did_you_mean
 from svmdist.estimation.entries import SIDE_MIDDLES
+from svmdist.estimation.frame import Scene
 from svmdist.estimation.instrument.measurement import Deviations
-from svmdist.estimation.scene import Scene
 from svmdist.estimation.tissue.surface import depth_biases
 from svmdist.least_squares import scale_of
 from svmdist.profile import Profile, Topics, load_profile

@@ -24,9 +24,8 @@ from svmdist.estimation.alarms import AlarmRules, AlarmWatch
 from svmdist.estimation.association import Association
 from svmdist.estimation.comparison import Checks
 from svmdist.estimation.distances import with_clearance_between
-from svmdist.estimation.frame import Frame, Needs, prefetch
+from svmdist.estimation.frame import Arm, Frame, Needs, Scene, prefetch
 from svmdist.estimation.methods import make_estimator
-from svmdist.estimation.scene import Arm, Scene
 from svmdist.profile.robot import Tissue
 from svmdist.recording.log import Recording
 from svmdist.recording.observations import ALL_IMAGES, Decoded, EncodedObservation

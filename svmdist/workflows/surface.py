@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import RecordingError, UsageError
+from svmdist.estimation.frame import Scene
 from svmdist.estimation.instrument.measurement import Deviations
-from svmdist.estimation.scene import Scene
 from svmdist.estimation.tissue.surface import ALL_PX
 from svmdist.recording.log import Recording
 from svmdist.recording.messages import Kind

@@ -8,8 +8,8 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.estimation.distances import between_std_m, measured, with_clearance_between
+from svmdist.estimation.frame import Arm
 from svmdist.estimation.instrument.model import InstrumentModel, wrist_in_tool
-from svmdist.estimation.scene import Arm
 from svmdist.estimation.tissue.detection import TissuePose
 from svmdist.geometry import Plane
 from svmdist.geometry.distance import capsule_separation

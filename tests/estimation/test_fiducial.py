@@ -9,10 +9,10 @@ import pytest
 
 from svmdist import kinematics
 from svmdist.camera import Camera
+from svmdist.estimation.frame import Arm
 from svmdist.estimation.frame_methods import tool_from_tag
 from svmdist.estimation.instrument.measurement import EXACT
 from svmdist.estimation.instrument.tag_pose import TagPose, find_tag_pose
-from svmdist.estimation.scene import Arm
 from svmdist.kinematics import DHChain
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import load_profile

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from svmdist.errors import ProfileError
-from svmdist.estimation.frame import Frame
+from svmdist.estimation.frame import Arm, Frame
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, SPATIAL_METHODS, Estimator, make_estimator
 from svmdist.estimation.plane_mapping import PUBLISHED_MAPPING
-from svmdist.estimation.scene import Arm
 from svmdist.samples import Observation, Status
 from svmdist.vision.segmentation import make_segmenter
 from tests.golden import golden_frames

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
+from svmdist.estimation.frame import Arm
 from svmdist.estimation.frame_methods import ANY_ORIENTATION, triangulated_tool
 from svmdist.estimation.instrument.distal_marker import Expected, pair_markers
 from svmdist.estimation.instrument.factors import marked, of_images
 from svmdist.estimation.methods import make_estimator
-from svmdist.estimation.scene import Arm
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.results import FrameResult
 from svmdist.samples import Image, Observation, RightView, Status

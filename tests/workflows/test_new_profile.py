@@ -13,7 +13,7 @@ import pytest
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation.checks import of_profile
-from svmdist.estimation.scene import Arm
+from svmdist.estimation.frame import Arm
 from svmdist.profile import Profile, load_profile
 from svmdist.profile.robot import Instrument
 from svmdist.recording.log import open_recording

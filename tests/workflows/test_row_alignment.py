@@ -9,7 +9,7 @@ import pytest
 
 from svmdist.camera import Camera
 from svmdist.errors import RecordingError
-from svmdist.estimation.scene import Scene
+from svmdist.estimation.frame import Scene
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import open_recording
 from svmdist.recording.summary import inspect_recording

@@ -10,12 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from svmdist.estimation.frame import Frame, View
+from svmdist.estimation.frame import Arm, Frame, View
 from svmdist.estimation.instrument import measurement_kinds as kinds
 from svmdist.estimation.instrument.distal_marker import WRIST, Expected, MarkerPair, SeenMarker, marker_in
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import LinkMeasurement
-from svmdist.estimation.scene import Arm
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.results import Failure, ToolPose
 from svmdist.transforms import Array
