@@ -11,7 +11,6 @@ import numpy as np
 from svmdist.errors import UsageError
 from svmdist.results import AlarmEvent, AlarmState, Distance, FrameResult
 
-MIN_SLOPE_ROWS = 3
 MIN_CLOSING_M_S = 1e-3  # below a millimetre a second the time to contact is noise divided by noise
 MAX_GAP_ROWS = 2  # rows without a clearance that do not end an event: what hides an instrument for a moment
 WHEN = {"possible": 0.05, "likely": 0.5, "certain": 0.95}
@@ -105,7 +104,7 @@ class AlarmWatch:
         self._recent.append((stamp_ns, clearance_m))
         while stamp_ns - self._recent[0][0] > round(self._rules.window_s * 1e9):
             self._recent.popleft()
-        if len(self._recent) < MIN_SLOPE_ROWS:
+        if len(self._recent) < 3:
             return None
         # The median of all pairs' slopes: one outlier in three changes little (Theil 1950; Sen 1968).
         stamps_s = np.array([(stamp - stamp_ns) / 1e9 for stamp, _ in self._recent])

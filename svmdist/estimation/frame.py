@@ -1,4 +1,4 @@
-"""One instant of a log: its images, each looked at once, the arms, and both as the methods of an instrument see them."""
+"""One instant of a log: images, each looked at once, arms, and both as the methods of one instrument see them."""
 
 from __future__ import annotations
 

@@ -26,7 +26,6 @@ MAP_STD = 0.2  # prior of the affine map's factors about the identity: a turn or
 PIXEL_STD = 1.0  # what segmentation leaves of noise in a position; weighs the prior
 MAX_STD_S = 0.02  # of a lag that is accepted
 RIVAL_DISTANCE_S = 0.15  # minima further away than this are other answers, not the same one
-MIN_CONFIDENCE = 0.5
 
 
 def estimate_lag(stamps_ns: Stamps, seen_px: Array, predict: Predict) -> LagEstimate:
@@ -57,7 +56,7 @@ def estimate_lag(stamps_ns: Stamps, seen_px: Array, predict: Predict) -> LagEsti
     confidence = 1.0 - here / rival if np.isfinite(rival) and rival > 0 else 0.0
     if std_s > MAX_STD_S:
         return _unknown("the motion is too slow to estimate the lag")
-    if confidence < MIN_CONFIDENCE:
+    if confidence < 0.5:
         return _unknown(f"another lag explains the images nearly as well (confidence {confidence:.2f})")
     return LagEstimate(lag_s, std_s, confidence)
 

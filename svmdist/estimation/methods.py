@@ -30,7 +30,6 @@ TABLES |= {name: name for name in ("robot", "instrument", "fiducial")}
 class Method:
     """One method, by the path of what measures in this package, which is imported when an estimator is made."""
 
-    name: str
     measures: str  # a function of a frame
     inputs: tuple[Input, ...]
     draws: tuple[Phase, ...]
@@ -40,61 +39,57 @@ class Method:
 
 
 OF_BOTH = ("left.distal_marker", "right.distal_marker", "left.shaft", "right.shaft")
-_TABLE = (
-    Method(
-        "overlay",
+REGISTRY: dict[str, Method] = {
+    "overlay": Method(
         "planar.by_overlay",
         ("calibration",),
         ("segmentation", "contours", "marker", "matches", "outline and distance"),
         Needs(frame=("left.regions_as_recorded",), robot=False),
         is_planar=True,
     ),
-    Method(
-        "centroid",
+    "centroid": Method(
         "planar.by_centroid",
         ("calibration",),
         ("segmentation", "contours", "distance"),
         Needs(frame=("left.regions_as_recorded",), robot=False),
         is_planar=True,
     ),
-    Method(
-        "fiducial",
+    "fiducial": Method(
         "frame_methods.by_tag",
         ("joints", "fiducial", "tissue", "tag"),
         ("segmentation", "tag", "distance", "side view"),
         Needs(("tissue", "left.tags"), ("tag",)),
     ),
-    Method(
-        "shaft",
+    "shaft": Method(
         "frame_methods.by_shaft",
         ("shaft", "instrument", "robot", "tissue"),
         ("segmentation", "edges and tip", "distance", "side view"),
         Needs(("tissue", "left.tags"), ("shaft_pose",)),
     ),
-    Method(
-        "stereo",
+    "stereo": Method(
         "frame_methods.by_both_views",
         ("right_image", "robot", "tissue"),
         ("segmentation", "tip", "surface", "distance", "side view"),
         Needs(("tissue", "stereo_surface", "left.tags"), OF_BOTH, right_view=True),
     ),
-    Method(
-        "kinematic",
+    "kinematic": Method(
         "frame_methods.KinematicEstimator",
         ("joints", "camera_to_base", "tissue"),
         ("segmentation", "distance", "side view"),
         Needs(("tissue",)),
         keeps_state=True,
     ),
-    Method(
-        "fused",
+    "fused": Method(
         "fused.FusedEstimator",
         ("joints", "camera_to_base", "tissue"),
         ("segmentation", "edges and tip", "tag", "surface", "distance", "side view"),
         Needs(("tissue", "left.tags", "stereo_surface"), OF_BOTH[:3], right_view=True),
         keeps_state=True,
     ),
-)
+}
+METHODS = tuple(REGISTRY)
+PLANAR_METHODS = tuple(name for name, method in REGISTRY.items() if method.is_planar)
+SPATIAL_METHODS = tuple(name for name, method in REGISTRY.items() if not method.is_planar)
 
 
 @dataclass
@@ -104,12 +99,6 @@ class Estimator:
     needs: Needs
     keeps_state: bool
     estimate: Callable[[Frame], FrameResult]
-
-
-REGISTRY = {method.name: method for method in _TABLE}
-METHODS = tuple(REGISTRY)
-PLANAR_METHODS = tuple(method.name for method in _TABLE if method.is_planar)
-SPATIAL_METHODS = tuple(method.name for method in _TABLE if not method.is_planar)
 
 
 def make_estimator(name: str, arm: Arm, mapping: PlaneMapping | None = None) -> Estimator:
