@@ -146,11 +146,10 @@ def by_both_views(frame: Frame) -> FrameResult:
     # The tool: its distal marker in both views, and the shaft's direction.
     profile = frame.arm.profile
     has_sizes = profile.segmentation.shaft is not None and profile.instrument is not None
-    located = frame.pair_pose if has_sizes else _triangulated(frame)
-    if isinstance(located, ImagePose):
-        result = with_detections(result, located.gating)
-    max_std_m = profile.settings.stereo.max_depth_std_m
-    found = located if isinstance(located, Rejection) else certain(frame, located, max_std_m)
+    fit = frame.pair_pose if has_sizes else _triangulated(frame)
+    if isinstance(fit, ImagePose):
+        result = with_detections(result, fit.gating)
+    found = fit if isinstance(fit, Rejection) else certain(frame, fit, profile.settings.stereo.max_depth_std_m)
     if isinstance(found, Rejection):
         return result.rejected(found.status, found.detail)
 

@@ -104,19 +104,14 @@ def rigid_fit(seen_m: Array, nominal_m: Array, weights: Array | None = None) -> 
 
 def _start(places: ToolPlaces) -> Array | None:
     """The best of transforms by three frames each (RANSAC): the one with the least truncated residuals."""
-    rng = np.random.default_rng(0)
-    best, least = None, np.inf
+    rng, starts = np.random.default_rng(0), list[Array]()
     for _ in range(TRIALS):
         three = rng.choice(len(places.seen_m), 3, replace=False)
         corner = places.nominal_m[three]
         area_m2 = np.linalg.norm(np.cross(corner[1] - corner[0], corner[2] - corner[0]))
-        if area_m2 < CLOUD_STD_M**2:
-            continue
-        T = rigid_fit(places.seen_m[three], corner)
-        cost = float(np.minimum(_normalised(places, T), GATE).sum())
-        if cost < least:
-            best, least = T, cost
-    return best
+        if area_m2 >= CLOUD_STD_M**2:
+            starts.append(rigid_fit(places.seen_m[three], corner))
+    return min(starts, key=lambda T: float(np.minimum(_normalised(places, T), GATE).sum()), default=None)
 
 
 def _residuals(places: ToolPlaces, T: Array) -> tuple[Array, Array, Array]:
