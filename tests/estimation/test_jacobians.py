@@ -9,6 +9,7 @@ from svmdist.camera import Camera
 from svmdist.estimation.instrument.error_model import CorrectedLink, CorrectedLinks, Correction, ErrorModel
 from svmdist.estimation.instrument.measurement import Deviations, LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import (
+    END_BIAS,
     JAWS,
     ContourMeasurement,
     DisparityMeasurement,
@@ -140,14 +141,14 @@ def test_what_is_found_between_end_and_tips_is_off_with_both():
     moved = nudged(T_LINK, np.concatenate([ahead_m, np.zeros(3)]))
     for one in (origin, PAIR):
         own = {bias.name for bias in one.linearise(T_LINK).biases[1:]}
-        assert end.bias_name not in own
+        assert END_BIAS not in own
         off = {
             bias.name: bias for bias in replace(one, error=PointError(with_end_m=ahead_m)).linearise(T_LINK).biases[1:]
         }
         # As if the tool were nearer by as much: what is measured would be what is predicted there.
         expected = one.linearise(T_LINK).residual - one.linearise(moved).residual
-        assert off[end.bias_name].jacobian[:, 0] == pytest.approx(expected, rel=0.05)
-        assert off[end.bias_name].correlation_time_s == end.correlation_time_s
+        assert off[END_BIAS].jacobian[:, 0] == pytest.approx(expected, rel=0.05)
+        assert off[END_BIAS].correlation_time_s == end.correlation_time_s
         # Jaws that are longer by a deviation put it as much farther along them: the tool's x.
         longer = np.concatenate([5e-4 * T_LINK[:3, 0], np.zeros(3)])
         expected = one.linearise(T_LINK).residual - one.linearise(nudged(T_LINK, longer)).residual

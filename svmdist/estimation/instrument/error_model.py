@@ -13,19 +13,7 @@ from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.hand_eye import LENGTH, OFFSET, TIME_OFFSET, HandEyeError
 from svmdist.profile.robot import KinematicError
 from svmdist.results import ToolPose
-from svmdist.transforms import Array, cross, make_transform, rotation_of, rotation_vector, skew
-
-
-@dataclass(frozen=True, slots=True)
-class RowLength:
-    """A constant length of the chain that may be wrong: it shifts all frames from `row` on along an axis of a frame.
-
-    The axis is column `column` of the frame of row `axis_row`, which is one before `row` or `row` itself.
-    """
-
-    row: int
-    axis_row: int
-    column: int
+from svmdist.transforms import Array, cross, make_transform, rotation_of, skew
 
 
 class ErrorModel:
@@ -33,7 +21,8 @@ class ErrorModel:
 
     δp in m and δφ in rad are displacement and rotation vector of everything behind the set-up joints, in the camera
     frame about the anchor; δq are the offsets of the joints from `first_joint` on, `backlash` what of their errors
-    changes with the motion (and cables, noise), τ how late the joints' stamps are, δl the errors of `row_lengths`.
+    changes with the motion (and cables, noise), τ how late the joints' stamps are, δl the errors of `row_lengths`:
+    such a (row, axis_row, column) shifts all frames from a row on along an axis, a column of a row's frame.
 
     `offsets`, `backlash`, `time_offset` and `lengths` are their indices among its `size` numbers. `turns` and `slides`,
     shape (n_joints - first_joint,), are 1 for joints of that type and 0 for others; `axes` are the places of the frames
@@ -70,14 +59,12 @@ class ErrorModel:
         """Where in the error state each calibration parameter stands, by its name."""
         names = self.chain.joint_names[self.first_joint :]
         found = {OFFSET.format(name): at for at, name in enumerate(names, self.offsets.start)}
-        lengths = enumerate(range(self.size)[self.lengths], 1)
-        found |= {LENGTH.format(number): at for number, at in lengths}
+        found |= {LENGTH.format(number): self.time_offset + number for number in range(1, len(self.row_lengths) + 1)}
         return found | {TIME_OFFSET: self.time_offset}
 
     def time_offset_std_s(self, age_s: float) -> float:
         """Standard deviation of the joints' time offset after a time, by the profile."""
-        drift_s = self._drift[self.time_offset] * np.sqrt(age_s)
-        return float(np.hypot(self.error.time_offset_std_s, drift_s))
+        return float(np.hypot(self.error.time_offset_std_s, self._drift[self.time_offset] * np.sqrt(age_s)))
 
     @property
     def backlash_covariance(self) -> Array:
@@ -108,9 +95,9 @@ class ErrorModel:
         P[self.lengths, self.lengths] = self.error.length_std_m**2 * np.eye(len(self.row_lengths))
         # What a transform by hand-eye owes to the offset of a joint is not to be counted beside that offset.
         columns = self.parameter_columns
-        for name, effect in effects.items():
-            if (column := columns.get(name)) is not None:
-                P[:6, column] = P[column, :6] = effect[:, 0] * np.sqrt(P[column, column])
+        for name in effects.keys() & columns:
+            column = columns[name]
+            P[:6, column] = P[column, :6] = effects[name][:, 0] * np.sqrt(P[column, column])
         return P + self.backlash_covariance
 
     def prior_cross_covariances(self, robot: RobotState) -> dict[str, Array]:
@@ -148,17 +135,15 @@ class ErrorModel:
         return CorrectedLinks(self, robot, self.no_correction(robot))
 
 
-def _lengths(chain: DHChain, first_row: int) -> Iterator[RowLength]:
+def _lengths(chain: DHChain, first_row: int) -> Iterator[tuple[int, int, int]]:
     """Lengths behind the first moving joint that no joint's offset could stand in for."""
     is_modified = chain.convention == "modified"
-    for index, row in enumerate(chain.rows):
-        if index < first_row or (is_modified and index == first_row):
-            continue
+    for index, row in list(enumerate(chain.rows))[first_row + is_modified :]:
         # Standard: Rot_z(θ) Trans_z(d) Trans_x(a) Rot_x(α); modified: Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d).
         if row.a_m != 0.0:
-            yield RowLength(index, index - 1 if is_modified else index, 0)
+            yield index, index - 1 if is_modified else index, 0
         if row.d_m != 0.0 and row.type != "prismatic" and (is_modified or index > first_row):
-            yield RowLength(index, index if is_modified else index - 1, 2)
+            yield index, index if is_modified else index - 1, 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,10 +160,6 @@ class Correction:
     def retract(self, step: Array) -> Correction:
         """The correction after an error state, shape (n,), was found in it (box-plus)."""
         return replace(self, x=self.x + step, turn=rotation_of(step[3:6]) @ self.turn)
-
-    def vector(self) -> Array:
-        """All of it as an error state about no correction, shape (n,)."""
-        return np.concatenate([self.x[:3], rotation_vector(self.turn), self.x[6:]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,10 +189,10 @@ class CorrectedLinks:
         links = link_transforms(model.chain, model.corrected_joints(robot, correction))[first_row:]
         self._frames = running_product(np.concatenate([(self._correct @ before)[None], links]))
         self._twists = np.zeros((6, model.size))
-        for at, length in enumerate(model.row_lengths, model.lengths.start):
+        for at, (row, axis_row, column) in enumerate(model.row_lengths, model.lengths.start):
             # A shift along an axis turns nothing, so that the frames behind it are shifted alike.
-            axis = self._frames[length.axis_row - first_row + 1, :3, length.column].copy()
-            self._frames[length.row - first_row + 1 :, :3, 3] += axis * correction.x[at]
+            axis = self._frames[axis_row - first_row + 1, :3, column].copy()
+            self._frames[row - first_row + 1 :, :3, 3] += axis * correction.x[at]
             self._twists[:3, at] = axis
 
         self._twists[:, :6] = np.eye(6)
@@ -223,11 +204,8 @@ class CorrectedLinks:
 
     def link(self, name: str | None) -> CorrectedLink:
         """The frame of a DH row, or the tool for None; raises ValueError for a row that the chain lacks."""
-        if name not in self._links:
-            self._links[name] = self._corrected(name)
-        return self._links[name]
-
-    def _corrected(self, name: str | None) -> CorrectedLink:
+        if (known := self._links.get(name)) is not None:
+            return known
         model = self._model
         row = len(model.chain.rows) - 1 if name is None else row_index(model.chain, name)
         if row < model.first_row:
@@ -243,13 +221,12 @@ class CorrectedLinks:
         derivative[:, 6 + max(0, moved_by - model.first_joint) : model.offsets.stop] = 0.0
         derivative[:, model.backlash] = derivative[:, model.offsets]
         # Later stamps: every joint goes on at its rate.
-        rates = self._robot.rates[model.first_joint :]
-        derivative[:, model.time_offset] = derivative[:, model.offsets] @ rates
-        is_behind = [row < length.row for length in model.row_lengths]
-        derivative[:, model.lengths][:, is_behind] = 0.0
+        derivative[:, model.time_offset] = derivative[:, model.offsets] @ self._robot.rates[model.first_joint :]
+        derivative[:, model.lengths][:, [row < shifted for shifted, *_ in model.row_lengths]] = 0.0
         T.setflags(write=False)
         derivative.setflags(write=False)
-        return CorrectedLink(T, derivative, derivative[:, model.time_offset])
+        found = self._links[name] = CorrectedLink(T, derivative, derivative[:, model.time_offset])
+        return found
 
 
 def nominal_tool(chain: DHChain, error: KinematicError, state: RobotState) -> ToolPose:

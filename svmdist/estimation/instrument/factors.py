@@ -176,7 +176,7 @@ def _in_right_view(one: LinkMeasurement, view: View) -> LinkMeasurement:
     """A measurement by the right camera: what an edge or a point alone gets wrong is each view's own."""
     name, *rests_on = (f"right {each}" for each in (one.name, *one.rests_on))
     right = replace(one, name=name, rests_on=tuple(rests_on), T_view_left=view.T_view_left, delay_s=view.delay_s)
-    if isinstance(right, kinds.PointMeasurement) and right.bias_name == one.name:
+    if isinstance(right, kinds.PointMeasurement) and right.error.name == one.name:
         right = replace(right, error=replace(right.error, name=right.name))
     return right
 

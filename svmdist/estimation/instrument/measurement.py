@@ -74,16 +74,9 @@ class Deviations:
         slope = right.project_with_derivative(p_right_m)[1][..., :1, :]
         focal = self.camera.focal_std_fraction * disparity_px[..., None, None]
         by_baseline = -(slope * T_right_left[:3, 3]).sum(-1) * self.camera.baseline_std_fraction
-        by_turn = slope @ skew(p_right_m)
-        return (
-            BiasTerm(FOCAL_LENGTH, focal),
-            BiasTerm(BASELINE, by_baseline[..., None]),
-            self.of_right_turn(by_turn),
-        )
-
-    def of_right_turn(self, by_turn: Array) -> BiasTerm:
-        """Of what changes by a turn of the right camera about its own centre, with that derivative, (..., m, 3)."""
-        return BiasTerm(RIGHT_ROTATION, by_turn * self.camera.right_rotation_std_rad, ONE_PLACE_S)
+        by_turn = slope @ skew(p_right_m) * self.camera.right_rotation_std_rad
+        turned = BiasTerm(RIGHT_ROTATION, by_turn, ONE_PLACE_S)
+        return BiasTerm(FOCAL_LENGTH, focal), BiasTerm(BASELINE, by_baseline[..., None]), turned
 
     def of_tag(self, T_camera_tag: Array, focal_px: Array) -> tuple[BiasTerm, ...]:
         """Of a tag's pose, shape (4, 4): focal length, principal point, the tag's size, and how it is mounted."""
@@ -94,12 +87,8 @@ class Deviations:
         centre[3, 1], centre[4, 0] = self.camera.centre_std_px * np.array([-1.0, 1.0]) / focal_px[::-1]
         size[:3, 0] = -self.tag_size_fraction * p_m
         mounting[:3, :3], mounting[3:, 3:] = self.tag_position_m * R, self.tag_rotation_rad * R
-        return (
-            BiasTerm(FOCAL_LENGTH, focal),
-            BiasTerm(PRINCIPAL_POINT, centre),
-            BiasTerm(TAG_SIZE, size),
-            BiasTerm("tag mounting", mounting),
-        )
+        names = FOCAL_LENGTH, PRINCIPAL_POINT, TAG_SIZE, "tag mounting"
+        return tuple(map(BiasTerm, names, (focal, centre, size, mounting)))
 
 
 EXACT = Deviations(
@@ -148,18 +137,18 @@ class LinkMeasurement(ABC):
     delay_s: float = 0.0
     rests_on: tuple[str, ...] = ()
 
-    @property
-    def bias_name(self) -> str:
-        """Measurements of one such name share one bias: in both views where it is of something on the instrument."""
-        return self.name
-
     @abstractmethod
     def in_view(self, T_view_link: Array, /) -> Linearised:
         """All that it says about a pose of the link, shape (4, 4), in the frame of the camera that sees it."""
 
-    def about(self, residual: Array, H: Array, own: Array, shared: Iterable[BiasTerm]) -> Linearised:
-        """It about a pose, by its derivative (m, 6), that by its own bias, (m, k), and the shared biases."""
-        bias = BiasTerm(self.bias_name, own, self.correlation_time_s)
+    def about(
+        self, residual: Array, H: Array, own: Array, shared: Iterable[BiasTerm], bias_name: str | None = None
+    ) -> Linearised:
+        """It about a pose, by its derivative (m, 6), that by its own bias, (m, k), and the shared biases.
+
+        Measurements share the bias of a name, else it is their own: in both views if of something on the instrument.
+        """
+        bias = BiasTerm(bias_name or self.name, own, self.correlation_time_s)
         return Linearised(residual, H, (bias, *shared), self.covariance)
 
     def unseen(self) -> Linearised:
@@ -172,10 +161,10 @@ class LinkMeasurement(ABC):
         if self.T_view_left is None:
             return self.in_view(T_camera_link)
         T, camera = self.T_view_left @ T_camera_link, self.deviations.camera
-        found, R = self.in_view(T), self.T_view_left[:3, :3]
+        found = self.in_view(T)
         by_place, by_turn = found.H[:, :3], found.H[:, 3:]
         # The right camera is off by its place along the baseline, and turned about its own centre.
         baseline = camera.baseline_std_fraction * by_place @ self.T_view_left[:3, 3, None]
-        turned = self.deviations.of_right_turn(by_turn - by_place @ skew(T[:3, 3]))
-        biases = *found.biases, BiasTerm(BASELINE, baseline), turned
-        return replace(found, H=found.H @ np.kron(np.eye(2), R), biases=biases)
+        turned = (by_turn - by_place @ skew(T[:3, 3])) * camera.right_rotation_std_rad
+        biases = *found.biases, BiasTerm(BASELINE, baseline), BiasTerm(RIGHT_ROTATION, turned, ONE_PLACE_S)
+        return replace(found, H=found.H @ np.kron(np.eye(2), self.T_view_left[:3, :3]), biases=biases)

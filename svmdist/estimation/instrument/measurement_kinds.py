@@ -5,6 +5,7 @@ Each is the residual of one link's pose, with the bias of its own and its deriva
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -30,7 +31,7 @@ class PointError:
     visible of it by another one, of `part_std_m`: where a side is hidden, or another part is coloured. Shading may
     draw the pixel outward by `shading_px` (a deviation) times the tilt of its ray. What is found between the shaft's
     end and the tips is off with that end, by `with_end_m` (3,) in the view's frame at the end's deviation, and with the
-    jaws' length, by `with_jaws_m` along them.
+    jaws' length, by `with_jaws_m` along them. Both fade as the point's own bias.
     """
 
     name: str = "point"
@@ -40,41 +41,32 @@ class PointError:
     with_end_m: Array | None = None
     with_jaws_m: float = 0.0
 
-    def jacobian(self, tilt: Array, R_camera_link: Array, H: Array) -> Array:
-        """Derivative of a residual (m,) by both offsets and shading, (m, 7), where shading does it by `tilt`, (m,)."""
-        # An offset in the link's frame moves the point as the link's own motion would.
-        by_offset = H[:, :3] @ R_camera_link
-        return np.column_stack([self.place_std_m * by_offset, self.part_std_m * by_offset, self.shading_px * tilt])
-
-    def of_outline(self, R_camera_link: Array, H: Array, time_s: float) -> tuple[BiasTerm, ...]:
-        """What the shaft's end and the jaws' length do to what was found between them; nothing to others.
-
-        Both fade with `time_s`.
-        """
-        if self.with_end_m is None:
-            return ()
-        by_place = H[:, :3]
-        by_length = np.zeros((len(by_place), 7))  # as the offset of the jaws' tip
-        by_length[:, 0] = by_place @ R_camera_link[:, 0] * self.with_jaws_m
-        by_end = by_place @ self.with_end_m[:, None]
-        return BiasTerm(END_BIAS, by_end, time_s), BiasTerm(JAWS, by_length, time_s)
-
-
-POINT = PointError()
-
 
 @dataclass(frozen=True, kw_only=True)
 class _OfPoint(LinkMeasurement):
-    """A measurement of a point of a link, `p_link_m` (3,)."""
+    """A measurement of a point of a link, `p_link_m` (3,), whose error all share that shows it."""
 
     source: str = MARKER
     p_link_m: Array = field(default_factory=lambda: np.zeros(3))
-    error: PointError = POINT
+    error: PointError = PointError()
 
-    @property
-    def bias_name(self) -> str:
-        """The point's: all that shows it errs with it."""
-        return self.error.name
+    def about_point(
+        self, residual: Array, H: Array, R: Array, tilt: Array, shared: Iterable[BiasTerm], *more: BiasTerm
+    ) -> Linearised:
+        """It about a pose of rotation `R`, where shading moves it by `tilt`, (m,).
+
+        The bias is both offsets and shading in units of their deviations, (m, 7).
+        """
+        error, by_place = self.error, H[:, :3]
+        # An offset in the link's frame moves the point as the link's own motion would.
+        by_offset = by_place @ R
+        bias = np.column_stack([error.place_std_m * by_offset, error.part_std_m * by_offset, error.shading_px * tilt])
+        if error.with_end_m is not None:
+            by_length = np.zeros((len(H), 7))  # as the offset of the jaws' tip
+            by_length[:, 0] = by_place @ R[:, 0] * error.with_jaws_m
+            by_end = BiasTerm(END_BIAS, by_place @ error.with_end_m[:, None], self.correlation_time_s)
+            shared = *shared, by_end, BiasTerm(JAWS, by_length, self.correlation_time_s)
+        return self.about(residual, H, bias, (*shared, *more), error.name)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +77,7 @@ class PointMeasurement(_OfPoint):
     pixel: Array
 
     def in_view(self, T_view_link: Array, /) -> Linearised:
-        """Measured minus projected, shape (2,); the bias is offset and shading in units of their deviations, (2, 7)."""
+        """Measured minus projected, shape (2,)."""
         K, R = self.camera.K, T_view_link[:3, :3]
         arm_m = R @ self.p_link_m
         p_camera_m = arm_m + T_view_link[:3, 3]
@@ -94,10 +86,7 @@ class PointMeasurement(_OfPoint):
         pixel, J = self.camera.project_with_derivative(p_camera_m)
         H = np.concatenate([J, -J @ skew(arm_m)], 1)
         tilt = (self.pixel - K[:2, 2]) / np.diag(K)[:2]
-        bias = self.error.jacobian(tilt, R, H)
-        of_camera = self.deviations.of_pixels(self.pixel, self.camera)
-        shared = (*of_camera, *self.error.of_outline(R, H, self.correlation_time_s))
-        return self.about(self.pixel - pixel, H, bias, shared)
+        return self.about_point(self.pixel - pixel, H, R, tilt, self.deviations.of_pixels(self.pixel, self.camera))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +105,7 @@ class DisparityMeasurement(_OfPoint):
     bias_std_px: float = 0.0
 
     def in_view(self, T_view_link: Array, /) -> Linearised:
-        """Measured minus predicted, shape (1,); the bias is offset and shading in units of their deviations, (1, 7)."""
+        """Measured minus predicted, shape (1,)."""
         R, R_right_left = T_view_link[:3, :3], self.T_right_left[:3, :3]
         arm_m = R @ self.p_link_m
         p_left_m = arm_m + T_view_link[:3, 3]
@@ -130,14 +119,9 @@ class DisparityMeasurement(_OfPoint):
         residual = np.array([self.disparity_px - float(left_px[0] - right_px[0])])
         # Principal points that stand apart are part of a disparity, and not of what a focal length does to it.
         by_depth_px = np.array(self.disparity_px - (self.left.K[0, 2] - self.right.K[0, 2]))
-        bias = self.error.jacobian(by_depth_px[None] / self.left.K[0, 0], R, H)
-        by_image = np.array([[self.bias_std_px]])
-        shared = (
-            *self.deviations.of_disparity(p_left_m, self.right, by_depth_px, self.T_right_left),
-            *self.error.of_outline(R, H, self.correlation_time_s),
-            BiasTerm("disparity of the marker", by_image, self.correlation_time_s),
-        )
-        return self.about(residual, H, bias, shared)
+        shared = self.deviations.of_disparity(p_left_m, self.right, by_depth_px, self.T_right_left)
+        of_image = BiasTerm("disparity of the marker", np.array([[self.bias_std_px]]), self.correlation_time_s)
+        return self.about_point(residual, H, R, by_depth_px[None] / self.left.K[0, 0], shared, of_image)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,8 +193,7 @@ class ContourMeasurement(_WithBias):
     side: int
 
     @cached_property
-    def of_camera(self) -> tuple[BiasTerm, ...]:
-        """What focal length and principal point do to it, whatever the pose."""
+    def _of_camera(self) -> tuple[BiasTerm, ...]:
         error, flat = self.deviations.camera, self.normal * np.array([1.0, 1.0, 0.0])
         focal = -error.focal_std_fraction * (self.across @ flat[:, None])
         centre = -error.centre_std_px * self.across[:, 2:] * (self.normal[:2] / self.focal_px)
@@ -230,7 +213,7 @@ class ContourMeasurement(_WithBias):
         beside_m = self.side * np.sqrt(max(square_m2 - self.radius_m**2, NEAR_M**2))
         by_radius = (beside_m * foot_m - self.radius_m * (skew(d) @ foot_m)) / (square_m2 * beside_m)
         radius = self.across @ (by_radius * self.radius_m)[:, None] * self.deviations.shaft_radius_fraction
-        shared = *self.of_camera, BiasTerm(SHAFT_RADIUS, radius)
+        shared = *self._of_camera, BiasTerm(SHAFT_RADIUS, radius)
         return self.about(self.across @ (self.normal - normal), H, self.bias_jacobian, shared)
 
 
@@ -254,14 +237,8 @@ class EndMeasurement(LinkMeasurement):
     model_std_m: float
     bias_std_px: float = 0.0
 
-    @property
-    def bias_name(self) -> str:
-        """That of the shaft's end, whichever view shows it."""
-        return END_BIAS
-
     @cached_property
-    def of_camera(self) -> tuple[BiasTerm, ...]:
-        """What focal length and principal point do to it, whatever the pose."""
+    def _of_camera(self) -> tuple[BiasTerm, ...]:
         each = self.deviations.of_pixels(self.pixel, self.camera)
         return tuple(BiasTerm(one.name, (self.towards_tip @ one.jacobian)[None]) for one in each)
 
@@ -285,7 +262,7 @@ class EndMeasurement(LinkMeasurement):
         by_place = H[:, :3] @ T_view_link[:3, :3] @ self.axis[:, None]
         bias = np.copysign(np.hypot(self.model_std_m * by_place, self.bias_std_px), by_place)
         residual = np.array([(self.pixel - pixel) @ self.towards_tip])
-        return self.about(residual, H, bias, self.of_camera)
+        return self.about(residual, H, bias, self._of_camera, END_BIAS)  # whichever view shows it
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,23 +20,17 @@ from svmdist.vision.lines import tangent_normal
 
 
 @dataclass(frozen=True, slots=True)
-class Jaw:
-    """A jaw's unit vectors, shape (3,) each: along it to its tip, away from the other jaw, and across both."""
-
-    along: Array
-    outward: Array
-    beside: Array
-
-
-@dataclass(frozen=True, slots=True)
 class Wrist:
-    """The bent wrist: points `hinge_m` and `tool_m`, unit vectors along shaft, jaws and the jaws' axis, (3,)."""
+    """The bent wrist: points `hinge_m` and `tool_m`, unit vectors along shaft and the jaws' axis, (3,).
+
+    Those of both `jaws`, (2, 3, 3), are along a jaw to its tip, away from the other jaw, and across both.
+    """
 
     hinge_m: Array
     tool_m: Array
     shaft: Array
     pivot: Array
-    jaws: tuple[Jaw, Jaw]
+    jaws: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +64,9 @@ class WristKinematics:
         (shaft, _), (_, hinge_m), (pivot, _), *jaw = (dh.joint_axis(self.chain, frames, row) for row in self.rows)
         jaw_axis, opening_rad = pivot, 0.0
         if jaw:
-            jaw_axis = jaw[0][0]
-            opening_rad = float(q[np.searchsorted(self.chain.moving_rows, self.rows[3])])
+            jaw_axis, opening_rad = jaw[0][0], float(q[np.searchsorted(self.chain.moving_rows, self.rows[3])])
         hinge_m, shaft, pivot, jaw_axis = np.stack([hinge_m - tool_m, shaft, pivot, jaw_axis]) @ R
-        return Wrist(hinge_m, np.zeros(3), shaft, pivot, jaws_of(self.straight, jaw_axis, opening_rad))
+        return Wrist(hinge_m, np.zeros(3), shaft, pivot, _jaws(self.straight, jaw_axis, opening_rad))
 
 
 def wrist_in_tool(chain: dh.DHChain, q: Array) -> Wrist:
@@ -94,13 +87,12 @@ def joints_of(chain: dh.DHChain | None, joints: JointSample | None) -> Array | N
         return None
 
 
-def jaws_of(along: Array, axis: Array, opening_rad: float) -> tuple[Jaw, Jaw]:
+def _jaws(along: Array, axis: Array, opening_rad: float) -> Array:
     """Moving and fixed jaw: turning by the opening about the unit `axis` takes the fixed one to the moving one."""
     c, s = np.cos(-opening_rad), np.sin(-opening_rad)  # Rodrigues' rotation about a unit axis
     fixed = np.asarray(c * along + s * cross(axis, along) + (1.0 - c) * (axis @ along) * axis)
     pairs = ((along, cross(axis, along)), (fixed, -cross(axis, fixed)))
-    moving, still = (Jaw(ahead, outward, cross(ahead, outward)) for ahead, outward in pairs)
-    return moving, still
+    return np.array([(ahead, outward, cross(ahead, outward)) for ahead, outward in pairs])
 
 
 # Shape facts of this model, as lengths over the radii that a profile gives: they say which capsules model which
@@ -146,32 +138,28 @@ class InstrumentModel:
         q = joints_of(kinematics.chain, tool.joints) if kinematics is not None else None
         if kinematics is None or q is None:
             return capsules_about(self.instrument, self._wrist_without_joints(pose), pose.jaw_scale)
-        frames = dh.frame_transforms(kinematics.chain, q)
+        chain, frames = kinematics.chain, dh.frame_transforms(kinematics.chain, q)
         body = capsules_about(self.instrument, kinematics.wrist_in_tool(frames, q), pose.jaw_scale)
-        if tool.has_plate and self.fiducial is not None:
-            T_base_link = frames[dh.row_index(kinematics.chain, self.fiducial.link)]
-            T_tool_base = inverse(frames[-1] @ kinematics.chain.T_last_tool)
-            T_tool_tag = T_tool_base @ T_base_link @ self.fiducial.T_link_tag
-            body = join(body, plate_capsules(self.fiducial).transformed(T_tool_tag))
+        if tool.has_plate and (tag := self.fiducial) is not None:
+            T_tool_link = inverse(frames[-1] @ chain.T_last_tool) @ frames[dh.row_index(chain, tag.link)]
+            body = join(body, plate_capsules(tag).transformed(T_tool_link @ tag.T_link_tag))
         return body.transformed(pose.T_camera_tool)
 
     def _wrist_without_joints(self, pose: ToolPose) -> Wrist:
-        tool_m, axis = pose.position_m, pose.axis
-        length_m = WRIST_LENGTH_PER_RADIUS * self.instrument.wrist_radius_m
-        if self.kinematics is not None:
-            length_m = self.kinematics.length_m
+        axis, kinematics = pose.axis, self.kinematics
         side = cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
         pivot = side / np.linalg.norm(side)
-        if pose.hinge is None or self.kinematics is None:
-            return Wrist(tool_m - length_m * axis, tool_m, axis, pivot, jaws_of(axis, pivot, 0.0))
-        jaws = pose.T_camera_tool[:3, :3] @ self.kinematics.straight
-        return Wrist(pose.hinge.position_m, tool_m, axis, pivot, jaws_of(jaws, pivot, 0.0))
+        if kinematics is not None and pose.hinge is not None:
+            hinge_m, jaws = pose.hinge.position_m, pose.T_camera_tool[:3, :3] @ kinematics.straight
+        else:
+            length_m = kinematics.length_m if kinematics else WRIST_LENGTH_PER_RADIUS * self.instrument.wrist_radius_m
+            hinge_m, jaws = pose.position_m - length_m * axis, axis
+        return Wrist(hinge_m, pose.position_m, axis, pivot, _jaws(jaws, pivot, 0.0))
 
 
 def capsules_about(instrument: Instrument, wrist: Wrist, jaw_scale: float = 1.0) -> Capsules:
     """The instrument's capsules about a wrist, in its frame, with jaws longer than the profile's by a factor."""
-    shaft_m, wrist_m = instrument.shaft_radius_m, instrument.wrist_radius_m
-    marker_m = instrument.knuckle_radius_m
+    shaft_m, wrist_m, marker_m = instrument.shaft_radius_m, instrument.wrist_radius_m, instrument.knuckle_radius_m
     hinge, tool, back = wrist.hinge_m, wrist.tool_m, -wrist.shaft
     end_m = SHAFT_END_PER_RADIUS * wrist_m
     far_m = max(instrument.shaft_length_m - SHAFT_CAP * shaft_m, end_m + SHAFT_CAP * shaft_m)
@@ -186,8 +174,14 @@ def capsules_about(instrument: Instrument, wrist: Wrist, jaw_scale: float = 1.0)
         capsules.append((fork + offset, tool + offset, TINE_RADIUS_M))
         bridge = side * max(tine_m - 0.42 * wrist_m, 0.0) * wrist.pivot
         capsules.append((hinge + bridge, fork + bridge, 0.5 * wrist_m))
-    for jaw in wrist.jaws:
-        capsules += _blade(instrument, tool, jaw, jaw_scale)
+    half_width_m, length_m = instrument.jaw_radius_m, instrument.jaw_length_m
+    for ahead, outward, beside in wrist.jaws:
+        base, along = tool + BLADE_OFFSET * half_width_m * outward, jaw_scale * ahead
+        for start, end, offset, radius in BLADE_CAPSULES:
+            radius_m = radius * half_width_m
+            to_m = max(end * length_m - (radius_m if end == 1.0 else 0.0), 0.0)
+            axis = base + offset * half_width_m * beside
+            capsules.append((axis + start * length_m * along, axis + to_m * along, radius_m))
     starts, ends, radii = zip(*capsules, strict=True)
     return Capsules(np.array(starts), np.array(ends), np.array(radii))
 
@@ -199,16 +193,6 @@ def plate_capsules(fiducial: Fiducial) -> Capsules:
     low = np.full(PLATE_CAPSULES, -PLATE_RADIUS_M)
     starts, ends = (np.stack([np.full(PLATE_CAPSULES, end_m), across_m, low], -1) for end_m in (-half_m, half_m))
     return Capsules(starts, ends, np.full(PLATE_CAPSULES, PLATE_RADIUS_M))
-
-
-def _blade(instrument: Instrument, tool: Array, jaw: Jaw, scale: float) -> Iterator[tuple[Array, Array, float]]:
-    length_m, half_width_m = instrument.jaw_length_m, instrument.jaw_radius_m
-    base, along = tool + BLADE_OFFSET * half_width_m * jaw.outward, scale * jaw.along
-    for start, end, offset, radius in BLADE_CAPSULES:
-        radius_m = radius * half_width_m
-        end_m = end * length_m - (radius_m if end == 1.0 else 0.0)
-        axis = base + offset * half_width_m * jaw.beside
-        yield axis + start * length_m * along, axis + max(end_m, 0.0) * along, radius_m
 
 
 NEAR_M = 1e-3  # what is nearer to the camera has no image

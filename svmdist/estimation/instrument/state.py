@@ -72,10 +72,8 @@ class ErrorState:
         self.P, self.bias_mean = self.model.prior(self.robot), np.zeros(0)
         self._bias_slices, self._correlation_times_s = {}, np.zeros(0)
         for name, covariance in self.model.prior_cross_covariances(self.robot).items():
-            self._append(BiasTerm(name, covariance))
-            at = self._bias_slices[name]
-            self.P[: self.model.size, at] = covariance
-            self.P[at, : self.model.size] = covariance.T
+            size, at = self.model.size, self._append(BiasTerm(name, covariance))
+            self.P[:size, at], self.P[at, :size] = covariance, covariance.T
 
     def retracted(self, x: Array) -> ErrorState:
         """The state after a step of error state and biases, shape (n,); the covariance stays."""
@@ -102,15 +100,15 @@ class ErrorState:
             if bias.name not in self._bias_slices:
                 self._append(bias)
 
-    def _append(self, bias: BiasTerm) -> None:
+    def _append(self, bias: BiasTerm) -> slice:
         at, count = len(self.P), bias.jacobian.shape[-1]
         grown = np.eye(at + count)
         grown[:at, :at] = self.P
         self.P = grown
-        self._bias_slices[bias.name] = slice(at, at + count)
-        self.bias_mean = np.concatenate([self.bias_mean, np.zeros(count)])
-        times_s = np.full(count, bias.correlation_time_s)
-        self._correlation_times_s = np.concatenate([self._correlation_times_s, times_s])
+        self.bias_mean = np.append(self.bias_mean, np.zeros(count))
+        self._correlation_times_s = np.append(self._correlation_times_s, np.full(count, bias.correlation_time_s))
+        added = self._bias_slices[bias.name] = slice(at, at + count)
+        return added
 
     def bias(self, name: str) -> float:
         """The mean of a bias of one number, in units of its deviation; 0 for one that is not there."""
@@ -123,18 +121,17 @@ class ErrorState:
         Several that are each off a little may together be what no calibration allows: along the observable directions
         their means are compared with what these means would vary by under the prior.
         """
-        size, at = self.model.size, self.model.lengths
-        names = ["a length of the chain"] * (at.stop - at.start)
-        places = list(range(at.start, at.stop))
+        model, x, places = self.model, self.correction.x, list(range(self.model.size)[self.model.lengths])
+        names, std = ["a length of the chain"] * len(places), [max(model.error.length_std_m, TINY_M)] * len(places)
         for name, one in self._bias_slices.items():
-            if np.isinf(self._correlation_times_s[one.start - size : one.stop - size]).all():
-                names += [name] * (one.stop - one.start)
-                places += range(one.start, one.stop)
+            if np.isinf(self._correlation_times_s[one.start - model.size]):
+                more = range(one.start, one.stop)
+                names += [name] * len(more)
+                std += [1.0] * len(more)
+                places += more
         if not places:
             return "", 0.0, 0.0, 0
-        std = np.ones(len(places))
-        std[: at.stop - at.start] = max(self.model.error.length_std_m, TINY_M)
-        mean = np.concatenate([self.correction.vector(), self.bias_mean])[places] / std
+        mean = np.concatenate([x, self.bias_mean])[places] / std
         gained, directions = np.linalg.eigh(np.eye(len(places)) - self.P[np.ix_(places, places)] / np.outer(std, std))
         is_observable = gained > MIN_OBSERVABLE
         off = np.abs(directions.T @ mean)[is_observable] / np.sqrt(gained[is_observable])
@@ -145,8 +142,7 @@ class ErrorState:
         """Time passes: the correction drifts, biases fade towards their prior, of variance one."""
         keep = np.exp(-elapsed_s / self._correlation_times_s)
         keep_error, added_error = self.model.propagation(elapsed_s)
-        factor = np.concatenate([keep_error, keep])
-        added = np.concatenate([added_error, 1.0 - keep**2])
+        factor, added = np.append(keep_error, keep), np.append(added_error, 1.0 - keep**2)
         self.P = factor[:, None] * self.P * factor + np.diag(added)
         self.bias_mean = keep * self.bias_mean
         self.correction = replace(self.correction, x=keep_error * self.correction.x)

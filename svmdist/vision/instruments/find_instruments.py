@@ -17,7 +17,6 @@ from svmdist.vision.instruments.evidence import SQUARE_3, Evidence, tissue_of
 from svmdist.vision.instruments.outline import LEAST_RIM_PX, Outline
 from svmdist.vision.instruments.outline_search import (
     LONGEST_WRIST,
-    OutlineScore,
     outline_score,
     part_entering,
     rough_outlines,
@@ -34,13 +33,11 @@ LIKELY = 0.7  # mean odds of what shows no straight shaft
 ENTRY_WIDTHS = 2.0  # about its axis, over its width, where an instrument itself comes in
 
 Mask = NDArray[np.bool_]
-Found = tuple[Outline, Mask, OutlineScore]
-"""An instrument in a working image: its shaft's outline, its mask, (h, w), and what evidence and image say of it."""
 
 
-def find_instruments(evidence: Evidence) -> list[Found]:
+def find_instruments(evidence: Evidence) -> list[SeenInstrument]:
     """The instruments of an image, the surest first."""
-    shafts: list[tuple[Outline, OutlineScore, Image]] = []
+    shafts: list[tuple[Outline, float, Image]] = []
     for rough in rough_outlines(evidence):
         strips = [strip for _, _, strip in shafts]
         if _is_taken(rough, strips):
@@ -48,22 +45,22 @@ def find_instruments(evidence: Evidence) -> list[Found]:
         outline = sharpened(rough, evidence)
         if outline is None or _is_taken(outline, strips):
             continue
-        if (score := outline_score(outline, evidence)).is_accepted:
+        if score := outline_score(outline, evidence):
             shafts.append((outline, score, _filled(outline, evidence.core)))
         if len(shafts) == evidence.settings.most_instruments:
             break
-    found: list[Found] = []
-    taken = np.zeros_like(evidence.core)
+    found: list[SeenInstrument] = []
+    taken = np.zeros(evidence.core.shape, np.bool_)
     least_px = evidence.settings.least_area * max(cv2.countNonZero(evidence.core), 1)
     away = [cv2.distanceTransform(cv2.bitwise_not(strip), cv2.DIST_L2, 3) for _, _, strip in shafts]
     for at, (outline, score, _) in enumerate(shafts):
         # Where instruments touch, what belongs to one reaches into the other's: each has what its strip is nearest to.
         nearest = np.all([away[at] <= other for other in away], axis=0)
-        mask = _instance_mask(outline, evidence, nearest & (taken == 0))
+        mask = _instance_mask(outline, evidence, nearest & ~taken)
         if np.count_nonzero(mask) >= least_px:
-            taken[mask] = 255
-            found.append((outline, mask, score))
-    return sorted(found, key=lambda one: -one[2].evidence)
+            taken |= mask
+            found.append(_seen_instrument(outline, mask, score, evidence))
+    return sorted(found, key=lambda one: -one.evidence)
 
 
 def _filled(outline: Outline, like: Image) -> Image:
@@ -81,10 +78,7 @@ def _is_taken(outline: Outline, strips: Sequence[Image]) -> bool:
 
 
 def _instance_mask(outline: Outline, evidence: Evidence, free: Mask) -> Mask:
-    """The instance mask of a shaft's instrument: all between its sides, and evidence that is connected with it.
-
-    No more than is `free`, (h, w).
-    """
+    """What is `free`, (h, w), of all between a shaft's sides, and of evidence that is connected with it."""
     outline = outline.whole
     height, width = evidence.core.shape
     x, y = np.arange(width, dtype=np.float32)[None, :], np.arange(height, dtype=np.float32)[:, None]
@@ -92,13 +86,11 @@ def _instance_mask(outline: Outline, evidence: Evidence, free: Mask) -> Mask:
     for side, inward in zip(outline.sides, (1.0, -1.0), strict=True):
         u = side[1] - side[0]
         normal = inward * np.array([-u[1], u[0]]) / max(float(np.linalg.norm(u)), 1e-9)
-        depth = np.minimum(
-            depth, (x - float(side[0, 0])) * float(normal[0]) + (y - float(side[0, 1])) * float(normal[1])
-        )
-    end, (ux, uy) = outline.sides[:, 1].mean(0), outline.axis
-    along = (x - float(end[0])) * float(ux) + (y - float(end[1])) * float(uy)
-    across = np.abs((y - float(end[1])) * float(ux) - (x - float(end[0])) * float(uy))
-    width_px = outline.end_width_px
+        off_x, off_y = x - float(side[0, 0]), y - float(side[0, 1])
+        depth = np.minimum(depth, off_x * float(normal[0]) + off_y * float(normal[1]))
+    end, (ux, uy), width_px = outline.sides[:, 1].mean(0), outline.axis.tolist(), outline.end_width_px
+    off_x, off_y = x - float(end[0]), y - float(end[1])
+    along, across = off_x * ux + off_y * uy, np.abs(off_y * ux - off_x * uy)
     likely = ((evidence.odds > 0.0) | (evidence.hidden > 0)) & (evidence.core > 0)
     strip = (along < 0.0) & (depth > 0.0)
     beside = (along < 0.0) & (depth > -BESIDE_WIDTHS * outline.width_px - 1.0) & likely
@@ -109,15 +101,6 @@ def _instance_mask(outline: Outline, evidence: Evidence, free: Mask) -> Mask:
     _, labels = cv2.connectedComponents(opened)
     own = np.bincount(labels[strip & (opened > 0)], minlength=1)
     return np.asarray(labels == int(own.argmax()) if own.any() else strip & free)
-
-
-def likely_parts(evidence: Evidence) -> Mask:
-    """Connected parts of a working image, shape (h, w), that are likely instrument, whatever their shape."""
-    parts, area = evidence.parts
-    mean = np.bincount(parts.ravel(), evidence.odds.ravel(), len(area)) / np.maximum(area, 1)
-    kept = (mean > LIKELY) & (area > evidence.settings.least_area * cv2.countNonZero(evidence.core))
-    kept[0] = False
-    return np.asarray(kept[parts])
 
 
 @dataclass(frozen=True)
@@ -173,7 +156,7 @@ class SeenInstrument:
     @cached_property
     def mask(self) -> Image:
         """All of it, shape (h, w)."""
-        return _enlarged(self.small_mask.astype(np.uint8) * 255, self.size)
+        return _enlarged(255 * self.small_mask.astype(np.uint8), self.size)
 
     @cached_property
     def shaft(self) -> Image:
@@ -194,41 +177,32 @@ class SeenInstrument:
         rows, columns = np.nonzero(self.small_mask)
         places = (np.stack([columns, rows], axis=1) + 0.5) * self.pixel_px - 0.5 - self.end_px
         ahead = places @ self.axis
-        farthest = ahead.max(initial=0.0)
-        if farthest <= 0.0:
+        if (farthest := ahead.max(initial=0.0)) <= 0.0:
             return self.end_px
         return np.asarray(self.end_px + places[ahead > farthest - 2.0 * self.pixel_px].mean(0))
 
 
-def seen_instrument(found: Found, evidence: Evidence) -> SeenInstrument:
+def _seen_instrument(outline: Outline, mask: Mask, score: float, evidence: Evidence) -> SeenInstrument:
     """An instrument of a working image in the pixels of the image that it was made of."""
-    outline, mask, score = found
     sides, end_px = (np.asarray((one + 0.5) / evidence.scale - 0.5) for one in (outline.sides, outline.end))
     pixel_px = 1.0 / evidence.scale
-    known = pixel_px**2 * outline.covariance, pixel_px * outline.end_std_px, outline.ends_dark
+    known = pixel_px**2 * outline.covariance, pixel_px * outline.end_std_px, outline.ends_dark, pixel_px
     other = pixel_px * outline.other_px, outline.other_share
     near = outline.near_px / outline.width_px, outline.near_share
-    entering, touches = part_entering(outline, evidence), _comes_in_elsewhere(outline, mask, evidence)
-    known_of_part = entering > LEAST_ENTERING, WRIST_NARROWER * _may_be_wrist(outline, entering), touches
-    of_image = sides, end_px, score.evidence, *known, pixel_px, *other, *near
-    return SeenInstrument(mask, evidence.size, *of_image, *known_of_part)
-
-
-def _may_be_wrist(outline: Outline, entering: float) -> float:
-    """Whether what comes in may be a wrist, from 0 to 1, by log-odds of a shaft: none is as long as many shafts are."""
+    # What comes in may be a wrist, which is never as long as many shafts are.
+    entering = part_entering(outline, evidence)
     length = float(np.linalg.norm(outline.end - outline.start)) / max(outline.end_width_px, 1e-9)
-    return float(np.clip(SURE_ENTERING - entering, 0.0, 1.0) * np.clip(LONGEST_WRIST - length, 0.0, 1.0))
-
-
-def _comes_in_elsewhere(outline: Outline, mask: Mask, evidence: Evidence) -> bool:
-    """Whether what is connected with an instrument comes in at another place, too: another one touches it."""
+    may_be_wrist = float(np.clip(SURE_ENTERING - entering, 0.0, 1.0) * np.clip(LONGEST_WRIST - length, 0.0, 1.0))
+    # Where what is connected with it comes in at another place, too, another instrument touches it.
     parts, _ = evidence.parts
     own = np.bincount(parts[mask & (parts > 0)], minlength=1)
     beside = np.zeros_like(evidence.core)
     line = np.rint([outline.start - outline.length_px * outline.axis, outline.end]).astype(np.int32)
     cv2.polylines(beside, [line], False, 255, max(1, round(ENTRY_WIDTHS * outline.width_px)))
     rim = (parts == int(own.argmax())) & (evidence.rim > 0) & (beside == 0)
-    return bool(own.any() and np.count_nonzero(rim) >= LEAST_RIM_PX)
+    touches = bool(own.any() and np.count_nonzero(rim) >= LEAST_RIM_PX)
+    of_part = entering > LEAST_ENTERING, WRIST_NARROWER * may_be_wrist, touches
+    return SeenInstrument(mask, evidence.size, sides, end_px, score, *known, *other, *near, *of_part)
 
 
 def _enlarged(mask: Image, size: tuple[int, int]) -> Image:
@@ -248,12 +222,16 @@ class AutoMasks:
     @cached_property
     def seen(self) -> tuple[SeenInstrument, ...]:
         """The instruments, the surest first."""
-        return tuple(seen_instrument(found, self.evidence) for found in find_instruments(self.evidence))
+        return tuple(find_instruments(self.evidence))
 
     @cached_property
     def _others(self) -> Image:
-        """Instruments without a straight shaft, shape (h, w)."""
-        return _enlarged(255 * likely_parts(self.evidence).astype(np.uint8), self.evidence.size)
+        """Connected parts that are likely instrument, whatever their shape."""
+        evidence, (parts, area) = self.evidence, self.evidence.parts
+        mean = np.bincount(parts.ravel(), evidence.odds.ravel(), len(area)) / np.maximum(area, 1)
+        kept = (mean > LIKELY) & (area > evidence.settings.least_area * cv2.countNonZero(evidence.core))
+        kept[0] = False
+        return _enlarged(255 * kept[parts].astype(np.uint8), evidence.size)
 
     @cached_property
     def picture(self) -> Image:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +48,7 @@ LEAST_SHARE = 1e-3  # of an end that is worth a thought
 STILL_OUTLINE = 0.3  # of the width: an end so far before that of the outline is that of a part
 
 
-def ended(outline: Outline, evidence: Evidence) -> Outline:
+def _ended(outline: Outline, evidence: Evidence) -> Outline:
     """The outline as far as its sides go, with the end of the shaft, and how far that is spread along the axis.
 
     Both margins say where the outline ends; the shaft ends there, or anywhere a wrist's length before. Where in that
@@ -133,18 +133,15 @@ def _material(outline: Outline, middle: Array, hidden: NDArray[np.bool_], eviden
     Nothing is known of those that are `hidden`, (n,).
     """
     colours = np.sort(sampled(evidence.colours, middle), axis=1)[:, middle.shape[1] // 2]  # their medians
-    half = max(3, round(STEP_WIDTHS * outline.width_px))
-    count = len(colours)
+    half, at = max(3, round(STEP_WIDTHS * outline.width_px)), np.arange(len(colours))
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(colours, axis=0)])
-    at = np.arange(count)
-    before, after = np.maximum(at - half, 0), np.minimum(at + half, count)
+    before, after = np.maximum(at - half, 0), np.minimum(at + half, len(colours))
     step = (total[after] - total[at]) / np.maximum(after - at, 1)[:, None]
     step -= (total[at] - total[before]) / np.maximum(at - before, 1)[:, None]
-    change = np.sqrt((step**2).sum(1))
-    change[(at < LEAST_STEP_PX) | (at > count - half)] = 0.0
     up_to = np.append(0, np.cumsum(hidden))
     is_hidden = up_to[after] > up_to[before]
-    change[is_hidden] = 0.0
+    change = np.sqrt((step**2).sum(1))
+    change[(at < LEAST_STEP_PX) | (at > len(colours) - half) | is_hidden] = 0.0
     odds = MATERIAL_WEIGHT * np.log1p((change / MATERIAL_STEP) ** 2)
     odds *= min(1.0, MOST_MATERIAL / max(float(odds.max()), 1e-9))
     return np.where(is_hidden, 0.5 * MOST_MATERIAL, odds)  # there may be a change, and there may be none
@@ -154,27 +151,30 @@ def rough_outlines(evidence: Evidence) -> list[Outline]:
     """Outlines where the evidence is, from every place where an instrument may come in, the most first."""
     found: list[tuple[float, Outline]] = []
     for strip in starts(evidence):
-        outline = from_border(strip, evidence)
-        if outline is not None and mean_odds(outline, evidence) > LEAST_STRIP:
-            outline = fitted(ended(outline, evidence), evidence, *SCALES[0])
-            if outline is None:
-                continue
-            outline = ended(outline, evidence)
-            score = outline_score(outline, evidence, least=np.inf).evidence
-            area_px2 = outline.whole.length_px * outline.width_px  # of sides that cross it is no area
-            if score > LEAST_ROUGH_EVIDENCE and area_px2 > 0.0:
-                found.append((score * np.sqrt(area_px2), outline))
+        if (outline := from_border(strip, evidence)) is None:
+            continue
+        places = outline.across(ALONG * outline.length_px, WITHIN)
+        odds = sampled(evidence.odds, places)[seen_at(evidence, places)]
+        if len(odds) and odds.mean() <= LEAST_STRIP:
+            continue
+        outline = fitted(_ended(outline, evidence), evidence, *SCALES[0])
+        if outline is None:
+            continue
+        outline = _ended(outline, evidence)
+        score = outline_score(outline, evidence, is_rough=True)
+        area_px2 = outline.whole.length_px * outline.width_px  # of sides that cross it is no area
+        if score > LEAST_ROUGH_EVIDENCE and area_px2 > 0.0:
+            found.append((score * np.sqrt(area_px2), outline))
     return [outline for _, outline in sorted(found, key=lambda one: -one[0])]
 
 
 def sharpened(outline: Outline, evidence: Evidence) -> Outline | None:
     """A rough outline where the edges are."""
-    for reach_widths, region_weight in SCALES[1:]:
-        moved = fitted(outline, evidence, reach_widths, region_weight)
-        if moved is None:
+    for scale in SCALES[1:]:
+        if (moved := fitted(outline, evidence, *scale)) is None:
             return None
         outline = moved
-    return ended(outline, evidence)
+    return _ended(outline, evidence)
 
 
 LEAST_WIDTHS = 0.6  # of a shaft's length, over its width
@@ -187,21 +187,6 @@ MOST_OF_BEYOND = 0.7
 """Of the places inside of a side whose colour is nearer to what lies beyond it than to the rest of the instrument."""
 LEAST_STRIP = -0.5  # mean odds of a strip: what becomes a shaft has more, half of the rest less
 LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by chance
-
-
-@dataclass(frozen=True)
-class OutlineScore:
-    """The score of an instrument's outline, from 0 to 1, and whether it is accepted."""
-
-    evidence: float
-    is_accepted: bool
-
-
-def mean_odds(outline: Outline, evidence: Evidence) -> float:
-    """The mean of the log-odds between the sides; infinite where nothing is seen."""
-    places = outline.across(ALONG * outline.length_px, WITHIN)
-    odds, seen = sampled(evidence.odds, places), seen_at(evidence, places)
-    return float(odds[seen].mean()) if seen.any() else np.inf
 
 
 def _likely(odds: Floats, seen: NDArray[np.bool_]) -> float:
@@ -236,10 +221,10 @@ def _of_beyond(colours: list[Floats], seen: NDArray[np.bool_]) -> float:
     return max(shares)
 
 
-def outline_score(outline: Outline, evidence: Evidence, least: float = LEAST_EVIDENCE) -> OutlineScore:
-    """What evidence and image say of an outline, as far as it goes: a part of anything may be straight.
+def outline_score(outline: Outline, evidence: Evidence, *, is_rough: bool = False) -> float:
+    """An outline's score as far as it goes, from 0 to 1, by evidence and image: a part of anything may be straight.
 
-    With no more than the `least` evidence it is not accepted, and its colours are not looked at.
+    0 of what is no instrument; a rough outline has its score in any case, and its colours are not looked at.
     """
     outline = outline.whole
     along = ALONG * outline.length_px
@@ -258,19 +243,19 @@ def outline_score(outline: Outline, evidence: Evidence, least: float = LEAST_EVI
     step = strongest(np.abs(levels[:, :, 2:] - levels[:, :, :-2]))
     whole, steepest = is_seen.all(2), np.argmax(step, axis=2) - STEP_REACH_PX
     # The steepest step may be that of the limb's shade, but then it is that all along the side.
-    straight = np.abs(steepest - np.median(steepest, axis=1, keepdims=True)) <= max(
-        STRAIGHT_PX, STRAIGHT_WIDTHS * outline.width_px
-    )
-    good = (step.max(2) > EDGE_LEVELS) & straight
+    off_px = np.abs(steepest - np.median(steepest, axis=1, keepdims=True))
+    good = (step.max(2) > EDGE_LEVELS) & (off_px <= max(STRAIGHT_PX, STRAIGHT_WIDTHS * outline.width_px))
     stepped = float(good[whole].mean()) if whole.any() else 0.0
-    shown = sampled(evidence.hidden, outline.across(along, MIDDLE), nearest=True) == 0
     length_widths = outline.length_px / outline.width_px
     sure = _likely(*within) * min(free, default=0.0) * float(np.sqrt(stepped))
     sure *= min(1.0, 0.5 + 0.25 * length_widths)
+    if is_rough:
+        return sure
     is_long = length_widths > LEAST_WIDTHS and outline.length_px > LEAST_LENGTH_PX
     # With what comes in at the border hidden, a wrist may pass for a shaft.
+    shown = sampled(evidence.hidden, outline.across(along, MIDDLE), nearest=True) == 0
     comes_in = float(shown[: STATIONS // 3].mean()) > 0.5
-    if not (is_long and comes_in and sure > least):
-        return OutlineScore(sure, is_accepted=False)
+    if not (is_long and comes_in and sure > LEAST_EVIDENCE):
+        return 0.0
     colours = np.split(sampled(evidence.colours, places), parts, 1)
-    return OutlineScore(sure, _of_beyond(colours, seen.all(1) & shown.all(1)) < MOST_OF_BEYOND)
+    return sure if _of_beyond(colours, seen.all(1) & shown.all(1)) < MOST_OF_BEYOND else 0.0
