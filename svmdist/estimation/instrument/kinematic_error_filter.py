@@ -11,22 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.estimation.instrument.consistency import (
-    Consistency,
-    GatingResult,
-    chi_square_bound,
-    student_weight,
-)
+from svmdist.estimation.instrument.consistency import Consistency, GatingResult, chi_square_bound, student_weight
 from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.instrument.measurement import BiasTerm, Linearised, LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import PoseMeasurement
-from svmdist.estimation.instrument.most_probable import (
-    Solution,
-    evidence,
-    heavy_tailed,
-    most_probable,
-    robust_cost,
-)
+from svmdist.estimation.instrument.most_probable import Solution, evidence, heavy_tailed, most_probable, robust_cost
 from svmdist.estimation.instrument.state import ErrorState
 from svmdist.kinematics import DHChain, shaft_of
 from svmdist.kinematics.robot_state import RobotState
@@ -245,8 +234,10 @@ class KinematicErrorFilter:
 
 def as_measurement(pose: ToolPose) -> PoseMeasurement:
     """A pose by the images as a measurement of the tool."""
-    poses, C = {"T_link_frame": np.eye(4), "T_camera_frame": pose.T_camera_tool}, pose.covariance + TINY_POSE
-    return PoseMeasurement(name="pose", covariance=C, bias_covariance=np.zeros((6, 6)), **poses)
+    C, no_bias = pose.covariance + TINY_POSE, np.zeros((6, 6))
+    return PoseMeasurement(
+        name="pose", T_link_frame=np.eye(4), T_camera_frame=pose.T_camera_tool, covariance=C, bias_covariance=no_bias
+    )
 
 
 def pose_distance(image: ToolPose, predicted: ToolPose) -> float:

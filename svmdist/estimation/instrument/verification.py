@@ -169,12 +169,7 @@ class _ShaftEvidence:
 
     @staticmethod
     def of(
-        view: View,
-        seen: ShaftSections,
-        hinge_m: Array,
-        pose: ToolPose,
-        instrument: Instrument,
-        error: CameraError,
+        view: View, seen: ShaftSections, hinge_m: Array, pose: ToolPose, instrument: Instrument, error: CameraError
     ) -> _ShaftEvidence | None:
         """The evidence at sections of the shaft; None where the pose allows nearly anything, or nothing is known."""
         camera, masks = view.camera, view.masks
