@@ -1,7 +1,4 @@
-"""The error-state filter: the state that heavy-tailed measurements make the most probable, and where to start.
-
-Every update is a maximum a posteriori estimate (`most_probable`).
-"""
+"""The error-state filter: the state that heavy-tailed measurements make the most probable, and where to start."""
 
 from __future__ import annotations
 
@@ -38,8 +35,6 @@ Start = tuple[ToolPose | None, Sequence[LinkMeasurement]]
 
 @dataclass(frozen=True, slots=True)
 class _Way:
-    """Where a start leads, by its number: a state, the tool there, and what that costs."""
-
     index: int
     x: Array
     tool: ToolPose
@@ -53,14 +48,12 @@ class KinematicErrorFilter:
         self._settings = settings or FilterSettings()
         self._shaft = shaft_of(chain)
         self._model = ErrorModel(chain, error)
-        self.state = ErrorState(self._model)
-        """The correction now and the robot that was predicted from, its joints at the time that the correction says."""
+        self.state, self.consistency = ErrorState(self._model), Consistency(self._settings)
         self._start_x: Array | None = None
         self._rivals_m: list[Array] = []
         self._age_s = 0.0
         self.has_jumped = False
         """Whether the last measurements are rather those of a camera or a base that was moved: they changed nothing."""
-        self.consistency = Consistency(self._settings)
 
     @property
     def covariance(self) -> Array:

@@ -144,10 +144,7 @@ class LinkMeasurement(ABC):
     def about(
         self, residual: Array, H: Array, own: Array, shared: Iterable[BiasTerm], bias_name: str | None = None
     ) -> Linearised:
-        """It about a pose, by its derivative (m, 6), that by its own bias, (m, k), and the shared biases.
-
-        Measurements share the bias of a name, else it is their own: in both views if of something on the instrument.
-        """
+        """It about a pose, by its derivatives (m, 6) and by its own bias, (m, k), or that of a name, and shared ones."""
         bias = BiasTerm(bias_name or self.name, own, self.correlation_time_s)
         return Linearised(residual, H, (bias, *shared), self.covariance)
 

@@ -1,7 +1,4 @@
-"""The kinds of measurements: points, a sphere's size, disparity, sides and end of the shaft's outline, and a pose.
-
-Each is the residual of one link's pose, with the bias of its own and its derivatives by calibration parameters.
-"""
+"""The kinds of measurements: points, a sphere's size, disparity, sides and end of the shaft's outline, and a pose."""
 
 from __future__ import annotations
 
@@ -53,13 +50,11 @@ class _OfPoint(LinkMeasurement):
     def about_point(
         self, residual: Array, H: Array, R: Array, tilt: Array, shared: Iterable[BiasTerm], *more: BiasTerm
     ) -> Linearised:
-        """It about a pose of rotation `R`, where shading moves it by `tilt`, (m,).
-
-        The bias is both offsets and shading in units of their deviations, (m, 7).
-        """
+        """It about a pose of rotation `R`, where shading moves it by `tilt`, (m,)."""
         error, by_place = self.error, H[:, :3]
         # An offset in the link's frame moves the point as the link's own motion would.
         by_offset = by_place @ R
+        # Both offsets and shading, in units of their deviations.
         bias = np.column_stack([error.place_std_m * by_offset, error.part_std_m * by_offset, error.shading_px * tilt])
         if error.with_end_m is not None:
             by_length = np.zeros((len(H), 7))  # as the offset of the jaws' tip
@@ -126,17 +121,14 @@ class DisparityMeasurement(_OfPoint):
 
 @dataclass(frozen=True, kw_only=True)
 class SizeMeasurement(LinkMeasurement):
-    """The radius in px of the disc that a sphere about a link's origin shows, with its bias.
-
-    As long as something hides a part of it, that adds `hidden_std_px`.
-    """
+    """The radius in px of the disc that a sphere about a link's origin shows, with its bias."""
 
     source: str = MARKER
     camera: Camera
     radius_m: float
     radius_px: float
     bias_std_px: float
-    hidden_std_px: float = 0.0
+    hidden_std_px: float = 0.0  # as long as something hides a part of it
 
     def in_view(self, T_view_link: Array, /) -> Linearised:
         """Measured minus predicted, shape (1,)."""

@@ -21,27 +21,23 @@ from svmdist.vision.lines import tangent_normal
 
 @dataclass(frozen=True, slots=True)
 class Wrist:
-    """The bent wrist: points `hinge_m` and `tool_m`, unit vectors along shaft and the jaws' axis, (3,).
-
-    Those of both `jaws`, (2, 3, 3), are along a jaw to its tip, away from the other jaw, and across both.
-    """
+    """The bent wrist: points `hinge_m` and `tool_m`, unit vectors along shaft and the jaws' axis, (3,)."""
 
     hinge_m: Array
     tool_m: Array
     shaft: Array
     pivot: Array
-    jaws: Array
+    jaws: Array  # unit vectors of each along it to its tip, away from the other jaw and across both, (2, 3, 3)
 
 
 @dataclass(frozen=True, slots=True)
 class WristKinematics:
-    """How joints bend a wrist; straight, jaws point along `straight` (3,), and the hinge is `length_m` away.
-
-    `rows` turn the shaft about itself, bend the wrist about its hinge and about the tool, and may open the jaw.
-    """
+    """How joints bend a wrist; straight, jaws point along `straight` (3,), and the hinge is `length_m` away."""
 
     chain: dh.DHChain
-    rows: Sequence[int]
+    rows: Sequence[
+        int
+    ]  # they turn the shaft about itself, the wrist about its hinge and the tool, and may open the jaw
     straight: Array
     length_m: float
 

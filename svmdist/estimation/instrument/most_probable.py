@@ -58,8 +58,9 @@ def most_probable(
     begins, own = np.cumsum(degrees) - degrees, at_row[:, None] == at_row
     noise = np.zeros(own.shape)
     noise[own] = np.concatenate([np.ravel(measurement.covariance) for measurement in measurements])
-    certainty, rests = np.linalg.inv(noise), _rests(measurements)
-    deviations, moved = np.sqrt(np.diag(P) + 1e-18), np.inf
+    places = {measurement.name: at for at, measurement in enumerate(measurements)}
+    rests = [[places[name] for name in measurement.rests_on if name in places] for measurement in measurements]
+    certainty, deviations, moved = np.linalg.inv(noise), np.sqrt(np.diag(P) + 1e-18), np.inf
     weights, first = np.ones(len(degrees)), np.zeros(0)
     found: Solution | None = None
     for _ in range(MAX_ITERATIONS):
@@ -81,8 +82,9 @@ def most_probable(
         before = first if is_tracking else innovations
         if is_robust:
             weights = student_weight(np.maximum(before, residuals), degrees)
-            for at, others in rests:
-                weights[at] = min(weights[at], weights[others].max())
+            for at, others in enumerate(rests):
+                if others:
+                    weights[at] = min(weights[at], weights[others].max())
         R = noise / weights[at_row]
         solved = np.linalg.solve(S + R, np.column_stack([HP, innovation]))
         K = np.asarray(solved[:, :-1].T, np.float64)
@@ -100,29 +102,20 @@ def most_probable(
 
 
 def by_state(H: Array, x: Array) -> Array:
-    """Derivatives by a state x, (m, n), of those by what is added to it there.
-
-    A change of its rotation vector turns about another axis: by the left Jacobian, J_l(v) = J_r(-v).
-    """
+    """Derivatives by a state x, (m, n), of those by what is added to it there."""
     if not x[TURN].any():
         return H
     by_x = H.copy()
+    # A change of its rotation vector turns about another axis: by the left Jacobian, J_l(v) = J_r(-v).
     by_x[:, TURN] = H[:, TURN] @ np.linalg.inv(inverse_right_jacobian(-x[TURN]))
     return by_x
 
 
-def _rests(measurements: Sequence[LinkMeasurement]) -> list[tuple[int, list[int]]]:
-    """Which measurements rest on which others that are there."""
-    places = {measurement.name: at for at, measurement in enumerate(measurements)}
-    on = [[places[name] for name in measurement.rests_on if name in places] for measurement in measurements]
-    return [(at, others) for at, others in enumerate(on) if others]
-
-
 def robust_cost(found: Solution, measurements: Sequence[LinkMeasurement]) -> float:
     """Minus twice the logarithm of prior and heavy-tailed likelihood at a solution, but for constants."""
-    fits = zip(found.residuals, measurements, strict=True)
+    fits = zip(found.residuals.tolist(), measurements, strict=True)
     of_prior = found.nis - float(found.weights @ found.residuals)
-    return of_prior + sum(heavy_tailed(float(square), seen.covariance) for square, seen in fits)
+    return of_prior + sum(heavy_tailed(square, seen.covariance) for square, seen in fits)
 
 
 def evidence(found: Solution, P: Array, measurements: Sequence[LinkMeasurement]) -> float:

@@ -49,12 +49,16 @@ def detect_distal_marker(
     image_hsv: Image, mask: Image, region: Region, settings: DistalMarkerSettings
 ) -> DistalMarker | None:
     """The region of the mask (h, w) as a disc, sized where the colour has half its strength; None of bare steel."""
-    if _median_saturation(image_hsv, mask) < settings.min_saturation:
+    x, y, width, height = cv2.boundingRect(mask)
+    window = np.s_[y : y + height, x : x + width]
+    if np.median(image_hsv[window][..., 1][mask[window] > 0]) < settings.min_saturation:
         return None
-    disc = _marker_disc(image_hsv, mask, region)
-    if disc is None:
-        std_px = 0.5 * float(np.sqrt(region.area_px / np.pi))
-        return DistalMarker(region.centroid_px, std_px, None, 0.0, None, region.area_px)
+    # At the image's border there is no circle to fit, nor where the colour's border is another one.
+    corners, radius_px = region.hull.reshape(-1, 2), float(np.sqrt(region.area_px / np.pi))
+    is_whole = bool(((corners > 1) & (corners < [mask.shape[1] - 2, mask.shape[0] - 2])).all())
+    disc = fit_disc(image_hsv, mask, region.centroid_px, radius_px) if is_whole else None
+    if disc is None or abs(np.log(disc.radius_px / radius_px)) >= MAX_LOG_RATIO:
+        return DistalMarker(region.centroid_px, 0.5 * radius_px, None, 0.0, None, region.area_px)
     # Of a disc whose part is hidden the circle is too small, as an ellipse's area is to the circle about it.
     moments = cv2.moments(region.hull.astype(np.float32))
     spread = [[moments["mu20"], moments["mu11"]], [moments["mu11"], moments["mu02"]]]
@@ -66,25 +70,6 @@ def detect_distal_marker(
     radius_std_px = float(np.linalg.norm([settings.radius_std * whole_px, own_px, hidden_px]))
     std_px = CENTROID_STD * whole_px
     return DistalMarker(disc.centre_px, std_px, whole_px, radius_std_px, disc, region.area_px, hidden_px)
-
-
-def _marker_disc(image_hsv: Image, mask: Image, region: Region) -> Disc | None:
-    """The circle along a region's border; None at the image's border, or where the colour's border is another."""
-    corners = region.hull.reshape(-1, 2)
-    height, width = mask.shape
-    if not bool(((corners > 1) & (corners < [width - 2, height - 2])).all()):
-        return None
-    radius_px = float(np.sqrt(region.area_px / np.pi))
-    disc = fit_disc(image_hsv, mask, region.centroid_px, radius_px)
-    if disc is None or abs(np.log(disc.radius_px / radius_px)) >= MAX_LOG_RATIO:
-        return None
-    return disc
-
-
-def _median_saturation(image_hsv: Image, mask: Image) -> float:
-    x, y, width, height = cv2.boundingRect(mask)
-    window = np.s_[y : y + height, x : x + width]
-    return float(np.median(image_hsv[window][..., 1][mask[window] > 0]))
 
 
 NEAREST_M, FARTHEST_M = 0.02, 0.5  # of a shaft's end: nearer it fills the view, farther it has no light

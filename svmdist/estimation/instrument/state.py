@@ -58,10 +58,7 @@ class ErrorState:
         return float(self.correction.x[self.model.time_offset])
 
     def go_to(self, robot: RobotState) -> float | None:
-        """Take over the robot's state at a new instant, the joints at the time that the correction says.
-
-        Gives the time that has passed in s; None for the first state.
-        """
+        """Take over the robot's state, joints at the time that the correction says; gives the s since the last one."""
         before, self._robot = self._robot, robot.shifted(self.time_offset_s)
         self._links = None
         return None if before is None else max(0.0, (robot.stamp_ns - before.stamp_ns) / 1e9)

@@ -277,15 +277,13 @@ def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_wei
 
 
 def _moments(log_p: Array, offsets: Array, at: Array, window_px: float) -> tuple[Array, Array]:
-    """Mean and variance (2, n) of edges of log p (2, n, m) at offsets (m,), each in a window about `at` (2, n).
-
-    The window's own share is taken out.
-    """
+    """Mean and variance (2, n) of edges of log p (2, n, m) at offsets (m,), in windows about `at` (2, n)."""
     windowed = log_p - 0.5 * ((offsets - at[..., None]) / window_px) ** 2
     p = np.exp(windowed - windowed.max(2, keepdims=True))
     p /= p.sum(2, keepdims=True)
     mean = p @ offsets
     variance = (p * (offsets - mean[..., None]) ** 2).sum(2) + 0.1
+    # The window's own share is taken out.
     free = 1.0 / np.maximum(1.0 / variance - 1.0 / window_px**2, 0.15 / window_px**2)
     return at + (mean - at) * np.minimum(free / variance, 3.0), free
 
