@@ -31,12 +31,10 @@ class ErrorModel:
 
     def __init__(self, chain: DHChain, error: KinematicError) -> None:
         self.chain, self.error, names = chain, error, chain.joint_names
-        if error.first_moving_joint is not None and error.first_moving_joint not in names:
-            raise KinematicsError(
-                f"no joint {error.first_moving_joint} to be the first moving one:"
-                f" {did_you_mean(error.first_moving_joint, names)}"
-            )
-        self.first_joint = names.index(error.first_moving_joint or names[0])
+        first = names[0] if error.first_moving_joint is None else error.first_moving_joint
+        if first not in names:
+            raise KinematicsError(f"no joint {first} to be the first moving one: {did_you_mean(first, names)}")
+        self.first_joint = names.index(first)
         rows = chain.moving_rows[self.first_joint :]
         self.first_row, count = int(rows[0]), len(rows)
         self.axes = rows - rows[0] + (chain.convention == "modified")
@@ -47,7 +45,6 @@ class ErrorModel:
         self.time_offset = 6 + 2 * count
         self.size = self.time_offset + 1 + len(self.row_lengths)
         self.lengths = slice(self.time_offset + 1, self.size)
-        self._joint_std = error.joint_std_rad * self.turns + error.joint_std_m * self.slides
         self._backlash_std = error.play_std_rad * self.turns + error.play_std_m * self.slides
         self._drift = np.zeros(self.size)
         self._drift[:3], self._drift[3:6] = error.drift_m_per_sqrt_s, error.drift_rad_per_sqrt_s
@@ -90,9 +87,12 @@ class ErrorModel:
         """
         P = np.zeros((self.size, self.size))
         P[:6, :6], effects = self._transform(robot)
-        P[self.offsets, self.offsets] = np.diag(self._joint_std**2)
-        P[self.time_offset, self.time_offset] = self.error.time_offset_std_s**2
-        P[self.lengths, self.lengths] = self.error.length_std_m**2 * np.eye(len(self.row_lengths))
+        error = self.error
+        P[self.offsets, self.offsets] = np.diag(
+            (error.joint_std_rad * self.turns + error.joint_std_m * self.slides) ** 2
+        )
+        P[self.time_offset, self.time_offset] = error.time_offset_std_s**2
+        P[self.lengths, self.lengths] = error.length_std_m**2 * np.eye(len(self.row_lengths))
         # What a transform by hand-eye owes to the offset of a joint is not to be counted beside that offset.
         columns = self.parameter_columns
         for name in effects.keys() & columns:

@@ -43,11 +43,6 @@ class ImagePose:
     contradiction: str
     gating: tuple[GatingResult, ...] = ()
 
-    @property
-    def is_by_right_view(self) -> bool:
-        """Whether it rests on anything in the right view."""
-        return any(name == DISPARITY or name.startswith("right ") for name in self.used)
-
 
 def pose_by_images(frame: Frame, pair: RectifiedPair | None = None) -> ImagePose | Failure:
     """The tool by the left view, or by both views of a pair; or why it cannot be measured."""

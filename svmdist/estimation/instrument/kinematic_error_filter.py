@@ -12,8 +12,7 @@ from svmdist.estimation.instrument.consistency import Consistency, GatingResult,
 from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.instrument.measurement import BiasTerm, Linearised, LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import PoseMeasurement
-from svmdist.estimation.instrument.most_probable import Solution, evidence, heavy_tailed, most_probable, robust_cost
-from svmdist.estimation.instrument.state import ErrorState
+from svmdist.estimation.instrument.state import ErrorState, Solution, evidence, heavy_tailed, most_probable, robust_cost
 from svmdist.kinematics import DHChain, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import KinematicError

@@ -45,15 +45,12 @@ class Deviations:
     @classmethod
     def of(cls, profile: Profile) -> Deviations:
         """The profile's."""
-        instrument, tag = profile.instrument, profile.fiducial
-        return cls(
-            profile.camera_error,
-            0.0 if instrument is None else instrument.shaft_radius_std_fraction,
-            0.0 if instrument is None else instrument.knuckle_radius_std_fraction,
-            0.0 if tag is None else tag.size_std_fraction,
-            0.0 if tag is None else tag.position_std_m,
-            0.0 if tag is None else tag.rotation_std_rad,
-        )
+        radii, of_tag = (0.0, 0.0), (0.0, 0.0, 0.0)
+        if (instrument := profile.instrument) is not None:
+            radii = instrument.shaft_radius_std_fraction, instrument.knuckle_radius_std_fraction
+        if (tag := profile.fiducial) is not None:
+            of_tag = tag.size_std_fraction, tag.position_std_m, tag.rotation_std_rad
+        return cls(profile.camera_error, *radii, *of_tag)
 
     def of_pixels(self, pixel: Array, camera: Camera) -> tuple[BiasTerm, ...]:
         """Of a projected point, shape (2,): focal length and principal point."""
@@ -141,11 +138,9 @@ class LinkMeasurement(ABC):
     def in_view(self, T_view_link: Array, /) -> Linearised:
         """All that it says about a pose of the link, shape (4, 4), in the frame of the camera that sees it."""
 
-    def about(
-        self, residual: Array, H: Array, own: Array, shared: Iterable[BiasTerm], bias_name: str | None = None
-    ) -> Linearised:
-        """It about a pose, by its derivatives (m, 6) and by its own bias, (m, k), or that of a name, and shared ones."""
-        bias = BiasTerm(bias_name or self.name, own, self.correlation_time_s)
+    def about(self, residual: Array, H: Array, own: Array, shared: Iterable[BiasTerm], name: str = "") -> Linearised:
+        """It about a pose, by its derivatives (m, 6), and by its own bias, (m, k), or one of that name, and others."""
+        bias = BiasTerm(name or self.name, own, self.correlation_time_s)
         return Linearised(residual, H, (bias, *shared), self.covariance)
 
     def unseen(self) -> Linearised:

@@ -35,9 +35,7 @@ class WristKinematics:
     """How joints bend a wrist; straight, jaws point along `straight` (3,), and the hinge is `length_m` away."""
 
     chain: dh.DHChain
-    rows: Sequence[
-        int
-    ]  # they turn the shaft about itself, the wrist about its hinge and the tool, and may open the jaw
+    rows: Sequence[int]  # the shaft turns about itself, the wrist about its hinge and the tool, and a jaw may open
     straight: Array
     length_m: float
 

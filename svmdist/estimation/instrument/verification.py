@@ -59,11 +59,8 @@ def contradiction(
             continue
         if (shown := _share_shown(view, body.transformed(view.T_view_left))) < MIN_SHOWN:
             return f"of the projected shaft only {shown:.0%} is on the instrument in the image"
-    error, shaft = frame.arm.profile.camera_error, None
-    sections = shaft_sections(frame.left.camera, body)
-    if sections is not None and sections.length_px >= MIN_LENGTH * np.max(sections.half_px):
-        shaft = _ShaftEvidence.of(frame.left, sections, body.start_m[HINGE], pose, instrument, error)
-    if said := _off_marker(frame.left, pose, instrument, error, shaft):
+    shaft = _ShaftEvidence.of(frame, pose, instrument, body)
+    if said := _off_marker(frame, pose, instrument, shaft):
         return said
     if shaft is not None and shaft.is_beside:
         return f"the projected shaft lies beside the instrument in the image: {shaft.inside:.0%} of it is on it"
@@ -79,7 +76,8 @@ def _out_of_place(pose: ToolPose, seen: TissuePose, tissue: Tissue) -> str:
     aside_m = float(np.linalg.norm(cross(plane.normal, pose.position_m - seen.position_m)))
     parts_m = tissue.plane_tilt_std_rad * aside_m, seen.surface_std_m, tissue.surface_std_m
     variance_m2 = float(plane.normal @ (seen.covariance + pose.position_covariance) @ plane.normal)
-    # An interval that lies behind it as a whole is wrong: a part of a marker seems far away as a whole one.
+    # Nothing is there, so that an interval that lies behind it as a whole is wrong: a part of a marker seems far away
+    # as a whole one, and points of a measured surface have no inside.
     if below_m <= Z_95 * np.sqrt(variance_m2 + np.sum(np.square(parts_m))):
         return ""
     return f"the tool is {1e3 * below_m:.0f} mm behind the plane that the tissue lies on"
@@ -95,11 +93,9 @@ def _share_shown(view: View, body: Capsules) -> float:
     return float(np.count_nonzero(own)) / np.count_nonzero(known) if known.any() else 1.0
 
 
-def _off_marker(
-    view: View, pose: ToolPose, instrument: Instrument, error: CameraError, shaft: _ShaftEvidence | None
-) -> str:
+def _off_marker(frame: Frame, pose: ToolPose, instrument: Instrument, shaft: _ShaftEvidence | None) -> str:
     """Whether the coloured distal marker is seen where the pose does not allow it, or of another size."""
-    camera = view.camera
+    view, camera, error = frame.left, frame.left.camera, frame.arm.profile.camera_error
     marker_m = pose.position_m + pose.T_camera_tool[:3, :3] @ np.array(instrument.knuckle_position_m)
     if view.masks.seen is not None or not marker_m[2] > instrument.knuckle_radius_m or (region := view.region) is None:
         return ""
@@ -121,13 +117,13 @@ def _off_marker(
         return ""
     size, log_std = 1.0, np.inf
     if marker.radius_px is not None:
+        size, depth_std = marker.radius_px / radius_px, float(np.sqrt(pose.covariance[2, 2]) / pose.position_m[2])
         parts = marker.radius_std_px / marker.radius_px, instrument.knuckle_radius_std_fraction
-        log_std = float(np.linalg.norm([*parts, error.focal_std_fraction, _depth_std(pose)]))
-        size = marker.radius_px / radius_px
+        log_std = float(np.linalg.norm([*parts, error.focal_std_fraction, depth_std]))
     is_odd = abs(np.log(size)) > MAX_DEVIATIONS * log_std
     # A shaft as wide as projected says that the coloured part is another one, on a wrist that is no thicker.
     is_on_wrist = size * instrument.knuckle_radius_m <= instrument.wrist_radius_m
-    is_other = is_odd and is_on_wrist and shaft is not None and shaft.fits
+    is_other = is_odd and is_on_wrist and shaft is not None and abs(shaft.narrower) < MAX_DEVIATIONS
     if is_off:
         pixel, place_std_m = marker.centre_px, instrument.knuckle_position_std_m
         if marker.disc is not None:
@@ -140,7 +136,7 @@ def _off_marker(
             beside = f"{np.linalg.norm(camera.project(marker_m)[0] - pixel):.0f} px beside its projection"
             return f"the distal marker is seen {beside}, {off:.1f} standard deviations"
     # Nothing makes a sphere look larger; what covers a part of it makes it smaller, and leaves the shaft as wide.
-    if is_odd and not is_other and (size > 1.0 or (shaft is not None and shaft.is_narrow)):
+    if is_odd and not is_other and (size > 1.0 or (shaft is not None and shaft.narrower > MAX_DEVIATIONS)):
         return f"the distal marker looks {size:.2f} times as large as its projection"
     return ""
 
@@ -151,19 +147,20 @@ class _ShaftEvidence:
 
     inside: float
     is_beside: bool  # the shaft is seen, and neither of its sides is where the pose has it
-    fits: bool  # it is as wide as projected
-    is_narrow: bool  # it is less wide
+    narrower: float  # by how many deviations it is less wide than projected; NaN where that is not known
 
     @staticmethod
-    def of(
-        view: View, seen: ShaftSections, hinge_m: Array, pose: ToolPose, instrument: Instrument, error: CameraError
-    ) -> _ShaftEvidence | None:
+    def of(frame: Frame, pose: ToolPose, instrument: Instrument, body: Capsules) -> _ShaftEvidence | None:
         """The evidence at sections of the shaft; None where the pose allows nearly anything, or nothing is known."""
-        camera, masks = view.camera, view.masks
+        view, camera, masks = frame.left, frame.left.camera, frame.left.masks
+        seen = shaft_sections(camera, body)
+        if seen is None or not seen.length_px >= MIN_LENGTH * np.max(seen.half_px):
+            return None
         mask_px = (MASK_STD if masks.seen is None else SHAPE_STD) * camera.width_px
         own_px = np.hypot(mask_px, instrument.shaft_radius_std_fraction * seen.half_px)
-        all_px = np.hypot(own_px, _calibration_std_px(seen.middles_px, camera, error))
-        allowed = MAX_DEVIATIONS * np.hypot(all_px, _across_std_px(seen, hinge_m, pose, camera)) / seen.half_px
+        all_px = np.hypot(own_px, _calibration_std_px(seen.middles_px, camera, frame.arm.profile.camera_error))
+        of_pose_px = _across_std_px(seen, body.start_m[HINGE], pose, camera)
+        allowed = MAX_DEVIATIONS * np.hypot(all_px, of_pose_px) / seen.half_px
         if masks.shaft is None or np.max(allowed) > MAX_REACH:
             return None
         # Across each section, in half widths: what is the instrument's, and what no other instrument's.
@@ -186,19 +183,11 @@ class _ShaftEvidence:
             return None
         is_beside = np.where(is_near, is_off, has_bar)
         half = 0.5 * (end - begin)[is_near & np.isfinite(end - begin) & (end > begin)]
-        width_std = np.hypot(float(np.max(own_px / seen.half_px)), _depth_std(pose))
-        narrower = -np.log(np.median(half)) / width_std if len(half) >= MIN_SECTIONS else np.nan
-        return _ShaftEvidence(
-            float(own_count[:, here].sum() / max(known_count[:, here].sum(), 1.0)),
-            bool(np.mean(is_beside[is_seen]) > MAX_BESIDE),
-            bool(abs(narrower) < MAX_DEVIATIONS),
-            bool(narrower > MAX_DEVIATIONS),
-        )
-
-
-def _depth_std(pose: ToolPose) -> float:
-    """Standard deviation of a tool's depth over the depth."""
-    return float(np.sqrt(pose.covariance[2, 2]) / pose.position_m[2])
+        depth_std = float(np.sqrt(pose.covariance[2, 2]) / pose.position_m[2])
+        width_std = np.hypot(float(np.max(own_px / seen.half_px)), depth_std)
+        narrower = float(-np.log(np.median(half)) / width_std) if len(half) >= MIN_SECTIONS else np.nan
+        inside = float(own_count[:, here].sum() / max(known_count[:, here].sum(), 1.0))
+        return _ShaftEvidence(inside, bool(np.mean(is_beside[is_seen]) > MAX_BESIDE), narrower)
 
 
 def _calibration_std_px(pixels: Array, camera: Camera, error: CameraError) -> Array:
@@ -239,7 +228,7 @@ def _sampled(view: View, at_px: Array) -> tuple[NDArray[np.bool_], NDArray[np.bo
 
 
 def _sides(own: NDArray[np.bool_], known: NDArray[np.bool_], offset: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Where the instrument begins nearest to -1, and ends nearest to 1, (n,), NaN without; if a shaft's width apart."""
+    """Where the instrument begins nearest to -1 and ends nearest to 1, (n,), NaN without; if anywhere a shaft wide."""
     at = 0.5 * (offset[1:] + offset[:-1])
     is_border = (own[:, 1:] != own[:, :-1]) & known[:, 1:] & known[:, :-1]
     begins, ends = (np.where(is_border & own[:, side], at, np.nan) for side in (np.s_[1:], np.s_[:-1]))

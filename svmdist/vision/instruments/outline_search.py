@@ -128,7 +128,7 @@ def _weaker_side(odds: Floats, seen: NDArray[np.bool_]) -> Array:
 
 
 def _material(outline: Outline, middle: Array, hidden: NDArray[np.bool_], evidence: Evidence) -> Array:
-    """Log-odds of a shaft's end by changes of colour and light along the axis, (n,), at (n, m, 2), some `hidden`, (n,)."""
+    """Log-odds of a shaft's end by changes of colour and light at places along the axis, (n,), not at `hidden` ones."""
     colours = np.sort(sampled(evidence.colours, middle), axis=1)[:, middle.shape[1] // 2]  # their medians
     half, at = max(3, round(STEP_WIDTHS * outline.width_px)), np.arange(len(colours))
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(colours, axis=0)])
