@@ -21,12 +21,8 @@ class ErrorModel:
 
     δp in m and δφ in rad are displacement and rotation vector of everything behind the set-up joints, in the camera
     frame about the anchor; δq are the offsets of the joints from `first_joint` on, `backlash` what of their errors
-    changes with the motion (and cables, noise), τ how late the joints' stamps are, δl the errors of `row_lengths`:
-    such a (row, axis_row, column) shifts all frames from a row on along an axis, a column of a row's frame.
-
-    `offsets`, `backlash`, `time_offset` and `lengths` are their indices among its `size` numbers. `turns` and `slides`,
-    shape (n_joints - first_joint,), are 1 for joints of that type and 0 for others; `axes` are the places of the frames
-    with their axes among those from the row before `first_row` on.
+    changes with the motion (and cables, noise), τ how late the joints' stamps are, δl the errors of `row_lengths`.
+    `offsets`, `backlash`, `time_offset` and `lengths` are their indices among its `size` numbers.
     """
 
     def __init__(self, chain: DHChain, error: KinematicError) -> None:
@@ -37,7 +33,9 @@ class ErrorModel:
         self.first_joint = names.index(first)
         rows = chain.moving_rows[self.first_joint :]
         self.first_row, count = int(rows[0]), len(rows)
+        # Which frames have the joints' axes, among those from the row before `first_row` on.
         self.axes = rows - rows[0] + (chain.convention == "modified")
+        # 1 for joints of that type from the first one on, 0 for others.
         self.turns: Array = chain.is_revolute[self.first_joint :].astype(np.float64)
         self.slides: Array = 1.0 - self.turns
         self.row_lengths = tuple(_lengths(chain, self.first_row))
@@ -136,7 +134,10 @@ class ErrorModel:
 
 
 def _lengths(chain: DHChain, first_row: int) -> Iterator[tuple[int, int, int]]:
-    """Lengths behind the first moving joint that no joint's offset could stand in for."""
+    """Lengths behind the first moving joint that no joint's offset could stand in for: (row, axis_row, column).
+
+    Such a length shifts all frames from a row on along an axis, a column of a row's frame.
+    """
     is_modified = chain.convention == "modified"
     for index, row in list(enumerate(chain.rows))[first_row + is_modified :]:
         # Standard: Rot_z(θ) Trans_z(d) Trans_x(a) Rot_x(α); modified: Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d).

@@ -65,36 +65,30 @@ def pose_by_images(frame: Frame, pair: RectifiedPair | None = None) -> ImagePose
 
 
 def _first_places(views: Sequence[View], tool_m: Array | None, model: ShaftModel) -> Iterator[Array | Failure]:
-    """First `T_left_shaft`, (4, 4): by the sides in a view, by the triangulated marker; or what is missing."""
-    R_nominal = model.R_camera_shaft
+    """First `T_left_shaft`, (4, 4): by sides or marker in a view, by the triangulated marker; or what is missing."""
+    R_nominal, tool_in_shaft_m = model.R_camera_shaft, model.T_shaft_tool[:3, 3]
     for view in views:
-        T_left_view = inverse(view.T_view_left)
+        T_left_view, marker = inverse(view.T_view_left), view.distal_marker
         R = None if R_nominal is None else T_left_view[:3, :3].T @ R_nominal
-        for first in _first_shafts(view, model, R):
+        firsts = list(_starts_from_sides(view, model, R)) if len(view.shaft.contours) == 2 else []
+        if R is None:
+            firsts.append(Failure("no long enough part of a shaft is visible with both sides"))
+        elif marker is None or marker.radius_px is None:
+            firsts.append(Failure("neither both sides of the shaft nor a whole distal marker"))
+        else:
+            ray, radius_m = view.camera.rays(marker.centre_px)[0], model.instrument.knuckle_radius_m
+            marker_m = apparent_radius_px(ray, radius_m, view.camera) / marker.radius_px * ray
+            firsts.append(make_transform(R, marker_m - R @ tool_in_shaft_m))
+        for first in firsts:
             if isinstance(first, Failure):
                 yield first
                 continue
             T = T_left_view @ first
             if tool_m is not None:  # disparity is more accurate than the width of a short segment
-                yield make_transform(T[:3, :3], tool_m - T[:3, :3] @ model.T_shaft_tool[:3, 3])
+                yield make_transform(T[:3, :3], tool_m - T[:3, :3] @ tool_in_shaft_m)
             yield np.asarray(T)
     if tool_m is not None and R_nominal is not None:
-        yield make_transform(R_nominal, tool_m - R_nominal @ model.T_shaft_tool[:3, 3])
-
-
-def _first_shafts(view: View, model: ShaftModel, R_nominal: Array | None) -> Iterator[Array | Failure]:
-    """First `T_view_shaft`, (4, 4): by the closed form, by the nominal rotation and a marker; or why none."""
-    if len(view.shaft.contours) == 2:
-        yield from _starts_from_sides(view, model, R_nominal)
-    marker = view.distal_marker
-    if R_nominal is None:
-        yield Failure("no long enough part of a shaft is visible with both sides")
-    elif marker is None or marker.radius_px is None:
-        yield Failure("neither both sides of the shaft nor a whole distal marker")
-    else:
-        ray, radius_m = view.camera.rays(marker.centre_px)[0], model.instrument.knuckle_radius_m
-        tool_m = apparent_radius_px(ray, radius_m, view.camera) / marker.radius_px * ray
-        yield make_transform(R_nominal, tool_m - R_nominal @ model.T_shaft_tool[:3, 3])
+        yield make_transform(R_nominal, tool_m - R_nominal @ tool_in_shaft_m)
 
 
 def _starts_from_sides(view: View, model: ShaftModel, R_nominal: Array | None) -> Iterator[Array | Failure]:

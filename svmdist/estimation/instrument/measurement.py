@@ -117,21 +117,18 @@ class Linearised:
 class LinkMeasurement(ABC):
     """A measurement of the frame of the DH row `link`, or of the tool where that is None; `name` is human-readable.
 
-    `covariance` is that of what changes from frame to frame, the noise, shape (m, m). What stays alike, the bias, is a
-    vector of numbers of variance one that fade with the time constant `correlation_time_s`. `source` is the detection
-    that it is made of. For a right view, `T_view_left` maps the left camera's coordinates to the right one's. The image
-    shows what was `delay_s` after the frame's stamp. Where all measurements that it `rests_on`, by their names, are
-    outliers, it is one: the end of what is no shaft is no shaft's end.
+    What stays alike from frame to frame, the bias, is a vector of numbers of variance one. Where all measurements that
+    it `rests_on`, by their names, are outliers, it is one: the end of what is no shaft is no shaft's end.
     """
 
     name: str
-    covariance: Array
+    covariance: Array  # of the noise, which changes from frame to frame, shape (m, m)
     link: str | None = None
-    source: str = ""
-    correlation_time_s: float
+    source: str = ""  # the detection that it is made of
+    correlation_time_s: float  # with which the bias fades
     deviations: Deviations = EXACT
-    T_view_left: Array | None = None
-    delay_s: float = 0.0
+    T_view_left: Array | None = None  # for a right view: maps the left camera's coordinates to the right one's
+    delay_s: float = 0.0  # of what the image shows, after the frame's stamp
     rests_on: tuple[str, ...] = ()
 
     @abstractmethod

@@ -22,21 +22,17 @@ NEAR_M = 1e-3  # A camera is no nearer to an edge than this: it bounds a derivat
 
 @dataclass(frozen=True, slots=True)
 class PointError:
-    """The bias of a point on an instrument, under one name for all measurements that share it.
+    """The bias of a point on an instrument, under one name for all measurements that share it, as deviations.
 
-    The point may be off by an offset fixed in the link's frame, of deviation `place_std_m` along each axis, and what is
-    visible of it by another one, of `part_std_m`: where a side is hidden, or another part is coloured. Shading may
-    draw the pixel outward by `shading_px` (a deviation) times the tilt of its ray. What is found between the shaft's
-    end and the tips is off with that end, by `with_end_m` (3,) in the view's frame at the end's deviation, and with the
-    jaws' length, by `with_jaws_m` along them. Both fade as the point's own bias.
+    What is found between the shaft's end and the tips is off with both, as lastingly as by its own bias.
     """
 
     name: str = "point"
-    place_std_m: float = 0.0
-    part_std_m: float = 0.0
-    shading_px: float = 0.0
-    with_end_m: Array | None = None
-    with_jaws_m: float = 0.0
+    place_std_m: float = 0.0  # of an offset that is fixed in the link's frame, along each axis
+    part_std_m: float = 0.0  # of another one of what is visible: a side is hidden, or another part is coloured
+    shading_px: float = 0.0  # by which shading draws the pixel outward, over the tilt of its ray
+    with_end_m: Array | None = None  # at the deviation of the shaft's end, (3,) in the view's frame
+    with_jaws_m: float = 0.0  # at that of the jaws' length, along them
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,21 +164,16 @@ class _WithBias(LinkMeasurement):
 class ContourMeasurement(_WithBias):
     """One edge of the shaft's silhouette: the plane through the camera's centre and the edge touches the shaft.
 
-    `normal`, shape (3,), is that plane's unit normal in the camera frame, turned to the shaft's side; `across`, shape
-    (2, 3), holds two unit vectors square to it, along which it errs by the covariance, shape (2, 2) in rad². The
-    shaft is a cylinder of `radius_m` about an axis of the link: `p_axis_m` and `axis`, shape (3,), in the link's
-    frame, towards the tip. `side` is +1 for the edge to the right of the axis as it runs through
-    the image, y being down, -1 for the left. `bias_covariance`, shape (2, 2) in rad², is that of the bias: shading
-    stays as long as the light falls on the edge so.
+    Both covariances are (2, 2) in rad²; the bias is that of shading, which stays as long as the light falls on it so.
     """
 
     source: str = SHAFT
-    normal: Array
-    across: Array
-    p_axis_m: Array
-    axis: Array
+    normal: Array  # unit normal of that plane in the camera frame, turned to the shaft's side, (3,)
+    across: Array  # two unit vectors square to it, along which it errs, (2, 3)
+    p_axis_m: Array  # of the shaft's axis, in the link's frame, (3,)
+    axis: Array  # its direction to the tip, (3,)
     radius_m: float
-    side: int
+    side: int  # +1 for the edge to the right of the axis as it runs through the image, y being down, -1 for the left
 
     @cached_property
     def _of_camera(self) -> tuple[BiasTerm, ...]:
@@ -213,21 +204,19 @@ class ContourMeasurement(_WithBias):
 class EndMeasurement(LinkMeasurement):
     """Where the shaft's end is along its middle line: `pixel` (2,) along `towards_tip` (2,), with a variance (1, 1).
 
-    The end is `ahead_m` before the hinge `p_hinge_m` (3,) on the axis (3,) of the link; of the dark part it is the end
-    of the generatrix that faces the camera, `radius_m` off the axis. `model_std_m` is how wrong `ahead_m` may be, and
-    `bias_std_px` the bias in the image: a band or a plate that is taken for the end stays one.
+    The end is on the axis (3,) of the link; that of the dark part ends the generatrix that faces the camera.
     """
 
     source: str = SHAFT
     camera: Camera
     pixel: Array
     towards_tip: Array
-    p_hinge_m: Array
+    p_hinge_m: Array  # (3,) in the link's frame
     axis: Array
-    ahead_m: float
-    radius_m: float
-    model_std_m: float
-    bias_std_px: float = 0.0
+    ahead_m: float  # of the end before the hinge
+    radius_m: float  # of the generatrix off the axis; 0 for the outline's end
+    model_std_m: float  # how wrong `ahead_m` may be
+    bias_std_px: float = 0.0  # a band or a plate that is taken for the end stays one
 
     @cached_property
     def _of_camera(self) -> tuple[BiasTerm, ...]:

@@ -197,17 +197,13 @@ HINGE = 1  # the capsule that starts at the wrist's hinge: see `capsules_about`
 
 @dataclass(frozen=True, slots=True)
 class ShaftSections:
-    """The visible shaft cut across in the image, from its end on: n cuts, evenly along it.
+    """The visible shaft cut across in the image, from its end on: n cuts, evenly along it."""
 
-    The points of the axis are in the camera frame, `middles_px` (n, 2) between both sides, and `across` (n, 2) unit
-    vectors from one side to the other, which are `half_px` (n,) to either side. `length_px` is from first to last.
-    """
-
-    axis_m: Array
-    middles_px: Array
-    across: Array
-    half_px: Array
-    length_px: float
+    axis_m: Array  # points of the axis in the camera frame, (n, 3)
+    middles_px: Array  # between both sides, (n, 2)
+    across: Array  # unit vectors from one side to the other, (n, 2)
+    half_px: Array  # from a middle to either side, (n,)
+    length_px: float  # from first to last
 
     @property
     def outline_px(self) -> Array:

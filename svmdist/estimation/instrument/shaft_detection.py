@@ -29,20 +29,15 @@ CENTROID_STD = 0.045  # by how much hidden parts move the region's centroid, ove
 
 @dataclass(frozen=True, slots=True)
 class DistalMarker:
-    """The marker: the middle of its circle, or of its region, (2,), and its radius, with standard deviations, in px.
-
-    `radius_px` is that of the whole sphere, None where the image's border or something else cuts it, and `hidden_px` by
-    how much of that deviation something hides it; `disc` is the circle along its border that the radius comes from,
-    `area_px` the area of what is visible.
-    """
+    """The marker: the middle of its circle, or of its region, (2,), and its radius, with standard deviations, in px."""
 
     centre_px: Array
     std_px: float
-    radius_px: float | None
+    radius_px: float | None  # of the whole sphere; None where the image's border or something else cuts it
     radius_std_px: float
-    disc: Disc | None = None
-    area_px: float = 0.0
-    hidden_px: float = 0.0
+    disc: Disc | None = None  # the circle along its border that the radius comes from
+    area_px: float = 0.0  # of what is visible
+    hidden_px: float = 0.0  # by how much of the radius' deviation something hides it
 
 
 def detect_distal_marker(
@@ -77,20 +72,15 @@ NEAREST_M, FARTHEST_M = 0.02, 0.5  # of a shaft's end: nearer it fills the view,
 
 @dataclass(frozen=True, slots=True)
 class ShaftDetection:
-    """Contours (none, one or two), the planes that touch the shaft there, and the rim, each as far as it is visible.
-
-    `towards_tip` (2,) is the direction of the shaft's middle line in the image, None if unknown. `wrist` is
-    where the tool's origin is in the outline of a whole instrument. `width_std` is the deviation over the width of what
-    both contours get wrong alike, `wrist_std` the same of what may be no shaft, where nothing else shows its depth.
-    """
+    """Contours (none, one or two), the planes that touch the shaft there, and the rim, each as far as it is visible."""
 
     contours: tuple[TangentPlane, ...] = ()
     rim: Rim | None = None
-    towards_tip: Array | None = None
+    towards_tip: Array | None = None  # direction of the shaft's middle line in the image, (2,); None if unknown
     middle_px: Array | None = None
-    wrist: WristPoint | None = None
-    width_std: float = 0.0
-    wrist_std: float = 0.0
+    wrist: WristPoint | None = None  # where the tool's origin is in the outline of a whole instrument
+    width_std: float = 0.0  # deviation over the width of what both contours get wrong alike
+    wrist_std: float = 0.0  # the same of what may be no shaft, where nothing else shows its depth
 
 
 NO_SHAFT = ShaftDetection()

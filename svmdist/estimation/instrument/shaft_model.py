@@ -126,19 +126,14 @@ class ShaftSizes:
 
 @dataclass(frozen=True, slots=True)
 class ShaftModel(ShaftSizes):
-    """The instrument behind its shaft's frame S: origin on the wrist's hinge, z along the shaft to the tip.
+    """The instrument behind its shaft's frame S: origin on the wrist's hinge, z along the shaft to the tip."""
 
-    `T_base_shaft` and `T_shaft_tool`, (4, 4), are by the joints, which are straight where none are known.
-    `R_camera_shaft` (3, 3) is that of the nominal kinematics, None without the robot's base. In the frame of the link
-    that slides along the shaft, the shaft's axis is `axis` and the wrist's hinge `hinge_m`, (3,).
-    """
-
-    q: Array
+    q: Array  # straight where no joints are known
     T_base_shaft: Array
     T_shaft_tool: Array
-    R_camera_shaft: Array | None
+    R_camera_shaft: Array | None  # by nominal kinematics; None without the robot's base
     axis: dh.ShaftAxis
-    hinge_m: Array
+    hinge_m: Array  # the wrist's, (3,) in the frame of the axis' link, which slides along the shaft
 
     @classmethod
     def of(cls, robot: RobotState | Failure, chain: dh.DHChain, instrument: Instrument) -> ShaftModel:

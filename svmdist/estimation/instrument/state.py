@@ -180,19 +180,15 @@ TOLERANCE = 1e-2  # of a standard deviation: a step of less has converged
 
 @dataclass(frozen=True, slots=True)
 class Solution:
-    """The most probable change x of the state, derivatives and noise there, and statistics per measurement.
-
-    `innovations` are normalised squares against prior and noise, `residuals` those that are left against noise alone,
-    `weights` those of Student's t; `nis` is the square of all of them together.
-    """
+    """The most probable change x of the state, derivatives and noise there, and statistics per measurement."""
 
     x: Array
     H: Array
     R: Array
-    innovations: Array
-    residuals: Array
-    weights: Array
-    nis: float
+    innovations: Array  # normalised squares against prior and noise
+    residuals: Array  # those that are left against noise alone
+    weights: Array  # of Student's t
+    nis: float  # the square of all of them together
     has_converged: bool
 
 

@@ -43,6 +43,7 @@ class Evidence:
         size = (max(1, round(self.scale * width)), max(1, round(self.scale * height)))
         how = cv2.INTER_AREA if self.scale < 1.0 else cv2.INTER_LINEAR
         self.bgr = np.asarray(cv2.resize(bgr, size, interpolation=how), np.uint8)
+        self.bgr_float: Floats = self.bgr.astype(np.float32)
         self.picture = picture_of(self.bgr)
         self.hidden = np.zeros_like(self.picture)
 
@@ -56,11 +57,6 @@ class Evidence:
         """What light reaches of the picture, without its outermost 2 px, where the optics fade."""
         lit = picture_of(self.bgr, LIT_LEVELS) & self.picture
         return np.asarray(cv2.erode(lit, SQUARE_5, borderValue=0), np.uint8)
-
-    @cached_property
-    def bgr_float(self) -> Floats:
-        """The working image's levels, shape (h, w, 3)."""
-        return self.bgr.astype(np.float32)
 
     @cached_property
     def scores(self) -> Floats:

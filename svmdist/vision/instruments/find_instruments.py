@@ -105,37 +105,25 @@ def _instance_mask(outline: Outline, evidence: Evidence, free: Mask) -> Mask:
 
 @dataclass(frozen=True)
 class SeenInstrument:
-    """An instrument that comes in from the picture's border, in pixels of the image it was found in.
+    """An instrument that comes in from the picture's border, in pixels of the image it was found in."""
 
-    `small_mask` is its mask in the working image, of whose pixels one is `pixel_px` wide; the image has the `size`
-    (h, w). `sides`, shape (2, 2, 2), holds the ends of both sides as (x, y), at the border first. `end_px` (2,) is the
-    middle of the shaft's end. `evidence`, from 0 to 1, says how sure it is that this is an instrument.
-    `side_covariance` (2, 2, 2) is that of each side's offsets at both ends in px², `end_std_px` the end's deviation
-    along the axis, infinite where the shaft goes on to the border, and `ends_dark` says that it is the end of a part
-    and not of the outline: the other one of both, `other_px` further along, has a probability of `other_share`, and one
-    only `near_widths` of its width from the border, too near for the sides to be the shaft's, of `near_share`. It
-    `shows_shaft` where what comes in is not a wrist already, and where it may be one, the shaft's width is off by
-    `wrist_std` over it. It `touches_another` where what is connected with it comes in elsewhere, too. `knows_tip` is
-    False where the tip may be at either end.
-    """
-
-    small_mask: Mask
-    size: tuple[int, int]
-    sides: Array
-    end_px: Array
-    evidence: float
-    side_covariance: Array = field(default_factory=lambda: np.zeros((2, 2, 2)))
-    end_std_px: float = np.inf
-    ends_dark: bool = False
-    pixel_px: float = 2.0
-    other_px: float = 0.0
-    other_share: float = 0.0
-    near_widths: float = 0.0
-    near_share: float = 0.0
-    shows_shaft: bool = True
-    wrist_std: float = 0.0
-    touches_another: bool = False
-    knows_tip: bool = True
+    small_mask: Mask  # in the working image
+    size: tuple[int, int]  # (h, w) of the image
+    sides: Array  # the ends of both sides as (x, y), at the border first, shape (2, 2, 2)
+    end_px: Array  # the middle of the shaft's end, shape (2,)
+    evidence: float  # how sure it is that this is an instrument, from 0 to 1
+    side_covariance: Array = field(default_factory=lambda: np.zeros((2, 2, 2)))  # of sides' offsets at both ends, px²
+    end_std_px: float = np.inf  # of the end along the axis; infinite where the shaft goes on to the border
+    ends_dark: bool = False  # whether it is the end of a part and not of the outline
+    pixel_px: float = 2.0  # the width of a pixel of the working image
+    other_px: float = 0.0  # how much further along the other one of both is
+    other_share: float = 0.0  # the probability that that is the shaft's end
+    near_widths: float = 0.0  # from the border to an end too near for the sides to be the shaft's, over its width
+    near_share: float = 0.0  # the probability of that one
+    shows_shaft: bool = True  # whether what comes in is not a wrist already
+    wrist_std: float = 0.0  # where it may be one: by how much the shaft's width is off, over it
+    touches_another: bool = False  # what is connected with it comes in elsewhere, too
+    knows_tip: bool = True  # False where the tip may be at either end
 
     @property
     def entry_px(self) -> Array:

@@ -46,25 +46,18 @@ TILT = (1.0, 0.6)  # tangent of the axis' angle to the image plane: mean and dev
 
 @dataclass(frozen=True)
 class Outline:
-    """Two straight sides in px, (2, 2, 2): side, border and inner end, (x, y).
-
-    `covariance` (2, 2, 2) is that of each side's offsets at both its ends. The shaft ends `end_px` along the axis from
-    the border, at the sides' ends where that is None, and the outline `whole_px`; `end_std_px` is how well the end is
-    known, infinite where the shaft leaves the picture. `ends_dark` says that a part ends there and the outline goes on;
-    with a probability of `other_share` it is the other one of both that ends the shaft, `other_px` further on, and of
-    `near_share` something `near_px` from the border, too near for it to have sides.
-    """
+    """Two straight sides in px, (2, 2, 2): side, border and inner end, (x, y)."""
 
     sides: Array
-    covariance: Array = field(default_factory=lambda: np.zeros((2, 2, 2)))
-    end_px: float | None = None
-    whole_px: float | None = None
-    end_std_px: float = np.inf
-    ends_dark: bool = False
-    other_px: float = 0.0
-    other_share: float = 0.0
-    near_px: float = 0.0
-    near_share: float = 0.0
+    covariance: Array = field(default_factory=lambda: np.zeros((2, 2, 2)))  # of each side's offsets at both its ends
+    end_px: float | None = None  # of the shaft, along the axis from the border; None: at the sides' ends
+    whole_px: float | None = None  # the same of the outline
+    end_std_px: float = np.inf  # infinite where the shaft leaves the picture
+    ends_dark: bool = False  # a part ends there, and the outline goes on
+    other_px: float = 0.0  # how much further on the other one of both ends is
+    other_share: float = 0.0  # the probability that that is the shaft's
+    near_px: float = 0.0  # from the border to an end that is too near for the shaft to have sides
+    near_share: float = 0.0  # the probability of that one
 
     @property
     def end(self) -> Array:
@@ -248,7 +241,7 @@ def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_wei
     weight_cap = min(1.0, length_px / STATIONS / CORRELATION_PX) * before * usable
     per_px = length_px * width_px / (FOCAL_WIDTHS * evidence.core.shape[1])
     narrowing = np.array([1.0, -1.0, 1.0, -1.0])  # of the width, by the offsets of all ends
-    at_border, at_end = _widths(outline)
+    at_border, at_end = (outline.sides[1] - outline.sides[0]) @ outline.normal
     expected_px = TILT[0] * per_px - float(at_border - at_end)
     std_px = TILT[1] * per_px + TAPER_STD * length_px
     prior = np.outer(narrowing, narrowing) / std_px**2 + 1e-6 * np.eye(4)
@@ -272,7 +265,8 @@ def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_wei
     known = np.linalg.inv((A - prior) / float(np.clip(agreement, LEAST_AGREEMENT, MOST_DISAGREEMENT)) + prior)
     covariance = np.stack([known[:2, :2], known[2:, 2:]]) + EDGE_STD_PX**2 * np.eye(2)
     new = replace(outline, sides=outline.sides + moved[..., None] * outward[:, None], covariance=covariance)
-    fits = LEAST_WIDTH_PX <= new.width_px <= MOST_WIDTH * evidence.core.shape[1] and _widths(new).min() > 1.0
+    fits = LEAST_WIDTH_PX <= new.width_px <= MOST_WIDTH * evidence.core.shape[1]
+    fits &= ((new.sides[1] - new.sides[0]) @ new.normal).min() > 1.0
     return from_border(new, evidence) if fits and new.axis @ outline.axis > 0.5 else None
 
 
@@ -286,11 +280,6 @@ def _moments(log_p: Array, offsets: Array, at: Array, window_px: float) -> tuple
     # The window's own share is taken out.
     free = 1.0 / np.maximum(1.0 / variance - 1.0 / window_px**2, 0.15 / window_px**2)
     return at + (mean - at) * np.minimum(free / variance, 3.0), free
-
-
-def _widths(outline: Outline) -> Array:
-    """Distance of both sides at the border and at the end, shape (2,)."""
-    return np.asarray((outline.sides[1] - outline.sides[0]) @ outline.normal)
 
 
 def _log_posterior(
