@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, reduce
 
 import cv2
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from svmdist.profile.segmentation import INSTRUMENTS, SHIPPED, OnnxSegmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
+from svmdist.transforms import Array
 from svmdist.vision.colour import field_of_view
 from svmdist.vision.network import OnnxSegmenter
 
@@ -23,6 +24,7 @@ LEVEL_OFFSET = 8.0  # added to levels before their logarithm is taken: noise of 
 MOST_ODDS = 4.0  # of one pixel, as a logarithm: neither its texture nor its colour is ever surer
 MOST_AGAINST = 2.0  # of the network's odds: it misses dark instruments more often than it invents one
 RIM_PX = 3  # width of the rim
+CORRELATION_PX = 3.5  # the network's pixel is 2 of the working image or more: neighbours within err alike
 
 DISTAL, SHAFT = (INSTRUMENTS[part]["class_ids"][0] for part in ("instrument", "shaft"))
 Floats = NDArray[np.float32]
@@ -57,6 +59,10 @@ class Evidence:
         """What light reaches of the picture, without its outermost 2 px, where the optics fade."""
         lit = picture_of(self.bgr, LIT_LEVELS) & self.picture
         return np.asarray(cv2.erode(lit, SQUARE_5, borderValue=0), np.uint8)
+
+    def seen_at(self, places: Array) -> NDArray[np.bool_]:
+        """Whether light reaches places (x, y), shape (..., 2), of the picture."""
+        return sampled(self.core, places, nearest=True) > 0
 
     @cached_property
     def scores(self) -> Floats:
@@ -100,6 +106,19 @@ class Evidence:
         likely = np.asarray(cv2.morphologyEx(likely, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
         _, labels, statistics, _ = cv2.connectedComponentsWithStats(likely)
         return np.asarray(labels, np.int32), np.asarray(statistics[:, cv2.CC_STAT_AREA], np.int32)
+
+
+def sampled(field: Image | Floats, places: Array, nearest: bool = False) -> NDArray[np.float32]:
+    """A field's values at places (x, y), shape (..., 2), linearly; 0 outside of it."""
+    flat = np.ascontiguousarray(places.reshape(-1, places.shape[-2], 2), np.float32)
+    how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
+    values = cv2.remap(field, flat, None, how, borderMode=cv2.BORDER_CONSTANT, borderValue=0)  # type: ignore[call-overload]
+    return np.asarray(values.reshape(*places.shape[:-1], *field.shape[2:]), np.float32)
+
+
+def strongest(change: Floats) -> Floats:
+    """The largest of three channels, shape (..., 3): NumPy's own maximum along a short axis takes ten times longer."""
+    return reduce(np.maximum, np.moveaxis(change, -1, 0))
 
 
 @lru_cache(maxsize=1)

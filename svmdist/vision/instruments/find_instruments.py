@@ -10,23 +10,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.least_squares import median
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.instruments.evidence import SQUARE_3, Evidence, tissue_of
-from svmdist.vision.instruments.outline import LEAST_RIM_PX, Outline
-from svmdist.vision.instruments.outline_search import (
-    LONGEST_WRIST,
-    outline_score,
-    part_entering,
-    rough_outlines,
-    sharpened,
-)
+from svmdist.vision.instruments.evidence import SQUARE_3, Evidence, sampled, tissue_of
+from svmdist.vision.instruments.outline import LEAST_RIM_PX, STATIONS, Outline
+from svmdist.vision.instruments.outline_search import LONGEST_WRIST, MIDDLE, outline_score, rough_outlines, sharpened
 
 MOST_OVERLAP = 0.3  # of the smaller of two strips: those of more are one instrument
 DISTAL_WIDTHS = 4.5  # how far wrist and jaws reach beyond the end of the shaft, over its width there
 DISTAL_HALF_WIDTHS = 1.3  # how far they reach to either side of its axis, over its width
 BESIDE_WIDTHS = 0.08  # how far evidence beside a side is still that of the shaft, over its width
+ENTERING = np.linspace(0.05, 0.5, STATIONS // 2)  # along a shaft: what comes in, before anything else begins
 LEAST_ENTERING, SURE_ENTERING = 0.0, 1.5  # log-odds of a shaft against wrist and jaws, of what comes in
 WRIST_NARROWER = 0.3  # by how much of the width a wrist is narrower, which may come in instead
 LIKELY = 0.7  # mean odds of what shows no straight shaft
@@ -168,6 +164,14 @@ class SeenInstrument:
         if (farthest := ahead.max(initial=0.0)) <= 0.0:
             return self.end_px
         return np.asarray(self.end_px + places[ahead > farthest - 2.0 * self.pixel_px].mean(0))
+
+
+def part_entering(outline: Outline, evidence: Evidence) -> float:
+    """The network's log-odds of a shaft against wrist and jaws, of what comes in."""
+    reach_px = outline.length_px if outline.end_px is None else outline.end_px
+    places = outline.across(ENTERING * reach_px, MIDDLE)
+    shown = evidence.seen_at(places) & (sampled(evidence.hidden, places, nearest=True) == 0)
+    return median(sampled(evidence.scores[1], places)[shown]) if shown.any() else -np.inf
 
 
 def _seen_instrument(outline: Outline, mask: Mask, score: float, evidence: Evidence) -> SeenInstrument:

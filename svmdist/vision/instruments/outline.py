@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property, reduce
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.instruments.evidence import SQUARE_3, Evidence, Floats
+from svmdist.vision.instruments.evidence import CORRELATION_PX, SQUARE_3, Evidence, Floats, sampled, strongest
 
 START_ODDS = 0.5  # from which on a pixel of the rim belongs to a place where an instrument comes in
 UNSURE_ODDS = -1.5  # down to which an instrument may go on to the rim: in the dark of a corner none is seen
@@ -31,7 +31,6 @@ STATION_SHARES = np.linspace(0.02, 0.99, STATIONS)  # of the length, where profi
 BY_ENDS = np.stack([1.0 - STATION_SHARES, STATION_SHARES], -1)  # a side's offsets there by those of its ends
 WINDOWS = (0.5, 0.3, 0.3)  # about the line of each step, over the profiles' reach
 LEAST_REACH_PX = 3.0
-CORRELATION_PX = 3.5  # the network's pixel is 2 of the working image or more: neighbours within err alike
 EDGE_LEVELS = 8.0  # of 255: steps of so much are as likely noise
 EDGE_STD_PX = 0.4  # of a side in the working image: what all its points have in common
 MOST_POINTS = 5.0  # points of a side that err independently, beside that
@@ -129,24 +128,6 @@ class Outline:
         return between.view(np.float64).reshape(*between.shape, 2)
 
 
-def sampled(field: Image | Floats, places: Array, nearest: bool = False) -> NDArray[np.float32]:
-    """A field's values at places (x, y), shape (..., 2), linearly; 0 outside of it."""
-    flat = np.ascontiguousarray(places.reshape(-1, places.shape[-2], 2), np.float32)
-    how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
-    values = cv2.remap(field, flat, None, how, borderMode=cv2.BORDER_CONSTANT, borderValue=0)  # type: ignore[call-overload]
-    return np.asarray(values.reshape(*places.shape[:-1], *field.shape[2:]), np.float32)
-
-
-def strongest(change: Floats) -> Floats:
-    """The largest of three channels, shape (..., 3): NumPy's own maximum along a short axis takes ten times longer."""
-    return reduce(np.maximum, np.moveaxis(change, -1, 0))
-
-
-def seen_at(evidence: Evidence, places: Array) -> NDArray[np.bool_]:
-    """Whether light reaches places (x, y), shape (..., 2), of the picture."""
-    return sampled(evidence.core, places, nearest=True) > 0
-
-
 def starts(evidence: Evidence) -> Iterator[Outline]:
     """Strips from every place of the rim where evidence comes in, for sure or not, the best direction first."""
     odds, core = evidence.odds, evidence.core
@@ -208,7 +189,7 @@ def _strips(clipped: Floats, core: Image, entry: Array, reach_px: float) -> Iter
 def from_border(outline: Outline, evidence: Evidence) -> Outline | None:
     """The outline from where its axis comes into the picture; None where that is not in view."""
     along = np.arange(outline.length_px, outline.length_px - 2.0 * max(evidence.core.shape), -1.0)
-    seen = seen_at(evidence, outline.across(along, np.array([0.5])))[:, 0]
+    seen = evidence.seen_at(outline.across(along, np.array([0.5])))[:, 0]
     first = int(np.argmax(seen))
     if not seen[first]:
         return None

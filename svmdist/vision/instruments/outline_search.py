@@ -9,25 +9,13 @@ from numpy.typing import NDArray
 
 from svmdist.least_squares import median
 from svmdist.transforms import Array
-from svmdist.vision.instruments.evidence import Evidence, Floats
-from svmdist.vision.instruments.outline import (
-    CORRELATION_PX,
-    EDGE_LEVELS,
-    STATIONS,
-    Outline,
-    fitted,
-    from_border,
-    sampled,
-    seen_at,
-    starts,
-    strongest,
-)
+from svmdist.vision.instruments.evidence import CORRELATION_PX, Evidence, Floats, sampled, strongest
+from svmdist.vision.instruments.outline import EDGE_LEVELS, STATIONS, Outline, fitted, from_border, starts
 
 SCALES = ((0.45, 1.0), (0.25, 1.0), (0.12, 0.4), (0.07, 0.05))
 """Reach of the profiles over the width, and the region's weight: where the evidence is, then where the edge is."""
 MARGINS = np.array([0.08, 0.14, 0.20, 0.26, 0.74, 0.80, 0.86, 0.92])  # over the width, where wrists are narrower
 MIDDLE = np.linspace(0.2, 0.8, 5)
-ENTERING = np.linspace(0.05, 0.5, STATIONS // 2)  # along a shaft: what comes in, before anything else begins
 WITHIN = np.linspace(0.06, 0.94, 9)
 INSIDE_OF_SIDES = (np.linspace(0.04, 0.25, 4), np.linspace(0.75, 0.96, 4))
 BESIDE = np.array([0.1, 0.2, 0.3])  # off a side, over the width, or over that of a narrow shaft
@@ -151,7 +139,7 @@ def rough_outlines(evidence: Evidence) -> list[Outline]:
         if (outline := from_border(strip, evidence)) is None:
             continue
         places = outline.across(ALONG * outline.length_px, WITHIN)
-        odds = sampled(evidence.odds, places)[seen_at(evidence, places)]
+        odds = sampled(evidence.odds, places)[evidence.seen_at(places)]
         if len(odds) and odds.mean() <= LEAST_STRIP:
             continue
         outline = fitted(_ended(outline, evidence), evidence, *SCALES[0])
@@ -191,14 +179,6 @@ def _likely(odds: Floats, seen: NDArray[np.bool_]) -> float:
     return float((1.0 / (1.0 + np.exp(-odds[seen]))).mean()) if seen.any() else 0.0
 
 
-def part_entering(outline: Outline, evidence: Evidence) -> float:
-    """The network's log-odds of a shaft against wrist and jaws, of what comes in."""
-    reach_px = outline.length_px if outline.end_px is None else outline.end_px
-    places = outline.across(ENTERING * reach_px, MIDDLE)
-    shown = seen_at(evidence, places) & (sampled(evidence.hidden, places, nearest=True) == 0)
-    return median(sampled(evidence.scores[1], places)[shown]) if shown.any() else -np.inf
-
-
 def _of_beyond(colours: list[Floats], seen: NDArray[np.bool_]) -> float:
     """The share of places inside of a side that look rather like what lies beyond it than like the rest of the shaft.
 
@@ -229,14 +209,14 @@ def outline_score(outline: Outline, evidence: Evidence, *, is_rough: bool = Fals
     shares = (WITHIN, *INSIDE_OF_SIDES, -off, 1.0 + off)
     places = outline.across(along, np.concatenate(shares))
     parts = np.cumsum([len(one) for one in shares])[:-1]
-    seen, odds = seen_at(evidence, places), sampled(evidence.odds, places)
+    seen, odds = evidence.seen_at(places), sampled(evidence.odds, places)
     within, _, _, *beside = zip(np.split(odds, parts, 1), np.split(seen, parts, 1), strict=True)
     free = [_likely(-odds, seen) for odds, seen in beside if np.count_nonzero(seen) > 6]
     points = outline.at(along)
     outward = outline.normal * np.array([-1.0, 1.0])[:, None]
     around = np.arange(-STEP_REACH_PX - 1.0, STEP_REACH_PX + 1.5)
     across_sides = points[:, :, None] + around[:, None] * outward[:, None, None]
-    levels, is_seen = sampled(evidence.bgr_float, across_sides), seen_at(evidence, across_sides)
+    levels, is_seen = sampled(evidence.bgr_float, across_sides), evidence.seen_at(across_sides)
     step = strongest(np.abs(levels[:, :, 2:] - levels[:, :, :-2]))
     whole, steepest = is_seen.all(2), np.argmax(step, axis=2) - STEP_REACH_PX
     # The steepest step may be that of the limb's shade, but then it is that all along the side.
