@@ -170,8 +170,7 @@ def _located(
     elif robot.T_camera_base is None:
         rolls_rad = [2.0 * np.pi * turn / ROLL_COUNT for turn in range(ROLL_COUNT)]
     if isinstance(robot, Failure) or robot.T_camera_base is None:
-        T_camera_base = firsts[0] @ inverse(model.T_base_shaft)
-        robot = RobotState(chain, frame.stamp_ns, model.q, T_camera_base)
+        robot = RobotState(chain, frame.stamp_ns, model.q, firsts[0] @ inverse(model.T_base_shaft))
         error["camera_base_std_rad"] = OPEN_RAD
     kalman = KinematicErrorFilter(chain, KinematicError(**error), profile.settings.filter)
     kalman.predict(robot)
@@ -196,8 +195,7 @@ def _located(
     # A marker is at the tool's origin itself, however the wrist is bent.
     if isinstance(frame.robot, Failure) and frame.left.distal_marker is None:
         pose = _with_other_bend(pose, frame, model)
-    used = tuple(one.name for one in gating if one.is_accepted)
-    return ImagePose(pose, used, contradiction, gating)
+    return ImagePose(pose, tuple(one.name for one in gating if one.is_accepted), contradiction, gating)
 
 
 def is_confirmed(gating: Sequence[GatingResult], has_joints: bool) -> bool:

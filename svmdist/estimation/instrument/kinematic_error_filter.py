@@ -181,8 +181,7 @@ class KinematicErrorFilter:
         link = self.state.link(name)
         arm_m = link.T_camera_link[:3, :3] @ p_link_m
         J = link.derivative[:3] - skew(arm_m) @ link.derivative[3:]
-        covariance = self.consistency.widening * (J @ self.covariance @ J.T)
-        return Hinge(link.T_camera_link[:3, 3] + arm_m, covariance)
+        return Hinge(link.T_camera_link[:3, 3] + arm_m, self.consistency.widening * (J @ self.covariance @ J.T))
 
     def corrected_joints(self) -> Array:
         """Reported joints at the corrected time, with offsets and backlash, shape (n_joints,)."""

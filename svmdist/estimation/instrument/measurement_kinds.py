@@ -189,8 +189,7 @@ class ContourMeasurement(_WithBias):
         normal, by_point, by_direction = tangent_normal(point_m, d, self.radius_m, self.side)
         if not np.isfinite(normal).all():  # the camera is inside the shaft
             return self.unseen()
-        by_turn = -by_point @ skew(arm_m) - by_direction @ skew(d)
-        H = self.across @ np.concatenate([by_point, by_turn], 1)
+        H = self.across @ np.concatenate([by_point, -by_point @ skew(arm_m) - by_direction @ skew(d)], 1)
         foot_m = point_m - (d * point_m).sum() * d
         square_m2 = (foot_m * foot_m).sum()
         beside_m = self.side * np.sqrt(max(square_m2 - self.radius_m**2, NEAR_M**2))

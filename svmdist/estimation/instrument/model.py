@@ -18,6 +18,30 @@ from svmdist.samples import JointSample
 from svmdist.transforms import Array, cross, inverse
 from svmdist.vision.lines import tangent_normal
 
+# Shape facts of this model, as lengths over the radii that a profile gives: they say which capsules model which
+# part, and have no meaning apart from one another. What differs between instruments is in the profile.
+WRIST_LENGTH_PER_RADIUS = 3.4  # from the wrist's hinge to the tool, without a chain: 9.1 / 2.7
+SHAFT_END_PER_RADIUS = 2.2  # the shaft begins this many radii of the wrist behind the hinge
+SHAFT_CAP = 0.5  # from a flat end of the shaft to its capsule's, in radii: half of the cap is beyond it
+TINE_RADIUS_M = 0.0005  # of the fork's capsules beside the distal marker, however large that is
+FORK_BEGIN = 0.3  # where the fork's tines leave its bridges, over the way from the hinge to the tool
+BLADE_CAPSULES = (
+    (0.0, 0.62, 0.43, 0.50),
+    (0.0, 0.62, -0.43, 0.50),
+    (0.62, 0.85, 0.30, 0.38),
+    (0.62, 0.85, -0.30, 0.38),
+    (0.0, 1.0, 0.0, 0.25),
+)
+"""A tapering blade, wider than thick: where a capsule begins and ends over the jaw's length, how far beside the middle
+it lies and how thick it is, both over the jaw's radius. The last one ends with its cap."""
+PLATE_RADIUS_M, PLATE_CAPSULES = 0.0003, 7
+"""Half of the thickness of a printed plate; capsules 1.4 mm apart model one of 9 mm."""
+BLADE_OFFSET = 0.55  # of a blade's middle plane from the one where the jaws meet, in radii of the jaw
+NEAR_M = 1e-3  # what is nearer to the camera has no image
+FINE = 200  # points of the axis among which the visible ones are chosen
+SECTIONS = 24  # of the visible shaft
+HINGE = 1  # the capsule that starts at the wrist's hinge: see `capsules_about`
+
 
 @dataclass(frozen=True, slots=True)
 class Wrist:
@@ -87,27 +111,6 @@ def _jaws(along: Array, axis: Array, opening_rad: float) -> Array:
     fixed = np.asarray(c * along + s * cross(axis, along) + (1.0 - c) * (axis @ along) * axis)
     pairs = ((along, cross(axis, along)), (fixed, -cross(axis, fixed)))
     return np.array([(ahead, outward, cross(ahead, outward)) for ahead, outward in pairs])
-
-
-# Shape facts of this model, as lengths over the radii that a profile gives: they say which capsules model which
-# part, and have no meaning apart from one another. What differs between instruments is in the profile.
-WRIST_LENGTH_PER_RADIUS = 3.4  # from the wrist's hinge to the tool, without a chain: 9.1 / 2.7
-SHAFT_END_PER_RADIUS = 2.2  # the shaft begins this many radii of the wrist behind the hinge
-SHAFT_CAP = 0.5  # from a flat end of the shaft to its capsule's, in radii: half of the cap is beyond it
-TINE_RADIUS_M = 0.0005  # of the fork's capsules beside the distal marker, however large that is
-FORK_BEGIN = 0.3  # where the fork's tines leave its bridges, over the way from the hinge to the tool
-BLADE_CAPSULES = (
-    (0.0, 0.62, 0.43, 0.50),
-    (0.0, 0.62, -0.43, 0.50),
-    (0.62, 0.85, 0.30, 0.38),
-    (0.62, 0.85, -0.30, 0.38),
-    (0.0, 1.0, 0.0, 0.25),
-)
-"""A tapering blade, wider than thick: where a capsule begins and ends over the jaw's length, how far beside the middle
-it lies and how thick it is, both over the jaw's radius. The last one ends with its cap."""
-PLATE_RADIUS_M, PLATE_CAPSULES = 0.0003, 7
-"""Half of the thickness of a printed plate; capsules 1.4 mm apart model one of 9 mm."""
-BLADE_OFFSET = 0.55  # of a blade's middle plane from the one where the jaws meet, in radii of the jaw
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,12 +190,6 @@ def plate_capsules(fiducial: Fiducial) -> Capsules:
     low = np.full(PLATE_CAPSULES, -PLATE_RADIUS_M)
     starts, ends = (np.stack([np.full(PLATE_CAPSULES, end_m), across_m, low], -1) for end_m in (-half_m, half_m))
     return Capsules(starts, ends, np.full(PLATE_CAPSULES, PLATE_RADIUS_M))
-
-
-NEAR_M = 1e-3  # what is nearer to the camera has no image
-FINE = 200  # points of the axis among which the visible ones are chosen
-SECTIONS = 24  # of the visible shaft
-HINGE = 1  # the capsule that starts at the wrist's hinge: see `capsules_about`
 
 
 @dataclass(frozen=True, slots=True)

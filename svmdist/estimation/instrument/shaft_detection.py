@@ -25,6 +25,7 @@ BORDER_POINTS = 8.0  # of the border that err independently: it is cut by fork a
 STD_PER_DOUBT = 1.5  # of the radius: of 808 simulated ones 2% are off by more than two deviations
 WHOLE_ASPECT = 0.9  # of a whole marker's width over its length: fork and jaws cut a tenth
 CENTROID_STD = 0.045  # by how much hidden parts move the region's centroid, over the radius
+NEAREST_M, FARTHEST_M = 0.02, 0.5  # of a shaft's end: nearer it fills the view, farther it has no light
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +66,6 @@ def detect_distal_marker(
     radius_std_px = float(np.linalg.norm([settings.radius_std * whole_px, own_px, hidden_px]))
     std_px = CENTROID_STD * whole_px
     return DistalMarker(disc.centre_px, std_px, whole_px, radius_std_px, disc, region.area_px, hidden_px)
-
-
-NEAREST_M, FARTHEST_M = 0.02, 0.5  # of a shaft's end: nearer it fills the view, farther it has no light
 
 
 @dataclass(frozen=True, slots=True)

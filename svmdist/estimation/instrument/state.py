@@ -20,6 +20,11 @@ from svmdist.transforms import Array, inverse_right_jacobian
 
 TOOL_SPEED_M_S = 0.05  # standard deviation along each axis, without joints
 MOTION_STD = 0.1  # over the motion by the joints: how late something is, is known to a tenth
+TINY_M = 1e-9  # stands in for a deviation of zero
+MIN_OBSERVABLE = 0.2  # share of parameters' variance along a direction that measurements remove
+TURN = slice(3, 6)  # of a state: a rotation vector
+MAX_ITERATIONS = 12
+TOLERANCE = 1e-2  # of a standard deviation: a step of less has converged
 
 
 def linearise(measurement: LinkMeasurement, link: CorrectedLink) -> Linearised:
@@ -31,10 +36,6 @@ def linearise(measurement: LinkMeasurement, link: CorrectedLink) -> Linearised:
         std_m = (MOTION_STD * float(np.linalg.norm(link.velocity[:3])) or TOOL_SPEED_M_S) * abs(delay_s)
         biases = *biases, BiasTerm("motion since the stamp", std_m * found.H[:, :3], ONE_FRAME_S)
     return replace(found, residual=residual, H=found.H @ link.derivative, biases=biases)
-
-
-TINY_M = 1e-9  # stands in for a deviation of zero
-MIN_OBSERVABLE = 0.2  # share of parameters' variance along a direction that measurements remove
 
 
 class ErrorState:
@@ -173,11 +174,6 @@ class ErrorState:
         return H
 
 
-TURN = slice(3, 6)  # of a state: a rotation vector
-MAX_ITERATIONS = 12
-TOLERANCE = 1e-2  # of a standard deviation: a step of less has converged
-
-
 @dataclass(frozen=True, slots=True)
 class Solution:
     """The most probable change x of the state, derivatives and noise there, and statistics per measurement."""
@@ -240,8 +236,7 @@ def most_probable(
                     weights[at] = min(weights[at], weights[others].max())
         R = noise / weights[at_row]
         solved = np.linalg.solve(S + R, np.column_stack([HP, innovation]))
-        K = np.asarray(solved[:, :-1].T, np.float64)
-        step = K @ innovation - x
+        step = np.asarray(solved[:, :-1].T @ innovation - x, np.float64)
         # In deviations of the prior, and of what is measured: a prior that knows nothing has large ones.
         longer = float(max(np.max(np.abs(step) / deviations), np.max(np.abs(H @ step) / np.sqrt(np.diag(R)))))
         if longer > moved:  # it swings: half of the way

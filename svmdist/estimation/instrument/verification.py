@@ -205,8 +205,7 @@ def _across_std_px(seen: ShaftSections, hinge_m: Array, pose: ToolPose, camera: 
         slope = np.concatenate([across, cross(hinge_m - pose.position_m, across)], axis=1)
     covariance = pose.covariance if pose.hinge is None else pose.hinge.covariance
     of_hinge = np.einsum("ni,ij,nj->n", slope, covariance, slope)
-    lever_m = np.linalg.norm(seen.axis_m - hinge_m, axis=1)
-    of_turn = np.linalg.norm(across, axis=1) * lever_m * pose.shaft_std_rad
+    of_turn = np.linalg.norm(across, axis=1) * np.linalg.norm(seen.axis_m - hinge_m, axis=1) * pose.shaft_std_rad
     return np.asarray(np.sqrt(np.maximum(of_hinge, 0.0) + of_turn**2))
 
 

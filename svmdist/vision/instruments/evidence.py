@@ -25,6 +25,8 @@ MOST_ODDS = 4.0  # of one pixel, as a logarithm: neither its texture nor its col
 MOST_AGAINST = 2.0  # of the network's odds: it misses dark instruments more often than it invents one
 RIM_PX = 3  # width of the rim
 CORRELATION_PX = 3.5  # the network's pixel is 2 of the working image or more: neighbours within err alike
+DISTINCT_SHARE = 0.7  # of redness' variance, between the redder part and the rest: less is one kind of tissue
+DISTINCT_REDNESS = 0.4  # by how much, as a logarithm, the one is redder: organ on a drape, not fat beside muscle
 
 DISTAL, SHAFT = (INSTRUMENTS[part]["class_ids"][0] for part in ("instrument", "shaft"))
 Floats = NDArray[np.float32]
@@ -143,10 +145,6 @@ def picture_of(bgr: Image, border_levels: float = BORDER_LEVELS) -> Image:
         if view.any():
             return view
     return np.full(bgr.shape[:2], 255, np.uint8)
-
-
-DISTINCT_SHARE = 0.7  # of redness' variance, between the redder part and the rest: less is one kind of tissue
-DISTINCT_REDNESS = 0.4  # by how much, as a logarithm, the one is redder: organ on a drape, not fat beside muscle
 
 
 def tissue_of(image: Evidence) -> Image:

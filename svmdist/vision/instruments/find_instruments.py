@@ -27,31 +27,29 @@ LEAST_ENTERING, SURE_ENTERING = 0.0, 1.5  # log-odds of a shaft against wrist an
 WRIST_NARROWER = 0.3  # by how much of the width a wrist is narrower, which may come in instead
 LIKELY = 0.7  # mean odds of what shows no straight shaft
 ENTRY_WIDTHS = 2.0  # about its axis, over its width, where an instrument itself comes in
+DEFAULT = AutoSettings()
 
 Mask = NDArray[np.bool_]
 
 
 def find_instruments(evidence: Evidence) -> list[SeenInstrument]:
     """The instruments of an image, the surest first."""
-    shafts: list[tuple[Outline, float, Image]] = []
+    shafts, strips = list[tuple[Outline, float]](), list[Image]()
     for rough in rough_outlines(evidence):
-        strips = [strip for _, _, strip in shafts]
-        if _is_taken(rough, strips):
-            continue
-        outline = sharpened(rough, evidence)
+        outline = None if _is_taken(rough, strips) else sharpened(rough, evidence)
         if outline is None or _is_taken(outline, strips):
             continue
         if score := outline_score(outline, evidence):
-            shafts.append((outline, score, _filled(outline, evidence.core)))
+            shafts.append((outline, score))
+            strips.append(_filled(outline, evidence.core))
         if len(shafts) == evidence.settings.most_instruments:
             break
-    found: list[SeenInstrument] = []
-    taken = np.zeros(evidence.core.shape, np.bool_)
+    found, taken = list[SeenInstrument](), np.zeros(evidence.core.shape, np.bool_)
     least_px = evidence.settings.least_area * max(cv2.countNonZero(evidence.core), 1)
-    away = [cv2.distanceTransform(cv2.bitwise_not(strip), cv2.DIST_L2, 3) for _, _, strip in shafts]
-    for at, (outline, score, _) in enumerate(shafts):
+    away = [cv2.distanceTransform(cv2.bitwise_not(strip), cv2.DIST_L2, 3) for strip in strips]
+    for (outline, score), own in zip(shafts, away, strict=True):
         # Where instruments touch, what belongs to one reaches into the other's: each has what its strip is nearest to.
-        nearest = np.all([away[at] <= other for other in away], axis=0)
+        nearest = np.all([own <= other for other in away], axis=0)
         mask = _instance_mask(outline, evidence, nearest & ~taken)
         if np.count_nonzero(mask) >= least_px:
             taken |= mask
@@ -147,8 +145,7 @@ class SeenInstrument:
         """What of it is before the shaft's end, shape (h, w)."""
         x, y = (np.arange(count, dtype=np.float32) for count in self.size[::-1])
         across, down = (x - float(self.end_px[0])) * float(self.axis[0]), y - float(self.end_px[1])
-        is_before = across[None, :] < -(down * float(self.axis[1]))[:, None]
-        return self.mask * is_before
+        return self.mask * (across[None, :] < -(down * float(self.axis[1]))[:, None])
 
     @cached_property
     def distal(self) -> Image:
@@ -200,9 +197,6 @@ def _seen_instrument(outline: Outline, mask: Mask, score: float, evidence: Evide
 def _enlarged(mask: Image, size: tuple[int, int]) -> Image:
     large = cv2.resize(mask, size[::-1], interpolation=cv2.INTER_LINEAR)
     return np.asarray(cv2.threshold(large, 127, 255, cv2.THRESH_BINARY)[1], np.uint8)
-
-
-DEFAULT = AutoSettings()
 
 
 class AutoMasks:

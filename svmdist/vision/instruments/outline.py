@@ -231,8 +231,7 @@ def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_wei
         at = moved @ J.T
         mean, variance = _moments(log_p, offsets, at, window * half_px)
         std = np.sqrt(variance + EDGE_STD_PX**2)
-        z = (at - mean) / std
-        weight = weight_cap / (1.0 + (z / CAUCHY) ** 2) / std**2
+        weight = weight_cap / (1.0 + ((at - mean) / std / CAUCHY) ** 2) / std**2
         total = np.maximum(weight.sum(1, keepdims=True), 1e-9)
         weight *= np.minimum(1.0, MOST_POINTS / EDGE_STD_PX**2 / total)
         A, b = prior.copy(), narrowing * expected_px / std_px**2
@@ -276,5 +275,4 @@ def _log_posterior(
     step = np.zeros(seen.shape)
     step[..., apart:-apart] = strongest(np.abs(levels[:, :, 2 * apart :] - levels[:, :, : -2 * apart]))
     step[..., apart:-apart] *= seen[..., 2 * apart :] & seen[..., : -2 * apart]
-    log_p = region_weight * region + np.log1p((step / EDGE_LEVELS) ** 2)
-    return np.where(seen, log_p, -30.0), seen
+    return np.where(seen, region_weight * region + np.log1p((step / EDGE_LEVELS) ** 2), -30.0), seen

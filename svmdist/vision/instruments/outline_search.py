@@ -34,6 +34,16 @@ MOST_MATERIAL = 5.0  # odds of the clearest change: bands, plates, blood and par
 LONGEST_CLEVIS = 1.5  # of an outline beyond the shaft's end that has straight sides, too
 LEAST_SHARE = 1e-3  # of an end that is worth a thought
 STILL_OUTLINE = 0.3  # of the width: an end so far before that of the outline is that of a part
+LEAST_WIDTHS = 0.6  # of a shaft's length, over its width
+LEAST_ROUGH_EVIDENCE = 0.05  # of an outline whose sides are not yet on their edges
+LEAST_EVIDENCE = 0.43  # nearly all real instruments have more, and of glare, fat, cables and shadows few
+STEP_REACH_PX = 4  # from a side, where the steepest step across it is sought
+STRAIGHT_PX, STRAIGHT_WIDTHS = 1.5, 0.05
+"""Of those steps off a common line, in px or over the width: of glare's jagged edge few are that near."""
+MOST_OF_BEYOND = 0.7
+"""Of the places inside of a side whose colour is nearer to what lies beyond it than to the rest of the instrument."""
+LEAST_STRIP = -0.5  # mean odds of a strip: what becomes a shaft has more, half of the rest less
+LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by chance
 
 
 def _ended(outline: Outline, evidence: Evidence) -> Outline:
@@ -56,8 +66,7 @@ def _ended(outline: Outline, evidence: Evidence) -> Outline:
     # What comes in is surely the instrument: half of its own log-odds are its border, however the network blurs it.
     odds -= 0.5 * max(median(_weaker_side(odds, seen)[: int(outline.width_px) + 1]), 0.0)
     odds[sampled(evidence.hidden, places, nearest=True) > 0] = 0.0
-    margins = np.cumsum(_weaker_side(odds, seen)) / CORRELATION_PX
-    outline_ends = _probabilities(margins)
+    outline_ends = _probabilities(np.cumsum(_weaker_side(odds, seen)) / CORRELATION_PX)
     wrist_px = max(1, round(LONGEST_WRIST * outline.width_px))
     total = np.concatenate([np.cumsum(outline_ends[::-1])[::-1], np.zeros(wrist_px)])
     possible = (1.0 - WRIST_SHARE) * outline_ends + WRIST_SHARE / wrist_px * (total[:last] - total[wrist_px:])
@@ -160,18 +169,6 @@ def sharpened(outline: Outline, evidence: Evidence) -> Outline | None:
             return None
         outline = moved
     return _ended(outline, evidence)
-
-
-LEAST_WIDTHS = 0.6  # of a shaft's length, over its width
-LEAST_ROUGH_EVIDENCE = 0.05  # of an outline whose sides are not yet on their edges
-LEAST_EVIDENCE = 0.43  # nearly all real instruments have more, and of glare, fat, cables and shadows few
-STEP_REACH_PX = 4  # from a side, where the steepest step across it is sought
-STRAIGHT_PX, STRAIGHT_WIDTHS = 1.5, 0.05
-"""Of those steps off a common line, in px or over the width: of glare's jagged edge few are that near."""
-MOST_OF_BEYOND = 0.7
-"""Of the places inside of a side whose colour is nearer to what lies beyond it than to the rest of the instrument."""
-LEAST_STRIP = -0.5  # mean odds of a strip: what becomes a shaft has more, half of the rest less
-LEAST_LENGTH_PX = 16.0  # of a shaft: shorter edges of tissue are straight by chance
 
 
 def _likely(odds: Floats, seen: NDArray[np.bool_]) -> float:
