@@ -74,7 +74,7 @@ def measurements() -> list[LinkMeasurement]:
         axis=axis,
         radius_m=0.004,
         side=1,
-        bias_covariance=np.diag([2e-4, 1e-6]),
+        by_bias=np.diag(np.sqrt([2e-4, 1e-6])),
         correlation_time_s=30.0,
     )
     sides = [edge, replace(edge, name="edge -1", side=-1)]
@@ -110,7 +110,7 @@ def measurements() -> list[LinkMeasurement]:
         T_link_frame=T_frame,
         T_camera_frame=near @ T_frame,
         covariance=np.eye(6),
-        bias_covariance=root @ root.T,
+        by_bias=root,
     )
     return [
         origin,
@@ -122,7 +122,7 @@ def measurements() -> list[LinkMeasurement]:
         SizeMeasurement(name="size", link=None, bias_std_px=0.2, hidden_std_px=0.5, correlation_time_s=30.0, **size),
         *sides,
         pose,
-        replace(pose, name="far", T_camera_frame=far, bias_covariance=np.eye(6)),
+        replace(pose, name="far", T_camera_frame=far, by_bias=np.eye(6)),
     ]
 
 

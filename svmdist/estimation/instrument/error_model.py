@@ -83,12 +83,10 @@ class ErrorModel:
         has the variance of the worse one, and no correlation with the turn, which would choose between them. A
         transform by hand-eye has a covariance of its own.
         """
-        P = np.zeros((self.size, self.size))
+        P, error = np.zeros((self.size, self.size)), self.error
         P[:6, :6], effects = self._transform(robot)
-        error = self.error
-        P[self.offsets, self.offsets] = np.diag(
-            (error.joint_std_rad * self.turns + error.joint_std_m * self.slides) ** 2
-        )
+        joint_std = error.joint_std_rad * self.turns + error.joint_std_m * self.slides
+        P[self.offsets, self.offsets] = np.diag(joint_std**2)
         P[self.time_offset, self.time_offset] = error.time_offset_std_s**2
         P[self.lengths, self.lengths] = error.length_std_m**2 * np.eye(len(self.row_lengths))
         # What a transform by hand-eye owes to the offset of a joint is not to be counted beside that offset.

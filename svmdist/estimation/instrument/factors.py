@@ -88,7 +88,7 @@ def sides(view: View, arm: Arm, correlated_share: float = 0.0, *, is_alone: bool
             axis=axis.axis,
             radius_m=arm.straight.radius_m,
             side=contour.side,
-            bias_covariance=correlated_share * covariance,
+            by_bias=kinds.bias_jacobian(correlated_share * covariance),
             focal_px=np.diag(view.camera.K)[:2],
             deviations=replace(arm.deviations, shaft_radius_fraction=radius_std),
             correlation_time_s=arm.profile.settings.filter.edge_correlation_time_s,
@@ -193,7 +193,7 @@ def tag(frame: Frame, robot: RobotState, predicted: ToolPose, correlated_share: 
             T_link_frame=fiducial.T_link_tag,
             T_camera_frame=found.T_camera_tag,
             covariance=(1.0 - correlated_share) * found.covariance,
-            bias_covariance=correlated_share * found.covariance,
+            by_bias=kinds.bias_jacobian(correlated_share * found.covariance),
             focal_px=np.diag(frame.left.camera.K)[:2],
             deviations=frame.arm.deviations,
         )

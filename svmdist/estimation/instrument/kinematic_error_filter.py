@@ -225,10 +225,8 @@ class KinematicErrorFilter:
 
 def as_measurement(pose: ToolPose) -> PoseMeasurement:
     """A pose by the images as a measurement of the tool."""
-    C, no_bias = pose.covariance + TINY_POSE, np.zeros((6, 6))
-    return PoseMeasurement(
-        name="pose", T_link_frame=np.eye(4), T_camera_frame=pose.T_camera_tool, covariance=C, bias_covariance=no_bias
-    )
+    T, C, no_bias = pose.T_camera_tool, pose.covariance + TINY_POSE, np.zeros((6, 6))
+    return PoseMeasurement(name="pose", T_link_frame=np.eye(4), T_camera_frame=T, covariance=C, by_bias=no_bias)
 
 
 def pose_distance(image: ToolPose, predicted: ToolPose) -> float:

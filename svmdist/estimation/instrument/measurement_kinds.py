@@ -146,34 +146,24 @@ class SizeMeasurement(LinkMeasurement):
         return self.about(residual, H, bias, shared)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _WithBias(LinkMeasurement):
-    """A measurement by a camera of `focal_px`, (2,), whose bias has a covariance, (m, m), zero without one."""
-
-    bias_covariance: Array
-    focal_px: Array = field(default_factory=lambda: np.ones(2))
-
-    @cached_property
-    def bias_jacobian(self) -> Array:
-        """A root of the bias' covariance, shape (m, m): the derivative by the bias."""
-        C = self.bias_covariance
-        return np.asarray(np.linalg.cholesky(C) if C.any() else np.zeros_like(C))
+def bias_jacobian(covariance: Array) -> Array:
+    """A derivative by a bias of that covariance, (m, m), which may be zero: a root of it."""
+    return np.asarray(np.linalg.cholesky(covariance) if covariance.any() else np.zeros_like(covariance))
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContourMeasurement(_WithBias):
-    """One edge of the shaft's silhouette: the plane through the camera's centre and the edge touches the shaft.
-
-    Both covariances are (2, 2) in rad²; the bias is that of shading, which stays as long as the light falls on it so.
-    """
+class ContourMeasurement(LinkMeasurement):
+    """One edge of the shaft's silhouette: the plane through the camera's centre and the edge touches the shaft."""
 
     source: str = SHAFT
     normal: Array  # unit normal of that plane in the camera frame, turned to the shaft's side, (3,)
     across: Array  # two unit vectors square to it, along which it errs, (2, 3)
+    by_bias: Array  # by that of shading, which stays as long as the light falls on the edge so, (2, 2) in rad
     p_axis_m: Array  # of the shaft's axis, in the link's frame, (3,)
     axis: Array  # its direction to the tip, (3,)
     radius_m: float
     side: int  # +1 for the edge to the right of the axis as it runs through the image, y being down, -1 for the left
+    focal_px: Array = field(default_factory=lambda: np.ones(2))
 
     @cached_property
     def _of_camera(self) -> tuple[BiasTerm, ...]:
@@ -196,7 +186,7 @@ class ContourMeasurement(_WithBias):
         by_radius = (beside_m * foot_m - self.radius_m * (skew(d) @ foot_m)) / (square_m2 * beside_m)
         radius = self.across @ (by_radius * self.radius_m)[:, None] * self.deviations.shaft_radius_fraction
         shared = *self._of_camera, BiasTerm(SHAFT_RADIUS, radius)
-        return self.about(self.across @ (self.normal - normal), H, self.bias_jacobian, shared)
+        return self.about(self.across @ (self.normal - normal), H, self.by_bias, shared)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,12 +236,14 @@ class EndMeasurement(LinkMeasurement):
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseMeasurement(_WithBias):
+class PoseMeasurement(LinkMeasurement):
     """A pose measured as a whole: `T_camera_frame` of a frame fixed on a link by `T_link_frame`, (4, 4)."""
 
     source: str = "tag"
     T_link_frame: Array
     T_camera_frame: Array
+    by_bias: Array  # derivative by the bias, (6, 6)
+    focal_px: Array = field(default_factory=lambda: np.ones(2))
     correlation_time_s: float = 0.5
 
     def in_view(self, T_view_link: Array, /) -> Linearised:
@@ -265,4 +257,4 @@ class PoseMeasurement(_WithBias):
         # exp([φ]) exp([-δθ]) = exp([φ - J⁻¹ δθ]), J the right Jacobian (Solà 2018, "A micro Lie theory", sec. 4.3).
         H[3:, 3:] = inverse_right_jacobian(turn)
         shared = self.deviations.of_tag(self.T_camera_frame, self.focal_px)
-        return self.about(residual, H, self.bias_jacobian, shared)
+        return self.about(residual, H, self.by_bias, shared)

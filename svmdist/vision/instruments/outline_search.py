@@ -95,17 +95,11 @@ def _ended(outline: Outline, evidence: Evidence) -> Outline:
     std_px = np.inf if goes_out else float(np.sqrt(own @ (along - mean) ** 2 / own.sum())) + 1.0
     # A collar or clevis is as wide as the shaft; what is longer are jaws, which narrow as it seems to.
     sides_px = max(mean, whole) if whole - mean < LONGEST_CLEVIS * outline.width_px else mean
-    return replace(
-        outline.cut(0.0, sides_px),
-        end_px=mean,
-        whole_px=whole,
-        near_px=float(near @ along) / max(near_share, 1e-9),
-        near_share=near_share,
-        end_std_px=std_px,
-        ends_dark=is_part,
-        other_px=float(other @ along) / max(other_share, 1e-9) - mean if other_share > LEAST_SHARE else 0.0,
-        other_share=other_share,
-    )
+    other_px = float(other @ along) / max(other_share, 1e-9) - mean if other_share > LEAST_SHARE else 0.0
+    near_px = float(near @ along) / max(near_share, 1e-9)
+    outline = outline.cut(0.0, sides_px)
+    outline = replace(outline, end_px=mean, whole_px=whole, end_std_px=std_px, ends_dark=is_part)
+    return replace(outline, other_px=other_px, other_share=other_share, near_px=near_px, near_share=near_share)
 
 
 def _probabilities(log_p: Array) -> Array:
