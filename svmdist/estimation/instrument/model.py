@@ -174,10 +174,10 @@ def capsules_about(instrument: Instrument, wrist: Wrist, jaw_scale: float = 1.0)
     half_width_m, length_m = instrument.jaw_radius_m, instrument.jaw_length_m
     for ahead, outward, beside in wrist.jaws:
         base, along = tool + BLADE_OFFSET * half_width_m * outward, jaw_scale * ahead
-        for start, end, offset, radius in BLADE_CAPSULES:
+        for start, end, aside, radius in BLADE_CAPSULES:
             radius_m = radius * half_width_m
             to_m = max(end * length_m - (radius_m if end == 1.0 else 0.0), 0.0)
-            axis = base + offset * half_width_m * beside
+            axis = base + aside * half_width_m * beside
             capsules.append((axis + start * length_m * along, axis + to_m * along, radius_m))
     starts, ends, radii = zip(*capsules, strict=True)
     return Capsules(np.array(starts), np.array(ends), np.array(radii))

@@ -191,7 +191,8 @@ def _seen_instrument(outline: Outline, mask: Mask, score: float, evidence: Evide
     rim = (parts == int(own.argmax())) & (evidence.rim > 0) & (beside == 0)
     touches = bool(own.any() and np.count_nonzero(rim) >= LEAST_RIM_PX)
     of_part = entering > LEAST_ENTERING, WRIST_NARROWER * may_be_wrist, touches
-    return SeenInstrument(mask, evidence.size, sides, end_px, score, *known, *other, *near, *of_part)
+    of_image = sides, end_px, score, *known, *other, *near
+    return SeenInstrument(mask, evidence.size, *of_image, *of_part)
 
 
 def _enlarged(mask: Image, size: tuple[int, int]) -> Image:
