@@ -147,14 +147,11 @@ def _lengths(chain: DHChain, first_row: int) -> Iterator[tuple[int, int, int]]:
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """What is added to nominal kinematics: the error state `x`, shape (n,), but for its turn, shape (3, 3).
+    """What is added to nominal kinematics."""
 
-    Turns, about `anchor_m`, (3,) in the camera frame, do not add up as the rest does, so that x[3:6] is not used.
-    """
-
-    x: Array
-    turn: Array
-    anchor_m: Array
+    x: Array  # the error state, (n,), but for its turn: turns do not add up as the rest does, so x[3:6] is not used
+    turn: Array  # (3, 3)
+    anchor_m: Array  # that it turns about, (3,) in the camera frame
 
     def retract(self, step: Array) -> Correction:
         """The correction after an error state, shape (n,), was found in it (box-plus)."""

@@ -96,15 +96,11 @@ EXACT = Deviations(
 
 @dataclass(frozen=True, slots=True)
 class Linearised:
-    """A measurement about a state: measured minus predicted, the residual (..., m), = H δ + Σ B ξ + noise.
+    """A measurement about a state: measured minus predicted, the residual, = H δ + Σ B ξ + noise."""
 
-    δ is the error state, or (δp, δθ) of a link in the camera frame, and H has shape (..., m, n); of the biases, the
-    first is the measurement's own, the others are calibration parameters. Not finite where the link cannot be seen.
-    """
-
-    residual: Array
-    H: Array
-    biases: tuple[BiasTerm, ...]
+    residual: Array  # (..., m); as H not finite where the link cannot be seen
+    H: Array  # (..., m, n), by δ, the error state, or (δp, δθ) of a link in the camera frame
+    biases: tuple[BiasTerm, ...]  # the measurement's own, and calibration parameters
     noise: Array
 
     @property

@@ -81,16 +81,12 @@ class PointMeasurement(_OfPoint):
 
 @dataclass(frozen=True, kw_only=True)
 class DisparityMeasurement(_OfPoint):
-    """How far apart, in px along x, the two views of a stereo pair show a point of a link.
-
-    `T_right_left` maps the left camera's coordinates to the right one's; the covariance has shape (1, 1) in px².
-    Of shading the two rays differ in tilt by the disparity over the focal length.
-    """
+    """How far apart, in px along x, the two views of a stereo pair show a point of a link; covariance (1, 1) in px²."""
 
     source: str = "disparity"
     left: Camera
     right: Camera
-    T_right_left: Array
+    T_right_left: Array  # maps the left camera's coordinates to the right one's
     disparity_px: float
     bias_std_px: float = 0.0
 
@@ -107,7 +103,8 @@ class DisparityMeasurement(_OfPoint):
         by_place = J_left[:1] - J_right[:1] @ R_right_left
         H = np.concatenate([by_place, -by_place @ skew(arm_m)], 1)
         residual = np.array([self.disparity_px - float(left_px[0] - right_px[0])])
-        # Principal points that stand apart are part of a disparity, and not of what a focal length does to it.
+        # Principal points that stand apart are part of a disparity, and not of what a focal length does to it, nor of
+        # what both rays differ in tilt by, as shading has it: the disparity over the focal length.
         by_depth_px = np.array(self.disparity_px - (self.left.K[0, 2] - self.right.K[0, 2]))
         shared = self.deviations.of_disparity(p_left_m, self.right, by_depth_px, self.T_right_left)
         of_image = BiasTerm("disparity of the marker", np.array([[self.bias_std_px]]), self.correlation_time_s)

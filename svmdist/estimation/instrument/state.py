@@ -64,7 +64,7 @@ class ErrorState:
         return float(self.correction.x[self.model.time_offset])
 
     def go_to(self, robot: RobotState) -> float | None:
-        """Take over the robot's state, joints at the time that the correction says; gives the s since the last one."""
+        """Take over the robot's state, joints at the corrected time; gives the s that have passed, None at first."""
         before, self._robot = self._robot, robot.shifted(self.time_offset_s)
         self._links = None
         return None if before is None else max(0.0, (robot.stamp_ns - before.stamp_ns) / 1e9)
