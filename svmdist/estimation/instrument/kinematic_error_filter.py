@@ -136,8 +136,8 @@ class KinematicErrorFilter:
             state.update_covariance(found.H[accepted], found.R[np.ix_(accepted, accepted)])
         if start is None:
             self.consistency.add(state.robot.stamp_ns, results)
-        late = state.time_offset_s, self._model.time_offset_std_s(self._age_s)
-        self.consistency.watch(state.furthest_parameter(), *late)
+        late_s = float(state.correction.x[self._model.time_offset])
+        self.consistency.watch(state.furthest_parameter(), late_s, self._model.time_offset_std_s(self._age_s))
         return tuple(results)
 
     def update_scene(self, name: str, part: Linearised) -> GatingResult:

@@ -58,14 +58,9 @@ class ErrorState:
             raise ValueError("the filter knows no joints yet: predict comes first")
         return self._robot
 
-    @property
-    def time_offset_s(self) -> float:
-        """How late the joints' stamps are, by the correction."""
-        return float(self.correction.x[self.model.time_offset])
-
     def go_to(self, robot: RobotState) -> float | None:
         """Take over the robot's state, joints at the corrected time; gives the s that have passed, None at first."""
-        before, self._robot = self._robot, robot.shifted(self.time_offset_s)
+        before, self._robot = self._robot, robot.shifted(float(self.correction.x[self.model.time_offset]))
         self._links = None
         return None if before is None else max(0.0, (robot.stamp_ns - before.stamp_ns) / 1e9)
 
