@@ -132,10 +132,8 @@ class ErrorModel:
 
 
 def _lengths(chain: DHChain, first_row: int) -> Iterator[tuple[int, int, int]]:
-    """Lengths behind the first moving joint that no joint's offset could stand in for: (row, axis_row, column).
-
-    Such a length shifts all frames from a row on along an axis, a column of a row's frame.
-    """
+    """Lengths behind the first moving joint that no joint's offset could stand in for: (row, axis_row, column)."""
+    # Such a length shifts all frames from a row on along an axis, a column of a row's frame.
     is_modified = chain.convention == "modified"
     for index, row in list(enumerate(chain.rows))[first_row + is_modified :]:
         # Standard: Rot_z(θ) Trans_z(d) Trans_x(a) Rot_x(α); modified: Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d).

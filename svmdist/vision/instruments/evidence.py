@@ -129,10 +129,7 @@ def _network() -> OnnxSegmenter:
 
 
 def picture_of(bgr: Image, border_levels: float = BORDER_LEVELS) -> Image:
-    """Mask, shape (h, w), of the picture inside its border, whatever its shape; all of an image without a border.
-
-    The border is no brighter than the darkest things by more than `border_levels`.
-    """
+    """Mask, shape (h, w), of the picture inside its border, whatever its shape; all of an image without a border."""
     blue, green, red = cv2.split(bgr)  # NumPy's maximum along the short axis takes twenty times as long
     value = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
     counts = np.cumsum(np.bincount(value.ravel(), minlength=256))

@@ -109,10 +109,8 @@ def _probabilities(log_p: Array) -> Array:
 
 
 def _weaker_side(odds: Floats, seen: NDArray[np.bool_]) -> Array:
-    """The mean of margins' log-odds, shape (n, 8), at the weaker of both sides, (n,), of those that are `seen`, (n, 8).
-
-    A shaft leaves the picture at a slant: where one side is out of view, the other one says whether it goes on.
-    """
+    """The mean of margins' log-odds, (n, 8), at the weaker of both sides, (n,), of those that are `seen`, (n, 8)."""
+    # A shaft leaves the picture at a slant: where one side is out of view, the other one says whether it goes on.
     shown = seen.reshape(-1, 2, 4).sum(2)
     mean = (odds * seen).reshape(-1, 2, 4).sum(2) / np.maximum(shown, 1)
     return np.where(shown.any(1), np.where(shown > 0, mean, np.inf).min(1), 0.0)
