@@ -125,8 +125,8 @@ def _jaws(frame: Frame, pose: ToolPose) -> Iterator[Difference]:
     inside = cv2.erode(hull, np.ones((5, 5), np.uint8))
     along_m = np.arange(2.0 * instrument.knuckle_radius_m, JAW_REACH * instrument.jaw_length_m, JAW_STEP_M)
     found = []
-    for jaw in wrist_in_tool(arm.required_chain, q).jaws:
-        points_m = pose.position_m + np.outer(along_m, pose.T_camera_tool[:3, :3] @ jaw.along)
+    for along, _, _ in wrist_in_tool(arm.required_chain, q).jaws:
+        points_m = pose.position_m + np.outer(along_m, pose.T_camera_tool[:3, :3] @ along)
         at = np.rint(view.camera.project(points_m)).astype(np.int64)
         kept = np.logical_and.accumulate(((at >= 0) & (at < mask.shape[::-1])).all(1))
         at = at[kept]

@@ -158,7 +158,7 @@ def by_both_views(frame: Frame) -> FrameResult:
     tool = ToolEstimate(found.pose, frame.joints, frame.left.has_plate)
     if seen is not None:
         return _to_tissue(result, frame, tool, seen, tissue.pose)
-    if not found.is_by_right_view:
+    if not any(name == DISPARITY or name.startswith("right ") for name in found.used):
         return result.rejected(Status.NO_STEREO, "the right view shows neither the instrument nor the tissue's surface")
     said = "the views do not agree on the tissue's surface: the profile's is used"
     return measured(replace(result, detail=said), frame, tool, tissue.pose)

@@ -12,8 +12,8 @@ from svmdist.profile.segmentation import AreaGate
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.colour import field_of_view
+from svmdist.vision.instruments.evidence import sampled
 from svmdist.vision.instruments.find_instruments import SeenInstrument
-from svmdist.vision.instruments.outline import sampled
 
 VIEW_BORDER_FRACTION = 0.006  # of the image's width, left out: optics fade at the field of view's border
 GLARE_WIDTH_FRACTION = 0.03  # of the image's width; narrower bright stripes are reflections, and are closed

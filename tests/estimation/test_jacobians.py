@@ -9,6 +9,7 @@ from svmdist.camera import Camera
 from svmdist.estimation.instrument.error_model import CorrectedLink, CorrectedLinks, Correction, ErrorModel
 from svmdist.estimation.instrument.measurement import Deviations, LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import (
+    END_BIAS,
     JAWS,
     ContourMeasurement,
     DisparityMeasurement,
@@ -73,7 +74,7 @@ def measurements() -> list[LinkMeasurement]:
         axis=axis,
         radius_m=0.004,
         side=1,
-        bias_covariance=np.diag([2e-4, 1e-6]),
+        by_bias=np.diag(np.sqrt([2e-4, 1e-6])),
         correlation_time_s=30.0,
     )
     sides = [edge, replace(edge, name="edge -1", side=-1)]
@@ -109,7 +110,7 @@ def measurements() -> list[LinkMeasurement]:
         T_link_frame=T_frame,
         T_camera_frame=near @ T_frame,
         covariance=np.eye(6),
-        bias_covariance=root @ root.T,
+        by_bias=root,
     )
     return [
         origin,
@@ -121,7 +122,7 @@ def measurements() -> list[LinkMeasurement]:
         SizeMeasurement(name="size", link=None, bias_std_px=0.2, hidden_std_px=0.5, correlation_time_s=30.0, **size),
         *sides,
         pose,
-        replace(pose, name="far", T_camera_frame=far, bias_covariance=np.eye(6)),
+        replace(pose, name="far", T_camera_frame=far, by_bias=np.eye(6)),
     ]
 
 
@@ -140,14 +141,14 @@ def test_what_is_found_between_end_and_tips_is_off_with_both():
     moved = nudged(T_LINK, np.concatenate([ahead_m, np.zeros(3)]))
     for one in (origin, PAIR):
         own = {bias.name for bias in one.linearise(T_LINK).biases[1:]}
-        assert end.bias_name not in own
+        assert END_BIAS not in own
         off = {
             bias.name: bias for bias in replace(one, error=PointError(with_end_m=ahead_m)).linearise(T_LINK).biases[1:]
         }
         # As if the tool were nearer by as much: what is measured would be what is predicted there.
         expected = one.linearise(T_LINK).residual - one.linearise(moved).residual
-        assert off[end.bias_name].jacobian[:, 0] == pytest.approx(expected, rel=0.05)
-        assert off[end.bias_name].correlation_time_s == end.correlation_time_s
+        assert off[END_BIAS].jacobian[:, 0] == pytest.approx(expected, rel=0.05)
+        assert off[END_BIAS].correlation_time_s == end.correlation_time_s
         # Jaws that are longer by a deviation put it as much farther along them: the tool's x.
         longer = np.concatenate([5e-4 * T_LINK[:3, 0], np.zeros(3)])
         expected = one.linearise(T_LINK).residual - one.linearise(nudged(T_LINK, longer)).residual

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from svmdist.estimation.instrument.consistency import OUTLIER_WEIGHT
-from svmdist.estimation.instrument.most_probable import by_state, most_probable
+from svmdist.estimation.instrument.state import by_state, most_probable
 from svmdist.transforms import rotation_of, rotation_vector, skew
 
 

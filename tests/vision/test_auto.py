@@ -13,7 +13,7 @@ from svmdist.samples import Image
 from svmdist.vision.edge_lines import EdgeLine
 from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.instruments.evidence import Evidence, picture_of
-from svmdist.vision.instruments.find_instruments import AutoMasks, SeenInstrument, find_instruments, seen_instrument
+from svmdist.vision.instruments.find_instruments import AutoMasks, SeenInstrument, find_instruments
 from svmdist.vision.instruments.outline import Outline
 from svmdist.vision.instruments.outline_search import outline_score
 from svmdist.vision.segmentation import make_segmenter
@@ -342,10 +342,10 @@ def test_a_shaft_that_is_no_evidence_near_the_border_comes_in_there():
     image, odds = Evidence(bars(SHAFT), AutoSettings()), np.full((2, 240, 320), -2.0, np.float32)
     odds[:, 100:140, :30], odds[:, 100:140, 30:200] = -1.0, 3.0
     image.scores, image.odds = odds, odds[0]
-    ((outline, mask, _),) = find_instruments(image)
-    assert outline.start[0] < 4.0
-    assert outline.end[0] == pytest.approx(200.0, abs=3.0)
-    assert iou(mask, bars(SHAFT)[..., 0] == 30) > 0.9
+    (found,) = find_instruments(image)
+    assert found.entry_px[0] < 4.0
+    assert found.end_px[0] == pytest.approx(200.0, abs=3.0)
+    assert iou(found.small_mask, bars(SHAFT)[..., 0] == 30) > 0.9
 
 
 def is_accepted(bgr: Image, top: int) -> bool:
@@ -353,7 +353,7 @@ def is_accepted(bgr: Image, top: int) -> bool:
     image, odds = Evidence(bgr, AutoSettings()), np.full((2, 240, 320), -2.0, np.float32)
     odds[:, top:140, :200] = 3.0
     image.scores, image.odds = odds, odds[0]
-    return outline_score(Outline(sides_of(199.5, top - 0.5)), image).is_accepted
+    return outline_score(Outline(sides_of(199.5, top - 0.5)), image) > 0.0
 
 
 @pytest.mark.parametrize(("first_side", "is_shaft"), [(80, False), (100, True)])
@@ -403,10 +403,10 @@ def test_the_end_of_a_shaft_that_leaves_a_round_view_at_a_slant_is_not_visible(l
     bgr[(shaft > 0) & (bgr[..., 0] > 0)] = 30
     image = Evidence(bgr, AutoSettings())
     image.scores = np.tile(np.where(shaft > 0, 3.0, -2.0).astype(np.float32), (2, 1, 1))
-    outline = find_instruments(image)[0][0]
-    assert np.isfinite(outline.end_std_px) != leaves
+    found = find_instruments(image)[0]
+    assert np.isfinite(found.end_std_px) != leaves
     if not leaves:
-        assert outline.end[0] == pytest.approx(190.0, abs=4.0)
+        assert found.end_px[0] == pytest.approx(190.0, abs=4.0)
 
 
 @pytest.mark.parametrize("both", [True, False], ids=["both edges end", "one edge ends"])
@@ -433,4 +433,4 @@ def test_behind_a_short_segment_of_a_shaft_the_sides_are_those_of_the_wrist(dark
     sizes = {"shaft_end_m": 0.004, "outline_end_m": collar_m - 0.004}
     model = ShaftSizes(PROFILE.instrument.model_copy(update=sizes), 0.009)
     (found,) = find_instruments(image)
-    assert model.with_likelier_end(seen_instrument(found, image), 2e-4).shows_shaft == shows
+    assert model.with_likelier_end(found, 2e-4).shows_shaft == shows

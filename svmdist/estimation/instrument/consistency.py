@@ -29,16 +29,13 @@ GATE_Z = FilterSettings().gate_z
 
 @dataclass(frozen=True, slots=True)
 class GatingResult:
-    """A measurement against its prediction: normalised innovation squared, degrees of freedom, its robust weight.
-
-    `source` is the detection that it is made of.
-    """
+    """A measurement against its prediction: normalised innovation squared, degrees of freedom, its robust weight."""
 
     name: str
     nis: float
     degrees_of_freedom: int
     weight: float
-    source: str = ""
+    source: str = ""  # the detection that it is made of
 
     @property
     def is_accepted(self) -> bool:
@@ -52,8 +49,7 @@ def with_detections(result: FrameResult, gating: Sequence[GatingResult]) -> Fram
     for one in gating:
         balance[one.source] += 1 if one.is_accepted else -1
     accepted = tuple(name for name, more in balance.items() if more >= 0)
-    refused = tuple(name for name, more in balance.items() if more < 0)
-    return replace(result, accepted=accepted, refused=refused)
+    return replace(result, accepted=accepted, refused=tuple(name for name in balance if name not in accepted))
 
 
 def student_weight(square: Array | float, degrees_of_freedom: Array | int) -> Array:
@@ -83,12 +79,11 @@ class Consistency:
 
     def clear(self) -> None:
         """Begin anew."""
-        self._frames: deque[tuple[int, tuple[GatingResult, ...]]] = deque()
+        self._frames: deque[tuple[int, Sequence[GatingResult]]] = deque()
         self._furthest, self._furthest_name, self._surprise = 0.0, "", 0.0
         self._late_s = self._late_deviations = 0.0
         self._scene_outliers, self._scene_has_inliers = 0, False
-        self.excess = 1.0
-        """Factor on the covariance for what else is known of this frame."""
+        self.excess = 1.0  # factor on the covariance for what else is known of this frame
 
     def add(self, stamp_ns: int, results: Sequence[GatingResult], *, of_tool: bool = True) -> None:
         """Take up a frame's results, of the tool or of the tissue; a frame without any changes nothing."""
@@ -96,11 +91,11 @@ class Consistency:
             self._frames.popleft()
         if not results:
             return
-        self._frames.append((stamp_ns, tuple(results)))
+        self._frames.append((stamp_ns, results))
         if not of_tool:
-            is_outlier = not any(result.is_accepted for result in results)
-            self._scene_outliers = self._scene_outliers + 1 if is_outlier else 0
-            self._scene_has_inliers |= not is_outlier
+            is_inlier = any(result.is_accepted for result in results)
+            self._scene_outliers = 0 if is_inlier else self._scene_outliers + 1
+            self._scene_has_inliers |= is_inlier
 
     def watch(self, parameter: tuple[str, float, float, int], late_s: float, late_std_s: float) -> None:
         """Take up the estimates of calibration parameters (`ErrorState.furthest_parameter`) and of the time offset."""
@@ -109,7 +104,6 @@ class Consistency:
         self._late_s, self._late_deviations = late_s, abs(late_s) / late_std_s if late_std_s > 0.0 else 0.0
 
     def _results(self) -> list[GatingResult]:
-        """What was measured in the window."""
         return [result for _, members in self._frames for result in members]
 
     @property
@@ -127,39 +121,25 @@ class Consistency:
     @property
     def contradiction(self) -> str:
         """Why no distance can be trusted, human-readable; empty where one can."""
-        settings = self._settings
+        settings, results = self._settings, self._results()
         if self._furthest > settings.max_constant_deviations:
             return f"{self._furthest_name} is {self._furthest:.1f} standard deviations from the profile's value"
         if self._late_deviations > MAX_TIME_OFFSET_DEVIATIONS:
-            return (
-                f"joints seem {self._late_s:+.2f} s late, {self._late_deviations:.0f} standard deviations: is there a"
-                " lag of the images to be given?"
-            )
-        # Without an inlier before, one frame is enough.
-        if self._scene_outliers >= (MAX_SCENE_OUTLIERS if self._scene_has_inliers else 1):
-            count = self._scene_outliers
-            return f"the tissue contradicts its plane in {count} frames: {self._outlier_names()}"
-        return self._of_innovations()
-
-    def _of_innovations(self) -> str:
-        """Why what was measured in the window contradicts the prediction; empty where it does not."""
-        results = self._results()
-        if _degrees(results) < MIN_DEGREES:
-            return ""
-        share = _degrees([one for one in results if not one.is_accepted]) / _degrees(results)
-        if share > MAX_OUTLIER_SHARE:
-            return f"{share:.0%} of what was measured contradicts the prediction: {self._outlier_names()}"
-        if (self.ratio or 0.0) > self._settings.max_consistency:
-            return f"innovations are {self.ratio:.1f} times what is expected of them"
-        return ""
-
-    def _outlier_names(self) -> str:
+            late = f"{self._late_s:+.2f} s late, {self._late_deviations:.0f} standard deviations"
+            return f"joints seem {late}: is there a lag of the images to be given?"
         accepted: dict[str, list[bool]] = {}
-        for result in self._results():
+        for result in results:
             accepted.setdefault(result.name, []).append(result.is_accepted)
         names = [name for name, ones in accepted.items() if not ones[-1] or 2 * sum(ones) < len(ones)]
-        return ", ".join(names) or "measurements"
-
-
-def _degrees(results: Sequence[GatingResult]) -> int:
-    return sum(result.degrees_of_freedom for result in results)
+        outliers = ", ".join(names) or "measurements"
+        # Without an inlier before, one frame is enough.
+        if self._scene_outliers >= (MAX_SCENE_OUTLIERS if self._scene_has_inliers else 1):
+            return f"the tissue contradicts its plane in {self._scene_outliers} frames: {outliers}"
+        degrees = sum(result.degrees_of_freedom for result in results)
+        if degrees < MIN_DEGREES:
+            return ""
+        share = sum(result.degrees_of_freedom for result in results if not result.is_accepted) / degrees
+        if share > MAX_OUTLIER_SHARE:
+            return f"{share:.0%} of what was measured contradicts the prediction: {outliers}"
+        is_off = (self.ratio or 0.0) > settings.max_consistency
+        return f"innovations are {self.ratio:.1f} times what is expected of them" if is_off else ""

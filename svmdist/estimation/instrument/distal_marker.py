@@ -1,7 +1,4 @@
-"""The tool's origin as views show it: by a coloured distal marker, or in the outline of its wrist; in one view or two.
-
-All noise parameters of the distal marker stand here, but for those of its size.
-"""
+"""The tool's origin in one view or two: by a coloured distal marker, or in the outline of its wrist."""
 
 from __future__ import annotations
 
@@ -58,33 +55,27 @@ class Expected:
 
 @dataclass(frozen=True, slots=True)
 class SeenMarker:
-    """Where a view shows the tool's origin: pixel (2,), its noise in px, and what stays of its error.
-
-    `radius_px` is the radius of the whole, of which a fraction `hidden` is not visible.
-    """
+    """Where a view shows the tool's origin: pixel (2,), its noise in px, and what stays of its error."""
 
     name: str
     pixel: Array
     std_px: float
     error: PointError
-    radius_px: float
+    radius_px: float  # of the whole
     area_px: float = 0.0
-    hidden: float = 0.0
+    hidden: float = 0.0  # the fraction of the whole that is not visible
 
 
 @dataclass(frozen=True, slots=True)
 class MarkerPair:
-    """The tool's origin in both views: disparity where rows correspond, its noise and its bias, in px.
-
-    `expected` is the depth that sizes were compared at.
-    """
+    """The tool's origin in both views: disparity where rows correspond, its noise and its bias, in px."""
 
     left: SeenMarker
     right: SeenMarker
     disparity_px: float
     std_px: float
     bias_std_px: float
-    expected: Expected
+    expected: Expected  # where sizes were compared
 
 
 def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | None:
@@ -95,18 +86,7 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
     """
     marker, instrument = view.distal_marker, arm.profile.instrument
     if marker is None:
-        wrist = view.shaft.wrist
-        if wrist is None:
-            return None
-        end = _end_error(view, arm)
-        if end is None or arm.straight is None:
-            return None
-        end_m, px_per_m = end
-        noise_px, bias_px = np.sqrt([1.0 - WRIST_CORRELATED, WRIST_CORRELATED]) * wrist.std_px
-        by_jaws_m = (1.0 - wrist.end_share) * arm.straight.jaw_tip_std_m
-        place_std_m = float(bias_px / px_per_m)
-        error = PointError(WRIST, place_std_m, with_end_m=wrist.end_share * end_m, with_jaws_m=by_jaws_m)
-        return SeenMarker(WRIST, wrist.pixel, float(noise_px), error, wrist.std_px)
+        return _by_wrist(view, arm)
     seen_px = float(np.sqrt(marker.area_px / np.pi))
     if instrument is None:
         std_px, hidden = UNKNOWN_SHAPE * seen_px, UNKNOWN_SHAPE
@@ -122,45 +102,39 @@ def marker_in(view: View, arm: Arm, expected: Expected | None) -> SeenMarker | N
     tolerance = np.exp(4.0 * np.hypot(unknown, instrument.knuckle_radius_std_fraction))
     is_other = not MIN_VISIBLE_FRACTION / tolerance <= whole <= MAX_AREA_FRACTION * tolerance
     wrong = max(0.0, abs(1.0 - whole) - WHOLE_AREA_SPREAD)
+    name, part_std_m, unseen = MARKER, 0.0, float(np.hypot(0.5 * wrong, unknown))  # jaws that move hide other parts
+    if is_other:
+        name, part_std_m, unseen = "other part", OTHER_PART_PLACE * radius_m, 0.0
     pixel, doubt_px = marker.centre_px, 0.0
     if (disc := marker.disc) is not None:
         pixel = without_perspective(disc.centre_px, view.camera, expected.depth_m, radius_m)
         doubt_px = disc.doubt_px
-    hidden = 0.0 if is_other else float(np.hypot(0.5 * wrong, unknown))  # jaws that move hide other parts
-    error = PointError(
-        "other part" if is_other else MARKER,
-        float(np.hypot(VISIBLE_MIDDLE * radius_m, place_std_m)),
-        OTHER_PART_PLACE * radius_m if is_other else 0.0,
-        SHADING_BIAS * whole_px,
-    )
-    return SeenMarker(
-        MARKER,
-        pixel,
-        float(np.hypot(whole_px * np.hypot(CENTRE_NOISE, hidden), STD_PER_DOUBT * doubt_px)),
-        error,
-        whole_px,
-        marker.area_px,
-        max(0.0, abs(np.sqrt(whole) - 1.0) - 0.5 * WHOLE_AREA_SPREAD),
-    )
+    std_px = float(np.hypot(whole_px * np.hypot(CENTRE_NOISE, unseen), STD_PER_DOUBT * doubt_px))
+    place_std_m = float(np.hypot(VISIBLE_MIDDLE * radius_m, place_std_m))
+    error = PointError(name, place_std_m, part_std_m, SHADING_BIAS * whole_px)
+    hidden = max(0.0, abs(np.sqrt(whole) - 1.0) - 0.5 * WHOLE_AREA_SPREAD)
+    return SeenMarker(MARKER, pixel, std_px, error, whole_px, marker.area_px, hidden)
 
 
-def _end_error(view: View, arm: Arm) -> tuple[Array, float] | None:
-    """How far the shaft's end may be off along the shaft, (3,) in the view's frame, and px per m across the view there.
-
-    None without both sides of the shaft.
-    """
-    shaft, instrument = view.shaft, arm.profile.instrument
-    if shaft.rim is None or view.rim_ahead is None or instrument is None or len(shaft.contours) < 2:
+def _by_wrist(view: View, arm: Arm) -> SeenMarker | None:
+    """The tool's origin in the outline of its wrist; None without both sides of the shaft, and its end."""
+    shaft, straight, camera = view.shaft, arm.straight, view.camera
+    if shaft.wrist is None or shaft.rim is None or view.rim_ahead is None or straight is None:
         return None
-    axis = axis_of_cylinder(shaft.contours, instrument.shaft_radius_m)
+    axis = axis_of_cylinder(shaft.contours, straight.radius_m) if len(shaft.contours) == 2 else None
     if axis is None:
         return None
-    ray = view.camera.rays(shaft.rim.pixel)[0]
+    ray = camera.rays(shaft.rim.pixel)[0]
     depth_m = axis.depth_m(ray)
-    _, J = view.camera.project_with_derivative(depth_m * ray)
+    _, J = camera.project_with_derivative(depth_m * ray)
     by_m = float(shaft.rim.towards_tip @ J @ axis.direction)
-    std_m = np.copysign(np.hypot(view.rim_ahead[1], shaft.rim.std_px / by_m), by_m)
-    return std_m * axis.direction, float(view.camera.K[0, 0]) / depth_m
+    end_std_m = np.copysign(np.hypot(view.rim_ahead[1], shaft.rim.std_px / by_m), by_m)
+    wrist, px_per_m = shaft.wrist, float(camera.K[0, 0]) / depth_m
+    noise_px, bias_px = np.sqrt([1.0 - WRIST_CORRELATED, WRIST_CORRELATED]) * wrist.std_px
+    by_end_m = wrist.end_share * (end_std_m * axis.direction)
+    by_jaws_m = (1.0 - wrist.end_share) * straight.jaw_tip_std_m
+    error = PointError(WRIST, float(bias_px / px_per_m), with_end_m=by_end_m, with_jaws_m=by_jaws_m)
+    return SeenMarker(WRIST, wrist.pixel, float(noise_px), error, wrist.std_px)
 
 
 def pair_markers(frame: Frame, pair: RectifiedPair, expected: Expected | None = None) -> MarkerPair | Failure:

@@ -13,19 +13,7 @@ from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.hand_eye import LENGTH, OFFSET, TIME_OFFSET, HandEyeError
 from svmdist.profile.robot import KinematicError
 from svmdist.results import ToolPose
-from svmdist.transforms import Array, cross, make_transform, rotation_of, rotation_vector, skew
-
-
-@dataclass(frozen=True, slots=True)
-class RowLength:
-    """A constant length of the chain that may be wrong: it shifts all frames from `row` on along an axis of a frame.
-
-    The axis is column `column` of the frame of row `axis_row`, which is one before `row` or `row` itself.
-    """
-
-    row: int
-    axis_row: int
-    column: int
+from svmdist.transforms import Array, cross, make_transform, rotation_of, skew
 
 
 class ErrorModel:
@@ -34,23 +22,20 @@ class ErrorModel:
     δp in m and δφ in rad are displacement and rotation vector of everything behind the set-up joints, in the camera
     frame about the anchor; δq are the offsets of the joints from `first_joint` on, `backlash` what of their errors
     changes with the motion (and cables, noise), τ how late the joints' stamps are, δl the errors of `row_lengths`.
-
-    `offsets`, `backlash`, `time_offset` and `lengths` are their indices among its `size` numbers. `turns` and `slides`,
-    shape (n_joints - first_joint,), are 1 for joints of that type and 0 for others; `axes` are the places of the frames
-    with their axes among those from the row before `first_row` on.
+    `offsets`, `backlash`, `time_offset` and `lengths` are their indices among its `size` numbers.
     """
 
     def __init__(self, chain: DHChain, error: KinematicError) -> None:
         self.chain, self.error, names = chain, error, chain.joint_names
-        if error.first_moving_joint is not None and error.first_moving_joint not in names:
-            raise KinematicsError(
-                f"no joint {error.first_moving_joint} to be the first moving one:"
-                f" {did_you_mean(error.first_moving_joint, names)}"
-            )
-        self.first_joint = names.index(error.first_moving_joint or names[0])
+        first = names[0] if error.first_moving_joint is None else error.first_moving_joint
+        if first not in names:
+            raise KinematicsError(f"no joint {first} to be the first moving one: {did_you_mean(first, names)}")
+        self.first_joint = names.index(first)
         rows = chain.moving_rows[self.first_joint :]
         self.first_row, count = int(rows[0]), len(rows)
+        # Which frames have the joints' axes, among those from the row before `first_row` on.
         self.axes = rows - rows[0] + (chain.convention == "modified")
+        # 1 for joints of that type from the first one on, 0 for others.
         self.turns: Array = chain.is_revolute[self.first_joint :].astype(np.float64)
         self.slides: Array = 1.0 - self.turns
         self.row_lengths = tuple(_lengths(chain, self.first_row))
@@ -58,7 +43,6 @@ class ErrorModel:
         self.time_offset = 6 + 2 * count
         self.size = self.time_offset + 1 + len(self.row_lengths)
         self.lengths = slice(self.time_offset + 1, self.size)
-        self._joint_std = error.joint_std_rad * self.turns + error.joint_std_m * self.slides
         self._backlash_std = error.play_std_rad * self.turns + error.play_std_m * self.slides
         self._drift = np.zeros(self.size)
         self._drift[:3], self._drift[3:6] = error.drift_m_per_sqrt_s, error.drift_rad_per_sqrt_s
@@ -70,14 +54,12 @@ class ErrorModel:
         """Where in the error state each calibration parameter stands, by its name."""
         names = self.chain.joint_names[self.first_joint :]
         found = {OFFSET.format(name): at for at, name in enumerate(names, self.offsets.start)}
-        lengths = enumerate(range(self.size)[self.lengths], 1)
-        found |= {LENGTH.format(number): at for number, at in lengths}
+        found |= {LENGTH.format(number): self.time_offset + number for number in range(1, len(self.row_lengths) + 1)}
         return found | {TIME_OFFSET: self.time_offset}
 
     def time_offset_std_s(self, age_s: float) -> float:
         """Standard deviation of the joints' time offset after a time, by the profile."""
-        drift_s = self._drift[self.time_offset] * np.sqrt(age_s)
-        return float(np.hypot(self.error.time_offset_std_s, drift_s))
+        return float(np.hypot(self.error.time_offset_std_s, self._drift[self.time_offset] * np.sqrt(age_s)))
 
     @property
     def backlash_covariance(self) -> Array:
@@ -101,16 +83,17 @@ class ErrorModel:
         has the variance of the worse one, and no correlation with the turn, which would choose between them. A
         transform by hand-eye has a covariance of its own.
         """
-        P = np.zeros((self.size, self.size))
+        P, error = np.zeros((self.size, self.size)), self.error
         P[:6, :6], effects = self._transform(robot)
-        P[self.offsets, self.offsets] = np.diag(self._joint_std**2)
-        P[self.time_offset, self.time_offset] = self.error.time_offset_std_s**2
-        P[self.lengths, self.lengths] = self.error.length_std_m**2 * np.eye(len(self.row_lengths))
+        joint_std = error.joint_std_rad * self.turns + error.joint_std_m * self.slides
+        P[self.offsets, self.offsets] = np.diag(joint_std**2)
+        P[self.time_offset, self.time_offset] = error.time_offset_std_s**2
+        P[self.lengths, self.lengths] = error.length_std_m**2 * np.eye(len(self.row_lengths))
         # What a transform by hand-eye owes to the offset of a joint is not to be counted beside that offset.
         columns = self.parameter_columns
-        for name, effect in effects.items():
-            if (column := columns.get(name)) is not None:
-                P[:6, column] = P[column, :6] = effect[:, 0] * np.sqrt(P[column, column])
+        for name in effects.keys() & columns:
+            column = columns[name]
+            P[:6, column] = P[column, :6] = effects[name][:, 0] * np.sqrt(P[column, column])
         return P + self.backlash_covariance
 
     def prior_cross_covariances(self, robot: RobotState) -> dict[str, Array]:
@@ -148,37 +131,29 @@ class ErrorModel:
         return CorrectedLinks(self, robot, self.no_correction(robot))
 
 
-def _lengths(chain: DHChain, first_row: int) -> Iterator[RowLength]:
-    """Lengths behind the first moving joint that no joint's offset could stand in for."""
+def _lengths(chain: DHChain, first_row: int) -> Iterator[tuple[int, int, int]]:
+    """Lengths behind the first moving joint that no joint's offset could stand in for: (row, axis_row, column)."""
+    # Such a length shifts all frames from a row on along an axis, a column of a row's frame.
     is_modified = chain.convention == "modified"
-    for index, row in enumerate(chain.rows):
-        if index < first_row or (is_modified and index == first_row):
-            continue
+    for index, row in list(enumerate(chain.rows))[first_row + is_modified :]:
         # Standard: Rot_z(θ) Trans_z(d) Trans_x(a) Rot_x(α); modified: Rot_x(α) Trans_x(a) Rot_z(θ) Trans_z(d).
         if row.a_m != 0.0:
-            yield RowLength(index, index - 1 if is_modified else index, 0)
+            yield index, index - 1 if is_modified else index, 0
         if row.d_m != 0.0 and row.type != "prismatic" and (is_modified or index > first_row):
-            yield RowLength(index, index if is_modified else index - 1, 2)
+            yield index, index if is_modified else index - 1, 2
 
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """What is added to nominal kinematics: the error state `x`, shape (n,), but for its turn, shape (3, 3).
+    """What is added to nominal kinematics."""
 
-    Turns, about `anchor_m`, (3,) in the camera frame, do not add up as the rest does, so that x[3:6] is not used.
-    """
-
-    x: Array
-    turn: Array
-    anchor_m: Array
+    x: Array  # the error state, (n,), but for its turn: turns do not add up as the rest does, so x[3:6] is not used
+    turn: Array  # (3, 3)
+    anchor_m: Array  # that it turns about, (3,) in the camera frame
 
     def retract(self, step: Array) -> Correction:
         """The correction after an error state, shape (n,), was found in it (box-plus)."""
         return replace(self, x=self.x + step, turn=rotation_of(step[3:6]) @ self.turn)
-
-    def vector(self) -> Array:
-        """All of it as an error state about no correction, shape (n,)."""
-        return np.concatenate([self.x[:3], rotation_vector(self.turn), self.x[6:]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,10 +183,10 @@ class CorrectedLinks:
         links = link_transforms(model.chain, model.corrected_joints(robot, correction))[first_row:]
         self._frames = running_product(np.concatenate([(self._correct @ before)[None], links]))
         self._twists = np.zeros((6, model.size))
-        for at, length in enumerate(model.row_lengths, model.lengths.start):
+        for at, (row, axis_row, column) in enumerate(model.row_lengths, model.lengths.start):
             # A shift along an axis turns nothing, so that the frames behind it are shifted alike.
-            axis = self._frames[length.axis_row - first_row + 1, :3, length.column].copy()
-            self._frames[length.row - first_row + 1 :, :3, 3] += axis * correction.x[at]
+            axis = self._frames[axis_row - first_row + 1, :3, column].copy()
+            self._frames[row - first_row + 1 :, :3, 3] += axis * correction.x[at]
             self._twists[:3, at] = axis
 
         self._twists[:, :6] = np.eye(6)
@@ -223,11 +198,8 @@ class CorrectedLinks:
 
     def link(self, name: str | None) -> CorrectedLink:
         """The frame of a DH row, or the tool for None; raises ValueError for a row that the chain lacks."""
-        if name not in self._links:
-            self._links[name] = self._corrected(name)
-        return self._links[name]
-
-    def _corrected(self, name: str | None) -> CorrectedLink:
+        if (known := self._links.get(name)) is not None:
+            return known
         model = self._model
         row = len(model.chain.rows) - 1 if name is None else row_index(model.chain, name)
         if row < model.first_row:
@@ -243,13 +215,12 @@ class CorrectedLinks:
         derivative[:, 6 + max(0, moved_by - model.first_joint) : model.offsets.stop] = 0.0
         derivative[:, model.backlash] = derivative[:, model.offsets]
         # Later stamps: every joint goes on at its rate.
-        rates = self._robot.rates[model.first_joint :]
-        derivative[:, model.time_offset] = derivative[:, model.offsets] @ rates
-        is_behind = [row < length.row for length in model.row_lengths]
-        derivative[:, model.lengths][:, is_behind] = 0.0
+        derivative[:, model.time_offset] = derivative[:, model.offsets] @ self._robot.rates[model.first_joint :]
+        derivative[:, model.lengths][:, [row < shifted for shifted, *_ in model.row_lengths]] = 0.0
         T.setflags(write=False)
         derivative.setflags(write=False)
-        return CorrectedLink(T, derivative, derivative[:, model.time_offset])
+        found = self._links[name] = CorrectedLink(T, derivative, derivative[:, model.time_offset])
+        return found
 
 
 def nominal_tool(chain: DHChain, error: KinematicError, state: RobotState) -> ToolPose:

@@ -1,12 +1,10 @@
-"""The factors of a tool's pose: what one view or a pair shows of the instrument, each as a measurement of a link.
-
-They are written once, for methods with and without memory; the view is an argument.
-"""
+"""The factors of a tool's pose: what one view or a pair shows of the instrument, each as a measurement of a link."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -45,43 +43,36 @@ def of_images(
     def of_view(view: View, found: Iterator[LinkMeasurement]) -> list[LinkMeasurement]:
         return list(found) if view is left else [_in_right_view(one, view) for one in found]
 
-    def first(found: Iterator[list[LinkMeasurement]]) -> list[LinkMeasurement]:
-        return next((of_one for of_one in found if of_one), [])
-
-    found: list[LinkMeasurement] = []
-    marks = first(of_view(view, marked(view, arm, expected)) for view in views)
+    found, marks, ends = list[LinkMeasurement](), list[LinkMeasurement](), list[LinkMeasurement]()
+    for view in views:
+        marks = marks or of_view(view, marked(view, arm, expected))
     # An outline's wrist is too ambiguous without the rest of the outline.
     is_by_outline = any(one.name.endswith(WRIST) for one in marks)
-    has_tag = arm.profile.fiducial is not None and left.tag_corners_px is not None
-    if is_tracked and not is_by_outline and (marks or has_tag):
+    if is_tracked and not is_by_outline and (marks or left.tag_corners_px is not None):
         found += sides(left, arm, correlated_share)
     else:
         is_alone = sum(bool(view.shaft.contours) for view in views) < 2
         for view in views:
             found += of_view(view, sides(view, arm, correlated_share, is_alone=is_alone))
-        found += first(of_view(view, end(view, arm)) for view in views)
+            ends = ends or of_view(view, end(view, arm))
     if len(views) > 1 and isinstance(markers, MarkerPair):
         if is_tracked:
             marks = [one for one in marks if not isinstance(one, kinds.SizeMeasurement)]
         marks = [*marks, _disparity(frame, views[1], markers)]
     if frame.scene.mixes_colours and not is_by_outline:
         marks = [replace(one, delay_s=one.delay_s + COLOUR_DELAY_S) for one in marks]
-    return [*found, *marks]
+    return [*found, *ends, *marks]
 
 
 def sides(view: View, arm: Arm, correlated_share: float = 0.0, *, is_alone: bool = False) -> Iterator[LinkMeasurement]:
-    """Both sides of the shaft's outline in a view; of their variance a share is correlated.
-
-    Where it `is_alone`, no other view shows the depth of what may be a wrist.
-    """
+    """Both sides of the shaft's outline in a view; of their variance a share is correlated."""
     if not view.shaft.contours or arm.straight is None:
         return
     axis = arm.straight.axis
     # What both edges get wrong alike is to the tool what a wrong radius is.
     radius_std = float(np.hypot(arm.deviations.shaft_radius_fraction, view.shaft.width_std))
-    if is_alone:
+    if is_alone:  # no other view shows the depth of what may be a wrist
         radius_std = float(np.hypot(radius_std, view.shaft.wrist_std))
-    deviations = replace(arm.deviations, shaft_radius_fraction=radius_std)
     for contour in view.shaft.contours:
         _, axes = np.linalg.eigh(contour.covariance)
         across = axes[:, 1:].T
@@ -96,9 +87,9 @@ def sides(view: View, arm: Arm, correlated_share: float = 0.0, *, is_alone: bool
             axis=axis.axis,
             radius_m=arm.straight.radius_m,
             side=contour.side,
-            bias_covariance=correlated_share * covariance,
+            by_bias=kinds.bias_jacobian(correlated_share * covariance),
             focal_px=np.diag(view.camera.K)[:2],
-            deviations=deviations,
+            deviations=replace(arm.deviations, shaft_radius_fraction=radius_std),
             correlation_time_s=arm.profile.settings.filter.edge_correlation_time_s,
         )
 
@@ -132,16 +123,10 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
     seen, marker, instrument = marker_in(view, arm, expected), view.distal_marker, arm.profile.instrument
     if seen is None:
         return
-    yield kinds.PointMeasurement(
-        name=seen.name,
-        camera=view.camera,
-        p_link_m=marker_place_m(arm, seen),
-        pixel=seen.pixel,
-        covariance=seen.std_px**2 * np.eye(2),
-        error=seen.error,
-        deviations=arm.deviations,
-        correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
-    )
+    time_s = arm.profile.settings.filter.point_correlation_time_s
+    point = partial(kinds.PointMeasurement, camera=view.camera, deviations=arm.deviations, correlation_time_s=time_s)
+    C = seen.std_px**2 * np.eye(2)
+    yield point(name=seen.name, p_link_m=marker_place_m(arm, seen), pixel=seen.pixel, covariance=C, error=seen.error)
     if instrument is None:
         return
     is_other_part = seen.error.part_std_m > 0.0  # it is not of the marker's size
@@ -156,26 +141,19 @@ def marked(view: View, arm: Arm, expected: Expected | None) -> Iterator[LinkMeas
             bias_std_px=float(np.sqrt(correlated * variance_px2)),
             hidden_std_px=marker.hidden_px,
             deviations=arm.deviations,
-            correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
+            correlation_time_s=time_s,
         )
     if seen.name == WRIST and (wrist := view.shaft.wrist) is not None and arm.straight is not None:
-        yield kinds.PointMeasurement(
-            name="jaws' tip",
-            camera=view.camera,
-            p_link_m=instrument.jaw_length_m * arm.straight.T_shaft_tool[2, :3],
-            pixel=wrist.tip_px,
-            covariance=wrist.tip_std_px**2 * np.eye(2),
-            error=kinds.PointError(kinds.JAWS, arm.straight.jaw_tip_std_m),
-            deviations=arm.deviations,
-            correlation_time_s=arm.profile.settings.filter.point_correlation_time_s,
-        )
+        tip_m, C = instrument.jaw_length_m * arm.straight.T_shaft_tool[2, :3], wrist.tip_std_px**2 * np.eye(2)
+        error = kinds.PointError(kinds.JAWS, arm.straight.jaw_tip_std_m)
+        yield point(name="jaws' tip", p_link_m=tip_m, pixel=wrist.tip_px, covariance=C, error=error)
 
 
 def _in_right_view(one: LinkMeasurement, view: View) -> LinkMeasurement:
     """A measurement by the right camera: what an edge or a point alone gets wrong is each view's own."""
     name, *rests_on = (f"right {each}" for each in (one.name, *one.rests_on))
     right = replace(one, name=name, rests_on=tuple(rests_on), T_view_left=view.T_view_left, delay_s=view.delay_s)
-    if isinstance(right, kinds.PointMeasurement) and right.bias_name == one.name:
+    if isinstance(right, kinds.PointMeasurement) and right.error.name == one.name:
         right = replace(right, error=replace(right.error, name=right.name))
     return right
 
@@ -214,7 +192,7 @@ def tag(frame: Frame, robot: RobotState, predicted: ToolPose, correlated_share: 
             T_link_frame=fiducial.T_link_tag,
             T_camera_frame=found.T_camera_tag,
             covariance=(1.0 - correlated_share) * found.covariance,
-            bias_covariance=correlated_share * found.covariance,
+            by_bias=kinds.bias_jacobian(correlated_share * found.covariance),
             focal_px=np.diag(frame.left.camera.K)[:2],
             deviations=frame.arm.deviations,
         )

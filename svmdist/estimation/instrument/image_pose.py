@@ -17,6 +17,7 @@ from svmdist.estimation.instrument.distal_marker import MarkerPair, pair_markers
 from svmdist.estimation.instrument.factors import DISPARITY, jaw_scale, of_images
 from svmdist.estimation.instrument.kinematic_error_filter import KinematicErrorFilter
 from svmdist.estimation.instrument.measurement import LinkMeasurement
+from svmdist.estimation.instrument.shaft_detection import ShaftDetection
 from svmdist.estimation.instrument.shaft_model import ShaftModel
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import KinematicError
@@ -42,11 +43,6 @@ class ImagePose:
     contradiction: str
     gating: tuple[GatingResult, ...] = ()
 
-    @property
-    def is_by_right_view(self) -> bool:
-        """Whether it rests on anything in the right view."""
-        return any(name == DISPARITY or name.startswith("right ") for name in self.used)
-
 
 def pose_by_images(frame: Frame, pair: RectifiedPair | None = None) -> ImagePose | Failure:
     """The tool by the left view, or by both views of a pair; or why it cannot be measured."""
@@ -69,49 +65,61 @@ def pose_by_images(frame: Frame, pair: RectifiedPair | None = None) -> ImagePose
 
 
 def _first_places(views: Sequence[View], tool_m: Array | None, model: ShaftModel) -> Iterator[Array | Failure]:
-    """First `T_left_shaft`, (4, 4): by the sides in a view, by the triangulated marker; or what is missing."""
-    R_nominal = model.R_camera_shaft
+    """First `T_left_shaft`, (4, 4): by sides or marker in a view, by the triangulated marker; or what is missing."""
+    R_nominal, tool_in_shaft_m = model.R_camera_shaft, model.T_shaft_tool[:3, 3]
     for view in views:
-        T_left_view = inverse(view.T_view_left)
+        T_left_view, marker = inverse(view.T_view_left), view.distal_marker
         R = None if R_nominal is None else T_left_view[:3, :3].T @ R_nominal
-        for first in _first_shafts(view, model, R):
+        firsts = list(_starts_from_sides(view, model, R)) if len(view.shaft.contours) == 2 else []
+        if R is None:
+            firsts.append(Failure("no long enough part of a shaft is visible with both sides"))
+        elif marker is None or marker.radius_px is None:
+            firsts.append(Failure("neither both sides of the shaft nor a whole distal marker"))
+        else:
+            ray, radius_m = view.camera.rays(marker.centre_px)[0], model.instrument.knuckle_radius_m
+            marker_m = apparent_radius_px(ray, radius_m, view.camera) / marker.radius_px * ray
+            firsts.append(make_transform(R, marker_m - R @ tool_in_shaft_m))
+        for first in firsts:
             if isinstance(first, Failure):
                 yield first
                 continue
             T = T_left_view @ first
             if tool_m is not None:  # disparity is more accurate than the width of a short segment
-                yield make_transform(T[:3, :3], tool_m - T[:3, :3] @ model.T_shaft_tool[:3, 3])
+                yield make_transform(T[:3, :3], tool_m - T[:3, :3] @ tool_in_shaft_m)
             yield np.asarray(T)
     if tool_m is not None and R_nominal is not None:
-        yield make_transform(R_nominal, tool_m - R_nominal @ model.T_shaft_tool[:3, 3])
-
-
-def _first_shafts(view: View, model: ShaftModel, R_nominal: Array | None) -> Iterator[Array | Failure]:
-    """First `T_view_shaft`, (4, 4): by the closed form, by the nominal rotation and a marker; or why none."""
-    if len(view.shaft.contours) == 2:
-        yield from _starts_from_sides(view, model, R_nominal)
-    marker = view.distal_marker
-    if R_nominal is None:
-        yield Failure("no long enough part of a shaft is visible with both sides")
-    elif marker is None or marker.radius_px is None:
-        yield Failure("neither both sides of the shaft nor a whole distal marker")
-    else:
-        ray, radius_m = view.camera.rays(marker.centre_px)[0], model.instrument.knuckle_radius_m
-        tool_m = apparent_radius_px(ray, radius_m, view.camera) / marker.radius_px * ray
-        yield make_transform(R_nominal, tool_m - R_nominal @ model.T_shaft_tool[:3, 3])
+        yield make_transform(R_nominal, tool_m - R_nominal @ tool_in_shaft_m)
 
 
 def _starts_from_sides(view: View, model: ShaftModel, R_nominal: Array | None) -> Iterator[Array | Failure]:
     """By the closed form, with the shaft's end where it is seen, and where the marker has it; or why none."""
-    axis = axis_of_cylinder(view.shaft.contours, model.radius_m)
+    axis, shaft = axis_of_cylinder(view.shaft.contours, model.radius_m), view.shaft
     if axis is None:
         yield Failure("the shaft's sides are too close together")
         return
-    d = _turned_to_tip(axis.direction, view, R_nominal)
-    if d is None:
+    d = axis.direction
+    if shaft.towards_tip is not None and shaft.middle_px is not None:
+        x, y, _ = view.camera.rays(shaft.middle_px)[0]
+        ahead = float(np.array([d[0] - x * d[2], d[1] - y * d[2]]) @ shaft.towards_tip)
+    elif R_nominal is not None:
+        ahead = float(d @ R_nominal[:, 2])
+    else:
         yield Failure("the shaft's tip cannot be told from its base")
         return
-    hinges_m = list(_hinges(axis.point_m, d, view, model))
+    d = d if ahead > 0 else -d
+    rim, marker, hinges_m = shaft.rim, view.distal_marker, list[Array]()
+    landmarks: list[tuple[Array, float]] = []
+    if rim is not None:
+        landmarks.append((rim.pixel, model.outline_end_m if rim.is_outline else -model.end_m))
+    if marker is not None:
+        landmarks.append((marker.centre_px, float(model.T_shaft_tool[2, 3])))
+    for pixel, ahead_m in landmarks:  # where the axis passes its ray, less its place on the straight tool
+        ray = view.camera.rays(pixel)[0]
+        ray = ray / np.linalg.norm(ray)
+        cosine = float(ray @ d)
+        if 1.0 - cosine**2 >= 1e-4:
+            along_m = (cosine * float(ray @ axis.point_m) - float(d @ axis.point_m)) / (1.0 - cosine**2)
+            hinges_m.append(axis.point_m + (along_m - ahead_m) * d)
     if not hinges_m:
         yield Failure("the shaft's end is not visible")
     for hinge_m in hinges_m:
@@ -121,9 +129,8 @@ def _starts_from_sides(view: View, model: ShaftModel, R_nominal: Array | None) -
         yield make_transform(np.stack([cross(y, d), y, d], -1), hinge_m)
 
 
-def _bends_aside(view: View) -> bool:
+def _bends_aside(shaft: ShaftDetection) -> bool:
     """Whether the outline of the wrist shows it bent in the image, rather than towards the camera or not at all."""
-    shaft = view.shaft
     if shaft.wrist is None or shaft.towards_tip is None or shaft.middle_px is None:
         return False
     (x, y), (along_x, along_y) = shaft.wrist.pixel - shaft.middle_px, shaft.towards_tip
@@ -131,10 +138,7 @@ def _bends_aside(view: View) -> bool:
 
 
 def _with_other_bend(pose: ToolPose, frame: Frame, model: ShaftModel) -> ToolPose:
-    """The pose of a wrist that is bent about the other axis, too: the chain of a straight one lacks that.
-
-    Across the line of sight the outline of the wrist says how far it may be.
-    """
+    """The pose of a wrist that is bent about the other axis, too: the chain of a straight one lacks that."""
     ray = pose.position_m / np.linalg.norm(pose.position_m)
     bent = pose.T_camera_tool[:3, :3] @ model.T_shaft_tool[1, :3]  # about it the chain bends
     bent -= pose.axis * float(pose.axis @ bent)
@@ -142,39 +146,11 @@ def _with_other_bend(pose: ToolPose, frame: Frame, model: ShaftModel) -> ToolPos
     variance = frame.arm.profile.settings.shaft.unknown_bend_rad**2
     information = 2.0 / (1.0 - np.exp(-2.0 * variance))  # of the sine of a normal angle
     wrist = frame.left.shaft.wrist
-    if wrist is not None:
+    if wrist is not None:  # across the line of sight its outline says how far it may be
         std_m = wrist.std_px * pose.position_m[2] / frame.left.camera.K[0, 0]
         information += (1.0 - float(bent @ ray) ** 2) * (model.reach_m / std_m) ** 2
     by_bend = np.concatenate([model.reach_m * bent, cross(pose.axis, bent)])
     return replace(pose, covariance=pose.covariance + np.outer(by_bend, by_bend) / information)
-
-
-def _turned_to_tip(d: Array, view: View, R_nominal: Array | None) -> Array | None:
-    shaft = view.shaft
-    if shaft.towards_tip is not None and shaft.middle_px is not None:
-        x, y, _ = view.camera.rays(shaft.middle_px)[0]
-        flow = np.array([d[0] - x * d[2], d[1] - y * d[2]])
-        return d if flow @ shaft.towards_tip > 0 else -d
-    if R_nominal is None:
-        return None
-    return d if d @ R_nominal[:, 2] > 0 else -d
-
-
-def _hinges(p_m: Array, d: Array, view: View, model: ShaftModel) -> Iterator[Array]:
-    """The hinge: where the axis passes a landmark's ray, less the landmark's place on the straight tool."""
-    rim, marker = view.shaft.rim, view.distal_marker
-    landmarks: list[tuple[Array, float]] = []
-    if rim is not None:
-        landmarks.append((rim.pixel, model.outline_end_m if rim.is_outline else -model.end_m))
-    if marker is not None:
-        landmarks.append((marker.centre_px, float(model.T_shaft_tool[2, 3])))
-    for pixel, ahead_m in landmarks:
-        ray = view.camera.rays(pixel)[0]
-        ray = ray / np.linalg.norm(ray)
-        cosine = float(ray @ d)
-        if 1.0 - cosine**2 >= 1e-4:
-            along_m = (cosine * float(ray @ p_m) - float(d @ p_m)) / (1.0 - cosine**2)
-            yield np.asarray(p_m + (along_m - ahead_m) * d)
 
 
 def _located(
@@ -190,12 +166,11 @@ def _located(
     rolls_rad: Sequence[float] = (0.0,)
     if isinstance(robot, Failure):
         error["joint_std_rad"] = profile.settings.shaft.unknown_bend_rad
-        rolls_rad = [0.0 if _bends_aside(frame.left) else 0.5 * np.pi]
+        rolls_rad = [0.0 if _bends_aside(frame.left.shaft) else 0.5 * np.pi]
     elif robot.T_camera_base is None:
         rolls_rad = [2.0 * np.pi * turn / ROLL_COUNT for turn in range(ROLL_COUNT)]
     if isinstance(robot, Failure) or robot.T_camera_base is None:
-        T_camera_base = firsts[0] @ inverse(model.T_base_shaft)
-        robot = RobotState(chain, frame.stamp_ns, model.q, T_camera_base)
+        robot = RobotState(chain, frame.stamp_ns, model.q, firsts[0] @ inverse(model.T_base_shaft))
         error["camera_base_std_rad"] = OPEN_RAD
     kalman = KinematicErrorFilter(chain, KinematicError(**error), profile.settings.filter)
     kalman.predict(robot)
@@ -207,11 +182,10 @@ def _located(
     if not gating:
         return Failure("the fit does not converge")
     contradiction = kalman.consistency.contradiction
-    outliers = [result for result in gating if not result.is_accepted]
-    is_doubtful = not is_confirmed(gating, has_joints=not isinstance(frame.robot, Failure))
-    most = MAX_OUTLIER_SHARE * sum(result.degrees_of_freedom for result in gating)
-    if is_doubtful or sum(result.degrees_of_freedom for result in outliers) > most:
-        names = ", ".join(result.name for result in outliers)
+    outliers = [one for one in gating if not one.is_accepted]
+    share = sum(one.degrees_of_freedom for one in outliers) / sum(one.degrees_of_freedom for one in gating)
+    if share > MAX_OUTLIER_SHARE or not is_confirmed(gating, has_joints=not isinstance(frame.robot, Failure)):
+        names = ", ".join(one.name for one in outliers)
         contradiction = f"{names} {'does' if len(outliers) == 1 else 'do'} not fit the rest"
     pose = kalman.tool_pose()
     if not contradiction and (away_m := kalman.rival_m(pose)):
@@ -221,8 +195,7 @@ def _located(
     # A marker is at the tool's origin itself, however the wrist is bent.
     if isinstance(frame.robot, Failure) and frame.left.distal_marker is None:
         pose = _with_other_bend(pose, frame, model)
-    used = tuple(one.name for one in gating if one.is_accepted)
-    return ImagePose(pose, used, contradiction, gating)
+    return ImagePose(pose, tuple(one.name for one in gating if one.is_accepted), contradiction, gating)
 
 
 def is_confirmed(gating: Sequence[GatingResult], has_joints: bool) -> bool:

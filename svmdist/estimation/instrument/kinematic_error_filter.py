@@ -1,33 +1,18 @@
-"""The error-state filter: the state that heavy-tailed measurements make the most probable, and where to start.
-
-Every update is a maximum a posteriori estimate (`most_probable`).
-"""
+"""The error-state filter: the state that heavy-tailed measurements make the most probable, and where to start."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from svmdist.estimation.instrument.consistency import (
-    Consistency,
-    GatingResult,
-    chi_square_bound,
-    student_weight,
-)
+from svmdist.estimation.instrument.consistency import Consistency, GatingResult, chi_square_bound, student_weight
 from svmdist.estimation.instrument.error_model import ErrorModel
 from svmdist.estimation.instrument.measurement import BiasTerm, Linearised, LinkMeasurement
 from svmdist.estimation.instrument.measurement_kinds import PoseMeasurement
-from svmdist.estimation.instrument.most_probable import (
-    Solution,
-    evidence,
-    heavy_tailed,
-    most_probable,
-    robust_cost,
-)
-from svmdist.estimation.instrument.state import ErrorState
+from svmdist.estimation.instrument.state import ErrorState, Solution, evidence, heavy_tailed, most_probable, robust_cost
 from svmdist.kinematics import DHChain, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile.robot import KinematicError
@@ -49,11 +34,9 @@ Start = tuple[ToolPose | None, Sequence[LinkMeasurement]]
 
 @dataclass(frozen=True, slots=True)
 class _Way:
-    """Where a start leads, by its number: a state, the tool in the camera frame, (3,) in m, and what that costs."""
-
     index: int
     x: Array
-    tool_m: Array
+    tool: ToolPose
     cost: float
 
 
@@ -64,14 +47,12 @@ class KinematicErrorFilter:
         self._settings = settings or FilterSettings()
         self._shaft = shaft_of(chain)
         self._model = ErrorModel(chain, error)
-        self.state = ErrorState(self._model)
-        """The correction now and the robot that was predicted from, its joints at the time that the correction says."""
+        self.state, self.consistency = ErrorState(self._model), Consistency(self._settings)
         self._start_x: Array | None = None
         self._rivals_m: list[Array] = []
         self._age_s = 0.0
         self.has_jumped = False
         """Whether the last measurements are rather those of a camera or a base that was moved: they changed nothing."""
-        self.consistency = Consistency(self._settings)
 
     @property
     def covariance(self) -> Array:
@@ -93,8 +74,28 @@ class KinematicErrorFilter:
         A start is where to linearise first, never a measurement of its own. One that an earlier one led to the
         neighbourhood of would lead to the same.
         """
-        ways = sorted(self._ways(starts), key=lambda way: way.cost)
-        self._rivals_m = [way.tool_m for way in ways[1:] if way.cost < ways[0].cost + CONTEST]
+        every = {measurement.name: measurement for _, seen in starts for measurement in seen}
+        ways = list[_Way]()
+        for index, (pose, seen) in enumerate(starts):
+            if not seen or (pose is not None and any(pose_distance(pose, way.tool) < SAME_SQUARE for way in ways)):
+                continue
+            self._begin_at(pose)
+            x = np.zeros(len(self.state.P)) if self._start_x is None else self._start_x
+            parts = self.state.retracted(x).linearise(seen)
+            if not all(part.is_finite for part in parts):
+                continue
+            self.state.augment_state(parts)
+            solved = most_probable(self.state, seen, self._padded(x))
+            if solved is None:
+                continue
+            T_camera_tool = self.state.retracted(solved.x).link(None).T_camera_link
+            cost = robust_cost(solved, seen)
+            for name in every.keys() - {measurement.name for measurement in seen}:
+                cost += heavy_tailed(UNSEEN_SQUARE, every[name].covariance)
+            tool = ToolPose(T_camera_tool, np.zeros((6, 6)), T_camera_tool[:3, 0])
+            ways.append(_Way(index, solved.x, tool, cost))
+        ways.sort(key=lambda way: way.cost)
+        self._rivals_m = [way.tool.position_m for way in ways[1:] if way.cost < ways[0].cost + CONTEST]
         index = ways[0].index if ways else 0
         self._begin_at(starts[index][0])
         if ways:
@@ -111,23 +112,6 @@ class KinematicErrorFilter:
         far_m = (off for off in off_m if off @ information @ off > chi_square_bound(3))
         return max((float(np.linalg.norm(off)) for off in far_m), default=0.0)
 
-    def _ways(self, starts: Sequence[Start]) -> Iterator[_Way]:
-        """Where each start leads."""
-        every = {measurement.name: measurement for _, seen in starts for measurement in seen}
-        places = list[ToolPose]()
-        for index, (pose, seen) in enumerate(starts):
-            if pose is not None and any(pose_distance(pose, tool) < SAME_SQUARE for tool in places):
-                continue
-            solved = self._solved(pose, seen)
-            if solved is None:
-                continue
-            T_camera_tool = self.state.retracted(solved.x).link(None).T_camera_link
-            places.append(ToolPose(T_camera_tool, np.zeros((6, 6)), T_camera_tool[:3, 0]))
-            cost = robust_cost(solved, seen)
-            for name in every.keys() - {measurement.name for measurement in seen}:
-                cost += heavy_tailed(UNSEEN_SQUARE, every[name].covariance)
-            yield _Way(index, solved.x, T_camera_tool[:3, 3], cost)
-
     def update(self, measurements: Sequence[LinkMeasurement]) -> tuple[GatingResult, ...]:
         """Take up what the image shows; gives the gating result of each measurement."""
         state, start = self.state, self._start_x
@@ -136,27 +120,24 @@ class KinematicErrorFilter:
         parts = there.linearise(measurements)
         visible = [index for index, part in enumerate(parts) if part.is_finite]
         seen = [measurements[index] for index in visible]
-        results: list[GatingResult] = []
+        results, found = list[GatingResult](), None
         if seen:
             state.augment_state([parts[index] for index in visible])
             x = np.zeros(len(state.P)) if start is None else self._padded(start)
             found = most_probable(state, seen, x, is_tracking=start is None)
-            if found is not None:
-                each = zip(seen, found.innovations.tolist(), found.weights.tolist(), strict=True)
-                results = [
-                    GatingResult(one.name, nis, len(one.covariance), weight, one.source) for one, nis, weight in each
-                ]
-                self.has_jumped = start is None and self._prefers_jump(seen, found)
-                if not self.has_jumped:
-                    state.retract(found.x)
-                    # Outliers may pull, but reduce no covariance.
-                    sizes = [one.degrees_of_freedom for one in results]
-                    accepted = np.repeat([one.is_accepted for one in results], sizes)
-                    state.update_covariance(found.H[accepted], found.R[np.ix_(accepted, accepted)])
+        if found is not None:
+            for one, nis, weight in zip(seen, found.innovations.tolist(), found.weights.tolist(), strict=True):
+                results.append(GatingResult(one.name, nis, len(one.covariance), weight, one.source))
+            self.has_jumped = start is None and self._prefers_jump(seen, found)
+        if found is not None and not self.has_jumped:
+            state.retract(found.x)
+            # Outliers may pull, but reduce no covariance.
+            accepted = np.repeat([one.is_accepted for one in results], [one.degrees_of_freedom for one in results])
+            state.update_covariance(found.H[accepted], found.R[np.ix_(accepted, accepted)])
         if start is None:
             self.consistency.add(state.robot.stamp_ns, results)
-        late_std_s = self._model.time_offset_std_s(self._age_s)
-        self.consistency.watch(state.furthest_parameter(), state.time_offset_s, late_std_s)
+        late_s = float(state.correction.x[self._model.time_offset])
+        self.consistency.watch(state.furthest_parameter(), late_s, self._model.time_offset_std_s(self._age_s))
         return tuple(results)
 
     def update_scene(self, name: str, part: Linearised) -> GatingResult:
@@ -200,8 +181,7 @@ class KinematicErrorFilter:
         link = self.state.link(name)
         arm_m = link.T_camera_link[:3, :3] @ p_link_m
         J = link.derivative[:3] - skew(arm_m) @ link.derivative[3:]
-        covariance = self.consistency.widening * (J @ self.covariance @ J.T)
-        return Hinge(link.T_camera_link[:3, 3] + arm_m, covariance)
+        return Hinge(link.T_camera_link[:3, 3] + arm_m, self.consistency.widening * (J @ self.covariance @ J.T))
 
     def corrected_joints(self) -> Array:
         """Reported joints at the corrected time, with offsets and backlash, shape (n_joints,)."""
@@ -212,17 +192,14 @@ class KinematicErrorFilter:
 
     def _prefers_jump(self, measurements: Sequence[LinkMeasurement], found: Solution) -> bool:
         """Whether measurements are more probable after a jump of the base than as outliers, by Bayes' factor."""
-        degrees = sum(len(measurement.covariance) for measurement in measurements)
-        if found.innovations.sum() < chi_square_bound(degrees):
+        if found.innovations.sum() < chi_square_bound(len(found.R)):
             return False
         there = copy(self.state)
         there.P = self.state.P.copy()
         there.P[:6, :6] += JUMP
         moved = most_probable(there, measurements, np.zeros(len(there.P)))
-        if moved is None:
-            return False
         as_outliers = evidence(found, self.state.P, measurements)
-        return evidence(moved, there.P, measurements) + JUMP_PRICE < as_outliers
+        return moved is not None and evidence(moved, there.P, measurements) + JUMP_PRICE < as_outliers
 
     def _begin_at(self, pose: ToolPose | None) -> None:
         """The prior, linearised where a pose puts the tool, and widened where that would surprise it."""
@@ -245,33 +222,16 @@ class KinematicErrorFilter:
             found = most_probable(state, at, found.x, is_robust=False) or found
         self._start_x = found.x
 
-    def _solved(self, pose: ToolPose | None, measurements: Sequence[LinkMeasurement]) -> Solution | None:
-        """Where a start leads to; None where it sees nothing, or a measurement is unseen there."""
-        if not measurements:
-            return None
-        self._begin_at(pose)
-        x = np.zeros(len(self.state.P)) if self._start_x is None else self._start_x
-        parts = self.state.retracted(x).linearise(measurements)
-        if not all(part.is_finite for part in parts):
-            return None
-        self.state.augment_state(parts)
-        return most_probable(self.state, measurements, self._padded(x))
-
 
 def as_measurement(pose: ToolPose) -> PoseMeasurement:
     """A pose by the images as a measurement of the tool."""
-    C = pose.covariance + TINY_POSE
-    return PoseMeasurement(
-        name="pose",
-        T_link_frame=np.eye(4),
-        T_camera_frame=pose.T_camera_tool,
-        covariance=C,
-        bias_covariance=np.zeros((6, 6)),
-    )
+    T, C, no_bias = pose.T_camera_tool, pose.covariance + TINY_POSE, np.zeros((6, 6))
+    return PoseMeasurement(name="pose", T_link_frame=np.eye(4), T_camera_frame=T, covariance=C, by_bias=no_bias)
 
 
 def pose_distance(image: ToolPose, predicted: ToolPose) -> float:
     """Squared deviation of an image's pose from a predicted one: six degrees of freedom."""
-    found = as_measurement(image).linearise(predicted.T_camera_tool)
+    measurement = as_measurement(image)
+    found = measurement.linearise(predicted.T_camera_tool)
     v, J = found.residual, found.H
-    return float(v @ np.linalg.solve(image.covariance + TINY_POSE + J @ predicted.covariance @ J.T, v))
+    return float(v @ np.linalg.solve(measurement.covariance + J @ predicted.covariance @ J.T, v))

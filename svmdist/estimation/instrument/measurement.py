@@ -45,15 +45,12 @@ class Deviations:
     @classmethod
     def of(cls, profile: Profile) -> Deviations:
         """The profile's."""
-        instrument, tag = profile.instrument, profile.fiducial
-        return cls(
-            profile.camera_error,
-            0.0 if instrument is None else instrument.shaft_radius_std_fraction,
-            0.0 if instrument is None else instrument.knuckle_radius_std_fraction,
-            0.0 if tag is None else tag.size_std_fraction,
-            0.0 if tag is None else tag.position_std_m,
-            0.0 if tag is None else tag.rotation_std_rad,
-        )
+        radii, of_tag = (0.0, 0.0), (0.0, 0.0, 0.0)
+        if (instrument := profile.instrument) is not None:
+            radii = instrument.shaft_radius_std_fraction, instrument.knuckle_radius_std_fraction
+        if (tag := profile.fiducial) is not None:
+            of_tag = tag.size_std_fraction, tag.position_std_m, tag.rotation_std_rad
+        return cls(profile.camera_error, *radii, *of_tag)
 
     def of_pixels(self, pixel: Array, camera: Camera) -> tuple[BiasTerm, ...]:
         """Of a projected point, shape (2,): focal length and principal point."""
@@ -74,16 +71,9 @@ class Deviations:
         slope = right.project_with_derivative(p_right_m)[1][..., :1, :]
         focal = self.camera.focal_std_fraction * disparity_px[..., None, None]
         by_baseline = -(slope * T_right_left[:3, 3]).sum(-1) * self.camera.baseline_std_fraction
-        by_turn = slope @ skew(p_right_m)
-        return (
-            BiasTerm(FOCAL_LENGTH, focal),
-            BiasTerm(BASELINE, by_baseline[..., None]),
-            self.of_right_turn(by_turn),
-        )
-
-    def of_right_turn(self, by_turn: Array) -> BiasTerm:
-        """Of what changes by a turn of the right camera about its own centre, with that derivative, (..., m, 3)."""
-        return BiasTerm(RIGHT_ROTATION, by_turn * self.camera.right_rotation_std_rad, ONE_PLACE_S)
+        by_turn = slope @ skew(p_right_m) * self.camera.right_rotation_std_rad
+        turned = BiasTerm(RIGHT_ROTATION, by_turn, ONE_PLACE_S)
+        return BiasTerm(FOCAL_LENGTH, focal), BiasTerm(BASELINE, by_baseline[..., None]), turned
 
     def of_tag(self, T_camera_tag: Array, focal_px: Array) -> tuple[BiasTerm, ...]:
         """Of a tag's pose, shape (4, 4): focal length, principal point, the tag's size, and how it is mounted."""
@@ -94,12 +84,8 @@ class Deviations:
         centre[3, 1], centre[4, 0] = self.camera.centre_std_px * np.array([-1.0, 1.0]) / focal_px[::-1]
         size[:3, 0] = -self.tag_size_fraction * p_m
         mounting[:3, :3], mounting[3:, 3:] = self.tag_position_m * R, self.tag_rotation_rad * R
-        return (
-            BiasTerm(FOCAL_LENGTH, focal),
-            BiasTerm(PRINCIPAL_POINT, centre),
-            BiasTerm(TAG_SIZE, size),
-            BiasTerm("tag mounting", mounting),
-        )
+        names = FOCAL_LENGTH, PRINCIPAL_POINT, TAG_SIZE, "tag mounting"
+        return tuple(map(BiasTerm, names, (focal, centre, size, mounting)))
 
 
 EXACT = Deviations(
@@ -110,15 +96,11 @@ EXACT = Deviations(
 
 @dataclass(frozen=True, slots=True)
 class Linearised:
-    """A measurement about a state: measured minus predicted, the residual (..., m), = H δ + Σ B ξ + noise.
+    """A measurement about a state: measured minus predicted, the residual, = H δ + Σ B ξ + noise."""
 
-    δ is the error state, or (δp, δθ) of a link in the camera frame, and H has shape (..., m, n); of the biases, the
-    first is the measurement's own, the others are calibration parameters. Not finite where the link cannot be seen.
-    """
-
-    residual: Array
-    H: Array
-    biases: tuple[BiasTerm, ...]
+    residual: Array  # (..., m); as H not finite where the link cannot be seen
+    H: Array  # (..., m, n), by δ, the error state, or (δp, δθ) of a link in the camera frame
+    biases: tuple[BiasTerm, ...]  # the measurement's own, and calibration parameters
     noise: Array
 
     @property
@@ -131,35 +113,27 @@ class Linearised:
 class LinkMeasurement(ABC):
     """A measurement of the frame of the DH row `link`, or of the tool where that is None; `name` is human-readable.
 
-    `covariance` is that of what changes from frame to frame, the noise, shape (m, m). What stays alike, the bias, is a
-    vector of numbers of variance one that fade with the time constant `correlation_time_s`. `source` is the detection
-    that it is made of. For a right view, `T_view_left` maps the left camera's coordinates to the right one's. The image
-    shows what was `delay_s` after the frame's stamp. Where all measurements that it `rests_on`, by their names, are
-    outliers, it is one: the end of what is no shaft is no shaft's end.
+    What stays alike from frame to frame, the bias, is a vector of numbers of variance one. Where all measurements that
+    it `rests_on`, by their names, are outliers, it is one: the end of what is no shaft is no shaft's end.
     """
 
     name: str
-    covariance: Array
+    covariance: Array  # of the noise, which changes from frame to frame, shape (m, m)
     link: str | None = None
-    source: str = ""
-    correlation_time_s: float
+    source: str = ""  # the detection that it is made of
+    correlation_time_s: float  # with which the bias fades
     deviations: Deviations = EXACT
-    T_view_left: Array | None = None
-    delay_s: float = 0.0
+    T_view_left: Array | None = None  # for a right view: maps the left camera's coordinates to the right one's
+    delay_s: float = 0.0  # of what the image shows, after the frame's stamp
     rests_on: tuple[str, ...] = ()
-
-    @property
-    def bias_name(self) -> str:
-        """Measurements of one such name share one bias: in both views where it is of something on the instrument."""
-        return self.name
 
     @abstractmethod
     def in_view(self, T_view_link: Array, /) -> Linearised:
         """All that it says about a pose of the link, shape (4, 4), in the frame of the camera that sees it."""
 
-    def about(self, residual: Array, H: Array, own: Array, shared: Iterable[BiasTerm]) -> Linearised:
-        """It about a pose, by its derivative (m, 6), that by its own bias, (m, k), and the shared biases."""
-        bias = BiasTerm(self.bias_name, own, self.correlation_time_s)
+    def about(self, residual: Array, H: Array, own: Array, shared: Iterable[BiasTerm], name: str = "") -> Linearised:
+        """It about a pose, by its derivatives (m, 6), and by its own bias, (m, k), or one of that name, and others."""
+        bias = BiasTerm(name or self.name, own, self.correlation_time_s)
         return Linearised(residual, H, (bias, *shared), self.covariance)
 
     def unseen(self) -> Linearised:
@@ -172,10 +146,10 @@ class LinkMeasurement(ABC):
         if self.T_view_left is None:
             return self.in_view(T_camera_link)
         T, camera = self.T_view_left @ T_camera_link, self.deviations.camera
-        found, R = self.in_view(T), self.T_view_left[:3, :3]
+        found = self.in_view(T)
         by_place, by_turn = found.H[:, :3], found.H[:, 3:]
         # The right camera is off by its place along the baseline, and turned about its own centre.
         baseline = camera.baseline_std_fraction * by_place @ self.T_view_left[:3, 3, None]
-        turned = self.deviations.of_right_turn(by_turn - by_place @ skew(T[:3, 3]))
-        biases = *found.biases, BiasTerm(BASELINE, baseline), turned
-        return replace(found, H=found.H @ np.kron(np.eye(2), R), biases=biases)
+        turned = (by_turn - by_place @ skew(T[:3, 3])) * camera.right_rotation_std_rad
+        biases = *found.biases, BiasTerm(BASELINE, baseline), BiasTerm(RIGHT_ROTATION, turned, ONE_PLACE_S)
+        return replace(found, H=found.H @ np.kron(np.eye(2), self.T_view_left[:3, :3]), biases=biases)

@@ -1,12 +1,9 @@
-"""The kinds of measurements: points, a sphere's size, disparity, sides and end of the shaft's outline, and a pose.
-
-Each is the residual of one link's pose, with the bias of its own and its derivatives by calibration parameters.
-"""
+"""The kinds of measurements: points, a sphere's size, disparity, sides and end of the shaft's outline, and a pose."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 
@@ -24,57 +21,42 @@ NEAR_M = 1e-3  # A camera is no nearer to an edge than this: it bounds a derivat
 
 @dataclass(frozen=True, slots=True)
 class PointError:
-    """The bias of a point on an instrument, under one name for all measurements that share it.
+    """The bias of a point on an instrument, under one name for all measurements that share it, as deviations.
 
-    The point may be off by an offset fixed in the link's frame, of deviation `place_std_m` along each axis, and what is
-    visible of it by another one, of `part_std_m`: where a side is hidden, or another part is coloured. Shading may
-    draw the pixel outward by `shading_px` (a deviation) times the tilt of its ray. What is found between the shaft's
-    end and the tips is off with that end, by `with_end_m` (3,) in the view's frame at the end's deviation, and with the
-    jaws' length, by `with_jaws_m` along them.
+    What is found between the shaft's end and the tips is off with both, as lastingly as by its own bias.
     """
 
     name: str = "point"
-    place_std_m: float = 0.0
-    part_std_m: float = 0.0
-    shading_px: float = 0.0
-    with_end_m: Array | None = None
-    with_jaws_m: float = 0.0
-
-    def jacobian(self, tilt: Array, R_camera_link: Array, H: Array) -> Array:
-        """Derivative of a residual (m,) by both offsets and shading, (m, 7), where shading does it by `tilt`, (m,)."""
-        # An offset in the link's frame moves the point as the link's own motion would.
-        by_offset = H[:, :3] @ R_camera_link
-        return np.column_stack([self.place_std_m * by_offset, self.part_std_m * by_offset, self.shading_px * tilt])
-
-    def of_outline(self, R_camera_link: Array, H: Array, time_s: float) -> tuple[BiasTerm, ...]:
-        """What the shaft's end and the jaws' length do to what was found between them; nothing to others.
-
-        Both fade with `time_s`.
-        """
-        if self.with_end_m is None:
-            return ()
-        by_place = H[:, :3]
-        by_length = np.zeros((len(by_place), 7))  # as the offset of the jaws' tip
-        by_length[:, 0] = by_place @ R_camera_link[:, 0] * self.with_jaws_m
-        by_end = by_place @ self.with_end_m[:, None]
-        return BiasTerm(END_BIAS, by_end, time_s), BiasTerm(JAWS, by_length, time_s)
-
-
-POINT = PointError()
+    place_std_m: float = 0.0  # of an offset that is fixed in the link's frame, along each axis
+    part_std_m: float = 0.0  # of another one of what is visible: a side is hidden, or another part is coloured
+    shading_px: float = 0.0  # by which shading draws the pixel outward, over the tilt of its ray
+    with_end_m: Array | None = None  # at the deviation of the shaft's end, (3,) in the view's frame
+    with_jaws_m: float = 0.0  # at that of the jaws' length, along them
 
 
 @dataclass(frozen=True, kw_only=True)
 class _OfPoint(LinkMeasurement):
-    """A measurement of a point of a link, `p_link_m` (3,)."""
+    """A measurement of a point of a link, `p_link_m` (3,), whose error all share that shows it."""
 
     source: str = MARKER
     p_link_m: Array = field(default_factory=lambda: np.zeros(3))
-    error: PointError = POINT
+    error: PointError = PointError()
 
-    @property
-    def bias_name(self) -> str:
-        """The point's: all that shows it errs with it."""
-        return self.error.name
+    def about_point(
+        self, residual: Array, H: Array, R: Array, tilt: Array, shared: Iterable[BiasTerm], *more: BiasTerm
+    ) -> Linearised:
+        """It about a pose of rotation `R`, where shading moves it by `tilt`, (m,)."""
+        error, by_place = self.error, H[:, :3]
+        # An offset in the link's frame moves the point as the link's own motion would.
+        by_offset = by_place @ R
+        # Both offsets and shading, in units of their deviations.
+        bias = np.column_stack([error.place_std_m * by_offset, error.part_std_m * by_offset, error.shading_px * tilt])
+        if error.with_end_m is not None:
+            by_length = np.zeros((len(H), 7))  # as the offset of the jaws' tip
+            by_length[:, 0] = by_place @ R[:, 0] * error.with_jaws_m
+            by_end = BiasTerm(END_BIAS, by_place @ error.with_end_m[:, None], self.correlation_time_s)
+            shared = *shared, by_end, BiasTerm(JAWS, by_length, self.correlation_time_s)
+        return self.about(residual, H, bias, (*shared, *more), error.name)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,7 +67,7 @@ class PointMeasurement(_OfPoint):
     pixel: Array
 
     def in_view(self, T_view_link: Array, /) -> Linearised:
-        """Measured minus projected, shape (2,); the bias is offset and shading in units of their deviations, (2, 7)."""
+        """Measured minus projected, shape (2,)."""
         K, R = self.camera.K, T_view_link[:3, :3]
         arm_m = R @ self.p_link_m
         p_camera_m = arm_m + T_view_link[:3, 3]
@@ -94,29 +76,22 @@ class PointMeasurement(_OfPoint):
         pixel, J = self.camera.project_with_derivative(p_camera_m)
         H = np.concatenate([J, -J @ skew(arm_m)], 1)
         tilt = (self.pixel - K[:2, 2]) / np.diag(K)[:2]
-        bias = self.error.jacobian(tilt, R, H)
-        of_camera = self.deviations.of_pixels(self.pixel, self.camera)
-        shared = (*of_camera, *self.error.of_outline(R, H, self.correlation_time_s))
-        return self.about(self.pixel - pixel, H, bias, shared)
+        return self.about_point(self.pixel - pixel, H, R, tilt, self.deviations.of_pixels(self.pixel, self.camera))
 
 
 @dataclass(frozen=True, kw_only=True)
 class DisparityMeasurement(_OfPoint):
-    """How far apart, in px along x, the two views of a stereo pair show a point of a link.
-
-    `T_right_left` maps the left camera's coordinates to the right one's; the covariance has shape (1, 1) in px².
-    Of shading the two rays differ in tilt by the disparity over the focal length.
-    """
+    """How far apart, in px along x, the two views of a stereo pair show a point of a link; covariance (1, 1) in px²."""
 
     source: str = "disparity"
     left: Camera
     right: Camera
-    T_right_left: Array
+    T_right_left: Array  # maps the left camera's coordinates to the right one's
     disparity_px: float
     bias_std_px: float = 0.0
 
     def in_view(self, T_view_link: Array, /) -> Linearised:
-        """Measured minus predicted, shape (1,); the bias is offset and shading in units of their deviations, (1, 7)."""
+        """Measured minus predicted, shape (1,)."""
         R, R_right_left = T_view_link[:3, :3], self.T_right_left[:3, :3]
         arm_m = R @ self.p_link_m
         p_left_m = arm_m + T_view_link[:3, 3]
@@ -128,31 +103,24 @@ class DisparityMeasurement(_OfPoint):
         by_place = J_left[:1] - J_right[:1] @ R_right_left
         H = np.concatenate([by_place, -by_place @ skew(arm_m)], 1)
         residual = np.array([self.disparity_px - float(left_px[0] - right_px[0])])
-        # Principal points that stand apart are part of a disparity, and not of what a focal length does to it.
+        # Principal points that stand apart are part of a disparity, and not of what a focal length does to it, nor of
+        # what both rays differ in tilt by, as shading has it: the disparity over the focal length.
         by_depth_px = np.array(self.disparity_px - (self.left.K[0, 2] - self.right.K[0, 2]))
-        bias = self.error.jacobian(by_depth_px[None] / self.left.K[0, 0], R, H)
-        by_image = np.array([[self.bias_std_px]])
-        shared = (
-            *self.deviations.of_disparity(p_left_m, self.right, by_depth_px, self.T_right_left),
-            *self.error.of_outline(R, H, self.correlation_time_s),
-            BiasTerm("disparity of the marker", by_image, self.correlation_time_s),
-        )
-        return self.about(residual, H, bias, shared)
+        shared = self.deviations.of_disparity(p_left_m, self.right, by_depth_px, self.T_right_left)
+        of_image = BiasTerm("disparity of the marker", np.array([[self.bias_std_px]]), self.correlation_time_s)
+        return self.about_point(residual, H, R, by_depth_px[None] / self.left.K[0, 0], shared, of_image)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SizeMeasurement(LinkMeasurement):
-    """The radius in px of the disc that a sphere about a link's origin shows, with its bias.
-
-    As long as something hides a part of it, that adds `hidden_std_px`.
-    """
+    """The radius in px of the disc that a sphere about a link's origin shows, with its bias."""
 
     source: str = MARKER
     camera: Camera
     radius_m: float
     radius_px: float
     bias_std_px: float
-    hidden_std_px: float = 0.0
+    hidden_std_px: float = 0.0  # as long as something hides a part of it
 
     def in_view(self, T_view_link: Array, /) -> Linearised:
         """Measured minus predicted, shape (1,)."""
@@ -174,47 +142,24 @@ class SizeMeasurement(LinkMeasurement):
         return self.about(residual, H, bias, shared)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _WithBias(LinkMeasurement):
-    """A measurement by a camera of `focal_px`, (2,), whose bias has a covariance, (m, m), zero without one."""
-
-    bias_covariance: Array
-    focal_px: Array = field(default_factory=lambda: np.ones(2))
-
-    @cached_property
-    def bias_jacobian(self) -> Array:
-        """A root of the bias' covariance, shape (m, m): the derivative by the bias."""
-        C = self.bias_covariance
-        return np.asarray(np.linalg.cholesky(C) if C.any() else np.zeros_like(C))
+def bias_jacobian(covariance: Array) -> Array:
+    """A derivative by a bias of that covariance, (m, m), which may be zero: a root of it."""
+    return np.asarray(np.linalg.cholesky(covariance) if covariance.any() else np.zeros_like(covariance))
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContourMeasurement(_WithBias):
-    """One edge of the shaft's silhouette: the plane through the camera's centre and the edge touches the shaft.
-
-    `normal`, shape (3,), is that plane's unit normal in the camera frame, turned to the shaft's side; `across`, shape
-    (2, 3), holds two unit vectors square to it, along which it errs by the covariance, shape (2, 2) in rad². The
-    shaft is a cylinder of `radius_m` about an axis of the link: `p_axis_m` and `axis`, shape (3,), in the link's
-    frame, towards the tip. `side` is +1 for the edge to the right of the axis as it runs through
-    the image, y being down, -1 for the left. `bias_covariance`, shape (2, 2) in rad², is that of the bias: shading
-    stays as long as the light falls on the edge so.
-    """
+class ContourMeasurement(LinkMeasurement):
+    """One edge of the shaft's silhouette: the plane through the camera's centre and the edge touches the shaft."""
 
     source: str = SHAFT
-    normal: Array
-    across: Array
-    p_axis_m: Array
-    axis: Array
+    normal: Array  # unit normal of that plane in the camera frame, turned to the shaft's side, (3,)
+    across: Array  # two unit vectors square to it, along which it errs, (2, 3)
+    by_bias: Array  # by that of shading, which stays as long as the light falls on the edge so, (2, 2) in rad
+    p_axis_m: Array  # of the shaft's axis, in the link's frame, (3,)
+    axis: Array  # its direction to the tip, (3,)
     radius_m: float
-    side: int
-
-    @cached_property
-    def of_camera(self) -> tuple[BiasTerm, ...]:
-        """What focal length and principal point do to it, whatever the pose."""
-        error, flat = self.deviations.camera, self.normal * np.array([1.0, 1.0, 0.0])
-        focal = -error.focal_std_fraction * (self.across @ flat[:, None])
-        centre = -error.centre_std_px * self.across[:, 2:] * (self.normal[:2] / self.focal_px)
-        return BiasTerm(FOCAL_LENGTH, focal), BiasTerm(PRINCIPAL_POINT, centre)
+    side: int  # +1 for the edge to the right of the axis as it runs through the image, y being down, -1 for the left
+    focal_px: Array = field(default_factory=lambda: np.ones(2))
 
     def in_view(self, T_view_link: Array, /) -> Linearised:
         """By what the normal is off the predicted one, shape (2,) in rad."""
@@ -223,47 +168,36 @@ class ContourMeasurement(_WithBias):
         normal, by_point, by_direction = tangent_normal(point_m, d, self.radius_m, self.side)
         if not np.isfinite(normal).all():  # the camera is inside the shaft
             return self.unseen()
-        by_turn = -by_point @ skew(arm_m) - by_direction @ skew(d)
-        H = self.across @ np.concatenate([by_point, by_turn], 1)
+        H = self.across @ np.concatenate([by_point, -by_point @ skew(arm_m) - by_direction @ skew(d)], 1)
         foot_m = point_m - (d * point_m).sum() * d
         square_m2 = (foot_m * foot_m).sum()
         beside_m = self.side * np.sqrt(max(square_m2 - self.radius_m**2, NEAR_M**2))
         by_radius = (beside_m * foot_m - self.radius_m * (skew(d) @ foot_m)) / (square_m2 * beside_m)
         radius = self.across @ (by_radius * self.radius_m)[:, None] * self.deviations.shaft_radius_fraction
-        shared = *self.of_camera, BiasTerm(SHAFT_RADIUS, radius)
-        return self.about(self.across @ (self.normal - normal), H, self.bias_jacobian, shared)
+        error, flat = self.deviations.camera, self.normal * np.array([1.0, 1.0, 0.0])
+        focal = -error.focal_std_fraction * (self.across @ flat[:, None])
+        centre = -error.centre_std_px * self.across[:, 2:] * (self.normal[:2] / self.focal_px)
+        shared = map(BiasTerm, (FOCAL_LENGTH, PRINCIPAL_POINT, SHAFT_RADIUS), (focal, centre, radius))
+        return self.about(self.across @ (self.normal - normal), H, self.by_bias, shared)
 
 
 @dataclass(frozen=True, kw_only=True)
 class EndMeasurement(LinkMeasurement):
     """Where the shaft's end is along its middle line: `pixel` (2,) along `towards_tip` (2,), with a variance (1, 1).
 
-    The end is `ahead_m` before the hinge `p_hinge_m` (3,) on the axis (3,) of the link; of the dark part it is the end
-    of the generatrix that faces the camera, `radius_m` off the axis. `model_std_m` is how wrong `ahead_m` may be, and
-    `bias_std_px` the bias in the image: a band or a plate that is taken for the end stays one.
+    The end is on the axis (3,) of the link; that of the dark part ends the generatrix that faces the camera.
     """
 
     source: str = SHAFT
     camera: Camera
     pixel: Array
     towards_tip: Array
-    p_hinge_m: Array
+    p_hinge_m: Array  # (3,) in the link's frame
     axis: Array
-    ahead_m: float
-    radius_m: float
-    model_std_m: float
-    bias_std_px: float = 0.0
-
-    @property
-    def bias_name(self) -> str:
-        """That of the shaft's end, whichever view shows it."""
-        return END_BIAS
-
-    @cached_property
-    def of_camera(self) -> tuple[BiasTerm, ...]:
-        """What focal length and principal point do to it, whatever the pose."""
-        each = self.deviations.of_pixels(self.pixel, self.camera)
-        return tuple(BiasTerm(one.name, (self.towards_tip @ one.jacobian)[None]) for one in each)
+    ahead_m: float  # of the end before the hinge
+    radius_m: float  # of the generatrix off the axis; 0 for the outline's end
+    model_std_m: float  # how wrong `ahead_m` may be
+    bias_std_px: float = 0.0  # a band or a plate that is taken for the end stays one
 
     def in_view(self, T_view_link: Array, /) -> Linearised:
         """Measured minus predicted in px, shape (1,); the bias is along the shaft in units of its deviation."""
@@ -285,16 +219,20 @@ class EndMeasurement(LinkMeasurement):
         by_place = H[:, :3] @ T_view_link[:3, :3] @ self.axis[:, None]
         bias = np.copysign(np.hypot(self.model_std_m * by_place, self.bias_std_px), by_place)
         residual = np.array([(self.pixel - pixel) @ self.towards_tip])
-        return self.about(residual, H, bias, self.of_camera)
+        of_pixels = self.deviations.of_pixels(self.pixel, self.camera)
+        shared = (BiasTerm(one.name, (self.towards_tip @ one.jacobian)[None]) for one in of_pixels)
+        return self.about(residual, H, bias, shared, END_BIAS)  # whichever view shows it
 
 
 @dataclass(frozen=True, kw_only=True)
-class PoseMeasurement(_WithBias):
+class PoseMeasurement(LinkMeasurement):
     """A pose measured as a whole: `T_camera_frame` of a frame fixed on a link by `T_link_frame`, (4, 4)."""
 
     source: str = "tag"
     T_link_frame: Array
     T_camera_frame: Array
+    by_bias: Array  # derivative by the bias, (6, 6)
+    focal_px: Array = field(default_factory=lambda: np.ones(2))
     correlation_time_s: float = 0.5
 
     def in_view(self, T_view_link: Array, /) -> Linearised:
@@ -308,4 +246,4 @@ class PoseMeasurement(_WithBias):
         # exp([φ]) exp([-δθ]) = exp([φ - J⁻¹ δθ]), J the right Jacobian (Solà 2018, "A micro Lie theory", sec. 4.3).
         H[3:, 3:] = inverse_right_jacobian(turn)
         shared = self.deviations.of_tag(self.T_camera_frame, self.focal_px)
-        return self.about(residual, H, self.bias_jacobian, shared)
+        return self.about(residual, H, self.by_bias, shared)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,36 +18,48 @@ from svmdist.samples import JointSample
 from svmdist.transforms import Array, cross, inverse
 from svmdist.vision.lines import tangent_normal
 
-
-@dataclass(frozen=True, slots=True)
-class Jaw:
-    """A jaw's unit vectors, shape (3,) each: along it to its tip, away from the other jaw, and across both."""
-
-    along: Array
-    outward: Array
-    beside: Array
+# Shape facts of this model, as lengths over the radii that a profile gives: they say which capsules model which
+# part, and have no meaning apart from one another. What differs between instruments is in the profile.
+WRIST_LENGTH_PER_RADIUS = 3.4  # from the wrist's hinge to the tool, without a chain: 9.1 / 2.7
+SHAFT_END_PER_RADIUS = 2.2  # the shaft begins this many radii of the wrist behind the hinge
+SHAFT_CAP = 0.5  # from a flat end of the shaft to its capsule's, in radii: half of the cap is beyond it
+TINE_RADIUS_M = 0.0005  # of the fork's capsules beside the distal marker, however large that is
+FORK_BEGIN = 0.3  # where the fork's tines leave its bridges, over the way from the hinge to the tool
+BLADE_CAPSULES = (
+    (0.0, 0.62, 0.43, 0.50),
+    (0.0, 0.62, -0.43, 0.50),
+    (0.62, 0.85, 0.30, 0.38),
+    (0.62, 0.85, -0.30, 0.38),
+    (0.0, 1.0, 0.0, 0.25),
+)
+"""A tapering blade, wider than thick: where a capsule begins and ends over the jaw's length, how far beside the middle
+it lies and how thick it is, both over the jaw's radius. The last one ends with its cap."""
+PLATE_RADIUS_M, PLATE_CAPSULES = 0.0003, 7
+"""Half of the thickness of a printed plate; capsules 1.4 mm apart model one of 9 mm."""
+BLADE_OFFSET = 0.55  # of a blade's middle plane from the one where the jaws meet, in radii of the jaw
+NEAR_M = 1e-3  # what is nearer to the camera has no image
+FINE = 200  # points of the axis among which the visible ones are chosen
+SECTIONS = 24  # of the visible shaft
+HINGE = 1  # the capsule that starts at the wrist's hinge: see `capsules_about`
 
 
 @dataclass(frozen=True, slots=True)
 class Wrist:
-    """The bent wrist: points `hinge_m` and `tool_m`, unit vectors along shaft, jaws and the jaws' axis, (3,)."""
+    """The bent wrist: points `hinge_m` and `tool_m`, unit vectors along shaft and the jaws' axis, (3,)."""
 
     hinge_m: Array
     tool_m: Array
     shaft: Array
     pivot: Array
-    jaws: tuple[Jaw, Jaw]
+    jaws: Array  # unit vectors of each along it to its tip, away from the other jaw and across both, (2, 3, 3)
 
 
 @dataclass(frozen=True, slots=True)
 class WristKinematics:
-    """How joints bend a wrist; straight, jaws point along `straight` (3,), and the hinge is `length_m` away.
-
-    `rows` turn the shaft about itself, bend the wrist about its hinge and about the tool, and may open the jaw.
-    """
+    """How joints bend a wrist; straight, jaws point along `straight` (3,), and the hinge is `length_m` away."""
 
     chain: dh.DHChain
-    rows: Sequence[int]
+    rows: Sequence[int]  # the shaft turns about itself, the wrist about its hinge and the tool, and a jaw may open
     straight: Array
     length_m: float
 
@@ -70,10 +82,9 @@ class WristKinematics:
         (shaft, _), (_, hinge_m), (pivot, _), *jaw = (dh.joint_axis(self.chain, frames, row) for row in self.rows)
         jaw_axis, opening_rad = pivot, 0.0
         if jaw:
-            jaw_axis = jaw[0][0]
-            opening_rad = float(q[np.searchsorted(self.chain.moving_rows, self.rows[3])])
+            jaw_axis, opening_rad = jaw[0][0], float(q[np.searchsorted(self.chain.moving_rows, self.rows[3])])
         hinge_m, shaft, pivot, jaw_axis = np.stack([hinge_m - tool_m, shaft, pivot, jaw_axis]) @ R
-        return Wrist(hinge_m, np.zeros(3), shaft, pivot, jaws_of(self.straight, jaw_axis, opening_rad))
+        return Wrist(hinge_m, np.zeros(3), shaft, pivot, _jaws(self.straight, jaw_axis, opening_rad))
 
 
 def wrist_in_tool(chain: dh.DHChain, q: Array) -> Wrist:
@@ -94,34 +105,12 @@ def joints_of(chain: dh.DHChain | None, joints: JointSample | None) -> Array | N
         return None
 
 
-def jaws_of(along: Array, axis: Array, opening_rad: float) -> tuple[Jaw, Jaw]:
+def _jaws(along: Array, axis: Array, opening_rad: float) -> Array:
     """Moving and fixed jaw: turning by the opening about the unit `axis` takes the fixed one to the moving one."""
     c, s = np.cos(-opening_rad), np.sin(-opening_rad)  # Rodrigues' rotation about a unit axis
     fixed = np.asarray(c * along + s * cross(axis, along) + (1.0 - c) * (axis @ along) * axis)
     pairs = ((along, cross(axis, along)), (fixed, -cross(axis, fixed)))
-    moving, still = (Jaw(ahead, outward, cross(ahead, outward)) for ahead, outward in pairs)
-    return moving, still
-
-
-# Shape facts of this model, as lengths over the radii that a profile gives: they say which capsules model which
-# part, and have no meaning apart from one another. What differs between instruments is in the profile.
-WRIST_LENGTH_PER_RADIUS = 3.4  # from the wrist's hinge to the tool, without a chain: 9.1 / 2.7
-SHAFT_END_PER_RADIUS = 2.2  # the shaft begins this many radii of the wrist behind the hinge
-SHAFT_CAP = 0.5  # from a flat end of the shaft to its capsule's, in radii: half of the cap is beyond it
-TINE_RADIUS_M = 0.0005  # of the fork's capsules beside the distal marker, however large that is
-FORK_BEGIN = 0.3  # where the fork's tines leave its bridges, over the way from the hinge to the tool
-BLADE_CAPSULES = (
-    (0.0, 0.62, 0.43, 0.50),
-    (0.0, 0.62, -0.43, 0.50),
-    (0.62, 0.85, 0.30, 0.38),
-    (0.62, 0.85, -0.30, 0.38),
-    (0.0, 1.0, 0.0, 0.25),
-)
-"""A tapering blade, wider than thick: where a capsule begins and ends over the jaw's length, how far beside the middle
-it lies and how thick it is, both over the jaw's radius. The last one ends with its cap."""
-PLATE_RADIUS_M, PLATE_CAPSULES = 0.0003, 7
-"""Half of the thickness of a printed plate; capsules 1.4 mm apart model one of 9 mm."""
-BLADE_OFFSET = 0.55  # of a blade's middle plane from the one where the jaws meet, in radii of the jaw
+    return np.array([(ahead, outward, cross(ahead, outward)) for ahead, outward in pairs])
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,32 +135,28 @@ class InstrumentModel:
         q = joints_of(kinematics.chain, tool.joints) if kinematics is not None else None
         if kinematics is None or q is None:
             return capsules_about(self.instrument, self._wrist_without_joints(pose), pose.jaw_scale)
-        frames = dh.frame_transforms(kinematics.chain, q)
+        chain, frames = kinematics.chain, dh.frame_transforms(kinematics.chain, q)
         body = capsules_about(self.instrument, kinematics.wrist_in_tool(frames, q), pose.jaw_scale)
-        if tool.has_plate and self.fiducial is not None:
-            T_base_link = frames[dh.row_index(kinematics.chain, self.fiducial.link)]
-            T_tool_base = inverse(frames[-1] @ kinematics.chain.T_last_tool)
-            T_tool_tag = T_tool_base @ T_base_link @ self.fiducial.T_link_tag
-            body = join(body, plate_capsules(self.fiducial).transformed(T_tool_tag))
+        if tool.has_plate and (tag := self.fiducial) is not None:
+            T_tool_link = inverse(frames[-1] @ chain.T_last_tool) @ frames[dh.row_index(chain, tag.link)]
+            body = join(body, plate_capsules(tag).transformed(T_tool_link @ tag.T_link_tag))
         return body.transformed(pose.T_camera_tool)
 
     def _wrist_without_joints(self, pose: ToolPose) -> Wrist:
-        tool_m, axis = pose.position_m, pose.axis
-        length_m = WRIST_LENGTH_PER_RADIUS * self.instrument.wrist_radius_m
-        if self.kinematics is not None:
-            length_m = self.kinematics.length_m
+        axis, kinematics = pose.axis, self.kinematics
         side = cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
         pivot = side / np.linalg.norm(side)
-        if pose.hinge is None or self.kinematics is None:
-            return Wrist(tool_m - length_m * axis, tool_m, axis, pivot, jaws_of(axis, pivot, 0.0))
-        jaws = pose.T_camera_tool[:3, :3] @ self.kinematics.straight
-        return Wrist(pose.hinge.position_m, tool_m, axis, pivot, jaws_of(jaws, pivot, 0.0))
+        if kinematics is not None and pose.hinge is not None:
+            hinge_m, jaws = pose.hinge.position_m, pose.T_camera_tool[:3, :3] @ kinematics.straight
+        else:
+            length_m = kinematics.length_m if kinematics else WRIST_LENGTH_PER_RADIUS * self.instrument.wrist_radius_m
+            hinge_m, jaws = pose.position_m - length_m * axis, axis
+        return Wrist(hinge_m, pose.position_m, axis, pivot, _jaws(jaws, pivot, 0.0))
 
 
 def capsules_about(instrument: Instrument, wrist: Wrist, jaw_scale: float = 1.0) -> Capsules:
     """The instrument's capsules about a wrist, in its frame, with jaws longer than the profile's by a factor."""
-    shaft_m, wrist_m = instrument.shaft_radius_m, instrument.wrist_radius_m
-    marker_m = instrument.knuckle_radius_m
+    shaft_m, wrist_m, marker_m = instrument.shaft_radius_m, instrument.wrist_radius_m, instrument.knuckle_radius_m
     hinge, tool, back = wrist.hinge_m, wrist.tool_m, -wrist.shaft
     end_m = SHAFT_END_PER_RADIUS * wrist_m
     far_m = max(instrument.shaft_length_m - SHAFT_CAP * shaft_m, end_m + SHAFT_CAP * shaft_m)
@@ -186,8 +171,14 @@ def capsules_about(instrument: Instrument, wrist: Wrist, jaw_scale: float = 1.0)
         capsules.append((fork + offset, tool + offset, TINE_RADIUS_M))
         bridge = side * max(tine_m - 0.42 * wrist_m, 0.0) * wrist.pivot
         capsules.append((hinge + bridge, fork + bridge, 0.5 * wrist_m))
-    for jaw in wrist.jaws:
-        capsules += _blade(instrument, tool, jaw, jaw_scale)
+    half_width_m, length_m = instrument.jaw_radius_m, instrument.jaw_length_m
+    for ahead, outward, beside in wrist.jaws:
+        base, along = tool + BLADE_OFFSET * half_width_m * outward, jaw_scale * ahead
+        for start, end, aside, radius in BLADE_CAPSULES:
+            radius_m = radius * half_width_m
+            to_m = max(end * length_m - (radius_m if end == 1.0 else 0.0), 0.0)
+            axis = base + aside * half_width_m * beside
+            capsules.append((axis + start * length_m * along, axis + to_m * along, radius_m))
     starts, ends, radii = zip(*capsules, strict=True)
     return Capsules(np.array(starts), np.array(ends), np.array(radii))
 
@@ -201,35 +192,15 @@ def plate_capsules(fiducial: Fiducial) -> Capsules:
     return Capsules(starts, ends, np.full(PLATE_CAPSULES, PLATE_RADIUS_M))
 
 
-def _blade(instrument: Instrument, tool: Array, jaw: Jaw, scale: float) -> Iterator[tuple[Array, Array, float]]:
-    length_m, half_width_m = instrument.jaw_length_m, instrument.jaw_radius_m
-    base, along = tool + BLADE_OFFSET * half_width_m * jaw.outward, scale * jaw.along
-    for start, end, offset, radius in BLADE_CAPSULES:
-        radius_m = radius * half_width_m
-        end_m = end * length_m - (radius_m if end == 1.0 else 0.0)
-        axis = base + offset * half_width_m * jaw.beside
-        yield axis + start * length_m * along, axis + max(end_m, 0.0) * along, radius_m
-
-
-NEAR_M = 1e-3  # what is nearer to the camera has no image
-FINE = 200  # points of the axis among which the visible ones are chosen
-SECTIONS = 24  # of the visible shaft
-HINGE = 1  # the capsule that starts at the wrist's hinge: see `capsules_about`
-
-
 @dataclass(frozen=True, slots=True)
 class ShaftSections:
-    """The visible shaft cut across in the image, from its end on: n cuts, evenly along it.
+    """The visible shaft cut across in the image, from its end on: n cuts, evenly along it."""
 
-    The points of the axis are in the camera frame, `middles_px` (n, 2) between both sides, and `across` (n, 2) unit
-    vectors from one side to the other, which are `half_px` (n,) to either side. `length_px` is from first to last.
-    """
-
-    axis_m: Array
-    middles_px: Array
-    across: Array
-    half_px: Array
-    length_px: float
+    axis_m: Array  # points of the axis in the camera frame, (n, 3)
+    middles_px: Array  # between both sides, (n, 2)
+    across: Array  # unit vectors from one side to the other, (n, 2)
+    half_px: Array  # from a middle to either side, (n,)
+    length_px: float  # from first to last
 
     @property
     def outline_px(self) -> Array:

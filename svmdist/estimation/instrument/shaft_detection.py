@@ -25,36 +25,36 @@ BORDER_POINTS = 8.0  # of the border that err independently: it is cut by fork a
 STD_PER_DOUBT = 1.5  # of the radius: of 808 simulated ones 2% are off by more than two deviations
 WHOLE_ASPECT = 0.9  # of a whole marker's width over its length: fork and jaws cut a tenth
 CENTROID_STD = 0.045  # by how much hidden parts move the region's centroid, over the radius
+NEAREST_M, FARTHEST_M = 0.02, 0.5  # of a shaft's end: nearer it fills the view, farther it has no light
 
 
 @dataclass(frozen=True, slots=True)
 class DistalMarker:
-    """The marker: the middle of its circle, or of its region, (2,), and its radius, with standard deviations, in px.
-
-    `radius_px` is that of the whole sphere, None where the image's border or something else cuts it, and `hidden_px` by
-    how much of that deviation something hides it; `disc` is the circle along its border that the radius comes from,
-    `area_px` the area of what is visible.
-    """
+    """The marker: the middle of its circle, or of its region, (2,), and its radius, with standard deviations, in px."""
 
     centre_px: Array
     std_px: float
-    radius_px: float | None
+    radius_px: float | None  # of the whole sphere; None where the image's border or something else cuts it
     radius_std_px: float
-    disc: Disc | None = None
-    area_px: float = 0.0
-    hidden_px: float = 0.0
+    disc: Disc | None = None  # the circle along its border that the radius comes from
+    area_px: float = 0.0  # of what is visible
+    hidden_px: float = 0.0  # by how much of the radius' deviation something hides it
 
 
 def detect_distal_marker(
     image_hsv: Image, mask: Image, region: Region, settings: DistalMarkerSettings
 ) -> DistalMarker | None:
     """The region of the mask (h, w) as a disc, sized where the colour has half its strength; None of bare steel."""
-    if _median_saturation(image_hsv, mask) < settings.min_saturation:
+    x, y, width, height = cv2.boundingRect(mask)
+    window = np.s_[y : y + height, x : x + width]
+    if np.median(image_hsv[window][..., 1][mask[window] > 0]) < settings.min_saturation:
         return None
-    disc = _marker_disc(image_hsv, mask, region)
-    if disc is None:
-        std_px = 0.5 * float(np.sqrt(region.area_px / np.pi))
-        return DistalMarker(region.centroid_px, std_px, None, 0.0, None, region.area_px)
+    # At the image's border there is no circle to fit, nor where the colour's border is another one.
+    corners, radius_px = region.hull.reshape(-1, 2), float(np.sqrt(region.area_px / np.pi))
+    is_whole = bool(((corners > 1) & (corners < [mask.shape[1] - 2, mask.shape[0] - 2])).all())
+    disc = fit_disc(image_hsv, mask, region.centroid_px, radius_px) if is_whole else None
+    if disc is None or abs(np.log(disc.radius_px / radius_px)) >= MAX_LOG_RATIO:
+        return DistalMarker(region.centroid_px, 0.5 * radius_px, None, 0.0, None, region.area_px)
     # Of a disc whose part is hidden the circle is too small, as an ellipse's area is to the circle about it.
     moments = cv2.moments(region.hull.astype(np.float32))
     spread = [[moments["mu20"], moments["mu11"]], [moments["mu11"], moments["mu02"]]]
@@ -68,44 +68,17 @@ def detect_distal_marker(
     return DistalMarker(disc.centre_px, std_px, whole_px, radius_std_px, disc, region.area_px, hidden_px)
 
 
-def _marker_disc(image_hsv: Image, mask: Image, region: Region) -> Disc | None:
-    """The circle along a region's border; None at the image's border, or where the colour's border is another."""
-    corners = region.hull.reshape(-1, 2)
-    height, width = mask.shape
-    if not bool(((corners > 1) & (corners < [width - 2, height - 2])).all()):
-        return None
-    radius_px = float(np.sqrt(region.area_px / np.pi))
-    disc = fit_disc(image_hsv, mask, region.centroid_px, radius_px)
-    if disc is None or abs(np.log(disc.radius_px / radius_px)) >= MAX_LOG_RATIO:
-        return None
-    return disc
-
-
-def _median_saturation(image_hsv: Image, mask: Image) -> float:
-    x, y, width, height = cv2.boundingRect(mask)
-    window = np.s_[y : y + height, x : x + width]
-    return float(np.median(image_hsv[window][..., 1][mask[window] > 0]))
-
-
-NEAREST_M, FARTHEST_M = 0.02, 0.5  # of a shaft's end: nearer it fills the view, farther it has no light
-
-
 @dataclass(frozen=True, slots=True)
 class ShaftDetection:
-    """Contours (none, one or two), the planes that touch the shaft there, and the rim, each as far as it is visible.
-
-    `towards_tip` (2,) is the direction of the shaft's middle line in the image, None if unknown. `wrist` is
-    where the tool's origin is in the outline of a whole instrument. `width_std` is the deviation over the width of what
-    both contours get wrong alike, `wrist_std` the same of what may be no shaft, where nothing else shows its depth.
-    """
+    """Contours (none, one or two), the planes that touch the shaft there, and the rim, each as far as it is visible."""
 
     contours: tuple[TangentPlane, ...] = ()
     rim: Rim | None = None
-    towards_tip: Array | None = None
+    towards_tip: Array | None = None  # direction of the shaft's middle line in the image, (2,); None if unknown
     middle_px: Array | None = None
-    wrist: WristPoint | None = None
-    width_std: float = 0.0
-    wrist_std: float = 0.0
+    wrist: WristPoint | None = None  # where the tool's origin is in the outline of a whole instrument
+    width_std: float = 0.0  # deviation over the width of what both contours get wrong alike
+    wrist_std: float = 0.0  # the same of what may be no shaft, where nothing else shows its depth
 
 
 NO_SHAFT = ShaftDetection()

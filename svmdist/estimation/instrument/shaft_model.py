@@ -88,20 +88,19 @@ class ShaftSizes:
         if not 0.0 < seen.other_share < 1.0:
             return seen
         apart_m = abs(seen.other_px) / seen.width_px * 2.0 * self.radius_m
-        near_m, far_m = self.end_m + self.outline_end_m, self.end_m + self.tip_m
+        mean_m = np.array([self.end_m + self.outline_end_m, self.end_m + self.tip_m])  # of the wrist's, and of tips
         near_std_m = np.hypot(np.hypot(self.end_std_m(default_std_m), self.outline_end_std_m), FORESHORTENED * apart_m)
-        far_std_m = np.linalg.norm([near_std_m, self.jaw_tip_std_m])
-        std_m = np.array([near_std_m, far_std_m])
-        p = np.exp(-0.5 * ((apart_m - np.array([near_m, far_m])) / std_m) ** 2) / (np.sqrt(2.0 * np.pi) * std_m)
+        std_m = np.array([near_std_m, np.linalg.norm([near_std_m, self.jaw_tip_std_m])])
+        p = np.exp(-0.5 * ((apart_m - mean_m) / std_m) ** 2) / (np.sqrt(2.0 * np.pi) * std_m)
         density = LONGEST_WRIST * 2.0 * self.radius_m * float(p.mean())
-        own, other = 1.0 - seen.other_share, seen.other_share
-        own, other = (own * density, other) if seen.ends_dark else (own, other * density)
+        own, other = (density, 1.0) if seen.ends_dark else (1.0, density)
+        own, other = own * (1.0 - seen.other_share), other * seen.other_share
         share = other / (own + other)
         if share <= 0.5:
             return replace(seen, other_share=share)
         end_px = seen.end_px + seen.other_px * seen.axis
-        moved = replace(seen, end_px=end_px, ends_dark=not seen.ends_dark)
-        return replace(moved, other_px=-seen.other_px, other_share=1.0 - share)
+        is_dark, other_px = not seen.ends_dark, -seen.other_px
+        return replace(seen, end_px=end_px, ends_dark=is_dark, other_px=other_px, other_share=1.0 - share)
 
     def rim_ahead(self, shaft: ShaftDetection, default_std_m: float) -> tuple[float, float]:
         """How far beyond the hinge a shaft's rim is, and the deviation of that by all that it may be.
@@ -127,19 +126,14 @@ class ShaftSizes:
 
 @dataclass(frozen=True, slots=True)
 class ShaftModel(ShaftSizes):
-    """The instrument behind its shaft's frame S: origin on the wrist's hinge, z along the shaft to the tip.
+    """The instrument behind its shaft's frame S: origin on the wrist's hinge, z along the shaft to the tip."""
 
-    `T_base_shaft` and `T_shaft_tool`, (4, 4), are by the joints, which are straight where none are known.
-    `R_camera_shaft` (3, 3) is that of the nominal kinematics, None without the robot's base. In the frame of the link
-    that slides along the shaft, the shaft's axis is `axis` and the wrist's hinge `hinge_m`, (3,).
-    """
-
-    q: Array
+    q: Array  # straight where no joints are known
     T_base_shaft: Array
     T_shaft_tool: Array
-    R_camera_shaft: Array | None
+    R_camera_shaft: Array | None  # by nominal kinematics; None without the robot's base
     axis: dh.ShaftAxis
-    hinge_m: Array
+    hinge_m: Array  # the wrist's, (3,) in the frame of the axis' link, which slides along the shaft
 
     @classmethod
     def of(cls, robot: RobotState | Failure, chain: dh.DHChain, instrument: Instrument) -> ShaftModel:

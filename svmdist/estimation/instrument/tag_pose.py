@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -48,56 +49,10 @@ DAMPING = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class TagPose:
-    """A tag's pose `T_camera_tag`, shape (4, 4), and the covariance of (δp, δθ), shape (6, 6).
-
-    The error is as in `ToolPose`: p_true = p + δp in m, R_true = exp([δθ]) R, both in the camera frame.
-    """
+    """A tag's pose `T_camera_tag`, shape (4, 4), and the covariance of its error, shape (6, 6), as in `ToolPose`."""
 
     T_camera_tag: Array
     covariance: Array
-
-
-def _lay_coarsely(pixels: TagPixels, T_camera_tag: Array, pattern: TagPattern) -> LaidPattern | None:
-    """From a first pose to near the minimum, on some of the pixels; None where the pattern does not hold."""
-    some = pixels.thinned(COARSE_PIXELS)
-    start = start_overlay(some, T_camera_tag, pattern)
-    if start is None:
-        return None
-    loss = Loss(COARSE_BOUND * start[1], is_biweight=False)
-    return _minimise(some, start[0], pattern, loss, COARSE_STEPS, COARSE_TOLERANCE)
-
-
-def _refine_fit(pixels: TagPixels, coarse: LaidPattern, pattern: TagPattern) -> TagPose | None:
-    """From near the minimum to it, on all pixels but the outliers; None where the pattern does not hold."""
-    loss = Loss(OUTLIER_BOUND * coarse.std, is_biweight=True)
-    fit = _minimise(pixels, coarse.overlay, pattern, loss, FINE_STEPS, TOLERANCE)
-    if fit is None:
-        return None
-    T = fit.overlay.T_camera_tag
-    to_camera = np.zeros((6, 6))
-    to_camera[:3, :3] = pattern.size_m * T[:3, :3]
-    to_camera[3:, 3:] = T[:3, :3]
-    covariance = to_camera @ fit.covariance(CLUSTER_INFLATION)[:6, :6] @ to_camera.T
-    return TagPose(T, covariance)
-
-
-def _minimise(
-    pixels: TagPixels, start: Overlay, pattern: TagPattern, loss: Loss, max_steps: int, tolerance: float
-) -> LaidPattern | None:
-    def retract(overlay: Overlay, step: Array) -> Overlay:
-        # Shortened as a whole: blur and contrast, depth and tilt go together.
-        step = step / max(1.0, float(np.max(np.abs(step) / STEP_LIMIT)))
-        T, R = overlay.T_camera_tag, overlay.T_camera_tag[:3, :3]
-        moved = make_transform(R @ cv2.Rodrigues(step[3:6])[0], T[:3, 3] + pattern.size_m * (R @ step[:3]))
-        blur_px = min(max(overlay.blur_px + float(step[6]), BLUR_MIN_PX), BLUR_MAX_PX)
-        offset, contrast = overlay.offset + GREY * float(step[7]), overlay.contrast + GREY * float(step[8])
-        return Overlay(moved, blur_px, offset, contrast)
-
-    def lay(overlay: Overlay) -> LaidPattern | None:
-        return lay_pattern(pixels, overlay, pattern, loss)
-
-    found = minimise(start, lay, retract, max_steps, tolerance, DAMPING)
-    return None if found is None else found[1]
 
 
 def find_tag_pose(
@@ -114,23 +69,51 @@ def find_tag_pose(
     the one nearest to the predicted rotation, shape (3, 3), is taken. A prediction of which `predicted_std_rad` is
     small leaves one of them, a third of the work.
     """
-    candidates = pose_candidates(corners_px, pattern.size_m, camera.K, camera.D)
+    starts = pose_candidates(corners_px, pattern.size_m, camera.K, camera.D)
+    if R_camera_tag_predicted is not None and predicted_std_rad < SURE_RAD and starts:
+        off_rad = [float(rotation_angle(T[:3, :3], R_camera_tag_predicted)) for T in starts]
+        if min(off_rad) < PREDICTED_WITHIN_RAD:
+            starts = [make_transform(R_camera_tag_predicted, starts[int(np.argmin(off_rad))][:3, 3])]
+
+    # From each first pose to near the minimum, on some of the pixels.
     pixels = _pixels_around(image_grey, corners_px, camera)
-    T_predicted = _sure_pose(candidates, R_camera_tag_predicted, predicted_std_rad)
-    starts = candidates if T_predicted is None else [T_predicted]
-    fits = [_lay_coarsely(pixels, T, pattern) for T in starts]
-    coarse = _choose([fit for fit in fits if fit is not None], R_camera_tag_predicted)
-    return None if coarse is None else _refine_fit(pixels, coarse, pattern)
+    some, fits = pixels.thinned(COARSE_PIXELS), list[LaidPattern]()
+    for T in starts:
+        if (start := start_overlay(some, T, pattern)) is not None:
+            loss = Loss(COARSE_BOUND * start[1], is_biweight=False)
+            fit = _minimise(some, start[0], pattern, loss, COARSE_STEPS, COARSE_TOLERANCE)
+            if fit is not None:
+                fits.append(fit)
+
+    # From there to it, on all pixels but the outliers.
+    if (coarse := _choose(fits, R_camera_tag_predicted)) is None:
+        return None
+    loss = Loss(OUTLIER_BOUND * coarse.std, is_biweight=True)
+    fit = _minimise(pixels, coarse.overlay, pattern, loss, FINE_STEPS, TOLERANCE)
+    if fit is None:
+        return None
+    T, to_camera = fit.overlay.T_camera_tag, np.zeros((6, 6))
+    to_camera[:3, :3], to_camera[3:, 3:] = pattern.size_m * T[:3, :3], T[:3, :3]
+    return TagPose(T, to_camera @ fit.covariance(CLUSTER_INFLATION)[:6, :6] @ to_camera.T)
 
 
-def _sure_pose(candidates: list[Array], R_predicted: Array | None, predicted_std_rad: float) -> Array | None:
-    """The predicted rotation at the place of the candidate that it is near to; None where it is not sure enough."""
-    if R_predicted is None or not predicted_std_rad < SURE_RAD or not candidates:
-        return None
-    off_rad = [float(rotation_angle(T[:3, :3], R_predicted)) for T in candidates]
-    if min(off_rad) >= PREDICTED_WITHIN_RAD:
-        return None
-    return make_transform(R_predicted, candidates[int(np.argmin(off_rad))][:3, 3])
+def _minimise(
+    pixels: TagPixels, start: Overlay, pattern: TagPattern, loss: Loss, max_steps: int, tolerance: float
+) -> LaidPattern | None:
+    """The pattern laid where it fits best, from an overlay; None where it does not hold."""
+
+    def retract(overlay: Overlay, step: Array) -> Overlay:
+        # Shortened as a whole: blur and contrast, depth and tilt go together.
+        step = step / max(1.0, float(np.max(np.abs(step) / STEP_LIMIT)))
+        T, R = overlay.T_camera_tag, overlay.T_camera_tag[:3, :3]
+        moved = make_transform(R @ cv2.Rodrigues(step[3:6])[0], T[:3, 3] + pattern.size_m * (R @ step[:3]))
+        blur_px = min(max(overlay.blur_px + float(step[6]), BLUR_MIN_PX), BLUR_MAX_PX)
+        offset, contrast = overlay.offset + GREY * float(step[7]), overlay.contrast + GREY * float(step[8])
+        return Overlay(moved, blur_px, offset, contrast)
+
+    lay = partial(lay_pattern, pixels, pattern=pattern, loss=loss)
+    found = minimise(start, lay, retract, max_steps, tolerance, DAMPING)
+    return None if found is None else found[1]
 
 
 def _choose(fits: list[LaidPattern], R_predicted: Array | None) -> LaidPattern | None:
@@ -155,12 +138,10 @@ def _pixels_around(image_grey: Image, corners_px: Array, camera: Camera) -> TagP
     x0, y0 = np.clip(np.floor(corners_px.min(0) - margin_px), 0, [width - 1, height - 1]).astype(int)
     x1, y1 = np.clip(np.ceil(corners_px.max(0) + margin_px) + 1, 1, [width, height]).astype(int)
     # Only what is inside the quadrilateral and its margin can lie on the tag.
-    mask = np.zeros((y1 - y0, x1 - x0), np.uint8)
-    middle_px = corners_px.mean(0)
+    mask, middle_px = np.zeros((y1 - y0, x1 - x0), np.uint8), corners_px.mean(0)
     grown_px = middle_px + (1.0 + 2.0 * WINDOW_MARGIN) * (corners_px - middle_px) - [x0, y0]
     cv2.fillConvexPoly(mask, np.round(grown_px).astype(np.int32), 255)
     y, x = np.nonzero(mask)
-    points_px = np.column_stack([x + x0, y + y0]).astype(np.float64)
+    rays = camera.rays(np.column_stack([x + x0, y + y0]).astype(np.float64))
     brightness = image_grey[y + y0, x + x0].astype(np.float64)
-    rays = np.ascontiguousarray(camera.rays(points_px).T)
-    return TagPixels(brightness, rays, float(camera.K[0, 0]))
+    return TagPixels(brightness, np.ascontiguousarray(rays.T), float(camera.K[0, 0]))

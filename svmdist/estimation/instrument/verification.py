@@ -10,13 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.estimation.frame import Frame, View
 from svmdist.estimation.instrument.distal_marker import OTHER_PART_PLACE
 from svmdist.estimation.instrument.model import HINGE, ShaftSections, shaft_sections
-from svmdist.estimation.instrument.shaft_detection import DistalMarker
 from svmdist.estimation.tissue.detection import TissuePose, require_tissue, tissue_plane
 from svmdist.geometry import Capsules
 from svmdist.profile.robot import CameraError, Instrument, Tissue
@@ -54,38 +54,31 @@ def contradiction(
     instrument = frame.arm.profile.instrument
     if instrument is None or body is None:
         return ""
-    if is_by_outline:
-        for view in (frame.left, frame.right):
-            if view is None or not view.masks.seen:
-                continue
-            if (shown := _share_shown(view, body.transformed(view.T_view_left))) < MIN_SHOWN:
-                return f"of the projected shaft only {shown:.0%} is on the instrument in the image"
-    error, shaft = frame.arm.profile.camera_error, None
-    sections = shaft_sections(frame.left.camera, body)
-    if sections is not None and sections.length_px >= MIN_LENGTH * np.max(sections.half_px):
-        shaft = _ShaftEvidence.of(frame.left, sections, body.start_m[HINGE], pose, instrument, error)
-    if said := _off_marker(frame.left, pose, instrument, error, shaft):
+    for view in (frame.left, frame.right) if is_by_outline else ():
+        if view is None or not view.masks.seen:
+            continue
+        if (shown := _share_shown(view, body.transformed(view.T_view_left))) < MIN_SHOWN:
+            return f"of the projected shaft only {shown:.0%} is on the instrument in the image"
+    shaft = _ShaftEvidence.of(frame, pose, instrument, body)
+    if said := _off_marker(frame, pose, instrument, shaft):
         return said
     if shaft is not None and shaft.is_beside:
-        share = f"{shaft.inside:.0%} of it is on it"
-        return f"the projected shaft lies beside the instrument in the image: {share}"
+        return f"the projected shaft lies beside the instrument in the image: {shaft.inside:.0%} of it is on it"
     return ""
 
 
 def _out_of_place(pose: ToolPose, seen: TissuePose, tissue: Tissue) -> str:
-    """Whether the tool is behind the camera, or behind the plane that the tissue lies on, where no instrument is.
-
-    A part of a marker seems far away as a whole one, and points of a measured surface have no inside.
-    """
+    """Whether the tool is behind the camera, or behind the plane that the tissue lies on, where no instrument is."""
     if not pose.position_m[2] > 0.0:
         return "the tool is behind the camera"
     plane = tissue_plane(tissue)
     below_m = plane.offset_m - float(plane.normal @ pose.position_m)
     aside_m = float(np.linalg.norm(cross(plane.normal, pose.position_m - seen.position_m)))
-    parts_m = (tissue.plane_tilt_std_rad * aside_m, seen.surface_std_m, tissue.surface_std_m)
+    parts_m = tissue.plane_tilt_std_rad * aside_m, seen.surface_std_m, tissue.surface_std_m
     variance_m2 = float(plane.normal @ (seen.covariance + pose.position_covariance) @ plane.normal)
-    # Nothing is there, so that an interval that lies behind it as a whole is wrong.
-    if below_m <= Z_95 * np.sqrt(variance_m2 + np.sum(np.square(np.array(parts_m)))):
+    # Nothing is there, so that an interval that lies behind it as a whole is wrong: a part of a marker seems far away
+    # as a whole one, and points of a measured surface have no inside.
+    if below_m <= Z_95 * np.sqrt(variance_m2 + np.sum(np.square(parts_m))):
         return ""
     return f"the tool is {1e3 * below_m:.0f} mm behind the plane that the tissue lies on"
 
@@ -100,11 +93,9 @@ def _share_shown(view: View, body: Capsules) -> float:
     return float(np.count_nonzero(own)) / np.count_nonzero(known) if known.any() else 1.0
 
 
-def _off_marker(
-    view: View, pose: ToolPose, instrument: Instrument, error: CameraError, shaft: _ShaftEvidence | None
-) -> str:
+def _off_marker(frame: Frame, pose: ToolPose, instrument: Instrument, shaft: _ShaftEvidence | None) -> str:
     """Whether the coloured distal marker is seen where the pose does not allow it, or of another size."""
-    camera = view.camera
+    view, camera, error = frame.left, frame.left.camera, frame.arm.profile.camera_error
     marker_m = pose.position_m + pose.T_camera_tool[:3, :3] @ np.array(instrument.knuckle_position_m)
     if view.masks.seen is not None or not marker_m[2] > instrument.knuckle_radius_m or (region := view.region) is None:
         return ""
@@ -124,11 +115,15 @@ def _off_marker(
     marker = view.distal_marker if is_off or is_odd else None
     if marker is None:
         return ""
-    size, log_std = _size(marker, radius_px, pose, instrument, error)
+    size, log_std = 1.0, np.inf
+    if marker.radius_px is not None:
+        size, depth_std = marker.radius_px / radius_px, float(np.sqrt(pose.covariance[2, 2]) / pose.position_m[2])
+        parts = marker.radius_std_px / marker.radius_px, instrument.knuckle_radius_std_fraction
+        log_std = float(np.linalg.norm([*parts, error.focal_std_fraction, depth_std]))
     is_odd = abs(np.log(size)) > MAX_DEVIATIONS * log_std
     # A shaft as wide as projected says that the coloured part is another one, on a wrist that is no thicker.
     is_on_wrist = size * instrument.knuckle_radius_m <= instrument.wrist_radius_m
-    is_other = is_odd and is_on_wrist and shaft is not None and shaft.fits
+    is_other = is_odd and is_on_wrist and shaft is not None and abs(shaft.narrower) < MAX_DEVIATIONS
     if is_off:
         pixel, place_std_m = marker.centre_px, instrument.knuckle_position_std_m
         if marker.disc is not None:
@@ -138,24 +133,12 @@ def _off_marker(
         if is_other or marker.disc is None:  # another part, or mostly hidden: somewhere about the tool
             place_std_m = OTHER_PART_PLACE * instrument.knuckle_radius_m
         if (off := deviations(pixel, place_std_m)) > MAX_DEVIATIONS:
-            away_px = float(np.linalg.norm(camera.project(marker_m)[0] - pixel))
-            beside = f"{away_px:.0f} px beside its projection"
+            beside = f"{np.linalg.norm(camera.project(marker_m)[0] - pixel):.0f} px beside its projection"
             return f"the distal marker is seen {beside}, {off:.1f} standard deviations"
     # Nothing makes a sphere look larger; what covers a part of it makes it smaller, and leaves the shaft as wide.
-    if is_odd and not is_other and (size > 1.0 or (shaft is not None and shaft.is_narrow)):
+    if is_odd and not is_other and (size > 1.0 or (shaft is not None and shaft.narrower > MAX_DEVIATIONS)):
         return f"the distal marker looks {size:.2f} times as large as its projection"
     return ""
-
-
-def _size(
-    marker: DistalMarker, radius_px: float, pose: ToolPose, instrument: Instrument, error: CameraError
-) -> tuple[float, float]:
-    """The whole marker's radius over the projected one in px, and the standard deviation of its logarithm."""
-    if marker.radius_px is None:
-        return 1.0, np.inf
-    parts = (marker.radius_std_px / marker.radius_px, instrument.knuckle_radius_std_fraction)
-    std = float(np.linalg.norm([*parts, error.focal_std_fraction, _depth_std(pose)]))
-    return marker.radius_px / radius_px, std
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,24 +147,20 @@ class _ShaftEvidence:
 
     inside: float
     is_beside: bool  # the shaft is seen, and neither of its sides is where the pose has it
-    fits: bool  # it is as wide as projected
-    is_narrow: bool  # it is less wide
+    narrower: float  # by how many deviations it is less wide than projected; NaN where that is not known
 
     @staticmethod
-    def of(
-        view: View,
-        seen: ShaftSections,
-        hinge_m: Array,
-        pose: ToolPose,
-        instrument: Instrument,
-        error: CameraError,
-    ) -> _ShaftEvidence | None:
+    def of(frame: Frame, pose: ToolPose, instrument: Instrument, body: Capsules) -> _ShaftEvidence | None:
         """The evidence at sections of the shaft; None where the pose allows nearly anything, or nothing is known."""
-        camera, masks = view.camera, view.masks
+        view, camera, masks = frame.left, frame.left.camera, frame.left.masks
+        seen = shaft_sections(camera, body)
+        if seen is None or not seen.length_px >= MIN_LENGTH * np.max(seen.half_px):
+            return None
         mask_px = (MASK_STD if masks.seen is None else SHAPE_STD) * camera.width_px
         own_px = np.hypot(mask_px, instrument.shaft_radius_std_fraction * seen.half_px)
-        all_px = np.hypot(own_px, _calibration_std_px(seen.middles_px, camera, error))
-        allowed = MAX_DEVIATIONS * np.hypot(all_px, _across_std_px(seen, hinge_m, pose, camera)) / seen.half_px
+        all_px = np.hypot(own_px, _calibration_std_px(seen.middles_px, camera, frame.arm.profile.camera_error))
+        of_pose_px = _across_std_px(seen, body.start_m[HINGE], pose, camera)
+        allowed = MAX_DEVIATIONS * np.hypot(all_px, of_pose_px) / seen.half_px
         if masks.shaft is None or np.max(allowed) > MAX_REACH:
             return None
         # Across each section, in half widths: what is the instrument's, and what no other instrument's.
@@ -190,7 +169,7 @@ class _ShaftEvidence:
         at_px = seen.middles_px[:, None] + (offset * seen.half_px[:, None])[..., None] * seen.across[:, None]
         own, known = _sampled(view, at_px)
         width = max(1, round(2.0 / (offset[1] - offset[0])))
-        own_count, known_count = _window_sums(own, width), _window_sums(known, width)
+        own_count, known_count = (sliding_window_view(values, width, axis=1).sum(-1) for values in (own, known))
         share = own_count / np.maximum(known_count, MIN_SHARE * width)
         away = np.abs(offset[: CELLS - width + 1] + 1.0)
         here = int(np.argmin(away))
@@ -204,19 +183,11 @@ class _ShaftEvidence:
             return None
         is_beside = np.where(is_near, is_off, has_bar)
         half = 0.5 * (end - begin)[is_near & np.isfinite(end - begin) & (end > begin)]
-        width_std = np.hypot(float(np.max(own_px / seen.half_px)), _depth_std(pose))
-        narrower = -np.log(np.median(half)) / width_std if len(half) >= MIN_SECTIONS else np.nan
-        return _ShaftEvidence(
-            float(own_count[:, here].sum() / max(known_count[:, here].sum(), 1.0)),
-            bool(np.mean(is_beside[is_seen]) > MAX_BESIDE),
-            bool(abs(narrower) < MAX_DEVIATIONS),
-            bool(narrower > MAX_DEVIATIONS),
-        )
-
-
-def _depth_std(pose: ToolPose) -> float:
-    """Standard deviation of a tool's depth over the depth."""
-    return float(np.sqrt(pose.covariance[2, 2]) / pose.position_m[2])
+        depth_std = float(np.sqrt(pose.covariance[2, 2]) / pose.position_m[2])
+        width_std = np.hypot(float(np.max(own_px / seen.half_px)), depth_std)
+        narrower = float(-np.log(np.median(half)) / width_std) if len(half) >= MIN_SECTIONS else np.nan
+        inside = float(own_count[:, here].sum() / max(known_count[:, here].sum(), 1.0))
+        return _ShaftEvidence(inside, bool(np.mean(is_beside[is_seen]) > MAX_BESIDE), narrower)
 
 
 def _calibration_std_px(pixels: Array, camera: Camera, error: CameraError) -> Array:
@@ -226,20 +197,15 @@ def _calibration_std_px(pixels: Array, camera: Camera, error: CameraError) -> Ar
 
 
 def _across_std_px(seen: ShaftSections, hinge_m: Array, pose: ToolPose, camera: Camera) -> Array:
-    """The pose's standard deviation across each section, shape (n,), in px.
-
-    The wrist's bend moves tool and hinge against each other, and the shaft's direction is surer than the tool's.
-    """
+    """The pose's standard deviation across each section, shape (n,), in px."""
+    # The wrist's bend moves tool and hinge against each other, and the shaft's direction is surer than the tool's.
     _, by_point = camera.project_with_derivative(seen.axis_m)
-    across = (seen.across[:, None] @ by_point)[:, 0]
+    slope = across = (seen.across[:, None] @ by_point)[:, 0]
     if pose.hinge is None:
-        slope, covariance = cross(hinge_m - pose.position_m, across), pose.covariance
-        slope = np.concatenate([across, slope], axis=1)
-    else:
-        slope, covariance = across, pose.hinge.covariance
+        slope = np.concatenate([across, cross(hinge_m - pose.position_m, across)], axis=1)
+    covariance = pose.covariance if pose.hinge is None else pose.hinge.covariance
     of_hinge = np.einsum("ni,ij,nj->n", slope, covariance, slope)
-    lever_m = np.linalg.norm(seen.axis_m - hinge_m, axis=1)
-    of_turn = np.linalg.norm(across, axis=1) * lever_m * pose.shaft_std_rad
+    of_turn = np.linalg.norm(across, axis=1) * np.linalg.norm(seen.axis_m - hinge_m, axis=1) * pose.shaft_std_rad
     return np.asarray(np.sqrt(np.maximum(of_hinge, 0.0) + of_turn**2))
 
 
@@ -260,25 +226,17 @@ def _sampled(view: View, at_px: Array) -> tuple[NDArray[np.bool_], NDArray[np.bo
     return np.asarray(own & known), np.asarray(known)
 
 
-def _window_sums(values: NDArray[np.bool_], width: int) -> Array:
-    """How many of so many neighbours are true, shape (n, k - width + 1), of values (n, k)."""
-    sums = np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=1)
-    return np.asarray(sums[:, width:] - sums[:, :-width], np.float64)
-
-
 def _sides(own: NDArray[np.bool_], known: NDArray[np.bool_], offset: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Where the instrument begins nearest to -1, and ends nearest to 1, shape (n,) each, NaN without.
-
-    Third, shape (n,): whether anywhere it begins and ends as far apart as a shaft's sides.
-    """
+    """Where the instrument begins nearest to -1 and ends nearest to 1, (n,), NaN without; if anywhere a shaft wide."""
     at = 0.5 * (offset[1:] + offset[:-1])
     is_border = (own[:, 1:] != own[:, :-1]) & known[:, 1:] & known[:, :-1]
     begins, ends = (np.where(is_border & own[:, side], at, np.nan) for side in (np.s_[1:], np.s_[:-1]))
     next_end = np.fmin.accumulate(ends[:, ::-1], axis=1)[:, ::-1]
     width = 0.5 * (next_end - begins)
     has_bar = ((width > BAR_WIDTHS[0]) & (width < BAR_WIDTHS[1])).any(1)
-    places = []
-    for borders, place in ((begins, -1.0), (ends, 1.0)):
-        nearest = np.argmin(np.where(np.isfinite(borders), np.abs(borders - place), np.inf), axis=1)
-        places.append(borders[np.arange(len(borders)), nearest])
-    return places[0], places[1], np.asarray(has_bar)
+
+    def nearest(borders: Array, place: float) -> Array:
+        at = np.argmin(np.nan_to_num(np.abs(borders - place), nan=np.inf), axis=1)
+        return np.asarray(borders[np.arange(len(borders)), at])
+
+    return nearest(begins, -1.0), nearest(ends, 1.0), np.asarray(has_bar)

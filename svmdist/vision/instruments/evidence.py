@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, reduce
 
 import cv2
 import numpy as np
@@ -11,21 +11,22 @@ from numpy.typing import NDArray
 from svmdist.profile.segmentation import INSTRUMENTS, SHIPPED, OnnxSegmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
+from svmdist.transforms import Array
 from svmdist.vision.colour import field_of_view
 from svmdist.vision.network import OnnxSegmenter
 
-# A black border differs from the darkest thing in the image by no more: noise and compression
-BORDER_LEVELS = 6.0
+BORDER_LEVELS = 6.0  # a black border differs from the darkest thing in the image by no more: noise and compression
+LIT_LEVELS = 14.0  # the same of what light reaches: in the dark before a border a shaft is as dark as all else
 BORDER_FLOOR_LEVEL = 10.0  # what is darker than this is border, whatever the darkest thing is
 BORDER_SHARE = 0.005  # of all pixels, that are no brighter than the darkest things
-# The same of what light reaches: in the dark before a border a shaft is as dark as all else
-LIT_LEVELS = 14.0
 BORDER_FRACTION = 0.4  # of the picture's median; a border is darker, though haze may lift it
-# Added to levels before their logarithm is taken: noise of one or two levels must not be a colour
-LEVEL_OFFSET = 8.0
+LEVEL_OFFSET = 8.0  # added to levels before their logarithm is taken: noise of one or two must not be a colour
 MOST_ODDS = 4.0  # of one pixel, as a logarithm: neither its texture nor its colour is ever surer
 MOST_AGAINST = 2.0  # of the network's odds: it misses dark instruments more often than it invents one
 RIM_PX = 3  # width of the rim
+CORRELATION_PX = 3.5  # the network's pixel is 2 of the working image or more: neighbours within err alike
+DISTINCT_SHARE = 0.7  # of redness' variance, between the redder part and the rest: less is one kind of tissue
+DISTINCT_REDNESS = 0.4  # by how much, as a logarithm, the one is redder: organ on a drape, not fat beside muscle
 
 DISTAL, SHAFT = (INSTRUMENTS[part]["class_ids"][0] for part in ("instrument", "shaft"))
 Floats = NDArray[np.float32]
@@ -40,19 +41,19 @@ class Evidence:
     """
 
     def __init__(self, bgr: Image, settings: AutoSettings) -> None:
-        height, width = bgr.shape[:2]
-        self.settings, self.size, self._image = settings, (height, width), bgr
+        self.settings, self._image = settings, bgr
+        self.size = height, width = bgr.shape[:2]
         self.scale = settings.working_px / max(width, height)
         size = (max(1, round(self.scale * width)), max(1, round(self.scale * height)))
         how = cv2.INTER_AREA if self.scale < 1.0 else cv2.INTER_LINEAR
         self.bgr = np.asarray(cv2.resize(bgr, size, interpolation=how), np.uint8)
+        self.bgr_float: Floats = self.bgr.astype(np.float32)
         self.picture = picture_of(self.bgr)
         self.hidden = np.zeros_like(self.picture)
 
     def hide(self, mask: Image) -> None:
         """Take what is marked in the image, shape (h, w), for nothing: neither its colours nor its borders count."""
-        size = self.picture.shape[::-1]
-        smaller = cv2.resize(mask, size, interpolation=cv2.INTER_AREA)
+        smaller = cv2.resize(mask, self.picture.shape[::-1], interpolation=cv2.INTER_AREA)
         self.hidden |= np.where(smaller > 0, 255, 0).astype(np.uint8)
 
     @cached_property
@@ -61,10 +62,9 @@ class Evidence:
         lit = picture_of(self.bgr, LIT_LEVELS) & self.picture
         return np.asarray(cv2.erode(lit, SQUARE_5, borderValue=0), np.uint8)
 
-    @cached_property
-    def bgr_float(self) -> Floats:
-        """The working image's levels, shape (h, w, 3)."""
-        return self.bgr.astype(np.float32)
+    def seen_at(self, places: Array) -> NDArray[np.bool_]:
+        """Whether light reaches places (x, y), shape (..., 2), of the picture."""
+        return sampled(self.core, places, nearest=True) > 0
 
     @cached_property
     def scores(self) -> Floats:
@@ -83,9 +83,9 @@ class Evidence:
     @cached_property
     def colours(self) -> Floats:
         """log(R/G), log(G/B) and the mean of all three logarithms, shape (h, w, 3): light scales only the last."""
-        softened = cv2.GaussianBlur(self.bgr, (0, 0), 0.8)
         table = np.log(np.arange(256, dtype=np.float32) + np.float32(LEVEL_OFFSET))
-        blue, green, red = (np.asarray(cv2.LUT(level, table), np.float32) for level in cv2.split(softened))
+        levels = cv2.LUT(cv2.GaussianBlur(self.bgr, (0, 0), 0.8), table)
+        blue, green, red = (np.asarray(level, np.float32) for level in cv2.split(levels))
         return np.asarray(cv2.merge([red - green, green - blue, (red + green + blue) / 3.0]), np.float32)
 
     @cached_property
@@ -98,10 +98,8 @@ class Evidence:
     @cached_property
     def rim(self) -> Image:
         """The outermost pixels of what light reaches, shape (h, w), where instruments come in."""
-        return np.asarray(
-            cv2.subtract(self.core, cv2.erode(self.core, SQUARE_3, iterations=RIM_PX, borderValue=0)),
-            np.uint8,
-        )
+        inner = cv2.erode(self.core, SQUARE_3, iterations=RIM_PX, borderValue=0)
+        return np.asarray(cv2.subtract(self.core, inner), np.uint8)
 
     @cached_property
     def parts(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -112,34 +110,38 @@ class Evidence:
         return np.asarray(labels, np.int32), np.asarray(statistics[:, cv2.CC_STAT_AREA], np.int32)
 
 
+def sampled(field: Image | Floats, places: Array, nearest: bool = False) -> NDArray[np.float32]:
+    """A field's values at places (x, y), shape (..., 2), linearly; 0 outside of it."""
+    flat = np.ascontiguousarray(places.reshape(-1, places.shape[-2], 2), np.float32)
+    how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
+    values = cv2.remap(field, flat, None, how, borderMode=cv2.BORDER_CONSTANT, borderValue=0)  # type: ignore[call-overload]
+    return np.asarray(values.reshape(*places.shape[:-1], *field.shape[2:]), np.float32)
+
+
+def strongest(change: Floats) -> Floats:
+    """The largest of three channels, shape (..., 3): NumPy's own maximum along a short axis takes ten times longer."""
+    return reduce(np.maximum, np.moveaxis(change, -1, 0))
+
+
 @lru_cache(maxsize=1)
 def _network() -> OnnxSegmenter:
     return OnnxSegmenter(OnnxSegmentation.model_validate({"method": "onnx", "model": SHIPPED}))
 
 
 def picture_of(bgr: Image, border_levels: float = BORDER_LEVELS) -> Image:
-    """Mask, shape (h, w), of the picture inside its border, whatever its shape; all of an image without a border.
-
-    The border is no brighter than the darkest things by more than `border_levels`.
-    """
+    """Mask, shape (h, w), of the picture inside its border, whatever its shape; all of an image without a border."""
     blue, green, red = cv2.split(bgr)  # NumPy's maximum along the short axis takes twenty times as long
     value = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
     counts = np.cumsum(np.bincount(value.ravel(), minlength=256))
     floor = int(np.searchsorted(counts, BORDER_SHARE * counts[-1]))
     level = min(max(floor + border_levels, BORDER_FLOOR_LEVEL), 255.0)
-    whole = np.full(bgr.shape[:2], 255, np.uint8)
     dark = counts[int(level)]
     median = int(np.searchsorted(counts, 0.5 * (dark + counts[-1])))
-    if dark == counts[-1] or floor > BORDER_FRACTION * median:
-        return whole
-    view = field_of_view(np.asarray(255 * (value <= level), np.uint8))
-    return view if view.any() else whole
-
-
-DISTINCT_SHARE = 0.7
-"""Of the variance of redness that is between the redder part and the rest, not within: less is one kind of tissue."""
-DISTINCT_REDNESS = 0.4
-"""How much redder the one must be than the other, as a logarithm: organ on a drape, not fat beside muscle."""
+    if dark < counts[-1] and floor <= BORDER_FRACTION * median:
+        view = field_of_view(np.asarray(255 * (value <= level), np.uint8))
+        if view.any():
+            return view
+    return np.full(bgr.shape[:2], 255, np.uint8)
 
 
 def tissue_of(image: Evidence) -> Image:

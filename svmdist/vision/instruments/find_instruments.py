@@ -10,60 +10,51 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from svmdist.least_squares import median
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.instruments.evidence import SQUARE_3, Evidence, tissue_of
-from svmdist.vision.instruments.outline import LEAST_RIM_PX, Outline
-from svmdist.vision.instruments.outline_search import (
-    LONGEST_WRIST,
-    OutlineScore,
-    outline_score,
-    part_entering,
-    rough_outlines,
-    sharpened,
-)
+from svmdist.vision.instruments.evidence import SQUARE_3, Evidence, sampled, tissue_of
+from svmdist.vision.instruments.outline import LEAST_RIM_PX, STATIONS, Outline
+from svmdist.vision.instruments.outline_search import LONGEST_WRIST, MIDDLE, outline_score, rough_outlines, sharpened
 
 MOST_OVERLAP = 0.3  # of the smaller of two strips: those of more are one instrument
 DISTAL_WIDTHS = 4.5  # how far wrist and jaws reach beyond the end of the shaft, over its width there
 DISTAL_HALF_WIDTHS = 1.3  # how far they reach to either side of its axis, over its width
 BESIDE_WIDTHS = 0.08  # how far evidence beside a side is still that of the shaft, over its width
+ENTERING = np.linspace(0.05, 0.5, STATIONS // 2)  # along a shaft: what comes in, before anything else begins
 LEAST_ENTERING, SURE_ENTERING = 0.0, 1.5  # log-odds of a shaft against wrist and jaws, of what comes in
 WRIST_NARROWER = 0.3  # by how much of the width a wrist is narrower, which may come in instead
 LIKELY = 0.7  # mean odds of what shows no straight shaft
 ENTRY_WIDTHS = 2.0  # about its axis, over its width, where an instrument itself comes in
+DEFAULT = AutoSettings()
 
 Mask = NDArray[np.bool_]
-Found = tuple[Outline, Mask, OutlineScore]
-"""An instrument in a working image: its shaft's outline, its mask, (h, w), and what evidence and image say of it."""
 
 
-def find_instruments(evidence: Evidence) -> list[Found]:
+def find_instruments(evidence: Evidence) -> list[SeenInstrument]:
     """The instruments of an image, the surest first."""
-    shafts: list[tuple[Outline, OutlineScore, Image]] = []
+    shafts, strips = list[tuple[Outline, float]](), list[Image]()
     for rough in rough_outlines(evidence):
-        strips = [strip for _, _, strip in shafts]
-        if _is_taken(rough, strips):
-            continue
-        outline = sharpened(rough, evidence)
+        outline = None if _is_taken(rough, strips) else sharpened(rough, evidence)
         if outline is None or _is_taken(outline, strips):
             continue
-        if (score := outline_score(outline, evidence)).is_accepted:
-            shafts.append((outline, score, _filled(outline, evidence.core)))
+        if score := outline_score(outline, evidence):
+            shafts.append((outline, score))
+            strips.append(_filled(outline, evidence.core))
         if len(shafts) == evidence.settings.most_instruments:
             break
-    found: list[Found] = []
-    taken = np.zeros_like(evidence.core)
+    found, taken = list[SeenInstrument](), np.zeros(evidence.core.shape, np.bool_)
     least_px = evidence.settings.least_area * max(cv2.countNonZero(evidence.core), 1)
-    away = [cv2.distanceTransform(cv2.bitwise_not(strip), cv2.DIST_L2, 3) for _, _, strip in shafts]
-    for at, (outline, score, _) in enumerate(shafts):
+    away = [cv2.distanceTransform(cv2.bitwise_not(strip), cv2.DIST_L2, 3) for strip in strips]
+    for (outline, score), own in zip(shafts, away, strict=True):
         # Where instruments touch, what belongs to one reaches into the other's: each has what its strip is nearest to.
-        nearest = np.all([away[at] <= other for other in away], axis=0)
-        mask = _instance_mask(outline, evidence, nearest & (taken == 0))
+        nearest = np.all([own <= other for other in away], axis=0)
+        mask = _instance_mask(outline, evidence, nearest & ~taken)
         if np.count_nonzero(mask) >= least_px:
-            taken[mask] = 255
-            found.append((outline, mask, score))
-    return sorted(found, key=lambda one: -one[2].evidence)
+            taken |= mask
+            found.append(_seen_instrument(outline, mask, score, evidence))
+    return sorted(found, key=lambda one: -one.evidence)
 
 
 def _filled(outline: Outline, like: Image) -> Image:
@@ -81,10 +72,7 @@ def _is_taken(outline: Outline, strips: Sequence[Image]) -> bool:
 
 
 def _instance_mask(outline: Outline, evidence: Evidence, free: Mask) -> Mask:
-    """The instance mask of a shaft's instrument: all between its sides, and evidence that is connected with it.
-
-    No more than is `free`, (h, w).
-    """
+    """What is `free`, (h, w), of all between a shaft's sides, and of evidence that is connected with it."""
     outline = outline.whole
     height, width = evidence.core.shape
     x, y = np.arange(width, dtype=np.float32)[None, :], np.arange(height, dtype=np.float32)[:, None]
@@ -92,13 +80,11 @@ def _instance_mask(outline: Outline, evidence: Evidence, free: Mask) -> Mask:
     for side, inward in zip(outline.sides, (1.0, -1.0), strict=True):
         u = side[1] - side[0]
         normal = inward * np.array([-u[1], u[0]]) / max(float(np.linalg.norm(u)), 1e-9)
-        depth = np.minimum(
-            depth, (x - float(side[0, 0])) * float(normal[0]) + (y - float(side[0, 1])) * float(normal[1])
-        )
-    end, (ux, uy) = outline.sides[:, 1].mean(0), outline.axis
-    along = (x - float(end[0])) * float(ux) + (y - float(end[1])) * float(uy)
-    across = np.abs((y - float(end[1])) * float(ux) - (x - float(end[0])) * float(uy))
-    width_px = outline.end_width_px
+        off_x, off_y = x - float(side[0, 0]), y - float(side[0, 1])
+        depth = np.minimum(depth, off_x * float(normal[0]) + off_y * float(normal[1]))
+    end, (ux, uy), width_px = outline.sides[:, 1].mean(0), outline.axis.tolist(), outline.end_width_px
+    off_x, off_y = x - float(end[0]), y - float(end[1])
+    along, across = off_x * ux + off_y * uy, np.abs(off_y * ux - off_x * uy)
     likely = ((evidence.odds > 0.0) | (evidence.hidden > 0)) & (evidence.core > 0)
     strip = (along < 0.0) & (depth > 0.0)
     beside = (along < 0.0) & (depth > -BESIDE_WIDTHS * outline.width_px - 1.0) & likely
@@ -111,48 +97,27 @@ def _instance_mask(outline: Outline, evidence: Evidence, free: Mask) -> Mask:
     return np.asarray(labels == int(own.argmax()) if own.any() else strip & free)
 
 
-def likely_parts(evidence: Evidence) -> Mask:
-    """Connected parts of a working image, shape (h, w), that are likely instrument, whatever their shape."""
-    parts, area = evidence.parts
-    mean = np.bincount(parts.ravel(), evidence.odds.ravel(), len(area)) / np.maximum(area, 1)
-    kept = (mean > LIKELY) & (area > evidence.settings.least_area * cv2.countNonZero(evidence.core))
-    kept[0] = False
-    return np.asarray(kept[parts])
-
-
 @dataclass(frozen=True)
 class SeenInstrument:
-    """An instrument that comes in from the picture's border, in pixels of the image it was found in.
+    """An instrument that comes in from the picture's border, in pixels of the image it was found in."""
 
-    `small_mask` is its mask in the working image, of whose pixels one is `pixel_px` wide; the image has the `size`
-    (h, w). `sides`, shape (2, 2, 2), holds the ends of both sides as (x, y), at the border first. `end_px` (2,) is the
-    middle of the shaft's end. `evidence`, from 0 to 1, says how sure it is that this is an instrument.
-    `side_covariance` (2, 2, 2) is that of each side's offsets at both ends in px², `end_std_px` the end's deviation
-    along the axis, infinite where the shaft goes on to the border, and `ends_dark` says that it is the end of a part
-    and not of the outline: the other one of both, `other_px` further along, has a probability of `other_share`, and one
-    only `near_widths` of its width from the border, too near for the sides to be the shaft's, of `near_share`. It
-    `shows_shaft` where what comes in is not a wrist already, and where it may be one, the shaft's width is off by
-    `wrist_std` over it. It `touches_another` where what is connected with it comes in elsewhere, too. `knows_tip` is
-    False where the tip may be at either end.
-    """
-
-    small_mask: Mask
-    size: tuple[int, int]
-    sides: Array
-    end_px: Array
-    evidence: float
-    side_covariance: Array = field(default_factory=lambda: np.zeros((2, 2, 2)))
-    end_std_px: float = np.inf
-    ends_dark: bool = False
-    pixel_px: float = 2.0
-    other_px: float = 0.0
-    other_share: float = 0.0
-    near_widths: float = 0.0
-    near_share: float = 0.0
-    shows_shaft: bool = True
-    wrist_std: float = 0.0
-    touches_another: bool = False
-    knows_tip: bool = True
+    small_mask: Mask  # in the working image
+    size: tuple[int, int]  # (h, w) of the image
+    sides: Array  # the ends of both sides as (x, y), at the border first, shape (2, 2, 2)
+    end_px: Array  # the middle of the shaft's end, shape (2,)
+    evidence: float  # how sure it is that this is an instrument, from 0 to 1
+    side_covariance: Array = field(default_factory=lambda: np.zeros((2, 2, 2)))  # of sides' offsets at both ends, px²
+    end_std_px: float = np.inf  # of the end along the axis; infinite where the shaft goes on to the border
+    ends_dark: bool = False  # whether it is the end of a part and not of the outline
+    pixel_px: float = 2.0  # the width of a pixel of the working image
+    other_px: float = 0.0  # how much further along the other one of both is
+    other_share: float = 0.0  # the probability that that is the shaft's end
+    near_widths: float = 0.0  # from the border to an end too near for the sides to be the shaft's, over its width
+    near_share: float = 0.0  # the probability of that one
+    shows_shaft: bool = True  # whether what comes in is not a wrist already
+    wrist_std: float = 0.0  # where it may be one: by how much the shaft's width is off, over it
+    touches_another: bool = False  # what is connected with it comes in elsewhere, too
+    knows_tip: bool = True  # False where the tip may be at either end
 
     @property
     def entry_px(self) -> Array:
@@ -173,15 +138,14 @@ class SeenInstrument:
     @cached_property
     def mask(self) -> Image:
         """All of it, shape (h, w)."""
-        return _enlarged(self.small_mask.astype(np.uint8) * 255, self.size)
+        return _enlarged(255 * self.small_mask.astype(np.uint8), self.size)
 
     @cached_property
     def shaft(self) -> Image:
         """What of it is before the shaft's end, shape (h, w)."""
         x, y = (np.arange(count, dtype=np.float32) for count in self.size[::-1])
         across, down = (x - float(self.end_px[0])) * float(self.axis[0]), y - float(self.end_px[1])
-        is_before = across[None, :] < -(down * float(self.axis[1]))[:, None]
-        return self.mask * is_before
+        return self.mask * (across[None, :] < -(down * float(self.axis[1]))[:, None])
 
     @cached_property
     def distal(self) -> Image:
@@ -194,49 +158,46 @@ class SeenInstrument:
         rows, columns = np.nonzero(self.small_mask)
         places = (np.stack([columns, rows], axis=1) + 0.5) * self.pixel_px - 0.5 - self.end_px
         ahead = places @ self.axis
-        farthest = ahead.max(initial=0.0)
-        if farthest <= 0.0:
+        if (farthest := ahead.max(initial=0.0)) <= 0.0:
             return self.end_px
         return np.asarray(self.end_px + places[ahead > farthest - 2.0 * self.pixel_px].mean(0))
 
 
-def seen_instrument(found: Found, evidence: Evidence) -> SeenInstrument:
+def part_entering(outline: Outline, evidence: Evidence) -> float:
+    """The network's log-odds of a shaft against wrist and jaws, of what comes in."""
+    reach_px = outline.length_px if outline.end_px is None else outline.end_px
+    places = outline.across(ENTERING * reach_px, MIDDLE)
+    shown = evidence.seen_at(places) & (sampled(evidence.hidden, places, nearest=True) == 0)
+    return median(sampled(evidence.scores[1], places)[shown]) if shown.any() else -np.inf
+
+
+def _seen_instrument(outline: Outline, mask: Mask, score: float, evidence: Evidence) -> SeenInstrument:
     """An instrument of a working image in the pixels of the image that it was made of."""
-    outline, mask, score = found
     sides, end_px = (np.asarray((one + 0.5) / evidence.scale - 0.5) for one in (outline.sides, outline.end))
     pixel_px = 1.0 / evidence.scale
-    known = pixel_px**2 * outline.covariance, pixel_px * outline.end_std_px, outline.ends_dark
+    known = pixel_px**2 * outline.covariance, pixel_px * outline.end_std_px, outline.ends_dark, pixel_px
     other = pixel_px * outline.other_px, outline.other_share
     near = outline.near_px / outline.width_px, outline.near_share
-    entering, touches = part_entering(outline, evidence), _comes_in_elsewhere(outline, mask, evidence)
-    known_of_part = entering > LEAST_ENTERING, WRIST_NARROWER * _may_be_wrist(outline, entering), touches
-    of_image = sides, end_px, score.evidence, *known, pixel_px, *other, *near
-    return SeenInstrument(mask, evidence.size, *of_image, *known_of_part)
-
-
-def _may_be_wrist(outline: Outline, entering: float) -> float:
-    """Whether what comes in may be a wrist, from 0 to 1, by log-odds of a shaft: none is as long as many shafts are."""
+    # What comes in may be a wrist, which is never as long as many shafts are.
+    entering = part_entering(outline, evidence)
     length = float(np.linalg.norm(outline.end - outline.start)) / max(outline.end_width_px, 1e-9)
-    return float(np.clip(SURE_ENTERING - entering, 0.0, 1.0) * np.clip(LONGEST_WRIST - length, 0.0, 1.0))
-
-
-def _comes_in_elsewhere(outline: Outline, mask: Mask, evidence: Evidence) -> bool:
-    """Whether what is connected with an instrument comes in at another place, too: another one touches it."""
+    may_be_wrist = float(np.clip(SURE_ENTERING - entering, 0.0, 1.0) * np.clip(LONGEST_WRIST - length, 0.0, 1.0))
+    # Where what is connected with it comes in at another place, too, another instrument touches it.
     parts, _ = evidence.parts
     own = np.bincount(parts[mask & (parts > 0)], minlength=1)
     beside = np.zeros_like(evidence.core)
     line = np.rint([outline.start - outline.length_px * outline.axis, outline.end]).astype(np.int32)
     cv2.polylines(beside, [line], False, 255, max(1, round(ENTRY_WIDTHS * outline.width_px)))
     rim = (parts == int(own.argmax())) & (evidence.rim > 0) & (beside == 0)
-    return bool(own.any() and np.count_nonzero(rim) >= LEAST_RIM_PX)
+    touches = bool(own.any() and np.count_nonzero(rim) >= LEAST_RIM_PX)
+    of_part = entering > LEAST_ENTERING, WRIST_NARROWER * may_be_wrist, touches
+    of_image = sides, end_px, score, *known, *other, *near
+    return SeenInstrument(mask, evidence.size, *of_image, *of_part)
 
 
 def _enlarged(mask: Image, size: tuple[int, int]) -> Image:
     large = cv2.resize(mask, size[::-1], interpolation=cv2.INTER_LINEAR)
     return np.asarray(cv2.threshold(large, 127, 255, cv2.THRESH_BINARY)[1], np.uint8)
-
-
-DEFAULT = AutoSettings()
 
 
 class AutoMasks:
@@ -248,12 +209,16 @@ class AutoMasks:
     @cached_property
     def seen(self) -> tuple[SeenInstrument, ...]:
         """The instruments, the surest first."""
-        return tuple(seen_instrument(found, self.evidence) for found in find_instruments(self.evidence))
+        return tuple(find_instruments(self.evidence))
 
     @cached_property
     def _others(self) -> Image:
-        """Instruments without a straight shaft, shape (h, w)."""
-        return _enlarged(255 * likely_parts(self.evidence).astype(np.uint8), self.evidence.size)
+        """Connected parts that are likely instrument, whatever their shape."""
+        evidence, (parts, area) = self.evidence, self.evidence.parts
+        mean = np.bincount(parts.ravel(), evidence.odds.ravel(), len(area)) / np.maximum(area, 1)
+        kept = (mean > LIKELY) & (area > evidence.settings.least_area * cv2.countNonZero(evidence.core))
+        kept[0] = False
+        return _enlarged(255 * kept[parts].astype(np.uint8), evidence.size)
 
     @cached_property
     def picture(self) -> Image:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property, reduce
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.instruments.evidence import SQUARE_3, Evidence, Floats
+from svmdist.vision.instruments.evidence import CORRELATION_PX, SQUARE_3, Evidence, Floats, sampled, strongest
 
 START_ODDS = 0.5  # from which on a pixel of the rim belongs to a place where an instrument comes in
 UNSURE_ODDS = -1.5  # down to which an instrument may go on to the rim: in the dark of a corner none is seen
@@ -31,7 +31,6 @@ STATION_SHARES = np.linspace(0.02, 0.99, STATIONS)  # of the length, where profi
 BY_ENDS = np.stack([1.0 - STATION_SHARES, STATION_SHARES], -1)  # a side's offsets there by those of its ends
 WINDOWS = (0.5, 0.3, 0.3)  # about the line of each step, over the profiles' reach
 LEAST_REACH_PX = 3.0
-CORRELATION_PX = 3.5  # the network's pixel is 2 of the working image or more: neighbours within err alike
 EDGE_LEVELS = 8.0  # of 255: steps of so much are as likely noise
 EDGE_STD_PX = 0.4  # of a side in the working image: what all its points have in common
 MOST_POINTS = 5.0  # points of a side that err independently, beside that
@@ -46,25 +45,18 @@ TILT = (1.0, 0.6)  # tangent of the axis' angle to the image plane: mean and dev
 
 @dataclass(frozen=True)
 class Outline:
-    """Two straight sides in px, (2, 2, 2): side, border and inner end, (x, y).
-
-    `covariance` (2, 2, 2) is that of each side's offsets at both its ends. The shaft ends `end_px` along the axis from
-    the border, at the sides' ends where that is None, and the outline `whole_px`; `end_std_px` is how well the end is
-    known, infinite where the shaft leaves the picture. `ends_dark` says that a part ends there and the outline goes on;
-    with a probability of `other_share` it is the other one of both that ends the shaft, `other_px` further on, and of
-    `near_share` something `near_px` from the border, too near for it to have sides.
-    """
+    """Two straight sides in px, (2, 2, 2): side, border and inner end, (x, y)."""
 
     sides: Array
-    covariance: Array = field(default_factory=lambda: np.zeros((2, 2, 2)))
-    end_px: float | None = None
-    whole_px: float | None = None
-    end_std_px: float = np.inf
-    ends_dark: bool = False
-    other_px: float = 0.0
-    other_share: float = 0.0
-    near_px: float = 0.0
-    near_share: float = 0.0
+    covariance: Array = field(default_factory=lambda: np.zeros((2, 2, 2)))  # of each side's offsets at both its ends
+    end_px: float | None = None  # of the shaft, along the axis from the border; None: at the sides' ends
+    whole_px: float | None = None  # the same of the outline
+    end_std_px: float = np.inf  # infinite where the shaft leaves the picture
+    ends_dark: bool = False  # a part ends there, and the outline goes on
+    other_px: float = 0.0  # how much further on the other one of both ends is
+    other_share: float = 0.0  # the probability that that is the shaft's
+    near_px: float = 0.0  # from the border to an end that is too near for the shaft to have sides
+    near_share: float = 0.0  # the probability of that one
 
     @property
     def end(self) -> Array:
@@ -79,7 +71,6 @@ class Outline:
 
     @cached_property
     def _run(self) -> Array:
-        """From the start to the middle between both inner ends, shape (2,)."""
         return np.asarray(0.5 * (self.sides[0, 1] + self.sides[1, 1]) - self.start)
 
     @cached_property
@@ -90,8 +81,7 @@ class Outline:
     @cached_property
     def normal(self) -> Array:
         """Unit vector from the first side to the second, across the axis, shape (2,)."""
-        x, y = self.axis
-        return np.array([-y, x])
+        return np.array([-self.axis[1], self.axis[0]])
 
     @cached_property
     def length_px(self) -> float:
@@ -101,8 +91,7 @@ class Outline:
     @cached_property
     def width_px(self) -> float:
         """Mean distance of both sides."""
-        between = self.sides[1] - self.sides[0]
-        return float(0.5 * (between[0] + between[1]) @ self.normal)
+        return float(0.5 * (self.sides[1] - self.sides[0]).sum(0) @ self.normal)
 
     @property
     def end_width_px(self) -> float:
@@ -125,8 +114,7 @@ class Outline:
         first, second = (ends / max(self.length_px, 1e-9)).tolist()
         J = np.array([[1.0 - first, first], [1.0 - second, second]])
         end, whole = (None if one is None else one - start_px for one in (self.end_px, self.whole_px))
-        covariance = J @ self.covariance @ J.T
-        return replace(self, sides=self.at(ends), covariance=covariance, end_px=end, whole_px=whole)
+        return replace(self, sides=self.at(ends), covariance=J @ self.covariance @ J.T, end_px=end, whole_px=whole)
 
     @cached_property
     def whole(self) -> Outline:
@@ -140,28 +128,9 @@ class Outline:
         return between.view(np.float64).reshape(*between.shape, 2)
 
 
-def sampled(field: Image | Floats, places: Array, nearest: bool = False) -> NDArray[np.float32]:
-    """A field's values at places (x, y), shape (..., 2), linearly; 0 outside of it."""
-    flat = np.ascontiguousarray(places.reshape(-1, places.shape[-2], 2), np.float32)
-    how = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
-    values = cv2.remap(field, flat, None, how, borderMode=cv2.BORDER_CONSTANT, borderValue=0)  # type: ignore[call-overload]
-    return np.asarray(values.reshape(*places.shape[:-1], *field.shape[2:]), np.float32)
-
-
-def strongest(change: Floats) -> Floats:
-    """The largest of three channels, shape (..., 3): NumPy's own maximum along a short axis takes ten times longer."""
-    return reduce(np.maximum, np.moveaxis(change, -1, 0))
-
-
-def seen_at(evidence: Evidence, places: Array) -> NDArray[np.bool_]:
-    """Whether light reaches places (x, y), shape (..., 2), of the picture."""
-    return sampled(evidence.core, places, nearest=True) > 0
-
-
 def starts(evidence: Evidence) -> Iterator[Outline]:
     """Strips from every place of the rim where evidence comes in, for sure or not, the best direction first."""
     odds, core = evidence.odds, evidence.core
-    width = odds.shape[1]
     likely = np.asarray(255 * ((odds > START_ODDS) & (core > 0)), np.uint8)
     likely = np.asarray(cv2.morphologyEx(likely, cv2.MORPH_OPEN, SQUARE_3), np.uint8)
     # What does not reach the rim goes on to it through what is not surely something else (hysteresis).
@@ -175,9 +144,8 @@ def starts(evidence: Evidence) -> Iterator[Outline]:
         if stats[label, 4] < LEAST_RIM_PX:
             continue
         y, x = np.nonzero(labels == label)
-        entry = np.array([x.mean(), y.mean()])
-        reach_px = 0.5 * float(np.hypot(np.ptp(x), np.ptp(y))) + 1.0 + MARGIN * width
-        yield from _strips(clipped, core, entry, reach_px)
+        reach_px = 0.5 * float(np.hypot(np.ptp(x), np.ptp(y))) + 1.0 + MARGIN * core.shape[1]
+        yield from _strips(clipped, core, np.array([x.mean(), y.mean()]), reach_px)
 
 
 def _strips(clipped: Floats, core: Image, entry: Array, reach_px: float) -> Iterator[Outline]:
@@ -191,22 +159,20 @@ def _strips(clipped: Floats, core: Image, entry: Array, reach_px: float) -> Iter
     if not len(u):
         return
     normal = np.stack([-u[:, 1], u[:, 0]], -1)
-    along, off = (
-        np.arange(2.0, START_LENGTHS[-1] * width, ALONG_PX),
-        np.arange(-reach_px, reach_px + 1.0, ACROSS_PX),
-    )
+    along = np.arange(2.0, START_LENGTHS[-1] * width, ALONG_PX)
+    off = np.arange(-reach_px, reach_px + 1.0, ACROSS_PX)
     lines = (entry + off[:, None] * normal[:, None]).astype(np.float32).view(np.complex64)  # (angles, off, 1)
     steps = (along[:, None] * u[:, None]).astype(np.float32).view(np.complex64)  # (angles, along, 1)
     places = (lines[:, None, :, 0] + steps).view(np.float32).reshape(*steps.shape[:2], -1, 2)
     total = np.cumsum(sampled(clipped, places), axis=1)  # (angles, along, off)
     best: list[tuple[float, int, int, int, int]] = []
+    rows, columns = np.arange(len(u)), np.arange(len(off) + 1)
     for length in START_LENGTHS:
         last = min(int(length * width / ALONG_PX), len(along)) - 1
         profile = np.concatenate([np.zeros((len(u), 1)), np.cumsum(total[:, last], axis=1)], axis=1)
         low = np.minimum.accumulate(profile, axis=1)  # the best interval (Kadane 1984)
-        columns = np.arange(profile.shape[1])
         begins = np.maximum.accumulate(np.where(profile == low, columns, 0), axis=1)
-        rows, last_at = np.arange(len(u)), np.argmax(profile - low, axis=1)
+        last_at = np.argmax(profile - low, axis=1)
         inside, first_at = (profile - low)[rows, last_at], begins[rows, last_at]
         strip_px = ACROSS_PX * (last_at - first_at)
         score = (2.0 * inside - profile[:, -1]) / np.sqrt(last + 1.0)
@@ -216,43 +182,38 @@ def _strips(clipped: Floats, core: Image, entry: Array, reach_px: float) -> Iter
     for _, at, low_at, high, last in sorted(best, reverse=True):
         if len(kept) < STARTS_PER_PLACE and all(u[at] @ u[other] < np.cos(LEAST_TURN_RAD) for other in kept):
             kept.append(at)
-            edges = off[0] + ACROSS_PX * (np.array([low_at, high]) - 0.5)
-            ends = np.array([0.0, along[last]])
+            edges, ends = off[0] + ACROSS_PX * (np.array([low_at, high]) - 0.5), np.array([0.0, along[last]])
             yield Outline(entry + ends[None, :, None] * u[at] + edges[:, None, None] * normal[at])
 
 
 def from_border(outline: Outline, evidence: Evidence) -> Outline | None:
     """The outline from where its axis comes into the picture; None where that is not in view."""
-    end_px = outline.length_px
-    along = np.arange(end_px, end_px - 2.0 * max(evidence.core.shape), -1.0)
-    seen = seen_at(evidence, outline.across(along, np.array([0.5])))[:, 0]
+    along = np.arange(outline.length_px, outline.length_px - 2.0 * max(evidence.core.shape), -1.0)
+    seen = evidence.seen_at(outline.across(along, np.array([0.5])))[:, 0]
     first = int(np.argmax(seen))
     if not seen[first]:
         return None
-    gone = np.flatnonzero(~seen[first:])
-    start_px = float(along[first + gone[0] - 1] if len(gone) else along[-1])
-    return outline.cut(start_px, float(along[first])) if along[first] - start_px > LEAST_WIDTH_PX else None
+    last = first + int(np.argmin(np.append(seen[first:], False))) - 1
+    start_px, end_px = float(along[last]), float(along[first])
+    return outline.cut(start_px, end_px) if end_px - start_px > LEAST_WIDTH_PX else None
 
 
 def _before_end(outline: Outline, along_px: Array) -> Array:
     """How likely places along the axis, (n,), are well before the shaft's end, whichever of its two that is."""
-    ends_px, shares = np.array([outline.length_px]), np.ones(1)
-    if outline.end_px is not None:
-        near_px = min(outline.end_px, outline.end_px + outline.other_px)
+    ends_px, shares, end_px = [outline.length_px], [1.0], outline.end_px
+    if end_px is not None and (near_px := min(end_px, end_px + outline.other_px)) < outline.length_px:
         near = outline.other_share if outline.other_px < 0.0 else 1.0 - outline.other_share
-        if near_px < outline.length_px:
-            ends_px, shares = np.append(ends_px, near_px), np.array([1.0 - near, near])
+        ends_px, shares = [outline.length_px, near_px], [1.0 - near, near]
     # Near the end the outline may not be the shaft's any more.
-    clear_px = ends_px[:, None] - along_px - END_CLEAR * outline.width_px
+    clear_px = np.array(ends_px)[:, None] - along_px - END_CLEAR * outline.width_px
     clear = np.clip(clear_px / (0.05 * outline.width_px + 0.5), -50.0, 50.0)
-    return np.asarray(shares @ (1.0 / (1.0 + np.exp(-clear))))
+    return np.asarray(np.array(shares) @ (1.0 / (1.0 + np.exp(-clear))))
 
 
 def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_weight: float) -> Outline | None:
     """Both sides moved onto their edges, found along profiles; None where they leave the picture or meet."""
-    length_px, width_px = outline.length_px, outline.width_px
-    along_px, J = STATION_SHARES * length_px, BY_ENDS
-    outward = outline.normal * np.array([-1.0, 1.0])[:, None]
+    length_px, width_px, J = outline.length_px, outline.width_px, BY_ENDS
+    along_px, outward = STATION_SHARES * length_px, outline.normal * np.array([-1.0, 1.0])[:, None]
     half_px = max(reach_widths * width_px, LEAST_REACH_PX)
     offsets = np.linspace(-half_px, half_px, SAMPLES)
     places = outline.at(along_px)[:, :, None] + offsets[:, None] * outward[:, None, None]
@@ -261,8 +222,8 @@ def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_wei
     weight_cap = min(1.0, length_px / STATIONS / CORRELATION_PX) * before * usable
     per_px = length_px * width_px / (FOCAL_WIDTHS * evidence.core.shape[1])
     narrowing = np.array([1.0, -1.0, 1.0, -1.0])  # of the width, by the offsets of all ends
-    widths = _widths(outline)
-    expected_px = TILT[0] * per_px - float(widths[0] - widths[1])
+    at_border, at_end = (outline.sides[1] - outline.sides[0]) @ outline.normal
+    expected_px = TILT[0] * per_px - float(at_border - at_end)
     std_px = TILT[1] * per_px + TAPER_STD * length_px
     prior = np.outer(narrowing, narrowing) / std_px**2 + 1e-6 * np.eye(4)
     moved = np.zeros((2, 2))
@@ -270,12 +231,10 @@ def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_wei
         at = moved @ J.T
         mean, variance = _moments(log_p, offsets, at, window * half_px)
         std = np.sqrt(variance + EDGE_STD_PX**2)
-        z = (at - mean) / std
-        weight = weight_cap / (1.0 + (z / CAUCHY) ** 2) / std**2
+        weight = weight_cap / (1.0 + ((at - mean) / std / CAUCHY) ** 2) / std**2
         total = np.maximum(weight.sum(1, keepdims=True), 1e-9)
         weight *= np.minimum(1.0, MOST_POINTS / EDGE_STD_PX**2 / total)
-        A = prior.copy()
-        b = narrowing * expected_px / std_px**2
+        A, b = prior.copy(), narrowing * expected_px / std_px**2
         for side in (0, 1):
             of_side = np.s_[2 * side : 2 * side + 2]
             A[of_side, of_side] += J.T @ (J * weight[side, :, None])
@@ -285,29 +244,22 @@ def fitted(outline: Outline, evidence: Evidence, reach_widths: float, region_wei
     agreement = (weight * (at - mean) ** 2).sum() / max(weight_cap.sum(), 1e-9)
     known = np.linalg.inv((A - prior) / float(np.clip(agreement, LEAST_AGREEMENT, MOST_DISAGREEMENT)) + prior)
     covariance = np.stack([known[:2, :2], known[2:, 2:]]) + EDGE_STD_PX**2 * np.eye(2)
-    sides = outline.sides + moved[..., None] * outward[:, None]
-    new = replace(outline, sides=sides, covariance=covariance)
-    fits = LEAST_WIDTH_PX <= new.width_px <= MOST_WIDTH * evidence.core.shape[1] and _widths(new).min() > 1.0
+    new = replace(outline, sides=outline.sides + moved[..., None] * outward[:, None], covariance=covariance)
+    fits = LEAST_WIDTH_PX <= new.width_px <= MOST_WIDTH * evidence.core.shape[1]
+    fits &= ((new.sides[1] - new.sides[0]) @ new.normal).min() > 1.0
     return from_border(new, evidence) if fits and new.axis @ outline.axis > 0.5 else None
 
 
 def _moments(log_p: Array, offsets: Array, at: Array, window_px: float) -> tuple[Array, Array]:
-    """Mean and variance (2, n) of edges of log p (2, n, m) at offsets (m,), each in a window about `at` (2, n).
-
-    The window's own share is taken out.
-    """
+    """Mean and variance (2, n) of edges of log p (2, n, m) at offsets (m,), in windows about `at` (2, n)."""
     windowed = log_p - 0.5 * ((offsets - at[..., None]) / window_px) ** 2
     p = np.exp(windowed - windowed.max(2, keepdims=True))
     p /= p.sum(2, keepdims=True)
     mean = p @ offsets
     variance = (p * (offsets - mean[..., None]) ** 2).sum(2) + 0.1
+    # The window's own share is taken out.
     free = 1.0 / np.maximum(1.0 / variance - 1.0 / window_px**2, 0.15 / window_px**2)
     return at + (mean - at) * np.minimum(free / variance, 3.0), free
-
-
-def _widths(outline: Outline) -> Array:
-    """Distance of both sides at the border and at the end, shape (2,)."""
-    return np.asarray((outline.sides[1] - outline.sides[0]) @ outline.normal)
 
 
 def _log_posterior(
@@ -323,5 +275,4 @@ def _log_posterior(
     step = np.zeros(seen.shape)
     step[..., apart:-apart] = strongest(np.abs(levels[:, :, 2 * apart :] - levels[:, :, : -2 * apart]))
     step[..., apart:-apart] *= seen[..., 2 * apart :] & seen[..., : -2 * apart]
-    log_p = region_weight * region + np.log1p((step / EDGE_LEVELS) ** 2)
-    return np.where(seen, log_p, -30.0), seen
+    return np.where(seen, region_weight * region + np.log1p((step / EDGE_LEVELS) ** 2), -30.0), seen
