@@ -1,7 +1,6 @@
-"""Ways in which the world is not what logs and profiles state, for `record` and for replay alike.
+"""Ways in which the world is not what logs and profiles state, for `record` and for replay: their table, and a choice.
 
-Their table, whose entries are data in `table.toml`, and those of a run. The other modules apply them to what a robot
-reports (`joints.py`), and to what log and profile state and images show (`calibration.py`).
+The other modules apply them: to what a robot reports (`joints`), log and profile state and images show (`calibration`).
 """
 
 from __future__ import annotations
@@ -19,35 +18,26 @@ import numpy as np
 from svmdist.errors import UsageError, did_you_mean
 from svmdist.transforms import Array
 
-
-class Place(StrEnum):
-    """What a perturbation changes."""
-
-    JOINTS = "joints"
-    CLOCK = "clock"
-    CALIBRATION = "calibration"
-    IMAGES = "images"
+Place = StrEnum("Place", ["JOINTS", "CLOCK", "CALIBRATION", "IMAGES"])
+"""What a perturbation changes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Size:
     """A strength in real worlds, in the perturbation's unit: `uniform` between two bounds, or a normal of mean 0.
 
-    The bounds are often the same. `std` is the normal's deviation, which a profile may state. With several `axes`, the
-    strength is the length of a vector that has `std` along each of them; its direction is sampled apart from it. Beyond
-    `limit` it is sampled again.
+    With several `axes`, the strength is the length of a vector whose direction is sampled apart from it.
     """
 
-    uniform: Sequence[float] | None = None
-    std: float = 0.0
+    uniform: Sequence[float] | None = None  # the bounds are often the same
+    std: float = 0.0  # along each axis
     axes: int = 1
-    limit: float = np.inf
+    limit: float = np.inf  # beyond it, it is sampled again
 
     def draw(self, rng: np.random.Generator) -> float:
         """Sample the strength of one world."""
         if self.uniform is not None:
-            low, high = self.uniform
-            return float(rng.uniform(low, high))
+            return float(rng.uniform(*self.uniform))
         while True:
             sample = rng.normal(0.0, self.std, self.axes)
             strength = float(sample[0]) if self.axes == 1 else float(np.linalg.norm(sample))
@@ -57,11 +47,7 @@ class Size:
 
 @dataclass(frozen=True, slots=True)
 class Perturbation:
-    """One perturbation: a strength in `unit`, from `low` to `high`; a strength of `neutral` changes nothing.
-
-    `real` is its size under `--world real`, with `source`, where that is from; None leaves it out there.
-    What cannot be applied to an existing log is not `at_replay`.
-    """
+    """One perturbation: a strength in `unit`, from `low` to `high`; a strength of `neutral` changes nothing."""
 
     name: str
     unit: str
@@ -69,10 +55,10 @@ class Perturbation:
     meaning: str
     low: float
     high: float
-    real: Size | None = None
-    source: str = ""
+    real: Size | None = None  # its size under `--world real`; None leaves it out there
+    source: str = ""  # of that size
     neutral: float = 0.0
-    at_replay: bool = True
+    at_replay: bool = True  # whether it can be applied to an existing log
 
 
 def _read_table() -> Iterator[Perturbation]:
@@ -97,11 +83,8 @@ def find_perturbation(name: str) -> Perturbation:
 _STRENGTH_STREAM, _DIRECTION_STREAM, _PATH_STREAM = 40, 41, 42
 
 
-class World(StrEnum):
-    """`--world`: exactly what log and profile state, or as far from it as real worlds are."""
-
-    IDEAL = "ideal"
-    REAL = "real"
+World = StrEnum("World", ["IDEAL", "REAL"])
+"""`--world`: exactly what log and profile state, or as far from it as real worlds are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,14 +126,12 @@ UNPERTURBED = Perturbations()
 
 
 def draw_world(world: World, seed: int, given: Perturbations = UNPERTURBED) -> Perturbations:
-    """Sample the perturbations of a recording: in a real world all that have a size there, then the given ones.
+    """Sample the perturbations of a recording: in a real world all that have a size there; the given ones go before.
 
-    A given strength replaces a sampled one. Each name has a random stream of its own, so that a new entry of the table
-    changes no other one. Sampled strengths have six digits, so that metadata stay readable.
+    Each name has a random stream of its own, so that a new entry of the table changes no other one. Sampled strengths
+    have six digits, so that metadata stay readable.
     """
-    if world is World.IDEAL:
-        return given
-    sizes = {name: entry.real for name, entry in TABLE.items() if entry.real is not None}
+    sizes = {name: entry.real for name, entry in TABLE.items() if entry.real is not None and world is World.REAL}
     sampled = {name: float(f"{size.draw(_stream(seed, _STRENGTH_STREAM, name)):.6g}") for name, size in sizes.items()}
     return Perturbations(tuple((sampled | dict(given.strengths)).items()))
 

@@ -13,12 +13,8 @@ from svmdist.profile.toml import Angle, Fraction, Length, NonNegative, Positive,
 from svmdist.transforms import Array, FrameName, make_transform, rotation_z
 
 Vector = tuple[float, float, float]
-EntrySide = Literal["left", "right", "above", "below"]
-"""The side of the picture that an instrument comes in from."""
-ARM_TOPICS = ("joints", "pose", "ground_truth_distance")
-"""The topics that every instrument has of its own; the others are the whole scene's."""
-AWAY = 0.5  # z of a plane's normal from which on no camera of less than 120° sees the plane
-ROUNDED = 0.01  # how far a normal's length may be from 1, written with two digits; it is normalised
+EntrySide = Literal["left", "right", "above", "below"]  # of the picture, that an instrument comes in from
+ARM_TOPICS = ("joints", "pose", "ground_truth_distance")  # of each instrument; the others are the whole scene's
 TAGS = {"16h5": (30, 6), "25h9": (35, 7), "36h10": (2320, 8), "36h11": (587, 8)}
 """Of each AprilTag family: the number of its tags, which count from 0, and the cells of a black square's side."""
 
@@ -79,16 +75,13 @@ class Robot(StrictModel):
     @property
     def joint_names(self) -> frozenset[str]:
         """The names and aliases of the moving joints."""
-        return frozenset(name for joint in self._moving for name in (joint.name, *joint.aliases))
-
-    @property
-    def _moving(self) -> list[Joint]:
-        return [joint for joint in self.joints if joint.type != "fixed"]
+        moving = (joint for joint in self.joints if joint.type != "fixed")
+        return frozenset(name for joint in moving for name in (joint.name, *joint.aliases))
 
     def missing_joints(self, names: Iterable[str]) -> list[str]:
         """The moving joints that are not among the names of a log, not by an alias either."""
-        there = set(names)
-        return [joint.name for joint in self._moving if not there & {joint.name, *joint.aliases}]
+        moving = (joint for joint in self.joints if joint.type != "fixed")
+        return [joint.name for joint in moving if not {joint.name, *joint.aliases} & set(names)]
 
 
 class KinematicError(StrictModel):
@@ -102,8 +95,7 @@ class KinematicError(StrictModel):
     joint_std_m: NonNegative = 1e-3
     camera_base_std_rad: Angle = float(np.deg2rad(2.0))
     camera_base_std_m: NonNegative = 5e-3
-    first_moving_joint: str | None = None
-    """Errors of joints before it are part of the camera-to-base transform's; None: every joint moves."""
+    first_moving_joint: str | None = None  # errors of joints before it are camera-to-base's; None: every joint moves
     drift_rad_per_sqrt_s: NonNegative = 1e-4
     drift_m_per_sqrt_s: NonNegative = 1e-5
     play_std_rad: Angle = float(np.deg2rad(0.4))  # changing with the motion: backlash, friction, noise
@@ -170,9 +162,9 @@ class Fiducial(StrictModel):
 
 
 class Dome(StrictModel):
-    """A dome over the tissue's outline: height h (1 - g^a)^b at normalised radius g, 0 at the apex, 1 on the outline.
+    """A dome over the image's outline of tissue: height h (1 - g^a)^b at normalised radius g, 1 on the outline.
 
-    The defaults make half an ellipsoid. The outline comes from the image; the apex is over its middle.
+    The defaults make half an ellipsoid. The apex is over the outline's middle.
     """
 
     height_m: SmallLength
@@ -212,9 +204,9 @@ class Tissue(StrictModel):
     @classmethod
     def _unit(cls, normal: Vector) -> Vector:
         length = float(np.linalg.norm(normal))
-        if abs(length - 1.0) > ROUNDED:
+        if abs(length - 1.0) > 0.01:  # written with two digits
             raise ValueError(f"it must have length 1, found {length:.7g}")
-        if normal[2] > AWAY * length:
+        if normal[2] > 0.5 * length:  # no camera of less than 120° sees such a plane
             raise ValueError("it points away from the camera: towards it z is negative, as in [0, 0, -1]")
         x, y, z = normal
         return normal if abs(length - 1.0) <= 1e-12 else (x / length, y / length, z / length)

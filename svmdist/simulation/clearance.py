@@ -25,7 +25,6 @@ CELL_M = 0.001
 
 BULLET_SCALE = 1000.0
 """Bullet is tuned for objects of about one metre: it counts in millimetres, with collision margins of zero."""
-SEARCH_RADIUS_M = 0.2
 
 
 class _Samples:
@@ -97,12 +96,11 @@ class TissueClearance:
         press is measured to what the others leave.
         """
         posed, organ = self._posed(q, offset_m), self._organ
-        inside, touches = [organ.inside(its) for its in posed], [False] * len(posed)
-        if self._is_soft and any(len(its) for its in inside):
-            touches = [len(its) > 0 and not organ.is_too_deep(its) for its in inside]
-            if not all(touches):
-                organ = organ.dented(np.vstack(inside))
-                inside = [organ.inside(its) for its in posed]
+        inside = [organ.inside(its) for its in posed]
+        touches = [self._is_soft and len(its) > 0 and not organ.is_too_deep(its) for its in inside]
+        if self._is_soft and any(len(its) for its in inside) and not all(touches):
+            organ = organ.dented(np.vstack(inside))
+            inside = [organ.inside(its) for its in posed]
         return [
             0.0 if touch else -organ.depth_m(its) if len(its) else arm.distance_m(points_m, organ)
             for arm, points_m, its, touch in zip(self._arms, posed, inside, touches, strict=True)
@@ -131,7 +129,7 @@ class InstrumentClearance(BulletWorld):
         for scene, bodies, q in zip(self._scenes, self._bodies, (q_first, q_second), strict=True):
             for body, T_world_part in zip(bodies, scene.part_poses(q), strict=True):
                 self.place(body, T_world_part, BULLET_SCALE)
-        smallest_mm = SEARCH_RADIUS_M * BULLET_SCALE
+        smallest_mm = 0.2 * BULLET_SCALE
         for body, other in product(*self._bodies):
             # Pairs that are farther apart than the nearest so far need no distance.
             points = self.call("getClosestPoints", body, other, max(smallest_mm, 0.0))

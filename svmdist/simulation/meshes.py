@@ -22,9 +22,7 @@ from svmdist.samples import Image
 from svmdist.transforms import Array, make_transform, rotation_x, rotation_z, transform_points
 from svmdist.vision.tags import tag_dictionary
 
-SIDE_COUNT = 64
-FLOOR_HALF_M = 0.16
-TEXTURE_PX = 1024
+SIDE_COUNT, TEXTURE_PX = 64, 1024
 _TISSUE_STREAM, _FLOOR_STREAM = 2, 3
 TEXTURE_SPAN_M = 0.07  # the tissue's texture covers a square of this side about the tissue frame's origin
 
@@ -56,15 +54,14 @@ def loft(x_m: Array, half_y_m: Array, half_z_m: Array, roundness: float = 2.0) -
     b = np.roll(a, -1, axis=1)
     inner, outer = np.stack([a[:-1], b[:-1], b[1:]], -1), np.stack([a[:-1], b[1:], a[1:]], -1)
     sides = np.concatenate([inner.reshape(-1, 3), outer.reshape(-1, 3)])
-    vertices, faces, normals = [grid.reshape(-1, 3)], [sides], [smooth_normals(grid.reshape(-1, 3), sides)]
+    points_m, faces, normals = grid.reshape(-1, 3), sides, smooth_normals(grid.reshape(-1, 3), sides)
     for ring, direction in ((grid[0], -1.0), (grid[-1], 1.0)):
-        here = sum(map(len, vertices)) + np.arange(SIDE_COUNT)
+        here = len(points_m) + np.arange(SIDE_COUNT)
         following, centre = np.roll(here, -1), np.full(SIDE_COUNT, here[0] + SIDE_COUNT)
-        faces.append(np.stack([here, following, centre] if direction > 0 else [following, here, centre], -1))
-        vertices.append(np.vstack([ring, ring.mean(axis=0)]))
-        normals.append(np.tile([direction, 0.0, 0.0], (SIDE_COUNT + 1, 1)))
-    points_m = np.concatenate(vertices)
-    return DrawnMesh(points_m, np.concatenate(faces), np.concatenate(normals), np.full((len(points_m), 2), 0.5))
+        cap = np.stack([here, following, centre] if direction > 0 else [following, here, centre], -1)
+        points_m, faces = np.vstack([points_m, ring, ring.mean(axis=0)]), np.vstack([faces, cap])
+        normals = np.vstack([normals, np.tile([direction, 0.0, 0.0], (SIDE_COUNT + 1, 1))])
+    return DrawnMesh(points_m, faces, normals, np.full((len(points_m), 2), 0.5))
 
 
 def revolve(x_m: Array, radius_m: Array) -> DrawnMesh:
@@ -102,28 +99,26 @@ def smooth_normals(vertices_m: Array, faces: NDArray[np.int64]) -> Array:
 
 def make_floor() -> DrawnMesh:
     """A flat sheet in the world's frame at z = 0, finely divided for even shading."""
-    count = 33
-    axis = np.linspace(-FLOOR_HALF_M, FLOOR_HALF_M, count)
-    x, y = np.meshgrid(axis, axis)
-    vertices_m = np.stack([x.ravel(), y.ravel(), np.zeros(count * count)], -1)
+    count, half_m = 33, 0.16
+    axis = np.linspace(-half_m, half_m, count)
+    x, y, z = (each.ravel() for each in np.meshgrid(axis, axis, 0.0))
+    vertices_m = np.stack([x, y, z], -1)
     a = np.arange(count * count).reshape(count, count)[:-1, :-1].reshape(-1, 1)
     faces = np.vstack([a + np.array(corners) for corners in ((0, 1, count + 1), (0, count + 1, count))])
-    uv = 0.5 + vertices_m[:, :2] / (2.0 * FLOOR_HALF_M)
-    return DrawnMesh(vertices_m, faces, smooth_normals(vertices_m, faces), uv)
+    return DrawnMesh(vertices_m, faces, smooth_normals(vertices_m, faces), 0.5 + vertices_m[:, :2] / (2.0 * half_m))
 
 
 def make_retractor() -> DrawnMesh:
     """A flat steel blade along +x from its tip at the origin; `occlusion` swings it over the instrument."""
     x_m = np.array([0.0, 0.0008, 0.002, 0.004, 0.008, 0.09])
     half_y_m = np.array([0.0035, 0.0052, 0.0062, 0.0068, 0.007, 0.007])
-    half_z_m = np.array([0.0006, 0.0007, 0.0008, 0.0008, 0.0008, 0.0008])
-    return loft(x_m, half_y_m, half_z_m, roundness=3.0)
+    return loft(x_m, half_y_m, np.array([0.0006, 0.0007, *[0.0008] * 4]), roundness=3.0)
 
 
 def tissue_texture(seed: int) -> Image:
     """Red-pink mottling with a few faint, branching vessels; BGR, shape (1024, 1024, 3)."""
     rng = np.random.default_rng([seed, _TISSUE_STREAM])
-    mottling = 0.9 * _smooth_noise(rng, 8) + 0.3 * _smooth_noise(rng, 17)
+    mottling = 0.9 * _smooth_noise(rng, 8, 8) + 0.3 * _smooth_noise(rng, 17, 17)
     colour = np.array([92.0, 84.0, 214.0]) + mottling[..., None] * np.array([38.0, 36.0, 18.0])
     lines = np.zeros((TEXTURE_PX, TEXTURE_PX), np.uint8)
     for _ in range(5):
@@ -134,13 +129,13 @@ def tissue_texture(seed: int) -> Image:
 
 def floor_texture(seed: int) -> Image:
     """Dull beige-brown folds, low in saturation; BGR, shape (1024, 1024, 3)."""
-    folds = _smooth_noise(np.random.default_rng([seed, _FLOOR_STREAM]), 7, stretch=2.2)[..., None]
+    folds = _smooth_noise(np.random.default_rng([seed, _FLOOR_STREAM]), 7, 3)[..., None]
     return _as_image(np.array([104.0, 112.0, 122.0]) + folds * np.array([13.0, 14.0, 14.0]))
 
 
-def _smooth_noise(rng: np.random.Generator, cell_count: int, stretch: float = 1.0) -> Array:
-    """Noise with `cell_count` bumps across the texture, longer along x by `stretch`; mean 0 and about -1 to 1."""
-    cells = rng.uniform(-1.0, 1.0, (cell_count, max(2, round(cell_count / stretch))))
+def _smooth_noise(rng: np.random.Generator, *counts: int) -> Array:
+    """Noise with so many bumps along y and along x of the texture; mean 0 and about -1 to 1."""
+    cells = rng.uniform(-1.0, 1.0, counts)
     return np.asarray(cv2.resize(cells, (TEXTURE_PX, TEXTURE_PX), interpolation=cv2.INTER_CUBIC), np.float64)
 
 
@@ -148,8 +143,8 @@ def _grow_vessel(canvas: Image, rng: np.random.Generator, start_px: Array, headi
     position = start_px
     for step in range(16):
         following = position + 24.0 * np.array([np.cos(heading_rad), np.sin(heading_rad)])
-        ends = [tuple(round(float(value) * 16) for value in point) for point in (position, following)]
-        cv2.line(canvas, ends[0], ends[1], 255, max(1, round(width_px)), cv2.LINE_AA, shift=4)
+        ends = np.rint(16.0 * np.array([position, following])).astype(int).tolist()
+        cv2.line(canvas, *ends, 255, max(1, round(width_px)), cv2.LINE_AA, shift=4)
         position = following
         heading_rad += rng.normal(0.0, 0.22)
         width_px *= 0.93
@@ -161,10 +156,8 @@ def _as_image(colour: Array) -> Image:
     return np.clip(np.rint(colour), 0, 255).astype(np.uint8)
 
 
-SHAFT_RGBA = (0.13, 0.13, 0.145, 1.0)
-STEEL_RGBA = (0.62, 0.63, 0.65, 1.0)
-DARK_STEEL_RGBA = (0.45, 0.46, 0.48, 1.0)
-MARKER_RGBA = (0.0, 0.62, 0.70, 1.0)
+SHAFT_RGBA, MARKER_RGBA = (0.13, 0.13, 0.145, 1.0), (0.0, 0.62, 0.70, 1.0)
+STEEL_RGBA, DARK_STEEL_RGBA = (0.62, 0.63, 0.65, 1.0), (0.45, 0.46, 0.48, 1.0)
 GREY_RGBA = (0.42, 0.42, 0.44, 1.0)  # of a worn or a bright shaft: twice as bright as a threshold on darkness accepts
 BLUE_RGBA = (0.16, 0.27, 0.52, 1.0)
 RING_LENGTH_M, RING_RADIUS_M = 0.0018, 0.00235

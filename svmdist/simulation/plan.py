@@ -1,9 +1,5 @@
 """The plan of a recording: all that is fixed before the first image, for each arm and for the stamps of the log.
 
-Cables stretch and set-up joints are read by potentiometers: a da Vinci research kit places its tool centimetres off in
-the camera's frame, while its motion is repeatable to fractions of a millimetre. The errors of the nominal kinematics
-are therefore constant in a recording, sampled by seed.
-
 A plan holds no physics world and can be sent to another process. A block is one image with all samples up to the
 next; each can be made by itself, so that the content does not depend on who makes it, or in which order.
 """
@@ -48,10 +44,11 @@ def draw_nominal_kinematics(
 ) -> tuple[Array, Array]:
     """Draw the nominal kinematics of a seed for one of the arms; `scale` multiplies the profile's kinematic error.
 
-    Gives what is added to true joints, rad or m, (n_joints,), and the nominal `T_camera_base`, (4, 4). The same seed
-    samples the same directions at every scale. The error of `T_camera_base` is a rotation about the base's origin and a
-    shift, both in the camera's axes. Joints that hold still while the robot works have no error: theirs is a part of
-    the error of `T_camera_base`.
+    Gives what is added to true joints, rad or m, (n_joints,), and the nominal `T_camera_base`, (4, 4), whose error is a
+    rotation about the base's origin and a shift, both in the camera's axes. Joints that hold still while the robot
+    works have none: theirs is a part of it. The same seed samples the same directions at every scale. All are constant
+    in a recording: a da Vinci research kit, whose cables stretch and whose set-up joints are read by potentiometers,
+    places its tool centimetres off in the camera's frame, with motion repeatable to fractions of a millimetre.
     """
     further = [arm] if arm else []
 
@@ -73,20 +70,16 @@ def draw_nominal_kinematics(
 
 @dataclass(frozen=True)
 class Arm:
-    """An arm of a scene: profile and scene as it sees them, its topics, its exact joints (n, n_joints) at all stamps.
-
-    `nominal_chain` is the profile's. `reported` are the joints that it reports at the same stamps, (n, n_joints).
-    `prefix` stands before the names of its links in transforms; the first arm's have none.
-    """
+    """An arm of a scene: profile and scene as it sees them."""
 
     profile: Profile
     scene: Scene
     topics: dict[str, str]
-    q: Array
-    nominal_chain: DHChain
+    q: Array  # exact joints at all stamps, shape (n, n_joints)
+    nominal_chain: DHChain  # the profile's
     nominal_T_camera_base: Array
-    reported: Array
-    prefix: str
+    reported: Array  # joints that it reports at the same stamps, shape (n, n_joints)
+    prefix: str  # of the names of its links in transforms; the first arm's have none
 
     def reports(self, stamp_ns: int, index: int) -> Iterator[tuple[str, Sample]]:
         """Yield joints and pose as the encoders have them at the stamp number `index`."""
@@ -122,11 +115,7 @@ class SceneState:
 
 @dataclass(frozen=True)
 class Plan:
-    """A recording before it is made; the first arm's scene is the world's.
-
-    All arrays have one entry for each stamp: `stamps_ns` (n,), whether an image, joints or the cameras' calibration
-    come with it (n,), the retractor's poses (n, 4, 4), or None where there is none, and the tissue's offset (n,).
-    """
+    """A recording before it is made; the first arm's scene is the world's. Arrays have one entry for each stamp."""
 
     scene: Scene
     arms: tuple[Arm, ...]
@@ -136,7 +125,7 @@ class Plan:
     with_image: NDArray[np.bool_]
     with_joints: NDArray[np.bool_]
     with_camera_info: NDArray[np.bool_]
-    T_world_retractor: Array | None
+    T_world_retractor: Array | None  # (n, 4, 4)
     tissue_offset_m: Array
 
     @property

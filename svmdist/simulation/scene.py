@@ -23,9 +23,7 @@ from svmdist.transforms import Array, inverse, make_transform, rotation_z
 from svmdist.vision.degradations import require_degradation
 
 TISSUE_SHIFT_M = 0.0015  # by seed, the organ stands this far from the camera's axis at most, along x and along y
-BREATHING_HZ = 0.25  # 15 breaths a minute, as a ventilator is set
-PULSE_HZ = 1.2  # 72 beats a minute
-JAW_HZ = 0.3
+BREATHING_HZ, PULSE_HZ, JAW_HZ = 0.25, 1.2, 0.3  # 15 breaths a minute, as a ventilator is set; 72 beats a minute
 _MOTION_STREAM, _JAW_STREAM = 101, 104
 
 R_WORLD_CAMERA: Array = np.diag([1.0, -1.0, -1.0])
@@ -33,22 +31,16 @@ R_WORLD_CAMERA: Array = np.diag([1.0, -1.0, -1.0])
 
 @dataclass(frozen=True)
 class Options:
-    """Options of a simulation; the defaults are the plain one.
+    """Options of a simulation; the defaults are the plain one."""
 
-    `stereo` adds the right camera, `tag` mounts the profile's fiducial plate, `kinematic_error` scales the error of
-    the nominal kinematics (0 none, 1 as the profile states). `degradations` are applied to the images in order, behind
-    the sensor's noise: (name, severity). `arms` is the number of instruments. `perturbations` were sampled for `world`.
-    `noise` is the sensor's, a standard deviation in 8-bit levels.
-    """
-
-    stereo: bool = False
-    tag: bool = False
-    kinematic_error: float = 0.0
-    degradations: tuple[tuple[str, int], ...] = ()
+    stereo: bool = False  # adds the right camera
+    tag: bool = False  # mounts the profile's fiducial plate
+    kinematic_error: float = 0.0  # scales the error of the nominal kinematics: 0 none, 1 as the profile states
+    degradations: tuple[tuple[str, int], ...] = ()  # (name, severity), in order, behind the sensor's noise
     arms: int = 1
-    perturbations: Perturbations = UNPERTURBED
+    perturbations: Perturbations = UNPERTURBED  # sampled for the world
     world: World = World.IDEAL
-    noise: float = 0.0
+    noise: float = 0.0  # the sensor's, a standard deviation in 8-bit levels
 
     def __post_init__(self) -> None:
         for name, severity in self.degradations:
@@ -73,14 +65,11 @@ PLAIN = Options()
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The world of one seed: the chain and where its base, the camera and the tissue stand.
-
-    `camera` is what the calibration states.
-    """
+    """The world of one seed: the chain and where its base, the camera and the tissue stand."""
 
     chain: DHChain
     posture: Array
-    camera: Camera
+    camera: Camera  # as the calibration states it
     T_world_base: Array
     T_world_camera: Array
     T_world_tissue: Array
@@ -124,14 +113,14 @@ class Scene:
         return inverse(self.T_world_camera) @ raised(offset_m) @ self.T_world_tissue
 
     def link_poses(self, q: Array) -> dict[str, Array]:
-        """Poses `T_world_link`, shape (..., 4, 4), of all rows by name, for joints (..., n_joints)."""
+        """Poses `T_world_link`, shape (4, 4), of all rows by name, for joints (n_joints,)."""
         frames = self.T_world_base @ frame_transforms(self.chain, q)
-        return {row.name: frames[..., index, :, :] for index, row in enumerate(self.chain.rows)}
+        return {row.name: T for row, T in zip(self.chain.rows, frames, strict=True)}
 
     def part_poses(self, q: Array) -> Array:
-        """Poses `T_world_part`, shape (..., n_parts, 4, 4), for joints (..., n_joints)."""
+        """Poses `T_world_part`, shape (n_parts, 4, 4), for joints (n_joints,)."""
         links = self.link_poses(q)
-        return np.stack([links[part.link] @ part.T_link_part for part in self.parts], -3)
+        return np.stack([links[part.link] @ part.T_link_part for part in self.parts])
 
     def tissue_offset_m(self, t_s: Array) -> Array:
         """How far tissue and floor stand above their place at rest, shape (n,), at times since the start, (n,)."""
@@ -153,10 +142,10 @@ def make_scene(profile: Profile, seed: int, options: Options = PLAIN) -> Scene:
     if profile.robot is None or profile.instrument is None or profile.simulation is None:
         raise SimulationError(f"{cannot}: it needs [robot], [instrument] and [simulation]")
     chain, settings = chain_of(profile.robot), profile.simulation
-    missing = ", ".join(name for name in chain.joint_names if name not in settings.posture)
-    if missing or len(chain.rows) < 4:
-        reason = f"simulation.posture lacks {missing}" if missing else "an instrument needs four joints"
-        raise SimulationError(f"{cannot}: {reason}")
+    if missing := ", ".join(name for name in chain.joint_names if name not in settings.posture):
+        raise SimulationError(f"{cannot}: simulation.posture lacks {missing}")
+    if len(chain.rows) < 4:
+        raise SimulationError(f"{cannot}: an instrument needs four joints")
     if options.tag and profile.fiducial is None:
         raise SimulationError(f"profile {profile.name} has no tag to mount: it needs [fiducial]")
     # One stream for each thing, so that one of them can change without moving the others.

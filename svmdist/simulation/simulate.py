@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from functools import cached_property
+from itertools import chain
 
 import cv2
 import numpy as np
@@ -14,7 +15,7 @@ from svmdist.perturbations import Place
 from svmdist.perturbations.calibration import nominal_camera, zoomed_camera
 from svmdist.samples import CameraSample, DistanceSample, Image, ImageSample, Sample, TransformSample, TransformsSample
 from svmdist.simulation.clearance import InstrumentClearance, TissueClearance
-from svmdist.simulation.plan import Plan, SceneState
+from svmdist.simulation.plan import Plan
 from svmdist.simulation.render import Renderer
 from svmdist.simulation.scene import Options
 from svmdist.transforms import Array
@@ -23,9 +24,7 @@ from svmdist.vision.degradations import Degradation, degrade, image_seed, subsam
 FIELD_NS = 1e9 / 60.0  # between both fields of an interlaced frame (59.94 fields a second, ITU-R BT.601)
 OPTICS = frozenset({Degradation.DEFOCUS, Degradation.MOTION_BLUR})
 """Blur what falls on the sensor, and so each field for itself."""
-_NOISE_STREAMS = (11, 14)
-_DEGRADATION_STREAM = 15
-
+_NOISE_STREAMS, _DEGRADATION_STREAM = (11, 14), 15
 Noise = tuple[Array | None, ...]
 """The noise of one image of each camera, shape (height, width, 3) in 8-bit levels, or None where there is none."""
 
@@ -110,9 +109,9 @@ class Simulator(ExitStack):
 
     def _truth(self, stamp_ns: int, index: int) -> Iterator[tuple[str, Sample]]:
         """Yield the poses of tools and tissue, and their distances."""
-        plan, scene, arms = self._plan, self._plan.scene, self._plan.arms
+        plan, arms = self._plan, self._plan.arms
         frames, state = arms[0].profile.frames, plan.state(index)
-        T_camera_tissue = scene.T_camera_tissue(state.offset_m)
+        T_camera_tissue = plan.scene.T_camera_tissue(state.offset_m)
         tools = [arm.true_tool(stamp_ns, index) for arm in arms]
         tissue = TransformSample(stamp_ns, frames.camera, frames.tissue, T_camera_tissue)
         yield plan.topics["ground_truth_tf"], TransformsSample(stamp_ns, (tools[0], tissue, *tools[1:]))
@@ -121,8 +120,8 @@ class Simulator(ExitStack):
         for arm, origin_m, clearance_m in zip(arms, origins_m, clearances_m, strict=True):
             distance = _distance(stamp_ns, origin_m - T_camera_tissue[:3, 3], clearance_m)
             yield arm.topics["ground_truth_distance"], distance
-        for number, between in enumerate(self._between, start=1):
-            first, other = (arm.profile.instrument_name for arm in (arms[0], arms[number]))
+        first, *others = (arm.profile.instrument_name for arm in arms)
+        for number, (other, between) in enumerate(zip(others, self._between, strict=True), start=1):
             clearance_m = between.clearance_m(state.q[0], state.q[number])
             distance = _distance(stamp_ns, origins_m[0] - origins_m[number], clearance_m)
             yield f"/ground_truth/{first}/{other}/distance", distance
@@ -133,30 +132,26 @@ class Simulator(ExitStack):
         first, *others = (arm.nominal_transforms(stamp_ns, index) for arm in plan.arms)
         right = []
         if plan.options.stereo:
-            T_camera_right: Array | None = scene.T_camera_right
-            if plan.options.perturbations.changes(Place.CALIBRATION):
-                T_camera_right = stereo_transform(*self._nominal_cameras)
+            is_perturbed = plan.options.perturbations.changes(Place.CALIBRATION)
+            T_camera_right = stereo_transform(*self._nominal_cameras) if is_perturbed else scene.T_camera_right
             assert T_camera_right is not None  # the baseline is not 0
             right = [TransformSample(stamp_ns, scene.camera.frame_id, scene.right_camera.frame_id, T_camera_right)]
-        return TransformsSample(stamp_ns, (*first, *right, *(sample for other in others for sample in other)))
+        return TransformsSample(stamp_ns, (*first, *right, *chain.from_iterable(others)))
 
     def _images(self, stamp_ns: int, index: int, noise: Noise) -> Iterator[tuple[str, Sample]]:
         scene, topics = self._plan.scene, self._plan.topics
         frame = int(np.count_nonzero(self._plan.with_image[:index]))  # the image's number
-        interlace = scene.perturbations["interlace"]
+        interlace, count = scene.perturbations["interlace"], len(self.sensors.generators)
         delays_ns = (0.0, interlace * FIELD_NS) if interlace else (0.0,)  # even rows first, then odd ones
-        numbered = enumerate(delays_ns, frame * len(delays_ns))
-        fields = [self._pictures(self._plan.state(index, after_ns), number) for number, after_ns in numbered]
+        fields = []
+        for number, after_ns in enumerate(delays_ns, frame * len(delays_ns)):
+            state = self._plan.state(index, after_ns)
+            self._view.pose(state, self._tissue.indented(state.q, state.offset_m))
+            fields.append([self._view.draw(camera, turn=number * count + camera) for camera in range(count)])
         cameras = ((topics["image"], scene.camera), (topics["right_image"], scene.right_camera))
         for camera, of_camera in enumerate(zip(*fields, strict=True)):
             exposed = self.sensors.expose(camera, self.sensors.focus(camera, of_camera, frame), noise[camera], frame)
             yield cameras[camera][0], ImageSample(stamp_ns, cameras[camera][1].frame_id, exposed)
-
-    def _pictures(self, state: SceneState, number: int) -> list[Image]:
-        """What each camera sees of a state, the picture number `number` of the recording."""
-        self._view.pose(state, self._tissue.indented(state.q, state.offset_m))
-        count = len(self.sensors.generators)
-        return [self._view.draw(camera, turn=number * count + camera) for camera in range(count)]
 
 
 def _distance(stamp_ns: int, between_m: Array, clearance_m: float) -> DistanceSample:
