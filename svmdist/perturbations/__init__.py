@@ -80,7 +80,7 @@ def find_perturbation(name: str) -> Perturbation:
     return TABLE[name]
 
 
-_STRENGTH_STREAM, _DIRECTION_STREAM, _PATH_STREAM = 40, 41, 42
+_STRENGTH_STREAM, _DIRECTION_STREAM, PATH_STREAM = 40, 41, 42
 
 
 World = StrEnum("World", ["IDEAL", "REAL"])
@@ -131,8 +131,10 @@ def draw_world(world: World, seed: int, given: Perturbations = UNPERTURBED) -> P
     Each name has a random stream of its own, so that a new entry of the table changes no other one. Sampled strengths
     have six digits, so that metadata stay readable.
     """
-    sizes = {name: entry.real for name, entry in TABLE.items() if entry.real is not None and world is World.REAL}
-    sampled = {name: float(f"{size.draw(_stream(seed, _STRENGTH_STREAM, name)):.6g}") for name, size in sizes.items()}
+    sampled = {}
+    for name, entry in TABLE.items() if world is World.REAL else ():
+        if entry.real is not None:
+            sampled[name] = float(f"{entry.real.draw(random_stream(seed, _STRENGTH_STREAM, name)):.6g}")
     return Perturbations(tuple((sampled | dict(given.strengths)).items()))
 
 
@@ -150,13 +152,8 @@ def parse_perturbations(text: str) -> Perturbations:
 
 def direction(seed: int, name: str, axes: int) -> Array:
     """The direction of a perturbation in the world of a seed: a unit vector, shape (axes,)."""
-    sample = _stream(seed, _DIRECTION_STREAM, name).normal(0.0, 1.0, axes)
+    sample = random_stream(seed, _DIRECTION_STREAM, name).normal(0.0, 1.0, axes)
     return np.asarray(sample / np.linalg.norm(sample))
-
-
-def path_stream(seed: int, name: str, arm: int = 0) -> np.random.Generator:
-    """The random stream of what a perturbation does to one arm over time."""
-    return _stream(seed, _PATH_STREAM, name, arm)
 
 
 def require_at_replay(perturbations: Perturbations) -> None:
@@ -167,5 +164,6 @@ def require_at_replay(perturbations: Perturbations) -> None:
             raise UsageError(f"perturbation {name} cannot be applied at replay: the choices are {possible}")
 
 
-def _stream(seed: int, stream: int, name: str, *further: int) -> np.random.Generator:
+def random_stream(seed: int, stream: int, name: str, *further: int) -> np.random.Generator:
+    """The random numbers of one thing about a perturbation in the world of a seed."""
     return np.random.default_rng([seed, stream, zlib.crc32(name.encode()), *further])

@@ -68,11 +68,6 @@ class Robot(StrictModel):
             raise ValueError(f"joint names must differ; given twice: {', '.join(doubles)}")
 
     @property
-    def T_last_tool(self) -> Array:
-        """The constant transform behind the last row, shape (4, 4)."""
-        return np.eye(4) if self.tool_rotation is None else make_transform(self.tool_rotation, np.zeros(3))
-
-    @property
     def joint_names(self) -> frozenset[str]:
         """The names and aliases of the moving joints."""
         moving = (joint for joint in self.joints if joint.type != "fixed")

@@ -17,9 +17,9 @@ from svmdist.perturbations import Perturbations
 from svmdist.samples import Image
 from svmdist.transforms import Array, inverse, transform_points
 
-K1, K2 = -0.2, 0.05
-"""Of strength 1: the corner of a 60° image moves by 11 % of its radius towards the middle, as in an endoscope with a
-wide field. With both times 2.8 or more, r (1 + k1 r² + k2 r⁴) would no longer grow with r everywhere."""
+DISTORTION = np.array([-0.2, 0.05, 0.0, 0.0, 0.0])
+"""k1, k2, p1, p2, k3 of a lens of strength 1: the corner of a 60° image moves by 11 % of its radius towards the
+middle, as in a wide endoscope. Times 2.8 or more, r (1 + k1 r² + k2 r⁴) would no longer grow with r everywhere."""
 LENS_MARGIN_PX, LENS_ITERATIONS = 2, 1000  # a few pixels in the corners need as many; most take ten
 LAMP_M = np.array([0.0025, -0.005, 0.0])
 """The lamp in the left camera's frame: between both lenses of a stereo endoscope, at the upper rim of its tip."""
@@ -37,11 +37,6 @@ _BUMP_STREAM, _BLOOD_STREAM = 105, 106
 NO_PART = -1
 Depths = NDArray[np.float32]
 Points = NDArray[np.float32]  # images of positions, shape (h, w, 3): a float32 resolves 10 nm at 0.1 m
-
-
-def distortion_coefficients(strength: float) -> Array:
-    """OpenCV's k1, k2, p1, p2, k3 of a lens of a strength, shape (5,)."""
-    return np.array([K1 * strength, K2 * strength, 0.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -69,17 +64,13 @@ class Lens:
 
 @dataclass(frozen=True)
 class Surfaces:
-    """What stands at each pixel of a pinhole image: depths along the optical axis in m, float32 (h, w), and parts.
-
-    `behind_m` is the depth of tissue and floor, also where something is before them; `is_still`, bool (h, w), is where
-    they are seen. `part`, int16 (h, w), numbers the frames `T_camera_part`, shape (4, 4) each, or is NO_PART.
-    """
+    """What stands at each pixel of a pinhole image: shape (h, w), depths are along the optical axis in m."""
 
     camera: Camera
     depth_m: Depths
-    behind_m: Depths
-    is_still: NDArray[np.bool_]
-    part: NDArray[np.int16]
+    behind_m: Depths  # of tissue and floor, also where something is before them
+    is_still: NDArray[np.bool_]  # where they are seen
+    part: NDArray[np.int16]  # numbers these frames, or is NO_PART
     T_camera_part: tuple[Array, ...]
 
     def points_m(self, depth_m: Depths) -> Points:

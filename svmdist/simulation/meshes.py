@@ -124,13 +124,15 @@ def tissue_texture(seed: int) -> Image:
     for _ in range(5):
         _grow_vessel(lines, rng, rng.uniform(0.25, 0.75, 2) * TEXTURE_PX, rng.uniform(0.0, 2.0 * np.pi), width_px=9.0)
     vessels = cv2.GaussianBlur(lines, (0, 0), 4.0).astype(np.float64)[..., None] / 255.0
-    return _as_image(colour + vessels * np.array([-22.0, -34.0, -48.0]))
+    colour += vessels * np.array([-22.0, -34.0, -48.0])
+    return np.clip(np.rint(colour), 0, 255).astype(np.uint8)
 
 
 def floor_texture(seed: int) -> Image:
     """Dull beige-brown folds, low in saturation; BGR, shape (1024, 1024, 3)."""
     folds = _smooth_noise(np.random.default_rng([seed, _FLOOR_STREAM]), 7, 3)[..., None]
-    return _as_image(np.array([104.0, 112.0, 122.0]) + folds * np.array([13.0, 14.0, 14.0]))
+    colour = np.array([104.0, 112.0, 122.0]) + folds * np.array([13.0, 14.0, 14.0])
+    return np.clip(np.rint(colour), 0, 255).astype(np.uint8)
 
 
 def _smooth_noise(rng: np.random.Generator, *counts: int) -> Array:
@@ -152,17 +154,12 @@ def _grow_vessel(canvas: Image, rng: np.random.Generator, start_px: Array, headi
             _grow_vessel(canvas, rng, position, heading_rad + rng.choice([-0.8, 0.8]), width_px * 0.7)
 
 
-def _as_image(colour: Array) -> Image:
-    return np.clip(np.rint(colour), 0, 255).astype(np.uint8)
-
-
 SHAFT_RGBA, MARKER_RGBA = (0.13, 0.13, 0.145, 1.0), (0.0, 0.62, 0.70, 1.0)
 STEEL_RGBA, DARK_STEEL_RGBA = (0.62, 0.63, 0.65, 1.0), (0.45, 0.46, 0.48, 1.0)
 GREY_RGBA = (0.42, 0.42, 0.44, 1.0)  # of a worn or a bright shaft: twice as bright as a threshold on darkness accepts
 BLUE_RGBA = (0.16, 0.27, 0.52, 1.0)
 RING_LENGTH_M, RING_RADIUS_M = 0.0018, 0.00235
 """A ring about the fork's tines that shows about as many pixels as the coloured sphere: 9 mm² from the side."""
-THICKNESS_M = 0.0006
 CELL_PX = 48  # texture pixels to a cell of the tag: some ten for each pixel of the image
 WHITE, BLACK = 225, 22  # printed paper; white stays below saturation under the scene's light
 
@@ -204,12 +201,13 @@ def make_parts(instrument: Instrument, chain: DHChain, perturbations: Perturbati
     bridge_z_m = np.array([0.9 * wrist_m, fork_m + 0.0003, fork_m])
     bridge = loft(bridge_x_m, np.array([0.9, 0.5, 0.3]) * wrist_m, bridge_z_m, roundness=2.6)
     tine = bar((-0.62 * wrist_length_m, 0.0006), 0.0005, 0.0003)
-    tines = [tine.transformed(_shift(0.0, side * (fork_m + 0.0001))) for side in (-1.0, 1.0)]
+    tines = [tine.transformed(make_transform(np.eye(3), [0.0, 0.0, z_m])) for z_m in (-fork_m - 1e-4, fork_m + 1e-4)]
     # A jaw's blade runs from inside the distal marker to a rounded tip; thin across the hinge, wider along it.
     x = np.array([0.06, 0.4, 0.8, 0.93, 0.98, 1.0]) * instrument.jaw_length_m
     half_width = np.array([0.75, 0.95, 0.72, 0.55, 0.38, 0.12]) * instrument.jaw_radius_m
     half_thickness = np.array([0.5, 0.52, 0.42, 0.34, 0.24, 0.08]) * instrument.jaw_radius_m
     blade, aside_m = loft(x, half_thickness, half_width, roundness=2.8), 0.55 * instrument.jaw_radius_m
+    left, right = (make_transform(np.eye(3), [0.0, y_m, 0.0]) for y_m in (-aside_m, aside_m))
     tip, ring_m, grey, blue = (perturbations[name] for name in ("tip", "ring", "shaft_grey", "shaft_blue"))
     shaft_rgba = _between(_between(SHAFT_RGBA, GREY_RGBA, grey), BLUE_RGBA, blue)
     parts = (
@@ -220,17 +218,13 @@ def make_parts(instrument: Instrument, chain: DHChain, perturbations: Perturbati
         Part("left_tine", wrist_pitch, tines[0], STEEL_RGBA),
         Part("right_tine", wrist_pitch, tines[1], STEEL_RGBA),
         Part("knuckle", wrist_yaw, sphere(marker_m), _between(MARKER_RGBA, STEEL_RGBA, 1.0 if ring_m else tip)),
-        Part("fixed_jaw", wrist_yaw, blade.transformed(_shift(-aside_m, 0.0)), STEEL_RGBA),
-        Part("moving_jaw", jaw, blade.transformed(T_jaw_wrist @ _shift(aside_m, 0.0)), STEEL_RGBA),
+        Part("fixed_jaw", wrist_yaw, blade.transformed(left), STEEL_RGBA),
+        Part("moving_jaw", jaw, blade.transformed(T_jaw_wrist @ right), STEEL_RGBA),
     )
     if not ring_m:
         return parts
     ends_m = -1e-3 * ring_m + 0.5 * RING_LENGTH_M * np.array([-1.0, 1.0])
     return (*parts, Part("ring", wrist_pitch, revolve(ends_m, np.full(2, RING_RADIUS_M)), MARKER_RGBA))
-
-
-def _shift(y_m: float, z_m: float) -> Array:
-    return make_transform(np.eye(3), [0.0, y_m, z_m])
 
 
 def _between(start: Rgba, end: Rgba, share: float) -> Rgba:
@@ -244,10 +238,10 @@ def make_plate(fiducial: Fiducial) -> Part:
     cells = cv2.aruco.generateImageMarker(dictionary, fiducial.id, dictionary.markerSize + 2)  # with its black border
     with_margin = np.pad(np.where(cells > 0, WHITE, BLACK).astype(np.uint8), 1, constant_values=WHITE)
     texture = with_margin.repeat(CELL_PX, axis=0).repeat(CELL_PX, axis=1)
-    # A box from z = -THICKNESS_M to the face at z = 0, which alone shows the texture.
+    # A box 0.6 mm thick up to the face at z = 0, which alone shows the texture.
     corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     top = np.column_stack([corners * fiducial.plate_side_m / 2.0, np.zeros(4)])
-    bottom = top - [0.0, 0.0, THICKNESS_M]
+    bottom = top - [0.0, 0.0, 0.0006]
     sheets = [top, bottom[::-1]]
     sheets += [np.array([bottom[i], bottom[(i + 1) % 4], top[(i + 1) % 4], top[i]]) for i in range(4)]
     vertices_m = np.concatenate(sheets)

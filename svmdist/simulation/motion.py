@@ -96,18 +96,14 @@ class Scenario:
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion sampled over progress.
+    """A motion sampled over progress."""
 
-    `p_world_tool_m` (n, 3); `wrist_rad` (n, 4) holds roll, wrist pitch, wrist yaw and jaw as differences
-    from the posture. Where `lowering` is given, (n,), the path is lowered by that times the one length at which the
-    clearance at progress `lowest_at` is `clearance_m`.
-    """
-
-    p_world_tool_m: Array
-    wrist_rad: Array
+    p_world_tool_m: Array  # (n, 3)
+    wrist_rad: Array  # (n, 4): roll, wrist pitch, wrist yaw and jaw as differences from the posture
     retractor_xy_m: Array | None = None
-    clearance_m: float = 0.0
+    # The path is lowered by `lowering`, (n,), times the length that brings it to a clearance at progress `lowest_at`.
     lowering: Array | None = None
+    clearance_m: float = 0.0
     lowest_at: float = 1.0
 
 
@@ -197,8 +193,7 @@ SCENARIOS: dict[str, Callable[[np.random.Generator, Array, Scene, float], Motion
 def make_trajectory(scene: Scene, scenario: Scenario, progress: Array) -> tuple[Array, Array | None]:
     """Plan a scenario in a scene at values of progress, shape (n,); raises SimulationError out of reach.
 
-    Gives exact joints, shape (n, n_joints), and the retractor's poses (n, 4, 4), or None without one. Where tissue
-    moves, paths that end at a clearance move with it as they come near, as a surgeon's hand does.
+    Gives exact joints, shape (n, n_joints), and the retractor's poses (n, 4, 4), or None without one.
     """
     motion = plan_motion(scenario, progress, scene)
     p_m, xy_m = motion.p_world_tool_m, motion.retractor_xy_m
@@ -206,6 +201,7 @@ def make_trajectory(scene: Scene, scenario: Scenario, progress: Array) -> tuple[
         if motion.lowering is not None:
             lowering_m = _lowering_m(scene, plan_motion(scenario, np.array([motion.lowest_at]), scene))
             p_m[:, 2] -= lowering_m * motion.lowering
+            # The path moves with the tissue as it comes near, as a surgeon's hand does.
             p_m[:, 2] += scene.tissue_offset_m(progress * scenario.duration_s) * motion.lowering
         q = _joints(scene, p_m, motion.wrist_rad)
     except KinematicsError as problem:
@@ -241,11 +237,10 @@ def _lowering_m(scene: Scene, lowest: Motion) -> float:
 def make_other_arms(
     profile: Profile, scene: Scene, options: Options, q: Array, progress: Array, duration_s: float
 ) -> list[tuple[str, Scene, Array]]:
-    """Set up the further arms of a recording in which the first one moves by `q`, shape (n, n_joints).
+    """The name, scene and exact joints, shape (n, n_joints), of the arms beside the first, which moves by `q`.
 
-    Gives the name, the scene as it sees it and the exact joints, shape (n, n_joints), of each: on the lowest path that
-    keeps away from the first instrument. Raises SimulationError where the profile places fewer arms, or the bodies
-    cannot keep apart.
+    Each takes the lowest path that keeps away from the first instrument. Raises SimulationError where the profile
+    places fewer arms, or the bodies cannot keep apart.
     """
     placed = [other.name for other in profile.other_instruments if other.simulation is not None]
     if options.arms > 1 + len(placed):

@@ -24,8 +24,7 @@ from svmdist.simulation.motion import Scenario, make_other_arms, make_trajectory
 from svmdist.simulation.scene import PLAIN, Options, Scene, make_scene
 from svmdist.transforms import Array, make_transform
 
-START_NS = 1_700_000_000_000_000_000
-"""The stamp of the first sample. No clock is read, so that a rerun gives the same log."""
+START_NS = 1_700_000_000_000_000_000  # no clock is read, so that a rerun gives the same log
 CAMERA_INFO_PERIOD_NS = 1_000_000_000
 TOPICS = {
     "image": "/ECM/left/image",
@@ -88,12 +87,6 @@ class Arm:
         T_base_tool = forward_kinematics(self.nominal_chain, q)
         yield self.topics["pose"], PoseSample(stamp_ns, self.profile.frames.base, T_base_tool)
 
-    def true_tool(self, stamp_ns: int, index: int) -> TransformSample:
-        """The true pose of the tool at the stamp number `index`."""
-        frames = self.profile.frames
-        T_camera_tool = self.scene.T_camera_base @ forward_kinematics(self.scene.chain, self.q[index])
-        return TransformSample(stamp_ns, frames.camera, frames.tool, T_camera_tool)
-
     def nominal_transforms(self, stamp_ns: int, index: int) -> tuple[TransformSample, ...]:
         """The nominal camera-to-base transform, then the whole chain as the reported joints place it."""
         frames, chain = self.profile.frames, self.nominal_chain
@@ -152,10 +145,9 @@ class Plan:
 
 
 def make_plan(scenario: Scenario, profile: Profile, options: Options = PLAIN) -> Plan:
-    """Plan a recording.
+    """Plan a recording: joints and poses at the profile's joint rate, transforms and truth at every image's stamp.
 
-    Joints and poses come at the profile's joint rate, transforms and truth at every image's stamp. Raises
-    SimulationError where PyBullet is missing and needed, or the profile cannot be simulated.
+    Raises SimulationError where PyBullet is missing and needed, or the profile cannot be simulated.
     """
     perturbations, seed = options.perturbations, scenario.seed
     built = built_profile(profile, perturbations, seed)
@@ -170,19 +162,16 @@ def make_plan(scenario: Scenario, profile: Profile, options: Options = PLAIN) ->
     with_camera_info = np.zeros(len(stamps), np.bool_)
     with_camera_info[np.searchsorted(stamps, np.arange(START_NS, stamps[-1] + 1, CAMERA_INFO_PERIOD_NS))] = True
     progress = np.clip((stamps - START_NS) / (scenario.duration_s * 1e9), 0.0, 1.0)
-    path_s = progress * scenario.duration_s
     path, T_world_retractor = make_trajectory(scene, scenario, progress)
-    paths = [(profile, scene, path, "", "/ground_truth/distance")]
-    for name, other, q in make_other_arms(built, scene, options, path, progress, scenario.duration_s):
-        paths.append((profile.for_instrument(name), other, q, f"{name}_", f"/ground_truth/{name}/distance"))
+    others = make_other_arms(built, scene, options, path, progress, scenario.duration_s)
     arms = []
-    for number, (view, its, q, prefix, distance) in enumerate(paths):
+    for number, (name, its, q) in enumerate([(profile.instrument_name, scene, path), *others]):
+        view = profile.for_instrument(name) if number else profile
         assert view.robot is not None  # the scene has checked it
-        chain = chain_of(view.robot)  # an arm takes itself for the profile's
-        scale = options.kinematic_error
+        chain, scale = chain_of(view.robot), options.kinematic_error  # an arm takes itself for the profile's
         offsets, T_nominal = draw_nominal_kinematics(chain, its.T_camera_base, view, seed, scale, number)
         exact = q + offsets
-        exact[:, -1] -= its.jaw_opening_rad(path_s, number)
+        exact[:, -1] -= its.jaw_opening_rad(progress * scenario.duration_s, number)
         reported = exact
         if perturbations.changes(Place.JOINTS, Place.CLOCK):
             late = reported_late(exact[with_joints], joints, perturbations)
@@ -190,11 +179,10 @@ def make_plan(scenario: Scenario, profile: Profile, options: Options = PLAIN) ->
             # Interpolated between samples, where only transforms are written.
             seconds, at_s = 1e-9 * (stamps - joints[0]), 1e-9 * (joints - joints[0])
             reported = np.column_stack([np.interp(seconds, at_s, joint) for joint in samples.T])
-        name = view.instrument_name
         defaults = TOPICS | {"joints": f"/{name}/measured_js", "pose": f"/{name}/measured_cp"}
-        defaults["ground_truth_distance"] = distance
+        defaults["ground_truth_distance"] = f"/ground_truth/{name}/distance" if number else "/ground_truth/distance"
         topics = {role: getattr(view.topics, role) or topic for role, topic in defaults.items()}
-        arms.append(Arm(view, its, topics, q, chain, T_nominal, reported, prefix))
+        arms.append(Arm(view, its, topics, q, chain, T_nominal, reported, f"{name}_" if number else ""))
     tissue_offset_m = scene.tissue_offset_m(np.asarray((stamps - START_NS) * 1e-9, np.float64))
     due = stamps, with_image, with_joints, with_camera_info
     return Plan(scene, tuple(arms), arms[0].topics, options, *due, T_world_retractor, tissue_offset_m)

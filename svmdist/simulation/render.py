@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from svmdist.camera import R_OPENGL_OPENCV, Camera
 from svmdist.samples import Image
 from svmdist.simulation.bullet import BulletWorld, quiet
-from svmdist.simulation.effects import LAMP_M, NO_PART, Depths, Shader, Surfaces
+from svmdist.simulation.effects import DISTORTION, LAMP_M, NO_PART, Depths, Lens, Shader, Surfaces
 from svmdist.simulation.meshes import DrawnMesh, Part, Rgba, floor_texture, make_floor, make_retractor, tissue_texture
 from svmdist.simulation.organ import Organ
 from svmdist.simulation.plan import SceneState
@@ -41,10 +41,7 @@ _AWAY: Array = raised(1.0)  # behind the camera
 
 
 def projection_matrix(camera: Camera) -> list[float]:
-    """OpenGL's projection matrix, 16 numbers column by column, for the intrinsics K.
-
-    OpenGL puts the image's borders at -1 and 1; in pixel coordinates they lie at -0.5 and size - 0.5.
-    """
+    """OpenGL's projection matrix, column by column; the image's borders, -0.5 and size - 0.5, are at -1 and 1."""
     width, height, K = camera.width_px, camera.height_px, camera.K
     centre_x, centre_y = K[0, 2] + 0.5 + PIXEL_SHIFT[0], K[1, 2] + 0.5 + PIXEL_SHIFT[1]
     P = np.zeros((4, 4))
@@ -52,7 +49,7 @@ def projection_matrix(camera: Camera) -> list[float]:
     P[1, 1], P[1, 2] = 2.0 * K[1, 1] / height, 2.0 * centre_y / height - 1.0
     P[2, 2], P[2, 3] = (FAR_M + NEAR_M) / (NEAR_M - FAR_M), 2.0 * FAR_M * NEAR_M / (NEAR_M - FAR_M)
     P[3, 2] = -1.0
-    return [float(value) for value in P.T.ravel()]
+    return P.T.ravel().tolist()
 
 
 def metric_depth_m(buffer: Depths) -> Depths:
@@ -79,6 +76,10 @@ class Renderer(BulletWorld):
         super().__init__()
         self._turn = 0
         self._scenes, self._scene = scenes, (scene := scenes[0])
+        # The pinhole camera whose images are rendered is wider than the real one where the lens needs it.
+        strength = scene.perturbations["lens"] + scene.perturbations["lens_untold"]
+        self._lens = Lens.of(scene.camera, strength * DISTORTION) if strength else None
+        self._camera = self._lens.wide if self._lens else scene.camera
         self._T_world_cameras = (scene.T_world_camera, scene.T_world_camera @ scene.T_camera_right)
         # From the ideal world's lamp to one beside the lens, and less light around.
         share = scene.perturbations["light"]
@@ -130,8 +131,8 @@ class Renderer(BulletWorld):
     def draw(self, camera: int, turn: int) -> Image:
         """Draw what the left (0) or right (1) camera sees, shape (h, w, 3), as picture number `turn` of a recording."""
         image_bgr = self._pinhole(camera, turn)
-        if self._scene.lens is not None:
-            image_bgr = np.asarray(cv2.remap(image_bgr, self._scene.lens.at_px, None, cv2.INTER_LINEAR), np.uint8)
+        if self._lens is not None:
+            image_bgr = np.asarray(cv2.remap(image_bgr, self._lens.at_px, None, cv2.INTER_LINEAR), np.uint8)
         blurred = np.asarray(cv2.GaussianBlur(image_bgr, (0, 0), OPTICS_SIGMA_PX), np.uint8)
         return dimmed(blurred, self._scene.perturbations["border"], self._scene.perturbations["vignette"])
 
@@ -164,11 +165,10 @@ class Renderer(BulletWorld):
                 for body, T_world_body in bodies.items():
                     self.place(body, T_world_body if is_shown else _AWAY)
             self._shown = moving, still
-        camera = self._scene.drawn_camera
         # OpenGL's matrices have 16 numbers, column by column.
         view = (make_transform(R_OPENGL_OPENCV, np.zeros(3)) @ inverse(T_world_camera)).T.ravel().tolist()
-        matrices = {"viewMatrix": view, "projectionMatrix": projection_matrix(camera)}
-        width, height = camera.width_px, camera.height_px
+        matrices = {"viewMatrix": view, "projectionMatrix": projection_matrix(self._camera)}
+        width, height = self._camera.width_px, self._camera.height_px
         for size in [(1, 1)] * ((self._turn - turn) % 2) + [(width, height)]:
             self._turn += 1
             with quiet():
@@ -185,10 +185,10 @@ class Renderer(BulletWorld):
         for number, body in enumerate(self._parts):
             part[picture.bodies == body] = number
         is_still = (part == NO_PART) & (picture.bodies != self._retractor)
-        drawn_camera, T_camera_world = self._scene.drawn_camera, inverse(T_world_camera)
+        T_camera_world = inverse(T_world_camera)
         depth_m, behind_m = metric_depth_m(picture.depth), metric_depth_m(behind)
         T_camera_part = tuple(T_camera_world @ self._moving[body] for body in self._parts)
-        surfaces = Surfaces(drawn_camera, depth_m, behind_m, is_still, part, T_camera_part)
+        surfaces = Surfaces(self._camera, depth_m, behind_m, is_still, part, T_camera_part)
         lamp_world_m = transform_points(self._scene.T_world_camera, LAMP_M[None])[0]
         T_world_lamp = make_transform(T_world_camera[:3, :3], lamp_world_m)
         lamp_m, lamp_depth_m = (T_camera_world @ T_world_lamp)[:3, 3], None

@@ -6,7 +6,6 @@ World: z up, floor at z = 0, the camera on the z axis looking straight down.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from svmdist.kinematics import DHChain, chain_of, frame_transforms
 from svmdist.perturbations import UNPERTURBED, Perturbations, World
 from svmdist.perturbations.calibration import plane_tilt, right_turn, zoomed_camera
 from svmdist.profile import Profile
-from svmdist.simulation.effects import Lens, distortion_coefficients
+from svmdist.simulation.effects import DISTORTION
 from svmdist.simulation.meshes import Part, make_parts, make_plate
 from svmdist.simulation.organ import Organ, make_organ
 from svmdist.transforms import Array, inverse, make_transform, rotation_z
@@ -79,17 +78,6 @@ class Scene:
     working_height_m: float  # of the tool's origin above the floor
     perturbations: Perturbations
     seed: int
-
-    @cached_property
-    def lens(self) -> Lens | None:
-        """The lens of both cameras; None for a pinhole."""
-        strength = self.perturbations["lens"] + self.perturbations["lens_untold"]
-        return Lens.of(self.camera, distortion_coefficients(strength)) if strength else None
-
-    @property
-    def drawn_camera(self) -> Camera:
-        """The pinhole camera whose images are rendered: wider than the real one where the lens needs it."""
-        return self.camera if self.lens is None else self.lens.wide
 
     @property
     def right_camera(self) -> Camera:
@@ -154,7 +142,7 @@ def make_scene(profile: Profile, seed: int, options: Options = PLAIN) -> Scene:
     tissue_m = [*place.uniform(-TISSUE_SHIFT_M, TISSUE_SHIFT_M, 2), 0.0]
     view = settings.width_px, settings.height_px, settings.horizontal_fov_rad
     camera = zoomed_camera(Camera.from_horizontal_fov(*view, profile.frames.camera), perturbations["zoom"])
-    D = distortion_coefficients(perturbations["lens"])
+    D = perturbations["lens"] * DISTORTION
     # In these axes the floor's normal is the nominal one, rotated back; the floor's origin is on the optical axis.
     R = R_WORLD_CAMERA @ plane_tilt(perturbations, seed)
     parts = make_parts(profile.instrument, chain, perturbations)

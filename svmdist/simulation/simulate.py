@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
+from svmdist.kinematics import forward_kinematics
 from svmdist.perturbations import Place
 from svmdist.perturbations.calibration import nominal_camera, zoomed_camera
 from svmdist.samples import CameraSample, DistanceSample, Image, ImageSample, Sample, TransformSample, TransformsSample
@@ -109,13 +110,14 @@ class Simulator(ExitStack):
 
     def _truth(self, stamp_ns: int, index: int) -> Iterator[tuple[str, Sample]]:
         """Yield the poses of tools and tissue, and their distances."""
-        plan, arms = self._plan, self._plan.arms
-        frames, state = arms[0].profile.frames, plan.state(index)
+        plan, arms, state = self._plan, self._plan.arms, self._plan.state(index)
+        poses = [arm.scene.T_camera_base @ forward_kinematics(arm.scene.chain, arm.q[index]) for arm in arms]
+        frames = [arm.profile.frames for arm in arms]
+        tools = [TransformSample(stamp_ns, its.camera, its.tool, T) for its, T in zip(frames, poses, strict=True)]
         T_camera_tissue = plan.scene.T_camera_tissue(state.offset_m)
-        tools = [arm.true_tool(stamp_ns, index) for arm in arms]
-        tissue = TransformSample(stamp_ns, frames.camera, frames.tissue, T_camera_tissue)
+        tissue = TransformSample(stamp_ns, frames[0].camera, frames[0].tissue, T_camera_tissue)
         yield plan.topics["ground_truth_tf"], TransformsSample(stamp_ns, (tools[0], tissue, *tools[1:]))
-        origins_m = [tool.T_parent_child[:3, 3] for tool in tools]
+        origins_m = [T[:3, 3] for T in poses]
         clearances_m = self._tissue.clearances_m(state.q, state.offset_m)
         for arm, origin_m, clearance_m in zip(arms, origins_m, clearances_m, strict=True):
             distance = _distance(stamp_ns, origin_m - T_camera_tissue[:3, 3], clearance_m)

@@ -144,7 +144,7 @@ def test_images_show_raised_and_dented_tissue_and_then_rest_again(profile):
 @pytest.mark.parametrize("strength", [0.3, 1.0, 2.5])
 def test_the_lens_undoes_opencvs_distortion(scene, strength):
     """Where a pixel looks in the pinhole image, distorted again, is the pixel: to 0.001 px."""
-    camera, D = scene.camera, effects.distortion_coefficients(strength)
+    camera, D = scene.camera, strength * effects.DISTORTION
     lens = effects.Lens.of(camera, D)
     at_px = lens.at_px[::60, ::60].reshape(-1, 2).astype(np.float64)
     rays = (at_px - lens.wide.K[:2, 2]) / np.diag(lens.wide.K)[:2]
