@@ -35,10 +35,7 @@ def huber_weights(deviation: Array, bound: Array | float) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class NormalEquations:
-    """A problem about a state: its cost, gradient Jᵀ W r, shape (n,), and information Jᵀ W J, shape (n, n).
-
-    The residual r is measured minus predicted, so that information⁻¹ · gradient is the step towards the minimum.
-    """
+    """A problem's cost, gradient Jᵀ W r, shape (n,), and information Jᵀ W J, (n, n); r is measured minus predicted."""
 
     cost: float
     gradient: Array

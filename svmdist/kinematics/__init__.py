@@ -1,8 +1,7 @@
 """Denavit–Hartenberg chains: rows of parameters to transforms, for one joint vector or many.
 
-Both conventions are here because logs use both: *standard* (Denavit & Hartenberg 1955; Spong,
-"Robot Modeling and Control", sec. 3.2), which the paper's eqs. (29) and (30) fit, and *modified*
-(Craig, "Introduction to Robotics", sec. 3.4), in which the da Vinci Research Kit publishes its arms.
+Logs use both conventions: *standard* (Denavit & Hartenberg 1955; Spong, "Robot Modeling and Control", sec. 3.2), which
+the paper's eqs. (29) and (30) fit, and *modified* (Craig, "Introduction to Robotics", sec. 3.4), as of the dVRK.
 """
 
 from __future__ import annotations
@@ -129,9 +128,9 @@ def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) 
 def joint_axis(chain: DHChain, frames: Array, index: int) -> tuple[Array, Array]:
     """The axis that the joint of row `index` moves about or along: direction and a point, shapes (..., 3).
 
-    `frames`, shape (..., n_rows, 4, 4), are the poses of all row frames. Standard DH moves about the z of
-    the frame before, modified DH about the z of its own frame.
+    `frames`, shape (..., n_rows, 4, 4), are the poses of all row frames.
     """
+    # Standard DH moves about the z of the frame before, modified DH about the z of its own frame.
     axis_index = index - 1 if chain.convention == "standard" else index
     if axis_index < 0:
         return np.array([0.0, 0.0, 1.0]), np.zeros(3)

@@ -1,7 +1,4 @@
-"""Ways in which the world is not what logs and profiles state, for `record` and for replay: their table, and a choice.
-
-The other modules apply them: to what a robot reports (`joints`), log and profile state and images show (`calibration`).
-"""
+"""Ways in which the world is not what logs and profiles state, for `record` and replay: their table, and a choice."""
 
 from __future__ import annotations
 
@@ -24,14 +21,11 @@ Place = StrEnum("Place", ["JOINTS", "CLOCK", "CALIBRATION", "IMAGES"])
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """A strength in real worlds, in the perturbation's unit: `uniform` between two bounds, or a normal of mean 0.
-
-    With several `axes`, the strength is the length of a vector whose direction is sampled apart from it.
-    """
+    """A strength in real worlds, in the perturbation's unit: `uniform` between two bounds, or a normal of mean 0."""
 
     uniform: Sequence[float] | None = None  # the bounds are often the same
     std: float = 0.0  # along each axis
-    axes: int = 1
+    axes: int = 1  # of several, it is the length of a vector, whose direction is sampled apart
     limit: float = np.inf  # beyond it, it is sampled again
 
     def draw(self, rng: np.random.Generator) -> float:

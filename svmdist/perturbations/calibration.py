@@ -1,7 +1,6 @@
 """Nominal parameters, the cameras' in a log and the instrument's, tag's and plane's in a profile, against true ones.
 
-Nominal is true, times or plus the strength. Profiles are changed in both directions: the nominal one of a world, and
-the world that is built for a nominal profile.
+Nominal is true, times or plus the strength.
 """
 
 from __future__ import annotations
@@ -42,10 +41,8 @@ def nominal_camera(camera: Camera, perturbations: Perturbations, *, right: bool 
 
 
 def right_turn(perturbations: Perturbations) -> Array:
-    """The unmodelled rotation of the right camera in its own axes, shape (3, 3).
-
-    A log states that its pair is rectified: the pair is not, and no method would accept one that says so.
-    """
+    """The unmodelled rotation of the right camera in its own axes, shape (3, 3)."""
+    # A log states that its pair is rectified: the pair is not, and no method would accept one that says so.
     axes = ("right_pitch", "right_yaw", "right_roll")  # about x, y and z
     return rotation_of(np.deg2rad([perturbations[name] for name in axes]))
 
@@ -78,12 +75,9 @@ def perturbed_image(image_bgr: Image, perturbations: Perturbations) -> Image:
 
 
 def perturbed_right_view(right: RightView, perturbations: Perturbations) -> RightView:
-    """Apply the same to the right view, and what concerns the right camera alone; what comes into view is black.
-
-    Pixels of a camera that is turned about its centre move by a homography, K Rᵀ K⁻¹ (Hartley & Zisserman, Multiple
-    View Geometry, sec. 8.4). The lens' distortion is taken to turn along.
-    """
+    """Apply the same to the right view, and what concerns the right camera alone; what comes into view is black."""
     image_bgr, camera = right.image_bgr, right.camera
+    # Hartley & Zisserman, Multiple View Geometry, sec. 8.4; the lens' distortion is taken to turn along.
     if perturbations.has("right_yaw", "right_pitch", "right_roll"):
         H = camera.K @ right_turn(perturbations).T @ np.linalg.inv(camera.K)
         size = (camera.width_px, camera.height_px)

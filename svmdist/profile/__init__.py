@@ -1,7 +1,4 @@
-"""The scene profile (TOML): a log's topics, frames and limits, what its images show, and the robot.
-
-Everything that depends on a scene is here, so that another scene needs another profile and no other code.
-"""
+"""The scene profile (TOML), with everything that depends on a scene: another scene needs no other code."""
 
 from __future__ import annotations
 
@@ -142,10 +139,7 @@ class Profile(StrictModel):
         return self.instrument_name, *(other.name for other in self.other_instruments)
 
     def for_instrument(self, name: str) -> Profile:
-        """The profile as one of its instruments sees it: its topics, frames and fiducial, and no other instrument.
-
-        Raises UsageError that lists the names.
-        """
+        """The profile as one of its instruments sees it, without the others; raises UsageError that lists the names."""
         update: dict[str, object] = {"other_instruments": ()}
         if name != self.instrument_name:
             other = next((other for other in self.other_instruments if other.name == name), None)
@@ -231,10 +225,7 @@ def shipped_profiles() -> tuple[str, ...]:
 
 
 def load_profile(name_or_path: str | Path = DEFAULT_PROFILE, hand_eye: Path | None = None) -> Profile:
-    """Read a profile that ships (by name) or another (by path); ProfileError names file, key and the nearest key.
-
-    `hand_eye` is a hand-eye file in place of the profile's.
-    """
+    """Read a profile that ships (by name) or another (by path), with this hand-eye file; ProfileError names the key."""
     profile = parse_toml(profile_path(name_or_path), Profile, ProfileError)
     return profile if hand_eye is None else taking_hand_eye(profile, hand_eye)
 

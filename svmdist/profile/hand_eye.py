@@ -35,10 +35,7 @@ class ConstantEffect(StrictModel):
 
 
 class HandEye(StrictModel):
-    """`T_camera_base` of one instrument, p_camera = R p_base + t, and the covariance of its error (δt, δφ).
-
-    t_true = t + δt in m, R_true = exp([δφ]) R in rad, both in the camera's axes.
-    """
+    """`T_camera_base` of one instrument; its error (δt, δφ) makes it t + δt in m, exp([δφ]) R, in the camera's axes."""
 
     instrument: str = Field(min_length=1)
     camera: str
@@ -149,8 +146,7 @@ def with_hand_eye(profile: Profile) -> Profile:
     if (found := profile.camera_to_base) is None:
         return profile
     found = found.with_deviations(prior_deviations(profile))
-    rotation_var = float(np.linalg.eigvalsh(np.array(found.covariance)[3:, 3:])[-1])
-    std_rad = float(np.sqrt(max(rotation_var, 0.0)))
+    std_rad = float(np.sqrt(max(np.linalg.eigvalsh(np.array(found.covariance)[3:, 3:])[-1], 0.0)))
     values = profile.kinematic_error.model_dump() | {"camera_base_std_rad": std_rad, "hand_eye": found}
     return profile.model_copy(update={"kinematic_error": HandEyeError(**values)})
 

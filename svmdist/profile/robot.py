@@ -30,10 +30,7 @@ Rotation = Annotated[tuple[Vector, Vector, Vector], AfterValidator(_require_rota
 
 
 class Joint(StrictModel):
-    """One row of a DH table: lengths in m, angles in rad, limits in the joint's own unit.
-
-    The joint variable adds to `theta_rad` (revolute) or to `d_m` (prismatic): a published table has its offset.
-    """
+    """One row of a DH table, limits in its unit; the value of the joint adds to `theta_rad` or, prismatic, to `d_m`."""
 
     name: str
     type: Literal["revolute", "prismatic", "fixed"]
@@ -80,11 +77,7 @@ class Robot(StrictModel):
 
 
 class KinematicError(StrictModel):
-    """Standard deviations of a robot's kinematic errors, constant and changing, and their drift.
-
-    The defaults are what cable-driven arms show: a degree and a millimetre at each joint, two degrees and five
-    millimetres in the camera-to-base transform.
-    """
+    """Standard deviations of a robot's kinematic errors, constant and changing; defaults are of cable-driven arms."""
 
     joint_std_rad: Angle = float(np.deg2rad(1.0))
     joint_std_m: NonNegative = 1e-3
@@ -157,10 +150,7 @@ class Fiducial(StrictModel):
 
 
 class Dome(StrictModel):
-    """A dome over the image's outline of tissue: height h (1 - g^a)^b at normalised radius g, 1 on the outline.
-
-    The defaults make half an ellipsoid. The apex is over the outline's middle.
-    """
+    """A dome over the image's outline of tissue: height h (1 - g^a)^b at normalised radius g; half an ellipsoid."""
 
     height_m: SmallLength
     height_std_m: NonNegative = 0.0
@@ -270,13 +260,10 @@ class ArmFrames(StrictModel):
 
 
 class OtherInstrument(StrictModel):
-    """An instrument beside the profile's own; what is left out is as for that one.
-
-    One without topics is known by images alone: every log has it, and its side of the picture distinguishes it.
-    """
+    """An instrument beside the profile's own; what is left out is as for that one."""
 
     name: str = Field(min_length=1)
-    topics: ArmTopics | None = None
+    topics: ArmTopics | None = None  # one without is known by images alone, by its side: every log has it
     frames: ArmFrames | None = None
     entry: EntrySide | None = None
     fiducial_id: int | None = Field(default=None, ge=0)  # of the tag it carries where the profile's own does

@@ -1,7 +1,7 @@
 """The true clearance: smallest distance of an instrument to tissue or to another one; negative is penetration depth.
 
-To tissue it is the least signed distance of all points of the instrument's surface to the organ's triangles. Parts are
-sampled so densely that the organ's curvature between samples adds a few µm at most.
+To tissue it is the least signed distance of samples of the instrument's surface to the organ's triangles, so dense that
+the organ's curvature between them adds a few µm at most.
 """
 
 from __future__ import annotations
@@ -17,14 +17,10 @@ from svmdist.simulation.organ import SLACK_M, Organ
 from svmdist.simulation.scene import Scene
 from svmdist.transforms import Array, inverse
 
-SPACING_M = 0.0004
-"""Longest side of the triangles between samples: no point of a part is farther than 0.23 mm from a sample."""
+SPACING_M = 0.0004  # longest side of triangles between samples: no point of a part is farther than 0.23 mm from one
 REACH_M = 0.07  # the organ is 62 mm long at most: what is farther behind a link's origin is not the nearest
-CELL_M = 0.001
-"""Side of the cells that group a part's samples: only those in cells near to the tissue are looked at one by one."""
-
-BULLET_SCALE = 1000.0
-"""Bullet is tuned for objects of about one metre: it counts in millimetres, with collision margins of zero."""
+CELL_M = 0.001  # side of the cells that group a part's samples: only those in near cells are looked at one by one
+BULLET_SCALE = 1000.0  # Bullet is tuned for objects of about one metre: it counts in millimetres, without margins
 
 
 class _Samples:
@@ -92,8 +88,8 @@ class TissueClearance:
     def clearances_m(self, q: Sequence[Array], offset_m: float = 0.0) -> list[float]:
         """The clearance of each arm at joints, shape (n_joints,) each, to tissue that is raised by an offset.
 
-        An arm that presses soft tissue touches it: 0, where the tissue gives way as far as that. An arm that does not
-        press is measured to what the others leave.
+        An arm that presses soft tissue touches it: 0, where the tissue gives way as far as that. Another one is
+        measured to what the others leave.
         """
         posed, organ = self._posed(q, offset_m), self._organ
         inside = [organ.inside(its) for its in posed]

@@ -1,7 +1,4 @@
-"""Effects on rendered images: the lens, light from the endoscope's tip with shadows and highlights, blood, two fields.
-
-The renderer knows one far lamp, no shadows and no lens; the position of each pixel is known from the depth buffer.
-"""
+"""Effects on images that the renderer lacks: the lens, a lamp at the endoscope's tip, its shadows, gloss, blood."""
 
 from __future__ import annotations
 
@@ -21,15 +18,13 @@ DISTORTION = np.array([-0.2, 0.05, 0.0, 0.0, 0.0])
 """k1, k2, p1, p2, k3 of a lens of strength 1: the corner of a 60° image moves by 11 % of its radius towards the
 middle, as in a wide endoscope. Times 2.8 or more, r (1 + k1 r² + k2 r⁴) would no longer grow with r everywhere."""
 LENS_MARGIN_PX, LENS_ITERATIONS = 2, 1000  # a few pixels in the corners need as many; most take ten
-LAMP_M = np.array([0.0025, -0.005, 0.0])
-"""The lamp in the left camera's frame: between both lenses of a stereo endoscope, at the upper rim of its tip."""
+LAMP_M = np.array([0.0025, -0.005, 0.0])  # in the left camera's frame: between both lenses, at the upper rim of the tip
 FULL_LIGHT_M = 0.100  # the automatic exposure is right at this distance from the lamp
 GAMMA = 2.2  # cameras give light to the power of 1 / 2.2: a quarter of the light is half of the level
 UMBRA = 0.75  # share of the lamp's light in the middle of a complete shadow; the rest comes by way of other tissue
 BIAS_M = 0.001  # what is nearer below a surface is not hidden by it
 PENUMBRA_PX = 2.5  # a lamp of 2 mm, 24 mm of air under the instrument: 0.5 mm of half-shade
-SHININESS = 350.0
-"""Exponent of Blinn's highlight: half its strength 3.6° off the mirror's direction, as a film of water is."""
+SHININESS = 350.0  # Blinn's exponent: half the highlight 3.6° off the mirror's direction, as of a film of water
 BUMP_SLOPE, BUMP_CELLS, BUMP_SPAN_M, BUMP_PX = 0.10, 40, 0.07, 512
 """Slopes (standard deviation) of the film over bumps of 1.75 mm; a texture that repeats every 70 mm."""
 BLOOD_BGR, BLOOD_WAVE_COUNT, BLOOD_WAVELENGTHS_M = np.array([18.0, 14.0, 118.0]), 12, (0.003, 0.009)
@@ -104,8 +99,7 @@ class Shader:
     ) -> Image:
         """Shade an image by a lamp in the camera's frame, (3,); `T_camera_tissue`, (4, 4), carries the film of water.
 
-        `lamp_depth_m`, float32 (h, w), are depths that a camera with the same K and axes sees from the lamp; None where
-        the lamp throws no shadow.
+        The lamp's depths, float32 (h, w), are what a camera with the same K and axes sees from it; None: no shadow.
         """
         levels = image_bgr.astype(np.float32)
         if self._strength["blood"]:

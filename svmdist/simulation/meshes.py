@@ -1,9 +1,9 @@
 """What is rendered: meshes with smooth normals, textures of tissue and floor, the instrument's parts and plate.
 
-PyBullet draws its own cylinders and spheres as coarse prisms, up to 13 % too thin, which ruins metric vision. Every
-round part is therefore a mesh of at least 64 sides. Textures are smooth on the scale of pixels, so that frames stay
-small as lossless PNG. The distal marker is a coloured sphere about the tool's origin, and the parts that touch it are
-slimmer or stand beside it, so that its silhouette's centroid is the projection of that origin.
+PyBullet draws its own cylinders and spheres as coarse prisms, up to 13 % too thin, which ruins metric vision: round
+parts are meshes of 64 sides. Textures are smooth on the scale of pixels, so that frames stay small as lossless PNG. The
+distal marker is a coloured sphere about the tool's origin; the parts that touch it are slimmer or stand beside it, so
+that its silhouette's centroid is the projection of that origin.
 """
 
 from __future__ import annotations
@@ -41,10 +41,9 @@ class DrawnMesh(Mesh):
 
 
 def loft(x_m: Array, half_y_m: Array, half_z_m: Array, roundness: float = 2.0) -> DrawnMesh:
-    """Sweep superellipses along x: section i stands at x_m[i] with half-axes half_y_m[i], half_z_m[i].
+    """Sweep superellipses along x, with flat caps: section i stands at x_m[i], with half-axes half_y_m[i], half_z_m[i].
 
-    `roundness` 2 gives ellipses, 4 boxes with rounded edges. The ends are closed by flat caps. Lofts whose
-    half-axes are concave functions of x are convex.
+    `roundness` 2 gives ellipses, 4 boxes with rounded edges. Half-axes that are concave over x make a convex body.
     """
     angle = np.linspace(0.0, 2.0 * np.pi, SIDE_COUNT, endpoint=False)
     y, z = (np.sign(wave) * np.abs(wave) ** (2.0 / roundness) for wave in (np.cos(angle), np.sin(angle)))
@@ -182,7 +181,7 @@ def make_parts(instrument: Instrument, chain: DHChain, perturbations: Perturbati
     """Build the parts for the chain's last four links: roll, wrist pitch, wrist yaw, jaw (as in dVRK tools).
 
     In the roll's frame the shaft runs along +y, away from the tip; in the wrist's frames the tip lies along +x and the
-    jaws turn about z. Perturbations change colours: tip, ring, shaft_grey and shaft_blue.
+    jaws turn about z.
     """
     roll, wrist_pitch, wrist_yaw, jaw = (row.name for row in chain.rows[-4:])
     wrist_length_m = chain.rows[-3].a_m  # from the wrist's pitch axis to the tool's origin

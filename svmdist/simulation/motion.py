@@ -1,8 +1,8 @@
 """What the instruments do: scenarios as smooth paths, and the joint trajectories that follow them.
 
 A path is a function of progress, 0 at the start of a recording and 1 at its end, so that every figure is complete
-whatever the duration. The seed varies phases, positions and frequencies; all curves are twice continuously
-differentiable. A second arm crosses the first one in the image and stays above it, so that the bodies keep apart.
+whatever the duration; all curves are twice continuously differentiable. A second arm crosses the first one in the
+image and stays above it, so that the bodies keep apart.
 """
 
 from __future__ import annotations
@@ -22,11 +22,9 @@ from svmdist.simulation.clearance import InstrumentClearance, TissueClearance
 from svmdist.simulation.scene import Options, Scene, make_scene
 from svmdist.transforms import Array, inverse, make_transform, rotation_z, transform_points
 
-FIELD_M = (0.0455, 0.0335)
-"""Half of what the camera sees in the working plane, less a margin for the distal marker and its virtual marker."""
+FIELD_M = (0.0455, 0.0335)  # half of what the camera sees in the working plane, less a margin for both markers
 APART_M = 0.003  # the bodies of two instruments keep this far apart
-LIFTS_M = np.arange(0.010, 0.0361, 0.002)
-"""Heights above the first instrument's working height: the lowest that keeps the bodies apart is taken."""
+LIFTS_M = np.arange(0.010, 0.0361, 0.002)  # above the first one's height: the lowest that keeps them apart is taken
 CROSSING_FIELD_M = np.array([0.040, 0.029])
 """Half of where the distal marker may be, seen in the first instrument's working plane: inside of the image."""
 CROSSING_PERIOD_S = 2.7  # between two crossings, on average: an 8 s recording has three of them
@@ -191,9 +189,9 @@ SCENARIOS: dict[str, Callable[[np.random.Generator, Array, Scene, float], Motion
 
 
 def make_trajectory(scene: Scene, scenario: Scenario, progress: Array) -> tuple[Array, Array | None]:
-    """Plan a scenario in a scene at values of progress, shape (n,); raises SimulationError out of reach.
+    """Exact joints of a scenario, (n, n_joints), at values of progress, (n,), and poses of a retractor, (n, 4, 4).
 
-    Gives exact joints, shape (n, n_joints), and the retractor's poses (n, 4, 4), or None without one.
+    Raises SimulationError out of reach.
     """
     motion = plan_motion(scenario, progress, scene)
     p_m, xy_m = motion.p_world_tool_m, motion.retractor_xy_m
@@ -282,11 +280,8 @@ def make_other_arms(
 
 
 def _offsets(rng: np.random.Generator, progress: Array, duration_s: float, base_m: Array) -> Array:
-    """From the first instrument to the other one, shape (n, 2) in m: to and fro, through zero between.
-
-    The turning points lie on the side of its base, at (2,), some to the left of it and some to the right, so that its
-    jaws stay off the first one's shaft.
-    """
+    """From the first instrument to the one with its base at (2,), shape (n, 2) in m: to and fro, through zero."""
+    # The turning points lie on the base's side, left and right of it by turns: its jaws stay off the first one's shaft.
     bearing, side = float(np.arctan2(base_m[1], base_m[0])), 1.0 if rng.integers(2) else -1.0
     knots: list[Array] = []
     for index in range(max(1, round(duration_s / CROSSING_PERIOD_S)) + 1):

@@ -1,8 +1,7 @@
 """The tissue organ of one seed: an irregular dome, lobes or an ellipsoid, distances to it, and how it is pressed in.
 
-The tissue frame's origin is the area centroid of the outline on the floor, so that the centroid of the organ's
-silhouette, seen from straight above, is the projection of that origin. The surface is one height over each point of
-the plane, in rings about the apex; it is open at the floor.
+The tissue frame's origin is the outline's area centroid, whose projection is the centroid of the silhouette seen from
+straight above. The surface is one height over each point of the plane, in rings about the apex; it is open below.
 """
 
 from __future__ import annotations
@@ -20,8 +19,7 @@ from svmdist.simulation.meshes import TEXTURE_SPAN_M, DrawnMesh, smooth_normals
 from svmdist.transforms import Array, polygon_centroid
 
 SEMI_AXES_M, HEIGHT_M = (0.028, 0.022), 0.008
-DOME_EXPONENTS, ELLIPSOID_EXPONENTS = np.array([2.3, 0.62]), np.array([2.0, 0.5])
-"""Height (1 - r^2.3)^0.62 over the normalised radius r; of an ellipsoid (1 - r²)^0.5."""
+DOME_EXPONENTS, ELLIPSOID_EXPONENTS = np.array([2.3, 0.62]), np.array([2.0, 0.5])  # height (1 - r^2.3)^0.62
 RING_COUNT, SIDE_COUNT = 44, 160
 FINE_RING_COUNT, FINE_SIDE_COUNT = 72, 200  # of an organ with lobes or dents: edges of about 0.6 mm
 
@@ -37,8 +35,7 @@ LIMIT = 0.8  # of the organ's height at a place; then it is pressed flat against
 SWEEPS, FINE_REACH_M = 8, 0.002
 """The pressed surface is flat between vertices, so that some µm are left inside and push again, with a small reach."""
 TOLERANCE_M = 1e-6
-CELL_M = 0.0003
-"""Only the deepest push of each cell of the plane counts: those above it, and on steep sides, change nothing."""
+CELL_M = 0.0003  # only the deepest push of each cell counts: those above it, and on steep sides, change nothing
 KD_TREE = 4  # of OpenCV's FLANN: FLANN_INDEX_KDTREE_SINGLE, which is exact
 SLACK_M = 1e-7  # the vertices are looked up in single precision
 
@@ -118,10 +115,9 @@ class Organ:
         return bool((self.heights_m(points_m[:, :2]) * (1.0 - LIMIT) - points_m[:, 2] > TOLERANCE_M).any())
 
     def dented(self, points_m: Array) -> Organ:
-        """The organ under points, shape (n, 3), which are inside it at rest.
+        """The organ under points, shape (n, 3), which are inside it at rest, and push the surface down to themselves.
 
-        Every such point pushes the surface below itself down to it, and what is around less and less, by the deepest
-        push that reaches there. What is not pressed is as at rest; nothing bulges.
+        What is around goes down less and less, by the deepest push that reaches there; nothing bulges.
         """
         rest_m = self.mesh.vertices_m[:, 2]
         down_m, least_m = np.zeros_like(rest_m), (1.0 - LIMIT) * rest_m
@@ -140,16 +136,14 @@ class Organ:
         return replace(self, mesh=DrawnMesh(vertices_m, self.mesh.faces, normals, self.mesh.uv))
 
     def _pushed_m(self, xy_m: Array, by_m: Array, reach_m: float) -> Array:
-        """How far vertices are pushed by points, shape (n, 2), that push so far, shape (n,): the most of all; (v,).
-
-        The push falls from 1 at a point to 0 at the reach, twice differentiable (Wendland 1995, Piecewise polynomial,
-        positive definite and compactly supported radial functions).
-        """
+        """How far vertices are pushed by points, shape (n, 2), that push so far, shape (n,): the most of all; (v,)."""
         place_m, pushed_m = self.mesh.vertices_m[:, :2], np.zeros(len(self.mesh.vertices_m))
         for begin in range(0, len(xy_m), 64):
             some_m, push_m = xy_m[begin : begin + 64], by_m[begin : begin + 64]
             near = ((place_m > some_m.min(0) - reach_m) & (place_m < some_m.max(0) + reach_m)).all(axis=1)
             x_m, y_m = (place_m[near, axis, None] - some_m[:, axis] for axis in range(2))
+            # From 1 at a point to 0 at the reach, twice differentiable (Wendland 1995, Piecewise polynomial, positive
+            # definite and compactly supported radial functions).
             left = np.maximum(1.0 - np.sqrt(x_m * x_m + y_m * y_m) / reach_m, 0.0)
             share = np.square(left * left) * (5.0 - 4.0 * left)
             pushed_m[near] = np.maximum(pushed_m[near], (share * push_m).max(axis=1))
@@ -165,8 +159,8 @@ def _vertices(organ: Organ) -> cv2.flann.Index:
 def make_organ(rng: np.random.Generator, seed: int = 0, perturbations: Perturbations = UNPERTURBED) -> Organ:
     """Make the organ of a random stream: a convex dome, unless perturbations `tissue_*` give it another shape.
 
-    Waves multiply the height by 1 ± `tissue_shape` and the outline's radius by a fifth of that. The organ rises no
-    higher than the dome, so that scenarios keep clear of it. The seed draws the same waves at every strength.
+    Waves multiply the height by 1 ± `tissue_shape`; the seed draws the same ones at every strength. The organ rises no
+    higher than the dome, so that scenarios keep clear of it.
     """
     strength, ellipsoid = perturbations["tissue_shape"], perturbations["tissue_ellipsoid"]
     is_fine = strength > 0.0 or perturbations["dent"] > 0.0

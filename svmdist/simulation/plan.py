@@ -41,13 +41,12 @@ _ENCODER_STREAM, _JOINT_STREAM, _CAMERA_BASE_STREAM = 10, 12, 13
 def draw_nominal_kinematics(
     chain: DHChain, T_camera_base: Array, profile: Profile, seed: int, scale: float = 0.0, arm: int = 0
 ) -> tuple[Array, Array]:
-    """Draw the nominal kinematics of a seed for one of the arms; `scale` multiplies the profile's kinematic error.
+    """What an arm of a seed adds to true joints, (n_joints,), rad or m, and its nominal `T_camera_base`, (4, 4).
 
-    Gives what is added to true joints, rad or m, (n_joints,), and the nominal `T_camera_base`, (4, 4), whose error is a
-    rotation about the base's origin and a shift, both in the camera's axes. Joints that hold still while the robot
-    works have none: theirs is a part of it. The same seed samples the same directions at every scale. All are constant
-    in a recording: a da Vinci research kit, whose cables stretch and whose set-up joints are read by potentiometers,
-    places its tool centimetres off in the camera's frame, with motion repeatable to fractions of a millimetre.
+    `scale` multiplies the profile's kinematic error. That of `T_camera_base` is a rotation about the base's origin and
+    a shift, both in the camera's axes. All are constant in a recording: a da Vinci research kit, whose cables stretch
+    and whose set-up joints are read by potentiometers, places its tool centimetres off in the camera's frame, with
+    motion repeatable to fractions of a millimetre.
     """
     further = [arm] if arm else []
 
@@ -62,7 +61,7 @@ def draw_nominal_kinematics(
     R = cv2.Rodrigues(scale * rng.normal(0.0, error.camera_base_std_rad, 3))[0] @ T_camera_base[:3, :3]
     shift_m = scale * rng.normal(0.0, error.camera_base_std_m, 3)
     joint_offsets = scale * sampled(_JOINT_STREAM, error.joint_std_rad, error.joint_std_m)
-    if error.first_moving_joint is not None:
+    if error.first_moving_joint is not None:  # what joints that hold still are off is a part of T_camera_base's
         joint_offsets[: chain.joint_names.index(error.first_moving_joint)] = 0.0
     return offsets + joint_offsets, make_transform(R, T_camera_base[:3, 3] + shift_m)
 

@@ -1,8 +1,7 @@
 """Renders the scene as the endoscope sees it: PyBullet's TinyRenderer, behind the project's pinhole camera.
 
-TinyRenderer works in software and spends five sixths of its time on tissue and floor, which rarely move. They are
-rendered once for each camera, what moves in each frame, and the depth buffers show which of the two is in front. The
-result is that of one picture of everything, bit for bit.
+It spends five sixths of its time on tissue and floor, which rarely move: they are rendered once for each camera, what
+moves in each frame, and the depth buffers show which is in front, as one picture of everything would, bit for bit.
 """
 
 from __future__ import annotations
@@ -29,14 +28,13 @@ from svmdist.vision.degradations import dimmed
 
 NEAR_M, FAR_M = 0.01, 0.4
 PIXEL_SHIFT = (-0.5, 0.5)
-"""TinyRenderer samples pixels at a corner. Measured with silhouettes of spheres all over the image, which agree with
-`Camera.project` to 0.03 px."""
+"""TinyRenderer samples pixels at a corner: silhouettes of spheres all over the image agree with `Camera.project` to
+0.03 px."""
 OPTICS_SIGMA_PX = 0.8  # blur of the optics, which also hides the renderer's stairs
 DEPTH_TIE = 2.5e-7
 """Four steps of a float32 below 1, 0.25 µm here: TinyRenderer compares depths before it scales and rounds them.
 Surfaces that are nearer to each other than that are rendered in one picture again."""
-LIGHT_DIRECTION = (0.35, 0.45, 1.0)
-"""Towards the light, in the world: beside the optical axis, as in an endoscope, so that shapes shade."""
+LIGHT_DIRECTION = np.array([0.35, 0.45, 1.0])  # towards the light, in the world: beside the optical axis, to shade
 _AWAY: Array = raised(1.0)  # behind the camera
 
 
@@ -83,12 +81,12 @@ class Renderer(BulletWorld):
         self._T_world_cameras = (scene.T_world_camera, scene.T_world_camera @ scene.T_camera_right)
         # From the ideal world's lamp to one beside the lens, and less light around.
         share = scene.perturbations["light"]
-        ideal, to_lens = np.array(LIGHT_DIRECTION), -scene.T_world_camera[:3, 2]
+        to_lens = -scene.T_world_camera[:3, 2]
         self._light: dict[str, Any] = {
             "renderer": self.pb.ER_TINY_RENDERER,
             "shadow": 0,
             "lightColor": (1.0, 0.985, 0.96),
-            "lightDirection": (ideal + share * (to_lens - ideal)).tolist(),
+            "lightDirection": (LIGHT_DIRECTION + share * (to_lens - LIGHT_DIRECTION)).tolist(),
             "lightAmbientCoeff": 0.52 + share * (0.18 - 0.52),
             "lightDiffuseCoeff": 0.5 + share * 0.35,
             "lightSpecularCoeff": 0.12,
@@ -137,7 +135,6 @@ class Renderer(BulletWorld):
         return dimmed(blurred, self._scene.perturbations["border"], self._scene.perturbations["vignette"])
 
     def _pinhole(self, camera: int, turn: int) -> Image:
-        """What a pinhole shows of everything."""
         T_world_camera, key = self._T_world_cameras[camera], (camera, turn % 2)
         if key not in self._backgrounds:
             self._backgrounds[key] = self._picture(T_world_camera, turn, moving=False)
@@ -155,11 +152,7 @@ class Renderer(BulletWorld):
         return self._shaded(together, background.depth, T_world_camera, turn)
 
     def _picture(self, T_world_camera: Array, turn: int, *, moving: bool = True, still: bool = True) -> Picture:
-        """Take the picture that is number `turn` of a recording, of what moves and of what is still, or one of them.
-
-        TinyRenderer renders the same scene in two ways, by turns, which differ by one level in single pixels. The
-        picture of an even turn is therefore always an even one here, whatever was rendered before.
-        """
+        """Take the picture that is number `turn` of a recording, of what moves and of what is still, or one of them."""
         if self._shown != (moving, still):
             for bodies, is_shown in ((self._moving, moving), (self._still, still)):
                 for body, T_world_body in bodies.items():
@@ -168,6 +161,8 @@ class Renderer(BulletWorld):
         # OpenGL's matrices have 16 numbers, column by column.
         view = (make_transform(R_OPENGL_OPENCV, np.zeros(3)) @ inverse(T_world_camera)).T.ravel().tolist()
         matrices = {"viewMatrix": view, "projectionMatrix": projection_matrix(self._camera)}
+        # TinyRenderer renders the same scene in two ways, by turns, which differ by one level in single pixels. The
+        # picture of an even turn is therefore always an even one here, whatever was rendered before.
         width, height = self._camera.width_px, self._camera.height_px
         for size in [(1, 1)] * ((self._turn - turn) % 2) + [(width, height)]:
             self._turn += 1

@@ -25,8 +25,6 @@ TISSUE_SHIFT_M = 0.0015  # by seed, the organ stands this far from the camera's 
 BREATHING_HZ, PULSE_HZ, JAW_HZ = 0.25, 1.2, 0.3  # 15 breaths a minute, as a ventilator is set; 72 beats a minute
 _MOTION_STREAM, _JAW_STREAM = 101, 104
 
-R_WORLD_CAMERA: Array = np.diag([1.0, -1.0, -1.0])
-
 
 @dataclass(frozen=True)
 class Options:
@@ -140,11 +138,11 @@ def make_scene(profile: Profile, seed: int, options: Options = PLAIN) -> Scene:
     place, shape = (np.random.default_rng([seed, stream]) for stream in range(2))
     R_world_tissue = rotation_z(place.uniform(-np.pi, np.pi))
     tissue_m = [*place.uniform(-TISSUE_SHIFT_M, TISSUE_SHIFT_M, 2), 0.0]
-    view = settings.width_px, settings.height_px, settings.horizontal_fov_rad
-    camera = zoomed_camera(Camera.from_horizontal_fov(*view, profile.frames.camera), perturbations["zoom"])
+    view = settings.width_px, settings.height_px, settings.horizontal_fov_rad, profile.frames.camera
+    camera = zoomed_camera(Camera.from_horizontal_fov(*view), perturbations["zoom"])
     D = perturbations["lens"] * DISTORTION
     # In these axes the floor's normal is the nominal one, rotated back; the floor's origin is on the optical axis.
-    R = R_WORLD_CAMERA @ plane_tilt(perturbations, seed)
+    R = np.diag([1.0, -1.0, -1.0]) @ plane_tilt(perturbations, seed)
     parts = make_parts(profile.instrument, chain, perturbations)
     return Scene(
         chain=chain,

@@ -23,8 +23,6 @@ from svmdist.transforms import Array
 from svmdist.vision.degradations import Degradation, degrade, image_seed, subsampled
 
 FIELD_NS = 1e9 / 60.0  # between both fields of an interlaced frame (59.94 fields a second, ITU-R BT.601)
-OPTICS = frozenset({Degradation.DEFOCUS, Degradation.MOTION_BLUR})
-"""Blur what falls on the sensor, and so each field for itself."""
 _NOISE_STREAMS, _DEGRADATION_STREAM = (11, 14), 15
 Noise = tuple[Array | None, ...]
 """The noise of one image of each camera, shape (height, width, 3) in 8-bit levels, or None where there is none."""
@@ -36,7 +34,8 @@ class Sensors:
     def __init__(self, camera: Camera, seed: int, options: Options) -> None:
         self._shape, self._seed, self._noise = (camera.height_px, camera.width_px, 3), seed, options.noise
         numbered = [(at, Degradation(name), much) for at, (name, much) in enumerate(options.degradations)]
-        by_field = OPTICS if options.perturbations["interlace"] else frozenset()
+        # These blur what falls on the sensor, and so each field for itself.
+        by_field = (Degradation.DEFOCUS, Degradation.MOTION_BLUR) if options.perturbations["interlace"] else ()
         self._of_fields = [one for one in numbered if one[1] in by_field]
         self._of_images = [one for one in numbered if one[1] not in by_field]
         self._chroma = options.perturbations["chroma"]
