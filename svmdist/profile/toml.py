@@ -109,11 +109,12 @@ def parse_toml(path: Path, model: type[Model], error: type[SvmdistError]) -> Mod
     try:
         with reading(path, error):
             data = tomllib.loads(read_regular(path, MAX_FILE_BYTES).decode("utf-8-sig"))
-    except (RecursionError, ValueError) as problem:  # TOMLDecodeError among them
-        why = "nested too deeply" if isinstance(problem, RecursionError) else problem
-        if isinstance(problem, UnicodeDecodeError):
-            why = f"byte {problem.start} is not UTF-8"
-        raise error(f"{path}: not a TOML file: {why}") from None
+    except UnicodeDecodeError as problem:
+        raise error(f"{path}: not a TOML file: byte {problem.start} is not UTF-8") from None
+    except RecursionError:
+        raise error(f"{path}: not a TOML file: nested too deeply") from None
+    except ValueError as problem:  # TOMLDecodeError among them
+        raise error(f"{path}: not a TOML file: {problem}") from None
     try:
         return model.model_validate(data, context={"folder": path.parent})
     except pydantic.ValidationError as problem:

@@ -19,7 +19,7 @@ from svmdist.simulation.meshes import TEXTURE_SPAN_M, DrawnMesh, smooth_normals
 from svmdist.transforms import Array, polygon_centroid
 
 SEMI_AXES_M, HEIGHT_M = (0.028, 0.022), 0.008
-DOME_EXPONENTS, ELLIPSOID_EXPONENTS = np.array([2.3, 0.62]), np.array([2.0, 0.5])  # height (1 - r^2.3)^0.62
+DOME_EXPONENTS, ELLIPSOID_EXPONENTS = np.array([2.3, 0.62]), np.array([2.0, 0.5])  # a, b of (1 - r^a)^b
 RING_COUNT, SIDE_COUNT = 44, 160
 FINE_RING_COUNT, FINE_SIDE_COUNT = 72, 200  # of an organ with lobes or dents: edges of about 0.6 mm
 

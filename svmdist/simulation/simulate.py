@@ -32,25 +32,19 @@ class Sensors:
     """The cameras' noise, chroma and degradations by seed; `generators`: where the next image's noise begins."""
 
     def __init__(self, camera: Camera, seed: int, options: Options) -> None:
-        self._shape, self._seed, self._noise = (camera.height_px, camera.width_px, 3), seed, options.noise
-        numbered = [(at, Degradation(name), much) for at, (name, much) in enumerate(options.degradations)]
-        # These blur what falls on the sensor, and so each field for itself.
-        by_field = (Degradation.DEFOCUS, Degradation.MOTION_BLUR) if options.perturbations["interlace"] else ()
-        self._of_fields = [one for one in numbered if one[1] in by_field]
-        self._of_images = [one for one in numbered if one[1] not in by_field]
-        self._chroma = options.perturbations["chroma"]
+        self._shape, self._seed, self._options = (camera.height_px, camera.width_px, 3), seed, options
         streams = _NOISE_STREAMS if options.stereo else _NOISE_STREAMS[:1]
         self.generators = [np.random.default_rng([seed, stream]) for stream in streams]
 
     def draw_noise(self) -> Noise:
         """Draw the noise of the next image of each camera."""
-        if self._noise == 0.0:
+        if not (std := self._options.noise):
             return (None,) * len(self.generators)
-        return tuple(each.standard_normal(self._shape) * self._noise for each in self.generators)
+        return tuple(each.standard_normal(self._shape) * std for each in self.generators)
 
     def focus(self, camera: int, fields: Sequence[Image], frame: int) -> Image:
         """What falls on a camera's sensor at the image number `frame`: one picture, or two fields of alternate rows."""
-        image, *later = [self._degraded(camera, field, frame, self._of_fields) for field in fields]
+        image, *later = [self._degraded(camera, field, frame, by_field=True) for field in fields]
         for field in later:
             image[1::2] = field[1::2]
         return image
@@ -59,14 +53,18 @@ class Sensors:
         """What a camera reports of the image number `frame`, with the noise that was sampled for it."""
         if noise is not None:  # OpenCV rounds to the nearest level and saturates, in one pass
             image = np.asarray(cv2.add(noise, image, dtype=cv2.CV_8U), np.uint8)
-        if self._chroma:
-            image = subsampled(image, self._chroma)
-        return self._degraded(camera, image, frame, self._of_images)
+        if chroma := self._options.perturbations["chroma"]:
+            image = subsampled(image, chroma)
+        return self._degraded(camera, image, frame, by_field=False)
 
-    def _degraded(self, camera: int, image: Image, frame: int, by: Sequence[tuple[int, Degradation, int]]) -> Image:
-        for place, name, severity in by:
-            seed = image_seed(name, camera, self._seed, _DEGRADATION_STREAM, place, frame)
-            image = degrade(image, name, severity, seed)
+    def _degraded(self, camera: int, image: Image, frame: int, *, by_field: bool) -> Image:
+        is_interlaced = self._options.perturbations["interlace"] > 0.0
+        for place, (name, severity) in enumerate(self._options.degradations):
+            kind = Degradation(name)
+            # These two blur what falls on the sensor, and so each field for itself.
+            if by_field == (is_interlaced and kind in (Degradation.DEFOCUS, Degradation.MOTION_BLUR)):
+                seed = image_seed(kind, camera, self._seed, _DEGRADATION_STREAM, place, frame)
+                image = degrade(image, kind, severity, seed)
         return image
 
 
