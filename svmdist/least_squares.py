@@ -72,9 +72,9 @@ def minimise(
     for _ in range(max_steps):
         information = equations.information + damping * np.diag(np.diag(equations.information))
         try:
-            step: Array = np.linalg.solve(information, equations.gradient)
+            step = np.asarray(np.linalg.solve(information, equations.gradient), np.float64)
         except np.linalg.LinAlgError:
-            step = np.linalg.lstsq(information, equations.gradient, rcond=None)[0]
+            step = np.asarray(np.linalg.lstsq(information, equations.gradient, rcond=None)[0], np.float64)
         moved = retract(state, step)
         trial = linearise(moved)
         if trial is not None and trial.is_finite and trial.cost <= equations.cost:

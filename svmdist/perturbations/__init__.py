@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
@@ -23,7 +23,7 @@ Place = StrEnum("Place", ["JOINTS", "CLOCK", "CALIBRATION", "IMAGES"])
 class Size:
     """A strength in real worlds, in the perturbation's unit: `uniform` between two bounds, or a normal of mean 0."""
 
-    uniform: Sequence[float] | None = None  # the bounds are often the same
+    uniform: tuple[float, float] | None = None  # the bounds are often the same
     std: float = 0.0  # along each axis
     axes: int = 1  # of several, it is the length of a vector, whose direction is sampled apart
     limit: float = np.inf  # beyond it, it is sampled again
@@ -75,8 +75,6 @@ def find_perturbation(name: str) -> Perturbation:
 
 
 _STRENGTH_STREAM, _DIRECTION_STREAM, PATH_STREAM = 40, 41, 42
-
-
 World = StrEnum("World", ["IDEAL", "REAL"])
 """`--world`: exactly what log and profile state, or as far from it as real worlds are."""
 

@@ -33,19 +33,14 @@ class AreaGate(StrictModel):
     """Which parts of a mask are a region, and where its centroid is: the same for every way to segment."""
 
     min_area_px: int = Field(ge=1)
-    components: Literal["all", "largest"] = "all"
-    """Connected parts above the gate that count: an instrument that crosses an organ cuts its region in two."""
-    occlusion: Literal["none", "hull", "outline"] = "none"
-    """What the centroid is of: the visible pixels, their convex hull, or a smooth outline fitted to them."""
+    components: Literal["all", "largest"] = "all"  # that count: an instrument across an organ cuts its region in two
+    occlusion: Literal["none", "hull", "outline"] = "none"  # centroid of visible pixels, their hull, a fitted outline
 
 
 class ColourRegion(AreaGate):
-    """An HSV box in OpenCV's 8-bit units (H 0–179, S and V 0–255), bounds included, and its area gate.
+    """An HSV box in OpenCV's 8-bit units (H 0–179, S and V 0–255), bounds included, and its area gate."""
 
-    A hue range with first > last wraps around 0, as red does.
-    """
-
-    hue: tuple[Hue, Hue]
+    hue: tuple[Hue, Hue]  # with first > last it wraps around 0, as red does
     saturation: tuple[Byte, Byte] = (0, 255)
     value: tuple[Byte, Byte] = (0, 255)
 

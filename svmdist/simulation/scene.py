@@ -11,7 +11,7 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import SimulationError
-from svmdist.kinematics import DHChain, chain_of, frame_transforms
+from svmdist.kinematics import DHChain, chain_of, frame_transforms, row_index
 from svmdist.perturbations import UNPERTURBED, Perturbations, World
 from svmdist.perturbations.calibration import plane_tilt, right_turn, zoomed_camera
 from svmdist.profile import Profile
@@ -98,15 +98,10 @@ class Scene:
         """The pose of the tissue, raised by an offset from rest, shape (4, 4)."""
         return inverse(self.T_world_camera) @ raised(offset_m) @ self.T_world_tissue
 
-    def link_poses(self, q: Array) -> dict[str, Array]:
-        """Poses `T_world_link`, shape (4, 4), of all rows by name, for joints (n_joints,)."""
-        frames = self.T_world_base @ frame_transforms(self.chain, q)
-        return {row.name: T for row, T in zip(self.chain.rows, frames, strict=True)}
-
     def part_poses(self, q: Array) -> Array:
         """Poses `T_world_part`, shape (n_parts, 4, 4), for joints (n_joints,)."""
-        links = self.link_poses(q)
-        return np.stack([links[part.link] @ part.T_link_part for part in self.parts])
+        T_world_link = self.T_world_base @ frame_transforms(self.chain, q)
+        return np.stack([T_world_link[row_index(self.chain, part.link)] @ part.T_link_part for part in self.parts])
 
     def tissue_offset_m(self, t_s: Array) -> Array:
         """How far tissue and floor stand above their place at rest, shape (n,), at times since the start, (n,)."""

@@ -221,14 +221,15 @@ def test_instruments_look_as_perturbed(profile):
     coloured = {text: seen_px(image, marker) for text, image in images.items()}
     assert len(coloured[""]) > 300
     assert len(coloured["tip=1"]) == 0
-    T_camera_wrist = inverse(scene.T_world_camera) @ scene.link_poses(q)["wrist_pitch"]
+    poses = dict(zip([part.name for part in scene.parts], scene.part_poses(q), strict=True))
+    T_camera_wrist = inverse(scene.T_world_camera) @ poses["bridge"]
     ring_px = scene.camera.project(transform_points(T_camera_wrist, [[-0.003, 0.0, 0.0]]))[0]
     np.testing.assert_allclose(coloured["ring=3"].mean(axis=0), ring_px, atol=1.5)
     changed = np.abs(images[""].astype(int) - images["blood=0.25"]).max(axis=2) > 25
     on_tool = (picture.bodies >= 0).view(np.uint8)
     assert 0.12 < changed[on_tool > 0].mean() < 0.4
     assert not changed[cv2.dilate(on_tool, np.ones((5, 5))) == 0].any()
-    T_camera_roll = inverse(scene.T_world_camera) @ scene.link_poses(q)["roll"]
+    T_camera_roll = inverse(scene.T_world_camera) @ poses["shaft"]
     on_axis_m = transform_points(T_camera_roll, [[0.0, 0.016, 0.0]])
     column, row = np.rint(scene.camera.project(on_axis_m)[0]).astype(int)
     hue, saturation, value = cv2.cvtColor(images["shaft_blue=1"], cv2.COLOR_BGR2HSV)[row, column]
