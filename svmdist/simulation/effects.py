@@ -135,8 +135,9 @@ class Shader:
     def _glints(self, points_m: Points, lamp_m: Array, T_camera_tissue: Array) -> NDArray[np.float32]:
         """Blinn's highlights of the lamp on the film over tissue and floor, 0 to about 1, shape (h, w)."""
         T_tissue_camera = inverse(T_camera_tissue).astype(np.float32)
-        at_px = [np.mod((points_m @ T[:3] + T[3]) * (BUMP_PX / BUMP_SPAN_M), BUMP_PX) for T in T_tissue_camera[:2]]
-        slopes = cv2.remap(self._slopes, *at_px, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+        x_m, y_m = (points_m @ T[:3] + T[3] for T in T_tissue_camera[:2])
+        column_px, row_px = (np.mod(at_m * (BUMP_PX / BUMP_SPAN_M), BUMP_PX) for at_m in (x_m, y_m))
+        slopes = cv2.remap(self._slopes, column_px, row_px, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
         smooth_m = cv2.GaussianBlur(points_m, (0, 0), 3.0)  # over the facets of meshes
         across: Points = np.cross(np.gradient(smooth_m, axis=0), np.gradient(smooth_m, axis=1))
         across /= _lengths(across)[..., None]
@@ -152,8 +153,8 @@ def shadow(camera: Camera, points_m: Points, lamp_m: Array, lamp_depth_m: Depths
     """How much of the lamp is hidden from points of the camera's frame, shape (h, w, 3): 0 to 1, shape (h, w)."""
     from_lamp_m = points_m - lamp_m.astype(np.float32)
     K = camera.K.astype(np.float32)
-    at_px = (from_lamp_m[..., k] / from_lamp_m[..., 2] * K[k, k] + K[k, 2] for k in range(2))
-    first_m = cv2.remap(lamp_depth_m, *at_px, cv2.INTER_NEAREST, None, cv2.BORDER_CONSTANT, 1e3)
+    column_px, row_px = (from_lamp_m[..., k] / from_lamp_m[..., 2] * K[k, k] + K[k, 2] for k in range(2))
+    first_m = cv2.remap(lamp_depth_m, column_px, row_px, cv2.INTER_NEAREST, None, cv2.BORDER_CONSTANT, 1e3)
     hidden = (first_m < from_lamp_m[..., 2] - BIAS_M).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(hidden, (0, 0), PENUMBRA_PX), np.float32)
 

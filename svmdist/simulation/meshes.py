@@ -124,14 +124,14 @@ def tissue_texture(seed: int) -> Image:
         _grow_vessel(lines, rng, rng.uniform(0.25, 0.75, 2) * TEXTURE_PX, rng.uniform(0.0, 2.0 * np.pi), width_px=9.0)
     vessels = cv2.GaussianBlur(lines, (0, 0), 4.0).astype(np.float64)[..., None] / 255.0
     colour += vessels * np.array([-22.0, -34.0, -48.0])
-    return np.clip(np.rint(colour), 0, 255).astype(np.uint8)
+    return np.asarray(np.rint(colour).clip(0, 255), np.uint8)
 
 
 def floor_texture(seed: int) -> Image:
     """Dull beige-brown folds, low in saturation; BGR, shape (1024, 1024, 3)."""
     folds = _smooth_noise(np.random.default_rng([seed, _FLOOR_STREAM]), 7, 3)[..., None]
     colour = np.array([104.0, 112.0, 122.0]) + folds * np.array([13.0, 14.0, 14.0])
-    return np.clip(np.rint(colour), 0, 255).astype(np.uint8)
+    return np.asarray(np.rint(colour).clip(0, 255), np.uint8)
 
 
 def _smooth_noise(rng: np.random.Generator, *counts: int) -> Array:
@@ -144,8 +144,8 @@ def _grow_vessel(canvas: Image, rng: np.random.Generator, start_px: Array, headi
     position = start_px
     for step in range(16):
         following = position + 24.0 * np.array([np.cos(heading_rad), np.sin(heading_rad)])
-        ends = np.rint(16.0 * np.array([position, following])).astype(int).tolist()
-        cv2.line(canvas, *ends, 255, max(1, round(width_px)), cv2.LINE_AA, shift=4)
+        start, end = np.rint(16.0 * np.array([position, following])).astype(int).tolist()
+        cv2.line(canvas, start, end, 255, max(1, round(width_px)), cv2.LINE_AA, shift=4)
         position = following
         heading_rad += rng.normal(0.0, 0.22)
         width_px *= 0.93

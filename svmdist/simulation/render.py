@@ -130,7 +130,8 @@ class Renderer(BulletWorld):
         """Draw what the left (0) or right (1) camera sees, shape (h, w, 3), as picture number `turn` of a recording."""
         image_bgr = self._pinhole(camera, turn)
         if self._lens is not None:
-            image_bgr = np.asarray(cv2.remap(image_bgr, self._lens.at_px, None, cv2.INTER_LINEAR), np.uint8)
+            column_px, row_px = cv2.split(self._lens.at_px)
+            image_bgr = np.asarray(cv2.remap(image_bgr, column_px, row_px, cv2.INTER_LINEAR), np.uint8)
         blurred = np.asarray(cv2.GaussianBlur(image_bgr, (0, 0), OPTICS_SIGMA_PX), np.uint8)
         return dimmed(blurred, self._scene.perturbations["border"], self._scene.perturbations["vignette"])
 

@@ -116,14 +116,17 @@ class Simulator(ExitStack):
         yield plan.topics["ground_truth_tf"], TransformsSample(stamp_ns, (tools[0], tissue, *tools[1:]))
         origins_m = [T[:3, 3] for T in poses]
         clearances_m = self._tissue.clearances_m(state.q, state.offset_m)
-        for arm, origin_m, clearance_m in zip(arms, origins_m, clearances_m, strict=True):
-            distance = _distance(stamp_ns, origin_m - T_camera_tissue[:3, 3], clearance_m)
-            yield arm.topics["ground_truth_distance"], distance
-        first, *others = (arm.profile.instrument_name for arm in arms)
-        for number, (other, between) in enumerate(zip(others, self._between, strict=True), start=1):
+        distances = [
+            (arm.topics["ground_truth_distance"], origin_m - T_camera_tissue[:3, 3], clearance_m)
+            for arm, origin_m, clearance_m in zip(arms, origins_m, clearances_m, strict=True)
+        ]
+        for number, between in enumerate(self._between, start=1):
+            topic = f"/ground_truth/{arms[0].profile.instrument_name}/{arms[number].profile.instrument_name}/distance"
             clearance_m = between.clearance_m(state.q[0], state.q[number])
-            distance = _distance(stamp_ns, origins_m[0] - origins_m[number], clearance_m)
-            yield f"/ground_truth/{first}/{other}/distance", distance
+            distances.append((topic, origins_m[0] - origins_m[number], clearance_m))
+        for topic, between_m, clearance_m in distances:
+            planar_m = float(np.linalg.norm(between_m[:2]))  # eq. (35): in the camera's xy plane
+            yield topic, DistanceSample(stamp_ns, planar_m, float(np.linalg.norm(between_m)), clearance_m)
 
     def _nominal_transforms(self, stamp_ns: int, index: int) -> TransformsSample:
         """The transforms of the first arm, the right camera, and those of the other arms."""
@@ -151,9 +154,3 @@ class Simulator(ExitStack):
         for camera, of_camera in enumerate(zip(*fields, strict=True)):
             exposed = self.sensors.expose(camera, self.sensors.focus(camera, of_camera, frame), noise[camera], frame)
             yield cameras[camera][0], ImageSample(stamp_ns, cameras[camera][1].frame_id, exposed)
-
-
-def _distance(stamp_ns: int, between_m: Array, clearance_m: float) -> DistanceSample:
-    """The three distances of two things, by the vector between their origins in the camera frame, shape (3,)."""
-    planar_m = float(np.linalg.norm(between_m[:2]))  # eq. (35): in the camera's xy plane
-    return DistanceSample(stamp_ns, planar_m, float(np.linalg.norm(between_m)), clearance_m)
