@@ -1,9 +1,9 @@
 """What a robot reports of its joints, perturbed: backlash, drift, noise and steps, and late stamps.
 
 The reported joints are perturbed, not the true ones: images and truth stay, as an existing log demands. With backlash
-the motor is ahead of the joint, and the reported joint is the true one plus that lead. It is a play operator
-(Krasnosel'skii & Pokrovskii, Systems with Hysteresis, 1989): the lead changes over a travel of twice the backlash, as
-in a cable that gives way, so that noise in a logged joint makes no jumps.
+the motor is ahead of the joint, to where it moves, and the reported joint is the true one plus that lead. It is a play
+operator (Krasnosel'skii & Pokrovskii, Systems with Hysteresis, 1989): the lead changes over a travel of twice the
+backlash, as in a cable that gives way, so that noise in a logged joint makes no jumps.
 """
 
 from __future__ import annotations
