@@ -50,8 +50,7 @@ class Limits(StrictModel):
     record_bytes: Size = 256 << 20  # one record of the file; it may never reach beyond the file either
     chunk_bytes: Size = 256 << 20  # one chunk after expansion; it must have exactly the size that it declares
     window_bytes: Size = 128 << 20  # that a zstd frame may claim for its window, beside the expanded chunk
-    image_pixels: int = Field(default=16_000_000, ge=1, le=1 << 26)
-    """One image, by the dimensions in its header, before it is decoded; OpenCV itself is held to 2^26."""
+    image_pixels: int = Field(default=16_000_000, ge=1, le=1 << 26)  # by the header, before decoding; OpenCV takes 2^26
     image_bytes: Size = 32 << 20  # one compressed image
     message_bytes: Size = 1 << 20  # one message that is no image: joints and the like hold a few kilobytes
     pair_tolerance_s: float = Field(default=5e-4, ge=0.0, le=0.5)
@@ -90,8 +89,7 @@ class Profile(StrictModel):
     name: str
     description: str = ""
     calibration: str | None = None  # file name of the calibration that ships beside this profile
-    hand_eye: NamedHandEye | None = None
-    """A file that `svmdist hand-eye` wrote: the camera-to-base transforms, in place of the log's."""
+    hand_eye: NamedHandEye | None = None  # a file of `svmdist hand-eye`: camera-to-base transforms in the log's place
     topics: Topics = Topics()
     frames: Frames = Frames()
     limits: Limits = Limits()

@@ -178,8 +178,7 @@ class Tissue(StrictModel):
     motion_std_m: NonNegative = 1e-3  # of the tissue's motion along the plane's normal: breath and pulse
     motion_time_s: Positive = 0.5  # correlation time of that motion: a breath of 4 s turns within as long
     dome: Dome | None = None
-    mesh: toml.NeighbourFile | None = None
-    """A closed surface in a file .obj or .stl, in place of a dome; a relative path starts from the profile's folder."""
+    mesh: toml.NeighbourFile | None = None  # a closed surface (.obj, .stl) in a dome's place; relative to the profile
     mesh_unit: Literal["m", "cm", "mm"] = "m"  # of the file's numbers; the formats do not say
     mesh_position_m: Vector = (0.0, 0.0, 0.0)  # the mesh's origin in the tissue's frame
     mesh_yaw_rad: Angle = 0.0  # about the tissue's z axis, counter-clockwise seen from the camera's side

@@ -80,14 +80,10 @@ class Organ:
         on_b = w_near * z_near + w_far_b_other * z_far_b + (1.0 - w_near - w_far_b_other) * at(ring - 1, side + 1)
         return np.where(alpha + beta <= 1.0, np.where(w_far >= 0.0, on_a, on_b), -np.inf)
 
-    def inside_m(self, points_m: Array) -> Array:
-        """How deep points, shape (n, 3), lie below the surface: shape (n,)."""
-        return self.heights_m(points_m[:, :2]) - points_m[:, 2]
-
     def inside(self, points_m: Array) -> Array:
         """Those of the points, shape (n, 3), that lie below the surface."""
         low_m = points_m[points_m[:, 2] < self.mesh.vertices_m[:, 2].max()]
-        return np.asarray(low_m[self.inside_m(low_m) > 0.0])
+        return np.asarray(low_m[self.heights_m(low_m[:, :2]) > low_m[:, 2]])
 
     def bounds_m(self, points_m: Array) -> tuple[Array, Array]:
         """Lower and upper bounds of distances of points, shape (n, 3): by the nearest vertex, shape (n,) each."""

@@ -25,7 +25,6 @@ from svmdist.simulation.scene import PLAIN, Options, Scene, make_scene
 from svmdist.transforms import Array, make_transform
 
 START_NS = 1_700_000_000_000_000_000  # no clock is read, so that a rerun gives the same log
-CAMERA_INFO_PERIOD_NS = 1_000_000_000
 TOPICS = {
     "image": "/ECM/left/image",
     "camera_info": "/ECM/left/camera_info",
@@ -159,7 +158,7 @@ def make_plan(scenario: Scenario, profile: Profile, options: Options = PLAIN) ->
     stamps = np.union1d(images, joints)
     with_image, with_joints = np.isin(stamps, images), np.isin(stamps, joints)
     with_camera_info = np.zeros(len(stamps), np.bool_)
-    with_camera_info[np.searchsorted(stamps, np.arange(START_NS, stamps[-1] + 1, CAMERA_INFO_PERIOD_NS))] = True
+    with_camera_info[np.searchsorted(stamps, np.arange(START_NS, stamps[-1] + 1, 10**9))] = True  # every second
     progress = np.clip((stamps - START_NS) / (scenario.duration_s * 1e9), 0.0, 1.0)
     path, T_world_retractor = make_trajectory(scene, scenario, progress)
     others = make_other_arms(built, scene, options, path, progress, scenario.duration_s)
