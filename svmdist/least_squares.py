@@ -1,7 +1,6 @@
 """Robust statistics, and nonlinear least squares on any state: Gauss–Newton, damped after Levenberg and Marquardt.
 
-The state may be a pose or a correction: the problem linearises it into normal equations, `retract` applies a step of
-its tangent space. Triggs et al. 2000, "Bundle Adjustment: A Modern Synthesis", secs. 2.2 and 4, has the method.
+Triggs et al. 2000, "Bundle Adjustment: A Modern Synthesis", secs. 2.2 and 4, has the method.
 """
 
 from __future__ import annotations
@@ -36,10 +35,7 @@ def huber_weights(deviation: Array, bound: Array | float) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class NormalEquations:
-    """A problem about a state: its cost, gradient Jᵀ W r, shape (n,), and information Jᵀ W J, shape (n, n).
-
-    The residual r is measured minus predicted, so that information⁻¹ · gradient is the step towards the minimum.
-    """
+    """A problem's cost, gradient Jᵀ W r, shape (n,), and information Jᵀ W J, (n, n); r is measured minus predicted."""
 
     cost: float
     gradient: Array
@@ -65,24 +61,24 @@ def minimise(
 ) -> tuple[State, Equations] | None:
     """The state that is reached from a start, and the equations there; None where they are undefined at the start.
 
-    `linearise` gives None, or what is not finite, for a state where the problem is undefined. Steps are damped in
-    proportion to the information's diagonal, more where one would raise the cost or lead to such a state, which is
-    not taken, and less after each that is. It ends with a step whose largest element is below `tolerance`.
+    `linearise` gives None, or what is not finite, for a state where the problem is undefined; `retract` applies a step
+    of the state's tangent space. Steps are damped in proportion to the information's diagonal, more where one would
+    raise the cost or lead to such a state, which is not taken, and less after each that is. It ends with a step whose
+    largest element is below `tolerance`.
     """
-    equations = linearise(start)
+    state, equations = start, linearise(start)
     if equations is None or not equations.is_finite:
         return None
-    state = start
     for _ in range(max_steps):
         information = equations.information + damping * np.diag(np.diag(equations.information))
         try:
             step = np.asarray(np.linalg.solve(information, equations.gradient), np.float64)
         except np.linalg.LinAlgError:
             step = np.asarray(np.linalg.lstsq(information, equations.gradient, rcond=None)[0], np.float64)
-        trial_state = retract(state, step)
-        trial = linearise(trial_state)
+        moved = retract(state, step)
+        trial = linearise(moved)
         if trial is not None and trial.is_finite and trial.cost <= equations.cost:
-            state, equations, damping = trial_state, trial, max(0.1 * damping, 1e-9)
+            state, equations, damping = moved, trial, max(0.1 * damping, 1e-9)
         else:
             damping *= 10.0
         if float(np.abs(step).max()) < tolerance:

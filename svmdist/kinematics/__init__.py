@@ -1,14 +1,13 @@
 """Denavit–Hartenberg chains: rows of parameters to transforms, for one joint vector or many.
 
-Both conventions are here because logs use both: *standard* (Denavit & Hartenberg 1955; Spong,
-"Robot Modeling and Control", sec. 3.2), which the paper's eqs. (29) and (30) fit, and *modified*
-(Craig, "Introduction to Robotics", sec. 3.4), in which the da Vinci Research Kit publishes its arms.
+Logs use both conventions: *standard* (Denavit & Hartenberg 1955; Spong, "Robot Modeling and Control", sec. 3.2), which
+the paper's eqs. (29) and (30) fit, and *modified* (Craig, "Introduction to Robotics", sec. 3.4), as of the dVRK.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -17,62 +16,41 @@ from numpy.typing import ArrayLike, NDArray
 
 from svmdist.errors import KinematicsError
 from svmdist.profile.robot import Joint, Robot
-from svmdist.transforms import Array
+from svmdist.transforms import Array, make_transform
 
 CHUNK = 2048  # joint vectors that are worked on together: more links at once leave the processor's cache
-CLOSE_M, MAX_STEPS = 1e-9, 60  # of inverse kinematics
-DAMPING = 1e-4  # in m: far below a robot's lever arms, it slows convergence near singularities only
+CLOSE_M, MAX_STEPS, DAMPING_M = 1e-9, 60, 1e-4
+"""Of inverse kinematics; damping far below a robot's lever arms slows convergence near singularities only."""
 
 
-@dataclass(frozen=True, eq=False)
 class DHChain:
-    """A serial chain from base to tool, the last transform constant; tolerances are beyond joints' limits."""
+    """A serial chain from base to tool, the last transform constant; tolerances are beyond joints' limits.
 
-    rows: tuple[Joint, ...]
-    convention: Literal["standard", "modified"] = "standard"
-    T_last_tool: Array = field(default_factory=lambda: np.eye(4))
-    limit_tolerance_rad: float = np.inf
-    limit_tolerance_m: float = np.inf
+    Of the joints that move, base first, it has `moving_joints`, their names and arrays, shape (n_joints,): indices of
+    their rows, which are revolute (the others are prismatic), limits and the limits' tolerance in rad or m.
+    """
 
-    @cached_property
-    def moving_rows(self) -> NDArray[np.intp]:
-        """Indices of the rows with a joint, base first, shape (n_joints,)."""
-        return np.array([i for i, row in enumerate(self.rows) if row.type != "fixed"], np.intp)
-
-    @cached_property
-    def moving_joints(self) -> list[Joint]:
-        """The rows with a joint, base first."""
-        return [self.rows[index] for index in self.moving_rows]
-
-    @cached_property
-    def joint_names(self) -> tuple[str, ...]:
-        """The names of the joints that move, base first."""
-        return tuple(joint.name for joint in self.moving_joints)
-
-    @cached_property
-    def lower(self) -> Array:
-        """Lower joint limits in rad or m, shape (n_joints,)."""
-        return np.array([joint.lower for joint in self.moving_joints])
-
-    @cached_property
-    def upper(self) -> Array:
-        """Upper joint limits in rad or m, shape (n_joints,)."""
-        return np.array([joint.upper for joint in self.moving_joints])
-
-    @cached_property
-    def is_revolute(self) -> NDArray[np.bool_]:
-        """Which joints are revolute, shape (n_joints,); the others are prismatic."""
-        return np.array([joint.type == "revolute" for joint in self.moving_joints], np.bool_)
-
-    @cached_property
-    def limit_tolerance(self) -> Array:
-        """The tolerance of each joint's limits in rad or m, shape (n_joints,)."""
-        return np.where(self.is_revolute, self.limit_tolerance_rad, self.limit_tolerance_m)
+    def __init__(
+        self,
+        rows: tuple[Joint, ...],
+        convention: Literal["standard", "modified"] = "standard",
+        T_last_tool: Array | None = None,
+        limit_tolerance_rad: float = np.inf,
+        limit_tolerance_m: float = np.inf,
+    ) -> None:
+        self.rows, self.convention = rows, convention
+        self.T_last_tool = np.eye(4) if T_last_tool is None else T_last_tool
+        self.moving_rows = np.array([index for index, row in enumerate(rows) if row.type != "fixed"], np.intp)
+        self.moving_joints = [rows[index] for index in self.moving_rows]
+        self.joint_names = tuple(joint.name for joint in self.moving_joints)
+        self.lower = np.array([joint.lower for joint in self.moving_joints])
+        self.upper = np.array([joint.upper for joint in self.moving_joints])
+        self.is_revolute = np.array([joint.type == "revolute" for joint in self.moving_joints], np.bool_)
+        self.limit_tolerance = np.where(self.is_revolute, limit_tolerance_rad, limit_tolerance_m)
 
     def are_within_limits(self, q: Array) -> NDArray[np.bool_]:
         """Which joints, shape (..., n_joints), are within their limits and the tolerance."""
-        tolerance = self.limit_tolerance
-        return np.asarray((q >= self.lower - tolerance) & (q <= self.upper + tolerance))
+        return np.asarray((q >= self.lower - self.limit_tolerance) & (q <= self.upper + self.limit_tolerance))
 
     @cached_property
     def terms(self) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
@@ -86,8 +64,9 @@ class DHChain:
 
 def chain_of(robot: Robot) -> DHChain:
     """The chain of a profile's robot, from base to tool."""
+    T_last_tool = None if robot.tool_rotation is None else make_transform(robot.tool_rotation, np.zeros(3))
     tolerances = robot.limit_tolerance_rad, robot.limit_tolerance_m
-    return DHChain(robot.joints, robot.convention, robot.T_last_tool, *tolerances)
+    return DHChain(robot.joints, robot.convention, T_last_tool, *tolerances)
 
 
 def link_transforms(chain: DHChain, q: ArrayLike) -> Array:
@@ -149,9 +128,9 @@ def select_joints(chain: DHChain, names: tuple[str, ...], positions: ArrayLike) 
 def joint_axis(chain: DHChain, frames: Array, index: int) -> tuple[Array, Array]:
     """The axis that the joint of row `index` moves about or along: direction and a point, shapes (..., 3).
 
-    `frames`, shape (..., n_rows, 4, 4), are the poses of all row frames. Standard DH moves about the z of
-    the frame before, modified DH about the z of its own frame.
+    `frames`, shape (..., n_rows, 4, 4), are the poses of all row frames.
     """
+    # Standard DH moves about the z of the frame before, modified DH about the z of its own frame.
     axis_index = index - 1 if chain.convention == "standard" else index
     if axis_index < 0:
         return np.array([0.0, 0.0, 1.0]), np.zeros(3)
@@ -174,10 +153,9 @@ class ShaftAxis:
 
 def shaft_of(chain: DHChain) -> ShaftAxis | None:
     """The shaft of a chain; None for a chain in which nothing slides."""
-    prismatic = [row for row in chain.rows if row.type == "prismatic"]
-    if not prismatic:
+    row = next((row for row in reversed(chain.rows) if row.type == "prismatic"), None)
+    if row is None:
         return None
-    row = prismatic[-1]
     if chain.convention == "modified":
         return ShaftAxis(row.name, np.zeros(3), np.array([0.0, 0.0, 1.0]))
     # The row's frame is Trans_x(a) Rot_x(α) away from the axis.
@@ -213,7 +191,7 @@ def solve_position(chain: DHChain, q_start: ArrayLike, p_base_tool_m: ArrayLike,
             columns.append(np.cross(axis, p_m - at_m) if chain.is_revolute[joint] else axis)
         J = np.moveaxis(np.array(columns), 0, -1)
         # dq = J^T (J J^T + λ² I)^-1 e (Nakamura & Hanafusa 1986)
-        damped = J @ np.swapaxes(J, 1, 2) + DAMPING**2 * np.eye(3)
+        damped = J @ np.swapaxes(J, 1, 2) + DAMPING_M**2 * np.eye(3)
         q[:, free] += (np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, error_m[:, :, None]))[..., 0]
     else:
         worst = int(np.argmax(np.linalg.norm(error_m, axis=1)))

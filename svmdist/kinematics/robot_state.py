@@ -20,23 +20,17 @@ NO_CAMERA = Failure("no transform from the camera to the base near the image")
 
 @dataclass(frozen=True, eq=False)
 class RobotState:
-    """Joints of a chain at a stamp, and the camera's pose: the nominal (uncorrected) kinematics of one frame.
-
-    `q`, shape (n_joints,), is in the chain's order, in rad or m. Without `T_camera_base`, shape (4, 4), everything in
-    the base frame is there, and what needs the camera raises ValueError. `track` holds the joints around the stamp,
-    in the chain's order, where the log has them: `q` is their value `time_offset_s` after the stamp.
-    """
+    """Joints of a chain at a stamp, and the camera's pose: the nominal (uncorrected) kinematics of one frame."""
 
     chain: DHChain
     stamp_ns: int
-    q: Array
-    T_camera_base: Array | None = None
-    track: JointTrack | None = None
-    time_offset_s: float = 0.0
+    q: Array  # in the chain's order, in rad or m, shape (n_joints,)
+    T_camera_base: Array | None = None  # (4, 4); without it, what needs the camera raises ValueError
+    track: JointTrack | None = None  # the joints around the stamp, in the chain's order, where the log has them
+    time_offset_s: float = 0.0  # `q` is the track's value so long after the stamp
 
-    @classmethod
+    @staticmethod
     def of(
-        cls,
         chain: DHChain,
         joints: JointSample | None,
         T_camera_base: Array | None,
@@ -46,18 +40,24 @@ class RobotState:
         """The state by a sample's joints, or why there is none; the camera's transform may be missing."""
         if joints is None:
             return NO_JOINTS
-        if track is None or track.names != joints.names:
-            track = JointTrack(np.zeros(0, np.int64), joints.names, np.zeros((0, len(joints.names))))
         try:
-            selected = select_joints(chain, joints.names, np.vstack([joints.positions, track.positions]))
+            q = select_joints(chain, joints.names, joints.positions)
         except KinematicsError as problem:
             return Failure(str(problem))
-        within = chain.are_within_limits(selected)
-        if not within[0].all():
-            return _limit_failure(chain, selected[0], int(np.argmin(within[0])))
-        usable = within[1:].all(axis=1)  # one stray sample beside the image does no harm
-        around = JointTrack(track.stamps_ns[usable], chain.joint_names, selected[1:][usable])
-        return cls(chain, stamp_ns, selected[0], T_camera_base, around if usable.any() else None)
+        within = chain.are_within_limits(q)
+        if not within.all():
+            joint = int(np.argmin(within))
+            unit, tolerance = "rad" if chain.is_revolute[joint] else "m", chain.limit_tolerance[joint]
+            limits = f"its limits {chain.lower[joint]:.4g} to {chain.upper[joint]:.4g} {unit}"
+            found = f"joint {chain.joint_names[joint]} is at {q[joint]:.6g} {unit}"
+            return Failure(f"{found}, outside {limits} and the tolerance {tolerance:.4g} {unit}")
+        around = None
+        if track is not None and track.names == joints.names:
+            selected = select_joints(chain, track.names, track.positions)
+            usable = chain.are_within_limits(selected).all(axis=1)  # one stray sample beside the image does no harm
+            if usable.any():
+                around = JointTrack(track.stamps_ns[usable], chain.joint_names, selected[usable])
+        return RobotState(chain, stamp_ns, q, T_camera_base, around)
 
     def shifted(self, time_offset_s: float) -> RobotState:
         """The state with the joints at a time offset; extrapolated at their rate, unchanged without a track."""
@@ -109,10 +109,3 @@ class RobotState:
         if self.T_camera_base is None:
             raise ValueError(NO_CAMERA.reason)
         return self.T_camera_base
-
-
-def _limit_failure(chain: DHChain, q: Array, joint: int) -> Failure:
-    unit = "rad" if chain.is_revolute[joint] else "m"
-    lower, upper = chain.lower[joint], chain.upper[joint]
-    limits = f"its limits {lower:.4g} to {upper:.4g} {unit} and the tolerance {chain.limit_tolerance[joint]:.4g} {unit}"
-    return Failure(f"joint {chain.joint_names[joint]} is at {q[joint]:.6g} {unit}, outside {limits}")

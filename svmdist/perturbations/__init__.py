@@ -1,14 +1,10 @@
-"""Ways in which the world is not what logs and profiles state, for `record` and for replay alike.
-
-Their table, whose entries are data in `table.toml`, and those of a run. The other modules apply them to what a robot
-reports (`joints.py`), and to what log and profile state and images show (`calibration.py`).
-"""
+"""Ways in which the world is not what logs and profiles state, for `record` and replay: their table, and a choice."""
 
 from __future__ import annotations
 
 import tomllib
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.resources import files
@@ -19,35 +15,23 @@ import numpy as np
 from svmdist.errors import UsageError, did_you_mean
 from svmdist.transforms import Array
 
-
-class Place(StrEnum):
-    """What a perturbation changes."""
-
-    JOINTS = "joints"
-    CLOCK = "clock"
-    CALIBRATION = "calibration"
-    IMAGES = "images"
+Place = StrEnum("Place", ["JOINTS", "CLOCK", "CALIBRATION", "IMAGES"])
+"""What a perturbation changes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """A strength in real worlds, in the perturbation's unit: `uniform` between two bounds, or a normal of mean 0.
+    """A strength in real worlds, in the perturbation's unit: `uniform` between two bounds, or a normal of mean 0."""
 
-    The bounds are often the same. `std` is the normal's deviation, which a profile may state. With several `axes`, the
-    strength is the length of a vector that has `std` along each of them; its direction is sampled apart from it. Beyond
-    `limit` it is sampled again.
-    """
-
-    uniform: Sequence[float] | None = None
-    std: float = 0.0
-    axes: int = 1
-    limit: float = np.inf
+    uniform: tuple[float, float] | None = None  # the bounds are often the same
+    std: float = 0.0  # along each axis
+    axes: int = 1  # of several, it is the length of a vector, whose direction is sampled apart
+    limit: float = np.inf  # beyond it, it is sampled again
 
     def draw(self, rng: np.random.Generator) -> float:
         """Sample the strength of one world."""
         if self.uniform is not None:
-            low, high = self.uniform
-            return float(rng.uniform(low, high))
+            return float(rng.uniform(*self.uniform))
         while True:
             sample = rng.normal(0.0, self.std, self.axes)
             strength = float(sample[0]) if self.axes == 1 else float(np.linalg.norm(sample))
@@ -57,11 +41,7 @@ class Size:
 
 @dataclass(frozen=True, slots=True)
 class Perturbation:
-    """One perturbation: a strength in `unit`, from `low` to `high`; a strength of `neutral` changes nothing.
-
-    `real` is its size under `--world real`, with `source`, where that is from; None leaves it out there.
-    What cannot be applied to an existing log is not `at_replay`.
-    """
+    """One perturbation: a strength in `unit`, from `low` to `high`; a strength of `neutral` changes nothing."""
 
     name: str
     unit: str
@@ -69,10 +49,10 @@ class Perturbation:
     meaning: str
     low: float
     high: float
-    real: Size | None = None
-    source: str = ""
+    real: Size | None = None  # its size under `--world real`; None leaves it out there
+    source: str = ""  # of that size
     neutral: float = 0.0
-    at_replay: bool = True
+    at_replay: bool = True  # whether it can be applied to an existing log
 
 
 def _read_table() -> Iterator[Perturbation]:
@@ -94,14 +74,9 @@ def find_perturbation(name: str) -> Perturbation:
     return TABLE[name]
 
 
-_STRENGTH_STREAM, _DIRECTION_STREAM, _PATH_STREAM = 40, 41, 42
-
-
-class World(StrEnum):
-    """`--world`: exactly what log and profile state, or as far from it as real worlds are."""
-
-    IDEAL = "ideal"
-    REAL = "real"
+_STRENGTH_STREAM, _DIRECTION_STREAM, PATH_STREAM = 40, 41, 42
+World = StrEnum("World", ["IDEAL", "REAL"])
+"""`--world`: exactly what log and profile state, or as far from it as real worlds are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,15 +118,15 @@ UNPERTURBED = Perturbations()
 
 
 def draw_world(world: World, seed: int, given: Perturbations = UNPERTURBED) -> Perturbations:
-    """Sample the perturbations of a recording: in a real world all that have a size there, then the given ones.
+    """Sample the perturbations of a recording: in a real world all that have a size there; the given ones go before.
 
-    A given strength replaces a sampled one. Each name has a random stream of its own, so that a new entry of the table
-    changes no other one. Sampled strengths have six digits, so that metadata stay readable.
+    Each name has a random stream of its own, so that a new entry of the table changes no other one. Sampled strengths
+    have six digits, so that metadata stay readable.
     """
-    if world is World.IDEAL:
-        return given
-    sizes = {name: entry.real for name, entry in TABLE.items() if entry.real is not None}
-    sampled = {name: float(f"{size.draw(_stream(seed, _STRENGTH_STREAM, name)):.6g}") for name, size in sizes.items()}
+    sampled = {}
+    for name, entry in TABLE.items() if world is World.REAL else ():
+        if entry.real is not None:
+            sampled[name] = float(f"{entry.real.draw(random_stream(seed, _STRENGTH_STREAM, name)):.6g}")
     return Perturbations(tuple((sampled | dict(given.strengths)).items()))
 
 
@@ -169,13 +144,8 @@ def parse_perturbations(text: str) -> Perturbations:
 
 def direction(seed: int, name: str, axes: int) -> Array:
     """The direction of a perturbation in the world of a seed: a unit vector, shape (axes,)."""
-    sample = _stream(seed, _DIRECTION_STREAM, name).normal(0.0, 1.0, axes)
+    sample = random_stream(seed, _DIRECTION_STREAM, name).normal(0.0, 1.0, axes)
     return np.asarray(sample / np.linalg.norm(sample))
-
-
-def path_stream(seed: int, name: str, arm: int = 0) -> np.random.Generator:
-    """The random stream of what a perturbation does to one arm over time."""
-    return _stream(seed, _PATH_STREAM, name, arm)
 
 
 def require_at_replay(perturbations: Perturbations) -> None:
@@ -186,5 +156,6 @@ def require_at_replay(perturbations: Perturbations) -> None:
             raise UsageError(f"perturbation {name} cannot be applied at replay: the choices are {possible}")
 
 
-def _stream(seed: int, stream: int, name: str, *further: int) -> np.random.Generator:
+def random_stream(seed: int, stream: int, name: str, *further: int) -> np.random.Generator:
+    """The random numbers of one thing about a perturbation in the world of a seed."""
     return np.random.default_rng([seed, stream, zlib.crc32(name.encode()), *further])

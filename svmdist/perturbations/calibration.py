@@ -1,7 +1,6 @@
 """Nominal parameters, the cameras' in a log and the instrument's, tag's and plane's in a profile, against true ones.
 
-Nominal is true, times or plus the strength. Profiles are changed in both directions: the nominal one of a world, and
-the world that is built for a nominal profile.
+Nominal is true, times or plus the strength.
 """
 
 from __future__ import annotations
@@ -22,8 +21,7 @@ from svmdist.samples import Image, RightView
 from svmdist.transforms import Array, rotation_of
 from svmdist.vision.degradations import dimmed, subsampled
 
-TURN_DEG_PER_MM = 4.0
-"""Rotation of a tag that is glued on a millimetre beside its place: a plate of 9 mm that lies on one edge."""
+TURN_DEG_PER_MM = 4.0  # rotation of a tag that is glued on a millimetre off: a plate of 9 mm that lies on one edge
 
 Model = TypeVar("Model", bound=StrictModel)
 
@@ -33,8 +31,7 @@ def nominal_camera(camera: Camera, perturbations: Perturbations, *, right: bool 
     P = camera.P
     if perturbations.has("focal", "principal_point"):
         scale, shift_px = 1.0 + 1e-2 * perturbations["focal"], perturbations["principal_point"]
-        if P is not None:
-            P = np.column_stack([_intrinsics(P[:, :3], scale, shift_px), P[:, 3] * [scale, scale, 1.0]])
+        P = None if P is None else _intrinsics(P, scale, shift_px)
         camera = replace(camera, K=_intrinsics(camera.K, scale, shift_px), P=P)
     if right and P is not None and P[0, 3] and perturbations.has("baseline"):  # a pair
         P = P.copy()
@@ -44,10 +41,8 @@ def nominal_camera(camera: Camera, perturbations: Perturbations, *, right: bool 
 
 
 def right_turn(perturbations: Perturbations) -> Array:
-    """The unmodelled rotation of the right camera in its own axes, shape (3, 3).
-
-    A log states that its pair is rectified: the pair is not, and no method would accept one that says so.
-    """
+    """The unmodelled rotation of the right camera in its own axes, shape (3, 3)."""
+    # A log states that its pair is rectified: the pair is not, and no method would accept one that says so.
     axes = ("right_pitch", "right_yaw", "right_roll")  # about x, y and z
     return rotation_of(np.deg2rad([perturbations[name] for name in axes]))
 
@@ -59,9 +54,11 @@ def zoomed_camera(camera: Camera, zoom: float) -> Camera:
     return replace(camera, K=enlarge @ camera.K, P=None if camera.P is None else enlarge @ camera.P)
 
 
-def _intrinsics(K: Array, scale: float, shift_px: float) -> Array:
-    changed = K.copy()
+def _intrinsics(matrix: Array, scale: float, shift_px: float) -> Array:
+    """K, shape (3, 3), or P, shape (3, 4), with other focal lengths and another principal point."""
+    changed = matrix.copy()
     changed[:2, :2] *= scale
+    changed[:2, 3:] *= scale
     changed[:2, 2] += shift_px
     return changed
 
@@ -78,12 +75,9 @@ def perturbed_image(image_bgr: Image, perturbations: Perturbations) -> Image:
 
 
 def perturbed_right_view(right: RightView, perturbations: Perturbations) -> RightView:
-    """Apply the same to the right view, and what concerns the right camera alone; what comes into view is black.
-
-    Pixels of a camera that is turned about its centre move by a homography, K Rᵀ K⁻¹ (Hartley & Zisserman, Multiple
-    View Geometry, sec. 8.4). The lens' distortion is taken to turn along.
-    """
+    """Apply the same to the right view, and what concerns the right camera alone; what comes into view is black."""
     image_bgr, camera = right.image_bgr, right.camera
+    # Hartley & Zisserman, Multiple View Geometry, sec. 8.4; the lens' distortion is taken to turn along.
     if perturbations.has("right_yaw", "right_pitch", "right_roll"):
         H = camera.K @ right_turn(perturbations).T @ np.linalg.inv(camera.K)
         size = (camera.width_px, camera.height_px)
@@ -91,14 +85,9 @@ def perturbed_right_view(right: RightView, perturbations: Perturbations) -> Righ
     return replace(right, image_bgr=perturbed_image(image_bgr, perturbations))
 
 
-def nominal_profile(profile: Profile, perturbations: Perturbations, seed: int) -> Profile:
-    """The nominal profile of a world that is as this one has it."""
-    return _changed(profile, perturbations, seed, 1)
-
-
 def built_profile(profile: Profile, perturbations: Perturbations, seed: int) -> Profile:
     """The world of which the profile is nominal: `nominal_profile` of it is the profile again."""
-    built = _changed(profile, perturbations, seed, -1)
+    built = nominal_profile(profile, perturbations, seed, -1)
     if built.simulation is None or not perturbations.has("plane"):
         return built
     height_m = built.simulation.camera_height_m - 1e-3 * perturbations["plane"]
@@ -110,8 +99,8 @@ def plane_tilt(perturbations: Perturbations, seed: int) -> Array:
     return rotation_of(np.array([*direction(seed, "plane_tilt", 2), 0.0]) * np.deg2rad(perturbations["plane_tilt"]))
 
 
-def _changed(profile: Profile, perturbations: Perturbations, seed: int, sign: int) -> Profile:
-    """Change the nominal profile (`sign` 1) or the world (-1)."""
+def nominal_profile(profile: Profile, perturbations: Perturbations, seed: int, sign: int = 1) -> Profile:
+    """The nominal profile of a world that is as this one has it; of `sign` -1 the world of a nominal profile."""
 
     def scaled(length_m: float, name: str) -> float:
         return float(length_m * (1.0 + 1e-2 * perturbations[name]) ** sign)

@@ -1,10 +1,9 @@
 """What a robot reports of its joints, perturbed: backlash, drift, noise and steps, and late stamps.
 
-The reported joints are perturbed, not the true ones: images and truth stay, so that the same can be applied to an
-existing log. With backlash the motor is ahead of the joint, on the side to which the joint moves; the reported joint
-is the true one plus that lead. It is a play operator (Krasnosel'skii & Pokrovskii, Systems with Hysteresis, 1989): the
-lead changes over a travel of twice the backlash, as in a cable that gives way, so that noise in a logged joint makes
-no jumps.
+The reported joints are perturbed, not the true ones: images and truth stay, as an existing log demands. With backlash
+the motor is ahead of the joint, to where it moves, and the reported joint is the true one plus that lead. It is a play
+operator (Krasnosel'skii & Pokrovskii, Systems with Hysteresis, 1989): the lead changes over a travel of twice the
+backlash, as in a cable that gives way, so that noise in a logged joint makes no jumps.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from svmdist.errors import ProfileError
 from svmdist.kinematics import chain_of
-from svmdist.perturbations import Perturbations, Place, path_stream
+from svmdist.perturbations import PATH_STREAM, Perturbations, Place, random_stream
 from svmdist.profile import Profile
 from svmdist.transforms import Array, Stamps
 
@@ -42,25 +41,18 @@ def reported_late(values: Array, stamps_ns: Stamps, perturbations: Perturbations
     return np.asarray(values[left] + weight[:, None] * (values[right] - values[left]))
 
 
-METRES_PER_DEG = 1e-4
-"""What a degree is for a joint that slides: 0.1 mm. A cable drum of 12 mm across moves so far in a degree."""
-PROXIMAL_SHARE = 0.5
-"""Backlash of yaw, pitch, insertion and roll, which have shorter cables, over that of the wrist."""
-DRIFT_S = 8.0
+METRES_PER_DEG = 1e-4  # of a joint that slides: a cable drum of 12 mm across moves so far in a degree
+PROXIMAL_SHARE = 0.5  # backlash of yaw, pitch, insertion and roll, which have shorter cables, over that of the wrist
 DRIFT_PERIODS_S = np.array([16.0, 24.0, 36.0, 54.0])  # slower than a task, and too many to look like a sine
 
 
 @dataclass(frozen=True)
 class JointUnits:
-    """Of the joints of a robot, base first: a degree in a joint's unit, and its share of the backlash, shape (n,).
+    """Of the joints of a robot, base first; nothing perturbs the set-up joints, which hold still behind brakes."""
 
-    `places` has the index of each by its name, and by its aliases. The set-up joints hold still behind brakes: nothing
-    perturbs them.
-    """
-
-    places: dict[str, int]
-    per_deg: Array
-    backlash_share: Array
+    places: dict[str, int]  # the index of each by its name, and by its aliases
+    per_deg: Array  # a degree in a joint's unit, shape (n,)
+    backlash_share: Array  # shape (n,)
 
     @classmethod
     def of(cls, profile: Profile) -> JointUnits:
@@ -68,13 +60,12 @@ class JointUnits:
         if profile.robot is None:
             raise ProfileError(f"profile {profile.name} has no [robot]: joints cannot be perturbed")
         chain, first = chain_of(profile.robot), profile.kinematic_error.first_moving_joint
-        at = np.arange(len(chain.joint_names))
-        begin = 0 if first is None else chain.joint_names.index(first)
-        # Behind the insertion comes the roll, then the wrist.
-        wrist = max(at[~chain.is_revolute], default=-1) + 2
-        per_deg = np.where(chain.is_revolute, np.pi / 180.0, METRES_PER_DEG)
         places = {name: at for at, joint in enumerate(chain.moving_joints) for name in (joint.name, *joint.aliases)}
-        return cls(places, np.where(at < begin, 0.0, per_deg), np.where(at < wrist, PROXIMAL_SHARE, 1.0))
+        per_deg = np.where(chain.is_revolute, np.pi / 180.0, METRES_PER_DEG)
+        per_deg[: 0 if first is None else chain.joint_names.index(first)] = 0.0
+        # Behind the insertion comes the roll, then the wrist.
+        wrist = max(np.flatnonzero(~chain.is_revolute), default=-1) + 2
+        return cls(places, per_deg, np.where(np.arange(len(per_deg)) < wrist, PROXIMAL_SHARE, 1.0))
 
 
 def reported_joints(
@@ -88,13 +79,13 @@ def reported_joints(
     reported = q + (q - trailing)
     # A smooth normal process of each joint: 0 at the start, a standard deviation of 1 after 8 s.
     seconds, turns = 1e-9 * (stamps_ns - stamps_ns[:1]), 2.0 * np.pi / DRIFT_PERIODS_S
-    waves = path_stream(seed, "joint_drift", arm).normal(0.0, 1.0, (2, q.shape[1], len(turns)))
+    waves = random_stream(seed, PATH_STREAM, "joint_drift", arm).normal(0.0, 1.0, (2, q.shape[1], len(turns)))
     drift = sum(
         cosine * (np.cos(turn * seconds) - 1.0)[:, None] + sine * np.sin(turn * seconds)[:, None]
         for turn, (cosine, sine) in zip(turns, waves.transpose(2, 0, 1), strict=True)
-    ) / np.sqrt(2.0 * (1.0 - np.cos(turns * DRIFT_S)).sum())
+    ) / np.sqrt(2.0 * (1.0 - np.cos(turns * 8.0)).sum())
     reported += perturbations["joint_drift"] * units.per_deg * drift
-    noise = path_stream(seed, "joint_noise", arm).standard_normal(q.shape)
+    noise = random_stream(seed, PATH_STREAM, "joint_noise", arm).standard_normal(q.shape)
     reported += perturbations["joint_noise"] * units.per_deg * noise
     step = perturbations["quantisation"] * units.per_deg
     steps = np.divide(reported, step, out=np.zeros_like(q), where=step > 0.0)

@@ -1,7 +1,4 @@
-"""The scene profile (TOML): a log's topics, frames and limits, what its images show, and the robot.
-
-Everything that depends on a scene is here, so that another scene needs another profile and no other code.
-"""
+"""The scene profile (TOML), with everything that depends on a scene: another scene needs no other code."""
 
 from __future__ import annotations
 
@@ -22,19 +19,14 @@ from svmdist.transforms import FrameName
 
 DEFAULT_PROFILE = "psm13"
 SHIPPED = Path(__file__).parent.with_name("profiles")
-GUESSED_RADIUS, GUESSED_PLANE_M = 0.1, 0.02  # deviations from which on they are guesses
-BEHIND_PLANE = 1.5  # the range of stereo over the distance of the plane that the tissue lies on
 
 
 class Topics(StrictModel):
-    """Topic names of a log; None means: the one topic whose schema fits.
-
-    The right camera's topics and the true transforms must be named: their schemas fit others as well.
-    """
+    """Topic names of a log; None means: the one topic whose schema fits."""
 
     image: str | None = None
     camera_info: str | None = None
-    right_image: str | None = None
+    right_image: str | None = None  # must be named, as its camera's and the true transforms: their schemas fit others
     right_camera_info: str | None = None
     joints: str | None = None
     pose: str | None = None
@@ -58,8 +50,7 @@ class Limits(StrictModel):
     record_bytes: Size = 256 << 20  # one record of the file; it may never reach beyond the file either
     chunk_bytes: Size = 256 << 20  # one chunk after expansion; it must have exactly the size that it declares
     window_bytes: Size = 128 << 20  # that a zstd frame may claim for its window, beside the expanded chunk
-    image_pixels: int = Field(default=16_000_000, ge=1, le=1 << 26)
-    """One image, by the dimensions in its header, before it is decoded; OpenCV itself is held to 2^26."""
+    image_pixels: int = Field(default=16_000_000, ge=1, le=1 << 26)  # by the header, before decoding; OpenCV takes 2^26
     image_bytes: Size = 32 << 20  # one compressed image
     message_bytes: Size = 1 << 20  # one message that is no image: joints and the like hold a few kilobytes
     pair_tolerance_s: float = Field(default=5e-4, ge=0.0, le=0.5)
@@ -98,8 +89,7 @@ class Profile(StrictModel):
     name: str
     description: str = ""
     calibration: str | None = None  # file name of the calibration that ships beside this profile
-    hand_eye: NamedHandEye | None = None
-    """A file that `svmdist hand-eye` wrote: the camera-to-base transforms, in place of the log's."""
+    hand_eye: NamedHandEye | None = None  # a file of `svmdist hand-eye`: camera-to-base transforms in the log's place
     topics: Topics = Topics()
     frames: Frames = Frames()
     limits: Limits = Limits()
@@ -128,17 +118,16 @@ class Profile(StrictModel):
     def stereo_in_range(self) -> StereoSettings:
         """The settings of stereo, their range as far as the profile's plane asks for it."""
         settings = self.settings.stereo
-        if self.tissue is None:
-            return settings
-        return settings.model_copy(update={"far_m": max(settings.far_m, BEHIND_PLANE * self.tissue.plane_distance_m)})
+        far_m = 0.0 if self.tissue is None else 1.5 * self.tissue.plane_distance_m
+        return settings.model_copy(update={"far_m": max(settings.far_m, far_m)})
 
     @property
     def guesses(self) -> str:
         """What was guessed, so that distances are as uncertain, with its deviation; empty without any."""
         found: list[str] = []
-        if self.instrument and self.instrument.shaft_radius_std_fraction > GUESSED_RADIUS:
+        if self.instrument and self.instrument.shaft_radius_std_fraction > 0.1:
             found.append(f"shaft_radius_m to {self.instrument.shaft_radius_std_fraction:.0%}")
-        if self.tissue and self.tissue.plane_distance_std_m > GUESSED_PLANE_M:
+        if self.tissue and self.tissue.plane_distance_std_m > 0.02:
             found.append(f"plane_distance_m to {self.tissue.plane_distance_std_m * 1e3:.0f} mm")
         return ", ".join(found)
 
@@ -148,13 +137,10 @@ class Profile(StrictModel):
         return self.instrument_name, *(other.name for other in self.other_instruments)
 
     def for_instrument(self, name: str) -> Profile:
-        """The profile as one of its instruments sees it: its topics, frames and fiducial, and no other instrument.
-
-        Raises UsageError that lists the names.
-        """
+        """The profile as one of its instruments sees it, without the others; raises UsageError that lists the names."""
         update: dict[str, object] = {"other_instruments": ()}
-        other = next((other for other in self.other_instruments if other.name == name), None)
         if name != self.instrument_name:
+            other = next((other for other in self.other_instruments if other.name == name), None)
             if other is None:
                 known = did_you_mean(name, self.instrument_names)
                 raise UsageError(f"profile {self.name} has no instrument {name}: {known}")
@@ -184,7 +170,15 @@ class Profile(StrictModel):
         if self.hand_eye is not None:
             self.check_hand_eye(self.hand_eye)
         self._require_instruments_that_differ()
-        self._require_known_joints()
+        link = self.fiducial.link if self.fiducial else None
+        first = self.kinematic_error.first_moving_joint
+        for robot in (self.robot, *(other.robot for other in self.other_instruments)):
+            joints = robot.joints if robot else ()
+            moving = [joint.name for joint in joints if joint.type != "fixed"]
+            links = ("fiducial.link", link, [joint.name for joint in joints])
+            for key, name, known in (links, ("kinematic_error.first_moving_joint", first, moving)):
+                if robot and name is not None and name not in known:
+                    raise ValueError(f"{key}: no joint named {name}: {did_you_mean(name, known)}")
 
     def check_hand_eye(self, file: HandEyeFile) -> None:
         """Raise ValueError where the hand-eye file is of other frames, or of none of the instruments."""
@@ -196,8 +190,8 @@ class Profile(StrictModel):
             for what in ("camera", "base") if found is not None else ():
                 fitted, own = getattr(found, what), getattr(frames, what)
                 if fitted != own:
-                    needed = f"[frames] {what} is {own}: fit it anew"
-                    raise ValueError(f"hand_eye: it is for {what} {fitted} of {name}; {needed}")
+                    said = f"hand_eye: it is for {what} {fitted} of {name}"
+                    raise ValueError(f"{said}; [frames] {what} is {own}: fit it anew")
 
     def _require_instruments_that_differ(self) -> None:
         views = [self.for_instrument(name) for name in dict.fromkeys(self.instrument_names)]
@@ -222,17 +216,6 @@ class Profile(StrictModel):
                 needed = f"every instrument needs a {what} of its own"
                 raise ValueError(f"other_instruments: {needed}; given twice: {doubles}")
 
-    def _require_known_joints(self) -> None:
-        link = self.fiducial.link if self.fiducial else None
-        first = self.kinematic_error.first_moving_joint
-        for robot in (self.robot, *(other.robot for other in self.other_instruments)):
-            joints = robot.joints if robot else ()
-            moving = [joint.name for joint in joints if joint.type != "fixed"]
-            links = ("fiducial.link", link, [joint.name for joint in joints])
-            for key, name, known in (links, ("kinematic_error.first_moving_joint", first, moving)):
-                if robot and name is not None and name not in known:
-                    raise ValueError(f"{key}: no joint named {name}: {did_you_mean(name, known)}")
-
 
 def shipped_profiles() -> tuple[str, ...]:
     """Names of the profiles inside the package."""
@@ -240,10 +223,7 @@ def shipped_profiles() -> tuple[str, ...]:
 
 
 def load_profile(name_or_path: str | Path = DEFAULT_PROFILE, hand_eye: Path | None = None) -> Profile:
-    """Read a profile that ships (by name) or another (by path); ProfileError names file, key and the nearest key.
-
-    `hand_eye` is a hand-eye file in place of the profile's.
-    """
+    """Read a profile that ships (by name) or another (by path), with this hand-eye file; ProfileError names the key."""
     profile = parse_toml(profile_path(name_or_path), Profile, ProfileError)
     return profile if hand_eye is None else taking_hand_eye(profile, hand_eye)
 
@@ -258,10 +238,9 @@ def taking_hand_eye(profile: Profile, hand_eye: Path) -> Profile:
 
 def profile_path(name_or_path: str | Path) -> Path:
     """Find the file of a profile: a shipped name, else a path."""
-    text = str(name_or_path)
+    path, text = Path(name_or_path), str(name_or_path)
     if text in shipped_profiles():
         return SHIPPED / f"{text}.toml"
-    path = Path(text)
     if not path.suffix and not os.path.exists(path):
         known = did_you_mean(text, shipped_profiles())
         raise ProfileError(f"no profile named {text}: {known}; or give a path to a .toml")

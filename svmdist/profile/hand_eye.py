@@ -27,22 +27,15 @@ Six = tuple[float, float, float, float, float, float]
 
 
 class ConstantEffect(StrictModel):
-    """The effect of a calibration parameter's error on a fitted transform: (δt, δφ), in m and rad, for one deviation.
-
-    A parameter of several numbers has one row for each. `deviation` is its standard deviation at the fit.
-    """
+    """What one deviation of a calibration parameter's error does to a fitted transform: (δt, δφ), in m and rad."""
 
     constant: str = Field(min_length=1)
-    deviation: Positive
-    effects: tuple[Six, ...] = Field(min_length=1)
+    deviation: Positive  # its standard deviation at the fit
+    effects: tuple[Six, ...] = Field(min_length=1)  # a parameter of several numbers has one row for each
 
 
 class HandEye(StrictModel):
-    """`T_camera_base` of one instrument, p_camera = R p_base + t, and the covariance of its error.
-
-    The error is (δt, δφ): t_true = t + δt in m, R_true = exp([δφ]) R in rad, both in the camera's axes. `constants`
-    has the part of it that is due to calibration parameters, which estimators use as well.
-    """
+    """`T_camera_base` of one instrument; its error (δt, δφ) makes it t + δt in m, exp([δφ]) R, in the camera's axes."""
 
     instrument: str = Field(min_length=1)
     camera: str
@@ -55,7 +48,7 @@ class HandEye(StrictModel):
     frame_count: int = Field(default=0, ge=0)
     inlier_count: int = Field(default=0, ge=0)
     residual_rms_m: NonNegative = 0.0
-    constants: tuple[ConstantEffect, ...] = ()
+    constants: tuple[ConstantEffect, ...] = ()  # the error's part by calibration parameters, which estimators use too
 
     def _require_sound(self) -> None:
         C = np.array(self.covariance)
@@ -153,8 +146,7 @@ def with_hand_eye(profile: Profile) -> Profile:
     if (found := profile.camera_to_base) is None:
         return profile
     found = found.with_deviations(prior_deviations(profile))
-    rotation_var = float(np.linalg.eigvalsh(np.array(found.covariance)[3:, 3:])[-1])
-    std_rad = float(np.sqrt(max(rotation_var, 0.0)))
+    std_rad = float(np.sqrt(max(np.linalg.eigvalsh(np.array(found.covariance)[3:, 3:])[-1], 0.0)))
     values = profile.kinematic_error.model_dump() | {"camera_base_std_rad": std_rad, "hand_eye": found}
     return profile.model_copy(update={"kinematic_error": HandEyeError(**values)})
 

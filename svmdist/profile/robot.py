@@ -13,12 +13,8 @@ from svmdist.profile.toml import Angle, Fraction, Length, NonNegative, Positive,
 from svmdist.transforms import Array, FrameName, make_transform, rotation_z
 
 Vector = tuple[float, float, float]
-EntrySide = Literal["left", "right", "above", "below"]
-"""The side of the picture that an instrument comes in from."""
-ARM_TOPICS = ("joints", "pose", "ground_truth_distance")
-"""The topics that every instrument has of its own; the others are the whole scene's."""
-AWAY = 0.5  # z of a plane's normal from which on no camera of less than 120° sees the plane
-ROUNDED = 0.01  # how far a normal's length may be from 1, written with two digits; it is normalised
+EntrySide = Literal["left", "right", "above", "below"]  # of the picture, that an instrument comes in from
+ARM_TOPICS = ("joints", "pose", "ground_truth_distance")  # of each instrument; the others are the whole scene's
 TAGS = {"16h5": (30, 6), "25h9": (35, 7), "36h10": (2320, 8), "36h11": (587, 8)}
 """Of each AprilTag family: the number of its tags, which count from 0, and the cells of a black square's side."""
 
@@ -34,10 +30,7 @@ Rotation = Annotated[tuple[Vector, Vector, Vector], AfterValidator(_require_rota
 
 
 class Joint(StrictModel):
-    """One row of a DH table: lengths in m, angles in rad, limits in the joint's own unit.
-
-    The joint variable adds to `theta_rad` (revolute) or to `d_m` (prismatic): a published table has its offset.
-    """
+    """One row of a DH table, limits in its unit; the value of the joint adds to `theta_rad` or, prismatic, to `d_m`."""
 
     name: str
     type: Literal["revolute", "prismatic", "fixed"]
@@ -72,38 +65,25 @@ class Robot(StrictModel):
             raise ValueError(f"joint names must differ; given twice: {', '.join(doubles)}")
 
     @property
-    def T_last_tool(self) -> Array:
-        """The constant transform behind the last row, shape (4, 4)."""
-        return np.eye(4) if self.tool_rotation is None else make_transform(self.tool_rotation, np.zeros(3))
-
-    @property
     def joint_names(self) -> frozenset[str]:
         """The names and aliases of the moving joints."""
-        return frozenset(name for joint in self._moving for name in (joint.name, *joint.aliases))
-
-    @property
-    def _moving(self) -> list[Joint]:
-        return [joint for joint in self.joints if joint.type != "fixed"]
+        moving = (joint for joint in self.joints if joint.type != "fixed")
+        return frozenset(name for joint in moving for name in (joint.name, *joint.aliases))
 
     def missing_joints(self, names: Iterable[str]) -> list[str]:
         """The moving joints that are not among the names of a log, not by an alias either."""
-        there = set(names)
-        return [joint.name for joint in self._moving if not there & {joint.name, *joint.aliases}]
+        moving = (joint for joint in self.joints if joint.type != "fixed")
+        return [joint.name for joint in moving if not {joint.name, *joint.aliases} & set(names)]
 
 
 class KinematicError(StrictModel):
-    """Standard deviations of a robot's kinematic errors, constant and changing, and their drift.
-
-    The defaults are what cable-driven arms show: a degree and a millimetre at each joint, two degrees and five
-    millimetres in the camera-to-base transform.
-    """
+    """Standard deviations of a robot's kinematic errors, constant and changing; defaults are of cable-driven arms."""
 
     joint_std_rad: Angle = float(np.deg2rad(1.0))
     joint_std_m: NonNegative = 1e-3
     camera_base_std_rad: Angle = float(np.deg2rad(2.0))
     camera_base_std_m: NonNegative = 5e-3
-    first_moving_joint: str | None = None
-    """Errors of joints before it are part of the camera-to-base transform's; None: every joint moves."""
+    first_moving_joint: str | None = None  # errors of joints before it are camera-to-base's; None: every joint moves
     drift_rad_per_sqrt_s: NonNegative = 1e-4
     drift_m_per_sqrt_s: NonNegative = 1e-5
     play_std_rad: Angle = float(np.deg2rad(0.4))  # changing with the motion: backlash, friction, noise
@@ -170,10 +150,7 @@ class Fiducial(StrictModel):
 
 
 class Dome(StrictModel):
-    """A dome over the tissue's outline: height h (1 - g^a)^b at normalised radius g, 0 at the apex, 1 on the outline.
-
-    The defaults make half an ellipsoid. The outline comes from the image; the apex is over its middle.
-    """
+    """A dome over the image's outline of tissue: height h (1 - g^a)^b at normalised radius g; half an ellipsoid."""
 
     height_m: SmallLength
     height_std_m: NonNegative = 0.0
@@ -201,8 +178,7 @@ class Tissue(StrictModel):
     motion_std_m: NonNegative = 1e-3  # of the tissue's motion along the plane's normal: breath and pulse
     motion_time_s: Positive = 0.5  # correlation time of that motion: a breath of 4 s turns within as long
     dome: Dome | None = None
-    mesh: toml.NeighbourFile | None = None
-    """A closed surface in a file .obj or .stl, in place of a dome; a relative path starts from the profile's folder."""
+    mesh: toml.NeighbourFile | None = None  # a closed surface (.obj, .stl) in a dome's place; relative to the profile
     mesh_unit: Literal["m", "cm", "mm"] = "m"  # of the file's numbers; the formats do not say
     mesh_position_m: Vector = (0.0, 0.0, 0.0)  # the mesh's origin in the tissue's frame
     mesh_yaw_rad: Angle = 0.0  # about the tissue's z axis, counter-clockwise seen from the camera's side
@@ -212,9 +188,9 @@ class Tissue(StrictModel):
     @classmethod
     def _unit(cls, normal: Vector) -> Vector:
         length = float(np.linalg.norm(normal))
-        if abs(length - 1.0) > ROUNDED:
+        if abs(length - 1.0) > 0.01:  # written with two digits
             raise ValueError(f"it must have length 1, found {length:.7g}")
-        if normal[2] > AWAY * length:
+        if normal[2] > 0.5 * length:  # no camera of less than 120° sees such a plane
             raise ValueError("it points away from the camera: towards it z is negative, as in [0, 0, -1]")
         x, y, z = normal
         return normal if abs(length - 1.0) <= 1e-12 else (x / length, y / length, z / length)
@@ -283,13 +259,10 @@ class ArmFrames(StrictModel):
 
 
 class OtherInstrument(StrictModel):
-    """An instrument beside the profile's own; what is left out is as for that one.
-
-    One without topics is known by images alone: every log has it, and its side of the picture distinguishes it.
-    """
+    """An instrument beside the profile's own; what is left out is as for that one."""
 
     name: str = Field(min_length=1)
-    topics: ArmTopics | None = None
+    topics: ArmTopics | None = None  # one without is known by images alone, by its side: every log has it
     frames: ArmFrames | None = None
     entry: EntrySide | None = None
     fiducial_id: int | None = Field(default=None, ge=0)  # of the tag it carries where the profile's own does

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from svmdist.errors import did_you_mean
+from svmdist.profile.robot import Vector
 from svmdist.profile.toml import Byte, Hue, NeighbourFile, StrictModel
 
-MODELS = Path(__file__).parent.with_name("models")
 PREFIX = "svmdist:"  # of a `model` in a profile: a network of the package
 SHIPPED = f"{PREFIX}instruments"
 INSTRUMENTS: dict[str, Any] = {
@@ -33,19 +33,14 @@ class AreaGate(StrictModel):
     """Which parts of a mask are a region, and where its centroid is: the same for every way to segment."""
 
     min_area_px: int = Field(ge=1)
-    components: Literal["all", "largest"] = "all"
-    """Connected parts above the gate that count: an instrument that crosses an organ cuts its region in two."""
-    occlusion: Literal["none", "hull", "outline"] = "none"
-    """What the centroid is of: the visible pixels, their convex hull, or a smooth outline fitted to them."""
+    components: Literal["all", "largest"] = "all"  # that count: an instrument across an organ cuts its region in two
+    occlusion: Literal["none", "hull", "outline"] = "none"  # centroid of visible pixels, their hull, a fitted outline
 
 
 class ColourRegion(AreaGate):
-    """An HSV box in OpenCV's 8-bit units (H 0–179, S and V 0–255), bounds included, and its area gate.
+    """An HSV box in OpenCV's 8-bit units (H 0–179, S and V 0–255), bounds included, and its area gate."""
 
-    A hue range with first > last wraps around 0, as red does.
-    """
-
-    hue: tuple[Hue, Hue]
+    hue: tuple[Hue, Hue]  # with first > last it wraps around 0, as red does
     saturation: tuple[Byte, Byte] = (0, 255)
     value: tuple[Byte, Byte] = (0, 255)
 
@@ -87,10 +82,8 @@ class OnnxSegmentation(StrictModel):
     width_px: int = Field(ge=8, le=4096)  # of the network's input; the image is stretched to it
     height_px: int = Field(ge=8, le=4096)
     channels: Literal["rgb", "bgr"] = "rgb"
-    mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """What is subtracted from each channel, in the order of `channels`, of pixels from 0 to 255."""
-    scale: tuple[float, float, float] = (1 / 255, 1 / 255, 1 / 255)
-    """What each channel is then multiplied by; one number serves all three."""
+    mean: Vector = (0.0, 0.0, 0.0)  # subtracted from each channel, in the order of `channels`
+    scale: Vector = (1 / 255, 1 / 255, 1 / 255)  # that each channel is then multiplied by; one number serves all three
     output: str | None = None  # name of the output to take; None: the only one
     crop_to_view: bool = False  # give the network only the box around the endoscope's view, no black border
     from_border: bool = False  # leave out parts of instruments that do not reach the border of the picture
@@ -106,7 +99,7 @@ class OnnxSegmentation(StrictModel):
             return data
         if model != SHIPPED:
             raise ValueError(f"model = {model!r}: no such network ships: {did_you_mean(model, [SHIPPED])}")
-        return {**INSTRUMENTS, **data, "model": MODELS / "instruments.onnx"}
+        return {**INSTRUMENTS, **data, "model": Path(__file__).parent.with_name("models") / "instruments.onnx"}
 
     @field_validator("scale", mode="before")
     @classmethod

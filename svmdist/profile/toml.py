@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
 
@@ -34,9 +33,8 @@ class StrictModel(pydantic.BaseModel):
     @classmethod
     def _no_unknown_keys(cls, data: Any) -> Any:
         keys = [field.alias or name for name, field in cls.model_fields.items()]
-        unknown = [key for key in data if key not in keys] if isinstance(data, dict) else []
-        if unknown:
-            hints = {str(key): did_you_mean(str(key), keys) for key in unknown}
+        unknown = [str(key) for key in data if key not in keys] if isinstance(data, dict) else []
+        if hints := {key: did_you_mean(key, keys) for key in unknown}:
             raise PydanticCustomError(UNKNOWN, "unknown key: {hints}", {"hints": hints})
         return data
 
@@ -131,27 +129,24 @@ def parse_toml(path: Path, model: type[Model], error: type[SvmdistError]) -> Mod
 
 def in_words(problem: pydantic.ValidationError) -> str:
     """What is wrong with the first keys, and with how many more."""
-    faults = list(_describe(problem))
-    if len(faults) > MAX_FAULTS:
-        faults[MAX_FAULTS:] = [f"and {len(faults) - MAX_FAULTS} more"]
-    return "; ".join(faults)
-
-
-def _describe(problem: pydantic.ValidationError) -> Iterator[str]:
+    faults: list[str] = []
     for item in problem.errors(include_url=False):
         # A union's tag in parentheses is no key of the file.
         table = [str(part) for part in item["loc"] if not str(part).startswith("(")]
         key = ".".join(table)
         if item["type"] == UNKNOWN:
-            for name, hint in item["ctx"]["hints"].items():
-                yield f"unknown key {'.'.join([*table, name])}: {hint}"
+            hints = item["ctx"]["hints"].items()
+            faults += [f"unknown key {'.'.join([*table, name])}: {hint}" for name, hint in hints]
         elif item["type"] == "missing":
-            yield f"missing key {key}"
+            faults.append(f"missing key {key}")
         else:
             message = item["msg"].removeprefix("Value error, ")
             # A rule about a whole table says itself what it found.
             found = "" if isinstance(item["input"], dict) else f" (found {_short(item['input'])})"
-            yield f"{key}: {message}{found}" if key else message
+            faults.append(f"{key}: {message}{found}" if key else message)
+    if len(faults) > MAX_FAULTS:
+        faults[MAX_FAULTS:] = [f"and {len(faults) - MAX_FAULTS} more"]
+    return "; ".join(faults)
 
 
 def _short(value: Any) -> str:

@@ -75,7 +75,7 @@ class BulletWorld(ExitStack):
         super().__init__()
         self.pb = load_pybullet()
         with quiet():
-            self._id: int = self.pb.connect(self.pb.DIRECT)
+            self._id = int(self.pb.connect(self.pb.DIRECT))
         if self._id < 0:
             raise SimulationError("PyBullet has no free physics world: too many simulations run at once")
         self.callback(self.pb.disconnect, physicsClientId=self._id)

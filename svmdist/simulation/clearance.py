@@ -1,7 +1,7 @@
 """The true clearance: smallest distance of an instrument to tissue or to another one; negative is penetration depth.
 
-To tissue it is the least signed distance of all points of the instrument's surface to the organ's triangles. Parts are
-sampled so densely that the organ's curvature between samples adds a few µm at most.
+To tissue it is the least signed distance of samples of the instrument's surface to the organ's triangles, so dense that
+the organ's curvature between them adds a few µm at most.
 """
 
 from __future__ import annotations
@@ -17,15 +17,10 @@ from svmdist.simulation.organ import SLACK_M, Organ
 from svmdist.simulation.scene import Scene
 from svmdist.transforms import Array, inverse
 
-SPACING_M = 0.0004
-"""Longest side of the triangles between samples: no point of a part is farther than 0.23 mm from a sample."""
+SPACING_M = 0.0004  # longest side of triangles between samples: no point of a part is farther than 0.23 mm from one
 REACH_M = 0.07  # the organ is 62 mm long at most: what is farther behind a link's origin is not the nearest
-CELL_M = 0.001
-"""Side of the cells that group a part's samples: only those in cells near to the tissue are looked at one by one."""
-
-BULLET_SCALE = 1000.0
-"""Bullet is tuned for objects of about one metre: it counts in millimetres, with collision margins of zero."""
-SEARCH_RADIUS_M = 0.2
+CELL_M = 0.001  # side of the cells that group a part's samples: only those in near cells are looked at one by one
+BULLET_SCALE = 1000.0  # Bullet is tuned for objects of about one metre: it counts in millimetres, without margins
 
 
 class _Samples:
@@ -93,16 +88,15 @@ class TissueClearance:
     def clearances_m(self, q: Sequence[Array], offset_m: float = 0.0) -> list[float]:
         """The clearance of each arm at joints, shape (n_joints,) each, to tissue that is raised by an offset.
 
-        An arm that presses soft tissue touches it: 0, where the tissue gives way as far as that. An arm that does not
-        press is measured to what the others leave.
+        An arm that presses soft tissue touches it: 0, where the tissue gives way as far as that. Another one is
+        measured to what the others leave.
         """
         posed, organ = self._posed(q, offset_m), self._organ
-        inside, touches = [organ.inside(its) for its in posed], [False] * len(posed)
-        if self._is_soft and any(len(its) for its in inside):
-            touches = [len(its) > 0 and not organ.is_too_deep(its) for its in inside]
-            if not all(touches):
-                organ = organ.dented(np.vstack(inside))
-                inside = [organ.inside(its) for its in posed]
+        inside = [organ.inside(its) for its in posed]
+        touches = [self._is_soft and len(its) > 0 and not organ.is_too_deep(its) for its in inside]
+        if self._is_soft and any(len(its) for its in inside) and not all(touches):
+            organ = organ.dented(np.vstack(inside))
+            inside = [organ.inside(its) for its in posed]
         return [
             0.0 if touch else -organ.depth_m(its) if len(its) else arm.distance_m(points_m, organ)
             for arm, points_m, its, touch in zip(self._arms, posed, inside, touches, strict=True)
@@ -131,7 +125,7 @@ class InstrumentClearance(BulletWorld):
         for scene, bodies, q in zip(self._scenes, self._bodies, (q_first, q_second), strict=True):
             for body, T_world_part in zip(bodies, scene.part_poses(q), strict=True):
                 self.place(body, T_world_part, BULLET_SCALE)
-        smallest_mm = SEARCH_RADIUS_M * BULLET_SCALE
+        smallest_mm = 0.2 * BULLET_SCALE
         for body, other in product(*self._bodies):
             # Pairs that are farther apart than the nearest so far need no distance.
             points = self.call("getClosestPoints", body, other, max(smallest_mm, 0.0))

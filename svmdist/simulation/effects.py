@@ -1,8 +1,4 @@
-"""Effects on rendered images: the lens, light from the endoscope's tip with shadows and highlights, blood, two fields.
-
-The renderer knows one far lamp, no shadows and no lens. The position of each pixel is known from the depth buffer, so
-that light can fall off with distance, be blocked by the instrument, and be mirrored by wet tissue towards the camera.
-"""
+"""Effects on images that the renderer lacks: the lens, a lamp at the endoscope's tip, its shadows, gloss, blood."""
 
 from __future__ import annotations
 
@@ -18,47 +14,32 @@ from svmdist.perturbations import Perturbations
 from svmdist.samples import Image
 from svmdist.transforms import Array, inverse, transform_points
 
-K1, K2 = -0.2, 0.05
-"""Of strength 1: the corner of a 60° image moves by 11 % of its radius towards the middle, as in an endoscope with a
-wide field. With both times 2.8 or more, r (1 + k1 r² + k2 r⁴) would no longer grow with r everywhere."""
-LENS_MARGIN_PX = 2
-LENS_ITERATIONS = 1000  # of a few pixels in the corners; most take ten
-
-LAMP_M = np.array([0.0025, -0.005, 0.0])
-"""The lamp in the left camera's frame: between both lenses of a stereo endoscope, at the upper rim of its tip."""
+DISTORTION = np.array([-0.2, 0.05, 0.0, 0.0, 0.0])
+"""k1, k2, p1, p2, k3 of a lens of strength 1: the corner of a 60° image moves by 11 % of its radius towards the
+middle, as in a wide endoscope. Times 2.8 or more, r (1 + k1 r² + k2 r⁴) would no longer grow with r everywhere."""
+LENS_MARGIN_PX, LENS_ITERATIONS = 2, 1000  # a few pixels in the corners need as many; most take ten
+LAMP_M = np.array([0.0025, -0.005, 0.0])  # in the left camera's frame: between both lenses, at the upper rim of the tip
 FULL_LIGHT_M = 0.100  # the automatic exposure is right at this distance from the lamp
 GAMMA = 2.2  # cameras give light to the power of 1 / 2.2: a quarter of the light is half of the level
 UMBRA = 0.75  # share of the lamp's light in the middle of a complete shadow; the rest comes by way of other tissue
-BIAS_M = 0.001
+BIAS_M = 0.001  # so that surfaces do not hide themselves
 PENUMBRA_PX = 2.5  # a lamp of 2 mm, 24 mm of air under the instrument: 0.5 mm of half-shade
-SHININESS = 350.0
-"""Exponent of Blinn's highlight: half its strength 3.6° off the mirror's direction, as a film of water is."""
-HIGHLIGHT = 260.0
+SHININESS = 350.0  # Blinn's exponent: half the highlight 3.6° off the mirror's direction, as of a film of water
 BUMP_SLOPE, BUMP_CELLS, BUMP_SPAN_M, BUMP_PX = 0.10, 40, 0.07, 512
 """Slopes (standard deviation) of the film over bumps of 1.75 mm; a texture that repeats every 70 mm."""
-NORMAL_SIGMA_PX = 3.0
-BLOOD_BGR = np.array([18.0, 14.0, 118.0])
-BLOOD_WAVE_COUNT = 12
-BLOOD_WAVELENGTHS_M = (0.003, 0.009)
+BLOOD_BGR, BLOOD_WAVE_COUNT, BLOOD_WAVELENGTHS_M = np.array([18.0, 14.0, 118.0]), 12, (0.003, 0.009)
 _BUMP_STREAM, _BLOOD_STREAM = 105, 106
-
 NO_PART = -1
 Depths = NDArray[np.float32]
 Points = NDArray[np.float32]  # images of positions, shape (h, w, 3): a float32 resolves 10 nm at 0.1 m
 
 
-def distortion_coefficients(strength: float) -> Array:
-    """OpenCV's k1, k2, p1, p2, k3 of a lens of a strength, shape (5,)."""
-    return np.array([K1 * strength, K2 * strength, 0.0, 0.0, 0.0])
-
-
 @dataclass(frozen=True)
 class Lens:
-    """Distortion of images of the pinhole camera `wide`: where in them each pixel is, float32 (h, w) both."""
+    """Distortion of images of the pinhole camera `wide`: where in them each pixel is, float32 (h, w, 2)."""
 
     wide: Camera
-    column_px: NDArray[np.float32]
-    row_px: NDArray[np.float32]
+    at_px: NDArray[np.float32]
 
     @staticmethod
     def of(camera: Camera, distortion: Array) -> Lens:
@@ -73,52 +54,34 @@ class Lens:
         wide_K = K.copy()
         wide_K[:2, 2] -= low
         wide = replace(camera, width_px=int(size[0]), height_px=int(size[1]), K=wide_K, D=np.zeros(5), P=None)
-        column_px, row_px = np.moveaxis((pixels - low).astype(np.float32), -1, 0)
-        return Lens(wide, np.ascontiguousarray(column_px), np.ascontiguousarray(row_px))
-
-    def image(self, pinhole_bgr: Image) -> Image:
-        """Distort a pinhole image of the wide camera."""
-        return np.asarray(cv2.remap(pinhole_bgr, self.column_px, self.row_px, cv2.INTER_LINEAR), np.uint8)
+        return Lens(wide, (pixels - low).astype(np.float32))
 
 
 @dataclass(frozen=True)
 class Surfaces:
-    """What stands at each pixel of a pinhole image: depths along the optical axis in m, float32 (h, w), and parts.
-
-    `behind_m` is the depth of tissue and floor, also where something is before them; `is_still`, bool (h, w), is where
-    they are seen. `part`, int16 (h, w), numbers the frames `T_camera_part`, shape (4, 4) each, or is NO_PART.
-    """
+    """What stands at each pixel of a pinhole image: shape (h, w), depths are along the optical axis in m."""
 
     camera: Camera
     depth_m: Depths
-    behind_m: Depths
-    is_still: NDArray[np.bool_]
-    part: NDArray[np.int16]
+    behind_m: Depths  # of tissue and floor, also where something is before them
+    is_still: NDArray[np.bool_]  # where they are seen
+    part: NDArray[np.int16]  # numbers these frames, or is NO_PART
     T_camera_part: tuple[Array, ...]
 
     def points_m(self, depth_m: Depths) -> Points:
         """The points at depths, shape (h, w), in the camera's frame, shape (h, w, 3)."""
         K = self.camera.K
-        column, row = np.arange(depth_m.shape[1]), np.arange(depth_m.shape[0])
+        row, column = map(np.arange, depth_m.shape)
         x = ((column - K[0, 2]) / K[0, 0]).astype(np.float32) * depth_m
         y = ((row - K[1, 2]) / K[1, 1]).astype(np.float32)[:, None] * depth_m
         return np.stack([x, y, depth_m], -1)
-
-
-@dataclass(frozen=True)
-class Lamp:
-    """The lamp in a camera's frame, (3,), and depths seen there with its K, float32 (h, w); None: no shadow."""
-
-    position_m: Array
-    depth_m: Depths | None
 
 
 class Shader:
     """Adds light and dirt to images, by the perturbations light, shadow, wet and blood; the seed sets where."""
 
     def __init__(self, perturbations: Perturbations, seed: int) -> None:
-        self._light, self._shadow = perturbations["light"], perturbations["shadow"]
-        self._wet, self._blood = perturbations["wet"], perturbations["blood"]
+        self._strength = perturbations
         rng = np.random.default_rng([seed, _BUMP_STREAM])
         cells = rng.normal(0.0, 1.0, (BUMP_CELLS, BUMP_CELLS))
         tiled = cv2.resize(np.tile(cells, (3, 3)), (3 * BUMP_PX, 3 * BUMP_PX), interpolation=cv2.INTER_CUBIC)
@@ -131,34 +94,37 @@ class Shader:
         self._blood_waves: Array = toward * (2.0 * np.pi / rng.uniform(*BLOOD_WAVELENGTHS_M, (BLOOD_WAVE_COUNT, 1)))
         self._blood_phases = rng.uniform(0.0, 2.0 * np.pi, BLOOD_WAVE_COUNT)
 
-    def shaded(self, image_bgr: Image, surfaces: Surfaces, lamp: Lamp, T_camera_tissue: Array) -> Image:
-        """Shade an image; `T_camera_tissue`, shape (4, 4), carries the film of water."""
+    def shaded(
+        self, image_bgr: Image, surfaces: Surfaces, lamp_m: Array, lamp_depth_m: Depths | None, T_camera_tissue: Array
+    ) -> Image:
+        """Shade an image by a lamp in the camera's frame, (3,); `T_camera_tissue`, (4, 4), carries the film of water.
+
+        The lamp's depths, float32 (h, w), are what a camera with the same K and axes sees from it; None: no shadow.
+        """
         levels = image_bgr.astype(np.float32)
-        if self._blood:
+        if self._strength["blood"]:
             self._stain(levels, surfaces)
         behind_m = surfaces.points_m(surfaces.behind_m)
         gain = np.ones(surfaces.depth_m.shape, np.float32)
-        if self._light:
-            d_m = _lengths(surfaces.points_m(surfaces.depth_m) - lamp.position_m.astype(np.float32))
-            gain *= (FULL_LIGHT_M / d_m) ** (2.0 * self._light / GAMMA)
+        if light := self._strength["light"]:
+            d_m = _lengths(surfaces.points_m(surfaces.depth_m) - lamp_m.astype(np.float32))
+            gain *= (FULL_LIGHT_M / d_m) ** (2.0 * light / GAMMA)
         unlit = np.zeros_like(gain)
-        if lamp.depth_m is not None:
-            unlit = self._shadow * shadow(surfaces.camera, behind_m, lamp)
+        if lamp_depth_m is not None:
+            unlit = self._strength["shadow"] * shadow(surfaces.camera, behind_m, lamp_m, lamp_depth_m)
             gain *= np.where(surfaces.is_still, (1.0 - UMBRA * unlit) ** (1.0 / GAMMA), 1.0)
         levels *= gain[..., None]
-        if self._wet:
-            glints = self._glints(behind_m, lamp, T_camera_tissue) * (1.0 - unlit) * surfaces.is_still
-            levels += (HIGHLIGHT * self._wet * glints)[..., None]
+        if wet := self._strength["wet"]:
+            glints = self._glints(behind_m, lamp_m, T_camera_tissue) * (1.0 - unlit) * surfaces.is_still
+            levels += (260.0 * wet * glints)[..., None]
         return np.asarray(cv2.convertScaleAbs(np.clip(levels, 0.0, 255.0)), np.uint8)
 
     def _stain(self, levels: NDArray[np.float32], surfaces: Surfaces) -> None:
         """Put blood onto the parts: patches that stay where they are on each."""
         points_m = surfaces.points_m(surfaces.depth_m)
-        above = NormalDist().inv_cdf(1.0 - self._blood)  # a sum of waves is nearly normal
+        above = NormalDist().inv_cdf(1.0 - self._strength["blood"])  # a sum of waves is nearly normal
         for index, T_camera_part in enumerate(surfaces.T_camera_part):
             here = surfaces.part == index
-            if not here.any():
-                continue
             p_m = transform_points(inverse(T_camera_part), points_m[here])
             waves = np.cos(p_m @ self._blood_waves.T + self._blood_phases).sum(axis=1)
             share = np.clip(0.5 + 4.0 * (waves / np.sqrt(0.5 * BLOOD_WAVE_COUNT) - above), 0.0, 0.95)[:, None]
@@ -166,31 +132,29 @@ class Shader:
             shade = 0.6 + 0.4 * levels[here].mean(axis=1, keepdims=True) / 128.0
             levels[here] = (1.0 - share) * levels[here] + share * BLOOD_BGR * shade
 
-    def _glints(self, points_m: Points, lamp: Lamp, T_camera_tissue: Array) -> NDArray[np.float32]:
+    def _glints(self, points_m: Points, lamp_m: Array, T_camera_tissue: Array) -> NDArray[np.float32]:
         """Blinn's highlights of the lamp on the film over tissue and floor, 0 to about 1, shape (h, w)."""
         T_tissue_camera = inverse(T_camera_tissue).astype(np.float32)
-        column_px, row_px = (
-            np.mod((points_m @ T[:3] + T[3]) * (BUMP_PX / BUMP_SPAN_M), BUMP_PX) for T in T_tissue_camera[:2]
-        )
+        x_m, y_m = (points_m @ T[:3] + T[3] for T in T_tissue_camera[:2])
+        column_px, row_px = (np.mod(at_m * (BUMP_PX / BUMP_SPAN_M), BUMP_PX) for at_m in (x_m, y_m))
         slopes = cv2.remap(self._slopes, column_px, row_px, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-        smooth_m = cv2.GaussianBlur(points_m, (0, 0), NORMAL_SIGMA_PX)  # over the facets of meshes
+        smooth_m = cv2.GaussianBlur(points_m, (0, 0), 3.0)  # over the facets of meshes
         across: Points = np.cross(np.gradient(smooth_m, axis=0), np.gradient(smooth_m, axis=1))
         across /= _lengths(across)[..., None]
         normals = np.asarray(across + slopes @ T_tissue_camera[:2, :3], np.float32)
-        to_lamp = lamp.position_m.astype(np.float32) - points_m
+        to_lamp = lamp_m.astype(np.float32) - points_m
         d_m = _lengths(to_lamp)
         half = to_lamp / d_m[..., None] - points_m / _lengths(points_m)[..., None]
         cosine = np.einsum("ijk,ijk->ij", normals, half) / (_lengths(normals) * _lengths(half))
         return np.asarray(np.clip(cosine, 0.0, 1.0) ** SHININESS * (FULL_LIGHT_M / d_m) ** (2.0 / GAMMA))
 
 
-def shadow(camera: Camera, points_m: Points, lamp: Lamp) -> NDArray[np.float32]:
+def shadow(camera: Camera, points_m: Points, lamp_m: Array, lamp_depth_m: Depths) -> NDArray[np.float32]:
     """How much of the lamp is hidden from points of the camera's frame, shape (h, w, 3): 0 to 1, shape (h, w)."""
-    assert lamp.depth_m is not None
-    from_lamp_m = points_m - lamp.position_m.astype(np.float32)
+    from_lamp_m = points_m - lamp_m.astype(np.float32)
     K = camera.K.astype(np.float32)
     column_px, row_px = (from_lamp_m[..., k] / from_lamp_m[..., 2] * K[k, k] + K[k, 2] for k in range(2))
-    first_m = cv2.remap(lamp.depth_m, column_px, row_px, cv2.INTER_NEAREST, None, cv2.BORDER_CONSTANT, 1e3)
+    first_m = cv2.remap(lamp_depth_m, column_px, row_px, cv2.INTER_NEAREST, None, cv2.BORDER_CONSTANT, 1e3)
     hidden = (first_m < from_lamp_m[..., 2] - BIAS_M).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(hidden, (0, 0), PENUMBRA_PX), np.float32)
 

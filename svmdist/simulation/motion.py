@@ -1,8 +1,8 @@
 """What the instruments do: scenarios as smooth paths, and the joint trajectories that follow them.
 
 A path is a function of progress, 0 at the start of a recording and 1 at its end, so that every figure is complete
-whatever the duration. The seed varies phases, positions and frequencies; all curves are twice continuously
-differentiable. A second arm crosses the first one in the image and stays above it, so that the bodies keep apart.
+whatever the duration; all curves are twice continuously differentiable. A second arm crosses the first one in the
+image and stays above it, so that the bodies keep apart.
 """
 
 from __future__ import annotations
@@ -22,20 +22,13 @@ from svmdist.simulation.clearance import InstrumentClearance, TissueClearance
 from svmdist.simulation.scene import Options, Scene, make_scene
 from svmdist.transforms import Array, inverse, make_transform, rotation_z, transform_points
 
-FIELD_M = (0.0455, 0.0335)
-"""Half of what the camera sees in the working plane, less a margin for the distal marker and its virtual marker."""
-RETRACTOR_HEIGHT_M = 0.06
-CLEARANCE_TOLERANCE_M = 1e-6
-
+FIELD_M = (0.0455, 0.0335)  # half of what the camera sees in the working plane, less a margin for both markers
 APART_M = 0.003  # the bodies of two instruments keep this far apart
-LIFTS_M = np.arange(0.010, 0.0361, 0.002)
-"""Heights above the first instrument's working height: the lowest that keeps the bodies apart is taken."""
-CHECKED_COUNT = 120
+LIFTS_M = np.arange(0.010, 0.0361, 0.002)  # above the first one's height: the lowest that keeps them apart is taken
 CROSSING_FIELD_M = np.array([0.040, 0.029])
 """Half of where the distal marker may be, seen in the first instrument's working plane: inside of the image."""
 CROSSING_PERIOD_S = 2.7  # between two crossings, on average: an 8 s recording has three of them
 _PATH_STREAM = 16
-
 Curve = Callable[[Array], Array]  # over progress
 
 
@@ -56,9 +49,8 @@ def cubic_spline(knots: Array, s: Array) -> Array:
     h = 1.0 / (count - 1)
     # Second derivatives m solve m[i-1] + 4 m[i] + m[i+1] = 6 (k[i-1] - 2 k[i] + k[i+1]) / h², zero at ends.
     A, right = np.eye(count), np.zeros_like(knots)
-    for index in range(1, count - 1):
-        A[index, index - 1 : index + 2] = 1.0, 4.0, 1.0
-        right[index] = 6.0 * (knots[index - 1] - 2.0 * knots[index] + knots[index + 1]) / h**2
+    A[1:-1] = (np.eye(count, k=-1) + 4.0 * A + np.eye(count, k=1))[1:-1]
+    right[1:-1] = 6.0 * (knots[:-2] - 2.0 * knots[1:-1] + knots[2:]) / h**2
     m = np.linalg.solve(A, right)
     left = np.clip((s / h).astype(int), 0, count - 2)
     b = (s / h - left)[:, None]
@@ -91,9 +83,8 @@ class Scenario:
 
     def __post_init__(self) -> None:
         if self.frame_count < 1:
-            raise UsageError(
-                f"{self.duration_s:g} s at {self.rate_hz:g} Hz hold no frame: give a longer duration or a higher rate"
-            )
+            found = f"{self.duration_s:g} s at {self.rate_hz:g} Hz hold no frame"
+            raise UsageError(f"{found}: give a longer duration or a higher rate")
 
     @property
     def frame_count(self) -> int:
@@ -103,18 +94,14 @@ class Scenario:
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion sampled over progress.
+    """A motion sampled over progress."""
 
-    `p_world_tool_m` (n, 3); `wrist_rad` (n, 4) holds roll, wrist pitch, wrist yaw and jaw as differences
-    from the posture. Where `lowering` is given, (n,), the path is lowered by that times the one length at which the
-    clearance at progress `lowest_at` is `clearance_m`.
-    """
-
-    p_world_tool_m: Array
-    wrist_rad: Array
+    p_world_tool_m: Array  # (n, 3)
+    wrist_rad: Array  # (n, 4): roll, wrist pitch, wrist yaw and jaw as differences from the posture
     retractor_xy_m: Array | None = None
-    clearance_m: float = 0.0
+    # The path is lowered by `lowering`, (n,), times the length that brings it to a clearance at progress `lowest_at`.
     lowering: Array | None = None
+    clearance_m: float = 0.0
     lowest_at: float = 1.0
 
 
@@ -202,10 +189,9 @@ SCENARIOS: dict[str, Callable[[np.random.Generator, Array, Scene, float], Motion
 
 
 def make_trajectory(scene: Scene, scenario: Scenario, progress: Array) -> tuple[Array, Array | None]:
-    """Plan a scenario in a scene at values of progress, shape (n,); raises SimulationError out of reach.
+    """Exact joints of a scenario, (n, n_joints), at values of progress, (n,), and poses of a retractor, (n, 4, 4).
 
-    Gives exact joints, shape (n, n_joints), and the retractor's poses (n, 4, 4), or None without one. Where tissue
-    moves, paths that end at a clearance move with it as they come near, as a surgeon's hand does.
+    Raises SimulationError out of reach.
     """
     motion = plan_motion(scenario, progress, scene)
     p_m, xy_m = motion.p_world_tool_m, motion.retractor_xy_m
@@ -213,14 +199,15 @@ def make_trajectory(scene: Scene, scenario: Scenario, progress: Array) -> tuple[
         if motion.lowering is not None:
             lowering_m = _lowering_m(scene, plan_motion(scenario, np.array([motion.lowest_at]), scene))
             p_m[:, 2] -= lowering_m * motion.lowering
+            # The path moves with the tissue as it comes near, as a surgeon's hand does.
             p_m[:, 2] += scene.tissue_offset_m(progress * scenario.duration_s) * motion.lowering
         q = _joints(scene, p_m, motion.wrist_rad)
     except KinematicsError as problem:
         raise SimulationError(f"scenario {scenario.name}: {problem}") from None
     if xy_m is None:
         return q, None
-    # The blade's tip points to -y: it comes in from the top of the image.
-    return q, make_transform(rotation_z(np.pi / 2), np.column_stack([xy_m, np.full(len(xy_m), RETRACTOR_HEIGHT_M)]))
+    # The blade hangs 60 mm high. Its tip points to -y: it comes in from the top of the image.
+    return q, make_transform(rotation_z(np.pi / 2), np.column_stack([xy_m, np.full(len(xy_m), 0.06)]))
 
 
 def _joints(scene: Scene, p_world_tool_m: Array, wrist_rad: Array) -> Array:
@@ -236,7 +223,7 @@ def _lowering_m(scene: Scene, lowest: Motion) -> float:
     assert lowest.lowering is not None
     tissue = TissueClearance([replace(scene, perturbations=UNPERTURBED)])  # which does not give way
     low, high = -0.01, 0.03
-    while high - low > CLEARANCE_TOLERANCE_M:
+    while high - low > 1e-6:
         middle = 0.5 * (low + high)
         p_m = lowest.p_world_tool_m - middle * lowest.lowering[:, None] * [0.0, 0.0, 1.0]
         (clearance_m,) = tissue.clearances_m([_joints(scene, p_m, lowest.wrist_rad)[0]])
@@ -248,31 +235,26 @@ def _lowering_m(scene: Scene, lowest: Motion) -> float:
 def make_other_arms(
     profile: Profile, scene: Scene, options: Options, q: Array, progress: Array, duration_s: float
 ) -> list[tuple[str, Scene, Array]]:
-    """Set up the further arms of a recording in which the first one moves by `q`, shape (n, n_joints).
+    """The name, scene and exact joints, shape (n, n_joints), of the arms beside the first, which moves by `q`.
 
-    Gives the name, the scene as it sees it and the exact joints, shape (n, n_joints), of each: on the lowest path that
-    keeps away from the first instrument. Raises SimulationError where the profile places fewer arms, or the bodies
-    cannot keep apart.
+    Each takes the lowest path that keeps away from the first instrument. Raises SimulationError where the profile
+    places fewer arms, or the bodies cannot keep apart.
     """
     placed = [other.name for other in profile.other_instruments if other.simulation is not None]
     if options.arms > 1 + len(placed):
-        raise SimulationError(
-            f"profile {profile.name} places {1 + len(placed)} of {options.arms} arms: it needs"
-            " [[other_instruments]] with [other_instruments.simulation] for each further one"
-        )
-    checked = np.unique(np.linspace(0, len(q) - 1, CHECKED_COUNT).astype(int))
+        needed = "it needs [[other_instruments]] with [other_instruments.simulation] for each further one"
+        raise SimulationError(f"profile {profile.name} places {1 + len(placed)} of {options.arms} arms: {needed}")
+    checked = np.unique(np.linspace(0, len(q) - 1, 120).astype(int))
     p_world_m = (scene.T_world_base @ forward_kinematics(scene.chain, q))[:, :3, 3]
     camera_m = float(scene.T_world_camera[2, 3])
     arms = []
     for number, name in enumerate(placed[: options.arms - 1], start=1):
         other = make_scene(profile.for_instrument(name), scene.seed, options)
         rng = np.random.default_rng([scene.seed, _PATH_STREAM, number])
-        # The shaft comes in from there, as an angle in the world's xy plane.
-        bearing = float(np.arctan2(other.T_world_base[1, 3], other.T_world_base[0, 3]))
         # Seen through the working plane, the path is an offset from the first instrument's.
         depth_m = camera_m - other.working_height_m
         wanted_m = p_world_m[:, :2] * (depth_m / (camera_m - p_world_m[:, 2:]))
-        wanted_m += _offsets(rng, progress, duration_s, bearing)
+        wanted_m += _offsets(rng, progress, duration_s, other.T_world_base[:2, 3])
         # The same inside of 70 % of the field, bent smoothly to stay within it outside.
         free_m, rest_m = 0.7 * CROSSING_FIELD_M, CROSSING_FIELD_M - 0.7 * CROSSING_FIELD_M
         bent_m = rest_m * np.tanh(np.maximum(np.abs(wanted_m) - free_m, 0.0) / rest_m)
@@ -291,26 +273,20 @@ def make_other_arms(
                 if all(between.clearance_m(q[at], path[at]) >= APART_M for at in checked):
                     break
             else:
-                raise SimulationError(
-                    f"a second instrument cannot keep {APART_M * 1e3:g} mm away from the first one on this path"
-                )
+                apart = f"keep {APART_M * 1e3:g} mm away from the first one"
+                raise SimulationError(f"a second instrument cannot {apart} on this path")
         arms.append((name, other, path))
     return arms
 
 
-def _offsets(rng: np.random.Generator, progress: Array, duration_s: float, bearing: float) -> Array:
-    """From the first instrument to the other one, shape (n, 2) in m: to and fro, through zero between.
-
-    The turning points lie on the side that the other instrument comes from, some to the left of it and some to
-    the right, so that its jaws stay off the first one's shaft.
-    """
-    crossing_count = max(1, round(duration_s / CROSSING_PERIOD_S))
-    side = 1.0 if rng.integers(2) else -1.0
-    knots = []
-    for index in range(crossing_count + 1):
-        turn = side * (-1.0) ** index * rng.uniform(0.6, 1.25)
-        radius_m = rng.uniform(0.018, 0.030)
-        knots.append(radius_m * np.array([np.cos(bearing + turn), np.sin(bearing + turn)]))
-        if index < crossing_count:
+def _offsets(rng: np.random.Generator, progress: Array, duration_s: float, base_m: Array) -> Array:
+    """From the first instrument to the one with its base at (2,), shape (n, 2) in m: to and fro, through zero."""
+    # The turning points lie on the base's side, left and right of it by turns: its jaws stay off the first one's shaft.
+    bearing, side = float(np.arctan2(base_m[1], base_m[0])), 1.0 if rng.integers(2) else -1.0
+    knots: list[Array] = []
+    for index in range(max(1, round(duration_s / CROSSING_PERIOD_S)) + 1):
+        if knots:
             knots.append(rng.uniform(-0.0012, 0.0012, 2))  # within a marker's radius
+        angle = bearing + side * (-1.0) ** index * rng.uniform(0.6, 1.25)
+        knots.append(rng.uniform(0.018, 0.030) * np.array([np.cos(angle), np.sin(angle)]))
     return cubic_spline(np.array(knots), progress)

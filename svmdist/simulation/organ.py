@@ -1,8 +1,7 @@
 """The tissue organ of one seed: an irregular dome, lobes or an ellipsoid, distances to it, and how it is pressed in.
 
-The tissue frame's origin is the area centroid of the outline on the floor, so that the centroid of the organ's
-silhouette, seen from straight above, is the projection of that origin. The surface is one height over each point of
-the plane, in rings about the apex; it is open at the floor.
+The tissue frame's origin is the outline's area centroid, whose projection is the centroid of the silhouette seen from
+straight above. The surface is one height over each point of the plane, in rings about the apex; it is open below.
 """
 
 from __future__ import annotations
@@ -19,30 +18,24 @@ from svmdist.perturbations import UNPERTURBED, Perturbations
 from svmdist.simulation.meshes import TEXTURE_SPAN_M, DrawnMesh, smooth_normals
 from svmdist.transforms import Array, polygon_centroid
 
-SEMI_AXES_M = (0.028, 0.022)
-HEIGHT_M = 0.008
-DOME_EXPONENTS, ELLIPSOID_EXPONENTS = np.array([2.3, 0.62]), np.array([2.0, 0.5])
-"""Height (1 - r^2.3)^0.62 over the normalised radius r; of an ellipsoid (1 - r²)^0.5."""
+SEMI_AXES_M, HEIGHT_M = (0.028, 0.022), 0.008
+DOME_EXPONENTS, ELLIPSOID_EXPONENTS = np.array([2.3, 0.62]), np.array([2.0, 0.5])  # a, b of (1 - r^a)^b
 RING_COUNT, SIDE_COUNT = 44, 160
 FINE_RING_COUNT, FINE_SIDE_COUNT = 72, 200  # of an organ with lobes or dents: edges of about 0.6 mm
 
 SHAPE_STREAM = 102
 OUTLINE_ORDERS = (3, 4, 5, 6)
 OUTLINE_SHARE = 0.2  # of the strength of `tissue_shape`: waves of 6 % of the outline's radius at a strength of 0.3
-WAVE_COUNT = 10
-WAVELENGTHS_M = (0.014, 0.032)  # half of the organ to the whole of it: lobes
+WAVE_COUNT, WAVELENGTHS_M = 10, (0.014, 0.032)  # half of the organ to the whole of it: lobes
 
 REACH_M = 0.012
 """A push is felt as far as this, half of it at 3.7 mm. Below a blunt punch on a deep half-space half of the depth is
 left at 1.4 times its radius (Johnson 1985, Contact mechanics, sec. 3.4); a capsule under tension spreads it."""
 LIMIT = 0.8  # of the organ's height at a place; then it is pressed flat against its bed, and gives way no further
-FINE_REACH_M = 0.002
-SWEEPS = 8
+SWEEPS, FINE_REACH_M = 8, 0.002
 """The pressed surface is flat between vertices, so that some µm are left inside and push again, with a small reach."""
 TOLERANCE_M = 1e-6
-CELL_M = 0.0003
-"""Only the deepest push of each cell of the plane counts: those above it, and on steep sides, change nothing."""
-CHUNK = 64
+CELL_M = 0.0003  # only the deepest push of each cell counts: those above it, and on steep sides, change nothing
 KD_TREE = 4  # of OpenCV's FLANN: FLANN_INDEX_KDTREE_SINGLE, which is exact
 SLACK_M = 1e-7  # the vertices are looked up in single precision
 
@@ -58,8 +51,7 @@ class Organ:
     def heights_m(self, xy_m: Array, z_m: Array | None = None) -> Array:
         """Heights, (n,), of triangles over points, (n, 2), -inf beside; vertices may have others, `z_m`, (v,)."""
         vertices_m, count = self.mesh.vertices_m, len(self.outline_m)
-        z_m = vertices_m[:, 2] if z_m is None else z_m
-        apex_m = vertices_m[0, :2]
+        z_m, apex_m = vertices_m[:, 2] if z_m is None else z_m, vertices_m[0, :2]
         rays_m, first_m = vertices_m[-count:, :2] - apex_m, vertices_m[1::count, :2] - apex_m
         ring_radius = np.concatenate([[0.0], first_m @ rays_m[0] / (rays_m[0] @ rays_m[0])])
         # The outline is seen from the apex in the order of its corners: it is nearly convex.
@@ -88,14 +80,10 @@ class Organ:
         on_b = w_near * z_near + w_far_b_other * z_far_b + (1.0 - w_near - w_far_b_other) * at(ring - 1, side + 1)
         return np.where(alpha + beta <= 1.0, np.where(w_far >= 0.0, on_a, on_b), -np.inf)
 
-    def inside_m(self, points_m: Array) -> Array:
-        """How deep points, shape (n, 3), lie below the surface: shape (n,)."""
-        return self.heights_m(points_m[:, :2]) - points_m[:, 2]
-
     def inside(self, points_m: Array) -> Array:
         """Those of the points, shape (n, 3), that lie below the surface."""
         low_m = points_m[points_m[:, 2] < self.mesh.vertices_m[:, 2].max()]
-        return np.asarray(low_m[self.inside_m(low_m) > 0.0])
+        return np.asarray(low_m[self.heights_m(low_m[:, :2]) > low_m[:, 2]])
 
     def bounds_m(self, points_m: Array) -> tuple[Array, Array]:
         """Lower and upper bounds of distances of points, shape (n, 3): by the nearest vertex, shape (n,) each."""
@@ -123,24 +111,20 @@ class Organ:
         return bool((self.heights_m(points_m[:, :2]) * (1.0 - LIMIT) - points_m[:, 2] > TOLERANCE_M).any())
 
     def dented(self, points_m: Array) -> Organ:
-        """The organ under points, shape (n, 3), which are inside it at rest.
+        """The organ under points, shape (n, 3), which are inside it at rest, and push the surface down to themselves.
 
-        Every such point pushes the surface below itself down to it, and what is around less and less, by the deepest
-        push that reaches there. What is not pressed is as at rest; nothing bulges.
+        What is around goes down less and less, by the deepest push that reaches there; nothing bulges.
         """
         rest_m = self.mesh.vertices_m[:, 2]
         down_m, least_m = np.zeros_like(rest_m), (1.0 - LIMIT) * rest_m
         for sweep in range(SWEEPS):
             deep_m = self.heights_m(points_m[:, :2], rest_m - down_m) - points_m[:, 2]
-            push = deep_m > TOLERANCE_M
-            if not push.any():
+            push = np.argsort(-deep_m)[: np.count_nonzero(deep_m > TOLERANCE_M)]
+            if not len(push):
                 break
-            xy_m, by_m = points_m[push, :2], deep_m[push]
-            column, row = np.floor(xy_m / CELL_M).astype(np.int64).T
-            order = np.lexsort((by_m, row, column))
-            is_last = np.append((np.diff(column[order]) != 0) | (np.diff(row[order]) != 0), True)
-            deepest = order[is_last]
-            down_m += self._pushed_m(xy_m[deepest], by_m[deepest], FINE_REACH_M if sweep else REACH_M)
+            _, first = np.unique(np.floor(points_m[push, :2] / CELL_M), axis=0, return_index=True)
+            deepest = push[first]
+            down_m += self._pushed_m(points_m[deepest, :2], deep_m[deepest], FINE_REACH_M if sweep else REACH_M)
             down_m = np.minimum(down_m, rest_m - least_m)
         vertices_m = self.mesh.vertices_m.copy()
         vertices_m[:, 2] -= down_m
@@ -148,19 +132,16 @@ class Organ:
         return replace(self, mesh=DrawnMesh(vertices_m, self.mesh.faces, normals, self.mesh.uv))
 
     def _pushed_m(self, xy_m: Array, by_m: Array, reach_m: float) -> Array:
-        """How far vertices are pushed by points, shape (n, 2), that push so far, shape (n,): the most of all; (v,).
-
-        The push falls from 1 at a point to 0 at the reach, twice differentiable (Wendland 1995, Piecewise polynomial,
-        positive definite and compactly supported radial functions).
-        """
+        """How far vertices are pushed by points, shape (n, 2), that push so far, shape (n,): the most of all; (v,)."""
         place_m, pushed_m = self.mesh.vertices_m[:, :2], np.zeros(len(self.mesh.vertices_m))
-        for begin in range(0, len(xy_m), CHUNK):
-            some_m, push_m = xy_m[begin : begin + CHUNK], by_m[begin : begin + CHUNK]
+        for begin in range(0, len(xy_m), 64):
+            some_m, push_m = xy_m[begin : begin + 64], by_m[begin : begin + 64]
             near = ((place_m > some_m.min(0) - reach_m) & (place_m < some_m.max(0) + reach_m)).all(axis=1)
             x_m, y_m = (place_m[near, axis, None] - some_m[:, axis] for axis in range(2))
+            # From 1 at a point to 0 at the reach, twice differentiable (Wendland 1995, Piecewise polynomial, positive
+            # definite and compactly supported radial functions).
             left = np.maximum(1.0 - np.sqrt(x_m * x_m + y_m * y_m) / reach_m, 0.0)
-            square = left * left
-            share = square * square * (5.0 - 4.0 * left)
+            share = np.square(left * left) * (5.0 - 4.0 * left)
             pushed_m[near] = np.maximum(pushed_m[near], (share * push_m).max(axis=1))
         return pushed_m
 
@@ -174,19 +155,16 @@ def _vertices(organ: Organ) -> cv2.flann.Index:
 def make_organ(rng: np.random.Generator, seed: int = 0, perturbations: Perturbations = UNPERTURBED) -> Organ:
     """Make the organ of a random stream: a convex dome, unless perturbations `tissue_*` give it another shape.
 
-    Waves multiply the height by 1 ± `tissue_shape` and the outline's radius by a fifth of that. The organ rises no
-    higher than the dome, so that scenarios keep clear of it. The seed draws the same waves at every strength.
+    Waves multiply the height by 1 ± `tissue_shape`; the seed draws the same ones at every strength. The organ rises no
+    higher than the dome, so that scenarios keep clear of it.
     """
     strength, ellipsoid = perturbations["tissue_shape"], perturbations["tissue_ellipsoid"]
     is_fine = strength > 0.0 or perturbations["dent"] > 0.0
     ring_count, side_count = (FINE_RING_COUNT, FINE_SIDE_COUNT) if is_fine else (RING_COUNT, SIDE_COUNT)
     shape = np.random.default_rng([seed, SHAPE_STREAM])
-    length_m = shape.uniform(*WAVELENGTHS_M, WAVE_COUNT)
-    heading_rad = shape.uniform(0.0, 2.0 * np.pi, WAVE_COUNT)
-    weights = shape.uniform(0.5, 1.0, len(OUTLINE_ORDERS))
-    phases_rad = shape.uniform(0.0, 2.0 * np.pi, WAVE_COUNT)
+    length_m, heading_rad = shape.uniform(*WAVELENGTHS_M, WAVE_COUNT), shape.uniform(0.0, 2.0 * np.pi, WAVE_COUNT)
+    weights, phases_rad = shape.uniform(0.5, 1.0, len(OUTLINE_ORDERS)), shape.uniform(0.0, 2.0 * np.pi, WAVE_COUNT)
     outline_phases_rad = shape.uniform(0.0, 2.0 * np.pi, len(OUTLINE_ORDERS))
-
     angle = np.linspace(0.0, 2.0 * np.pi, side_count, endpoint=False)
     outline_m = _outline(angle, rng)
     orders = zip(OUTLINE_ORDERS, weights / weights.sum(), outline_phases_rad, strict=True)

@@ -1,9 +1,5 @@
 """The plan of a recording: all that is fixed before the first image, for each arm and for the stamps of the log.
 
-Cables stretch and set-up joints are read by potentiometers: a da Vinci research kit places its tool centimetres off in
-the camera's frame, while its motion is repeatable to fractions of a millimetre. The errors of the nominal kinematics
-are therefore constant in a recording, sampled by seed.
-
 A plan holds no physics world and can be sent to another process. A block is one image with all samples up to the
 next; each can be made by itself, so that the content does not depend on who makes it, or in which order.
 """
@@ -28,9 +24,7 @@ from svmdist.simulation.motion import Scenario, make_other_arms, make_trajectory
 from svmdist.simulation.scene import PLAIN, Options, Scene, make_scene
 from svmdist.transforms import Array, make_transform
 
-START_NS = 1_700_000_000_000_000_000
-"""The stamp of the first sample. No clock is read, so that a rerun gives the same log."""
-CAMERA_INFO_PERIOD_NS = 1_000_000_000
+START_NS = 1_700_000_000_000_000_000  # no clock is read, so that a rerun gives the same log
 TOPICS = {
     "image": "/ECM/left/image",
     "camera_info": "/ECM/left/camera_info",
@@ -46,12 +40,12 @@ _ENCODER_STREAM, _JOINT_STREAM, _CAMERA_BASE_STREAM = 10, 12, 13
 def draw_nominal_kinematics(
     chain: DHChain, T_camera_base: Array, profile: Profile, seed: int, scale: float = 0.0, arm: int = 0
 ) -> tuple[Array, Array]:
-    """Draw the nominal kinematics of a seed for one of the arms; `scale` multiplies the profile's kinematic error.
+    """What an arm of a seed adds to true joints, (n_joints,), rad or m, and its nominal `T_camera_base`, (4, 4).
 
-    Gives what is added to true joints, rad or m, (n_joints,), and the nominal `T_camera_base`, (4, 4). The same seed
-    samples the same directions at every scale. The error of `T_camera_base` is a rotation about the base's origin and a
-    shift, both in the camera's axes. Joints that hold still while the robot works have no error: theirs is a part of
-    the error of `T_camera_base`.
+    `scale` multiplies the profile's kinematic error. That of `T_camera_base` is a rotation about the base's origin and
+    a shift, both in the camera's axes. All are constant in a recording: a da Vinci research kit, whose cables stretch
+    and whose set-up joints are read by potentiometers, places its tool centimetres off in the camera's frame, with
+    motion repeatable to fractions of a millimetre.
     """
     further = [arm] if arm else []
 
@@ -66,27 +60,23 @@ def draw_nominal_kinematics(
     R = cv2.Rodrigues(scale * rng.normal(0.0, error.camera_base_std_rad, 3))[0] @ T_camera_base[:3, :3]
     shift_m = scale * rng.normal(0.0, error.camera_base_std_m, 3)
     joint_offsets = scale * sampled(_JOINT_STREAM, error.joint_std_rad, error.joint_std_m)
-    if error.first_moving_joint is not None:
+    if error.first_moving_joint is not None:  # what joints that hold still are off is a part of T_camera_base's
         joint_offsets[: chain.joint_names.index(error.first_moving_joint)] = 0.0
     return offsets + joint_offsets, make_transform(R, T_camera_base[:3, 3] + shift_m)
 
 
 @dataclass(frozen=True)
 class Arm:
-    """An arm of a scene: profile and scene as it sees them, its topics, its exact joints (n, n_joints) at all stamps.
-
-    `nominal_chain` is the profile's. `reported` are the joints that it reports at the same stamps, (n, n_joints).
-    `prefix` stands before the names of its links in transforms; the first arm's have none.
-    """
+    """An arm of a scene: profile and scene as it sees them."""
 
     profile: Profile
     scene: Scene
     topics: dict[str, str]
-    q: Array
-    nominal_chain: DHChain
+    q: Array  # exact joints at all stamps, shape (n, n_joints)
+    nominal_chain: DHChain  # the profile's
     nominal_T_camera_base: Array
-    reported: Array
-    prefix: str
+    reported: Array  # joints that it reports at the same stamps, shape (n, n_joints)
+    prefix: str  # of the names of its links in transforms; the first arm's have none
 
     def reports(self, stamp_ns: int, index: int) -> Iterator[tuple[str, Sample]]:
         """Yield joints and pose as the encoders have them at the stamp number `index`."""
@@ -94,12 +84,6 @@ class Arm:
         yield self.topics["joints"], JointSample(stamp_ns, self.scene.chain.joint_names, q)
         T_base_tool = forward_kinematics(self.nominal_chain, q)
         yield self.topics["pose"], PoseSample(stamp_ns, self.profile.frames.base, T_base_tool)
-
-    def true_tool(self, stamp_ns: int, index: int) -> TransformSample:
-        """The true pose of the tool at the stamp number `index`."""
-        frames = self.profile.frames
-        T_camera_tool = self.scene.T_camera_base @ forward_kinematics(self.scene.chain, self.q[index])
-        return TransformSample(stamp_ns, frames.camera, frames.tool, T_camera_tool)
 
     def nominal_transforms(self, stamp_ns: int, index: int) -> tuple[TransformSample, ...]:
         """The nominal camera-to-base transform, then the whole chain as the reported joints place it."""
@@ -122,11 +106,7 @@ class SceneState:
 
 @dataclass(frozen=True)
 class Plan:
-    """A recording before it is made; the first arm's scene is the world's.
-
-    All arrays have one entry for each stamp: `stamps_ns` (n,), whether an image, joints or the cameras' calibration
-    come with it (n,), the retractor's poses (n, 4, 4), or None where there is none, and the tissue's offset (n,).
-    """
+    """A recording before it is made; the first arm's scene is the world's. Arrays have one entry for each stamp."""
 
     scene: Scene
     arms: tuple[Arm, ...]
@@ -136,7 +116,7 @@ class Plan:
     with_image: NDArray[np.bool_]
     with_joints: NDArray[np.bool_]
     with_camera_info: NDArray[np.bool_]
-    T_world_retractor: Array | None
+    T_world_retractor: Array | None  # (n, 4, 4)
     tissue_offset_m: Array
 
     @property
@@ -163,10 +143,9 @@ class Plan:
 
 
 def make_plan(scenario: Scenario, profile: Profile, options: Options = PLAIN) -> Plan:
-    """Plan a recording.
+    """Plan a recording: joints and poses at the profile's joint rate, transforms and truth at every image's stamp.
 
-    Joints and poses come at the profile's joint rate, transforms and truth at every image's stamp. Raises
-    SimulationError where PyBullet is missing and needed, or the profile cannot be simulated.
+    Raises SimulationError where PyBullet is missing and needed, or the profile cannot be simulated.
     """
     perturbations, seed = options.perturbations, scenario.seed
     built = built_profile(profile, perturbations, seed)
@@ -179,21 +158,18 @@ def make_plan(scenario: Scenario, profile: Profile, options: Options = PLAIN) ->
     stamps = np.union1d(images, joints)
     with_image, with_joints = np.isin(stamps, images), np.isin(stamps, joints)
     with_camera_info = np.zeros(len(stamps), np.bool_)
-    with_camera_info[np.searchsorted(stamps, np.arange(START_NS, stamps[-1] + 1, CAMERA_INFO_PERIOD_NS))] = True
+    with_camera_info[np.searchsorted(stamps, np.arange(START_NS, stamps[-1] + 1, 10**9))] = True  # every second
     progress = np.clip((stamps - START_NS) / (scenario.duration_s * 1e9), 0.0, 1.0)
-    path_s = progress * scenario.duration_s
     path, T_world_retractor = make_trajectory(scene, scenario, progress)
-    paths = [(profile, scene, path, "", "/ground_truth/distance")]
-    for name, other, q in make_other_arms(built, scene, options, path, progress, scenario.duration_s):
-        paths.append((profile.for_instrument(name), other, q, f"{name}_", f"/ground_truth/{name}/distance"))
+    others = make_other_arms(built, scene, options, path, progress, scenario.duration_s)
     arms = []
-    for number, (view, its, q, prefix, distance) in enumerate(paths):
+    for number, (name, its, q) in enumerate([(profile.instrument_name, scene, path), *others]):
+        view = profile.for_instrument(name) if number else profile
         assert view.robot is not None  # the scene has checked it
-        chain = chain_of(view.robot)  # an arm takes itself for the profile's
-        scale = options.kinematic_error
+        chain, scale = chain_of(view.robot), options.kinematic_error  # an arm takes itself for the profile's
         offsets, T_nominal = draw_nominal_kinematics(chain, its.T_camera_base, view, seed, scale, number)
         exact = q + offsets
-        exact[:, -1] -= its.jaw_opening_rad(path_s, number)
+        exact[:, -1] -= its.jaw_opening_rad(progress * scenario.duration_s, number)
         reported = exact
         if perturbations.changes(Place.JOINTS, Place.CLOCK):
             late = reported_late(exact[with_joints], joints, perturbations)
@@ -201,11 +177,10 @@ def make_plan(scenario: Scenario, profile: Profile, options: Options = PLAIN) ->
             # Interpolated between samples, where only transforms are written.
             seconds, at_s = 1e-9 * (stamps - joints[0]), 1e-9 * (joints - joints[0])
             reported = np.column_stack([np.interp(seconds, at_s, joint) for joint in samples.T])
-        name = view.instrument_name
         defaults = TOPICS | {"joints": f"/{name}/measured_js", "pose": f"/{name}/measured_cp"}
-        defaults["ground_truth_distance"] = distance
+        defaults["ground_truth_distance"] = f"/ground_truth/{name}/distance" if number else "/ground_truth/distance"
         topics = {role: getattr(view.topics, role) or topic for role, topic in defaults.items()}
-        arms.append(Arm(view, its, topics, q, chain, T_nominal, reported, prefix))
+        arms.append(Arm(view, its, topics, q, chain, T_nominal, reported, f"{name}_" if number else ""))
     tissue_offset_m = scene.tissue_offset_m(np.asarray((stamps - START_NS) * 1e-9, np.float64))
     due = stamps, with_image, with_joints, with_camera_info
     return Plan(scene, tuple(arms), arms[0].topics, options, *due, T_world_retractor, tissue_offset_m)

@@ -1,8 +1,7 @@
 """Renders the scene as the endoscope sees it: PyBullet's TinyRenderer, behind the project's pinhole camera.
 
-TinyRenderer works in software and spends five sixths of its time on the tissue and the floor, which rarely move. They
-are rendered once for each camera. Each frame renders what moves, alone, and the depth buffers show which of the two
-is in front. The result is that of one picture of everything, bit for bit.
+It spends five sixths of its time on tissue and floor, which rarely move: they are rendered once for each camera, what
+moves in each frame, and the depth buffers show which is in front, as one picture of everything would, bit for bit.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from svmdist.camera import R_OPENGL_OPENCV, Camera
 from svmdist.samples import Image
 from svmdist.simulation.bullet import BulletWorld, quiet
-from svmdist.simulation.effects import LAMP_M, NO_PART, Depths, Lamp, Shader, Surfaces
+from svmdist.simulation.effects import DISTORTION, LAMP_M, NO_PART, Depths, Lens, Shader, Surfaces
 from svmdist.simulation.meshes import DrawnMesh, Part, Rgba, floor_texture, make_floor, make_retractor, tissue_texture
 from svmdist.simulation.organ import Organ
 from svmdist.simulation.plan import SceneState
@@ -28,25 +27,19 @@ from svmdist.transforms import Array, inverse, make_transform, transform_points
 from svmdist.vision.degradations import dimmed
 
 NEAR_M, FAR_M = 0.01, 0.4
-T_OPENGL_OPENCV: Array = make_transform(R_OPENGL_OPENCV, np.zeros(3))
 PIXEL_SHIFT = (-0.5, 0.5)
-"""TinyRenderer samples pixels at a corner. Measured with silhouettes of spheres all over the image, which agree with
-`Camera.project` to 0.03 px."""
+"""TinyRenderer samples pixels at a corner: silhouettes of spheres all over the image agree with `Camera.project` to
+0.03 px."""
 OPTICS_SIGMA_PX = 0.8  # blur of the optics, which also hides the renderer's stairs
 DEPTH_TIE = 2.5e-7
 """Four steps of a float32 below 1, 0.25 µm here: TinyRenderer compares depths before it scales and rounds them.
 Surfaces that are nearer to each other than that are rendered in one picture again."""
-LIGHT_DIRECTION = (0.35, 0.45, 1.0)
-"""Towards the light, in the world: beside the optical axis, as in an endoscope, so that shapes shade."""
-AMBIENT, DIFFUSE, SPECULAR = 0.52, 0.5, 0.12
+LIGHT_DIRECTION = np.array([0.35, 0.45, 1.0])  # towards the light, in the world: beside the optical axis, to shade
 _AWAY: Array = raised(1.0)  # behind the camera
 
 
 def projection_matrix(camera: Camera) -> list[float]:
-    """OpenGL's projection matrix, 16 numbers column by column, for the intrinsics K.
-
-    OpenGL puts the image's borders at -1 and 1; in pixel coordinates they lie at -0.5 and size - 0.5.
-    """
+    """OpenGL's projection matrix, column by column; the image's borders, -0.5 and size - 0.5, are at -1 and 1."""
     width, height, K = camera.width_px, camera.height_px, camera.K
     centre_x, centre_y = K[0, 2] + 0.5 + PIXEL_SHIFT[0], K[1, 2] + 0.5 + PIXEL_SHIFT[1]
     P = np.zeros((4, 4))
@@ -54,7 +47,7 @@ def projection_matrix(camera: Camera) -> list[float]:
     P[1, 1], P[1, 2] = 2.0 * K[1, 1] / height, 2.0 * centre_y / height - 1.0
     P[2, 2], P[2, 3] = (FAR_M + NEAR_M) / (NEAR_M - FAR_M), 2.0 * FAR_M * NEAR_M / (NEAR_M - FAR_M)
     P[3, 2] = -1.0
-    return [float(value) for value in P.T.ravel()]
+    return P.T.ravel().tolist()
 
 
 def metric_depth_m(buffer: Depths) -> Depths:
@@ -80,20 +73,23 @@ class Renderer(BulletWorld):
     def __init__(self, scenes: Sequence[Scene]) -> None:
         super().__init__()
         self._turn = 0
-        self._scenes, self._scene = scenes, scenes[0]
-        scene = self._scene
+        self._scenes, self._scene = scenes, (scene := scenes[0])
+        # The pinhole camera whose images are rendered is wider than the real one where the lens needs it.
+        strength = scene.perturbations["lens"] + scene.perturbations["lens_untold"]
+        self._lens = Lens.of(scene.camera, strength * DISTORTION) if strength else None
+        self._camera = self._lens.wide if self._lens else scene.camera
         self._T_world_cameras = (scene.T_world_camera, scene.T_world_camera @ scene.T_camera_right)
         # From the ideal world's lamp to one beside the lens, and less light around.
         share = scene.perturbations["light"]
-        ideal, to_lens = np.array(LIGHT_DIRECTION), -scene.T_world_camera[:3, 2]
+        to_lens = -scene.T_world_camera[:3, 2]
         self._light: dict[str, Any] = {
             "renderer": self.pb.ER_TINY_RENDERER,
             "shadow": 0,
             "lightColor": (1.0, 0.985, 0.96),
-            "lightDirection": (ideal + share * (to_lens - ideal)).tolist(),
-            "lightAmbientCoeff": AMBIENT + share * (0.18 - AMBIENT),
-            "lightDiffuseCoeff": DIFFUSE + share * 0.35,
-            "lightSpecularCoeff": SPECULAR,
+            "lightDirection": (LIGHT_DIRECTION + share * (to_lens - LIGHT_DIRECTION)).tolist(),
+            "lightAmbientCoeff": 0.52 + share * (0.18 - 0.52),
+            "lightDiffuseCoeff": 0.5 + share * 0.35,
+            "lightSpecularCoeff": 0.12,
         }
         has_surfaces = scene.perturbations.has("light", "shadow", "wet", "blood")
         self._shader = Shader(scene.perturbations, scene.seed) if has_surfaces else None
@@ -105,9 +101,8 @@ class Renderer(BulletWorld):
         self._paint(self._floor, floor_texture(scene.seed))
         self._retractor = self._add_mesh(make_retractor(), (0.66, 0.67, 0.68, 1.0))
         self._parts += [self._add_part(part) for other in scenes[1:] for part in other.parts]
-        self._dented: tuple[Organ, int] | None = None
-        # Where bodies stand.
-        self._moving: dict[int, Array] = {}
+        self._dented: int | None = None
+        self._moving: dict[int, Array] = {}  # where bodies stand
         self._still: dict[int, Array] = {}
         self._shown: tuple[bool, bool] | None = None
         self._backgrounds: dict[tuple[int, int], Picture] = {}
@@ -122,26 +117,25 @@ class Renderer(BulletWorld):
         self._moving = dict(zip(self._parts, np.concatenate(poses), strict=True))
         self._moving[self._retractor] = _AWAY if state.T_world_retractor is None else state.T_world_retractor
         # The body of a dented organ, always the last one, is rendered in place of the tissue's.
-        if self._dented is not None and organ is not self._dented[0]:
-            self.call("removeBody", self._dented[1])
-            self._dented = None
-        if self._dented is None and organ is not None:
-            self._dented = organ, self._add_mesh(organ.mesh)
-            self.call("changeVisualShape", self._dented[1], -1, textureUniqueId=self._tissue_texture)
+        if self._dented is not None:
+            self.call("removeBody", self._dented)
+        self._dented = None if organ is None else self._add_mesh(organ.mesh)
+        if self._dented is not None:
+            self.call("changeVisualShape", self._dented, -1, textureUniqueId=self._tissue_texture)
         T_raised = raised(state.offset_m)
         self._still = {self._floor: T_raised, self._tissue: _AWAY}
-        self._still[self._dented[1] if self._dented else self._tissue] = T_raised @ self._scene.T_world_tissue
+        self._still[self._tissue if self._dented is None else self._dented] = T_raised @ self._scene.T_world_tissue
 
     def draw(self, camera: int, turn: int) -> Image:
         """Draw what the left (0) or right (1) camera sees, shape (h, w, 3), as picture number `turn` of a recording."""
         image_bgr = self._pinhole(camera, turn)
-        if self._scene.lens is not None:
-            image_bgr = self._scene.lens.image(image_bgr)
+        if self._lens is not None:
+            column_px, row_px = cv2.split(self._lens.at_px)
+            image_bgr = np.asarray(cv2.remap(image_bgr, column_px, row_px, cv2.INTER_LINEAR), np.uint8)
         blurred = np.asarray(cv2.GaussianBlur(image_bgr, (0, 0), OPTICS_SIGMA_PX), np.uint8)
         return dimmed(blurred, self._scene.perturbations["border"], self._scene.perturbations["vignette"])
 
     def _pinhole(self, camera: int, turn: int) -> Image:
-        """What a pinhole shows of everything."""
         T_world_camera, key = self._T_world_cameras[camera], (camera, turn % 2)
         if key not in self._backgrounds:
             self._backgrounds[key] = self._picture(T_world_camera, turn, moving=False)
@@ -159,24 +153,22 @@ class Renderer(BulletWorld):
         return self._shaded(together, background.depth, T_world_camera, turn)
 
     def _picture(self, T_world_camera: Array, turn: int, *, moving: bool = True, still: bool = True) -> Picture:
-        """Take the picture that is number `turn` of a recording, of what moves and of what is still, or one of them.
-
-        TinyRenderer renders the same scene in two ways, by turns, which differ by one level in single pixels. The
-        picture of an even turn is therefore always an even one here, whatever was rendered before.
-        """
+        """Take the picture that is number `turn` of a recording, of what moves and of what is still, or one of them."""
         if self._shown != (moving, still):
             for bodies, is_shown in ((self._moving, moving), (self._still, still)):
                 for body, T_world_body in bodies.items():
                     self.place(body, T_world_body if is_shown else _AWAY)
             self._shown = moving, still
-        camera = self._scene.drawn_camera
         # OpenGL's matrices have 16 numbers, column by column.
-        view = (T_OPENGL_OPENCV @ inverse(T_world_camera)).T.ravel().tolist()
-        projection = projection_matrix(camera)
-        if (self._turn - turn) % 2:
-            self._draw(1, 1, view, projection)
-        width, height = camera.width_px, camera.height_px
-        _, _, rgba, depth, bodies_px = self._draw(width, height, view, projection)
+        view = (make_transform(R_OPENGL_OPENCV, np.zeros(3)) @ inverse(T_world_camera)).T.ravel().tolist()
+        matrices = {"viewMatrix": view, "projectionMatrix": projection_matrix(self._camera)}
+        # TinyRenderer renders the same scene in two ways, by turns, which differ by one level in single pixels. The
+        # picture of an even turn is therefore always an even one here, whatever was rendered before.
+        width, height = self._camera.width_px, self._camera.height_px
+        for size in [(1, 1)] * ((self._turn - turn) % 2) + [(width, height)]:
+            self._turn += 1
+            with quiet():
+                _, _, rgba, depth, bodies_px = self.call("getCameraImage", *size, **matrices, **self._light)
         image = cv2.cvtColor(np.asarray(rgba, np.uint8).reshape(height, width, 4), cv2.COLOR_RGBA2BGR)
         depths = np.asarray(depth, np.float32).reshape(height, width)
         return Picture(np.asarray(image, np.uint8), depths, np.asarray(bodies_px).reshape(height, width))
@@ -189,24 +181,17 @@ class Renderer(BulletWorld):
         for number, body in enumerate(self._parts):
             part[picture.bodies == body] = number
         is_still = (part == NO_PART) & (picture.bodies != self._retractor)
-        drawn_camera, T_camera_world = self._scene.drawn_camera, inverse(T_world_camera)
+        T_camera_world = inverse(T_world_camera)
         depth_m, behind_m = metric_depth_m(picture.depth), metric_depth_m(behind)
         T_camera_part = tuple(T_camera_world @ self._moving[body] for body in self._parts)
-        surfaces = Surfaces(drawn_camera, depth_m, behind_m, is_still, part, T_camera_part)
+        surfaces = Surfaces(self._camera, depth_m, behind_m, is_still, part, T_camera_part)
         lamp_world_m = transform_points(self._scene.T_world_camera, LAMP_M[None])[0]
         T_world_lamp = make_transform(T_world_camera[:3, :3], lamp_world_m)
-        seen_m = None
+        lamp_m, lamp_depth_m = (T_camera_world @ T_world_lamp)[:3, 3], None
         if self._scene.perturbations["shadow"]:
-            seen_m = metric_depth_m(self._picture(T_world_lamp, turn, still=False).depth)
-        lamp = Lamp((T_camera_world @ T_world_lamp)[:3, 3], seen_m)
+            lamp_depth_m = metric_depth_m(self._picture(T_world_lamp, turn, still=False).depth)
         T_camera_tissue = T_camera_world @ raised(self._background_of[0]) @ self._scene.T_world_tissue
-        return self._shader.shaded(picture.image_bgr, surfaces, lamp, T_camera_tissue)
-
-    def _draw(self, width: int, height: int, view: list[float], projection: list[float]) -> Any:
-        self._turn += 1
-        with quiet():
-            matrices = {"viewMatrix": view, "projectionMatrix": projection}
-            return self.call("getCameraImage", width, height, **matrices, **self._light)
+        return self._shader.shaded(picture.image_bgr, surfaces, lamp_m, lamp_depth_m, T_camera_tissue)
 
     def _add_part(self, part: Part) -> int:
         body = self._add_mesh(part.mesh, part.colour_rgba)

@@ -6,49 +6,38 @@ World: z up, floor at z = 0, the camera on the z axis looking straight down.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import SimulationError
-from svmdist.kinematics import DHChain, chain_of, frame_transforms
+from svmdist.kinematics import DHChain, chain_of, frame_transforms, row_index
 from svmdist.perturbations import UNPERTURBED, Perturbations, World
 from svmdist.perturbations.calibration import plane_tilt, right_turn, zoomed_camera
 from svmdist.profile import Profile
-from svmdist.simulation.effects import Lens, distortion_coefficients
+from svmdist.simulation.effects import DISTORTION
 from svmdist.simulation.meshes import Part, make_parts, make_plate
 from svmdist.simulation.organ import Organ, make_organ
 from svmdist.transforms import Array, inverse, make_transform, rotation_z
 from svmdist.vision.degradations import require_degradation
 
 TISSUE_SHIFT_M = 0.0015  # by seed, the organ stands this far from the camera's axis at most, along x and along y
-BREATHING_HZ = 0.25  # 15 breaths a minute, as a ventilator is set
-PULSE_HZ = 1.2  # 72 beats a minute
-JAW_HZ = 0.3
+BREATHING_HZ, PULSE_HZ, JAW_HZ = 0.25, 1.2, 0.3  # 15 breaths a minute, as a ventilator is set; 72 beats a minute
 _MOTION_STREAM, _JAW_STREAM = 101, 104
-
-R_WORLD_CAMERA: Array = np.diag([1.0, -1.0, -1.0])
 
 
 @dataclass(frozen=True)
 class Options:
-    """Options of a simulation; the defaults are the plain one.
+    """Options of a simulation; the defaults are the plain one."""
 
-    `stereo` adds the right camera, `tag` mounts the profile's fiducial plate, `kinematic_error` scales the error of
-    the nominal kinematics (0 none, 1 as the profile states). `degradations` are applied to the images in order, behind
-    the sensor's noise: (name, severity). `arms` is the number of instruments. `perturbations` were sampled for `world`.
-    `noise` is the sensor's, a standard deviation in 8-bit levels.
-    """
-
-    stereo: bool = False
-    tag: bool = False
-    kinematic_error: float = 0.0
-    degradations: tuple[tuple[str, int], ...] = ()
+    stereo: bool = False  # adds the right camera
+    tag: bool = False  # mounts the profile's fiducial plate
+    kinematic_error: float = 0.0  # scales the error of the nominal kinematics: 0 none, 1 as the profile states
+    degradations: tuple[tuple[str, int], ...] = ()  # (name, severity), in order, behind the sensor's noise
     arms: int = 1
-    perturbations: Perturbations = UNPERTURBED
+    perturbations: Perturbations = UNPERTURBED  # sampled for the world
     world: World = World.IDEAL
-    noise: float = 0.0
+    noise: float = 0.0  # the sensor's, a standard deviation in 8-bit levels
 
     def __post_init__(self) -> None:
         for name, severity in self.degradations:
@@ -73,14 +62,11 @@ PLAIN = Options()
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The world of one seed: the chain and where its base, the camera and the tissue stand.
-
-    `camera` is what the calibration states.
-    """
+    """The world of one seed: the chain and where its base, the camera and the tissue stand."""
 
     chain: DHChain
     posture: Array
-    camera: Camera
+    camera: Camera  # as the calibration states it
     T_world_base: Array
     T_world_camera: Array
     T_world_tissue: Array
@@ -90,17 +76,6 @@ class Scene:
     working_height_m: float  # of the tool's origin above the floor
     perturbations: Perturbations
     seed: int
-
-    @cached_property
-    def lens(self) -> Lens | None:
-        """The lens of both cameras; None for a pinhole."""
-        strength = self.perturbations["lens"] + self.perturbations["lens_untold"]
-        return Lens.of(self.camera, distortion_coefficients(strength)) if strength else None
-
-    @property
-    def drawn_camera(self) -> Camera:
-        """The pinhole camera whose images are rendered: wider than the real one where the lens needs it."""
-        return self.camera if self.lens is None else self.lens.wide
 
     @property
     def right_camera(self) -> Camera:
@@ -123,15 +98,10 @@ class Scene:
         """The pose of the tissue, raised by an offset from rest, shape (4, 4)."""
         return inverse(self.T_world_camera) @ raised(offset_m) @ self.T_world_tissue
 
-    def link_poses(self, q: Array) -> dict[str, Array]:
-        """Poses `T_world_link`, shape (..., 4, 4), of all rows by name, for joints (..., n_joints)."""
-        frames = self.T_world_base @ frame_transforms(self.chain, q)
-        return {row.name: frames[..., index, :, :] for index, row in enumerate(self.chain.rows)}
-
     def part_poses(self, q: Array) -> Array:
-        """Poses `T_world_part`, shape (..., n_parts, 4, 4), for joints (..., n_joints)."""
-        links = self.link_poses(q)
-        return np.stack([links[part.link] @ part.T_link_part for part in self.parts], -3)
+        """Poses `T_world_part`, shape (n_parts, 4, 4), for joints (n_joints,)."""
+        T_world_link = self.T_world_base @ frame_transforms(self.chain, q)
+        return np.stack([T_world_link[row_index(self.chain, part.link)] @ part.T_link_part for part in self.parts])
 
     def tissue_offset_m(self, t_s: Array) -> Array:
         """How far tissue and floor stand above their place at rest, shape (n,), at times since the start, (n,)."""
@@ -153,21 +123,21 @@ def make_scene(profile: Profile, seed: int, options: Options = PLAIN) -> Scene:
     if profile.robot is None or profile.instrument is None or profile.simulation is None:
         raise SimulationError(f"{cannot}: it needs [robot], [instrument] and [simulation]")
     chain, settings = chain_of(profile.robot), profile.simulation
-    missing = ", ".join(name for name in chain.joint_names if name not in settings.posture)
-    if missing or len(chain.rows) < 4:
-        reason = f"simulation.posture lacks {missing}" if missing else "an instrument needs four joints"
-        raise SimulationError(f"{cannot}: {reason}")
+    if missing := ", ".join(name for name in chain.joint_names if name not in settings.posture):
+        raise SimulationError(f"{cannot}: simulation.posture lacks {missing}")
+    if len(chain.rows) < 4:
+        raise SimulationError(f"{cannot}: an instrument needs four joints")
     if options.tag and profile.fiducial is None:
         raise SimulationError(f"profile {profile.name} has no tag to mount: it needs [fiducial]")
     # One stream for each thing, so that one of them can change without moving the others.
     place, shape = (np.random.default_rng([seed, stream]) for stream in range(2))
     R_world_tissue = rotation_z(place.uniform(-np.pi, np.pi))
     tissue_m = [*place.uniform(-TISSUE_SHIFT_M, TISSUE_SHIFT_M, 2), 0.0]
-    view = settings.width_px, settings.height_px, settings.horizontal_fov_rad
-    camera = zoomed_camera(Camera.from_horizontal_fov(*view, profile.frames.camera), perturbations["zoom"])
-    D = distortion_coefficients(perturbations["lens"])
+    view = settings.width_px, settings.height_px, settings.horizontal_fov_rad, profile.frames.camera
+    camera = zoomed_camera(Camera.from_horizontal_fov(*view), perturbations["zoom"])
+    D = perturbations["lens"] * DISTORTION
     # In these axes the floor's normal is the nominal one, rotated back; the floor's origin is on the optical axis.
-    R = R_WORLD_CAMERA @ plane_tilt(perturbations, seed)
+    R = np.diag([1.0, -1.0, -1.0]) @ plane_tilt(perturbations, seed)
     parts = make_parts(profile.instrument, chain, perturbations)
     return Scene(
         chain=chain,

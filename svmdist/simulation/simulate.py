@@ -5,27 +5,25 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from functools import cached_property
+from itertools import chain
 
 import cv2
 import numpy as np
 
 from svmdist.camera import Camera, stereo_transform
+from svmdist.kinematics import forward_kinematics
 from svmdist.perturbations import Place
 from svmdist.perturbations.calibration import nominal_camera, zoomed_camera
 from svmdist.samples import CameraSample, DistanceSample, Image, ImageSample, Sample, TransformSample, TransformsSample
 from svmdist.simulation.clearance import InstrumentClearance, TissueClearance
-from svmdist.simulation.plan import Plan, SceneState
+from svmdist.simulation.plan import Plan
 from svmdist.simulation.render import Renderer
 from svmdist.simulation.scene import Options
 from svmdist.transforms import Array
 from svmdist.vision.degradations import Degradation, degrade, image_seed, subsampled
 
 FIELD_NS = 1e9 / 60.0  # between both fields of an interlaced frame (59.94 fields a second, ITU-R BT.601)
-OPTICS = frozenset({Degradation.DEFOCUS, Degradation.MOTION_BLUR})
-"""Blur what falls on the sensor, and so each field for itself."""
-_NOISE_STREAMS = (11, 14)
-_DEGRADATION_STREAM = 15
-
+_NOISE_STREAMS, _DEGRADATION_STREAM = (11, 14), 15
 Noise = tuple[Array | None, ...]
 """The noise of one image of each camera, shape (height, width, 3) in 8-bit levels, or None where there is none."""
 
@@ -34,24 +32,19 @@ class Sensors:
     """The cameras' noise, chroma and degradations by seed; `generators`: where the next image's noise begins."""
 
     def __init__(self, camera: Camera, seed: int, options: Options) -> None:
-        self._shape, self._seed, self._noise = (camera.height_px, camera.width_px, 3), seed, options.noise
-        numbered = [(at, Degradation(name), much) for at, (name, much) in enumerate(options.degradations)]
-        by_field = OPTICS if options.perturbations["interlace"] else frozenset()
-        self._of_fields = [one for one in numbered if one[1] in by_field]
-        self._of_images = [one for one in numbered if one[1] not in by_field]
-        self._chroma = options.perturbations["chroma"]
+        self._shape, self._seed, self._options = (camera.height_px, camera.width_px, 3), seed, options
         streams = _NOISE_STREAMS if options.stereo else _NOISE_STREAMS[:1]
         self.generators = [np.random.default_rng([seed, stream]) for stream in streams]
 
     def draw_noise(self) -> Noise:
         """Draw the noise of the next image of each camera."""
-        if self._noise == 0.0:
+        if not (std := self._options.noise):
             return (None,) * len(self.generators)
-        return tuple(each.standard_normal(self._shape) * self._noise for each in self.generators)
+        return tuple(each.standard_normal(self._shape) * std for each in self.generators)
 
     def focus(self, camera: int, fields: Sequence[Image], frame: int) -> Image:
         """What falls on a camera's sensor at the image number `frame`: one picture, or two fields of alternate rows."""
-        image, *later = [self._degraded(camera, field, frame, self._of_fields) for field in fields]
+        image, *later = [self._degraded(camera, field, frame, by_field=True) for field in fields]
         for field in later:
             image[1::2] = field[1::2]
         return image
@@ -60,14 +53,18 @@ class Sensors:
         """What a camera reports of the image number `frame`, with the noise that was sampled for it."""
         if noise is not None:  # OpenCV rounds to the nearest level and saturates, in one pass
             image = np.asarray(cv2.add(noise, image, dtype=cv2.CV_8U), np.uint8)
-        if self._chroma:
-            image = subsampled(image, self._chroma)
-        return self._degraded(camera, image, frame, self._of_images)
+        if chroma := self._options.perturbations["chroma"]:
+            image = subsampled(image, chroma)
+        return self._degraded(camera, image, frame, by_field=False)
 
-    def _degraded(self, camera: int, image: Image, frame: int, by: Sequence[tuple[int, Degradation, int]]) -> Image:
-        for place, name, severity in by:
-            seed = image_seed(name, camera, self._seed, _DEGRADATION_STREAM, place, frame)
-            image = degrade(image, name, severity, seed)
+    def _degraded(self, camera: int, image: Image, frame: int, *, by_field: bool) -> Image:
+        is_interlaced = self._options.perturbations["interlace"] > 0.0
+        for place, (name, severity) in enumerate(self._options.degradations):
+            kind = Degradation(name)
+            # These two blur what falls on the sensor, and so each field for itself.
+            if by_field == (is_interlaced and kind in (Degradation.DEFOCUS, Degradation.MOTION_BLUR)):
+                seed = image_seed(kind, camera, self._seed, _DEGRADATION_STREAM, place, frame)
+                image = degrade(image, kind, severity, seed)
         return image
 
 
@@ -110,22 +107,26 @@ class Simulator(ExitStack):
 
     def _truth(self, stamp_ns: int, index: int) -> Iterator[tuple[str, Sample]]:
         """Yield the poses of tools and tissue, and their distances."""
-        plan, scene, arms = self._plan, self._plan.scene, self._plan.arms
-        frames, state = arms[0].profile.frames, plan.state(index)
-        T_camera_tissue = scene.T_camera_tissue(state.offset_m)
-        tools = [arm.true_tool(stamp_ns, index) for arm in arms]
-        tissue = TransformSample(stamp_ns, frames.camera, frames.tissue, T_camera_tissue)
+        plan, arms, state = self._plan, self._plan.arms, self._plan.state(index)
+        poses = [arm.scene.T_camera_base @ forward_kinematics(arm.scene.chain, arm.q[index]) for arm in arms]
+        frames = [arm.profile.frames for arm in arms]
+        tools = [TransformSample(stamp_ns, its.camera, its.tool, T) for its, T in zip(frames, poses, strict=True)]
+        T_camera_tissue = plan.scene.T_camera_tissue(state.offset_m)
+        tissue = TransformSample(stamp_ns, frames[0].camera, frames[0].tissue, T_camera_tissue)
         yield plan.topics["ground_truth_tf"], TransformsSample(stamp_ns, (tools[0], tissue, *tools[1:]))
-        origins_m = [tool.T_parent_child[:3, 3] for tool in tools]
+        origins_m = [T[:3, 3] for T in poses]
         clearances_m = self._tissue.clearances_m(state.q, state.offset_m)
-        for arm, origin_m, clearance_m in zip(arms, origins_m, clearances_m, strict=True):
-            distance = _distance(stamp_ns, origin_m - T_camera_tissue[:3, 3], clearance_m)
-            yield arm.topics["ground_truth_distance"], distance
+        distances = [
+            (arm.topics["ground_truth_distance"], origin_m - T_camera_tissue[:3, 3], clearance_m)
+            for arm, origin_m, clearance_m in zip(arms, origins_m, clearances_m, strict=True)
+        ]
         for number, between in enumerate(self._between, start=1):
-            first, other = (arm.profile.instrument_name for arm in (arms[0], arms[number]))
+            topic = f"/ground_truth/{arms[0].profile.instrument_name}/{arms[number].profile.instrument_name}/distance"
             clearance_m = between.clearance_m(state.q[0], state.q[number])
-            distance = _distance(stamp_ns, origins_m[0] - origins_m[number], clearance_m)
-            yield f"/ground_truth/{first}/{other}/distance", distance
+            distances.append((topic, origins_m[0] - origins_m[number], clearance_m))
+        for topic, between_m, clearance_m in distances:
+            planar_m = float(np.linalg.norm(between_m[:2]))  # eq. (35): in the camera's xy plane
+            yield topic, DistanceSample(stamp_ns, planar_m, float(np.linalg.norm(between_m)), clearance_m)
 
     def _nominal_transforms(self, stamp_ns: int, index: int) -> TransformsSample:
         """The transforms of the first arm, the right camera, and those of the other arms."""
@@ -133,33 +134,23 @@ class Simulator(ExitStack):
         first, *others = (arm.nominal_transforms(stamp_ns, index) for arm in plan.arms)
         right = []
         if plan.options.stereo:
-            T_camera_right: Array | None = scene.T_camera_right
-            if plan.options.perturbations.changes(Place.CALIBRATION):
-                T_camera_right = stereo_transform(*self._nominal_cameras)
+            is_perturbed = plan.options.perturbations.changes(Place.CALIBRATION)
+            T_camera_right = stereo_transform(*self._nominal_cameras) if is_perturbed else scene.T_camera_right
             assert T_camera_right is not None  # the baseline is not 0
             right = [TransformSample(stamp_ns, scene.camera.frame_id, scene.right_camera.frame_id, T_camera_right)]
-        return TransformsSample(stamp_ns, (*first, *right, *(sample for other in others for sample in other)))
+        return TransformsSample(stamp_ns, (*first, *right, *chain.from_iterable(others)))
 
     def _images(self, stamp_ns: int, index: int, noise: Noise) -> Iterator[tuple[str, Sample]]:
         scene, topics = self._plan.scene, self._plan.topics
         frame = int(np.count_nonzero(self._plan.with_image[:index]))  # the image's number
-        interlace = scene.perturbations["interlace"]
+        interlace, count = scene.perturbations["interlace"], len(self.sensors.generators)
         delays_ns = (0.0, interlace * FIELD_NS) if interlace else (0.0,)  # even rows first, then odd ones
-        numbered = enumerate(delays_ns, frame * len(delays_ns))
-        fields = [self._pictures(self._plan.state(index, after_ns), number) for number, after_ns in numbered]
+        fields = []
+        for number, after_ns in enumerate(delays_ns, frame * len(delays_ns)):
+            state = self._plan.state(index, after_ns)
+            self._view.pose(state, self._tissue.indented(state.q, state.offset_m))
+            fields.append([self._view.draw(camera, turn=number * count + camera) for camera in range(count)])
         cameras = ((topics["image"], scene.camera), (topics["right_image"], scene.right_camera))
         for camera, of_camera in enumerate(zip(*fields, strict=True)):
             exposed = self.sensors.expose(camera, self.sensors.focus(camera, of_camera, frame), noise[camera], frame)
             yield cameras[camera][0], ImageSample(stamp_ns, cameras[camera][1].frame_id, exposed)
-
-    def _pictures(self, state: SceneState, number: int) -> list[Image]:
-        """What each camera sees of a state, the picture number `number` of the recording."""
-        self._view.pose(state, self._tissue.indented(state.q, state.offset_m))
-        count = len(self.sensors.generators)
-        return [self._view.draw(camera, turn=number * count + camera) for camera in range(count)]
-
-
-def _distance(stamp_ns: int, between_m: Array, clearance_m: float) -> DistanceSample:
-    """The three distances of two things, by the vector between their origins in the camera frame, shape (3,)."""
-    planar_m = float(np.linalg.norm(between_m[:2]))  # eq. (35): in the camera's xy plane
-    return DistanceSample(stamp_ns, planar_m, float(np.linalg.norm(between_m)), clearance_m)

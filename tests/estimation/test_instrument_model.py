@@ -19,8 +19,8 @@ def test_capsules_reach_as_far_as_the_meshes():
         wrist = wrist_in_tool(SCENE.chain, q)
         capsules = capsules_about(PROFILE.instrument, wrist)
         T_tool_world = inverse(SCENE.T_world_base @ forward_kinematics(SCENE.chain, q))
-        poses = SCENE.link_poses(q)
-        drawn = [transform_points(T_tool_world @ poses[one.link], one.mesh.vertices_m) for one in SCENE.parts]
+        posed = zip(SCENE.part_poses(q), SCENE.parts, strict=True)
+        drawn = [transform_points(T_tool_world @ T, part.mesh.vertices_m) for T, part in posed]
         points = np.vstack(drawn)
         for direction in rng.normal(size=(20, 3)):
             d = direction / np.linalg.norm(direction)

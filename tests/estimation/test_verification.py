@@ -128,7 +128,7 @@ def test_the_projected_shaft_covers_the_one_that_is_drawn():
     """The silhouette of the mesh that the simulation draws, in postures all over the picture: IoU above 0.9."""
     scene, rng, shares = make_scene(PROFILE, 3), np.random.default_rng(2), []
     camera, T_camera_world = scene.camera, inverse(scene.T_world_camera)
-    part = next(one for one in scene.parts if one.name == "shaft")
+    at = [one.name for one in scene.parts].index("shaft")
     for _ in range(60):
         q = scene.posture.copy()
         q[6:9] += rng.uniform(-1.0, 1.0, 3) * [0.08, 0.08, 0.015]
@@ -136,7 +136,7 @@ def test_the_projected_shaft_covers_the_one_that_is_drawn():
         T_camera_tool = T_camera_world @ scene.T_world_base @ forward_kinematics(scene.chain, q)
         body = capsules_about(PROFILE.instrument, wrist_in_tool(scene.chain, q)).transformed(T_camera_tool)
         found = shaft_sections(camera, body)
-        points_m = transform_points(T_camera_world @ scene.link_poses(q)[part.link], part.mesh.vertices_m)
+        points_m = transform_points(T_camera_world @ scene.part_poses(q)[at], scene.parts[at].mesh.vertices_m)
         drawn, projected = (np.zeros((camera.height_px, camera.width_px), np.uint8) for _ in range(2))
         hull_px = cv2.convexHull(camera.project(points_m[points_m[:, 2] > 0.01]).astype(np.float32))
         cv2.fillConvexPoly(drawn, np.rint(hull_px).astype(np.int32), 1)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from svmdist.errors import ProfileError, UsageError
+from svmdist.kinematics import chain_of
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path, shipped_profiles
 from svmdist.profile.robot import TAGS, Joint
 from tests.shipped import PSM13
@@ -186,7 +187,7 @@ def test_a_rotation_of_the_tool_becomes_a_transform(tmp_path):
     text = PSM13.replace("[robot]", "[robot]\ntool_rotation = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]", 1)
     turned = [[0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
     for robot, T in ((load_text(tmp_path, text).robot, turned), (load_profile().robot, np.eye(4))):
-        np.testing.assert_array_equal(robot.T_last_tool, T)
+        np.testing.assert_array_equal(chain_of(robot).T_last_tool, T)
 
 
 @pytest.mark.parametrize(

@@ -144,9 +144,9 @@ def test_images_show_raised_and_dented_tissue_and_then_rest_again(profile):
 @pytest.mark.parametrize("strength", [0.3, 1.0, 2.5])
 def test_the_lens_undoes_opencvs_distortion(scene, strength):
     """Where a pixel looks in the pinhole image, distorted again, is the pixel: to 0.001 px."""
-    camera, D = scene.camera, effects.distortion_coefficients(strength)
+    camera, D = scene.camera, strength * effects.DISTORTION
     lens = effects.Lens.of(camera, D)
-    at_px = np.stack([lens.column_px, lens.row_px], -1)[::60, ::60].reshape(-1, 2).astype(np.float64)
+    at_px = lens.at_px[::60, ::60].reshape(-1, 2).astype(np.float64)
     rays = (at_px - lens.wide.K[:2, 2]) / np.diag(lens.wide.K)[:2]
     rays = np.column_stack([rays, np.ones(len(rays))])
     back, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.K, D)
@@ -160,17 +160,19 @@ def floor(depth_m: float = FLOOR_M) -> effects.Surfaces:
     return effects.Surfaces(CAMERA, depths, depths, np.ones(SHAPE, bool), np.full(SHAPE, effects.NO_PART, np.int16), ())
 
 
-def shaded(text: str, surfaces: effects.Surfaces, lamp: effects.Lamp, level: int = 100) -> Array:
+def shaded(
+    text: str, surfaces: effects.Surfaces, lamp_m: Array, lamp_depth_m: Array | None = None, level: int = 100
+) -> Array:
     shader = effects.Shader(chosen(text), 1)
     shader._slopes[:] = 0.0  # a film without bumps
     image = np.full((*SHAPE, 3), level, np.uint8)
-    return np.asarray(shader.shaded(image, surfaces, lamp, T_CAMERA_TISSUE)[..., 0], np.float64)
+    return np.asarray(shader.shaded(image, surfaces, lamp_m, lamp_depth_m, T_CAMERA_TISSUE)[..., 0], np.float64)
 
 
 def test_light_falls_off_with_the_distance_squared():
     """In light, not in levels: those are light to the power of 1 / 2.2. Depth buffers are metric."""
     for depth_m in (0.06, 0.112):
-        seen = shaded("light=1", floor(depth_m), effects.Lamp(effects.LAMP_M, None))
+        seen = shaded("light=1", floor(depth_m), effects.LAMP_M)
         for row, column in ((120, 160), (10, 10), (200, 300)):
             ray = [*((np.array([column, row]) - CAMERA.K[:2, 2]) / np.diag(CAMERA.K)[:2]), 1.0]
             light = (effects.FULL_LIGHT_M / np.linalg.norm(depth_m * np.array(ray) - effects.LAMP_M)) ** 2
@@ -186,12 +188,12 @@ def test_a_shadow_lies_where_the_lamp_throws_it():
     x_m = (column - CAMERA.K[0, 2]) / CAMERA.K[0, 0] * at_m[2]
     y_m = (row - CAMERA.K[1, 2]) / CAMERA.K[1, 1] * at_m[2]
     is_there = (abs(x_m - at_m[0]) < half_m) & (abs(y_m - at_m[1]) < half_m)
-    lamp = effects.Lamp(effects.LAMP_M, np.where(is_there, at_m[2], FAR_M).astype(np.float32))
-    hidden = effects.shadow(CAMERA, floor().points_m(floor().depth_m), lamp)
+    lamp_depth_m = np.where(is_there, at_m[2], FAR_M).astype(np.float32)
+    hidden = effects.shadow(CAMERA, floor().points_m(floor().depth_m), effects.LAMP_M, lamp_depth_m)
     rows, columns = np.nonzero(hidden > 0.5)
     expected_m = effects.LAMP_M + at_m / at_m[2] * FLOOR_M
     np.testing.assert_allclose([columns.mean(), rows.mean()], CAMERA.project(expected_m[None])[0], atol=0.6)
-    dark = shaded("shadow=1", floor(), lamp)
+    dark = shaded("shadow=1", floor(), effects.LAMP_M, lamp_depth_m)
     assert dark[hidden > 0.999].max() == pytest.approx(100.0 * 0.25 ** (1 / effects.GAMMA), abs=1.0)
     assert (dark[hidden == 0.0] == 100.0).all()
 
@@ -199,10 +201,10 @@ def test_a_shadow_lies_where_the_lamp_throws_it():
 @pytest.mark.parametrize("eye_m", [0.0, 0.005])
 def test_a_highlight_is_where_a_mirror_shows_the_lamp(eye_m):
     """On a plane across the axis, half way between camera and lamp; it moves with the camera."""
-    lamp = effects.Lamp(effects.LAMP_M - [eye_m, 0.0, 0.0], None)
-    image = shaded("wet=1", floor(), lamp, level=0)
+    lamp_m = effects.LAMP_M - [eye_m, 0.0, 0.0]
+    image = shaded("wet=1", floor(), lamp_m, level=0)
     rows, columns = np.nonzero(image > 0.5 * image.max())
-    mirror_m = np.array([*0.5 * lamp.position_m[:2], FLOOR_M])
+    mirror_m = np.array([*0.5 * lamp_m[:2], FLOOR_M])
     np.testing.assert_allclose([columns.mean(), rows.mean()], CAMERA.project(mirror_m[None])[0], atol=0.7)
 
 
@@ -219,14 +221,15 @@ def test_instruments_look_as_perturbed(profile):
     coloured = {text: seen_px(image, marker) for text, image in images.items()}
     assert len(coloured[""]) > 300
     assert len(coloured["tip=1"]) == 0
-    T_camera_wrist = inverse(scene.T_world_camera) @ scene.link_poses(q)["wrist_pitch"]
+    poses = dict(zip([part.name for part in scene.parts], scene.part_poses(q), strict=True))
+    T_camera_wrist = inverse(scene.T_world_camera) @ poses["bridge"]
     ring_px = scene.camera.project(transform_points(T_camera_wrist, [[-0.003, 0.0, 0.0]]))[0]
     np.testing.assert_allclose(coloured["ring=3"].mean(axis=0), ring_px, atol=1.5)
     changed = np.abs(images[""].astype(int) - images["blood=0.25"]).max(axis=2) > 25
     on_tool = (picture.bodies >= 0).view(np.uint8)
     assert 0.12 < changed[on_tool > 0].mean() < 0.4
     assert not changed[cv2.dilate(on_tool, np.ones((5, 5))) == 0].any()
-    T_camera_roll = inverse(scene.T_world_camera) @ scene.link_poses(q)["roll"]
+    T_camera_roll = inverse(scene.T_world_camera) @ poses["shaft"]
     on_axis_m = transform_points(T_camera_roll, [[0.0, 0.016, 0.0]])
     column, row = np.rint(scene.camera.project(on_axis_m)[0]).astype(int)
     hue, saturation, value = cv2.cvtColor(images["shaft_blue=1"], cv2.COLOR_BGR2HSV)[row, column]
