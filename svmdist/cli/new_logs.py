@@ -1,4 +1,4 @@
-"""`svmdist record` and `import`: logs of a simulated scene, and of images or video with a calibration."""
+"""`svmdist record`, `import` and `profile new`: logs of a simulated scene or of images, and a profile of a log."""
 
 from __future__ import annotations
 
@@ -8,8 +8,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from svmdist.cli import options
+from svmdist.cli.logs import OneLogOptions
 from svmdist.cli.options import argument, option
-from svmdist.cli.output import LOG, ExitCode, next_command, progress_bar, require_ending, require_output, with_name
+from svmdist.cli.output import (
+    LOG,
+    ExitCode,
+    next_command,
+    progress_bar,
+    require_ending,
+    require_output,
+    require_toml,
+    with_name,
+    write_lines,
+)
 from svmdist.errors import UsageError
 from svmdist.files import files_of
 
@@ -269,3 +280,64 @@ def _tables(name: str, given: list[str] | None) -> dict[str, Path]:
             raise UsageError(f"{name}: two files for the instrument {instrument}; name the other: NAME=FILE")
         found[instrument] = Path(file)
     return found
+
+
+class New(OneLogOptions, options.TopicOption):
+    """Write a commented profile from a log.
+
+    It has the log's topics, frames and instruments, a chain that fits its joints, an instrument's sizes, colours where
+    they are distinct, and the tissue's surface where two views show it. Guesses are marked MEASURE, with deviations as
+    wide.
+
+    Examples:
+      A commented profile, to be completed by hand:
+        svmdist profile new log.mcap -o mine.toml
+      With the sizes of a known instrument:
+        svmdist profile new log.mcap --instrument large-needle-driver
+      With a camera's topic that is none of the usual ones:
+        svmdist profile new log.mcap --topic image=/left/image_raw
+    """
+
+    name: str | None = option("--name NAME", "Name of the profile. Default: that of the log.")
+    instrument: str | None = option(
+        "--instrument NAME",
+        "Sizes of large-needle-driver, da-vinci-8mm, laparoscopic-5mm, raven, …: a wrong name lists all. Default: by"
+        " the joints, else 5 to 10 mm.",
+    )
+    output: Path | None = options.OutputOptions.output
+    force: bool = options.FORCE
+
+    def _run(self) -> None:
+        import tomllib
+
+        from svmdist.profile import Profile
+        from svmdist.recording.log import open_recording
+        from svmdist.report.profile_template import instrument_sizes, profile_text
+        from svmdist.report.tables import counted
+        from svmdist.workflows.check import check_log, warning
+        from svmdist.workflows.new_profile import draft_profile
+
+        require_toml(self.output, [self.log.path], force=self.force)
+        if self.instrument is not None:
+            instrument_sizes(self.instrument)
+        with progress_bar(f"looking at {self.log.name}"):
+            draft = draft_profile(self.log.path, self.name or self.log.name, self.topics, self.instrument)
+            text = profile_text(draft)
+            profile = Profile.model_validate(tomllib.loads(text))
+            found = check_log(open_recording(self.log.path, profile))
+        write_lines([text], self.output)
+        instruments = ", ".join(one.name for one in draft.instruments)
+        plane = "the plane from both views" if draft.plane else "measure the plane of the tissue"
+        mark = "a distal marker by its colour" if draft.mark else "no colour of its own"
+        LOG.info("%s: instruments %s; %s; %s", draft.name, instruments, mark, plane)
+        if profile.guesses:
+            sizes = "; --instrument NAME has sizes" if self.instrument is None else ""
+            LOG.info("%s: guessed: %s%s", draft.name, profile.guesses, sizes)
+        if said := warning(found):
+            LOG.warning("%s", said)
+        else:
+            count = sum(len(one.comparisons) for one in found.values())
+            LOG.info("%s of the log with it: nothing contradicts", counted(count, "comparison"))
+        if self.output is not None:
+            with_it = next_command("estimate", self.log.path, "--profile", self.output)
+            LOG.info("next: complete what is marked MEASURE, and %s", with_it)

@@ -5,23 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from svmdist.cli import options, output
-from svmdist.cli.estimate import PictureOptions, corrected, log_ending
-from svmdist.cli.logs import GroupOption, LogOptions, Run, group_name
+from svmdist.cli.estimate import PictureOptions, log_ending
+from svmdist.cli.logs import GroupOption, LogOptions, Run
 from svmdist.cli.options import PLOT, argument, format_option, option
 from svmdist.cli.output import LOG, ExitCode
 from svmdist.errors import UsageError, did_you_mean
 from svmdist.report.writers import Holds
 
 if TYPE_CHECKING:
-    from svmdist.recording.log import Recording
     from svmdist.remote import LogPath
     from svmdist.vision.degradations import Blur
-    from svmdist.workflows.compare import MethodScore
     from svmdist.workflows.request import Condition, Request, Setup
     from svmdist.workflows.scoring.scores import Figures
 
@@ -185,6 +182,7 @@ class Compare(ScoreOptions, options.LagOption, GroupOption):
     plot: Literal["compare"] | None = option("--plot", "What --save-plot draws.", hidden=True)
 
     def _run(self) -> ExitCode:
+        from svmdist.cli.jobs import compare_log
         from svmdist.report.scores import compare_results
         from svmdist.workflows.compare import MethodScore, compared
         from svmdist.workflows.request import Request, prepare, prepare_methods
@@ -221,17 +219,6 @@ class Compare(ScoreOptions, options.LagOption, GroupOption):
                 conditions.append(Condition(require_degradation(name, severity), severity))
         conditions += [Condition(world=world) for world in options.parse_perturbations(self.perturb)]
         return list(dict.fromkeys(conditions))
-
-
-def compare_log(
-    recording: Recording, request: Request, threads: int, setups: tuple[Setup, ...], keys: tuple[str, ...]
-) -> list[MethodScore]:
-    """Measure a log with several methods under several conditions, with progress."""
-    from svmdist.workflows.compare import measure_runs
-
-    by = partial(group_name, keys=keys) if keys else None
-    with output.watched(corrected(recording, request, threads), "comparing") as log:
-        return measure_runs(log, setups, request.conditions, jobs=threads, by=by)
 
 
 class BlurBench(ScoreOptions):
