@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from svmdist.cli import options, output
-from svmdist.cli.logs import LogOptions, OneLogOptions, Run, log_losses
+from svmdist.cli.logs import LogOptions, OneLogOptions, log_losses
 from svmdist.cli.options import FORCE, option
 from svmdist.cli.output import LOG, ExitCode
 from svmdist.errors import RecordingError, UsageError
@@ -32,6 +32,7 @@ class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
     force: bool = FORCE
 
     def _run(self) -> ExitCode:
+        from svmdist.cli.jobs import Run
         from svmdist.estimation.plane_mapping import save_calibration
         from svmdist.profile import load_profile
         from svmdist.workflows.calibrate import CalibrationPart, collect_part, fit_parts
@@ -45,11 +46,9 @@ class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
         fit = calibration.fit
         LOG.info(
             "%s: %d frames, residual RMSE x %.3f mm, y %.3f mm, max %.3f mm; pixels x %.0f–%.0f, y %.0f–%.0f",
-            self.output,
-            fit.sample_count,
+            *(self.output, fit.sample_count),
             *(1e3 * error_m for error_m in (fit.rmse_x_m, fit.rmse_y_m, fit.max_error_m)),
-            *fit.span_x_px,
-            *fit.span_y_px,
+            *(*fit.span_x_px, *fit.span_y_px),
         )
         return run.exit_code()
 
@@ -139,7 +138,7 @@ class Fk(LogOptions, options.ReadOptions, options.WindowOptions, options.OutputO
     form: str | None = options.format_option(Holds.POSES)
 
     def _run(self) -> ExitCode:
-        from svmdist.cli.jobs import pose_rows_of
+        from svmdist.cli.jobs import Run, pose_rows_of
         from svmdist.metrics import TEXT, Column
         from svmdist.report.rows import POSE_COLUMNS
         from svmdist.workflows.request import Request, Setup

@@ -1,17 +1,15 @@
-"""`svmdist estimate`: one row per frame; and the plots, reports and last words that it shares with `validate`."""
+"""`svmdist estimate`: one row per frame; and the plots and reports that it shares with `validate`."""
 
 from __future__ import annotations
 
-import logging
 import sys
-from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from svmdist.cli import output
-from svmdist.cli.logs import GroupOption, LogOptions, Run
+from svmdist.cli.logs import GroupOption, LogOptions
 from svmdist.cli.options import PLOT, MeasureOptions, OutputOptions, format_option, option
 from svmdist.cli.output import LOG, ExitCode, next_command
 from svmdist.errors import UsageError, concealed
@@ -19,6 +17,7 @@ from svmdist.files import write_atomically
 from svmdist.report.writers import Holds, Results, Writer, choose_writer
 
 if TYPE_CHECKING:
+    from svmdist.cli.jobs import Run
     from svmdist.remote import LogPath
     from svmdist.workflows.ending import Ending
     from svmdist.workflows.request import Request
@@ -86,7 +85,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
     summary: Path | None = option("--summary FILE", "Figures of each log, worst first; as .csv, .md, ….")
 
     def _run(self) -> ExitCode:
-        from svmdist.cli.jobs import draw_log, measure_rows
+        from svmdist.cli.jobs import Run, draw_log, log_ending, log_tally, measure_rows
         from svmdist.workflows.ending import Ending
 
         writer = self.writer(self.paths, Holds.ROWS | Holds.FRAMES | Holds.REPORT)
@@ -114,7 +113,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         if self.summary is not None:
             output.write_results(run.ranking(), summary_writer, self.summary)
         self.say_choice()
-        measured = _log_tally(run.results)
+        measured = log_tally(run.results)
         log_ending({log.name: ending for log, _, ending in run.measured}, request)
         self._say_next({str(log.path): ending for log, _, ending in run.measured}, request)
         if draws:
@@ -175,29 +174,3 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
             return text_lines(shown_columns(width, planar=planar, several=several, alarms=alarms), every)
 
         output.write_results(Results(ESTIMATE_COLUMNS, every, text), writer, self.output)
-
-
-def log_ending(endings: Mapping[str, Ending], request: Request) -> None:
-    """Log which detections were refused, what is remarked on logs, and the alarms, of logs by their names."""
-    from svmdist.workflows.ending import alarms_in_words, refusals_in_words, remarks_in_words
-
-    alarms = [] if request.alarms is None else [alarms_in_words(endings, request.alarms)]
-    for line in (*refusals_in_words(endings.values()), *remarks_in_words(endings), *alarms):
-        LOG.info("%s", line)
-
-
-def _log_tally(endings: Iterable[Ending]) -> bool:
-    """Log how many frames were measured, and the other statuses with their commonest details; whether any was."""
-    counts = defaultdict[str, Counter[str]](Counter)
-    for status, details in (item for ending in endings for item in ending.tally.items()):
-        counts[status].update(details)
-    total = sum(details.total() for details in counts.values())
-    measured = counts.pop("ok", Counter()).total()
-    lost = []
-    for status, details in sorted(counts.items()):
-        ((commonest, times),) = details.most_common(1)
-        of_some = f"{times} of them: " if len(details) > 1 else ""
-        lost.append(f"{details.total()} {status}" + (f" ({of_some}{commonest})" if commonest else ""))
-    share = f"{measured} of {total} frames measured ({100 * measured / total:.1f}%)"
-    LOG.log(logging.INFO if measured else logging.ERROR, "%s", "; ".join(filter(None, [share, ", ".join(lost)])))
-    return measured > 0

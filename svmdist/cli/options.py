@@ -126,6 +126,7 @@ FORCE = option("--force", "Replace the file if it exists.", False)
 JOBS = option("--jobs -j N", "Processes; results are the same. Default: all cores.", min=1, max=256)
 PLOT = option("--save-plot FIG", "Plot to this file (png, svg, pdf).")
 PROFILE = option("--profile NAME|FILE", "psm13, dvrk-psm, or a TOML file. Default: psm13.", "psm13")
+CALIBRATION = option("--calibration FILE", "Planar mapping. Default: the profile's.")
 EVERY = option("--every N", "Take every N-th image only.", 1, min=1)
 
 
@@ -197,15 +198,10 @@ class WindowOptions(Options):
         return Window(self.start, math.inf if self.end is None else self.end, self.every)
 
 
-class CalibrationOption(ReadOptions):
-    """The planar methods' mapping."""
-
-    calibration: Path | None = option("--calibration FILE", "Planar mapping. Default: the profile's.")
-
-
-class MethodOptions(CalibrationOption):
+class MethodOptions(ReadOptions):
     """What measures."""
 
+    calibration: Path | None = CALIBRATION
     method: Literal["auto", "overlay", "centroid", "fiducial", "shaft", "stereo", "kinematic", "fused"] = option(
         "--method NAME",
         "auto: the best that the log can serve. In 3D: fiducial (tag), shaft, stereo (two cameras), kinematic,"
@@ -266,9 +262,12 @@ class LagOption(Options):
         return lag_s
 
 
-class AlarmOptions(Options):
-    """When an alarm is raised."""
+class MeasureOptions(MethodOptions, InstrumentOption, LagOption, WindowOptions):
+    """Everything of a measurement by one method."""
 
+    equations: Literal["corrected", "printed"] = option(
+        "--equations NAME", "corrected (the default), or printed as published.", "corrected"
+    )
     alarm_below: str | None = option("--alarm-below LENGTH", "Alarm where the clearance may be below, as in 5mm.")
     alarm_when: str | None = option(
         "--alarm-when LEVEL",
@@ -292,14 +291,6 @@ class AlarmOptions(Options):
         from svmdist.estimation.alarms import AlarmRules
 
         return AlarmRules(parse_length_m("--alarm-below", self.alarm_below), *given.values())
-
-
-class MeasureOptions(MethodOptions, InstrumentOption, LagOption, AlarmOptions, WindowOptions):
-    """Everything of a measurement by one method."""
-
-    equations: Literal["corrected", "printed"] = option(
-        "--equations NAME", "corrected (the default), or printed as published.", "corrected"
-    )
 
     def setup(self, paths: Sequence[LogPath]) -> Setup:
         """What measures these logs; raises ProfileError, CalibrationError or UsageError."""

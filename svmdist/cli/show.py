@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from svmdist.cli import options, output
-from svmdist.cli.logs import LogOptions, OneLogOptions, Run, log_losses
+from svmdist.cli.logs import LogOptions, OneLogOptions, log_losses
 from svmdist.cli.options import JOBS, option
 from svmdist.cli.output import LOG, ExitCode
 from svmdist.errors import UsageError
@@ -38,7 +38,7 @@ class Info(LogOptions, options.ReadOptions, options.OutputOptions):
     """
 
     def _run(self) -> ExitCode:
-        from svmdist.cli.jobs import inspect_log
+        from svmdist.cli.jobs import Run, inspect_log
         from svmdist.report.info import info_results, logs_results
         from svmdist.workflows.request import Request, Setup
 
@@ -69,7 +69,7 @@ class Check(LogOptions, options.ReadOptions, options.OutputOptions):
     """
 
     def _run(self) -> ExitCode:
-        from svmdist.cli.jobs import compared_rows
+        from svmdist.cli.jobs import Run, compared_rows
         from svmdist.report.info import check_results
         from svmdist.workflows.request import Request, Setup
 
@@ -149,9 +149,13 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
         recording = request.open(self.log.path, self.log.name)
         seen = corrected(recording, request, self.jobs)
         numbers = self._numbers(seen, request)
-        is_one = _is_one_picture(folder, len(numbers))
+        count = left = len(numbers)
+        is_one = folder.suffix.lower() in PICTURE_ENDINGS and not folder.is_dir()
+        if is_one and folder.suffix.lower() != ".png":
+            raise UsageError(f"{folder}: pictures are PNG files: give a name in .png, or a folder")
+        if is_one and count > 1:
+            raise UsageError(f"{folder}: is one picture, and {count} are asked for: give --frame, --at, or a folder")
         make_folder(folder.parent if is_one else folder, "make the folder")
-        left = len(numbers)
         with output.watched(seen, f"drawing {seen.name}") as log:
             for shown in drawn_frames(log, setup, self.jobs, numbers):
                 where = f"{log.name}  frame {shown.number}"
@@ -165,7 +169,7 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
                 left -= 1
         self.say_choice()
         if left:
-            LOG.info("%d of %d images cannot be read, and are not drawn", left, len(numbers))
+            LOG.info("%d of %d images cannot be read, and are not drawn", left, count)
         return log_losses(recording.path, recording.health)
 
     def _numbers(self, recording: Recording, request: Request) -> set[int]:
@@ -186,18 +190,6 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
         for one in worst:
             LOG.info("%s", one.in_words)
         return {one.number for one in worst}
-
-
-def _is_one_picture(path: Path, count: int) -> bool:
-    """Whether the path names a picture, not a folder; raises UsageError where it cannot hold what is asked for."""
-    ending = path.suffix.lower()
-    if ending not in PICTURE_ENDINGS or path.is_dir():
-        return False
-    if ending != ".png":
-        raise UsageError(f"{path}: pictures are PNG files: give a name in .png, or a folder")
-    if count > 1:
-        raise UsageError(f"{path}: is one picture, and {count} are asked for: give --frame, --at, or a folder")
-    return True
 
 
 class Surface(options.ReadOptions, FrameOptions, options.OutputOptions):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 from xml.etree import ElementTree
@@ -56,8 +56,8 @@ class GivenCamera:
     """One camera as a file or a command line gives it: K (3, 3), D, R (3, 3) and P (3, 4) as ROS has them."""
 
     K: Array
-    D: Array = field(default_factory=lambda: np.zeros(0))
-    model: DistortionModel = "plumb_bob"
+    D: Array
+    model: DistortionModel
     size_px: Size = None
     R: Array | None = None
     P: Array | None = None
@@ -121,8 +121,7 @@ def complete(
 ) -> list[Camera]:
     """Cameras of images of some sizes that were scaled since calibration, where its size is given, and are cropped.
 
-    `unit_m` is the unit that its lengths were read in. Raises SourceError where the calibration is of another size, or
-    of no camera or pair.
+    `unit_m` is the unit that its lengths were read in. Raises SourceError for another size, or for no camera or pair.
     """
     cameras = []
     is_one = np.array_equal(given[0].K, given[-1].K) and (given[0].size_px or calibrated_px) is None

@@ -88,10 +88,7 @@ def require_rising(stamps_ns: Sequence[int], names: Sequence[str], what: str) ->
 
 
 def read_times(path: Path, names: Sequence[str]) -> list[int]:
-    """The stamps of images, in ns, from a table of names and times, or of one time per image.
-
-    Or from the file beside a video of dVRK's data_collection, which says how late frames came, too.
-    """
+    """The stamps of images, in ns: a table of names and times, or of times, or what dVRK writes beside a video."""
     table = _read_sidecar(path) if path.suffix.lower() == ".json" else read_table(path)
     columns = range(len(table.rows[0]))
     stamp, image, _ = table.special
@@ -117,7 +114,7 @@ def read_times(path: Path, names: Sequence[str]) -> list[int]:
 
 
 def _read_sidecar(path: Path) -> Table:
-    """The times of its frames, as a table of one column."""
+    """The times in the file of dVRK's data_collection, less how late frames came, as a table of one column."""
     try:
         with reading(path, SourceError):
             sidecar = json.loads(read_regular(path, MAX_BYTES))
@@ -133,8 +130,7 @@ def _read_sidecar(path: Path) -> Table:
 def read_poses(path: Path, images_ns: Mapping[str, int], unit_m: float, frame_id: str) -> TransformTrack:
     """Poses of a table: columns by name, or `[time] x y z qx qy qz qw` (TUM), or 12 or 16 numbers of a matrix.
 
-    `images_ns` are the stamps of the images by their names, in order; `unit_m` is the unit of lengths whose column has
-    none.
+    `images_ns` are the stamps of images by their names, in order; `unit_m` is the unit of lengths that have none.
     """
     table = read_table(path)
     stamps_ns, others = _row_stamps(table, images_ns, {7, 12, 16})
@@ -164,8 +160,7 @@ def read_joints(path: Path, images_ns: Mapping[str, int], names: Sequence[str] |
     """Joint positions of a table with one column per joint; `names` are theirs where the file has none.
 
     Columns are in rad and m; `_deg` or `_mm` behind a name says otherwise, and is no part of it, nor is `position.`
-    before it. Velocities and efforts are left out. Where the arrays of a message are written flat, `name.0` says whose
-    `position.0` is.
+    before it. Velocities and efforts are left out. In flat arrays of a message, `name.0` says whose `position.0` is.
     """
     table = read_table(path)
     stamps_ns, others = _row_stamps(table, images_ns, {len(names)} if names else set())
@@ -322,10 +317,7 @@ def read_table(path: Path) -> Table:
 
 
 def require_common_time(path: Path, stamps_ns: Stamps, images_ns: Sequence[int]) -> str:
-    """Raise SourceError where no row of a table is within `MAX_GAP_NS` of an image: their clocks or units are others.
-
-    Says so in words where less than half of the images have a row; else "".
-    """
+    """Raise SourceError where no row is within `MAX_GAP_NS` of an image; say so in words for few of them, else ""."""
     images = np.array(images_ns, np.int64)
     near_count = int(np.count_nonzero(apart_ns(stamps_ns, images) <= MAX_GAP_NS))
     table, pictures = (f"{one[0] / 1e9:.3f} s to {one[-1] / 1e9:.3f} s" for one in (stamps_ns, images))
@@ -338,12 +330,10 @@ def require_common_time(path: Path, stamps_ns: Stamps, images_ns: Sequence[int])
 
 
 def _looks_named(rows: Sequence[Sequence[str]]) -> bool:
-    """Whether the first row names columns: one of its cells is text where the next row has a number.
-
-    That of decimal commas is one, too: the row is at fault then, not the names.
-    """
+    """Whether the first row names columns: one of its cells is text where the next row has a number."""
     if len(rows) == 1:
         return not any(map(is_number, rows[0]))
+    # That of decimal commas is one, too: the row is at fault then, not the names.
     pairs = zip(*rows[:2], strict=False)
     return any(not is_number(first) and is_number(second.replace(",", ".")) for first, second in pairs)
 
