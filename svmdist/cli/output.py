@@ -45,6 +45,8 @@ class ExitCode(IntEnum):
 class _Stderr(logging.Handler):
     """Prints one line for each record, without markup, control characters, or secrets of URLs."""
 
+    shows_progress = False  # of the command itself, not of workers, and not within what is shown already
+
     def emit(self, record: logging.LogRecord) -> None:
         with suppress(OSError):  # where stderr is full, nobody can be informed
             print(printable(concealed(f"svmdist: {record.getMessage()}")), file=sys.stderr)
@@ -56,13 +58,13 @@ def print_log() -> Iterator[None]:
     handler = _Stderr()
     LOG.addHandler(handler)
     LOG.setLevel(logging.INFO)
-    _Progress.is_wanted = True
+    _Stderr.shows_progress = True
     try:
         yield
     finally:
         LOG.removeHandler(handler)
         LOG.setLevel(logging.NOTSET)
-        _Progress.is_wanted = False
+        _Stderr.shows_progress = False
 
 
 def next_command(*words: object) -> str:
@@ -80,19 +82,13 @@ def with_name(reason: str, *names: object) -> str:
     return reason if any(str(name) in reason for name in names) else f"{names[0]}: {reason}"
 
 
-class _Progress:
-    """Whether progress is shown: by the command itself, not by workers, and not within what is shown already."""
-
-    is_wanted = False
-
-
 @contextmanager
 def progress_bar(title: str, unit: str = "") -> Iterator[Advance]:
     """Give a function of (done, total or None), which shows a bar where stderr is a terminal.
 
     Until it is called, the bar shows that something is done, and for how long.
     """
-    if not _Progress.is_wanted or not LOG.isEnabledFor(logging.INFO) or not sys.stderr.isatty():
+    if not _Stderr.shows_progress or not LOG.isEnabledFor(logging.INFO) or not sys.stderr.isatty():
         yield lambda _done, _total: None
         return
     from rich.console import Console
@@ -100,7 +96,7 @@ def progress_bar(title: str, unit: str = "") -> Iterator[Advance]:
 
     console = Console(stderr=True, markup=False, emoji=False, highlight=False)
     name, said = (TextColumn(f"{{task.{field}}}", markup=False) for field in ("description", "fields[said]"))
-    _Progress.is_wanted = False
+    _Stderr.shows_progress = False
     try:
         with Progress(name, BarColumn(), said, TimeElapsedColumn(), console=console, transient=True) as progress:
             task = progress.add_task(title, total=None, said="")
@@ -111,7 +107,7 @@ def progress_bar(title: str, unit: str = "") -> Iterator[Advance]:
 
             yield advance
     finally:
-        _Progress.is_wanted = True
+        _Stderr.shows_progress = True
         console.show_cursor(True)  # a bar that was interrupted while it was set up has hidden it
 
 
@@ -203,10 +199,9 @@ def require_output(output: Path | None, inputs: Iterable[LogPath] = ()) -> None:
 def require_toml(output: Path | None, inputs: Iterable[LogPath], *, force: bool) -> None:
     """The same of a file of settings; raises UsageError also for another format's ending, and where it exists."""
     require_output(output, inputs)
-    if output is None:
-        return
-    require_ending(output, ".toml")
-    if output.exists() and not force:
+    if output is not None:
+        require_ending(output, ".toml")
+    if output is not None and output.exists() and not force:
         raise UsageError(f"{output}: exists already; give another name, or --force to replace it")
 
 

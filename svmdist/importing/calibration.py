@@ -6,7 +6,6 @@ parallel, and P, whose fourth column has the baseline.
 
 from __future__ import annotations
 
-import logging
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,10 +19,9 @@ import yaml
 from svmdist.camera import KNOWN_DISTORTION, Camera, DistortionModel, stereo_transform
 from svmdist.errors import SourceError, UsageError, did_you_mean, restated
 from svmdist.files import read_regular, reading
-from svmdist.importing.tables import LENGTHS_M
+from svmdist.importing.tables import LENGTHS_M, LOG
 from svmdist.transforms import Array
 
-LOG = logging.getLogger("svmdist")
 MAX_BYTES = 1 << 20
 OPENCV_HEADER = re.compile(r"\A%YAML:1\.0.*\n")
 """How OpenCV's FileStorage begins a file, which is no YAML directive."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from difflib import get_close_matches
@@ -13,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import SourceError, optional_package
-from svmdist.importing.tables import LENGTHS_M, POSE, TUM, Table, read_table, split_unit
+from svmdist.importing.tables import LENGTHS_M, LOG, POSE, TUM, Table, read_table, split_unit
 from svmdist.transforms import make_transform
 
-LOG = logging.getLogger("svmdist")
 Rows = Mapping[str, NDArray[Any]]
 """Columns of n rows: `stamp_ns`, distances and deviations in m, `T`, (n, 4, 4), and texts; NaN for what a row lacks."""
 TEXTS = ("status", "instrument", "recording", "frame_id")
