@@ -14,7 +14,6 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-import svmdist
 from svmdist.cli import calibrate, estimate, new_logs, scores, show
 from svmdist.cli.options import QUIET, VERBOSE, Options, choose_verbosity, function_of, name_of, option
 from svmdist.cli.output import LOG, ExitCode, abandon, print_log, with_notes
@@ -181,7 +180,9 @@ _add(app, calibrate.Fk, calibrate.HandEye)
 
 def _print_version(asked: bool) -> None:
     if asked:
-        print(f"svmdist {svmdist.__version__}")
+        from importlib.metadata import version
+
+        print(f"svmdist {version('svmdist')}")
         raise typer.Exit
 
 
