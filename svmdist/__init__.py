@@ -24,20 +24,8 @@ if TYPE_CHECKING:
 
     __version__: str
 
-__all__ = [
-    "AlarmRules",
-    "Estimates",
-    "Profile",
-    "__version__",
-    "bgr_image",
-    "compare",
-    "errors",
-    "estimate",
-    "open_recording",
-    "prepare",
-    "surface",
-    "validate",
-]
+__all__ = ["AlarmRules", "Estimates", "Profile", "__version__", "bgr_image", "compare", "errors"]
+__all__ += ["estimate", "open_recording", "prepare", "surface", "validate"]
 
 
 def __getattr__(name: str) -> Any:

@@ -13,8 +13,6 @@ os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 # Matrices are small here: a second thread of linear algebra waits in a loop, and doubles the processor time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-COLLECT_AFTER = 20_000  # objects between two garbage collections: start-up alone makes 50,000, all to stay
-AGAIN_S = 0.02
 ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 """Signals that end the process as an interrupt does: unfinished files are removed first."""
 _asked_to_end: list[int] = []
@@ -22,8 +20,12 @@ _asked_to_end: list[int] = []
 
 def run() -> None:
     """Entry point: run the command line; an interrupt ends it with a line and 130, while it still loads, too."""
-    gc.set_threshold(COLLECT_AFTER)
-    _fill_standard_files()
+    gc.set_threshold(20_000)  # objects between two garbage collections: start-up alone makes 50,000, all to stay
+    for number in range(3):  # a file that got the place of a closed standard stream would get what libraries print
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
     _handle_signals()
     try:
         from svmdist.cli.main import run as run_commands
@@ -41,15 +43,6 @@ def run() -> None:
     finally:
         # What is left is Python's own clean-up: an interrupt there shall end it, not print where it was.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
-def _fill_standard_files() -> None:
-    """Keep the places of closed standard streams: a file that got one would get what libraries print, too."""
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes the lowest number that is free: this one
 
 
 def _handle_signals() -> None:
@@ -86,7 +79,7 @@ def _send_again(lost: "sys.UnraisableHookArgs") -> None:
 
     import threading  # here: until this module is loaded, an interrupt prints a traceback
 
-    later = threading.Timer(AGAIN_S, os.kill, (os.getpid(), number))  # after Python has left that code
+    later = threading.Timer(0.02, os.kill, (os.getpid(), number))  # after Python has left that code
     later.daemon = True
     later.start()
 

@@ -53,7 +53,6 @@ class Estimates(Sequence[FrameResult]):
     alarms: AlarmRules | None = None
 
     def __repr__(self) -> str:
-        """What was measured, in a few lines."""
         ending = Ending.of(self.results)
         counts = ", ".join(f"{count} {status}" for status, count in ending.statuses.items())
         lines = [f"{self.recording.name}: {len(self)} rows by {self.setup.method}", counts or "no image"]
@@ -64,7 +63,7 @@ class Estimates(Sequence[FrameResult]):
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        """The same, and the first rows as a table, for notebooks."""
+        # The same, and the first rows as a table, for notebooks.
         columns = shown_columns(100, planar=self.setup.is_planar, several=len(self.recording.instruments) > 1)
         text = "".join(text_lines(columns, map(self._row, self.results[:10])))
         return f"<pre>{escape(repr(self))}\n\n{escape(text)}</pre>"
@@ -73,11 +72,9 @@ class Estimates(Sequence[FrameResult]):
         return estimate_row(self.recording.name, result, self.setup.method, self.setup.equations)
 
     def __getitem__(self, index: Any) -> Any:
-        """One result, or some of them."""
         return self.results[index]
 
     def __len__(self) -> int:
-        """Count the rows."""
         return len(self.results)
 
     def rows(self) -> Iterator[Row]:
@@ -103,11 +100,7 @@ def open_recording(
 ) -> Recording:
     """Open the log at `path`, a file, folder or URL, with a profile: a shipped one by its name, a file, or a `Profile`.
 
-    Args:
-        path: The log.
-        profile: What the log shows.
-        topics: Topics of roles, as `{"image": "/left/image_raw"}`, instead of the profile's.
-
+    `topics` of roles, as `{"image": "/left/image_raw"}`, are taken instead of the profile's.
     Raises ProfileError, RecordingError for a file that is no recording, or UsageError for what is no path.
     """
     if not isinstance(path, str | Path | RemoteFile):
@@ -145,11 +138,15 @@ def estimate(
         jobs: Processes; results do not depend on them.
     """
     _opened([recording])
-    for name, value in (("start_s", start_s), ("end_s", end_s), ("lag", 0 if lag in (None, "auto") else lag)):
-        _require(name, value, Real, "a number")
-    _require("every", every, Integral, "a whole number")
-    if alarms is not None:
-        _require("alarms", alarms, AlarmRules, "AlarmRules")
+    for name, value, kind, expected in (
+        ("start_s", start_s, Real, "a number"),
+        ("end_s", end_s, Real, "a number"),
+        ("lag", 0 if lag in (None, "auto") else lag, Real, "a number"),
+        ("every", every, Integral, "a whole number"),
+        ("alarms", alarms, AlarmRules | None, "AlarmRules"),
+    ):
+        if not isinstance(value, kind):
+            raise UsageError(f"{name}: expected {expected}, found {value!r}")
     if isinstance(instruments, str) or (instruments is not None and not instruments):
         raise UsageError(f"instruments: expected a sequence of names, found {instruments!r}")
     if hand_eye is not None:
@@ -179,16 +176,9 @@ def validate(
 ) -> Validation:
     """Score a method on recordings of one profile against each reference that they have.
 
-    Args:
-        recordings: One log or several.
-        method: As in `estimate`.
-        estimates: Those of others in place of a method's: a file's or, with `topic:` before it, a topic's.
-        calibration: The file of planar methods, in place of the profile's.
-        rules: Choose the references.
-        lag: Taken off the images' stamps first, in s, or `"auto"`.
-        alarms: Scored against the true clearance.
-        jobs: Processes; results do not depend on them.
-
+    `method`, `calibration`, `lag` and `jobs` are those of `estimate`. `estimates` are those of others in place of a
+    method's: a file's or, with `topic:` before it, a topic's. `rules` choose the references; `alarms` are scored
+    against the true clearance.
     Raises RecordingError where a recording has no reference.
     """
     several = _opened(recordings)
@@ -203,19 +193,14 @@ def compare(
     estimates: Sequence[str] = (),
     jobs: int | None = None,
 ) -> list[MethodScore]:
-    """Measure recordings of one profile with methods side by side, all that they can serve where none is named.
+    """Measure one or several recordings of a profile with methods side by side: all that they can serve by default.
 
-    Args:
-        recordings: One log or several.
-        methods: One or several, as in `estimate`.
-        estimates: As in `validate`.
-        jobs: Processes; results do not depend on them.
+    `methods`, one or several, and `jobs` are those of `estimate`, `estimates` those of `validate`.
     """
-    several = _opened(recordings)
-    given = [_setup(several[0], given_estimates(text)) for text in estimates]
-    if methods is None:
-        return _compare(several, [*prepare_methods(several[0].origin.profile), *given], jobs=jobs)
-    return _compare(several, [*(_setup(several[0], one) for one in _each(methods)), *given], jobs=jobs)
+    first, *others = _opened(recordings)
+    given = [_setup(first, given_estimates(text)) for text in estimates]
+    named = prepare_methods(first.origin.profile) if methods is None else [_setup(first, one) for one in _each(methods)]
+    return _compare([first, *others], [*named, *given], jobs=jobs)
 
 
 def surface(recording: Recording, frame: int = 0) -> TissueSurface:
@@ -241,11 +226,6 @@ def _opened(recordings: Recording | Sequence[Recording]) -> list[Recording]:
         if not isinstance(one, Recording):
             raise UsageError(f"expected what svmdist.open_recording gives, found {type(one).__name__}")
     return several
-
-
-def _require(name: str, value: object, kind: type, expected: str) -> None:
-    if not isinstance(value, kind):
-        raise UsageError(f"{name}: expected {expected}, found {value!r}")
 
 
 def _setup(recording: Recording, method: Method, calibration: Path | None = None, lag: Lag | None = None) -> Setup:

@@ -2,27 +2,15 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Generator
-from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from svmdist.cli import options, output
-from svmdist.cli.estimate import corrected
-from svmdist.cli.logs import LogOptions, OneLogOptions, Run, log_losses
+from svmdist.cli.logs import LogOptions, OneLogOptions, log_losses
 from svmdist.cli.options import FORCE, option
 from svmdist.cli.output import LOG, ExitCode
 from svmdist.errors import RecordingError, UsageError
 from svmdist.report.writers import Holds, Results, choose_writer
-
-if TYPE_CHECKING:
-    from svmdist.profile import Profile
-    from svmdist.recording.log import Recording
-    from svmdist.remote import LogPath
-    from svmdist.report.tables import Row
-    from svmdist.transforms import Array
-    from svmdist.workflows.request import Request
 
 
 class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
@@ -44,6 +32,7 @@ class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
     force: bool = FORCE
 
     def _run(self) -> ExitCode:
+        from svmdist.cli.jobs import Run
         from svmdist.estimation.plane_mapping import save_calibration
         from svmdist.profile import load_profile
         from svmdist.workflows.calibrate import CalibrationPart, collect_part, fit_parts
@@ -57,11 +46,9 @@ class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
         fit = calibration.fit
         LOG.info(
             "%s: %d frames, residual RMSE x %.3f mm, y %.3f mm, max %.3f mm; pixels x %.0f–%.0f, y %.0f–%.0f",
-            self.output,
-            fit.sample_count,
+            *(self.output, fit.sample_count),
             *(1e3 * error_m for error_m in (fit.rmse_x_m, fit.rmse_y_m, fit.max_error_m)),
-            *fit.span_x_px,
-            *fit.span_y_px,
+            *(*fit.span_x_px, *fit.span_y_px),
         )
         return run.exit_code()
 
@@ -95,7 +82,7 @@ class HandEye(OneLogOptions, options.TopicOption, options.InstrumentOption, opti
     jobs: int | None = options.JOBS
 
     def _run(self) -> ExitCode:
-        from svmdist.profile import load_profile
+        from svmdist.cli.jobs import corrected, served_methods
         from svmdist.profile.hand_eye import save_hand_eye
         from svmdist.report.info import hand_eye_file, hand_eye_results
         from svmdist.results import Failure
@@ -106,10 +93,8 @@ class HandEye(OneLogOptions, options.TopicOption, options.InstrumentOption, opti
         output.require_toml(path, [log.path], force=self.force)
         writer = choose_writer(self.form, None, Holds.TABLES)
         lag, window, topics = self.given_lag, self.window, self.topics
-        profile, has_lag = load_profile(self.profile), lag is not None
-        methods = [self.method] if self.method else _served(log.path, profile, topics, has_lag)
         failures: list[str] = []
-        for method in methods:
+        for method in [self.method] if self.method else served_methods(log.path, self.profile, topics, lag is not None):
             setup = prepare(self.profile, method)
             request = Request(setup, topics, window, self.instruments(setup.profile), lag)
             recording = request.open(log.path, log.name)
@@ -135,23 +120,6 @@ class HandEye(OneLogOptions, options.TopicOption, options.InstrumentOption, opti
         return log_losses(recording.path, recording.health)
 
 
-def _served(file: LogPath, profile: Profile, topics: dict[str, str], has_lag: bool) -> list[str]:
-    """The methods that log and profile serve, the surest first; RecordingError where there is none."""
-    from svmdist.recording.log import open_recording
-    from svmdist.recording.summary import inspect_recording
-    from svmdist.workflows.calibrate import SEEING_METHODS
-    from svmdist.workflows.capabilities import method_capabilities, misfit
-
-    summary = inspect_recording(open_recording(file, profile, topics=topics))
-    if said := misfit(summary):
-        raise RecordingError(f"{file}: {said}")
-    lacks = method_capabilities(summary.at_any_lag() if has_lag else summary)
-    if served := [name for name in SEEING_METHODS if not lacks[name]]:
-        return served
-    lacking = "; ".join(f"{name} lacks {', '.join(lacks[name])}" for name in SEEING_METHODS)
-    raise RecordingError(f"{file}: no method can see the tool: {lacking}")
-
-
 class Fk(LogOptions, options.ReadOptions, options.WindowOptions, options.OutputOptions):
     """Print the tool's pose for every joint state.
 
@@ -170,6 +138,7 @@ class Fk(LogOptions, options.ReadOptions, options.WindowOptions, options.OutputO
     form: str | None = options.format_option(Holds.POSES)
 
     def _run(self) -> ExitCode:
+        from svmdist.cli.jobs import Run, pose_rows_of
         from svmdist.metrics import TEXT, Column
         from svmdist.report.rows import POSE_COLUMNS
         from svmdist.workflows.request import Request, Setup
@@ -192,53 +161,3 @@ class Fk(LogOptions, options.ReadOptions, options.WindowOptions, options.OutputO
         _, rows = run.begun(1, self.output)
         output.write_results(Results(columns, rows), writer, self.output)
         return run.exit_code()
-
-
-def pose_rows_of(
-    recording: Recording, request: Request, _threads: int, in_camera: bool, named: bool
-) -> Generator[Row, None, int]:
-    """The rows of an instrument of one recording, which name it where there are several.
-
-    What they leave out, and errors against its poses, are logged.
-    """
-    import numpy as np
-
-    from svmdist.report.rows import pose_rows
-    from svmdist.workflows.fk import fk_blocks
-
-    of, name = f"{recording.name}: " if named else "", recording.measured[0]
-    first, *others = [recording.for_instrument(one).topic_of("joints") for one in recording.instruments]
-    if request.instruments is None and "joints" not in request.topics and first and any(others):
-        choices = ", ".join(filter(None, others))
-        LOG.info("note: %sthese are the joints of %s; --joints TOPIC takes another's: %s", of, name, choices)
-    recording = recording.for_instrument(name)
-    errors, count = [], 0
-    with output.progress_bar("reading joint states"), closing(fk_blocks(recording, in_camera=in_camera)) as made:
-        for stamps_ns, poses, block_errors in made:
-            errors.append(block_errors)
-            for row in pose_rows(stamps_ns, poses):
-                yield {**row, "recording": recording.name} if named else row
-                count += 1
-    if lost := sum(map(len, errors)) - count:
-        said = "note: %s%d of %d joint states are left out: no transform from camera to base is near them in time"
-        LOG.info(said, of, lost, lost + count)
-    if recording.topic_of("pose") is not None:
-        _log_errors(np.concatenate(errors), recording.pose_track().parent, of)
-    return count
-
-
-def _log_errors(errors: Array, frame_id: str | None, of: str) -> None:
-    """Log errors against the poses of a topic, shape (n, 2): position in m and angle in rad, NaN without a pose."""
-    import numpy as np
-
-    # What floating point rounds is no error, and differs between processors.
-    known = np.round(errors[np.isfinite(errors[:, 0])] * [1e3, math.degrees(1.0)], 9)
-    if len(known) == 0:
-        LOG.info("%sno pose of the topic (frame %s) is near a joint state in time", of, frame_id)
-        return
-    (rmse_mm, rmse_deg), (max_mm, max_deg) = np.sqrt(np.mean(known**2, axis=0)), known.max(axis=0)
-    LOG.info(
-        "%sagainst %d poses in frame %s: position RMSE %.4g mm, max %.4g mm; angle RMSE %.4g°, max %.4g°;"
-        " %d joint states without a pose",
-        *(of, len(known), frame_id, rmse_mm, max_mm, rmse_deg, max_deg, len(errors) - len(known)),
-    )

@@ -1,18 +1,15 @@
-"""`svmdist estimate`: one row per frame; and the plots, reports and time offsets that it shares with other commands."""
+"""`svmdist estimate`: one row per frame; and the plots and reports that it shares with `validate`."""
 
 from __future__ import annotations
 
-import logging
-import shlex
 import sys
-from collections import Counter, defaultdict
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from svmdist.cli import output
-from svmdist.cli.logs import GroupOption, LogOptions, Run
+from svmdist.cli.logs import GroupOption, LogOptions
 from svmdist.cli.options import PLOT, MeasureOptions, OutputOptions, format_option, option
 from svmdist.cli.output import LOG, ExitCode, next_command
 from svmdist.errors import UsageError, concealed
@@ -20,17 +17,11 @@ from svmdist.files import write_atomically
 from svmdist.report.writers import Holds, Results, Writer, choose_writer
 
 if TYPE_CHECKING:
-    from svmdist.recording.log import Recording
+    from svmdist.cli.jobs import Run
     from svmdist.remote import LogPath
-    from svmdist.report.tables import Row
     from svmdist.workflows.ending import Ending
-    from svmdist.workflows.estimate import Keep
-    from svmdist.workflows.frame_drawing import DrawnFrame
     from svmdist.workflows.request import Request
     from svmdist.workflows.validate import Validation
-
-
-UNSEEN, DOUBTED = {"no_tissue", "no_instrument"}, {"inconsistent", "uncertain"}
 
 
 class PictureOptions(OutputOptions):
@@ -52,19 +43,19 @@ class PictureOptions(OutputOptions):
         """Draw the plot and the report of what was measured, and validated."""
         from svmdist.workflows.scoring.series import series_of
 
-        measured, scored = run.kept(), result if kind == "fig6" else None
+        measured = run.kept()
         series = series_of(measured, request, result.reference if result else None)
         if self.save_plot:
             from svmdist.report import plots
 
-            if scored:
-                plots.save_figure(self.save_plot, plots.draw, scored)
+            if result and kind == "fig6":
+                plots.save_figure(self.save_plot, plots.draw, result)
             else:
                 plots.save_figure(self.save_plot, plots.draw_series, series, kind or "time")
         if self.report:
             from svmdist.report.html import make_report, page
 
-            command = shlex.join(["svmdist", *map(concealed, sys.argv[1:])])
+            command = next_command(*map(concealed, sys.argv[1:]))
             jobs, logs = run.given.jobs, None if run.given.is_one else run.ranking()
             with output.progress_bar("drawing the worst frames", "images") as advance:
                 watched = [replace(one, read=replace(one.read, on_progress=advance)) for one in measured]
@@ -94,6 +85,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
     summary: Path | None = option("--summary FILE", "Figures of each log, worst first; as .csv, .md, ….")
 
     def _run(self) -> ExitCode:
+        from svmdist.cli.jobs import Run, draw_log, log_ending, log_tally, measure_rows
         from svmdist.workflows.ending import Ending
 
         writer = self.writer(self.paths, Holds.ROWS | Holds.FRAMES | Holds.REPORT)
@@ -121,7 +113,7 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         if self.summary is not None:
             output.write_results(run.ranking(), summary_writer, self.summary)
         self.say_choice()
-        measured = _log_tally([ending.tally for ending in run.results])
+        measured = log_tally(run.results)
         log_ending({log.name: ending for log, _, ending in run.measured}, request)
         self._say_next({str(log.path): ending for log, _, ending in run.measured}, request)
         if draws:
@@ -147,9 +139,9 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
         statuses = set().union(*(ending.statuses for ending in endings.values()))
         for path in list(endings)[:1]:
             command = ["info", path]  # says what each method lacks
-            if statuses & UNSEEN:
+            if statuses & {"no_tissue", "no_instrument"}:
                 command = ["show", path, "--masks"]
-            elif statuses & DOUBTED:
+            elif statuses & {"inconsistent", "uncertain"}:
                 command = ["check", path]
             LOG.info("next: %s", next_command(*command, *reading))
 
@@ -182,92 +174,3 @@ class Estimate(LogOptions, MeasureOptions, GroupOption, PictureOptions):
             return text_lines(shown_columns(width, planar=planar, several=several, alarms=alarms), every)
 
         output.write_results(Results(ESTIMATE_COLUMNS, every, text), writer, self.output)
-
-
-def draw_log(
-    recording: Recording, request: Request, threads: int, writer: Writer, output_path: Path, force: bool
-) -> Ending:
-    """Measure a recording and write it with its drawings, as a recording or a video."""
-    from svmdist.workflows.ending import Ending
-    from svmdist.workflows.frame_drawing import drawn_frames
-
-    setup, ending = request.setup, Ending()
-    seen = corrected(recording, request, threads)
-
-    def counted(log: Recording) -> Iterator[DrawnFrame]:
-        for frame in drawn_frames(log, setup, threads, alarms=request.alarms):
-            for row in frame.replayed.results:
-                ending.add(row)
-            yield frame
-
-    with output.watched(seen, f"drawing {recording.name}") as log:
-        writer.write(counted(log), output_path, seen, setup, force)
-    ending.remarks = seen.remarks
-    return ending
-
-
-def measure_rows(
-    recording: Recording, request: Request, threads: int, keep: Keep | None = None
-) -> Generator[Row, None, Ending]:
-    """Yield the rows of one recording; `keep` is given all results where something is made of them."""
-    from svmdist.report.rows import estimate_row
-    from svmdist.workflows.ending import Ending
-    from svmdist.workflows.estimate import Measured, estimate
-
-    setup = request.setup
-    seen = corrected(recording, request, threads)
-    ending, kept = Ending(), []
-    with output.watched(seen, "measuring") as log:
-        for row in estimate(log, setup, threads, rest=keep is not None, alarms=request.alarms):
-            ending.add(row)
-            if keep is not None:
-                kept.append(row)
-            yield estimate_row(recording.name, row, setup.method, setup.equations)
-    if keep is not None:
-        keep(Measured(recording, seen, tuple(kept), seen.lag))
-    ending.remarks = seen.remarks
-    return ending
-
-
-def corrected(recording: Recording, request: Request, jobs: int | None) -> Recording:
-    """Say where the equations cannot be right, and apply the requested lag, with progress."""
-    from svmdist.workflows.estimate import with_lag
-
-    for warning in request.setup.degeneracies(recording.camera):
-        LOG.info("warning: %s", warning)
-    if request.lag != "auto":
-        return with_lag(recording, request)[0]
-    with output.watched(recording, f"lag of {recording.name}") as log:
-        seen, found = with_lag(log, request, jobs)
-    said = f"the lag cannot be estimated and none is applied: {found.reason}"
-    if found.is_observable:
-        said = f"lag {found.lag_s * 1e3:+.1f} ms (confidence {found.confidence:.2f})"
-    LOG.info("note: %s: %s", recording.name, said)
-    return seen
-
-
-def log_ending(endings: Mapping[str, Ending], request: Request) -> None:
-    """Log which detections were refused, what is remarked on logs, and the alarms, of logs by their names."""
-    from svmdist.workflows.ending import alarms_in_words, refusals_in_words, remarks_in_words
-
-    alarms = [] if request.alarms is None else [alarms_in_words(endings, request.alarms)]
-    for line in (*refusals_in_words(endings.values()), *remarks_in_words(endings), *alarms):
-        LOG.info("%s", line)
-
-
-def _log_tally(tallies: Sequence[Mapping[str, Mapping[str, int]]]) -> bool:
-    """Log how many frames were measured, and the other statuses with their commonest details; whether any was."""
-    counts = defaultdict[str, Counter[str]](Counter)
-    for status, details in (item for one in tallies for item in one.items()):
-        counts[status].update(details)
-    total = sum(details.total() for details in counts.values())
-    measured = counts.pop("ok", Counter()).total()
-    lost = []
-    for status, details in sorted(counts.items()):
-        ((commonest, times),) = details.most_common(1)
-        of_some = f"{times} of them: " if len(details) > 1 else ""
-        lost.append(f"{details.total()} {status}" + (f" ({of_some}{commonest})" if commonest else ""))
-    share = f"{measured} of {total} frames measured ({100 * measured / total:.1f}%)"
-    level = logging.INFO if measured else logging.ERROR
-    LOG.log(level, "%s", "; ".join([share, ", ".join(lost)] if lost else [share]))
-    return measured > 0

@@ -1,39 +1,29 @@
-"""The logs that a command is given, and one path for all of them: one log is a batch of one."""
+"""The logs that a command is given: which they are, by what names, how they are grouped, and what was lost of them."""
 
 from __future__ import annotations
 
 import os
 import re
-from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import nullcontext
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Sequence
 from functools import cached_property
 from glob import glob
-from itertools import chain, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING
 from urllib.parse import unquote
 
 from svmdist.cli.options import JOBS, Options, argument, option
-from svmdist.cli.output import LOG, ExitCode, progress_bar, terminal_width, with_name
-from svmdist.errors import RecordingError, UsageError, did_you_mean
+from svmdist.cli.output import LOG, ExitCode
+from svmdist.errors import RecordingError, UsageError
 from svmdist.files import reading
 from svmdist.remote import LogPath, RemoteFile, is_url, listed_urls
 
 if TYPE_CHECKING:
     from svmdist.recording.source import Health
-    from svmdist.report.scores import LogFigures
-    from svmdist.report.tables import Row
-    from svmdist.report.writers import Results
-    from svmdist.workflows.batch import Job, LogFile, Outcome
-    from svmdist.workflows.request import Request
-
-Result = TypeVar("Result")
+    from svmdist.workflows.batch import LogFile
 
 LOG_ENDINGS = (".mcap", ".bag", ".db3")
 GLOB = re.compile(r"[*?\[]")
-MAX_REPORTED = 12  # the most logs whose frames are held at once, and fill a page
 
 
 class LogOptions(Options):
@@ -99,152 +89,6 @@ def group_name(metadata: dict[str, str], keys: Sequence[str]) -> str:
     return " ".join(f"{key}={metadata.get(key, 'none')}" for key in keys)
 
 
-@dataclass
-class Run(Generic[Result]):
-    """What a job makes of the logs of a command: `outcomes` are known when the rows are at their end.
-
-    The arguments are those of `Job`. With a `unit`, the progress of `measure` is shown. With `keeps`, it gives its
-    argument `keep` what pictures and pages are made of. By `keys` of their metadata logs are grouped.
-    """
-
-    given: LogOptions
-    measure: Callable[..., Any]
-    request: Request
-    result_type: type[Result]
-    title: str
-    unit: str = ""
-    options: tuple[Any, ...] = ()
-    keeps: bool = False
-    keys: Sequence[str] = ()
-    outcomes: list[tuple[LogFile, Outcome[Result]]] = field(default_factory=list, init=False)
-    _kept: list[Any] = field(default_factory=list, init=False)
-
-    @cached_property
-    def _job(self) -> Job[Result]:
-        from svmdist.workflows.batch import Job
-
-        return Job(self.measure, self.request, self.result_type, self.options)
-
-    def rows(self) -> Iterator[Row]:
-        """Measure the logs and yield their rows, in the order of the logs; what was remarked is said once.
-
-        Of one log the rows come as they are measured. Raises RecordingError where no log could be measured.
-        """
-        from svmdist.workflows.batch import log_notes, measure_logs
-
-        given = self.given
-        if given.is_one:
-            outcome = yield from self._measured(given.logs[0])
-            self.outcomes = [(given.logs[0], outcome)]
-            return
-        with progress_bar(self.title, "logs") as advance:
-            found = measure_logs(self._job, given.logs, given.jobs, given.scheduler, given.resume, advance)
-        self.outcomes = list(zip(given.logs, found, strict=True))
-        log_notes(found)
-        if not self.measured:
-            *others, last = [with_name(one.failure or "", log.path, log.name) for log, one in self.outcomes]
-            if not others:
-                raise RecordingError(last)
-            for reason in (*others, last):
-                LOG.error("left out: %s", reason)
-            raise RecordingError("no recording could be used")
-        for _, one, _ in self.measured:
-            yield from one.rows()
-
-    def begun(self, count: int, output: Path | None) -> tuple[list[Row], Iterator[Row]]:
-        """The first rows, so that a log that cannot be read leaves no header behind; and all.
-
-        Where rows go to a terminal, progress is shown until they come.
-        """
-        rows = self.rows()
-        shows = self.given.is_one and terminal_width(output) is not None
-        with progress_bar(f"looking at {self.given.logs[0].name}") if shows else nullcontext():
-            head = list(islice(rows, count))
-        return head, chain(head, rows)
-
-    def _measured(self, log: LogFile) -> Generator[Row, None, Outcome[Result]]:
-        from svmdist.workflows.batch import measured
-        from svmdist.workflows.parallel import usable_cores
-
-        threads = self.given.jobs or usable_cores()
-        more: dict[str, Any] = {"keep": self._kept.append} if self.keeps else {}
-        if not self.unit:  # it shows progress by itself
-            return (yield from measured(self._job, log, threads, **more))
-        with progress_bar(self.title, self.unit) as advance:
-            return (yield from measured(self._job, log, threads, **more, on_progress=advance))
-
-    def finish(self) -> list[Result]:
-        """Measure the logs with a job that has no rows: its results."""
-        deque(self.rows(), maxlen=0)
-        return self.results
-
-    @property
-    def measured(self) -> list[tuple[LogFile, Outcome[Result], Result]]:
-        """Logs with a result."""
-        return [(log, one, one.result) for log, one in self.outcomes if one.result is not None]
-
-    @property
-    def results(self) -> list[Result]:
-        """The results of the logs that have one."""
-        return [result for _, _, result in self.measured]
-
-    @property
-    def groups(self) -> list[str]:
-        """The group of each log with a result, where logs are grouped."""
-        return [group_name(one.metadata, self.keys) for _, one, _ in self.measured] if self.keys else []
-
-    @property
-    def _figures(self) -> list[LogFigures]:
-        """How the frames of each log ended, by the `statuses` of its result."""
-        from svmdist.report.scores import LogFigures
-
-        figures = []
-        for log, one in self.outcomes:
-            statuses = getattr(one.result, "statuses", {})
-            group = group_name(one.metadata, self.keys) if one.failure is None else ""
-            figures.append(LogFigures(log.name, str(log.path), one.failure, statuses, len(one.losses), group))
-        return figures
-
-    def ranking(self) -> Results:
-        """The figures of each log, worst first, of groups and of all logs."""
-        from svmdist.report.scores import log_results
-
-        return log_results(self._figures)
-
-    def kept(self) -> list[Any]:
-        """What the job kept of one log; of many, those with which most went wrong are measured again for it."""
-        from svmdist.report.scores import ranked
-        from svmdist.workflows.batch import collected_notes
-
-        if self.given.is_one or not self.keeps:
-            return self._kept
-        usable = [one for one in ranked(self._figures) if one.failure is None and one.frame_count]
-        names = {one.recording for one in usable[:MAX_REPORTED]}
-        if len(usable) > MAX_REPORTED:
-            LOG.info("note: the report and the plot show %d of %d logs frame by frame", MAX_REPORTED, len(usable))
-        with collected_notes():
-            for log in self.given.logs:
-                if log.name in names:
-                    deque(self._measured(log), maxlen=0)
-        return self._kept
-
-    def exit_code(self, measured: bool = True) -> ExitCode:
-        """Say what was lost, which logs were left out and why, and which keys no log has.
-
-        A loss or a contradiction gives its code; else nothing that was `measured` is unusable.
-        """
-        known = {key for _, one in self.outcomes if one.failure is None for key in one.metadata}
-        for key in self.keys:
-            if key not in known:
-                LOG.warning("warning: --group %s: no log has it: %s", key, did_you_mean(key, known))
-        codes = [log_losses(log.path, one.health) for log, one in self.outcomes if one.failure is None]
-        for log, one in self.outcomes:
-            if one.failure is not None:
-                codes.append(ExitCode.LOSS)
-                LOG.error("left out: %s", with_name(one.failure, log.path, log.name))
-        return max(codes, default=ExitCode.CLEAN) or (ExitCode.CLEAN if measured else ExitCode.UNUSABLE)
-
-
 def log_losses(path: LogPath, health: Health) -> ExitCode:
     """Say what of a log contradicts, and what was lost while reading it; the exit code tells whether anything was."""
     for line in health.contradictions:
@@ -281,8 +125,14 @@ def _unique_names(paths: Sequence[LogPath]) -> list[str]:
 
 
 def _paths_of(text: str) -> Sequence[LogPath]:
+    """The logs of a file, or of a folder, a glob or a URL of one, by name; a file, and what is no log, is itself."""
     if is_url(text):
-        return _urls_of(text)
+        url = RemoteFile(text)
+        with reading(url, RecordingError):
+            urls = listed_urls(text, LOG_ENDINGS, is_glob=GLOB.search(url.parts[2]) is not None)
+        if not urls:
+            raise UsageError(f"{url}: no log matches")
+        return urls
     if text.lower().startswith(("file://", "local://")):
         text = unquote(text.partition("://")[2].removeprefix("localhost"))
     path = Path(text)
@@ -297,16 +147,6 @@ def _paths_of(text: str) -> Sequence[LogPath]:
     if not chosen:
         raise UsageError(f"{text}: no log matches; a log is {WHAT_IS_EXPECTED}")
     return chosen
-
-
-def _urls_of(url: str) -> list[RemoteFile]:
-    """The logs of a URL: of a folder or a glob all those in it, by name; a file stands for itself."""
-    asked = RemoteFile(url)
-    with reading(asked, RecordingError):
-        found = listed_urls(url, LOG_ENDINGS, is_glob=GLOB.search(asked.parts[2]) is not None)
-    if not found:
-        raise UsageError(f"{asked}: no log matches")
-    return found
 
 
 def _is_log(path: Path) -> bool:

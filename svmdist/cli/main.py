@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import io
 import re
 import sys
 from collections import Counter
@@ -13,10 +14,11 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from svmdist.cli import calibrate, estimate, info, new_logs, scores, show
+from svmdist.cli import calibrate, estimate, new_logs, scores, show
 from svmdist.cli.options import QUIET, VERBOSE, Options, choose_verbosity, function_of, name_of, option
-from svmdist.cli.output import LOG, ExitCode, abandon, adapt_streams, print_log, with_notes
+from svmdist.cli.output import LOG, ExitCode, abandon, print_log, with_notes
 from svmdist.errors import SvmdistError, Terminated, UsageError, did_you_mean
+from svmdist.files import FALLBACK
 
 NO_MEMORY = "there is not enough memory; try fewer --jobs"
 CV_NO_MEMORY = -4  # OpenCV's code of an allocation that failed
@@ -37,8 +39,6 @@ PANELS = {
     "General": "quiet verbose version install_completion show_completion help",
 }
 """Headings, and the parameters below each in their order."""
-NAMES_WIDTH = 26
-WIDEST = 140
 
 
 @contextmanager
@@ -82,7 +82,7 @@ class Helped:
         if hasattr(self, "format_commands"):
             self.format_commands(ctx, formatter)
         given = {one.name: (_names(one), one.help) for one in self.get_params(ctx) if not one.hidden}
-        width = max(len(names) for names, _ in given.values() if len(names) <= NAMES_WIDTH)
+        width = max(len(names) for names, _ in given.values() if len(names) <= 26)  # longer ones stand above their text
         for heading, members in PANELS.items():
             if found := [given[name] for name in members.split() if name in given]:
                 with formatter.section(heading):  # padded, so that all texts begin at one column
@@ -137,7 +137,7 @@ GROUP: dict[str, Any] = {
     "cls": CommandGroup,
     "no_args_is_help": True,
     "rich_markup_mode": None,
-    "context_settings": {"help_option_names": ["-h", "--help"], "max_content_width": WIDEST},
+    "context_settings": {"help_option_names": ["-h", "--help"], "max_content_width": 140},
 }
 app = typer.Typer(
     **GROUP,
@@ -172,8 +172,8 @@ def _add(group: typer.Typer, *commands: type[Options]) -> None:
         add(function_of(command))
 
 
-_add(profiles, info.New)
-_add(app, new_logs.Import, info.Info, info.Check, show.Show, new_logs.Record, show.Surface)
+_add(profiles, new_logs.New)
+_add(app, new_logs.Import, show.Info, show.Check, show.Show, new_logs.Record, show.Surface)
 _add(app, calibrate.Calibrate, estimate.Estimate, scores.Validate, scores.Compare, scores.BlurBench)
 _add(app, calibrate.Fk, calibrate.HandEye)
 
@@ -200,7 +200,10 @@ def main(
 
 def run() -> None:
     """Run the command line and exit with its code."""
-    adapt_streams()
+    # No text fails for want of a character in the terminal's encoding, in a file's name, or in the C locale.
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=FALLBACK)
     with print_log():
         try:
             app(prog_name="svmdist")

@@ -1,4 +1,4 @@
-"""`svmdist record` and `import`: logs of a simulated scene, and of images or video with a calibration."""
+"""`svmdist record`, `import` and `profile new`: logs of a simulated scene or of images, and a profile of a log."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from svmdist.cli import options
+from svmdist.cli import options, output
+from svmdist.cli.logs import OneLogOptions
 from svmdist.cli.options import argument, option
-from svmdist.cli.output import LOG, ExitCode, next_command, progress_bar, require_ending, require_output, with_name
-from svmdist.errors import UsageError
+from svmdist.cli.output import LOG, ExitCode
+from svmdist.errors import UsageError, restated
 from svmdist.files import files_of
 
 if TYPE_CHECKING:
     from svmdist.workflows.record import Episodes
 
-INSTRUMENT = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
-SIZE = r"([1-9]\d{0,4})x([1-9]\d{0,4})"
 LARGE_BYTES, MANY_TIMES = 10e6, 3.0  # a log of so much, and so many times its source, is worth a hint
+SIZE = r"([1-9]\d{0,4})x([1-9]\d{0,4})"
 CROP = r"(\d{1,5}),(\d{1,5}),([1-9]\d{0,4}),([1-9]\d{0,4})"
 
 
@@ -91,8 +91,8 @@ class Record(options.Options):
             raise UsageError("--skip-existing goes with --episodes, and without --force")
         path = self.output or Path("" if self.episodes else f"{self.scenario}-{self.seed}.mcap")
         if self.episodes is None:
-            require_ending(path, ".mcap")
-            require_output(path)
+            output.require_ending(path, ".mcap")
+            output.require_output(path)
         together = [",".join(self.perturb)] if self.perturb else None
         (perturbations,) = options.parse_perturbations(together) or (UNPERTURBED,)
         scenario = Scenario(self.scenario, self.seed, self.duration, self.images_per_second)
@@ -105,19 +105,19 @@ class Record(options.Options):
         if self.episodes is not None:
             series = Episodes(recipe, perturbations, self.force, self.skip_existing)
             return _record_episodes(series, path, self.episodes, self.jobs)
-        with progress_bar(f"{scenario.name}, seed {self.seed}", "frames") as advance:
+        with output.progress_bar(f"{scenario.name}, seed {self.seed}", "frames") as advance:
             result = record(recipe, path, force=self.force, jobs=self.jobs, on_progress=advance)
         counts = result.frame_count, result.message_count
         LOG.info("%s: %d frames, %d messages, %.2f MB", path, *counts, result.size_bytes / 1e6)
         return ExitCode.CLEAN
 
 
-def _record_episodes(episodes: Episodes, output: Path, count: int, jobs: int | None) -> ExitCode:
+def _record_episodes(episodes: Episodes, path: Path, count: int, jobs: int | None) -> ExitCode:
     from svmdist.workflows.record import episode_paths, record_episodes
 
     scenario = episodes.recipe.scenario
-    with progress_bar(f"{scenario.name}, {count} seeds", "recordings") as advance:
-        found = record_episodes(episodes, episode_paths(output, scenario.name, scenario.seed, count), jobs, advance)
+    with output.progress_bar(f"{scenario.name}, {count} seeds", "recordings") as advance:
+        found = record_episodes(episodes, episode_paths(path, scenario.name, scenario.seed, count), jobs, advance)
     made = [one for one in found if not one.failure]
     were_there = sum(one.was_there for one in made)
     LOG.info(
@@ -127,7 +127,7 @@ def _record_episodes(episodes: Episodes, output: Path, count: int, jobs: int | N
     )
     for one in found:
         if one.failure:
-            LOG.error("not recorded: %s", with_name(one.failure, one.path))
+            LOG.error("not recorded: %s", output.with_name(one.failure, one.path))
     return ExitCode.CLEAN if len(made) == count else ExitCode.LOSS if made else ExitCode.UNUSABLE
 
 
@@ -181,24 +181,18 @@ class Import(options.Options):
         from svmdist.workflows.import_log import ImportOptions, import_log
 
         path = self.output or Path(f"{self.source.resolve().stem}.mcap")
-        require_ending(path, ".mcap")
-        require_output(path)
+        output.require_ending(path, ".mcap")
+        output.require_output(path)
         if self.right_camera is not None and self.camera is None:
             raise UsageError("--right-camera goes with --camera")
         if self.joint_names is not None and not self.joints:
             raise UsageError("--joint-names goes with --joints")
-        of_two = {
-            "--baseline": self.baseline_length,
-            "--right-camera": self.right_camera,
-            "--right-calibration": self.right_calibration,
-        }
-        for name, given in of_two.items():
+        of_two = self.baseline_length, self.right_camera, self.right_calibration
+        for name, given in zip(("--baseline", "--right-camera", "--right-calibration"), of_two, strict=True):
             if given is not None and not (self.right or self.right_pattern or self.side_by_side):
                 raise UsageError(f"{name} is of two views: name the right one, or say --side-by-side")
-        try:
+        with restated(ValueError, UsageError, f"--start {self.start}: "):
             start_ns = parse_stamp_ns(self.start, "s")
-        except ValueError as problem:
-            raise UsageError(f"--start {self.start}: {problem}") from None
         asked = ImportOptions(
             self.source,
             CalibrationOptions(
@@ -218,7 +212,7 @@ class Import(options.Options):
             tuple(name.strip() for name in self.joint_names.split(",")) if self.joint_names else None,
             self.jpeg,
         )
-        with progress_bar(f"import {self.source.name}", "images") as advance:
+        with output.progress_bar(f"import {self.source.name}", "images") as advance:
             result = import_log(asked, path, force=self.force, on_progress=advance)
         counted = [f"{count} {topic}" for topic, count in result.counts.items() if "camera_info" not in topic]
         LOG.info("%s: %s; %.2f MB", path, ", ".join(counted), result.size_bytes / 1e6)
@@ -233,7 +227,7 @@ class Import(options.Options):
             read_bytes = sum(file.stat().st_size for file in read if isinstance(file, Path))
             if (times := result.size_bytes / max(read_bytes, 1)) > MANY_TIMES:
                 LOG.info("stored as PNG, %.0f times as large as its source: --jpeg 92 makes it smaller", times)
-        LOG.info("next: %s", next_command("profile", "new", path, "-o", f"{path.stem}.toml"))
+        LOG.info("next: %s", output.next_command("profile", "new", path, "-o", f"{path.stem}.toml"))
         return ExitCode.LOSS if result.losses else ExitCode.CLEAN
 
 
@@ -262,10 +256,70 @@ def _intrinsics(name: str, text: str | None) -> tuple[float, ...] | None:
 def _tables(name: str, given: list[str] | None) -> dict[str, Path]:
     found: dict[str, Path] = {}
     for text in given or []:
-        instrument, equals, file = text.partition("=")
-        if not (equals and INSTRUMENT.match(instrument)):
-            instrument, file = "PSM1", text
+        named = re.fullmatch(r"([A-Za-z][A-Za-z0-9_]*)=(.*)", text, re.DOTALL)
+        instrument, file = named.groups() if named else ("PSM1", text)
         if instrument in found:
             raise UsageError(f"{name}: two files for the instrument {instrument}; name the other: NAME=FILE")
         found[instrument] = Path(file)
     return found
+
+
+class New(OneLogOptions, options.TopicOption):
+    """Write a commented profile from a log.
+
+    It has the log's topics, frames and instruments, a chain that fits its joints, an instrument's sizes, colours where
+    they are distinct, and the tissue's surface where two views show it. Guesses are marked MEASURE, with deviations as
+    wide.
+
+    Examples:
+      A commented profile, to be completed by hand:
+        svmdist profile new log.mcap -o mine.toml
+      With the sizes of a known instrument:
+        svmdist profile new log.mcap --instrument large-needle-driver
+      With a camera's topic that is none of the usual ones:
+        svmdist profile new log.mcap --topic image=/left/image_raw
+    """
+
+    name: str | None = option("--name NAME", "Name of the profile. Default: that of the log.")
+    instrument: str | None = option(
+        "--instrument NAME",
+        "Sizes of large-needle-driver, da-vinci-8mm, laparoscopic-5mm, raven, …: a wrong name lists all. Default: by"
+        " the joints, else 5 to 10 mm.",
+    )
+    output: Path | None = options.OutputOptions.output
+    force: bool = options.FORCE
+
+    def _run(self) -> None:
+        import tomllib
+
+        from svmdist.profile import Profile
+        from svmdist.recording.log import open_recording
+        from svmdist.report.profile_template import instrument_sizes, profile_text
+        from svmdist.report.tables import counted
+        from svmdist.workflows.check import check_log, warning
+        from svmdist.workflows.new_profile import draft_profile
+
+        output.require_toml(self.output, [self.log.path], force=self.force)
+        if self.instrument is not None:
+            instrument_sizes(self.instrument)
+        with output.progress_bar(f"looking at {self.log.name}"):
+            draft = draft_profile(self.log.path, self.name or self.log.name, self.topics, self.instrument)
+            text = profile_text(draft)
+            profile = Profile.model_validate(tomllib.loads(text))
+            found = check_log(open_recording(self.log.path, profile))
+        output.write_lines([text], self.output)
+        instruments = ", ".join(one.name for one in draft.instruments)
+        plane = "the plane from both views" if draft.plane else "measure the plane of the tissue"
+        mark = "a distal marker by its colour" if draft.mark else "no colour of its own"
+        LOG.info("%s: instruments %s; %s; %s", draft.name, instruments, mark, plane)
+        if profile.guesses:
+            sizes = "; --instrument NAME has sizes" if self.instrument is None else ""
+            LOG.info("%s: guessed: %s%s", draft.name, profile.guesses, sizes)
+        if said := warning(found):
+            LOG.warning("%s", said)
+        else:
+            count = sum(len(one.comparisons) for one in found.values())
+            LOG.info("%s of the log with it: nothing contradicts", counted(count, "comparison"))
+        if self.output is not None:
+            with_it = output.next_command("estimate", self.log.path, "--profile", self.output)
+            LOG.info("next: complete what is marked MEASURE, and %s", with_it)

@@ -13,14 +13,14 @@ import re
 import time
 import typing
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
 from svmdist.cli.output import LOG, progress_bar, require_output
-from svmdist.errors import UsageError, did_you_mean
+from svmdist.errors import UsageError, did_you_mean, restated
 from svmdist.report.writers import Holds, Writer, choose_writer, names_of
 
 if TYPE_CHECKING:
@@ -30,6 +30,12 @@ if TYPE_CHECKING:
     from svmdist.recording.observations import Window
     from svmdist.remote import LogPath
     from svmdist.workflows.request import Lag, Request, Setup
+
+OUTPUTS = ("output", "report", "save_plot", "summary", "write_baseline")
+INPUTS = ("profile", "calibration", "hand_eye", "estimates")
+"""Options that name files to read; a baseline that was read may be written anew."""
+LENGTH_UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+MAX_LAG_S = 3600.0
 
 
 def option(names: str, text: str, default: Any = None, **more: Any) -> Any:
@@ -69,9 +75,10 @@ def function_of(command: type[Options]) -> Callable[..., None]:
     def run(**values: Any) -> None:
         choose_verbosity(quiet=values["quiet"], verbose=values["verbose"])
         begin_s = time.perf_counter()
-        _require_files_apart(values)
+        given = command(**values)
+        _require_files_apart(given)
         try:
-            raise typer.Exit(command(**values)._run() or 0)
+            raise typer.Exit(given._run() or 0)
         finally:
             LOG.debug("%s took %.1f s", name_of(command), time.perf_counter() - begin_s)
 
@@ -83,37 +90,25 @@ def function_of(command: type[Options]) -> Callable[..., None]:
     return run
 
 
-def _named(*keys: str) -> dict[str, str]:
-    """Options by their keys, as Typer names them."""
-    return {key: f"--{key.replace('_', '-')}" for key in keys}
-
-
-OUTPUTS = {"output": "-o", **_named("report", "save_plot", "summary", "write_baseline")}
-INPUTS = _named("profile", "calibration", "hand_eye", "estimates")
-"""Options that name files to read; a baseline that was read may be written anew."""
-
-
-def _require_files_apart(values: Mapping[str, Any]) -> None:
+def _require_files_apart(given: Options) -> None:
     """Raise UsageError where two outputs are one file, one is an input, or is `-` and cannot go to stdout."""
-    read = {os.path.realpath(path): of for key, of in INPUTS.items() for path in _files_of(values.get(key))}
-    named: dict[str, str] = {}
-    for key, given in OUTPUTS.items():
-        path = values.get(key)
+    values = {key: value for key, value in vars(given).items() if key in OUTPUTS + INPUTS and value is not None}
+    flags = {key: getattr(type(given), key).param_decls[-1] for key in values}
+    read, written = dict[str, str](), dict[str, str]()
+    for key in filter(values.__contains__, INPUTS):
+        for text in map(str, values[key] if isinstance(values[key], list) else [values[key]]):
+            files = filter(os.path.isfile, (text, text.partition("=")[2]))  # estimates may be NAME=FILE
+            read.update((os.path.realpath(file), flags[key]) for file in files)
+    for key in filter(values.__contains__, OUTPUTS):
+        path, flag = values[key], flags[key]
         if path == Path("-"):  # where it is stdout, it was read as None
-            raise UsageError(f"{given} -: expected the name of a file; this is not written to stdout")
-        if path is not None and path.parent != Path("/dev"):
+            raise UsageError(f"{flag} -: expected the name of a file; this is not written to stdout")
+        if path.parent != Path("/dev"):
             place = os.path.realpath(path)
-            if (other := named.setdefault(place, given)) != given:
-                raise UsageError(f"{other} and {given} are both {path}: give each a file of its own")
+            if (other := written.setdefault(place, flag)) != flag:
+                raise UsageError(f"{other} and {flag} are both {path}: give each a file of its own")
             if place in read:
-                raise UsageError(f"{given} {path}: is what {read[place]} reads; give the output another name")
-
-
-def _files_of(value: Any) -> list[str]:
-    """What exists of an option's files, each also as NAME=FILE; nothing of other values."""
-    every = value if isinstance(value, list) else [value]
-    found = [one for text in map(str, every) for one in (text, text.partition("=")[2])]
-    return [one for one in found if os.path.isfile(one)]
+                raise UsageError(f"{flag} {path}: is what {read[place]} reads; give the output another name")
 
 
 def name_of(command: type[Options]) -> str:
@@ -131,6 +126,7 @@ FORCE = option("--force", "Replace the file if it exists.", False)
 JOBS = option("--jobs -j N", "Processes; results are the same. Default: all cores.", min=1, max=256)
 PLOT = option("--save-plot FIG", "Plot to this file (png, svg, pdf).")
 PROFILE = option("--profile NAME|FILE", "psm13, dvrk-psm, or a TOML file. Default: psm13.", "psm13")
+CALIBRATION = option("--calibration FILE", "Planar mapping. Default: the profile's.")
 EVERY = option("--every N", "Take every N-th image only.", 1, min=1)
 
 
@@ -202,15 +198,10 @@ class WindowOptions(Options):
         return Window(self.start, math.inf if self.end is None else self.end, self.every)
 
 
-class CalibrationOption(ReadOptions):
-    """The planar methods' mapping."""
-
-    calibration: Path | None = option("--calibration FILE", "Planar mapping. Default: the profile's.")
-
-
-class MethodOptions(CalibrationOption):
+class MethodOptions(ReadOptions):
     """What measures."""
 
+    calibration: Path | None = CALIBRATION
     method: Literal["auto", "overlay", "centroid", "fiducial", "shaft", "stereo", "kinematic", "fused"] = option(
         "--method NAME",
         "auto: the best that the log can serve. In 3D: fiducial (tag), shaft, stereo (two cameras), kinematic,"
@@ -255,9 +246,6 @@ class InstrumentOption(Options):
         return tuple(name for name in profile.instrument_names if name in wanted) or None
 
 
-MAX_LAG_S = 3600.0
-
-
 class LagOption(Options):
     """The time offset of the images."""
 
@@ -274,9 +262,12 @@ class LagOption(Options):
         return lag_s
 
 
-class AlarmOptions(Options):
-    """When an alarm is raised."""
+class MeasureOptions(MethodOptions, InstrumentOption, LagOption, WindowOptions):
+    """Everything of a measurement by one method."""
 
+    equations: Literal["corrected", "printed"] = option(
+        "--equations NAME", "corrected (the default), or printed as published.", "corrected"
+    )
     alarm_below: str | None = option("--alarm-below LENGTH", "Alarm where the clearance may be below, as in 5mm.")
     alarm_when: str | None = option(
         "--alarm-when LEVEL",
@@ -301,14 +292,6 @@ class AlarmOptions(Options):
 
         return AlarmRules(parse_length_m("--alarm-below", self.alarm_below), *given.values())
 
-
-class MeasureOptions(MethodOptions, InstrumentOption, LagOption, AlarmOptions, WindowOptions):
-    """Everything of a measurement by one method."""
-
-    equations: Literal["corrected", "printed"] = option(
-        "--equations NAME", "corrected (the default), or printed as published.", "corrected"
-    )
-
     def setup(self, paths: Sequence[LogPath]) -> Setup:
         """What measures these logs; raises ProfileError, CalibrationError or UsageError."""
         from svmdist.workflows.request import prepare
@@ -324,9 +307,6 @@ class MeasureOptions(MethodOptions, InstrumentOption, LagOption, AlarmOptions, W
         if alarms:
             require_clearance(setup)
         return Request(setup, self.topics, window, self.instruments(setup.profile), lag, alarms)
-
-
-LENGTH_UNITS_M = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 
 def parse_number(text: str) -> float:
@@ -361,7 +341,5 @@ def parse_perturbations(values: list[str] | None) -> tuple[Perturbations, ...]:
     """Parse NAME=STRENGTH of `--perturb`, several of one separated by commas; raises UsageError."""
     from svmdist.perturbations import parse_perturbations
 
-    try:
-        return tuple(parse_perturbations(value) for value in values or [])
-    except UsageError as problem:
-        raise UsageError(f"--perturb: {problem}") from None
+    with restated(UsageError, UsageError, "--perturb: "):
+        return tuple(map(parse_perturbations, values or []))

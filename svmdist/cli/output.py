@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import codecs
-import io
 import json
 import logging
 import os
@@ -19,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from svmdist.errors import OutputError, UsageError, concealed, printable
-from svmdist.files import FALLBACK, why, write_atomically
+from svmdist.files import why, write_atomically
 from svmdist.remote import LogPath
 from svmdist.report.writers import WRITERS, plot_format
 
@@ -46,6 +45,8 @@ class ExitCode(IntEnum):
 class _Stderr(logging.Handler):
     """Prints one line for each record, without markup, control characters, or secrets of URLs."""
 
+    shows_progress = False  # of the command itself, not of workers, and not within what is shown already
+
     def emit(self, record: logging.LogRecord) -> None:
         with suppress(OSError):  # where stderr is full, nobody can be informed
             print(printable(concealed(f"svmdist: {record.getMessage()}")), file=sys.stderr)
@@ -57,13 +58,13 @@ def print_log() -> Iterator[None]:
     handler = _Stderr()
     LOG.addHandler(handler)
     LOG.setLevel(logging.INFO)
-    _Progress.is_wanted = True
+    _Stderr.shows_progress = True
     try:
         yield
     finally:
         LOG.removeHandler(handler)
         LOG.setLevel(logging.NOTSET)
-        _Progress.is_wanted = False
+        _Stderr.shows_progress = False
 
 
 def next_command(*words: object) -> str:
@@ -81,19 +82,13 @@ def with_name(reason: str, *names: object) -> str:
     return reason if any(str(name) in reason for name in names) else f"{names[0]}: {reason}"
 
 
-class _Progress:
-    """Whether progress is shown: by the command itself, not by workers, and not within what is shown already."""
-
-    is_wanted = False
-
-
 @contextmanager
 def progress_bar(title: str, unit: str = "") -> Iterator[Advance]:
     """Give a function of (done, total or None), which shows a bar where stderr is a terminal.
 
     Until it is called, the bar shows that something is done, and for how long.
     """
-    if not _Progress.is_wanted or not LOG.isEnabledFor(logging.INFO) or not sys.stderr.isatty():
+    if not _Stderr.shows_progress or not LOG.isEnabledFor(logging.INFO) or not sys.stderr.isatty():
         yield lambda _done, _total: None
         return
     from rich.console import Console
@@ -101,10 +96,9 @@ def progress_bar(title: str, unit: str = "") -> Iterator[Advance]:
 
     console = Console(stderr=True, markup=False, emoji=False, highlight=False)
     name, said = (TextColumn(f"{{task.{field}}}", markup=False) for field in ("description", "fields[said]"))
-    columns = name, BarColumn(), said, TimeElapsedColumn()
-    _Progress.is_wanted = False
+    _Stderr.shows_progress = False
     try:
-        with Progress(*columns, console=console, transient=True) as progress:
+        with Progress(name, BarColumn(), said, TimeElapsedColumn(), console=console, transient=True) as progress:
             task = progress.add_task(title, total=None, said="")
 
             def advance(done: int, total: int | None) -> None:
@@ -113,7 +107,7 @@ def progress_bar(title: str, unit: str = "") -> Iterator[Advance]:
 
             yield advance
     finally:
-        _Progress.is_wanted = True
+        _Stderr.shows_progress = True
         console.show_cursor(True)  # a bar that was interrupted while it was set up has hidden it
 
 
@@ -161,13 +155,6 @@ def abandon(stream: TextIO | None) -> None:
         os.close(null)
 
 
-def adapt_streams() -> None:
-    """Let no text fail for want of a character in the terminal's encoding, in a file's name, or in the C locale."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors=FALLBACK)
-
-
 def terminal_width(output: Path | None) -> int | None:
     """Columns of the terminal that stdout is; None where the data goes to a pipe or a file."""
     return os.get_terminal_size().columns if output is None and sys.stdout.isatty() else None
@@ -185,25 +172,21 @@ def write_results(results: Results, writer: Writer, output: Path | None) -> None
 
 
 def require_output(output: Path | None, inputs: Iterable[LogPath] = ()) -> None:
-    """Fail before the work rather than after it: raise OutputError for a file that cannot be written.
-
-    Raises UsageError where it is one of the inputs.
-    """
+    """Before the work, raise OutputError for a file that cannot be written, and UsageError for one of the inputs."""
     if output is None:
         if sys.stdout is None:  # as `svmdist … >&-` has it
             raise OutputError("stdout: cannot write: it is closed; give --output FILE")
         return
+    found = None
     try:
-        found = os.stat(output)
-    except FileNotFoundError:
-        found = None
+        with suppress(FileNotFoundError):
+            found = os.stat(output)
     except (OSError, ValueError) as problem:
         raise OutputError(f"{output}: cannot write: {why(problem)}") from None
     if found is None and not output.parent.is_dir():
         raise OutputError(f"{output}: cannot write: there is no folder {output.parent}")
     if found is not None:
-        local = [path for path in inputs if isinstance(path, Path) and os.path.exists(path)]
-        if any(os.path.samestat(os.stat(path), found) for path in local):
+        if any(os.path.samefile(output, path) for path in inputs if isinstance(path, Path) and os.path.exists(path)):
             raise UsageError(f"{output}: is the recording to read; give the output another name")
         if stat.S_ISDIR(found.st_mode):
             raise OutputError(f"{output}: cannot write: it is a folder")
@@ -216,10 +199,9 @@ def require_output(output: Path | None, inputs: Iterable[LogPath] = ()) -> None:
 def require_toml(output: Path | None, inputs: Iterable[LogPath], *, force: bool) -> None:
     """The same of a file of settings; raises UsageError also for another format's ending, and where it exists."""
     require_output(output, inputs)
-    if output is None:
-        return
-    require_ending(output, ".toml")
-    if output.exists() and not force:
+    if output is not None:
+        require_ending(output, ".toml")
+    if output is not None and output.exists() and not force:
         raise UsageError(f"{output}: exists already; give another name, or --force to replace it")
 
 

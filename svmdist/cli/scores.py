@@ -5,24 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from svmdist.cli import options, output
-from svmdist.cli.estimate import PictureOptions, corrected, log_ending
-from svmdist.cli.logs import GroupOption, LogOptions, Run, group_name
+from svmdist.cli.estimate import PictureOptions
+from svmdist.cli.logs import GroupOption, LogOptions, group_name
 from svmdist.cli.options import PLOT, argument, format_option, option
 from svmdist.cli.output import LOG, ExitCode
 from svmdist.errors import UsageError, did_you_mean
 from svmdist.report.writers import Holds
 
 if TYPE_CHECKING:
-    from svmdist.recording.log import Recording
+    from svmdist.cli.jobs import Run
     from svmdist.remote import LogPath
-    from svmdist.vision.degradations import Blur
-    from svmdist.workflows.compare import MethodScore
-    from svmdist.workflows.request import Condition, Request, Setup
+    from svmdist.workflows.request import Request, Setup
     from svmdist.workflows.scoring.scores import Figures
 
 TruthChoice = StrEnum("TruthChoice", "ground_truth tf surface plane pose kinematics")
@@ -30,12 +27,13 @@ PlotKind = Literal["fig6", "time", "residuals", "bland-altman", "calibration"]
 MethodChoice = StrEnum("MethodChoice", "overlay centroid fiducial shaft stereo kinematic fused")
 
 
-class ScoreOptions(LogOptions, options.CalibrationOption, options.WindowOptions, options.OutputOptions):
+class ScoreOptions(LogOptions, options.ReadOptions, options.WindowOptions, options.OutputOptions):
     """What scores are made of, and where they go; without FILE, logs of recordings/ are scored."""
 
     files: list[str] | None = argument(  # type: ignore[assignment]
         None, "FILE", "Logs, folders, globs or URLs. Default: every .mcap in recordings/."
     )
+    calibration: Path | None = options.CALIBRATION
     form: str | None = format_option(Holds.FIGURES)
 
 
@@ -87,6 +85,7 @@ class Validate(ScoreOptions, options.MeasureOptions, GroupOption, PictureOptions
     )
 
     def _run(self) -> ExitCode:
+        from svmdist.cli.jobs import Run, log_ending
         from svmdist.report.scores import validation_results
         from svmdist.workflows import validate
 
@@ -104,8 +103,9 @@ class Validate(ScoreOptions, options.MeasureOptions, GroupOption, PictureOptions
         kind = self.plot or "fig6"
         keeps = self.report is not None or (self.save_plot is not None and kind != "fig6")
         run = Run(self, validate.score_recording, request, validate.Scored, "validating", "images", (), keeps, keys)
-        result = validate.combine(run.finish(), request, run.groups)
-        lacking = {line for scored in run.results for line in scored.lacking}
+        scored, groups = run.finish(), [group_name(one.metadata, keys) for _, one, _ in run.measured if keys]
+        result = validate.combine(scored, request, groups)
+        lacking = {line for one in scored for line in one.lacking}
         for note in result.notes:
             if note in lacking:
                 LOG.error("loss: %s", note)
@@ -185,14 +185,23 @@ class Compare(ScoreOptions, options.LagOption, GroupOption):
     plot: Literal["compare"] | None = option("--plot", "What --save-plot draws.", hidden=True)
 
     def _run(self) -> ExitCode:
+        from svmdist.cli.jobs import Run, compare_log
         from svmdist.report.scores import compare_results
+        from svmdist.vision.degradations import SEVERITIES, Degradation, require_degradation
         from svmdist.workflows.compare import MethodScore, compared
-        from svmdist.workflows.request import Request, prepare, prepare_methods
+        from svmdist.workflows.request import CLEAN, Condition, Request, prepare, prepare_methods
         from svmdist.workflows.scoring.given import given_estimates, require_distinct
 
         writer = self.writer(self.paths, Holds.FIGURES)
         output.require_plot(self.save_plot, self.paths, self.plot)
-        keys, lag, conditions = self.group_keys, self.given_lag, self.conditions
+        keys, lag = self.group_keys, self.given_lag
+        conditions: list[Condition] = [CLEAN]
+        for text in self.degrade or []:
+            grid = [(str(name), severity) for name in Degradation for severity in SEVERITIES]
+            for name, severity in grid if text == "all" else options.parse_degradations([text]):
+                conditions.append(Condition(require_degradation(name, severity), severity))
+        conditions += [Condition(world=world) for world in options.parse_perturbations(self.perturb)]
+        conditions = list(dict.fromkeys(conditions))
         methods = list(dict.fromkeys(map(str, self.method or ())))
         given = [given_estimates(text) for text in self.estimates or []]
         require_distinct([*(methods or MethodChoice), *(one.name for one in given)])
@@ -207,31 +216,6 @@ class Compare(ScoreOptions, options.LagOption, GroupOption):
 
             save_figure(self.save_plot, draw_compare, scores)
         return _exit_code(run, [score.figures for score in scores])
-
-    @property
-    def conditions(self) -> list[Condition]:
-        """The images as recorded, and what else is asked for; raises UsageError."""
-        from svmdist.vision.degradations import SEVERITIES, Degradation, require_degradation
-        from svmdist.workflows.request import CLEAN, Condition
-
-        conditions: list[Condition] = [CLEAN]
-        for text in self.degrade or []:
-            grid = [(str(name), severity) for name in Degradation for severity in SEVERITIES]
-            for name, severity in grid if text == "all" else options.parse_degradations([text]):
-                conditions.append(Condition(require_degradation(name, severity), severity))
-        conditions += [Condition(world=world) for world in options.parse_perturbations(self.perturb)]
-        return list(dict.fromkeys(conditions))
-
-
-def compare_log(
-    recording: Recording, request: Request, threads: int, setups: tuple[Setup, ...], keys: tuple[str, ...]
-) -> list[MethodScore]:
-    """Measure a log with several methods under several conditions, with progress."""
-    from svmdist.workflows.compare import measure_runs
-
-    by = partial(group_name, keys=keys) if keys else None
-    with output.watched(corrected(recording, request, threads), "comparing") as log:
-        return measure_runs(log, setups, request.conditions, jobs=threads, by=by)
 
 
 class BlurBench(ScoreOptions):
@@ -250,24 +234,13 @@ class BlurBench(ScoreOptions):
     kernel: list[str] | None = option("--kernel BLUR=PX", "An odd size, as in gaussian=9; may be repeated.")
 
     def _run(self) -> ExitCode:
+        from svmdist.cli.jobs import Run
         from svmdist.report.scores import blur_results
-        from svmdist.workflows.blur_bench import BlurTally, blur_tallies
+        from svmdist.vision.degradations import Blur
+        from svmdist.workflows.blur_bench import TABLE_I, BlurTally, blur_tallies
         from svmdist.workflows.request import Request, prepare
 
         writer = self.writer(self.paths, Holds.FIGURES)
-        kernels_px = self._kernels_px()
-        setup = prepare(self.profile, calibration=self.calibration, hand_eye=self.hand_eye)
-        request = Request(setup, self.topics, self.window)
-        run = Run(self, blur_tallies, request, list[BlurTally], "Table I", "images", (kernels_px,))
-        tallies = run.finish()
-        output.write_results(blur_results(tallies), writer, self.output)
-        return _exit_code(run, [one.figures for of_log in tallies for one in of_log])
-
-    def _kernels_px(self) -> dict[Blur, int]:
-        """The kernels by blur, those of the paper where none is given; raises UsageError."""
-        from svmdist.vision.degradations import Blur
-        from svmdist.workflows.blur_bench import TABLE_I
-
         kernels_px = {blur: kernel_px for blur, (kernel_px, _) in TABLE_I.items()}
         blurs = [str(blur) for blur in Blur if blur is not Blur.NONE]
         for text in self.kernel or []:
@@ -277,4 +250,9 @@ class BlurBench(ScoreOptions):
             if not size.isdecimal() or int(size) % 2 == 0 or not 1 <= int(size) <= 101:
                 raise UsageError(f"--kernel {text}: expected an odd size from 1 to 101 px, as in {name}=5")
             kernels_px[Blur(name)] = int(size)
-        return kernels_px
+        setup = prepare(self.profile, calibration=self.calibration, hand_eye=self.hand_eye)
+        request = Request(setup, self.topics, self.window)
+        run = Run(self, blur_tallies, request, list[BlurTally], "Table I", "images", (kernels_px,))
+        tallies = run.finish()
+        output.write_results(blur_results(tallies), writer, self.output)
+        return _exit_code(run, [one.figures for of_log in tallies for one in of_log])

@@ -1,14 +1,12 @@
-"""`svmdist show` and `surface`: pictures of what the methods see in a log's images, and the tissue that one shows."""
+"""`svmdist info`, `check`, `show` and `surface`: what is in a log, whether its profile fits, and what images show."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from svmdist.cli import options, output
-from svmdist.cli.estimate import corrected
-from svmdist.cli.logs import OneLogOptions, log_losses
+from svmdist.cli.logs import LogOptions, OneLogOptions, log_losses
 from svmdist.cli.options import JOBS, option
 from svmdist.cli.output import LOG, ExitCode
 from svmdist.errors import UsageError
@@ -17,12 +15,71 @@ from svmdist.report.writers import Holds
 
 if TYPE_CHECKING:
     from svmdist.recording.log import Recording
-    from svmdist.samples import Image
     from svmdist.workflows.request import Request
 
-DEFAULT_COUNT = 6  # pictures where none is asked for: enough to see a log from its beginning to its end
 PICTURE_ENDINGS = (".png", ".jpg", ".jpeg", ".svg", ".pdf", ".gif", ".bmp", ".tif", ".tiff", ".webp")
 """Names that mean a picture, and not a folder."""
+DEFAULT_COUNT = 6  # pictures where none is asked for: enough to see a log from its beginning to its end
+
+
+class Info(LogOptions, options.ReadOptions, options.OutputOptions):
+    """Show topics, rates, cameras, frames and health.
+
+    It also lists the commands and methods that the recording can serve, and what is missing for the others. Of several
+    recordings there is a line each; csv has the topics of all, and json an array with everything.
+
+    Examples:
+      Topics, cameras, and the methods that the log can serve:
+        svmdist info log.mcap
+      The same of a log with a profile of one's own:
+        svmdist info log.mcap --profile mine.toml
+      For a program:
+        svmdist info log.mcap -f json
+    """
+
+    def _run(self) -> ExitCode:
+        from svmdist.cli.jobs import Run, inspect_log
+        from svmdist.report.info import info_results, logs_results
+        from svmdist.workflows.request import Request, Setup
+
+        writer = self.writer(self.paths, Holds.TABLES)
+        request = Request(Setup.reading(self.profile, self.hand_eye), self.topics)
+        run = Run(self, inspect_log, request, dict[str, Any], "inspecting", options=(writer.name != "csv",))
+        run.finish()
+        found = [(log.name, document) for log, _, document in run.measured]
+        output.write_results(info_results(found[0][1]) if self.is_one else logs_results(found), writer, self.output)
+        return run.exit_code()
+
+
+class Check(LogOptions, options.ReadOptions, options.OutputOptions):
+    """Compare what a log and its profile show more than once.
+
+    Disparities against the baseline, the tissue by both views against the profile's, the tool by kinematics, shaft, tag
+    and disparity against each other and against the image, sizes against an endoscope's field of view. There is a line
+    for each comparison: the difference, over its standard deviation, and what could be wrong where it contradicts. The
+    same is looked at before the first row of every estimate.
+
+    Exit code 4 if something contradicts.
+
+    Examples:
+      Whether a log fits the profile:
+        svmdist check log.mcap --profile mine.toml
+      In a script:
+        svmdist check log.mcap -f json -o check.json
+    """
+
+    def _run(self) -> ExitCode:
+        from svmdist.cli.jobs import Run, compared_rows
+        from svmdist.report.info import check_results
+        from svmdist.workflows.request import Request, Setup
+
+        writer = self.writer(self.paths, Holds.TABLES)
+        request = Request(Setup.reading(self.profile, self.hand_eye), self.topics)
+        run = Run(self, compared_rows, request, list[dict[str, Any]], "comparing")
+        rows = [row for found in run.finish() for row in found]
+        output.write_results(check_results(rows), writer, self.output)
+        code = run.exit_code()  # which also says what was lost
+        return ExitCode.WORSE if any(row["verdict"] == "contradicts" for row in rows) else code
 
 
 class FrameOptions(OneLogOptions):
@@ -75,8 +132,10 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
     jobs: int | None = JOBS
 
     def _run(self) -> ExitCode:
+        from svmdist.cli.jobs import corrected
         from svmdist.report.on_image import write_picture
-        from svmdist.workflows.frame_drawing import Segmented
+        from svmdist.report.panels import masks_picture, phases_picture
+        from svmdist.workflows.frame_drawing import Segmented, drawn_frames
         from svmdist.workflows.request import Request, prepare
 
         if sum(choice is not None for choice in (self.frame, self.at, self.worst)) > 1:
@@ -90,67 +149,47 @@ class Show(options.MethodOptions, options.InstrumentOption, options.LagOption, F
         recording = request.open(self.log.path, self.log.name)
         seen = corrected(recording, request, self.jobs)
         numbers = self._numbers(seen, request)
-        is_one = _is_one_picture(folder, len(numbers))
+        count = left = len(numbers)
+        is_one = folder.suffix.lower() in PICTURE_ENDINGS and not folder.is_dir()
+        if is_one and folder.suffix.lower() != ".png":
+            raise UsageError(f"{folder}: pictures are PNG files: give a name in .png, or a folder")
+        if is_one and count > 1:
+            raise UsageError(f"{folder}: is one picture, and {count} are asked for: give --frame, --at, or a folder")
         make_folder(folder.parent if is_one else folder, "make the folder")
-        left = len(numbers)
-        for number, picture in self._pictures(seen, request, numbers):
-            path = folder if is_one else folder / f"{recording.name}-{number:05d}.png"
-            write_picture(path, picture)
-            output.write_lines([f"{path}\n"], None)
-            left -= 1
+        with output.watched(seen, f"drawing {seen.name}") as log:
+            for shown in drawn_frames(log, setup, self.jobs, numbers):
+                where = f"{log.name}  frame {shown.number}"
+                if self.masks:
+                    picture = masks_picture(shown, f"{where}  {shown.seconds:.2f} s  masks")
+                else:
+                    picture = phases_picture(shown, f"{where}  method {setup.method}", setup.method)
+                path = folder if is_one else folder / f"{recording.name}-{shown.number:05d}.png"
+                write_picture(path, picture)
+                output.write_lines([f"{path}\n"], None)
+                left -= 1
         self.say_choice()
         if left:
-            LOG.info("%d of %d images cannot be read, and are not drawn", left, len(numbers))
+            LOG.info("%d of %d images cannot be read, and are not drawn", left, count)
         return log_losses(recording.path, recording.health)
 
     def _numbers(self, recording: Recording, request: Request) -> set[int]:
+        """The numbers of the images to draw; says of each of the worst how bad it is."""
+        from svmdist.workflows.estimate import Measured, estimate
         from svmdist.workflows.replay import image_stamps_ns
+        from svmdist.workflows.scoring.series import series_of, worst_frames
 
-        if self.worst is not None:
-            return _worst(recording, request, self.worst, self.jobs)
         if (chosen := self.image_number(recording)) is not None:
             return {chosen}
-        last = len(image_stamps_ns(recording)) - 1
-        gaps = min(last, DEFAULT_COUNT - 1)  # between the pictures
-        return {round(at * last / max(gaps, 1)) for at in range(gaps + 1)}
-
-    def _pictures(self, log: Recording, request: Request, numbers: set[int]) -> Iterator[tuple[int, Image]]:
-        from svmdist.report.panels import masks_picture, phases_picture
-        from svmdist.workflows.frame_drawing import drawn_frames
-
-        setup = request.setup
-        with output.watched(log, f"drawing {log.name}") as seen:
-            for shown in drawn_frames(seen, setup, self.jobs, numbers):
-                where = f"{log.name}  frame {shown.number}"
-                if self.masks:
-                    yield shown.number, masks_picture(shown, f"{where}  {shown.seconds:.2f} s  masks")
-                else:
-                    yield shown.number, phases_picture(shown, f"{where}  method {setup.method}", setup.method)
-
-
-def _is_one_picture(path: Path, count: int) -> bool:
-    """Whether the path names a picture, not a folder; raises UsageError where it cannot hold what is asked for."""
-    ending = path.suffix.lower()
-    if ending not in PICTURE_ENDINGS or path.is_dir():
-        return False
-    if ending != ".png":
-        raise UsageError(f"{path}: pictures are PNG files: give a name in .png, or a folder")
-    if count > 1:
-        raise UsageError(f"{path}: is one picture, and {count} are asked for: give --frame, --at, or a folder")
-    return True
-
-
-def _worst(recording: Recording, request: Request, count: int, jobs: int | None) -> set[int]:
-    """The numbers of the worst frames of any instrument; says of each how bad it is."""
-    from svmdist.workflows.estimate import Measured, estimate
-    from svmdist.workflows.scoring.series import series_of, worst_frames
-
-    with output.watched(recording, f"measuring {recording.name}") as log:
-        rows = list(estimate(log, request.setup, jobs))
-    worst = worst_frames(series_of([Measured(recording, recording, tuple(rows), recording.lag)], request), count)
-    for one in worst:
-        LOG.info("%s", one.in_words)
-    return {one.number for one in worst}
+        if self.worst is None:
+            last = len(image_stamps_ns(recording)) - 1
+            gaps = min(last, DEFAULT_COUNT - 1)  # between the pictures
+            return {round(at * last / max(gaps, 1)) for at in range(gaps + 1)}
+        with output.watched(recording, f"measuring {recording.name}") as log:
+            rows = tuple(estimate(log, request.setup, self.jobs))
+        worst = worst_frames(series_of([Measured(recording, recording, rows, recording.lag)], request), self.worst)
+        for one in worst:
+            LOG.info("%s", one.in_words)
+        return {one.number for one in worst}
 
 
 class Surface(options.ReadOptions, FrameOptions, options.OutputOptions):

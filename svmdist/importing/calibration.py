@@ -6,10 +6,9 @@ parallel, and P, whose fourth column has the baseline.
 
 from __future__ import annotations
 
-import logging
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 from xml.etree import ElementTree
@@ -20,10 +19,9 @@ import yaml
 from svmdist.camera import KNOWN_DISTORTION, Camera, DistortionModel, stereo_transform
 from svmdist.errors import SourceError, UsageError, did_you_mean, restated
 from svmdist.files import read_regular, reading
-from svmdist.importing.tables import LENGTHS_M
+from svmdist.importing.tables import LENGTHS_M, LOG
 from svmdist.transforms import Array
 
-LOG = logging.getLogger("svmdist")
 MAX_BYTES = 1 << 20
 OPENCV_HEADER = re.compile(r"\A%YAML:1\.0.*\n")
 """How OpenCV's FileStorage begins a file, which is no YAML directive."""
@@ -35,8 +33,7 @@ D_KEYS = (
     *("distortion_coefficients", "D", "d", "distCoeffs", "dist_coeffs", "Distortion_Coefficients"),
     *("distortion_coeffs", "dist_coeff", "distCoeff", "dist", "distortion"),
 )
-WIDTH_KEYS = ("image_width", "width", "image_Width")
-HEIGHT_KEYS = ("image_height", "height", "image_Height")
+SIZE_KEYS = (("image_width", "width", "image_Width"), ("image_height", "height", "image_Height"))
 PAIR_K_KEYS = (("M1", "M2"), ("K1", "K2"), ("cameraMatrix1", "cameraMatrix2"))
 PAIR_D_KEYS = tuple(tuple(f"{key}{side}" for key in D_KEYS) for side in "12")
 FORMS = "camera_info of ROS (camera_matrix or K), OpenCV (camera_matrix, or M1, D1, M2, D2, R, T), Kalibr (cam0, cam1)"
@@ -47,7 +44,6 @@ MAX_NUMBER = 1e9
 LEAST_FOCAL_PX = 10.0
 """Images of 320 px would show 173 degrees; a smaller number is in mm, or of coordinates without pixels."""
 Document = dict[str, Any]
-Keys = Sequence[str]
 Size = tuple[int, int] | None
 Crop = tuple[int, int, int, int] | None
 """The part of an image that is taken: x and y of its corner, width and height, in px."""
@@ -58,8 +54,8 @@ class GivenCamera:
     """One camera as a file or a command line gives it: K (3, 3), D, R (3, 3) and P (3, 4) as ROS has them."""
 
     K: Array
-    D: Array = field(default_factory=lambda: np.zeros(0))
-    model: DistortionModel = "plumb_bob"
+    D: Array
+    model: DistortionModel
     size_px: Size = None
     R: Array | None = None
     P: Array | None = None
@@ -106,9 +102,8 @@ def given_cameras(options: CalibrationOptions, view_count: int) -> tuple[GivenCa
         raise SourceError(f"{left_file}: has one camera, and there are two views: {remedy}")
     P = found[-1].P
     if P is not None and P[0, 3]:
-        instead, of_file = options.baseline_m * 1e3, abs(P[0, 3] / P[0, 0]) * 1e3
         said = "warning: --baseline %.4g mm is taken for a rectified pair, in place of the %.4g mm and rotations of %s"
-        LOG.warning(said, instead, of_file, right_file or left_file)
+        LOG.warning(said, options.baseline_m * 1e3, abs(P[0, 3] / P[0, 0]) * 1e3, right_file or left_file)
     left, right = (replace(camera, R=None, P=None) for camera in (found[0], found[-1]))
     shift = np.array([[-right.K[0, 0] * options.baseline_m], [0.0], [0.0]])
     return left, replace(right, P=np.hstack([right.K, shift]))
@@ -124,8 +119,7 @@ def complete(
 ) -> list[Camera]:
     """Cameras of images of some sizes that were scaled since calibration, where its size is given, and are cropped.
 
-    `unit_m` is the unit that its lengths were read in. Raises SourceError where the calibration is of another size, or
-    of no camera or pair.
+    `unit_m` is the unit that its lengths were read in. Raises SourceError for another size, or for no camera or pair.
     """
     cameras = []
     is_one = np.array_equal(given[0].K, given[-1].K) and (given[0].size_px or calibrated_px) is None
@@ -135,17 +129,17 @@ def complete(
         raise SourceError(f"views of {sizes} px, and one camera for both: {remedy}")
     for camera, size_px, frame_id in zip(given, sizes_px, frames, strict=True):
         to_image = _scaling(camera, size_px, calibrated_px)
-        K, of = to_image @ camera.K, "the images of {}x{} px".format(*size_px)
-        if min(K[0, 0], K[1, 1]) < LEAST_FOCAL_PX:
-            found = f"{LEAST_FOCAL_PX:g} px or more, found fx = {K[0, 0]:g}, fy = {K[1, 1]:g}"
+        (fx, _, cx), (_, fy, cy), _ = to_image @ camera.K
+        of = "the images of {}x{} px".format(*size_px)
+        if min(fx, fy) < LEAST_FOCAL_PX:
             remedy = "a length in mm is multiplied by the image's width in px over the sensor's in mm"
-            raise SourceError(f"expected focal lengths of {found}: {remedy}")
-        if not (0 < K[0, 2] < size_px[0] and 0 < K[1, 2] < size_px[1]):
+            found = f"found fx = {fx:g}, fy = {fy:g}"
+            raise SourceError(f"expected focal lengths of {LEAST_FOCAL_PX:g} px or more, {found}: {remedy}")
+        if not (0 < cx < size_px[0] and 0 < cy < size_px[1]):
             remedy = "were scaled since calibration, say --calibrated-at WIDTHxHEIGHT"
             if size_px[1] > 2 * size_px[0]:  # as halves of pictures that are higher than wide
                 remedy = "hold one view above the other, which is not read, split them first"
-            point = f"the principal point ({K[0, 2]:g}, {K[1, 2]:g})"
-            raise SourceError(f"{point} is outside of {of}: if they {remedy}")
+            raise SourceError(f"the principal point ({cx:g}, {cy:g}) is outside of {of}: if they {remedy}")
         x_px, y_px, width_px, height_px = crop or (0, 0, *size_px)
         if x_px + width_px > size_px[0] or y_px + height_px > size_px[1]:
             raise SourceError(f"--crop goes beyond {of}")
@@ -209,24 +203,19 @@ def read_calibration(path: Path, unit_m: float = 1.0) -> tuple[GivenCamera, ...]
 
     `unit_m` is the unit of its lengths. Raises SourceError in one line for a file of another form.
     """
-    form, read = "a YAML", _yaml_document
+    form = "a YAML"
     try:
         with reading(path, SourceError):
             text = OPENCV_HEADER.sub("", read_regular(path, MAX_BYTES).decode("utf-8-sig"))
-        if XML.match(text):
-            form, read = "an XML", _xml_document
-        document = read(text)
+        form = "an XML" if XML.match(text) else form
+        # JSON may be indented by tabs, YAML not.
+        document = _xml_document(text) if XML.match(text) else next(yaml.load_all(text.expandtabs(), _Loader), None)
     except (yaml.YAMLError, SyntaxError, ValueError, AssertionError, RecursionError) as problem:
         raise SourceError(f"{path}: not {form} file: {' '.join(str(problem).split())}; {TO_FORM}") from None
     if not isinstance(document, dict):
         raise SourceError(f"{path}: no calibration that is known; {TO_FORM}; found {str(document)[:40]!r}")
     with restated(ValueError, SourceError, f"{path}: "):
         return _cameras_in({str(key): value for key, value in document.items()}, unit_m)
-
-
-def _yaml_document(text: str) -> Any:
-    # JSON may be indented by tabs, YAML not.
-    return next(iter(yaml.load_all(text.expandtabs(), _Loader)), None)
 
 
 def _xml_document(text: str) -> Any:
@@ -247,13 +236,12 @@ def _xml_document(text: str) -> Any:
 def _cameras_in(document: Document, unit_m: float) -> tuple[GivenCamera, ...]:
     if "cam0" in document:
         return _kalibr(document, unit_m)
-    size = [_numbers(document, keys, None) for keys in (WIDTH_KEYS, HEIGHT_KEYS)]
+    size = [_numbers(document, keys, None) for keys in SIZE_KEYS]
     width_px, height_px = (0 if number is None or number.size != 1 else int(number[0]) for number in size)
     size_px = (width_px, height_px) if width_px > 0 and height_px > 0 else None
     for keys in PAIR_K_KEYS:
         if set(keys) <= set(document):
-            of_each = zip(keys, PAIR_D_KEYS, strict=True)
-            left, right = (_camera(document, (key,), D_keys, "", size_px) for key, D_keys in of_each)
+            left, right = (_camera(document, keys[at : at + 1], PAIR_D_KEYS[at], "", size_px) for at in (0, 1))
             R, t = _numbers(document, ("R",), (3, 3)), _numbers(document, ("T", "t"), None)
             if R is None or t is None or t.size != 3:
                 raise ValueError("a pair needs R (3 x 3) and T (3): where the right camera stands")
@@ -302,7 +290,7 @@ def _kalibr(document: Document, unit_m: float) -> tuple[GivenCamera, ...]:
     return _rectified(cameras[0], cameras[1], T_cam1_cam0[:3, :3], T_cam1_cam0[:3, 3] * unit_m)
 
 
-def _camera(document: Document, K_keys: Keys, D_keys: Keys, model: str, size_px: Size) -> GivenCamera:
+def _camera(document: Document, K_keys: Sequence[str], D_keys: Sequence[str], model: str, size_px: Size) -> GivenCamera:
     K, D = _numbers(document, K_keys, (3, 3)), _numbers(document, D_keys, None)
     if D is None:
         others = [str(key) for key, value in document.items() if isinstance(value, list | dict)]
@@ -347,7 +335,7 @@ def _model_of(name: str, count: int) -> DistortionModel:
     return "rational_polynomial" if known == "plumb_bob" and count > 5 else known
 
 
-def _numbers(document: Document, keys: Keys, shape: tuple[int, int] | None) -> Array | None:
+def _numbers(document: Document, keys: Sequence[str], shape: tuple[int, int] | None) -> Array | None:
     """The value of the first of some keys as numbers, of a shape or flat; None where it is missing or empty."""
     key = next((key for key in keys if key in document), "")
     value = document.get(key)

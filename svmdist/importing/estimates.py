@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from difflib import get_close_matches
@@ -13,13 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from svmdist.errors import SourceError, optional_package
-from svmdist.importing.tables import LENGTHS_M, POSE, Table, read_table, split_unit
+from svmdist.importing.tables import LENGTHS_M, LOG, POSE, TUM, Table, read_table, split_unit
 from svmdist.transforms import make_transform
 
-LOG = logging.getLogger("svmdist")
 Rows = Mapping[str, NDArray[Any]]
 """Columns of n rows: `stamp_ns`, distances and deviations in m, `T`, (n, 4, 4), and texts; NaN for what a row lacks."""
-TUM = ("stamp", *POSE)
 TEXTS = ("status", "instrument", "recording", "frame_id")
 DISTANCES = ("planar", "distance", "spatial", "clearance")
 FORMS = {
@@ -37,9 +34,9 @@ def read_estimates(path: Path) -> Rows:
     Lengths are in m, or in the unit behind a name (`clearance_mm`). Raises SourceError.
     """
     table = _parquet(path) if path.suffix.lower() == ".parquet" else read_table(path)
-    if table.names is None and len(table.rows[0]) == len(TUM):
+    if not table.names and len(table.rows[0]) == len(TUM):
         table = replace(table, names=TUM)
-    names, found, stamp = table.names or (), table.columns(FORMS), table.special[0]
+    names, found, (stamp, *_) = table.names, table.columns(FORMS), table.special
     missing = [name for name in FORMS if name not in found]
     for name in names:
         near = get_close_matches(split_unit(name, LENGTHS_M)[0].lower(), missing, n=1, cutoff=0.8)
@@ -49,8 +46,8 @@ def read_estimates(path: Path) -> Rows:
         said = "warning: %s: %s is taken for the planar distance; a clearance is named clearance_m, one in 3D spatial_m"
         LOG.warning(said, path, names[found["distance"][0]])
     for kind in ("distance", "distance_std"):  # the planar one, but where a table has both
-        if (one := found.pop(kind, None)) is not None:
-            found.setdefault(kind.replace("distance", "planar"), one)
+        if kind in found:
+            found.setdefault(kind.replace("distance", "planar"), found.pop(kind))
     if stamp is None or not (found.keys() & set(DISTANCES) or {"x", "y", "z"} <= found.keys()):
         expected = "expected stamp_ns and a distance (as clearance_m) or a pose (x y z qx qy qz qw)"
         columns = f"are {', '.join(names)}" if names else "have no names"
@@ -77,7 +74,7 @@ def _parquet(path: Path) -> Table:
         read = parquet.read_table(path)
     except (OSError, ValueError) as problem:  # pyarrow's errors are ValueErrors
         raise SourceError(f"{path}: not a Parquet file: {str(problem).splitlines()[0]}") from None
-    columns = [["" if cell is None else str(cell) for cell in column.to_pylist()] for column in read.columns]
     if not read.num_rows:
         raise SourceError(f"{path}: a table without rows")
+    columns = [["" if cell is None else str(cell) for cell in column.to_pylist()] for column in read.columns]
     return Table(path, tuple(read.column_names), tuple(zip(*columns, strict=True)), 1)

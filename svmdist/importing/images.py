@@ -22,13 +22,17 @@ SIDE = re.compile(r"(?<![A-Za-z])(?i:left|right|l|r)(?![A-Za-z])|(?<=[a-z0-9])(?
 
 
 def list_images(folder: Path, pattern: str | None = None) -> list[Path]:
-    """The images of a folder, by a pattern such as `*_L.jpg`, in natural order."""
+    """The images of a folder, by a pattern such as `*_L.jpg`, in natural order: `frame2` before `frame10`."""
+
+    def natural(path: Path) -> list[int | str]:  # in which text and numbers alternate
+        return [int(part) if part.isdecimal() else part for part in DIGITS.split(path.name)]
+
     with reading(folder, SourceError):
-        every = sorted(folder.iterdir(), key=_natural_key)
-        # Beside each file macOS leaves another one, `._1.png`, that is no picture.
-        shown = [path for path in every if not path.name.startswith(".")]
-        images = [path for path in shown if path.suffix.lower() in SUFFIXES and not path.is_dir()]
+        every = sorted(folder.iterdir(), key=natural)
         folders = [path.name for path in every if path.is_dir()]
+        # Beside each file macOS leaves another one, `._1.png`, that is no picture.
+        files = [path for path in every if not (path.is_dir() or path.name.startswith("."))]
+        images = [path for path in files if path.suffix.lower() in SUFFIXES]
     if not images:
         found = f"{len(every)} other files" if every else "nothing"
         if folders:
@@ -67,21 +71,17 @@ def require_one_view(images: Sequence[Path]) -> None:
 
 def matching(left: Sequence[Path], right: Sequence[Path]) -> list[Path]:
     """The right view's files in the order of the left one's, by the last numbers that differ in their names."""
-    lefts, rights = _by_number(left), _by_number(right)
-    for view, others, side in ((lefts, rights, "right"), (rights, lefts, "left")):
-        if lonely := [path for number, path in view.items() if number not in others]:
+    lefts, rights = dict[int | str, Path](), dict[int | str, Path]()
+    for found, view in ((lefts, left), (rights, right)):
+        for number, path in zip(_numbers([path.name for path in view]), view, strict=True):
+            if (other := found.setdefault(number, path)) is not path:
+                both = f"{path.parent}: {other.name} and {path.name}"
+                raise SourceError(f"{both} have one last number, by which views are paired")
+    for found, others, side in ((lefts, rights, "right"), (rights, lefts, "left")):
+        if lonely := [path for number, path in found.items() if number not in others]:
             like = next(iter(others.values())).name
             raise SourceError(f"{lonely[0]}: there is no {side} image of that number, as {like} has one")
     return [rights[number] for number in lefts]
-
-
-def _by_number(view: Sequence[Path]) -> dict[int | str, Path]:
-    found: dict[int | str, Path] = {}
-    for number, path in zip(_numbers([path.name for path in view]), view, strict=True):
-        if (other := found.setdefault(number, path)) is not path:
-            both = f"{path.parent}: {other.name} and {path.name}"
-            raise SourceError(f"{both} have one last number, by which views are paired")
-    return found
 
 
 def numbers_of(names: Sequence[str]) -> dict[int, int]:
@@ -106,11 +106,6 @@ def _numbers(names: Sequence[str]) -> list[int | str]:
     while len(found) > 1 and all(found) and len({numbers[-1] for numbers in found}) == 1:
         found = [numbers[:-1] for numbers in found]
     return [int(numbers[-1]) if numbers else stem for numbers, stem in zip(found, stems, strict=True)]
-
-
-def _natural_key(path: Path) -> tuple[tuple[int, int, str], ...]:
-    """Orders `frame2` before `frame10`."""
-    return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in DIGITS.split(path.name))
 
 
 class Video:

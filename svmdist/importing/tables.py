@@ -12,7 +12,7 @@ import logging
 import math
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Context, Decimal
 from functools import partial
 from itertools import pairwise
@@ -45,6 +45,7 @@ IMAGE_NAMES = frozenset({"image", "frame", "file", "filename", "name", "image_na
 POSITION = r"(p|t|pos_|position[_.]?|p_rs_r_|pose\.position\.|translation_)?"
 QUATERNION = r"(q_?|quat_|orientation[_.]|q_rs_|pose\.orientation\.|rotation_|quaternion_)"
 POSE = {axis: POSITION + axis for axis in "xyz"} | {f"q{axis}": QUATERNION + axis for axis in "xyzw"}
+TUM = ("stamp", *POSE)
 ROTATION_TOLERANCE = 1e-2
 """Of a quaternion's length and of R Rᵀ - I: rounded numbers are accepted, other quantities are not."""
 FARTHEST_JOINT = 10.0  # rad or m: no joint of a surgical robot goes farther, and degrees read as rad do
@@ -87,36 +88,33 @@ def require_rising(stamps_ns: Sequence[int], names: Sequence[str], what: str) ->
 
 
 def read_times(path: Path, names: Sequence[str]) -> list[int]:
-    """The stamps of images, in ns, from a table of names and times, or of one time per image.
-
-    Or from the file beside a video of dVRK's data_collection, which says how late frames came, too.
-    """
+    """The stamps of images, in ns: a table of names and times, or of times, or what dVRK writes beside a video."""
     table = _read_sidecar(path) if path.suffix.lower() == ".json" else read_table(path)
     columns = range(len(table.rows[0]))
-    stamp, image = special = table.special
+    stamp, image, _ = table.special
     if stamp is None:
         stamp = next((at for at in columns if at != image and is_number(table.rows[0][at])), None)
         image = next((at for at in columns if at != stamp), None) if image is None else image
-    if stamp is None:
-        last = ", ".join(table.rows[-1])[:60]
-        raise table.fail(len(table.rows) - 1, f"expected a time as a number of s, ms, us or ns, found {last!r}")
-    if table.names is not None and stamp not in special:
-        known = ", ".join(sorted(STAMP_NAMES))
-        said = "warning: %s: column %s is taken for the times; their names are: %s"
-        LOG.warning(said, path, table.names[stamp], known)
+        if stamp is None:
+            last = ", ".join(table.rows[-1])[:60]
+            raise table.fail(len(table.rows) - 1, f"expected a time as a number of s, ms, us or ns, found {last!r}")
+        if table.names:
+            said = "warning: %s: column %s is taken for the times; their names are: %s"
+            LOG.warning(said, path, table.names[stamp], ", ".join(sorted(STAMP_NAMES)))
     stamps = table.stamps_ns(stamp)
     if image is None:
         if len(stamps) != len(names):
             raise SourceError(f"{path}: {len(stamps)} times for {len(names)} images")
         return stamps
     found = dict(zip(table.places(image, names), stamps, strict=True))
-    if missing := [name for place, name in enumerate(names) if place not in found]:
-        raise SourceError(f"{path}: no time for the image {missing[0]}")
+    for place, name in enumerate(names):
+        if place not in found:
+            raise SourceError(f"{path}: no time for the image {name}")
     return [found[place] for place in range(len(names))]
 
 
 def _read_sidecar(path: Path) -> Table:
-    """The times of its frames, as a table of one column."""
+    """The times in the file of dVRK's data_collection, less how late frames came, as a table of one column."""
     try:
         with reading(path, SourceError):
             sidecar = json.loads(read_regular(path, MAX_BYTES))
@@ -132,12 +130,11 @@ def _read_sidecar(path: Path) -> Table:
 def read_poses(path: Path, images_ns: Mapping[str, int], unit_m: float, frame_id: str) -> TransformTrack:
     """Poses of a table: columns by name, or `[time] x y z qx qy qz qw` (TUM), or 12 or 16 numbers of a matrix.
 
-    `images_ns` are the stamps of the images by their names, in order; `unit_m` is the unit of lengths whose column has
-    none.
+    `images_ns` are the stamps of images by their names, in order; `unit_m` is the unit of lengths that have none.
     """
     table = read_table(path)
     stamps_ns, others = _row_stamps(table, images_ns, {7, 12, 16})
-    if table.names is None and len(others) in (12, 16):  # a matrix by rows
+    if not table.names and len(others) in (12, 16):  # a matrix by rows
         matrices = table.numbers(others).reshape(len(stamps_ns), -1, 4)
         R = matrices[:, :3, :3]
         for row in np.flatnonzero(rotation_error(R) > ROTATION_TOLERANCE):
@@ -145,15 +142,13 @@ def read_poses(path: Path, images_ns: Mapping[str, int], unit_m: float, frame_id
         u, _, vt = np.linalg.svd(R)  # the nearest rotations of rounded ones
         T = make_transform(u @ vt, matrices[:, :3, 3] * unit_m)
         return TransformTrack(frame_id, "", stamps_ns, table.near(T))
-    if table.names is not None:
-        found = table.columns(POSE)
-        if missing := [kind for kind in POSE if kind not in found]:
-            raise SourceError(f"{path}: no column {missing[0]}; the columns are {', '.join(table.names)}")
-    elif len(others) == len(POSE):
-        found = {kind: (column, "") for kind, column in zip(POSE, others, strict=True)}
-    else:
+    if not table.names and len(others) != len(POSE):
         expected = "7 numbers of a pose (x y z qx qy qz qw), or 12 or 16 of a matrix, and a time before them or none"
         raise SourceError(f"{path}: expected {expected}; found {len(others)}")
+    found = (table if table.names else replace(table, names=TUM[-len(table.rows[0]) :])).columns(POSE)
+    for kind in POSE:
+        if kind not in found:
+            raise SourceError(f"{path}: no column {kind}; the columns are {', '.join(table.names)}")
     columns = [found[kind][0] for kind in POSE]
     R = table.rotations(table.numbers(columns[3:]))
     scale = [LENGTHS_M.get(found[axis][1], unit_m) for axis in "xyz"]
@@ -165,65 +160,59 @@ def read_joints(path: Path, images_ns: Mapping[str, int], names: Sequence[str] |
     """Joint positions of a table with one column per joint; `names` are theirs where the file has none.
 
     Columns are in rad and m; `_deg` or `_mm` behind a name says otherwise, and is no part of it, nor is `position.`
-    before it. Velocities and efforts are left out. Where the arrays of a message are written flat, `name.0` says whose
-    `position.0` is.
+    before it. Velocities and efforts are left out. In flat arrays of a message, `name.0` says whose `position.0` is.
     """
     table = read_table(path)
     stamps_ns, others = _row_stamps(table, images_ns, {len(names)} if names else set())
-    if table.names is not None:
+    if table.names:
         others = [column for column in others if not NO_JOINT.match(table.names[column])]
     elif names is None:
         raise SourceError(f"{path}: the columns have no names: give --joint-names")
     if table.columns(POSE).keys() == POSE.keys():
         raise SourceError(f"{path}: expected joints, found a pose in the columns: give it as --poses")
-    columns = list(names) if names else [table.joint(table.names[column]) for column in others if table.names]
+    columns = list(names) if names else [table.joint(table.names[column]) for column in others]
     if len(columns) != len(others) or not columns:
         raise SourceError(f"{path}: {len(others)} columns of numbers for {len(columns)} joint names")
-    plain = (re.sub(r"^position[._]", "", column) for column in columns)
-    joints, units = zip(*(split_unit(column, JOINT_UNITS) for column in plain), strict=True)
+    joints, units = zip(*(split_unit(re.sub(r"^position[._]", "", one), JOINT_UNITS) for one in columns), strict=True)
     if len(set(joints)) < len(joints):
         raise SourceError(f"{path}: two columns are of the same joint: {', '.join(columns)}")
     numbers = table.numbers(others) * [JOINT_UNITS.get(unit, 1.0) for unit in units]
     for row, column in np.argwhere(np.abs(numbers) > FARTHEST_JOINT):
-        expected = f"expected {joints[column]} in rad or m, at most {FARTHEST_JOINT:g}"
-        found = f"found {numbers[row, column]:.4g}"
-        raise table.fail(int(row), f"{expected}; {found}: of other units, name the column as q_deg or q_mm")
+        reason = f"expected {joints[column]} in rad or m, at most {FARTHEST_JOINT:g}; found {numbers[row, column]:.4g}"
+        raise table.fail(int(row), f"{reason}: of other units, name the column as q_deg or q_mm")
     return JointTrack(stamps_ns, joints, numbers)
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of text cells, and the names of the columns, None where the file has none."""
+    """Rows of text cells, and the names of the columns, none where the file has none."""
 
     path: Path
-    names: tuple[str, ...] | None
+    names: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     first_line: int
 
     @property
-    def special(self) -> tuple[int | None, int | None]:
-        """The columns of times and of images, by their names."""
-        plain = [split_unit(name, UNITS_NS)[0].lower() for name in self.names or ()]
+    def special(self) -> tuple[int | None, int | None, list[int]]:
+        """The columns of times and of images, by their names, and all that are of neither."""
+        plain = [split_unit(name, UNITS_NS)[0].lower() for name in self.names]
         image = next((at for at, name in enumerate(plain) if name in IMAGE_NAMES), None)
-        own = [at for at in self.times if plain[at] == "header.stamp" and len({row[at] for row in self.rows}) > 1]
-        return next(iter(own or self.times), None), image
-
-    @property
-    def times(self) -> list[int]:
-        """All columns of times: recorders write when a message came beside its own stamp, which nobody may have set."""
-        plain = (split_unit(name, UNITS_NS)[0].lower() for name in self.names or ())
-        return [column for column, name in enumerate(plain) if name in STAMP_NAMES]
+        # Recorders write when a message came beside its own stamp, which nobody may have set.
+        times = [at for at, name in enumerate(plain) if name in STAMP_NAMES]
+        own = [at for at in times if plain[at] == "header.stamp" and len({row[at] for row in self.rows}) > 1]
+        others = [at for at in range(len(self.rows[0])) if at not in (image, *times)]
+        return next(iter(own or times), None), image, others
 
     def joint(self, name: str) -> str:
         """The joint that a column of positions is of, the same in every row."""
         other = re.sub(r"^position(?=[._]?\d+$)", "name", name)
-        if self.names is None or other == name or other not in self.names:
+        if other == name or other not in self.names:
             return name
-        called = [cells[self.names.index(other)] for cells in self.rows]
-        for row, one in enumerate(called):
-            if one != called[0]:
-                raise self.fail(row, f"expected the joint {called[0]} in {other}, as before, found {one[:40]!r}")
-        return called[0]
+        first, *others = [cells[self.names.index(other)] for cells in self.rows]
+        for row, one in enumerate(others, 1):
+            if one != first:
+                raise self.fail(row, f"expected the joint {first} in {other}, as before, found {one[:40]!r}")
+        return first
 
     def fail(self, row: int, reason: str) -> SourceError:
         """The error for a row."""
@@ -240,7 +229,7 @@ class Table:
     def columns(self, forms: Mapping[str, str]) -> dict[str, tuple[int, str]]:
         """The first column of each form, a pattern of names without their units, and its unit of length."""
         found: dict[str, tuple[int, str]] = {}
-        for column, name in enumerate(self.names or ()):
+        for column, name in enumerate(self.names):
             plain, unit = split_unit(name, LENGTHS_M)
             for kind, form in forms.items():
                 if re.fullmatch(form, plain.lower()):
@@ -305,7 +294,7 @@ def read_table(path: Path) -> Table:
 
     with restated(csv.Error, SourceError, f"{path}: not a table: "):
         rows, last = [split(line) for _, line in lines], split(comments[-1]) if comments else []
-    names = None
+    names: list[str] = []
     if _looks_named(rows):
         names, rows, lines = rows[0], rows[1:], lines[1:]
     elif len(last) == len(rows[0]) and not is_number(last[0]):
@@ -316,42 +305,35 @@ def read_table(path: Path) -> Table:
     for (number, _), row in zip(lines, rows, strict=True):
         if len(row) != width:
             raise SourceError(f"{path}: line {number}: expected {width} cells, found {len(row)}")
-    if names is not None:
-        # `rostopic echo -p` writes %time and field.header.stamp.
-        names = [name.removeprefix("%").strip().removeprefix("field.") for name in names]
-        s, ns = (next((at for at, name in enumerate(names) if form.fullmatch(name)), None) for form in STAMP)
-        if s is not None and ns is not None:
-            names[s], names[ns] = "header.stamp_s", "header.nsecs"
-            for row in rows:  # what is no number is named as it is, where stamps are read
-                is_part = row[ns].isdecimal() and len(row[ns]) <= 9
-                row[s] += f".{row[ns]:0>9}" if is_part else f" {row[ns]}"
-    return Table(path, None if names is None else tuple(names), tuple(map(tuple, rows)), lines[0][0])
+    # `rostopic echo -p` writes %time and field.header.stamp.
+    names = [name.removeprefix("%").strip().removeprefix("field.") for name in names]
+    s, ns = (next((at for at, name in enumerate(names) if form.fullmatch(name)), None) for form in STAMP)
+    if s is not None and ns is not None:
+        names[s], names[ns] = "header.stamp_s", "header.nsecs"
+        for row in rows:  # what is no number is named as it is, where stamps are read
+            is_part = row[ns].isdecimal() and len(row[ns]) <= 9
+            row[s] += f".{row[ns]:0>9}" if is_part else f" {row[ns]}"
+    return Table(path, tuple(names), tuple(map(tuple, rows)), lines[0][0])
 
 
 def require_common_time(path: Path, stamps_ns: Stamps, images_ns: Sequence[int]) -> str:
-    """Raise SourceError where no row of a table is within `MAX_GAP_NS` of an image: their clocks or units are others.
-
-    Says so in words where less than half of the images have a row; else "".
-    """
+    """Raise SourceError where no row is within `MAX_GAP_NS` of an image; say so in words for few of them, else ""."""
     images = np.array(images_ns, np.int64)
     near_count = int(np.count_nonzero(apart_ns(stamps_ns, images) <= MAX_GAP_NS))
     table, pictures = (f"{one[0] / 1e9:.3f} s to {one[-1] / 1e9:.3f} s" for one in (stamps_ns, images))
-    within = f"within {MAX_GAP_NS / 1e9:g} s of"
+    within, times = f"within {MAX_GAP_NS / 1e9:g} s of", f"its times are {table}, those of the images {pictures}"
     remedy = "give both by one clock, and behind a column's name its unit, if not s: time_ms, time_ns"
-    times = f"its times are {table}, those of the images {pictures}; {remedy}"
     if not near_count:
-        raise SourceError(f"{path}: no row is {within} an image: {times}")
-    few = f"{path}: rows are {within} only {near_count} of {len(images)} images: {times}"
+        raise SourceError(f"{path}: no row is {within} an image: {times}; {remedy}")
+    few = f"{path}: rows are {within} only {near_count} of {len(images)} images: {times}; {remedy}"
     return few if 2 * near_count < len(images) else ""
 
 
 def _looks_named(rows: Sequence[Sequence[str]]) -> bool:
-    """Whether the first row names columns: one of its cells is text where the next row has a number.
-
-    That of decimal commas is one, too: the row is at fault then, not the names.
-    """
+    """Whether the first row names columns: one of its cells is text where the next row has a number."""
     if len(rows) == 1:
         return not any(map(is_number, rows[0]))
+    # That of decimal commas is one, too: the row is at fault then, not the names.
     pairs = zip(*rows[:2], strict=False)
     return any(not is_number(first) and is_number(second.replace(",", ".")) for first, second in pairs)
 
@@ -375,10 +357,10 @@ def split_unit(name: str, units: Collection[str]) -> tuple[str, str]:
 
 
 def _row_stamps(table: Table, images_ns: Mapping[str, int], plain_widths: set[int]) -> tuple[Stamps, list[int]]:
-    stamp, image = table.special
-    columns, of_images = range(len(table.rows[0])), list(images_ns.values())
-    if table.names is None and len(columns) - 1 in plain_widths:
-        stamp = 0
+    stamp, image, others = table.special
+    of_images = list(images_ns.values())
+    if not table.names and len(others) - 1 in plain_widths:
+        stamp, *others = others
     if stamp is not None:
         stamps = table.stamps_ns(stamp)
         for row, (before_ns, stamp_ns) in enumerate(pairwise(stamps), 1):
@@ -394,5 +376,4 @@ def _row_stamps(table: Table, images_ns: Mapping[str, int], plain_widths: set[in
     else:
         missing = "no column of times (stamp_ns, timestamp) or images (image)"
         raise SourceError(f"{table.path}: {missing}, and {len(table.rows)} rows for {len(of_images)} images")
-    others = [column for column in columns if column not in (stamp, image, *table.times)]
     return np.array(stamps, np.int64), others
