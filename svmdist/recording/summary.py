@@ -12,7 +12,7 @@ import numpy as np
 
 from svmdist.recording import messages
 from svmdist.recording.cameras import CameraTrack
-from svmdist.recording.contents import MAX_JOINT_SETS, Joints, TransformTree, best_joints, no_contents
+from svmdist.recording.contents import MAX_JOINT_SETS, Contents, Joints, TransformTree, best_joints
 from svmdist.recording.images import ImageError
 from svmdist.recording.log import TRUE_SUFFIX, Recording
 from svmdist.recording.messages import DecodeError, Decoder, kind_of
@@ -108,7 +108,7 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
     stamps_ns: defaultdict[str, array[int]] = defaultdict(lambda: array("q"))
     undecodable: Counter[str] = Counter()
     joints: defaultdict[str, dict[Joints, None]] = defaultdict(dict)
-    contents = no_contents()
+    contents = Contents()
     awaited = {name for role in Role if (name := recording.topic_of(role)) is not None}
     nominal = {recording.topic_of(Role.TF), *recording.arms[0].static_transforms()}
     frames: set[str] = set()
@@ -124,7 +124,7 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
         infos.setdefault(raw.topic, TopicInfo(*raw[:3]))
         if kind_of(raw) is not None:
             # Of all but the transforms the names are enough.
-            sample = recording.file.collect(contents if raw.topic in nominal else no_contents(), decoder, raw)
+            sample = recording.file.collect(contents if raw.topic in nominal else Contents(), decoder, raw)
             undecodable[raw.topic] += sample is None
             stamp_ns = stamp_ns if sample is None else sample.stamp_ns
             if isinstance(sample, JointSample) and len(joints[raw.topic]) < MAX_JOINT_SETS:
@@ -177,8 +177,7 @@ def copied_messages(recording: Recording) -> Iterator[tuple[str, Sample | Encode
         if kind_of(raw) is None:
             continue
         if raw.message_encoding == "protobuf" and raw.topic != truth:
-            schema = messages.message_class(raw.schema).DESCRIPTOR.full_name
-            yield raw.topic, EncodedSample(raw.log_time_ns, schema, raw.data)
+            yield raw.topic, EncodedSample(raw.log_time_ns, raw.schema, raw.data)
             continue
         try:
             sample = messages.to_sample(decoder.decode(raw))

@@ -7,7 +7,7 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
@@ -15,12 +15,6 @@ from typing import IO, Any, Self
 
 import cv2
 import numpy as np
-from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
-from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-from google.protobuf import descriptor_pool
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.writer import CompressionType, Writer
 
@@ -30,7 +24,7 @@ from svmdist.files import open_new, why
 from svmdist.profile import Limits
 from svmdist.recording.images import still_format, still_size
 from svmdist.recording.mcap import METADATA_NAME
-from svmdist.recording.own_messages_pb2 import GroundTruthDistance
+from svmdist.recording.messages import message_class
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
 PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 6)
@@ -43,25 +37,25 @@ Fields = dict[str, Any]  # of a message, by their names; protobuf makes messages
 
 @dataclass(frozen=True, slots=True)
 class EncodedSample:
-    """A serialised message; `schema` is the full name of its protobuf type, which is imported where it is written."""
+    """A serialised message; `schema` is the full name of its protobuf type."""
 
     stamp_ns: int
     schema: str
     data: bytes
 
 
-def encoded(message_class: Any, stamp_ns: int, **fields: Any) -> EncodedSample:
+def encoded(schema: str, stamp_ns: int, **fields: Any) -> EncodedSample:
     """A message with its stamp, where its type has one, as bytes that are the same on a rerun."""
-    declared = message_class.DESCRIPTOR
-    if "timestamp" in declared.fields_by_name:
+    kind = message_class(schema)
+    if "timestamp" in kind.DESCRIPTOR.fields_by_name:
         fields["timestamp"] = stamp_fields(stamp_ns)
-    return EncodedSample(stamp_ns, declared.full_name, message_class(**fields).SerializeToString(deterministic=True))
+    return EncodedSample(stamp_ns, schema, kind(**fields).SerializeToString(deterministic=True))
 
 
 def encode_still(stamp_ns: int, frame_id: str, data: bytes, limits: Limits) -> EncodedSample:
     """Wrap a PNG or JPEG without decoding it; ImageError for any other, or one with a bad header."""
     still_size(data, limits)
-    return encoded(CompressedImage, stamp_ns, frame_id=frame_id, data=data, format=still_format(data))
+    return encoded("foxglove.CompressedImage", stamp_ns, frame_id=frame_id, data=data, format=still_format(data))
 
 
 def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSample:
@@ -73,31 +67,29 @@ def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSa
             options = (cv2.IMWRITE_JPEG_QUALITY, jpeg_quality, *JPEG_OPTIONS) if jpeg_quality else PNG_OPTIONS
             name = "jpeg" if jpeg_quality else "png"
             data = cv2.imencode(f".{name}", image, options)[1].tobytes()
-            return encoded(CompressedImage, stamp_ns, frame_id=frame_id, format=name, data=data)
+            return encoded("foxglove.CompressedImage", stamp_ns, frame_id=frame_id, format=name, data=data)
         case samples.CameraSample(camera=camera):
             # Foxglove's names of the lenses.
             pinhole = "plumb_bob" if len(camera.D) <= 5 else "rational_polynomial"
             lens = "kannala_brandt" if camera.distortion_model == "fisheye" else pinhole
             R, P = (None if one is None else one.ravel() for one in (camera.R_rectified_camera, camera.P))
-            fields: Fields = {"frame_id": camera.frame_id, "width": camera.width_px, "height": camera.height_px}
-            fields |= {"distortion_model": lens, "D": camera.D, "K": camera.K.ravel(), "R": R, "P": P}
-            return encoded(CameraCalibration, stamp_ns, **fields)
+            size = {"width": camera.width_px, "height": camera.height_px}
+            fields = {"frame_id": camera.frame_id, "distortion_model": lens, "D": camera.D, "K": camera.K.ravel()}
+            return encoded("foxglove.CameraCalibration", stamp_ns, **size, **fields, R=R, P=P)
         case samples.JointSample(names=names, positions=positions):
             pairs = zip(names, np.asarray(positions).tolist(), strict=True)
             joints = [{"name": name, "position": position} for name, position in pairs]
-            return encoded(JointStates, stamp_ns, joints=joints)
+            return encoded("foxglove.JointStates", stamp_ns, joints=joints)
         case samples.PoseSample(frame_id=frame_id, T_frame_pose=T):
             (pose,) = _rigid_fields([T], "position", "orientation")
-            return encoded(PoseInFrame, stamp_ns, frame_id=frame_id, pose=pose)
+            return encoded("foxglove.PoseInFrame", stamp_ns, frame_id=frame_id, pose=pose)
         case samples.TransformsSample(transforms=transforms):
             parts = _rigid_fields([one.T_parent_child for one in transforms], "translation", "rotation")
             for part, one in zip(parts, transforms, strict=True):
-                part |= {"timestamp": stamp_fields(one.stamp_ns)}
-                part |= {"parent_frame_id": one.parent, "child_frame_id": one.child}
-            return encoded(FrameTransforms, stamp_ns, transforms=parts)
-        case samples.DistanceSample(_, planar_m, spatial_m, clearance_m):
-            values = {"planar_m": planar_m, "spatial_m": spatial_m, "clearance_m": clearance_m}
-            return encoded(GroundTruthDistance, stamp_ns, **values)
+                part.update(timestamp=stamp_fields(one.stamp_ns), parent_frame_id=one.parent, child_frame_id=one.child)
+            return encoded("foxglove.FrameTransforms", stamp_ns, transforms=parts)
+        case samples.DistanceSample():
+            return encoded("svmdist.GroundTruthDistance", **asdict(sample))
 
 
 def _rigid_fields(transforms: Sequence[Array], position: str, rotation: str) -> list[Fields]:
@@ -131,10 +123,8 @@ def _descriptor_set(file: Any) -> bytes:
     return descriptors.SerializeToString(deterministic=True)
 
 
-CHUNK_BYTES = 240 * 1024
-"""Leaves room in 256 KiB for the schemas and channels that a chunk may have to declare."""
-CHUNK_SPAN_NS = 250_000_000
-"""What a killed recorder loses; in log time and not wall time, for a rerun shall be byte-identical."""
+CHUNK_BYTES = 240 * 1024  # leaves room in 256 KiB for the schemas and channels that a chunk may have to declare
+CHUNK_SPAN_NS = 250_000_000  # what a killed recorder loses; not in wall time, for a rerun shall be byte-identical
 MESSAGE_HEAD_BYTES = 9 + 22  # of a record, and of a message in it
 
 
@@ -232,7 +222,7 @@ class RecordingWriter:
     def _channel(self, topic: str, schema: str) -> int:
         if topic not in self._channels:
             if schema not in self._schemas:
-                described = _descriptor_set(descriptor_pool.Default().FindMessageTypeByName(schema).file)
+                described = _descriptor_set(message_class(schema).DESCRIPTOR.file)
                 self._schemas[schema] = self._writer.register_schema(schema, "protobuf", described)
             self._channels[topic] = self._writer.register_channel(topic, "protobuf", self._schemas[schema]), schema
         channel_id, known = self._channels[topic]
