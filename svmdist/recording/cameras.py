@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -36,8 +36,7 @@ class Cameras(NamedTuple):
     ambiguity: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class CameraChange:
+class CameraChange(NamedTuple):
     """Two calibrations that follow each other on a topic; `start_ns` is the stamp of the topic's first message."""
 
     topic: str
@@ -51,18 +50,18 @@ class CameraChange:
         return f"{what} between {from_s:.2f} and {to_s:.2f} s ({self.topic})"
 
 
-@dataclass(eq=False)
 class CameraTrack:
     """The calibrations of one topic, in runs of equal ones; a message that comes behind later ones does not count."""
 
-    runs: list[Run] = field(default_factory=list)
+    def __init__(self) -> None:
+        self.runs: list[Run] = []
 
     def add(self, stamp_ns: int, camera: Camera) -> None:
         """Take up a message; the same one may come again, in another pass over the log."""
-        last = self.runs[-1] if self.runs else None
-        if last is not None and stamp_ns > last.last_ns and _is_same(last.camera, camera):
+        last = self.runs[-1] if self.runs else Run(camera, -1, -1)
+        if stamp_ns > last.last_ns and self.runs and _is_same(last.camera, camera):
             self.runs[-1] = last._replace(last_ns=stamp_ns)
-        elif last is None or (stamp_ns > last.last_ns and len(self.runs) < MAX_RUNS):
+        elif stamp_ns > last.last_ns and len(self.runs) < MAX_RUNS:
             self.runs.append(Run(camera, stamp_ns, stamp_ns))
 
     def at(self, stamp_ns: int) -> tuple[int, str]:
@@ -77,8 +76,7 @@ class CameraTrack:
 
     def changes(self, topic: str) -> list[CameraChange]:
         """What changes from each run to the next."""
-        pairs = zip(self.runs, self.runs[1:], strict=False)
-        return [CameraChange(topic, before, after, self.runs[0].first_ns) for before, after in pairs]
+        return [CameraChange(topic, *pair, self.runs[0].first_ns) for pair in pairwise(self.runs)]
 
 
 def cameras_at(left: CameraTrack, right: CameraTrack | None, perturbations: Perturbations) -> Callable[[int], Cameras]:

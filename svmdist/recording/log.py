@@ -32,11 +32,9 @@ from svmdist.samples import Observation, Rejection
 from svmdist.tracks import DistanceTrack, JointTrack, LagEstimate, TransformTrack, apart_ns
 from svmdist.transforms import Array, inverse
 
-TRUE_SUFFIX = "_ground_truth"
-"""Goes to the names of true frames in a copy. A frame has one parent in a viewer, and `tool` has the robot's."""
-MOVED, LATE_S = 1e-3, 0.05
-"""A joint, in rad or m, that goes farther moves what an image shows of the instrument; and how late any image may be:
-cameras and recorders give some of them twice."""
+TRUE_SUFFIX = "_ground_truth"  # of true frames in a copy: a frame has one parent in a viewer, and `tool` the robot's
+MOVED = 1e-3  # a joint, in rad or m, that goes farther moves what an image shows of the instrument
+LATE_S = 0.05  # how late any image may be: cameras and recorders give some of them twice
 
 
 def open_recording(path: LogPath | str, profile: Profile, *, topics: Mapping[str, str] | None = None) -> Recording:
@@ -63,8 +61,8 @@ class Origin(NamedTuple):
         source = open_source(path, profile.limits)
         arms = find_arms(source, profile, topics)
         beside_images = frozenset(topic for arm in arms for topic in arm.topics_beside_images())
-        infos = {info.topic for info in source.topics if kind_of(info) is Kind.CAMERA}
-        file = LogFile(source, profile.limits, beside_images, beside_images & infos)
+        cameras = {info.topic for info in source.topics if kind_of(info) is Kind.CAMERA}
+        file = LogFile(source, profile.limits, beside_images, beside_images & cameras)
         fixed = {arm.name: profile.for_instrument(arm.name).camera_to_base for arm in arms}
         bases = {name: one.T_camera_base for name, one in fixed.items() if one is not None}
         return Recording(file, arms, self, bases, ReplayedWorld(Perturbations(), profile))
@@ -109,8 +107,8 @@ class Recording:
     def perturbed(self, perturbations: Perturbations) -> Recording:
         """The same log in a perturbed world, of other joints, stamps and cameras, sampled by the log's seed or 0."""
         seed = self.metadata.get("seed", "")
-        seed_or_0 = int(seed) if seed.isdecimal() else 0
-        return replace(self, world=ReplayedWorld(perturbations, self.origin.profile, seed_or_0))
+        world = ReplayedWorld(perturbations, self.origin.profile, int(seed) if seed.isdecimal() else 0)
+        return replace(self, world=world)
 
     @property
     def instruments(self) -> tuple[str, ...]:
@@ -165,7 +163,7 @@ class Recording:
 
     def topic_of(self, role: Role | str) -> str | None:
         """Name the topic that plays a role; None where the log has none."""
-        return self.arms[0].find(Role[role.upper()])
+        return self.arms[0].find(Role(role))
 
     def image_count(self) -> int | None:
         """How many images are read of those that the file says it has; None where that is not known beforehand."""
@@ -218,7 +216,7 @@ class Recording:
     @property
     def remarks(self) -> list[str]:
         """What images lacked near them in the last replay, which topics are not used, and where a camera changed."""
-        said, changes = self.file.missing.describe(), self.camera_changes
+        said = self.file.missing.describe()
         said += dict.fromkeys(line for arm in self.arms for line in arm.missing_topics())
         topic, right = self.topic_of(Role.RIGHT_IMAGE), self.right_camera
         if topic not in (None, self.topic_of(Role.IMAGE)):
@@ -226,7 +224,7 @@ class Recording:
                 said.append(f"{topic} is not used: the log has no calibration of its camera")
             elif stereo_transform(self.camera, right) is None:
                 said.append(f"{topic} is not used: the log does not say how far the cameras are apart")
-        if changes:
+        if changes := self.camera_changes:
             count = f"; it is the first of {len(changes)} changes" if len(changes) > 1 else ""
             said.append(f"the camera changes: {changes[0]}{count}")
         return said
@@ -242,14 +240,12 @@ class Recording:
     ) -> Iterator[obs.EncodedObservation]:
         """Yield for every image, by stamp, what estimators may see of each instrument, not decoded yet.
 
-        Joints and the nominal camera-to-base transform are interpolated to the image's stamp between samples
-        at most 0.1 s apart. The right image is the one within `[limits] pair_tolerance_s`, where the cameras form a
-        stereo pair. Each is None where the log has none. Without `robot`, joints and transforms are neither read nor
-        given, without `right` the right images; with `rest` the pass over the images reads everything else, too, for
-        those who ask for it later. With `stale` images that repeat although the robot has moved say so, for which
-        joints are read in any case. RecordingError at once where the log has no images or camera.
-        One thread at a time goes through the iterator, any thread decodes, and `record_losses` takes the results. The
-        caller bounds how many are held.
+        Joints and the nominal camera-to-base transform are interpolated to the image's stamp between samples at most
+        0.1 s apart; the right image of a stereo pair is within `[limits] pair_tolerance_s`. Each is None where the log
+        has none. Without `robot`, joints and transforms are neither read nor given, without `right` the right images;
+        with `rest` the pass over the images reads everything else, too. With `stale`, for which joints are read in any
+        case, images that repeat although the robot has moved say so. RecordingError at once without images or camera.
+        One thread at a time iterates, any thread decodes; the caller bounds how many are held.
         """
         first = self.arms[0]
         topic, states = first.require(Role.IMAGE), [self._arm_states(arm, robot) for arm in self.arms]
@@ -261,17 +257,17 @@ class Recording:
         pairs = obs.Pairs(right_topic, missing.pair_tolerance_s, self.health)
 
         def observation(number: int, at_ns: int, pair: obs.Pair) -> obs.EncodedObservation:
-            stamp_ns = pair.left.stamp_ns
-            reported = tuple(state(stamp_ns) for state in states)
+            left, right, right_apart_s = pair
+            reported = tuple(state(left.stamp_ns) for state in states)
             apart_s = zip(*(one[3:] for one in reported), strict=True)
             joints_s, base_s = (max(filter(None, far), default=None) for far in apart_s)
-            missing.add(right=pair.right_apart_s, joints=joints_s, base=base_s)
-            held, place = cameras(stamp_ns), self.health.next_place()
-            repeats, right = self._repeats(pair.left) if stale else "", pair.right
-            missing.repeat_count += stale and pair.left.since_ns < stamp_ns and not self._logged_tracks
+            missing.add(right=right_apart_s, joints=joints_s, base=base_s)
+            held, place = cameras(left.stamp_ns), self.health.next_place()
+            repeats = self._repeats(left) if stale else ""
+            missing.repeat_count += stale and left.since_ns < left.stamp_ns and not self._logged_tracks
             if stale and right is not None and not repeats and (said := self._repeats(right)):
                 right = replace(broken_image(right.stamp_ns, said), topic=right.topic, offset=right.offset)
-            return obs.EncodedObservation(pair.left, right, reported, held, place, number, at_ns, repeats)
+            return obs.EncodedObservation(left, right, reported, held, place, number, at_ns, repeats)
 
         return starmap(observation, self.window.of(pairs.of(images)))
 
@@ -291,8 +287,8 @@ class Recording:
         has_joints = robot and arm.find(Role.JOINTS) is not None
         joints = self._joints(arm) if robot else None
         fixed, frames = self.bases.get(arm.name), (arm.frames.camera, arm.frames.base)
-        tree = self.nominal_tree if robot and arm.name not in self.bases else None
-        tree = tree if tree and tree.links(*frames) else None
+        in_log = robot and arm.name not in self.bases
+        tree = self.nominal_tree if in_log and self.nominal_tree.links(*frames) else None
 
         def at(stamp_ns: int) -> obs.ArmState:
             T_camera_base, at_ns, base_apart_s = fixed, np.array([stamp_ns], np.int64), None
@@ -321,8 +317,7 @@ class Recording:
         """What is logged of the joints of each chain, whatever a perturbed world reports."""
         tracks, plain = [], replace(self, world=ReplayedWorld(Perturbations(), self.origin.profile))
         for arm in self.arms:
-            track = plain._joints(arm) if arm.find(Role.JOINTS) else None
-            if track is not None:
+            if arm.find(Role.JOINTS) and (track := plain._joints(arm)):
                 robot = self.origin.profile.for_instrument(arm.name).robot
                 known = robot.joint_names if robot else ()
                 columns = [at for at, name in enumerate(track.names) if name in known]
@@ -341,8 +336,7 @@ class Recording:
     def joint_track(self) -> JointTrack:
         """All joint states; RecordingError where there are none."""
         self.arms[0].require(Role.JOINTS)
-        track = self._joints(self.arms[0])
-        if track is None:
+        if (track := self._joints(self.arms[0])) is None:
             raise self._unusable("joint states", Role.JOINTS)
         return track
 
@@ -385,20 +379,19 @@ class Recording:
 
     def tree_of(self, contents: Contents) -> TransformTree:
         """The same of so much of the log as was read."""
-        moving = self.topic_of(Role.TF)
-        topics = {moving: False} if moving else {}
-        topics |= dict.fromkeys(self.arms[0].static_transforms(), True)
+        moving, static = self.topic_of(Role.TF), self.arms[0].static_transforms()
+        topics = ({moving: False} if moving else {}) | dict.fromkeys(static, True)
         return TransformTree(contents, topics, self._lag_ns)
 
     def pose_track(self) -> TransformTrack:
         """All poses, at the stamps of the images' clock; RecordingError unless they are in one frame."""
         known = self.file.contents[self.arms[0].require(Role.POSE)]
-        frames = sorted(map(str, known))
-        if len(frames) != 1:
-            several = f", in several frames ({sanitize_list(frames)})," if frames else ""
+        if len(known) != 1:
+            several = f", in several frames ({sanitize_list(sorted(map(str, known)))})," if known else ""
             raise self._unusable(f"poses{several}", Role.POSE)
-        stamps_ns, values = in_order(*next(iter(known.values())).arrays(), self._lag_ns)
-        return TransformTrack(frames[0], "", stamps_ns, matrices(values))
+        ((frame, rows),) = known.items()
+        stamps_ns, values = in_order(*rows.arrays(), self._lag_ns)
+        return TransformTrack(str(frame), "", stamps_ns, matrices(values))
 
     def distance_track(self) -> DistanceTrack:
         """All true distances."""

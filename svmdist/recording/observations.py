@@ -6,7 +6,7 @@ import math
 from bisect import insort
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -26,9 +26,8 @@ from svmdist.transforms import Array
 
 LOOK_AHEAD_NS = 3_000_000_000  # how long, in log time, an image waits for the right image at its stamp
 MAX_WAITING_BYTES = 64 << 20
+MAX_SWAPPED_IMAGES = 4  # wait for one stamped before them: two chunks of a log that changed places hold no more
 STAMP = attrgetter("stamp_ns")
-MAX_SWAPPED_IMAGES = 4
-"""As many images wait for one that is stamped before them: two chunks of a log that changed places hold no more."""
 
 
 class Pair(NamedTuple):
@@ -84,9 +83,9 @@ class Pairs:
         while self._right and self._right[0].stamp_ns < left.stamp_ns - self._tolerance_ns:
             self._gone_right_ns = self._right.pop(0).stamp_ns
         nearest = min(self._right, key=lambda image: abs(image.stamp_ns - left.stamp_ns), default=None)
-        if nearest is None or nearest.stamp_ns > left.stamp_ns + self._tolerance_ns:
-            following_ns = math.inf if nearest is None else nearest.stamp_ns
-            apart_ns = min(following_ns - left.stamp_ns, left.stamp_ns - self._gone_right_ns)
+        nearest_ns = math.inf if nearest is None else nearest.stamp_ns
+        if nearest is None or nearest_ns > left.stamp_ns + self._tolerance_ns:
+            apart_ns = min(nearest_ns - left.stamp_ns, left.stamp_ns - self._gone_right_ns)
             return Pair(left, None, apart_ns * 1e-9)
         self._right.remove(nearest)
         self._gone_right_ns = nearest.stamp_ns
@@ -133,16 +132,12 @@ class MissingPartners:
 
 JOINT_TRACK_NS = 200_000_000
 """Joints so long before and after an image go with it: by as much the clocks may differ for a method that finds it."""
-OUT_OF_ORDER_S = 1.0
-"""Images may stand so much out of order in a file: reading goes on this long after the end of a window."""
+OUT_OF_ORDER_S = 1.0  # by which images may stand out of order in a file: reading goes on so long after a window's end
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Images from `start_s` to `end_s` after the first one, both included, and of these every `every`-th one.
-
-    Raises UsageError for a start that is no time, and an end before it.
-    """
+    """Every `every`-th image from `start_s` to `end_s` after the first one, both included; UsageError if impossible."""
 
     start_s: float = 0.0
     end_s: float = math.inf
@@ -163,10 +158,9 @@ class Window:
 
     def of(self, pairs: Iterable[Pair]) -> Iterator[tuple[int, int, Pair]]:
         """The images inside, each behind its number among all and its time since the first one, in ns."""
-        first_ns: int | None = None
-        count = 0
+        first_ns, count = 0, 0
         for number, pair in enumerate(pairs):
-            first_ns = pair.left.stamp_ns if first_ns is None else first_ns
+            first_ns = first_ns if number else pair.left.stamp_ns
             at_ns = pair.left.stamp_ns - first_ns
             if at_ns > (self.end_s + OUT_OF_ORDER_S) * 1e9:
                 return
@@ -197,16 +191,13 @@ def decode_image(image: EncodedImage, losses: list[Loss], camera: Camera | None 
 
 
 class ArmState(NamedTuple):
-    """What one arm reported at an image's stamp: joints, those around it, and `T_camera_base`, shape (4, 4).
+    """What one arm reported at an image's stamp: joints, those around it, and `T_camera_base`, shape (4, 4)."""
 
-    Where the log has them and none is near the image, `joints_apart_s` and `base_apart_s` say how far the nearest is.
-    """
-
-    joints: JointSample | None = None
-    joint_track: JointTrack | None = None
-    T_camera_base: Array | None = None
-    joints_apart_s: float | None = None
-    base_apart_s: float | None = None
+    joints: JointSample | None
+    joint_track: JointTrack | None
+    T_camera_base: Array | None
+    joints_apart_s: float | None  # how far the nearest joints are where the log has some and none is near the image
+    base_apart_s: float | None  # the same of the transforms
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,10 +216,9 @@ class Decoded:
 
 @dataclass(frozen=True)
 class EncodedObservation:
-    """One image with what belongs to it, as it stands in the log; make it with `Recording.encoded_observations`.
+    """One image with what belongs to it, as it stands in the log; `Recording.encoded_observations` makes them.
 
-    `decode` gives the same whatever the thread and whatever the order, and changes nothing: a caller decodes each
-    observation once, and hands the results to `Recording.record_losses`.
+    `decode` gives the same in any thread and order: a caller hands its results to `Recording.record_losses`.
     """
 
     left: EncodedImage
@@ -253,27 +243,22 @@ class EncodedObservation:
     def decode(self) -> Decoded:
         """Decode the images; a Rejection for a left image that cannot be, or whose camera is not known."""
         losses: list[Loss] = []
-        camera, _, ambiguity = self.cameras
+        camera, of_right, ambiguity = self.cameras
         if ambiguity:
             return Decoded(Rejection(self.stamp_ns, Status.INCONSISTENT, ambiguity), (), self.place)
         image = decode_image(self.left, losses, camera)
         if isinstance(image, Rejection):
             return Decoded(image, tuple(losses), self.place)
-        seen = Observation(self.stamp_ns, image, camera, right=self._right_view(losses))
+        right = None
+        if self.right is not None and of_right is not None:
+            right_image = decode_image(self.right, losses, of_right[0])
+            if not isinstance(right_image, Rejection):
+                right = RightView(right_image, *of_right, (self.right.stamp_ns - self.stamp_ns) * 1e-9)
         found = tuple(
-            replace(seen, joints=arm.joints, joint_track=arm.joint_track, T_camera_base=arm.T_camera_base)
+            Observation(self.stamp_ns, image, camera, arm.joints, right, arm.T_camera_base, arm.joint_track)
             for arm in self.arms
         )
         return Decoded(found, tuple(losses), self.place)
-
-    def _right_view(self, losses: list[Loss]) -> RightView | None:
-        if self.right is None or self.cameras.right is None:
-            return None
-        camera, T_left_right = self.cameras.right
-        image = decode_image(self.right, losses, camera)
-        if isinstance(image, Rejection):
-            return None
-        return RightView(image, camera, T_left_right, (self.right.stamp_ns - self.stamp_ns) * 1e-9)
 
 
 def joints_at(track: JointTrack | None, stamp_ns: int) -> tuple[JointSample | None, JointTrack | None]:

@@ -50,8 +50,7 @@ class LossKind(StrEnum):
     DATA_CRC = "data_crc"
     SUMMARY = "summary"
     STATISTICS = "statistics"
-    CONTRADICTION = "contradiction"
-    """Nothing is lost: what the log or its profile says twice does not agree, and distances rest on it."""
+    CONTRADICTION = "contradiction"  # what log or profile say twice does not agree, and distances rest on it; no loss
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +71,9 @@ class Loss:
 
 @dataclass
 class Health:
-    """The losses of one recording, filled while it is read; complete after a pass over the whole file.
+    """The losses of one recording, filled while it is read, each once; complete after a pass over the whole file.
 
-    A second pass finds the same losses again, and each is kept once. They are listed in the order of `place`, so
-    that images decoded late, by other threads, are listed as if they had been decoded at once.
+    They are listed in the order of `place`: images decoded late, by other threads, as if decoded at once.
     """
 
     unlisted_count: int = 0  # losses beyond the listed ones: a lower bound, and 0 only where there are none
@@ -90,11 +88,10 @@ class Health:
     def add(self, loss: Loss, place: int | None = None) -> None:
         """Report a loss, at a reserved place or at the next one."""
         place = self.next_place() if place is None else place
-        known = self._losses.get(loss)
-        if known is None and len(self._losses) >= MAX_LISTED_LOSSES:
+        if loss in self._losses or len(self._losses) < MAX_LISTED_LOSSES:
+            self._losses[loss] = min(place, self._losses.get(loss, place))
+        else:
             self.unlisted_count = 1
-            return
-        self._losses[loss] = place if known is None else min(place, known)
 
     def lose(self, kind: LossKind, detail: str, offset: int | None = None, topic: str | None = None) -> None:
         """Report a loss at the next place."""

@@ -10,7 +10,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Self
 
 import cv2
@@ -27,10 +26,10 @@ from svmdist.recording.mcap import METADATA_NAME
 from svmdist.recording.messages import message_class
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
+# A sixth smaller than OpenCV's default for 17 ms of a rendered frame of 640x480, less than rendering takes.
 PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 6)
-"""A sixth smaller than OpenCV's default for 17 ms of a rendered frame of 640x480, less than rendering takes."""
+# Colour at full resolution: segmentation by hue depends on it.
 JPEG_OPTIONS = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
-"""Colour at full resolution: segmentation by hue depends on it."""
 NO_SPACE = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", None))
 Fields = dict[str, Any]  # of a message, by their names; protobuf makes messages of those inside
 
@@ -134,11 +133,9 @@ class RecordingWriter:
     >>> with RecordingWriter(path, {"scenario": "sweep"}) as writer:      # doctest: +SKIP
     ...     writer.write("/tf", sample)
 
-    An exception inside the block keeps the `.part` file, with everything written so far, unless it has no message or
-    the disk is full.
-    Chunks hold at most 256 KiB, or one message that is larger. `metadata` becomes the record `svmdist`; images become
-    PNG, or JPEG of a quality from 1 to 100, with colour at full resolution.
-    Raises UsageError when the file exists and `force` is not set, OutputError when it cannot be written.
+    An exception inside the block keeps the `.part` file, unless it has no message or the disk is full. Chunks hold at
+    most 256 KiB, or one message that is larger. `metadata` becomes the record `svmdist`; images become PNG, or JPEG of
+    a quality from 1 to 100. UsageError when the file exists without `force`, OutputError when it cannot be written.
     """
 
     def __init__(
@@ -150,8 +147,7 @@ class RecordingWriter:
         self._file: IO[bytes] | None = None
         self._channels: dict[str, tuple[int, str]] = {}
         self._schemas: dict[str, int] = {}
-        self.counts = Counter[str]()
-        """The messages that were written, by topic."""
+        self.counts = Counter[str]()  # of the messages that were written, by topic
         self._chunk_bytes = self._chunk_start_ns = 0
 
     def discard(self) -> None:
@@ -170,9 +166,7 @@ class RecordingWriter:
                 self.part_path.unlink(missing_ok=True)
             self._file = open_new(self.part_path)
             # This class ends the chunks, before they grow too large.
-            self._writer = Writer(
-                self._file, chunk_size=1 << 40, compression=CompressionType.ZSTD, enable_data_crcs=True
-            )
+            self._writer = Writer(self._file, 1 << 40, CompressionType.ZSTD, enable_data_crcs=True)
             self._writer.start(library=f"svmdist {version('svmdist')}")
             self._writer.add_metadata(METADATA_NAME, dict(sorted(self._metadata.items())))
             self._file.flush()
@@ -195,14 +189,14 @@ class RecordingWriter:
             self._chunk_start_ns = stamp_ns
         self._chunk_bytes += needed_bytes
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
         if self._file is None:
             return
         if self._channels and isinstance(error, KeyboardInterrupt | OutputError) and self.part_path.exists():
             error.add_note(f"what was recorded until then is in {self.part_path}")
         if self._file.closed:
             return
-        if kind is not None:
+        if error is not None:
             # Keep what there is; the caller's exception matters more than another one from here.
             with suppress(OSError):
                 self._writer.flush()
