@@ -23,16 +23,10 @@ MAX_FOCAL_PX = 1e7  # beyond it an image of 4,000 px is less than a minute of ar
 
 DistortionModel = Literal["plumb_bob", "rational_polynomial", "fisheye"]
 KNOWN_DISTORTION: dict[str, DistortionModel] = {
-    "": "plumb_bob",
-    "none": "plumb_bob",
-    "plumb_bob": "plumb_bob",
-    "radtan": "plumb_bob",
+    **dict.fromkeys(("", "none", "plumb_bob", "radtan"), "plumb_bob"),
     "rational_polynomial": "rational_polynomial",
-    "equidistant": "fisheye",
-    "fisheye": "fisheye",
-    "kannala_brandt": "fisheye",
-}
-"""The distortion model by its name in a log or a calibration file."""
+    **dict.fromkeys(("equidistant", "fisheye", "kannala_brandt"), "fisheye"),
+}  # the distortion model by its name in a log or a calibration file
 
 
 @dataclass(frozen=True)

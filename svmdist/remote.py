@@ -146,8 +146,7 @@ class RemoteFile:
     @property
     def parts(self) -> tuple[str, str, str]:
         """Protocol, host or bucket, and path."""
-        found = PARTS.fullmatch(str(self))
-        return cast(tuple[str, str, str], found.groups() if found else ("", "", str(self)))
+        return cast(tuple[str, str, str], PARTS.findall(str(self))[0])
 
     def __str__(self) -> str:
         """The URL without user, password and query, which may be secrets."""

@@ -144,8 +144,8 @@ class Rejection:
 
 
 BGR, RGB = [0, 1, 2], [2, 1, 0]
+# Encodings by the names of ROS and Foxglove: how many channels, and those that are blue, green and red.
 ORDERS = {"bgr8": (3, BGR), "rgb8": (3, RGB), "bgra8": (4, BGR), "rgba8": (4, RGB), "mono8": (1, [0, 0, 0])}
-"""Encodings by the names of ROS and Foxglove: how many channels, and those that are blue, green and red."""
 
 
 class WrongImageError(SvmdistError, ValueError):

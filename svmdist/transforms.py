@@ -96,8 +96,8 @@ def skew(v: ArrayLike) -> Array:
     return (v @ SKEW).reshape(*np.shape(v), 3)
 
 
+# The matrices [x], [y] and [z] of the axes, a row each.
 SKEW = np.array([[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], np.float64)
-"""The matrices [x], [y] and [z] of the axes, a row each."""
 
 
 def cross(a: Array, b: Array) -> Array:

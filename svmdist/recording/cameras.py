@@ -115,8 +115,7 @@ def changed(before: Camera, after: Camera) -> str:
 
 
 def _is_same(one: Camera, other: Camera) -> bool:
-    def near(a: Array | None, b: Array | None) -> bool:
-        return a is b or (a is not None and b is not None and np.allclose(a, b, ROUNDING, ROUNDING))
-
-    rest = near(one.R_rectified_camera, other.R_rectified_camera) and near(one.P, other.P)
-    return rest and one.same_optics(other, ROUNDING * max(one.K[0, 0], 1.0))
+    for a, b in ((one.R_rectified_camera, other.R_rectified_camera), (one.P, other.P)):
+        if a is not b and (a is None or b is None or not np.allclose(a, b, ROUNDING, ROUNDING)):
+            return False
+    return one.same_optics(other, ROUNDING * max(one.K[0, 0], 1.0))

@@ -79,16 +79,13 @@ class Recording:
     file: LogFile
     arms: tuple[LoggedArm, ...]
     origin: Origin
-    bases: Mapping[str, Array | None]
-    """`T_camera_base`, (4, 4), by instrument, None for one that is not to be known; the log's own for others."""
+    bases: Mapping[str, Array | None]  # `T_camera_base` by instrument, None if not to be known; for others the log's
     world: ReplayedWorld
-    lag: LagEstimate | None = None
-    """The known time offset of the images: joints, poses and transforms are read at their stamps; truth keeps its."""
+    lag: LagEstimate | None = None  # of the images: joints, poses and transforms are read at their stamps, truth is not
     alias: str | None = None  # the name that it goes by; None for its file's
     window: obs.Window = obs.ALL_IMAGES  # which of its images are read; whatever else it has is read whole
     wanted: tuple[str, ...] | None = None  # the instruments that are measured; None for all
-    on_progress: Callable[[int, int | None], None] = lambda _done, _total: None
-    """Is called in each replay with the images that are done, and how many there are where that is known."""
+    on_progress: Callable[[int, int | None], None] = lambda _done, _total: None  # of images; in total where known
 
     def __repr__(self) -> str:
         """Its name, what is measured in it, and its topics by role."""

@@ -71,15 +71,12 @@ class McapSource:
         with reading(self.path, RecordingError), open_regular(self.path) as file:
             size_bytes = file.seek(0, 2)
             tail = _tail(file, size_bytes)
-            start, crc = (tail[2], tail[4]) if tail else (0, 0)
-            if not 0 < start < size_bytes or not crc:
-                return None
+            start, crc = (min(tail[2], size_bytes), tail[4]) if tail else (0, 0)
             file.seek(start)
-            if zlib.crc32(file.read(size_bytes - len(MAGIC) - 4 - start)) != crc:
-                return None
-            file.seek(0)
-            with suppress(Exception):  # right by its CRC, and still not MCAP
-                return SeekingReader(file).get_summary()
+            if start and crc and zlib.crc32(file.read(max(size_bytes - len(MAGIC) - 4 - start, 0))) == crc:
+                file.seek(0)
+                with suppress(Exception):  # right by its CRC, and still not MCAP
+                    return SeekingReader(file).get_summary()
         return None
 
     @cached_property

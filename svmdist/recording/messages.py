@@ -28,8 +28,7 @@ from svmdist.transforms import Array, frame_name, make_transform, rotation_from_
 
 MAX_STAMP_NS = (1 << 63) - 1
 NS = 1_000_000_000
-MAX_MAGNITUDE = 1e12
-"""In m, rad or px, far beyond anything real; squares and differences of such numbers are still finite."""
+MAX_MAGNITUDE = 1e12  # in m, rad or px, far beyond anything real; squares and differences of these are still finite
 Protobuf: Any = protobuf.Message  # what messages that are not of ROS derive from
 
 
@@ -338,8 +337,7 @@ def _distance(message: Any, stamp_ns: int, _: str) -> samples.DistanceSample:
     return samples.DistanceSample(stamp_ns, *values)
 
 
-Converter = Callable[..., Message]
-"""Of a parsed message, its stamp in ns, its frame, and for images the limits."""
+Converter = Callable[..., Message]  # of a parsed message, its stamp in ns, its frame, and for images the limits
 PROTOBUF: dict[str, tuple[Kind, Converter]] = {
     "foxglove.CompressedImage": (Kind.IMAGE, _still_image),
     "foxglove.RawImage": (Kind.IMAGE, _raw_image),
@@ -361,5 +359,4 @@ ROS: dict[str, tuple[Kind, Converter]] = {
     "tf2_msgs/TFMessage": (Kind.TRANSFORMS, _transforms),
     "tf/tfMessage": (Kind.TRANSFORMS, _transforms),
 }
-SCHEMAS = {"protobuf": PROTOBUF, "cdr": ROS, "ros1": ROS}
-"""By encoding and schema: what its messages are, and what makes samples of them."""
+SCHEMAS = {"protobuf": PROTOBUF, "cdr": ROS, "ros1": ROS}  # by encoding and schema: kind, and what makes samples

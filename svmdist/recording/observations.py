@@ -130,8 +130,7 @@ class MissingPartners:
         ]
 
 
-JOINT_TRACK_NS = 200_000_000
-"""Joints so long before and after an image go with it: by as much the clocks may differ for a method that finds it."""
+JOINT_TRACK_NS = 200_000_000  # joints so near an image go with it: clocks may differ as much for a method to find it
 OUT_OF_ORDER_S = 1.0  # by which images may stand out of order in a file: reading goes on so long after a window's end
 
 

@@ -23,8 +23,7 @@ from svmdist.samples import JointSample, Sample, TransformsSample
 from svmdist.tracks import apart_ns
 
 LATE_TOPICS = 10.0  # how much more of a log is looked at where none of its joints is near an image
-GAP_FACTOR = 3.0
-"""A gap is a distance of stamps above three mean periods: one or two lost messages are jitter."""
+GAP_FACTOR = 3.0  # a gap is a distance of stamps above three mean periods: one or two lost messages are jitter
 MAX_NAMES = 1000
 
 
@@ -103,15 +102,12 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
     With `head_s`, reading ends after so many seconds of the log, once each topic of a role has had a message; where
     joints or transforms are near no image so far, as of a topic that begins later, after ten times as many.
     """
-    decoder = Decoder(recording.file.limits)
-    infos: dict[str, TopicInfo] = {}
-    stamps_ns: defaultdict[str, array[int]] = defaultdict(lambda: array("q"))
-    undecodable: Counter[str] = Counter()
-    joints: defaultdict[str, dict[Joints, None]] = defaultdict(dict)
-    contents = Contents()
+    decoder, contents, frames = Decoder(recording.file.limits), Contents(), set[str]()
+    infos, undecodable = dict[str, TopicInfo](), Counter[str]()
+    stamps_ns = defaultdict[str, "array[int]"](lambda: array("q"))
+    joints = defaultdict[str, dict[Joints, None]](dict)
     awaited = {name for role in Role if (name := recording.topic_of(role)) is not None}
     nominal = {recording.topic_of(Role.TF), *recording.arms[0].static_transforms()}
-    frames: set[str] = set()
     start_ns: int | None = None
     is_late = False
     for raw in recording.file.source.messages():
@@ -184,6 +180,6 @@ def copied_messages(recording: Recording) -> Iterator[tuple[str, Sample | Encode
         except (DecodeError, ImageError):
             continue
         if raw.topic == truth and isinstance(sample, TransformsSample):
-            named = [(one, one.child.removesuffix(TRUE_SUFFIX) + TRUE_SUFFIX) for one in sample.transforms]
-            sample = replace(sample, transforms=tuple(replace(one, child=child) for one, child in named))
+            named = [replace(one, child=one.child.removesuffix(TRUE_SUFFIX) + TRUE_SUFFIX) for one in sample.transforms]
+            sample = replace(sample, transforms=tuple(named))
         yield raw.topic, sample

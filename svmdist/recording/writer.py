@@ -19,7 +19,7 @@ from mcap.writer import CompressionType, Writer
 
 from svmdist import samples
 from svmdist.errors import OutputError, UsageError
-from svmdist.files import open_new, why
+from svmdist.files import why
 from svmdist.profile import Limits
 from svmdist.recording.images import still_format, still_size
 from svmdist.recording.mcap import METADATA_NAME
@@ -164,7 +164,7 @@ class RecordingWriter:
         with self._writing():
             if self._force:
                 self.part_path.unlink(missing_ok=True)
-            self._file = open_new(self.part_path)
+            self._file = open(self.part_path, "xb")  # which follows no link that somebody has put there
             # This class ends the chunks, before they grow too large.
             self._writer = Writer(self._file, 1 << 40, CompressionType.ZSTD, enable_data_crcs=True)
             self._writer.start(library=f"svmdist {version('svmdist')}")
