@@ -93,7 +93,8 @@ def rotation_vector(R: Array) -> Array:
 
 def skew(v: ArrayLike) -> Array:
     """[v], shape (..., 3, 3), with [v] u = v x u, of vectors (..., 3)."""
-    return (v @ SKEW).reshape(*np.shape(v), 3)
+    v = np.asarray(v, np.float64)
+    return (v @ SKEW).reshape(*v.shape, 3)
 
 
 # The matrices [x], [y] and [z] of the axes, a row each.

@@ -170,6 +170,5 @@ def merge_topics(infos: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
     counts: defaultdict[tuple[str, str, str], list[int | None]] = defaultdict(list)
     for info in infos:
         counts[info[:3]].append(info.message_count)
-    return tuple(
-        TopicInfo(*key, None if None in found else sum(filter(None, found))) for key, found in sorted(counts.items())
-    )
+    totals = {key: None if None in found else sum(filter(None, found)) for key, found in sorted(counts.items())}
+    return tuple(TopicInfo(*key, total) for key, total in totals.items())

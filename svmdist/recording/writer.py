@@ -190,8 +190,7 @@ class RecordingWriter:
         self._chunk_bytes += needed_bytes
 
     def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
-        if self._file is None:
-            return
+        assert self._file is not None
         if self._channels and isinstance(error, KeyboardInterrupt | OutputError) and self.part_path.exists():
             error.add_note(f"what was recorded until then is in {self.part_path}")
         if self._file.closed:
