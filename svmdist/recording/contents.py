@@ -18,7 +18,7 @@ from svmdist.recording.cameras import CameraTrack
 from svmdist.recording.observations import MissingPartners
 from svmdist.recording.source import LossKind, RawMessage, Source, sanitize, sanitize_list
 from svmdist.samples import CameraSample, DistanceSample, JointSample
-from svmdist.tracks import Sampled, TransformTrack, apart_ns, sort_stamps
+from svmdist.tracks import LagEstimate, Sampled, TransformTrack, apart_ns, sort_stamps
 from svmdist.transforms import Array, Stamps, inverse
 
 Joints = tuple[str, ...]  # names of the joints of a message
@@ -50,9 +50,9 @@ class Contents(defaultdict[str, defaultdict[Hashable, Rows]]):
         super().__init__(lambda: defaultdict(Rows))
 
 
-def in_order(stamps_ns: Stamps, rows: Array, late_ns: int = 0) -> tuple[Stamps, Array]:
-    """Distinct rising stamps, later by so much, and their rows; of equal stamps the first row counts, as of images."""
-    stamps_ns = stamps_ns + np.minimum(late_ns, np.iinfo(np.int64).max - stamps_ns)
+def in_order(stamps_ns: Stamps, rows: Array, lag: LagEstimate | None = None) -> tuple[Stamps, Array]:
+    """Distinct rising stamps, later by a lag, and their rows; of equal stamps the first row counts, as of images."""
+    stamps_ns = stamps_ns + np.minimum(lag.lag_ns if lag else 0, np.iinfo(np.int64).max - stamps_ns)
     order = sort_stamps(stamps_ns)
     return stamps_ns[order], rows[order]
 
@@ -60,11 +60,11 @@ def in_order(stamps_ns: Stamps, rows: Array, late_ns: int = 0) -> tuple[Stamps, 
 class TransformTree:
     """Transforms between any two frames of a log, of topics that are static or not: edges over time, composed."""
 
-    def __init__(self, contents: Contents, topics: Mapping[str, bool], late_ns: int = 0) -> None:
+    def __init__(self, contents: Contents, topics: Mapping[str, bool], lag: LagEstimate | None = None) -> None:
         self._edges: dict[Any, tuple[Rows, bool]] = {}  # by parent and child
         for topic, is_static in topics.items():
             self._edges |= {edge: (rows, is_static) for edge, rows in contents.get(topic, {}).items()}
-        self._late_ns, self._tracks = late_ns, dict[tuple[str, str], TransformTrack]()
+        self._lag, self._tracks = lag, dict[tuple[str, str], TransformTrack]()
 
     def links(self, parent: str, child: str) -> bool:
         """Whether a path links two frames."""
@@ -99,7 +99,7 @@ class TransformTree:
         edge = parent, child
         if edge not in self._tracks:
             rows, is_static = self._edges[edge if edge in self._edges else (child, parent)]
-            stamps_ns, values = in_order(*rows.arrays(), self._late_ns)
+            stamps_ns, values = in_order(*rows.arrays(), self._lag)
             if is_static:
                 stamps_ns, values = stamps_ns[:1], np.array([rows.values[-7:]])
             T = messages.matrices(values)

@@ -88,7 +88,6 @@ class Recording:
     on_progress: Callable[[int, int | None], None] = lambda _done, _total: None  # of images; in total where known
 
     def __repr__(self) -> str:
-        """Its name, what is measured in it, and its topics by role."""
         topics = ", ".join(f"{role} {topic}" for role in Role if (topic := self.topic_of(role)))
         return f"{self.name}: instruments {', '.join(self.instruments)}; {topics or 'no topic of the profile'}"
 
@@ -347,7 +346,7 @@ class Recording:
         robot = self.origin.profile.for_instrument(arm.name).robot
         names, stamps_ns, positions, losses = joint_rows(by_names, robot)
         reported = self.world.reported(arm.name, names, stamps_ns, positions)
-        stamps_ns, positions = in_order(*reported, self._lag_ns)
+        stamps_ns, positions = in_order(*reported, self.lag)
         if repeated := len(reported[0]) - len(stamps_ns):
             losses.append(f"{repeated} joint states repeat a stamp; the first one counts")
         for detail in losses:
@@ -378,7 +377,7 @@ class Recording:
         """The same of so much of the log as was read."""
         moving, static = self.topic_of(Role.TF), self.arms[0].static_transforms()
         topics = ({moving: False} if moving else {}) | dict.fromkeys(static, True)
-        return TransformTree(contents, topics, self._lag_ns)
+        return TransformTree(contents, topics, self.lag)
 
     def pose_track(self) -> TransformTrack:
         """All poses, at the stamps of the images' clock; RecordingError unless they are in one frame."""
@@ -387,7 +386,7 @@ class Recording:
             several = f", in several frames ({sanitize_list(sorted(map(str, known)))})," if known else ""
             raise self._unusable(f"poses{several}", Role.POSE)
         ((frame, rows),) = known.items()
-        stamps_ns, values = in_order(*rows.arrays(), self._lag_ns)
+        stamps_ns, values = in_order(*rows.arrays(), self.lag)
         return TransformTrack(str(frame), "", stamps_ns, matrices(values))
 
     def distance_track(self) -> DistanceTrack:
@@ -395,10 +394,6 @@ class Recording:
         topic = self.arms[0].require(Role.GROUND_TRUTH_DISTANCE)
         stamps_ns, rows = in_order(*self.file.contents[topic][None].arrays())
         return DistanceTrack(stamps_ns, rows.reshape(-1, 3))
-
-    @property
-    def _lag_ns(self) -> int:
-        return 0 if self.lag is None else self.lag.lag_ns
 
     def _arm(self, name: str) -> LoggedArm:
         if named := [arm for arm in self.arms if arm.name == name]:
