@@ -156,7 +156,6 @@ class TransformTrack:
 
     def at(self, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> Sampled:
         """Interpolate translations linearly and rotations by slerp; the values have shape (m, 4, 4)."""
-        at_ns = np.asarray(at_ns, np.int64)
         if self.is_static:
             return Sampled(np.repeat(self.T_parent_child[:1], len(at_ns), axis=0), np.ones(len(at_ns), np.bool_))
         where = bracket(self.stamps_ns, at_ns, max_gap_ns)

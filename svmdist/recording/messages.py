@@ -79,9 +79,8 @@ class RawTransforms(NamedTuple):
     transforms: tuple[RawTransform, ...]
 
 
-Message = (
-    samples.JointSample | samples.CameraSample | samples.DistanceSample | EncodedImage | RawTransform | RawTransforms
-)
+Numbers = samples.JointSample | samples.CameraSample | samples.DistanceSample
+Message = Numbers | EncodedImage | RawTransform | RawTransforms
 
 
 def matrices(values: Array) -> Array:

@@ -30,10 +30,8 @@ LOOKS_LIKE = {
     b"\x89HDF": "an HDF5 file",
     b"version https://git-lfs": "a Git LFS pointer, whose file has not been fetched",
 }
-IMAGES_OR_VIDEO = re.compile(
-    rb"\x89PNG|\xff\xd8\xff|BM|II\*\0|MM\0\*|RIFF....(AVI |WEBP)|....ftyp|\x1aE\xdf\xa3", re.DOTALL
-)
-"""How images and videos begin: PNG, JPEG, BMP, TIFF, WebP, AVI, MP4, Matroska."""
+# How images and videos begin: PNG, JPEG, BMP, TIFF, AVI, WebP, MP4, Matroska.
+IMAGES_OR_VIDEO = re.compile(rb"(?s)\x89PNG|\xff\xd8\xff|BM|II\*\0|MM\0\*|RIFF....(AVI |WEBP)|....ftyp|\x1aE\xdf\xa3")
 WHAT_IS_EXPECTED = "an MCAP file, a ROS 1 bag or a rosbag2 folder"
 TO_IMPORT = "`svmdist import` makes a log of images or a video"
 

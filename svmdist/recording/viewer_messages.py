@@ -18,7 +18,6 @@ GROUND: draw.Rgb = (20, 20, 20)
 LINE_PX, POINT_PX, SMALL_POINT_PX, FONT_PX = 2.0, 6.0, 3.0, 14.0
 LINE_PIXELS, TEXT_PIXELS = 3.0, 14.0  # of lines and texts in space, in px of the screen
 SOLID, SHEER = 0.9, 0.5
-CHANNELS = ("red", "green", "blue", "alpha")
 UNTURNED = {"w": 1.0}
 
 
@@ -55,7 +54,8 @@ def scene_update(drawing: draw.FrameDrawing, instruments: Iterable[str], frame_i
 
 def point_cloud(points_m: Array, std_m: Array, bgr: Image, frame_id: str, stamp_ns: int) -> EncodedSample:
     """Points, shape (n, 3), with a deviation each, (n,), and a colour, (n, 3), as `foxglove.PointCloud`."""
-    kinds = [*((name, "<f4") for name in ("x", "y", "z", "std_m")), *((name, "u1") for name in CHANNELS)]
+    kinds = [(name, "<f4") for name in ("x", "y", "z", "std_m")]
+    kinds += [(name, "u1") for name in ("red", "green", "blue", "alpha")]
     packed = np.empty(len(points_m), kinds)
     for (name, _), values in zip(kinds, (*points_m.T, std_m, *bgr[:, ::-1].T, 255), strict=True):
         packed[name] = values
