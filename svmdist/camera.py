@@ -102,7 +102,7 @@ class Camera:
         return np.asarray(pixels, np.float64).reshape(-1, 2)
 
     def project_with_derivative(self, p_camera_m: Array) -> tuple[Array, Array]:
-        """Pixels, (..., 2), of points, (..., 3) in m, and their derivative by the points, (..., 2, 3); lens ignored."""
+        """Pixels, (..., 2), of points, (..., 3) in m, and their derivative, (..., 2, 3); methods see ideal images."""
         z, A = p_camera_m[..., 2:], self.K[:2, :2]
         pixels = p_camera_m[..., :2] / z @ A.T
         slope = np.empty((*pixels.shape, 3))

@@ -96,20 +96,15 @@ class RightView:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What an estimator may see of one instant: the image, its camera, and what the robot reports.
-
-    `joints` are interpolated to the image's stamp, and `joint_track` has those around it, for clocks that differ;
-    `T_camera_base`, shape (4, 4), is what the robot reports. Each of them, and the right view, is None where the log
-    has none near the image.
-    """
+    """What an estimator may see of one instant; None stands for what the log does not have near the image."""
 
     stamp_ns: int
     image_bgr: Image
     camera: Camera
-    joints: JointSample | None = None
+    joints: JointSample | None = None  # interpolated to the image's stamp
     right: RightView | None = None
-    T_camera_base: Array | None = None
-    joint_track: JointTrack | None = None
+    T_camera_base: Array | None = None  # shape (4, 4), as the robot reports it
+    joint_track: JointTrack | None = None  # joints around the image's stamp, for clocks that differ
 
 
 class Status(StrEnum):

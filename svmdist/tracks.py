@@ -88,10 +88,7 @@ def sort_stamps(stamps_ns: Stamps) -> NDArray[np.intp]:
 
 
 def apart_ns(stamps_ns: Stamps, at_ns: Stamps) -> Stamps:
-    """How far the nearest of sorted, distinct stamps, shape (n,), is from those of `at_ns`, shape (m,).
-
-    0 where there is a value: the samples on both sides are near enough to each other.
-    """
+    """How far the nearest of sorted, distinct stamps, (n,), is from each of `at_ns`, (m,); 0 if there is a value."""
     where = bracket(stamps_ns, at_ns)
     left_ns, right_ns = (np.abs(stamps_ns[side] - at_ns) for side in (where.left, where.right))
     return np.where(where.valid, 0, np.minimum(left_ns, right_ns))

@@ -14,8 +14,7 @@ from svmdist.errors import RecordingError, did_you_mean
 from svmdist.profile import Limits
 from svmdist.profile.robot import Robot
 from svmdist.recording import messages
-from svmdist.recording.cameras import CameraTrack
-from svmdist.recording.observations import MissingPartners
+from svmdist.recording.observations import CameraTrack, MissingPartners
 from svmdist.recording.source import LossKind, RawMessage, Source, sanitize, sanitize_list
 from svmdist.samples import CameraSample, DistanceSample, JointSample
 from svmdist.tracks import LagEstimate, Sampled, TransformTrack, apart_ns, sort_stamps

@@ -277,10 +277,7 @@ class VideoDecoder:
 
 
 def read_file(path: Path, limits: Limits, *, decode: bool) -> tuple[bytes | Image, tuple[int, int]]:
-    """The bytes of a PNG or JPEG, or its pixels with `decode`, BGR; those of other formats by OpenCV; and the size.
-
-    Width and height are in px. Raises SourceError, which names the path, where it is no image.
-    """
+    """The bytes of a PNG or JPEG, or pixels, BGR, with `decode` or of others; width and height in px. SourceError."""
     with reading(path, SourceError):
         data = read_regular(path, limits.image_bytes)
     try:

@@ -22,7 +22,6 @@ from svmdist.perturbations.calibration import nominal_camera
 from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Profile
 from svmdist.recording import observations as obs
-from svmdist.recording.cameras import CameraChange, CameraTrack, cameras_at
 from svmdist.recording.contents import Contents, LogFile, TransformTree, in_order, joint_rows
 from svmdist.recording.messages import EncodedImage, Kind, broken_image, kind_of, matrices
 from svmdist.recording.source import Health, LossKind, TopicInfo, sanitize, sanitize_list
@@ -79,9 +78,10 @@ class Recording:
     file: LogFile
     arms: tuple[LoggedArm, ...]
     origin: Origin
-    bases: Mapping[str, Array | None]  # `T_camera_base` by instrument, None if not to be known; for others the log's
+    bases: Mapping[str, Array | None]  # `T_camera_base`, (4, 4); None if not to be known; for others the log's
     world: ReplayedWorld
-    lag: LagEstimate | None = None  # of the images: joints, poses and transforms are read at their stamps, truth is not
+    lag: LagEstimate | None = None
+    """The known time offset of the images: joints, poses and transforms are read at their stamps; truth keeps its."""
     alias: str | None = None  # the name that it goes by; None for its file's
     window: obs.Window = obs.ALL_IMAGES  # which of its images are read; whatever else it has is read whole
     wanted: tuple[str, ...] | None = None  # the instruments that are measured; None for all
@@ -193,7 +193,7 @@ class Recording:
         return self._left_track.runs[0].camera
 
     @property
-    def _left_track(self) -> CameraTrack:
+    def _left_track(self) -> obs.CameraTrack:
         """What is known of the camera so far, its first calibration at least; RecordingError where there is none."""
         track = self.file.camera_track(self.arms[0].require(Role.CAMERA_INFO))
         if not track.runs:
@@ -226,7 +226,7 @@ class Recording:
         return said
 
     @property
-    def camera_changes(self) -> tuple[CameraChange, ...]:
+    def camera_changes(self) -> tuple[obs.CameraChange, ...]:
         """Where either camera's calibration changes, so far as the log has been read: all of it after a pass."""
         topics = dict.fromkeys(self.topic_of(role) for role in (Role.CAMERA_INFO, Role.RIGHT_CAMERA_INFO))
         return tuple(one for topic in topics if topic for one in self.file.cameras[topic].changes(topic))
@@ -247,7 +247,7 @@ class Recording:
         topic, states = first.require(Role.IMAGE), [self._arm_states(arm, robot) for arm in self.arms]
         right_topic = self._right_topic() if right else None
         of_right = self.file.cameras[first.require(Role.RIGHT_CAMERA_INFO)] if right_topic else None
-        cameras = cameras_at(self._left_track, of_right, self.world.perturbations)
+        cameras = obs.cameras_at(self._left_track, of_right, self.world.perturbations)
         missing = self.file.missing = obs.MissingPartners(self.file.limits.pair_tolerance_s)
         images = self.file.images({topic, right_topic or topic}, rest=rest)
         pairs = obs.Pairs(right_topic, missing.pair_tolerance_s, self.health)

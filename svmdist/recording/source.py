@@ -71,17 +71,14 @@ class Loss:
 
 @dataclass
 class Health:
-    """The losses of one recording, filled while it is read, each once; complete after a pass over the whole file.
-
-    They are listed in the order of `place`: images decoded late, by other threads, as if decoded at once.
-    """
+    """The losses of one recording, each once, by their places; complete after a pass over the whole file."""
 
     unlisted_count: int = 0  # losses beyond the listed ones: a lower bound, and 0 only where there are none
     _losses: dict[Loss, int] = field(default_factory=dict)
     _place_count: int = 0  # a plain number: Python 3.14 sends no iterators between processes
 
     def next_place(self) -> int:
-        """Reserve a place in the order of losses, for a loss that may be found later."""
+        """Reserve a place in the order of losses, for one that another thread may find later, as if it came at once."""
         self._place_count += 1
         return self._place_count
 

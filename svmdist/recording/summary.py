@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from svmdist.recording import messages
-from svmdist.recording.cameras import CameraTrack
 from svmdist.recording.contents import MAX_JOINT_SETS, Contents, Joints, TransformTree, best_joints
 from svmdist.recording.images import ImageError
 from svmdist.recording.log import TRUE_SUFFIX, Recording
 from svmdist.recording.messages import DecodeError, Decoder, kind_of
+from svmdist.recording.observations import CameraTrack
 from svmdist.recording.source import TopicInfo
 from svmdist.recording.topics import Role
 from svmdist.recording.writer import EncodedSample
@@ -29,20 +29,17 @@ MAX_NAMES = 1000
 
 @dataclass(frozen=True)
 class TopicSummary:
-    """Statistics of one topic, over the stamps of its messages, or over log times where it has none.
-
-    `rate_hz` is None with fewer than two messages; `largest_gap_s` is the longest time without one.
-    """
+    """Statistics of one topic, over the stamps of its messages, or over log times where it has none."""
 
     topic: str
     schema: str
     message_encoding: str
     kind: str | None
     message_count: int
-    rate_hz: float | None
+    rate_hz: float | None  # None with fewer than two messages
     start_ns: int | None
     end_ns: int | None
-    largest_gap_s: float
+    largest_gap_s: float  # the longest time without a message
     gap_count: int
     out_of_order_count: int
     undecodable_count: int
@@ -50,22 +47,18 @@ class TopicSummary:
 
 @dataclass(frozen=True)
 class RecordingSummary:
-    """What was read of a recording; `roles` names the topic of every role that has one with a readable message.
-
-    `joints_apart_s` and `base_apart_s` are how far from every image the nearest joints and camera-to-base transforms
-    are: 0 where an image has them near it, and where the log has none.
-    """
+    """What was read of a recording."""
 
     recording: Recording
     duration_s: float
     topics: tuple[TopicSummary, ...]
-    roles: dict[str, str]
+    roles: dict[str, str]  # the topic of every role that has one with a readable message
     cameras: dict[str, CameraTrack]
     frames: tuple[str, ...]
     joint_names: dict[str, tuple[str, ...]]
     transforms: TransformTree
-    joints_apart_s: float = 0.0
-    base_apart_s: float = 0.0
+    joints_apart_s: float = 0.0  # how far from every image joints are; 0 with some near an image, and with none at all
+    base_apart_s: float = 0.0  # the same of camera-to-base transforms
 
     def at_any_lag(self) -> RecordingSummary:
         """The same of a log whose lag is known or to be found: it may bring near the images what is not."""
