@@ -15,6 +15,7 @@ from svmdist.transforms import Array
 
 Image = NDArray[np.uint8]
 """A BGR image, shape (height, width, 3), or a mask, shape (height, width)."""
+Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)

@@ -159,7 +159,7 @@ class Recording:
 
     def topic_of(self, role: Role | str) -> str | None:
         """Name the topic that plays a role; None where the log has none."""
-        return self.arms[0].find(Role(role))
+        return self.arms[0].find(Role[role.upper()])
 
     def image_count(self) -> int | None:
         """How many images are read of those that the file says it has; None where that is not known beforehand."""

@@ -74,11 +74,10 @@ def _summary(info: TopicInfo, logged_ns: array[int], undecodable_count: int) -> 
     # The mean period so far approximates the true one; the first few messages say nothing yet.
     before = np.arange(count - 1)
     is_gap = (before >= 4) & (gaps_ns * before.astype(float) > GAP_FACTOR * (newest_ns - oldest_ns))
-    gap_count, late_count = int(is_gap.sum()), int((np.diff(stamps_ns) < 0).sum())
+    counts = int(is_gap.sum()), int((np.diff(stamps_ns) < 0).sum()), undecodable_count
     span_s = 0.0 if start_ns is None or end_ns is None else (end_ns - start_ns) / 1e9
     rate_hz, gap_s = (count - 1) / span_s if span_s > 0 else None, max(0, int(gaps_ns.max(initial=0))) / 1e9
-    times = rate_hz, start_ns, end_ns, gap_s
-    return TopicSummary(*info[:3], kind_of(info), count, *times, gap_count, late_count, undecodable_count)
+    return TopicSummary(*info[:3], kind_of(info), count, rate_hz, start_ns, end_ns, gap_s, *counts)
 
 
 def inspect_recording(recording: Recording, head_s: float = math.inf) -> RecordingSummary:
@@ -123,9 +122,9 @@ def inspect_recording(recording: Recording, head_s: float = math.inf) -> Recordi
     names = {topic: best_joints(found, recording.profile.robot) for topic, found in joints.items()}
     ends_ns = [at for logged in stamps_ns.values() if logged for at in (min(logged), max(logged))]
     duration_s = (max(ends_ns) - min(ends_ns)) / 1e9 if ends_ns else 0.0
-    tree, named = recording.tree_of(contents), tuple(sorted(frames))
+    tree, all_frames = recording.tree_of(contents), tuple(sorted(frames))
     apart_s = _apart_s(recording, stamps_ns, tree)
-    return RecordingSummary(recording, duration_s, listed, roles, cameras, named, names, tree, *apart_s)
+    return RecordingSummary(recording, duration_s, listed, roles, cameras, all_frames, names, tree, *apart_s)
 
 
 def _apart_s(recording: Recording, stamps_ns: Mapping[str, array[int]], tree: TransformTree) -> tuple[float, float]:

@@ -216,8 +216,8 @@ def open_source(path: LogPath, limits: Limits) -> Source:
     elif IMAGES_OR_VIDEO.match(start):
         raise RecordingError(f"{path}: is no recording but an image or a video: {TO_IMPORT}")
     else:
-        found = next((what for magic, what in LOOKS_LIKE.items() if start.startswith(magic)), None)
-        raise RecordingError(f"{path}: is {found or 'not a recording'}; expected {WHAT_IS_EXPECTED}; {TO_IMPORT}")
+        found = next((what for magic, what in LOOKS_LIKE.items() if start.startswith(magic)), "not a recording")
+        raise RecordingError(f"{path}: is {found}; expected {WHAT_IS_EXPECTED}; {TO_IMPORT}")
     topics = {info.topic for info in source.topics if info.message_encoding == "cdr"}
     first = next(iter(source.messages(topics)), None) if topics else None
     if first is not None and first.data.startswith(ZSTD_MAGIC):  # CDR begins with a zero byte
