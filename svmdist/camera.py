@@ -23,16 +23,10 @@ MAX_FOCAL_PX = 1e7  # beyond it an image of 4,000 px is less than a minute of ar
 
 DistortionModel = Literal["plumb_bob", "rational_polynomial", "fisheye"]
 KNOWN_DISTORTION: dict[str, DistortionModel] = {
-    "": "plumb_bob",
-    "none": "plumb_bob",
-    "plumb_bob": "plumb_bob",
-    "radtan": "plumb_bob",
+    **dict.fromkeys(("", "none", "plumb_bob", "radtan"), "plumb_bob"),
     "rational_polynomial": "rational_polynomial",
-    "equidistant": "fisheye",
-    "fisheye": "fisheye",
-    "kannala_brandt": "fisheye",
-}
-"""The distortion model by its name in a log or a calibration file."""
+    **dict.fromkeys(("equidistant", "fisheye", "kannala_brandt"), "fisheye"),
+}  # the distortion model by its name in a log or a calibration file
 
 
 @dataclass(frozen=True)
@@ -55,16 +49,15 @@ class Camera:
 
     def __post_init__(self) -> None:
         """Complete the distortion to a length that OpenCV knows; ValueError for what no camera has."""
-        shapes = {"K": (self.K, (3, 3)), "R": (self.R_rectified_camera, (3, 3)), "P": (self.P, (3, 4))}
-        for name, (matrix, shape) in shapes.items():
+        R, is_fisheye = self.R_rectified_camera, self.distortion_model == "fisheye"
+        for name, matrix, shape in (("K", self.K, (3, 3)), ("R", R, (3, 3)), ("P", self.P, (3, 4))):
             if matrix is not None and matrix.shape != shape:
                 raise ValueError(f"{name} has shape {matrix.shape}, expected {shape}")
-        R = self.R_rectified_camera
         if R is not None and not rotation_error(R) <= MAX_ROTATION_ERROR:
             raise ValueError(f"R is no rotation: {R.round(4).tolist()}")
         if self.D.ndim != 1 or len(self.D) > MAX_COEFFICIENTS:
             raise ValueError(f"D has shape {self.D.shape}; at most {MAX_COEFFICIENTS} coefficients are known")
-        if self.distortion_model == "fisheye" and self.D[4:].any():
+        if is_fisheye and self.D[4:].any():
             raise ValueError(f"D has {len(self.D)} coefficients, and fisheye has 4")
         fx, fy = self.K[0, 0], self.K[1, 1]
         if not (0.0 < fx <= MAX_FOCAL_PX and 0.0 < fy <= MAX_FOCAL_PX):
@@ -74,7 +67,6 @@ class Camera:
             raise ValueError(f"D has a coefficient beyond ±{MAX_COEFFICIENT:g}")
         if min(self.width_px, self.height_px) < 1:
             raise ValueError(f"the camera is not calibrated: {self.width_px}x{self.height_px} px")
-        is_fisheye = self.distortion_model == "fisheye"
         whole = 4 if is_fisheye else next(size for size in (0, 4, 5, 8, 12, 14) if size >= len(self.D))
         object.__setattr__(self, "D", np.append(self.D, np.zeros(whole))[:whole])
 
@@ -110,10 +102,7 @@ class Camera:
         return np.asarray(pixels, np.float64).reshape(-1, 2)
 
     def project_with_derivative(self, p_camera_m: Array) -> tuple[Array, Array]:
-        """The pixels of points, (..., 3) in m, as (..., 2), and their derivative by the points, (..., 2, 3): no lens.
-
-        Methods look at images of ideal cameras.
-        """
+        """Pixels, (..., 2), of points, (..., 3) in m, and their derivative, (..., 2, 3); methods see ideal images."""
         z, A = p_camera_m[..., 2:], self.K[:2, :2]
         pixels = p_camera_m[..., :2] / z @ A.T
         slope = np.empty((*pixels.shape, 3))

@@ -75,23 +75,17 @@ def reading(path: LogPath, error: type[SvmdistError], what: str = "") -> Iterato
 
 def open_regular(path: LogPath) -> BinaryIO:
     """Open a regular file, or one behind a URL, to read; OSError with a reason where that cannot be done."""
-    # Without waiting, and checked when open: a pipe may have no writer, and a path can lead elsewhere a moment later.
     if isinstance(path, RemoteFile):
         return path.open()
+    # Without waiting, and checked when open: a pipe may have no writer, and a path can lead elsewhere a moment later.
     try:
-        number = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | getattr(os, "O_NONBLOCK", 0)))  # noqa: SIM115
     except ValueError:  # NUL; no other character is impossible in a path
         raise OSError(errno.EINVAL, BAD_CHARACTER) from None
-    try:
-        mode = os.fstat(number).st_mode
-        if stat.S_ISDIR(mode):
-            raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
-        if not stat.S_ISREG(mode):
-            raise OSError(errno.EINVAL, "it is no regular file")
-        return os.fdopen(number, "rb")
-    except BaseException:
-        os.close(number)
-        raise
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise OSError(errno.EINVAL, "it is no regular file")
+    return file
 
 
 def read_regular(path: Path, limit_bytes: int) -> bytes:
@@ -101,12 +95,6 @@ def read_regular(path: Path, limit_bytes: int) -> bytes:
     if len(data) > limit_bytes:
         raise OSError(errno.EFBIG, f"it has more than {limit_bytes} bytes, the limit")
     return data
-
-
-def open_new(path: Path) -> BinaryIO:
-    """Open a file that is not there yet to write; a link that somebody has put there is not followed. OSError."""
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
-    return os.fdopen(os.open(path, flags, 0o666), "wb")
 
 
 def files_of(path: LogPath) -> list[LogPath]:
@@ -145,7 +133,7 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
         beside = target.with_name(f".{os.fsdecode(os.fsencode(target.name)[:NAME_BYTES])}.part")
         beside.unlink(missing_ok=True)  # what a killed process left
         try:
-            with open_new(beside) as file:
+            with open(beside, "xb") as file:  # which follows no link that somebody has put there
                 if mode is not None:
                     beside.chmod(stat.S_IMODE(mode))
                 yield file

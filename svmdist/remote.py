@@ -32,8 +32,6 @@ LEAST_PASSWORD, LEAST_VALUE = 3, 6
 URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+://")
 PARTS = re.compile(r"([^:/]*):/*([^/]*)(.*)", re.DOTALL)  # of any text: urlsplit refuses some
 BEFORE_GLOB = re.compile(r"((?:https?://)?[^/]*(?:/[^*?\[/]*(?=/))*)/")
-CLOUD_EXTRA = "pip install 'svmdist[cloud]'"
-KEYS_OF_S3 = "S3 takes no key in a URL: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
 
 
 def is_url(text: str) -> bool:
@@ -49,7 +47,7 @@ def plain_errors(url: str) -> Iterator[None]:
     except MemoryError:
         raise
     except ImportError as problem:
-        reason = f"{problem}: URLs need a package that is missing: {CLOUD_EXTRA}"
+        reason = f"{problem}: URLs need a package that is missing: pip install 'svmdist[cloud]'"
         raise OSError(errno.ENOSYS, reason) from None
     except Exception as problem:
         found = problem
@@ -112,7 +110,8 @@ def filesystem_of(url: str) -> tuple[Any, str]:
             given = fsspec.config.conf.get(protocol, {}).get("client_kwargs", {})
             return fsspec.filesystem(protocol, client_kwargs={"timeout": timeout, **given}), url
         if re.search(r"s3[an]?:/", url) and USER.search(url):
-            raise OSError(errno.EACCES, KEYS_OF_S3)
+            keys = "AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
+            raise OSError(errno.EACCES, f"S3 takes no key in a URL: set {keys}")
         filesystem, path = fsspec.core.url_to_fs(url, **({"timeout": ANSWER_S} if protocol == "ftp" else {}))
     return filesystem, path
 
@@ -146,8 +145,7 @@ class RemoteFile:
     @property
     def parts(self) -> tuple[str, str, str]:
         """Protocol, host or bucket, and path."""
-        found = PARTS.fullmatch(str(self))
-        return cast(tuple[str, str, str], found.groups() if found else ("", "", str(self)))
+        return cast(tuple[str, str, str], PARTS.findall(str(self))[0])
 
     def __str__(self) -> str:
         """The URL without user, password and query, which may be secrets."""

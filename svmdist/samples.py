@@ -97,20 +97,15 @@ class RightView:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What an estimator may see of one instant: the image, its camera, and what the robot reports.
-
-    `joints` are interpolated to the image's stamp, and `joint_track` has those around it, for clocks that differ;
-    `T_camera_base`, shape (4, 4), is what the robot reports. Each of them, and the right view, is None where the log
-    has none near the image.
-    """
+    """What an estimator may see of one instant; None stands for what the log does not have near the image."""
 
     stamp_ns: int
     image_bgr: Image
     camera: Camera
-    joints: JointSample | None = None
+    joints: JointSample | None = None  # interpolated to the image's stamp
     right: RightView | None = None
-    T_camera_base: Array | None = None
-    joint_track: JointTrack | None = None
+    T_camera_base: Array | None = None  # shape (4, 4), as the robot reports it
+    joint_track: JointTrack | None = None  # joints around the image's stamp, for clocks that differ
 
 
 class Status(StrEnum):
@@ -144,8 +139,8 @@ class Rejection:
 
 
 BGR, RGB = [0, 1, 2], [2, 1, 0]
+# Encodings by the names of ROS and Foxglove: how many channels, and those that are blue, green and red.
 ORDERS = {"bgr8": (3, BGR), "rgb8": (3, RGB), "bgra8": (4, BGR), "rgba8": (4, RGB), "mono8": (1, [0, 0, 0])}
-"""Encodings by the names of ROS and Foxglove: how many channels, and those that are blue, green and red."""
 
 
 class WrongImageError(SvmdistError, ValueError):

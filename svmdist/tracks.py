@@ -88,10 +88,7 @@ def sort_stamps(stamps_ns: Stamps) -> NDArray[np.intp]:
 
 
 def apart_ns(stamps_ns: Stamps, at_ns: Stamps) -> Stamps:
-    """How far the nearest of sorted, distinct stamps, shape (n,), is from those of `at_ns`, shape (m,).
-
-    0 where there is a value: the samples on both sides are near enough to each other.
-    """
+    """How far the nearest of sorted, distinct stamps, (n,), is from each of `at_ns`, (m,); 0 if there is a value."""
     where = bracket(stamps_ns, at_ns)
     left_ns, right_ns = (np.abs(stamps_ns[side] - at_ns) for side in (where.left, where.right))
     return np.where(where.valid, 0, np.minimum(left_ns, right_ns))
@@ -156,7 +153,6 @@ class TransformTrack:
 
     def at(self, at_ns: Stamps, max_gap_ns: int = MAX_GAP_NS) -> Sampled:
         """Interpolate translations linearly and rotations by slerp; the values have shape (m, 4, 4)."""
-        at_ns = np.asarray(at_ns, np.int64)
         if self.is_static:
             return Sampled(np.repeat(self.T_parent_child[:1], len(at_ns), axis=0), np.ones(len(at_ns), np.bool_))
         where = bracket(self.stamps_ns, at_ns, max_gap_ns)

@@ -97,8 +97,8 @@ def skew(v: ArrayLike) -> Array:
     return (v @ SKEW).reshape(*v.shape, 3)
 
 
+# The matrices [x], [y] and [z] of the axes, a row each.
 SKEW = np.array([[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]], np.float64)
-"""The matrices [x], [y] and [z] of the axes, a row each."""
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -149,10 +149,7 @@ def known_rotations(q: ArrayLike) -> Array:
 
 def quaternion_xyzw_from_rotation(R: Array) -> Array:
     """Unit quaternions x, y, z, w with w >= 0, shape (..., 4), from rotations, shape (..., 3, 3) (Shepperd 1978)."""
-    R = np.asarray(R, np.float64)
-    m00, m11, m22 = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
-    m01, m02, m12 = R[..., 0, 1], R[..., 0, 2], R[..., 1, 2]
-    m10, m20, m21 = R[..., 1, 0], R[..., 2, 0], R[..., 2, 1]
+    (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = np.moveaxis(np.asarray(R, np.float64), (-2, -1), (0, 1))
     a, b, c = m21 - m12, m02 - m20, m10 - m01
     xy, xz, yz = m10 + m01, m02 + m20, m21 + m12
     rows = (
@@ -176,15 +173,12 @@ def rotation_angle(R_a: Array, R_b: Array) -> Array:
 
 
 def polygon_centroid(polygon: NDArray[np.generic]) -> Array:
-    """Centroid of the area inside a simple polygon, by the shoelace formula: shape (2,), in the polygon's unit.
+    """Centroid of the area in a simple polygon, (n, 2) or as OpenCV's contours (n, 1, 2): shape (2,), in its unit.
 
-    `polygon` has shape (n, 2), or (n, 1, 2) as OpenCV's contours; either sense of rotation will do. Without area the
-    centroid is the mean of the corners.
+    By the shoelace formula, in either sense of rotation. Without area it is the mean of the corners.
     """
     corners = np.asarray(polygon, np.float64).reshape(-1, 2)
-    closed = np.concatenate([corners, corners[:1]])
-    x, y = closed[:-1].T
-    next_x, next_y = closed[1:].T
+    (x, y), (next_x, next_y) = corners.T, np.roll(corners, -1, 0).T
     cross = x * next_y - next_x * y
     twice_area = cross.sum()
     if abs(twice_area) <= 1e-12 * np.square(corners).max():  # rounding

@@ -6,6 +6,7 @@ from array import array
 from collections import defaultdict, deque
 from collections.abc import Collection, Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -13,24 +14,21 @@ from svmdist.errors import RecordingError, did_you_mean
 from svmdist.profile import Limits
 from svmdist.profile.robot import Robot
 from svmdist.recording import messages
-from svmdist.recording.cameras import CameraTrack
-from svmdist.recording.observations import MissingPartners
+from svmdist.recording.observations import CameraTrack, MissingPartners
 from svmdist.recording.source import LossKind, RawMessage, Source, sanitize, sanitize_list
 from svmdist.samples import CameraSample, DistanceSample, JointSample
-from svmdist.tracks import Sampled, TransformTrack, apart_ns, sort_stamps
+from svmdist.tracks import LagEstimate, Sampled, TransformTrack, apart_ns, sort_stamps
 from svmdist.transforms import Array, Stamps, inverse
 
-Edge = tuple[str, str]  # names of the parent and the child frame
 Joints = tuple[str, ...]  # names of the joints of a message
 MAX_JOINT_SETS = 100  # how many such a topic may have
 
 
-@dataclass(eq=False)
 class Rows:
     """Stamped rows of numbers in the order of the file."""
 
-    stamps_ns: array[int] = field(default_factory=lambda: array("q"))
-    values: array[float] = field(default_factory=lambda: array("d"))
+    def __init__(self) -> None:
+        self.stamps_ns, self.values = array("q"), array("d")
 
     def add(self, stamp_ns: int, values: Iterable[float]) -> None:
         """Append a row."""
@@ -44,31 +42,28 @@ class Rows:
         return np.array(self.stamps_ns, np.int64), rows
 
 
-def in_order(stamps_ns: Stamps, rows: Array, late_ns: int = 0) -> tuple[Stamps, Array]:
-    """Distinct rising stamps, later by so much, and their rows; of equal stamps the first row counts, as of images."""
-    stamps_ns = stamps_ns + np.minimum(late_ns, np.iinfo(np.int64).max - stamps_ns)
+class Contents(defaultdict[str, defaultdict[Hashable, Rows]]):
+    """What messages hold: by topic, and by names of joints, frame of poses, or edge of transforms."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda: defaultdict(Rows))
+
+
+def in_order(stamps_ns: Stamps, rows: Array, lag: LagEstimate | None = None) -> tuple[Stamps, Array]:
+    """Distinct rising stamps, later by a lag, and their rows; of equal stamps the first row counts, as of images."""
+    stamps_ns = stamps_ns + np.minimum(lag.lag_ns if lag else 0, np.iinfo(np.int64).max - stamps_ns)
     order = sort_stamps(stamps_ns)
     return stamps_ns[order], rows[order]
 
 
-Contents = defaultdict[str, defaultdict[Hashable, Rows]]
-"""What messages hold: by topic, and by names of joints, frame of poses, or edge of transforms."""
-
-
 class TransformTree:
-    """Transforms between any two frames of a log: edges over time, composed along the path that links them.
+    """Transforms between any two frames of a log, of topics that are static or not: edges over time, composed."""
 
-    They come from some topics, each with whether its transforms are static.
-    """
-
-    def __init__(self, contents: Contents, topics: Mapping[str, bool], late_ns: int = 0) -> None:
-        self._edges: dict[Edge, tuple[Rows, bool]] = {
-            edge: (rows, is_static)  # type: ignore[misc]
-            for topic, is_static in topics.items()
-            for edge, rows in contents.get(topic, {}).items()
-        }
-        self._late_ns = late_ns
-        self._tracks: dict[Edge, TransformTrack] = {}
+    def __init__(self, contents: Contents, topics: Mapping[str, bool], lag: LagEstimate | None = None) -> None:
+        self._edges: dict[Any, tuple[Rows, bool]] = {}  # by parent and child
+        for topic, is_static in topics.items():
+            self._edges |= {edge: (rows, is_static) for edge, rows in contents.get(topic, {}).items()}
+        self._lag, self._tracks = lag, dict[tuple[str, str], TransformTrack]()
 
     def links(self, parent: str, child: str) -> bool:
         """Whether a path links two frames."""
@@ -100,16 +95,15 @@ class TransformTree:
         return TransformTrack(parent, child, stamps_ns[found.valid], found.values[found.valid], is_static=not moving)
 
     def _track(self, parent: str, child: str) -> TransformTrack:
-        if (parent, child) not in self._tracks:
-            is_forward = (parent, child) in self._edges
-            rows, is_static = self._edges[(parent, child) if is_forward else (child, parent)]
-            stamps_ns, values = in_order(*rows.arrays(), self._late_ns)
+        edge = parent, child
+        if edge not in self._tracks:
+            rows, is_static = self._edges[edge if edge in self._edges else (child, parent)]
+            stamps_ns, values = in_order(*rows.arrays(), self._lag)
             if is_static:
                 stamps_ns, values = stamps_ns[:1], np.array([rows.values[-7:]])
             T = messages.matrices(values)
-            T = T if is_forward else inverse(T)
-            self._tracks[parent, child] = TransformTrack(parent, child, stamps_ns, T, is_static)
-        return self._tracks[parent, child]
+            self._tracks[edge] = TransformTrack(*edge, stamps_ns, T if edge in self._edges else inverse(T), is_static)
+        return self._tracks[edge]
 
     def _along(self, parent: str, child: str) -> list[TransformTrack]:
         """The shortest chain of edges, in either direction; RecordingError says what is missing."""
@@ -136,13 +130,11 @@ class TransformTree:
         for parent, child in self._edges:
             neighbours[parent].append(child)
             neighbours[child].append(parent)
-        reached = {start: start}
-        queue = [start]
+        reached, queue = {start: start}, [start]
         for frame in queue:  # which grows
-            for neighbour in neighbours[frame]:
-                if neighbour not in reached:
-                    reached[neighbour] = frame
-                    queue.append(neighbour)
+            new = [one for one in dict.fromkeys(neighbours[frame]) if one not in reached]
+            reached |= dict.fromkeys(new, frame)
+            queue += new
         return reached
 
 
@@ -180,11 +172,6 @@ def joint_rows(by_names: Mapping[Joints, Rows], robot: Robot | None) -> tuple[Jo
     return common, stamps_ns[order], rows[order], lacks
 
 
-def no_contents() -> Contents:
-    """Nothing of a log yet."""
-    return defaultdict(lambda: defaultdict(Rows))
-
-
 @dataclass(eq=False)
 class LogFile:
     """An open file, and what the first whole pass read of it beside images; all views of a recording share it."""
@@ -193,10 +180,8 @@ class LogFile:
     limits: Limits
     topics: frozenset[str]
     camera_topics: frozenset[str]  # those of `topics` with calibrations, which every pass over images reads
-    cameras: defaultdict[str, CameraTrack] = field(default_factory=lambda: defaultdict(CameraTrack))
-    """What is known of them so far."""
-    missing: MissingPartners = field(default_factory=lambda: MissingPartners(0.0))
-    """Of the images of the last replay."""
+    cameras: defaultdict[str, CameraTrack] = field(default_factory=lambda: defaultdict(CameraTrack))  # known so far
+    missing: MissingPartners = field(default_factory=lambda: MissingPartners(0.0))  # of the last replay's images
     _contents: Contents | None = None
 
     @property
@@ -209,10 +194,9 @@ class LogFile:
 
     def images(self, image_topics: Collection[str], *, rest: bool = True) -> Iterator[messages.EncodedImage]:
         """Yield the images of some topics in file order, not decoded; with `rest` reads all else that is not read."""
-        contents, others = no_contents(), frozenset[str]()
+        contents, decoder, others = Contents(), messages.Decoder(self.limits), frozenset[str]()
         if self._contents is None:
             others = self.topics if rest else self.camera_topics
-        decoder = messages.Decoder(self.limits)
         for raw in self.source.messages(frozenset(image_topics) | others):
             if raw.topic in image_topics:
                 yield decoder.image(raw)
@@ -225,7 +209,7 @@ class LogFile:
         """What is known of a topic's calibrations so far: the first usable one at least, where there is one."""
         track = self.cameras[topic]
         if not track.runs and self._contents is None:
-            contents, decoder = no_contents(), messages.Decoder(self.limits)
+            contents, decoder = Contents(), messages.Decoder(self.limits)
             for raw in self.source.messages({topic}):
                 self.collect(contents, decoder, raw)
                 if track.runs:

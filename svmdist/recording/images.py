@@ -25,8 +25,6 @@ from svmdist.recording.source import cut
 from svmdist.samples import Image
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
-JPEG_MAGIC = b"\xff\xd8\xff"
-JPEG_END = b"\xff\xd9"
 
 
 class ImageError(ValueError):
@@ -54,7 +52,7 @@ def decode_still(data: bytes | memoryview, limits: Limits) -> Image:
 
 def still_format(data: bytes) -> Literal["png", "jpeg"] | None:
     """What Foxglove calls the format of a PNG or JPEG, by its first bytes; None for any other."""
-    return "png" if data.startswith(PNG_MAGIC) else "jpeg" if data.startswith(JPEG_MAGIC) else None
+    return "png" if data.startswith(PNG_MAGIC) else "jpeg" if data.startswith(b"\xff\xd8\xff") else None
 
 
 def still_size(data: bytes, limits: Limits) -> tuple[int, int]:
@@ -82,17 +80,15 @@ def _check_png(data: bytes) -> tuple[int, int]:
     view, position = memoryview(data), len(PNG_MAGIC)
     size_px: tuple[int, int] | None = None
     while position + 12 <= len(view):
-        (length,) = struct.unpack_from(">I", view, position)
+        length, kind = struct.unpack_from(">I4s", view, position)
         end = position + 12 + length
         if end > len(view):
             break
-        kind = bytes(view[position + 4 : position + 8])
-        (crc,) = struct.unpack_from(">I", view, end - 4)
-        if zlib.crc32(view[position + 4 : end - 4]) != crc:
+        if struct.pack(">I", zlib.crc32(view[position + 4 : end - 4])) != view[end - 4 : end]:
             raise ImageError(f"the CRC of PNG chunk {kind!r} is wrong")
         if kind == b"IHDR" and size_px is None and length == 13:
-            *size, bit_depth = struct.unpack_from(">IIB", view, position + 8)
-            size_px = size[0], size[1]
+            width_px, height_px, bit_depth = struct.unpack_from(">IIB", view, position + 8)
+            size_px = width_px, height_px
             if bit_depth > 8:
                 raise ImageError(f"a PNG of {bit_depth} bits; 8 are expected")
         elif size_px is None:
@@ -106,8 +102,8 @@ def _check_png(data: bytes) -> tuple[int, int]:
 
 
 def _jpeg_header(data: bytes) -> tuple[int, int, str]:
-    """Width and height in px, and the colour space; sees that the end marker is there."""
-    if JPEG_END not in data.rstrip(b"\0")[-64:]:  # buffers of MJPEG end in zeros, others in a few bytes more
+    """Width and height in px, and the colour space; ImageError without the end marker."""
+    if b"\xff\xd9" not in data.rstrip(b"\0")[-64:]:  # buffers of MJPEG end in zeros, others in a few bytes more
         raise ImageError(f"a JPEG that ends early, after {len(data)} bytes")
     try:
         height_px, width_px, colours, _ = simplejpeg.decode_jpeg_header(data)
@@ -148,11 +144,9 @@ def decode_raw(
         found = f"{len(data)} bytes in rows of {step_bytes}"
         raise ImageError(f"{found} do not hold {width_px}x{height_px} px of {encoding}")
     rows: NDArray[np.uint8] = np.frombuffer(data, np.uint8).reshape(height_px, step_bytes)[:, :row_bytes]
-    pixels = rows.reshape(height_px, width_px, channels)
-    if conversion is None:
-        return pixels.copy()
+    pixels = rows.reshape(height_px, width_px, channels).copy()
     try:
-        return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), conversion), np.uint8)
+        return pixels if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
     except cv2.error as problem:
         raise ImageError(" ".join(str(problem).split())) from None
 
@@ -248,8 +242,7 @@ class VideoDecoder:
             codec.flags |= av.codec.context.Flags.low_delay
             codec.options = {"max_pixels": str(self._limits.image_pixels), "err_detect": "explode"}
         packet = av.Packet(data)
-        packet.pts = self._count
-        packet.time_base = Fraction(1, 1000)
+        packet.pts, packet.time_base = self._count, Fraction(1, 1000)
         self._count += 1
         try:
             frames = self._codec.decode(packet)
@@ -284,10 +277,7 @@ class VideoDecoder:
 
 
 def read_file(path: Path, limits: Limits, *, decode: bool) -> tuple[bytes | Image, tuple[int, int]]:
-    """The bytes of a PNG or JPEG, or its pixels with `decode`, BGR; those of other formats by OpenCV; and the size.
-
-    Width and height are in px. Raises SourceError, which names the path, where it is no image.
-    """
+    """The bytes of a PNG or JPEG, or pixels, BGR, with `decode` or of others; width and height in px. SourceError."""
     with reading(path, SourceError):
         data = read_regular(path, limits.image_bytes)
     try:

@@ -22,7 +22,6 @@ from svmdist.perturbations.calibration import nominal_camera
 from svmdist.perturbations.joints import ReplayedWorld
 from svmdist.profile import Profile
 from svmdist.recording import observations as obs
-from svmdist.recording.cameras import CameraChange, CameraTrack, cameras_at
 from svmdist.recording.contents import Contents, LogFile, TransformTree, in_order, joint_rows
 from svmdist.recording.messages import EncodedImage, Kind, broken_image, kind_of, matrices
 from svmdist.recording.source import Health, LossKind, TopicInfo, sanitize, sanitize_list
@@ -32,11 +31,9 @@ from svmdist.samples import Observation, Rejection
 from svmdist.tracks import DistanceTrack, JointTrack, LagEstimate, TransformTrack, apart_ns
 from svmdist.transforms import Array, inverse
 
-TRUE_SUFFIX = "_ground_truth"
-"""Goes to the names of true frames in a copy. A frame has one parent in a viewer, and `tool` has the robot's."""
-MOVED, LATE_S = 1e-3, 0.05
-"""A joint, in rad or m, that goes farther moves what an image shows of the instrument; and how late any image may be:
-cameras and recorders give some of them twice."""
+TRUE_SUFFIX = "_ground_truth"  # of true frames in a copy: a frame has one parent in a viewer, and `tool` the robot's
+MOVED = 1e-3  # a joint, in rad or m, that goes farther moves what an image shows of the instrument
+LATE_S = 0.05  # how late any image may be: cameras and recorders give some of them twice
 
 
 def open_recording(path: LogPath | str, profile: Profile, *, topics: Mapping[str, str] | None = None) -> Recording:
@@ -63,8 +60,8 @@ class Origin(NamedTuple):
         source = open_source(path, profile.limits)
         arms = find_arms(source, profile, topics)
         beside_images = frozenset(topic for arm in arms for topic in arm.topics_beside_images())
-        infos = {info.topic for info in source.topics if kind_of(info) is Kind.CAMERA}
-        file = LogFile(source, profile.limits, beside_images, beside_images & infos)
+        cameras = {info.topic for info in source.topics if kind_of(info) is Kind.CAMERA}
+        file = LogFile(source, profile.limits, beside_images, beside_images & cameras)
         fixed = {arm.name: profile.for_instrument(arm.name).camera_to_base for arm in arms}
         bases = {name: one.T_camera_base for name, one in fixed.items() if one is not None}
         return Recording(file, arms, self, bases, ReplayedWorld(Perturbations(), profile))
@@ -81,19 +78,16 @@ class Recording:
     file: LogFile
     arms: tuple[LoggedArm, ...]
     origin: Origin
-    bases: Mapping[str, Array | None]
-    """`T_camera_base`, (4, 4), by instrument, None for one that is not to be known; the log's own for others."""
+    bases: Mapping[str, Array | None]  # `T_camera_base`, (4, 4); None if not to be known; for others the log's
     world: ReplayedWorld
     lag: LagEstimate | None = None
     """The known time offset of the images: joints, poses and transforms are read at their stamps; truth keeps its."""
     alias: str | None = None  # the name that it goes by; None for its file's
     window: obs.Window = obs.ALL_IMAGES  # which of its images are read; whatever else it has is read whole
     wanted: tuple[str, ...] | None = None  # the instruments that are measured; None for all
-    on_progress: Callable[[int, int | None], None] = lambda _done, _total: None
-    """Is called in each replay with the images that are done, and how many there are where that is known."""
+    on_progress: Callable[[int, int | None], None] = lambda _done, _total: None  # of images; in total where known
 
     def __repr__(self) -> str:
-        """Its name, what is measured in it, and its topics by role."""
         topics = ", ".join(f"{role} {topic}" for role in Role if (topic := self.topic_of(role)))
         return f"{self.name}: instruments {', '.join(self.instruments)}; {topics or 'no topic of the profile'}"
 
@@ -109,8 +103,8 @@ class Recording:
     def perturbed(self, perturbations: Perturbations) -> Recording:
         """The same log in a perturbed world, of other joints, stamps and cameras, sampled by the log's seed or 0."""
         seed = self.metadata.get("seed", "")
-        seed_or_0 = int(seed) if seed.isdecimal() else 0
-        return replace(self, world=ReplayedWorld(perturbations, self.origin.profile, seed_or_0))
+        world = ReplayedWorld(perturbations, self.origin.profile, int(seed) if seed.isdecimal() else 0)
+        return replace(self, world=world)
 
     @property
     def instruments(self) -> tuple[str, ...]:
@@ -199,7 +193,7 @@ class Recording:
         return self._left_track.runs[0].camera
 
     @property
-    def _left_track(self) -> CameraTrack:
+    def _left_track(self) -> obs.CameraTrack:
         """What is known of the camera so far, its first calibration at least; RecordingError where there is none."""
         track = self.file.camera_track(self.arms[0].require(Role.CAMERA_INFO))
         if not track.runs:
@@ -218,7 +212,7 @@ class Recording:
     @property
     def remarks(self) -> list[str]:
         """What images lacked near them in the last replay, which topics are not used, and where a camera changed."""
-        said, changes = self.file.missing.describe(), self.camera_changes
+        said = self.file.missing.describe()
         said += dict.fromkeys(line for arm in self.arms for line in arm.missing_topics())
         topic, right = self.topic_of(Role.RIGHT_IMAGE), self.right_camera
         if topic not in (None, self.topic_of(Role.IMAGE)):
@@ -226,13 +220,13 @@ class Recording:
                 said.append(f"{topic} is not used: the log has no calibration of its camera")
             elif stereo_transform(self.camera, right) is None:
                 said.append(f"{topic} is not used: the log does not say how far the cameras are apart")
-        if changes:
+        if changes := self.camera_changes:
             count = f"; it is the first of {len(changes)} changes" if len(changes) > 1 else ""
             said.append(f"the camera changes: {changes[0]}{count}")
         return said
 
     @property
-    def camera_changes(self) -> tuple[CameraChange, ...]:
+    def camera_changes(self) -> tuple[obs.CameraChange, ...]:
         """Where either camera's calibration changes, so far as the log has been read: all of it after a pass."""
         topics = dict.fromkeys(self.topic_of(role) for role in (Role.CAMERA_INFO, Role.RIGHT_CAMERA_INFO))
         return tuple(one for topic in topics if topic for one in self.file.cameras[topic].changes(topic))
@@ -242,36 +236,34 @@ class Recording:
     ) -> Iterator[obs.EncodedObservation]:
         """Yield for every image, by stamp, what estimators may see of each instrument, not decoded yet.
 
-        Joints and the nominal camera-to-base transform are interpolated to the image's stamp between samples
-        at most 0.1 s apart. The right image is the one within `[limits] pair_tolerance_s`, where the cameras form a
-        stereo pair. Each is None where the log has none. Without `robot`, joints and transforms are neither read nor
-        given, without `right` the right images; with `rest` the pass over the images reads everything else, too, for
-        those who ask for it later. With `stale` images that repeat although the robot has moved say so, for which
-        joints are read in any case. RecordingError at once where the log has no images or camera.
-        One thread at a time goes through the iterator, any thread decodes, and `record_losses` takes the results. The
-        caller bounds how many are held.
+        Joints and the nominal camera-to-base transform are interpolated to the image's stamp between samples at most
+        0.1 s apart; the right image of a stereo pair is within `[limits] pair_tolerance_s`. Each is None where the log
+        has none. Without `robot`, joints and transforms are neither read nor given, without `right` the right images;
+        with `rest` the pass over the images reads everything else, too. With `stale`, for which joints are read in any
+        case, images that repeat although the robot has moved say so. RecordingError at once without images or camera.
+        One thread at a time iterates, any thread decodes; the caller bounds how many are held.
         """
         first = self.arms[0]
         topic, states = first.require(Role.IMAGE), [self._arm_states(arm, robot) for arm in self.arms]
         right_topic = self._right_topic() if right else None
         of_right = self.file.cameras[first.require(Role.RIGHT_CAMERA_INFO)] if right_topic else None
-        cameras = cameras_at(self._left_track, of_right, self.world.perturbations)
+        cameras = obs.cameras_at(self._left_track, of_right, self.world.perturbations)
         missing = self.file.missing = obs.MissingPartners(self.file.limits.pair_tolerance_s)
         images = self.file.images({topic, right_topic or topic}, rest=rest)
         pairs = obs.Pairs(right_topic, missing.pair_tolerance_s, self.health)
 
         def observation(number: int, at_ns: int, pair: obs.Pair) -> obs.EncodedObservation:
-            stamp_ns = pair.left.stamp_ns
-            reported = tuple(state(stamp_ns) for state in states)
+            left, right, right_apart_s = pair
+            reported = tuple(state(left.stamp_ns) for state in states)
             apart_s = zip(*(one[3:] for one in reported), strict=True)
             joints_s, base_s = (max(filter(None, far), default=None) for far in apart_s)
-            missing.add(right=pair.right_apart_s, joints=joints_s, base=base_s)
-            held, place = cameras(stamp_ns), self.health.next_place()
-            repeats, right = self._repeats(pair.left) if stale else "", pair.right
-            missing.repeat_count += stale and pair.left.since_ns < stamp_ns and not self._logged_tracks
+            missing.add(right=right_apart_s, joints=joints_s, base=base_s)
+            held, place = cameras(left.stamp_ns), self.health.next_place()
+            repeats = self._repeats(left) if stale else ""
+            missing.repeat_count += stale and left.since_ns < left.stamp_ns and not self._logged_tracks
             if stale and right is not None and not repeats and (said := self._repeats(right)):
                 right = replace(broken_image(right.stamp_ns, said), topic=right.topic, offset=right.offset)
-            return obs.EncodedObservation(pair.left, right, reported, held, place, number, at_ns, repeats)
+            return obs.EncodedObservation(left, right, reported, held, place, number, at_ns, repeats)
 
         return starmap(observation, self.window.of(pairs.of(images)))
 
@@ -291,8 +283,8 @@ class Recording:
         has_joints = robot and arm.find(Role.JOINTS) is not None
         joints = self._joints(arm) if robot else None
         fixed, frames = self.bases.get(arm.name), (arm.frames.camera, arm.frames.base)
-        tree = self.nominal_tree if robot and arm.name not in self.bases else None
-        tree = tree if tree and tree.links(*frames) else None
+        in_log = robot and arm.name not in self.bases
+        tree = self.nominal_tree if in_log and self.nominal_tree.links(*frames) else None
 
         def at(stamp_ns: int) -> obs.ArmState:
             T_camera_base, at_ns, base_apart_s = fixed, np.array([stamp_ns], np.int64), None
@@ -321,8 +313,7 @@ class Recording:
         """What is logged of the joints of each chain, whatever a perturbed world reports."""
         tracks, plain = [], replace(self, world=ReplayedWorld(Perturbations(), self.origin.profile))
         for arm in self.arms:
-            track = plain._joints(arm) if arm.find(Role.JOINTS) else None
-            if track is not None:
+            if arm.find(Role.JOINTS) and (track := plain._joints(arm)):
                 robot = self.origin.profile.for_instrument(arm.name).robot
                 known = robot.joint_names if robot else ()
                 columns = [at for at, name in enumerate(track.names) if name in known]
@@ -341,8 +332,7 @@ class Recording:
     def joint_track(self) -> JointTrack:
         """All joint states; RecordingError where there are none."""
         self.arms[0].require(Role.JOINTS)
-        track = self._joints(self.arms[0])
-        if track is None:
+        if (track := self._joints(self.arms[0])) is None:
             raise self._unusable("joint states", Role.JOINTS)
         return track
 
@@ -356,7 +346,7 @@ class Recording:
         robot = self.origin.profile.for_instrument(arm.name).robot
         names, stamps_ns, positions, losses = joint_rows(by_names, robot)
         reported = self.world.reported(arm.name, names, stamps_ns, positions)
-        stamps_ns, positions = in_order(*reported, self._lag_ns)
+        stamps_ns, positions = in_order(*reported, self.lag)
         if repeated := len(reported[0]) - len(stamps_ns):
             losses.append(f"{repeated} joint states repeat a stamp; the first one counts")
         for detail in losses:
@@ -385,30 +375,25 @@ class Recording:
 
     def tree_of(self, contents: Contents) -> TransformTree:
         """The same of so much of the log as was read."""
-        moving = self.topic_of(Role.TF)
-        topics = {moving: False} if moving else {}
-        topics |= dict.fromkeys(self.arms[0].static_transforms(), True)
-        return TransformTree(contents, topics, self._lag_ns)
+        moving, static = self.topic_of(Role.TF), self.arms[0].static_transforms()
+        topics = ({moving: False} if moving else {}) | dict.fromkeys(static, True)
+        return TransformTree(contents, topics, self.lag)
 
     def pose_track(self) -> TransformTrack:
         """All poses, at the stamps of the images' clock; RecordingError unless they are in one frame."""
         known = self.file.contents[self.arms[0].require(Role.POSE)]
-        frames = sorted(map(str, known))
-        if len(frames) != 1:
-            several = f", in several frames ({sanitize_list(frames)})," if frames else ""
+        if len(known) != 1:
+            several = f", in several frames ({sanitize_list(sorted(map(str, known)))})," if known else ""
             raise self._unusable(f"poses{several}", Role.POSE)
-        stamps_ns, values = in_order(*next(iter(known.values())).arrays(), self._lag_ns)
-        return TransformTrack(frames[0], "", stamps_ns, matrices(values))
+        ((frame, rows),) = known.items()
+        stamps_ns, values = in_order(*rows.arrays(), self.lag)
+        return TransformTrack(str(frame), "", stamps_ns, matrices(values))
 
     def distance_track(self) -> DistanceTrack:
         """All true distances."""
         topic = self.arms[0].require(Role.GROUND_TRUTH_DISTANCE)
         stamps_ns, rows = in_order(*self.file.contents[topic][None].arrays())
         return DistanceTrack(stamps_ns, rows.reshape(-1, 3))
-
-    @property
-    def _lag_ns(self) -> int:
-        return 0 if self.lag is None else self.lag.lag_ns
 
     def _arm(self, name: str) -> LoggedArm:
         if named := [arm for arm in self.arms if arm.name == name]:

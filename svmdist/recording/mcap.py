@@ -36,7 +36,6 @@ MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
 TAIL = struct.Struct("<BQQQI8s")  # the footer record and the magic, with which every complete file ends
 PARSED = frozenset(Opcode) - {Opcode.MESSAGE_INDEX}
-CHUNKED = Message | Schema | Channel
 
 
 class McapSource:
@@ -62,10 +61,8 @@ class McapSource:
                 continue
             channel = one_pass.channels[record.channel_id]
             if topics is None or channel.topic in topics:
-                schema = one_pass.schemas.get(channel.schema_id)
-                name, losses = schema.name if schema else "", one_pass.loss_count
-                encoding = channel.message_encoding
-                yield RawMessage(channel.topic, name, encoding, record.log_time, record.data, offset, losses)
+                topic, schema, encoding, _ = one_pass.topic_of(channel)
+                yield RawMessage(topic, schema, encoding, record.log_time, record.data, offset, one_pass.loss_count)
         self._metadata = one_pass.metadata if self._metadata is None else self._metadata
 
     @cached_property
@@ -74,33 +71,26 @@ class McapSource:
         with reading(self.path, RecordingError), open_regular(self.path) as file:
             size_bytes = file.seek(0, 2)
             tail = _tail(file, size_bytes)
-            start, crc = (tail[2], tail[4]) if tail else (0, 0)
-            if not 0 < start < size_bytes or not crc:
-                return None
+            start, crc = (min(tail[2], size_bytes), tail[4]) if tail else (0, 0)
             file.seek(start)
-            if zlib.crc32(file.read(size_bytes - len(MAGIC) - 4 - start)) != crc:
-                return None
-            file.seek(0)
-            with suppress(Exception):  # right by its CRC, and still not MCAP
-                return SeekingReader(file).get_summary()
+            if start and crc and zlib.crc32(file.read(max(size_bytes - len(MAGIC) - 4 - start, 0))) == crc:
+                file.seek(0)
+                with suppress(Exception):  # right by its CRC, and still not MCAP
+                    return SeekingReader(file).get_summary()
         return None
 
     @cached_property
     def topics(self) -> tuple[TopicInfo, ...]:
         """The topics: from the summary where its CRC is right, else by reading the whole file."""
         one_pass, is_counted = _Pass(self), True
-        counts, none = one_pass.counts, Schema(0, b"", "", "")
         statistics = self.summary.statistics if self.summary else None
         if statistics and statistics.channel_count == len(one_pass.channels):
-            counts.update(statistics.channel_message_counts)
-            is_counted = counts.total() == statistics.message_count
+            one_pass.counts.update(statistics.channel_message_counts)
+            is_counted = one_pass.counts.total() == statistics.message_count
         else:
             deque(one_pass.records(None), maxlen=0)
-        found = []
-        for key, channel in one_pass.channels.items():
-            schema, count = one_pass.schemas.get(channel.schema_id, none), counts[key] if is_counted else None
-            found.append(TopicInfo(channel.topic, schema.name, channel.message_encoding, count))
-        return merge_topics(found)
+        found = map(one_pass.topic_of, one_pass.channels.values())
+        return merge_topics(found if is_counted else (one._replace(message_count=None) for one in found))
 
 
 class _Pass:
@@ -110,20 +100,25 @@ class _Pass:
         self._path, self._health, self._limits = source.path, source.health, source.limits
         self._summary = summary = source.summary
         # From the summary, so that the loss of a chunk does not take the definitions in it along.
-        self.schemas: dict[int, Schema] = dict(summary.schemas) if summary else {}
-        self.channels: dict[int, Channel] = dict(summary.channels) if summary else {}
-        self.metadata: dict[str, str] = {}
-        self.loss_count = 0
+        self.schemas = dict(summary.schemas) if summary else dict[int, Schema]()
+        self.channels = dict(summary.channels) if summary else dict[int, Channel]()
+        self.metadata, self.loss_count = dict[str, str](), 0
         self._statistics = summary.statistics if summary else None
         self.counts: Counter[int] = Counter()  # messages read by channel
         self._has_data_ended = self._is_cut = False
+
+    def topic_of(self, channel: Channel) -> TopicInfo:
+        """The topic of a channel, with the count of its messages so far."""
+        schema = self.schemas.get(channel.schema_id)
+        name = schema.name if schema else ""
+        return TopicInfo(channel.topic, name, channel.message_encoding, self.counts[channel.id])
 
     def records(self, topics: Collection[str] | None) -> Iterator[tuple[int, McapRecord]]:
         """Yield the records with their offsets, chunks unpacked; of messages those with a known channel."""
         is_chunked = False
         for offset, record in self.frames(topics):
             inner: list[McapRecord] = [record]
-            belonging = Message if self._has_data_ended else CHUNKED
+            belonging = Message if self._has_data_ended else Message | Schema | Channel
             if isinstance(record, Chunk):
                 is_chunked = True
                 try:

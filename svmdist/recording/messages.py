@@ -21,17 +21,14 @@ from svmdist import samples
 from svmdist.camera import KNOWN_DISTORTION, MAX_COEFFICIENTS, Camera
 from svmdist.errors import restated
 from svmdist.profile import Limits
+from svmdist.recording import own_messages_pb2
 from svmdist.recording.images import ImageError, VideoDecoder, decode_raw, decode_still
-from svmdist.recording.own_messages_pb2 import GroundTruthDistance
 from svmdist.recording.source import RawMessage, TopicInfo, cut, sanitize_list
 from svmdist.transforms import Array, frame_name, make_transform, rotation_from_quaternion_xyzw
 
 MAX_STAMP_NS = (1 << 63) - 1
 NS = 1_000_000_000
-MAX_MAGNITUDE = 1e12
-"""In m, rad or px, far beyond anything real; squares and differences of such numbers are still finite."""
-MIN_QUATERNION = 1e-9  # its length; a shorter one names no rotation
-PLAIN_CDR = (b"\0\0", b"\0\1")
+MAX_MAGNITUDE = 1e12  # in m, rad or px, far beyond anything real; squares and differences of these are still finite
 Protobuf: Any = protobuf.Message  # what messages that are not of ROS derive from
 
 
@@ -141,16 +138,15 @@ class Decoder:
         """Turn a message into a sample, of images without pixels; DecodeError where it is malformed."""
         _checked_stamp(raw.log_time_ns)
         encoding, schema = raw.message_encoding, _short(raw.schema)
-        known = SCHEMAS.get(encoding, {}).get(schema)
-        if known is None:
+        if kind_of(raw) is None:
             raise DecodeError(f"schema {raw.schema!r} in {encoding!r} is not known")
-        kind, convert = known
+        kind, convert = SCHEMAS[encoding][schema]
         limit = self._limits.message_bytes
         if kind is Kind.IMAGE:
             limit += 4 * self._limits.image_pixels if convert is _raw_image else self._limits.image_bytes
         if len(raw.data) > limit:
             raise DecodeError(f"a message of {len(raw.data)} bytes, the limit is {limit}")
-        if encoding == "cdr" and raw.data[:2] not in PLAIN_CDR:
+        if encoding == "cdr" and raw.data[:2] not in (b"\0\0", b"\0\1"):
             raise DecodeError(f"not plain CDR: it begins with {raw.data[:2].hex(' ')}")
         try:
             message = _parser(encoding, schema)(raw.data)
@@ -183,11 +179,10 @@ def _short(schema: str) -> str:
 
 @cache
 def message_class(schema: str) -> Any:
-    """The protobuf class of a schema that svmdist reads."""
-    if schema == GroundTruthDistance.DESCRIPTOR.full_name:
-        return GroundTruthDistance
-    name = schema.removeprefix("foxglove.")
-    return getattr(import_module(f"foxglove_schemas_protobuf.{name}_pb2"), name)
+    """The protobuf class of one of Foxglove's schemas, or of svmdist's own."""
+    package, _, name = schema.partition(".")
+    is_own = package == "svmdist"
+    return getattr(own_messages_pb2 if is_own else import_module(f"foxglove_schemas_protobuf.{name}_pb2"), name)
 
 
 @cache
@@ -269,26 +264,18 @@ def _camera(message: Any, stamp_ns: int, frame_id: str) -> samples.CameraSample:
         choices = ", ".join(sorted(filter(None, KNOWN_DISTORTION)))
         raise DecodeError(f"distortion model {name!r} is not known; the choices are {choices}")
     R_rectified = R.reshape(3, 3) if R.any() else None
-    A, size_px = _part_of_sensor(message)
+    A, size_px = np.eye(3), (message.width, message.height)  # A: pixels of the image from those that K is for
+    if not isinstance(message, Protobuf):
+        # ROS alone has parts of images. The region is in pixels of the sensor, of which `binning` make one.
+        roi, binning = message.roi, np.maximum(1, [message.binning_x, message.binning_y])
+        width, height = [roi.width or message.width, roi.height or message.height] // binning
+        size_px = int(width), int(height)
+        A[[0, 1], [0, 1]] = 1.0 / binning
+        A[:2, 2] = (0.5 - np.array([roi.x_offset, roi.y_offset])) / binning - 0.5  # from corner to centre
     P_rectified = A @ P.reshape(3, 4) if P.any() else None
     with restated(ValueError, DecodeError):
         camera = Camera(*size_px, A @ K.reshape(3, 3), D, R_rectified, P_rectified, frame_id, model)
     return samples.CameraSample(stamp_ns, camera)
-
-
-def _part_of_sensor(message: Any) -> tuple[Array, tuple[int, int]]:
-    """Pixels of the image from those that K is for, shape (3, 3), and the image's size; ROS alone has parts of them.
-
-    The region of interest is in pixels of the whole sensor, of which `binning_x` by `binning_y` make one.
-    """
-    A = np.eye(3)
-    if isinstance(message, Protobuf):
-        return A, (message.width, message.height)
-    roi, binning = message.roi, np.maximum(1, [message.binning_x, message.binning_y])
-    width, height = [roi.width or message.width, roi.height or message.height] // binning
-    A[[0, 1], [0, 1]] = 1.0 / binning
-    A[:2, 2] = (0.5 - np.array([roi.x_offset, roi.y_offset])) / binning - 0.5  # from corner to centre
-    return A, (int(width), int(height))
 
 
 def _joints(message: Any, stamp_ns: int, _: str) -> samples.JointSample:
@@ -338,7 +325,7 @@ def _rigid(stamp_ns: int, parent: str, child: str, of: Any, position: str, rotat
     q = (turn.x, turn.y, turn.z, turn.w) if is_turned else (0.0, 0.0, 0.0, 1.0)
     values = (t.x, t.y, t.z, *q)
     _check_numbers(values, "a transform")
-    if math.hypot(*q) <= MIN_QUATERNION:
+    if math.hypot(*q) <= 1e-9:
         raise DecodeError("a rotation needs a finite quaternion that is not zero")
     return RawTransform(stamp_ns, parent, child, values)
 
@@ -349,8 +336,7 @@ def _distance(message: Any, stamp_ns: int, _: str) -> samples.DistanceSample:
     return samples.DistanceSample(stamp_ns, *values)
 
 
-Converter = Callable[..., Message]
-"""Of a parsed message, its stamp in ns, its frame, and for images the limits."""
+Converter = Callable[..., Message]  # of a parsed message, its stamp in ns, its frame, and for images the limits
 PROTOBUF: dict[str, tuple[Kind, Converter]] = {
     "foxglove.CompressedImage": (Kind.IMAGE, _still_image),
     "foxglove.RawImage": (Kind.IMAGE, _raw_image),
@@ -372,5 +358,4 @@ ROS: dict[str, tuple[Kind, Converter]] = {
     "tf2_msgs/TFMessage": (Kind.TRANSFORMS, _transforms),
     "tf/tfMessage": (Kind.TRANSFORMS, _transforms),
 }
-SCHEMAS = {"protobuf": PROTOBUF, "cdr": ROS, "ros1": ROS}
-"""By encoding and schema: what its messages are, and what makes samples of them."""
+SCHEMAS = {"protobuf": PROTOBUF, "cdr": ROS, "ros1": ROS}  # by encoding and schema: kind, and what makes samples

@@ -1,22 +1,24 @@
-"""Observations whose images are still encoded: read and paired in one thread, decoded in any."""
+"""Observations whose images are still encoded: given their cameras and paired in one thread, decoded in any."""
 
 from __future__ import annotations
 
 import math
-from bisect import insort
+from bisect import bisect_right, insort
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import cache, cached_property
+from itertools import pairwise
 from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.camera import Camera
+from svmdist.camera import Camera, stereo_transform
 from svmdist.errors import UsageError
-from svmdist.recording.cameras import Cameras
+from svmdist.perturbations import Perturbations
+from svmdist.perturbations.calibration import nominal_camera
 from svmdist.recording.images import ImageError
 from svmdist.recording.messages import EncodedImage
 from svmdist.recording.source import Health, Loss, LossKind
@@ -24,11 +26,114 @@ from svmdist.samples import Image, JointSample, Observation, Rejection, RightVie
 from svmdist.tracks import MAX_GAP_NS, JointTrack, nearest_in_words
 from svmdist.transforms import Array
 
+ROUNDING = 1e-6  # relative, and in px: calibrations that differ by no more are one
+SMALL_PX = 1.0  # K that differs by less is within what any calibration is uncertain by: either may hold
+MAX_RUNS = 10_000  # what a camera may change in a log: others are not kept
 LOOK_AHEAD_NS = 3_000_000_000  # how long, in log time, an image waits for the right image at its stamp
 MAX_WAITING_BYTES = 64 << 20
+MAX_SWAPPED_IMAGES = 4  # wait for one stamped before them: two chunks of a log that changed places hold no more
 STAMP = attrgetter("stamp_ns")
-MAX_SWAPPED_IMAGES = 4
-"""As many images wait for one that is stamped before them: two chunks of a log that changed places hold no more."""
+
+
+class Run(NamedTuple):
+    """A calibration, and the stamps of the first and the last message in a row that say so."""
+
+    camera: Camera
+    first_ns: int
+    last_ns: int
+
+
+class Cameras(NamedTuple):
+    """The cameras of an image and of the right one, if any; `ambiguity` says why it is not known which hold."""
+
+    left: Camera
+    right: tuple[Camera, Array] | None = None  # with `T_left_right`, shape (4, 4)
+    ambiguity: str = ""
+
+
+class CameraChange(NamedTuple):
+    """Two calibrations that follow each other on a topic; `start_ns` is the stamp of the topic's first message."""
+
+    topic: str
+    before: Run
+    after: Run
+    start_ns: int
+
+    def __str__(self) -> str:
+        from_s, to_s = ((ns - self.start_ns) * 1e-9 for ns in (self.before.last_ns, self.after.first_ns))
+        what = changed(self.before.camera, self.after.camera)
+        return f"{what} between {from_s:.2f} and {to_s:.2f} s ({self.topic})"
+
+
+class CameraTrack:
+    """The calibrations of one topic, in runs of equal ones; a message that comes behind later ones does not count."""
+
+    def __init__(self) -> None:
+        self.runs: list[Run] = []
+
+    def add(self, stamp_ns: int, camera: Camera) -> None:
+        """Take up a message; the same one may come again, in another pass over the log."""
+        last = self.runs[-1] if self.runs else Run(camera, -1, -1)
+        if stamp_ns > last.last_ns and self.runs and _is_same(last.camera, camera):
+            self.runs[-1] = last._replace(last_ns=stamp_ns)
+        elif stamp_ns > last.last_ns and len(self.runs) < MAX_RUNS:
+            self.runs.append(Run(camera, stamp_ns, stamp_ns))
+
+    def at(self, stamp_ns: int) -> tuple[int, str]:
+        """Which run holds at a stamp, the first before all and the last behind; and the ambiguity between two."""
+        place = max(0, bisect_right(self.runs, stamp_ns, key=lambda run: run.first_ns) - 1)
+        run = self.runs[place]
+        if stamp_ns <= run.last_ns or place + 1 == len(self.runs):
+            return place, ""
+        following = self.runs[place + 1].camera
+        is_small = run.camera.same_optics(following, SMALL_PX)
+        return place, "" if is_small else f"the camera changes about here: {changed(run.camera, following)}"
+
+    def changes(self, topic: str) -> list[CameraChange]:
+        """What changes from each run to the next."""
+        return [CameraChange(topic, *pair, self.runs[0].first_ns) for pair in pairwise(self.runs)]
+
+
+def cameras_at(left: CameraTrack, right: CameraTrack | None, perturbations: Perturbations) -> Callable[[int], Cameras]:
+    """The cameras that hold at a stamp, so far as their tracks are known, perturbed."""
+
+    @cache
+    def held(left_run: int, right_run: int) -> Cameras:
+        camera = nominal_camera(left.runs[left_run].camera, perturbations)
+        if right is None:
+            return Cameras(camera)
+        other = nominal_camera(right.runs[right_run].camera, perturbations, right=True)
+        T_left_right = stereo_transform(camera, other)
+        return Cameras(camera, None if T_left_right is None else (other, T_left_right))
+
+    def at(stamp_ns: int) -> Cameras:
+        left_run, ambiguity = left.at(stamp_ns)
+        right_run, of_right = (0, "") if right is None else right.at(stamp_ns)
+        return held(left_run, right_run)._replace(ambiguity=ambiguity or of_right)
+
+    return at
+
+
+def changed(before: Camera, after: Camera) -> str:
+    """What differs between two calibrations, in words."""
+    both = before, after
+    baselines_m = (0.0 if one.P is None else abs(one.P[0, 3]) / one.K[0, 0] for one in both)
+    named = {
+        "size": (f"{one.width_px}x{one.height_px} px" for one in both),
+        "focal length": (f"{one.K[0, 0]:.1f} px" for one in both),
+        "principal point": (f"{one.K[0, 2]:.1f}, {one.K[1, 2]:.1f} px" for one in both),
+        "baseline": (f"{baseline_m * 1e3:.2f} mm" for baseline_m in baselines_m),
+    }
+    said = ((name, *values) for name, values in named.items())
+    found = [f"{name} {one} -> {other}" for name, one, other in said if one != other]
+    return ", ".join(found) or "distortion or rectification"
+
+
+def _is_same(one: Camera, other: Camera) -> bool:
+    for a, b in ((one.R_rectified_camera, other.R_rectified_camera), (one.P, other.P)):
+        if a is not b and (a is None or b is None or not np.allclose(a, b, ROUNDING, ROUNDING)):
+            return False
+    return one.same_optics(other, ROUNDING * max(one.K[0, 0], 1.0))
 
 
 class Pair(NamedTuple):
@@ -84,9 +189,9 @@ class Pairs:
         while self._right and self._right[0].stamp_ns < left.stamp_ns - self._tolerance_ns:
             self._gone_right_ns = self._right.pop(0).stamp_ns
         nearest = min(self._right, key=lambda image: abs(image.stamp_ns - left.stamp_ns), default=None)
-        if nearest is None or nearest.stamp_ns > left.stamp_ns + self._tolerance_ns:
-            following_ns = math.inf if nearest is None else nearest.stamp_ns
-            apart_ns = min(following_ns - left.stamp_ns, left.stamp_ns - self._gone_right_ns)
+        nearest_ns = math.inf if nearest is None else nearest.stamp_ns
+        if nearest is None or nearest_ns > left.stamp_ns + self._tolerance_ns:
+            apart_ns = min(nearest_ns - left.stamp_ns, left.stamp_ns - self._gone_right_ns)
             return Pair(left, None, apart_ns * 1e-9)
         self._right.remove(nearest)
         self._gone_right_ns = nearest.stamp_ns
@@ -131,18 +236,13 @@ class MissingPartners:
         ]
 
 
-JOINT_TRACK_NS = 200_000_000
-"""Joints so long before and after an image go with it: by as much the clocks may differ for a method that finds it."""
-OUT_OF_ORDER_S = 1.0
-"""Images may stand so much out of order in a file: reading goes on this long after the end of a window."""
+JOINT_TRACK_NS = 200_000_000  # joints so near an image go with it: clocks may differ as much for a method to find it
+OUT_OF_ORDER_S = 1.0  # by which images may stand out of order in a file: reading goes on so long after a window's end
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Images from `start_s` to `end_s` after the first one, both included, and of these every `every`-th one.
-
-    Raises UsageError for a start that is no time, and an end before it.
-    """
+    """Every `every`-th image from `start_s` to `end_s` after the first one, both included; UsageError if impossible."""
 
     start_s: float = 0.0
     end_s: float = math.inf
@@ -163,10 +263,9 @@ class Window:
 
     def of(self, pairs: Iterable[Pair]) -> Iterator[tuple[int, int, Pair]]:
         """The images inside, each behind its number among all and its time since the first one, in ns."""
-        first_ns: int | None = None
-        count = 0
+        first_ns, count = 0, 0
         for number, pair in enumerate(pairs):
-            first_ns = pair.left.stamp_ns if first_ns is None else first_ns
+            first_ns = first_ns if number else pair.left.stamp_ns
             at_ns = pair.left.stamp_ns - first_ns
             if at_ns > (self.end_s + OUT_OF_ORDER_S) * 1e9:
                 return
@@ -197,16 +296,13 @@ def decode_image(image: EncodedImage, losses: list[Loss], camera: Camera | None 
 
 
 class ArmState(NamedTuple):
-    """What one arm reported at an image's stamp: joints, those around it, and `T_camera_base`, shape (4, 4).
+    """What one arm reported at an image's stamp: joints, those around it, and `T_camera_base`, shape (4, 4)."""
 
-    Where the log has them and none is near the image, `joints_apart_s` and `base_apart_s` say how far the nearest is.
-    """
-
-    joints: JointSample | None = None
-    joint_track: JointTrack | None = None
-    T_camera_base: Array | None = None
-    joints_apart_s: float | None = None
-    base_apart_s: float | None = None
+    joints: JointSample | None
+    joint_track: JointTrack | None
+    T_camera_base: Array | None
+    joints_apart_s: float | None  # how far the nearest joints are where the log has some and none is near the image
+    base_apart_s: float | None  # the same of the transforms
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,11 +321,7 @@ class Decoded:
 
 @dataclass(frozen=True)
 class EncodedObservation:
-    """One image with what belongs to it, as it stands in the log; make it with `Recording.encoded_observations`.
-
-    `decode` gives the same whatever the thread and whatever the order, and changes nothing: a caller decodes each
-    observation once, and hands the results to `Recording.record_losses`.
-    """
+    """One image with what belongs to it, as it stands in the log; `Recording.encoded_observations` makes them."""
 
     left: EncodedImage
     right: EncodedImage | None
@@ -251,29 +343,24 @@ class EncodedObservation:
         return self.decode()
 
     def decode(self) -> Decoded:
-        """Decode the images; a Rejection for a left image that cannot be, or whose camera is not known."""
+        """Decode the images, in any thread, for `Recording.record_losses`; a Rejection without left image or camera."""
         losses: list[Loss] = []
-        camera, _, ambiguity = self.cameras
+        camera, of_right, ambiguity = self.cameras
         if ambiguity:
             return Decoded(Rejection(self.stamp_ns, Status.INCONSISTENT, ambiguity), (), self.place)
         image = decode_image(self.left, losses, camera)
         if isinstance(image, Rejection):
             return Decoded(image, tuple(losses), self.place)
-        seen = Observation(self.stamp_ns, image, camera, right=self._right_view(losses))
+        right = None
+        if self.right is not None and of_right is not None:
+            right_image = decode_image(self.right, losses, of_right[0])
+            if not isinstance(right_image, Rejection):
+                right = RightView(right_image, *of_right, (self.right.stamp_ns - self.stamp_ns) * 1e-9)
         found = tuple(
-            replace(seen, joints=arm.joints, joint_track=arm.joint_track, T_camera_base=arm.T_camera_base)
+            Observation(self.stamp_ns, image, camera, arm.joints, right, arm.T_camera_base, arm.joint_track)
             for arm in self.arms
         )
         return Decoded(found, tuple(losses), self.place)
-
-    def _right_view(self, losses: list[Loss]) -> RightView | None:
-        if self.right is None or self.cameras.right is None:
-            return None
-        camera, T_left_right = self.cameras.right
-        image = decode_image(self.right, losses, camera)
-        if isinstance(image, Rejection):
-            return None
-        return RightView(image, camera, T_left_right, (self.right.stamp_ns - self.stamp_ns) * 1e-9)
 
 
 def joints_at(track: JointTrack | None, stamp_ns: int) -> tuple[JointSample | None, JointTrack | None]:

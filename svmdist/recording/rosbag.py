@@ -27,21 +27,18 @@ from svmdist.remote import LogPath, RemoteFile
 
 METADATA_BYTES = 1 << 20
 SQLITE_HEADER_BYTES = 100
-UNMERGED_SUFFIXES = ("-wal", "-journal")
 
 
 class BagSource:
     """One file that `rosbags` reads: a ROS 1 bag, or a database of rosbag2."""
 
     def __init__(self, path: LogPath, encoding: str) -> None:
-        self.path = path
-        self.health = source.Health()
-        self._encoding = encoding
+        self.path, self.health, self._encoding = path, source.Health(), encoding
         if encoding == "cdr":
             if isinstance(path, RemoteFile):
                 raise RecordingError(f"{path}: a database is read from a disk only: download it first")
             _require_whole_database(Path(str(path)))
-            for left in (Path(f"{path}{suffix}") for suffix in UNMERGED_SUFFIXES):
+            for left in (Path(f"{path}{suffix}") for suffix in ("-wal", "-journal")):
                 if left.exists() and left.stat().st_size:
                     detail = f"{left.name}, left by an interrupted recorder, is not read; sqlite3 merges it"
                     self.health.lose(source.LossKind.STRUCTURE, detail)

@@ -50,8 +50,7 @@ class LossKind(StrEnum):
     DATA_CRC = "data_crc"
     SUMMARY = "summary"
     STATISTICS = "statistics"
-    CONTRADICTION = "contradiction"
-    """Nothing is lost: what the log or its profile says twice does not agree, and distances rest on it."""
+    CONTRADICTION = "contradiction"  # what log or profile say twice does not agree, and distances rest on it; no loss
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,29 +71,24 @@ class Loss:
 
 @dataclass
 class Health:
-    """The losses of one recording, filled while it is read; complete after a pass over the whole file.
-
-    A second pass finds the same losses again, and each is kept once. They are listed in the order of `place`, so
-    that images decoded late, by other threads, are listed as if they had been decoded at once.
-    """
+    """The losses of one recording, each once, by their places; complete after a pass over the whole file."""
 
     unlisted_count: int = 0  # losses beyond the listed ones: a lower bound, and 0 only where there are none
     _losses: dict[Loss, int] = field(default_factory=dict)
     _place_count: int = 0  # a plain number: Python 3.14 sends no iterators between processes
 
     def next_place(self) -> int:
-        """Reserve a place in the order of losses, for a loss that may be found later."""
+        """Reserve a place in the order of losses, for one that another thread may find later, as if it came at once."""
         self._place_count += 1
         return self._place_count
 
     def add(self, loss: Loss, place: int | None = None) -> None:
         """Report a loss, at a reserved place or at the next one."""
         place = self.next_place() if place is None else place
-        known = self._losses.get(loss)
-        if known is None and len(self._losses) >= MAX_LISTED_LOSSES:
+        if loss in self._losses or len(self._losses) < MAX_LISTED_LOSSES:
+            self._losses[loss] = min(place, self._losses.get(loss, place))
+        else:
             self.unlisted_count = 1
-            return
-        self._losses[loss] = place if known is None else min(place, known)
 
     def lose(self, kind: LossKind, detail: str, offset: int | None = None, topic: str | None = None) -> None:
         """Report a loss at the next place."""
@@ -173,6 +167,5 @@ def merge_topics(infos: Iterable[TopicInfo]) -> tuple[TopicInfo, ...]:
     counts: defaultdict[tuple[str, str, str], list[int | None]] = defaultdict(list)
     for info in infos:
         counts[info[:3]].append(info.message_count)
-    return tuple(
-        TopicInfo(*key, None if None in found else sum(filter(None, found))) for key, found in sorted(counts.items())
-    )
+    totals = {key: None if None in found else sum(filter(None, found)) for key, found in sorted(counts.items())}
+    return tuple(TopicInfo(*key, total) for key, total in totals.items())

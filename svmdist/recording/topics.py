@@ -30,10 +30,8 @@ LOOKS_LIKE = {
     b"\x89HDF": "an HDF5 file",
     b"version https://git-lfs": "a Git LFS pointer, whose file has not been fetched",
 }
-IMAGES_OR_VIDEO = re.compile(
-    rb"\x89PNG|\xff\xd8\xff|BM|II\*\0|MM\0\*|RIFF....(AVI |WEBP)|....ftyp|\x1aE\xdf\xa3", re.DOTALL
-)
-"""How images and videos begin: PNG, JPEG, BMP, TIFF, WebP, AVI, MP4, Matroska."""
+# How images and videos begin: PNG, JPEG, BMP, TIFF, AVI, WebP, MP4, Matroska.
+IMAGES_OR_VIDEO = re.compile(rb"(?s)\x89PNG|\xff\xd8\xff|BM|II\*\0|MM\0\*|RIFF....(AVI |WEBP)|....ftyp|\x1aE\xdf\xa3")
 WHAT_IS_EXPECTED = "an MCAP file, a ROS 1 bag or a rosbag2 folder"
 TO_IMPORT = "`svmdist import` makes a log of images or a video"
 
@@ -60,8 +58,7 @@ class Role(StrEnum):
 
 
 RIGHT = (Role.RIGHT_IMAGE, Role.RIGHT_CAMERA_INFO)
-NAMED = frozenset({Role.GROUND_TRUTH_TF, *RIGHT})
-"""Roles whose topics must be named: any transforms could pass for truth, any image for the right one."""
+NAMED = {Role.GROUND_TRUTH_TF, *RIGHT}  # must be named: any transforms could pass for truth, any image for right
 
 
 def is_right(topic: str) -> bool:
@@ -149,13 +146,11 @@ class LoggedArm:
         return sorted({one.topic for one in self.infos if kind_of(one) is kind})
 
     def _unclaimed(self, role: Role, candidates: Sequence[str]) -> list[str]:
-        """Leave out topics that are known to play another role or are another arm's, and static transforms.
-
-        Where a log has the right view alone, that is the image, with its own calibration and no other.
-        """
+        """Leave out topics that are known to play another role or are another arm's, and static transforms."""
         others = self.claimed | {self.overrides.get(one) or getattr(self.wanted, one) for one in set(Role) - {role}}
         fitting = [topic for topic in candidates if topic not in others and not topic.endswith("tf_static")]
         right = {getattr(self.wanted, other) for other in RIGHT}
+        # Where a log has the right view alone, that is the image, with its own calibration and no other.
         fitting = fitting or [topic for topic in candidates if topic in right and len(candidates) == 1]
         if role is Role.IMAGE and self.wanted.camera_info in self._candidates(Kind.CAMERA):
             return [topic for topic in fitting if topic not in right]
@@ -172,13 +167,12 @@ def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) ->
     there: a profile of a robot's three arms serves a log of one. `overrides` choose topics by role: those of an arm
     are the first one's, and what they name is no other's.
     """
-    infos = source.topics
-    there = {info.topic for info in infos} - {overrides[role] for role in ARM_TOPICS if role in overrides}
+    there = {info.topic for info in source.topics} - {overrides[role] for role in ARM_TOPICS if role in overrides}
     others = [other for other in profile.other_instruments if other.is_in(there)]
-    first = profile.topics
-    of_first = {overrides.get(role) or getattr(first, role) for role in ARM_TOPICS} - {None}
+    firsts = {role: overrides.get(role) or getattr(profile.topics, role) for role in ARM_TOPICS}
+    of_first = {*firsts.values()} - {None}
     there |= of_first & set(overrides.values())
-    known_by = {overrides.get(role) or getattr(first, role) for role in ("joints", "pose")} - {None}
+    known_by = {firsts["joints"], firsts["pose"]} - {None}
     is_elsewhere = any(there & set(other.logged_topics.values()) for other in others)
     claims = {} if is_elsewhere and known_by and not known_by & there else {profile.instrument_name: of_first}
     claims |= {other.name: set(other.logged_topics.values()) for other in others}
@@ -188,7 +182,7 @@ def find_arms(source: Source, profile: Profile, overrides: Mapping[str, str]) ->
         is_first = name == profile.instrument_name
         chosen = {role: topic for role, topic in overrides.items() if is_first or role not in ARM_TOPICS}
         claimed = frozenset(topic for owner in claims if owner != name for topic in claims[owner] if topic)
-        arms.append(LoggedArm(name, view.frames, infos, view.topics, chosen, source.path.name, claimed))
+        arms.append(LoggedArm(name, view.frames, source.topics, view.topics, chosen, source.path.name, claimed))
     return tuple(arms)
 
 
@@ -209,10 +203,6 @@ def open_source(path: LogPath, limits: Limits) -> Source:
         raise RecordingError(f"{path}: no such file{near}") from None
     except (OSError, ValueError) as problem:
         raise RecordingError(f"{path}: cannot read: {why(problem)}") from None
-    return _open_file(path, start, limits)
-
-
-def _open_file(path: LogPath, start: bytes, limits: Limits) -> Source:
     if start.startswith(mcap.MAGIC):
         source: Source = mcap.McapSource(path, limits)
     elif start.startswith((b"#ROSBAG V2.0\n", b"SQLite format 3\x00")):
@@ -226,8 +216,8 @@ def _open_file(path: LogPath, start: bytes, limits: Limits) -> Source:
     elif IMAGES_OR_VIDEO.match(start):
         raise RecordingError(f"{path}: is no recording but an image or a video: {TO_IMPORT}")
     else:
-        found = next((what for magic, what in LOOKS_LIKE.items() if start.startswith(magic)), None)
-        raise RecordingError(f"{path}: is {found or 'not a recording'}; expected {WHAT_IS_EXPECTED}; {TO_IMPORT}")
+        found = next((what for magic, what in LOOKS_LIKE.items() if start.startswith(magic)), "not a recording")
+        raise RecordingError(f"{path}: is {found}; expected {WHAT_IS_EXPECTED}; {TO_IMPORT}")
     topics = {info.topic for info in source.topics if info.message_encoding == "cdr"}
     first = next(iter(source.messages(topics)), None) if topics else None
     if first is not None and first.data.startswith(ZSTD_MAGIC):  # CDR begins with a zero byte

@@ -6,14 +6,6 @@ from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
-from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
-from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
-from foxglove_schemas_protobuf.Log_pb2 import Log
-from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
-from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
-from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
-from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
-from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
 from svmdist import drawing as draw
 from svmdist.geometry import Capsules, Mesh
@@ -21,24 +13,19 @@ from svmdist.recording.writer import EncodedSample, Fields, encoded, stamp_field
 from svmdist.samples import Image
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
-FORMS = {
-    draw.Form.POINTS: PointsAnnotation.POINTS,
-    draw.Form.LINE: PointsAnnotation.LINE_STRIP,
-    draw.Form.LOOP: PointsAnnotation.LINE_LOOP,
-}
+FORMS = {draw.Form.POINTS: "POINTS", draw.Form.LINE: "LINE_STRIP", draw.Form.LOOP: "LINE_LOOP"}
 GROUND: draw.Rgb = (20, 20, 20)
 LINE_PX, POINT_PX, SMALL_POINT_PX, FONT_PX = 2.0, 6.0, 3.0, 14.0
 LINE_PIXELS, TEXT_PIXELS = 3.0, 14.0  # of lines and texts in space, in px of the screen
 SOLID, SHEER = 0.9, 0.5
-CHANNELS = ("red", "green", "blue", "alpha")
 UNTURNED = {"w": 1.0}
 
 
 def image_annotations(drawing: draw.FrameDrawing) -> EncodedSample:
     """The shapes, labels and status lines of an image as `foxglove.ImageAnnotations`."""
     texts = [(label.text, label.place_px, draw.COLOURS[label.part]) for label in drawing.labels]
-    for row, line in enumerate(drawing.lines):
-        texts.append((line.text, np.array([4.0, (row + 1) * (FONT_PX + 6.0)]), line.colour))
+    rows = enumerate(drawing.lines, 1)
+    texts += [(line.text, np.array([4.0, row * (FONT_PX + 6.0)]), line.colour) for row, line in rows]
     stamp = stamp_fields(drawing.stamp_ns)
     look = {"font_size": FONT_PX, "background_color": _colour(GROUND, SOLID), "timestamp": stamp}
     points = [_points(shape) | {"timestamp": stamp} for shape in drawing.shapes]
@@ -46,7 +33,7 @@ def image_annotations(drawing: draw.FrameDrawing) -> EncodedSample:
         {"text": text, "position": vector_fields(place_px), "text_color": _colour(colour), **look}
         for text, place_px, colour in texts
     ]
-    return encoded(ImageAnnotations, drawing.stamp_ns, points=points, texts=written)
+    return encoded("foxglove.ImageAnnotations", drawing.stamp_ns, points=points, texts=written)
 
 
 def scene_update(drawing: draw.FrameDrawing, instruments: Iterable[str], frame_id: str) -> EncodedSample:
@@ -59,28 +46,30 @@ def scene_update(drawing: draw.FrameDrawing, instruments: Iterable[str], frame_i
     shown |= {segment.name: _segment(segment) for segment in drawing.segments}
     parts = ("instrument", draw.Part.DISTANCE, draw.Part.BETWEEN)
     possible = {"tissue", *(f"{name} {part}" for name in instruments for part in parts)}
-    gone, stamp = {"type": SceneEntityDeletion.MATCHING_ID}, {"timestamp": stamp_fields(drawing.stamp_ns)}
+    gone, stamp = {"type": "MATCHING_ID"}, {"timestamp": stamp_fields(drawing.stamp_ns)}
     entities = [{"id": name, "frame_id": frame_id, **stamp, **of} for name, of in shown.items()]
     deletions = [{"id": name, **gone, **stamp} for name in sorted(possible - shown.keys())]
-    return encoded(SceneUpdate, drawing.stamp_ns, entities=entities, deletions=deletions)
+    return encoded("foxglove.SceneUpdate", drawing.stamp_ns, entities=entities, deletions=deletions)
 
 
 def point_cloud(points_m: Array, std_m: Array, bgr: Image, frame_id: str, stamp_ns: int) -> EncodedSample:
     """Points, shape (n, 3), with a deviation each, (n,), and a colour, (n, 3), as `foxglove.PointCloud`."""
-    kinds = [*((name, "<f4") for name in ("x", "y", "z", "std_m")), *((name, "u1") for name in CHANNELS)]
+    kinds = [(name, "<f4") for name in ("x", "y", "z", "std_m")]
+    kinds += [(name, "u1") for name in ("red", "green", "blue", "alpha")]
     packed = np.empty(len(points_m), kinds)
     for (name, _), values in zip(kinds, (*points_m.T, std_m, *bgr[:, ::-1].T, 255), strict=True):
         packed[name] = values
-    numbers = {"<f4": PackedElementField.FLOAT32, "u1": PackedElementField.UINT8}
+    numbers = {"<f4": "FLOAT32", "u1": "UINT8"}
     offsets: Any = packed.dtype.fields
     fields = [{"name": name, "offset": offsets[name][1], "type": numbers[kind]} for name, kind in kinds]
     packing = {"point_stride": packed.itemsize, "fields": fields, "data": packed.tobytes()}
-    return encoded(PointCloud, stamp_ns, frame_id=frame_id, pose={"orientation": UNTURNED}, **packing)
+    return encoded("foxglove.PointCloud", stamp_ns, frame_id=frame_id, pose={"orientation": UNTURNED}, **packing)
 
 
 def log_line(text: str, stamp_ns: int, *, is_warning: bool) -> EncodedSample:
     """A line of `foxglove.Log`, as a warning or for information."""
-    return encoded(Log, stamp_ns, level=Log.WARNING if is_warning else Log.INFO, message=text, name="svmdist")
+    level = "WARNING" if is_warning else "INFO"
+    return encoded("foxglove.Log", stamp_ns, level=level, message=text, name="svmdist")
 
 
 def _points(shape: draw.Shape) -> Fields:
@@ -113,7 +102,7 @@ def _capsules(body: Capsules) -> Fields:
 def _segment(segment: draw.Segment) -> Fields:
     look = {"color": _colour(draw.COLOURS[segment.part]), "scale_invariant": True}
     ends = list(map(vector_fields, (segment.start_m, segment.end_m)))
-    line = {"type": LinePrimitive.LINE_STRIP, "pose": {"orientation": UNTURNED}, "thickness": LINE_PIXELS}
+    line = {"type": "LINE_STRIP", "pose": {"orientation": UNTURNED}, "thickness": LINE_PIXELS}
     pose = {"position": vector_fields(0.5 * (segment.start_m + segment.end_m)), "orientation": UNTURNED}
     text = {"pose": pose, "billboard": True, "font_size": TEXT_PIXELS, "text": segment.text}
     return {"lines": [line | look | {"points": ends}], "texts": [text | look]}

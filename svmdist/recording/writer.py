@@ -7,61 +7,54 @@ import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Self
 
 import cv2
 import numpy as np
-from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
-from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
-from google.protobuf import descriptor_pool
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.writer import CompressionType, Writer
 
 from svmdist import samples
 from svmdist.errors import OutputError, UsageError
-from svmdist.files import open_new, why
+from svmdist.files import why
 from svmdist.profile import Limits
 from svmdist.recording.images import still_format, still_size
 from svmdist.recording.mcap import METADATA_NAME
-from svmdist.recording.own_messages_pb2 import GroundTruthDistance
+from svmdist.recording.messages import message_class
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
+# A sixth smaller than OpenCV's default for 17 ms of a rendered frame of 640x480, less than rendering takes.
 PNG_OPTIONS = (cv2.IMWRITE_PNG_COMPRESSION, 6)
-"""A sixth smaller than OpenCV's default for 17 ms of a rendered frame of 640x480, less than rendering takes."""
+# Colour at full resolution: segmentation by hue depends on it.
 JPEG_OPTIONS = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
-"""Colour at full resolution: segmentation by hue depends on it."""
 NO_SPACE = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", None))
 Fields = dict[str, Any]  # of a message, by their names; protobuf makes messages of those inside
 
 
 @dataclass(frozen=True, slots=True)
 class EncodedSample:
-    """A serialised message; `schema` is the full name of its protobuf type, which is imported where it is written."""
+    """A serialised message; `schema` is the full name of its protobuf type."""
 
     stamp_ns: int
     schema: str
     data: bytes
 
 
-def encoded(message_class: Any, stamp_ns: int, **fields: Any) -> EncodedSample:
+def encoded(schema: str, stamp_ns: int, **fields: Any) -> EncodedSample:
     """A message with its stamp, where its type has one, as bytes that are the same on a rerun."""
-    declared = message_class.DESCRIPTOR
-    if "timestamp" in declared.fields_by_name:
+    kind = message_class(schema)
+    if "timestamp" in kind.DESCRIPTOR.fields_by_name:
         fields["timestamp"] = stamp_fields(stamp_ns)
-    return EncodedSample(stamp_ns, declared.full_name, message_class(**fields).SerializeToString(deterministic=True))
+    return EncodedSample(stamp_ns, schema, kind(**fields).SerializeToString(deterministic=True))
 
 
 def encode_still(stamp_ns: int, frame_id: str, data: bytes, limits: Limits) -> EncodedSample:
     """Wrap a PNG or JPEG without decoding it; ImageError for any other, or one with a bad header."""
     still_size(data, limits)
-    return encoded(CompressedImage, stamp_ns, frame_id=frame_id, data=data, format=still_format(data))
+    return encoded("foxglove.CompressedImage", stamp_ns, frame_id=frame_id, data=data, format=still_format(data))
 
 
 def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSample:
@@ -73,31 +66,29 @@ def encode(sample: samples.Sample, jpeg_quality: int | None = None) -> EncodedSa
             options = (cv2.IMWRITE_JPEG_QUALITY, jpeg_quality, *JPEG_OPTIONS) if jpeg_quality else PNG_OPTIONS
             name = "jpeg" if jpeg_quality else "png"
             data = cv2.imencode(f".{name}", image, options)[1].tobytes()
-            return encoded(CompressedImage, stamp_ns, frame_id=frame_id, format=name, data=data)
+            return encoded("foxglove.CompressedImage", stamp_ns, frame_id=frame_id, format=name, data=data)
         case samples.CameraSample(camera=camera):
             # Foxglove's names of the lenses.
             pinhole = "plumb_bob" if len(camera.D) <= 5 else "rational_polynomial"
             lens = "kannala_brandt" if camera.distortion_model == "fisheye" else pinhole
             R, P = (None if one is None else one.ravel() for one in (camera.R_rectified_camera, camera.P))
-            fields: Fields = {"frame_id": camera.frame_id, "width": camera.width_px, "height": camera.height_px}
-            fields |= {"distortion_model": lens, "D": camera.D, "K": camera.K.ravel(), "R": R, "P": P}
-            return encoded(CameraCalibration, stamp_ns, **fields)
+            size = {"width": camera.width_px, "height": camera.height_px}
+            fields = {"frame_id": camera.frame_id, "distortion_model": lens, "D": camera.D, "K": camera.K.ravel()}
+            return encoded("foxglove.CameraCalibration", stamp_ns, **size, **fields, R=R, P=P)
         case samples.JointSample(names=names, positions=positions):
             pairs = zip(names, np.asarray(positions).tolist(), strict=True)
             joints = [{"name": name, "position": position} for name, position in pairs]
-            return encoded(JointStates, stamp_ns, joints=joints)
+            return encoded("foxglove.JointStates", stamp_ns, joints=joints)
         case samples.PoseSample(frame_id=frame_id, T_frame_pose=T):
             (pose,) = _rigid_fields([T], "position", "orientation")
-            return encoded(PoseInFrame, stamp_ns, frame_id=frame_id, pose=pose)
+            return encoded("foxglove.PoseInFrame", stamp_ns, frame_id=frame_id, pose=pose)
         case samples.TransformsSample(transforms=transforms):
             parts = _rigid_fields([one.T_parent_child for one in transforms], "translation", "rotation")
             for part, one in zip(parts, transforms, strict=True):
-                part |= {"timestamp": stamp_fields(one.stamp_ns)}
-                part |= {"parent_frame_id": one.parent, "child_frame_id": one.child}
-            return encoded(FrameTransforms, stamp_ns, transforms=parts)
-        case samples.DistanceSample(_, planar_m, spatial_m, clearance_m):
-            values = {"planar_m": planar_m, "spatial_m": spatial_m, "clearance_m": clearance_m}
-            return encoded(GroundTruthDistance, stamp_ns, **values)
+                part.update(timestamp=stamp_fields(one.stamp_ns), parent_frame_id=one.parent, child_frame_id=one.child)
+            return encoded("foxglove.FrameTransforms", stamp_ns, transforms=parts)
+        case samples.DistanceSample():
+            return encoded("svmdist.GroundTruthDistance", **asdict(sample))
 
 
 def _rigid_fields(transforms: Sequence[Array], position: str, rotation: str) -> list[Fields]:
@@ -131,10 +122,8 @@ def _descriptor_set(file: Any) -> bytes:
     return descriptors.SerializeToString(deterministic=True)
 
 
-CHUNK_BYTES = 240 * 1024
-"""Leaves room in 256 KiB for the schemas and channels that a chunk may have to declare."""
-CHUNK_SPAN_NS = 250_000_000
-"""What a killed recorder loses; in log time and not wall time, for a rerun shall be byte-identical."""
+CHUNK_BYTES = 240 * 1024  # leaves room in 256 KiB for the schemas and channels that a chunk may have to declare
+CHUNK_SPAN_NS = 250_000_000  # what a killed recorder loses; not in wall time, for a rerun shall be byte-identical
 MESSAGE_HEAD_BYTES = 9 + 22  # of a record, and of a message in it
 
 
@@ -144,11 +133,9 @@ class RecordingWriter:
     >>> with RecordingWriter(path, {"scenario": "sweep"}) as writer:      # doctest: +SKIP
     ...     writer.write("/tf", sample)
 
-    An exception inside the block keeps the `.part` file, with everything written so far, unless it has no message or
-    the disk is full.
-    Chunks hold at most 256 KiB, or one message that is larger. `metadata` becomes the record `svmdist`; images become
-    PNG, or JPEG of a quality from 1 to 100, with colour at full resolution.
-    Raises UsageError when the file exists and `force` is not set, OutputError when it cannot be written.
+    An exception inside the block keeps the `.part` file, unless it has no message or the disk is full. Chunks hold at
+    most 256 KiB, or one message that is larger. `metadata` becomes the record `svmdist`; images become PNG, or JPEG of
+    a quality from 1 to 100. UsageError when the file exists without `force`, OutputError when it cannot be written.
     """
 
     def __init__(
@@ -160,8 +147,7 @@ class RecordingWriter:
         self._file: IO[bytes] | None = None
         self._channels: dict[str, tuple[int, str]] = {}
         self._schemas: dict[str, int] = {}
-        self.counts = Counter[str]()
-        """The messages that were written, by topic."""
+        self.counts = Counter[str]()  # of the messages that were written, by topic
         self._chunk_bytes = self._chunk_start_ns = 0
 
     def discard(self) -> None:
@@ -178,11 +164,9 @@ class RecordingWriter:
         with self._writing():
             if self._force:
                 self.part_path.unlink(missing_ok=True)
-            self._file = open_new(self.part_path)
+            self._file = open(self.part_path, "xb")  # which follows no link that somebody has put there
             # This class ends the chunks, before they grow too large.
-            self._writer = Writer(
-                self._file, chunk_size=1 << 40, compression=CompressionType.ZSTD, enable_data_crcs=True
-            )
+            self._writer = Writer(self._file, 1 << 40, CompressionType.ZSTD, enable_data_crcs=True)
             self._writer.start(library=f"svmdist {version('svmdist')}")
             self._writer.add_metadata(METADATA_NAME, dict(sorted(self._metadata.items())))
             self._file.flush()
@@ -205,14 +189,13 @@ class RecordingWriter:
             self._chunk_start_ns = stamp_ns
         self._chunk_bytes += needed_bytes
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
-        if self._file is None:
-            return
+    def __exit__(self, _kind: object, error: BaseException | None, _traceback: object) -> None:
+        assert self._file is not None
         if self._channels and isinstance(error, KeyboardInterrupt | OutputError) and self.part_path.exists():
             error.add_note(f"what was recorded until then is in {self.part_path}")
         if self._file.closed:
             return
-        if kind is not None:
+        if error is not None:
             # Keep what there is; the caller's exception matters more than another one from here.
             with suppress(OSError):
                 self._writer.flush()
@@ -232,7 +215,7 @@ class RecordingWriter:
     def _channel(self, topic: str, schema: str) -> int:
         if topic not in self._channels:
             if schema not in self._schemas:
-                described = _descriptor_set(descriptor_pool.Default().FindMessageTypeByName(schema).file)
+                described = _descriptor_set(message_class(schema).DESCRIPTOR.file)
                 self._schemas[schema] = self._writer.register_schema(schema, "protobuf", described)
             self._channels[topic] = self._writer.register_channel(topic, "protobuf", self._schemas[schema]), schema
         channel_id, known = self._channels[topic]

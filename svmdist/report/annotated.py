@@ -16,7 +16,6 @@ from svmdist.errors import OutputError
 from svmdist.files import atomic_file
 from svmdist.recording import viewer_messages
 from svmdist.recording.log import Recording
-from svmdist.recording.own_messages_pb2 import DistanceEstimate
 from svmdist.recording.summary import copied_messages
 from svmdist.recording.topics import Role
 from svmdist.recording.writer import EncodedSample, RecordingWriter, encoded
@@ -62,7 +61,7 @@ def _annotations(
         for result in results:
             # Fields that are None are left out.
             fields = estimate_fields(result, setup.method)
-            yield f"/svmdist/{result.instrument}/distance", encoded(DistanceEstimate, stamp_ns, **fields)
+            yield f"/svmdist/{result.instrument}/distance", encoded("svmdist.DistanceEstimate", stamp_ns, **fields)
         if poses := tool_poses(results):
             tools = tuple(TransformSample(stamp_ns, frame_id, child, T) for child, T in poses)
             yield TF_TOPIC, TransformsSample(stamp_ns, tools)

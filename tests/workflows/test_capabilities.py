@@ -10,7 +10,7 @@ import pytest
 from svmdist.errors import RecordingError
 from svmdist.estimation.methods import METHODS
 from svmdist.profile import Profile, load_profile
-from svmdist.recording.contents import TransformTree, no_contents
+from svmdist.recording.contents import Contents, TransformTree
 from svmdist.recording.log import Recording
 from svmdist.recording.summary import RecordingSummary, TopicSummary
 from svmdist.recording.topics import Role
@@ -33,7 +33,7 @@ def read_by(profile: Profile) -> Recording:
 
 def linking(*frames: str) -> TransformTree:
     """Transforms from the camera to each of the frames."""
-    contents = no_contents()
+    contents = Contents()
     for frame in frames:
         contents["/tf"][FRAMES.camera, frame].add(0, [0.0] * 6 + [1.0])
     return TransformTree(contents, {"/tf": False})
@@ -166,7 +166,7 @@ def test_a_log_of_another_arm_is_that_arms():
     """A profile of three arms serves a log of the second one: neither joints nor frames of the first are needed."""
     dvrk = load_profile("dvrk-psm")
     names = tuple(joint.name for joint in dvrk.robot.joints)
-    contents = no_contents()
+    contents = Contents()
     contents["/tf"]["ECM", "PSM2_base"].add(0, [0.0] * 6 + [1.0])
     log = replace(
         FULL,
