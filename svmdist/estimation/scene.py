@@ -20,7 +20,7 @@ from svmdist.samples import Observation
 from svmdist.vision.frame_context import FrameContext, as_pinholes, mixes_colours, with_first_fields
 from svmdist.vision.segmentation import Segmenter
 from svmdist.vision.stereo import LEVEL, RectifiedPair, RowAlignment, rectified_pair
-from svmdist.vision.tag_overlay import TagPattern
+from svmdist.vision.tags import TagPattern
 
 OF_BOTH_VIEWS = "stereo_pair", "stereo_surface"  # what a scene finds by both of its views
 
