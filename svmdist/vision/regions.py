@@ -76,9 +76,8 @@ def _is_outline(points_px: Array, step_px: float, mask: NDArray[np.uint8], radiu
     near = cv2.dilate(mask[top : row.max() + 1, left : column.max() + 1], GAP_DISC)
     hidden = near[row - top, column - left] == 0
     hidden |= _is_straight(points_px, round(STRAIGHT_LENGTH_PER_ROOT_PX * np.sqrt(radius_px) / step_px))
-    shoulder = min(SHOULDER_SAMPLES, (len(hidden) - 1) // 2)
-    outline = ~_any_of(hidden, shoulder, shoulder)
-    outline &= (column >= BORDER_PX) & (column < width - BORDER_PX)
+    shoulders = [np.roll(hidden, by) for by in range(-SHOULDER_SAMPLES, SHOULDER_SAMPLES + 1)]
+    outline = ~np.any(shoulders, axis=0) & (column >= BORDER_PX) & (column < width - BORDER_PX)
     return np.asarray(outline & (row >= BORDER_PX) & (row < height - BORDER_PX))
 
 
@@ -87,26 +86,12 @@ def _is_straight(points_px: Array, length: int) -> NDArray[np.bool_]:
     count = len(points_px)
     if length < 3 or length >= count // 2:
         return np.zeros(count, np.bool_)
-    x, y = np.concatenate([points_px, points_px[:length]]).T
-    chord_x, chord_y = x[length:] - x[:count], y[length:] - y[:count]
-    bound = STRAIGHT_WITHIN_PX * np.hypot(chord_x, chord_y)
-    # Most stretches leave their chord in the middle; only those that do not are looked at in full.
-    middle = slice(length // 2, length // 2 + count)
-    off = chord_x * (y[middle] - y[:count]) - chord_y * (x[middle] - x[:count])
-    start = np.flatnonzero(np.abs(off) < bound)
-    within = start[:, None] + np.arange(1, length)
-    along_x, along_y = x[within] - x[start, None], y[within] - y[start, None]
-    off = chord_x[start, None] * along_y - chord_y[start, None] * along_x
-    straight = np.zeros(count, np.bool_)
-    straight[start] = (np.abs(off) < bound[start, None]).all(1)
-    return _any_of(straight, length, 0)
-
-
-def _any_of(flags: NDArray[np.bool_], before: int, after: int) -> NDArray[np.bool_]:
-    """Whether any flag of a closed sequence, shape (n,), is set from `before` places before to `after` behind."""
-    wrapped = np.concatenate([flags[len(flags) - before :], flags, flags[:after]])
-    counts = np.concatenate([[0], np.cumsum(wrapped)])
-    return np.asarray(counts[before + after + 1 :] > counts[: len(flags)])
+    stretches = points_px[(np.arange(count)[:, None] + np.arange(1, length + 1)) % count] - points_px[:, None]
+    x, y = np.moveaxis(stretches, 2, 0)
+    chord_x, chord_y = x[:, -1:], y[:, -1:]
+    off = chord_x * y[:, :-1] - chord_y * x[:, :-1]
+    straight = (np.abs(off) < STRAIGHT_WITHIN_PX * np.hypot(chord_x, chord_y)).all(1)
+    return np.any([np.roll(straight, by) for by in range(length + 1)], axis=0)
 
 
 def _fit(points_px: Array, centre_px: Array, step_px: float, settings: OutlineSettings) -> CompletedOutline:
@@ -148,22 +133,18 @@ def _fit(points_px: Array, centre_px: Array, step_px: float, settings: OutlineSe
 
 def _series(unit: NDArray[np.complex128]) -> Array:
     """The terms 1, cos θ, sin θ, cos 2θ, …, shape (2 HARMONICS + 1, n), of points e^(iθ), shape (n,)."""
-    terms = np.empty((2 * HARMONICS + 1, len(unit)))
-    terms[0] = 1.0
-    power = unit
+    terms, power = np.ones((2 * HARMONICS + 1, len(unit))), unit
     for order in range(1, HARMONICS + 1):
-        terms[2 * order - 1] = power.real
-        terms[2 * order] = power.imag
+        terms[2 * order - 1], terms[2 * order] = power.real, power.imag
         power = power * unit
     return terms
 
 
 CIRCLE = np.exp(1j * np.linspace(-np.pi, np.pi, CURVE_POINTS, endpoint=False))
-CIRCLE_SERIES = _series(CIRCLE)
+# As many corners of the curve as the mean of degree 3 HARMONICS + 1 needs, and the corner next to each
 CORNERS = np.exp(2j * np.pi * np.arange(3 * HARMONICS + 2) / (3 * HARMONICS + 2))
 NEXT_CORNERS = CORNERS * np.exp(2j * np.pi / CURVE_POINTS)
-"""As many corners of the curve as the mean of degree 3 HARMONICS + 1 needs, and the corner next to each."""
-CORNER_SERIES, NEXT_SERIES = _series(CORNERS), _series(NEXT_CORNERS)
+CIRCLE_SERIES, CORNER_SERIES, NEXT_SERIES = _series(CIRCLE), _series(CORNERS), _series(NEXT_CORNERS)
 
 
 def _centroid(coefficients: Array) -> tuple[Array, Array]:
@@ -187,10 +168,7 @@ def _centroid(coefficients: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """One segmented object: how many pixels it has, its centroid (2,), and the convex hull of all its parts.
-
-    `hull` has shape (n, 1, 2), of int32.
-    """
+    """One segmented object: how many pixels it has, its centroid (2,), and the convex hull of its parts, (n, 1, 2)."""
 
     area_px: int
     centroid_px: Array
@@ -201,15 +179,12 @@ class Region:
 def find_region(mask: Image, rule: AreaGate, settings: OutlineSettings = DEFAULT) -> Region | None:
     """Find the region of a mask, shape (h, w), that passes the rule's area gate; None where there is none."""
     parts = _parts(mask, rule)
-    largest = max(parts, key=lambda part: part[1], default=None)
-    if largest is None:
-        return None
-    if rule.components == "largest":
-        parts = [largest]
-    least_px = SPECK_FRACTION * largest[1]
+    least_px = SPECK_FRACTION * max((area_px for _, area_px in parts), default=0)
     parts = [part for part in parts if part[1] > rule.min_area_px and part[1] >= least_px]
     if not parts:
         return None
+    if rule.components == "largest":
+        parts = [max(parts, key=lambda part: part[1])]
     contours = [contour for contour, _ in parts]
     hull = np.asarray(cv2.convexHull(np.concatenate(contours)), np.int32)
     if rule.occlusion == "outline":
@@ -266,8 +241,8 @@ LEAST_SCATTER_PX = 0.25  # of the border: it is sampled no finer
 class Disc:
     """Centre (2,) and radius in px, the deviation of the border's points from it, and the doubt where the border is.
 
-    The doubt is how far the place where half of the strength is left is from the steepest one: shade, haze, neighbours
-    of like colour and blocks of a codec part them, and blur does not.
+    That is how far the place where half of the strength is left is from the steepest one: shade, haze, neighbours of
+    like colour and blocks of a codec part them, and blur does not.
     """
 
     centre_px: Array
