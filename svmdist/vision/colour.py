@@ -61,16 +61,20 @@ def to_grey(bgr: Image) -> Image:
 def colour_mask(image_hsv: Image, region: ColourRegion) -> Image:
     """Mask, shape (h, w) with 0 or 255, of the pixels inside an HSV box whose hue may wrap around 0."""
     # Channel by channel: a test of one channel takes an eighth of what one of three channels at once takes.
-    hue, saturation, value = cv2.split(image_hsv)
+    channels = cv2.split(image_hsv)
+
+    def inside(number: int, first: int, last: int) -> Image:
+        return np.asarray(cv2.inRange(channels[number], first, last), np.uint8)
+
     first, last = region.hue
-    mask = cv2.inRange(value, *region.value)
+    mask = inside(2, *region.value)
     if tuple(region.saturation) != (0, 255):
-        mask &= cv2.inRange(saturation, *region.saturation)
+        mask &= inside(1, *region.saturation)
     if first <= last and (first, last) != (0, 179):
-        mask &= cv2.inRange(hue, first, last)
+        mask &= inside(0, first, last)
     elif last + 1 < first:  # else the two ends meet, and every hue is inside
-        mask &= ~cv2.inRange(hue, last + 1, first - 1)
-    return np.asarray(mask, np.uint8)
+        mask &= ~inside(0, last + 1, first - 1)
+    return mask
 
 
 BRIGHT_PART_FRACTION = 0.005  # bright parts below this fraction of the image are letters on a black border, not scene

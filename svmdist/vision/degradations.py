@@ -111,13 +111,14 @@ def degrade(image_bgr: Image, name: Degradation | str, severity: int, seed: int)
             degraded = image_bgr + rng.normal(0.0, NOISE_LEVELS[level], image_bgr.shape)
         case Degradation.LOW_LIGHT:
             light, photon_count = LOW_LIGHT[level]
-            degraded = rng.poisson(image_bgr * (light * photon_count / 255.0)) * (255.0 / photon_count)
+            photons = rng.poisson(image_bgr * (light * photon_count / 255.0))
+            degraded = np.asarray(photons * (255.0 / photon_count), np.float64)
         case Degradation.SPECULAR:
             glare = _glints(rng, image_bgr.shape[:2], SPECULAR_COUNT[level], scale)[..., None]
-            degraded = image_bgr + glare * (255.0 - image_bgr)
+            degraded = np.asarray(image_bgr + glare * (255.0 - image_bgr), np.float64)
         case Degradation.SMOKE:
             scattered = SMOKE_DENSITY[level] * _plume(rng, image_bgr.shape[:2])[..., None]
-            degraded = image_bgr * (1.0 - scattered) + scattered * np.array(SMOKE_BGR)
+            degraded = np.asarray(image_bgr * (1.0 - scattered), np.float64) + scattered * np.array(SMOKE_BGR)
         case Degradation.JPEG:
             _, data = cv2.imencode(".jpg", image_bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY[level]])
             return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)

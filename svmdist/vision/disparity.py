@@ -22,7 +22,8 @@ from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.stereo import reduced
 
-Bools, Floats = NDArray[np.bool_], NDArray[np.float32]
+Bools = NDArray[np.bool_]
+Floats = NDArray[np.float32]
 
 COARSE_PX = 160  # width of the views in which the range of disparities is found
 MATCHED_PX = 400  # wider views are matched at half of it: a block shows twice as much, with less noise
@@ -207,8 +208,8 @@ class _Fit:
             if not is_near.any():
                 return None
         # Without what is a cell wide, or stands alone and is small.
-        is_seen = (is_near & (std_px < MAX_STD_PX)).astype(np.uint8)
-        opened = cv2.morphologyEx(is_seen, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+        sure = (is_near & (std_px < MAX_STD_PX)).astype(np.uint8)
+        opened = cv2.morphologyEx(sure, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
         _, labels, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
         areas = statistics[:, cv2.CC_STAT_AREA]
         kept = areas >= LEAST_PATCH * max(int(areas[1:].sum()), 1)
@@ -275,8 +276,8 @@ def _smooth_share(error: Floats, weight: Floats, sigma_px: float) -> Floats:
     """What of an error changes but slowly over the view: brightness, shadow and gloss."""
     height, width = error.shape
     size = (max(1, width // 8), max(1, height // 8))
-    reduced = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (error * weight, weight))
-    value, share = (blurred(one, sigma_px / 8.0) for one in reduced)
+    small = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (error * weight, weight))
+    value, share = (blurred(np.asarray(one, np.float32), sigma_px / 8.0) for one in small)
     return np.asarray(cv2.resize(value / np.maximum(share, 1e-4), (width, height)), np.float32)
 
 
@@ -288,9 +289,7 @@ def _without_highlights(grey: Image, inside: Image) -> Floats:
 
 def _eroded(mask: Image, side: int) -> Image:
     """The mask without its border; also where that is the view's."""
-    return np.asarray(
-        cv2.erode(mask, np.ones((side, side), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0), np.uint8
-    )
+    return np.asarray(cv2.erode(mask, np.ones((side, side), np.uint8), borderValue=0), np.uint8)
 
 
 def _slope(values: Floats, x: int = 1, y: int = 0) -> Floats:

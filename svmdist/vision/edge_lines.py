@@ -323,7 +323,7 @@ def edge_within(
         if is_theirs and abs(apart_px[1] - apart_px[0]) < COLOUR_STD_PX * np.sqrt(2.0):
             return sharp
     seen_px = start_px + at[is_on, None] * along + off_px[is_on, None] * across
-    by_colours = EdgeLine(*rough, seen_px, False, within_px, COLOUR_STD_PX**2 * np.eye(2), COLOUR_STD_PX)
+    by_colours = EdgeLine(rough[0], rough[1], seen_px, False, within_px, COLOUR_STD_PX**2 * np.eye(2), COLOUR_STD_PX)
     # Where nothing is sharp there may be anything, and of a border as sharp as the other side colours alone say little.
     return by_colours if is_sharp and is_blurred else None
 

@@ -152,7 +152,7 @@ def _from_border(union: Image, picture: Image) -> Image:
     """Connected parts of the instrument that reach the border of the picture; the image's own edge is border, too."""
     reach = max(2, round(MARGIN * union.shape[1]))
     kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    inner = cv2.erode(picture, kernel, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    inner = cv2.erode(picture, kernel, borderValue=0)
     count, parts, statistics, _ = cv2.connectedComponentsWithStats(union & picture)
     kept = np.zeros(count, np.uint8)
     kept[np.unique(parts[inner == 0])] = 255
@@ -177,7 +177,8 @@ def network_input(image_bgr: Image, rules: OnnxSegmentation) -> NDArray[np.float
     shrinks = image_bgr.shape[1] >= size[0] and image_bgr.shape[0] >= size[1]
     resized = cv2.resize(image_bgr, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
     channels = cv2.split(resized)[:: -1 if rules.channels == "rgb" else 1]
-    levels = (np.arange(256, dtype=np.float32)[:, None] - np.float32(rules.mean)) * np.float32(rules.scale)
+    mean, scale = np.array(rules.mean, np.float32), np.array(rules.scale, np.float32)
+    levels = (np.arange(256, dtype=np.float32)[:, None] - mean) * scale
     scaled = [cv2.LUT(channel, of_it) for channel, of_it in zip(channels, levels.T, strict=True)]
     return np.asarray(scaled, np.float32)[None]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -91,7 +92,7 @@ def _is_straight(points_px: Array, length: int) -> NDArray[np.bool_]:
     chord_x, chord_y = x[:, -1:], y[:, -1:]
     off = chord_x * y[:, :-1] - chord_y * x[:, :-1]
     straight = (np.abs(off) < STRAIGHT_WITHIN_PX * np.hypot(chord_x, chord_y)).all(1)
-    return np.any([np.roll(straight, by) for by in range(length + 1)], axis=0)
+    return np.asarray(np.any([np.roll(straight, by) for by in range(length + 1)], axis=0))
 
 
 def _fit(points_px: Array, centre_px: Array, step_px: float, settings: OutlineSettings) -> CompletedOutline:
@@ -178,7 +179,10 @@ class Region:
 
 def find_region(mask: Image, rule: AreaGate, settings: OutlineSettings = DEFAULT) -> Region | None:
     """Find the region of a mask, shape (h, w), that passes the rule's area gate; None where there is none."""
-    parts = _parts(mask, rule)
+    found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    # Of those whose box is large enough: specks may be thousands.
+    large = [np.asarray(one, np.int32) for one in found if np.prod(cv2.boundingRect(one)[2:]) > rule.min_area_px]
+    parts = [(one, cv2.countNonZero(_inside(mask, [one])[0])) for one in large]
     least_px = SPECK_FRACTION * max((area_px for _, area_px in parts), default=0)
     parts = [part for part in parts if part[1] > rule.min_area_px and part[1] >= least_px]
     if not parts:
@@ -191,32 +195,20 @@ def find_region(mask: Image, rule: AreaGate, settings: OutlineSettings = DEFAULT
         centroid_px = complete_outline(mask, hull, settings).centroid_px
     elif rule.occlusion == "hull":
         centroid_px = polygon_centroid(hull)
-    else:
-        # Mean of the coordinates of the parts' pixels: eqs. (1), (2).
-        x, y, width, height = cv2.boundingRect(hull)
-        inside = np.zeros((height, width), np.uint8)
-        cv2.drawContours(inside, contours, -1, 255, cv2.FILLED, offset=(-x, -y))
-        moments = cv2.moments(inside & mask[y : y + height, x : x + width], binaryImage=True)
+    else:  # mean of the coordinates of the parts' pixels: eqs. (1), (2)
+        pixels, (x, y) = _inside(mask, contours)
+        moments = cv2.moments(pixels, binaryImage=True)
         count = moments["m00"]
         centroid_px = np.array([moments["m10"] + x * count, moments["m01"] + y * count]) / count
     return Region(sum(area_px for _, area_px in parts), centroid_px, hull, len(parts))
 
 
-def _parts(mask: Image, rule: AreaGate) -> list[tuple[NDArray[np.int32], int]]:
-    """Outer contour (n, 1, 2) and area of connected parts but those whose box is too small: specks may be thousands."""
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    parts = []
-    for contour in contours:
-        x, y, width, height = cv2.boundingRect(contour)
-        if width * height <= rule.min_area_px:
-            continue
-        pixels = mask[y : y + height, x : x + width]
-        if len(contours) > 1:  # other parts may have pixels in this box
-            inside = np.zeros((height, width), np.uint8)
-            cv2.drawContours(inside, [contour], -1, 255, cv2.FILLED, offset=(-x, -y))
-            pixels = np.asarray(cv2.bitwise_and(inside, pixels), np.uint8)
-        parts.append((np.asarray(contour, np.int32), int(cv2.countNonZero(pixels))))
-    return parts
+def _inside(mask: Image, contours: Sequence[NDArray[np.int32]]) -> tuple[Image, tuple[int, int]]:
+    """Pixels of a mask inside of contours, (n, 1, 2) each, in the box around these, and the box's first pixel."""
+    x, y, width, height = cv2.boundingRect(np.concatenate(contours))
+    inside = np.zeros((height, width), np.uint8)
+    cv2.drawContours(inside, contours, -1, 255, cv2.FILLED, offset=(-x, -y))
+    return inside & mask[y : y + height, x : x + width], (x, y)
 
 
 MIN_CHROMA = 25.0  # levels between inside and outside below which there is no border to find

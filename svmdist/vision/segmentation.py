@@ -53,11 +53,6 @@ def without(masks: Masks, others: Image) -> KnownMasks:
     shaft, black, seen = masks.shaft, masks.black, masks.seen
     if seen is not None:
         seen = tuple(one for one in seen if 2 * count(own(one.mask)) > count(one.mask))
-    return KnownMasks(
-        tissue=masks.tissue,
-        instrument=own(masks.instrument),
-        shaft=None if shaft is None else own(shaft),
-        black=shaft if shaft is None or black is None else shaft | black,
-        picture=masks.picture,
-        seen=seen,
-    )
+    own_shaft = None if shaft is None else own(shaft)
+    black = shaft if shaft is None or black is None else shaft | black
+    return KnownMasks(masks.tissue, own(masks.instrument), own_shaft, black, masks.picture, seen)
