@@ -25,10 +25,7 @@ class Blur(StrEnum):
 
 
 def apply_blur(image_bgr: Image, blur: Blur, kernel_px: int) -> Image:
-    """Degrade an image, shape (h, w, 3), with a kernel of `kernel_px` (odd) pixels.
-
-    Erosion and dilation use a square kernel; bilateral has sigma 75 in colour and k in space.
-    """
+    """Degrade an image, shape (h, w, 3), with a kernel of `kernel_px` (odd) pixels."""
     square = np.ones((kernel_px, kernel_px), np.uint8)
     match blur:
         case Blur.NONE:

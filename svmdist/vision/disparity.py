@@ -106,9 +106,9 @@ def disparity_map(
 
 
 def semi_global(views: Sequence[Image], low_px: float, high_px: float, block_px: int, step: int = 1) -> Floats:
-    """Disparity of every left pixel by semi-global matching of views reduced by `step`, shape (h, w) in px.
+    """Disparity of every left pixel, (h, w) in px, by semi-global matching of views reduced by `step`; NaN without.
 
-    NaN where there is none: the best match must be unique, and be found from the right, too.
+    The best match must be unique, and be found from the right, too.
     """
     height, width = views[0].shape
     low_px, high_px = low_px / step, high_px / step

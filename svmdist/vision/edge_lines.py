@@ -116,10 +116,7 @@ class EdgeLine(Side):
 def edge_line(
     bgr: Image, rough: Array, width_px: float, rough_px: float, picture: Image | None, least_levels: float
 ) -> EdgeLine | None:
-    """The edge of an image, (h, w, 3), near a side, (2, 2) from start to end, which is off it by about `rough_px`.
-
-    It is a step of colour of at least so many levels.
-    """
+    """The edge, a step of at least so many levels, near a side, (2, 2) from start to end, that is off by `rough_px`."""
     start, end = rough
     length_px = float(np.linalg.norm(end - start))
     if length_px < MIN_POINTS * SPACING_PX:

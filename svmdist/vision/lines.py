@@ -71,10 +71,7 @@ def fit_line(
 
 
 def line_between(ends: Array, covariance: Array, inside: Array) -> TangentPlane:
-    """The plane of the line through two points of z = 1, shape (2, 2), by their offsets' covariance across it, (2, 2).
-
-    `inside` (2,) is a point on the cylinder's side.
-    """
+    """The plane of the line through two points, (2, 2), by the covariance (2, 2) of their offsets, as `fit_line`."""
     along = ends[1] - ends[0]
     length = float(np.linalg.norm(along))
     normal = np.array([-along[1], along[0]]) / length
@@ -148,10 +145,8 @@ def apparent_radius_px(centre_m: Array, radius_m: float, camera: Camera) -> Arra
 
 
 def without_perspective(middle_px: Array, camera: Camera, depth_m: float, radius_m: float) -> Array:
-    """The pixel (2,) of a sphere's centre from the middle of its outline.
-
-    The tangents to a sphere at (X, 0, Z) meet z = 1 about X Z / (Z² - r²), not about X / Z.
-    """
+    """The pixel (2,) of a sphere's centre from the middle of its outline."""
     if depth_m <= radius_m:
         return middle_px
+    # The tangents to a sphere at (X, 0, Z) meet z = 1 about X Z / (Z² - r²), not about X / Z.
     return middle_px - (radius_m / depth_m) ** 2 * (middle_px - camera.K[:2, 2])

@@ -66,10 +66,7 @@ SCALE_FACTOR, MAX_LEVELS = 1.2, 8  # of ORB's pyramid, as in Rublee 2011, sec. 6
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """Keypoints, shape (n, 2) in px, with their ORB descriptors, shape (n, 32) of uint8.
-
-    Eqs. (13)–(16): n = 256 binary tests make 32 bytes, not "32 dimensions".
-    """
+    """Keypoints, (n, 2) in px, and ORB descriptors, (n, 32) bytes: the 256 binary tests of eqs. (13)–(16)."""
 
     points_px: Array
     descriptors: NDArray[np.uint8]
@@ -132,10 +129,7 @@ PX_PER_ELEMENT: Array = np.outer([1.0 / UNIT_PX, 1.0 / UNIT_PX, 1.0], [UNIT_PX, 
 
 
 def fit_homography(matches: Matches, reprojection_px: float) -> tuple[Array, NDArray[np.bool_]] | None:
-    """Fit a homography robustly (MAGSAC, Barath 2019), inliers by eq. (18); None for fewer than four.
-
-    It is H, shape (3, 3) with H[2, 2] = 1, and which matches agree with it, shape (n,).
-    """
+    """H, (3, 3) with H[2, 2] = 1, by MAGSAC (Barath 2019), and its inliers, (n,), by eq. (18); None below four."""
     parameters = cv2.UsacParams()
     parameters.threshold = reprojection_px
     parameters.confidence = 0.999
@@ -207,15 +201,13 @@ def _transfer_error(H: Array, matches: Matches) -> Array:
 
 
 def marker_corners(H: Array, size_px: int, settings: MarkerSettings) -> Array | None:
-    """Where H puts the template's corners, clockwise from the top left, shape (4, 2) in px.
-
-    None where its square becomes no convex shape of similar size: it was pasted without scaling.
-    """
+    """Where H puts the template's corners, clockwise from the top left, (4, 2) in px; None of another shape or size."""
     last = size_px - 1.0
     corners = transfer(H, np.array([[0.0, 0.0], [last, 0.0], [last, last], [0.0, last]]))
     if not np.all(np.isfinite(corners)):
         return None
     outline = corners.astype(np.float32)
     area_ratio = cv2.contourArea(outline, oriented=True) / (size_px - 1) ** 2  # negative where it is mirrored
+    # It was pasted without scaling.
     is_alike = 1.0 / settings.max_area_ratio < area_ratio < settings.max_area_ratio
     return corners if is_alike and cv2.isContourConvex(outline) else None

@@ -39,10 +39,7 @@ CENTRE_TOLERANCE_PX = 0.01
 
 @dataclass(frozen=True, slots=True)
 class CompletedOutline:
-    """A whole outline: its centroid, shape (2,), with covariance (2, 2), and its curve, shape (n, 2), all in px.
-
-    Where too little of the hull is outline, curve and centroid are the hull's.
-    """
+    """A whole outline in px: centroid (2,), covariance (2, 2), curve (n, 2); the hull's where too little is visible."""
 
     centroid_px: Array
     covariance_px2: Array
@@ -297,10 +294,7 @@ def _crossing(values: Array, reach_px: Array, level: Array) -> Array:
 
 
 def _circle(points_px: Array, centre_px: Array, blur_px: float, doubt_px: float, origin_px: Array) -> Disc | None:
-    """The circle that points, shape (n, 2), bound, by Gauss-Newton with Huber's weights outside of it.
-
-    What hides a part of a disc has its own border inside of the disc's: the further inside, the less that counts.
-    """
+    """The circle that points, shape (n, 2), bound, by Gauss-Newton with Huber's weights outside of it."""
     radius_px = median(np.linalg.norm(points_px - centre_px, axis=1))
     for _ in range(DISC_STEPS):
         offset = points_px - centre_px
@@ -308,6 +302,7 @@ def _circle(points_px: Array, centre_px: Array, blur_px: float, doubt_px: float,
         residual_px = distance_px - radius_px
         outside = residual_px > 0.0
         scale_px = max(scale_of(residual_px[outside]), LEAST_SCATTER_PX) if outside.any() else LEAST_SCATTER_PX
+        # What hides a part of a disc has its own border inside of the disc's: the further inside, the less it counts.
         inside = 1.0 / (1.0 + (residual_px / (INSIDE_STDS * scale_px)) ** 2)
         weight = np.where(outside, huber_weights(residual_px, HUBER * scale_px), inside) ** 2
         J = np.column_stack([offset / distance_px[:, None], np.ones(len(offset))])

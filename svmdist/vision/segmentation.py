@@ -42,8 +42,7 @@ def make_segmenter(rules: Segmentation, auto: AutoSettings = DEFAULT) -> Segment
 def without(masks: Masks, others: Image) -> KnownMasks:
     """The masks of an image for one of several instruments: without the pixels of the others, shape (h, w).
 
-    All share the tissue and the picture. What may be border has the other shafts in it: they cut the view no less than
-    its own. `seen` are those of which most is its own.
+    What may be border has the other shafts in it: they cut the view no less than its own.
     """
     count, not_others = cv2.countNonZero, cv2.bitwise_not(others)
 

@@ -42,10 +42,7 @@ class RowAlignment:
         return np.array([[1.0, 0.0, 0.0], [along_x, 1.0 + along_y, offset_px]])
 
     def std_px(self, pixels: Array, disparity_px: Array, K: Array) -> Array:
-        """Of disparities, (...), at pixels (..., 2) of the left view of K, (3, 3): the deviation by either lens.
-
-        What turns or stretches rows does so to columns.
-        """
+        """Deviation of disparities, (...), at pixels (..., 2) by either lens: what bends rows does so to columns."""
         x, y = np.moveaxis(np.abs(pixels - K[:2, 2]), -1, 0)
         furthest = np.maximum(x, np.abs(pixels[..., 0] - disparity_px - K[0, 2]))
         along_x, along_y = self.slope
