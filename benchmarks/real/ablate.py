@@ -24,7 +24,7 @@ from benchmarks.real.__main__ import SETS
 from svmdist.estimation.instrument import verification
 from svmdist.estimation.instrument.shaft_detection import ShaftDetection
 from svmdist.estimation.instrument.shaft_model import ShaftSizes
-from svmdist.vision import shadows, silhouette
+from svmdist.vision import edge_lines, silhouette
 from svmdist.vision.instruments import outline_search
 
 OF_INSTRUMENTS = (
@@ -61,7 +61,7 @@ def nothing_unlike(_: Any, flanks: Any, __: Any) -> Any:
 
 
 CASES: dict[str, tuple[object, str, Any]] = {
-    "nothing": (shadows, "edge_within", shadows.edge_within),
+    "nothing": (edge_lines, "edge_within", edge_lines.edge_within),
     "material's change": (outline_search, "_material", lambda _, middle, *__: np.zeros(len(middle))),
     "colours beyond sides": (outline_search, "_of_beyond", lambda *_: 0.0),
     "likelier end": (ShaftSizes, "with_likelier_end", lambda _, seen, __: seen),

@@ -34,8 +34,7 @@ from svmdist.vision.segmentation import Masks, Segmenter, without
 from svmdist.vision.shaft_segmentation import find_shaft
 from svmdist.vision.silhouette import Silhouette, WristShape, find_silhouette
 from svmdist.vision.stereo import LEVEL, RectifiedPair, RowAlignment, rectified_pair
-from svmdist.vision.tag_overlay import TagPattern
-from svmdist.vision.tags import tag_plate
+from svmdist.vision.tags import TagPattern, tag_plate
 
 if TYPE_CHECKING:
     from svmdist.estimation.instrument.image_pose import ImagePose  # which is made of a frame

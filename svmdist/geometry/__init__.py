@@ -34,11 +34,8 @@ class Capsules:
 
 def join(*groups: Capsules) -> Capsules:
     """All capsules of several groups, as one."""
-    return Capsules(
-        np.concatenate([group.start_m for group in groups]),
-        np.concatenate([group.end_m for group in groups]),
-        np.concatenate([group.radius_m for group in groups]),
-    )
+    parts = zip(*((group.start_m, group.end_m, group.radius_m) for group in groups), strict=True)
+    return Capsules(*map(np.concatenate, parts))
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +82,7 @@ class Cloud:
     std_m: Array
 
     def std_at_m(self, point_m: Array) -> float:
-        """The deviation of the nearest point to one, shape (3,)."""
+        """The deviation of the point nearest to one, shape (3,)."""
         return float(self.std_m[np.argmin(np.sum((self.points_m - point_m) ** 2, -1))])
 
 
@@ -99,8 +96,6 @@ def meet_plane(rays: Array, plane: Plane) -> Array:
         depth = np.where(np.abs(slope) > 1e-9, plane.offset_m / slope, np.nan)
     return np.where(depth > 0.0, depth, np.nan)[:, None] * rays
 
-
-Indices = NDArray[np.int64]
 
 MAX_TRIANGLES = 20_000  # each is looked at in every frame; an organ of 60 mm has edges of 0.7 mm then
 MAX_FILE_BYTES = 64 << 20
@@ -119,12 +114,11 @@ def read_closed_mesh(path: Path, metres_per_unit: float) -> Mesh:
     turned. Raises ProfileError, in one line, where the file cannot be read, or bounds no solid.
     """
     triangles = _triangles(path)
-    if len(triangles) == 0:
+    count = len(triangles)
+    if count == 0:
         raise ProfileError(f"{path}: an empty mesh: no face in it")
-    if len(triangles) > MAX_TRIANGLES:
-        raise ProfileError(
-            f"{path}: {len(triangles)} triangles; at most {MAX_TRIANGLES} are taken: decimate the mesh first"
-        )
+    if count > MAX_TRIANGLES:
+        raise ProfileError(f"{path}: {count} triangles; at most {MAX_TRIANGLES} are taken: decimate the mesh first")
     if not (np.abs(triangles) <= MAX_COORDINATE).all():  # false for what is no number, too
         raise ProfileError(f"{path}: not every coordinate is a finite number within ±{MAX_COORDINATE:g}")
     triangles = triangles * metres_per_unit
@@ -135,9 +129,8 @@ def read_closed_mesh(path: Path, metres_per_unit: float) -> Mesh:
         raise ProfileError(f"{path}: an empty mesh: every face of it runs into itself")
     size_m = float(np.linalg.norm(np.ptp(vertices_m, axis=0)))
     if not MIN_SIZE_M <= size_m <= MAX_SIZE_M:
-        raise ProfileError(
-            f"{path}: {size_m * 1e3:.4g} mm across, where 1 mm to 1 m is expected: is tissue.mesh_unit right?"
-        )
+        size = f"{size_m * 1e3:.4g} mm across, where 1 mm to 1 m is expected"
+        raise ProfileError(f"{path}: {size}: is tissue.mesh_unit right?")
     _require_closed(path, faces, len(vertices_m))
     # By tetrahedra from the middle: positive where faces turn outwards.
     triangles = vertices_m[faces]
@@ -152,8 +145,7 @@ def _triangles(path: Path) -> Array:
     """The corners of every face as the file has them, shape (f, 3, 3)."""
     reader = {".obj": _read_obj, ".stl": _read_stl}.get(path.suffix.lower())
     if reader is None:
-        found = path.suffix or "no ending"
-        raise ProfileError(f"{path}: expected a mesh in a file .obj or .stl, found {found}")
+        raise ProfileError(f"{path}: expected a mesh in a file .obj or .stl, found {path.suffix or 'no ending'}")
     with reading(path, ProfileError, " the mesh"):
         content = read_regular(path, MAX_FILE_BYTES)
     try:
@@ -195,7 +187,7 @@ def _read_stl(content: bytes) -> Array:
     return np.array(corners, np.float64).reshape(-1, 3, 3)
 
 
-def _require_closed(path: Path, faces: Indices, vertex_count: int) -> None:
+def _require_closed(path: Path, faces: NDArray[np.int64], vertex_count: int) -> None:
     """Every edge is run once in each direction: the surface has no border, and one outside."""
     start, end = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
     forward, counts = np.unique(start * vertex_count + end, return_counts=True)

@@ -47,11 +47,22 @@ class Separation:
 
 def separation(capsules: Capsules, surface: Surface) -> Separation:
     """Shortest separation between capsules and a surface in the same frame; a mesh must be closed."""
-    if isinstance(surface, Plane):
-        return _to_plane(capsules, surface)
     if isinstance(surface, Mesh):
         return _to_mesh(capsules, surface)
-    return _to_points(capsules, surface.points_m)
+    if isinstance(surface, Plane):
+        ends = np.stack([capsules.start_m, capsules.end_m])  # (2, n, 3): the height is least at an end
+        height_m = ends @ surface.normal - surface.offset_m - capsules.radius_m
+        side, index = np.unravel_index(np.argmin(height_m), height_m.shape)
+        return _outside(capsules, int(index), ends[side, index], -surface.normal, float(height_m[side, index]))
+    if len(surface.points_m) == 0:
+        raise ValueError("a cloud without points has no distance")
+    rough = distances_to_axes(surface.points_m, capsules) - capsules.radius_m[:, None]
+    near, at = np.nonzero(rough <= rough.min() + 2.0 * ROUGH_M)
+    on_axis = _on_segment(surface.points_m[at], capsules.start_m[near], capsules.end_m[near])
+    away = surface.points_m[at] - on_axis
+    gap = _lengths(away) - capsules.radius_m[near]
+    k = int(np.argmin(gap))
+    return _outside(capsules, int(near[k]), on_axis[k], _unit_or_any(away[k]), float(gap[k]))
 
 
 def capsule_separation(instrument: Capsules, other: Capsules) -> Separation:
@@ -61,32 +72,12 @@ def capsule_separation(instrument: Capsules, other: Capsules) -> Separation:
     )
     gap = pair.distance - instrument.radius_m[:, None] - other.radius_m[None]
     i, j = np.unravel_index(int(np.argmin(gap)), gap.shape)
-    first, second, distance = pair.first[i, j], pair.second[i, j], float(pair.distance[i, j])
-    if distance > TOUCH_M:
-        direction = (second - first) / distance
+    if pair.distance[i, j] > TOUCH_M:
+        direction = (pair.second[i, j] - pair.first[i, j]) / pair.distance[i, j]
     else:  # the axes cross: apart is along their common perpendicular
         along = instrument.end_m[i] - instrument.start_m[i]
         direction = _unit_or_any(cross(along, other.end_m[j] - other.start_m[j]))
-    return _outside(instrument, int(i), first, direction, float(gap[i, j]))
-
-
-def _to_plane(capsules: Capsules, plane: Plane) -> Separation:
-    ends = np.stack([capsules.start_m, capsules.end_m])  # (2, n, 3): the height is least at an end
-    height_m = ends @ plane.normal - plane.offset_m - capsules.radius_m
-    side, index = np.unravel_index(np.argmin(height_m), height_m.shape)
-    return _outside(capsules, int(index), ends[side, index], -plane.normal, float(height_m[side, index]))
-
-
-def _to_points(capsules: Capsules, points_m: Array) -> Separation:
-    if len(points_m) == 0:
-        raise ValueError("a cloud without points has no distance")
-    rough = distances_to_axes(points_m, capsules) - capsules.radius_m[:, None]
-    index, at = np.nonzero(rough <= rough.min() + 2.0 * ROUGH_M)
-    on_axis = _on_segment(points_m[at], capsules.start_m[index], capsules.end_m[index])
-    away = points_m[at] - on_axis
-    gap = _lengths(away) - capsules.radius_m[index]
-    k = int(np.argmin(gap))
-    return _outside(capsules, int(index[k]), on_axis[k], _unit_or_any(away[k]), float(gap[k]))
+    return _outside(instrument, int(i), pair.first[i, j], direction, float(gap[i, j]))
 
 
 def _to_mesh(capsules: Capsules, mesh: Mesh) -> Separation:
@@ -98,7 +89,13 @@ def _to_mesh(capsules: Capsules, mesh: Mesh) -> Separation:
     corners = mesh.triangles_m[face]
     pair = segment_to_triangle(capsules.start_m[capsule], capsules.end_m[capsule], corners)
     gap = pair.distance - radius_m[capsule]
-    inside = np.union1d(_with_an_end_inside(capsules, mesh), capsule[pair.distance <= TOUCH_M])
+    # Axes that reach inside: with an end there, or through a face.
+    ends = np.concatenate([capsules.start_m, capsules.end_m])
+    low, high = mesh.vertices_m.min(0), mesh.vertices_m.max(0)
+    in_box = np.flatnonzero(((ends > low) & (ends < high)).all(-1))
+    if len(in_box):
+        in_box = in_box[signed_distances(ends[in_box], mesh)[1] < 0.0]
+    inside = np.union1d(in_box % len(capsules), capsule[pair.distance <= TOUCH_M])
     if len(inside):
         # Depth changes along an axis by no more than the way: only some axes can hold the deepest point.
         start_m, end_m = capsules.start_m[inside], capsules.end_m[inside]
@@ -134,19 +131,8 @@ def _near_faces(axes: Capsules, mesh: Mesh, rough: Array, upper_m: Array) -> tup
     return row[is_near], face[is_near]
 
 
-def _with_an_end_inside(capsules: Capsules, mesh: Mesh) -> Indices:
-    """Indices of the capsules of which an end of the axis is inside."""
-    ends = np.concatenate([capsules.start_m, capsules.end_m])
-    low, high = mesh.vertices_m.min(0), mesh.vertices_m.max(0)
-    near = np.nonzero(((ends > low) & (ends < high)).all(-1))[0]
-    return near[signed_distances(ends[near], mesh)[1] < 0.0] % len(capsules) if len(near) else near
-
-
 def _deepest(capsules: Capsules, index: int, mesh: Mesh) -> Separation | None:
-    """The axis's deepest point inside a mesh: unique in a convex one, where the depth is concave along a line.
-
-    None for an axis that only touches the mesh.
-    """
+    """The axis's deepest point inside a mesh, unique in a convex one; None for an axis that only touches the mesh."""
     start, along = capsules.start_m[index], capsules.end_m[index] - capsules.start_m[index]
     low, high = 0.0, 1.0
     for _ in range(ZOOM_ROUNDS):
@@ -219,7 +205,7 @@ def distances_to_axes(points: Array, capsules: Capsules) -> Array:
 
 
 class ClosestPair(NamedTuple):
-    """Closest points of two features, shape (..., 3) each, and their distance, shape (...)."""
+    """Closest points of two features, (..., 3) each, and their distance, (...)."""
 
     first: Array
     second: Array
@@ -228,7 +214,9 @@ class ClosestPair(NamedTuple):
 
 def segment_to_segment(start_a: Array, end_a: Array, start_b: Array, end_b: Array) -> ClosestPair:
     """Closest points of two segments: an end of either, or the feet of the common perpendicular."""
-    start_a, end_a, start_b, end_b = np.broadcast_arrays(start_a, end_a, start_b, end_b)
+    # With an axis for the candidates: the feet, both ends of the first segment, both of the second.
+    shape = np.broadcast_shapes(start_a.shape, start_b.shape)
+    start_a, end_a, start_b, end_b = (np.broadcast_to(p, shape)[..., None, :] for p in (start_a, end_a, start_b, end_b))
     a, b, gap = end_a - start_a, end_b - start_b, start_b - start_a
     aa, bb, ab, a_gap, b_gap = dot(a, a), dot(b, b), dot(a, b), dot(a, gap), dot(b, gap)
     determinant = aa * bb - ab * ab
@@ -237,13 +225,10 @@ def segment_to_segment(start_a: Array, end_a: Array, start_b: Array, end_b: Arra
     s = (a_gap * bb - b_gap * ab) / safe
     t = (a_gap * ab - b_gap * aa) / safe
     inside = skew & (s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)
-    foot_a, foot_b = start_a + s[..., None] * a, start_b + t[..., None] * b
-    ends_a, ends_b = np.stack([start_a, end_a], -2), np.stack([start_b, end_b], -2)
-    ends_a_on_b = _on_segment(ends_a, start_b[..., None, :], end_b[..., None, :])
-    ends_b_on_a = _on_segment(ends_b, start_a[..., None, :], end_a[..., None, :])
-    first = np.concatenate([foot_a[..., None, :], ends_a, ends_b_on_a], -2)
-    second = np.concatenate([foot_b[..., None, :], ends_a_on_b, ends_b], -2)
-    return _nearest(first, second, inside[..., None])
+    ends_a, ends_b = np.concatenate([start_a, end_a], -2), np.concatenate([start_b, end_b], -2)
+    first = np.concatenate([start_a + s[..., None] * a, ends_a, _on_segment(ends_b, start_a, end_a)], -2)
+    second = np.concatenate([start_b + t[..., None] * b, _on_segment(ends_a, start_b, end_b), ends_b], -2)
+    return _nearest(first, second, inside)
 
 
 def point_to_triangle(point: Array, triangle: Array) -> ClosestPair:
@@ -256,18 +241,15 @@ def point_to_triangle(point: Array, triangle: Array) -> ClosestPair:
 
 def segment_to_triangle(start: Array, end: Array, triangle: Array) -> ClosestPair:
     """Closest points of segments and triangles; zero distance where a segment pierces its triangle."""
-    shape = np.broadcast_shapes(start.shape, end.shape, (*triangle.shape[:-2], 3))
-    start, end = np.broadcast_to(start, shape), np.broadcast_to(end, shape)
-    triangle = np.broadcast_to(triangle, (*shape[:-1], 3, 3))
     # Where segments cross the triangles' planes, and whether they do.
-    a = triangle[..., 0, :]
-    normal = cross(triangle[..., 1, :] - a, triangle[..., 2, :] - a)
+    a, b, c = np.moveaxis(triangle, -2, 0)
+    normal = cross(b - a, c - a)
     height_start, height_end = dot(start - a, normal), dot(end - a, normal)
     drop = height_start - height_end
     crosses = (height_start * height_end <= 0.0) & (drop != 0.0)
     t = np.where(crosses, height_start / np.where(crosses, drop, 1.0), 0.0)
     crossing = start + t[..., None] * (end - start)
-    points = np.stack([crossing, start, end], -2)
+    points = np.stack(np.broadcast_arrays(crossing, start, end), -2)
     on_face, inside = _foot_on_face(points, triangle)
     inside[..., 0] &= crosses
     on_face[..., 0, :] = crossing

@@ -29,10 +29,9 @@ NOISE_SIGMA_PX = 1.0  # width of that average
 class KnownMasks:
     """What is what in one image: masks of shape (h, w), uint8, 0 or 255; they may be combined by `&`.
 
-    `instrument` is the instrument's distal part, about the tool's origin, and `shaft` is None where the profile knows
-    none. `black` may be border around the endoscope's view, None where the shaft's mask holds it already; `picture` is
-    surely not border, None where that is not known. `seen` are whole instruments with their geometry, the surest first,
-    None where instruments are not separated.
+    `instrument` is its distal part, about the tool's origin; `shaft` is None where the profile knows none. `black` may
+    be border around the endoscope's view, None where the shaft's mask holds it already; `picture` is surely not border,
+    None if unknown. `seen` are whole instruments, the surest first, None where they are not separated.
     """
 
     tissue: Image
@@ -45,9 +44,8 @@ class KnownMasks:
 
 def masks_by_colours(rules: HsvSegmentation, image_hsv: Image) -> KnownMasks:
     """`method = "hsv"`: the masks of an image as HSV, shape (h, w, 3), by a box of colours for each part."""
-    channels = cv2.split(image_hsv)
-    shaft = None if rules.shaft is None else _mask(channels, rules.shaft)
-    return KnownMasks(_mask(channels, rules.tissue), _mask(channels, rules.instrument), shaft)
+    shaft = None if rules.shaft is None else colour_mask(image_hsv, rules.shaft)
+    return KnownMasks(colour_mask(image_hsv, rules.tissue), colour_mask(image_hsv, rules.instrument), shaft)
 
 
 def to_hsv(bgr: Image) -> Image:
@@ -62,11 +60,8 @@ def to_grey(bgr: Image) -> Image:
 
 def colour_mask(image_hsv: Image, region: ColourRegion) -> Image:
     """Mask, shape (h, w) with 0 or 255, of the pixels inside an HSV box whose hue may wrap around 0."""
-    return _mask(cv2.split(image_hsv), region)
-
-
-def _mask(channels: Sequence[cv2.typing.MatLike], region: ColourRegion) -> Image:
-    """Channel by channel: a test of one channel takes an eighth of what one of three channels at once takes."""
+    # Channel by channel: a test of one channel takes an eighth of what one of three channels at once takes.
+    channels = cv2.split(image_hsv)
 
     def inside(number: int, first: int, last: int) -> Image:
         return np.asarray(cv2.inRange(channels[number], first, last), np.uint8)
@@ -117,7 +112,6 @@ def normalised(bgr: Image, settings: ExposureSettings) -> Image:
     return np.asarray(cv2.LUT(bgr, np.clip(np.rint(levels), 0, 255).astype(np.uint8)), np.uint8)
 
 
-HUES = range(0, 180, 10)
 HALF_WIDTH = 10  # A mark's hue varies by this much with light and shade
 MIN_SATURATION, MIN_VALUE = 100, 60
 SMALLEST, LARGEST = 1e-4, 1e-2  # share of the image that a joint's ring or cap covers: no speck, no tissue
@@ -141,7 +135,7 @@ def find_distinct_colour(images: Sequence[Image], mark_count: int = 1) -> Distin
     if len(images) < 3:
         return None
     hsv = [to_hsv(image) for image in images]
-    found = [marks for hue in HUES if (marks := _marks(hsv, hue, mark_count)) is not None]
+    found = [marks for hue in range(0, 180, 10) if (marks := _marks(hsv, hue, mark_count)) is not None]
     return max(found, key=lambda marks: marks.area_px, default=None)
 
 

@@ -25,10 +25,7 @@ class Blur(StrEnum):
 
 
 def apply_blur(image_bgr: Image, blur: Blur, kernel_px: int) -> Image:
-    """Degrade an image, shape (h, w, 3), with a kernel of `kernel_px` (odd) pixels.
-
-    Erosion and dilation use a square kernel; bilateral has sigma 75 in colour and k in space.
-    """
+    """Degrade an image, shape (h, w, 3), with a kernel of `kernel_px` (odd) pixels."""
     square = np.ones((kernel_px, kernel_px), np.uint8)
     match blur:
         case Blur.NONE:
@@ -63,30 +60,19 @@ class Degradation(StrEnum):
     JPEG = "jpeg"
 
 
-PER_SENSOR = frozenset({Degradation.NOISE, Degradation.LOW_LIGHT})
-"""These differ between the two cameras of a pair; the others come from the scene and its motion."""
-
+# By severity. Radius of the disc a point becomes: a fixed-focus endoscope is sharp from some 3 to 15 cm, less so closer
 DEFOCUS_RADIUS_PX = (1.0, 1.7, 2.7, 4.0, 6.0)
-"""Radius of the disc a point becomes: a fixed-focus endoscope is sharp from some 3 to 15 cm, and less so closer."""
-
+# Length of the path across the image during an exposure of 1/60 s. A tool at 90 mm moves 1 px for every 10 mm/s:
+# these are speeds of 30 to 220 mm/s, or a camera that turns by 20 to 140 degrees per second
 MOTION_LENGTH_PX = (3.0, 6.0, 10.0, 15.0, 22.0)
-"""Length of the path across the image during an exposure of 1/60 s. A tool at 90 mm moves 1 px for every 10 mm/s:
-these are speeds of 30 to 220 mm/s, or a camera that turns by 20 to 140 degrees per second."""
-
-NOISE_LEVELS = (4.0, 8.0, 14.0, 22.0, 32.0)
-"""Standard deviation in 8-bit levels, in each channel and pixel: 2 is a good sensor, 14 one at high gain."""
-
+NOISE_LEVELS = (4.0, 8.0, 14.0, 22.0, 32.0)  # of 8 bits, in each channel: 2 is a good sensor, 14 one at high gain
+# The remaining fraction of the light, and the photons that a white pixel had at full light. Shot noise (Poisson) grows
+# relative to the falling light, because the camera's gain is at its limit
 LOW_LIGHT = ((0.7, 3000.0), (0.5, 1500.0), (0.35, 800.0), (0.22, 400.0), (0.13, 200.0))
-"""The remaining fraction of the light, and the photons that a white pixel had at full light. Shot noise (Poisson)
-grows relative to the falling light, because the camera's gain is at its limit."""
-
-SPECULAR_COUNT = (4, 8, 14, 22, 34)
-"""Glints of 3 to 12 px on wet surfaces; those of a severity are among those of the next."""
-
-SMOKE_DENSITY = (0.15, 0.3, 0.45, 0.6, 0.75)
-"""The share of the light that the plume's densest part scatters; cautery smoke is white and has structure of a fifth of
-the image and finer (image formation of haze, Koschmieder 1924)."""
-SMOKE_BGR = (208.0, 204.0, 200.0)
+SPECULAR_COUNT = (4, 8, 14, 22, 34)  # of glints on wet surfaces; those of a severity are among those of the next
+# The share of the light that the plume's densest part scatters; cautery smoke is white and has structure of a fifth of
+# the image and finer (image formation of haze, Koschmieder 1924)
+SMOKE_DENSITY, SMOKE_BGR = (0.15, 0.3, 0.45, 0.6, 0.75), (208.0, 204.0, 200.0)
 JPEG_QUALITY = (60, 40, 25, 14, 7)  # of 100: recorders use 80 and more, streams fall to 25 and below
 
 
@@ -101,7 +87,9 @@ def require_degradation(name: str, severity: int) -> Degradation:
 
 def image_seed(kind: Degradation, camera: int, *path: int) -> int:
     """The seed of one image: `path` determines log and frame, `camera` is 0 for the left one and 1 for the right."""
-    return int(np.random.SeedSequence([*path, camera if kind in PER_SENSOR else 0]).generate_state(1)[0])
+    # Both cameras of a pair see the same scene and motion, each by its own sensor.
+    is_own = kind in (Degradation.NOISE, Degradation.LOW_LIGHT)
+    return int(np.random.SeedSequence([*path, camera if is_own else 0]).generate_state(1)[0])
 
 
 def degrade(image_bgr: Image, name: Degradation | str, severity: int, seed: int) -> Image:
@@ -111,10 +99,11 @@ def degrade(image_bgr: Image, name: Degradation | str, severity: int, seed: int)
     scale = image_bgr.shape[1] / REFERENCE_WIDTH_PX
     degraded: Array
     match Degradation(name):
-        case Degradation.DEFOCUS:
-            return _filtered(image_bgr, _disc(DEFOCUS_RADIUS_PX[level] * scale))
-        case Degradation.MOTION_BLUR:
-            return _filtered(image_bgr, _line(MOTION_LENGTH_PX[level] * scale, rng.uniform(0.0, np.pi)))
+        case Degradation.DEFOCUS | Degradation.MOTION_BLUR:
+            kernel = _disc(DEFOCUS_RADIUS_PX[level] * scale)
+            if name == Degradation.MOTION_BLUR:
+                kernel = _line(MOTION_LENGTH_PX[level] * scale, rng.uniform(0.0, np.pi))
+            return np.asarray(cv2.filter2D(image_bgr, -1, kernel, borderType=cv2.BORDER_REFLECT_101), np.uint8)
         case Degradation.NOISE:
             degraded = image_bgr + rng.normal(0.0, NOISE_LEVELS[level], image_bgr.shape)
         case Degradation.LOW_LIGHT:
@@ -126,16 +115,11 @@ def degrade(image_bgr: Image, name: Degradation | str, severity: int, seed: int)
             degraded = np.asarray(image_bgr + glare * (255.0 - image_bgr), np.float64)
         case Degradation.SMOKE:
             scattered = SMOKE_DENSITY[level] * _plume(rng, image_bgr.shape[:2])[..., None]
-            clear = np.asarray(image_bgr * (1.0 - scattered), np.float64)
-            degraded = clear + scattered * np.array(SMOKE_BGR)
+            degraded = np.asarray(image_bgr * (1.0 - scattered), np.float64) + scattered * np.array(SMOKE_BGR)
         case Degradation.JPEG:
             _, data = cv2.imencode(".jpg", image_bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY[level]])
             return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
     return np.clip(np.rint(degraded, out=degraded), 0, 255, out=degraded).astype(np.uint8)
-
-
-def _filtered(image_bgr: Image, kernel: Array) -> Image:
-    return np.asarray(cv2.filter2D(image_bgr, -1, kernel, borderType=cv2.BORDER_REFLECT_101), np.uint8)
 
 
 def _disc(radius_px: float) -> Array:
@@ -161,22 +145,19 @@ def _glints(rng: np.random.Generator, shape: tuple[int, int], count: int, scale:
     """Soft-edged ellipses, 0 to 1, shape (height, width); a larger count adds to the same ones."""
     canvas = np.zeros(shape, np.uint8)
     for _ in range(count):
-        centre_px = rng.uniform(0.0, 1.0, 2) * (shape[1], shape[0])
+        x, y = (rng.uniform(0.0, 1.0, 2) * (shape[1], shape[0])).tolist()
         radius_px, slimness, turn_deg = rng.uniform(3.0, 12.0), rng.uniform(0.3, 1.0), rng.uniform(0.0, 180.0)
-        axes_px = (radius_px * scale, radius_px * slimness * scale)
-        box = ((float(centre_px[0]), float(centre_px[1])), (2.0 * axes_px[0], 2.0 * axes_px[1]), turn_deg)
-        cv2.ellipse(canvas, box, 255, -1, cv2.LINE_AA)
+        size_px = 2.0 * (radius_px * scale), 2.0 * (radius_px * slimness * scale)
+        cv2.ellipse(canvas, ((x, y), size_px, turn_deg), 255, -1, cv2.LINE_AA)
     return np.asarray(cv2.GaussianBlur(canvas, (0, 0), max(0.5, 1.2 * scale)) / 255.0, np.float64)
 
 
 def _plume(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
     """Smooth noise of three octaves over a haze, 0 to 1 with a maximum of 1, shape (height, width)."""
     plume = np.zeros(shape)
-    for octave in range(3):
-        count = 4 * 2**octave
-        cells = rng.uniform(0.0, 1.0, (count, count))
-        noise = cv2.resize(cells, shape[::-1], interpolation=cv2.INTER_CUBIC)
-        plume += np.asarray(noise, np.float64) / 2.0**octave
+    for fineness in (1, 2, 4):
+        cells = rng.uniform(0.0, 1.0, (4 * fineness, 4 * fineness))
+        plume += cv2.resize(cells, shape[::-1], interpolation=cv2.INTER_CUBIC) / fineness
     plume = np.clip(plume, 0.0, None)
     return np.asarray(0.35 + 0.65 * plume / plume.max())
 

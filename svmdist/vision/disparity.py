@@ -20,10 +20,10 @@ from svmdist.least_squares import scale_of
 from svmdist.profile.settings import StereoSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.local_planes import SCALES, Floats, blurred, fit_cells
 from svmdist.vision.stereo import reduced
 
 Bools = NDArray[np.bool_]
+Floats = NDArray[np.float32]
 
 COARSE_PX = 160  # width of the views in which the range of disparities is found
 MATCHED_PX = 400  # wider views are matched at half of it: a block shows twice as much, with less noise
@@ -39,14 +39,14 @@ CLIPPED_PX = 7  # side of what is left out about each
 SMOOTHING_PX = 1.2  # of both views, so that a step of a pixel stays on a slope
 LEVELLING_SHARE = 0.025  # half of the window for contrast over the width
 FLAT_LEVELS = 3.0  # contrast of mere noise
+# How smoothly the views' brightness may differ, over the width: with the camera, light and gloss of wet tissue move.
+# What changes no faster than that says nothing about disparity; else it is off by twice the standard deviation.
 BRIGHTNESS_SHARE = 0.01
-"""How smoothly the views' brightness may differ, over the width: with the camera, light and gloss of wet tissue move.
-What changes no faster than that says nothing about disparity; else it is off by twice the standard deviation."""
 STEPS = 3
 LEAST_LEVELS = 0.25  # noise of 8 bits, and its square
 ROW_STRIDE = 4
+# Of a cell's matches, in 1/px²: bounds, and as a share of its pixels' information. Both see the same texture
 MATCH_INFORMATION, MATCH_SHARE = (0.02, 1.0), 0.3
-"""Of a cell's matches, in 1/px²: bounds, and as a share of its pixels' information. Both see the same texture."""
 STD_FACTOR, LEAST_STD_PX = 1.5, 0.06  # between deviations so found and errors on warped views; what all share
 FILLED_FACTOR = 2.0  # the same where nothing matched, at rims and below instruments, beside that
 MAX_OFF_PX = 1.5  # of matches from the fit, beside two of its deviations
@@ -97,20 +97,18 @@ def disparity_map(
     normalised = [_normalised(grey, mask, whole_px) for grey, mask in zip(greys, inside, strict=True)]
     matched = semi_global(normalised, low, high, settings.block_px, 2 if whole_px > MATCHED_PX else 1)
     fitted = _Fit(greys, inside, matched, BRIGHTNESS_SHARE * whole_px).run()
-    if fitted is None:
+    if fitted is None or np.count_nonzero(fitted[2]) * CELL_PX**2 * step**2 < settings.min_matches:
         return None
     disparity_px, std_px, is_seen = fitted
-    if np.count_nonzero(is_seen) * CELL_PX**2 * step**2 < settings.min_matches:
-        return None
     at = step * (CELL_PX * np.arange(max(is_seen.shape)) + 0.5 * (CELL_PX - 1)) + 0.5 * (step - 1)
     columns_px, rows_px = step * first + at[: is_seen.shape[1]], rows.start + at[: is_seen.shape[0]]
     return DisparityMap(columns_px, rows_px, step * disparity_px, step * std_px, is_seen)
 
 
 def semi_global(views: Sequence[Image], low_px: float, high_px: float, block_px: int, step: int = 1) -> Floats:
-    """Disparity of every left pixel by semi-global matching of views reduced by `step`, shape (h, w) in px.
+    """Disparity of every left pixel, (h, w) in px, by semi-global matching of views reduced by `step`; NaN without.
 
-    NaN where there is none: the best match must be unique, and be found from the right, too.
+    The best match must be unique, and be found from the right, too.
     """
     height, width = views[0].shape
     low_px, high_px = low_px / step, high_px / step
@@ -141,9 +139,10 @@ def semi_global(views: Sequence[Image], low_px: float, high_px: float, block_px:
 def _range(greys: Sequence[Image], inside: Sequence[Image], low: float, high: float) -> tuple[float, float] | None:
     """The disparities that the scene has, in px, by matching small views over all that may be; None without any."""
     step = max(1, round(greys[0].shape[1] / COARSE_PX))
-    greys = [reduced(grey, step) for grey in greys]
     inside = [reduced(mask, step, cv2.INTER_NEAREST) for mask in inside]
-    normalised = [_normalised(grey, mask, grey.shape[1]) for grey, mask in zip(greys, inside, strict=True)]
+    normalised = [
+        _normalised(reduced(grey, step), mask, mask.shape[1]) for grey, mask in zip(greys, inside, strict=True)
+    ]
     if len(np.unique(normalised[1][inside[1] > 0])) < 2:  # a covered lens fits anything
         return None
     matched = semi_global(normalised, low / step, high / step, 5)
@@ -159,13 +158,10 @@ def _normalised(grey: Image, inside: Image, width_px: int) -> Image:
     """The view at the same brightness and contrast everywhere inside of a mask: vignetting differs between views."""
     side = 2 * max(2, round(LEVELLING_SHARE * width_px)) + 1
     level, used = grey.astype(np.float32), (inside > 0).astype(np.float32)
-
-    def mean(values: Floats) -> Floats:
-        return np.asarray(cv2.blur(values, (side, side)), np.float32)
-
-    share = mean(used) + np.float32(1e-6)
-    middle = mean(level * used) / share
-    spread = np.sqrt(np.maximum(mean(level * level * used) / share - middle**2, 0.0) + FLAT_LEVELS**2)
+    share, first, second = (cv2.blur(moment, (side, side)) for moment in (used, level * used, level * level * used))
+    share = share + np.float32(1e-6)
+    middle = first / share
+    spread = np.sqrt(np.maximum(second / share - middle**2, 0.0) + FLAT_LEVELS**2)
     # Without what is outside, whose border would match at the disparity of the instrument there.
     smooth = blurred(level * used, SMOOTHING_PX) / np.maximum(blurred(used, SMOOTHING_PX), 1e-6)
     return np.asarray(cv2.addWeighted((smooth - middle) / spread * used, 40.0, used, 0.0, 128.0, dtype=cv2.CV_8U))
@@ -177,14 +173,13 @@ class _Fit:
     def __init__(self, greys: Sequence[Image], inside: Sequence[Image], matched: Floats, brightness_px: float) -> None:
         self._left, self._right = (blurred(grey.astype(np.float32), SMOOTHING_PX) for grey in greys)
         self._brightness_px = brightness_px
-        core = _eroded(inside[0], 2 * MARGIN_PX + 1)
+        core, core_right = (_eroded(mask, 2 * MARGIN_PX + 1) for mask in inside)
         self._used_right = _without_highlights(greys[1], _eroded(inside[1], MARGIN_PX))
         height, width = matched.shape
         self._size = (width // CELL_PX, height // CELL_PX)
         self._columns, self._rows = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in (width, height)))
         # What an instrument hides from the right camera has no match, though blocks find one at its border.
         at = self._columns - np.nan_to_num(matched), self._rows
-        core_right = _eroded(inside[1], 2 * MARGIN_PX + 1)
         is_matched = np.isfinite(matched) & (core > 0) & (cv2.remap(core_right, *at, cv2.INTER_NEAREST) > 0)
         share = self._cells(is_matched.astype(np.float32))
         value = self._cells(np.where(is_matched, matched, 0.0).astype(np.float32))
@@ -212,7 +207,14 @@ class _Fit:
             is_near = self._is_matched & (np.abs(self._matches - fitted) < MAX_OFF_PX + 2.0 * std_px)
             if not is_near.any():
                 return None
-            is_seen = _without_patches(is_near & (std_px < MAX_STD_PX))
+        # Without what is a cell wide, or stands alone and is small.
+        sure = (is_near & (std_px < MAX_STD_PX)).astype(np.uint8)
+        opened = cv2.morphologyEx(sure, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+        _, labels, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
+        areas = statistics[:, cv2.CC_STAT_AREA]
+        kept = areas >= LEAST_PATCH * max(int(areas[1:].sum()), 1)
+        kept[0] = False
+        is_seen = np.asarray(kept[labels])
         if not is_seen.any():
             return None
         # Continued below what hides it by what is seen alone.
@@ -241,7 +243,12 @@ class _Fit:
             return None
         noise = np.float32(scale_of(some.astype(np.float64)) + LEAST_LEVELS)
         weight = usable / (1.0 + (error / (2.0 * noise)) ** 2)
-        self._turn -= _row_turn(*(one[few] for one in (_slope(self._left, 0, 1), error, weight, u, v)))
+        # Rectified rows are a pixel or two off: by what offset and turn of the right ones the error is less.
+        slope, pull, u, v = (one[few] for one in (_slope(self._left, 0, 1), weight, u, v))
+        B, pull = np.stack([np.ones_like(u), u, v], -1).reshape(-1, 3), pull * slope
+        normal = (B * (pull * slope).reshape(-1, 1)).T @ B
+        normal += np.diag([1e-6, 0.01, 0.01]) * (normal[0, 0] + 1e-6)
+        self._turn -= np.linalg.solve(normal, B.T @ (pull * error[few]).ravel())
         # left(u) = right(u - d), so that the right image's slope there is the left one's over 1 - d'.
         along = 0.5 * (_slope(self._left) + _slope(seen)) / np.maximum(1.0 - _slope(disparity), 0.5)
         along -= _smooth_share(along, usable, self._brightness_px)
@@ -265,34 +272,13 @@ def _std_px(variance: Floats) -> Floats:
     return np.asarray(np.sqrt(STD_FACTOR**2 * variance + LEAST_STD_PX**2), np.float32)
 
 
-def _row_turn(slope: Floats, error: Floats, weight: Floats, u: Floats, v: Floats) -> Array:
-    """By what offset and turn of the right rows the error is less, (3,): rectified rows are a pixel or two off."""
-    B = np.stack([np.ones_like(u), u, v], -1).reshape(-1, 3)
-    pull = weight * slope
-    normal = (B * (pull * slope).reshape(-1, 1)).T @ B
-    normal += np.diag([1e-6, 0.01, 0.01]) * (normal[0, 0] + 1e-6)
-    return np.asarray(np.linalg.solve(normal, B.T @ (pull * error).ravel()), np.float64)
-
-
 def _smooth_share(error: Floats, weight: Floats, sigma_px: float) -> Floats:
     """What of an error changes but slowly over the view: brightness, shadow and gloss."""
     height, width = error.shape
     size = (max(1, width // 8), max(1, height // 8))
-    value, share = (
-        blurred(np.asarray(cv2.resize(one, size, interpolation=cv2.INTER_AREA), np.float32), sigma_px / 8.0)
-        for one in (error * weight, weight)
-    )
+    small = (cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in (error * weight, weight))
+    value, share = (blurred(np.asarray(one, np.float32), sigma_px / 8.0) for one in small)
     return np.asarray(cv2.resize(value / np.maximum(share, 1e-4), (width, height)), np.float32)
-
-
-def _without_patches(is_seen: Bools) -> Bools:
-    """Without what is a cell wide, or stands alone and is small."""
-    opened = cv2.morphologyEx(is_seen.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
-    _, labels, statistics, _ = cv2.connectedComponentsWithStats(opened, connectivity=4)
-    areas = statistics[:, cv2.CC_STAT_AREA]
-    kept = areas >= LEAST_PATCH * max(int(areas[1:].sum()), 1)
-    kept[0] = False
-    return np.asarray(kept[labels])
 
 
 def _without_highlights(grey: Image, inside: Image) -> Floats:
@@ -303,9 +289,7 @@ def _without_highlights(grey: Image, inside: Image) -> Floats:
 
 def _eroded(mask: Image, side: int) -> Image:
     """The mask without its border; also where that is the view's."""
-    return np.asarray(
-        cv2.erode(mask, np.ones((side, side), np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=0), np.uint8
-    )
+    return np.asarray(cv2.erode(mask, np.ones((side, side), np.uint8), borderValue=0), np.uint8)
 
 
 def _slope(values: Floats, x: int = 1, y: int = 0) -> Floats:
@@ -317,3 +301,104 @@ def _enlarged(cells: Floats, size: tuple[int, int], how: int = cv2.INTER_LINEAR,
     whole = cv2.resize(cells, (width * by, height * by), interpolation=how)
     right, below = size[0] - whole.shape[1], size[1] - whole.shape[0]
     return np.asarray(cv2.copyMakeBorder(whole, 0, below, 0, right, cv2.BORDER_REPLICATE), np.float32)
+
+
+SCALES = (24.0, 12.0, 6.0, 3.0, 1.5)  # deviations of the windows of fits, in cells
+CORRELATED = 2.0  # of the variance of a fit by its pixels' noise: JPEG's blocks and highlights span many
+MOST_ASIDE = 1.5  # of the middle of what a window holds, over its deviation
+ALIKE_CELLS = 25.0  # over which what a quadric leaves is alike
+UNKNOWN_PX2, LEAST_WEIGHT = 1e4, 1e-3
+
+
+def fit_cells(information: Floats, total: Floats) -> tuple[Floats, Floats]:
+    """Values and variances of cells, shape (h, w), by the information in each, and by information times value.
+
+    A quadric of all, then planes on what is left of it in smaller and smaller windows. How far a finer fit differs by
+    more than its variance is found around each place (empirical Bayes), and as much of it is taken.
+    """
+    information, total = (np.ascontiguousarray(one, np.float32) for one in (information, total))
+    size = (information.shape[1], information.shape[0])
+    fitted, variance = _quadric(information, total)
+    for scale in SCALES:
+        step = max(1, int(scale / 3.0))
+        few, sigma = (max(1, size[0] // step), max(1, size[1] // step)), scale / step
+        of_cells = (information, step**2), (total - information * fitted, step**2), (variance, 1)
+        weight, left, before = (
+            np.asarray(cv2.resize(one, few, interpolation=cv2.INTER_AREA), np.float32) * factor
+            for one, factor in of_cells
+        )
+        found, own, is_near = _planes(weight, left, sigma)
+        certainty = 1.0 / own
+        beyond = blurred((found**2 - own) * certainty, 2.0 * sigma)
+        change = np.maximum(beyond / blurred(certainty, 2.0 * sigma), 0.0)
+        taken = change / (change + own)
+        filled = taken * own + (1.0 - taken) * (np.minimum(before, change + own) + change)
+        variance = cv2.resize(np.where(is_near, filled, np.maximum(filled, before)), size)
+        fitted = fitted + cv2.resize(taken * found, size, interpolation=cv2.INTER_CUBIC)
+    return fitted, np.asarray(variance, np.float32)
+
+
+def _planes(weight: Floats, total: Floats, sigma: float) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """The value and its variance at each cell of the plane that fits best in a Gaussian window about it.
+
+    Where all of what the window holds is to one side, its variance is no less than before: those are not near.
+    """
+    reach = int(np.ceil(3.0 * sigma))
+    t = np.arange(-reach, reach + 1, dtype=np.float32)
+    powers = [np.asarray(np.exp(-0.5 * (t / sigma) ** 2) * t**power, np.float32) for power in range(3)]
+
+    def moment(values: Floats, i: int, j: int) -> Floats:
+        found = cv2.sepFilter2D(values, cv2.CV_32F, powers[i], powers[j], borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(found, np.float32)
+
+    W, X, Y, T = moment(weight, 0, 0), moment(weight, 1, 0), moment(weight, 0, 1), moment(total, 0, 0)
+    inverse = 1.0 / np.maximum(W, 1e-12)
+    x, y, middle = X * inverse, Y * inverse, T * inverse
+    xx, xy, yy = moment(weight, 2, 0) - X * x, moment(weight, 1, 1) - X * y, moment(weight, 0, 2) - Y * y
+    xt, yt = moment(total, 1, 0) - X * middle, moment(total, 0, 1) - Y * middle
+    level = 1e-3 * sigma**2 * W + 1e-12  # of points in a line, one slope is not known
+    xx, yy = xx + level, yy + level
+    size = xx * yy - xy * xy
+    found = middle - ((yy * xt - xy * yt) * x + (xx * yt - xy * xt) * y) / size
+    own = CORRELATED * (inverse + (x * x * yy - 2.0 * x * y * xy + y * y * xx) / size) + 1e-5
+    is_known = (W > LEAST_WEIGHT) & np.isfinite(found) & np.isfinite(own)
+    return (
+        np.asarray(np.where(is_known, found, 0.0), np.float32),
+        np.asarray(np.where(is_known, np.clip(own, 1e-5, UNKNOWN_PX2), UNKNOWN_PX2), np.float32),
+        np.asarray(x * x + y * y < (MOST_ASIDE * sigma) ** 2),
+    )
+
+
+def _quadric(information: Floats, total: Floats) -> tuple[Floats, Floats]:
+    """The quadric that most cells agree on, and its variance: what it leaves, and more away from those; both (h, w)."""
+    height, width = information.shape
+    x, y = (np.linspace(-1.0, 1.0, count) for count in (width, height))
+    stride = max(1, min(height, width) // 16)
+    if not information[::stride, ::stride].any():  # a few cells, between these
+        stride = 1
+    few = np.s_[::stride, ::stride]
+    weight = information[few].ravel().astype(np.float64)
+    value = total[few].ravel() / np.maximum(weight, 1e-12)
+    X, Y = np.meshgrid(x[::stride], y[::stride])
+    terms = np.stack([np.ones_like(X), X, Y, X * X, X * Y, Y * Y], -1)
+    B, trust = terms.reshape(-1, 6), np.ones_like(weight)
+    for _ in range(5):
+        pull = B * (weight * trust)[:, None]
+        normal = pull.T @ B
+        c = np.linalg.solve(normal + 1e-6 * np.trace(normal) * np.eye(6), pull.T @ value)
+        error = value - B @ c
+        known = np.abs(error[weight > 0.0])
+        trust = 1.0 / (1.0 + (error / (3.0 * float(np.median(known)) + 1e-3)) ** 2)
+    surface = c[0] + c[1] * x + c[3] * x * x + (c[2] * y + c[5] * y * y)[:, None] + c[4] * np.outer(y, x)
+    pull = weight * trust
+    spread = max(float(pull @ error**2 / pull.sum()), 1e-2)
+    # What it leaves is alike over some cells: of the used ones so many err independently.
+    apart = max(float(pull.sum()) ** 2 / float(pull @ pull) * stride**2 / ALIKE_CELLS, 1.0)
+    C = spread / apart * np.linalg.inv(normal / pull.sum() + 1e-6 * np.eye(6))
+    own = np.asarray(np.einsum("hwi,ij,hwj->hw", terms, C, terms), np.float32)
+    return surface.astype(np.float32), np.asarray(spread + cv2.resize(own, (width, height)), np.float32)
+
+
+def blurred(values: Floats, sigma: float) -> Floats:
+    """Gaussian means about each place."""
+    return np.asarray(cv2.GaussianBlur(values, (0, 0), sigma), np.float32)

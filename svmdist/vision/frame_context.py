@@ -26,6 +26,7 @@ MIN_PIXELS = 60  # combed pixels in a whole image, at 640 columns, below which n
 COMBED_COLOURS = 0.07  # of combed pixels: 0.1 or more where colours are their field's own, 0.05 at most where mixed
 
 DEFAULT = InterlaceSettings()
+USUAL_FAMILY = "36h11"  # of tags: AprilTag's own default
 COLUMNS = 640  # sizes in px are for images of so many columns
 REACH = 3  # blocks about a combed one that are mended with it: part of what moves has too little contrast
 
@@ -47,8 +48,8 @@ def first_field(bgr: Image, settings: InterlaceSettings = DEFAULT) -> Image:
         return bgr
     textured = _stands_out(green, 2, settings.comb_levels)
     side = 2 * round(0.5 * BLOCK_PX * scale) + 1
-    of_block = [cv2.boxFilter(mask, cv2.CV_32F, (side, side)) for mask in (combed, textured)]
-    is_combed = (of_block[0] > MIN_FRACTION) & (of_block[0] > COMB_RATIO * of_block[1])
+    comb, texture = (cv2.boxFilter(mask, cv2.CV_32F, (side, side)) for mask in (combed, textured))
+    is_combed = (comb > MIN_FRACTION) & (comb > COMB_RATIO * texture)
     if np.count_nonzero(is_combed) < MIN_PIXELS * scale**2:
         return bgr
     places = cv2.dilate(is_combed.astype(np.uint8), np.ones((REACH * side, REACH * side), np.uint8))
@@ -87,7 +88,13 @@ def as_pinholes(observation: Observation, rows: RowAlignment = LEVEL) -> Observa
         observation = replace(observation, image_bgr=image, camera=left.pinhole)
     if right is None:
         return observation
-    if not _is_rectified(left, right):
+    # Rectified views are ideal, parallel, of one size and, but for the columns of their principal points, alike.
+    off = left.K - right.camera.K
+    off[0, 2] = 0.0
+    is_ideal = not (left.has_distortion or right.camera.has_distortion)
+    is_parallel = np.allclose(right.T_left_right[:3, :3], np.eye(3), atol=1e-6)
+    of_one_size = (left.width_px, left.height_px) == (right.camera.width_px, right.camera.height_px)
+    if not (is_ideal and is_parallel and of_one_size and np.abs(off).max() <= 1e-3):
         right = _beside(left, right)
     if rows != LEVEL:
         size, how = right.image_bgr.shape[1::-1], cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
@@ -99,16 +106,6 @@ def as_pinholes(observation: Observation, rows: RowAlignment = LEVEL) -> Observa
 def seen_through(camera: Camera, pinhole_px: Array) -> Array:
     """Where the lens shows what stands at pixels of the pinhole's image, shape (n, 2), in px."""
     return camera.project(camera.pinhole.rays(pinhole_px)) if camera.has_distortion else pinhole_px
-
-
-def _is_rectified(left: Camera, right: RightView) -> bool:
-    """Whether both are ideal, parallel and, but for the columns of their principal points, alike; and of one size."""
-    off = left.K - right.camera.K
-    off[0, 2] = 0.0
-    is_ideal = not (left.has_distortion or right.camera.has_distortion)
-    is_parallel = np.allclose(right.T_left_right[:3, :3], np.eye(3), atol=1e-6)
-    of_one_size = (left.width_px, left.height_px) == (right.camera.width_px, right.camera.height_px)
-    return is_ideal and is_parallel and of_one_size and bool(np.abs(off).max() <= 1e-3)
 
 
 def _beside(left: Camera, right: RightView) -> RightView:
@@ -125,8 +122,8 @@ def _beside(left: Camera, right: RightView) -> RightView:
 
 def _mapped(image: Image, camera: Camera, R_ideal_camera: Array, ideal: Camera) -> Image:
     matrices = (one.tobytes() for one in (camera.K, camera.D, R_ideal_camera, ideal.K))
-    across, down = _maps(*matrices, camera.distortion_model, (ideal.width_px, ideal.height_px))
-    return np.asarray(cv2.remap(image, across, down, cv2.INTER_LINEAR), np.uint8)
+    maps = _maps(*matrices, camera.distortion_model, (ideal.width_px, ideal.height_px))
+    return np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR), np.uint8)
 
 
 @lru_cache(maxsize=8)
@@ -138,9 +135,6 @@ def _maps(
     map_of = cv2.fisheye.initUndistortRectifyMap if model == "fisheye" else cv2.initUndistortRectifyMap
     maps = map_of(K_from, np.frombuffer(D), R, K_to, size_px, cv2.CV_16SC2)
     return np.asarray(maps[0]), np.asarray(maps[1])
-
-
-USUAL_FAMILY = "36h11"  # of tags: AprilTag's own default
 
 
 class FrameContext:

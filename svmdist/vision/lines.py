@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from svmdist.camera import Camera
 from svmdist.least_squares import huber_weights, scale_of
@@ -37,10 +36,17 @@ def fit_line(
 
     Points are on z = 1 of the camera frame, `inside` (2,) is one on the cylinder's side, and `unit` is the size of a
     pixel there. None where fewer than `min_count` points agree within `inlier_px`, or less than half of them.
-    `systematic_px` is an error that the points share, at each end of the line another. Points closer than
-    `POINT_CORRELATION_PX` err alike.
+    `systematic_px` is an error that the points share, at each end of the line another.
     """
-    chosen = _consensus(points, inlier_px * unit)
+    # The largest set within a tolerance of a line through two of them: pairs that differ, the same in every call.
+    count, rng = len(points), np.random.default_rng(SEED)
+    first = rng.integers(0, count, TRIALS)
+    second = (first + rng.integers(1, count, TRIALS)) % count
+    along = points[second] - points[first]
+    across = np.stack([-along[:, 1], along[:, 0]], -1) / np.hypot(along[:, 0], along[:, 1])[:, None]
+    off = np.abs(across @ points.T - np.sum(across * points[first], 1)[:, None])
+    close = off <= inlier_px * unit
+    chosen = close[np.argmax(np.count_nonzero(close, axis=1))]
     if np.count_nonzero(chosen) < max(min_count, len(points) // 2):
         return None
     points = points[chosen]
@@ -65,10 +71,7 @@ def fit_line(
 
 
 def line_between(ends: Array, covariance: Array, inside: Array) -> TangentPlane:
-    """The plane of the line through two points of z = 1, shape (2, 2), by their offsets' covariance across it, (2, 2).
-
-    `inside` (2,) is a point on the cylinder's side.
-    """
+    """The plane of the line through two points, (2, 2), by the covariance (2, 2) of their offsets, as `fit_line`."""
     along = ends[1] - ends[0]
     length = float(np.linalg.norm(along))
     normal = np.array([-along[1], along[0]]) / length
@@ -77,10 +80,7 @@ def line_between(ends: Array, covariance: Array, inside: Array) -> TangentPlane:
 
 
 def _tangent_plane(normal: Array, offset: float, centre: Array, covariance: Array, inside: Array) -> TangentPlane:
-    """The plane of the line on z = 1 with `normal` · p = `offset`.
-
-    `covariance` (2, 2) is that of its turn in rad about `centre`, (2,), and of its shift along the normal.
-    """
+    """The plane of the line on z = 1 with `normal` · p = `offset`, by the covariance of turn and shift at `centre`."""
     raw = np.array([normal[0], normal[1], -offset])
     # Turn about the centre c by τ, shift by s: normal + τ t, offset + τ t · c + s with t along the line.
     t = np.array([-normal[1], normal[0]])
@@ -91,17 +91,6 @@ def _tangent_plane(normal: Array, offset: float, centre: Array, covariance: Arra
     n = raw / length
     J = (np.eye(3) - np.outer(n, n)) @ d_raw / length
     return TangentPlane(n, np.asarray(J @ covariance @ J.T))
-
-
-def _consensus(points: Array, tolerance: float) -> NDArray[np.bool_]:
-    """The largest set of points, shape (n,), that lie within a tolerance of a line through two of them."""
-    count, rng = len(points), np.random.default_rng(SEED)  # pairs of different points, the same in every call
-    first = rng.integers(0, count, TRIALS)
-    second = (first + rng.integers(1, count, TRIALS)) % count
-    along = points[second] - points[first]
-    across = np.stack([-along[:, 1], along[:, 0]], -1) / np.hypot(along[:, 0], along[:, 1])[:, None]
-    close = np.abs(across @ points.T - np.sum(across * points[first], 1)[:, None]) <= tolerance
-    return np.asarray(close[np.argmax(np.count_nonzero(close, axis=1))])
 
 
 MIN_SINE = 5e-3  # of two planes' angle: a radius below 0.25 % of the distance has no measurable width
@@ -133,8 +122,7 @@ def axis_of_cylinder(planes: Iterable[TangentPlane], radius_m: float) -> Cylinde
 def tangent_normal(point_m: Array, direction: Array, radius_m: float, side: int) -> tuple[Array, Array, Array]:
     """Unit normal (3,) of a plane that touches a cylinder, and its derivatives by point and direction, (3, 3) each.
 
-    `point_m` (3,) is any point of the axis. `side` is +1 for the plane to the right of the axis as it runs through
-    the image, y being down, and -1 for the left. Where the camera is inside the cylinder there is none: NaN.
+    `point_m` (3,) is any point of the axis, `side` as of a `TangentPlane`. NaN where the camera is inside the cylinder.
     The normal obeys n · n = 1, n · d = 0 and n · p = r. With e = n x d the differentials of these give
     dn = -(n · dd) d + e ((n · dd) (d · p) - n · dp) / (e · p).
     """
@@ -157,10 +145,8 @@ def apparent_radius_px(centre_m: Array, radius_m: float, camera: Camera) -> Arra
 
 
 def without_perspective(middle_px: Array, camera: Camera, depth_m: float, radius_m: float) -> Array:
-    """The pixel (2,) of a sphere's centre from the middle of its outline.
-
-    The tangents to a sphere at (X, 0, Z) meet z = 1 about X Z / (Z² - r²), not about X / Z.
-    """
+    """The pixel (2,) of a sphere's centre from the middle of its outline."""
     if depth_m <= radius_m:
         return middle_px
+    # The tangents to a sphere at (X, 0, Z) meet z = 1 about X Z / (Z² - r²), not about X / Z.
     return middle_px - (radius_m / depth_m) ** 2 * (middle_px - camera.K[:2, 2])

@@ -19,14 +19,13 @@ REFIT_THRESHOLDS_PX = (1.5, 1.0, 0.7, 0.5, 0.3)  # the fine pyramid levels agree
 REFIT_MIN_COUNT = 20  # fewer matches are not fitted again: five times those that determine a homography
 
 CELL_COUNT = 12  # cells along a side: margin, frame, eight of data, frame, margin
-
+# Eight rows of eight cells, 1 is white. Found by random search: half the cells are white, no run along a row or column
+# is longer than three cells, each quarter turn changes 32 cells, and windows of 4 x 4 cells, about an ORB patch, differ
+# from one another under every quarter turn.
 DATA_ROWS = (0b00100011, 0b11010100, 0b10110111, 0b00111001, 0b11100100, 0b00011011, 0b01011000, 0b11100100)
-"""Eight rows of eight cells, 1 is white. Found by random search: half the cells are white, no run along a row or column
-is longer than three cells, each quarter turn changes 32 cells, and windows of 4 x 4 cells, about an ORB patch, differ
-from one another under every quarter turn."""
+# Standard deviation of a blur of the cells' edges. Perfectly sharp corners give neighbouring pixels the same FAST
+# score, and its non-maximum suppression then drops them all at full resolution.
 EDGE_SOFTNESS_PX = 1.0
-"""Standard deviation of a blur of the cells' edges. Perfectly sharp corners give neighbouring pixels the same FAST
-score, and its non-maximum suppression then drops them all at full resolution."""
 
 
 @lru_cache(maxsize=8)
@@ -44,24 +43,16 @@ def marker_pattern(size_px: int) -> Image:
 def paste_marker(image_bgr: Image, centre_px: Array, size_px: int, margin_px: int) -> tuple[Image, tuple[int, int]]:
     """A window with the marker in its middle, about `centre_px` (x, y, rounded), and the window's top left pixel.
 
-    Its margin, alike on every side, keeps a marker at the image's border uncut and far enough from the edge for ORB:
-    the window may reach out of the image, whose edge is repeated beyond it.
+    Its margin keeps a marker at the image's border far enough from the edge for ORB: the image's edge is repeated.
     """
     height, width = image_bgr.shape[:2]
-    x0 = _first_px(float(centre_px[0]), size_px, width) - margin_px
-    y0 = _first_px(float(centre_px[1]), size_px, height) - margin_px
-    x1, y1 = x0 + size_px + 2 * margin_px, y0 + size_px + 2 * margin_px
-    window = image_bgr[max(y0, 0) : y1, max(x0, 0) : x1]
-    top, bottom, left, right = max(-y0, 0), max(y1 - height, 0), max(-x0, 0), max(x1 - width, 0)
-    window = np.asarray(cv2.copyMakeBorder(window, top, bottom, left, right, cv2.BORDER_REPLICATE), np.uint8)
+    # The marker's middle is brought back to the image.
+    first_px = np.rint(centre_px - (size_px - 1) / 2.0).astype(int)
+    x0, y0 = (first_px.clip(-(size_px // 2), np.array([width, height]) - size_px // 2) - margin_px).tolist()
+    x, y = (first + np.arange(size_px + 2 * margin_px) for first in (x0, y0))
+    window = image_bgr[y.clip(0, height - 1)[:, None], x.clip(0, width - 1)]
     window[margin_px:-margin_px, margin_px:-margin_px] = marker_pattern(size_px)[..., None]
     return window, (x0, y0)
-
-
-def _first_px(centre_px: float, size_px: int, length_px: int) -> int:
-    """The marker's first pixel along an axis of the image; its middle is brought back to the image."""
-    first = round(centre_px - (size_px - 1) / 2.0)
-    return min(max(first, -(size_px // 2)), length_px - size_px // 2)
 
 
 def padded_template(size_px: int, margin_px: int) -> Image:
@@ -71,12 +62,11 @@ def padded_template(size_px: int, margin_px: int) -> Image:
 
 EDGE_MARGIN_PX = 31  # ORB finds no keypoint closer to the border of a pyramid level than its `edgeThreshold`
 SCALE_FACTOR, MAX_LEVELS = 1.2, 8  # of ORB's pyramid, as in Rublee 2011, sec. 6.1
-DESCRIPTOR_BYTES = 32  # eqs. (13)–(16): n = 256 binary tests make 32 bytes, not "32 dimensions"
 
 
 @dataclass(frozen=True, slots=True)
 class Features:
-    """Keypoints, shape (n, 2) in px, with their ORB descriptors, shape (n, 32) of uint8."""
+    """Keypoints, (n, 2) in px, and ORB descriptors, (n, 32) bytes: the 256 binary tests of eqs. (13)–(16)."""
 
     points_px: Array
     descriptors: NDArray[np.uint8]
@@ -85,7 +75,7 @@ class Features:
         return len(self.points_px)
 
 
-NO_FEATURES = Features(np.zeros((0, 2)), np.zeros((0, DESCRIPTOR_BYTES), np.uint8))
+NO_FEATURES = Features(np.zeros((0, 2)), np.zeros((0, 32), np.uint8))
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +122,6 @@ def match_features(template: Features, frame: Features, ratio: float) -> Matches
     return Matches(template.points_px[kept], frame.points_px[nearest[kept, 0]])
 
 
-SEED = 20  # fixed seed of the sampler: with it, and without threads, USAC gives the same bits everywhere
 # Gauss–Newton from a fit that is good to a fraction of a pixel: two or three steps reach rounding
 REFIT_STEPS, REFIT_TOLERANCE, REFIT_DAMPING = 10, 1e-9, 1e-9
 UNIT_PX = 100.0  # about a marker's side: in this unit the elements of H are of a similar size
@@ -140,10 +129,7 @@ PX_PER_ELEMENT: Array = np.outer([1.0 / UNIT_PX, 1.0 / UNIT_PX, 1.0], [UNIT_PX, 
 
 
 def fit_homography(matches: Matches, reprojection_px: float) -> tuple[Array, NDArray[np.bool_]] | None:
-    """Fit a homography robustly (MAGSAC, Barath 2019), inliers by eq. (18); None for fewer than four.
-
-    It is H, shape (3, 3) with H[2, 2] = 1, and which matches agree with it, shape (n,).
-    """
+    """H, (3, 3) with H[2, 2] = 1, by MAGSAC (Barath 2019), and its inliers, (n,), by eq. (18); None below four."""
     parameters = cv2.UsacParams()
     parameters.threshold = reprojection_px
     parameters.confidence = 0.999
@@ -153,30 +139,23 @@ def fit_homography(matches: Matches, reprojection_px: float) -> tuple[Array, NDA
     parameters.loIterations = 10
     parameters.loSampleSize = 50
     parameters.isParallel = False
-    parameters.randomGeneratorState = SEED
+    parameters.randomGeneratorState = 20  # with a fixed seed, and without threads, USAC gives the same bits everywhere
     try:
         fitted, _ = cv2.findHomography(matches.template_px, matches.frame_px, parameters)
     except cv2.error:  # too few, or degenerate points: all alike, or on one line
         return None
     if fitted is None or not np.all(np.isfinite(fitted)) or abs(fitted[2, 2]) < 1e-12:
         return None
-    H, error_px = _refit(np.asarray(fitted / fitted[2, 2], np.float64), matches)
-    inliers = error_px <= reprojection_px
-    return (H, inliers) if np.count_nonzero(inliers) >= 4 else None
-
-
-def _refit(H: Array, matches: Matches) -> tuple[Array, Array]:
-    """Refit by least squares on the matches within shrinking thresholds, while they are many and agree.
-
-    Gauss–Newton from a start that is near (Hartley and Zisserman 2004, sec. 4.2.2).
-    """
+    H = np.asarray(fitted / fitted[2, 2], np.float64)
     error_px = _transfer_error(H, matches)
-    fitted_on: NDArray[np.bool_] | None = None
+    # Refit by least squares on the matches within shrinking thresholds, while they are many and agree: Gauss–Newton
+    # from a start that is near (Hartley and Zisserman 2004, sec. 4.2.2).
+    fitted_on = np.zeros(0, np.bool_)
     for threshold_px in REFIT_THRESHOLDS_PX:
         close = error_px <= threshold_px
         if np.count_nonzero(close) < REFIT_MIN_COUNT:
             break
-        if fitted_on is not None and np.array_equal(close, fitted_on):
+        if np.array_equal(close, fitted_on):
             continue  # the same matches give the same homography
         p, q = matches.template_px[close] / UNIT_PX, matches.frame_px[close] / UNIT_PX
         h = (H * PX_PER_ELEMENT).ravel()[:8]
@@ -185,7 +164,8 @@ def _refit(H: Array, matches: Matches) -> tuple[Array, Array]:
             break
         H, fitted_on = np.append(found[0], 1.0).reshape(3, 3) / PX_PER_ELEMENT, close
         error_px = _transfer_error(H, matches)
-    return H, error_px
+    inliers = error_px <= reprojection_px
+    return (H, inliers) if np.count_nonzero(inliers) >= 4 else None
 
 
 def _normal_equations(h: Array, p: Array, q: Array) -> NormalEquations | None:
@@ -221,15 +201,13 @@ def _transfer_error(H: Array, matches: Matches) -> Array:
 
 
 def marker_corners(H: Array, size_px: int, settings: MarkerSettings) -> Array | None:
-    """Where H puts the template's corners, clockwise from the top left, shape (4, 2) in px.
-
-    None where its square becomes no convex shape of similar size: it was pasted without scaling.
-    """
+    """Where H puts the template's corners, clockwise from the top left, (4, 2) in px; None of another shape or size."""
     last = size_px - 1.0
     corners = transfer(H, np.array([[0.0, 0.0], [last, 0.0], [last, last], [0.0, last]]))
     if not np.all(np.isfinite(corners)):
         return None
     outline = corners.astype(np.float32)
     area_ratio = cv2.contourArea(outline, oriented=True) / (size_px - 1) ** 2  # negative where it is mirrored
+    # It was pasted without scaling.
     is_alike = 1.0 / settings.max_area_ratio < area_ratio < settings.max_area_ratio
     return corners if is_alike and cv2.isContourConvex(outline) else None

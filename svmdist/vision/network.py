@@ -40,28 +40,23 @@ class OnnxSegmenter:
         self._output, self._runtime = _output_name(net, rules), _by_opencv(net)
         tried = self._run(blank)
         self._runtime = _by_onnxruntime(rules.model, network_input(blank, rules)) or self._runtime
-        if not _has_scores(tried):
-            return
-        count = tried.shape[1]
+        count = tried.shape[1] if _has_scores(tried) else np.inf
         for name, region in rules.parts.items():
-            beyond = [number for number in region.class_ids if number >= count]
-            if beyond:
-                raise ProfileError(
-                    f"{rules.model}: segmentation.{name}.class_ids asks for class {beyond[0]}, and the network"
-                    f" has {count} classes, 0 to {count - 1}"
-                )
+            if beyond := [number for number in region.class_ids if number >= count]:
+                asked = f"segmentation.{name}.class_ids asks for class {beyond[0]}"
+                raise ProfileError(f"{rules.model}: {asked}, and the network has {count} classes, 0 to {count - 1}")
 
     def masks(self, bgr: Image) -> KnownMasks:
         """The masks of an image, shape (h, w, 3) in BGR as recorded."""
         left, top, width, height = self.view(bgr) if self._rules.crop_to_view else (0, 0, *bgr.shape[1::-1])
-        output = self._run(np.ascontiguousarray(bgr[top : top + height, left : left + width]))
-        if _has_scores(output):
-            inside = _best_class(np.asarray(output[0], np.float32), (width, height))
-        else:
-            small = np.asarray(output.reshape(output.shape[-2:]), np.int32)
-            inside = np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_NEAREST_EXACT), np.int32)
+        in_view = np.s_[top : top + height, left : left + width]
+        output = self._run(np.ascontiguousarray(bgr[in_view]))
         labels = np.full(bgr.shape[:2], -1, np.int32)  # outside of the view: no class
-        labels[top : top + height, left : left + width] = inside
+        if _has_scores(output):
+            labels[in_view] = _best_class(np.asarray(output[0], np.float32), (width, height))
+        else:
+            small = output.reshape(output.shape[-2:]).astype(np.int32)
+            labels[in_view] = cv2.resize(small, (width, height), interpolation=cv2.INTER_NEAREST_EXACT)
         rules, black = self._rules, _black(bgr)
         instrument, shaft = _of(labels, rules.instrument), _of(labels, rules.shaft)
         if rules.from_border:
@@ -87,9 +82,9 @@ class OnnxSegmenter:
     def outputs(self, image_bgr: Image) -> dict[str, Tensor]:
         """What the network gives of a BGR image, by name and unchecked; give it what `view` leaves of the image.
 
-        The network that ships gives `scores` and `keypoints`, shape (1, 4, h', w') each. Scores are logarithms of the
-        classes' probabilities, up to a constant of each pixel; keypoints are log-odds that a pixel is within 1/64 of
-        the image's width of where a shaft enters the view, where one ends, a hinge of jaws, a tip.
+        The network that ships gives `scores`, logarithms of the classes' probabilities up to a constant of each pixel,
+        and `keypoints`, log-odds that a pixel is within 1/64 of the image's width of where a shaft enters the view,
+        where one ends, a hinge of jaws, a tip: shape (1, 4, h', w') each.
         """
         return self._runtime(network_input(image_bgr, self._rules))
 
@@ -99,19 +94,20 @@ class OnnxSegmenter:
         try:
             output = self.outputs(image_bgr)[self._output]
         except (cv2.error, MemoryError) as problem:
-            raise ProfileError(f"{rules.model}: {_why_not_run(problem, rules)}") from None
+            size, channels = f"{rules.width_px}x{rules.height_px}", rules.channels.upper()
+            why_not = f"the network does not run on one {channels} image of {size}: {_first_words(problem)}"
+            no_memory = isinstance(problem, MemoryError) or getattr(problem, "code", 0) == cv2.Error.StsNoMem
+            if no_memory or "bad_alloc" in str(problem):
+                why_not = f"not enough memory to run the network on {size}"
+            raise ProfileError(f"{rules.model}: {why_not}") from None
         if output.ndim not in (3, 4) or output.shape[0] != 1 or 0 in output.shape:
-            raise ProfileError(
-                f"{where} has shape {output.shape}; expected class scores (1, C, h, w), or labels (1, 1, h, w) or"
-                " (1, h, w)"
-            )
+            expected = "class scores (1, C, h, w), or labels (1, 1, h, w) or (1, h, w)"
+            raise ProfileError(f"{where} has shape {output.shape}; expected {expected}")
         if not (np.abs(output) < FINITE).all():
             raise ProfileError(f"{where} is not finite: are mean and scale right?")
         if not _has_scores(output) and not np.array_equal(output, np.round(output)):
-            raise ProfileError(
-                f"{where} of shape {output.shape} has one channel, so that it should hold whole class numbers, and"
-                " holds fractions; class scores need two channels or more"
-            )
+            why_not = "has one channel, so that it should hold whole class numbers, and holds fractions"
+            raise ProfileError(f"{where} of shape {output.shape} {why_not}; class scores need two channels or more")
         return output
 
 
@@ -153,13 +149,10 @@ def _of(labels: Labels, region: ClassRegion | None) -> Image:
 
 
 def _from_border(union: Image, picture: Image) -> Image:
-    """Connected parts of the instrument that reach the border of the picture."""
-    height, width = union.shape
-    reach = max(2, round(MARGIN * width))
-    # A frame of nothing around the image, so that the image's own edge is border too.
-    framed = cv2.copyMakeBorder(picture, reach, reach, reach, reach, cv2.BORDER_CONSTANT, value=0)
+    """Connected parts of the instrument that reach the border of the picture; the image's own edge is border, too."""
+    reach = max(2, round(MARGIN * union.shape[1]))
     kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    inner = cv2.erode(framed, kernel, borderValue=0)[reach : reach + height, reach : reach + width]
+    inner = cv2.erode(picture, kernel, borderValue=0)
     count, parts, statistics, _ = cv2.connectedComponentsWithStats(union & picture)
     kept = np.zeros(count, np.uint8)
     kept[np.unique(parts[inner == 0])] = 255
@@ -219,10 +212,10 @@ def _read(path: Path) -> cv2.dnn.Net:
     except MemoryError:
         raise ProfileError(f"{path}: not enough memory to load the network") from None
     except cv2.error as problem:
+        why_not = f"not an ONNX model that OpenCV {cv2.__version__} can read"
         if "create layer" in str(problem) or "handleNode" in str(problem):
             why_not = f"OpenCV {cv2.__version__} cannot run this network: {_first_words(problem)}"
-            raise ProfileError(f"{path}: {why_not}") from None
-        raise ProfileError(f"{path}: not an ONNX model that OpenCV {cv2.__version__} can read") from None
+        raise ProfileError(f"{path}: {why_not}") from None
     if net.empty():
         raise ProfileError(f"{path}: an ONNX model without a network in it")
     return net
@@ -230,22 +223,14 @@ def _read(path: Path) -> cv2.dnn.Net:
 
 def _output_name(net: cv2.dnn.Net, rules: OnnxSegmentation) -> str:
     names = [str(name) for name in net.getUnconnectedOutLayersNames()]
-    if rules.output is not None:
-        if rules.output not in names:
-            raise ProfileError(f"{rules.model}: no output {rules.output}: {did_you_mean(rules.output, names)}")
+    if rules.output in names:
         return rules.output
+    if rules.output is not None:
+        raise ProfileError(f"{rules.model}: no output {rules.output}: {did_you_mean(rules.output, names)}")
     if len(names) != 1:
         found = f"the network has {len(names)} outputs"
         raise ProfileError(f"{rules.model}: {found}; name one in segmentation.output: {', '.join(names)}")
     return names[0]
-
-
-def _why_not_run(problem: Exception, rules: OnnxSegmentation) -> str:
-    size = f"{rules.width_px}x{rules.height_px}"
-    no_memory = isinstance(problem, MemoryError) or getattr(problem, "code", 0) == cv2.Error.StsNoMem
-    if no_memory or "bad_alloc" in str(problem):
-        return f"not enough memory to run the network on {size}"
-    return f"the network does not run on one {rules.channels.upper()} image of {size}: {_first_words(problem)}"
 
 
 def _first_words(problem: Exception) -> str:

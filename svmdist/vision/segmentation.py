@@ -42,8 +42,7 @@ def make_segmenter(rules: Segmentation, auto: AutoSettings = DEFAULT) -> Segment
 def without(masks: Masks, others: Image) -> KnownMasks:
     """The masks of an image for one of several instruments: without the pixels of the others, shape (h, w).
 
-    All share the tissue and the picture. What may be border has the other shafts in it: they cut the view no less than
-    its own. `seen` are those of which most is its own.
+    What may be border has the other shafts in it: they cut the view no less than its own.
     """
     count, not_others = cv2.countNonZero, cv2.bitwise_not(others)
 
@@ -53,11 +52,6 @@ def without(masks: Masks, others: Image) -> KnownMasks:
     shaft, black, seen = masks.shaft, masks.black, masks.seen
     if seen is not None:
         seen = tuple(one for one in seen if 2 * count(own(one.mask)) > count(one.mask))
-    return KnownMasks(
-        tissue=masks.tissue,
-        instrument=own(masks.instrument),
-        shaft=None if shaft is None else own(shaft),
-        black=shaft if shaft is None or black is None else shaft | black,
-        picture=masks.picture,
-        seen=seen,
-    )
+    own_shaft = None if shaft is None else own(shaft)
+    black = shaft if shaft is None or black is None else shaft | black
+    return KnownMasks(masks.tissue, own(masks.instrument), own_shaft, black, masks.picture, seen)

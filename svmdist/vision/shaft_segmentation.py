@@ -71,14 +71,15 @@ def find_shaft(
     speck_px = max(1, round(SPECK_WIDTH_FRACTION * width / 2))
     gap_px = round(GLARE_WIDTH_FRACTION * width / 2)
     # Masks are opened and closed in a box about what is dark, which has room for the closing and the border.
-    box = _window_about(dark & view, max(2 * gap_px, rim_px + 2) + 2)
+    margin_px = max(2 * gap_px, rim_px + 2) + 2
+    x, y, wide, high = cv2.boundingRect(dark & view)
+    left, top = corner = max(x - margin_px, 0), max(y - margin_px, 0)
+    box = np.s_[top : y + high + margin_px, left : x + wide + margin_px]
     core = _eroded(view[box], rim_px)
     at_border = cv2.subtract(core, _eroded(core, 2))
     mask = cv2.morphologyEx(cv2.bitwise_and(dark[box], core), cv2.MORPH_OPEN, _disc(speck_px))
     mask = cv2.bitwise_and(cv2.morphologyEx(mask, cv2.MORPH_CLOSE, _disc(gap_px)), core)
-    mask = np.asarray(cv2.subtract(mask, covered[box]), np.uint8)
-    corner = box[1].start, box[0].start
-    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    contours, _ = cv2.findContours(cv2.subtract(mask, covered[box]), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     for contour in sorted(contours, key=cv2.contourArea, reverse=True):
         if cv2.contourArea(contour) < rule.min_area_px:
             return None
@@ -94,27 +95,24 @@ def find_shaft(
         is_rim = end_px is not None and not (
             _is_covered(first, second, end_px, covered) or _is_cut(first, second, end_px, dark)
         )
-        return _as_seen(whole, (first, second), end_px, is_rim=is_rim), view
+        # As one found without colours: its end is that of the dark part, and its sides are rough.
+        pixel_px = max(max(shaft.shape) / WORKING_PX, 1.0)
+        small = cv2.resize(whole, None, fx=1.0 / pixel_px, fy=1.0 / pixel_px, interpolation=cv2.INTER_AREA)
+        sides = np.array([[side.start_px, side.end_px] for side in (first, second)])
+        seen = SeenInstrument(
+            small > 127,
+            shaft.shape,
+            sides,
+            sides[:, 1].mean(0) if end_px is None else end_px,
+            evidence=1.0,
+            side_covariance=np.tile((SIDE_STD_PX * pixel_px) ** 2 * np.eye(2), (2, 1, 1)),
+            end_std_px=MIN_END_STD_PX if is_rim else np.inf,
+            ends_dark=True,
+            pixel_px=pixel_px,
+            knows_tip=end_px is not None,
+        )
+        return seen, view
     return None
-
-
-def _as_seen(mask: Image, edges: tuple[Side, Side], end_px: Array | None, *, is_rim: bool) -> SeenInstrument:
-    """The shaft as one found without colours: its end is that of the dark part, and its sides are rough."""
-    pixel_px = max(max(mask.shape) / WORKING_PX, 1.0)
-    small = cv2.resize(mask, None, fx=1.0 / pixel_px, fy=1.0 / pixel_px, interpolation=cv2.INTER_AREA)
-    sides = np.array([[side.start_px, side.end_px] for side in edges])
-    return SeenInstrument(
-        small > 127,
-        mask.shape,
-        sides,
-        sides[:, 1].mean(0) if end_px is None else end_px,
-        evidence=1.0,
-        side_covariance=np.tile((SIDE_STD_PX * pixel_px) ** 2 * np.eye(2), (2, 1, 1)),
-        end_std_px=MIN_END_STD_PX if is_rim else np.inf,
-        ends_dark=True,
-        pixel_px=pixel_px,
-        knows_tip=end_px is not None,
-    )
 
 
 def _is_print(first: Side, second: Side, mask: Image, dark: Image) -> bool:
@@ -128,35 +126,38 @@ def _is_print(first: Side, second: Side, mask: Image, dark: Image) -> bool:
 
 def _sides_of(contour: NDArray[np.int32], inside: NDArray[np.bool_]) -> tuple[Side, Side, Array | None] | None:
     """The two sides of a closed contour, shape (n, 2), and the middle of its distal end."""
-    arcs = sorted(_arcs_inside(contour, inside), key=len, reverse=True)
+    if inside.all() or not inside.any():
+        return None
+    # The stretches away from the border: from a start on it, so that none is cut in two.
+    turn = int(np.argmin(inside))
+    contour, inside = np.roll(contour, -turn, axis=0), np.roll(inside, -turn)
+    pieces = np.split(contour.astype(np.float64), np.flatnonzero(np.diff(inside.astype(np.int8))) + 1)
+    arcs = [piece for piece in pieces[1::2] if len(piece) >= 2 * MIN_SIDE_PX]
+    arcs.sort(key=len, reverse=True)
     if not arcs:
         return None
-    if len(arcs) > 1 and len(arcs[1]) > 0.4 * len(arcs[0]):
-        # Through the whole image: one arc along each side, run in opposite directions.
-        first, second = _fitted_side(arcs[0]), _fitted_side(arcs[1][::-1])
-        return (first, second, None) if _are_sides(first, second) else None
-    split = _split(arcs[0])
-    if split is None or not _are_sides(*split):
+    is_through = len(arcs) > 1 and len(arcs[1]) > 0.4 * len(arcs[0])  # one along each side, in opposite directions
+    sides = (_fitted_side(arcs[0]), _fitted_side(arcs[1][::-1])) if is_through else _split(arcs[0])
+    if sides is None or min(side.length_px for side in sides) < MIN_SIDE_PX:
         return None
-    return *split, _apex(arcs[0], *split)
-
-
-def _apex(arc: Array, first: Side, second: Side) -> Array:
-    """The foremost point (2,) of a contour, shape (n, 2), about the middle between its sides."""
+    first, second = sides
+    if not first.direction @ second.direction > np.cos(MAX_TAPER_RAD):
+        return None
+    if is_through:
+        return first, second, None
+    # The foremost point about the middle between the sides.
     along = first.direction + second.direction
     along /= np.linalg.norm(along)
     middle_px, apart_px = 0.5 * (first.end_px + second.end_px), second.end_px - first.end_px
-    ahead, aside = (arc - middle_px) @ along, (arc - middle_px) @ np.array([-along[1], along[0]])
+    ahead, aside = (arcs[0] - middle_px) @ along, (arcs[0] - middle_px) @ np.array([-along[1], along[0]])
     near = np.abs(aside) < MIDDLE_STRIP * np.linalg.norm(apart_px)
-    return np.asarray(middle_px + (ahead[near].max() if near.any() else 0.0) * along)
+    return first, second, np.asarray(middle_px + (ahead[near].max() if near.any() else 0.0) * along)
 
 
 def _is_covered(first: Side, second: Side, end_px: Array, covered: Image) -> bool:
-    radius_px = 0.7 * float(np.linalg.norm(first.end_px - second.end_px))
-    left, top = (max(0, int(value - radius_px)) for value in end_px)
-    right, bottom = (max(0, int(value + radius_px) + 2) for value in end_px)
-    y, x = np.nonzero(covered[top:bottom, left:right])
-    return not np.all(np.hypot(x + left - end_px[0], y + top - end_px[1]) > radius_px)
+    y, x = np.nonzero(covered)
+    within_px = 0.7 * np.linalg.norm(first.end_px - second.end_px)
+    return not np.all(np.hypot(x - end_px[0], y - end_px[1]) > within_px)
 
 
 def _is_cut(first: Side, second: Side, end_px: Array, dark: Image) -> bool:
@@ -167,18 +168,6 @@ def _is_cut(first: Side, second: Side, end_px: Array, dark: Image) -> bool:
     places = end_px + ahead[:, None, None] * along + aside[:, None] * apart_px
     is_dark = (sampled(dark, places, nearest=True) > 0).mean(1)
     return bool(np.convolve(is_dark, np.full(MORE, 1.0 / MORE), "valid").max() > MORE_SHARE)
-
-
-def _arcs_inside(contour: NDArray[np.int32], inside: NDArray[np.bool_]) -> list[Array]:
-    """The stretches of a closed contour away from the border, each an array of shape (n, 2)."""
-    if inside.all() or not inside.any():
-        return []
-    turn = int(np.argmin(inside))  # start on the border, so that no stretch is cut in two
-    contour, inside = np.roll(contour, -turn, axis=0), np.roll(inside, -turn)
-    edges = np.flatnonzero(np.diff(inside.astype(np.int8)))
-    starts, ends = edges[0::2] + 1, [*(edges[1::2] + 1), len(contour)]
-    arcs = [contour[start:end].astype(np.float64) for start, end in zip(starts, ends, strict=False)]
-    return [arc for arc in arcs if len(arc) >= 2 * MIN_SIDE_PX]
 
 
 def _split(arc: Array) -> tuple[Side, Side] | None:
@@ -220,12 +209,6 @@ def _fitted_side(points: Array) -> Side:
     return Side(start, end)
 
 
-def _are_sides(first: Side, second: Side) -> bool:
-    if min(first.length_px, second.length_px) < MIN_SIDE_PX:
-        return False
-    return bool(first.direction @ second.direction > np.cos(MAX_TAPER_RAD))
-
-
 def _disc(radius_px: int) -> NDArray[np.uint8]:
     size = 2 * max(radius_px, 1) + 1
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)), np.uint8)
@@ -233,10 +216,3 @@ def _disc(radius_px: int) -> NDArray[np.uint8]:
 
 def _eroded(mask: Image, radius_px: int) -> Image:
     return np.asarray(cv2.erode(mask, _disc(radius_px), borderValue=0), np.uint8)
-
-
-def _window_about(mask: Image, margin_px: int) -> tuple[slice, slice]:
-    """Rows and columns of a mask's bounding box with a margin, as far as the image goes."""
-    x, y, width, height = cv2.boundingRect(mask)
-    rows = slice(max(y - margin_px, 0), min(y + height + margin_px, mask.shape[0]))
-    return rows, slice(max(x - margin_px, 0), min(x + width + margin_px, mask.shape[1]))

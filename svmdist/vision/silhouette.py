@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from svmdist.least_squares import median, scale_of
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.edge_lines import ROUGH_PX, EdgeLine, edge_line
+from svmdist.vision.edge_lines import ROUGH_PX, EdgeLine, edge_line, edge_within, most_blur_px
 from svmdist.vision.instruments.find_instruments import WRIST_NARROWER, SeenInstrument
-from svmdist.vision.shadows import edge_within, most_blur_px
 
 MIN_LENGTH_WIDTHS = 1.25  # of both sides, on average: where it comes in at a slant one is shorter
 MOST_OFF_STDS = 1.6  # of a sharp edge from the rough side: what is farther is rather another edge
@@ -29,8 +28,8 @@ WRIST_SCATTER = 0.2  # of a wrist's pixels across it, over the shaft's width: mo
 MIN_WRIST_WIDTHS = 0.5  # an outline that ends closer behind the cylinder's end shows no wrist
 MIN_WRIST_SHARE = 0.5  # of a straight wrist: less is another tip, or points at the camera by over 60°
 FLANK_STDS = 4.0  # from the colours on both sides: one pixel of paper in a thousand is so far
-FLANK_LIGHT_LEVELS = 8.0  # the least scatter of lightness: light falls off over a wrist's length
-FLANK_COLOUR_LEVELS = 3.0  # the least scatter of Lab's a and b: compression leaves as much
+# The least scatter of lightness: light falls off over a wrist's length; of Lab's a and b: compression leaves as much
+FLANK_LEVELS = 8.0, 3.0, 3.0
 MAX_FLANK_OUTLIERS = 0.05  # with more of a flank so far off, fat or vessels lie beside the wrist
 
 WIDTH_CELLS = 24  # of the patch that is looked at, across the shaft: its cost is the same for every image
@@ -54,8 +53,7 @@ class WristPoint:
     """The tool's origin in the wrist's outline, (2,) in px, with its deviation, and the jaws' tips, (2,) in px.
 
     Where the shaft's end is off along the shaft, so is the origin, by `end_share` of that: the deviation leaves it out.
-    By `excess_px` the outline is longer than wrist and jaws are: the shaft's end is rather nearer to the tips. By the
-    share `missing` it is shorter than that of a straight wrist.
+    By `excess_px` the outline is longer than wrist and jaws, by the share `missing` shorter than a straight wrist's.
     """
 
     pixel: Array
@@ -81,11 +79,11 @@ def _wrist_point(
     u = np.arange(-BEHIND, farthest, 1.0 / WIDTH_CELLS) * width_px
     v = np.arange(-BESIDE, BESIDE + 0.5 / WIDTH_CELLS, 1.0 / WIDTH_CELLS) * width_px
     across = np.array([-along[1], along[0]])
-    height, width = mask.shape
-    places = [end_px[axis] + u[:, None] * along[axis] + v * across[axis] for axis in (0, 1)]
-    inside_x, inside_y = ((at >= 0) & (at <= size - 1) for at, size in zip(places, (width, height), strict=True))
-    seen, (x, y) = inside_x & inside_y, (at.astype(np.float32) for at in places)
-    left, top = (int(np.clip(v.min() - cell_px, 0, size - 1)) for v, size in ((x, width), (y, height)))
+    x, y = (end_px[axis] + u[:, None] * along[axis] + v * across[axis] for axis in (0, 1))
+    last_x, last_y = mask.shape[1] - 1, mask.shape[0] - 1
+    seen = (x >= 0) & (y >= 0) & (x <= last_x) & (y <= last_y)
+    x, y = x.astype(np.float32), y.astype(np.float32)
+    left, top = int(np.clip(x.min() - cell_px, 0, last_x)), int(np.clip(y.min() - cell_px, 0, last_y))
     window = bgr[top : max(int(y.max() + cell_px) + 2, top + 1), left : max(int(x.max() + cell_px) + 2, left + 1)]
     if cell_px >= 1.5:
         window = np.asarray(cv2.blur(window, (int(cell_px + 0.5),) * 2), np.uint8)
@@ -95,9 +93,13 @@ def _wrist_point(
     shaft = (ahead < 0.0) & (off_axis < 0.5)
     different = _unlike_flanks(np.asarray(patch, np.uint8), seen & ~known & (off_axis > FLANK), v)
     near = np.hypot(ahead, off_axis) < farthest
-    body = ((different | known) & seen & near & (ahead >= 0.0)) | shaft
-    beyond = _attached(body, shaft) & (ahead > 0.0)
-    if np.count_nonzero(beyond) < MIN_CELLS:
+    body = np.asarray(((different | known) & seen & near & (ahead >= 0.0)) | shaft, np.uint8)
+    opened = cv2.morphologyEx(body, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
+    _, labels = cv2.connectedComponents(closed, connectivity=8)
+    own = np.bincount(labels[shaft & (closed > 0)], minlength=1)
+    beyond = (labels == own.argmax()) & (ahead > 0.0)  # what is connected with the shaft
+    if not own.any() or np.count_nonzero(beyond) < MIN_CELLS:
         return None
     offset = np.stack(np.nonzero(beyond), -1) * cell_px + [u[0], v[0]]
     distance = np.linalg.norm(offset, axis=1)
@@ -128,13 +130,12 @@ def _wrist_point(
 def _unlike_flanks(patch: Image, flanks: NDArray[np.bool_], v: Array) -> NDArray[np.bool_]:
     """What of a patch, shape (m, n, 3), looks like neither flank; nothing without a flank of one colour."""
     channels = [np.asarray(channel, np.float64) for channel in cv2.split(cv2.cvtColor(patch, cv2.COLOR_BGR2LAB))]
-    floors = FLANK_LIGHT_LEVELS, FLANK_COLOUR_LEVELS, FLANK_COLOUR_LEVELS
     unlike: list[NDArray[np.bool_]] = []
     for side in (flanks & (v < 0.0), flanks & (v > 0.0)):
         if np.count_nonzero(side) < 4 * MIN_CELLS:
             continue
         square = np.zeros(side.shape)
-        for channel, floor in zip(channels, floors, strict=True):
+        for channel, floor in zip(channels, FLANK_LEVELS, strict=True):
             off = channel - median(channel[side])
             square += (off / max(scale_of(off[side]), floor)) ** 2
         away = square > FLANK_STDS**2
@@ -142,14 +143,6 @@ def _unlike_flanks(patch: Image, flanks: NDArray[np.bool_], v: Array) -> NDArray
             return np.zeros_like(flanks)  # several things are there, and a wrist would be one more
         unlike.append(away)
     return np.asarray(np.all(unlike, axis=0)) if unlike else np.zeros_like(flanks)
-
-
-def _attached(body: NDArray[np.bool_], shaft: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    opened = cv2.morphologyEx(np.asarray(body, np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
-    _, labels = cv2.connectedComponents(closed, connectivity=8)
-    own = labels[shaft & (closed > 0)]
-    return np.asarray(labels == np.bincount(own).argmax()) if len(own) else np.zeros_like(body)
 
 
 IN_BLUR = 0.3
@@ -230,10 +223,10 @@ def find_silhouette(
         return None
     endless = Silhouette((first, second), knows_tip=seen.knows_tip)
     along, width_px = endless.towards_tip, endless.width_px
-    if not 0.5 * (first.length_px + second.length_px) >= MIN_LENGTH_WIDTHS * width_px > 0.0:
-        return None
+    is_long = 0.5 * (first.length_px + second.length_px) >= MIN_LENGTH_WIDTHS * width_px > 0.0
     # A dark bar's sides, which no evidence supports, are known by their edges alone.
-    if wrist is None and not all(len(edge.points_px) for edge in (first, second)):
+    are_known = wrist is not None or (len(first.points_px) > 0 and len(second.points_px) > 0)
+    if not (is_long and are_known):
         return None
     ends = [] if seen.ends_dark else [edge.end_px for edge in (first, second) if edge.ends]
     if len(ends) < 2 and not np.isfinite(seen.end_std_px):
@@ -264,10 +257,8 @@ def find_silhouette(
     # Beyond a wrist that was taken for a shaft there are jaws at most.
     wrist_std = seen.wrist_std * (1.0 if point is None else min(1.0, 2.0 * point.missing))
     # Of a short segment most of either side may be the wrist's, in line with it.
-    on_shaft = [
-        float((end_px - one.start_px) @ along) / max(float((one.end_px - one.start_px) @ along), 1e-9)
-        for one in (first, second)
-    ]
+    run_px = [max(float((one.end_px - one.start_px) @ along), 1e-9) for one in (first, second)]
+    on_shaft = [float((end_px - one.start_px) @ along) / run for one, run in zip((first, second), run_px, strict=True)]
     beyond = float(np.clip(1.5 - np.clip(on_shaft, 0.0, 1.0).sum(), 0.0, 1.0))
     wrist_std = max(wrist_std, WRIST_NARROWER * beyond)
     rim = Rim(end_px, along, std_px, not seen.ends_dark, 2.0 * seen.other_px / width_px, seen.other_share, narrows)
@@ -327,7 +318,8 @@ def _edges(bgr: Image, seen: SeenInstrument, picture: Image | None, least_levels
 def _agrees(edge: EdgeLine, seen: SeenInstrument, side: int) -> bool:
     """Whether a sharp edge is that which the evidence has: another one is a highlight's, or of something beside it."""
     ends_px = seen.sides[side]
-    along = (ends_px[1] - ends_px[0]) / max(float(np.linalg.norm(ends_px[1] - ends_px[0])), 1e-9)
+    along = ends_px[1] - ends_px[0]
+    along = along / max(float(np.linalg.norm(along)), 1e-9)
     across = np.array([-along[1], along[0]])
     ahead_px = (ends_px - edge.start_px) @ along / (edge.direction @ along)
     off_px = (edge.start_px + ahead_px[:, None] * edge.direction - ends_px) @ across

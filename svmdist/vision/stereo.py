@@ -14,10 +14,9 @@ from svmdist.samples import Image, RightView
 from svmdist.transforms import Array
 
 MIN_ROW_POINTS = 40  # points in all these pairs that must agree on an offset
-
+# How far off the left camera's x axis, over the baseline, a right camera counts as beside it: rows then differ by half
+# a pixel at a disparity of 25 px. Further off, both views are turned.
 MAX_OFF_AXIS = 0.02
-"""How far off the left camera's x axis, over the baseline, a right camera counts as beside it: rows then differ by half
-a pixel at a disparity of 25 px. Further off, both views are turned."""
 MAX_TURN = 0.7  # the same beyond which it is no such pair: turned by 45 degrees, views share little
 
 
@@ -43,10 +42,7 @@ class RowAlignment:
         return np.array([[1.0, 0.0, 0.0], [along_x, 1.0 + along_y, offset_px]])
 
     def std_px(self, pixels: Array, disparity_px: Array, K: Array) -> Array:
-        """Of disparities, (...), at pixels (..., 2) of the left view of K, (3, 3): the deviation by either lens.
-
-        What turns or stretches rows does so to columns.
-        """
+        """Deviation of disparities, (...), at pixels (..., 2) by either lens: what bends rows does so to columns."""
         x, y = np.moveaxis(np.abs(pixels - K[:2, 2]), -1, 0)
         furthest = np.maximum(x, np.abs(pixels[..., 0] - disparity_px - K[0, 2]))
         along_x, along_y = self.slope
@@ -108,16 +104,15 @@ def rectified_pair(left: Camera, right: RightView) -> RectifiedPair | Failure:
     T, K = right.T_left_right, left.K
     if T[0, 3] <= 0.0:
         return Failure("the right camera is not to the right of the left one: are the topics swapped?")
-    R_rows_left, baseline_m = None, float(np.linalg.norm(T[:3, 3]))
+    baseline_m, offset_px = float(np.linalg.norm(T[:3, 3])), float(K[0, 2] - right.camera.K[0, 2])
     if np.linalg.norm(T[1:3, 3]) > MAX_TURN * baseline_m:
         return Failure("the right camera is not beside the left one: it is above, below, before or behind it")
-    if np.abs(T[1:3, 3]).max() > MAX_OFF_AXIS * T[0, 3]:  # as cameras with x along the baseline see it
-        x = T[:3, 3] / baseline_m
-        y = np.cross([0.0, 0.0, 1.0], x)
-        y /= np.linalg.norm(y)
-        R_rows_left = np.stack([x, y, np.cross(x, y)])
-    along_m = float(T[0, 3]) if R_rows_left is None else baseline_m
-    return RectifiedPair(K, along_m, float(K[0, 2] - right.camera.K[0, 2]), R_rows_left)
+    if np.abs(T[1:3, 3]).max() <= MAX_OFF_AXIS * T[0, 3]:
+        return RectifiedPair(K, float(T[0, 3]), offset_px)
+    x = T[:3, 3] / baseline_m  # as cameras with x along the baseline see it
+    y = np.cross([0.0, 0.0, 1.0], x)
+    y /= np.linalg.norm(y)
+    return RectifiedPair(K, baseline_m, offset_px, np.stack([x, y, np.cross(x, y)]))
 
 
 # Of SIFT: wet tissue and paper have little contrast, and a point on an edge has no place along it
@@ -136,16 +131,15 @@ def corresponding_points(
 ) -> tuple[Array, Array]:
     """Pixels in both grey views of points that look alike (SIFT, Lowe 2004), where their rows differ little.
 
-    They are those of views whose rows correspond, (n, 2) each. Points are found in views that are reduced by `step`;
-    offsets of halved ones agree with those of whole ones to 0.03 px.
+    They are those of views whose rows correspond, (n, 2) each. Points are found in views reduced by `step`: offsets of
+    halved ones agree with those of whole ones to 0.03 px.
     """
     sift = cv2.SIFT.create(POINTS // step, 3, CONTRAST, EDGE)
-    (at_left, left), (at_right, right) = (sift.detectAndCompute(reduced(one, step), None) for one in views)
-    if left is None or right is None or len(at_right) < 2:
+    found = [sift.detectAndCompute(reduced(one, step), None) for one in views]
+    (_, left), (_, right) = found
+    if left is None or right is None or len(right) < 2:
         return np.zeros((0, 2)), np.zeros((0, 2))
-    left_px, right_px = (
-        step * np.array([point.pt for point in points]) + 0.5 * (step - 1) for points in (at_left, at_right)
-    )
+    left_px, right_px = (step * np.array([one.pt for one in points]) + 0.5 * (step - 1) for points, _ in found)
     if pair.R_rows_left is not None:
         turns = zip((left_px, right_px), (pair.homography(), pair.homography(right=True)), strict=True)
         left_px, right_px = (cv2.perspectiveTransform(px[:, None], H)[:, 0].astype(np.float64) for px, H in turns)
@@ -164,15 +158,12 @@ def corresponding_points(
 
 def agreed_offset(differences_px: Array) -> float | None:
     """The offset in px that most differences, shape (n,), agree on; None where too few do."""
-    if len(differences_px) < MIN_ROW_POINTS:
-        return None
     ordered = np.sort(differences_px)
     inside = np.searchsorted(ordered, ordered + 2.0 * PEAK_PX, "right") - np.arange(len(ordered))
-    first = int(np.argmax(inside))
-    peak = ordered[first : first + int(inside[first])]
-    if len(peak) < max(MIN_ROW_POINTS, MIN_PEAK_SHARE * len(ordered)):
+    if inside.max(initial=0) < max(MIN_ROW_POINTS, MIN_PEAK_SHARE * len(ordered)):
         return None
-    return median(peak)
+    first = int(np.argmax(inside))
+    return median(ordered[first : first + int(inside[first])])
 
 
 def reduced(image: Image, step: int, how: int = cv2.INTER_AREA) -> Image:

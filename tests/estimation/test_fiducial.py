@@ -18,8 +18,7 @@ from svmdist.profile import load_profile
 from svmdist.profile.robot import KinematicError
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.transforms import Array, inverse, make_transform, rotation_of, rotation_x, rotation_z
-from svmdist.vision.tag_overlay import TagPattern
-from svmdist.vision.tags import find_tags, square_corners_m
+from svmdist.vision.tags import TagPattern, find_tags, square_corners_m
 from svmdist.workflows.check import arms_of
 from tests.measuring import Measuring
 from tests.shipped import CHAIN, POSTURE, PROFILE

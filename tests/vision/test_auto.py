@@ -10,14 +10,13 @@ from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.profile.settings import AutoSettings
 from svmdist.recording.log import open_recording
 from svmdist.samples import Image
-from svmdist.vision.edge_lines import EdgeLine
+from svmdist.vision.edge_lines import EdgeLine, edge_within
 from svmdist.vision.frame_context import FrameContext
 from svmdist.vision.instruments.evidence import Evidence, picture_of
 from svmdist.vision.instruments.find_instruments import AutoMasks, SeenInstrument, find_instruments
 from svmdist.vision.instruments.outline import Outline
 from svmdist.vision.instruments.outline_search import outline_score
 from svmdist.vision.segmentation import make_segmenter
-from svmdist.vision.shadows import edge_within
 from svmdist.vision.silhouette import Silhouette, WristShape, find_silhouette
 from tests.pictures import BORDERS, surgery_image
 from tests.reading import read_images

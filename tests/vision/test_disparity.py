@@ -6,8 +6,7 @@ import pytest
 
 from svmdist.profile.settings import StereoSettings
 from svmdist.transforms import Array
-from svmdist.vision.disparity import DisparityMap, disparity_map
-from svmdist.vision.local_planes import fit_cells
+from svmdist.vision.disparity import DisparityMap, disparity_map, fit_cells
 
 HEIGHT, WIDTH = 240, 320
 

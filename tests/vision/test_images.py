@@ -16,10 +16,9 @@ from svmdist.profile.settings import DistalMarkerSettings, OutlineSettings
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.colour import colour_mask
-from svmdist.vision.discs import fit_disc
 from svmdist.vision.frame_context import as_pinholes, first_field, mixes_colours
 from svmdist.vision.instruments.find_instruments import AutoMasks
-from svmdist.vision.regions import find_region
+from svmdist.vision.regions import find_region, fit_disc
 from svmdist.vision.stereo import matched_place, rectified_pair
 
 

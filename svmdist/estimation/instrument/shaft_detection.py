@@ -11,9 +11,8 @@ from svmdist.camera import Camera
 from svmdist.profile.settings import DistalMarkerSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
-from svmdist.vision.discs import Disc, fit_disc
 from svmdist.vision.lines import TangentPlane, axis_of_cylinder, fit_line, line_between
-from svmdist.vision.regions import Region
+from svmdist.vision.regions import Disc, Region, fit_disc
 from svmdist.vision.silhouette import Rim, Silhouette, WristPoint
 
 LINE_INLIER_PX = 0.5  # of an edge's point off its line: ten times the least deviation of a point

@@ -12,7 +12,7 @@ from svmdist.camera import Camera
 from svmdist.least_squares import minimise
 from svmdist.samples import Image
 from svmdist.transforms import Array, make_transform, rotation_angle
-from svmdist.vision.tag_overlay import (
+from svmdist.vision.tags import (
     GREY,
     LaidPattern,
     Loss,
@@ -20,9 +20,9 @@ from svmdist.vision.tag_overlay import (
     TagPattern,
     TagPixels,
     lay_pattern,
+    pose_candidates,
     start_overlay,
 )
-from svmdist.vision.tags import pose_candidates
 
 WINDOW_MARGIN = 0.2  # around the corners, over the tag's size: 0.075 is needed, more allows for wrong corners
 BLUR_MIN_PX = 0.3  # the sharpest image that is considered: a pixel's own area blurs by 0.29 px
