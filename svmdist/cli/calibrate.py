@@ -204,7 +204,7 @@ def pose_rows_of(
     import numpy as np
 
     from svmdist.report.rows import pose_rows
-    from svmdist.workflows.fk import fk_blocks
+    from svmdist.workflows.calibrate import fk_blocks
 
     of, name = f"{recording.name}: " if named else "", recording.measured[0]
     first, *others = [recording.for_instrument(one).topic_of("joints") for one in recording.instruments]

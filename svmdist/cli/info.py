@@ -11,7 +11,7 @@ from svmdist.cli import options, output
 from svmdist.cli.logs import LogOptions, OneLogOptions, Run
 from svmdist.cli.options import FORCE, option
 from svmdist.cli.output import LOG, ExitCode
-from svmdist.errors import RecordingError, SvmdistError
+from svmdist.errors import SvmdistError
 from svmdist.report.writers import Holds
 
 if TYPE_CHECKING:
@@ -62,8 +62,7 @@ def inspect_log(recording: Recording, _request: Request, _threads: int, looks_fo
     with output.progress_bar(f"looking at {recording.name}"):
         summary = inspect_recording(recording.origin.open())
         if looks_for_tag and set(IMAGES) <= set(summary.roles):
-            with suppress(RecordingError):  # a calibration that is not usable: the summary says so
-                no_tag = look_for_tag(recording)
+            no_tag = look_for_tag(recording)
         again = recording.origin.open()
         with suppress(SvmdistError):  # what it lacks, or what the profile lacks, stands in the methods' lines
             checks = check_log(again)

@@ -251,7 +251,7 @@ class BlurBench(ScoreOptions):
 
     def _run(self) -> ExitCode:
         from svmdist.report.scores import blur_results
-        from svmdist.workflows.blur_bench import BlurTally, blur_tallies
+        from svmdist.workflows.compare import BlurTally, blur_tallies
         from svmdist.workflows.request import Request, prepare
 
         writer = self.writer(self.paths, Holds.FIGURES)
@@ -266,7 +266,7 @@ class BlurBench(ScoreOptions):
     def _kernels_px(self) -> dict[Blur, int]:
         """The kernels by blur, those of the paper where none is given; raises UsageError."""
         from svmdist.vision.degradations import Blur
-        from svmdist.workflows.blur_bench import TABLE_I
+        from svmdist.workflows.compare import TABLE_I
 
         kernels_px = {blur: kernel_px for blur, (kernel_px, _) in TABLE_I.items()}
         blurs = [str(blur) for blur in Blur if blur is not Blur.NONE]

@@ -1,25 +1,34 @@
-"""A look at some images of all of a log before its first row: the offset of rows, comparisons."""
+"""What a log shows twice: a look at some images of all of it before its first row, and the tissue by both views."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from svmdist.errors import RecordingError
+from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation import checks
 from svmdist.estimation.association import Association
 from svmdist.estimation.checks import Matches
 from svmdist.estimation.comparison import KINEMATICS, ROWS, Checks, Difference
 from svmdist.estimation.frame import Frame
+from svmdist.estimation.instrument.measurement import Deviations
 from svmdist.estimation.scene import Arm, Scene
+from svmdist.estimation.tissue.surface import ALL_PX
 from svmdist.estimation.tool_places import places as places_of
 from svmdist.profile import Profile
 from svmdist.profile.robot import Tissue
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import Recording
+from svmdist.recording.messages import Kind
 from svmdist.recording.observations import EncodedObservation
+from svmdist.recording.source import LossKind
+from svmdist.recording.summary import inspect_recording
+from svmdist.recording.topics import Role
 from svmdist.results import Failure, ToolPose
 from svmdist.samples import Observation, Rejection
 from svmdist.transforms import Array
@@ -28,6 +37,7 @@ from svmdist.vision.frame_context import as_pinholes, with_first_fields
 from svmdist.vision.segmentation import Segmenter, make_segmenter
 from svmdist.vision.stereo import LEVEL, RowAlignment, agreed_offset, corresponding_points, rectified_pair
 from svmdist.vision.tags import find_tags
+from svmdist.workflows.capabilities import HEAD_S, misfit
 from svmdist.workflows.request import CLEAN, Condition
 
 CHECKED = 6  # images, and up to twice as many, evenly over the log
@@ -40,18 +50,14 @@ SOMEWHERE = Tissue(plane_distance_m=0.1)
 
 
 def spread_observations(recording: Recording, count: int = CHECKED) -> list[EncodedObservation]:
-    """Up to twice `count` of a log's observations, evenly from its beginning to its end; none of a video that froze.
-
-    The log is read once, its length unknown: of those kept every second one goes whenever there are too many, so that
-    memory does not grow with the log.
-    """
+    """Up to twice `count` of a log's observations, evenly from its beginning to its end; none of a video that froze."""
     kept: list[EncodedObservation] = []
     stride = 1
     every = recording.encoded_observations(robot=False, stale=True)
     for place, one in enumerate(image for image in every if not image.repeats):
         if place % stride == 0:
             kept.append(one)
-        if len(kept) > 2 * count:
+        if len(kept) > 2 * count:  # the log is read once, its length unknown: memory does not grow with it
             kept, stride = kept[::2], 2 * stride
     return recording.with_states(kept)
 
@@ -61,7 +67,7 @@ def offset_to_remove(pairs: Sequence[Observation], profile: Profile) -> RowAlign
 
     Halved views show it where they show enough; of paper and of cameras far from each other it takes whole ones.
     """
-    pairs = [one for one in pairs if one.right is not None]
+    pairs = [as_pinholes(with_first_fields(one, profile.settings.interlace)) for one in pairs if one.right is not None]
     for step in (2, 1) if pairs else ():
         offset_px = agreed_offset(np.concatenate([_row_differences(one, profile, step) for one in pairs]))
         if offset_px is not None:
@@ -77,18 +83,14 @@ def first_of(spread: Sequence[EncodedObservation], profile: Profile) -> list[Obs
 
 
 def _row_differences(seen: Observation, profile: Profile, step: int) -> Array:
-    """Row in the right view less that in the left one, (n,) in px."""
-    seen = as_pinholes(with_first_fields(seen, profile.settings.interlace))
+    """Row in the right view less that in the left one, (n,) in px; none without a rectified pair."""
     right, settings = seen.right, profile.stereo_in_range
-    assert right is not None  # asked for before
-    pair = rectified_pair(seen.camera, right)
-    if isinstance(pair, Failure):
+    if right is None or isinstance(pair := rectified_pair(seen.camera, right), Failure):
         return np.zeros(0)
-    bounds_px = pair.disparity_at(settings.far_m), pair.disparity_at(settings.near_m)
-    far_px, near_px = (bound + pair.offset_px for bound in bounds_px)
+    far_px, near_px = (pair.disparity_at(at_m) + pair.offset_px for at_m in (settings.far_m, settings.near_m))
     views = to_grey(seen.image_bgr), to_grey(right.image_bgr)
-    found = corresponding_points(views, pair, settings.max_row_offset_px, (far_px, near_px), step)
-    return np.asarray(found[1][:, 1] - found[0][:, 1])
+    left_px, right_px = corresponding_points(views, pair, settings.max_row_offset_px, (far_px, near_px), step)
+    return np.asarray(right_px[:, 1] - left_px[:, 1])
 
 
 def arms_of(recording: Recording, profile: Profile, spread: Sequence[EncodedObservation]) -> list[Arm]:
@@ -98,11 +100,11 @@ def arms_of(recording: Recording, profile: Profile, spread: Sequence[EncodedObse
     """
     profiles, settings = [profile.for_instrument(name) for name in recording.instruments], profile.settings
     wanted = {one.fiducial.id for one in profiles if one.fiducial is not None}
-    images = (one.decoded.seen[0] for one in spread if wanted and one.decoded.seen is not None)
-    first_fields = (with_first_fields(seen, settings.interlace).image_bgr for seen in images)
-    has_plates = profile.fiducial is not None and any(
-        not wanted.isdisjoint(find_tags(to_grey(bgr), profile.fiducial.family, settings.tag)) for bgr in first_fields
-    )
+    has_plates = False
+    if wanted and profile.fiducial is not None:
+        images = (one.decoded.seen[0] for one in spread if one.decoded.seen is not None)
+        grey = (to_grey(with_first_fields(seen, settings.interlace).image_bgr) for seen in images)
+        has_plates = any(wanted & find_tags(one, profile.fiducial.family, settings.tag).keys() for one in grey)
     return [Arm(one, has_plates and one.fiducial is not None) for one in profiles]
 
 
@@ -136,12 +138,12 @@ def checked(
     """
     is_part, is_associated = recording.is_part, needs_association(arms)
     changes = [(one.before.camera, one.after.camera) for one in recording.camera_changes]
-    names = [arm.profile.instrument_name for arm in arms]
-    by_name: dict[str, list[Difference]] = {
-        name: [*checks.of_profile(arm), *checks.of_calibrations(changes, arm.profile.camera_error)]
-        for name, arm in zip(names, arms, strict=True)
-    }
-    places: dict[str, list[dict[str, ToolPose]]] = {name: [] for name in names}
+    by_name: dict[str, list[Difference]] = {}
+    places: dict[str, list[dict[str, ToolPose]]] = {}
+    for arm in arms:
+        of_cameras = checks.of_calibrations(changes, arm.profile.camera_error)
+        by_name[arm.profile.instrument_name] = [*checks.of_profile(arm), *of_cameras]
+        places[arm.profile.instrument_name] = []
     first = np.linspace(0, len(spread) - 1, least).round().astype(int).tolist()
     order = list(dict.fromkeys([*first, *range(len(spread))])) if spread else []
     looked: dict[int, list[Frame]] = {}
@@ -149,7 +151,7 @@ def checked(
 
     def found() -> dict[str, list[Difference]]:
         views = list(checks.of_views(arms[0].profile, matches))
-        return {name: [*by_name[name], *checks.of_motion(places[name]), *views] for name in names}
+        return {name: [*by_name[name], *checks.of_motion(places[name]), *views] for name in by_name}
 
     for place in order:
         is_suspect = any(d.deviations > SUSPECT_DEVIATIONS for ones in found().values() for d in ones)
@@ -166,7 +168,7 @@ def checked(
         is_wanted = is_suspect or len(matches) < pairs or not (matches or scene.stereo_surface)
         if is_wanted and (found_here := checks.matched(scene)) is not None:
             matches.append(found_here)
-        for name, frame in zip(names, frames, strict=True):
+        for name, frame in zip(by_name, frames, strict=True):
             unknown = len(arms) > 1 and isinstance(frame.robot_in_camera, Failure)
             if is_part or unknown or frame.ambiguity:  # what the image shows may be another instrument
                 by_name[name] += shared
@@ -181,24 +183,16 @@ def checked(
     return {name: Checks.of(ones, len(looked)) for name, ones in found().items()}, looked
 
 
-@dataclass(frozen=True)
-class ViewsCompared:
-    """Both views of pairs against their cameras, and how rows are aligned where these contradict."""
+class ViewsCompared(NamedTuple):
+    """Both views of pairs against their cameras: how rows are aligned where these contradict, and in words the rest.
 
-    checks: Checks
-    rows: RowAlignment | None
+    `refusal` says why they cannot be those of their cameras, whatever they show, and `warning` what contradicts, and
+    what it leads to; each is empty where nothing does.
+    """
 
-    @property
-    def refusal(self) -> str:
-        """Why they cannot be those of their cameras, whatever they show; empty where they can be."""
-        wrong = [one for one in self.checks.comparisons if one.usual.what != ROWS]
-        return warning({"": Checks(tuple(wrong))})
-
-    @property
-    def warning(self) -> str:
-        """What contradicts, and what it leads to; empty where nothing does."""
-        said = warning({"": self.checks})
-        return f"{said}; depths are less sure the further they are from the middle" if said else ""
+    rows: RowAlignment | None = None
+    refusal: str = ""
+    warning: str = ""
 
 
 def compare_views(pairs: Iterable[Observation], profile: Profile) -> ViewsCompared:
@@ -207,7 +201,11 @@ def compare_views(pairs: Iterable[Observation], profile: Profile) -> ViewsCompar
     scenes = [Scene(one, profile, segmenter) for one in pairs if one.right is not None]
     matches = [found for scene in scenes if (found := checks.matched(scene)) is not None]
     compared = Checks.of(checks.of_views(profile, matches), len(matches))
-    return ViewsCompared(compared, checks.row_alignment(matches) if compared.bends_rows else None)
+    but_rows = Checks(tuple(one for one in compared.comparisons if one.usual.what != ROWS))
+    if said := warning({"": compared}):
+        said += "; depths are less sure the further they are from the middle"
+    rows = checks.row_alignment(matches) if compared.bends_rows else None
+    return ViewsCompared(rows, warning({"": but_rows}), said)
 
 
 def warning(found: Mapping[str, Checks]) -> str:
@@ -235,3 +233,69 @@ def check_log(recording: Recording) -> dict[str, Checks]:
     if spread and isinstance(why := spread[0].decoded.found, Rejection) and not any(one.decoded.seen for one in spread):
         raise RecordingError(f"{recording.name}: no image of {len(spread)} can be used: {why.detail or why.status}")
     return checked(recording, spread, arms, segmenter, rows, least=len(spread), pairs=len(spread))[0]
+
+
+@dataclass(frozen=True, slots=True)
+class TissueSurface:
+    """Points of the tissue in the left camera's frame, in m: `points_m` and `normals`, shape (n, 3).
+
+    `std_m`, shape (n,), is the standard deviation along the line of sight, by matching and calibration; `rgb`, (n, 3),
+    the colour in the left image. Normals have length 1 and point to the camera. `share` of the tissue in the left image
+    is seen. `number` counts the log's images from 0; `stamp_ns` and `frame_id` are the image's.
+    """
+
+    points_m: Array
+    normals: Array
+    std_m: Array
+    rgb: NDArray[np.uint8]
+    share: float
+    number: int
+    stamp_ns: int
+    frame_id: str
+
+
+def tissue_surface(recording: Recording, number: int) -> TissueSurface:
+    """The surface that both views of an image, by its number from 0, show: with instruments in view or without.
+
+    Raises RecordingError where the log has no right view, or the image shows no surface; UsageError without the image.
+    """
+    if not isinstance(number, int) or number < 0:
+        raise UsageError(f"expected the number of an image, 0 or more; found {number}")
+    if recording.topic_of(Role.RIGHT_IMAGE) is None or recording.right_camera is None:
+        summary = inspect_recording(recording, HEAD_S)
+        has_two = sum(one.kind is Kind.IMAGE for one in summary.topics) > 1  # which a profile would name
+        needs = "a surface needs a calibrated right view, which it has not: `svmdist import` takes two"
+        raise RecordingError(f"{recording.name}: {(has_two and misfit(summary)) or needs}")
+    profile = recording.origin.profile
+    segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
+    pairs = first_of(spread_observations(recording), profile)
+    views = compare_views(pairs, profile)
+    if views.refusal:
+        raise RecordingError(f"{recording.name} shows no surface: {views.refusal}")
+    if views.warning:
+        recording.health.lose(LossKind.CONTRADICTION, views.warning)
+    chosen = next(islice(recording.encoded_observations(robot=False), number, None), None)
+    if chosen is None:
+        raise UsageError(f"{recording.name} has no image {number}")
+    found, where = chosen.decode().found, f"{recording.name}: frame {number}"
+    if isinstance(found, Rejection):
+        raise RecordingError(f"{where} cannot be read: {found.detail or found.status}")
+    scene = Scene(found[0], profile, segmenter, views.rows or offset_to_remove(pairs, profile))
+    pair, right, seen = scene.stereo_pair, scene.observation.right, scene.observation
+    if isinstance(pair, Failure) or right is None:
+        raise RecordingError(f"{where} shows no surface: {pair.reason if isinstance(pair, Failure) else 'no pair'}")
+    surface = scene.surface(most_px=ALL_PX)
+    if surface is None:
+        few = "too little of the tissue is found in both views (svmdist show --masks)"
+        raise RecordingError(f"{where}: {misfit(inspect_recording(recording, HEAD_S)) or few}")
+    is_seen = surface.is_seen
+    return TissueSurface(
+        surface.points_m,
+        surface.normals[is_seen],
+        surface.deviations_m(seen.camera, right, Deviations.of(profile))[is_seen],
+        np.ascontiguousarray(surface.colours(seen.image_bgr, seen.camera)[:, ::-1]),
+        surface.share,
+        number,
+        seen.stamp_ns,
+        recording.logged_camera.frame_id,
+    )

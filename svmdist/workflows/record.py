@@ -152,9 +152,6 @@ def _work(task: Task) -> list[tuple[str, EncodedSample]]:
     return list(_encoded(simulator, blocks, jpeg_quality))
 
 
-SEED, NUMBER = "{seed}", "{episode}"
-
-
 @dataclass(frozen=True)
 class Episodes:
     """What is recorded: a recipe, of which each episode has the next seed, and the world that is sampled by it."""
@@ -167,18 +164,16 @@ class Episodes:
 
 def episode_paths(output: Path, scenario: str, first_seed: int, count: int) -> list[Path]:
     """Files by a pattern with {seed} or {episode}, else in a folder, which is made; UsageError, OutputError."""
-    seeds = range(first_seed, first_seed + count)
-    if SEED in str(output) or NUMBER in str(output):
-        width = len(str(count))
-        paths = [
-            Path(str(output).replace(SEED, str(seed)).replace(NUMBER, f"{number:0{width}d}"))
-            for number, seed in enumerate(seeds, 1)
-        ]
-    elif output.suffix.lower() == ".mcap":
-        names = f"a folder, or a name with {SEED} or {NUMBER}"
-        raise UsageError(f"{output}: is one name for {count} episodes: give {names}")
-    else:
-        paths = [output / f"{scenario}-{seed}.mcap" for seed in seeds]
+    pattern = str(output)
+    if "{seed}" not in pattern and "{episode}" not in pattern:
+        if output.suffix.lower() == ".mcap":
+            several = f"{pattern}: is one name for {count} episodes"
+            raise UsageError(f"{several}: give a folder, or a name with {{seed}} or {{episode}}")
+        pattern = str(output / f"{scenario}-{{seed}}.mcap")
+    paths = []
+    for number in range(count):
+        episode = f"{number + 1:0{len(str(count))}d}"
+        paths.append(Path(pattern.replace("{seed}", str(first_seed + number)).replace("{episode}", episode)))
     for folder in dict.fromkeys(path.parent for path in paths):
         make_folder(folder, "write")
     return paths
