@@ -1,7 +1,4 @@
-"""Many logs, each measured by itself: here, in processes, or on a cluster, with results kept for another run.
-
-A log that cannot be measured is an outcome with a reason; the others are measured all the same.
-"""
+"""Many logs, each measured by itself: here, in processes, or on a cluster, with results kept for another run."""
 
 from __future__ import annotations
 
@@ -25,7 +22,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 
 from svmdist.errors import ProfileError, SvmdistError, UsageError, optional_package
 from svmdist.files import files_of, make_folder, write_atomically
@@ -51,28 +48,25 @@ class LogFile:
 
 @dataclass(frozen=True)
 class Job(Generic[Result]):
-    """What is done with each log; it travels between processes, and results depend on nothing else but the log.
-
-    `measure(recording, request, threads, *options)` gives a result; where it has rows, it is a generator that yields
-    them and returns the result. `result_type` is a dataclass that pydantic can store.
-    """
+    """What is done with each log; it travels between processes, and results depend on nothing else but the log."""
 
     measure: Callable[..., Any]
+    """Gives a result of (recording, request, threads, *options); a generator yields rows, and returns the result."""
     request: Request
-    result_type: type[Result]
+    result_type: type[Result]  # a dataclass that pydantic can store
     options: tuple[Any, ...] = ()
 
 
 @dataclass(frozen=True)
 class Outcome(Generic[Result]):
-    """What came of a log: a result or why there is none, notes as (level, text), losses and how many are unlisted."""
+    """What came of a log: a result, or why there is none: the others are measured all the same."""
 
     result: Result | None
     failure: str | None = None
     losses: tuple[Loss, ...] = ()
-    unlisted_count: int = 0
+    unlisted_count: int = 0  # of losses
     metadata: dict[str, str] = field(default_factory=dict)
-    notes: tuple[tuple[int, str], ...] = ()
+    notes: tuple[tuple[int, str], ...] = ()  # level and text
     packed_rows: str = ""
 
     @property
@@ -221,7 +215,7 @@ class _Store:
                 return None
             found: Outcome[Any] = self._outcomes.validate_json(json.dumps(document["outcome"]))
             sum(1 for _ in found.rows())
-        except (OSError, ValueError, KeyError, TypeError, ValidationError, zlib.error):
+        except (OSError, ValueError, KeyError, TypeError, zlib.error):
             return None
         return found
 

@@ -84,16 +84,12 @@ NEAR_NS = 200_000_000  # joint rates come from the joint states within this of a
 
 @dataclass(frozen=True)
 class HandEyeResult:
-    """The transform of an instrument's base, and how it was found.
-
-    `tool_std_m` is the standard deviation of the tool at its mean position, in the worst direction; `from_log` how far
-    the log's own transform is: rotation in rad and translation of the tool in m.
-    """
+    """The transform of an instrument's base, and how it was found."""
 
     hand_eye: hand_eye_file.HandEye
     fit: HandEyeFit
-    tool_std_m: float
-    from_log: tuple[float, float] | None
+    tool_std_m: float  # of the tool at its mean position, in the worst direction
+    from_log: tuple[float, float] | None  # how far the log's own is: rotation in rad and translation of the tool in m
 
 
 def hand_eye(
@@ -102,13 +98,20 @@ def hand_eye(
     """Fit the camera-to-base transform of an instrument; a Failure says why that is impossible.
 
     The method of the setup sees the tool, without any transform of the log. `against` is what the robot reports, joints
-    or poses; None takes joints where log and profile have them. With joints, a second pass measures with the wrist's
-    orientation by the first one. Raises RecordingError without joints and poses.
+    or poses; None takes joints where log and profile have them. Raises RecordingError without joints and poses.
     """
     setup = replace(setup, profile=setup.profile.model_copy(update={"hand_eye": None}))
     profile = setup.profile.for_instrument(instrument)
     own = recording.for_instrument(instrument)
-    against = against or _default_reference(own, profile)
+    if against is None:
+        robot, has_joints = profile.robot, own.topic_of("joints") is not None
+        if robot is not None and has_joints and not robot.missing_joints(own.joint_track().names):
+            against = "kinematics"
+        elif own.topic_of("pose") is not None:
+            against = "pose"
+        else:
+            none = f"no joint states of profile {profile.name}'s chain and no poses of {profile.instrument_name}"
+            raise RecordingError(f"{own.path.name}: {none}: hand-eye needs the one or the other")
 
     def fit_to(log: Recording) -> HandEyeResult | Failure:
         rows = [replayed.results[0] for (replayed,) in replay(log, [setup], jobs=jobs)]
@@ -122,36 +125,23 @@ def hand_eye(
     without = replace(recording, bases=dict.fromkeys(recording.instruments), wanted=(instrument,))
     found = fit_to(without)
     if isinstance(found, HandEyeResult) and against == "kinematics" and setup.method != "fiducial":
+        # Measured with the wrist's orientation by the first fit.
         second = fit_to(replace(without, bases={**without.bases, instrument: found.fit.T_camera_base}))
         found = second if isinstance(second, HandEyeResult) else found
     return found
 
 
-def _default_reference(recording: Recording, profile: Profile) -> Against:
-    robot, has_joints = profile.robot, recording.topic_of("joints") is not None
-    if robot is not None and has_joints and not robot.missing_joints(recording.joint_track().names):
-        return "kinematics"
-    if recording.topic_of("pose") is not None:
-        return "pose"
-    raise RecordingError(
-        f"{recording.path.name}: no joint states of profile {profile.name}'s chain and no poses of"
-        f" {profile.instrument_name}: hand-eye needs the one or the other"
-    )
-
-
 def _reported_tool(
     log: Recording, profile: Profile, against: Against, stamps_ns: Stamps
 ) -> tuple[Mask, Sequence[str], list[Array]]:
-    """Where the robot reports its tool, the names of errors that all frames share, and its columns of `ToolPlaces`.
-
-    Of joints, backlash is noise of each frame, and the other errors of the profile are shared by all frames.
-    """
+    """Where the robot reports its tool, the names of errors that all frames share, and its columns of `ToolPlaces`."""
     count = len(stamps_ns)
-    nominal_m, axes = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
+    nominal_m, axes = np.full((2, count, 3), np.nan)
     if against == "pose":
         poses = log.pose_track().at(stamps_ns)
         noise = np.repeat(profile.settings.hand_eye.pose_std_m**2 * np.eye(3)[None], count, 0)
         return poses.valid, (), [poses.values[:, :3, 3], noise, axes, np.zeros((count, 6, 0))]
+    # Backlash is noise of each frame, and the other errors of the profile are shared by all frames.
     chain = log.chain
     model = ErrorModel(chain, profile.kinematic_error)
     shaft, joints = shaft_of(chain), log.joint_track()
@@ -205,13 +195,12 @@ def _fit(
     if isinstance(fit, Failure):
         return fit
     # The effect of each calibration parameter on the fit, for estimators that use it; without exact ones.
-    counts = dict.fromkeys(shared_names, 1) | {name: errors.shape[2] for name, errors in camera.items()}
-    names = [name for name, count in counts.items() for _ in range(count)]
-    std = hand_eye_file.prior_deviations(profile)
-    effects = []
-    for name in (name for name in counts if std.get(name, 0.0) > 0.0):
-        columns = fit.effects[:, [n == name for n in names]].T.tolist()
-        effects.append(hand_eye_file.ConstantEffect(constant=name, deviation=std[name], effects=columns))
+    names = np.array([*shared_names, *(name for name, errors in camera.items() for _ in range(errors.shape[2]))])
+    std, effects = hand_eye_file.prior_deviations(profile), []
+    for name in dict.fromkeys(names.tolist()):
+        if std.get(name, 0.0) > 0.0:
+            columns = fit.effects[:, names == name].T.tolist()
+            effects.append(hand_eye_file.ConstantEffect(constant=name, deviation=std[name], effects=columns))
     hand_eye_of_fit = hand_eye_file.HandEye.model_validate(
         {
             "instrument": profile.instrument_name,
@@ -265,11 +254,10 @@ BLOCK = 1 << 14
 def fk_blocks(recording: Recording, *, in_camera: bool = False) -> Generator[tuple[Stamps, Array, Array]]:
     """Yield the tool's pose for every joint state in a recording's window, by the profile's chain, in blocks.
 
-    Each has some thousand stamps of joint states, (n,), the poses, (n, 4, 4), in the base's frame, and the errors of
-    all its joint states against the log's pose topic, (m, 2): position in m and angle in rad, NaN without a pose, with
-    a constant offset where its frame is not the chain's base. With `in_camera`, poses are in the camera's frame, by the
-    transform of a hand-eye file or of the log; joint states without one at their stamp are left out.
-
+    Each has stamps of joint states, (n,), the poses, (n, 4, 4), in the base's frame, and the errors of all its joint
+    states against the log's pose topic, (m, 2): position in m and angle in rad, NaN without a pose, with a constant
+    offset where its frame is not the chain's base. With `in_camera`, poses are in the camera's frame, by the transform
+    of a hand-eye file or of the log; joint states without one at their stamp are left out.
     Raises, before the first block, RecordingError without joint states, transform or chain, and KinematicsError where
     the chain's joints are not in the log.
     """

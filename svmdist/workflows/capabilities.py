@@ -40,10 +40,7 @@ TAG_IMAGES = 8  # that a tag is looked for in, spread over the log
 
 
 def capabilities(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str, ...]]:
-    """What a recording lacks for each command that reads recordings, empty for those that it can serve.
-
-    `no_tag` is what `look_for_tag` says.
-    """
+    """What a recording lacks for each command that reads logs, empty for nothing; `no_tag` is of `look_for_tag`."""
     methods = method_capabilities(summary, no_tag)
     found = {"estimate": () if () in methods.values() else methods[METHODS[0]]} | _lacking(summary, COMMANDS)
     if said := misfit(summary):
@@ -56,8 +53,7 @@ def best_method(
 ) -> tuple[str, str]:
     """The best method that most of the logs can serve, of many those of some, and why it is that one, in words.
 
-    `has_lag`: one is known or to be found. Raises RecordingError where none can be served, or none of the logs is one
-    of the profile.
+    `has_lag`: one is known or to be found. RecordingError where none can be served, or no log is one of the profile.
     """
     few = list[RecordingSummary]()
     for path in paths[:: -(-len(paths) // LOOKED_AT)]:
@@ -123,23 +119,19 @@ def misfit(summary: RecordingSummary) -> str:
     is_its_own = metadata.get("profile") == profile.name or ("joints" in summary.roles and not _missing_chain(summary))
     if is_its_own or profile.name != DEFAULT_PROFILE:
         return ""
-    stem = Path(str(path)).stem
-    return (
-        f"not a log of profile {profile.name}, the simulator's: write one with `svmdist profile new {path}"
-        f" -o {stem}.toml` and give --profile {stem}.toml"
-    )
+    own = f"{Path(str(path)).stem}.toml"
+    remedy = f"write one with `svmdist profile new {path} -o {own}` and give --profile {own}"
+    return f"not a log of profile {profile.name}, the simulator's: {remedy}"
 
 
 def require_clearance(setup: Setup) -> None:
     """Refuse alarms where no clearance is estimated: no alarm would ever be raised, which looks like safety."""
-    method, profile = setup.method, setup.profile
-    if method in PLANAR_METHODS:
-        choices = ", ".join(SPATIAL_METHODS)
-        raise UsageError(f"alarms need a clearance; {method} measures in the plane: the choices are {choices}")
-    if profile.instrument is None:
-        raise ProfileError(
-            f"profile {profile.name} has no [instrument]: alarms need a clearance, which needs the instrument's sizes"
-        )
+    if setup.method in PLANAR_METHODS:
+        planar = f"{setup.method} measures in the plane: the choices are {', '.join(SPATIAL_METHODS)}"
+        raise UsageError(f"alarms need a clearance; {planar}")
+    if setup.profile.instrument is None:
+        needs = "alarms need a clearance, which needs the instrument's sizes"
+        raise ProfileError(f"profile {setup.profile.name} has no [instrument]: {needs}")
 
 
 def look_for_tag(recording: Recording) -> str:

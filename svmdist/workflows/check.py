@@ -94,16 +94,14 @@ def _row_differences(seen: Observation, profile: Profile, step: int) -> Array:
 
 
 def arms_of(recording: Recording, profile: Profile, spread: Sequence[EncodedObservation]) -> list[Arm]:
-    """The arms of a recording's instruments, with the plates of their tags where its images show any of these.
-
-    Blood may hide one tag throughout a log, whose plate is then as wide as ever.
-    """
+    """The arms of a recording's instruments, with the plates of their tags where its images show any of these."""
     profiles, settings = [profile.for_instrument(name) for name in recording.instruments], profile.settings
     wanted = {one.fiducial.id for one in profiles if one.fiducial is not None}
     has_plates = False
     if wanted and profile.fiducial is not None:
         images = (one.decoded.seen[0] for one in spread if one.decoded.seen is not None)
         grey = (to_grey(with_first_fields(seen, settings.interlace).image_bgr) for seen in images)
+        # Of any: blood may hide one tag throughout a log, whose plate is then as wide as ever.
         has_plates = any(wanted & find_tags(one, profile.fiducial.family, settings.tag).keys() for one in grey)
     return [Arm(one, has_plates and one.fiducial is not None) for one in profiles]
 
@@ -184,15 +182,11 @@ def checked(
 
 
 class ViewsCompared(NamedTuple):
-    """Both views of pairs against their cameras: how rows are aligned where these contradict, and in words the rest.
+    """Both views of pairs against their cameras; words are empty where nothing contradicts."""
 
-    `refusal` says why they cannot be those of their cameras, whatever they show, and `warning` what contradicts, and
-    what it leads to; each is empty where nothing does.
-    """
-
-    rows: RowAlignment | None = None
-    refusal: str = ""
-    warning: str = ""
+    rows: RowAlignment | None = None  # how they are aligned where they contradict
+    refusal: str = ""  # why the views cannot be those of their cameras, whatever they show
+    warning: str = ""  # what contradicts, and what it leads to
 
 
 def compare_views(pairs: Iterable[Observation], profile: Profile) -> ViewsCompared:
@@ -218,10 +212,7 @@ def warning(found: Mapping[str, Checks]) -> str:
 
 
 def check_log(recording: Recording) -> dict[str, Checks]:
-    """All comparisons that a log and its profile allow, by the name of the instrument; RecordingError without images.
-
-    Images that cannot be used join the log's losses.
-    """
+    """All comparisons that a log and its profile allow, by the instrument's name; RecordingError without images."""
     own = recording.origin.profile
     profile = own.model_copy(update={"tissue": own.tissue or SOMEWHERE})
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
@@ -237,19 +228,14 @@ def check_log(recording: Recording) -> dict[str, Checks]:
 
 @dataclass(frozen=True, slots=True)
 class TissueSurface:
-    """Points of the tissue in the left camera's frame, in m: `points_m` and `normals`, shape (n, 3).
+    """Points of the tissue in the left camera's frame, as one image of a log shows them."""
 
-    `std_m`, shape (n,), is the standard deviation along the line of sight, by matching and calibration; `rgb`, (n, 3),
-    the colour in the left image. Normals have length 1 and point to the camera. `share` of the tissue in the left image
-    is seen. `number` counts the log's images from 0; `stamp_ns` and `frame_id` are the image's.
-    """
-
-    points_m: Array
-    normals: Array
-    std_m: Array
-    rgb: NDArray[np.uint8]
-    share: float
-    number: int
+    points_m: Array  # (n, 3)
+    normals: Array  # (n, 3), of length 1, to the camera
+    std_m: Array  # (n,), standard deviations along the line of sight, by matching and calibration
+    rgb: NDArray[np.uint8]  # (n, 3), the colour in the left image
+    share: float  # of the tissue in the left image that is seen
+    number: int  # of the image in its log, from 0
     stamp_ns: int
     frame_id: str
 

@@ -9,6 +9,7 @@ from itertools import count
 
 import numpy as np
 
+from svmdist.perturbations.calibration import nominal_profile
 from svmdist.recording.log import Recording
 from svmdist.recording.source import Health
 from svmdist.recording.topics import Role
@@ -36,14 +37,11 @@ WITH_FUSED = ("fused", "fiducial")
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Frames that are compared together: those of a scenario and degradation (`smoke=3`, `focal=1`, `world=real`).
-
-    A scenario or degradation of `all` is all of them. `other_instrument` names one that is not its recording's first.
-    """
+    """Frames that are compared together: those of a scenario and a degradation, or of `all` of them."""
 
     scenario: str
-    degradation: str = ""
-    other_instrument: str = ""
+    degradation: str = ""  # as in `smoke=3`, `focal=1`, `world=real`
+    other_instrument: str = ""  # one that is not its recording's first
 
     def __str__(self) -> str:
         degradation = "" if self.degradation == ALL else self.degradation
@@ -52,16 +50,14 @@ class Group:
 
 @dataclass(frozen=True)
 class MethodScore:
-    """One method on one group of frames, and the instrument that it measured; `against` is another one, or the truth.
-
-    Two methods differ by their joint standard deviation, and their frames are those that both measured.
-    """
+    """One method on one group of frames, and the instrument that it measured."""
 
     group: Group
     method: str
     figures: Figures
     instrument: str = ""
     against: str = ""
+    """Another method, where it is not the truth: with the joint deviation, on the frames that both measured."""
 
 
 def compare(
@@ -89,8 +85,7 @@ def measure_runs(
     Then the differences of two methods: of all where the log has no ground truth, else of those of others from ours.
     Processes share conditions or methods; `jobs` threads work ahead where nothing can be shared. `by` groups by other
     metadata than the scenario. A method that the log cannot serve is left out, with a remark; another instrument than
-    the first where it has no truth that the first has. Raises RecordingError where the recording has no ground-truth
-    distances, and nothing to compare.
+    the first where it has no truth that the first has. RecordingError without ground truth and anything to compare.
     """
     jobs = parallel.usable_cores() if jobs is None else jobs
     first = recording.instruments[0]
@@ -155,7 +150,8 @@ def _measured(
             read = replace(read, on_progress=parallel.step)
         if world := of_pass[0].world:  # it has a pass of its own
             read = read.perturbed(world)
-            chosen = [setup.perturbed(world, read.world.seed) for setup in chosen]
+            # The profile is wrong about instrument, tag and plane.
+            chosen = [replace(one, profile=nominal_profile(one.profile, world, read.world.seed)) for one in chosen]
         keys = [(at, of, name) for at in places for of in part[1] for name in read.measured]
         readings, seconds = {key: Readings() for key in keys}, dict.fromkeys(keys, 0.0)
         for replayed in replay(read, chosen, of_pass, jobs=threads):

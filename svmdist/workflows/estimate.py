@@ -28,16 +28,14 @@ found on six seconds of such a log are off by as much, beside what noise does.""
 
 @dataclass(frozen=True)
 class Measured:
-    """The rows of one recording, the recording as it is and as methods read it, and the lag that was applied.
-
-    `by` holds what was measured in the same pass as a truth, by reference and instrument.
-    """
+    """The rows of one recording, the recording as it is and as methods read it, and the lag that was applied."""
 
     recording: Recording
     read: Recording
     rows: tuple[FrameResult, ...]
     lag: LagEstimate | None
     by: Mapping[tuple[Reference, str], Readings] = field(default_factory=dict)
+    """What was measured in the same pass as a truth, by reference and instrument."""
 
 
 Keep = Callable[[Measured], None]  # is called with all rows of a recording, where something is made of them together
@@ -46,28 +44,21 @@ Keep = Callable[[Measured], None]  # is called with all rows of a recording, whe
 def estimate(
     recording: Recording, setup: Setup, jobs: int | None = None, *, rest: bool = True, alarms: AlarmRules | None = None
 ) -> Iterator[FrameResult]:
-    """Give one result per image and wanted instrument, in order, holding a few frames at a time.
-
-    An image that cannot be decoded is a result with the status of its rejection. `jobs`, `rest` and `alarms` are as in
-    `replay`.
-    """
+    """One result per image and wanted instrument, in order; of an image that cannot be decoded its rejection."""
     results = replay(recording, [setup], jobs=jobs, rest=rest, alarms=alarms)
     return (result for (replayed,) in results for result in replayed.results)
 
 
 def with_lag(recording: Recording, request: Request, jobs: int | None = None) -> tuple[Recording, LagEstimate]:
-    """Apply the time offset of a request; `auto` is one pass over the images.
-
-    `auto` is found from the middle of each instrument in the image, whatever the method, as nothing of the joints is in
-    that. Of several instruments, which share a clock, the most confident one counts.
-    """
+    """Apply the time offset of a request; `auto` is one pass over the images."""
     found = given_lag(request.lag)
     if request.lag == "auto":
+        # From the middle of each instrument in the image, whatever the method: nothing of the joints is in that. Of
+        # several instruments, which share a clock, the most confident one counts.
         seen = Setup(request.setup.profile, "centroid", mapping=PUBLISHED_MAPPING)
         readings = {name: Readings() for name in recording.measured}
-        for (replayed,) in replay(recording, [seen], jobs=jobs):
-            for of_instrument, result in zip(readings.values(), replayed.results, strict=True):
-                of_instrument.add(result)
+        for result in estimate(recording, seen, jobs):
+            readings[result.instrument].add(result)
         each = [recording_lag(rows, recording.for_instrument(name), request.rules) for name, rows in readings.items()]
         found = max(each, key=lambda one: (one.is_observable, one.confidence))
     if request.lag is None or not found.is_observable:
@@ -82,10 +73,7 @@ def given_lag(lag: Lag | None) -> LagEstimate:
 
 
 def recording_lag(readings: Readings, log: Recording, rules: TruthRules) -> LagEstimate:
-    """Estimate the lag of a recording from where its measured rows saw the tool.
-
-    The tool's motion is taken from kinematics, else from the strongest other reference that the log has.
-    """
+    """Estimate the lag of a recording from where its measured rows saw the tool, by kinematics or another reference."""
     seen = np.isfinite(readings.tool_px).all(axis=1)
     problems = []
     for reference in (Reference.KINEMATICS, Reference.POSE, Reference.TF, Reference.GROUND_TRUTH):

@@ -1,7 +1,4 @@
-"""Work in several threads or processes, and how far it is: results do not depend on the number of workers.
-
-Threads work ahead on the frames of one log; processes take whole logs, or parts of a comparison or a simulation.
-"""
+"""Work in several threads or processes, and how far it is: results do not depend on the number of workers."""
 
 from __future__ import annotations
 
@@ -238,10 +235,8 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _quiet_start() -> Iterator[None]:
-    """A process that begins meanwhile gets no interrupts and has no stderr, nor have its children.
-
-    Where the process that began them is gone, Python would print tracebacks of them all; errors travel as results.
-    """
+    """A process that begins meanwhile gets no interrupts and has no stderr, nor have its children."""
+    # Where the process that began them is gone, Python would print tracebacks of them all; errors travel as results.
     mask, stderr = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}), os.dup(2)
     try:
         with open(os.devnull, "w") as null:

@@ -43,16 +43,12 @@ from svmdist.workflows.request import CLEAN, Condition, OwnEstimator, Setup
 
 @dataclass(frozen=True)
 class Replayed:
-    """What one method gave for one image under one condition: a result and its cost for each wanted instrument.
-
-    `frames` are what it was given, empty for an image that could not be read. `image_bgr` is the image as it was
-    recorded, before its field was chosen and its lens was taken off; None for one that could not be read.
-    """
+    """What one method gave for one image under one condition: a result and its cost for each wanted instrument."""
 
     results: tuple[FrameResult, ...]
     seconds: tuple[float, ...]
-    frames: tuple[Frame, ...] = ()
-    image_bgr: Image | None = None
+    frames: tuple[Frame, ...] = ()  # what it was given; empty for an image that could not be read
+    image_bgr: Image | None = None  # as it was recorded, with its fields and its lens; None where it could not be read
 
 
 def replay(
@@ -80,7 +76,6 @@ class MultiInstrumentEstimator:
 
     No row is `ok` of a method that relies on what `checks` contradict, by instrument; nor one of another camera than
     `camera`, the log's first, where a calibration is of that. With `left_alone` it sees no right view.
-    `keeps_state`: whether a result depends on earlier frames; `needs`: the detections that the method asks for.
     """
 
     def __init__(
@@ -198,10 +193,7 @@ class _Replay:
         self._checks, self._looked = map(list, zip(*found, strict=True))
 
     def _inflate_tissue(self, tissue: Tissue, found: Sequence[Checks]) -> None:
-        """Let the tissue be as uncertain as it is seen elsewhere, or as a guess where no second view shows it.
-
-        A method that measures its height and surface itself is only affected where its shape is another one.
-        """
+        """Let the tissue be as uncertain as it is seen elsewhere, or as a guess where no second view shows it."""
         off_m = next((one.tissue_off_m for one in found if one.tissue_off_m is not None), None)
         shape_m = max(one.tissue_shape_off_m for one in found)
         std_m = tissue.unverified_std_m if off_m is None else off_m
@@ -214,6 +206,7 @@ class _Replay:
         shaped = self._setup.with_stds("tissue", surface_std_m=shape_m)
         self._setup = shaped.with_stds("tissue", plane_distance_std_m=std_m)
         self._arms = self._arms_with(self._setup)
+        # A method that measures its height and surface itself is only affected where its shape is another one.
         self._stereo_arms = self._arms if off_m is None else self._arms_with(shaped)
         self._looked = [{} for _ in self._conditions]
 
@@ -221,11 +214,8 @@ class _Replay:
         return [Arm(setup.profile.for_instrument(arm.profile.instrument_name), arm.has_plate) for arm in self._arms]
 
     def _estimator(self, setup: Setup, known: Mapping[str, Checks]) -> MultiInstrumentEstimator:
-        """A method on the wanted instruments; one that measures the tissue itself takes the profile as it is.
-
-        Where rows were aligned, one that keeps a state sees the left view alone: of what bends them it would learn in
-        one part of the view for all of it.
-        """
+        """A method on the wanted instruments; one that measures the tissue itself takes the profile as it is."""
+        # Of what bends aligned rows, one that keeps a state would learn in one part of the view for all of it.
         left_alone = self._rows.bends and setup.method == "fused"
         arms = self._stereo_arms if setup.needs_right_view and not left_alone else self._arms
         chosen, camera = [arms[place] for place in self._places], self._recording.camera

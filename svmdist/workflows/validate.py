@@ -72,9 +72,8 @@ class Validation:
 def validate(recordings: Sequence[Recording], request: Request, jobs: int | None = None) -> Validation:
     """Score recordings against each reference that they have, and alarms where the request has rules for them.
 
-    Every instrument has its own scores. The overall score leaves out recordings that the calibration was fitted on.
-    Raises RecordingError where a recording has no reference, or no true clearance to score alarms against, and what
-    `require_truth_for_alarms` raises.
+    Every instrument has its own scores. Raises RecordingError where a recording has no reference, or no true clearance
+    to score alarms against, and what `require_truth_for_alarms` raises.
     """
     require_truth_for_alarms(request)
     return combine([score_recording(one, request, jobs) for one in recordings], request)
