@@ -243,10 +243,7 @@ CONNECT_S, LOOK_S = 10.0, 0.25
 def measured_on_cluster(
     measure: Callable[[LogFile], Outcome[Result]], logs: Sequence[LogFile], address: str
 ) -> Iterator[tuple[int, Outcome[Result]]]:
-    """Yield (place, outcome) of logs as they end; workers read them by the same paths and URLs.
-
-    Raises SvmdistError where the scheduler does not answer or is lost, or a worker has another svmdist.
-    """
+    """Yield (place, outcome) of logs as they end, read by the same paths; SvmdistError where the cluster is lost."""
     distributed = optional_package("distributed", "cluster", "--scheduler", UsageError)
     client = _connected(address)
     try:

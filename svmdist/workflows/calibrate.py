@@ -178,7 +178,7 @@ def _fit(
     nominal_m, noise, axes, shared = (column[known] for column in reported)
     tools = [rows[at].tool.pose for at in known]  # type: ignore[union-attr]  # rows of a seen tool
     seen_m = np.reshape([tool.position_m for tool in tools], (-1, 3))
-    camera = _camera_errors(seen_m, method, profile, float(recording.camera.K[0, 0]))
+    camera_names, camera_shared = _camera_errors(seen_m, method, profile, float(recording.camera.K[0, 0]))
     places = ToolPlaces(
         stamps_ns[known],
         seen_m,
@@ -189,13 +189,13 @@ def _fit(
         np.where(np.isfinite(axes).all(1), [tool.shaft_std_rad for tool in tools], np.nan),
         axes,
         shared,
-        np.concatenate(list(camera.values()), 2),
+        camera_shared,
     )
     fit = fit_hand_eye(places, profile.settings.hand_eye)
     if isinstance(fit, Failure):
         return fit
     # The effect of each calibration parameter on the fit, for estimators that use it; without exact ones.
-    names = np.array([*shared_names, *(name for name, errors in camera.items() for _ in range(errors.shape[2]))])
+    names = np.array([*shared_names, *camera_names])
     std, effects = hand_eye_file.prior_deviations(profile), []
     for name in dict.fromkeys(names.tolist()):
         if std.get(name, 0.0) > 0.0:
@@ -228,24 +228,21 @@ def _fit(
     return HandEyeResult(hand_eye_of_fit, fit, tool_std_m, from_log)
 
 
-def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float) -> dict[str, Array]:
-    """Effects of one standard deviation of calibration parameters on seen positions, (n, 6, k) for k numbers each.
+def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float) -> tuple[list[str], Array]:
+    """Calibration parameters, and the effects of one standard deviation of each on seen positions, (n, 6, m).
 
     A size or baseline that is too small scales positions towards the camera, a focal length their depth. A principal
     point rotates positions about the camera; its effect on directions is negligible.
     """
-    std = hand_eye_file.prior_deviations(profile)
+    std, size = hand_eye_file.prior_deviations(profile), SEEN_SIZES[method]
+    names = [size, hand_eye_file.FOCAL_LENGTH, *[hand_eye_file.PRINCIPAL_POINT] * 2]
     rotation_rad = std[hand_eye_file.PRINCIPAL_POINT] / focal_px
-    rotations = np.array([[0.0, rotation_rad, 0.0], [-rotation_rad, 0.0, 0.0]])
-    offsets = {
-        SEEN_SIZES[method]: [-std.get(SEEN_SIZES[method], 0.0) * seen_m],
-        hand_eye_file.FOCAL_LENGTH: [-std[hand_eye_file.FOCAL_LENGTH] * seen_m * [0.0, 0.0, 1.0]],
-        hand_eye_file.PRINCIPAL_POINT: [np.cross(rotation, seen_m) for rotation in rotations],
-    }
-    return {
-        name: np.stack([np.hstack([offset_m, np.zeros_like(offset_m)]) for offset_m in of_name], -1)
-        for name, of_name in offsets.items()
-    }
+    effects = np.zeros((len(seen_m), 6, len(names)))
+    effects[:, :3, 0] = -std.get(size, 0.0) * seen_m
+    effects[:, 2, 1] = -std[hand_eye_file.FOCAL_LENGTH] * seen_m[:, 2]
+    effects[:, :3, 2] = np.cross([0.0, rotation_rad, 0.0], seen_m)
+    effects[:, :3, 3] = np.cross([-rotation_rad, 0.0, 0.0], seen_m)
+    return names, effects
 
 
 BLOCK = 1 << 14

@@ -85,10 +85,7 @@ def method_capabilities(summary: RecordingSummary, no_tag: str = "") -> dict[str
 
 
 def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup, ...]:
-    """Those setups that a log can serve; the others are remarked, with their reasons.
-
-    Raises RecordingError where there is none, and where the log is another one than the default profile's.
-    """
+    """Those setups that a log can serve, with a remark on others; RecordingError for none, and for a `misfit`."""
     summary = inspect_recording(recording.origin.open(), HEAD_S)
     lacks = method_capabilities(summary.at_any_lag() if recording.lag is not None else summary)
     left: tuple[Setup, ...] = ()

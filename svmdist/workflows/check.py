@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation import checks
 from svmdist.estimation.association import Association
-from svmdist.estimation.checks import Matches
 from svmdist.estimation.comparison import KINEMATICS, ROWS, Checks, Difference
 from svmdist.estimation.frame import Frame
 from svmdist.estimation.instrument.measurement import Deviations
@@ -131,8 +130,8 @@ def checked(
 ) -> tuple[dict[str, Checks], dict[int, list[Frame]]]:
     """The comparisons of each instrument by its name, and what was looked at for them by the number of the image.
 
-    Of a log that is about some of its instruments only, these are not compared. The `least` images from all of it, and
-    points of so many `pairs`, are enough where nothing is suspect; else it is all of them.
+    The `least` images from all of it, and points of so many `pairs`, are enough where nothing is suspect; else it is
+    all of them. A log that is about some of its instruments only is not compared in what may show another one.
     """
     is_part, is_associated = recording.is_part, needs_association(arms)
     changes = [(one.before.camera, one.after.camera) for one in recording.camera_changes]
@@ -145,7 +144,7 @@ def checked(
     first = np.linspace(0, len(spread) - 1, least).round().astype(int).tolist()
     order = list(dict.fromkeys([*first, *range(len(spread))])) if spread else []
     looked: dict[int, list[Frame]] = {}
-    matches: list[Matches] = []
+    matches: list[checks.Matches] = []
 
     def found() -> dict[str, list[Difference]]:
         views = list(checks.of_views(arms[0].profile, matches))
@@ -241,10 +240,7 @@ class TissueSurface:
 
 
 def tissue_surface(recording: Recording, number: int) -> TissueSurface:
-    """The surface that both views of an image, by its number from 0, show: with instruments in view or without.
-
-    Raises RecordingError where the log has no right view, or the image shows no surface; UsageError without the image.
-    """
+    """The surface that both views of an image, by its number, show; RecordingError, or UsageError without the image."""
     if not isinstance(number, int) or number < 0:
         raise UsageError(f"expected the number of an image, 0 or more; found {number}")
     if recording.topic_of(Role.RIGHT_IMAGE) is None or recording.right_camera is None:

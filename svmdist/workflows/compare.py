@@ -88,12 +88,11 @@ def measure_runs(
     the first where it has no truth that the first has. RecordingError without ground truth and anything to compare.
     """
     jobs = parallel.usable_cores() if jobs is None else jobs
-    first = recording.instruments[0]
-    views = {name: recording.for_instrument(name) for name in recording.instruments}
-    known = [name for name, view in views.items() if view.topic_of(Role.GROUND_TRUTH_DISTANCE) is not None]
+    first, truth = recording.instruments[0], Role.GROUND_TRUTH_DISTANCE
+    known = tuple(name for name in recording.instruments if recording.for_instrument(name).topic_of(truth) is not None)
     if first not in known and len(setups) == 1:
-        views[first].distance_track()  # raises
-    names = tuple(name for name in views if name in known or first not in known)
+        recording.for_instrument(first).distance_track()  # raises
+    names = known if first in known else recording.instruments
     setups = [setup.for_log(recording) for setup in served_setups(recording, setups)]
     parts = _parts(setups, conditions, 1 if parallel.is_worker() else jobs)
     work = partial(_measured, replace(recording, wanted=names), conditions, setups, max(1, jobs // len(parts)))
@@ -122,13 +121,11 @@ Found = dict[tuple[int, int, str], tuple[Readings, Truth | None, float]]
 
 
 def _parts(setups: Sequence[Setup], conditions: Sequence[Condition], jobs: int) -> list[Part]:
-    """Deal work out by conditions, and by methods where they are few: each part reads the log once more.
-
-    A pass over the log is of all conditions of its images together, or of one perturbed world.
-    """
+    """Deal work out by conditions, and by methods where they are few: each part reads the log once more."""
     every, chunks = range(len(conditions)), []
     size = -(-len(every) // (CHUNKS_PER_PROCESS * jobs)) if jobs > 1 else len(every)
     for places in (every[start : start + size] for start in every[::size]):
+        # A pass over the log is of all conditions of its images together, or of one perturbed world.
         images = [at for at in places if not conditions[at].world]
         chunks.append([at for at in (images, *([at] for at in places if conditions[at].world)) if at])
     groups: list[Sequence[int]] = [range(len(setups))]
@@ -171,15 +168,13 @@ def _measured(
 def group_of(
     recording: Recording, condition: Condition = CLEAN, instrument: str = "", by: GroupBy | None = None
 ) -> Group:
-    """What a recording is compared as: its scenario, or its name, and its degradations; or by other metadata.
-
-    Those are what it was recorded with (of a real world only that is said), and then what is done to it now.
-    """
+    """What a recording is compared as: its scenario, or its name, and its degradations; or by other metadata."""
     metadata = recording.metadata
     other = instrument if instrument in recording.instruments[1:] else ""
     if by is not None:
         return Group(by(metadata), str(condition), other)
     world = f"world={metadata['world']}" if "world" in metadata else metadata.get("perturb", "")
+    # What it was recorded with (of a real world only that is said), and then what is done to it now.
     degradations = (metadata.get("degrade", ""), world, str(condition))
     return Group(metadata.get("scenario", recording.name), ",".join(filter(None, degradations)), other)
 
@@ -235,17 +230,13 @@ class BlurTally:
     kernel_px: int
     figures: Figures
     counts: list[Counts]
+    published: tuple[int, int] | None  # the row of the paper's Table I
 
     @property
     def means(self) -> list[float | None]:
         """The mean of each count over the frames that have it; None where none has."""
         known = [[count for count in of if count is not None] for of in zip(*self.counts, strict=True)]
         return [float(np.mean(of)) if of else None for of in known]
-
-    @property
-    def published(self) -> tuple[int, int] | None:
-        """The row of the paper's Table I; None where it has none."""
-        return TABLE_I[self.blur][1]
 
 
 def blur_tallies(
@@ -260,9 +251,9 @@ def blur_tallies(
         for blur, one in zip(kernels_px, replayed, strict=True):
             readings[blur].add(one.results[0])
             counts[blur].append(_counts(one))
-    track = recording.distance_track()
+    truth_m = recording.distance_track().at(readings[Blur.NONE].stamps_ns).values
     return [
-        BlurTally(blur, kernels_px[blur], figures_of(rows, Truth(track.at(rows.stamps_ns).values)), counts[blur])
+        BlurTally(blur, kernels_px[blur], figures_of(rows, Truth(truth_m)), counts[blur], TABLE_I[blur][1])
         for blur, rows in readings.items()
     ]
 

@@ -247,28 +247,25 @@ def _file_views(options: ImportOptions) -> list[View]:
 
 def _file_view(paths: Sequence[Path], stamps_ns: list[int], options: ImportOptions) -> View:
     losses: dict[int, str] = {}
+    sizes_px: dict[str, tuple[int, int]] = {}  # the first one is that of all
 
-    def pictures() -> Iterator[tuple[int, Picture, tuple[int, int]]]:
+    def read() -> Iterator[tuple[int, Picture]]:
         for place in range(0, len(paths), options.every):
             try:
                 picture, found_px = read_file(paths[place], LIMITS, decode=options.takes_parts)
             except SourceError as problem:
                 losses[place] = str(problem)
-            else:
-                yield place, picture, found_px
-
-    def read() -> Iterator[tuple[int, Picture]]:
-        for place, picture, (width_px, height_px) in pictures():
-            if (width_px, height_px) != size_px:
-                expected = f"{paths[first].name} has {size_px[0]}x{size_px[1]} px"
-                raise SourceError(f"{paths[place]}: {width_px}x{height_px} px; {expected}")
+                continue
+            sizes_px[paths[place].name] = found_px
+            first, size_px = next(iter(sizes_px.items()))
+            if found_px != size_px:
+                sizes = "{}x{} px; {} has {}x{} px".format(*found_px, first, *size_px)
+                raise SourceError(f"{paths[place]}: {sizes}")
             yield place, picture
 
-    try:
-        first, _, size_px = next(pictures())
-    except StopIteration:
-        raise SourceError(losses[0]) from None
-    return View([path.name for path in paths], stamps_ns, size_px, read, losses)
+    if next(read(), None) is None:
+        raise SourceError(losses[0])
+    return View([path.name for path in paths], stamps_ns, next(iter(sizes_px.values())), read, losses)
 
 
 def _video_views(options: ImportOptions, sources: Sequence[Path]) -> list[View]:

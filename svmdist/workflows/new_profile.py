@@ -227,10 +227,7 @@ def _blank(topics: Mapping[str, str]) -> Profile:
 
 
 def _instruments_by_entries(images: Sequence[Image]) -> tuple[InstrumentDraft, ...]:
-    """As many instruments as images often show, from right to left, with the sides that they come in nearest to.
-
-    One, of any side, where no two are seen.
-    """
+    """As many instruments as images often show, from right to left, with their nearest sides; else one of any side."""
     seen = [[one.entry_px / one.size[::-1] for one in AutoMasks(image).seen[: len(SIDE_MIDDLES)]] for image in images]
     least = max(ENOUGH_IMAGES * len(images), min(2, len(images)), 1)
     several = range(2, len(SIDE_MIDDLES) + 1)

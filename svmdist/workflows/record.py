@@ -182,10 +182,7 @@ def episode_paths(output: Path, scenario: str, first_seed: int, count: int) -> l
 def record_episodes(
     episodes: Episodes, paths: Sequence[Path], jobs: int | None = None, on_progress: Progress = unwatched
 ) -> list[Recorded]:
-    """Record an episode to each path, with the scenario's seed and those after it; what came of them, in order.
-
-    One that fails does not stop the others. Raises UsageError where a file exists and may neither be replaced nor left.
-    """
+    """Record an episode to each path, with the scenario's seed and those after it: what came of each, in order."""
     parts = [path.with_name(f"{path.name}.part") for path in paths]
     there = next((path for path in (*paths, *parts) if path.exists()), None)
     if there and not episodes.force and not episodes.skip_existing:
