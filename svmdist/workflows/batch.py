@@ -32,7 +32,6 @@ from svmdist.workflows.parallel import Progress, each_in_processes, one_opencv_t
 from svmdist.workflows.request import LOG, Request
 
 Result = TypeVar("Result")
-Row = Mapping[str, Any]
 
 ATTEMPTS = 2  # a log whose process is killed is measured once more: it may have been another that took the memory
 MAX_REPEATED = 3  # logs with the same note, each of which says it
@@ -84,13 +83,12 @@ class Outcome(Generic[Result]):
 
 def measured(
     job: Job[Result], log: LogFile, threads: int, on_progress: Progress = unwatched, **more: Any
-) -> Generator[Row, None, Outcome[Result]]:
+) -> Generator[Mapping[str, Any], None, Outcome[Result]]:
     """Measure a log in this process: yield its rows, return its outcome. Raises what measuring it raises."""
     recording = replace(job.request.open(log.path, log.name), on_progress=on_progress)
     found = job.measure(recording, job.request, threads, *job.options, **more)
     result = (yield from found) if isinstance(found, Generator) else found
-    health = recording.health
-    return Outcome(result, None, health.losses, health.unlisted_count, dict(recording.metadata))
+    return Outcome(result, None, recording.health.losses, recording.health.unlisted_count, dict(recording.metadata))
 
 
 def outcome_of(job: Job[Result], threads: int, log: LogFile) -> Outcome[Result]:

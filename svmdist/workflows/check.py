@@ -110,14 +110,6 @@ def needs_association(arms: Sequence[Arm]) -> bool:
     return len(arms) > 1 or isinstance(arms[0].profile.segmentation, AutoSegmentation)
 
 
-def look(seen: tuple[Observation, ...], arms: Sequence[Arm], segmenter: Segmenter, rows: RowAlignment) -> list[Frame]:
-    """A frame for each instrument in an image: several are associated as in the first image of a log."""
-    scene = Scene(seen[0], arms[0].profile, segmenter, rows)
-    if not needs_association(arms):
-        return [Frame.of(scene, arms[0], seen[0], arms[0].state_at(seen[0]))]
-    return Association(arms).frames(scene, seen)
-
-
 def checked(
     recording: Recording,
     spread: Sequence[EncodedObservation],
@@ -158,8 +150,12 @@ def checked(
         if sighted is None:
             continue
         seen = tuple(condition.apply(one, number) for one in sighted)
-        frames = looked[number] = look(seen, arms, segmenter, rows)
-        scene = frames[0].scene
+        scene = Scene(seen[0], arms[0].profile, segmenter, rows)
+        if is_associated:  # as in the first image of a log
+            frames = Association(arms).frames(scene, seen)
+        else:
+            frames = [Frame.of(scene, arms[0], seen[0], arms[0].state_at(seen[0]))]
+        looked[number] = frames
         shared = list(checks.of_scene(scene))
         # A surface that both views show is enough, where no method measures by both of them.
         is_wanted = is_suspect or len(matches) < pairs or not (matches or scene.stereo_surface)

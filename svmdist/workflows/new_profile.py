@@ -27,7 +27,6 @@ from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role, is_right
 from svmdist.remote import LogPath
 from svmdist.samples import Image, Observation
-from svmdist.transforms import Array
 from svmdist.vision.colour import DistinctColour, find_distinct_colour
 from svmdist.vision.frame_context import as_pinholes
 from svmdist.vision.instruments.find_instruments import AutoMasks
@@ -259,8 +258,7 @@ def _surface(
     rules = _blank({}).model_copy(update={"segmentation": AutoSegmentation(method="auto"), "tissue": SOMEWHERE})
     segmenter, deviations = make_segmenter(rules.segmentation), Deviations(CameraError())
     rows = rows or offset_to_remove(observations, rules)
-    clouds: list[Array] = []
-    stds_m: list[float] = []
+    clouds, stds_m = [], []
     for observation in observations:
         scene = Scene(observation, rules, segmenter, rows)
         surface, right = scene.stereo_surface, scene.observation.right

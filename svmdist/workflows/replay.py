@@ -97,8 +97,7 @@ class MultiInstrumentEstimator:
         shared_s = sum(spent_s.get(name, 0.0) for name in self.needs.scene + self.needs.frame) / len(frames)
         if self._left_alone:
             frames = [frame.left_alone() for frame in frames]
-        results: list[FrameResult] = []
-        seconds: list[float] = []
+        results, seconds = [], []
         for estimator, arm, frame in zip(self._estimators, self._arms, frames, strict=True):
             start_s = time.thread_time()
             result = estimator.estimate(frame)
