@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -88,8 +89,8 @@ def measure_runs(
     the first where it has no truth that the first has. RecordingError without ground truth and anything to compare.
     """
     jobs = parallel.usable_cores() if jobs is None else jobs
-    first, truth = recording.instruments[0], Role.GROUND_TRUTH_DISTANCE
-    known = tuple(name for name in recording.instruments if recording.for_instrument(name).topic_of(truth) is not None)
+    first, role = recording.instruments[0], Role.GROUND_TRUTH_DISTANCE
+    known = tuple(name for name in recording.instruments if recording.for_instrument(name).topic_of(role) is not None)
     if first not in known and len(setups) == 1:
         recording.for_instrument(first).distance_track()  # raises
     names = known if first in known else recording.instruments
@@ -194,15 +195,12 @@ def compared(runs: Sequence[MethodScore]) -> list[MethodScore]:
 
 def _pooled(runs: Sequence[MethodScore], groups: Sequence[Group]) -> list[MethodScore]:
     """The scores of each group of runs, in the order of the methods: that of the first runs."""
-    members: dict[Group, dict[tuple[str, str], list[MethodScore]]] = {}
+    order = list(dict.fromkeys(groups))
+    members = defaultdict[tuple[Group, str, str], list[MethodScore]](list)
     for run, group in zip(runs, groups, strict=True):
-        of_group = members.setdefault(group, {})
-        of_group.setdefault((run.against, run.method), []).append(replace(run, group=group))
-    return [
-        replace(of[0], figures=pooled_figures([run.figures for run in of]))
-        for of_group in members.values()
-        for _, of in sorted(of_group.items(), key=lambda one: bool(one[0][0]))
-    ]
+        members[group, run.against, run.method].append(replace(run, group=group))
+    pooled = [replace(of[0], figures=pooled_figures([run.figures for run in of])) for of in members.values()]
+    return sorted(pooled, key=lambda one: (order.index(one.group), bool(one.against)))
 
 
 TABLE_I: Mapping[Blur, tuple[int, tuple[int, int] | None]] = {
