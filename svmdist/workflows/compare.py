@@ -140,7 +140,7 @@ def _parts(setups: Sequence[Setup], conditions: Sequence[Condition], jobs: int) 
 def _measured(
     recording: Recording, conditions: Sequence[Condition], setups: Sequence[Setup], threads: int, part: Part
 ) -> tuple[Found, Health]:
-    """Measure a part with so many threads; what was lost on the way."""
+    """What a part shows, measured by so many threads, and what was lost on the way."""
     found: Found = {}
     for places in part[0]:
         read, of_pass, chosen = recording, [conditions[at] for at in places], [setups[of] for of in part[1]]

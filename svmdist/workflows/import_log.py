@@ -259,8 +259,7 @@ def _file_view(paths: Sequence[Path], stamps_ns: list[int], options: ImportOptio
             sizes_px[paths[place].name] = found_px
             first, size_px = next(iter(sizes_px.items()))
             if found_px != size_px:
-                sizes = "{}x{} px; {} has {}x{} px".format(*found_px, first, *size_px)
-                raise SourceError(f"{paths[place]}: {sizes}")
+                raise SourceError("{}: {}x{} px; {} has {}x{} px".format(paths[place], *found_px, first, *size_px))
             yield place, picture
 
     if next(read(), None) is None:

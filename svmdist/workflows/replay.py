@@ -221,9 +221,8 @@ class _Replay:
         return MultiInstrumentEstimator(setup, chosen, known, camera, left_alone=left_alone)
 
     def run(self, jobs: int, rest: bool, alarms: AlarmRules | None) -> Iterator[tuple[Replayed, ...]]:
-        several = len(self._arms) > 1  # their association starts from nominal kinematics
-        robot, right = self._needs.robot or several, self._needs.right_view
-        recording = self._recording
+        robot = self._needs.robot or len(self._arms) > 1  # their association starts from nominal kinematics
+        recording, right = self._recording, self._needs.right_view
         encoded = recording.encoded_observations(robot=robot, right=right, rest=rest, stale=True)
         watches = [[AlarmWatch(alarms) for _ in self._places] for each in self._estimators for _ in each if alarms]
         with one_opencv_thread():

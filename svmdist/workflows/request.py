@@ -243,8 +243,7 @@ def prepare(
     is_planar, is_printed = method in PLANAR_METHODS, equations == "printed"
     if not is_planar and (is_printed or calibration is not None):
         option = "--equations printed" if is_printed else "--calibration"
-        planar = " and ".join(PLANAR_METHODS)
-        raise UsageError(f"{option} is for the planar methods {planar}; {method} measures in 3D")
+        raise UsageError(f"{option} is for the planar methods {' and '.join(PLANAR_METHODS)}; {method} measures in 3D")
     if is_printed and calibration is not None:
         raise UsageError("--equations printed takes the paper's numbers: it cannot be used with a calibration")
     setup = Setup(loaded, method, equations, mapping=plane_mapping.PUBLISHED_MAPPING if is_printed else None)
