@@ -6,7 +6,6 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import count
 
 import numpy as np
 
@@ -97,9 +96,9 @@ def measure_runs(
     setups = [setup.for_log(recording) for setup in served_setups(recording, setups)]
     parts = _parts(setups, conditions, 1 if parallel.is_worker() else jobs)
     work = partial(_measured, replace(recording, wanted=names), conditions, setups, max(1, jobs // len(parts)))
-    steps, images = count(1), recording.image_count()
+    images = recording.image_count()
     total = images and images * sum(len(passes) for passes, _ in parts)
-    workers, on_step = min(jobs, len(parts)), lambda: recording.on_progress(next(steps), total)
+    workers, on_step = min(jobs, len(parts)), lambda done: recording.on_progress(done, total)
     ended = [made for _, made in parallel.each_in_processes(work, parts, workers, on_step=on_step)]
     # Methods that need both views lose what others lose, and right images: their list has all in file order.
     for _, health in sorted(ended, key=lambda one: -len(one[1].losses)):

@@ -242,7 +242,8 @@ def _instruments_by_entries(images: Sequence[Image]) -> tuple[InstrumentDraft, .
         middles = np.array(sorted(np.median(around, 0), key=lambda at: -float(at[0])))
         off = {side: np.sum((middles - at) ** 2, 1) for side, at in SIDE_MIDDLES.items()}
         ways = permutations(SIDE_MIDDLES, count)  # no two come in from one side
-        entries = min(ways, key=lambda sides: sum(off[side][n] for n, side in enumerate(sides)))
+        nearest = min(ways, key=lambda sides: sum(off[side][n] for n, side in enumerate(sides)))
+        entries = nearest
     return tuple(
         InstrumentDraft(f"PSM{number}", {}, f"PSM{number}_base", f"PSM{number}", None, entry=entry)
         for number, entry in enumerate(entries, 1)
