@@ -96,7 +96,7 @@ def import_log(
 ) -> ImportResult:
     """Write a log of files. Raises UsageError, SourceError or OutputError, and leaves no file then."""
     with suppress(RecordingError):
-        open_source(options.source, Limits())
+        open_source(options.source, LIMITS)
         raise UsageError(f"{options.source}: is a log already, which needs no import: svmdist info")
     halved = 2 if options.side_by_side else 1
     count = 2 if options.has_right_source else halved
@@ -287,11 +287,10 @@ def _stamps(options: ImportOptions, names: list[str], times_ns: Sequence[int] | 
         return [options.start_ns + round(number * 1e9 / options.rate_hz) for number in range(len(names))]
     if options.times is None and times_ns is not None:
         return [options.start_ns + time_ns for time_ns in times_ns]
-    times = options.times
-    stamps = table_files.read_times(times, names) if times else table_files.stamps_from_names(names)
+    stamps = table_files.read_times(options.times, names) if options.times else table_files.stamps_from_names(names)
     if stamps is None:
         raise UsageError(f"the name {names[0]} has no time (in s or ns since 1970): give --rate HZ or --times FILE")
     if options.start_ns:
-        raise UsageError(f"--start goes with --rate or a video; times are those of {times or 'the names'}")
+        raise UsageError(f"--start goes with --rate or a video; times are those of {options.times or 'the names'}")
     table_files.require_rising(stamps, names, str(options.times or options.source))
     return stamps
