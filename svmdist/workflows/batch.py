@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import hashlib
 import json
 import logging
@@ -22,7 +21,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from pydantic import TypeAdapter
+from pydantic import Base64Bytes, TypeAdapter
 
 from svmdist.errors import ProfileError, SvmdistError, UsageError, optional_package
 from svmdist.files import files_of, make_folder, write_atomically
@@ -66,7 +65,7 @@ class Outcome(Generic[Result]):
     unlisted_count: int = 0  # of losses
     metadata: dict[str, str] = field(default_factory=dict)
     notes: tuple[tuple[int, str], ...] = ()  # level and text
-    packed_rows: str = ""
+    packed_rows: Base64Bytes = b""  # as it is stored
 
     @property
     def health(self) -> Health:
@@ -78,7 +77,7 @@ class Outcome(Generic[Result]):
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """The rows of the log; values that do not exist are left out."""
-        return map(json.loads, zlib.decompress(base64.b64decode(self.packed_rows)).splitlines())
+        return map(json.loads, zlib.decompress(self.packed_rows).splitlines())
 
 
 def measured(
@@ -101,8 +100,7 @@ def outcome_of(job: Job[Result], threads: int, log: LogFile) -> Outcome[Result]:
                 row = {key: value for key, value in next(steps).items() if value is not None}
                 packed += packer.compress(json.dumps(row, separators=(",", ":")).encode() + b"\n")
         except StopIteration as end:
-            rows = base64.b64encode(packed + packer.flush()).decode("ascii")
-            return replace(end.value, notes=tuple(notes), packed_rows=rows)
+            return replace(end.value, notes=tuple(notes), packed_rows=packed + packer.flush())
         except (UsageError, ProfileError):
             raise
         except SvmdistError as problem:
