@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.errors import KinematicsError, RecordingError
 from svmdist.estimation.alarms import AlarmRules
-from svmdist.estimation.lag import Predict, estimate_lag
+from svmdist.estimation.lag import estimate_lag
 from svmdist.estimation.plane_mapping import PUBLISHED_MAPPING
 from svmdist.recording.log import Recording
 from svmdist.results import FrameResult
@@ -82,19 +83,16 @@ def recording_lag(readings: Readings, log: Recording, rules: TruthRules) -> LagE
         except (RecordingError, KinematicsError) as problem:
             problems.append(str(problem))
             continue
-        return estimate_lag(readings.stamps_ns[seen], readings.tool_px[seen], predictor(at, log.camera))
+        predict = partial(predicted_tool_px, at, log.camera)
+        return estimate_lag(readings.stamps_ns[seen], readings.tool_px[seen], predict)
     return LagEstimate(0.0, None, 0.0, f"the log has no motion of the tool but in its images: {problems[0]}")
 
 
-def predictor(at: PoseAt, camera: Camera) -> Predict:
-    """Project the tool's origin by poses `T_camera_tool` into the image."""
-
-    def predict(stamps_ns: Stamps) -> tuple[Array, Mask]:
-        pose = at(stamps_ns)
-        p_camera_m = pose.values[:, :3, 3]
-        known = pose.valid & (np.where(pose.valid, p_camera_m[:, 2], 0.0) > 1e-3)
-        predicted = np.full((len(stamps_ns), 2), np.nan)
-        predicted[known] = camera.project(p_camera_m[known])
-        return predicted, known
-
-    return predict
+def predicted_tool_px(at: PoseAt, camera: Camera, stamps_ns: Stamps) -> tuple[Array, Mask]:
+    """Project the tool's origin by poses `T_camera_tool` into the image: pixels, shape (n, 2), and which are known."""
+    pose = at(stamps_ns)
+    p_camera_m = pose.values[:, :3, 3]
+    known = pose.valid & (np.where(pose.valid, p_camera_m[:, 2], 0.0) > 1e-3)
+    predicted = np.full((len(stamps_ns), 2), np.nan)
+    predicted[known] = camera.project(p_camera_m[known])
+    return predicted, known
