@@ -23,6 +23,8 @@ from svmdist.report.tables import Row, text_lines
 from svmdist.results import FrameResult
 from svmdist.samples import bgr_image  # noqa: F401  (part of the interface)
 from svmdist.workflows.capabilities import best_method, require_clearance
+from svmdist.workflows.check import TissueSurface
+from svmdist.workflows.check import tissue_surface as _surface
 from svmdist.workflows.compare import MethodScore
 from svmdist.workflows.compare import compare as _compare
 from svmdist.workflows.ending import Ending, alarms_in_words
@@ -31,8 +33,6 @@ from svmdist.workflows.estimate import with_lag
 from svmdist.workflows.request import Lag, OwnMethod, Request, Setup, prepare, prepare_methods
 from svmdist.workflows.scoring.given import given_estimates
 from svmdist.workflows.scoring.references import TruthRules
-from svmdist.workflows.surface import TissueSurface
-from svmdist.workflows.surface import tissue_surface as _surface
 from svmdist.workflows.validate import Validation
 from svmdist.workflows.validate import validate as _validate
 

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from svmdist.estimation.plane_mapping import load_calibration
 from svmdist.profile import load_profile, profile_path
 from svmdist.recording.log import open_recording
 from svmdist.workflows.calibrate import collect_part, fit_parts
-from svmdist.workflows.estimate import predictor
+from svmdist.workflows.estimate import predicted_tool_px
 from svmdist.workflows.request import Request, Setup
 from svmdist.workflows.scoring.references import ANY_TRUTH, Reference, tool_track
 from svmdist.workflows.scoring.scores import Score
@@ -112,7 +113,7 @@ def test_an_injected_time_offset_is_recovered(golden_rows, log):
     rows = [row for row in golden_rows(log, "overlay").rows if row.measured]
     profile = load_profile()
     recording = open_recording(RECORDINGS / f"{log}.mcap", profile)
-    predicted = predictor(tool_track(recording, Reference.KINEMATICS, ANY_TRUTH), recording.camera)
+    predicted = partial(predicted_tool_px, tool_track(recording, Reference.KINEMATICS, ANY_TRUTH), recording.camera)
     stamps_ns = np.array([row.stamp_ns for row in rows], np.int64)
     tool_px = np.array([row.image.tool_px for row in rows], np.float64)
     for offset_s in (-2.5, -0.3137, 0.012, 2.5):

@@ -34,13 +34,12 @@ from svmdist.report.tables import Row
 from svmdist.report.writers import Results, Writer
 from svmdist.transforms import Array
 from svmdist.workflows.batch import Job, LogFile, Outcome, collected_notes, log_notes, measure_logs, measured
-from svmdist.workflows.calibrate import SEEING_METHODS
+from svmdist.workflows.calibrate import SEEING_METHODS, fk_blocks
 from svmdist.workflows.capabilities import IMAGES, look_for_tag, method_capabilities, misfit
 from svmdist.workflows.check import check_log
 from svmdist.workflows.compare import MethodScore, measure_runs
 from svmdist.workflows.ending import Ending, alarms_in_words, refusals_in_words, remarks_in_words
 from svmdist.workflows.estimate import Keep, Measured, estimate, with_lag
-from svmdist.workflows.fk import fk_blocks
 from svmdist.workflows.frame_drawing import DrawnFrame, drawn_frames
 from svmdist.workflows.parallel import unwatched, usable_cores
 from svmdist.workflows.request import Request, Setup

@@ -237,7 +237,7 @@ class BlurBench(ScoreOptions):
         from svmdist.cli.jobs import Run
         from svmdist.report.scores import blur_results
         from svmdist.vision.degradations import Blur
-        from svmdist.workflows.blur_bench import TABLE_I, BlurTally, blur_tallies
+        from svmdist.workflows.compare import TABLE_I, BlurTally, blur_tallies
         from svmdist.workflows.request import Request, prepare
 
         writer = self.writer(self.paths, Holds.FIGURES)

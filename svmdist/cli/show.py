@@ -212,8 +212,8 @@ class Surface(options.ReadOptions, FrameOptions, options.OutputOptions):
         import numpy as np
 
         from svmdist.report.rows import cloud_results
+        from svmdist.workflows.check import tissue_surface
         from svmdist.workflows.request import Request, Setup
-        from svmdist.workflows.surface import tissue_surface
 
         writer = self.writer([self.log.path], Holds.CLOUD)
         setup = Setup.reading(self.profile, self.hand_eye)

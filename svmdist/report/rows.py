@@ -19,7 +19,7 @@ from svmdist.results import FrameResult, ToolPose
 from svmdist.transforms import Array, quaternion_xyzw_from_rotation
 
 if TYPE_CHECKING:
-    from svmdist.workflows.surface import TissueSurface
+    from svmdist.workflows.check import TissueSurface
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,7 @@ from svmdist.estimation.methods import PLANAR_METHODS
 from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Column, Interval, Unit, coverage, finite, row_of
 from svmdist.report.tables import Row, Table, counted
 from svmdist.report.writers import Results
-from svmdist.workflows.blur_bench import BlurTally, pooled_tallies
-from svmdist.workflows.compare import MethodScore
+from svmdist.workflows.compare import BlurTally, MethodScore, pooled_tallies
 from svmdist.workflows.scoring import metric_table
 from svmdist.workflows.scoring.metric_table import Metric, Output, of_part, within
 from svmdist.workflows.scoring.references import Reference

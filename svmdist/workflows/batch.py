@@ -1,11 +1,7 @@
-"""Many logs, each measured by itself: here, in processes, or on a cluster, with results kept for another run.
-
-A log that cannot be measured is an outcome with a reason; the others are measured all the same.
-"""
+"""Many logs, each measured by itself: here, in processes, or on a cluster, with results kept for another run."""
 
 from __future__ import annotations
 
-import base64
 import hashlib
 import json
 import logging
@@ -25,7 +21,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Base64Bytes, TypeAdapter
 
 from svmdist.errors import ProfileError, SvmdistError, UsageError, optional_package
 from svmdist.files import files_of, make_folder, write_atomically
@@ -35,11 +31,9 @@ from svmdist.workflows.parallel import Progress, each_in_processes, one_opencv_t
 from svmdist.workflows.request import LOG, Request
 
 Result = TypeVar("Result")
-Row = Mapping[str, Any]
 
 ATTEMPTS = 2  # a log whose process is killed is measured once more: it may have been another that took the memory
-MAX_STEM = 80
-MAX_REPEATED = 3
+MAX_REPEATED = 3  # logs with the same note, each of which says it
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,29 +46,26 @@ class LogFile:
 
 @dataclass(frozen=True)
 class Job(Generic[Result]):
-    """What is done with each log; it travels between processes, and results depend on nothing else but the log.
-
-    `measure(recording, request, threads, *options)` gives a result; where it has rows, it is a generator that yields
-    them and returns the result. `result_type` is a dataclass that pydantic can store.
-    """
+    """What is done with each log; it travels between processes, and results depend on nothing else but the log."""
 
     measure: Callable[..., Any]
+    """Gives a result of (recording, request, threads, *options); a generator yields rows, and returns the result."""
     request: Request
-    result_type: type[Result]
+    result_type: type[Result]  # a dataclass that pydantic can store
     options: tuple[Any, ...] = ()
 
 
 @dataclass(frozen=True)
 class Outcome(Generic[Result]):
-    """What came of a log: a result or why there is none, notes as (level, text), losses and how many are unlisted."""
+    """What came of a log: a result, or why there is none: the others are measured all the same."""
 
     result: Result | None
     failure: str | None = None
     losses: tuple[Loss, ...] = ()
-    unlisted_count: int = 0
+    unlisted_count: int = 0  # of losses
     metadata: dict[str, str] = field(default_factory=dict)
-    notes: tuple[tuple[int, str], ...] = ()
-    packed_rows: str = ""
+    notes: tuple[tuple[int, str], ...] = ()  # level and text
+    packed_rows: Base64Bytes = b""  # as it is stored
 
     @property
     def health(self) -> Health:
@@ -86,18 +77,17 @@ class Outcome(Generic[Result]):
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """The rows of the log; values that do not exist are left out."""
-        return map(json.loads, zlib.decompress(base64.b64decode(self.packed_rows)).splitlines())
+        return map(json.loads, zlib.decompress(self.packed_rows).splitlines())
 
 
 def measured(
     job: Job[Result], log: LogFile, threads: int, on_progress: Progress = unwatched, **more: Any
-) -> Generator[Row, None, Outcome[Result]]:
+) -> Generator[Mapping[str, Any], None, Outcome[Result]]:
     """Measure a log in this process: yield its rows, return its outcome. Raises what measuring it raises."""
     recording = replace(job.request.open(log.path, log.name), on_progress=on_progress)
     found = job.measure(recording, job.request, threads, *job.options, **more)
     result = (yield from found) if isinstance(found, Generator) else found
-    health = recording.health
-    return Outcome(result, None, health.losses, health.unlisted_count, dict(recording.metadata))
+    return Outcome(result, None, recording.health.losses, recording.health.unlisted_count, dict(recording.metadata))
 
 
 def outcome_of(job: Job[Result], threads: int, log: LogFile) -> Outcome[Result]:
@@ -110,8 +100,7 @@ def outcome_of(job: Job[Result], threads: int, log: LogFile) -> Outcome[Result]:
                 row = {key: value for key, value in next(steps).items() if value is not None}
                 packed += packer.compress(json.dumps(row, separators=(",", ":")).encode() + b"\n")
         except StopIteration as end:
-            rows = base64.b64encode(packed + packer.flush()).decode("ascii")
-            return replace(end.value, notes=tuple(notes), packed_rows=rows)
+            return replace(end.value, notes=tuple(notes), packed_rows=packed + packer.flush())
         except (UsageError, ProfileError):
             raise
         except SvmdistError as problem:
@@ -150,9 +139,8 @@ def log_notes(outcomes: Sequence[Outcome[Any]]) -> None:
     for (level, text), count in counts.items():
         if count > MAX_REPEATED:
             LOG.log(level, "%s (so in %d logs)", text, count)
-    for level, text in (note for one in outcomes for note in one.notes):
-        if counts[level, text] <= MAX_REPEATED:
-            LOG.log(level, "%s", text)
+    for level, text in (note for one in outcomes for note in one.notes if counts[note] <= MAX_REPEATED):
+        LOG.log(level, "%s", text)
 
 
 def measure_logs(
@@ -174,7 +162,16 @@ def measure_logs(
         LOG.info("%d of %d logs are done", len(found), len(logs))
     on_progress(len(found), len(logs))
     left = [log for log in logs if log not in found]
-    for at, outcome in _measured(left, job, jobs, scheduler):
+    if scheduler is not None and left:
+        ended = measured_on_cluster(partial(outcome_of, job, 1), left, scheduler)
+    else:
+        jobs = usable_cores() if jobs is None else jobs
+        in_memory = any(isinstance(log.path, RemoteFile) and log.path.url.startswith("memory:") for log in left)
+        workers = 1 if in_memory else max(1, min(jobs, len(left)))  # what is in a process's memory is its own
+        killed = Outcome[Result](None, f"its process was killed, perhaps for want of memory, {ATTEMPTS} times")
+        work = partial(outcome_of, job, max(1, jobs // workers))
+        ended = each_in_processes(work, left, workers, attempts=ATTEMPTS, died=killed)
+    for at, outcome in ended:
         found[left[at]] = outcome
         if store is not None and outcome.failure is None:
             store.save(left[at], outcome)
@@ -182,33 +179,23 @@ def measure_logs(
     return [found[log] for log in logs]
 
 
-def _measured(
-    logs: Sequence[LogFile], job: Job[Result], jobs: int | None, scheduler: str | None
-) -> Iterator[tuple[int, Outcome[Result]]]:
-    if scheduler is not None and logs:
-        yield from measured_on_cluster(partial(outcome_of, job, 1), logs, scheduler)
-        return
-    jobs = usable_cores() if jobs is None else jobs
-    in_memory = any(isinstance(log.path, RemoteFile) and log.path.url.startswith("memory:") for log in logs)
-    workers = 1 if in_memory else max(1, min(jobs, len(logs)))  # what is in a process's memory is its own
-    killed = Outcome[Result](None, f"its process was killed, perhaps for want of memory, {ATTEMPTS} times")
-    work = partial(outcome_of, job, max(1, jobs // workers))
-    yield from each_in_processes(work, logs, workers, attempts=ATTEMPTS, died=killed)
-
-
 class _Store:
     """A folder of results: one document per log, by request, name and path; valid while the log is the same."""
 
     def __init__(self, folder: Path, job: Job[Any]) -> None:
         self._folder = folder
-        self._request = _fingerprint(job)
         self._outcomes = TypeAdapter(Outcome[job.result_type])  # type: ignore[name-defined]
+        # All that results depend on beside the log; files that the profile names count by size and time.
+        named = _paths_in(job.request.setup.profile.model_dump())
+        files = [[str(path), _identity(path)] for path in named if path.is_file()]
+        said = (version("svmdist"), job.measure.__module__, job.measure.__qualname__, job.request, job.options)
+        self._request = _hashed(repr((said, files)))
         make_folder(folder, "keep results there")
 
     def _place(self, log: LogFile) -> Path:
         path = log.path.url if isinstance(log.path, RemoteFile) else str(log.path.absolute())
-        key = hashlib.sha256(f"{self._request}\0{log.name}\0{path}".encode("utf-8", "replace")).hexdigest()
-        stem = re.sub(r"[^A-Za-z0-9._-]+", "-", log.name).strip(".-")[-MAX_STEM:] or "log"
+        stem = re.sub(r"[^A-Za-z0-9._-]+", "-", log.name).strip(".-")[-80:] or "log"
+        key = _hashed(f"{self._request}\0{log.name}\0{path}")
         return self._folder / f"{stem}-{key[:24]}.json"
 
     def save(self, log: LogFile, outcome: Outcome[Any]) -> None:
@@ -224,7 +211,7 @@ class _Store:
                 return None
             found: Outcome[Any] = self._outcomes.validate_json(json.dumps(document["outcome"]))
             sum(1 for _ in found.rows())
-        except (OSError, ValueError, KeyError, TypeError, ValidationError, zlib.error):
+        except (OSError, ValueError, KeyError, TypeError, zlib.error):
             return None
         return found
 
@@ -237,12 +224,8 @@ def _identity(path: LogPath) -> list[list[Any]]:
     return [[file.name, (stat := file.stat()).st_size, stat.st_mtime_ns] for file in files]
 
 
-def _fingerprint(job: Job[Any]) -> str:
-    """A hash of what results depend on beside the log; files that the profile names count by size and time."""
-    setup = job.request.setup
-    files = [[str(path), _identity(path)] for path in _paths_in(setup.profile.model_dump()) if path.is_file()]
-    said = (version("svmdist"), job.measure.__module__, job.measure.__qualname__, job.request, job.options)
-    return hashlib.sha256(repr((said, files)).encode("utf-8", "replace")).hexdigest()
+def _hashed(text: str) -> str:
+    return hashlib.sha256(text.encode("utf-8", "replace")).hexdigest()
 
 
 def _paths_in(value: object) -> list[Path]:
@@ -251,31 +234,26 @@ def _paths_in(value: object) -> list[Path]:
 
 
 CONNECT_S, LOOK_S = 10.0, 0.25
-RETRIES = 1
 
 
 def measured_on_cluster(
     measure: Callable[[LogFile], Outcome[Result]], logs: Sequence[LogFile], address: str
 ) -> Iterator[tuple[int, Outcome[Result]]]:
-    """Yield (place, outcome) of logs as they end; workers read them by the same paths and URLs.
-
-    Raises SvmdistError where the scheduler does not answer or is lost, or a worker has another svmdist.
-    """
+    """Yield (place, outcome) of logs as they end, read by the same paths; SvmdistError where the cluster is lost."""
     distributed = optional_package("distributed", "cluster", "--scheduler", UsageError)
     client = _connected(address)
     try:
         packed = [pickle.dumps((measure, log)) for log in logs]  # the scheduler need not know what is measured
-        futures = client.map(measure_on_worker, packed, expected=version("svmdist"), pure=False, retries=RETRIES)
+        futures = client.map(measure_on_worker, packed, expected=version("svmdist"), pure=False, retries=1)
         places = {future.key: place for place, future in enumerate(futures)}
         for future in distributed.as_completed(futures, loop=client.loop):
             try:
-                outcome = future.result()  # one that its worker took along when it died is measured again
+                yield places[future.key], future.result()  # one that its worker took along is measured again
             except distributed.KilledWorker:
-                outcome = Outcome(None, "the workers that measured it were lost, every one")
+                yield places[future.key], Outcome(None, "the workers that measured it were lost, every one")
             except (CancelledError, OSError):
                 lost = f"the scheduler {address} is lost; --resume keeps the results of logs that ended"
                 raise SvmdistError(lost) from None
-            yield places[future.key], outcome
     finally:
         with suppress(Exception):
             client.close(timeout=2)
@@ -302,7 +280,7 @@ def _connected(address: str) -> Any:
     except ValueError as problem:
         reason = without_secrets(str(problem), address)
         raise UsageError(f"--scheduler {address}: {reason}; expected one as in tcp://host:8786") from None
-    except (OSError, TimeoutError) as problem:
+    except OSError as problem:
         reason = without_secrets(" ".join(str(problem).split()), address)
         raise SvmdistError(f"--scheduler {address}: cannot connect: {reason}") from None
     end_s = time.monotonic() + CONNECT_S

@@ -1,9 +1,9 @@
-"""Calibrations fitted to logs: of the paper's plane, and of the camera to a robot's base."""
+"""Calibrations fitted to logs: of the paper's plane, and of the camera to a robot's base; and a robot's tool poses."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -16,7 +16,7 @@ from svmdist.errors import CalibrationError, KinematicsError, RecordingError
 from svmdist.estimation import plane_mapping
 from svmdist.estimation.hand_eye import HandEyeFit, ToolPlaces, fit_hand_eye
 from svmdist.estimation.instrument.error_model import ErrorModel
-from svmdist.kinematics import shaft_of
+from svmdist.kinematics import forward_kinematics, select_joints, shaft_of
 from svmdist.kinematics.robot_state import RobotState
 from svmdist.profile import Profile
 from svmdist.profile import hand_eye as hand_eye_file
@@ -84,16 +84,12 @@ NEAR_NS = 200_000_000  # joint rates come from the joint states within this of a
 
 @dataclass(frozen=True)
 class HandEyeResult:
-    """The transform of an instrument's base, and how it was found.
-
-    `tool_std_m` is the standard deviation of the tool at its mean position, in the worst direction; `from_log` how far
-    the log's own transform is: rotation in rad and translation of the tool in m.
-    """
+    """The transform of an instrument's base, and how it was found."""
 
     hand_eye: hand_eye_file.HandEye
     fit: HandEyeFit
-    tool_std_m: float
-    from_log: tuple[float, float] | None
+    tool_std_m: float  # of the tool at its mean position, in the worst direction
+    from_log: tuple[float, float] | None  # how far the log's own is: rotation in rad and translation of the tool in m
 
 
 def hand_eye(
@@ -102,13 +98,20 @@ def hand_eye(
     """Fit the camera-to-base transform of an instrument; a Failure says why that is impossible.
 
     The method of the setup sees the tool, without any transform of the log. `against` is what the robot reports, joints
-    or poses; None takes joints where log and profile have them. With joints, a second pass measures with the wrist's
-    orientation by the first one. Raises RecordingError without joints and poses.
+    or poses; None takes joints where log and profile have them. Raises RecordingError without joints and poses.
     """
     setup = replace(setup, profile=setup.profile.model_copy(update={"hand_eye": None}))
     profile = setup.profile.for_instrument(instrument)
     own = recording.for_instrument(instrument)
-    against = against or _default_reference(own, profile)
+    if against is None:
+        robot, has_joints = profile.robot, own.topic_of("joints") is not None
+        if robot is not None and has_joints and not robot.missing_joints(own.joint_track().names):
+            against = "kinematics"
+        elif own.topic_of("pose") is not None:
+            against = "pose"
+        else:
+            none = f"no joint states of profile {profile.name}'s chain and no poses of {profile.instrument_name}"
+            raise RecordingError(f"{own.path.name}: {none}: hand-eye needs the one or the other")
 
     def fit_to(log: Recording) -> HandEyeResult | Failure:
         rows = [replayed.results[0] for (replayed,) in replay(log, [setup], jobs=jobs)]
@@ -122,36 +125,23 @@ def hand_eye(
     without = replace(recording, bases=dict.fromkeys(recording.instruments), wanted=(instrument,))
     found = fit_to(without)
     if isinstance(found, HandEyeResult) and against == "kinematics" and setup.method != "fiducial":
+        # Measured with the wrist's orientation by the first fit.
         second = fit_to(replace(without, bases={**without.bases, instrument: found.fit.T_camera_base}))
         found = second if isinstance(second, HandEyeResult) else found
     return found
 
 
-def _default_reference(recording: Recording, profile: Profile) -> Against:
-    robot, has_joints = profile.robot, recording.topic_of("joints") is not None
-    if robot is not None and has_joints and not robot.missing_joints(recording.joint_track().names):
-        return "kinematics"
-    if recording.topic_of("pose") is not None:
-        return "pose"
-    raise RecordingError(
-        f"{recording.path.name}: no joint states of profile {profile.name}'s chain and no poses of"
-        f" {profile.instrument_name}: hand-eye needs the one or the other"
-    )
-
-
 def _reported_tool(
     log: Recording, profile: Profile, against: Against, stamps_ns: Stamps
 ) -> tuple[Mask, Sequence[str], list[Array]]:
-    """Where the robot reports its tool, the names of errors that all frames share, and its columns of `ToolPlaces`.
-
-    Of joints, backlash is noise of each frame, and the other errors of the profile are shared by all frames.
-    """
+    """Where the robot reports its tool, the names of errors that all frames share, and its columns of `ToolPlaces`."""
     count = len(stamps_ns)
-    nominal_m, axes = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
+    nominal_m, axes = np.full((2, count, 3), np.nan)
     if against == "pose":
         poses = log.pose_track().at(stamps_ns)
         noise = np.repeat(profile.settings.hand_eye.pose_std_m**2 * np.eye(3)[None], count, 0)
         return poses.valid, (), [poses.values[:, :3, 3], noise, axes, np.zeros((count, 6, 0))]
+    # Backlash is noise of each frame, and the other errors of the profile are shared by all frames.
     chain = log.chain
     model = ErrorModel(chain, profile.kinematic_error)
     shaft, joints = shaft_of(chain), log.joint_track()
@@ -188,7 +178,7 @@ def _fit(
     nominal_m, noise, axes, shared = (column[known] for column in reported)
     tools = [rows[at].tool.pose for at in known]  # type: ignore[union-attr]  # rows of a seen tool
     seen_m = np.reshape([tool.position_m for tool in tools], (-1, 3))
-    camera = _camera_errors(seen_m, method, profile, float(recording.camera.K[0, 0]))
+    camera_names, camera_shared = _camera_errors(seen_m, method, profile, float(recording.camera.K[0, 0]))
     places = ToolPlaces(
         stamps_ns[known],
         seen_m,
@@ -199,19 +189,18 @@ def _fit(
         np.where(np.isfinite(axes).all(1), [tool.shaft_std_rad for tool in tools], np.nan),
         axes,
         shared,
-        np.concatenate(list(camera.values()), 2),
+        camera_shared,
     )
     fit = fit_hand_eye(places, profile.settings.hand_eye)
     if isinstance(fit, Failure):
         return fit
     # The effect of each calibration parameter on the fit, for estimators that use it; without exact ones.
-    counts = dict.fromkeys(shared_names, 1) | {name: errors.shape[2] for name, errors in camera.items()}
-    names = [name for name, count in counts.items() for _ in range(count)]
-    std = hand_eye_file.prior_deviations(profile)
-    effects = []
-    for name in (name for name in counts if std.get(name, 0.0) > 0.0):
-        columns = fit.effects[:, [n == name for n in names]].T.tolist()
-        effects.append(hand_eye_file.ConstantEffect(constant=name, deviation=std[name], effects=columns))
+    names = np.array([*shared_names, *camera_names])
+    std, effects = hand_eye_file.prior_deviations(profile), []
+    for name in dict.fromkeys(names.tolist()):
+        if std.get(name, 0.0) > 0.0:
+            columns = fit.effects[:, names == name].T.tolist()
+            effects.append(hand_eye_file.ConstantEffect(constant=name, deviation=std[name], effects=columns))
     hand_eye_of_fit = hand_eye_file.HandEye.model_validate(
         {
             "instrument": profile.instrument_name,
@@ -239,21 +228,54 @@ def _fit(
     return HandEyeResult(hand_eye_of_fit, fit, tool_std_m, from_log)
 
 
-def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float) -> dict[str, Array]:
-    """Effects of one standard deviation of calibration parameters on seen positions, (n, 6, k) for k numbers each.
+def _camera_errors(seen_m: Array, method: str, profile: Profile, focal_px: float) -> tuple[list[str], Array]:
+    """Calibration parameters, and the effects of one standard deviation of each on seen positions, (n, 6, m).
 
     A size or baseline that is too small scales positions towards the camera, a focal length their depth. A principal
     point rotates positions about the camera; its effect on directions is negligible.
     """
-    std = hand_eye_file.prior_deviations(profile)
+    std, size = hand_eye_file.prior_deviations(profile), SEEN_SIZES[method]
+    names = [size, hand_eye_file.FOCAL_LENGTH, *[hand_eye_file.PRINCIPAL_POINT] * 2]
     rotation_rad = std[hand_eye_file.PRINCIPAL_POINT] / focal_px
-    rotations = np.array([[0.0, rotation_rad, 0.0], [-rotation_rad, 0.0, 0.0]])
-    offsets = {
-        SEEN_SIZES[method]: [-std.get(SEEN_SIZES[method], 0.0) * seen_m],
-        hand_eye_file.FOCAL_LENGTH: [-std[hand_eye_file.FOCAL_LENGTH] * seen_m * [0.0, 0.0, 1.0]],
-        hand_eye_file.PRINCIPAL_POINT: [np.cross(rotation, seen_m) for rotation in rotations],
-    }
-    return {
-        name: np.stack([np.hstack([offset_m, np.zeros_like(offset_m)]) for offset_m in of_name], -1)
-        for name, of_name in offsets.items()
-    }
+    effects = np.zeros((len(seen_m), 6, len(names)))
+    effects[:, :3, 0] = -std.get(size, 0.0) * seen_m
+    effects[:, 2, 1] = -std[hand_eye_file.FOCAL_LENGTH] * seen_m[:, 2]
+    effects[:, :3, 2] = np.cross([0.0, rotation_rad, 0.0], seen_m)
+    effects[:, :3, 3] = np.cross([-rotation_rad, 0.0, 0.0], seen_m)
+    return names, effects
+
+
+BLOCK = 1 << 14
+
+
+def fk_blocks(recording: Recording, *, in_camera: bool = False) -> Generator[tuple[Stamps, Array, Array]]:
+    """Yield the tool's pose for every joint state in a recording's window, by the profile's chain, in blocks.
+
+    Each has stamps of joint states, (n,), the poses, (n, 4, 4), in the base's frame, and the errors of all its joint
+    states against the log's pose topic, (m, 2): position in m and angle in rad, NaN without a pose, with a constant
+    offset where its frame is not the chain's base. With `in_camera`, poses are in the camera's frame, by the transform
+    of a hand-eye file or of the log; joint states without one at their stamp are left out.
+    Raises, before the first block, RecordingError without joint states, transform or chain, and KinematicsError where
+    the chain's joints are not in the log.
+    """
+    chain, frames = recording.chain, recording.profile.frames
+    joints = recording.joint_track()
+    inside = recording.window.places(joints.stamps_ns)
+    if len(inside) == 0:
+        raise RecordingError(f"{recording.path.name}: no joint state is between --start and --end")
+    poses = recording.pose_track() if recording.topic_of("pose") is not None else None
+    base = recording.transform_track(frames.camera, frames.base) if in_camera else None
+    for start in range(0, len(inside), BLOCK):
+        places = inside[start : start + BLOCK]
+        at_ns = joints.stamps_ns[places]
+        T = forward_kinematics(chain, select_joints(chain, joints.names, joints.positions[places]))
+        errors = np.full((len(T), 2), np.nan)
+        if poses is not None:
+            measured = poses.at(at_ns)
+            difference = inverse(T[measured.valid]) @ measured.values[measured.valid]
+            errors[measured.valid, 0] = np.linalg.norm(difference[:, :3, 3], axis=-1)
+            errors[measured.valid, 1] = rotation_angle(difference[:, :3, :3], np.eye(3))
+        if base is not None:
+            T_camera_base = base.at(at_ns)
+            at_ns, T = at_ns[T_camera_base.valid], (T_camera_base.values @ T)[T_camera_base.valid]
+        yield at_ns, T, errors

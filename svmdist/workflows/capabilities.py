@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -40,13 +40,9 @@ TAG_IMAGES = 8  # that a tag is looked for in, spread over the log
 
 
 def capabilities(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str, ...]]:
-    """What a recording lacks for each command that reads recordings, empty for those that it can serve.
-
-    `no_tag` is what `look_for_tag` says.
-    """
-    methods, lacking = method_capabilities(summary, no_tag), _lacking(summary)
-    found = {"estimate": () if () in methods.values() else methods[METHODS[0]]}
-    found |= {name: _words(lacking, needs) for name, needs in COMMANDS.items()}
+    """What a recording lacks for each command that reads logs, empty for nothing; `no_tag` is of `look_for_tag`."""
+    methods = method_capabilities(summary, no_tag)
+    found = {"estimate": () if () in methods.values() else methods[METHODS[0]]} | _lacking(summary, COMMANDS)
     if said := misfit(summary):
         found |= dict.fromkeys(("estimate", "compare"), (f"a profile of its own: it is {said}",))
     return found
@@ -57,8 +53,7 @@ def best_method(
 ) -> tuple[str, str]:
     """The best method that most of the logs can serve, of many those of some, and why it is that one, in words.
 
-    `has_lag`: one is known or to be found. Raises RecordingError where none can be served, or none of the logs is one
-    of the profile.
+    `has_lag`: one is known or to be found. RecordingError where none can be served, or no log is one of the profile.
     """
     few = list[RecordingSummary]()
     for path in paths[:: -(-len(paths) // LOOKED_AT)]:
@@ -71,52 +66,39 @@ def best_method(
             raise RecordingError(f"{few[-1].recording.path}: {misfit(few[-1])}")
         return "kinematic", "no log could be looked at"
     for with_tags in (False, True):  # a tag is looked for in all of a log, and only where it matters
-        served, lacks = Counter[str](), dict[str, tuple[str, ...]]()
-        for summary in summaries:
-            no_tag = ""
-            with suppress(RecordingError):  # whoever measures it says so
-                if with_tags:
-                    no_tag = look_for_tag(summary.recording)
-            for name, missing in method_capabilities(summary, no_tag).items():
-                served[name] += not missing
-                lacks.setdefault(name, missing)
+        each = [method_capabilities(one, look_for_tag(one.recording) if with_tags else "") for one in summaries]
+        served = Counter(name for lacks in each for name in PREFERRED if not lacks[name])
         best = max(PREFERRED, key=served.__getitem__)  # the first of several
         if best != "fiducial":
             break
     above = PREFERRED[: PREFERRED.index(best)] if served[best] else PREFERRED
-    why = [f"{name} lacks {'; '.join(lacks[name])}" for name in above if lacks.get(name)]
+    why = [f"{name} lacks {'; '.join(each[0][name])}" for name in above if each[0][name]]
     if not served[best]:
-        raise RecordingError(
-            f"{paths[0]}: no method can measure this log with profile {profile.name}: {'. '.join(why)}"
-        )
+        none = f"no method can measure this log with profile {profile.name}"
+        raise RecordingError(f"{paths[0]}: {none}: {'. '.join(why)}")
     return best, f"the best that the log can serve{', as ' if why else ''}{', and '.join(why)}"
 
 
 def method_capabilities(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str, ...]]:
     """The same for each method of `estimate`."""
-    lacking = _lacking(summary, no_tag)
-    return {name: _words(lacking, (*IMAGES, *method.inputs)) for name, method in REGISTRY.items()}
+    return _lacking(summary, {name: (*IMAGES, *method.inputs) for name, method in REGISTRY.items()}, no_tag)
 
 
 def served_setups(recording: Recording, setups: Sequence[Setup]) -> tuple[Setup, ...]:
-    """Those setups that a log can serve; the others are remarked, with their reasons.
-
-    Raises RecordingError where there is none, and where the log is another one than the default profile's.
-    """
+    """Those setups that a log can serve, with a remark on others; RecordingError for none, and for a `misfit`."""
     summary = inspect_recording(recording.origin.open(), HEAD_S)
     lacks = method_capabilities(summary.at_any_lag() if recording.lag is not None else summary)
     left: tuple[Setup, ...] = ()
     without = defaultdict[str, list[str]](list)  # methods by the reason
     for setup in setups:
-        if setup.own is None and lacks.get(setup.method):
+        if setup.own is None and lacks[setup.method]:
             without[f"the log lacks {'; '.join(lacks[setup.method])}"].append(setup.method)
             continue
         try:
             setup.require_camera(recording)
+            left += (setup,)
         except CalibrationError as problem:
             without[str(problem).removeprefix(f"{recording.name}: ")].append(setup.method)
-        else:
-            left += (setup,)
     if without and (said := misfit(summary)):
         raise RecordingError(f"{summary.recording.path}: {said}")
     reasons = [f"{', '.join(methods)}: {reason}" for reason, methods in without.items()]
@@ -134,23 +116,19 @@ def misfit(summary: RecordingSummary) -> str:
     is_its_own = metadata.get("profile") == profile.name or ("joints" in summary.roles and not _missing_chain(summary))
     if is_its_own or profile.name != DEFAULT_PROFILE:
         return ""
-    stem = Path(str(path)).stem
-    return (
-        f"not a log of profile {profile.name}, the simulator's: write one with `svmdist profile new {path}"
-        f" -o {stem}.toml` and give --profile {stem}.toml"
-    )
+    own = f"{Path(str(path)).stem}.toml"
+    remedy = f"write one with `svmdist profile new {path} -o {own}` and give --profile {own}"
+    return f"not a log of profile {profile.name}, the simulator's: {remedy}"
 
 
 def require_clearance(setup: Setup) -> None:
     """Refuse alarms where no clearance is estimated: no alarm would ever be raised, which looks like safety."""
-    method, profile = setup.method, setup.profile
-    if method in PLANAR_METHODS:
-        choices = ", ".join(SPATIAL_METHODS)
-        raise UsageError(f"alarms need a clearance; {method} measures in the plane: the choices are {choices}")
-    if profile.instrument is None:
-        raise ProfileError(
-            f"profile {profile.name} has no [instrument]: alarms need a clearance, which needs the instrument's sizes"
-        )
+    if setup.method in PLANAR_METHODS:
+        planar = f"{setup.method} measures in the plane: the choices are {', '.join(SPATIAL_METHODS)}"
+        raise UsageError(f"alarms need a clearance; {planar}")
+    if setup.profile.instrument is None:
+        needs = "alarms need a clearance, which needs the instrument's sizes"
+        raise ProfileError(f"profile {setup.profile.name} has no [instrument]: {needs}")
 
 
 def look_for_tag(recording: Recording) -> str:
@@ -158,12 +136,15 @@ def look_for_tag(recording: Recording) -> str:
     fiducial, settings = recording.profile.fiducial, recording.profile.settings.tag
     if fiducial is None:
         return ""
-    looked = found = 0
-    for observation in observations_of(recording, (recording.image_count() or 0) // TAG_IMAGES, left_alone=True):
-        looked += 1
-        found += fiducial.id in find_tags(to_grey(observation.image_bgr), fiducial.family, settings)
-    tag = f"the tag {fiducial.family} {fiducial.id}"
-    return f"{tag}: it is in none of {looked} images looked at" if looked and not found else ""
+    stride = (recording.image_count() or 0) // TAG_IMAGES
+    try:
+        grey = (to_grey(one.image_bgr) for one in observations_of(recording, stride, left_alone=True))
+        found = [fiducial.id in find_tags(image, fiducial.family, settings) for image in grey]
+    except RecordingError:  # whoever measures it, or sums it up, says so
+        return ""
+    if not found or any(found):
+        return ""
+    return f"the tag {fiducial.family} {fiducial.id}: it is in none of {len(found)} images looked at"
 
 
 def observations_of(recording: Recording, stride: int, *, left_alone: bool = False) -> Iterator[Observation]:
@@ -174,12 +155,10 @@ def observations_of(recording: Recording, stride: int, *, left_alone: bool = Fal
             yield found[0]
 
 
-def _words(lacking: Mapping[str, tuple[str, ...]], needs: Iterable[str]) -> tuple[str, ...]:
-    return tuple(words for need in needs for words in lacking[need])
-
-
-def _lacking(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str, ...]]:
-    """What of each need of a command or a method is missing for the log's first instrument, in words."""
+def _lacking(
+    summary: RecordingSummary, needs: Mapping[str, tuple[str, ...]], no_tag: str = ""
+) -> dict[str, tuple[str, ...]]:
+    """What of the needs of commands or methods is missing for the log's first instrument, in words."""
     profile, roles = summary.recording.profile, summary.roles
     frames, of_profile = profile.frames, f"in profile {profile.name}"
 
@@ -202,7 +181,7 @@ def _lacking(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str
     has_base = profile.camera_to_base or links(frames.camera, frames.base)
     has_tool = not joints or "pose" in roles or links(frames.camera, frames.tool)
     to_base = f"transforms from {frames.camera} to {frames.base}"
-    return {
+    lacking = {
         **{role: topics(role) for role in Role},
         **{part: unless(getattr(profile, part), f"[{part}] {of_profile}") for part in PARTS},
         "right_image": topics("right_image", "right_camera_info")
@@ -219,6 +198,7 @@ def _lacking(summary: RecordingSummary, no_tag: str = "") -> dict[str, tuple[str
         "shaft": unless(profile.segmentation.shaft, f"[segmentation.shaft] {of_profile}"),
         "tag": unless(not no_tag, no_tag),
     }
+    return {name: tuple(words for need in of for words in lacking[need]) for name, of in needs.items()}
 
 
 def _topic_for(role: str, summary: RecordingSummary) -> str:

@@ -1,24 +1,32 @@
-"""A look at some images of all of a log before its first row: the offset of rows, comparisons."""
+"""What a log shows twice: a look at some images of all of it before its first row, and the tissue by both views."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from svmdist.errors import RecordingError
+from svmdist.errors import RecordingError, UsageError
 from svmdist.estimation import checks
 from svmdist.estimation.association import Association
-from svmdist.estimation.checks import Matches
 from svmdist.estimation.comparison import KINEMATICS, ROWS, Checks, Difference
 from svmdist.estimation.frame import Arm, Frame, Scene
 from svmdist.estimation.frame_methods import places_of
+from svmdist.estimation.instrument.measurement import Deviations
+from svmdist.estimation.tissue.surface import ALL_PX
 from svmdist.profile import Profile
 from svmdist.profile.robot import Tissue
 from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.recording.log import Recording
+from svmdist.recording.messages import Kind
 from svmdist.recording.observations import EncodedObservation
+from svmdist.recording.source import LossKind
+from svmdist.recording.summary import inspect_recording
+from svmdist.recording.topics import Role
 from svmdist.results import Failure, ToolPose
 from svmdist.samples import Observation, Rejection
 from svmdist.transforms import Array
@@ -27,6 +35,7 @@ from svmdist.vision.frame_context import as_pinholes, with_first_fields
 from svmdist.vision.segmentation import Segmenter, make_segmenter
 from svmdist.vision.stereo import LEVEL, RowAlignment, agreed_offset, corresponding_points, rectified_pair
 from svmdist.vision.tags import find_tags
+from svmdist.workflows.capabilities import HEAD_S, misfit
 from svmdist.workflows.request import CLEAN, Condition
 
 CHECKED = 6  # images, and up to twice as many, evenly over the log
@@ -39,18 +48,14 @@ SOMEWHERE = Tissue(plane_distance_m=0.1)
 
 
 def spread_observations(recording: Recording, count: int = CHECKED) -> list[EncodedObservation]:
-    """Up to twice `count` of a log's observations, evenly from its beginning to its end; none of a video that froze.
-
-    The log is read once, its length unknown: of those kept every second one goes whenever there are too many, so that
-    memory does not grow with the log.
-    """
+    """Up to twice `count` of a log's observations, evenly from its beginning to its end; none of a video that froze."""
     kept: list[EncodedObservation] = []
     stride = 1
     every = recording.encoded_observations(robot=False, stale=True)
     for place, one in enumerate(image for image in every if not image.repeats):
         if place % stride == 0:
             kept.append(one)
-        if len(kept) > 2 * count:
+        if len(kept) > 2 * count:  # the log is read once, its length unknown: memory does not grow with it
             kept, stride = kept[::2], 2 * stride
     return recording.with_states(kept)
 
@@ -60,7 +65,7 @@ def offset_to_remove(pairs: Sequence[Observation], profile: Profile) -> RowAlign
 
     Halved views show it where they show enough; of paper and of cameras far from each other it takes whole ones.
     """
-    pairs = [one for one in pairs if one.right is not None]
+    pairs = [as_pinholes(with_first_fields(one, profile.settings.interlace)) for one in pairs if one.right is not None]
     for step in (2, 1) if pairs else ():
         offset_px = agreed_offset(np.concatenate([_row_differences(one, profile, step) for one in pairs]))
         if offset_px is not None:
@@ -76,46 +81,32 @@ def first_of(spread: Sequence[EncodedObservation], profile: Profile) -> list[Obs
 
 
 def _row_differences(seen: Observation, profile: Profile, step: int) -> Array:
-    """Row in the right view less that in the left one, (n,) in px."""
-    seen = as_pinholes(with_first_fields(seen, profile.settings.interlace))
+    """Row in the right view less that in the left one, (n,) in px; none without a rectified pair."""
     right, settings = seen.right, profile.stereo_in_range
-    assert right is not None  # asked for before
-    pair = rectified_pair(seen.camera, right)
-    if isinstance(pair, Failure):
+    if right is None or isinstance(pair := rectified_pair(seen.camera, right), Failure):
         return np.zeros(0)
-    bounds_px = pair.disparity_at(settings.far_m), pair.disparity_at(settings.near_m)
-    far_px, near_px = (bound + pair.offset_px for bound in bounds_px)
+    far_px, near_px = (pair.disparity_at(at_m) + pair.offset_px for at_m in (settings.far_m, settings.near_m))
     views = to_grey(seen.image_bgr), to_grey(right.image_bgr)
-    found = corresponding_points(views, pair, settings.max_row_offset_px, (far_px, near_px), step)
-    return np.asarray(found[1][:, 1] - found[0][:, 1])
+    left_px, right_px = corresponding_points(views, pair, settings.max_row_offset_px, (far_px, near_px), step)
+    return np.asarray(right_px[:, 1] - left_px[:, 1])
 
 
 def arms_of(recording: Recording, profile: Profile, spread: Sequence[EncodedObservation]) -> list[Arm]:
-    """The arms of a recording's instruments, with the plates of their tags where its images show any of these.
-
-    Blood may hide one tag throughout a log, whose plate is then as wide as ever.
-    """
+    """The arms of a recording's instruments, with the plates of their tags where its images show any of these."""
     profiles, settings = [profile.for_instrument(name) for name in recording.instruments], profile.settings
     wanted = {one.fiducial.id for one in profiles if one.fiducial is not None}
-    images = (one.decoded.seen[0] for one in spread if wanted and one.decoded.seen is not None)
-    first_fields = (with_first_fields(seen, settings.interlace).image_bgr for seen in images)
-    has_plates = profile.fiducial is not None and any(
-        not wanted.isdisjoint(find_tags(to_grey(bgr), profile.fiducial.family, settings.tag)) for bgr in first_fields
-    )
+    has_plates = False
+    if wanted and profile.fiducial is not None:
+        images = (one.decoded.seen[0] for one in spread if one.decoded.seen is not None)
+        grey = (to_grey(with_first_fields(seen, settings.interlace).image_bgr) for seen in images)
+        # Of any: blood may hide one tag throughout a log, whose plate is then as wide as ever.
+        has_plates = any(wanted & find_tags(one, profile.fiducial.family, settings.tag).keys() for one in grey)
     return [Arm(one, has_plates and one.fiducial is not None) for one in profiles]
 
 
 def needs_association(arms: Sequence[Arm]) -> bool:
     """Whether instruments have to be associated: there are several, or images show others as such."""
     return len(arms) > 1 or isinstance(arms[0].profile.segmentation, AutoSegmentation)
-
-
-def look(seen: tuple[Observation, ...], arms: Sequence[Arm], segmenter: Segmenter, rows: RowAlignment) -> list[Frame]:
-    """A frame for each instrument in an image: several are associated as in the first image of a log."""
-    scene = Scene(seen[0], arms[0].profile, segmenter, rows)
-    if not needs_association(arms):
-        return [Frame.of(scene, arms[0], seen[0])]
-    return Association(arms).frames(scene, seen)
 
 
 def checked(
@@ -130,25 +121,25 @@ def checked(
 ) -> tuple[dict[str, Checks], dict[int, list[Frame]]]:
     """The comparisons of each instrument by its name, and what was looked at for them by the number of the image.
 
-    Of a log that is about some of its instruments only, these are not compared. The `least` images from all of it, and
-    points of so many `pairs`, are enough where nothing is suspect; else it is all of them.
+    The `least` images from all of it, and points of so many `pairs`, are enough where nothing is suspect; else it is
+    all of them. A log that is about some of its instruments only is not compared in what may show another one.
     """
     is_part, is_associated = recording.is_part, needs_association(arms)
     changes = [(one.before.camera, one.after.camera) for one in recording.camera_changes]
-    names = [arm.profile.instrument_name for arm in arms]
-    by_name: dict[str, list[Difference]] = {
-        name: [*checks.of_profile(arm), *checks.of_calibrations(changes, arm.profile.camera_error)]
-        for name, arm in zip(names, arms, strict=True)
-    }
-    places: dict[str, list[dict[str, ToolPose]]] = {name: [] for name in names}
+    by_name: dict[str, list[Difference]] = {}
+    places: dict[str, list[dict[str, ToolPose]]] = {}
+    for arm in arms:
+        of_cameras = checks.of_calibrations(changes, arm.profile.camera_error)
+        by_name[arm.profile.instrument_name] = [*checks.of_profile(arm), *of_cameras]
+        places[arm.profile.instrument_name] = []
     first = np.linspace(0, len(spread) - 1, least).round().astype(int).tolist()
     order = list(dict.fromkeys([*first, *range(len(spread))])) if spread else []
     looked: dict[int, list[Frame]] = {}
-    matches: list[Matches] = []
+    matches: list[checks.Matches] = []
 
     def found() -> dict[str, list[Difference]]:
         views = list(checks.of_views(arms[0].profile, matches))
-        return {name: [*by_name[name], *checks.of_motion(places[name]), *views] for name in names}
+        return {name: [*by_name[name], *checks.of_motion(places[name]), *views] for name in by_name}
 
     for place in order:
         is_suspect = any(d.deviations > SUSPECT_DEVIATIONS for ones in found().values() for d in ones)
@@ -158,14 +149,18 @@ def checked(
         if sighted is None:
             continue
         seen = tuple(condition.apply(one, number) for one in sighted)
-        frames = looked[number] = look(seen, arms, segmenter, rows)
-        scene = frames[0].scene
+        scene = Scene(seen[0], arms[0].profile, segmenter, rows)
+        if is_associated:  # as in the first image of a log
+            frames = Association(arms).frames(scene, seen)
+        else:
+            frames = [Frame.of(scene, arms[0], seen[0])]
+        looked[number] = frames
         shared = list(checks.of_scene(scene))
         # A surface that both views show is enough, where no method measures by both of them.
         is_wanted = is_suspect or len(matches) < pairs or not (matches or scene.stereo_surface)
         if is_wanted and (found_here := checks.matched(scene)) is not None:
             matches.append(found_here)
-        for name, frame in zip(names, frames, strict=True):
+        for name, frame in zip(by_name, frames, strict=True):
             unknown = len(arms) > 1 and isinstance(frame.robot_in_camera, Failure)
             if is_part or unknown or frame.ambiguity:  # what the image shows may be another instrument
                 by_name[name] += shared
@@ -180,24 +175,12 @@ def checked(
     return {name: Checks.of(ones, len(looked)) for name, ones in found().items()}, looked
 
 
-@dataclass(frozen=True)
-class ViewsCompared:
-    """Both views of pairs against their cameras, and how rows are aligned where these contradict."""
+class ViewsCompared(NamedTuple):
+    """Both views of pairs against their cameras; words are empty where nothing contradicts."""
 
-    checks: Checks
-    rows: RowAlignment | None
-
-    @property
-    def refusal(self) -> str:
-        """Why they cannot be those of their cameras, whatever they show; empty where they can be."""
-        wrong = [one for one in self.checks.comparisons if one.usual.what != ROWS]
-        return warning({"": Checks(tuple(wrong))})
-
-    @property
-    def warning(self) -> str:
-        """What contradicts, and what it leads to; empty where nothing does."""
-        said = warning({"": self.checks})
-        return f"{said}; depths are less sure the further they are from the middle" if said else ""
+    rows: RowAlignment | None = None  # how they are aligned where they contradict
+    refusal: str = ""  # why the views cannot be those of their cameras, whatever they show
+    warning: str = ""  # what contradicts, and what it leads to
 
 
 def compare_views(pairs: Iterable[Observation], profile: Profile) -> ViewsCompared:
@@ -206,7 +189,11 @@ def compare_views(pairs: Iterable[Observation], profile: Profile) -> ViewsCompar
     scenes = [Scene(one, profile, segmenter) for one in pairs if one.right is not None]
     matches = [found for scene in scenes if (found := checks.matched(scene)) is not None]
     compared = Checks.of(checks.of_views(profile, matches), len(matches))
-    return ViewsCompared(compared, checks.row_alignment(matches) if compared.bends_rows else None)
+    but_rows = Checks(tuple(one for one in compared.comparisons if one.usual.what != ROWS))
+    if said := warning({"": compared}):
+        said += "; depths are less sure the further they are from the middle"
+    rows = checks.row_alignment(matches) if compared.bends_rows else None
+    return ViewsCompared(rows, warning({"": but_rows}), said)
 
 
 def warning(found: Mapping[str, Checks]) -> str:
@@ -219,10 +206,7 @@ def warning(found: Mapping[str, Checks]) -> str:
 
 
 def check_log(recording: Recording) -> dict[str, Checks]:
-    """All comparisons that a log and its profile allow, by the name of the instrument; RecordingError without images.
-
-    Images that cannot be used join the log's losses.
-    """
+    """All comparisons that a log and its profile allow, by the instrument's name; RecordingError without images."""
     own = recording.origin.profile
     profile = own.model_copy(update={"tissue": own.tissue or SOMEWHERE})
     segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
@@ -234,3 +218,61 @@ def check_log(recording: Recording) -> dict[str, Checks]:
     if spread and isinstance(why := spread[0].decoded.found, Rejection) and not any(one.decoded.seen for one in spread):
         raise RecordingError(f"{recording.name}: no image of {len(spread)} can be used: {why.detail or why.status}")
     return checked(recording, spread, arms, segmenter, rows, least=len(spread), pairs=len(spread))[0]
+
+
+@dataclass(frozen=True, slots=True)
+class TissueSurface:
+    """Points of the tissue in the left camera's frame, as one image of a log shows them."""
+
+    points_m: Array  # (n, 3)
+    normals: Array  # (n, 3), of length 1, to the camera
+    std_m: Array  # (n,), standard deviations along the line of sight, by matching and calibration
+    rgb: NDArray[np.uint8]  # (n, 3), the colour in the left image
+    share: float  # of the tissue in the left image that is seen
+    number: int  # of the image in its log, from 0
+    stamp_ns: int
+    frame_id: str
+
+
+def tissue_surface(recording: Recording, number: int) -> TissueSurface:
+    """The surface that both views of an image, by its number, show; RecordingError, or UsageError without the image."""
+    if not isinstance(number, int) or number < 0:
+        raise UsageError(f"expected the number of an image, 0 or more; found {number}")
+    if recording.topic_of(Role.RIGHT_IMAGE) is None or recording.right_camera is None:
+        summary = inspect_recording(recording, HEAD_S)
+        has_two = sum(one.kind is Kind.IMAGE for one in summary.topics) > 1  # which a profile would name
+        needs = "a surface needs a calibrated right view, which it has not: `svmdist import` takes two"
+        raise RecordingError(f"{recording.name}: {(has_two and misfit(summary)) or needs}")
+    profile = recording.origin.profile
+    segmenter = make_segmenter(profile.segmentation, profile.settings.auto)
+    pairs = first_of(spread_observations(recording), profile)
+    views = compare_views(pairs, profile)
+    if views.refusal:
+        raise RecordingError(f"{recording.name} shows no surface: {views.refusal}")
+    if views.warning:
+        recording.health.lose(LossKind.CONTRADICTION, views.warning)
+    chosen = next(islice(recording.encoded_observations(robot=False), number, None), None)
+    if chosen is None:
+        raise UsageError(f"{recording.name} has no image {number}")
+    found, where = chosen.decode().found, f"{recording.name}: frame {number}"
+    if isinstance(found, Rejection):
+        raise RecordingError(f"{where} cannot be read: {found.detail or found.status}")
+    scene = Scene(found[0], profile, segmenter, views.rows or offset_to_remove(pairs, profile))
+    pair, right, seen = scene.stereo_pair, scene.observation.right, scene.observation
+    if isinstance(pair, Failure) or right is None:
+        raise RecordingError(f"{where} shows no surface: {pair.reason if isinstance(pair, Failure) else 'no pair'}")
+    surface = scene.surface(most_px=ALL_PX)
+    if surface is None:
+        few = "too little of the tissue is found in both views (svmdist show --masks)"
+        raise RecordingError(f"{where}: {misfit(inspect_recording(recording, HEAD_S)) or few}")
+    is_seen = surface.is_seen
+    return TissueSurface(
+        surface.points_m,
+        surface.normals[is_seen],
+        surface.deviations_m(seen.camera, right, Deviations.of(profile))[is_seen],
+        np.ascontiguousarray(surface.colours(seen.image_bgr, seen.camera)[:, ::-1]),
+        surface.share,
+        number,
+        seen.stamp_ns,
+        recording.logged_camera.frame_id,
+    )

@@ -15,17 +15,13 @@ MAX_REMARKS = 6  # lines
 
 @dataclass
 class Ending:
-    """Counts over the rows of a log, and its alarms: `events` by instrument, and the number of their first image.
+    """Counts over the rows of a log, and its alarms."""
 
-    `tally` has the rows by status and detail, in the order in which they first came; `seen` and `refused` those in
-    which a detection was measured, and contradicted the rest; `remarks` are the recording's.
-    """
-
-    tally: dict[str, Counter[str]] = field(default_factory=dict)
-    seen: Counter[str] = field(default_factory=Counter)
-    refused: Counter[str] = field(default_factory=Counter)
-    events: dict[str, dict[int, AlarmEvent]] = field(default_factory=dict)
-    remarks: list[str] = field(default_factory=list)
+    tally: dict[str, Counter[str]] = field(default_factory=dict)  # by status and detail, as these first came
+    seen: Counter[str] = field(default_factory=Counter)  # rows in which a detection was measured,
+    refused: Counter[str] = field(default_factory=Counter)  # and in which it contradicted the rest
+    events: dict[str, dict[int, AlarmEvent]] = field(default_factory=dict)  # by instrument and first image
+    remarks: list[str] = field(default_factory=list)  # on the recording
     least: FrameResult | None = None  # the row of the smallest clearance
 
     @classmethod
@@ -73,14 +69,12 @@ class Ending:
 
 
 def refusals_in_words(endings: Iterable[Ending]) -> Iterator[str]:
-    """One text for each detection that was refused anywhere, the most refused one first.
-
-    It contradicts those detections that were refused in less than half of their rows, and nominal kinematics else.
-    """
+    """One text for each detection that was refused anywhere, the most refused one first."""
     seen, refused = Counter[str](), Counter[str]()
     for one in endings:
         seen.update(one.seen)
         refused.update(one.refused)
+    # It contradicts those that were refused in less than half of their rows, and nominal kinematics else.
     inliers = [name for name in seen if 2 * refused[name] < seen[name]]
     for name, count in refused.most_common():
         others = [one for one in inliers if one != name] or ["the joints"]
@@ -102,17 +96,16 @@ def alarms_in_words(endings: Mapping[str, Ending], rules: AlarmRules) -> str:
     every = [(log, event) for log, one in endings.items() for event in one.alarms]
     instruments = {event.instrument for _, event in every}
 
-    def at(log: str, event: AlarmEvent, number: int) -> str:
+    def where(log: str, event: AlarmEvent) -> str:
         names = [log] * (len(endings) > 1) + [event.instrument] * (len(instruments) > 1)
-        return f"({' '.join(names)}{', ' * bool(names)}frame {number})"
+        return f"({' '.join(names)}{', ' * bool(names)}frame {event.start_number})"
 
     said = f"{len(every) or 'no'} alarm{'s' * (len(every) > 1)} ({rules.in_words})"
     if every:
-        first_log, first = every[0]
-        long_log, longest = max(every, key=lambda one: one[1].duration_s)
-        said += f": first at {first.start_s:.2f} s {at(first_log, first, first.start_number)}"
-        said += f", longest {longest.duration_s:.2f} s {at(long_log, longest, longest.start_number)}"
-    statuses = sum((Counter(one.statuses) for one in endings.values()), Counter[str]())
-    if lost := statuses.total() - statuses[Status.OK]:
-        said += f"; {lost} frames without a clearance raise none, which does not make them safe"
+        longest = max(every, key=lambda one: one[1].duration_s)
+        said += f": first at {every[0][1].start_s:.2f} s {where(*every[0])}"
+        said += f", longest {longest[1].duration_s:.2f} s {where(*longest)}"
+    lost = (count for one in endings.values() for status, count in one.statuses.items() if status != Status.OK)
+    if count := sum(lost):
+        said += f"; {count} frames without a clearance raise none, which does not make them safe"
     return said

@@ -25,7 +25,8 @@ from svmdist.vision.silhouette import Silhouette
 from svmdist.workflows.replay import Replayed, replay
 from svmdist.workflows.request import Setup
 
-CIRCLE_POINTS = 36
+ANGLES = np.linspace(0.0, 2.0 * np.pi, 36, endpoint=False)
+CIRCLE = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
 MIN_CONTOUR_PX = 6  # shorter contours are specks
 BEND_STEP_PX = 10.0  # a straight line of an ideal camera is drawn in pieces of this length where the lens bends it
 
@@ -144,15 +145,13 @@ def _through_lens(shape: Shape, lens: Camera) -> Shape:
     """The shape where the lens shows it, in short pieces: detectors looked at an image without distortion."""
     if not lens.has_distortion:
         return shape
-    points_px = shape.points_px
+    points_px, is_closed = shape.points_px, shape.form is Form.LOOP
     if shape.form is not Form.POINTS:
-        is_closed = shape.form is Form.LOOP
-        path_px = np.vstack([points_px, points_px[:1]]) if is_closed else points_px
         pieces = []
-        for start, end in pairwise(path_px):
+        for start, end in pairwise([*points_px, points_px[0]] if is_closed else points_px):
             count = max(1, int(np.ceil(np.linalg.norm(end - start) / BEND_STEP_PX)))
             pieces.append(np.linspace(start, end, count, endpoint=False))
-        points_px = np.concatenate(pieces if is_closed else [*pieces, path_px[-1:]])
+        points_px = np.concatenate(pieces if is_closed else [*pieces, points_px[-1:]])
     return replace(shape, points_px=seen_through(lens, points_px))
 
 
@@ -176,12 +175,9 @@ def contours_of(mask: Image, part: Part, name: str = "", offset: tuple[int, int]
 def _distal_marker(distal: DistalMarker, name: str) -> Shape:
     """The circle of the marker; its centre where no circle fits."""
     circle = distal if distal.disc is None else distal.disc
-    centre_px, radius_px = circle.centre_px, circle.radius_px
-    if radius_px is None:
-        return Shape(Part.DISTAL_MARKER, Form.POINTS, np.atleast_2d(centre_px), name)
-    angles = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS, endpoint=False)
-    around = np.column_stack([np.cos(angles), np.sin(angles)])
-    return Shape(Part.DISTAL_MARKER, Form.LOOP, centre_px + radius_px * around, name)
+    if circle.radius_px is None:
+        return Shape(Part.DISTAL_MARKER, Form.POINTS, np.atleast_2d(circle.centre_px), name)
+    return Shape(Part.DISTAL_MARKER, Form.LOOP, circle.centre_px + circle.radius_px * CIRCLE, name)
 
 
 def _shaft(silhouette: Silhouette, name: str) -> Iterator[Shape]:
@@ -197,16 +193,12 @@ def _shaft(silhouette: Silhouette, name: str) -> Iterator[Shape]:
 def virtual_marker(frame: Frame) -> MarkerSearch | None:
     """Search for the marker as `overlay` did in this frame; None where it pasted none."""
     tissue, instrument = vars(frame.left).get("regions_as_recorded") or (None, None)
-    if tissue is None or instrument is None:
-        return None
-    return search_marker(frame, instrument.centroid_px)
+    return None if tissue is None or instrument is None else search_marker(frame, instrument.centroid_px)
 
 
 def _shown_distance(result: FrameResult) -> tuple[str, Distance] | None:
     """The distance that says most: the clearance, else the spatial, else the planar one; None without any."""
-    if not result.measured:
-        return None
-    names = ("clearance", "spatial", "planar")
+    names = ("clearance", "spatial", "planar") if result.measured else ()
     return next(((name, found) for name in names if (found := getattr(result.distances, name))), None)
 
 
@@ -242,12 +234,11 @@ def segments(result: FrameResult) -> Iterator[Segment]:
 
 def distance_shapes(result: FrameResult, lens: Camera) -> list[tuple[Shape, Label]]:
     """The lines of a result's distances in the recorded image, with their lengths beside them."""
-    seen = [one for one in segments(result) if min(one.start_m[2], one.end_m[2]) > 0.0]
-    who = {Part.DISTANCE: result.instrument, Part.BETWEEN: "between"}
-    drawn = [
-        (one.part, lens.project(np.stack([one.start_m, one.end_m])), f"{who[one.part]} {one.text}".strip())
-        for one in seen
-    ]
+    who, drawn = {Part.DISTANCE: result.instrument, Part.BETWEEN: "between"}, []
+    for one in segments(result):
+        ends_m = np.stack([one.start_m, one.end_m])
+        if ends_m[:, 2].min() > 0.0:
+            drawn.append((one.part, lens.project(ends_m), f"{who[one.part]} {one.text}".strip()))
     shown, ends = _shown_distance(result), (result.image.tool_px, result.image.tissue_px)
     if shown and shown[0] != "clearance" and None not in ends:
         drawn.append((Part.DISTANCE, np.array(ends), f"{shown[0]} {in_words(shown[1])}"))

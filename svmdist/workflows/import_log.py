@@ -1,7 +1,4 @@
-"""Import: images or video, a calibration, and tables of poses and joints, written as a log.
-
-A PNG or JPEG is stored as it is. Other formats, frames of a video and halves of pictures side by side are decoded.
-"""
+"""Import: images or video, a calibration, and tables of poses and joints, written as a log."""
 
 from __future__ import annotations
 
@@ -35,7 +32,8 @@ from svmdist.workflows.parallel import Progress, unwatched
 LIMITS = Limits()
 SIDES = ("left", "right")
 FRAMES = ("camera", "camera_right")
-Picture = bytes | Image  # a file's bytes, PNG or JPEG, or decoded pixels, BGR
+Picture = bytes | Image
+"""A PNG or JPEG, which is stored as it is; else pixels, BGR: of other formats, of a video, of a part of a picture."""
 Message = tuple[int, str, "Sample | EncodedSample"]  # stamp in ns, topic, and what is written
 
 
@@ -65,11 +63,6 @@ class ImportOptions:
         return self.right is not None or self.right_pattern is not None
 
     @property
-    def count(self) -> int:
-        """How many views there are."""
-        return 2 if self.side_by_side or self.has_right_source else 1
-
-    @property
     def takes_parts(self) -> bool:
         """Whether the log has parts of the pictures, which have to be decoded for it."""
         return self.side_by_side or self.crop is not None
@@ -89,16 +82,13 @@ class ImportResult:
 
 @dataclass(frozen=True)
 class View:
-    """One stream of pictures of one size; `read` gives (place, picture) of every `ImportOptions.every`-th in order.
-
-    It leaves out what cannot be read, and says so in `losses`, by the place.
-    """
+    """One stream of pictures of one size."""
 
     names: list[str]
     stamps_ns: list[int]
     size_px: tuple[int, int]
-    read: Callable[[], Iterator[tuple[int, Picture]]]
-    losses: dict[int, str]
+    read: Callable[[], Iterator[tuple[int, Picture]]]  # place and picture of every `ImportOptions.every`-th, in order
+    losses: dict[int, str]  # what could not be read, and was left out, by the place
 
 
 def import_log(
@@ -106,14 +96,15 @@ def import_log(
 ) -> ImportResult:
     """Write a log of files. Raises UsageError, SourceError or OutputError, and leaves no file then."""
     with suppress(RecordingError):
-        open_source(options.source, Limits())
+        open_source(options.source, LIMITS)
         raise UsageError(f"{options.source}: is a log already, which needs no import: svmdist info")
-    given = given_cameras(options.calibration, options.count)
-    views = _open_views(options)
     halved = 2 if options.side_by_side else 1
+    count = 2 if options.has_right_source else halved
+    given = given_cameras(options.calibration, count)
+    views = _open_views(options)
     sizes = [(view.size_px[0] // halved, view.size_px[1]) for view in views] * halved
     calibrated_px, unit_m = options.calibration.size_px, options.calibration.unit_m
-    cameras = complete(given, sizes, FRAMES[: options.count], calibrated_px, options.crop, unit_m)
+    cameras = complete(given, sizes, FRAMES[:count], calibrated_px, options.crop, unit_m)
     tables, late = _table_messages(options, dict(zip(views[0].names, views[0].stamps_ns, strict=True)))
     images = [_image_messages(views, at, cameras, options) for at in range(len(views))]
     total = sum(len(range(0, len(view.names), options.every)) for view in views)
@@ -123,7 +114,7 @@ def import_log(
         "side_by_side": "yes" if options.side_by_side else "no",
         "version_svmdist": version("svmdist"),
     }
-    T_left_right = stereo_transform(*cameras) if options.count == 2 else None
+    T_left_right = stereo_transform(*cameras) if count == 2 else None
     said = [exchanged_names(given), *late]
     if options.rate_hz is not None and (missing := missing_numbers(views[0].names)):
         said.append(f"{missing}: by --rate these follow each other as all images do; --times FILE says otherwise")
@@ -143,7 +134,7 @@ def import_log(
         writer.discard()
         vars(problem).pop("__notes__", None)  # which say where the discarded file is
         raise
-    has_baseline = None if options.count == 1 else T_left_right is not None
+    has_baseline = None if count == 1 else T_left_right is not None
     losses = [loss for view in views for loss in view.losses.values()]
     warnings = [one for one in said if one]
     return ImportResult(output, dict(writer.counts), output.stat().st_size, has_baseline, losses, warnings)
@@ -223,10 +214,8 @@ def _open_views(options: ImportOptions) -> list[View]:
             with reading(source, SourceError):
                 open_regular(source).close()  # a pipe or a device would be waited for
         if source.is_dir() != options.source.is_dir():
-            raise UsageError(
-                f"{source}: {'is' if source.is_dir() else 'is no'} folder, and {options.source}"
-                f" {'a video' if source.is_dir() else 'is one'}: both views come in one form"
-            )
+            form, other = ("is", "a video") if source.is_dir() else ("is no", "is one")
+            raise UsageError(f"{source}: {form} folder, and {options.source} {other}: both views come in one form")
     views = _file_views(options) if options.source.is_dir() else _video_views(options, sources)
     width_px = views[0].size_px[0]
     if options.side_by_side and width_px % 2:
@@ -258,28 +247,24 @@ def _file_views(options: ImportOptions) -> list[View]:
 
 def _file_view(paths: Sequence[Path], stamps_ns: list[int], options: ImportOptions) -> View:
     losses: dict[int, str] = {}
+    sizes_px: dict[str, tuple[int, int]] = {}  # the first one is that of all
 
-    def pictures() -> Iterator[tuple[int, Picture, tuple[int, int]]]:
+    def read() -> Iterator[tuple[int, Picture]]:
         for place in range(0, len(paths), options.every):
             try:
                 picture, found_px = read_file(paths[place], LIMITS, decode=options.takes_parts)
             except SourceError as problem:
                 losses[place] = str(problem)
-            else:
-                yield place, picture, found_px
-
-    def read() -> Iterator[tuple[int, Picture]]:
-        for place, picture, (width_px, height_px) in pictures():
-            if (width_px, height_px) != size_px:
-                expected = f"{paths[first].name} has {size_px[0]}x{size_px[1]} px"
-                raise SourceError(f"{paths[place]}: {width_px}x{height_px} px; {expected}")
+                continue
+            sizes_px[paths[place].name] = found_px
+            first, size_px = next(iter(sizes_px.items()))
+            if found_px != size_px:
+                raise SourceError("{}: {}x{} px; {} has {}x{} px".format(paths[place], *found_px, first, *size_px))
             yield place, picture
 
-    try:
-        first, _, size_px = next(pictures())
-    except StopIteration:
-        raise SourceError(losses[0]) from None
-    return View([path.name for path in paths], stamps_ns, size_px, read, losses)
+    if next(read(), None) is None:
+        raise SourceError(losses[0])
+    return View([path.name for path in paths], stamps_ns, next(iter(sizes_px.values())), read, losses)
 
 
 def _video_views(options: ImportOptions, sources: Sequence[Path]) -> list[View]:
@@ -302,11 +287,10 @@ def _stamps(options: ImportOptions, names: list[str], times_ns: Sequence[int] | 
         return [options.start_ns + round(number * 1e9 / options.rate_hz) for number in range(len(names))]
     if options.times is None and times_ns is not None:
         return [options.start_ns + time_ns for time_ns in times_ns]
-    times = options.times
-    stamps = table_files.read_times(times, names) if times else table_files.stamps_from_names(names)
+    stamps = table_files.read_times(options.times, names) if options.times else table_files.stamps_from_names(names)
     if stamps is None:
         raise UsageError(f"the name {names[0]} has no time (in s or ns since 1970): give --rate HZ or --times FILE")
     if options.start_ns:
-        raise UsageError(f"--start goes with --rate or a video; times are those of {times or 'the names'}")
+        raise UsageError(f"--start goes with --rate or a video; times are those of {options.times or 'the names'}")
     table_files.require_rising(stamps, names, str(options.times or options.source))
     return stamps

@@ -27,7 +27,6 @@ from svmdist.recording.summary import RecordingSummary, inspect_recording
 from svmdist.recording.topics import Role, is_right
 from svmdist.remote import LogPath
 from svmdist.samples import Image, Observation
-from svmdist.transforms import Array
 from svmdist.vision.colour import DistinctColour, find_distinct_colour
 from svmdist.vision.frame_context import as_pinholes
 from svmdist.vision.instruments.find_instruments import AutoMasks
@@ -91,10 +90,7 @@ class LogRoles(NamedTuple):
 
 
 def draft_profile(path: LogPath, name: str, topics: Mapping[str, str], instrument: str | None = None) -> ProfileDraft:
-    """Look at a log and draft its profile; `topics` chooses some by role, where `find_roles` would raise.
-
-    `instrument` is a name in the table of instruments; without it, joints of a da Vinci mean one of 8 mm.
-    """
+    """Look at a log and draft its profile; `topics` chooses some by role, where `find_roles` would raise."""
     blank = _blank({})
     summary = inspect_recording(open_recording(path, blank))
     roles = find_roles(summary, topics)
@@ -147,17 +143,14 @@ def find_roles(summary: RecordingSummary, given: Mapping[str, str]) -> LogRoles:
 
     images, cameras = carrying("images", "depth", "disparity"), carrying("camera calibrations")
     image = given.get("image") or _left_image(images, summary)
-    if not (cameras or "camera_info" in given):
-        raise RecordingError(
-            f"{log}: no topic with camera calibrations: estimates need one (svmdist import writes a log of images and"
-            f" a calibration){unread(summary.recording.topics())}"
-        )
     fitting = [topic for topic in cameras if is_right(image) or not is_right(topic)]
     if not (fitting or "camera_info" in given):
-        raise RecordingError(
-            f"{log}: no topic with camera calibrations for {sanitize(image)}: {sanitize_list(cameras)} is the right"
-            " view's (--topic camera_info=TOPIC chooses another)"
-        )
+        none = f"{log}: no topic with camera calibrations"
+        if cameras:
+            remedy = "(--topic camera_info=TOPIC chooses another)"
+            raise RecordingError(f"{none} for {sanitize(image)}: {sanitize_list(cameras)} is the right view's {remedy}")
+        remedy = f"(svmdist import writes a log of images and a calibration){unread(summary.recording.topics())}"
+        raise RecordingError(f"{none}: estimates need one {remedy}")
     camera = given.get("camera_info") or _nearest(image, fitting)
     topics = {"image": image, "camera_info": camera}
     right = given.get("right_image") or _right_of(image, images)
@@ -188,9 +181,9 @@ def _left_image(images: Sequence[str], summary: RecordingSummary) -> str:
     """The only topic of images that is not a right camera's, or the only left one."""
     name, lefts = summary.recording.path.name, list(images)
     if not lefts:
-        there = sanitize_list(topic.topic for topic in summary.topics)
-        said = unread(summary.recording.topics())
-        raise RecordingError(f"{name}: no topic with images; the topics are {there or 'none'}{said}")
+        there = sanitize_list(topic.topic for topic in summary.topics) or "none"
+        said = f"the topics are {there}{unread(summary.recording.topics())}"
+        raise RecordingError(f"{name}: no topic with images; {said}")
     lefts = [topic for topic in lefts if not is_right(topic)] or lefts
     lefts = [topic for topic in lefts if _right_of(topic, images)] or lefts
     for word in ("left", "rect"):
@@ -202,12 +195,10 @@ def _left_image(images: Sequence[str], summary: RecordingSummary) -> str:
 
 
 def _right_of(left: str, images: Sequence[str]) -> str | None:
-    for one, other in SIDES:
-        name = left.replace(one, other)
-        if name != left and name in images:
-            return name
+    named = (left.replace(one, other) for one, other in SIDES)
     rights = [topic for topic in images if is_right(topic)]
-    return rights[0] if len(rights) == 1 and rights[0] != left else None
+    only = rights[0] if len(rights) == 1 and rights[0] != left else None
+    return next((name for name in named if name != left and name in images), only)
 
 
 def _nearest(image: str, cameras: Sequence[str]) -> str:
@@ -235,15 +226,12 @@ def _blank(topics: Mapping[str, str]) -> Profile:
 
 
 def _instruments_by_entries(images: Sequence[Image]) -> tuple[InstrumentDraft, ...]:
-    """As many instruments as images often show, from right to left, with the sides that they come in nearest to.
-
-    One, of any side, where no two are seen.
-    """
+    """As many instruments as images often show, from right to left, with their nearest sides; else one of any side."""
     seen = [[one.entry_px / one.size[::-1] for one in AutoMasks(image).seen[: len(SIDE_MIDDLES)]] for image in images]
     least = max(ENOUGH_IMAGES * len(images), min(2, len(images)), 1)
     several = range(2, len(SIDE_MIDDLES) + 1)
     count = max([1, *(n for n in several if sum(len(one) >= n for one in seen) >= least)])
-    entries: Sequence[EntrySide | None] = [None]
+    entries: tuple[EntrySide | None, ...] = (None,)
     if count > 1:
         # In the order of the picture's rim, from below over left, above and right, the same place is the same one
         around = [
@@ -271,8 +259,7 @@ def _surface(
     rules = _blank({}).model_copy(update={"segmentation": AutoSegmentation(method="auto"), "tissue": SOMEWHERE})
     segmenter, deviations = make_segmenter(rules.segmentation), Deviations(CameraError())
     rows = rows or offset_to_remove(observations, rules)
-    clouds: list[Array] = []
-    stds_m: list[float] = []
+    clouds, stds_m = [], []
     for observation in observations:
         scene = Scene(observation, rules, segmenter, rows)
         surface, right = scene.stereo_surface, scene.observation.right

@@ -1,7 +1,4 @@
-"""Work in several threads or processes, and how far it is: results do not depend on the number of workers.
-
-Threads work ahead on the frames of one log; processes take whole logs, or parts of a comparison or a simulation.
-"""
+"""Work in several threads or processes, and how far it is: results do not depend on the number of workers."""
 
 from __future__ import annotations
 
@@ -108,13 +105,13 @@ def each_in_processes(
     *,
     attempts: int = 1,
     died: Result | None = None,
-    on_step: Callable[[], None] | None = None,
+    on_step: Callable[[int], None] | None = None,
 ) -> Generator[tuple[int, Result]]:
     """Yield (place, what the function gives of the item there) as the items end, by so many processes; one is this one.
 
     An item whose process is killed is tried `attempts` times; then `died` is its result, or WorkerDiedError is raised
     where that is None. What the function raises is raised here, and ends all processes at once. `on_step` is called
-    for every `step()` in any of the other processes.
+    with the number of every `step()` in any of the other processes.
     """
     if workers <= 1:
         yield from enumerate(map(function, items))
@@ -133,7 +130,7 @@ def each_in_processes(
             done, _ = wait(running, LOOK_S if on_step else None, return_when="FIRST_COMPLETED")
             while on_step and seen < steps.value:
                 seen += 1
-                on_step()
+                on_step(seen)
             for future in done:
                 pool, place, attempt = running.pop(future)
                 try:
@@ -238,10 +235,8 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _quiet_start() -> Iterator[None]:
-    """A process that begins meanwhile gets no interrupts and has no stderr, nor have its children.
-
-    Where the process that began them is gone, Python would print tracebacks of them all; errors travel as results.
-    """
+    """A process that begins meanwhile gets no interrupts and has no stderr, nor have its children."""
+    # Where the process that began them is gone, Python would print tracebacks of them all; errors travel as results.
     mask, stderr = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}), os.dup(2)
     try:
         with open(os.devnull, "w") as null:

@@ -18,6 +18,7 @@ from svmdist.perturbations import Perturbations, draw_world
 from svmdist.profile import Profile
 from svmdist.recording.log import open_recording
 from svmdist.recording.writer import EncodedSample, RecordingWriter, encode
+from svmdist.samples import Sample
 from svmdist.simulation.bullet import require_pybullet
 from svmdist.simulation.motion import Scenario
 from svmdist.simulation.plan import Plan, make_plan
@@ -85,7 +86,7 @@ def record(
         with writer:
             plan = make_plan(recipe.scenario, recipe.profile, recipe.options)
             image = plan.topics["image"]
-            with closing(encoded_samples(plan, jobs or parallel.usable_cores(), recipe.jpeg_quality)) as samples:
+            with closing(_samples(plan, jobs or parallel.usable_cores(), recipe.jpeg_quality)) as samples:
                 for topic, sample in samples:
                     writer.write(topic, sample)
                     if topic == image:
@@ -103,27 +104,20 @@ def _version(package: str) -> str:
         return "unknown"
 
 
-def encoded_samples(plan: Plan, jobs: int, jpeg_quality: int | None) -> Generator[tuple[str, EncodedSample]]:
-    """Yield (topic, sample) of a plan in order, by `jobs` processes, or here for few images; WorkerDiedError."""
+def _samples(plan: Plan, jobs: int, jpeg_quality: int | None) -> Generator[tuple[str, Sample | EncodedSample]]:
+    """Yield (topic, sample) of a plan in order, by `jobs` processes, which encode them, or here for few images."""
     require_pybullet()  # before there are workers, each of which would report it
     workers = min(jobs, len(plan.blocks) // FRAMES_PER_WORKER)
     with parallel.one_opencv_thread():  # the cores are taken
         if workers <= 1:
             with Simulator(plan) as simulator:
-                yield from _encoded(simulator, plan.blocks, jpeg_quality)
+                for block in plan.blocks:
+                    yield from simulator.samples(block, simulator.sensors.draw_noise())
             return
         with parallel.process_pools() as make:
             pool = make(workers, partial(_begin, plan, jpeg_quality))
             for encoded in parallel.in_order(_work, _tasks(plan), workers, pool):
                 yield from encoded
-
-
-def _encoded(
-    simulator: Simulator, blocks: Sequence[range], jpeg_quality: int | None
-) -> Iterator[tuple[str, EncodedSample]]:
-    for block in blocks:
-        for topic, sample in simulator.samples(block, simulator.sensors.draw_noise()):
-            yield topic, encode(sample, jpeg_quality)
 
 
 def _tasks(plan: Plan) -> Iterator[Task]:
@@ -149,10 +143,8 @@ def _work(task: Task) -> list[tuple[str, EncodedSample]]:
     worlds, jpeg_quality = _recorded
     simulator = worlds()  # made by the first task: what it raises is raised by that
     blocks, simulator.sensors.generators = task
-    return list(_encoded(simulator, blocks, jpeg_quality))
-
-
-SEED, NUMBER = "{seed}", "{episode}"
+    each = (one for block in blocks for one in simulator.samples(block, simulator.sensors.draw_noise()))
+    return [(topic, encode(sample, jpeg_quality)) for topic, sample in each]
 
 
 @dataclass(frozen=True)
@@ -167,18 +159,16 @@ class Episodes:
 
 def episode_paths(output: Path, scenario: str, first_seed: int, count: int) -> list[Path]:
     """Files by a pattern with {seed} or {episode}, else in a folder, which is made; UsageError, OutputError."""
-    seeds = range(first_seed, first_seed + count)
-    if SEED in str(output) or NUMBER in str(output):
-        width = len(str(count))
-        paths = [
-            Path(str(output).replace(SEED, str(seed)).replace(NUMBER, f"{number:0{width}d}"))
-            for number, seed in enumerate(seeds, 1)
-        ]
-    elif output.suffix.lower() == ".mcap":
-        names = f"a folder, or a name with {SEED} or {NUMBER}"
-        raise UsageError(f"{output}: is one name for {count} episodes: give {names}")
-    else:
-        paths = [output / f"{scenario}-{seed}.mcap" for seed in seeds]
+    pattern = str(output)
+    if "{seed}" not in pattern and "{episode}" not in pattern:
+        if output.suffix.lower() == ".mcap":
+            several = f"{pattern}: is one name for {count} episodes"
+            raise UsageError(f"{several}: give a folder, or a name with {{seed}} or {{episode}}")
+        pattern = str(output / f"{scenario}-{{seed}}.mcap")
+    paths = []
+    for number in range(count):
+        episode = f"{number + 1:0{len(str(count))}d}"
+        paths.append(Path(pattern.replace("{seed}", str(first_seed + number)).replace("{episode}", episode)))
     for folder in dict.fromkeys(path.parent for path in paths):
         make_folder(folder, "write")
     return paths
@@ -187,10 +177,7 @@ def episode_paths(output: Path, scenario: str, first_seed: int, count: int) -> l
 def record_episodes(
     episodes: Episodes, paths: Sequence[Path], jobs: int | None = None, on_progress: Progress = unwatched
 ) -> list[Recorded]:
-    """Record an episode to each path, with the scenario's seed and those after it; what came of them, in order.
-
-    One that fails does not stop the others. Raises UsageError where a file exists and may neither be replaced nor left.
-    """
+    """Record an episode to each path, with the scenario's seed and those after it: what came of each, in order."""
     parts = [path.with_name(f"{path.name}.part") for path in paths]
     there = next((path for path in (*paths, *parts) if path.exists()), None)
     if there and not episodes.force and not episodes.skip_existing:

@@ -34,7 +34,7 @@ from svmdist.recording.topics import Role
 from svmdist.results import FrameResult, as_pixel
 from svmdist.samples import Image, Observation, Rejection, Status
 from svmdist.vision.frame_context import seen_through
-from svmdist.vision.stereo import LEVEL, RowAlignment
+from svmdist.vision.stereo import LEVEL
 from svmdist.workflows import check
 from svmdist.workflows.parallel import in_order, one_opencv_thread, usable_cores
 from svmdist.workflows.request import CLEAN, Condition, OwnEstimator, Setup
@@ -42,16 +42,12 @@ from svmdist.workflows.request import CLEAN, Condition, OwnEstimator, Setup
 
 @dataclass(frozen=True)
 class Replayed:
-    """What one method gave for one image under one condition: a result and its cost for each wanted instrument.
-
-    `frames` are what it was given, empty for an image that could not be read. `image_bgr` is the image as it was
-    recorded, before its field was chosen and its lens was taken off; None for one that could not be read.
-    """
+    """What one method gave for one image under one condition: a result and its cost for each wanted instrument."""
 
     results: tuple[FrameResult, ...]
     seconds: tuple[float, ...]
-    frames: tuple[Frame, ...] = ()
-    image_bgr: Image | None = None
+    frames: tuple[Frame, ...] = ()  # what it was given; empty for an image that could not be read
+    image_bgr: Image | None = None  # as it was recorded, with its fields and its lens; None where it could not be read
 
 
 def replay(
@@ -66,11 +62,10 @@ def replay(
     """Yield for each image what every setup gave under every condition, conditions first, in order.
 
     The setups share a profile. Every setup and condition has estimators of its own, so that what one remembers never
-    reaches another. `jobs` threads work ahead, by default one for each core. Raises RecordingError at once for a
-    wanted instrument that the recording has no topics of, and at the end where there was no image, and CalibrationError
-    for another camera. Where the lag of a recording is known, methods take the offset of its joints for as well known.
-    Without `rest`, what no method uses is not read. Alarms are by the rules `alarms`. The recording's
-    `on_progress` is called for each image.
+    reaches another. `jobs` threads work ahead, by default one for each core. Without `rest`, what no method uses is not
+    read. Raises RecordingError at once for a wanted instrument that the recording has no topics of, and at the end
+    where there was no image, and CalibrationError for another camera. Where the lag of a recording is known, methods
+    take the offset of its joints for as well known.
     """
     return _Replay(recording, setups, conditions).run(usable_cores() if jobs is None else jobs, rest, alarms)
 
@@ -80,21 +75,16 @@ class MultiInstrumentEstimator:
 
     No row is `ok` of a method that relies on what `checks` contradict, by instrument; nor one of another camera than
     `camera`, the log's first, where a calibration is of that. With `left_alone` it sees no right view.
-    `keeps_state`: whether a result depends on earlier frames; `needs`: the detections that the method asks for.
     """
 
     def __init__(
         self, setup: Setup, arms: Sequence[Arm], checks: Mapping[str, Checks], camera: Camera, *, left_alone: bool
     ) -> None:
-        self._left_alone = left_alone
-        self._calibrated = camera if setup.calibration else None
+        self._setup, self._arms, self._camera, self._left_alone = setup, arms, camera, left_alone
         own, mapping = setup.own, setup.mapping
         self._estimators = [OwnEstimator(own) if own else make_estimator(setup.method, arm, mapping) for arm in arms]
-        self._arms = tuple(arms)
-        self._is_given = setup.is_given
-        self._is_by_tag = setup.method == "fiducial"  # whose number names the instrument
         self.looks_for_tool = not setup.is_given and setup.method != "kinematic"
-        known = {} if setup.own else checks
+        known = {} if own else checks
         self._contradictions = {name: one.contradiction(setup.method) for name, one in known.items()}
         needs: Needs = self._estimators[0].needs
         self.needs = needs.left_alone() if left_alone else needs
@@ -102,26 +92,26 @@ class MultiInstrumentEstimator:
 
     def estimate(self, frames: Sequence[Frame], spent_s: Mapping[str, float]) -> Replayed:
         """Measure one image: a frame for each instrument; `spent_s`: what detections computed ahead took."""
-        needs = self.needs
-        shared_s = sum(spent_s.get(name, 0.0) for name in needs.scene + needs.frame) / len(frames)
+        setup = self._setup
+        shared_s = sum(spent_s.get(name, 0.0) for name in self.needs.scene + self.needs.frame) / len(frames)
         if self._left_alone:
             frames = [frame.left_alone() for frame in frames]
-        results: list[FrameResult] = []
-        seconds: list[float] = []
+        results, seconds = [], []
         for estimator, arm, frame in zip(self._estimators, self._arms, frames, strict=True):
             start_s = time.thread_time()
             result = estimator.estimate(frame)
             seconds.append(shared_s + time.thread_time() - start_s)
-            name = arm.profile.instrument_name
-            named = replace(_through_lens(result, frame), instrument=name)
-            said = self._contradictions.get(name, "")
-            if self._calibrated is not None and not self._calibrated.same_optics(frame.scene.lens):
+            lens, places = frame.scene.lens, (("tool_px", result.image.tool_px), ("tissue_px", result.image.tissue_px))
+            in_image = {key: as_pixel(seen_through(lens, np.array([px]))[0]) for key, px in places if px is not None}
+            result = replace(result.with_image(**in_image), instrument=arm.profile.instrument_name)
+            said = self._contradictions.get(result.instrument, "")
+            if setup.calibration and not self._camera.same_optics(lens):
                 said = "the calibration is for the camera as it was first"
-            if named.measured and said:
-                named = named.rejected(Status.INCONSISTENT, said)
-            is_doubted = frame.ambiguity and not (named.measured and self._is_by_tag)
-            results.append(named.doubted(frame.ambiguity) if is_doubted else named)
-        if len(results) > 1 and not self._is_given:
+            if result.measured and said:
+                result = result.rejected(Status.INCONSISTENT, said)
+            is_named_by_tag = result.measured and setup.method == "fiducial"
+            results.append(result.doubted(frame.ambiguity) if frame.ambiguity and not is_named_by_tag else result)
+        if len(results) > 1 and not setup.is_given:
             results = with_clearance_between(results, [arm.body for arm in self._arms])
         return Replayed(tuple(results), tuple(seconds), tuple(frames))
 
@@ -133,19 +123,6 @@ def _shows_instrument(scene: Scene) -> bool:
     return any(part.any() for part in parts) or any(view.tags for view in views)
 
 
-def _through_lens(result: FrameResult, frame: Frame) -> FrameResult:
-    """The result with its pixels as they are in the recorded image."""
-    lens = frame.scene.lens
-    places = (("tool_px", result.image.tool_px), ("tissue_px", result.image.tissue_px))
-    moved = {name: as_pixel(seen_through(lens, np.array([px]))[0]) for name, px in places if px is not None}
-    return result.with_image(**moved)
-
-
-def _with_alarms(replayed: Replayed, watches: Sequence[AlarmWatch]) -> Replayed:
-    each = zip(replayed.results, watches, strict=True)
-    return replace(replayed, results=tuple(replace(row, alarm=watch.watch(row)) for row, watch in each))
-
-
 def image_stamps_ns(recording: Recording) -> list[int]:
     """The stamp of every image of a log, in file order; raises RecordingError for a log without one."""
     stamps = [one.stamp_ns for one in recording.encoded_observations(robot=False, right=False)]
@@ -153,14 +130,6 @@ def image_stamps_ns(recording: Recording) -> list[int]:
         unread = f"{recording.path.name}: no image on {recording.topic_of(Role.IMAGE)} can be read"
         raise RecordingError("; ".join([unread, *recording.health.describe()]))
     return stamps
-
-
-def _no_image(recording: Recording) -> str:
-    """Why no image was read; raises what says so of a log without one."""
-    window, stamps_ns = recording.window, image_stamps_ns(replace(recording, window=ALL_IMAGES))
-    end = "its end" if window.end_s == math.inf else f"--end {window.end_s:g}"
-    length_s = round((max(stamps_ns) - stamps_ns[0]) * 1e-9, 3)
-    return f"{recording.name}: no image to measure from --start {window.start_s:g} to {end}: the log has {length_s:g} s"
 
 
 Unfinished = Callable[[], list[Replayed]]
@@ -176,9 +145,8 @@ class _Replay:
         self._setup = setups[0]
         for setup in setups:
             setup.require_camera(recording)
-        every = recording.instruments
-        self._places = [every.index(name) for name in recording.measured]
-        self._arms = [Arm(self._setup.profile.for_instrument(name)) for name in every]
+        self._places = [recording.instruments.index(name) for name in recording.measured]
+        self._arms = [Arm(self._setup.profile.for_instrument(name)) for name in recording.instruments]
         self._stereo_arms = self._arms
         self._conditions = tuple(conditions)
         self._segmenter = self._setup.segmenter  # one network, whatever becomes of the setup
@@ -208,7 +176,11 @@ class _Replay:
         if needs_rows and any(one.bends_rows for one in first.values()):
             views = check.compare_views(check.first_of(spread, profile), profile)
             if views.rows is not None and not views.refusal:
-                self._align(views.rows)
+                # What bends the rows, a lens or a turn, moves columns as much, over the view.
+                self._rows, camera = views.rows, self._recording.camera
+                std_rad = 0.5 * camera.width_px / camera.K[0, 0] * float(np.hypot(*views.rows.slope))
+                self._setup = self._setup.with_stds("camera_error", right_rotation_std_rad=std_rad)
+                self._arms = self._stereo_arms = self._arms_with(self._setup)
                 self._check(spread, int(needs_rows))
         self._inflate_tissue(profile.tissue, list(self._checks[0].values()))
 
@@ -216,22 +188,10 @@ class _Replay:
         self._looked.clear()  # so that no image is held twice
         how = self._recording, spread, self._arms, self._segmenter, self._rows
         found = [check.checked(*how, condition, pairs=pairs) for condition in self._conditions]
-        self._checks, self._looked = [known for known, _ in found], [looked for _, looked in found]
-
-    def _align(self, rows: RowAlignment) -> None:
-        """Align rows that bend: what bends them, a lens or a turn, moves columns as much, over the view."""
-        camera = self._recording.camera
-        view_rad = 0.5 * camera.width_px / camera.K[0, 0]
-        self._rows = rows
-        std_rad = view_rad * float(np.hypot(*rows.slope))
-        self._setup = self._setup.with_stds("camera_error", right_rotation_std_rad=std_rad)
-        self._arms = self._stereo_arms = self._arms_with(self._setup)
+        self._checks, self._looked = map(list, zip(*found, strict=True))
 
     def _inflate_tissue(self, tissue: Tissue, found: Sequence[Checks]) -> None:
-        """Let the tissue be as uncertain as it is seen elsewhere, or as a guess where no second view shows it.
-
-        A method that measures its height and surface itself is only affected where its shape is another one.
-        """
+        """Let the tissue be as uncertain as it is seen elsewhere, or as a guess where no second view shows it."""
         off_m = next((one.tissue_off_m for one in found if one.tissue_off_m is not None), None)
         shape_m = max(one.tissue_shape_off_m for one in found)
         std_m = tissue.unverified_std_m if off_m is None else off_m
@@ -244,6 +204,7 @@ class _Replay:
         shaped = self._setup.with_stds("tissue", surface_std_m=shape_m)
         self._setup = shaped.with_stds("tissue", plane_distance_std_m=std_m)
         self._arms = self._arms_with(self._setup)
+        # A method that measures its height and surface itself is only affected where its shape is another one.
         self._stereo_arms = self._arms if off_m is None else self._arms_with(shaped)
         self._looked = [{} for _ in self._conditions]
 
@@ -251,36 +212,39 @@ class _Replay:
         return [Arm(setup.profile.for_instrument(arm.profile.instrument_name), arm.has_plate) for arm in self._arms]
 
     def _estimator(self, setup: Setup, known: Mapping[str, Checks]) -> MultiInstrumentEstimator:
-        """A method on the wanted instruments; one that measures the tissue itself takes the profile as it is.
-
-        Where rows were aligned, one that keeps a state sees the left view alone: of what bends them it would learn in
-        one part of the view for all of it.
-        """
+        """A method on the wanted instruments; one that measures the tissue itself takes the profile as it is."""
+        # Of what bends aligned rows, one that keeps a state would learn in one part of the view for all of it.
         left_alone = self._rows.bends and setup.method == "fused"
         arms = self._stereo_arms if setup.needs_right_view and not left_alone else self._arms
         chosen, camera = [arms[place] for place in self._places], self._recording.camera
         return MultiInstrumentEstimator(setup, chosen, known, camera, left_alone=left_alone)
 
     def run(self, jobs: int, rest: bool, alarms: AlarmRules | None) -> Iterator[tuple[Replayed, ...]]:
-        several = len(self._arms) > 1  # their association starts from nominal kinematics
-        robot, right = self._needs.robot or several, self._needs.right_view
-        encoded = self._recording.encoded_observations(robot=robot, right=right, rest=rest, stale=True)
+        robot = self._needs.robot or len(self._arms) > 1  # their association starts from nominal kinematics
+        recording, right = self._recording, self._needs.right_view
+        encoded = recording.encoded_observations(robot=robot, right=right, rest=rest, stale=True)
         watches = [[AlarmWatch(alarms) for _ in self._places] for each in self._estimators for _ in each if alarms]
         with one_opencv_thread():
-            count, total = 0, self._recording.image_count()
+            count, total = 0, recording.image_count()
             for count, (decoded, conditions) in enumerate(in_order(self._prepare, encoded, jobs), 1):
-                self._recording.record_losses(decoded)
+                recording.record_losses(decoded)
                 done = [replayed for unfinished in conditions for replayed in unfinished()]
-                self._recording.on_progress(count, total)
-                yield tuple(map(_with_alarms, done, watches) if alarms else done)
+                recording.on_progress(count, total)
+                for at, of_instruments in enumerate(watches):
+                    rows = zip(done[at].results, of_instruments, strict=True)
+                    done[at] = replace(done[at], results=tuple(replace(row, alarm=one.watch(row)) for row, one in rows))
+                yield tuple(done)
         if not count:
-            raise RecordingError(_no_image(self._recording))
+            start_s, end_s = recording.window.start_s, recording.window.end_s
+            stamps_ns = image_stamps_ns(replace(recording, window=ALL_IMAGES))  # raises where the log has no image
+            inside = f"from --start {start_s:g} to {'its end' if end_s == math.inf else f'--end {end_s:g}'}"
+            length_s = round((max(stamps_ns) - stamps_ns[0]) * 1e-9, 3)
+            raise RecordingError(f"{recording.name}: no image to measure {inside}: the log has {length_s:g} s")
 
     def _prepare(self, encoded: EncodedObservation) -> tuple[Decoded, list[Unfinished]]:
         """Whatever of a frame needs no other one."""
         decoded = encoded.decode()
-        found = decoded.found
-        if isinstance(found, Rejection):
+        if isinstance(found := decoded.found, Rejection):
             every = [self._rejected(encoded, found)] * sum(map(len, self._estimators))
             return decoded, [lambda: every]
         return decoded, [self._look(at, encoded, found) for at in range(len(self._conditions))]

@@ -22,7 +22,7 @@ from svmdist.estimation.frame import Frame, Needs
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS
 from svmdist.estimation.tissue.detection import require_tissue
 from svmdist.perturbations import UNPERTURBED, Perturbations, require_at_replay
-from svmdist.perturbations.calibration import nominal_profile, perturbed_image, perturbed_right_view
+from svmdist.perturbations.calibration import perturbed_image, perturbed_right_view
 from svmdist.profile import DEFAULT_PROFILE, Profile, load_profile, profile_path
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.observations import ALL_IMAGES, Window
@@ -37,18 +37,18 @@ from svmdist.workflows.scoring.references import ANY_TRUTH, TruthRules
 
 REPLAY_SEED = 36
 LEFT, RIGHT = 0, 1
+BOTH_VIEWS = Needs(right_view=True)  # of a log, by an own method that does not say what it takes
 
 
 @dataclass(frozen=True, slots=True)
 class Condition:
     """What is done to a log before it is measured: its images are spoilt, or its world is not as log and profile say.
 
-    `name` is a degradation of a severity of 1 to 5, or one of the paper's blurs with a kernel in px. Raises UsageError
-    for a wrong name or severity, and for a world that cannot be that of a recorded log.
+    Raises UsageError for a wrong name or severity, and for a world that cannot be that of a recorded log.
     """
 
     name: degradations.Degradation | degradations.Blur | None = None
-    severity: int = 0
+    severity: int = 0  # of a degradation from 1 to 5; of one of the paper's blurs its kernel in px
     world: Perturbations = UNPERTURBED
 
     def __post_init__(self) -> None:
@@ -60,12 +60,9 @@ class Condition:
         return str(self.world) if self.name is None else f"{self.name}={self.severity}"
 
     def apply(self, observation: Observation, frame: int) -> Observation:
-        """Change the images of the n-th frame: the same frame of the same log always alike.
-
-        A world's joints and calibration are those of `Recording.perturbed`.
-        """
+        """Change the images of the n-th frame: the same frame of the same log always alike."""
         image_bgr, right = observation.image_bgr, observation.right
-        if self.world:
+        if self.world:  # whose joints and calibration are those of `Recording.perturbed`
             right = right and perturbed_right_view(right, self.world)
             image_bgr = perturbed_image(image_bgr, self.world)
         elif self.name is not None:
@@ -93,19 +90,10 @@ LOG = logging.getLogger("svmdist")
 
 @runtime_checkable
 class OwnMethod(Protocol):
-    """Anything with `estimate(frame)`. A `name` is shown in results; the class's name stands in for it.
-
-    One that has `for_log(recording)` is what this gives for each log.
-    """
+    """Anything with `estimate(frame)`, with a `name` for results, and with what `for_log(recording)` gives of a log."""
 
     def estimate(self, frame: Frame) -> FrameResult:
         """Measure one frame; one that cannot be measured is a result with a status that says why."""
-
-
-def needs_of(method: OwnMethod) -> Needs:
-    """What an own method takes of a log: both views where it does not say."""
-    needs: Needs = getattr(method, "needs", Needs(right_view=True))
-    return needs
 
 
 class OwnEstimator:
@@ -115,7 +103,7 @@ class OwnEstimator:
 
     def __init__(self, method: OwnMethod) -> None:
         self.name = str(getattr(method, "name", type(method).__name__))
-        self.needs = needs_of(method)
+        self.needs: Needs = getattr(method, "needs", BOTH_VIEWS)
         self._method = copy.deepcopy(method)
 
     def estimate(self, frame: Frame) -> FrameResult:
@@ -133,18 +121,15 @@ class OwnEstimator:
 
 @dataclass(frozen=True)
 class Setup:
-    """Everything that turns a recording into results. Make it with `prepare`.
-
-    `mapping` leads from pixels to the paper's plane: as published, or the calibration's; None for a method in 3D.
-    `own` is a user's own method, in place of one of svmdist's.
-    """
+    """Everything that turns a recording into results. Make it with `prepare`."""
 
     profile: Profile
     method: str
     equations: plane_mapping.Equations = "corrected"
     calibration: plane_mapping.Calibration | None = None
     mapping: plane_mapping.PlaneMapping | None = None
-    own: OwnMethod | None = None
+    """From pixels to the paper's plane: as published, or the calibration's; None for a method in 3D."""
+    own: OwnMethod | None = None  # a user's, in place of one of svmdist's
 
     @staticmethod
     def reading(profile: str, hand_eye: Path | None = None) -> Setup:
@@ -169,7 +154,8 @@ class Setup:
     @property
     def needs_right_view(self) -> bool:
         """Whether the method measures by both views."""
-        return self.method in ("stereo", "fused") if self.own is None else needs_of(self.own).right_view
+        own: Needs = getattr(self.own, "needs", BOTH_VIEWS)
+        return self.method in ("stereo", "fused") if self.own is None else own.right_view
 
     def require_camera(self, recording: Recording) -> None:
         """Raise CalibrationError for a recording of another camera than the calibration's."""
@@ -180,10 +166,6 @@ class Setup:
         """The same with an own method as it is for a log; raises what that raises."""
         bind: Callable[[Recording], OwnMethod] | None = getattr(self.own, "for_log", None)
         return self if bind is None else replace(self, own=bind(recording))
-
-    def perturbed(self, perturbations: Perturbations, seed: int) -> Setup:
-        """The same with a profile that is wrong about instrument, tag and plane."""
-        return replace(self, profile=nominal_profile(self.profile, perturbations, seed))
 
     def knowing(self, lag: LagEstimate | None) -> Setup:
         """The same where the offset between joints and images is known: it may be wrong by what is left of it."""
@@ -216,18 +198,15 @@ class Setup:
 
 @dataclass(frozen=True)
 class Request:
-    """What a command does with each log: it travels to workers, and results depend on nothing else but the log.
-
-    `instruments` None: all. `lag` is taken off the image stamps. `rules` say what estimates are scored by.
-    """
+    """What a command does with each log: it travels to workers, and results depend on nothing else but the log."""
 
     setup: Setup
     topics: Mapping[str, str] = field(default_factory=dict)
     window: Window = ALL_IMAGES
-    instruments: tuple[str, ...] | None = None
-    lag: Lag | None = None
+    instruments: tuple[str, ...] | None = None  # None: all
+    lag: Lag | None = None  # taken off the image stamps
     alarms: AlarmRules | None = None
-    rules: TruthRules = ANY_TRUTH
+    rules: TruthRules = ANY_TRUTH  # what estimates are scored by
     conditions: tuple[Condition, ...] = (CLEAN,)
 
     def open(self, path: LogPath, name: str) -> Recording:
@@ -249,8 +228,7 @@ def prepare(
     """Load what a measurement needs, by names and paths; a `Profile`, and an own method, are taken as they are.
 
     A planar method takes the given calibration, else the profile's, and the paper's `equations` corrected or printed;
-    `hand_eye` is a file in place of the profile's.
-    Raises ProfileError, CalibrationError or UsageError.
+    `hand_eye` is a file in place of the profile's. Raises ProfileError, CalibrationError or UsageError.
     """
     if isinstance(method, str) and method not in METHODS:
         raise UsageError(f"no method {method}: {did_you_mean(method, METHODS)}")
@@ -265,17 +243,14 @@ def prepare(
     is_planar, is_printed = method in PLANAR_METHODS, equations == "printed"
     if not is_planar and (is_printed or calibration is not None):
         option = "--equations printed" if is_printed else "--calibration"
-        planar = " and ".join(PLANAR_METHODS)
-        raise UsageError(f"{option} is for the planar methods {planar}; {method} measures in 3D")
+        raise UsageError(f"{option} is for the planar methods {' and '.join(PLANAR_METHODS)}; {method} measures in 3D")
     if is_printed and calibration is not None:
         raise UsageError("--equations printed takes the paper's numbers: it cannot be used with a calibration")
     setup = Setup(loaded, method, equations, mapping=plane_mapping.PUBLISHED_MAPPING if is_printed else None)
     if is_planar and not is_printed:
         if calibration is None and loaded.calibration is None:
-            raise CalibrationError(
-                f"profile {loaded.name} ships no calibration: make one with `svmdist calibrate` and name it with"
-                " --calibration"
-            )
+            remedy = "make one with `svmdist calibrate` and name it with --calibration"
+            raise CalibrationError(f"profile {loaded.name} ships no calibration: {remedy}")
         # A profile in hand names no folder: its calibration is a shipped one, or is given.
         named = loaded.name if isinstance(profile, Profile) else profile
         found = plane_mapping.load_calibration(calibration or profile_path(named).parent / str(loaded.calibration))
@@ -293,15 +268,12 @@ def prepare_methods(
     hand_eye: Path | None = None,
     methods: Sequence[str] = (),
 ) -> tuple[Setup, ...]:
-    """These methods, or every one that the profile serves, with a remark on others; raises what `prepare` does.
-
-    A calibration is for those that measure in the plane.
-    """
+    """These methods, or every one that the profile serves, with a remark on others; raises what `prepare` does."""
     setups: tuple[Setup, ...] = ()
     for method in methods or METHODS:
-        given = calibration if method in PLANAR_METHODS else None
         try:
-            setups += (prepare(profile, method, "corrected", given, hand_eye),)
+            of_plane = calibration if method in PLANAR_METHODS else None
+            setups += (prepare(profile, method, "corrected", of_plane, hand_eye),)
         except CalibrationError as problem:
             if methods:
                 raise

@@ -72,9 +72,8 @@ class Validation:
 def validate(recordings: Sequence[Recording], request: Request, jobs: int | None = None) -> Validation:
     """Score recordings against each reference that they have, and alarms where the request has rules for them.
 
-    Every instrument has its own scores. The overall score leaves out recordings that the calibration was fitted on.
-    Raises RecordingError where a recording has no reference, or no true clearance to score alarms against, and what
-    `require_truth_for_alarms` raises.
+    Every instrument has its own scores. Raises RecordingError where a recording has no reference, or no true clearance
+    to score alarms against, and what `require_truth_for_alarms` raises.
     """
     require_truth_for_alarms(request)
     return combine([score_recording(one, request, jobs) for one in recordings], request)
@@ -84,11 +83,9 @@ def require_truth_for_alarms(request: Request) -> None:
     """Raise UsageError where alarms are asked for that cannot be scored."""
     if request.alarms is not None:
         require_clearance(request.setup)
-        if Reference.GROUND_TRUTH not in request.rules.wanted:
-            raise UsageError(
-                f"alarms are scored against {Reference.GROUND_TRUTH}, the only reference with a clearance; the"
-                f" references asked for are {', '.join(request.rules.wanted)}"
-            )
+        if Reference.GROUND_TRUTH not in (asked := request.rules.wanted):
+            only = f"{Reference.GROUND_TRUTH}, the only reference with a clearance"
+            raise UsageError(f"alarms are scored against {only}; the references asked for are {', '.join(asked)}")
 
 
 def combine(parts: Sequence[Scored], request: Request, groups: Sequence[str] = ()) -> Validation:
@@ -107,11 +104,10 @@ def combine(parts: Sequence[Scored], request: Request, groups: Sequence[str] = (
 def _pooled(scores: Sequence[Score], request: Request, named: str = "overall") -> list[Score]:
     """By instrument and reference, without the scores of what the calibration was fitted on."""
     found = []
-    for name, reference in product(request.setup.profile.instrument_names, Reference):
-        label = named if name == request.setup.profile.instrument_name else f"{named} {name}"
-        of = [one for one in scores if (one.instrument, one.reference) == (name, reference)]
-        if counted := [one for one in of if not one.fitted_on]:
-            found.append(pool_scores(counted, label))
+    for key in product(request.setup.profile.instrument_names, Reference):
+        label = named if key[0] == request.setup.profile.instrument_name else f"{named} {key[0]}"
+        if of := [one for one in scores if (one.instrument, one.reference) == key and not one.fitted_on]:
+            found.append(pool_scores(of, label))
     return found
 
 
@@ -222,21 +218,24 @@ class Baseline(BaseModel, extra="forbid", frozen=True):
 
 def make_baseline(validation: Validation) -> Baseline:
     """Take the figures of a validation, per recording and overall."""
+    metrics, rules, scores = stored_metrics(), validation.alarm_rules, []
+    for score in (*validation.scores, *validation.overall):
+        labels = {key: str(getattr(score, key)) for key in ("recording", "method", "equations", "reference")}
+        scores.append(StoredScore.model_validate(labels | row_of(metrics.values(), score)))
     return Baseline(
         schema=SCHEMA,
-        tolerances={key: metric.tolerance for key, metric in stored_metrics().items() if metric.tolerance},
-        scores=tuple(_stored(score) for score in (*validation.scores, *validation.overall)),
-        alarms=_stored_rules(validation.alarm_rules),
+        tolerances={key: metric.tolerance for key, metric in metrics.items() if metric.tolerance},
+        scores=tuple(scores),
+        alarms=StoredAlarmRules(below_m=rules.below_m, confidence=rules.probability) if rules else None,
     )
 
 
 def require_same_alarms(baseline: Baseline, asked: AlarmRules | None) -> None:
     """Raise UsageError for stored alarms that were raised by other rules."""
-    if (stored := baseline.alarms) is not None and stored != _stored_rules(asked):
-        raise UsageError(
-            f"the baseline's alarms are those of --alarm-below {stored.below_m * 1e3:g}mm --alarm-when"
-            f" {stored.confidence:g}: ask for the same"
-        )
+    stored = baseline.alarms
+    if stored and not (asked and (asked.below_m, asked.probability) == (stored.below_m, stored.confidence)):
+        rules = f"--alarm-below {stored.below_m * 1e3:g}mm --alarm-when {stored.confidence:g}"
+        raise UsageError(f"the baseline's alarms are those of {rules}: ask for the same")
 
 
 def find_regressions(validation: Validation, baseline: Baseline, *, complete: bool) -> list[str]:
@@ -245,7 +244,7 @@ def find_regressions(validation: Validation, baseline: Baseline, *, complete: bo
     With `complete`, all of them must be there; without, those of other recordings (and the overall ones) are skipped.
     Raises RecordingError where nothing can be compared.
     """
-    found = {score.key: score for score in map(_stored, (*validation.scores, *validation.overall))}
+    found = {score.key: score for score in make_baseline(validation).scores}
     setups = {(score.method, score.equations) for score in found.values()}
     asked = {score.recording for score in validation.scores}
     known = [stored for stored in baseline.scores if (stored.method, stored.equations) in setups]
@@ -283,12 +282,3 @@ def load_baseline(path: Path) -> Baseline:
 def save_baseline(baseline: Baseline, path: Path) -> None:
     """Write a baseline file; raises OutputError where that fails."""
     write_atomically(path, [json.dumps(baseline.model_dump(mode="json", by_alias=True), indent=1), "\n"])
-
-
-def _stored_rules(rules: AlarmRules | None) -> StoredAlarmRules | None:
-    return StoredAlarmRules(below_m=rules.below_m, confidence=rules.probability) if rules else None
-
-
-def _stored(score: Score) -> StoredScore:
-    labels = {key: str(getattr(score, key)) for key in ("recording", "method", "equations", "reference")}
-    return StoredScore.model_validate(labels | row_of(stored_metrics().values(), score))

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from svmdist.camera import Camera
-from svmdist.estimation.frame import Arm
+from svmdist.estimation.association import Association
+from svmdist.estimation.frame import Arm, Scene
 from svmdist.estimation.frame_methods import ANY_ORIENTATION, triangulated_tool
 from svmdist.estimation.instrument.distal_marker import Expected, pair_markers
 from svmdist.estimation.instrument.factors import marked, of_images
@@ -19,8 +20,7 @@ from svmdist.samples import Image, Observation, RightView, Status
 from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.frame_context import as_pinholes
 from svmdist.vision.segmentation import make_segmenter
-from svmdist.vision.stereo import LEVEL, RowAlignment
-from svmdist.workflows.check import look
+from svmdist.vision.stereo import RowAlignment
 from tests.golden import golden_frames
 from tests.measuring import Measuring, frame_of
 from tests.pictures import RED_BGR, ShaftImage, entering_from
@@ -212,10 +212,9 @@ def test_without_joints_an_instrument_is_measured_by_the_only_view_that_shows_it
         return cv2.inpaint(image, cv2.dilate(masks, np.ones((15, 15), np.uint8)), 3.0, cv2.INPAINT_TELEA)
 
     def places(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
-        tools = [
-            make_estimator("stereo", arm).estimate(frame).tool.pose
-            for arm, frame in zip(arms, look((observation,) * 2, arms, segmenter, LEVEL), strict=True)
-        ]
+        frames = Association(arms).frames(Scene(observation, arms[0].profile, segmenter), (observation,) * 2)
+        each = zip(arms, frames, strict=True)
+        tools = [make_estimator("stereo", arm).estimate(frame).tool.pose for arm, frame in each]
         return np.array([one.position_m for one in tools]), np.array([one.position_std_m for one in tools])
 
     by_both_m, std_m = places(seen)

@@ -9,7 +9,6 @@ import pytest
 
 from svmdist.camera import stereo_transform
 from svmdist.errors import SourceError, UsageError
-from svmdist.estimation.comparison import Checks
 from svmdist.importing.calibration import CalibrationOptions
 from svmdist.profile import load_profile
 from svmdist.recording.log import Recording, open_recording
@@ -232,7 +231,7 @@ def test_a_damaged_image_is_left_out(tmp_path, monkeypatch, damaged, kind, crop,
         cv2.imwrite(str(tmp_path / name), _picture(int(name[0])))
     _write(tmp_path / damaged, kind)
     pairs: list[Observation] = []
-    seen = ViewsCompared(Checks(()), None)
+    seen = ViewsCompared()
     monkeypatch.setattr("svmdist.workflows.import_log.compare_views", lambda few, _: pairs.extend(few) or seen)
     result = import_log(ImportOptions(tmp_path, **PAIRED, crop=crop), tmp_path / "out.mcap")
     assert len(result.losses) == (said is not None)
