@@ -150,10 +150,8 @@ def checked(
             continue
         seen = tuple(condition.apply(one, number) for one in sighted)
         scene = Scene(seen[0], arms[0].profile, segmenter, rows)
-        if is_associated:  # as in the first image of a log
-            frames = Association(arms).frames(scene, seen)
-        else:
-            frames = [Frame.of(scene, arms[0], seen[0])]
+        # Several are associated as in the first image of a log
+        frames = Association(arms).frames(scene, seen) if is_associated else [Frame.of(scene, arms[0], seen[0])]
         looked[number] = frames
         shared = list(checks.of_scene(scene))
         # A surface that both views show is enough, where no method measures by both of them.
