@@ -185,11 +185,6 @@ def interval_coverage(estimate: Array, truth: Array, std: Array, level: float = 
     return float(np.mean(np.abs(estimate - truth) <= z * std)) if len(estimate) else None
 
 
-def coverage(measured: int, frames: int) -> float:
-    """Measured frames per frame; 0 for no frames."""
-    return measured / frames if frames else 0.0
-
-
 def _interval(values: Array) -> Interval:
     low, high = np.percentile(values, [2.5, 97.5])
     return Interval(float(low), float(high))
@@ -274,8 +269,8 @@ def alarm_statistics(
     if len(set(shapes)) > 1 or t.ndim != 1:
         raise ValueError(f"expected arrays of the same shape (n,), found {', '.join(map(str, shapes))}")
     unsafe = c < below_m
-    events = [index for index in range(1, len(t)) if unsafe[index] and not unsafe[index - 1]]
-    leads = [_lead_time_s(t, a, unsafe, event) for event in events]
+    events = np.flatnonzero(unsafe[1:] & ~unsafe[:-1]) + 1
+    leads = [_lead_time_s(t, a, unsafe, event) for event in events.tolist()]
     begins = a & ~np.concatenate([[False], a[:-1]])
     episode = np.cumsum(begins)
     return AlarmStatistics(
@@ -292,13 +287,10 @@ def alarm_statistics(
     )
 
 
-NO_ALARMS = AlarmStatistics(0, 0, 0, 0, 0, 0, 0, 0.0, 0, ())
-
-
 def pooled_alarms(parts: Sequence[AlarmStatistics]) -> AlarmStatistics:
     """The statistics of several recordings together: counts and durations add up."""
-    columns = zip(*(astuple(part) for part in (NO_ALARMS, *parts)), strict=True)
-    return AlarmStatistics(*(reduce(add, column) for column in columns))
+    none = AlarmStatistics(0, 0, 0, 0, 0, 0, 0, 0.0, 0, ())
+    return AlarmStatistics(*(reduce(add, column) for column in zip(*map(astuple, (none, *parts)), strict=True)))
 
 
 def _share(count: float, of: float) -> float | None:

@@ -26,6 +26,8 @@ Pixels = NDArray[np.int32]
 FILLED = (Part.SHAFT, Part.WRIST, Part.POSE, Part.TAG)
 NEAR, HIDDEN = 1e3, 1e6
 """What a pixel beside something measured costs a label, and one of what is measured or a label, in other pixels."""
+LABEL_ANGLES = np.radians([0, 180, -30, 30, -150, 150, -90, 90, -60, 60, -120, 120])
+LABEL_REACHES = np.array([0.8, 1.6, 2.8, 4.5, 7.0, 10.0])
 NEAR_LETTERS = 2.0  # of their height: a label so near to what it names needs no line
 LETTERS, LEAST_LETTER_PX = 1 / 44, 9.0
 """Height of a capital letter over the picture's width, and the least one that can be read."""
@@ -130,10 +132,12 @@ def write_text(pixels: Image, text: str, place: tuple[float, float], letter_px: 
 def _write_beside(pixels: Image, label: Label, place: Array, cost: NDArray[np.float32], letter_px: float) -> None:
     """Write a label on dark ground at the cheapest of the nearest places, with a line to what it names unless at it."""
     text, place = printable(label.text), within_reach(place)
-    _, _, width = text_size(text, letter_px)
-    half = np.array([0.5 * width + 0.4 * letter_px, 0.95 * letter_px])
+    half = np.array([0.5 * text_size(text, letter_px)[2] + 0.4 * letter_px, 0.95 * letter_px])
     high, low = half + 1, np.maximum(half + 1, np.array(pixels.shape[1::-1]) - half - 1)
-    middles = np.clip(place + _offsets(half, letter_px), high, low)
+    # Around what it names, ever farther.
+    around = np.column_stack([np.cos(LABEL_ANGLES), np.sin(LABEL_ANGLES)])
+    offsets = around * (half + letter_px * LABEL_REACHES[:, None, None])
+    middles = np.clip(place + offsets.reshape(-1, 2), high, low)
     boxes = np.stack([_whole(middles - half), _whole(middles + half)], 1)
     # What a box hides and how long its line is, all at once; what the line hides, of the cheapest only.
     last, total = np.array(cost.shape[::-1]) - 1, cv2.integral(cost)
@@ -163,14 +167,6 @@ def _write_beside(pixels: Image, label: Label, place: Array, cost: NDArray[np.fl
     for canvas, value in ((pixels, DARK), (cost, HIDDEN)):
         canvas[top : bottom + 1, left : right + 1] = value
     write_text(pixels, text, (left + 0.4 * letter_px, bottom - 0.45 * letter_px), letter_px, COLOURS[label.part])
-
-
-def _offsets(half: Array, letter_px: float) -> Array:
-    """Where a label of half a size (2,) may stand, from what it names: around it, ever farther, shape (n, 2)."""
-    angles = np.radians([0, 180, -30, 30, -150, 150, -90, 90, -60, 60, -120, 120])
-    reaches_px = letter_px * np.array([0.8, 1.6, 2.8, 4.5, 7.0, 10.0])
-    around = np.column_stack([np.cos(angles), np.sin(angles)])
-    return np.asarray(around * (half + reaches_px[:, None, None])).reshape(-1, 2)
 
 
 def _bar(lines: Sequence[tuple[str, Rgb]], width_px: int, letter_px: float) -> tuple[Image, int]:

@@ -203,8 +203,7 @@ def _draw_score(upper: Axes, lower: Axes, score: Score, alarms: AlarmRules | Non
     truth_mm, estimate_mm = pairs.truth_m * 1e3, pairs.estimate_m * 1e3
     half_mm = Z_95 * pairs.std_m * 1e3
     if alarms is not None and distance == "clearance":
-        _draw_curves(upper, charts.alarm_spans(score.alarm_events, seconds))
-        _draw_curves(upper, [charts.threshold(seconds, alarms.below_m)])
+        _draw_curves(upper, charts.alarm_curves(score.alarm_events, alarms.below_m, seconds))
     truth_name = f"truth ({REFERENCE_NAMES[score.reference]})"
     _draw_curves(upper, charts.distance_curves(seconds, estimate_mm, half_mm, truth_mm, truth_name))
     lower.axhline(0.0, color="0.6", linewidth=0.8)

@@ -195,8 +195,8 @@ class Figures:
 
     @property
     def coverage(self) -> float:
-        """Measured frames per frame."""
-        return metrics.coverage(self.measured_count, self.frame_count)
+        """Measured frames per frame; 0 for no frames."""
+        return self.measured_count / self.frame_count if self.frame_count else 0.0
 
     @property
     def ms_per_frame(self) -> float:
