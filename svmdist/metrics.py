@@ -41,10 +41,9 @@ Cell = str | int | float | None
 class Column:
     """One column: `key` in machine output, in SI; `heading` in a readable table, in the unit shown there.
 
-    `of` reads the value from the object that a row is made of: a function, or a path of attributes and indices; by
-    default the key. A column without a heading is for machines only, one that is not `stored` for readable tables only.
-    `field` is its name in `svmdist.DistanceEstimate`. `width` is the least one of a plain table, in characters. What
-    columns mean is described in docs/metrics.md.
+    `of` reads the value from a row's source: a function, or a path of attributes and indices; by default the key.
+    Without a heading it is for machines only, not `stored` for readable tables only. `field` is its name in
+    `svmdist.DistanceEstimate`, `width` the least in a plain table, in characters. docs/metrics.md says what it means.
     """
 
     key: str
@@ -162,8 +161,7 @@ def bootstrap_intervals(
     None where R² is undefined, for the pairs or for every resample.
     """
     f, y = np.asarray(estimate, np.float64), np.asarray(truth, np.float64)
-    n = len(f)
-    if n < 8:
+    if (n := len(f)) < 8:
         return Intervals(None, None)
     block = block or int(np.ceil(n ** (1.0 / 3.0)))
     starts = np.random.default_rng(seed).integers(0, n - block + 1, size=(resamples, -(-n // block)))
@@ -199,10 +197,10 @@ def _varies(values: Array) -> bool:
 class AlarmStatistics:
     """Counts of alarms against truth, and figures of them, which are None where they are undefined.
 
-    A frame is unsafe where its true clearance is below the threshold. `unjudged_count` of the frames had no
-    clearance, so that no alarm was raised; `unsafe_unjudged_count` of these are unsafe, and count as missed.
-    `lead_times_s` holds, for each time the truth falls below the threshold, how long before it the alarm was raised
-    without a break, over safe frames; negative where it came late, and nothing for one that was missed.
+    A frame is unsafe where its true clearance is below the threshold. `unjudged_count` of the frames had no clearance,
+    and so no alarm; `unsafe_unjudged_count` of these are unsafe, and count as missed. `lead_times_s`: for each time the
+    truth falls below the threshold, how long before it the alarm was raised without a break, over safe frames; negative
+    where it came late, and nothing for one that was missed.
     """
 
     frame_count: int
@@ -258,9 +256,8 @@ def alarm_statistics(
     """Score alarms, bool of shape (n,) at sorted stamps in s, against the true clearance in m, shape (n,).
 
     `judged`, bool of shape (n,), says which frames had a clearance estimate; all where None. A false alarm is an
-    unbroken stretch of alarmed frames none of which is unsafe: an alarm that leads into an unsafe stretch is a timely
-    one, although its safe frames count as alarmed ones. An event is an unbroken stretch of unsafe frames that begins
-    inside the recording.
+    unbroken stretch of alarmed frames none of which is unsafe: one that leads into an unsafe stretch is timely, though
+    its safe frames count as alarmed. An event is an unbroken stretch of unsafe frames that begins inside the recording.
     """
     t, c = np.asarray(stamps_s, np.float64), np.asarray(clearance_m, np.float64)
     a = np.asarray(alarms, np.bool_)

@@ -101,9 +101,8 @@ def truth_rules(
         if not (parent and child) or ":" in child:
             raise UsageError(f"--truth-tf {text}: expected PARENT:CHILD, as in camera:tool")
         frames.append((frame_name(parent), frame_name(child)))
-    tissue = next((pair for pair in frames if pair[1] == profile.frames.tissue), None)
-    if tissue is None and len(frames) == 2:
-        tissue = frames[1]
+    second = frames[1] if len(frames) == 2 else None
+    tissue = next((pair for pair in frames if pair[1] == profile.frames.tissue), second)
     return TruthRules(references, next((pair for pair in frames if pair is not tissue), None), tissue, max_gap_ns)
 
 
@@ -125,22 +124,20 @@ def truth_at(
 
     Raises RecordingError or KinematicsError where the log has no such reference.
     """
-    unknown_m, tool = np.full(len(stamps_ns), np.nan), None
-    is_truth = reference is Reference.GROUND_TRUTH
+    unknown_m = np.full(len(stamps_ns), np.nan)
     if reference is Reference.KINEMATICS and equations == "printed":
         # eqs. (33)–(35) as published, on the tool in the base frame, which the identity for (28) leaves. The
         # translation of the last row is zero, so that (30)'s reflection leaves the position as it is.
         in_base = _kinematic_poses(recording, rules.max_gap_ns)(stamps_ns)
         displacement_cm = paper.displacement_cm_as_published(in_base.values[:, :3, 3])
-        planar_m = np.where(in_base.valid, paper.planar_distance_cm(displacement_cm) / 100.0, np.nan)
+        planar_m = paper.planar_distance_cm(displacement_cm) / 100.0
         return Truth(np.stack([planar_m, unknown_m, unknown_m], -1))
     has_truth = recording.topic_of(Role.GROUND_TRUTH_TF) is not None
-    if has_truth or not is_truth:
-        found = tool_track(recording, reference, rules)(stamps_ns)
-        tool = np.where(found.valid[:, None, None], found.values, np.nan)
-    if is_truth:
+    if reference is Reference.GROUND_TRUTH:
+        tool = tool_track(recording, reference, rules)(stamps_ns).values if has_truth else None
         return Truth(recording.distance_track().at(stamps_ns, rules.max_gap_ns).values, tool)
-    if tool is None or not (rules.tissue_frames or has_truth):
+    tool = tool_track(recording, reference, rules)(stamps_ns).values
+    if not (rules.tissue_frames or has_truth):
         return Truth(np.stack([unknown_m] * 3, -1), tool)
     frames = recording.profile.frames
     pair = rules.tissue_frames or (frames.camera, frames.tissue)
@@ -159,13 +156,10 @@ def tool_track(log: Recording, reference: Reference, rules: TruthRules) -> PoseA
         is_truth = reference is Reference.GROUND_TRUTH
         pair = (not is_truth and rules.tool_frames) or (frames.camera, frames.tool)
         return partial(log.transform_track(*pair, ground_truth=is_truth).at, max_gap_ns=gap_ns)
-    if reference is Reference.POSE:
-        poses = log.pose_track()
-        frame: str = poses.parent
-        in_frame: PoseAt = partial(poses.at, max_gap_ns=gap_ns)
-    else:
-        frame, in_frame = frames.base, _kinematic_poses(log, gap_ns)
-    return in_camera(log, frame, in_frame, gap_ns)
+    if reference is Reference.KINEMATICS:
+        return in_camera(log, frames.base, _kinematic_poses(log, gap_ns), gap_ns)
+    poses = log.pose_track()
+    return in_camera(log, poses.parent, partial(poses.at, max_gap_ns=gap_ns), gap_ns)
 
 
 def in_camera(log: Recording, frame: str, in_frame: PoseAt, max_gap_ns: int = MAX_GAP_NS) -> PoseAt:
@@ -193,8 +187,9 @@ def _kinematic_poses(recording: Recording, max_gap_ns: int) -> PoseAt:
     def at(stamps_ns: Stamps) -> Sampled:
         q = joints.at(stamps_ns, max_gap_ns)
         selected = select_joints(chain, joints.names, q.values)
-        within = chain.are_within_limits(selected).all(axis=-1)  # joints that cannot be are no reference
-        return Sampled(forward_kinematics(chain, selected), q.valid & within)
+        # Joints that cannot be are no reference.
+        valid = q.valid & chain.are_within_limits(selected).all(axis=-1)
+        return Sampled(np.where(valid[:, None, None], forward_kinematics(chain, selected), np.nan), valid)
 
     return at
 
