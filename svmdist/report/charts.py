@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.drawing import ALARM_COLOUR, ESTIMATE_COLOUR, LOST_COLOUR, TRUTH_COLOUR, Rgb
+from svmdist.drawing import ALARM_COLOUR, Rgb
 from svmdist.metrics import interval_coverage
 from svmdist.report.tables import counted
 from svmdist.results import AlarmEvent
@@ -24,12 +24,12 @@ Form = Literal["line", "dots", "bars", "band", "spans"]
 Role = Literal["estimate", "error", "truth", "interval", "lost", "threshold", "model", "limit", "consistency", "alarm"]
 """What a curve shows: it decides on the colour, and on the dash of a line."""
 COLOURS: dict[Role, Rgb] = {
-    **dict.fromkeys(("estimate", "error", "interval", "consistency"), ESTIMATE_COLOUR),
-    **dict.fromkeys(("truth", "model", "limit"), TRUTH_COLOUR),
+    **dict.fromkeys(("estimate", "error", "interval", "consistency"), (45, 120, 190)),
+    **dict.fromkeys(("truth", "model", "limit"), (120, 120, 120)),
     **dict.fromkeys(("alarm", "threshold"), ALARM_COLOUR),
-    "lost": LOST_COLOUR,
+    "lost": (150, 150, 150),
 }
-"""The same in print and on pages, and of alarms the same as in pictures."""
+"""The same in print and on pages, on white and on black; of alarms the same as in pictures."""
 
 
 @dataclass(frozen=True)
@@ -217,11 +217,9 @@ def calibration(group: Sequence[Series]) -> Chart:
     estimate_mm, truth_mm, std_mm = (truth_mm + error_mm)[kept], truth_mm[kept], std_mm[kept]
     held = [100.0 * (interval_coverage(estimate_mm, truth_mm, std_mm, level) or 0.0) for level in LEVELS]
     hover = "stated %{x:g} %: %{y:.1f} % inside<extra></extra>"
-    levels, ends = 100.0 * np.array(LEVELS), np.array([50.0, 100.0])
-    curves = [
-        Curve("line", "limit", "ideal", ends, ends),
-        Curve("line", "estimate", "truths inside", levels, np.array(held), hover=hover),
-    ]
+    ends = np.array([50.0, 100.0])
+    inside = Curve("line", "estimate", "truths inside", 100.0 * np.array(LEVELS), np.array(held), hover=hover)
+    curves = [Curve("line", "limit", "ideal", ends, ends), inside]
     text = f"{held[LEVELS.index(0.95)]:.1f} % of {len(truth_mm)} truths are inside the stated 95 % interval."
     text += " Below the diagonal, intervals are too narrow."
     return Chart("calibration of the interval", text, "stated level [%]", "truths inside [%]", curves)

@@ -78,13 +78,11 @@ def make_report(
         events = [row_of(EVENT_COLUMNS, (one, event)) for one in series for event in one.events]
         tables.append(Table.of(f"{counted(len(events), 'alarm')}: {request.alarms.in_words}", EVENT_COLUMNS, events))
     title = f"svmdist {'validate' if validation else 'estimate'}: {request.setup.method}"
-    worst = _worst(measured, series, request, jobs)
-    provenance = facts(request.setup, [one.recording for one in measured], command)
-    return Report(title, series, tables, worst, provenance, notes)
+    provenance = _facts(request.setup, [one.recording for one in measured], command)
+    return Report(title, series, tables, _worst(measured, series, request, jobs), provenance, notes)
 
 
-def facts(setup: Setup, recordings: Sequence[Recording], command: str) -> list[tuple[str, str]]:
-    """The provenance: command, versions, method, profile, calibration, and hashes of the recordings."""
+def _facts(setup: Setup, recordings: Sequence[Recording], command: str) -> list[tuple[str, str]]:
     values = hashlib.sha256(setup.profile.model_dump_json(by_alias=True).encode()).hexdigest()
     found = [("command", command), ("method", f"{setup.method}, {setup.equations} equations")]
     found.append(("profile", f"{setup.profile.name}, SHA-256 of its values {values}"))

@@ -120,10 +120,7 @@ class Truth:
 def truth_at(
     recording: Recording, reference: Reference, stamps_ns: Stamps, equations: Equations, rules: TruthRules
 ) -> Truth:
-    """What a reference says at stamps; without the tissue's place in the log, the tool alone.
-
-    Raises RecordingError or KinematicsError where the log has no such reference.
-    """
+    """What a reference says at stamps, or of the tool alone; RecordingError or KinematicsError where a log lacks it."""
     unknown_m = np.full(len(stamps_ns), np.nan)
     if reference is Reference.KINEMATICS and equations == "printed":
         # eqs. (33)–(35) as published, on the tool in the base frame, which the identity for (28) leaves. The
@@ -163,10 +160,7 @@ def tool_track(log: Recording, reference: Reference, rules: TruthRules) -> PoseA
 
 
 def in_camera(log: Recording, frame: str, in_frame: PoseAt, max_gap_ns: int = MAX_GAP_NS) -> PoseAt:
-    """Poses in a frame as poses in the camera frame, by the log's transforms; a frame without a name is the camera's.
-
-    Raises RecordingError where the log does not link them.
-    """
+    """Poses of a frame ("": the camera's) in the camera frame; RecordingError where the log does not link the two."""
     camera = log.profile.frames.camera
     if frame in ("", "camera", camera) or frame == log.logged_camera.frame_id:
         return in_frame
@@ -216,6 +210,5 @@ def reference_lag_ns(recording: Recording, reference: Reference, lag: LagEstimat
     if not known.any():
         return lag_ns
     expected = true.at(stamps_ns[known]).values[:, :3, 3]
-    errors = [found.values[known, :3, 3] - expected for found in moments]
-    with_images, with_robot = (float(np.mean(np.var(error, axis=0))) for error in errors)
+    with_images, with_robot = (np.var(found.values[known, :3, 3] - expected, axis=0).mean() for found in moments)
     return 0 if with_images < with_robot else lag_ns
