@@ -106,8 +106,9 @@ def _worst(
         for drawn in drawn_frames(log, request.setup, jobs, numbers, request.alarms) if numbers else ():
             if (image := drawn.replayed.image_bgr) is not None:
                 picture = draw_on(image, drawn.drawing, **THUMBNAIL)
-                if (scale := MAX_WIDTH_PX / picture.shape[1]) < 1.0:
-                    picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+                if (times := MAX_WIDTH_PX / picture.shape[1]) < 1.0:
+                    small = cv2.resize(picture, None, fx=times, fy=times, interpolation=cv2.INTER_AREA)
+                    picture = small.astype(np.uint8)
                 jpeg = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1]
                 jpegs[name, drawn.number] = jpeg.tobytes()
     return [(f"{key[0]}, {said}", jpegs[key]) for key, said in chosen.items() if key in jpegs]

@@ -124,16 +124,17 @@ def series_of(measured: Iterable[Measured], request: Request, reference: Referen
     for one, name in each:
         rows = [row for row in one.rows if row.instrument == name]
         recording, setup = one.recording.for_instrument(name), request.setup
-        readings, truth_m, known = Readings(rows), np.full((len(rows), 3), np.nan), np.full(3, True)
+        readings, truth_m, has_truth = Readings(rows), np.full((len(rows), 3), np.nan), False
         at_ns = readings.stamps_ns - reference_lag_ns(recording, asked, one.lag)
         try:
             by = one.by.get((asked, name))
             truth = by.truth if by else truth_at(recording, asked, at_ns, setup.equations, request.rules)
-            truth_m, known = truth.distances_m, np.isfinite(truth.distances_m).any(0)
+            truth_m, has_truth = truth.distances_m, True
         except (RecordingError, KinematicsError):
             if reference is not None:
                 raise
-        known &= [np.isfinite(readings.distance(of)[0]).any() for of in DISTANCES]
+        found_any = np.array([np.isfinite(readings.distance(of)[0]).any() for of in DISTANCES])
+        known = found_any & np.isfinite(truth_m).any(0) if has_truth else found_any
         distance = DISTANCES[max(np.flatnonzero(known), default=0)]  # the last one says most
         series = Series(
             *(recording.name, name, setup.method, distance),
