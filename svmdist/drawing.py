@@ -43,8 +43,6 @@ COLOURS: dict[Part, Rgb] = {
 }
 """One for each thing; they differ with any colour vision (Okabe & Ito 2008), and what is measured is white."""
 ALARM_COLOUR: Rgb = (213, 94, 0)
-ESTIMATE_COLOUR, TRUTH_COLOUR, LOST_COLOUR = (45, 120, 190), (120, 120, 120), (150, 150, 150)
-"""Of curves, on white and on black."""
 
 
 class Form(StrEnum):

@@ -41,10 +41,9 @@ Cell = str | int | float | None
 class Column:
     """One column: `key` in machine output, in SI; `heading` in a readable table, in the unit shown there.
 
-    `of` reads the value from the object that a row is made of: a function, or a path of attributes and indices; by
-    default the key. A column without a heading is for machines only, one that is not `stored` for readable tables only.
-    `field` is its name in `svmdist.DistanceEstimate`. `width` is the least one of a plain table, in characters. What
-    columns mean is described in docs/metrics.md.
+    `of` reads the value from a row's source: a function, or a path of attributes and indices; by default the key.
+    Without a heading it is for machines only, not `stored` for readable tables only. `field` is its name in
+    `svmdist.DistanceEstimate`, `width` the least in a plain table, in characters. docs/metrics.md says what it means.
     """
 
     key: str
@@ -162,8 +161,7 @@ def bootstrap_intervals(
     None where R² is undefined, for the pairs or for every resample.
     """
     f, y = np.asarray(estimate, np.float64), np.asarray(truth, np.float64)
-    n = len(f)
-    if n < 8:
+    if (n := len(f)) < 8:
         return Intervals(None, None)
     block = block or int(np.ceil(n ** (1.0 / 3.0)))
     starts = np.random.default_rng(seed).integers(0, n - block + 1, size=(resamples, -(-n // block)))
@@ -185,11 +183,6 @@ def interval_coverage(estimate: Array, truth: Array, std: Array, level: float = 
     return float(np.mean(np.abs(estimate - truth) <= z * std)) if len(estimate) else None
 
 
-def coverage(measured: int, frames: int) -> float:
-    """Measured frames per frame; 0 for no frames."""
-    return measured / frames if frames else 0.0
-
-
 def _interval(values: Array) -> Interval:
     low, high = np.percentile(values, [2.5, 97.5])
     return Interval(float(low), float(high))
@@ -204,10 +197,10 @@ def _varies(values: Array) -> bool:
 class AlarmStatistics:
     """Counts of alarms against truth, and figures of them, which are None where they are undefined.
 
-    A frame is unsafe where its true clearance is below the threshold. `unjudged_count` of the frames had no
-    clearance, so that no alarm was raised; `unsafe_unjudged_count` of these are unsafe, and count as missed.
-    `lead_times_s` holds, for each time the truth falls below the threshold, how long before it the alarm was raised
-    without a break, over safe frames; negative where it came late, and nothing for one that was missed.
+    A frame is unsafe where its true clearance is below the threshold. `unjudged_count` of the frames had no clearance,
+    and so no alarm; `unsafe_unjudged_count` of these are unsafe, and count as missed. `lead_times_s`: for each time the
+    truth falls below the threshold, how long before it the alarm was raised without a break, over safe frames; negative
+    where it came late, and nothing for one that was missed.
     """
 
     frame_count: int
@@ -263,9 +256,8 @@ def alarm_statistics(
     """Score alarms, bool of shape (n,) at sorted stamps in s, against the true clearance in m, shape (n,).
 
     `judged`, bool of shape (n,), says which frames had a clearance estimate; all where None. A false alarm is an
-    unbroken stretch of alarmed frames none of which is unsafe: an alarm that leads into an unsafe stretch is a timely
-    one, although its safe frames count as alarmed ones. An event is an unbroken stretch of unsafe frames that begins
-    inside the recording.
+    unbroken stretch of alarmed frames none of which is unsafe: one that leads into an unsafe stretch is timely, though
+    its safe frames count as alarmed. An event is an unbroken stretch of unsafe frames that begins inside the recording.
     """
     t, c = np.asarray(stamps_s, np.float64), np.asarray(clearance_m, np.float64)
     a = np.asarray(alarms, np.bool_)
@@ -274,8 +266,8 @@ def alarm_statistics(
     if len(set(shapes)) > 1 or t.ndim != 1:
         raise ValueError(f"expected arrays of the same shape (n,), found {', '.join(map(str, shapes))}")
     unsafe = c < below_m
-    events = [index for index in range(1, len(t)) if unsafe[index] and not unsafe[index - 1]]
-    leads = [_lead_time_s(t, a, unsafe, event) for event in events]
+    events = np.flatnonzero(unsafe[1:] & ~unsafe[:-1]) + 1
+    leads = [_lead_time_s(t, a, unsafe, event) for event in events.tolist()]
     begins = a & ~np.concatenate([[False], a[:-1]])
     episode = np.cumsum(begins)
     return AlarmStatistics(
@@ -292,13 +284,10 @@ def alarm_statistics(
     )
 
 
-NO_ALARMS = AlarmStatistics(0, 0, 0, 0, 0, 0, 0, 0.0, 0, ())
-
-
 def pooled_alarms(parts: Sequence[AlarmStatistics]) -> AlarmStatistics:
     """The statistics of several recordings together: counts and durations add up."""
-    columns = zip(*(astuple(part) for part in (NO_ALARMS, *parts)), strict=True)
-    return AlarmStatistics(*(reduce(add, column) for column in columns))
+    none = AlarmStatistics(0, 0, 0, 0, 0, 0, 0, 0.0, 0, ())
+    return AlarmStatistics(*(reduce(add, column) for column in zip(*map(astuple, (none, *parts)), strict=True)))
 
 
 def _share(count: float, of: float) -> float | None:

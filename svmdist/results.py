@@ -144,8 +144,7 @@ class ImageFindings:
 class AlarmEvent:
     """Alarmed rows of one instrument, from the first to the last of them, and the smallest clearance of these.
 
-    A row that is judged safe ends it, and so do a few rows in a row without a clearance. Numbers are those of images in
-    the log, seconds since its first image.
+    A row judged safe ends it, so do a few in a row without a clearance. Numbers are of images, seconds since the first.
     """
 
     instrument: str
@@ -163,15 +162,12 @@ class AlarmEvent:
 
 @dataclass(frozen=True, slots=True)
 class AlarmState:
-    """Of one row: whether an alarm is raised, closing speed in m/s (positive: closer), time to contact in s.
-
-    None where unknown. `event` is the event so far that an alarmed row belongs to.
-    """
+    """Of one row: whether an alarm is raised, closing speed (positive: closer), time to contact; None where unknown."""
 
     is_raised: bool | None = None
     closing_speed_m_s: float | None = None
     time_to_contact_s: float | None = None
-    event: AlarmEvent | None = None
+    event: AlarmEvent | None = None  # so far, of an alarmed row
 
 
 @dataclass(frozen=True, slots=True)

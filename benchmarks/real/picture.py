@@ -19,7 +19,8 @@ from matplotlib.figure import Figure
 from benchmarks.generated_pages import DOCS
 from benchmarks.real import recode
 from svmdist import open_recording, prepare
-from svmdist.drawing import ESTIMATE_COLOUR, Part
+from svmdist.drawing import Part
+from svmdist.report import charts
 from svmdist.report.on_image import draw_on
 from svmdist.report.plots import LOOKS
 from svmdist.samples import Image
@@ -36,7 +37,7 @@ def plot(frames: list[DrawnFrame], width_px: int) -> Image:
     seconds, low, middle, high = np.array(
         [(at, of.interval_m[0], of.value_m, of.interval_m[1]) for at, of in found if of and of.interval_m]
     ).T * np.array([[1.0], [1e3], [1e3], [1e3]])
-    colour = tuple(level / 255.0 for level in ESTIMATE_COLOUR)
+    colour = tuple(level / 255.0 for level in charts.COLOURS["estimate"])
     with mpl.rc_context(LOOKS | {"font.size": 10, "axes.titlesize": 10, "legend.fontsize": 10}):
         figure = Figure(figsize=(width_px / DPI, HEIGHT_PX / DPI), dpi=DPI, layout="constrained")
         axes = figure.add_subplot()

@@ -22,14 +22,12 @@ from svmdist.recording.writer import EncodedSample, RecordingWriter, encoded
 from svmdist.report.on_image import draw_on
 from svmdist.report.rows import estimate_fields
 from svmdist.results import FrameResult
-from svmdist.samples import Image, Sample, TransformSample, TransformsSample
+from svmdist.samples import Sample, TransformSample, TransformsSample
 from svmdist.transforms import Array
 from svmdist.workflows.frame_drawing import DrawnFrame
 from svmdist.workflows.request import Setup
 
-ANNOTATIONS = "annotations"  # below the image's topic: viewers that go by names lay it over the image
-SCENE_TOPIC, TF_TOPIC, LOG_TOPIC = "/svmdist/scene", "/svmdist/tf", "/svmdist/log"
-SURFACE_TOPIC = "/svmdist/surface"
+SCENE_TOPIC, TF_TOPIC, LOG_TOPIC, SURFACE_TOPIC = (f"/svmdist/{name}" for name in ("scene", "tf", "log", "surface"))
 TIME_BASE = Fraction(1, 1000)  # frames are shown at their stamps: a log has no constant rate
 CODECS = {"libx264": {"crf": "20", "preset": "veryfast"}, "mpeg4": {}}
 """The first that this build of FFmpeg has, with its options. H.264 plays everywhere; MPEG-4 is in every build."""
@@ -57,10 +55,10 @@ def _annotations(
         if at == 0:
             text = f"svmdist {version('svmdist')}, method {setup.method}, profile {setup.profile.name}"
             yield LOG_TOPIC, viewer_messages.log_line(text, stamp_ns, is_warning=False)
-        yield f"{recording.topic_of(Role.IMAGE)}/{ANNOTATIONS}", viewer_messages.image_annotations(drawing)
+        # Below the image's topic: viewers that go by names lay it over the image.
+        yield f"{recording.topic_of(Role.IMAGE)}/annotations", viewer_messages.image_annotations(drawing)
         for result in results:
-            # Fields that are None are left out.
-            fields = estimate_fields(result, setup.method)
+            fields = estimate_fields(result, setup.method)  # those that are None are left out
             yield f"/svmdist/{result.instrument}/distance", encoded("svmdist.DistanceEstimate", stamp_ns, **fields)
         if poses := tool_poses(results):
             tools = tuple(TransformSample(stamp_ns, frame_id, child, T) for child, T in poses)
@@ -110,17 +108,12 @@ def write_video(frames: Iterable[DrawnFrame], path: Path, recording: Recording, 
                     # Clocks that are set back, or forth, make no gaps: a video's time only goes on.
                     at_ms = min(max(log_ms, shown_ms + 1), shown_ms + LARGEST_STEP_MS)
                     begin_ns, shown_ms = begin_ns + (log_ms - at_ms) * 1_000_000, at_ms
-                    picture = av.VideoFrame.from_ndarray(_picture(frame, width, height), format="bgr24")
+                    image, padded = frame.replayed.image_bgr, np.zeros((height, width, 3), np.uint8)
+                    drawn = draw_on(padded if image is None else image, frame.drawing)[:height, :width]
+                    padded[: drawn.shape[0], : drawn.shape[1]] = drawn
+                    picture = av.VideoFrame.from_ndarray(padded, format="bgr24")
                     picture.pts, picture.time_base = at_ms, TIME_BASE
                     container.mux(stream.encode(picture))
                 container.mux(stream.encode())
         except av.FFmpegError as problem:
             raise OutputError(f"{path}: cannot write: {problem.strerror}") from None
-
-
-def _picture(frame: DrawnFrame, width: int, height: int) -> Image:
-    image, padded = frame.replayed.image_bgr, np.zeros((height, width, 3), np.uint8)
-    drawn = draw_on(padded if image is None else image, frame.drawing)
-    rows, columns = min(height, drawn.shape[0]), min(width, drawn.shape[1])
-    padded[:rows, :columns] = drawn[:rows, :columns]
-    return padded

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.drawing import ALARM_COLOUR, ESTIMATE_COLOUR, LOST_COLOUR, TRUTH_COLOUR, Rgb
+from svmdist.drawing import ALARM_COLOUR, Rgb
 from svmdist.metrics import interval_coverage
 from svmdist.report.tables import counted
 from svmdist.results import AlarmEvent
@@ -21,17 +21,15 @@ MAX_GAP_IN_STEPS = 3.0  # a curve is broken where frames are missing for longer 
 
 Form = Literal["line", "dots", "bars", "band", "spans"]
 """How a curve's points are drawn; a band is between `low` and `y`, spans have the full height from `x` to `y`."""
-Role = Literal[
-    "estimate", "error", "truth", "interval", "lost", "threshold", "model", "limit", "consistency", "alarm"
-]  # fmt: skip
+Role = Literal["estimate", "error", "truth", "interval", "lost", "threshold", "model", "limit", "consistency", "alarm"]
 """What a curve shows: it decides on the colour, and on the dash of a line."""
 COLOURS: dict[Role, Rgb] = {
-    **dict.fromkeys(("estimate", "error", "interval", "consistency"), ESTIMATE_COLOUR),
-    **dict.fromkeys(("truth", "model", "limit"), TRUTH_COLOUR),
+    **dict.fromkeys(("estimate", "error", "interval", "consistency"), (45, 120, 190)),
+    **dict.fromkeys(("truth", "model", "limit"), (120, 120, 120)),
     **dict.fromkeys(("alarm", "threshold"), ALARM_COLOUR),
-    "lost": LOST_COLOUR,
+    "lost": (150, 150, 150),
 }
-"""The same in print and on pages, and of alarms the same as in pictures."""
+"""The same in print and on pages, on white and on black; of alarms the same as in pictures."""
 
 
 @dataclass(frozen=True)
@@ -97,48 +95,43 @@ def _interval(seconds: Array, middle_mm: Array, half_mm: Array) -> list[Curve]:
     return [Curve("band", "interval", "95 % interval", seconds, high, low)]
 
 
-def threshold(seconds: Array, below_m: float) -> Curve:
-    """The alarms' threshold from the first to the last of some times."""
-    below_mm = below_m * 1e3
-    ends = seconds[[0, -1]] if len(seconds) else seconds
-    return Curve("line", "threshold", f"alarm below {below_mm:g} mm", ends, np.full(len(ends), below_mm))
-
-
-def alarm_spans(events: Sequence[AlarmEvent], seconds: Array) -> list[Curve]:
-    """The spans of alarms, half a frame wider on both sides; none without any."""
-    if not events:
-        return []
-    half_s = frame_reach_s(seconds, 0.5)
-    begins, ends = np.array([(one.start_s - half_s, one.end_s + half_s) for one in events]).T
-    return [Curve("spans", "alarm", "alarm", begins, ends)]
+def alarm_curves(events: Sequence[AlarmEvent], below_m: float, seconds: Array) -> list[Curve]:
+    """The spans of alarms, half a frame wider on both sides, where there are any; last their threshold."""
+    below_mm, half_s = below_m * 1e3, frame_reach_s(seconds, 0.5)
+    x = seconds[[0, -1]] if len(seconds) else seconds
+    curves = [Curve("line", "threshold", f"alarm below {below_mm:g} mm", x, np.full(len(x), below_mm))]
+    if events:
+        begins, ends = np.array([(one.start_s - half_s, one.end_s + half_s) for one in events]).T
+        curves.insert(0, Curve("spans", "alarm", "alarm", begins, ends))
+    return curves
 
 
 def distance_over_time(series: Series) -> Chart:
     """Estimate with its interval, truth, the alarms and their threshold, and the spans that were not measured."""
-    estimate_mm, name, spans = series.estimate_m * 1e3, distance_name(series), rejected_spans(series)
+    seconds, estimate_mm, name = series.seconds, series.estimate_m * 1e3, distance_name(series)
     text = f"{int(series.measured.sum())} of {len(series)} frames measured."
     if series.measured.any():
         least, most = np.nanmin(estimate_mm), np.nanmax(estimate_mm)
         text += f" The estimated {name} runs from {least:.1f} to {most:.1f} mm."
-    curves = []
-    if spans:
-        text += f" Not measured: {counted(len(spans), 'span')}, shaded."
-        begins, ends = np.array(spans).T
-        curves.append(Curve("spans", "lost", "not measured", begins, ends))
-    line = []
+    curves = distance_curves(seconds, estimate_mm, series.half_m * 1e3, series.truth_m * 1e3)
+    spans = []
+    if lost := runs(~series.measured):
+        text += f" Not measured: {counted(len(lost), 'span')}, shaded."
+        half_s = frame_reach_s(seconds, 0.5)  # a span is half a frame wider on both sides
+        ends_s = [(round(seconds[at] - half_s, 3), round(seconds[end - 1] + half_s, 3)) for at, end in lost]
+        spans.append(Curve("spans", "lost", "not measured", *np.array(ends_s).T))
     if series.alarm_below_m is not None and series.distance == "clearance":
-        curves += alarm_spans(series.events, series.seconds)
         text += f" {counted(len(series.events), 'alarm')}."
-        line = [threshold(series.seconds, series.alarm_below_m)]
-    curves += [*distance_curves(series.seconds, estimate_mm, series.half_m * 1e3, series.truth_m * 1e3), *line]
-    return _over_time(series, f"{name} over time", text, f"{name} [mm]", curves)
+        *alarms, threshold = alarm_curves(series.events, series.alarm_below_m, seconds)
+        spans += alarms
+        curves.append(threshold)
+    return _over_time(series, f"{name} over time", text, f"{name} [mm]", spans + curves)
 
 
 def error_over_time(series: Series) -> Chart:
     """Estimate less truth, with the reported interval about zero."""
     error_mm = series.error_m * 1e3
-    known = error_mm[np.isfinite(error_mm)]
-    text = f"RMSE {np.sqrt(np.mean(known**2)):.2f} mm, largest error {np.abs(known).max():.2f} mm."
+    text = f"RMSE {np.sqrt(np.nanmean(error_mm**2)):.2f} mm, largest error {np.nanmax(np.abs(error_mm)):.2f} mm."
     curves = error_curves(series.seconds, error_mm, series.half_m * 1e3)
     return _over_time(series, "error over time", text, "error [mm]", curves)
 
@@ -154,10 +147,8 @@ def consistency_over_time(series: Series) -> Chart:
 def _over_time(series: Series, title: str, text: str, y_title: str, curves: list[Curve]) -> Chart:
     number = with_breaks(series.seconds, series.number.astype(np.float64))[1]
     hover = "frame %{customdata}<br>%{x:.2f} s: %{y:.2f}<extra></extra>"
-    for at, curve in enumerate(curves):
-        if curve.role in ("estimate", "error"):
-            curves[at] = replace(curve, number=number, hover=hover)
-    return Chart(title, text, "time [s]", y_title, curves, over_time=True)
+    shown = [replace(one, number=number, hover=hover) if one.role in ("estimate", "error") else one for one in curves]
+    return Chart(title, text, "time [s]", y_title, shown, over_time=True)
 
 
 def errors_over(group: Sequence[Series], what: str) -> Chart:
@@ -226,21 +217,12 @@ def calibration(group: Sequence[Series]) -> Chart:
     estimate_mm, truth_mm, std_mm = (truth_mm + error_mm)[kept], truth_mm[kept], std_mm[kept]
     held = [100.0 * (interval_coverage(estimate_mm, truth_mm, std_mm, level) or 0.0) for level in LEVELS]
     hover = "stated %{x:g} %: %{y:.1f} % inside<extra></extra>"
-    levels, ends = 100.0 * np.array(LEVELS), np.array([50.0, 100.0])
-    curves = [
-        Curve("line", "limit", "ideal", ends, ends),
-        Curve("line", "estimate", "truths inside", levels, np.array(held), hover=hover),
-    ]
+    ends = np.array([50.0, 100.0])
+    inside = Curve("line", "estimate", "truths inside", 100.0 * np.array(LEVELS), np.array(held), hover=hover)
+    curves = [Curve("line", "limit", "ideal", ends, ends), inside]
     text = f"{held[LEVELS.index(0.95)]:.1f} % of {len(truth_mm)} truths are inside the stated 95 % interval."
     text += " Below the diagonal, intervals are too narrow."
     return Chart("calibration of the interval", text, "stated level [%]", "truths inside [%]", curves)
-
-
-def rejected_spans(series: Series) -> list[tuple[float, float]]:
-    """Beginning and end in s of each run of frames without the distance, half a frame wider on both sides."""
-    seconds, half_s = series.seconds, frame_reach_s(series.seconds, 0.5)
-    spans = runs(~series.measured)
-    return [(round(seconds[at] - half_s, 3), round(seconds[end - 1] + half_s, 3)) for at, end in spans]
 
 
 def frame_reach_s(seconds: Array, share: float) -> float:

@@ -27,7 +27,6 @@ from svmdist.report.on_image import draw_on
 from svmdist.report.scores import remarks, validation_tables
 from svmdist.report.tables import Table, counted
 from svmdist.report.writers import Results
-from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.workflows.estimate import Measured
 from svmdist.workflows.frame_drawing import drawn_frames
@@ -40,8 +39,7 @@ JPEG_QUALITY, MIN_WIDTH_PX, MAX_WIDTH_PX = 80, 480, 960
 PACKAGES = ("svmdist", "numpy", "opencv-python-headless", "mcap", "protobuf", "plotly")
 MAX_MARKERS = 2000  # more points than these are drawn as a line, or thinned out evenly where they are no line
 DASHES: dict[Role, str] = {"truth": "dash", "limit": "dash", "threshold": "dot"}
-THUMBNAIL_LETTERS = 1 / 26  # over the width: pictures of frames are shown small
-AREA_ALPHA = 0.3
+THUMBNAIL: Any = {"lines": False, "least_px": MIN_WIDTH_PX, "letters": 1 / 26}  # pictures of frames are shown small
 DASH_REACH = 0.3  # of one frame's mark, to either side, over the way to the next one
 
 
@@ -80,13 +78,11 @@ def make_report(
         events = [row_of(EVENT_COLUMNS, (one, event)) for one in series for event in one.events]
         tables.append(Table.of(f"{counted(len(events), 'alarm')}: {request.alarms.in_words}", EVENT_COLUMNS, events))
     title = f"svmdist {'validate' if validation else 'estimate'}: {request.setup.method}"
-    worst = _worst(measured, series, request, jobs)
-    provenance = facts(request.setup, [one.recording for one in measured], command)
-    return Report(title, series, tables, worst, provenance, notes)
+    provenance = _facts(request.setup, [one.recording for one in measured], command)
+    return Report(title, series, tables, _worst(measured, series, request, jobs), provenance, notes)
 
 
-def facts(setup: Setup, recordings: Sequence[Recording], command: str) -> list[tuple[str, str]]:
-    """The provenance: command, versions, method, profile, calibration, and hashes of the recordings."""
+def _facts(setup: Setup, recordings: Sequence[Recording], command: str) -> list[tuple[str, str]]:
     values = hashlib.sha256(setup.profile.model_dump_json(by_alias=True).encode()).hexdigest()
     found = [("command", command), ("method", f"{setup.method}, {setup.equations} equations")]
     found.append(("profile", f"{setup.profile.name}, SHA-256 of its values {values}"))
@@ -104,20 +100,18 @@ def _worst(
 ) -> list[tuple[str, bytes]]:
     """The worst frames of all logs with their captions, worst first; they are measured once more, to draw them."""
     chosen = {(one.series.recording, one.number): one.in_words for one in worst_frames(series, WORST_COUNT)}
-    pictures = {}
-    look: Any = {"lines": False, "least_px": MIN_WIDTH_PX, "letters": THUMBNAIL_LETTERS}
-    for name, log in ((one.recording.name, one) for one in measured):
+    jpegs = {}
+    for name, log in ((one.recording.name, one.read) for one in measured):
         numbers = {number for recording, number in chosen if recording == name}
-        for drawn in drawn_frames(log.read, request.setup, jobs, numbers, request.alarms) if numbers else ():
+        for drawn in drawn_frames(log, request.setup, jobs, numbers, request.alarms) if numbers else ():
             if (image := drawn.replayed.image_bgr) is not None:
-                pictures[name, drawn.number] = _jpeg(draw_on(image, drawn.drawing, **look))
-    return [(f"{key[0]}, {said}", pictures[key]) for key, said in chosen.items() if key in pictures]
-
-
-def _jpeg(picture: Image) -> bytes:
-    if (scale := MAX_WIDTH_PX / picture.shape[1]) < 1.0:
-        picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA).astype(np.uint8)
-    return bytes(cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes())
+                picture = draw_on(image, drawn.drawing, **THUMBNAIL)
+                if (times := MAX_WIDTH_PX / picture.shape[1]) < 1.0:
+                    small = cv2.resize(picture, None, fx=times, fy=times, interpolation=cv2.INTER_AREA)
+                    picture = small.astype(np.uint8)
+                jpeg = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1]
+                jpegs[name, drawn.number] = jpeg.tobytes()
+    return [(f"{key[0]}, {said}", jpegs[key]) for key, said in chosen.items() if key in jpegs]
 
 
 def _lost(series: Series) -> str:
@@ -236,8 +230,8 @@ def plotly_figure(chart: Chart) -> go.Figure:
 def _traces(curve: Curve, sharing: int) -> Iterator[tuple[Array, Array, dict[str, Any]]]:
     """The traces of a curve: x, y, and how they look; `sharing` curves of dots share the room."""
     rgb, dash = ",".join(map(str, charts.COLOURS[curve.role])), DASHES.get(curve.role, "solid")
-    colour, sheer = f"rgb({rgb})", f"rgba({rgb},{AREA_ALPHA})"
-    area = {"mode": "lines", "line": {"width": 0}, "fillcolor": sheer, "hoverinfo": "skip"}
+    colour = f"rgb({rgb})"
+    area = {"mode": "lines", "line": {"width": 0}, "fillcolor": f"rgba({rgb},0.3)", "hoverinfo": "skip"}
     if curve.form == "line":
         yield from _line(curve, colour, dash)
     elif curve.form == "band":

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from operator import itemgetter
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -43,30 +42,14 @@ TOPIC_COLUMNS = (
 )
 
 
-def _image_counts(log: dict[str, Any]) -> dict[str, int]:
-    """How many images are on the topic that is read; where none is chosen, on each that has some."""
-    counts = {one["topic"]: int(one["message_count"]) for one in log["topics"] if one["kind"] == Kind.IMAGE}
-    image = log["roles"].get("image")
-    return counts if image is None else {image: counts[image]}
-
-
-def _image_count(log: dict[str, Any]) -> int | None:
-    counts = _image_counts(log)
-    return sum(counts.values()) if len(counts) < 2 else None
-
-
-def _methods(log: dict[str, Any]) -> str:
-    return ", ".join(name for name, found in log["methods"].items() if found["served"]) or "none"
-
-
 LOG_COLUMNS = (
-    Column("recording", TEXT, "recording", itemgetter("recording")),
-    Column("duration_s", SECONDS, "duration [s]", itemgetter("duration_s")),
-    Column("size_bytes", Unit("B", 1e-6, 2), "size [MB]", itemgetter("size_bytes")),
-    Column("images", COUNT, "images", _image_count),
-    Column("messages", COUNT, "messages", lambda log: sum(topic["message_count"] for topic in log["topics"])),
-    Column("methods", TEXT, "methods", _methods),
-    Column("loss_count", COUNT, "losses", lambda log: len(log["losses"])),
+    Column("recording", TEXT, "recording"),
+    Column("duration_s", SECONDS, "duration [s]"),
+    Column("size_bytes", Unit("B", 1e-6, 2), "size [MB]"),
+    Column("images", COUNT, "images"),
+    Column("messages", COUNT, "messages"),
+    Column("methods", TEXT, "methods"),
+    Column("loss_count", COUNT, "losses"),
 )
 
 
@@ -77,15 +60,25 @@ def info_results(found: dict[str, Any]) -> Results:
 
 def logs_results(documents: Sequence[tuple[str, dict[str, Any]]]) -> Results:
     """Several recordings by names and documents: a table of one line each, the topics of all as rows."""
-    topics = [topic | {"recording": name} for name, document in documents for topic in document["topics"]]
-    logs = [row_of(LOG_COLUMNS, document | {"recording": name}) for name, document in documents]
-    columns, tables = (*TOPIC_COLUMNS, Column("recording", TEXT)), [Table.of("", LOG_COLUMNS, logs)]
-    notes = []
-    for name, document in documents:
-        if len(counts := _image_counts(document)) > 1:
-            listed = sanitize_list(f"{topic} ({count} images)" for topic, count in counts.items())
+    topics, logs, notes = [], [], []
+    for name, log in documents:
+        topics += [topic | {"recording": name} for topic in log["topics"]]
+        images = {one["topic"]: one["message_count"] for one in log["topics"] if one["kind"] == Kind.IMAGE}
+        if (chosen := log["roles"].get("image")) is not None:
+            images = {chosen: images[chosen]}
+        if len(images) > 1:
+            listed = sanitize_list(f"{topic} ({count} images)" for topic, count in images.items())
             notes.append(f"{name}: choose one with --topic image=TOPIC of {listed}")
+        row = {"recording": name, "methods": _served_methods(log), "loss_count": len(log["losses"])}
+        row["images"] = sum(images.values()) if len(images) < 2 else None
+        row["messages"] = sum(topic["message_count"] for topic in log["topics"])
+        logs.append(log | row)
+    columns, tables = (*TOPIC_COLUMNS, Column("recording", TEXT)), [Table.of("", LOG_COLUMNS, logs)]
     return Results(columns, topics, None, tables, notes, [document for _, document in documents])
+
+
+def _served_methods(log: dict[str, Any]) -> str:
+    return ", ".join(name for name, found in log["methods"].items() if found["served"]) or "none"
 
 
 def info_document(summary: RecordingSummary, checks: Mapping[str, Checks], no_tag: str = "") -> dict[str, Any]:
@@ -154,7 +147,7 @@ def _info_lines(log: dict[str, Any], width: int | None) -> Iterator[str]:
     yield line("instruments", ", ".join(log["instruments"]))
     for name, found in log["commands"].items():
         yield line(name, ", ".join(filter(None, ("yes", found.get("note")))) if found["served"] else missing(found))
-    yield line("methods", _methods(log))
+    yield line("methods", _served_methods(log))
     for name, found in log["methods"].items():
         if not found["served"]:
             yield f"  {name:<9} {printable(missing(found))}\n"
@@ -173,32 +166,29 @@ def _camera_in_words(camera: dict[str, Any]) -> str:
     return f"{pinhole}, {lens}, frame {camera['frame_id']}"
 
 
-def _quaternion(at: int) -> Callable[[HandEyeResult], float]:
-    return lambda found: float(quaternion_xyzw_from_rotation(found.hand_eye.T_camera_base[:3, :3])[at])
-
-
-def _deviation(at: int) -> Callable[[HandEyeResult], float]:
-    return lambda found: float(np.sqrt(max(found.hand_eye.covariance[at][at], 0.0)))
-
-
 HAND_EYE_COLUMNS = (
-    *(Column(key, TEXT, of=f"hand_eye.{key}") for key in ("instrument", "camera", "base")),
-    *(Column(f"{axis}_m", LENGTH, of=f"hand_eye.translation_m.{at}") for at, axis in enumerate("xyz")),
-    *(Column(f"q{axis}", RATIO, of=_quaternion(at)) for at, axis in enumerate("xyzw")),
-    *(Column(f"{axis}_std_m", LENGTH, of=_deviation(at)) for at, axis in enumerate("xyz")),
-    *(Column(f"turn_{axis}_std_rad", RADIANS, of=_deviation(at)) for at, axis in enumerate("xyz", 3)),
-    Column("tool_std_m", LENGTH),
-    *(Column(key, TEXT, of=f"hand_eye.{key}") for key in ("method", "reference")),
-    *(Column(key, COUNT, of=f"hand_eye.{key}") for key in ("frame_count", "inlier_count")),
-    Column("residual_rms_m", LENGTH, of="hand_eye.residual_rms_m"),
-    Column("log_turn_rad", RADIANS, of="from_log.0"),
-    Column("log_shift_m", LENGTH, of="from_log.1"),
+    *(Column(key, TEXT, of=f"0.hand_eye.{key}") for key in ("instrument", "camera", "base")),
+    *(Column(f"{axis}_m", LENGTH, of=f"0.hand_eye.translation_m.{at}") for at, axis in enumerate("xyz")),
+    *(Column(f"q{axis}", RATIO, of=f"1.{at}") for at, axis in enumerate("xyzw")),
+    *(Column(f"{axis}_std_m", LENGTH, of=f"2.{at}") for at, axis in enumerate("xyz")),
+    *(Column(f"turn_{axis}_std_rad", RADIANS, of=f"2.{at}") for at, axis in enumerate("xyz", 3)),
+    Column("tool_std_m", LENGTH, of="0.tool_std_m"),
+    *(Column(key, TEXT, of=f"0.hand_eye.{key}") for key in ("method", "reference")),
+    *(Column(key, COUNT, of=f"0.hand_eye.{key}") for key in ("frame_count", "inlier_count")),
+    Column("residual_rms_m", LENGTH, of="0.hand_eye.residual_rms_m"),
+    Column("log_turn_rad", RADIANS, of="0.from_log.0"),
+    Column("log_shift_m", LENGTH, of="0.from_log.1"),
 )
+"""Of a result, its quaternion, and the standard deviations of its transform."""
 
 
 def hand_eye_results(results: Sequence[HandEyeResult]) -> Results:
     """A row per instrument; as text, the transforms with what they rest on."""
-    rows = [row_of(HAND_EYE_COLUMNS, result) for result in results]
+    rows = []
+    for one in results:
+        quaternion = quaternion_xyzw_from_rotation(one.hand_eye.T_camera_base[:3, :3])
+        std = np.sqrt(np.maximum(np.diag(one.hand_eye.covariance), 0.0))
+        rows.append(row_of(HAND_EYE_COLUMNS, (one, quaternion, std)))
     lines = [line for found in zip(results, rows, strict=True) for line in _hand_eye_lines(*found)]
     return Results(HAND_EYE_COLUMNS, rows, lambda _: lines, document=rows)
 

@@ -16,16 +16,16 @@ from svmdist.files import atomic_file
 from svmdist.samples import Image
 from svmdist.transforms import Array
 
-FONT = cv2.FONT_HERSHEY_SIMPLEX
+FONT, SUBPIXEL_BITS = cv2.FONT_HERSHEY_SIMPLEX, 4
 DARK = (20, 20, 20)
-SUBPIXEL_BITS = 4
 LIMIT_PX = 20_000.0  # OpenCV's drawing wraps around far outside of the image
-SMALL = (Part.INLIER, Part.MATCH)
-MEASURED = (Part.DISTANCE, Part.BETWEEN)
-Pixels = NDArray[np.int32]
+SMALL, MEASURED = (Part.INLIER, Part.MATCH), (Part.DISTANCE, Part.BETWEEN)
 FILLED = (Part.SHAFT, Part.WRIST, Part.POSE, Part.TAG)
+Pixels = NDArray[np.int32]
 NEAR, HIDDEN = 1e3, 1e6
 """What a pixel beside something measured costs a label, and one of what is measured or a label, in other pixels."""
+LABEL_ANGLES = np.radians([0, 180, -30, 30, -150, 150, -90, 90, -60, 60, -120, 120])
+LABEL_REACHES = np.array([0.8, 1.6, 2.8, 4.5, 7.0, 10.0])
 NEAR_LETTERS = 2.0  # of their height: a label so near to what it names needs no line
 LETTERS, LEAST_LETTER_PX = 1 / 44, 9.0
 """Height of a capital letter over the picture's width, and the least one that can be read."""
@@ -64,11 +64,11 @@ def draw_on(
     for shape in sorted(shapes, key=lambda one: one.part in MEASURED):  # what is measured lies on top
         _draw(pixels, shape, unit_px)
     letter_px = max(LEAST_LETTER_PX, letters * pixels.shape[1])
-    measured = [_whole(one.points_px) for one in shapes if one.part in MEASURED]
-    measured += [_whole(tip[None].repeat(2, 0)) for one in shapes if one.part is Part.TIP for tip in one.points_px]
+    measured = [whole(one.points_px) for one in shapes if one.part in MEASURED]
+    measured += [whole(tip[None].repeat(2, 0)) for one in shapes if one.part is Part.TIP for tip in one.points_px]
     cost = (cv2.cvtColor(cv2.absdiff(pixels, ground), cv2.COLOR_BGR2GRAY) > 0).astype(np.float32)
     instruments = (one for one in scaled if one.form is Form.LOOP and one.part in FILLED)
-    cv2.fillPoly(cost, [_whole(one.points_px) for one in instruments], 1.0)
+    cv2.fillPoly(cost, [whole(one.points_px) for one in instruments], 1.0)
     for price, width_px in ((NEAR, round(letter_px)), (HIDDEN, 2 * unit_px)):
         cv2.polylines(cost, measured, False, price, width_px)
     if lines and drawing.lines:
@@ -90,18 +90,18 @@ def enlarged(image: Image, least_px: int) -> Image:
     return np.array(image.repeat(times, 0).repeat(times, 1), order="C")
 
 
-def within_reach(points_px: Array) -> Array:
-    """Points in px that OpenCV can draw; those without a place are far outside."""
+def _within_reach(points_px: Array) -> Array:
     return np.clip(np.nan_to_num(points_px, nan=-LIMIT_PX), -LIMIT_PX, LIMIT_PX)
 
 
-def _whole(points_px: Array) -> Pixels:
-    return np.rint(within_reach(points_px)).astype(np.int32)
+def whole(points_px: Array) -> Pixels:
+    """Points in px that OpenCV can draw; those without a place are far outside."""
+    return np.rint(_within_reach(points_px)).astype(np.int32)
 
 
 def _draw(pixels: Image, shape: Shape, unit_px: int) -> None:
     colour = bgr(COLOURS[shape.part])
-    points = np.asarray(np.round(within_reach(shape.points_px) * (1 << SUBPIXEL_BITS)), np.int32)
+    points = np.asarray(np.round(_within_reach(shape.points_px) * (1 << SUBPIXEL_BITS)), np.int32)
     is_dots, is_measured = shape.form is Form.POINTS, shape.part in MEASURED
     if not is_dots:
         for tone, width in ((DARK, 4), (colour, 2)) if is_measured else ((colour, 2),):
@@ -129,12 +129,14 @@ def write_text(pixels: Image, text: str, place: tuple[float, float], letter_px: 
 
 def _write_beside(pixels: Image, label: Label, place: Array, cost: NDArray[np.float32], letter_px: float) -> None:
     """Write a label on dark ground at the cheapest of the nearest places, with a line to what it names unless at it."""
-    text, place = printable(label.text), within_reach(place)
-    _, _, width = text_size(text, letter_px)
-    half = np.array([0.5 * width + 0.4 * letter_px, 0.95 * letter_px])
+    text, place = printable(label.text), _within_reach(place)
+    half = np.array([0.5 * text_size(text, letter_px)[2] + 0.4 * letter_px, 0.95 * letter_px])
     high, low = half + 1, np.maximum(half + 1, np.array(pixels.shape[1::-1]) - half - 1)
-    middles = np.clip(place + _offsets(half, letter_px), high, low)
-    boxes = np.stack([_whole(middles - half), _whole(middles + half)], 1)
+    # Around what it names, ever farther.
+    around = np.column_stack([np.cos(LABEL_ANGLES), np.sin(LABEL_ANGLES)])
+    offsets = around * (half + letter_px * LABEL_REACHES[:, None, None])
+    middles = np.clip(place + offsets.reshape(-1, 2), high, low)
+    boxes = np.stack([whole(middles - half), whole(middles + half)], 1)
     # What a box hides and how long its line is, all at once; what the line hides, of the cheapest only.
     last, total = np.array(cost.shape[::-1]) - 1, cv2.integral(cost)
     left, top, right, bottom = np.clip(boxes + np.array([[0], [1]]), 0, last + 1).reshape(-1, 4).T
@@ -143,11 +145,10 @@ def _write_beside(pixels: Image, label: Label, place: Array, cost: NDArray[np.fl
     prices = total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
     prices += letter_px * counts
 
-    def leader(at: int) -> Pixels:
-        """The points of the line between a box and a letter before the place."""
+    def leader(at: int) -> Pixels:  # the line between a box and a letter before the place
         gap_px = float(np.linalg.norm(nearest[at] - place))
         end = place + (nearest[at] - place) * letter_px / max(gap_px, letter_px)
-        return _whole(np.linspace(nearest[at], end, counts[at]))
+        return whole(np.linspace(nearest[at], end, counts[at]))
 
     best, at = np.inf, 0
     for one in np.argsort(prices, kind="stable").tolist():
@@ -163,14 +164,6 @@ def _write_beside(pixels: Image, label: Label, place: Array, cost: NDArray[np.fl
     for canvas, value in ((pixels, DARK), (cost, HIDDEN)):
         canvas[top : bottom + 1, left : right + 1] = value
     write_text(pixels, text, (left + 0.4 * letter_px, bottom - 0.45 * letter_px), letter_px, COLOURS[label.part])
-
-
-def _offsets(half: Array, letter_px: float) -> Array:
-    """Where a label of half a size (2,) may stand, from what it names: around it, ever farther, shape (n, 2)."""
-    angles = np.radians([0, 180, -30, 30, -150, 150, -90, 90, -60, 60, -120, 120])
-    reaches_px = letter_px * np.array([0.8, 1.6, 2.8, 4.5, 7.0, 10.0])
-    around = np.column_stack([np.cos(angles), np.sin(angles)])
-    return np.asarray(around * (half + reaches_px[:, None, None])).reshape(-1, 2)
 
 
 def _bar(lines: Sequence[tuple[str, Rgb]], width_px: int, letter_px: float) -> tuple[Image, int]:

@@ -11,14 +11,13 @@ import numpy as np
 from svmdist.drawing import COLOURS, WHITE, Form, FrameDrawing, Label, Part, Shape
 from svmdist.estimation.methods import REGISTRY, Phase
 from svmdist.geometry import Mesh, Plane
-from svmdist.report.on_image import DARK, bgr, draw_on, enlarged, text_size, under, within_reach, write_text
+from svmdist.report.on_image import DARK, bgr, draw_on, enlarged, text_size, under, whole, write_text
 from svmdist.samples import Image
 from svmdist.transforms import Array
 from svmdist.vision.marker import EDGE_MARGIN_PX, padded_template
 from svmdist.workflows.frame_drawing import DrawnFrame, contours_of, virtual_marker
 
-COLUMNS = 2
-TINT = 0.6
+COLUMNS, TINT = 2, 0.6
 PANEL_LETTERS = 1 / 34  # two panels stand side by side on a page
 PANEL_PX, MASKS_PX = 600, 900
 """Least widths of a panel and of a picture of masks: smaller images are enlarged, so that letters hide less of them."""
@@ -175,10 +174,7 @@ def _surface(frame: DrawnFrame, pixels: Image) -> Image:
 
 
 def _side_view(frame: DrawnFrame, pixels: Image) -> tuple[Image, float] | None:
-    """The nearest clearance from the side: depth runs down, and the tissue is cut along the clearance or the shaft.
-
-    Gives the picture and its scale in px per m; None where nothing was measured.
-    """
+    """The nearest clearance from the side, cut along it or the shaft, and the scale in px per m; None without any."""
     drawing = frame.drawing
     bodies = {f"{name} {Part.DISTANCE}": body for name, body in drawing.bodies.items()}
     pairs = [(one, bodies[one.name]) for one in drawing.segments if one.name in bodies]
@@ -193,8 +189,7 @@ def _side_view(frame: DrawnFrame, pixels: Image) -> tuple[Image, float] | None:
     canvas = np.full_like(enlarged(pixels, PANEL_PX), DARK)
     height, width = canvas.shape[:2]
     px_per_m = 0.5 * height / max(SIDE_REACH_M, 1.5 * length_m)
-    axes = np.stack([right, [0.0, 0.0, 1.0]], 1) * px_per_m
-
+    axes = np.stack([right, [0.0, 0.0, 1.0]], 1) * px_per_m  # depth runs down
     # The contact stands aside, so that there is room for its label.
     place_px = np.array([(0.64 if shaft_m @ right < 0.0 else 0.36) * width, 0.5 * height])
 
@@ -214,8 +209,7 @@ def _side_view(frame: DrawnFrame, pixels: Image) -> tuple[Image, float] | None:
     for at in range(len(body)):
         # Equal capsules side by side model a plate or a blade: the gap between two of them is filled, too.
         first = at - 1 if at and np.allclose(capsules[at], capsules[at - 1]) else at
-        points_px = within_reach(np.concatenate(outlines_px[first : at + 1]))
-        hull = cv2.convexHull(np.rint(points_px).astype(np.int32))
+        hull = cv2.convexHull(whole(np.concatenate(outlines_px[first : at + 1])))
         cv2.fillConvexPoly(filled[Part.WRIST if at else Part.SHAFT], hull, 255)
     filled[Part.WRIST][filled[Part.SHAFT] > 0] = 0
     shapes += [outline for part, mask in filled.items() for outline in contours_of(mask, part)]
@@ -246,8 +240,7 @@ def _cut(drawing: FrameDrawing, through_m: Array, normal: Array) -> list[Array]:
 def _with_scale(panel: Image, px_per_m: float, where: str) -> Image:
     """A panel with a scale bar in its title, and what it holds for."""
     letter_px, width = PANEL_LETTERS * panel.shape[1], panel.shape[1]
-    fitting = (mm for mm in BAR_LENGTHS_MM[::-1] if mm * 1e-3 * px_per_m <= 0.25 * width)
-    length_mm = next(fitting, BAR_LENGTHS_MM[0])
+    length_mm = max((mm for mm in BAR_LENGTHS_MM if mm * 1e-3 * px_per_m <= 0.25 * width), default=BAR_LENGTHS_MM[0])
     text = f"{length_mm} mm {where}"
     left = round(width - text_size(text, letter_px)[2] - letter_px)
     write_text(panel, text, (left, 1.5 * letter_px), letter_px, WHITE)

@@ -109,13 +109,13 @@ SeriesPlot = Literal["time", "residuals", "bland-altman", "calibration"]
 def draw_series(series: Sequence[Series], kind: SeriesPlot) -> Figure:
     """A panel for each series over time, else one for all of each distance; raises OutputError without any."""
     panels: list[tuple[Chart, str]] = []
-    for one in series if kind == "time" else ():
-        name = plain_name(f"{one.recording} {one.instrument}")
-        title = f"{name}: {one.method}, {int(one.measured.sum())} of {len(one)} frames"
-        panels.append((charts.distance_over_time(one), title))
-    for group in () if kind == "time" else charts.with_errors(series):
-        of = f"{group[0].method}: {charts.distance_name(group[0])}"
-        if kind == "residuals":
+    for group in ([one] for one in series) if kind == "time" else charts.with_errors(series):
+        one, of = group[0], f"{group[0].method}: {charts.distance_name(group[0])}"
+        if kind == "time":
+            name = plain_name(f"{one.recording} {one.instrument}")
+            title = f"{name}: {one.method}, {int(one.measured.sum())} of {len(one)} frames"
+            panels.append((charts.distance_over_time(one), title))
+        elif kind == "residuals":
             panels.append((charts.errors_over(group, "time"), f"{of}, errors over time"))
             panels.append((charts.errors_over(group, "distance"), "over distance"))
         elif kind == "bland-altman":
@@ -149,10 +149,9 @@ def draw_series(series: Sequence[Series], kind: SeriesPlot) -> Figure:
 
 
 def _say_nothing(axes: Axes, rejected: Mapping[str, int]) -> None:
-    """Say that nothing was measured, and why, in place of a scale where nothing has one."""
     reasons = ", ".join(f"{count} {status}" for status, count in Counter(rejected).most_common())
     axes.text(0.5, 0.5, f"nothing measured\n{reasons}", transform=axes.transAxes, ha="center", va="center")
-    if not any(np.isfinite(line.get_ydata()).any() for line in axes.get_lines()):
+    if not any(np.isfinite(line.get_ydata()).any() for line in axes.get_lines()):  # nothing has a scale
         axes.set(ylabel="distance [mm]", yticks=[])
 
 
@@ -178,9 +177,9 @@ def _columns(labels: Iterable[str], width_in: float) -> int:
 def draw(validation: Validation) -> Figure:
     """Fig. 6 of the paper, in two columns for several logs: truth and estimate of a distance, and the error."""
     scores = [score for score in validation.scores if score.reference is validation.reference]
-    columns = 1 if len(scores) == 1 else 2
+    columns, width_in = (1, COLUMN_IN) if len(scores) == 1 else (2, PAGE_IN)
     rows = -(-len(scores) // columns)
-    figure = Figure(figsize=(COLUMN_IN if columns == 1 else PAGE_IN, SCORE_IN * rows), layout="constrained")
+    figure = Figure(figsize=(width_in, SCORE_IN * rows), layout="constrained")
     grid = figure.add_gridspec(2 * rows, columns, height_ratios=(3, 1) * rows, hspace=0.04)
     first: dict[str, Axes] = {}  # panels of one log share their axis
     for index, score in enumerate(scores):
@@ -196,20 +195,18 @@ def draw(validation: Validation) -> Figure:
 
 
 def _draw_score(upper: Axes, lower: Axes, score: Score, alarms: AlarmRules | None) -> None:
-    known = {"clearance": score.clearance, "spatial distance": score.spatial}
-    distance, in_3d = next(((name, found) for name, found in known.items() if found), ("distance", None))
-    pairs = in_3d or score.pairs
+    distance, pairs = ("spatial distance", score.spatial) if score.spatial else ("distance", score.pairs)
+    if score.clearance:
+        distance, pairs = "clearance", score.clearance
     seconds = (pairs.stamps_ns - score.start_ns) / 1e9
-    truth_mm, estimate_mm = pairs.truth_m * 1e3, pairs.estimate_m * 1e3
-    half_mm = Z_95 * pairs.std_m * 1e3
+    truth_mm, estimate_mm, half_mm = pairs.truth_m * 1e3, pairs.estimate_m * 1e3, Z_95 * pairs.std_m * 1e3
     if alarms is not None and distance == "clearance":
-        _draw_curves(upper, charts.alarm_spans(score.alarm_events, seconds))
-        _draw_curves(upper, [charts.threshold(seconds, alarms.below_m)])
+        _draw_curves(upper, charts.alarm_curves(score.alarm_events, alarms.below_m, seconds))
     truth_name = f"truth ({REFERENCE_NAMES[score.reference]})"
     _draw_curves(upper, charts.distance_curves(seconds, estimate_mm, half_mm, truth_mm, truth_name))
     lower.axhline(0.0, color="0.6", linewidth=0.8)
     _draw_curves(lower, charts.error_curves(seconds, estimate_mm - truth_mm, half_mm))
-    upper.set_title(_title(score, distance, in_3d), loc="left")
+    upper.set_title(_title(score, distance, pairs), loc="left")
     upper.set_ylabel(f"{distance} [mm]")
     lower.set(xlabel="time [s]", ylabel="error [mm]")
     if not score.measured_count:
@@ -219,12 +216,12 @@ def _draw_score(upper: Axes, lower: Axes, score: Score, alarms: AlarmRules | Non
     lower.tick_params(labelsize=7)
 
 
-def _title(score: Score, distance: str, in_3d: Pairs | None) -> str:
+def _title(score: Score, distance: str, pairs: Pairs) -> str:
     name = f"{plain_name(score.recording)}: {plain_name(score.method)}"
-    if (found := in_3d.statistics if in_3d else score.statistics) is None:
+    if (found := pairs.statistics) is None:
         return f"{name}\n{'no distance to compare with' if score.measured_count else 'nothing measured'}"
-    if in_3d:
-        held = in_3d.interval_coverage
+    if distance != "distance":
+        held = pairs.interval_coverage
         interval = "" if held is None else f", {held * 100:.0f} % in the 95 % interval"
         return f"{name}, {distance}\nRMSE {found.rmse * 1e3:.2f} mm{interval}, n {found.count}"
     r2 = "–" if found.r_squared is None else f"{found.r_squared:.4f}"

@@ -6,7 +6,7 @@ import json
 import math
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from importlib.resources import files
 from typing import Any
 
@@ -55,10 +55,8 @@ def profile_text(draft: ProfileDraft) -> str:
     """The profile."""
     sizes = instrument_sizes(draft.instrument)
     first, *others = draft.instruments
-    named = {"name": draft.name}
-    if first.name != "PSM1" or others:
-        named["instrument_name"] = first.name
-    identity = _entries(named)
+    is_named = first.name != "PSM1" or bool(others)
+    identity = _entries({"name": draft.name, **({"instrument_name": first.name} if is_named else {})})
     if first.entry is not None:
         note = "the side of the picture that it comes in from; names are guesses"
         identity.append(f'entry = "{first.entry}"              # {note}')
@@ -73,15 +71,14 @@ def profile_text(draft: ProfileDraft) -> str:
     colour = ""
     if draft.mark is not None:
         pixels = draft.size_px[0] * draft.size_px[1]
-        areas = {"tissue_px": max(50, pixels // 450), "shaft_px": max(50, pixels // 600)}
-        areas["marker_px"] = max(5, round(draft.mark.area_px / 8))
-        colour = _block("colour", draft=draft, **areas)
-    lines: dict[str, Iterable[str]] = {"identity": identity, "topics": topics, "frames": frames}
-    lines["robot"] = _chain("[robot]", first, sizes)
-    lines["others"] = ["", *(line for other in others for line in _other(other, first, sizes)), ""]
-    parts = {name: "\n".join(some) for name, some in lines.items()}
+        areas_px = {"tissue_px": max(50, pixels // 450), "shaft_px": max(50, pixels // 600)}
+        colour = _block("colour", draft=draft, marker_px=max(5, round(draft.mark.area_px / 8)), **areas_px)
+    robot = _chain("[robot]", first, sizes)
+    of_others = ["", *(line for other in others for line in _other(other, first, sizes)), ""]
+    parts = {"identity": identity, "topics": topics, "frames": frames, "robot": robot, "others": of_others}
+    texts = {name: "\n".join(lines) for name, lines in parts.items()}
     tissue = _block("surface" if draft.plane else "unknown_plane", draft=draft)
-    text = _block("profile", log=_plain(draft.log), colour=colour, sizes=_with_guesses(sizes), tissue=tissue, **parts)
+    text = _block("profile", log=_plain(draft.log), colour=colour, sizes=_with_guesses(sizes), tissue=tissue, **texts)
     return re.sub(r'(?m)^(\w+ = (?:-?[\d.e-]+|"-?pi/\d+")) # ', lambda line: f"{line[1]:<28} # ", text)
 
 

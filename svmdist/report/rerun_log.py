@@ -83,15 +83,14 @@ def _log_frame(stream: rr.RecordingStream, frame: DrawnFrame, setup: Setup) -> N
 
 
 def _on_image(drawing: FrameDrawing) -> dict[str, Any]:
-    """Lines, points and labels on the image, in the colours of all pictures."""
     found: dict[str, Any] = {}
     for part in Part:
         shapes = [one for one in drawing.shapes if one.part is part]
-        lines = [np.vstack([one.points_px, one.points_px[: one.form is Form.LOOP]]) for one in shapes
-                 if one.form is not Form.POINTS]  # fmt: skip
         points = [one.points_px for one in shapes if one.form is Form.POINTS]
+        lines = [one for one in shapes if one.form is not Form.POINTS]
         if lines:
-            found[str(part)] = rr.LineStrips2D(lines, colors=COLOURS[part], radii=LINE_PX)
+            strips = [np.vstack([one.points_px, one.points_px[: one.form is Form.LOOP]]) for one in lines]
+            found[str(part)] = rr.LineStrips2D(strips, colors=COLOURS[part], radii=LINE_PX)
         if points:
             found[f"{part} points"] = rr.Points2D(np.concatenate(points), colors=COLOURS[part], radii=POINT_PX)
     if drawing.labels:
@@ -102,18 +101,15 @@ def _on_image(drawing: FrameDrawing) -> dict[str, Any]:
 
 
 def _in_space(drawing: FrameDrawing) -> dict[str, Any]:
-    """Instruments, tissue and distances in the camera frame; capsules are thick lines."""
     found: dict[str, Any] = {}
     for name, body in drawing.bodies.items():
         capsules: Any = np.stack([body.start_m, body.end_m], 1)
         colours = [COLOURS[Part.WRIST if at else Part.SHAFT] for at in range(len(body))]
         found[f"{name} instrument"] = rr.LineStrips3D(capsules, radii=body.radius_m, colors=colours)
     if isinstance(drawing.tissue, Mesh):
-        found["tissue"] = rr.Mesh3D(
-            vertex_positions=drawing.tissue.vertices_m,
-            triangle_indices=drawing.tissue.faces,
-            albedo_factor=COLOURS[Part.TISSUE],
-        )
+        vertices_m, faces = drawing.tissue.vertices_m, drawing.tissue.faces
+        colour = COLOURS[Part.TISSUE]
+        found["tissue"] = rr.Mesh3D(vertex_positions=vertices_m, triangle_indices=faces, albedo_factor=colour)
     if drawing.cloud_m is not None:
         found["surface"] = rr.Points3D(drawing.cloud_m, colors=COLOURS[Part.TISSUE], radii=CLOUD_M)
     for one in drawing.segments:

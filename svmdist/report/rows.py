@@ -178,9 +178,8 @@ PLY_NAMES = {f"{axis}_m": axis for axis in AXES} | {f"normal_{axis}": f"n{axis}"
 def cloud_results(surface: TissueSurface) -> Results:
     """A row for each point."""
     numbers = np.column_stack([surface.points_m, surface.normals, surface.std_m]).tolist()
-    keys = [column.key for column in CLOUD_COLUMNS]
-    rows = (dict(zip(keys, [*a, *b], strict=True)) for a, b in zip(numbers, surface.rgb.tolist(), strict=True))
-    return Results(CLOUD_COLUMNS, rows)
+    each = zip(numbers, surface.rgb.tolist(), strict=True)
+    return Results(CLOUD_COLUMNS, (dict(zip(keys_of(CLOUD_COLUMNS), [*a, *b], strict=True)) for a, b in each))
 
 
 def write_ply(results: Results, path: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 from svmdist.errors import printable
 from svmdist.estimation.methods import PLANAR_METHODS
-from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Column, Interval, Unit, coverage, finite, row_of
+from svmdist.metrics import COUNT, LENGTH, SHARE, TEXT, Column, Interval, Unit, finite, row_of
 from svmdist.report.tables import Row, Table, counted
 from svmdist.report.writers import Results
 from svmdist.workflows.compare import BlurTally, MethodScore, pooled_tallies
@@ -107,32 +107,31 @@ def validation_tables(validation: Validation) -> list[Table]:
     parts = (validation.scores, (*validation.groups, *validation.overall))
     first = validation.scores[0]
     how = f"{first.equations} equations" if first.method in PLANAR_METHODS else "planar distance"
-    columns = [_NAME, _AGAINST]
-    for metric in within(metric_table.score_metrics(), Output.SCORE_TABLE):
-        # Lengths in mm, as the title says: a unit in every heading would not fit a terminal.
-        columns += [metric, *_INTERVALS.get(metric.key, [])]
+    metrics = metric_table.score_metrics()
+    # Lengths in mm, as the title says: a unit in every heading would not fit a terminal.
+    planar = [one for of in within(metrics, Output.SCORE_TABLE) for one in (of, *_INTERVALS.get(of.key, []))]
     title = f"{first.method}, {how}; errors and σ (of the truth) in mm; 95 %: bootstrap interval"
     # Where a reference has the tool alone, its table says all.
-    shown = [[row_of(columns, score) for score in part if score.planar or not score.tool] for part in parts]
-    tables = [Table.of(title, columns, *shown)] if any(shown) else []
+    shown = [[score for score in part if score.planar or not score.tool] for part in parts]
+    tables = [_score_table(title, [_NAME, _AGAINST, *planar], shown)] if any(shown) else []
     if any(score.spatial or score.clearance for part in parts for score in part):
-        metrics = within(metric_table.distance_metrics(), Output.DISTANCE_TABLE)
-        columns = [_NAME, _AGAINST, Column("distance", TEXT, "distance"), *metrics]
+        of_distance = within(metric_table.OF_DISTANCE, Output.DISTANCE_TABLE)
+        columns = [_NAME, _AGAINST, Column("distance", TEXT, "distance"), *of_distance]
         title = "in 3D; errors and σ (of the truth) in mm; in 95 %: truths inside the stated interval"
-        tables.append(Table.of(title, columns, *(_distance_rows(part, metrics) for part in parts)))
-    if any(score.tool for part in parts for score in part):
-        metrics = [metric_table.COVERAGE, *within(metric_table.tool_metrics(), Output.TOOL_TABLE)]
-        columns = [_NAME, _AGAINST, *metrics]
-        rows = ([row_of(columns, score) for score in part if score.tool] for part in parts)
-        tables.append(Table.of(f"{first.method}, the tool's pose; errors of position in mm", columns, *rows))
+        tables.append(Table.of(title, columns, *(_distance_rows(part, of_distance) for part in parts)))
+    if any(shown := [[score for score in part if score.tool] for part in parts]):
+        columns = [_NAME, _AGAINST, *within(metrics, Output.TOOL_TABLE)]
+        tables.append(_score_table(f"{first.method}, the tool's pose; errors of position in mm", columns, shown))
     if (rules := validation.alarm_rules) is not None:
-        alarms = within(metric_table.score_metrics(), Output.ALARM_TABLE)
+        alarms = within(metrics, Output.ALARM_TABLE)
         alarms.sort(key=lambda metric: ["unsafe", "alarm_recall", metric.key].index(metric.key))
-        columns = [_NAME, *alarms]
-        title = f"alarms: {rules.in_words}; shares in %, leads in s"
-        rows = ([row_of(columns, score) for score in part if score.alarms] for part in parts)
-        tables.append(Table.of(title, columns, *rows))
+        shown = [[score for score in part if score.alarms] for part in parts]
+        tables.append(_score_table(f"alarms: {rules.in_words}; shares in %, leads in s", [_NAME, *alarms], shown))
     return tables
+
+
+def _score_table(title: str, columns: Sequence[Column], parts: Iterable[Iterable[Score]]) -> Table:
+    return Table.of(title, columns, *([row_of(columns, score) for score in part] for part in parts))
 
 
 def _distance_rows(scores: Iterable[Score], metrics: list[Metric]) -> Iterator[Row]:
@@ -258,6 +257,11 @@ class LogFigures:
         return self.statuses.get("ok", 0)
 
     @property
+    def coverage(self) -> float | None:
+        """Measured frames per frame; None without any."""
+        return self.measured_count / self.frame_count if self.frame_count else None
+
+    @property
     def state(self) -> str:
         """The gravest of failed, nothing measured, loss and ok."""
         if self.failure is not None:
@@ -280,8 +284,7 @@ LOG_COLUMNS = (
     Column("state", TEXT, "state"),
     Column("frame_count", COUNT, "frames"),
     Column("measured_count", COUNT, "measured"),
-    Column("coverage", SHARE, "coverage [%]",
-           lambda log: coverage(log.measured_count, log.frame_count) if log.frame_count else None),
+    Column("coverage", SHARE, "coverage [%]"),
     Column("worst", TEXT, "most often", "worst.0"),
     Column("worst_count", COUNT, "frames so", "worst.1"),
     Column("loss_count", COUNT, "losses"),
@@ -296,30 +299,19 @@ LOG_COLUMNS = (
 
 def ranked(figures: Sequence[LogFigures]) -> list[LogFigures]:
     """Sorted by severity: failed logs, then by the share of frames that were not measured, then by losses."""
-
-    def severity(one: LogFigures) -> tuple[bool, float, int]:
-        return one.failure is None, coverage(one.measured_count, one.frame_count), -one.loss_count
-
-    return sorted(figures, key=severity)
+    return sorted(figures, key=lambda one: (one.failure is None, one.coverage or 0.0, -one.loss_count))
 
 
-def pooled_log_figures(figures: Sequence[LogFigures]) -> list[LogFigures]:
-    """The figures of each group, in the order of their names, and of all logs: every frame counts the same."""
-    pooled = []
-    for group in (*sorted({one.group for one in figures if one.group}), ""):
+def log_results(figures: Sequence[LogFigures]) -> Results:
+    """A row per log, worst first, then groups by their names and all logs: every frame counts the same."""
+    rows = [row_of(LOG_COLUMNS, one) | {"rank": rank} for rank, one in enumerate(ranked(figures), 1)]
+    groups = sorted({one.group for one in figures if one.group})
+    for group in (*groups, ""):
         members = [one for one in figures if not group or one.group == group]
         statuses = sum((Counter(one.statuses) for one in members), Counter[str]())
         counts = len(members), sum(one.failure is not None for one in members)
         losses = sum(one.loss_count for one in members)
-        pooled.append(LogFigures(group or "overall", "", None, dict(statuses), losses, group, *counts))
-    return pooled
-
-
-def log_results(figures: Sequence[LogFigures]) -> Results:
-    """A row per log, worst first, then groups and all logs."""
-    together = pooled_log_figures(figures)
-    left_out = "" if len(together) > 1 else "group"
-    columns = [column for column in LOG_COLUMNS if column.heading and column.key != left_out]
-    rows = [row_of(LOG_COLUMNS, one) | {"rank": rank} for rank, one in enumerate(ranked(figures), 1)]
-    rows += [row_of(LOG_COLUMNS, one) for one in together]
+        together = LogFigures(group or "overall", "", None, dict(statuses), losses, group, *counts)
+        rows.append(row_of(LOG_COLUMNS, together))
+    columns = [column for column in LOG_COLUMNS if column.heading and (groups or column.key != "group")]
     return Results(LOG_COLUMNS, rows, tables=[Table.of("Logs, sorted by severity, worst first", columns, rows)])

@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, pairwise
 from pathlib import Path
 from textwrap import wrap
 from types import SimpleNamespace
@@ -17,9 +17,7 @@ from svmdist.errors import printable
 from svmdist.files import atomic_file
 from svmdist.metrics import Cell, Column, finite
 
-if TYPE_CHECKING:  # rows that are written as they come need no layout, and start sooner without it
-    from rich.table import Table as RichTable
-
+if TYPE_CHECKING:
     from svmdist.report.writers import Results
 
 Row = Mapping[str, Cell]
@@ -63,20 +61,30 @@ def table_lines(results: Results, width: int | None, colour: bool) -> Iterator[s
 
 def render(table: Table, *, width: int | None = None, colour: bool = False) -> str:
     """Render a table to text, as wide as it needs without a width; a wider one comes in parts with whole cells."""
+    from rich import box  # here: rows that are written as they come need no layout, and start sooner without it
     from rich.console import Console
+    from rich.table import Table as RichTable
+    from rich.text import Text
 
     console = Console(width=width or 1000, force_terminal=colour, no_color=not colour, emoji=False, highlight=False)
     with console.capture() as captured:
-        for at, indices in enumerate(_parts(table, width) if width else [range(len(table.headings))]):
-            console.print(_rich(table, indices, table.title if at == 0 else ""))
+        title = Text(table.title) if table.title else None  # as `Text`, since rich takes a plain "[mm]" for markup
+        for indices in _parts(table, width) if width else [range(len(table.headings))]:
+            part = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, title_justify="left")
+            part.title, part.title_style, title = title, "bold", None
+            for index in indices:
+                justify: Any = "left" if table.is_text[index] else "right"
+                part.add_column(Text(table.headings[index]), justify=justify, overflow="fold")
+            for rows, style in ((table.rows, None), (table.overall, "bold")):
+                for row in rows:
+                    part.add_row(*(Text(row[index]) for index in indices), style=style)
+                part.add_section()
+            console.print(part)
     return "\n".join(line.rstrip() for line in captured.get().splitlines()) + "\n"
 
 
 def _parts(table: Table, width: int) -> Iterator[list[int]]:
-    """The columns of each part, led by the first ones, which tell rows apart.
-
-    Columns under one heading, those whose own begins with an empty line, stay together.
-    """
+    """The columns of each part, led by the first ones, which tell rows apart; those under one heading stay together."""
     from rich.cells import cell_len
 
     columns = zip(table.headings, *table.rows, *table.overall, strict=True)
@@ -85,37 +93,16 @@ def _parts(table: Table, width: int) -> Iterator[list[int]]:
     lead = [0]
     while table.is_text[len(lead)] and sum(widths[: len(lead) + 1]) <= width // 2:
         lead.append(len(lead))
-    groups: list[list[int]] = []
-    for index in range(len(lead), len(table.headings)):
-        if groups and table.headings[index].startswith("\n"):
-            groups[-1].append(index)
-        else:
-            groups.append([index])
+    left = range(len(lead), len(table.headings))
+    # A column under the heading of the one before begins with an empty line.
+    begins = [at for at in left if at == len(lead) or not table.headings[at].startswith("\n")]
     taken = lead
-    for group in groups:
-        if taken != lead and sum(widths[index] for index in taken + group) > width:
+    for begin, end in pairwise([*begins, len(table.headings)]):
+        if taken != lead and sum(widths[at] for at in taken) + sum(widths[begin:end]) > width:
             yield taken
             taken = lead
-        taken = taken + group
+        taken = [*taken, *range(begin, end)]
     yield taken
-
-
-def _rich(table: Table, indices: Sequence[int], title: str) -> RichTable:
-    """Some columns of a table; as `Text`, since rich takes a plain "[mm]" for markup."""
-    from rich import box
-    from rich.table import Table as RichTable
-    from rich.text import Text
-
-    made = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, title_justify="left")
-    made.title, made.title_style = Text(title) if title else None, "bold"
-    for index in indices:
-        justify: Any = "left" if table.is_text[index] else "right"
-        made.add_column(Text(table.headings[index]), justify=justify, overflow="fold")
-    for rows, style in ((table.rows, None), (table.overall, "bold")):
-        for row in rows:
-            made.add_row(*(Text(row[index]) for index in indices), style=style)
-        made.add_section()
-    return made
 
 
 def text_lines(columns: Sequence[Column], rows: Iterable[Row]) -> Iterator[str]:
@@ -250,7 +237,6 @@ def markdown(results: Results, *_: object) -> Iterator[str]:
 
 
 def _escaped(text: str, special: dict[int, str]) -> str:
-    """Text on one line, with the markup's special characters escaped."""
     return printable(" ".join(text.split())).translate(special)
 
 

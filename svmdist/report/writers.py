@@ -37,13 +37,11 @@ ANY_ROWS = Holds.ROWS | Holds.POSES | Holds.TABLES | Holds.FIGURES
 
 @dataclass(frozen=True)
 class Results:
-    """What a command gives: rows with their columns; of a summary also tables, notes, and the JSON document.
-
-    `text` gives what a person reads at a width in characters, None for a file or a pipe, in place of tables or rows.
-    """
+    """What a command gives: rows with their columns; of a summary also tables, notes, and the JSON document."""
 
     columns: Sequence[Column]
     rows: Iterable[Row]
+    # What a person reads at a width in characters, None for a file or a pipe, in place of tables or rows.
     text: Callable[[int | None], Iterable[str]] | None = None
     tables: Sequence[Table] = ()
     notes: Sequence[str] = ()
@@ -114,15 +112,13 @@ def choose_writer(given: str | None, output: Path | None, holds: Holds, option: 
     elif ending in WRITERS[0].endings or (output is not None and output.parent == Path("/dev")):
         chosen = able[0]
     else:
-        plain, *others = able if able[0].name == "table" else (able[0], *able)
-        choices = ", ".join(sorted(end for writer in others for end in writer.endings))
+        plain = "a table" if able[0].name == "table" else able[0].name.upper()
+        choices = ", ".join(sorted(end for writer in able if writer.name != "table" for end in writer.endings))
         hint = "; or give --format" if option == "-o" else ""
         if ending in {".html", ".htm"}:
             hint += "; svmdist validate --report FILE.html writes a report"
-        raise UsageError(
-            f"{option} {output}: no format has the ending {ending}: the choices are {choices}, and .txt for"
-            f" {'a table' if plain.name == 'table' else plain.name.upper()}{hint}"
-        )
+        said = f"no format has the ending {ending}: the choices are {choices}, and .txt for {plain}{hint}"
+        raise UsageError(f"{option} {output}: {said}")
     if not chosen.is_text and output is None:
         raise UsageError(f"--format {chosen.name} is no text: give a file with -o FILE{chosen.endings[0]}")
     what, extra, *packages = chosen.needs

@@ -107,10 +107,10 @@ def measure_runs(
     methods, scores = [setup.method for setup in setups], []
     for (at, of, name), (rows, truth, seconds) in sorted(found.items(), key=lambda one: one[0][:2]):
         group = group_of(recording, conditions[at], name, by)
-        scores.append(MethodScore(group, methods[of], figures_of(rows, truth, seconds), name))
+        scores.append(MethodScore(group, methods[of], replace(figures_of(rows, truth), seconds=seconds), name))
         for place in range(of + 1, len(setups)):
             if truth is None or setups[of].is_given != setups[place].is_given:
-                differences = figures_of(found[at, place, name][0], rows.truth, np.nan, rows)
+                differences = figures_of(found[at, place, name][0], rows.truth, rows)
                 scores.append(MethodScore(group, methods[place], differences, name, methods[of]))
     return sorted(scores, key=lambda score: bool(score.against))
 

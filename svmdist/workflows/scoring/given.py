@@ -29,7 +29,6 @@ from svmdist.workflows.request import LOG
 from svmdist.workflows.scoring.references import Reference, TruthRules, in_camera, tool_track
 
 TOPIC = "topic:"
-UNKNOWN = np.full(3, np.nan)
 
 
 @dataclass(frozen=True)
@@ -132,16 +131,13 @@ class Given:
         if (status := str(row.get("status", Status.OK))) != Status.OK:
             known = status in list(Status)
             return result.rejected(Status(status) if known else Status.NO_ESTIMATE, "" if known else status)
-        number = {
-            key: float(value)
-            for key, value in row.items()
-            if np.ndim(value) == 0 and key not in TEXTS and math.isfinite(value)
-        }
+        scalars = {key: value for key, value in row.items() if np.ndim(value) == 0 and key not in TEXTS}
+        number = {key: float(value) for key, value in scalars.items() if math.isfinite(value)}
         given = {key: Distance(number[key], number.get(f"{key}_std")) for key in DISTANCES if key in number}
         distances, T = Distances(**given), row["T"]
         if np.isfinite(T[:3, 3]).all():
             covariance = np.diag([number.get("tool_std", np.nan) ** 2] * 3 + [np.nan] * 3)
-            tool = ToolEstimate(ToolPose(T, covariance, UNKNOWN, np.nan), frame.joints)
+            tool = ToolEstimate(ToolPose(T, covariance, np.full(3, np.nan), np.nan), frame.joints)
             result = with_tool(result, frame, tool)
             distances = self._measured(frame, tool) if self.sees_tissue else distances
         elif not given:

@@ -6,14 +6,14 @@ it means is described in docs/metrics.md, whose keys and tolerances are these.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Flag, auto
-from typing import Any
+from itertools import chain
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from svmdist.metrics import COUNT, DEGREES, LENGTH, RATIO, SECONDS, SHARE, TEXT, Cell, Column, Unit
+from svmdist.metrics import COUNT, DEGREES, LENGTH, RATIO, SECONDS, SHARE, TEXT, Column, Unit
 
 
 class Output(Flag):
@@ -61,22 +61,16 @@ class Metric(Column):
 
 def of_part(metrics: Iterable[Metric], name: str) -> list[Metric]:
     """Metrics of a part, an attribute of the whole that may be None, as metrics of the whole."""
-
-    def of_whole(of: Callable[[Any], Cell] | str) -> Callable[[Any], Cell] | str:
-        if not callable(of):
-            return f"{name}.{of}"
-        return lambda whole: None if (part := getattr(whole, name)) is None else of(part)
-
-    return [replace(metric, of=of_whole(metric.of or metric.key)) for metric in metrics]
+    return [replace(metric, of=f"{name}.{metric.of or metric.key}") for metric in metrics]
 
 
 def of_distance(metrics: Iterable[Metric], distance: str) -> list[Metric]:
     """Metrics of a distance as metrics of scores and figures, which have an attribute of its name."""
-    named = [replace(metric, group=distance) for metric in metrics]
-    if distance != "planar":
-        named = [replace(one, outputs=one.outputs_in_3d, tolerance=one.tolerance_in_3d) for one in named]
-        named = [replace(one, key=f"{distance}_{one.key}") for one in named]
-    return of_part(named, distance)
+    named = of_part((replace(one, group=distance) for one in metrics), distance)
+    if distance == "planar":
+        return named
+    named = [replace(one, outputs=one.outputs_in_3d, tolerance=one.tolerance_in_3d) for one in named]
+    return [replace(one, key=f"{distance}_{one.key}") for one in named]
 
 
 def within(metrics: Iterable[Metric], output: Output) -> list[Metric]:
@@ -102,8 +96,8 @@ ALARM_TOLERANCE = Tolerance(absolute=0.005)
 
 # fmt: off
 FRAME_COUNT = Metric("frame_count", outputs=SCORES | FIGURES)
-COVERAGE = Metric("coverage", SHARE, "cov. %", outputs=SCORE_TABLE | REPLAY | PAIRS, tolerance=Tolerance(),
-                  higher_is_better=True)
+COVERAGE = Metric("coverage", SHARE, "cov. %", outputs=SCORE_TABLE | REPLAY | PAIRS | TOOL_TABLE,
+                  tolerance=Tolerance(), higher_is_better=True)
 
 COUNTS = (Metric("sample_count", COUNT, "n", outputs=SCORE_TABLE), Metric("rejected_count"), COVERAGE)
 """How many frames `validate` scored."""
@@ -139,7 +133,9 @@ INTERVALS = (
 )
 """Whether the reported standard deviations of a distance are consistent with its errors."""
 
-TOOL = (
+OF_DISTANCE = ERRORS + INTERVALS
+
+TOOL = tuple(replace(one, group="tool", is_late=True) for one in (
     Metric("tool_sample_count", COUNT, "n", "tool.statistics.count", outputs=TOOL_TABLE),
     Metric("tool_rmse_m", LENGTH, "RMSE", "tool.statistics.rmse", outputs=TOOL_TABLE | REPLAY | PAIRS,
            tolerance=RMSE_TOLERANCE),
@@ -149,7 +145,7 @@ TOOL = (
     Metric("rotation_median_rad", DEGREES, "rot. °", "rotation.statistics.median_abs_error",
            outputs=TOOL_TABLE | REPLAY | PAIRS),
     Metric("rotation_p95_rad", DEGREES, "p95 °", "rotation.statistics.p95_abs_error", outputs=TOOL_TABLE),
-)
+))
 """How far the tool's poses are from the true ones."""
 
 FRAMES_AND_BOUNDS = (
@@ -212,29 +208,19 @@ def score_metrics() -> list[Metric]:
         *of_distance(ERRORS, "planar"),
         *FRAMES_AND_BOUNDS,
         *of_distance(INTERVALS, "planar"),
-        *of_distance(distance_metrics(), "spatial"),
-        *of_distance(distance_metrics(), "clearance"),
+        *of_distance(OF_DISTANCE, "spatial"),
+        *of_distance(OF_DISTANCE, "clearance"),
         *ALARMS,
-        *tool_metrics(),
+        *TOOL,
         *of_distance(SPREAD, "spatial"),
         *of_distance(SPREAD, "clearance"),
     ]
 
 
-def tool_metrics() -> list[Metric]:
-    """All metrics of the tool's pose, of scores and figures."""
-    return [replace(one, group="tool", is_late=True) for one in TOOL]
-
-
-def distance_metrics() -> tuple[Metric, ...]:
-    """All metrics of one distance."""
-    return ERRORS + INTERVALS
-
-
 def figure_metrics() -> list[Metric]:
     """All metrics of the figures of a replay, in the order of their columns."""
-    distances = (of_distance(distance_metrics(), distance) for distance in ("planar", "spatial", "clearance"))
-    return [*REPLAYS, *(metric for metrics in distances for metric in metrics), *tool_metrics()]
+    distances = (of_distance(OF_DISTANCE, distance) for distance in ("planar", "spatial", "clearance"))
+    return [*REPLAYS, *chain.from_iterable(distances), *TOOL]
 
 
 def stored_metrics() -> dict[str, Metric]:

@@ -101,9 +101,8 @@ def truth_rules(
         if not (parent and child) or ":" in child:
             raise UsageError(f"--truth-tf {text}: expected PARENT:CHILD, as in camera:tool")
         frames.append((frame_name(parent), frame_name(child)))
-    tissue = next((pair for pair in frames if pair[1] == profile.frames.tissue), None)
-    if tissue is None and len(frames) == 2:
-        tissue = frames[1]
+    second = frames[1] if len(frames) == 2 else None
+    tissue = next((pair for pair in frames if pair[1] == profile.frames.tissue), second)
     return TruthRules(references, next((pair for pair in frames if pair is not tissue), None), tissue, max_gap_ns)
 
 
@@ -121,26 +120,21 @@ class Truth:
 def truth_at(
     recording: Recording, reference: Reference, stamps_ns: Stamps, equations: Equations, rules: TruthRules
 ) -> Truth:
-    """What a reference says at stamps; without the tissue's place in the log, the tool alone.
-
-    Raises RecordingError or KinematicsError where the log has no such reference.
-    """
-    unknown_m, tool = np.full(len(stamps_ns), np.nan), None
-    is_truth = reference is Reference.GROUND_TRUTH
+    """What a reference says at stamps, or of the tool alone; RecordingError or KinematicsError where a log lacks it."""
+    unknown_m = np.full(len(stamps_ns), np.nan)
     if reference is Reference.KINEMATICS and equations == "printed":
         # eqs. (33)–(35) as published, on the tool in the base frame, which the identity for (28) leaves. The
         # translation of the last row is zero, so that (30)'s reflection leaves the position as it is.
         in_base = _kinematic_poses(recording, rules.max_gap_ns)(stamps_ns)
         displacement_cm = paper.displacement_cm_as_published(in_base.values[:, :3, 3])
-        planar_m = np.where(in_base.valid, paper.planar_distance(displacement_cm) / 100.0, np.nan)
+        planar_m = paper.planar_distance(displacement_cm) / 100.0
         return Truth(np.stack([planar_m, unknown_m, unknown_m], -1))
     has_truth = recording.topic_of(Role.GROUND_TRUTH_TF) is not None
-    if has_truth or not is_truth:
-        found = tool_track(recording, reference, rules)(stamps_ns)
-        tool = np.where(found.valid[:, None, None], found.values, np.nan)
-    if is_truth:
+    if reference is Reference.GROUND_TRUTH:
+        tool = tool_track(recording, reference, rules)(stamps_ns).values if has_truth else None
         return Truth(recording.distance_track().at(stamps_ns, rules.max_gap_ns).values, tool)
-    if tool is None or not (rules.tissue_frames or has_truth):
+    tool = tool_track(recording, reference, rules)(stamps_ns).values
+    if not (rules.tissue_frames or has_truth):
         return Truth(np.stack([unknown_m] * 3, -1), tool)
     frames = recording.profile.frames
     pair = rules.tissue_frames or (frames.camera, frames.tissue)
@@ -159,20 +153,14 @@ def tool_track(log: Recording, reference: Reference, rules: TruthRules) -> PoseA
         is_truth = reference is Reference.GROUND_TRUTH
         pair = (not is_truth and rules.tool_frames) or (frames.camera, frames.tool)
         return partial(log.transform_track(*pair, ground_truth=is_truth).at, max_gap_ns=gap_ns)
-    if reference is Reference.POSE:
-        poses = log.pose_track()
-        frame: str = poses.parent
-        in_frame: PoseAt = partial(poses.at, max_gap_ns=gap_ns)
-    else:
-        frame, in_frame = frames.base, _kinematic_poses(log, gap_ns)
-    return in_camera(log, frame, in_frame, gap_ns)
+    if reference is Reference.KINEMATICS:
+        return in_camera(log, frames.base, _kinematic_poses(log, gap_ns), gap_ns)
+    poses = log.pose_track()
+    return in_camera(log, poses.parent, partial(poses.at, max_gap_ns=gap_ns), gap_ns)
 
 
 def in_camera(log: Recording, frame: str, in_frame: PoseAt, max_gap_ns: int = MAX_GAP_NS) -> PoseAt:
-    """Poses in a frame as poses in the camera frame, by the log's transforms; a frame without a name is the camera's.
-
-    Raises RecordingError where the log does not link them.
-    """
+    """Poses of a frame ("": the camera's) in the camera frame; RecordingError where the log does not link the two."""
     camera = log.profile.frames.camera
     if frame in ("", "camera", camera) or frame == log.logged_camera.frame_id:
         return in_frame
@@ -193,8 +181,9 @@ def _kinematic_poses(recording: Recording, max_gap_ns: int) -> PoseAt:
     def at(stamps_ns: Stamps) -> Sampled:
         q = joints.at(stamps_ns, max_gap_ns)
         selected = select_joints(chain, joints.names, q.values)
-        within = chain.are_within_limits(selected).all(axis=-1)  # joints that cannot be are no reference
-        return Sampled(forward_kinematics(chain, selected), q.valid & within)
+        # Joints that cannot be are no reference.
+        valid = q.valid & chain.are_within_limits(selected).all(axis=-1)
+        return Sampled(np.where(valid[:, None, None], forward_kinematics(chain, selected), np.nan), valid)
 
     return at
 
@@ -221,6 +210,5 @@ def reference_lag_ns(recording: Recording, reference: Reference, lag: LagEstimat
     if not known.any():
         return lag_ns
     expected = true.at(stamps_ns[known]).values[:, :3, 3]
-    errors = [found.values[known, :3, 3] - expected for found in moments]
-    with_images, with_robot = (float(np.mean(np.var(error, axis=0))) for error in errors)
+    with_images, with_robot = (np.var(found.values[known, :3, 3] - expected, axis=0).mean() for found in moments)
     return 0 if with_images < with_robot else lag_ns

@@ -72,9 +72,8 @@ class Readings:
     """The numbers that scoring takes from rows, collected as they arrive: 136 bytes per row."""
 
     def __init__(self, rows: Iterable[FrameResult] = ()) -> None:
-        self._stamps_ns = array("q")
-        self._numbers = array("d")
-        self.rejected: Counter[str] = Counter()
+        self._stamps_ns, self._numbers = array("q"), array("d")
+        self.rejected = Counter[str]()
         for row in rows:
             self.add(row)
 
@@ -179,9 +178,8 @@ def score_alarms(
 class Figures:
     """The figures of rows, or of those of several recordings, where every frame counts the same.
 
-    A distance without estimate or truth is None; `tool` is how far its position is off, and `rotation` by how much it
-    is turned, in rad. `seconds` of processor time went into estimates and detections; methods share the cost of what
-    several use.
+    A distance without estimate or truth is None; `tool` is how far off its position is, `rotation` how far it is turned
+    in rad. `seconds`: processor time of estimates and detections; methods share the cost of what several use.
     """
 
     frame_count: int
@@ -195,8 +193,8 @@ class Figures:
 
     @property
     def coverage(self) -> float:
-        """Measured frames per frame."""
-        return metrics.coverage(self.measured_count, self.frame_count)
+        """Measured frames per frame; 0 for no frames."""
+        return self.measured_count / self.frame_count if self.frame_count else 0.0
 
     @property
     def ms_per_frame(self) -> float:
@@ -205,18 +203,14 @@ class Figures:
 
 
 def figures_of(
-    rows: Readings,
-    truth: Truth | None,
-    seconds: float = math.nan,
-    other: Readings | None = None,
-    stamps_ns: Stamps | None = None,
+    rows: Readings, truth: Truth | None, other: Readings | None = None, at_ns: Stamps | None = None
 ) -> Figures:
     """The figures of rows, paired as `Readings.pairs` does; without a truth their counts."""
     unmeasured = rows.rejected.total()
     if other is not None:
         unmeasured = int(np.count_nonzero(rows.is_rejected | other.is_rejected))
-    pairs = (None if truth is None else rows.pairs(name, truth, stamps_ns, other) or None for name in SCORED)
-    return Figures(len(rows), len(rows) - unmeasured, seconds, *pairs)
+    pairs = (None if truth is None else rows.pairs(name, truth, at_ns, other) or None for name in SCORED)
+    return Figures(len(rows), len(rows) - unmeasured, math.nan, *pairs)
 
 
 def pooled_figures(figures: Sequence[Figures]) -> Figures:
@@ -233,9 +227,8 @@ def pooled_figures(figures: Sequence[Figures]) -> Figures:
 class Score(Figures):
     """The figures of one method on one recording, or on all of them, against one reference.
 
-    `rejected` counts the frames that could not be measured, by reason. `fitted_on` says that the calibration was fitted
-    on this recording. `lag` was subtracted from the image stamps before pairing; `uncorrected` are the planar figures
-    without that.
+    `rejected` counts unmeasured frames by reason. `fitted_on` says that the calibration was fitted on this recording.
+    `lag` was subtracted from the image stamps before pairing; `uncorrected` are the planar figures without that.
     """
 
     recording: str
@@ -305,7 +298,7 @@ def score_rows(
     lag_ns = reference_lag_ns(recording, reference, lag)
     stamps_ns = readings.stamps_ns - lag_ns
     truth = truth_of(stamps_ns)
-    figures = figures_of(readings, truth, stamps_ns=stamps_ns)
+    figures = figures_of(readings, truth, at_ns=stamps_ns)
     if figures.tool is None and not np.isfinite(truth.distances_m).any() and figures.measured_count:
         raise RecordingError("it has no tissue to measure to; --truth plane takes the profile's")
     is_truth = reference is Reference.GROUND_TRUTH

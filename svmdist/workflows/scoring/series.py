@@ -17,7 +17,6 @@ from svmdist.workflows.request import Request
 from svmdist.workflows.scoring.references import Reference, reference_lag_ns, truth_at
 from svmdist.workflows.scoring.scores import DISTANCES, Readings
 
-PREFERRED = ("clearance", "spatial", "planar")
 APART_S = 1.0  # between two of the worst frames
 
 
@@ -74,20 +73,17 @@ class Series:
 class WorstFrame:
     """One of the worst frames of a log: its place in a series, and how bad it is."""
 
-    at: int
     series: Series
+    at: int
+    number: int
+    seconds: float
     badness_m: float
-
-    @property
-    def number(self) -> int:
-        """Its image's number in the log."""
-        return int(self.series.number[self.at])
 
     @property
     def in_words(self) -> str:
         """What is bad about it, human-readable."""
         series, at = self.series, self.at
-        where = f"frame {self.number} at {series.seconds[at]:.2f} s, {series.instrument}"
+        where = f"frame {self.number} at {self.seconds:.2f} s, {series.instrument}"
         if not series.measured[at]:
             detail = f" ({series.detail[at]})" if series.detail[at] else ""
             return f"{where}: not measured: {series.status[at]}{detail}"
@@ -103,19 +99,18 @@ def worst_frames(series: Sequence[Series], count: int) -> list[WorstFrame]:
 
     Where a log is too short for that many, nearer ones, too; each image once.
     """
-    every = [WorstFrame(at, one, bad_m) for one in series for at, bad_m in enumerate(one.badness_m.tolist())]
+    every = list[WorstFrame]()
+    for one in series:
+        columns = one.number.tolist(), one.seconds.tolist(), one.badness_m.tolist()
+        every += [WorstFrame(one, at, *frame) for at, frame in enumerate(zip(*columns, strict=True))]
     ranked, worst = sorted(every, key=lambda frame: -frame.badness_m), list[WorstFrame]()
     for apart_s in (APART_S, 0.0):
         for frame in ranked:
-            if len(worst) < count and all(_are_apart(frame, one, apart_s) for one in worst):
+            of_log = [one for one in worst if one.series.recording == frame.series.recording]
+            is_apart = all(one.number != frame.number and abs(one.seconds - frame.seconds) >= apart_s for one in of_log)
+            if len(worst) < count and is_apart:
                 worst.append(frame)
     return sorted(worst, key=lambda frame: -frame.badness_m)
-
-
-def _are_apart(one: WorstFrame, other: WorstFrame, apart_s: float) -> bool:
-    between_s = abs(one.series.seconds[one.at] - other.series.seconds[other.at])
-    is_other = one.series.recording != other.series.recording
-    return is_other or (one.number != other.number and bool(between_s >= apart_s))
 
 
 def series_of(measured: Iterable[Measured], request: Request, reference: Reference | None = None) -> list[Series]:
@@ -129,23 +124,18 @@ def series_of(measured: Iterable[Measured], request: Request, reference: Referen
     for one, name in each:
         rows = [row for row in one.rows if row.instrument == name]
         recording, setup = one.recording.for_instrument(name), request.setup
-        readings = Readings(rows)
+        readings, truth_m, has_truth = Readings(rows), np.full((len(rows), 3), np.nan), False
         at_ns = readings.stamps_ns - reference_lag_ns(recording, asked, one.lag)
-        truths = {name: np.full(len(rows), np.nan) for name in PREFERRED}
         try:
             by = one.by.get((asked, name))
             truth = by.truth if by else truth_at(recording, asked, at_ns, setup.equations, request.rules)
-            truths = dict(zip(DISTANCES, truth.distances_m.T, strict=True))
+            truth_m, has_truth = truth.distances_m, True
         except (RecordingError, KinematicsError):
             if reference is not None:
                 raise
-            truth = None
-        able = (
-            name
-            for name in PREFERRED
-            if (truth is None or np.isfinite(truths[name]).any()) and np.isfinite(readings.distance(name)[0]).any()
-        )
-        distance = next(able, "planar")
+        found_any = np.array([np.isfinite(readings.distance(of)[0]).any() for of in DISTANCES])
+        known = found_any & np.isfinite(truth_m).any(0) if has_truth else found_any
+        distance = DISTANCES[max(np.flatnonzero(known), default=0)]  # the last one says most
         series = Series(
             *(recording.name, name, setup.method, distance),
             np.array([row.number for row in rows], np.int64),
@@ -153,7 +143,7 @@ def series_of(measured: Iterable[Measured], request: Request, reference: Referen
             tuple(str(row.status) for row in rows),
             tuple(row.detail for row in rows),
             *readings.distance(distance),
-            truths[distance],
+            truth_m[:, DISTANCES.index(distance)],
             np.array([row.image.tool_px or (np.nan, np.nan) for row in rows]),
             np.array([np.nan if row.consistency is None else row.consistency for row in rows]),
             Ending.of(rows).alarms,
