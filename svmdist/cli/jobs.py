@@ -234,8 +234,7 @@ def inspect_log(recording: Recording, _request: Request, _threads: int, looks_fo
     with progress_bar(f"looking at {recording.name}"):
         summary = inspect_recording(recording.origin.open())
         if looks_for_tag and set(IMAGES) <= set(summary.roles):
-            with suppress(RecordingError):  # a calibration that is not usable: the summary says so
-                no_tag = look_for_tag(recording)
+            no_tag = look_for_tag(recording)
         again = recording.origin.open()
         with suppress(SvmdistError):  # what it lacks, or what the profile lacks, stands in the methods' lines
             checks = check_log(again)
