@@ -100,7 +100,11 @@ def open_recording(
 ) -> Recording:
     """Open the log at `path`, a file, folder or URL, with a profile: a shipped one by its name, a file, or a `Profile`.
 
-    `topics` of roles, as `{"image": "/left/image_raw"}`, are taken instead of the profile's.
+    Args:
+        path: The log.
+        profile: What the log shows.
+        topics: Topics of roles, as `{"image": "/left/image_raw"}`, instead of the profile's.
+
     Raises ProfileError, RecordingError for a file that is no recording, or UsageError for what is no path.
     """
     if not isinstance(path, str | Path | RemoteFile):
@@ -176,9 +180,16 @@ def validate(
 ) -> Validation:
     """Score a method on recordings of one profile against each reference that they have.
 
-    `method`, `calibration`, `lag` and `jobs` are those of `estimate`. `estimates` are those of others in place of a
-    method's: a file's or, with `topic:` before it, a topic's. `rules` choose the references; `alarms` are scored
-    against the true clearance.
+    Args:
+        recordings: One log or several.
+        method: As in `estimate`.
+        estimates: Those of others in place of a method's: a file's or, with `topic:` before it, a topic's.
+        calibration: The file of planar methods, in place of the profile's.
+        rules: Choose the references.
+        lag: Taken off the images' stamps first, in s, or `"auto"`.
+        alarms: Scored against the true clearance.
+        jobs: Processes; results do not depend on them.
+
     Raises RecordingError where a recording has no reference.
     """
     several = _opened(recordings)
@@ -193,9 +204,13 @@ def compare(
     estimates: Sequence[str] = (),
     jobs: int | None = None,
 ) -> list[MethodScore]:
-    """Measure one or several recordings of a profile with methods side by side: all that they can serve by default.
+    """Measure recordings of one profile with methods side by side, all that they can serve where none is named.
 
-    `methods`, one or several, and `jobs` are those of `estimate`, `estimates` those of `validate`.
+    Args:
+        recordings: One log or several.
+        methods: One or several, as in `estimate`.
+        estimates: As in `validate`.
+        jobs: Processes; results do not depend on them.
     """
     first, *others = _opened(recordings)
     given = [_setup(first, given_estimates(text)) for text in estimates]

@@ -46,9 +46,11 @@ class Calibrate(LogOptions, options.ReadOptions, options.WindowOptions):
         fit = calibration.fit
         LOG.info(
             "%s: %d frames, residual RMSE x %.3f mm, y %.3f mm, max %.3f mm; pixels x %.0f–%.0f, y %.0f–%.0f",
-            *(self.output, fit.sample_count),
+            self.output,
+            fit.sample_count,
             *(1e3 * error_m for error_m in (fit.rmse_x_m, fit.rmse_y_m, fit.max_error_m)),
-            *(*fit.span_x_px, *fit.span_y_px),
+            *fit.span_x_px,
+            *fit.span_y_px,
         )
         return run.exit_code()
 
