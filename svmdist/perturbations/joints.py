@@ -43,6 +43,7 @@ def reported_late(values: Array, stamps_ns: Stamps, perturbations: Perturbations
 
 METRES_PER_DEG = 1e-4  # of a joint that slides: a cable drum of 12 mm across moves so far in a degree
 PROXIMAL_SHARE = 0.5  # backlash of yaw, pitch, insertion and roll, which have shorter cables, over that of the wrist
+DRIFT_S = 8.0  # the strength is the deviation of how far a joint drifts in so long
 DRIFT_PERIODS_S = np.array([16.0, 24.0, 36.0, 54.0])  # slower than a task, and too many to look like a sine
 
 
@@ -83,7 +84,7 @@ def reported_joints(
     drift = sum(
         cosine * (np.cos(turn * seconds) - 1.0)[:, None] + sine * np.sin(turn * seconds)[:, None]
         for turn, (cosine, sine) in zip(turns, waves.transpose(2, 0, 1), strict=True)
-    ) / np.sqrt(2.0 * (1.0 - np.cos(turns * 8.0)).sum())
+    ) / np.sqrt(2.0 * (1.0 - np.cos(turns * DRIFT_S)).sum())
     reported += perturbations["joint_drift"] * units.per_deg * drift
     noise = random_stream(seed, PATH_STREAM, "joint_noise", arm).standard_normal(q.shape)
     reported += perturbations["joint_noise"] * units.per_deg * noise

@@ -19,6 +19,8 @@ from svmdist.transforms import FrameName
 
 DEFAULT_PROFILE = "psm13"
 SHIPPED = Path(__file__).parent.with_name("profiles")
+GUESSED_RADIUS, GUESSED_PLANE_M = 0.1, 0.02  # deviations from which on they are guesses
+BEHIND_PLANE = 1.5  # the range of stereo over the distance of the plane that the tissue lies on
 
 
 class Topics(StrictModel):
@@ -118,16 +120,16 @@ class Profile(StrictModel):
     def stereo_in_range(self) -> StereoSettings:
         """The settings of stereo, their range as far as the profile's plane asks for it."""
         settings = self.settings.stereo
-        far_m = 0.0 if self.tissue is None else 1.5 * self.tissue.plane_distance_m
+        far_m = 0.0 if self.tissue is None else BEHIND_PLANE * self.tissue.plane_distance_m
         return settings.model_copy(update={"far_m": max(settings.far_m, far_m)})
 
     @property
     def guesses(self) -> str:
         """What was guessed, so that distances are as uncertain, with its deviation; empty without any."""
         found: list[str] = []
-        if self.instrument and self.instrument.shaft_radius_std_fraction > 0.1:
+        if self.instrument and self.instrument.shaft_radius_std_fraction > GUESSED_RADIUS:
             found.append(f"shaft_radius_m to {self.instrument.shaft_radius_std_fraction:.0%}")
-        if self.tissue and self.tissue.plane_distance_std_m > 0.02:
+        if self.tissue and self.tissue.plane_distance_std_m > GUESSED_PLANE_M:
             found.append(f"plane_distance_m to {self.tissue.plane_distance_std_m * 1e3:.0f} mm")
         return ", ".join(found)
 

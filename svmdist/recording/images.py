@@ -144,9 +144,11 @@ def decode_raw(
         found = f"{len(data)} bytes in rows of {step_bytes}"
         raise ImageError(f"{found} do not hold {width_px}x{height_px} px of {encoding}")
     rows: NDArray[np.uint8] = np.frombuffer(data, np.uint8).reshape(height_px, step_bytes)[:, :row_bytes]
-    pixels = rows.reshape(height_px, width_px, channels).copy()
+    pixels = rows.reshape(height_px, width_px, channels)
+    if conversion is None:
+        return pixels.copy()
     try:
-        return pixels if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
+        return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), conversion), np.uint8)
     except cv2.error as problem:
         raise ImageError(" ".join(str(problem).split())) from None
 

@@ -21,6 +21,7 @@ SPACING_M = 0.0004  # longest side of triangles between samples: no point of a p
 REACH_M = 0.07  # the organ is 62 mm long at most: what is farther behind a link's origin is not the nearest
 CELL_M = 0.001  # side of the cells that group a part's samples: only those in near cells are looked at one by one
 BULLET_SCALE = 1000.0  # Bullet is tuned for objects of about one metre: it counts in millimetres, without margins
+SEARCH_RADIUS_M = 0.2  # the largest clearance that is measured between two instruments
 
 
 class _Samples:
@@ -125,7 +126,7 @@ class InstrumentClearance(BulletWorld):
         for scene, bodies, q in zip(self._scenes, self._bodies, (q_first, q_second), strict=True):
             for body, T_world_part in zip(bodies, scene.part_poses(q), strict=True):
                 self.place(body, T_world_part, BULLET_SCALE)
-        smallest_mm = 0.2 * BULLET_SCALE
+        smallest_mm = SEARCH_RADIUS_M * BULLET_SCALE
         for body, other in product(*self._bodies):
             # Pairs that are farther apart than the nearest so far need no distance.
             points = self.call("getClosestPoints", body, other, max(smallest_mm, 0.0))

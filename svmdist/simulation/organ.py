@@ -36,6 +36,7 @@ SWEEPS, FINE_REACH_M = 8, 0.002
 """The pressed surface is flat between vertices, so that some µm are left inside and push again, with a small reach."""
 TOLERANCE_M = 1e-6
 CELL_M = 0.0003  # only the deepest push of each cell counts: those above it, and on steep sides, change nothing
+CHUNK = 64  # pushes that are worked on together
 KD_TREE = 4  # of OpenCV's FLANN: FLANN_INDEX_KDTREE_SINGLE, which is exact
 SLACK_M = 1e-7  # the vertices are looked up in single precision
 
@@ -134,8 +135,8 @@ class Organ:
     def _pushed_m(self, xy_m: Array, by_m: Array, reach_m: float) -> Array:
         """How far vertices are pushed by points, shape (n, 2), that push so far, shape (n,): the most of all; (v,)."""
         place_m, pushed_m = self.mesh.vertices_m[:, :2], np.zeros(len(self.mesh.vertices_m))
-        for begin in range(0, len(xy_m), 64):
-            some_m, push_m = xy_m[begin : begin + 64], by_m[begin : begin + 64]
+        for begin in range(0, len(xy_m), CHUNK):
+            some_m, push_m = xy_m[begin : begin + CHUNK], by_m[begin : begin + CHUNK]
             near = ((place_m > some_m.min(0) - reach_m) & (place_m < some_m.max(0) + reach_m)).all(axis=1)
             x_m, y_m = (place_m[near, axis, None] - some_m[:, axis] for axis in range(2))
             # From 1 at a point to 0 at the reach, twice differentiable (Wendland 1995, Piecewise polynomial, positive

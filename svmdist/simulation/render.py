@@ -35,6 +35,7 @@ DEPTH_TIE = 2.5e-7
 """Four steps of a float32 below 1, 0.25 µm here: TinyRenderer compares depths before it scales and rounds them.
 Surfaces that are nearer to each other than that are rendered in one picture again."""
 LIGHT_DIRECTION = np.array([0.35, 0.45, 1.0])  # towards the light, in the world: beside the optical axis, to shade
+AMBIENT = 0.52  # of what the far lamp gives; of the one at the endoscope's tip it is 0.18
 _AWAY: Array = raised(1.0)  # behind the camera
 
 
@@ -87,7 +88,7 @@ class Renderer(BulletWorld):
             "shadow": 0,
             "lightColor": (1.0, 0.985, 0.96),
             "lightDirection": (LIGHT_DIRECTION + share * (to_lens - LIGHT_DIRECTION)).tolist(),
-            "lightAmbientCoeff": 0.52 + share * (0.18 - 0.52),
+            "lightAmbientCoeff": AMBIENT + share * (0.18 - AMBIENT),
             "lightDiffuseCoeff": 0.5 + share * 0.35,
             "lightSpecularCoeff": 0.12,
         }

@@ -99,11 +99,10 @@ def degrade(image_bgr: Image, name: Degradation | str, severity: int, seed: int)
     scale = image_bgr.shape[1] / REFERENCE_WIDTH_PX
     degraded: Array
     match Degradation(name):
-        case Degradation.DEFOCUS | Degradation.MOTION_BLUR:
-            kernel = _disc(DEFOCUS_RADIUS_PX[level] * scale)
-            if name == Degradation.MOTION_BLUR:
-                kernel = _line(MOTION_LENGTH_PX[level] * scale, rng.uniform(0.0, np.pi))
-            return np.asarray(cv2.filter2D(image_bgr, -1, kernel, borderType=cv2.BORDER_REFLECT_101), np.uint8)
+        case Degradation.DEFOCUS:
+            return _filtered(image_bgr, _disc(DEFOCUS_RADIUS_PX[level] * scale))
+        case Degradation.MOTION_BLUR:
+            return _filtered(image_bgr, _line(MOTION_LENGTH_PX[level] * scale, rng.uniform(0.0, np.pi)))
         case Degradation.NOISE:
             degraded = image_bgr + rng.normal(0.0, NOISE_LEVELS[level], image_bgr.shape)
         case Degradation.LOW_LIGHT:
@@ -120,6 +119,10 @@ def degrade(image_bgr: Image, name: Degradation | str, severity: int, seed: int)
             _, data = cv2.imencode(".jpg", image_bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY[level]])
             return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)
     return np.clip(np.rint(degraded, out=degraded), 0, 255, out=degraded).astype(np.uint8)
+
+
+def _filtered(image_bgr: Image, kernel: Array) -> Image:
+    return np.asarray(cv2.filter2D(image_bgr, -1, kernel, borderType=cv2.BORDER_REFLECT_101), np.uint8)
 
 
 def _disc(radius_px: float) -> Array:

@@ -74,8 +74,8 @@ def _is_outline(points_px: Array, step_px: float, mask: NDArray[np.uint8], radiu
     near = cv2.dilate(mask[top : row.max() + 1, left : column.max() + 1], GAP_DISC)
     hidden = near[row - top, column - left] == 0
     hidden |= _is_straight(points_px, round(STRAIGHT_LENGTH_PER_ROOT_PX * np.sqrt(radius_px) / step_px))
-    shoulders = [np.roll(hidden, by) for by in range(-SHOULDER_SAMPLES, SHOULDER_SAMPLES + 1)]
-    outline = ~np.any(shoulders, axis=0) & (column >= BORDER_PX) & (column < width - BORDER_PX)
+    shoulder = min(SHOULDER_SAMPLES, (len(hidden) - 1) // 2)
+    outline = ~_any_of(hidden, shoulder, shoulder) & (column >= BORDER_PX) & (column < width - BORDER_PX)
     return np.asarray(outline & (row >= BORDER_PX) & (row < height - BORDER_PX))
 
 
@@ -84,12 +84,26 @@ def _is_straight(points_px: Array, length: int) -> NDArray[np.bool_]:
     count = len(points_px)
     if length < 3 or length >= count // 2:
         return np.zeros(count, np.bool_)
-    stretches = points_px[(np.arange(count)[:, None] + np.arange(1, length + 1)) % count] - points_px[:, None]
-    x, y = np.moveaxis(stretches, 2, 0)
-    chord_x, chord_y = x[:, -1:], y[:, -1:]
-    off = chord_x * y[:, :-1] - chord_y * x[:, :-1]
-    straight = (np.abs(off) < STRAIGHT_WITHIN_PX * np.hypot(chord_x, chord_y)).all(1)
-    return np.asarray(np.any([np.roll(straight, by) for by in range(length + 1)], axis=0))
+    x, y = np.concatenate([points_px, points_px[:length]]).T
+    chord_x, chord_y = x[length:] - x[:count], y[length:] - y[:count]
+    bound = STRAIGHT_WITHIN_PX * np.hypot(chord_x, chord_y)
+    # Most stretches leave their chord in the middle; only those that do not are looked at in full.
+    middle = slice(length // 2, length // 2 + count)
+    off = chord_x * (y[middle] - y[:count]) - chord_y * (x[middle] - x[:count])
+    start = np.flatnonzero(np.abs(off) < bound)
+    within = start[:, None] + np.arange(1, length)
+    along_x, along_y = x[within] - x[start, None], y[within] - y[start, None]
+    off = chord_x[start, None] * along_y - chord_y[start, None] * along_x
+    straight = np.zeros(count, np.bool_)
+    straight[start] = (np.abs(off) < bound[start, None]).all(1)
+    return _any_of(straight, length, 0)
+
+
+def _any_of(flags: NDArray[np.bool_], before: int, after: int) -> NDArray[np.bool_]:
+    """Whether any flag of a closed sequence, shape (n,), is set from `before` places before to `after` behind."""
+    wrapped = np.concatenate([flags[len(flags) - before :], flags, flags[:after]])
+    counts = np.concatenate([[0], np.cumsum(wrapped)])
+    return np.asarray(counts[before + after + 1 :] > counts[: len(flags)])
 
 
 def _fit(points_px: Array, centre_px: Array, step_px: float, settings: OutlineSettings) -> CompletedOutline:

@@ -155,9 +155,11 @@ def _sides_of(contour: NDArray[np.int32], inside: NDArray[np.bool_]) -> tuple[Si
 
 
 def _is_covered(first: Side, second: Side, end_px: Array, covered: Image) -> bool:
-    y, x = np.nonzero(covered)
-    within_px = 0.7 * np.linalg.norm(first.end_px - second.end_px)
-    return not np.all(np.hypot(x - end_px[0], y - end_px[1]) > within_px)
+    radius_px = 0.7 * float(np.linalg.norm(first.end_px - second.end_px))
+    left, top = (max(0, int(value - radius_px)) for value in end_px)
+    right, bottom = (max(0, int(value + radius_px) + 2) for value in end_px)
+    y, x = np.nonzero(covered[top:bottom, left:right])
+    return not np.all(np.hypot(x + left - end_px[0], y + top - end_px[1]) > radius_px)
 
 
 def _is_cut(first: Side, second: Side, end_px: Array, dark: Image) -> bool:

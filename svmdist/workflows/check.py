@@ -145,10 +145,10 @@ def checked(
         is_suspect = any(d.deviations > SUSPECT_DEVIATIONS for ones in found().values() for d in ones)
         if len(looked) >= least and not is_suspect:
             break
-        number, sighted = spread[place].number, spread[place].decoded.seen
-        if sighted is None:
+        number, observations = spread[place].number, spread[place].decoded.seen
+        if observations is None:
             continue
-        seen = tuple(condition.apply(one, number) for one in sighted)
+        seen = tuple(condition.apply(one, number) for one in observations)
         scene = Scene(seen[0], arms[0].profile, segmenter, rows)
         # Several are associated as in the first image of a log
         frames = Association(arms).frames(scene, seen) if is_associated else [Frame.of(scene, arms[0], seen[0])]

@@ -227,13 +227,17 @@ class BlurTally:
     kernel_px: int
     figures: Figures
     counts: list[Counts]
-    published: tuple[int, int] | None  # the row of the paper's Table I
 
     @property
     def means(self) -> list[float | None]:
         """The mean of each count over the frames that have it; None where none has."""
         known = [[count for count in of if count is not None] for of in zip(*self.counts, strict=True)]
         return [float(np.mean(of)) if of else None for of in known]
+
+    @property
+    def published(self) -> tuple[int, int] | None:
+        """The row of the paper's Table I; None where it has none."""
+        return TABLE_I[self.blur][1]
 
 
 def blur_tallies(
@@ -250,7 +254,7 @@ def blur_tallies(
             counts[blur].append(_counts(one))
     truth_m = recording.distance_track().at(readings[Blur.NONE].stamps_ns).values
     return [
-        BlurTally(blur, kernels_px[blur], figures_of(rows, Truth(truth_m)), counts[blur], TABLE_I[blur][1])
+        BlurTally(blur, kernels_px[blur], figures_of(rows, Truth(truth_m)), counts[blur])
         for blur, rows in readings.items()
     ]
 

@@ -73,6 +73,7 @@ def sides(view: View, arm: Arm, correlated_share: float = 0.0, *, is_alone: bool
     radius_std = float(np.hypot(arm.deviations.shaft_radius_fraction, view.shaft.width_std))
     if is_alone:  # no other view shows the depth of what may be a wrist
         radius_std = float(np.hypot(radius_std, view.shaft.wrist_std))
+    deviations = replace(arm.deviations, shaft_radius_fraction=radius_std)
     for contour in view.shaft.contours:
         _, axes = np.linalg.eigh(contour.covariance)
         across = axes[:, 1:].T
@@ -89,7 +90,7 @@ def sides(view: View, arm: Arm, correlated_share: float = 0.0, *, is_alone: bool
             side=contour.side,
             by_bias=kinds.bias_jacobian(correlated_share * covariance),
             focal_px=np.diag(view.camera.K)[:2],
-            deviations=replace(arm.deviations, shaft_radius_fraction=radius_std),
+            deviations=deviations,
             correlation_time_s=arm.profile.settings.filter.edge_correlation_time_s,
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -161,6 +162,14 @@ class ContourMeasurement(LinkMeasurement):
     side: int  # +1 for the edge to the right of the axis as it runs through the image, y being down, -1 for the left
     focal_px: Array = field(default_factory=lambda: np.ones(2))
 
+    @cached_property
+    def of_camera(self) -> tuple[BiasTerm, ...]:
+        """What focal length and principal point do to it, whatever the pose."""
+        error, flat = self.deviations.camera, self.normal * np.array([1.0, 1.0, 0.0])
+        focal = -error.focal_std_fraction * (self.across @ flat[:, None])
+        centre = -error.centre_std_px * self.across[:, 2:] * (self.normal[:2] / self.focal_px)
+        return BiasTerm(FOCAL_LENGTH, focal), BiasTerm(PRINCIPAL_POINT, centre)
+
     def in_view(self, T_view_link: Array, /) -> Linearised:
         """By what the normal is off the predicted one, shape (2,) in rad."""
         d, arm_m = T_view_link[:3, :3] @ self.axis, T_view_link[:3, :3] @ self.p_axis_m
@@ -174,10 +183,7 @@ class ContourMeasurement(LinkMeasurement):
         beside_m = self.side * np.sqrt(max(square_m2 - self.radius_m**2, NEAR_M**2))
         by_radius = (beside_m * foot_m - self.radius_m * (skew(d) @ foot_m)) / (square_m2 * beside_m)
         radius = self.across @ (by_radius * self.radius_m)[:, None] * self.deviations.shaft_radius_fraction
-        error, flat = self.deviations.camera, self.normal * np.array([1.0, 1.0, 0.0])
-        focal = -error.focal_std_fraction * (self.across @ flat[:, None])
-        centre = -error.centre_std_px * self.across[:, 2:] * (self.normal[:2] / self.focal_px)
-        shared = map(BiasTerm, (FOCAL_LENGTH, PRINCIPAL_POINT, SHAFT_RADIUS), (focal, centre, radius))
+        shared = *self.of_camera, BiasTerm(SHAFT_RADIUS, radius)
         return self.about(self.across @ (self.normal - normal), H, self.by_bias, shared)
 
 
@@ -199,6 +205,12 @@ class EndMeasurement(LinkMeasurement):
     model_std_m: float  # how wrong `ahead_m` may be
     bias_std_px: float = 0.0  # a band or a plate that is taken for the end stays one
 
+    @cached_property
+    def of_camera(self) -> tuple[BiasTerm, ...]:
+        """What focal length and principal point do to it, whatever the pose."""
+        each = self.deviations.of_pixels(self.pixel, self.camera)
+        return tuple(BiasTerm(one.name, (self.towards_tip @ one.jacobian)[None]) for one in each)
+
     def in_view(self, T_view_link: Array, /) -> Linearised:
         """Measured minus predicted in px, shape (1,); the bias is along the shaft in units of its deviation."""
         d, arm_m = T_view_link[:3, :3] @ self.axis, T_view_link[:3, :3] @ self.p_hinge_m
@@ -219,9 +231,7 @@ class EndMeasurement(LinkMeasurement):
         by_place = H[:, :3] @ T_view_link[:3, :3] @ self.axis[:, None]
         bias = np.copysign(np.hypot(self.model_std_m * by_place, self.bias_std_px), by_place)
         residual = np.array([(self.pixel - pixel) @ self.towards_tip])
-        of_pixels = self.deviations.of_pixels(self.pixel, self.camera)
-        shared = (BiasTerm(one.name, (self.towards_tip @ one.jacobian)[None]) for one in of_pixels)
-        return self.about(residual, H, bias, shared, END_BIAS)  # whichever view shows it
+        return self.about(residual, H, bias, self.of_camera, END_BIAS)  # whichever view shows it
 
 
 @dataclass(frozen=True, kw_only=True)
