@@ -79,8 +79,8 @@ class ShaftSizes:
         """The instrument with the other one of its two ends, where these are not as far apart as shaft and wrist are.
 
         What ends on a shaft without being its end is anywhere in the stretch that was searched. The outline is as
-        likely that of the wrist, where it narrows, as that of straight jaws, at their tips. Where the shaft and what is
-        as wide beyond it may end next to the border already, the sides are a wrist's: no shaft is shown.
+        likely to end where the wrist narrows as at the jaws' joint, or at the tips of straight jaws. Where the shaft
+        and what is as wide beyond it may end next to the border already, the sides are a wrist's: no shaft is shown.
         """
         collar_widths = (self.end_m + self.outline_end_m) / (2.0 * self.radius_m)
         if seen.near_share > MOST_NEAR and seen.near_widths + collar_widths < LEAST_LENGTH:
@@ -88,9 +88,9 @@ class ShaftSizes:
         if not 0.0 < seen.other_share < 1.0:
             return seen
         apart_m = abs(seen.other_px) / seen.width_px * 2.0 * self.radius_m
-        mean_m = np.array([self.end_m + self.outline_end_m, self.end_m + self.tip_m])  # of the wrist's, and of tips
+        mean_m = self.end_m + np.array([self.outline_end_m, self.reach_m, self.tip_m])
         near_std_m = np.hypot(np.hypot(self.end_std_m(default_std_m), self.outline_end_std_m), FORESHORTENED * apart_m)
-        std_m = np.array([near_std_m, np.linalg.norm([near_std_m, self.jaw_tip_std_m])])
+        std_m = np.array([near_std_m, near_std_m, np.linalg.norm([near_std_m, self.jaw_tip_std_m])])
         p = np.exp(-0.5 * ((apart_m - mean_m) / std_m) ** 2) / (np.sqrt(2.0 * np.pi) * std_m)
         density = LONGEST_WRIST * 2.0 * self.radius_m * float(p.mean())
         own, other = (density, 1.0) if seen.ends_dark else (1.0, density)
