@@ -247,6 +247,7 @@ BESIDE_PX = (6.0, 14.0)  # outside of it, where what is beside it is
 LEAST_SHADOW_PX = 3.0  # between both edges: nearer, they are one
 MIN_COLOUR = 0.08  # by which colours differ at least, in logarithms of ratios: 8 % of red over green
 MIN_DARKER = 0.1  # logarithm of levels: 10 %
+FAINT_STEP = 0.2  # of an edge within over the border's own: less is grain of the shaft, edges have 0.6 and more
 DARK_LEVEL = 4.0  # added to levels, so that the colour of black is grey
 COLOUR_STD_PX = 2.0  # of a line by colours: images keep half of their resolution
 SIDE = 6  # samples to either side of an edge, where brightness is compared
@@ -317,7 +318,7 @@ def edge_within(
         rise = median((inside - outside)[is_on])
         # Colours run into the dark: where the edge of brightness is outside of theirs, the shaft is the darker one.
         is_theirs = abs(apart_px.mean()) < COLOUR_STD_PX or apart_px.mean() * rise > 0.0
-        if is_theirs and abs(apart_px[1] - apart_px[0]) < COLOUR_STD_PX * np.sqrt(2.0):
+        if is_theirs and abs(rise) > FAINT_STEP * darker and np.ptp(apart_px) < COLOUR_STD_PX * np.sqrt(2.0):
             return sharp
     seen_px = start_px + at[is_on, None] * along + off_px[is_on, None] * across
     by_colours = EdgeLine(rough[0], rough[1], seen_px, False, within_px, COLOUR_STD_PX**2 * np.eye(2), COLOUR_STD_PX)

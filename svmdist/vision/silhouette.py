@@ -258,8 +258,8 @@ def find_silhouette(
     wrist_std = seen.wrist_std * (1.0 if point is None else min(1.0, 2.0 * point.missing))
     # Of a short segment most of either side may be the wrist's, in line with it.
     run_px = [max(float((one.end_px - one.start_px) @ along), 1e-9) for one in (first, second)]
-    on_shaft = [float((end_px - one.start_px) @ along) / run for one, run in zip((first, second), run_px, strict=True)]
-    beyond = float(np.clip(1.5 - np.clip(on_shaft, 0.0, 1.0).sum(), 0.0, 1.0))
+    on_shaft = np.array([(end_px - one.start_px) @ along for one in (first, second)]) / run_px
+    beyond = float(np.clip(1.5 - 2.0 * on_shaft, 0.0, 1.0).mean())
     wrist_std = max(wrist_std, WRIST_NARROWER * beyond)
     rim = Rim(end_px, along, std_px, not seen.ends_dark, 2.0 * seen.other_px / width_px, seen.other_share, narrows)
     return Silhouette((first, second), rim, point, wrist_std=wrist_std)

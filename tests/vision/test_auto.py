@@ -122,6 +122,12 @@ def test_sides_that_are_mostly_the_wrist_s_leave_the_width_open(end):
     assert found.wrist_std == (pytest.approx(0.19, abs=0.02) if end == 60.0 else 0.0)
 
 
+def test_one_side_that_is_mostly_the_wrist_s_leaves_half_as_much_open():
+    bgr = bars((0, 60, 100, 140), (60, 200, 100, 125))
+    found = silhouette(bgr, seen_as(bgr[..., 0] == 30, sides_of(60.0), ends_dark=True))
+    assert found.wrist_std == pytest.approx(0.1, abs=0.03)
+
+
 @pytest.mark.parametrize("end", [200.0, 130.0], ids=["the end", "a band before it"])
 def test_an_outline_longer_than_a_wrist_says_that_its_end_is_none(end):
     """Beyond a band the rest of the shaft looks like wrist: the tip is seen, and the end is as uncertain."""
@@ -204,29 +210,37 @@ def test_the_shaft_ends_before_its_own_shadow(behind, light):
     assert found.width_px == pytest.approx(40.0, abs=0.7)
 
 
-def stained_shaft(share: float) -> Image:
+def stained_shaft(share: float, shaft_bgr: tuple[int, int, int] = (38, 35, 35)) -> Image:
     """A grey shaft in rows 100 to 140, its shadow as dark down to row 160; blood over a share of their border."""
     lit = np.ones((240, 320, 1), np.float32)
     lit[140:160, :280] = 0.45
     bgr = cv2.GaussianBlur(lit, (0, 0), 3.0)[..., None] * np.array((70.0, 76.0, 84.0))
-    bgr[100:140, :280] = 38, 35, 35
+    bgr[100:140, :280] = shaft_bgr
     for begin in range(0, 280, 40):
         bgr[124:140, begin : begin + round(40 * share)] = 10, 8, 60
     return np.asarray(cv2.GaussianBlur(bgr, (0, 0), 0.8), np.uint8)
 
 
+def side(y: float, blur_px: float) -> EdgeLine:
+    """A shaft's side along a row."""
+    return EdgeLine(np.array([0.0, y]), np.array([280.0, y]), np.zeros((0, 2)), False, blur_px=blur_px)
+
+
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.4])
 def test_a_shaft_ends_at_its_shadow_by_colours_alone_with_blood_on_it(share):
     """Red is no colour of the shaft either, so that blood on its limb looks like more of what is beside it."""
-
-    def side(y: float, blur_px: float) -> EdgeLine:
-        return EdgeLine(np.array([0.0, y]), np.array([280.0, y]), np.zeros((0, 2)), False, blur_px=blur_px)
-
     other = side(99.5, 0.8)
     found = edge_within(stained_shaft(share), side(158.0, 3.0), other, None, 12.0)
     assert [found.start_px[1], found.end_px[1]] == pytest.approx([139.5, 139.5], abs=1.0)
     lit = np.where(np.arange(240)[:, None, None] >= 140, np.uint8(160), stained_shaft(share))
     assert edge_within(lit, side(139.5, 3.0), other, None, 12.0) is None
+
+
+@pytest.mark.parametrize("shaft_bgr", [(44, 36, 30), (26, 26, 26)], ids=["faint", "clear"])
+def test_a_step_within_a_shadow_that_is_much_fainter_than_its_border_is_grain(shaft_bgr):
+    """Of a shaft as dark as its shadow only colours say where that ends."""
+    found = edge_within(stained_shaft(0.0, shaft_bgr), side(158.0, 3.0), side(99.5, 0.8), None, 6.0)
+    assert (found.covariance is None) is (shaft_bgr == (26, 26, 26))
 
 
 def test_the_dark_side_of_a_shaft_that_reflects_tissue_is_no_shadow():
