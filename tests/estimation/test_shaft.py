@@ -264,7 +264,7 @@ ENDS = ShaftSizes(Instrument(**{**dict(PROFILE.instrument), "outline_end_m": 0.0
 
 @pytest.mark.parametrize(
     ("other_px", "kept", "most_share"),
-    [(90.0, True, 0.25), (140.0, True, 0.3), (200.0, True, 0.4), (400.0, False, 0.2)],
+    [(90.0, True, 0.21), (140.0, True, 0.25), (200.0, True, 0.35), (400.0, False, 0.2)],
 )
 def test_two_ends_are_those_of_shaft_and_wrist_or_one_is_nothing(other_px, kept, most_share):
     """A dark part that ends 9 mm before the outline is the shaft, 14 mm before the jaws' joint, 20 before closed tips.
