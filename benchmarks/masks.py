@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from benchmarks.generated_pages import table_row
 from svmdist.profile.segmentation import INSTRUMENTS, OnnxSegmentation
 from svmdist.samples import Image
-from svmdist.vision.instruments.find_instruments import AutoMasks
+from svmdist.vision.colour import Masks
+from svmdist.vision.instruments.find_instruments import auto_masks
 from svmdist.vision.network import OnnxSegmenter
-from svmdist.vision.segmentation import Masks
 from training.instruments import DISTAL
 from training.scene import VALIDATION_SEED, render
 
@@ -198,7 +198,7 @@ def print_row(name: str, shows: str, images: Sequence[tuple[Image, Mask]]) -> tu
     )
     network = shipped_network(from_border=False)
     segmenters: dict[str, Callable[[Image], Masks]] = {
-        "`auto`": AutoMasks,
+        "`auto`": auto_masks,
         "network": network.masks,
         "network, from the border": shipped_network(from_border=True).masks,
     }

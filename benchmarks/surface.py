@@ -31,8 +31,8 @@ from svmdist.simulation.scene import Options, make_scene
 from svmdist.transforms import Array, inverse, transform_points
 from svmdist.vision.colour import to_grey
 from svmdist.vision.disparity import disparity_map
+from svmdist.vision.frame_context import make_segmenter
 from svmdist.vision.instruments.evidence import picture_of
-from svmdist.vision.segmentation import make_segmenter
 from svmdist.vision.stereo import RectifiedPair
 from svmdist.workflows.check import first_of, offset_to_remove, spread_observations
 

@@ -10,7 +10,7 @@ from svmdist.estimation.plane_mapping import PlaneMapping
 from svmdist.profile import Profile
 from svmdist.results import FrameResult, as_vector
 from svmdist.samples import Observation
-from svmdist.vision.segmentation import Segmenter, make_segmenter
+from svmdist.vision.frame_context import Segmenter, make_segmenter
 
 
 def frame_of(observation: Observation, arm: Arm, segmenter: Segmenter) -> Frame:

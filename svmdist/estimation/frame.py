@@ -27,10 +27,10 @@ from svmdist.profile import Profile
 from svmdist.results import Failure, ToolPose
 from svmdist.samples import Image, JointSample, Observation, RightView
 from svmdist.transforms import Array, inverse
-from svmdist.vision.frame_context import FrameContext, as_pinholes, mixes_colours, with_first_fields
+from svmdist.vision.colour import Masks
+from svmdist.vision.frame_context import FrameContext, Segmenter, as_pinholes, mixes_colours, with_first_fields
 from svmdist.vision.instruments.find_instruments import SeenInstrument
 from svmdist.vision.regions import Region, find_region
-from svmdist.vision.segmentation import Masks, Segmenter, without
 from svmdist.vision.shaft_segmentation import find_shaft
 from svmdist.vision.silhouette import Silhouette, WristShape, find_silhouette
 from svmdist.vision.stereo import LEVEL, RectifiedPair, RowAlignment, rectified_pair
@@ -157,13 +157,13 @@ class View:
     def masks(self) -> Masks:
         """What is what, at normalised exposure, without the other instruments."""
         masks = self.context.masks
-        return masks if self.others is None else without(masks, self.others)
+        return masks if self.others is None else masks.without(self.others)
 
     @cached_property
     def masks_as_recorded(self) -> Masks:
         """The same of the image as it is, for the paper's methods."""
         masks = self.context.masks_as_recorded
-        return masks if self.others is None else without(masks, self.others)
+        return masks if self.others is None else masks.without(self.others)
 
     @property
     def tag_corners_px(self) -> Array | None:

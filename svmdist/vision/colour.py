@@ -26,7 +26,7 @@ NOISE_SIGMA_PX = 1.0  # width of that average
 
 
 @dataclass(frozen=True, slots=True)
-class KnownMasks:
+class Masks:
     """What is what in one image: masks of shape (h, w), uint8, 0 or 255; they may be combined by `&`.
 
     `instrument` is its distal part, about the tool's origin; `shaft` is None where the profile knows none. `black` may
@@ -41,12 +41,24 @@ class KnownMasks:
     picture: Image | None = None
     seen: tuple[SeenInstrument, ...] | None = None
 
+    def without(self, others: Image) -> Masks:
+        """The masks for one of several instruments: without the pixels of the others, shape (h, w).
 
-def masks_by_colours(rules: HsvSegmentation, image_hsv: Image) -> KnownMasks:
+        What may be border has the other shafts in it: they cut the view no less than its own.
+        """
+        count, shaft, black, seen = cv2.countNonZero, self.shaft, self.black, self.seen
+        if seen is not None:
+            seen = tuple(one for one in seen if 2 * count(one.mask & ~others) > count(one.mask))
+        own_shaft = None if shaft is None else shaft & ~others
+        black = shaft if shaft is None or black is None else shaft | black
+        return Masks(self.tissue, self.instrument & ~others, own_shaft, black, self.picture, seen)
+
+
+def masks_by_colours(rules: HsvSegmentation, image_hsv: Image) -> Masks:
     """`method = "hsv"`: the masks of an image as HSV, shape (h, w, 3), by a box of colours for each part."""
     channels = cv2.split(image_hsv)
     shaft = None if rules.shaft is None else _mask(channels, rules.shaft)
-    return KnownMasks(_mask(channels, rules.tissue), _mask(channels, rules.instrument), shaft)
+    return Masks(_mask(channels, rules.tissue), _mask(channels, rules.instrument), shaft)
 
 
 def to_hsv(bgr: Image) -> Image:

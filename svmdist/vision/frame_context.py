@@ -10,12 +10,13 @@ import numpy as np
 
 from svmdist.camera import Camera
 from svmdist.profile import Profile
-from svmdist.profile.settings import InterlaceSettings
+from svmdist.profile.segmentation import AutoSegmentation, HsvSegmentation, OnnxSegmentation, Segmentation
+from svmdist.profile.settings import AutoSettings, InterlaceSettings
 from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform
-from svmdist.vision.colour import normalised, to_grey, to_hsv
-from svmdist.vision.instruments.find_instruments import AutoMasks
-from svmdist.vision.segmentation import Masks, Segmenter
+from svmdist.vision.colour import Masks, masks_by_colours, normalised, to_grey, to_hsv
+from svmdist.vision.instruments.find_instruments import auto_masks
+from svmdist.vision.network import OnnxSegmenter
 from svmdist.vision.stereo import LEVEL, RowAlignment
 from svmdist.vision.tags import find_tags, tag_plate
 
@@ -137,6 +138,17 @@ def _maps(
     return np.asarray(maps[0]), np.asarray(maps[1])
 
 
+Segmenter = HsvSegmentation | OnnxSegmenter | AutoSettings
+"""What segments images: boxes of colours, a network that is loaded once, or the settings of `auto`."""
+
+
+def make_segmenter(rules: Segmentation, auto: AutoSettings | None = None) -> Segmenter:
+    """Make the segmenter that a profile asks for; raises ProfileError where its network cannot be used."""
+    if isinstance(rules, OnnxSegmentation):
+        return OnnxSegmenter(rules)
+    return (auto or AutoSettings()) if isinstance(rules, AutoSegmentation) else rules
+
+
 class FrameContext:
     """One camera image, shape (h, w, 3) in BGR, and what is derived from it.
 
@@ -175,19 +187,20 @@ class FrameContext:
 
     @cached_property
     def masks(self) -> Masks:
-        """What is what in the image, at normalised exposure where that makes a difference."""
-        if self._segmenter.uses_colours and self.bgr is not self.bgr_as_recorded:
-            return self._segmenter.masks(self.hsv)
+        """What is what in the image: colours at normalised exposure, all else as `masks_as_recorded`."""
+        if isinstance(self._segmenter, HsvSegmentation) and self.bgr is not self.bgr_as_recorded:
+            return masks_by_colours(self._segmenter, self.hsv)
         return self.masks_as_recorded
 
     @cached_property
     def masks_as_recorded(self) -> Masks:
-        """What is what in the image as it is."""
-        image = self.hsv_as_recorded if self._segmenter.uses_colours else self.bgr_as_recorded
-        masks = self._segmenter.masks(image)
-        if isinstance(masks, AutoMasks) and self.plates is not None:
-            masks.evidence.hide(self.plates)
-        return masks
+        """What is what in the image as it is, which is also what a network was trained on."""
+        segmenter = self._segmenter
+        if isinstance(segmenter, HsvSegmentation):
+            return masks_by_colours(segmenter, self.hsv_as_recorded)
+        if isinstance(segmenter, OnnxSegmenter):
+            return segmenter.masks(self.bgr_as_recorded)
+        return auto_masks(self.bgr_as_recorded, segmenter, self.plates)
 
     @cached_property
     def plates(self) -> Image | None:

@@ -15,7 +15,7 @@ from svmdist.errors import ProfileError, did_you_mean
 from svmdist.files import open_regular, why
 from svmdist.profile.segmentation import ClassRegion, OnnxSegmentation
 from svmdist.samples import Image
-from svmdist.vision.colour import KnownMasks, field_of_view
+from svmdist.vision.colour import Masks, field_of_view
 
 MARGIN = 0.02  # from the border, over the image's width, where a part may end: networks are coarse
 VIEW_PX = 480  # longer side of the image, about, in which the view is looked for
@@ -46,7 +46,7 @@ class OnnxSegmenter:
                 asked = f"segmentation.{name}.class_ids asks for class {beyond[0]}"
                 raise ProfileError(f"{rules.model}: {asked}, and the network has {count} classes, 0 to {count - 1}")
 
-    def masks(self, bgr: Image) -> KnownMasks:
+    def masks(self, bgr: Image) -> Masks:
         """The masks of an image, shape (h, w, 3) in BGR as recorded."""
         left, top, width, height = self.view(bgr) if self._rules.crop_to_view else (0, 0, *bgr.shape[1::-1])
         in_view = np.s_[top : top + height, left : left + width]
@@ -62,7 +62,7 @@ class OnnxSegmenter:
         if rules.from_border:
             kept = _from_border(instrument | shaft, field_of_view(black))
             instrument, shaft = instrument & kept, shaft & kept
-        return KnownMasks(_of(labels, rules.tissue), instrument, None if rules.shaft is None else shaft, black)
+        return Masks(_of(labels, rules.tissue), instrument, None if rules.shaft is None else shaft, black)
 
     @staticmethod
     def view(bgr: Image) -> tuple[int, int, int, int]:

@@ -31,8 +31,7 @@ from svmdist.results import Failure, ToolPose
 from svmdist.samples import Observation, Rejection
 from svmdist.transforms import Array
 from svmdist.vision.colour import to_grey
-from svmdist.vision.frame_context import as_pinholes, with_first_fields
-from svmdist.vision.segmentation import Segmenter, make_segmenter
+from svmdist.vision.frame_context import Segmenter, as_pinholes, make_segmenter, with_first_fields
 from svmdist.vision.stereo import LEVEL, RowAlignment, agreed_offset, corresponding_points, rectified_pair
 from svmdist.vision.tags import find_tags
 from svmdist.workflows.capabilities import HEAD_S, misfit

@@ -20,6 +20,7 @@ from svmdist.least_squares import scale_of
 from svmdist.profile import Profile, Topics, load_profile
 from svmdist.profile.robot import CameraError, EntrySide, Robot, Tissue
 from svmdist.profile.segmentation import AutoSegmentation, ColourRegion, HsvSegmentation
+from svmdist.profile.settings import AutoSettings
 from svmdist.recording.log import Recording, open_recording
 from svmdist.recording.messages import unread
 from svmdist.recording.source import sanitize, sanitize_list
@@ -28,9 +29,9 @@ from svmdist.recording.topics import Role, is_right
 from svmdist.remote import LogPath
 from svmdist.samples import Image, Observation
 from svmdist.vision.colour import DistinctColour, find_distinct_colour
-from svmdist.vision.frame_context import as_pinholes
-from svmdist.vision.instruments.find_instruments import AutoMasks
-from svmdist.vision.segmentation import make_segmenter
+from svmdist.vision.frame_context import as_pinholes, make_segmenter
+from svmdist.vision.instruments.evidence import Evidence
+from svmdist.vision.instruments.find_instruments import find_instruments
 from svmdist.vision.stereo import RowAlignment
 from svmdist.workflows.capabilities import observations_of
 from svmdist.workflows.check import SOMEWHERE, compare_views, offset_to_remove
@@ -227,7 +228,8 @@ def _blank(topics: Mapping[str, str]) -> Profile:
 
 def _instruments_by_entries(images: Sequence[Image]) -> tuple[InstrumentDraft, ...]:
     """As many instruments as images often show, from right to left, with their nearest sides; else one of any side."""
-    seen = [[one.entry_px / one.size[::-1] for one in AutoMasks(image).seen[: len(SIDE_MIDDLES)]] for image in images]
+    found = [find_instruments(Evidence(image, AutoSettings()))[: len(SIDE_MIDDLES)] for image in images]
+    seen = [[one.entry_px / one.size[::-1] for one in instruments] for instruments in found]
     least = max(ENOUGH_IMAGES * len(images), min(2, len(images)), 1)
     several = range(2, len(SIDE_MIDDLES) + 1)
     count = max([1, *(n for n in several if sum(len(one) >= n for one in seen) >= least)])

@@ -32,7 +32,7 @@ from svmdist.results import FrameResult
 from svmdist.samples import Image, Observation, Status
 from svmdist.tracks import LagEstimate
 from svmdist.vision import degradations
-from svmdist.vision.segmentation import Segmenter, make_segmenter
+from svmdist.vision.frame_context import Segmenter, make_segmenter
 from svmdist.workflows.scoring.references import ANY_TRUTH, TruthRules
 
 REPLAY_SEED = 36

@@ -16,7 +16,7 @@ from svmdist.geometry.distance import capsule_separation
 from svmdist.results import Distance, Distances, FrameResult, ToolEstimate, ToolPose
 from svmdist.samples import JointSample, Observation, Status
 from svmdist.transforms import Array, make_transform, rotation_of, rotation_x, rotation_z
-from svmdist.vision.segmentation import make_segmenter
+from svmdist.vision.frame_context import make_segmenter
 from tests.jacobian import nudged
 from tests.measuring import flat, frame_of
 from tests.shipped import CHAIN, POSTURE, PROFILE

@@ -10,7 +10,7 @@ from svmdist.estimation.frame import Arm, Frame
 from svmdist.estimation.methods import METHODS, PLANAR_METHODS, SPATIAL_METHODS, Estimator, make_estimator
 from svmdist.estimation.plane_mapping import PUBLISHED_MAPPING
 from svmdist.samples import Observation, Status
-from svmdist.vision.segmentation import make_segmenter
+from svmdist.vision.frame_context import make_segmenter
 from tests.golden import golden_frames
 from tests.measuring import frame_of
 from tests.shipped import PROFILE

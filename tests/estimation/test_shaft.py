@@ -20,9 +20,9 @@ from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.results import Failure, ToolEstimate
 from svmdist.samples import Image, Observation, Rejection, Status
 from svmdist.transforms import make_transform
+from svmdist.vision.frame_context import make_segmenter
 from svmdist.vision.instruments import find_instruments
 from svmdist.vision.instruments.find_instruments import SeenInstrument
-from svmdist.vision.segmentation import make_segmenter
 from svmdist.vision.silhouette import Rim
 from tests.measuring import frame_of
 from tests.pictures import END_M, PALE_BGR, RED_BGR, WRIST_M, ShaftImage, entering_from

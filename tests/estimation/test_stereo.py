@@ -18,8 +18,8 @@ from svmdist.profile.segmentation import AutoSegmentation
 from svmdist.results import FrameResult
 from svmdist.samples import Image, Observation, RightView, Status
 from svmdist.transforms import Array, make_transform, rotation_of
-from svmdist.vision.frame_context import as_pinholes
-from svmdist.vision.segmentation import make_segmenter
+from svmdist.vision.frame_context import as_pinholes, make_segmenter
+from svmdist.vision.instruments.find_instruments import auto_masks
 from svmdist.vision.stereo import RowAlignment
 from tests.golden import golden_frames
 from tests.measuring import Measuring, frame_of
@@ -208,7 +208,7 @@ def test_without_joints_an_instrument_is_measured_by_the_only_view_that_shows_it
     seen = replace(seen, joints=None, T_camera_base=None, joint_track=None)
 
     def painted(image: Image) -> Image:
-        masks = np.bitwise_or.reduce([one.mask for one in segmenter.masks(image).seen])
+        masks = np.bitwise_or.reduce([one.mask for one in auto_masks(image).seen])
         return cv2.inpaint(image, cv2.dilate(masks, np.ones((15, 15), np.uint8)), 3.0, cv2.INPAINT_TELEA)
 
     def places(observation: Observation) -> tuple[np.ndarray, np.ndarray]:

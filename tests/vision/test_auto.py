@@ -11,12 +11,11 @@ from svmdist.profile.settings import AutoSettings
 from svmdist.recording.log import open_recording
 from svmdist.samples import Image
 from svmdist.vision.edge_lines import EdgeLine, edge_within
-from svmdist.vision.frame_context import FrameContext
+from svmdist.vision.frame_context import FrameContext, make_segmenter
 from svmdist.vision.instruments.evidence import Evidence, picture_of
-from svmdist.vision.instruments.find_instruments import AutoMasks, SeenInstrument, find_instruments
+from svmdist.vision.instruments.find_instruments import SeenInstrument, auto_masks, find_instruments
 from svmdist.vision.instruments.outline import Outline
 from svmdist.vision.instruments.outline_search import outline_score
-from svmdist.vision.segmentation import make_segmenter
 from svmdist.vision.silhouette import Silhouette, WristShape, find_silhouette
 from tests.pictures import BORDERS, surgery_image
 from tests.reading import read_images
@@ -25,7 +24,7 @@ from tests.shipped import PROFILE
 
 def instruments(bgr: Image) -> np.ndarray:
     """All instruments' pixels, shape (h, w)."""
-    masks = [one.mask > 0 for one in AutoMasks(bgr).seen]
+    masks = [one.mask > 0 for one in auto_masks(bgr).seen]
     return np.any(masks, axis=0) if masks else np.zeros(bgr.shape[:2], np.bool_)
 
 
@@ -67,7 +66,7 @@ def test_instruments_over_tissue():
 @pytest.mark.slow
 def test_bare_tissue_holds_no_instrument():
     """Vessels, fat, highlights, light that falls off and any border are no straight sides that come in."""
-    counts = [len(AutoMasks(surgery_image(seed, count=0).bgr).seen) for seed in range(24)]
+    counts = [len(auto_masks(surgery_image(seed, count=0).bgr).seen) for seed in range(24)]
     assert counts.count(0) >= 23
 
 
@@ -77,7 +76,7 @@ def test_the_picture_inside_its_border(border):
     for seed in range(3):
         one = surgery_image(seed, border=border)
         assert iou(picture_of(one.bgr) > 0, one.picture > 0) > 0.97
-        masks = AutoMasks(one.bgr)
+        masks = auto_masks(one.bgr)
         outside = cv2.dilate(one.picture, np.ones((9, 9), np.uint8)) == 0
         assert not (masks.shaft[outside] > 0).any()
         assert not (masks.tissue[outside] > 0).any()
@@ -88,7 +87,7 @@ def test_an_image_of_one_level_is_all_picture(level):
     """The lens before a lamp, or covered: nothing is darker than the rest, and there is no instrument."""
     bgr = np.full((120, 160, 3), level, np.uint8)
     assert picture_of(bgr).all()
-    assert not AutoMasks(bgr).seen
+    assert not auto_masks(bgr).seen
 
 
 def test_instruments_come_in_where_light_ends():
@@ -160,7 +159,7 @@ def test_sides_run_along_the_outline():
     for one in map(surgery_image, range(6)):
         outline = cv2.Canny(one.instruments, 100, 200) == 0
         distance = cv2.distanceTransform(outline.astype(np.uint8), cv2.DIST_L2, 5)
-        for seen in AutoMasks(one.bgr).seen:
+        for seen in auto_masks(one.bgr).seen:
             share = np.linspace(0.1, 0.9, 20)[:, None]
             for start, end in seen.sides:
                 x, y = np.rint(start + share * (end - start)).astype(int).T
@@ -174,7 +173,7 @@ def test_sides_without_an_edge_are_those_of_the_evidence():
     """In an image without edges a shaft's sides are as the evidence has them, and off by a few percent of the width."""
     told = 0
     for one in map(surgery_image, range(6)):
-        for seen in AutoMasks(one.bgr).seen:
+        for seen in auto_masks(one.bgr).seen:
             if silhouette(one.bgr, seen) is None:
                 continue
             told += 1
@@ -341,7 +340,7 @@ def test_instruments_without_a_straight_shaft_are_no_tissue():
         one, bare = surgery_image(seed, count=1), surgery_image(seed, count=0)
         inner = cv2.erode(one.picture, np.ones((91, 91), np.uint8), borderValue=0) > 0
         floating = inner & (one.instruments > 0)
-        masks = AutoMasks(np.where(floating[..., None], one.bgr, bare.bgr))
+        masks = auto_masks(np.where(floating[..., None], one.bgr, bare.bgr))
         if masks.seen or np.count_nonzero(floating) < 0.01 * floating.size:
             continue
         covered.append(float((masks.instrument[floating] > 0).mean()))
@@ -398,7 +397,7 @@ def test_highlights_at_the_border_are_no_instruments():
             centre = (x, int(240 + 0.2 * x + rng.normal(0.0, 9.0)))
             axes = (int(rng.integers(4, 12)), int(rng.integers(4, 16)))
             cv2.ellipse(bgr, centre, axes, float(rng.uniform(0, 180)), 0, 360, (250, 248, 252), cv2.FILLED)
-        counts.append(len(AutoMasks(np.asarray(cv2.GaussianBlur(bgr, (0, 0), 1.0), np.uint8)).seen))
+        counts.append(len(auto_masks(np.asarray(cv2.GaussianBlur(bgr, (0, 0), 1.0), np.uint8)).seen))
     assert counts.count(0) >= 5
 
 

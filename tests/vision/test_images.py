@@ -17,7 +17,7 @@ from svmdist.samples import Image, Observation, RightView
 from svmdist.transforms import Array, make_transform, rotation_of
 from svmdist.vision.colour import colour_mask
 from svmdist.vision.frame_context import as_pinholes, first_field, mixes_colours
-from svmdist.vision.instruments.find_instruments import AutoMasks
+from svmdist.vision.instruments.find_instruments import auto_masks
 from svmdist.vision.regions import find_region, fit_disc
 from svmdist.vision.stereo import matched_place, rectified_pair
 
@@ -41,7 +41,7 @@ def test_an_image_may_have_any_size(size):
     """There is nothing in it, and that is no error."""
     image = np.full((*size, 3), 90, np.uint8)
     assert first_field(image) is image
-    masks = AutoMasks(image)
+    masks = auto_masks(image)
     assert masks.seen == ()
     assert masks.picture.shape == size
 

@@ -15,7 +15,7 @@ from svmdist.recording.log import open_recording
 from svmdist.recording.summary import inspect_recording
 from svmdist.recording.writer import RecordingWriter
 from svmdist.samples import CameraSample, ImageSample
-from svmdist.vision.segmentation import make_segmenter
+from svmdist.vision.frame_context import make_segmenter
 from svmdist.vision.stereo import RowAlignment
 from svmdist.workflows import replay
 from svmdist.workflows.capabilities import method_capabilities

@@ -19,8 +19,8 @@ from svmdist.profile.hand_eye import FOCAL_LENGTH, PRINCIPAL_POINT
 from svmdist.profile.robot import CameraError, Dome, Tissue
 from svmdist.samples import Image
 from svmdist.transforms import Array, cross, inverse, make_transform, transform_points
+from svmdist.vision.colour import Masks
 from svmdist.vision.regions import CompletedOutline, Region, complete_outline, find_region
-from svmdist.vision.segmentation import Masks
 
 BLOOD_FRACTION = 0.1  # parts below this fraction of the tissue may be blood on an instrument, as red as tissue
 RING_PX = 3  # what lies this close to a part surrounds it

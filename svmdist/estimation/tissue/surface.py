@@ -14,9 +14,9 @@ from svmdist.profile import Profile
 from svmdist.samples import Image, RightView
 from svmdist.tracks import Mask
 from svmdist.transforms import Array, inverse
+from svmdist.vision.colour import Masks
 from svmdist.vision.disparity import CLIPPED, MARGIN_PX, disparity_map
 from svmdist.vision.frame_context import FrameContext
-from svmdist.vision.segmentation import Masks
 from svmdist.vision.stereo import RectifiedPair, RowAlignment
 
 QUICK_PX, ALL_PX = 30_000, 2_100_000

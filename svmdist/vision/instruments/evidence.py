@@ -37,10 +37,11 @@ SQUARE_5 = np.ones((5, 5), np.uint8)
 class Evidence:
     """Log-odds of instrument against all else in a working image, made of an image of any size, (h, w, 3) in BGR.
 
-    The middle of a pixel is a whole number in either image: q = scale (p + 0.5) - 0.5.
+    What is `hidden`, shape (h, w), is taken for nothing: neither its colours nor its borders count. The middle of a
+    pixel is a whole number in either image: q = scale (p + 0.5) - 0.5.
     """
 
-    def __init__(self, bgr: Image, settings: AutoSettings) -> None:
+    def __init__(self, bgr: Image, settings: AutoSettings, hidden: Image | None = None) -> None:
         self.settings, self._image = settings, bgr
         self.size = height, width = bgr.shape[:2]
         self.scale = settings.working_px / max(width, height)
@@ -50,11 +51,8 @@ class Evidence:
         self.bgr_float: Floats = self.bgr.astype(np.float32)
         self.picture = picture_of(self.bgr)
         self.hidden = np.zeros_like(self.picture)
-
-    def hide(self, mask: Image) -> None:
-        """Take what is marked in the image, shape (h, w), for nothing: neither its colours nor its borders count."""
-        smaller = cv2.resize(mask, self.picture.shape[::-1], interpolation=cv2.INTER_AREA)
-        self.hidden |= np.where(smaller > 0, 255, 0).astype(np.uint8)
+        if hidden is not None:
+            self.hidden[cv2.resize(hidden, size, interpolation=cv2.INTER_AREA) > 0] = 255
 
     @cached_property
     def core(self) -> Image:

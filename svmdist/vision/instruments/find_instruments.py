@@ -14,6 +14,7 @@ from svmdist.least_squares import median
 from svmdist.profile.settings import AutoSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
+from svmdist.vision.colour import Masks
 from svmdist.vision.instruments.evidence import SQUARE_3, Evidence, sampled, tissue_of
 from svmdist.vision.instruments.outline import LEAST_RIM_PX, STATIONS, Outline
 from svmdist.vision.instruments.outline_search import LONGEST_WRIST, MIDDLE, outline_score, rough_outlines, sharpened
@@ -200,52 +201,20 @@ def _enlarged(mask: Image, size: tuple[int, int]) -> Image:
     return np.asarray(cv2.threshold(large, 127, 255, cv2.THRESH_BINARY)[1], np.uint8)
 
 
-class AutoMasks:
-    """`method = "auto"`: the masks of one image, shape (h, w) with 0 or 255, made when they are first asked for."""
-
-    def __init__(self, bgr: Image, settings: AutoSettings = DEFAULT) -> None:
-        self.evidence = Evidence(bgr, settings)
-
-    @cached_property
-    def seen(self) -> tuple[SeenInstrument, ...]:
-        """The instruments, the surest first."""
-        return tuple(find_instruments(self.evidence))
-
-    @cached_property
-    def _others(self) -> Image:
-        """Connected parts that are likely instrument, whatever their shape."""
-        evidence, (parts, area) = self.evidence, self.evidence.parts
-        mean = np.bincount(parts.ravel(), evidence.odds.ravel(), len(area)) / np.maximum(area, 1)
-        kept = (mean > LIKELY) & (area > evidence.settings.least_area * cv2.countNonZero(evidence.core))
-        kept[0] = False
-        return _enlarged(255 * kept[parts].astype(np.uint8), evidence.size)
-
-    @cached_property
-    def picture(self) -> Image:
-        """What of the image is picture: not the black border around it."""
-        return _enlarged(self.evidence.picture, self.evidence.size)
-
-    @cached_property
-    def tissue(self) -> Image:
-        """What of the picture is no instrument, or the red part of that where it is distinct."""
-        tissue = _enlarged(tissue_of(self.evidence), self.evidence.size)
-        return tissue & ~self._union([self._others, *(one.mask for one in self.seen)])
-
-    @cached_property
-    def instrument(self) -> Image:
-        """Wrists and jaws of all instruments, beyond the end of each shaft, and instruments without a straight one."""
-        others = np.asarray(cv2.subtract(self._others, self._union([one.mask for one in self.seen])), np.uint8)
-        return self._union([others, *(one.distal for one in self.seen)])
-
-    @cached_property
-    def shaft(self) -> Image | None:
-        """The shafts of all instruments, of any brightness."""
-        return self._union([one.shaft for one in self.seen])
-
-    @cached_property
-    def black(self) -> Image | None:
-        """What is not picture."""
-        return np.asarray(cv2.bitwise_not(self.picture), np.uint8)
-
-    def _union(self, masks: Sequence[Image]) -> Image:
-        return reduce(np.bitwise_or, masks, np.zeros(self.evidence.size, np.uint8))
+def auto_masks(bgr: Image, settings: AutoSettings = DEFAULT, hidden: Image | None = None) -> Masks:
+    """`method = "auto"`: the masks of an image, shape (h, w, 3), of which what is `hidden`, (h, w), counts nothing."""
+    evidence = Evidence(bgr, settings, hidden)
+    seen = tuple(find_instruments(evidence))
+    nothing = np.zeros(evidence.size, np.uint8)
+    whole, shafts, distal = (
+        reduce(np.bitwise_or, masks, nothing)
+        for masks in ([one.mask for one in seen], [one.shaft for one in seen], [one.distal for one in seen])
+    )
+    # Connected parts that are likely instrument, whatever their shape: without a straight shaft all of it is distal.
+    parts, area = evidence.parts
+    mean = np.bincount(parts.ravel(), evidence.odds.ravel(), len(area)) / np.maximum(area, 1)
+    kept = (mean > LIKELY) & (area > settings.least_area * cv2.countNonZero(evidence.core))
+    kept[0] = False
+    others = _enlarged(255 * kept[parts].astype(np.uint8), evidence.size) & ~whole
+    picture, tissue = (_enlarged(mask, evidence.size) for mask in (evidence.picture, tissue_of(evidence)))
+    return Masks(tissue & ~(others | whole), others | distal, shafts, ~picture, picture, seen)
