@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from svmdist.least_squares import NormalEquations, minimise
 from svmdist.profile.settings import MarkerSettings
 from svmdist.samples import Image
 from svmdist.transforms import Array
@@ -122,12 +121,6 @@ def match_features(template: Features, frame: Features, ratio: float) -> Matches
     return Matches(template.points_px[kept], frame.points_px[nearest[kept, 0]])
 
 
-# Gauss–Newton from a fit that is good to a fraction of a pixel: two or three steps reach rounding
-REFIT_STEPS, REFIT_TOLERANCE, REFIT_DAMPING = 10, 1e-9, 1e-9
-UNIT_PX = 100.0  # about a marker's side: in this unit the elements of H are of a similar size
-PX_PER_ELEMENT: Array = np.outer([1.0 / UNIT_PX, 1.0 / UNIT_PX, 1.0], [UNIT_PX, UNIT_PX, 1.0])
-
-
 def fit_homography(matches: Matches, reprojection_px: float) -> tuple[Array, NDArray[np.bool_]] | None:
     """H, (3, 3) with H[2, 2] = 1, by MAGSAC (Barath 2019), and its inliers, (n,), by eq. (18); None below four."""
     parameters = cv2.UsacParams()
@@ -148,8 +141,8 @@ def fit_homography(matches: Matches, reprojection_px: float) -> tuple[Array, NDA
         return None
     H = np.asarray(fitted / fitted[2, 2], np.float64)
     error_px = _transfer_error(H, matches)
-    # Refit by least squares on the matches within shrinking thresholds, while they are many and agree: Gauss–Newton
-    # from a start that is near (Hartley and Zisserman 2004, sec. 4.2.2).
+    # Refit by least squares on the matches within shrinking thresholds, while they are many and agree (Hartley and
+    # Zisserman 2004, sec. 4.2.2).
     fitted_on = np.zeros(0, np.bool_)
     for threshold_px in REFIT_THRESHOLDS_PX:
         close = error_px <= threshold_px
@@ -157,33 +150,13 @@ def fit_homography(matches: Matches, reprojection_px: float) -> tuple[Array, NDA
             break
         if np.array_equal(close, fitted_on):
             continue  # the same matches give the same homography
-        p, q = matches.template_px[close] / UNIT_PX, matches.frame_px[close] / UNIT_PX
-        h = (H * PX_PER_ELEMENT).ravel()[:8]
-        found = minimise(h, partial(_normal_equations, p=p, q=q), np.add, REFIT_STEPS, REFIT_TOLERANCE, REFIT_DAMPING)
+        found, _ = cv2.findHomography(matches.template_px[close], matches.frame_px[close])
         if found is None:
             break
-        H, fitted_on = np.append(found[0], 1.0).reshape(3, 3) / PX_PER_ELEMENT, close
+        H, fitted_on = np.asarray(found, np.float64), close
         error_px = _transfer_error(H, matches)
     inliers = error_px <= reprojection_px
     return (H, inliers) if np.count_nonzero(inliers) >= 4 else None
-
-
-def _normal_equations(h: Array, p: Array, q: Array) -> NormalEquations | None:
-    """Of the transfer errors of points, shape (n, 2) in UNIT_PX, about the first eight elements of H."""
-    w = p @ h[6:] + 1.0
-    if w.min() <= 1e-9:  # a point at infinity, or beyond
-        return None
-    terms = np.empty((3, len(p)))
-    np.divide(p.T, w, terms[:2])
-    np.divide(1.0, w, terms[2])
-    mapped = h[:6].reshape(2, 3) @ terms
-    J = np.zeros((8, 2, len(p)))
-    J[:3, 0] = terms
-    J[3:6, 1] = terms
-    np.multiply(-mapped, terms[:2, None], J[6:])
-    by_element = J.reshape(8, -1)
-    off = (q.T - mapped).ravel()
-    return NormalEquations(float(off @ off), by_element @ off, by_element @ by_element.T)
 
 
 def transfer(H: Array, points_px: Array) -> Array:
