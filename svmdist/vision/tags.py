@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from threading import get_ident
 
 import cv2
 import numpy as np
@@ -120,29 +119,19 @@ def tag_dictionary(family: str) -> cv2.aruco.Dictionary:
 
 def find_tags(image_grey: Image, family: str, settings: TagSettings) -> dict[int, Array]:
     """Corners, (4, 2) in px, of a family's tags by number: upper left first, clockwise as one reads; the largest."""
+    dictionary, parameters = tag_dictionary(family), cv2.aruco.DetectorParameters()
+    is_long = dictionary.markerSize >= LONG_CODE_CELLS
+    parameters.errorCorrectionRate = min(settings.error_correction_rate, 1.0 if is_long else SHORT_CODE_RATE)
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+    parameters.perspectiveRemovePixelPerCell = CELL_SAMPLES
+    parameters.perspectiveRemoveIgnoredMarginPerCell = CELL_MARGIN
     # OpenCV takes the smallest perimeter relative to the image's longer side.
-    min_perimeter = 4.0 * settings.min_side_px / max(image_grey.shape)
-    detector = _detector(family, settings.error_correction_rate, min_perimeter, get_ident())
-    corners, ids, _ = detector.detectMarkers(image_grey)
-    cell_count = detector.getDictionary().markerSize + 2
+    parameters.minMarkerPerimeterRate = 4.0 * settings.min_side_px / max(image_grey.shape)
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image_grey)
+    cell_count = dictionary.markerSize + 2
     refined = [refine_corners(image_grey, np.asarray(seen, np.float64).reshape(4, 2), cell_count) for seen in corners]
     numbered = zip(() if ids is None else map(int, ids.ravel()), refined, strict=True)
     return dict(sorted(numbered, key=lambda tag: cv2.contourArea(tag[1].astype(np.float32))))
-
-
-@lru_cache(maxsize=32)
-def _detector(family: str, error_correction_rate: float, min_perimeter: float, _thread: int) -> cv2.aruco.ArucoDetector:
-    """The detector of a family; each thread has its own, since it keeps state while it works."""
-    dictionary = tag_dictionary(family)
-    if dictionary.markerSize < LONG_CODE_CELLS:
-        error_correction_rate = min(error_correction_rate, SHORT_CODE_RATE)
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
-    parameters.errorCorrectionRate = error_correction_rate
-    parameters.perspectiveRemovePixelPerCell = CELL_SAMPLES
-    parameters.perspectiveRemoveIgnoredMarginPerCell = CELL_MARGIN
-    parameters.minMarkerPerimeterRate = min_perimeter
-    return cv2.aruco.ArucoDetector(dictionary, parameters)
 
 
 def square_corners_m(size_m: float) -> Array:
